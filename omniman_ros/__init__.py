@@ -1,0 +1,1 @@
+"""Motion control of a mobile manipulator on Mecanum or Omni wheels."""

@@ -1,0 +1,257 @@
+"""Messages to core and back: pure functions without a node."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import (
+    PoseWithCovarianceStamped,
+    Quaternion,
+    Transform,
+    TransformStamped,
+    Twist,
+    TwistStamped,
+)
+from nav_msgs.msg import Odometry as OdometryMsg
+from numpy.typing import NDArray
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension
+from trajectory_msgs.msg import MultiDOFJointTrajectory
+
+from omniman_ros.core.errors import InputError
+from omniman_ros.core.odometry import Odometry
+from omniman_ros.core.preview import Preview
+from omniman_ros.core.wheel_cascade import DriveMode, WheelCommand
+
+Array = NDArray[np.float64]
+
+PLATFORM_JOINT = "platform"
+"""Name of the platform in previews."""
+UNIT_TOLERANCE = 0.01
+"""How far a quaternion's length may be from 1."""
+TILT_TOLERANCE = 0.02
+"""How far from vertical a planar pose may turn [rad, about]."""
+_PLANE = (0, 1, 5)
+"""x, y and rotation about z among the six of a 6 x 6 covariance."""
+
+
+def time_seconds(stamp: Time) -> float:
+    """Seconds of a stamp or a duration."""
+    return float(stamp.sec) + 1e-9 * float(stamp.nanosec)
+
+
+def yaw(quaternion: Quaternion) -> float:
+    """Heading [rad] of a rotation in the plane.
+
+    Raises:
+        InputError: Not finite, not of unit length, or not about the vertical.
+    """
+    x, y, z, w = quaternion.x, quaternion.y, quaternion.z, quaternion.w
+    length = math.sqrt(x * x + y * y + z * z + w * w)
+    if not abs(length - 1.0) <= UNIT_TOLERANCE:
+        raise InputError(f"quaternion of length {length:.4g}, expected 1")
+    if 2.0 * math.hypot(x, y) > TILT_TOLERANCE:
+        raise InputError("a rotation that is not about the vertical")
+    return 2.0 * math.atan2(z, w)
+
+
+def quaternion(theta: float) -> Quaternion:
+    """Rotation about the vertical by theta [rad]."""
+    return Quaternion(x=0.0, y=0.0, z=math.sin(0.5 * theta), w=math.cos(0.5 * theta))
+
+
+def check_frame(frame: str, *allowed: str) -> None:
+    """Demand one of the allowed frames.
+
+    Raises:
+        InputError: It is another one.
+    """
+    if frame.lstrip("/") not in allowed:
+        names = " or ".join(repr(name) for name in allowed)
+        raise InputError(f"frame '{frame}', expected {names}")
+
+
+def twist_array(message: Twist) -> Array:
+    """Body twist (3,) [m/s, m/s, rad/s] of a message.
+
+    Raises:
+        InputError: One of its six numbers is not finite.
+    """
+    v, w = message.linear, message.angular
+    if not all(map(math.isfinite, (v.x, v.y, v.z, w.x, w.y, w.z))):
+        raise InputError(
+            f"not finite: linear ({v.x}, {v.y}, {v.z}), angular ({w.x}, {w.y}, {w.z})"
+        )
+    return np.array([v.x, v.y, w.z])
+
+
+def stamped_twist_array(message: TwistStamped, base_frame: str) -> Array:
+    """Body twist (3,) of a stamped message in the base frame (an empty frame is taken for it).
+
+    Raises:
+        InputError: Another frame, or not finite.
+    """
+    check_frame(message.header.frame_id, base_frame, "")
+    return twist_array(message.twist)
+
+
+def joint_arrays(
+    message: JointState, names: Sequence[str]
+) -> tuple[Array | None, Array | None, Array | None]:
+    """Positions, velocities and efforts (n,) of a JointState, in the order of `names`.
+
+    What is absent is None; joints that are not asked for are left out.
+
+    Raises:
+        InputError: A name is missing or there twice, or an array has another length than names.
+    """
+    given = message.name
+    parts = []
+    for label in ("position", "velocity", "effort"):
+        values = getattr(message, label)
+        if len(values) not in (0, len(given)):
+            raise InputError(f"{len(values)} {label} values for {len(given)} names")
+        parts.append(np.array(values, dtype=float) if len(values) else None)
+    if list(given) == list(names):
+        return parts[0], parts[1], parts[2]
+    if len(set(given)) != len(given):
+        raise InputError(f"a name is there twice: {', '.join(given)}")
+    missing = [name for name in names if name not in given]
+    if missing:
+        raise InputError(f"no {', '.join(missing)} among the names {', '.join(given) or '(none)'}")
+    order = [given.index(name) for name in names]
+    position, velocity, effort = (None if part is None else part[order] for part in parts)
+    return position, velocity, effort
+
+
+def finite(array: Array | None, label: str) -> Array:
+    """The array, which must be there and finite.
+
+    Raises:
+        InputError: It is absent or has a NaN or infinity.
+    """
+    if array is None:
+        raise InputError(f"no {label}")
+    if not np.isfinite(array).all():
+        raise InputError(f"{label} {array.tolist()} not finite")
+    return array
+
+
+def preview(message: MultiDOFJointTrajectory, start: float, frames: Sequence[str]) -> Preview:
+    """Preview of the platform.
+
+    Args:
+        message: Poses, velocities (needed) and accelerations (all or none) in the odom frame.
+        start: Time of the header's stamp on the receiver's clock [s].
+        frames: Frames that are taken for odom.
+
+    Raises:
+        InputError: Wrong frame, joint or sizes, a pose that is not planar, times that do not
+            increase, or anything that is not finite.
+    """
+    check_frame(message.header.frame_id, *frames)
+    if list(message.joint_names) != [PLATFORM_JOINT]:
+        raise InputError(f"joints {list(message.joint_names)}, expected ['{PLATFORM_JOINT}']")
+    points = message.points
+    times, poses, velocities, accelerations = [], [], [], []
+    for i, point in enumerate(points):
+        if len(point.transforms) != 1 or len(point.velocities) != 1:
+            raise InputError(f"point {i}: expected one transform and one velocity")
+        if len(point.accelerations) not in (0, 1):
+            raise InputError(f"point {i}: {len(point.accelerations)} accelerations for one joint")
+        times.append(start + time_seconds(point.time_from_start))
+        poses.append(_pose(point.transforms[0]))
+        velocities.append(twist_array(point.velocities[0]))
+        accelerations += [twist_array(twist) for twist in point.accelerations]
+    if len(accelerations) not in (0, len(points)):
+        raise InputError("some points have an acceleration and some have none")
+    return Preview(
+        np.array(times),
+        np.array(poses).reshape(-1, 3),
+        np.array(velocities).reshape(-1, 3),
+        np.array(accelerations) if accelerations else None,
+    )
+
+
+def _pose(transform: Transform) -> Array:
+    x, y = transform.translation.x, transform.translation.y
+    if not (math.isfinite(x) and math.isfinite(y)):
+        raise InputError(f"position ({x}, {y}) is not finite")
+    return np.array([x, y, yaw(transform.rotation)])
+
+
+def planar_pose(
+    message: PoseWithCovarianceStamped, frames: Sequence[str]
+) -> tuple[tuple[float, float, float], Array]:
+    """Pose (x, y, theta) [m, m, rad] and its covariance (3, 3).
+
+    Raises:
+        InputError: Wrong frame, not planar, or not finite.
+    """
+    check_frame(message.header.frame_id, *frames)
+    position = message.pose.pose.position
+    if not (math.isfinite(position.x) and math.isfinite(position.y)):
+        raise InputError(f"position ({position.x}, {position.y}) is not finite")
+    covariance = np.array(message.pose.covariance, dtype=float).reshape(6, 6)
+    pose = (position.x, position.y, yaw(message.pose.pose.orientation))
+    return pose, covariance[np.ix_(_PLANE, _PLANE)]
+
+
+def fill_odometry(message: OdometryMsg, odometry: Odometry, stamp: Time) -> None:
+    """Write pose (odom), twist (base_link) and covariance into a message."""
+    x, y, theta = odometry.pose
+    message.header.stamp = stamp
+    message.pose.pose.position.x = x
+    message.pose.pose.position.y = y
+    message.pose.pose.orientation = quaternion(theta)
+    spread = odometry.covariance
+    for i, row in enumerate(_PLANE):
+        for j, column in enumerate(_PLANE):
+            message.pose.covariance[6 * row + column] = spread[i, j]
+    vx, vy, w = odometry.twist.tolist()
+    message.twist.twist.linear.x = vx
+    message.twist.twist.linear.y = vy
+    message.twist.twist.angular.z = w
+
+
+def transform(message: OdometryMsg) -> TransformStamped:
+    """The transform odom -> base_link of an odometry message."""
+    result = TransformStamped(header=message.header, child_frame_id=message.child_frame_id)
+    result.transform.translation.x = message.pose.pose.position.x
+    result.transform.translation.y = message.pose.pose.position.y
+    result.transform.rotation = message.pose.pose.orientation
+    return result
+
+
+def fill_command(message: JointState, command: WheelCommand, stamp: Time) -> None:
+    """Write a command into a JointState: velocity with effort, or effort (N m or V) alone."""
+    message.header.stamp = stamp
+    message.effort = command.effort.tolist()
+    message.velocity = [] if command.velocity is None else command.velocity.tolist()
+
+
+def wheel_command(message: JointState, names: Sequence[str], voltage: bool) -> WheelCommand:
+    """Command of a message from `wheel_voltages` (voltage true) or `wheel_commands`.
+
+    Raises:
+        InputError: Names, sizes or content are wrong, or there is neither velocity nor effort.
+    """
+    _, velocity, effort = joint_arrays(message, names)
+    if voltage:
+        return WheelCommand(DriveMode.VOLTAGE, finite(effort, "effort (volts)"))
+    if velocity is None:
+        return WheelCommand(DriveMode.TORQUE, finite(effort, "velocity or effort"))
+    feed_forward = np.zeros(len(names)) if effort is None else finite(effort, "effort")
+    return WheelCommand(DriveMode.VELOCITY, feed_forward, finite(velocity, "velocity"))
+
+
+def electrical(values: Array) -> Float64MultiArray:
+    """Voltage [V], current [A] and energy [J] per wheel, from an array (n, 3)."""
+    rows, columns = values.shape
+    message = Float64MultiArray(data=values.ravel().tolist())
+    message.layout.dim = [
+        MultiArrayDimension(label="wheel", size=rows, stride=rows * columns),
+        MultiArrayDimension(label="voltage,current,energy", size=columns, stride=columns),
+    ]
+    return message

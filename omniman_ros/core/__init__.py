@@ -1,0 +1,1 @@
+"""Pure cores: numpy only, no ROS, clocks, threads, sockets or files."""

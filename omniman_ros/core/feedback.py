@@ -1,0 +1,109 @@
+"""Wheel feedback: validated, unwrapped, and never older than it says."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omniman_ros.core.encoder import Unwrapper, VelocityObserver
+from omniman_ros.core.errors import InputError
+
+Array = NDArray[np.float64]
+
+OBSERVER_BANDWIDTH = 60.0
+"""Of the observer that stands in for a drive that reports no speed [rad/s]."""
+GAP = 0.5
+"""Longest gap between two reports that still counts as one motion [s]."""
+
+
+@dataclass(frozen=True)
+class WheelStep:
+    """What one report adds: turn (n,) [rad], speed (n,) [rad/s], time [s], and a warning."""
+
+    moved: Array
+    speeds: Array
+    dt: float
+    warning: str
+
+
+class WheelFeedback:
+    """Turns reports of the drives into steps for the odometry.
+
+    Args:
+        count: Number of wheels n.
+        span: Range after which positions wrap [rad]; 0 if they do not.
+        max_speed: Fastest that a wheel turns [rad/s]; positions that jump further were set anew.
+
+    Attributes:
+        speeds: (n,) last speeds [rad/s].
+        time: When they were measured [s].
+        heard: Whether there is any feedback to act on.
+    """
+
+    def __init__(self, count: int, span: float, max_speed: float) -> None:
+        self._count = count
+        self._span = span
+        self._max_speed = max_speed
+        self._observer = VelocityObserver(OBSERVER_BANDWIDTH)
+        self.speeds: Array = np.zeros(count)
+        self.time = -math.inf
+        self.forget()
+
+    def forget(self) -> None:
+        """Start anew: the next report is the first."""
+        self.heard = False
+        self._arrival = -math.inf
+        self._unwrapper = Unwrapper(self._span) if self._span > 0.0 else None
+        self._position: Array | None = None
+        self._observer.reset()
+        self.speeds = np.zeros(self._count)
+
+    def age(self, now: float) -> float:
+        """Age of the last report [s], by its arrival and by its stamp, the stricter."""
+        return now - min(self._arrival, self.time)
+
+    def update(
+        self, time: float, now: float, position: Array | None, velocity: Array | None
+    ) -> WheelStep | None:
+        """Take a report in; None for the first one.
+
+        Raises:
+            InputError: Wrong size, not finite, neither positions nor speeds, or not newer.
+        """
+        if position is None and velocity is None:
+            raise InputError("wheel_states: neither positions nor velocities")
+        for label, array in (("positions", position), ("velocities", velocity)):
+            if array is None:
+                continue
+            if array.shape != (self._count,):
+                raise InputError(f"wheel_states: {array.size} {label} for {self._count} wheels")
+            if not np.isfinite(array).all():
+                raise InputError(f"wheel_states: {label} {array.tolist()} are not finite")
+        if self.heard and time <= self.time:
+            raise InputError(f"wheel_states: out of order, {self.time - time:.4f} s back")
+        dt = time - self.time if self.heard else 0.0
+        if position is not None and self._unwrapper is not None:
+            position = self._unwrapper.update(position)
+        before = self._position
+        self._position = None if position is None else np.array(position, dtype=float)
+        if velocity is None and position is not None:
+            velocity = self._observer.update(position, dt)
+        assert velocity is not None
+        first = not self.heard
+        last_speeds, self.speeds = self.speeds, np.array(velocity, dtype=float)
+        self.time, self._arrival, self.heard = time, now, True
+        if first:
+            return None
+        if self._position is None or before is None:
+            moved = (0.5 * dt) * (last_speeds + self.speeds)
+            return WheelStep(moved, self.speeds, dt, "")
+        moved = self._position - before
+        allowed = 2.0 * self._max_speed * dt + 1.0
+        if dt > GAP or float(np.abs(moved).max()) > allowed:
+            self._observer.reset()
+            why = f"{dt:.2f} s gap" if dt > GAP else "positions jumped"
+            return WheelStep(
+                np.zeros(self._count), self.speeds, dt, f"wheel_states: {why}, step left out"
+            )
+        return WheelStep(moved, self.speeds, dt, "")

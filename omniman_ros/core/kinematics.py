@@ -1,0 +1,119 @@
+"""Kinematics of a platform with n >= 3 Mecanum or Omni wheels, motion constraints included.
+
+Source: CCTA 2017, section III, equations (2) to (14). The matrices are computed for any wheels;
+the paper's closed forms (15) to (18) hold for the symmetric platform of four equal wheels only.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omniman_ros.core.errors import GeometryError
+from omniman_ros.core.robot import Wheels
+
+Array = NDArray[np.float64]
+
+RANK_TOLERANCE = 1e-6
+"""Smallest accepted ratio of J's singular values, lengths scaled by the platform's size."""
+ROLLER_TOLERANCE = 1e-6
+"""Smallest accepted cos(gamma): at 90 degrees the wheel cannot drive."""
+
+
+def wheel_row(x: float, y: float, heading: float, roller_angle: float, radius: float) -> Array:
+    """Row of the inverse Jacobian of one wheel, CCTA 2017 (8).
+
+    phi' = (cos(d+g), sin(d+g), x sin(d+g) - y cos(d+g)) . (x'_R, y'_R, theta') / (r cos g)
+
+    Args:
+        x, y: Position of the contact in base_link [m].
+        heading: Rolling direction d in base_link [rad].
+        roller_angle: Roller angle g [rad], 0 for an Omni wheel.
+        radius: Wheel radius r [m].
+
+    Returns:
+        Array of shape (3,): [1/m, 1/m, 1].
+    """
+    c, s = math.cos(heading + roller_angle), math.sin(heading + roller_angle)
+    return np.array([c, s, x * s - y * c]) / (radius * math.cos(roller_angle))
+
+
+class PlatformKinematics:
+    """The augmented kinematics: n wheel speeds to twist and m = n - 3 constraint rates, and back.
+
+    Attributes (read-only arrays):
+        J: (n, 3) inverse Jacobian, phi' = J x'_R, CCTA (9).
+        J_pinv: (3, n) least-squares forward Jacobian J+, CCTA (3).
+        T: (m, n) motion constraints, T phi' = 0, CCTA (11). Its columns for the three wheels that
+            span J hold J_m J_3^-1, the others -I.
+        T_pinv: (n, m) right inverse of T; the last m columns of J_a.
+        J_a: (n, n) augmented inverse Jacobian (J, T+), CCTA (14), corrected.
+        J_a_inv: (n, n) augmented forward Jacobian (J+ ; T), CCTA (13).
+        base_wheels: Indices of the three wheels that span J, found by pivoting.
+
+    Raises:
+        GeometryError: A wheel cannot drive (gamma at +-90 degrees), or the wheels together cannot
+            move the platform in all three directions (rank of J below 3).
+    """
+
+    def __init__(self, wheels: Wheels) -> None:
+        n = len(wheels.names)
+        for name, gamma in zip(wheels.names, wheels.roller_angle, strict=True):
+            if abs(math.cos(gamma)) < ROLLER_TOLERANCE:
+                raise GeometryError(
+                    f"wheel '{name}': roller angle {gamma:.4f} rad is +-90 degrees, "
+                    "such a wheel cannot drive the platform", name,
+                )  # fmt: skip
+        rows = zip(
+            wheels.x, wheels.y, wheels.heading, wheels.roller_angle, wheels.radius, strict=True
+        )
+        self.J = _frozen(np.array([wheel_row(*row) for row in rows]))
+        self.base_wheels = self._independent_rows(wheels)
+        base = list(self.base_wheels)
+        rest = [i for i in range(n) if i not in base]
+        constraints = np.zeros((n - 3, n))
+        constraints[:, base] = np.linalg.solve(self.J[base].T, self.J[rest].T).T
+        constraints[range(n - 3), rest] = -1.0
+        self.T = _frozen(constraints)
+        self.J_pinv = _frozen(np.linalg.pinv(self.J))
+        self.T_pinv = _frozen(np.linalg.pinv(self.T) if n > 3 else np.zeros((n, 0)))
+        self.J_a = _frozen(np.hstack([self.J, self.T_pinv]))
+        self.J_a_inv = _frozen(np.vstack([self.J_pinv, self.T]))
+
+    @property
+    def wheel_count(self) -> int:
+        """Number of wheels n."""
+        return int(self.J.shape[0])
+
+    @property
+    def constraint_count(self) -> int:
+        """Number of motion constraints m = n - 3."""
+        return int(self.T.shape[0])
+
+    def _independent_rows(self, wheels: Wheels) -> tuple[int, int, int]:
+        """Three independent rows of J, found by pivoting (Gram-Schmidt, largest rest first)."""
+        size = max(map(math.hypot, wheels.x, wheels.y)) or 1.0
+        rest = self.J * [1.0, 1.0, 1.0 / size] / np.linalg.norm(self.J, axis=1).max()
+        chosen: list[int] = []
+        for _ in range(3):
+            lengths = np.linalg.norm(rest, axis=1)
+            # The first of equals, so that symmetric platforms keep the paper's choice.
+            pivot = int(np.argmax(lengths > lengths.max() * (1 - 1e-9)))
+            if lengths[pivot] < RANK_TOLERANCE:
+                raise GeometryError(
+                    f"the wheels {', '.join(wheels.names)} move the platform in {len(chosen)} "
+                    f"independent directions only (rank of J < 3); '{wheels.names[pivot]}' adds "
+                    "none: turn wheels or rollers", wheels.names[pivot],
+                )  # fmt: skip
+            chosen.append(pivot)
+            direction = rest[pivot] / lengths[pivot]
+            rest = rest - np.outer(rest @ direction, direction)
+        first, second, third = sorted(chosen)
+        return first, second, third
+
+
+def _frozen(array: Any) -> Array:
+    frozen: Array = np.ascontiguousarray(array, dtype=np.float64)
+    frozen.setflags(write=False)
+    return frozen

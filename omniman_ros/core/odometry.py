@@ -1,0 +1,159 @@
+"""Odometry: wheel motion to pose on SE(2), with a covariance that knows how the wheels agree.
+
+Source: CCTA 2017 (13) and (17) for the displacement; the pose is composed on SE(2) exactly, so a
+constant twist gives the same pose for any step.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omniman_ros.core import se2
+from omniman_ros.core.errors import InputError
+from omniman_ros.core.kinematics import PlatformKinematics
+from omniman_ros.core.parameters import parameter
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class OdometryParameters:
+    """Calibration and noise of the odometry."""
+
+    scale_x: float = parameter(1.0, "True over measured travel, forward.", low=0.5, high=2)
+    scale_y: float = parameter(1.0, "True over measured travel, sideways.", low=0.5, high=2)
+    scale_yaw: float = parameter(1.0, "True over measured turn.", low=0.5, high=2)
+    wheel_scale: tuple[float, ...] = parameter(
+        (1.0,), "True over configured radius of each wheel; one value or one per wheel.",
+        low=0.5, high=2,
+    )  # fmt: skip
+    encoder_span: float = parameter(
+        0.0, "Range after which wheel_states positions wrap; 0 if they do not.",
+        unit="rad", low=0, read_only=True,
+    )  # fmt: skip
+    noise_translation: float = parameter(
+        1e-4, "Variance of the position gained per metre.", unit="m^2/m", low=0, high=10
+    )
+    noise_rotation: float = parameter(
+        1e-3, "Variance of the heading gained per radian turned.", unit="rad^2/rad", low=0, high=10
+    )
+    noise_drift: float = parameter(
+        1e-4, "Variance of the heading gained per metre.", unit="rad^2/m", low=0, high=10
+    )
+    noise_slip: float = parameter(
+        0.1, "Variance of position [m^2] and heading [rad^2] gained per metre of coupling "
+        "residual at the rim.", unit="m^2/m", low=0, high=100,
+    )  # fmt: skip
+    slip_threshold: float = parameter(
+        0.05, "Coupling residual at the rim above which the wheels are said to slip.",
+        unit="m/s", low=1e-4, high=10,
+    )  # fmt: skip
+    slip_filter: float = parameter(
+        0.1, "Time constant of the coupling residual's filter.", unit="s", low=0.005, high=10
+    )
+
+
+class Odometry:
+    """Pose of base_link in odom, twist in base_link, covariance and slip.
+
+    Attributes:
+        pose: (x, y, theta) in odom [m, m, rad]; theta is not wrapped.
+        twist: (3,) in base_link [m/s, m/s, rad/s].
+        constraint_rate: (m,) rate of the coupling error, epsilon' of CCTA 2017 (12) [rad/s].
+        slipping: Whether the filtered coupling residual is above its threshold.
+    """
+
+    def __init__(self, kinematics: PlatformKinematics, parameters: OdometryParameters) -> None:
+        self.pose = (0.0, 0.0, 0.0)
+        self.twist: Array = np.zeros(3)
+        self.slipping = False
+        self._covariance = [0.0] * 6
+        self.configure(kinematics, parameters)
+
+    def configure(self, kinematics: PlatformKinematics, parameters: OdometryParameters) -> None:
+        """Take over new kinematics and parameters; the pose stays."""
+        m = kinematics.constraint_count
+        scales = [parameters.scale_x, parameters.scale_y, parameters.scale_yaw] + [1.0] * m
+        self._forward = np.diag(scales) @ kinematics.J_a_inv
+        # Travel at the rim that belongs to one radian of each constraint.
+        self._rim = 1.0 / np.linalg.norm(kinematics.J[:, :2], axis=1).max()
+        self._parameters = parameters
+        self.constraint_rate: Array = np.zeros(m)
+        self._residual = np.zeros(m)
+
+    def reset(
+        self,
+        pose: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        covariance: Array | None = None,
+    ) -> None:
+        """Put the pose (and its (3, 3) covariance, else zero) somewhere; the twist stays.
+
+        Raises:
+            InputError: Not finite, or the covariance is not (3, 3).
+        """
+        if not all(map(math.isfinite, pose)):
+            raise InputError(f"pose {pose} is not finite")
+        if covariance is None:
+            covariance = np.zeros((3, 3))
+        if covariance.shape != (3, 3) or not np.isfinite(covariance).all():
+            raise InputError("the pose's covariance must be a finite (3, 3) array")
+        if np.linalg.eigvalsh((covariance + covariance.T) / 2).min() < -1e-9:
+            raise InputError("the pose's covariance has a negative variance")
+        self.pose = (float(pose[0]), float(pose[1]), float(pose[2]))
+        rows, columns = (0, 0, 1, 0, 1, 2), (0, 1, 1, 2, 2, 2)
+        self._covariance = covariance[rows, columns].tolist()
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance of (x, y, theta) in odom, (3, 3) [m^2, m rad, rad^2]."""
+        xx, xy, yy, xt, yt, tt = self._covariance
+        return np.array([[xx, xy, xt], [xy, yy, yt], [xt, yt, tt]])
+
+    def update(self, wheel_steps: Array, wheel_speeds: Array, dt: float) -> Array:
+        """Add the motion of the wheels over dt.
+
+        Args:
+            wheel_steps: (n,) turn of each wheel since the last update [rad].
+            wheel_speeds: (n,) speed of each wheel now [rad/s], for the twist.
+            dt: Time since the last update [s], above 0.
+
+        Returns:
+            (m,) step of the coupling error epsilon [rad], CCTA 2017 (12).
+        """
+        moved = self._forward @ wheel_steps
+        rates = self._forward @ wheel_speeds
+        self.twist = rates[:3]
+        self.constraint_rate = rates[3:]
+        x, y, theta = self.pose
+        dx, dy, turn = se2.arc(moved[:3])
+        c, s = math.cos(theta), math.sin(theta)
+        east, north = c * dx - s * dy, s * dx + c * dy
+        self.pose = (x + east, y + north, theta + turn)
+        step = moved[3:]
+        slip = 0.0
+        if step.size:
+            gain = 1.0 - math.exp(-dt / self._parameters.slip_filter)
+            self._residual += gain * (step / dt - self._residual)
+            slip = self._rim * float(np.abs(self._residual).max())
+            self.slipping = slip > self._parameters.slip_threshold
+        self._grow(east, north, turn, slip * dt)
+        return step
+
+    def _grow(self, east: float, north: float, turn: float, slip: float) -> None:
+        """Covariance F P F' + Q of the composition, written out for the six entries."""
+        p = self._parameters
+        xx, xy, yy, xt, yt, tt = self._covariance
+        a, b = -north, east
+        travel = math.hypot(east, north)
+        q = p.noise_translation * travel + p.noise_slip * slip
+        q_turn = p.noise_rotation * abs(turn) + p.noise_drift * travel + p.noise_slip * slip
+        self._covariance = [
+            xx + 2 * a * xt + a * a * tt + q,
+            xy + a * yt + b * xt + a * b * tt,
+            yy + 2 * b * yt + b * b * tt + q,
+            xt + a * tt,
+            yt + b * tt,
+            tt + q_turn,
+        ]

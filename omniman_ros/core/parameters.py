@@ -1,0 +1,186 @@
+"""Parameters declared once: a frozen dataclass whose fields carry unit, range and text.
+
+A group is a frozen dataclass of :func:`parameter` fields; a set of parameters is a dataclass of
+groups (nested as deep as wanted). Names are the field names joined by dots. The same declaration
+gives validation (:func:`build`), the ROS descriptors (`nodes/parameters.py`), the README's tables
+and the check of YAML files against mistyped names.
+"""
+
+import dataclasses
+import math
+import types
+import typing
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+from omniman_ros.core.errors import ParameterError
+
+T = TypeVar("T")
+
+REQUIRED: Any = dataclasses.MISSING
+"""Default of a parameter that the robot's configuration file must give."""
+
+
+@dataclass(frozen=True)
+class Spec:
+    """What is known of one parameter.
+
+    Attributes:
+        name: Full name, groups joined by dots.
+        kind: Python type: bool, int, float, str, or tuple for an array.
+        item: Type of an array's items, else None.
+        default: Default value, or REQUIRED.
+        unit: Unit as text, empty for pure numbers and words.
+        low, high: Closed range of the value or of each item, or None.
+        choices: Allowed words, or empty.
+        read_only: Whether it is fixed once the node runs.
+        doc: One sentence for people.
+    """
+
+    name: str
+    kind: type
+    item: type | None
+    default: Any
+    unit: str
+    low: float | None
+    high: float | None
+    choices: tuple[str, ...]
+    read_only: bool
+    doc: str
+
+    @property
+    def required(self) -> bool:
+        """Whether there is no default."""
+        return self.default is REQUIRED
+
+    def check(self, value: Any) -> Any:
+        """Return the value in the parameter's own type.
+
+        Raises:
+            ParameterError: Wrong type, not finite, out of range or not among the choices.
+        """
+        if self.item is None:
+            return self._check_scalar(value, self.kind)
+        if isinstance(value, (str, bytes)) or not isinstance(value, Iterable):
+            raise ParameterError(self.name, value, f"expected an array of {self.item.__name__}")
+        return tuple(self._check_scalar(item, self.item) for item in value)
+
+    def _check_scalar(self, value: Any, kind: type) -> Any:
+        if kind is float and isinstance(value, int) and not isinstance(value, bool):
+            value = float(value)
+        if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):
+            raise ParameterError(
+                self.name, value, f"expected {kind.__name__}, got {type(value).__name__}"
+            )
+        if isinstance(value, float) and not math.isfinite(value):
+            raise ParameterError(self.name, value, "not a finite number")
+        if isinstance(value, (int, float)) and not isinstance(value, bool):
+            unit = f" {self.unit}" if self.unit else ""
+            if self.low is not None and value < self.low:
+                raise ParameterError(self.name, value, f"below the minimum {self.low:g}{unit}")
+            if self.high is not None and value > self.high:
+                raise ParameterError(self.name, value, f"above the maximum {self.high:g}{unit}")
+        if self.choices and value not in self.choices:
+            raise ParameterError(self.name, value, f"expected one of {', '.join(self.choices)}")
+        return value
+
+
+def parameter(
+    default: Any,
+    doc: str,
+    *,
+    unit: str = "",
+    low: float | None = None,
+    high: float | None = None,
+    choices: tuple[str, ...] = (),
+    read_only: bool = False,
+) -> Any:
+    """Declare a parameter as a dataclass field; see :class:`Spec` for the arguments."""
+    metadata = {
+        "doc": doc, "unit": unit, "low": low, "high": high,
+        "choices": choices, "read_only": read_only,
+    }  # fmt: skip
+    return field(default=default, metadata=metadata)
+
+
+def inline() -> Any:
+    """Declare a group whose parameters are named without the group's own name."""
+    return field(metadata={"inline": True})
+
+
+def _below(entry: "dataclasses.Field[Any]", prefix: str) -> str:
+    return prefix if entry.metadata.get("inline") else f"{prefix}{entry.name}."
+
+
+def specs(cls: type, prefix: str = "") -> list[Spec]:
+    """List the parameters of a dataclass and of the groups in it, in order of declaration."""
+    found: list[Spec] = []
+    hints = typing.get_type_hints(cls)
+    for entry in dataclasses.fields(cls):
+        hint = hints[entry.name]
+        if dataclasses.is_dataclass(hint) and isinstance(hint, type):
+            found += specs(hint, _below(entry, prefix))
+            continue
+        item = typing.get_args(hint)[0] if typing.get_origin(hint) is tuple else None
+        found.append(
+            Spec(
+                name=prefix + entry.name,
+                kind=tuple if item else hint,
+                item=item,
+                default=entry.default,
+                **entry.metadata,
+            )
+        )
+    return found
+
+
+def build(cls: type[T], values: Mapping[str, Any], prefix: str = "") -> T:
+    """Make a parameter set from full names and values; what is absent takes its default.
+
+    Args:
+        cls: The dataclass to make.
+        values: Full parameter names to values; names of other sets are left alone.
+
+    Raises:
+        ParameterError: A value is refused, a required one is absent, or the set's own
+            `__post_init__` refuses the combination.
+    """
+    known = {spec.name: spec for spec in specs(cls, prefix)}
+    hints = typing.get_type_hints(cls)
+    arguments: dict[str, Any] = {}
+    for entry in dataclasses.fields(cls):  # type: ignore[arg-type]
+        hint = hints[entry.name]
+        name = prefix + entry.name
+        if dataclasses.is_dataclass(hint) and isinstance(hint, type):
+            arguments[entry.name] = build(hint, values, _below(entry, prefix))
+        elif name in values:
+            arguments[entry.name] = known[name].check(values[name])
+        elif known[name].required:
+            raise ParameterError(name, None, "it has no default: the robot's file must give it")
+        else:
+            arguments[entry.name] = known[name].check(known[name].default)
+    return cls(**arguments)
+
+
+def flatten(instance: Any, prefix: str = "") -> dict[str, Any]:
+    """Give the full names and values of a parameter set."""
+    values: dict[str, Any] = {}
+    for entry in dataclasses.fields(instance):
+        value = getattr(instance, entry.name)
+        if dataclasses.is_dataclass(value):
+            values |= flatten(value, _below(entry, prefix))
+        else:
+            values[prefix + entry.name] = value
+    return values
+
+
+def flatten_mapping(tree: Mapping[str, Any], prefix: str = "") -> Mapping[str, Any]:
+    """Flatten nested mappings, as a YAML file holds them, to full names and values."""
+    values: dict[str, Any] = {}
+    for key, value in tree.items():
+        if isinstance(value, Mapping):
+            values |= flatten_mapping(value, f"{prefix}{key}.")
+        else:
+            values[f"{prefix}{key}"] = value
+    return types.MappingProxyType(values)

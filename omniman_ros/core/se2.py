@@ -1,0 +1,52 @@
+"""Rigid motion in the plane: poses (x, y, theta) and body displacements."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def wrap(angle: float) -> float:
+    """Return the angle in (-pi, pi] [rad]."""
+    wrapped = math.remainder(angle, math.tau)
+    return math.pi if wrapped == -math.pi else wrapped
+
+
+def rotation(theta: float) -> Array:
+    """R(theta) of CCTA 2017 (1), shape (3, 3): velocities from the world into the robot frame."""
+    c, s = math.cos(theta), math.sin(theta)
+    return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def to_robot(theta: float, world: Array) -> Array:
+    """Turn a world-frame velocity or acceleration (3,) into the robot frame, CCTA 2017 (1)."""
+    c, s = math.cos(theta), math.sin(theta)
+    x, y, w = world.tolist()
+    return np.array([c * x + s * y, c * y - s * x, w])
+
+
+def to_world(theta: float, robot: Array) -> Array:
+    """Turn a robot-frame velocity or acceleration (3,) into the world frame, CCTA 2017 (1)."""
+    c, s = math.cos(theta), math.sin(theta)
+    x, y, w = robot.tolist()
+    return np.array([c * x - s * y, s * x + c * y, w])
+
+
+def arc(displacement: Array) -> tuple[float, float, float]:
+    """Exponential map: the pose after a constant twist, seen from the pose before.
+
+    Args:
+        displacement: (3,) twist times time [m, m, rad] in the moving body's frame.
+
+    Returns:
+        dx, dy [m] in the frame at the start, dtheta [rad].
+    """
+    x, y, angle = displacement.tolist()
+    if abs(angle) < 1e-4:  # the series is exact to round-off here
+        square = angle * angle
+        sinc, cosc = 1.0 - square / 6.0, angle * (0.5 - square / 24.0)
+    else:
+        sinc, cosc = math.sin(angle) / angle, (1.0 - math.cos(angle)) / angle
+    return sinc * x - cosc * y, cosc * x + sinc * y, angle

@@ -1,0 +1,69 @@
+"""Wheel controllers for drives without a velocity loop: PI feedback on computed torque.
+
+Source: CCTA 2017 V.B: "feed back control using the wheel encoders plus optional calculated
+torque feed forward control".
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omniman_ros.core.parameters import parameter
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class WheelGains:
+    """Wheel controllers, torque and voltage mode only."""
+
+    bandwidth: float = parameter(
+        15.0, "Bandwidth of the speed loop: P gain over inertia.", unit="rad/s", low=0, high=500
+    )
+    integral_time: float = parameter(
+        0.2, "Integral time of the speed loop, 0 for no integral part.", unit="s", low=0, high=100
+    )
+
+
+class WheelController:
+    """tau = tau_ff + W (b e + b/Ti integral of e): PI on the speed error e, in accelerations.
+
+    W is the inertia that the wheels feel (PlatformDynamics.wheel_inertia), so motions of the
+    platform and motions against the constraints get the same bandwidth.
+    """
+
+    def __init__(self, inertia: Array, torque_limit: Array, gains: WheelGains) -> None:
+        self._integral: Array = np.zeros(len(torque_limit))
+        self.configure(inertia, torque_limit, gains)
+
+    def configure(self, inertia: Array, torque_limit: Array, gains: WheelGains) -> None:
+        """Take over inertia (n, n), torque limits (n,) [N m] and gains; the integral stays."""
+        self._inertia = inertia
+        self._limit = torque_limit
+        self._gains = gains
+
+    def reset(self) -> None:
+        """Empty the integral part."""
+        self._integral = np.zeros_like(self._integral)
+
+    def torque(self, reference: Array, measured: Array, feed_forward: Array, dt: float) -> Array:
+        """Torques (n,) [N m] within the limits; saturated wheels do not wind up.
+
+        Args:
+            reference, measured: (n,) wheel speeds [rad/s].
+            feed_forward: (n,) computed torque [N m].
+            dt: Time since the last call [s].
+        """
+        g = self._gains
+        error = reference - measured
+        wanted = feed_forward + self._inertia @ (g.bandwidth * error + self._integral)
+        torque = np.clip(wanted, -self._limit, self._limit)
+        if g.integral_time > 0.0:
+            winding = (wanted != torque) & (error * wanted > 0.0)
+            step = (g.bandwidth / g.integral_time * dt) * error
+            self._integral = self._integral + np.where(winding, 0.0, step)
+        else:
+            self.reset()
+        result: Array = torque
+        return result

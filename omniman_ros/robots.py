@@ -1,0 +1,46 @@
+"""Robots as files: reads config/NAME.yaml, which is a ROS parameter file at the same time."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from omniman_ros.core.errors import ParameterError
+from omniman_ros.core.parameters import flatten_mapping
+from omniman_ros.share import share_path
+
+
+def robot_file(robot: str) -> Path:
+    """Path of a robot's file: a name of one in config/, or a path.
+
+    Raises:
+        ParameterError: There is none; the message lists the names that there are.
+    """
+    path = Path(robot).expanduser()
+    if path.suffix in (".yaml", ".yml"):
+        if path.is_file():
+            return path
+        raise ParameterError("robot", robot, "no such file")
+    folder = share_path("config")
+    named = folder / f"{robot}.yaml"
+    if robot and named.parent == folder and named.is_file():
+        return named
+    known = ", ".join(sorted(file.stem for file in folder.glob("*.yaml")))
+    raise ParameterError("robot", robot, f"expected one of {known}, or the path of a .yaml file")
+
+
+def load_robot(robot: str) -> Mapping[str, Any]:
+    """Read a robot's parameters: full names to values.
+
+    Raises:
+        ParameterError: No such robot, or the file is not a ROS parameter file for all nodes.
+    """
+    path = robot_file(robot)
+    try:
+        tree = yaml.safe_load(path.read_text(encoding="utf-8"))
+        return flatten_mapping(tree["/**"]["ros__parameters"])
+    except (yaml.YAMLError, TypeError, KeyError, AttributeError, OSError) as error:
+        raise ParameterError(
+            "robot", robot, f"{path.name} has no '/**: ros__parameters:' with values ({error!r})"
+        ) from error
