@@ -1,0 +1,65 @@
+# Set-up, demo and checks on a machine without ROS. With ROS 2: `colcon build`, see README.md.
+#
+#   make demo ARGS='...'    ARGS goes to the demo, to pytest or to the benchmark
+#   make test PYTHON=...    the Python of a new .venv (an old one stays: `make clean`)
+
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check
+OMNIMAN := $(BIN)/omniman
+
+# Written last, when the step before it is complete.
+EMPTY := $(VENV)/empty.stamp
+RUNTIME := $(VENV)/runtime.stamp
+TESTING := $(VENV)/testing.stamp
+
+# A .venv that was moved, or whose Python is gone, is made anew.
+ifneq ($(shell cat $(EMPTY) 2>&1 && $(BIN)/python -E -c '' 2>&1),$(CURDIR))
+$(shell rm -f $(EMPTY) $(RUNTIME) $(TESTING))
+endif
+
+export PYTHON
+# A ROS in this shell must not mix with the wheels in .venv.
+unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_PATH
+unexport CMAKE_PREFIX_PATH RMW_IMPLEMENTATION ROS_DISTRO ROS_VERSION ROS_PYTHON_VERSION
+
+.PHONY: help venv demo test lint types tests bench clean
+.NOTPARALLEL:
+
+help: ## Show this list
+	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "make %-6s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+demo: $(RUNTIME) ## Run the demo
+	$(OMNIMAN) demo $(ARGS)
+
+test: lint types tests ## Check style and types and run all tests
+
+lint: $(TESTING) ## Check the style
+	$(BIN)/ruff check
+
+types: $(TESTING) ## Check the types
+	$(BIN)/mypy
+
+tests: $(TESTING) ## Run the tests
+	ROS_PYTHON_CHECK_FIELDS=1 $(BIN)/python -m pytest $(ARGS)
+
+bench: $(RUNTIME) ## Measure how long the control cycle takes
+	$(OMNIMAN) bench $(ARGS)
+
+venv: $(TESTING) ## Make .venv with all that is needed
+
+clean: ## Remove .venv and what the tools leave behind
+	rm -rf $(VENV) build *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -prune -exec rm -rf {} +
+
+$(EMPTY):
+	.ci/venv $(VENV)
+	echo '$(CURDIR)' > $@
+
+$(RUNTIME): setup.py | $(EMPTY)
+	$(PIP) install --quiet --editable '.[ros]'
+	touch $@
+
+$(TESTING): $(RUNTIME)
+	$(PIP) install --quiet --editable '.[ros,test]'
+	touch $@

@@ -1,0 +1,58 @@
+"""Drive and controller of one platform.
+
+ros2 launch omniman_ros platform.launch.py robot:=ig42 namespace:=robot1
+"""
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument
+from launch.conditions import IfCondition
+from launch.substitutions import EqualsSubstitution, LaunchConfiguration
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+
+ARGUMENTS = [
+    DeclareLaunchArgument(
+        "robot",
+        default_value="omniman",
+        description="Name of a robot in share/omniman_ros/config, or path of a YAML file",
+    ),
+    DeclareLaunchArgument(
+        "namespace", default_value="", description="Namespace of all nodes and topics"
+    ),
+    DeclareLaunchArgument(
+        "use_sim_time",
+        default_value="false",
+        description="Run on the time of /clock, which the simulated drive then publishes",
+        choices=["true", "false"],
+    ),
+    DeclareLaunchArgument(
+        "drive",
+        default_value="simulated",
+        description="What turns the wheels",
+        choices=["simulated"],
+    ),
+]
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Describe the arguments and the nodes."""
+    robot = ParameterValue(LaunchConfiguration("robot"), value_type=str)
+    sim_time = ParameterValue(LaunchConfiguration("use_sim_time"), value_type=bool)
+
+    # The simulated drive makes the time that the others run on.
+    simulated_drive = Node(
+        package="omniman_ros",
+        executable="simulated_drive",
+        namespace=LaunchConfiguration("namespace"),
+        parameters=[{"robot": robot, "publish_clock": sim_time}],
+        output="screen",
+        condition=IfCondition(EqualsSubstitution(LaunchConfiguration("drive"), "simulated")),
+    )
+    platform_controller = Node(
+        package="omniman_ros",
+        executable="platform_controller",
+        namespace=LaunchConfiguration("namespace"),
+        parameters=[{"robot": robot, "use_sim_time": sim_time}],
+        output="screen",
+    )
+    return LaunchDescription([*ARGUMENTS, simulated_drive, platform_controller])

@@ -1,0 +1,104 @@
+"""Build and installation of omniman_ros: under colcon, and with pip.
+
+A new executable is one line in EXECUTABLES, a new folder of shared files one line in SHARED.
+
+Three ways lead to an installation, and each puts the executables where its user looks for them:
+
+* colcon: in lib/omniman_ros/, by setup.cfg, each with the interpreter that ran colcon;
+* pip: in bin/, and for each a stub in lib/omniman_ros/, where `ros2 run` and `ros2 launch` look;
+* pip, editable: in bin/ only. Such an installation has no data files: no stubs, no marker in the
+  ament index, no share/. The package still finds its shared files, in the source tree (share.py).
+"""
+
+from glob import glob
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+from distutils.command.install_data import install_data  # isort: skip  (setuptools provides it)
+
+NAME = "omniman_ros"
+
+EXECUTABLES = {
+    "omniman": "omniman_ros.cli.main:main",
+    "platform_controller": "omniman_ros.nodes.platform_controller:main",
+    "simulated_drive": "omniman_ros.nodes.simulated_drive:main",
+}
+
+# Folder below share/omniman_ros -> files that go there.
+SHARED = {
+    "": "package.xml",
+    "config": "config/*.yaml",
+    "launch": "config/launch/*.launch.py",
+    "urdf": "config/urdf/*",
+    "rviz": "config/rviz/*",
+}
+
+STUB = """\
+#!/bin/sh
+# Where `ros2 run` and `ros2 launch` look for {name}; it runs the one that pip installed in bin/.
+exec "$(dirname "$(readlink -f "$0")")/../../bin/{name}" "$@"
+"""
+
+
+class InstallDataAndStubs(install_data):
+    """Installs the data files, and in a wheel also the stubs.
+
+    colcon installs its own executables in lib/omniman_ros/ and builds no wheel.
+    """
+
+    def run(self) -> None:
+        """Install the files; all that is installed ends up in `self.outfiles`."""
+        super().run()
+        if not self.distribution.get_command_obj("bdist_wheel", create=False):
+            return
+        folder = Path(self.install_dir, "lib", NAME)
+        folder.mkdir(parents=True, exist_ok=True)
+        for name in EXECUTABLES:
+            stub = folder / name
+            stub.write_text(STUB.format(name=name))
+            stub.chmod(0o755)
+            self.outfiles.append(str(stub))
+
+
+def data_files() -> list[tuple[str, list[str]]]:
+    """Pairs of a folder of the installation and the files that go there."""
+    marker = ("share/ament_index/resource_index/packages", [f"resource/{NAME}"])
+    shared = [
+        (str(Path("share", NAME, folder)), sorted(glob(pattern)))
+        for folder, pattern in SHARED.items()
+    ]
+    return [marker] + [(folder, files) for folder, files in shared if files]
+
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    description="Motion control of a mobile manipulator on Mecanum or Omni wheels",
+    maintainer="omniman_ros developers",
+    maintainer_email="omniman_ros@example.org",
+    license="Apache-2.0",
+    packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    data_files=data_files(),
+    entry_points={"console_scripts": [f"{name} = {main}" for name, main in EXECUTABLES.items()]},
+    cmdclass={"install_data": InstallDataAndStubs},
+    zip_safe=True,
+    python_requires=">=3.11",
+    # rclpy and the messages stay out: a ROS machine has its own.
+    install_requires=["numpy", "PyYAML"],
+    extras_require={
+        "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
+        # A linter's next version finds other things: its version is ours to raise.
+        "test": [
+            "catkin_pkg",
+            "hypothesis",
+            "mypy==2.4.*",
+            "pytest",
+            "ruff==0.17.*",
+            "setuptools",
+            "types-PyYAML",
+        ],
+        "plot": ["matplotlib"],
+        "colcon": ["colcon-common-extensions"],
+    },
+)

@@ -1,0 +1,178 @@
+"""The launch file against small stand-ins for `launch` and `launch_ros`, which PyPI lacks."""
+
+import runpy
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+import setuptools
+
+ROOT = Path(__file__).resolve().parents[1]
+LAUNCH_FILES = sorted((ROOT / "config" / "launch").glob("*.launch.py"))
+
+
+@dataclass(frozen=True)
+class LaunchConfiguration:
+    name: str
+
+    def value(self, arguments):
+        return arguments[self.name]
+
+
+@dataclass(frozen=True)
+class EqualsSubstitution:
+    left: Any
+    right: Any
+
+    def value(self, arguments):
+        return str(value(self.left, arguments) == value(self.right, arguments)).lower()
+
+
+@dataclass(frozen=True)
+class IfCondition:
+    predicate: Any
+
+    def value(self, arguments):
+        return {"true": True, "false": False}[value(self.predicate, arguments)]
+
+
+@dataclass(frozen=True)
+class ParameterValue:
+    raw: Any
+    value_type: type
+
+    def __init__(self, value, *, value_type):
+        object.__setattr__(self, "raw", value)
+        object.__setattr__(self, "value_type", value_type)
+
+    def value(self, arguments):
+        text = value(self.raw, arguments)
+        return {"true": True, "false": False}[text] if self.value_type is bool else text
+
+
+@dataclass
+class DeclareLaunchArgument:
+    name: str
+    default_value: str
+    description: str
+    choices: list | None = None
+
+    def __post_init__(self):
+        assert self.choices is None or self.default_value in self.choices
+
+
+@dataclass(kw_only=True)
+class Node:
+    package: str
+    executable: str
+    namespace: Any = None
+    parameters: list = field(default_factory=list)
+    output: str = "log"
+    condition: Any = None
+
+
+@dataclass
+class LaunchDescription:
+    entities: list
+
+
+def value(item, arguments):
+    """What launch would make of a plain value or a substitution."""
+    return item.value(arguments) if hasattr(item, "value") else item
+
+
+STAND_INS = {
+    "launch": [LaunchDescription],
+    "launch.actions": [DeclareLaunchArgument],
+    "launch.conditions": [IfCondition],
+    "launch.substitutions": [EqualsSubstitution, LaunchConfiguration],
+    "launch_ros": [],
+    "launch_ros.actions": [Node],
+    "launch_ros.parameter_descriptions": [ParameterValue],
+}
+
+
+@pytest.fixture(autouse=True)
+def stand_ins(monkeypatch):
+    for name, members in STAND_INS.items():
+        module = ModuleType(name)
+        for member in members:
+            setattr(module, member.__name__, member)
+        monkeypatch.setitem(sys.modules, name, module)
+
+
+def launch(file, **given):
+    """Arguments of a launch file with their values, and its nodes that would start."""
+    entities = runpy.run_path(str(file))["generate_launch_description"]().entities
+    declared = [e for e in entities if isinstance(e, DeclareLaunchArgument)]
+    arguments = {argument.name: argument.default_value for argument in declared}
+    assert set(given) <= set(arguments)
+    arguments |= given
+    nodes = {}
+    for node in (e for e in entities if isinstance(e, Node)):
+        if node.condition is None or value(node.condition, arguments):
+            parameters = {k: v for group in node.parameters for k, v in group.items()}
+            nodes[node.executable] = (
+                value(node.namespace, arguments),
+                {name: value(v, arguments) for name, v in parameters.items()},
+            )
+            assert node.package == "omniman_ros"
+    return arguments, nodes
+
+
+def test_there_is_a_launch_file():
+    assert "platform.launch.py" in [file.name for file in LAUNCH_FILES]
+
+
+@pytest.mark.parametrize("file", LAUNCH_FILES, ids=lambda file: file.name)
+def test_every_argument_in_use_is_declared_and_every_executable_exists(file, monkeypatch):
+    monkeypatch.setattr(setuptools, "setup", lambda **arguments: None)
+    executables = runpy.run_path(str(ROOT / "setup.py"))["EXECUTABLES"]
+    # An argument that is not declared raises a KeyError in `launch`.
+    _, nodes = launch(file)
+    assert nodes
+    assert set(nodes) <= set(executables)
+
+
+@pytest.fixture
+def platform():
+    (file,) = (file for file in LAUNCH_FILES if file.name == "platform.launch.py")
+    return lambda **given: launch(file, **given)
+
+
+def test_platform_starts_the_simulated_drive_and_the_controller_by_default(platform):
+    arguments, nodes = platform()
+    assert arguments == {
+        "robot": "omniman",
+        "namespace": "",
+        "use_sim_time": "false",
+        "drive": "simulated",
+    }
+    assert nodes == {
+        "simulated_drive": ("", {"robot": "omniman", "publish_clock": False}),
+        "platform_controller": ("", {"robot": "omniman", "use_sim_time": False}),
+    }
+
+
+def test_platform_passes_robot_and_namespace_to_every_node(platform):
+    _, nodes = platform(robot="/tmp/mine.yaml", namespace="robot1")
+    for namespace, parameters in nodes.values():
+        assert namespace == "robot1"
+        assert parameters["robot"] == "/tmp/mine.yaml"
+
+
+def test_in_simulated_time_the_drive_makes_the_clock_and_the_others_follow_it(platform):
+    _, nodes = platform(use_sim_time="true")
+    _, drive = nodes.pop("simulated_drive")
+    assert drive["publish_clock"] is True
+    assert "use_sim_time" not in drive
+    for _, parameters in nodes.values():
+        assert parameters["use_sim_time"] is True
+
+
+def test_another_drive_starts_no_simulation(platform):
+    _, nodes = platform(drive="can")
+    assert set(nodes) == {"platform_controller"}
