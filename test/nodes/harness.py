@@ -14,7 +14,8 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor, TimeoutException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import QoSProfile
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.time import Time
 
 T = TypeVar("T")
@@ -126,9 +127,12 @@ class World:
         """Collect what is published on a topic; matched when this returns."""
         received: list[T] = []
         self.received[topic] = received
-        subscription = self.probe.create_subscription(kind, topic, received.append, qos)
-        self._await(lambda: self.probe.count_publishers(topic) > 0, f"a publisher of {topic}")
-        del subscription
+        matched: list[object] = []
+        events = SubscriptionEventCallbacks(matched=matched.append, use_default_callbacks=False)
+        self.probe.create_subscription(kind, topic, received.append, qos, event_callbacks=events)
+        self._await(lambda: bool(matched), f"a publisher of {topic}")
+        if isinstance(qos, QoSProfile) and qos.durability is DurabilityPolicy.TRANSIENT_LOCAL:
+            self._await(lambda: bool(received), f"the latched message of {topic}")
         return received
 
     def publisher(self, kind: type[T], topic: str, qos: QoSProfile | int = 10) -> Any:

@@ -1,0 +1,608 @@
+"""The node over real topics, on simulated time, with an ideal drive."""
+
+import math
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import PoseWithCovarianceStamped, Twist, TwistStamped
+from rcl_interfaces.srv import DescribeParameters, SetParameters
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool, String
+from std_srvs.srv import Trigger
+from trajectory_msgs.msg import MultiDOFJointTrajectory
+
+from omniman_ros.core.parameters import specs
+from omniman_ros.nodes.parameters import ParameterSet
+from omniman_ros.nodes.platform_controller import (
+    PlatformControllerNode,
+    PlatformControllerParameters,
+)
+from omniman_ros.nodes.stopping import LATCHED
+
+from .harness import PERIOD, World, last
+from .rig import Rig, reference, twist
+
+STOP_TIME = 1.2  # 0.5 m/s at 1.2 m/s^2 and 0.6 rad/s at 2 rad/s^2, and margin
+
+
+@pytest.fixture
+def rig():
+    with Rig() as rig:
+        yield rig
+
+
+def heading(message) -> float:
+    q = message.pose.pose.orientation
+    return 2.0 * math.atan2(q.z, q.w)
+
+
+def straight(rig: Rig, speed: float = 0.4, seconds: float = 0.5) -> MultiDOFJointTrajectory:
+    """A preview along x from where the robot is, at a speed from the first moment on."""
+    x, y, theta = rig.core.odometry.pose
+    times = [0.0, seconds]
+    poses = [(x + speed * t, y, theta) for t in times]
+    return reference(times, poses, [(speed, 0.0, 0.0)] * 2, rig.stamp())
+
+
+# ---- driving ----------------------------------------------------------------------------------
+
+
+def test_cmd_vel_drives_the_twist_it_names(rig):
+    rig.drive(0.3, -0.2, 0.4, seconds=1.5)
+    speeds = rig.speeds()[-1]
+    assert rig.core.cascade.kinematics.J_pinv @ speeds == pytest.approx([0.3, -0.2, 0.4], abs=1e-6)
+    message = last(rig.odom)
+    assert message.header.frame_id == "odom" and message.child_frame_id == "base_link"
+    assert message.twist.twist.linear.x == pytest.approx(0.3, abs=1e-6)
+    assert message.twist.twist.linear.y == pytest.approx(-0.2, abs=1e-6)
+    assert message.twist.twist.angular.z == pytest.approx(0.4, abs=1e-6)
+
+
+def test_rates_are_200_100_and_50_hz(rig):
+    coupling = rig.listen(JointState, "coupling_error")
+    before = len(rig.commands), len(rig.odom), len(coupling)
+    rig.run(1.0)
+    counts = [len(got) - n for got, n in zip((rig.commands, rig.odom, coupling), before)]
+    assert counts == [200, 100, 50]
+    assert list(last(coupling).name) == ["constraint_1"]
+
+
+def test_twist_is_limited_and_keeps_its_direction(rig):
+    rig.drive(30.0, 30.0, 0.0, seconds=3.0)
+    x, y, turn = rig.core.cascade.kinematics.J_pinv @ rig.speeds()[-1]
+    assert math.hypot(x, y) <= 1.0 + 1e-9
+    assert x == pytest.approx(y, rel=1e-9) and turn == pytest.approx(0.0, abs=1e-9)
+
+
+def test_stamped_cmd_vel_by_parameter():
+    with World(PlatformControllerNode, parameters={"cmd_vel_stamped": True}) as world:
+        publisher = world.publisher(TwistStamped, "cmd_vel")
+        states = world.publisher(JointState, "wheel_states")
+        core = world.nodes[0].core
+        names = list(core.parameters.robot.wheels.names)
+
+        def feed(frame: str, age: float) -> None:
+            state = JointState(name=names, position=[0.0] * 4, velocity=[0.0] * 4)
+            state.header.stamp = world.stamp()
+            states.publish(state)
+            message = TwistStamped(twist=twist(0.1))
+            message.header.stamp, message.header.frame_id = world.stamp(-age), frame
+            publisher.publish(message)
+
+        for frame, age in (("map", 0.0), ("base_link", 0.7), ("base_link", -0.2)):
+            world.run(0.2, lambda frame=frame, age=age: feed(frame, age))
+            assert core.at_rest, f"frame {frame}, age {age} must move nothing"
+        world.run(0.2, lambda: feed("base_link", 0.1))
+        assert not core.at_rest
+
+
+def test_path_reference_is_followed(rig):
+    publisher = rig.publisher(MultiDOFJointTrajectory, "path/reference")
+    t = np.linspace(0.0, 4.0, 101)
+    s, v = t - np.sin(np.pi * t / 2) * 2 / np.pi, 1 - np.cos(np.pi * t / 2)
+    poses = [(0.1 * a, 0.05 * a, 0.1 * a) for a in s]
+    velocities = [(0.1 * b, 0.05 * b, 0.1 * b) for b in v]
+    publisher.publish(reference(t, poses, velocities, rig.stamp()))
+    rig.run(2.0)
+    assert last(rig.listen(String, "active_source", LATCHED)).data == "path"
+    rig.run(2.0 + PERIOD)
+    assert np.abs(rig.core.tracking_error).max() < 1e-3
+    assert rig.core.odometry.pose == pytest.approx((0.4, 0.2, 0.4), abs=1e-3)
+    rig.run(0.5)
+    assert not rig.speeds()[-1].any()
+
+
+# ---- who drives -------------------------------------------------------------------------------
+
+
+def test_cmd_vel_goes_before_path_and_path_does_not_come_back(rig):
+    active = rig.listen(String, "active_source", LATCHED)
+    publisher = rig.publisher(MultiDOFJointTrajectory, "path/reference")
+    rig.run(0.3, lambda: publisher.publish(straight(rig)))
+    rig.drive(0.0, 0.2, 0.0, seconds=0.3)
+    since = len(rig.commands)
+    rig.run(1.5, lambda: publisher.publish(straight(rig)))
+    assert not rig.speeds(since)[-1].any(), "a cancelled path took over again"
+    assert [m.data for m in active] == ["none", "path", "cmd_vel", "none"]
+    rig.run(0.3)  # it falls silent, and a new goal may start
+    rig.run(0.3, lambda: publisher.publish(straight(rig)))
+    assert last(active).data == "path"
+
+
+def test_mpc_goes_before_path(rig):
+    active = rig.listen(String, "active_source", LATCHED)
+    path = rig.publisher(MultiDOFJointTrajectory, "path/reference")
+    mpc = rig.publisher(MultiDOFJointTrajectory, "mpc/reference")
+    rig.run(0.2, lambda: path.publish(straight(rig)))
+    rig.run(0.2, lambda: (path.publish(straight(rig)), mpc.publish(straight(rig))))
+    assert [m.data for m in active] == ["none", "path", "mpc"]
+
+
+def test_mpc_voltages_pass_and_stop_in_velocity_mode(rig):
+    publisher = rig.publisher(JointState, "mpc/voltages")
+
+    def send() -> None:
+        message = JointState(name=rig.names, effort=[3.0, 4.0, 5.0, 600.0])
+        message.header.stamp = rig.stamp()
+        publisher.publish(message)
+
+    rig.run(0.1, send)
+    assert list(last(rig.volts).effort) == [3.0, 4.0, 5.0, 48.0]
+    count = len(rig.volts)
+    rig.run(0.5)
+    assert len(rig.volts) - count <= 0.1 / PERIOD + 2
+    assert list(last(rig.commands).velocity) == [0.0] * 4
+
+
+@pytest.mark.parametrize("mode", ["velocity", "torque", "voltage"])
+def test_output_mode(mode):
+    with Rig({"drive.mode": mode}) as rig:
+        count = len(rig.commands), len(rig.volts)
+        rig.drive(0.3, seconds=0.3)
+        commands, volts = rig.commands[count[0] :], rig.volts[count[1] :]
+        if mode == "voltage":
+            assert len(volts) > 50 and max(last(volts).effort) > 0.0
+        elif mode == "torque":
+            assert len(last(commands).velocity) == 0 and max(last(commands).effort) > 0.0
+        else:
+            assert min(last(commands).velocity) > 0.5 and not volts
+        rig.assert_stops(len(rig.commands) + 110, within=STOP_TIME)
+
+
+# ---- every way to stop --------------------------------------------------------------------------
+
+
+def stale(rig: Rig) -> float:
+    return 0.5
+
+
+def stop_service(rig: Rig) -> float:
+    assert rig.call(Trigger, "platform_controller/stop").success
+    return 0.0
+
+
+def emergency(rig: Rig) -> float:
+    rig.publisher(Bool, "emergency_stop").publish(Bool(data=True))
+    return 0.0
+
+
+def emergency_latched(rig: Rig) -> float:
+    qos = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    rig.publisher(Bool, "emergency_stop", qos).publish(Bool(data=True))
+    return 0.0
+
+
+def dead_wheel_states(rig: Rig) -> float:
+    rig.drive_alive = False
+    return 0.1
+
+
+def peer_stopped(rig: Rig) -> float:
+    peer = DiagnosticStatus(level=DiagnosticStatus.ERROR, name="/arm_streamer", message="stopped")
+    rig.publisher(DiagnosticStatus, "stop_state", LATCHED).publish(peer)
+    return 0.0
+
+
+def shutdown(rig: Rig) -> float:
+    rig.node.begin_shutdown("SIGTERM")
+    return 0.0
+
+
+WAYS = [
+    stale, stop_service, emergency, emergency_latched, dead_wheel_states, peer_stopped, shutdown,
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("way", WAYS, ids=lambda way: way.__name__)
+@pytest.mark.parametrize("direction", [(0.5, 0.0, 0.0), (-0.2, 0.4, -0.6)], ids=["x", "mixed"])
+def test_every_way_to_stop_ramps_every_wheel_to_zero(rig, way, direction):
+    rig.drive(*direction, seconds=1.5)
+    assert np.abs(rig.speeds()[-1]).min() > 0.1
+    since = len(rig.commands) - 1
+    rig.assert_stops(since, within=way(rig) + STOP_TIME)
+
+
+LATCHING = [way for way in WAYS if way not in (stale, shutdown)]
+
+
+@pytest.mark.parametrize("way", LATCHING, ids=lambda way: way.__name__)
+def test_a_latched_stop_ignores_a_stream_that_goes_on(rig, way):
+    rig.drive(0.3, seconds=0.5)
+    way(rig)
+    rig.drive(0.3, seconds=STOP_TIME)
+    since = len(rig.commands)
+    rig.drive(0.3, seconds=0.5)
+    assert not rig.speeds(since).any()
+
+
+def test_a_stale_source_is_not_latched(rig):
+    rig.drive(0.3, seconds=0.5)
+    rig.run(1.5)
+    rig.drive(0.3, seconds=0.3)
+    assert rig.speeds()[-1].all()
+
+
+def test_reset_moves_nothing_and_needs_a_fresh_start(rig):
+    rig.drive(0.3, seconds=0.5)
+    assert rig.call(Trigger, "platform_controller/stop").success
+    assert not rig.call(Trigger, "platform_controller/reset").success, "reset in motion"
+    rig.drive(0.3, seconds=STOP_TIME)
+    assert rig.call(Trigger, "platform_controller/reset").success
+    since = len(rig.commands)
+    rig.drive(0.3, seconds=0.6)
+    assert not rig.speeds(since).any(), "a stream from before the reset moved the robot"
+    rig.drive(0.0, seconds=0.1)
+    rig.drive(0.3, seconds=0.3)
+    assert rig.speeds()[-1].all()
+
+
+def test_reset_is_refused_while_the_emergency_stop_is_true(rig):
+    button = rig.publisher(Bool, "emergency_stop")
+    button.publish(Bool(data=True))
+    rig.run(0.1)
+    assert not rig.call(Trigger, "platform_controller/reset").success
+    button.publish(Bool(data=False))
+    rig.run(0.1)
+    rig.drive(0.3, seconds=0.2)
+    assert rig.core.at_rest, "emergency_stop false must release nothing"
+    assert rig.call(Trigger, "platform_controller/reset").success
+
+
+def test_reset_is_refused_while_the_drive_is_dead(rig):
+    rig.drive(0.3, seconds=0.3)
+    rig.drive_alive = False
+    rig.run(STOP_TIME)
+    answer = rig.call(Trigger, "platform_controller/reset")
+    assert not answer.success and "wheel_states" in answer.message
+    rig.drive_alive = True
+    rig.run(0.1)
+    assert rig.call(Trigger, "platform_controller/reset").success
+
+
+def test_a_peer_holds_and_releases_without_a_reset(rig):
+    publisher = rig.publisher(DiagnosticStatus, "stop_state", LATCHED)
+    states = rig.listen(DiagnosticStatus, "stop_state", LATCHED)
+    publisher.publish(DiagnosticStatus(level=DiagnosticStatus.ERROR, name="/arm", message="x"))
+    rig.drive(0.3, seconds=0.3)
+    assert rig.core.at_rest
+    ours = [m for m in states if m.name == "/platform_controller"]
+    assert ours[-1].level == DiagnosticStatus.WARN and "/arm" in ours[-1].message
+    publisher.publish(DiagnosticStatus(level=DiagnosticStatus.OK, name="/arm"))
+    rig.run(0.6)
+    rig.drive(0.3, seconds=0.3)
+    assert not rig.core.at_rest
+
+
+def test_a_wheel_that_does_not_follow_stops_the_robot(rig):
+    rig.run(0.2)
+    rig.stuck[2] = True
+    rig.drive(0.5, seconds=2.5)
+    assert "rear_left" in rig.core.latch.status.reason
+    assert not rig.speeds()[-1].any()
+
+
+# ---- bad input ----------------------------------------------------------------------------------
+
+NAN, INF = float("nan"), float("inf")
+
+
+@pytest.mark.parametrize("bad", [NAN, INF, -INF])
+@pytest.mark.parametrize("field", ["linear.x", "linear.y", "angular.z", "linear.z", "angular.x"])
+def test_cmd_vel_that_is_not_finite_moves_nothing(rig, field, bad):
+    message = Twist()
+    message.linear.x = 0.3
+    part, name = field.split(".")
+    setattr(getattr(message, part), name, bad)
+    since = len(rig.commands)
+    rig.run(0.3, lambda: rig.cmd_vel.publish(message))
+    assert not rig.speeds(since).any()
+
+
+def test_a_rejected_cmd_vel_does_not_count_as_fresh(rig):
+    rig.drive(0.3, seconds=0.5)
+    since = len(rig.commands)
+    rig.run(1.5, lambda: rig.cmd_vel.publish(twist(NAN)))
+    assert not rig.speeds(since)[-1].any()
+
+
+def bad_states(rig: Rig) -> dict[str, JointState]:
+    good = [0.0] * 4
+    cases = {
+        "nan": rig.wheel_state([NAN, 0, 0, 0], good),
+        "infinite speed": rig.wheel_state(good, [0, INF, 0, 0]),
+        "short": rig.wheel_state(good[:3], good),
+        "empty": rig.wheel_state([], []),
+        "wrong name": rig.wheel_state(good, good),
+        "name twice": rig.wheel_state(good, good),
+        "old": rig.wheel_state(good, good),
+        "ahead": rig.wheel_state(good, good),
+    }
+    cases["wrong name"].name = ["a", "b", "c", "d"]
+    cases["name twice"].name = [rig.names[0]] * 4
+    cases["old"].header.stamp = rig.stamp(-3.0)
+    cases["ahead"].header.stamp = rig.stamp(1.0)
+    return cases
+
+
+@pytest.mark.parametrize("case", ["nan", "infinite speed", "short", "empty", "wrong name",
+                                  "name twice", "old", "ahead"])  # fmt: skip
+def test_bad_wheel_states_never_count_as_fresh(rig, case):
+    rig.drive(0.3, seconds=0.5)
+    rig.drive_alive = False
+    since = len(rig.commands) - 1
+    pose = rig.core.odometry.pose
+    rig.hooks.append(lambda: rig._states.publish(bad_states(rig)[case]))
+    rig.assert_stops(since, within=0.1 + STOP_TIME)
+    assert "wheel_states" in rig.core.latch.status.reason
+    assert rig.core.odometry.pose == pytest.approx(pose, abs=0.01)
+
+
+@pytest.mark.parametrize("case", ["frame", "joint", "nan", "backwards", "empty", "past", "tilted",
+                                  "ahead"])  # fmt: skip
+def test_bad_previews_move_nothing(rig, case):
+    publisher = rig.publisher(MultiDOFJointTrajectory, "path/reference")
+
+    def send() -> None:
+        message = straight(rig)
+        if case == "frame":
+            message.header.frame_id = "map"
+        elif case == "joint":
+            message.joint_names = ["arm"]
+        elif case == "nan":
+            message.points[1].transforms[0].translation.x = NAN
+        elif case == "backwards":
+            message.points[1].time_from_start.sec = -1
+        elif case == "empty":
+            message.points = []
+        elif case == "past":
+            message.header.stamp = rig.stamp(-5.0)
+        elif case == "tilted":
+            message.points[0].transforms[0].rotation.x = 1.0
+            message.points[0].transforms[0].rotation.w = 0.0
+        elif case == "ahead":
+            message.header.stamp = rig.stamp(0.5)
+        publisher.publish(message)
+
+    since = len(rig.commands)
+    rig.run(0.3, send)
+    assert not rig.speeds(since).any()
+
+
+def test_a_preview_that_starts_elsewhere_moves_nothing(rig):
+    publisher = rig.publisher(MultiDOFJointTrajectory, "path/reference")
+    since = len(rig.commands)
+    far = reference([0, 1], [(5, 0, 0), (5.5, 0, 0)], [(0.5, 0, 0)] * 2, rig.stamp())
+    rig.run(0.2, lambda: publisher.publish(far))
+    assert not rig.speeds(since).any()
+
+
+def test_a_preview_that_runs_out_in_motion_ramps_to_rest(rig):
+    publisher = rig.publisher(MultiDOFJointTrajectory, "path/reference")
+    rig.run(0.5, lambda: publisher.publish(straight(rig, seconds=0.3)))
+    assert rig.speeds()[-1].all()
+    rig.assert_stops(len(rig.commands) - 1, within=0.3 + STOP_TIME)
+
+
+def test_fuzzed_messages_never_crash_and_never_move():
+    rng = np.random.default_rng(7)
+    pool = [NAN, INF, -INF, 1e308, -1e308, 5e-324, 0.0, 1.0]
+    with Rig() as rig:
+        voltages = rig.publisher(JointState, "mpc/voltages")
+        path = rig.publisher(MultiDOFJointTrajectory, "path/reference")
+        pose = rig.publisher(PoseWithCovarianceStamped, "set_pose")
+
+        def numbers(count: int) -> list[float]:
+            values = [float(v) for v in rng.choice(pool, count)]
+            values[rng.integers(count)] = NAN
+            return values
+
+        def send() -> None:
+            names = [str(n) for n in rng.choice([*rig.names, "", "x"], rng.integers(0, 6))]
+            size = int(rng.integers(1, 6))
+            rig._states.publish(
+                JointState(name=names, position=numbers(size), velocity=numbers(size))
+            )
+            voltages.publish(JointState(name=rig.names, effort=numbers(4)))
+            rig.cmd_vel.publish(twist(*numbers(3)))
+            points = int(rng.integers(0, 4))
+            triples = [numbers(3) for _ in range(points)]
+            times = [abs(v) if abs(v) < 2 else 1.0 for v in rng.normal(size=points)]
+            path.publish(reference(times, triples, triples, rig.stamp()))
+            message = PoseWithCovarianceStamped()
+            message.header.frame_id = "odom"
+            message.pose.pose.position.x, message.pose.pose.position.y = numbers(2)
+            message.pose.pose.orientation.w = numbers(1)[0]
+            pose.publish(message)
+
+        since = len(rig.commands)
+        rig.run(2.0, send)
+        assert len(rig.commands) - since == 400
+        assert not rig.speeds(since).any()
+        assert rig.core.odometry.pose == (0.0, 0.0, 0.0)
+
+
+def test_garbage_on_the_wire_never_crashes(rig):
+    from rclpy.serialization import serialize_message
+
+    rng = np.random.default_rng(3)
+    good = {
+        rig.cmd_vel: serialize_message(twist(NAN, NAN, NAN)),
+        rig._states: serialize_message(rig.wheel_state([NAN] * 4, [NAN] * 4)),
+    }
+
+    def send() -> None:
+        for publisher, wire in good.items():
+            broken = bytearray(wire[: rng.integers(4, len(wire) + 1)])
+            broken[rng.integers(4, len(broken)) if len(broken) > 4 else 0] ^= 1 << rng.integers(8)
+            publisher.publish(bytes(broken))
+
+    since = len(rig.commands)
+    rig.run(1.0, send)
+    assert len(rig.commands) - since == 200
+
+
+def test_warnings_are_rate_limited(rig):
+    rig.run(3.0, lambda: rig.cmd_vel.publish(twist(NAN)))
+    throttle = rig.node._throttle
+    assert throttle.counts["cmd_vel"] >= 590
+    report = rig.listen(DiagnosticArray, "/diagnostics")
+    rig.run(1.1)
+    values = {v.key: v.value for v in last(report).status[0].values}
+    assert int(values["warned: cmd_vel"]) >= 590
+
+
+# ---- odometry -----------------------------------------------------------------------------------
+
+
+def test_set_pose_and_reset_odometry(rig):
+    publisher = rig.publisher(PoseWithCovarianceStamped, "set_pose")
+    message = PoseWithCovarianceStamped()
+    message.header.frame_id = "odom"
+    message.pose.pose.position.x = 2.0
+    message.pose.pose.orientation.z = message.pose.pose.orientation.w = math.sqrt(0.5)
+    message.pose.covariance[0] = 0.25
+    publisher.publish(message)
+    rig.run(0.1)
+    assert last(rig.odom).pose.pose.position.x == pytest.approx(2.0)
+    assert heading(last(rig.odom)) == pytest.approx(math.pi / 2)
+    assert last(rig.odom).pose.covariance[0] == pytest.approx(0.25)
+    message.header.frame_id = "map"
+    message.pose.pose.position.x = 5.0
+    publisher.publish(message)
+    rig.run(0.1)
+    assert last(rig.odom).pose.pose.position.x == pytest.approx(2.0), "map is not odom here"
+    assert rig.call(Trigger, "platform_controller/reset_odometry").success
+    rig.run(0.1)
+    assert last(rig.odom).pose.pose.position.x == 0.0
+
+
+def test_map_is_odom_by_parameter():
+    with Rig({"map_is_odom": True}) as rig:
+        publisher = rig.publisher(PoseWithCovarianceStamped, "set_pose")
+        message = PoseWithCovarianceStamped()
+        message.header.frame_id = "map"
+        message.pose.pose.position.y = 3.0
+        publisher.publish(message)
+        rig.run(0.1)
+        assert rig.core.odometry.pose == (0.0, 3.0, 0.0)
+
+
+def test_wheels_in_another_order_are_sorted_by_name(rig):
+    rig.run(0.1)
+    rig.drive_alive = False
+    rig.position = rig.position + [0.1, 0.2, 0.3, 0.4]
+    message = rig.wheel_state(rig.position, [1.0, 2.0, 3.0, 4.0])
+    message.name = message.name[::-1]
+    message.position = message.position[::-1]
+    message.velocity = message.velocity[::-1]
+    rig._states.publish(message)
+    rig.run(PERIOD)
+    assert rig.core.feedback.speeds.tolist() == [1.0, 2.0, 3.0, 4.0]
+
+
+# ---- parameters ---------------------------------------------------------------------------------
+
+
+def set_parameter(rig: Rig, name: str, value: object) -> object:
+    request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
+    return rig.call(SetParameters, "platform_controller/set_parameters", request).results[0]
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "word"),
+    [
+        ("limits.linear_velocity", -1.0, "range"),
+        ("limits.linear_velocity", NAN, "range"),
+        ("coupling.k_epsilon", 1e9, "range"),
+        ("drive.mode", "magic", "drive.mode"),
+        ("wheels.radius", [0.1], "read-only"),
+        ("odometry.wheel_scale", [1.0, 1.0], "odometry.wheel_scale"),
+        ("friction.coulomb", [-1.0], "friction.coulomb"),
+        ("timeouts.cmd_vel", 0.0, "range"),
+    ],
+)
+def test_nonsense_is_refused_at_run_time_with_a_reason(rig, name, value, word):
+    before = rig.node.settings.value
+    result = set_parameter(rig, name, value)
+    assert not result.successful
+    assert word in result.reason, result.reason
+    assert rig.node.settings.value == before
+
+
+def test_limits_are_live(rig):
+    assert set_parameter(rig, "limits.linear_velocity", 0.2).successful
+    rig.drive(0.9, seconds=2.0)
+    assert (rig.core.cascade.kinematics.J_pinv @ rig.speeds()[-1])[0] == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize(
+    "given", [{"limits.linear_velocity": -2.0}, {"wheels.radius": [0.1, 0.1]}, {"robot": "nobody"},
+              {"coupling.k_epsilon": 2}, 
+              {"wheels.roller_angle": [math.pi / 2, 0.785, 0.785, -0.785]}],
+    ids=lambda given: next(iter(given)),
+)  # fmt: skip
+def test_nonsense_is_refused_at_start_with_a_message_that_names_it(given):
+    from omniman_ros.core.errors import OmnimanError
+
+    with pytest.raises(OmnimanError) as caught:
+        World(PlatformControllerNode, parameters=given)
+    name = next(iter(given))
+    assert name.split(".")[-1] in str(caught.value) or "front_left" in str(caught.value)
+
+
+def test_every_parameter_is_declared_with_description_and_range(rig):
+    names = [spec.name for spec in specs(PlatformControllerParameters)]
+    answer = rig.call(
+        DescribeParameters, "platform_controller/describe_parameters",
+        DescribeParameters.Request(names=names),
+    )  # fmt: skip
+    by_name = {d.name: d for d in answer.descriptors}
+    for spec in specs(PlatformControllerParameters):
+        told = by_name[spec.name]
+        assert told.description.startswith(spec.doc)
+        assert told.read_only == spec.read_only
+        if spec.kind is float:
+            bounds = told.floating_point_range[0]
+            assert bounds.from_value == spec.low or spec.low is None
+            assert bounds.to_value == spec.high or spec.high is None
+
+
+def test_a_robot_given_as_parameters_takes_nothing_from_a_file():
+    seen = {}
+
+    def make(**options):
+        node = PlatformControllerNode(**options)
+        seen["set"] = node.settings
+        return node
+
+    from omniman_ros.robots import load_robot
+
+    given = {name: list(v) if isinstance(v, (list, tuple)) else v
+             for name, v in load_robot("ig42").items()}  # fmt: skip
+    with World(make, parameters=given):
+        robot = seen["set"].value.platform.robot
+        assert robot.body.mass == 25.0 and robot.arm.inertia == 0.0
+    assert isinstance(seen["set"], ParameterSet)
