@@ -20,7 +20,6 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from omniman_ros.core.errors import InputError
-from omniman_ros.core.odometry import Odometry
 from omniman_ros.core.preview import Preview
 from omniman_ros.core.wheel_cascade import DriveMode, WheelCommand
 
@@ -198,18 +197,18 @@ def planar_pose(
     return pose, covariance[np.ix_(_PLANE, _PLANE)]
 
 
-def fill_odometry(message: OdometryMsg, odometry: Odometry, stamp: Time) -> None:
-    """Write pose (odom), twist (base_link) and covariance into a message."""
-    x, y, theta = odometry.pose
+def fill_odometry(
+    message: OdometryMsg, pose: Sequence[float], twist: Array, covariance: Array, stamp: Time
+) -> None:
+    """Write pose (x, y, theta), twist (3,) of the child frame and covariance (3, 3)."""
     message.header.stamp = stamp
-    message.pose.pose.position.x = x
-    message.pose.pose.position.y = y
-    message.pose.pose.orientation = quaternion(theta)
-    spread = odometry.covariance
+    message.pose.pose.position.x = float(pose[0])
+    message.pose.pose.position.y = float(pose[1])
+    message.pose.pose.orientation = quaternion(float(pose[2]))
     for i, row in enumerate(_PLANE):
         for j, column in enumerate(_PLANE):
-            message.pose.covariance[6 * row + column] = spread[i, j]
-    vx, vy, w = odometry.twist.tolist()
+            message.pose.covariance[6 * row + column] = covariance[i, j]
+    vx, vy, w = twist.tolist()
     message.twist.twist.linear.x = vx
     message.twist.twist.linear.y = vy
     message.twist.twist.angular.z = w

@@ -58,10 +58,10 @@ class PlatformControllerNode(OmnimanNode):
 
     def __init__(self, **options: object) -> None:
         super().__init__("platform_controller", **options)
-        self._parameters = ParameterSet(self, PlatformControllerParameters)
-        p = self._parameters.value
+        self.settings = ParameterSet(self, PlatformControllerParameters)
+        p = self.settings.value
         self.core = PlatformController(p.platform)
-        self._parameters.on_change(lambda new: self.core.configure(new.platform))
+        self.settings.on_change(lambda new: self.core.configure(new.platform))
         self._names = p.platform.robot.wheels.names
         self._ticks = 0
         self._zero_at = 0
@@ -114,7 +114,7 @@ class PlatformControllerNode(OmnimanNode):
     def _on_cmd_vel(self, message: Twist | TwistStamped) -> str:
         if isinstance(message, Twist):
             return self.core.hear_twist(conversions.twist_array(message), self.now())
-        twist = conversions.stamped_twist_array(message, self._parameters.value.base_frame)
+        twist = conversions.stamped_twist_array(message, self.settings.value.base_frame)
         return self.core.hear_twist(twist, self.now(), self.age(message.header.stamp))
 
     def _reference_handler(self, source: Source) -> object:
@@ -143,7 +143,7 @@ class PlatformControllerNode(OmnimanNode):
 
     @property
     def _odom_frames(self) -> tuple[str, ...]:
-        p = self._parameters.value
+        p = self.settings.value
         return (p.odom_frame, "map") if p.map_is_odom else (p.odom_frame,)
 
     def _reset(self) -> None:
@@ -168,10 +168,12 @@ class PlatformControllerNode(OmnimanNode):
             self._publish_coupling()
 
     def _publish_odom(self) -> None:
-        stamp = self.stamp(self.core.feedback.time)
-        conversions.fill_odometry(self._odom_msg, self.core.odometry, stamp)
+        odometry, stamp = self.core.odometry, self.stamp(self.core.feedback.time)
+        conversions.fill_odometry(
+            self._odom_msg, odometry.pose, odometry.twist, odometry.covariance, stamp
+        )
         self._odom.publish(self._odom_msg)
-        if self._tf is not None and self._parameters.value.publish_tf:
+        if self._tf is not None and self.settings.value.publish_tf:
             self._tf.publish(TFMessage(transforms=[conversions.transform(self._odom_msg)]))
 
     def _publish_coupling(self) -> None:
