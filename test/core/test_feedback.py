@@ -1,0 +1,141 @@
+import math
+
+import numpy as np
+import pytest
+
+from omniman_ros.core.errors import InputError
+from omniman_ros.core.feedback import GAP, WheelFeedback
+
+DT = 0.005
+
+
+def make(span=0.0, max_speed=20.0):
+    return WheelFeedback(2, span, max_speed)
+
+
+def test_the_first_report_is_the_origin():
+    feedback = make()
+    assert not feedback.heard
+    assert feedback.age(5.0) == math.inf
+    assert feedback.update(1.0, 1.0, np.array([7.0, 8]), np.array([1.0, 2])) is None
+    assert feedback.heard
+    np.testing.assert_array_equal(feedback.speeds, [1, 2])
+
+
+def test_a_report_gives_the_turn_the_speed_and_the_time_since_the_last():
+    feedback = make()
+    feedback.update(1.0, 1.0, np.array([7.0, 8]), np.array([1.0, 2]))
+    step = feedback.update(1.0 + DT, 1.01, np.array([7.01, 7.99]), np.array([1.5, 2.5]))
+    np.testing.assert_allclose(step.moved, [0.01, -0.01])
+    np.testing.assert_array_equal(step.speeds, [1.5, 2.5])
+    assert step.dt == pytest.approx(DT)
+    assert step.warning == ""
+
+
+def test_age_is_by_stamp_and_by_arrival_the_stricter():
+    feedback = make()
+    feedback.update(1.0, 1.03, np.zeros(2), np.zeros(2))
+    assert feedback.age(1.05) == pytest.approx(0.05)
+    feedback.update(2.0, 1.95, np.zeros(2), np.zeros(2))
+    assert feedback.age(2.05) == pytest.approx(0.10)
+
+
+@pytest.mark.parametrize(
+    ("time", "position", "velocity", "why"),
+    [
+        (2.0, None, None, "neither positions nor velocities"),
+        (2.0, np.zeros(3), np.zeros(2), "3 positions for 2 wheels"),
+        (2.0, np.zeros(2), np.zeros(1), "1 velocities for 2 wheels"),
+        (2.0, np.zeros((1, 2)), None, "2 positions for 2 wheels"),
+        (2.0, np.array([0, math.nan]), np.zeros(2), "positions .* not finite"),
+        (2.0, np.zeros(2), np.array([math.inf, 0]), "velocities .* not finite"),
+        (1.0, np.zeros(2), np.zeros(2), "out of order"),
+        (0.5, np.zeros(2), np.zeros(2), "out of order, 0.5000 s back"),
+    ],
+)
+@pytest.mark.parametrize("span", [0.0, math.tau])
+def test_a_bad_report_is_refused_and_leaves_no_trace(span, time, position, velocity, why):
+    feedback, clean = make(span), make(span)
+    for each in (feedback, clean):
+        each.update(1.0, 1.0, np.array([3.0, 3.1]), np.array([1.0, 2]))
+    with pytest.raises(InputError, match=why):
+        feedback.update(time, 2.0, position, velocity)
+    np.testing.assert_array_equal(feedback.speeds, [1, 2])
+    assert feedback.age(2.0) == pytest.approx(1.0)
+    after = [each.update(1.01, 2.0, np.array([3.05, 3.15]), None) for each in (feedback, clean)]
+    np.testing.assert_array_equal(after[0].moved, after[1].moved)
+    np.testing.assert_array_equal(after[0].speeds, after[1].speeds)
+
+
+def test_positions_that_wrap_are_joined_both_ways():
+    feedback = make(span=math.tau)
+    total, true = np.zeros(2), np.zeros(2)
+    for i in range(1, 400):
+        feedback_position = np.mod(true, math.tau)
+        step = feedback.update(i * DT, i * DT, feedback_position, np.array([15.0, -15]))
+        total += 0 if step is None else step.moved
+        true = true + np.array([15.0, -15]) * DT
+    np.testing.assert_allclose(total, true - np.array([15.0, -15]) * DT, atol=1e-9)
+
+
+def test_without_speeds_an_observer_stands_in():
+    feedback = make()
+    for i in range(1, 200):
+        feedback.update(i * DT, i * DT, np.array([4.0, -2]) * i * DT, None)
+    np.testing.assert_allclose(feedback.speeds, [4, -2], atol=1e-6)
+
+
+def test_without_positions_speeds_are_integrated():
+    feedback = make()
+    feedback.update(1.0, 1.0, None, np.array([1.0, -1]))
+    step = feedback.update(1.1, 1.1, None, np.array([3.0, -1]))
+    np.testing.assert_allclose(step.moved, [0.2, -0.1])
+    # Positions that come and go are not joined over the time in between.
+    step = feedback.update(1.2, 1.2, np.array([50.0, 50]), np.array([3.0, -1]))
+    np.testing.assert_allclose(step.moved, [0.3, -0.1])
+    step = feedback.update(1.3, 1.3, np.array([50.1, 50]), np.array([3.0, -1]))
+    np.testing.assert_allclose(step.moved, [0.1, 0.0])
+
+
+def test_positions_that_jump_are_left_out_with_a_warning():
+    feedback = make(max_speed=20.0)
+    feedback.update(1.0, 1.0, np.zeros(2), np.ones(2))
+    step = feedback.update(1.0 + DT, 1.0, np.array([0.0, 1.3]), np.ones(2))
+    assert "jumped" in step.warning
+    assert not step.moved.any()
+    step = feedback.update(1.0 + 2 * DT, 1.0, np.array([0.005, 1.305]), np.ones(2))
+    np.testing.assert_allclose(step.moved, 0.005)
+    assert step.warning == ""
+
+
+def test_a_jump_of_the_positions_is_no_speed():
+    feedback = make()
+    for i in range(1, 100):
+        feedback.update(i * DT, i * DT, np.array([2.0, -2]) * i * DT, None)
+    jumped = feedback.update(100 * DT, 100 * DT, np.array([500.0, 500]), None)
+    assert "jumped" in jumped.warning
+    assert abs(jumped.speeds).max() <= 2.1
+    for i in range(101, 200):
+        step = feedback.update(i * DT, i * DT, 500 + np.array([2.0, -2]) * (i - 100) * DT, None)
+        assert abs(step.speeds).max() <= 2.5
+    np.testing.assert_allclose(step.speeds, [2, -2], atol=1e-3)
+
+
+@pytest.mark.parametrize("positions", [True, False])
+def test_a_long_gap_is_left_out_with_a_warning(positions):
+    feedback, speeds = make(), np.array([5.0, 5])
+    feedback.update(1.0, 1.0, np.zeros(2) if positions else None, speeds)
+    late = 1.01 + GAP
+    step = feedback.update(late, late, np.ones(2) if positions else None, speeds)
+    assert "gap" in step.warning
+    assert not step.moved.any()
+
+
+def test_forget_starts_anew():
+    feedback = make(span=math.tau)
+    feedback.update(1.0, 1.0, np.ones(2), np.ones(2))
+    feedback.forget()
+    assert not feedback.heard
+    assert not feedback.speeds.any()
+    assert feedback.age(1.0) == math.inf
+    assert feedback.update(0.5, 2.0, np.array([6.0, 0.1]), np.ones(2)) is None

@@ -1,0 +1,152 @@
+"""Controller and simulated drive as two nodes that know each other by their topics only."""
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import Twist
+from nav_msgs.msg import Odometry
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool
+from std_srvs.srv import Trigger
+
+from omniman_ros.nodes.platform_controller import PlatformControllerNode
+from omniman_ros.nodes.simulated_drive import SimulatedDriveNode
+
+from .. import robots
+from .harness import World, last
+from .rig import twist
+
+
+class Robot(World):
+    """Both nodes, and the truth about the wheels."""
+
+    def __init__(self, robot: str = "omniman", parameters: dict | None = None) -> None:
+        given = {"robot": robots.path(robot)} | (parameters or {})
+        super().__init__(SimulatedDriveNode, PlatformControllerNode, parameters=given)
+        self.drive, self.controller = self.nodes
+        self.core = self.controller.core
+        self.cmd_vel = self.publisher(Twist, "cmd_vel")
+        self.truth = self.listen(Odometry, "ground_truth/odom")
+        self.wheel_speeds: list[list[float]] = []
+        self.hooks.append(
+            lambda: self.wheel_speeds.append([w.speed for w in self.drive.drives._plant.wheels])
+        )
+        self.run(0.2)
+
+    def go(self, x: float, y: float, turn: float, seconds: float) -> None:
+        self.run(seconds, lambda: self.cmd_vel.publish(twist(x, y, turn)))
+
+    def true_twist(self) -> np.ndarray:
+        t = last(self.truth).twist.twist
+        return np.array([t.linear.x, t.linear.y, t.angular.z])
+
+    def set(self, node: str, name: str, value: object) -> None:
+        request = SetParameters.Request(
+            parameters=[Parameter(name, value=value).to_parameter_msg()]
+        )
+        result = self.call(SetParameters, f"{node}/set_parameters", request).results[0]
+        assert result.successful, result.reason
+
+
+@pytest.mark.parametrize("robot", robots.ALL)
+def test_three_to_eight_wheels_drive_as_told_and_stop(robot):
+    with Robot(robot) as world:
+        world.go(0.25, -0.15, 0.3, seconds=1.5)
+        assert world.true_twist() == pytest.approx([0.25, -0.15, 0.3], abs=0.02)
+        odom, truth = world.core.odometry.pose, world.drive.drives.ground_truth()[0]
+        assert odom == pytest.approx(truth.tolist(), abs=0.01)
+        world.run(1.5)
+        assert np.abs(world.true_twist()).max() < 1e-3
+        assert not np.abs(world.wheel_speeds[-1]).max() > 0.02
+
+
+def emergency(world: Robot) -> None:
+    world.publisher(Bool, "emergency_stop").publish(Bool(data=True))
+
+
+def stop_controller(world: Robot) -> None:
+    assert world.call(Trigger, "platform_controller/stop").success
+
+
+def stop_drive(world: Robot) -> None:
+    assert world.call(Trigger, "simulated_drive/stop").success
+
+
+def lose_states(world: Robot) -> None:
+    world.set("simulated_drive", "faults.lost_messages", 1.0)
+
+
+def late_states(world: Robot) -> None:
+    world.set("simulated_drive", "faults.late_messages", 0.5)
+
+
+def controller_dies(world: Robot) -> None:
+    world.executor.remove_node(world.controller)
+
+
+WAYS = [emergency, stop_controller, stop_drive, lose_states, late_states, controller_dies]
+
+
+@pytest.mark.parametrize("way", WAYS, ids=lambda way: way.__name__)
+def test_every_way_to_stop_stops_every_true_wheel_while_a_stream_goes_on(way):
+    with Robot() as world:
+        world.go(0.3, 0.2, 0.3, seconds=1.5)
+        assert np.abs(world.wheel_speeds[-1]).min() > 0.5
+        way(world)
+        begin = len(world.wheel_speeds)
+        world.go(0.3, 0.2, 0.3, seconds=2.0)
+        speeds = np.abs(np.array(world.wheel_speeds[begin - 1 :]))
+        assert speeds[-1].max() < 0.02
+        world.go(0.3, 0.2, 0.3, seconds=0.5)
+        assert np.abs(world.wheel_speeds[-1]).max() < 0.02
+
+
+@pytest.mark.parametrize("mode", ["velocity", "torque", "voltage"])
+def test_modes_follow_and_stop(mode):
+    with Robot("ig42", {"drive.mode": mode}) as world:
+        world.go(0.4, 0.0, 0.2, seconds=2.0)
+        assert world.true_twist() == pytest.approx([0.4, 0.0, 0.2], abs=0.03)
+        world.run(1.5)
+        assert np.abs(world.true_twist()).max() < 1e-3
+
+
+def test_a_third_of_the_states_lost_and_late_ones_do_no_harm():
+    with Robot() as world:
+        world.set("simulated_drive", "faults.lost_messages", 0.33)
+        world.set("simulated_drive", "faults.late_messages", 0.02)
+        world.go(0.3, 0.1, 0.2, seconds=3.0)
+        assert world.core.latch.released
+        assert world.true_twist() == pytest.approx([0.3, 0.1, 0.2], abs=0.02)
+
+
+def test_a_stuck_wheel_stops_all_wheels():
+    with Robot() as world:
+        world.go(0.4, 0.0, 0.0, seconds=1.0)
+        world.set("simulated_drive", "faults.stuck_wheel", ["rear_right"])
+        world.go(0.4, 0.0, 0.0, seconds=2.5)
+        assert "rear_right" in world.core.latch.status.reason
+        assert np.abs(world.wheel_speeds[-1]).max() < 0.02
+
+
+def test_a_drive_that_comes_back_moves_nothing_by_itself():
+    with Robot() as world:
+        world.go(0.3, 0.0, 0.0, seconds=1.0)
+        world.set("simulated_drive", "faults.lost_messages", 1.0)
+        world.go(0.3, 0.0, 0.0, seconds=1.5)
+        world.set("simulated_drive", "faults.lost_messages", 0.0)
+        world.go(0.3, 0.0, 0.0, seconds=1.0)
+        assert np.abs(world.wheel_speeds[-1]).max() < 0.02
+        assert world.call(Trigger, "platform_controller/reset").success
+        world.go(0.3, 0.0, 0.0, seconds=1.0)
+        assert np.abs(world.wheel_speeds[-1]).max() < 0.02
+        world.go(0.0, 0.0, 0.0, seconds=0.1)
+        world.go(0.3, 0.0, 0.0, seconds=1.0)
+        assert world.true_twist()[0] == pytest.approx(0.3, abs=0.02)
+
+
+def test_wheel_states_know_nothing_of_the_controller():
+    with Robot() as world:
+        states = world.listen(JointState, "wheel_states")
+        world.run(0.1)
+        assert list(last(states).name) == list(world.core.parameters.robot.wheels.names)

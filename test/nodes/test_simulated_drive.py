@@ -1,0 +1,268 @@
+"""The node over real topics, on simulated time."""
+
+import math
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from nav_msgs.msg import Odometry
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool, Float64MultiArray
+from std_srvs.srv import Trigger
+
+from omniman_ros.nodes.simulated_drive import SimulatedDriveNode
+
+from .harness import World, last
+
+NAMES = ["front_left", "front_right", "rear_left", "rear_right"]
+NAN, INF = float("nan"), float("inf")
+
+
+class Drive(World):
+    """The node alone, commanded by the test."""
+
+    def __init__(self, parameters: dict | None = None) -> None:
+        super().__init__(SimulatedDriveNode, parameters=parameters)
+        self.node: SimulatedDriveNode = self.nodes[0]
+        self.states = self.listen(JointState, "wheel_states")
+        self.truth = self.listen(Odometry, "ground_truth/odom")
+        self._commands = self.publisher(JointState, "wheel_commands")
+        self._voltages = self.publisher(JointState, "wheel_voltages")
+
+    def message(self, velocity=(), effort=(), age: float = 0.0, names=NAMES) -> JointState:
+        message = JointState(
+            name=names, velocity=[*map(float, velocity)], effort=[*map(float, effort)]
+        )
+        message.header.stamp = self.stamp(-age)
+        return message
+
+    def command(self, seconds: float, *args, **options) -> None:
+        self.run(seconds, lambda: self._commands.publish(self.message(*args, **options)))
+
+    def volts(self, seconds: float, volts, **options) -> None:
+        self.run(
+            seconds, lambda: self._voltages.publish(self.message(effort=volts, **options))
+        )
+
+    def set(self, name: str, value: object) -> object:
+        request = SetParameters.Request(
+            parameters=[Parameter(name, value=value).to_parameter_msg()]
+        )
+        return self.call(SetParameters, "simulated_drive/set_parameters", request).results[0]
+
+    @property
+    def speeds(self) -> np.ndarray:
+        """True wheel speeds (n,)."""
+        return np.array([wheel.speed for wheel in self.node.drives._plant.wheels])
+
+
+@pytest.fixture
+def drive():
+    with Drive() as drive:
+        yield drive
+
+
+def test_velocity_mode_turns_the_wheels_and_moves_the_robot(drive):
+    drive.command(1.5, [3.0, 3.0, 3.0, 3.0])
+    state = last(drive.states)
+    assert list(state.name) == NAMES
+    assert list(state.velocity) == pytest.approx([3.0] * 4, abs=0.05)
+    truth = last(drive.truth)
+    assert truth.twist.twist.linear.x == pytest.approx(3.0 * 0.127, abs=0.01)
+    assert truth.header.frame_id == "map"
+
+
+def test_torque_and_voltage_modes_move_it_too(drive):
+    drive.command(0.5, effort=[2.0, 2.0, 2.0, 2.0])
+    speed = last(drive.truth).twist.twist.linear.x
+    assert speed > 0.05
+    drive.volts(0.5, [12.0] * 4)
+    assert last(drive.truth).twist.twist.linear.x > speed
+
+
+def test_wheels_against_each_other_leave_the_robot_where_it_is():
+    """With its weight in the middle: with more weight in front, the front wheels win."""
+    with Drive({"robot": "ig42"}) as drive:
+        drive.command(1.5, [4.0, 4.0, -4.0, -4.0])
+        assert min(np.abs(last(drive.states).velocity)) > 3.0
+        pose = last(drive.truth).pose.pose.position
+        assert math.hypot(pose.x, pose.y) < 0.01
+
+
+def test_rates_and_electrical_layout(drive):
+    electrical = drive.listen(Float64MultiArray, "wheel_electrical")
+    before = len(drive.states), len(drive.truth), len(electrical)
+    drive.command(1.0, [3.0] * 4)
+    assert len(drive.states) - before[0] == pytest.approx(200, abs=1)
+    assert len(drive.truth) - before[1] == pytest.approx(100, abs=1)
+    assert len(electrical) - before[2] == pytest.approx(50, abs=1)
+    message = last(electrical)
+    assert [(d.label, d.size) for d in message.layout.dim] == [
+        ("wheel", 4), ("voltage,current,energy", 3),
+    ]  # fmt: skip
+    voltage, current, energy = np.array(message.data).reshape(4, 3).T
+    assert (voltage > 0).all() and (current > 0).all() and (energy > 0).all()
+
+
+def silence(drive: Drive) -> None:
+    drive.run(0.1)
+
+
+def service(drive: Drive) -> None:
+    assert drive.call(Trigger, "simulated_drive/stop").success
+
+
+def emergency(drive: Drive) -> None:
+    drive.publisher(Bool, "emergency_stop").publish(Bool(data=True))
+
+
+def shutdown(drive: Drive) -> None:
+    drive.node.begin_shutdown("SIGTERM")
+
+
+def nan_commands(drive: Drive) -> None:
+    drive.command(0.1, [NAN] * 4)
+
+
+@pytest.mark.parametrize("way", [silence, service, emergency, shutdown, nan_commands],
+                         ids=lambda way: way.__name__)  # fmt: skip
+@pytest.mark.parametrize("mode", ["velocity", "torque", "voltage"])
+def test_every_way_to_stop_stops_every_wheel(drive, way, mode):
+    speeds = [4.0, 3.0, 3.0, 4.0]
+    drive.command(1.0, speeds)
+    if mode == "torque":
+        drive.command(0.1, effort=[1.0] * 4)
+    elif mode == "voltage":
+        drive.volts(0.1, [10.0] * 4)
+    assert drive.speeds.min() > 1.0
+    way(drive)
+    fastest = []
+    drive.run(1.0, lambda: fastest.append(np.abs(drive.speeds).max()))
+    assert fastest[-1] < 0.02
+    steps = -np.diff(fastest)
+    assert steps.max() < 16.0 * 0.005 + 0.05, "harder than the quick stop allows"
+
+
+@pytest.mark.parametrize("way", [service, emergency])
+def test_a_latched_stop_hears_nothing_until_a_reset(drive, way):
+    drive.command(0.5, [3.0] * 4)
+    way(drive)
+    assert not drive.call(Trigger, "simulated_drive/reset").success
+    drive.command(1.5, [3.0] * 4)
+    assert np.abs(drive.speeds).max() < 0.02
+    if way is emergency:
+        assert not drive.call(Trigger, "simulated_drive/reset").success
+        drive.publisher(Bool, "emergency_stop").publish(Bool(data=False))
+        drive.run(0.1)
+    assert drive.call(Trigger, "simulated_drive/reset").success
+    drive.run(0.5)
+    assert np.abs(drive.speeds).max() < 0.02, "the reset moved it"
+    drive.command(0.5, [3.0] * 4)
+    assert drive.speeds.min() > 1.0
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"velocity": [NAN, 1, 1, 1]},
+        {"velocity": [INF] * 4},
+        {"velocity": [1.0] * 3},
+        {"velocity": [1.0] * 4, "effort": [NAN] * 4},
+        {"velocity": [3.0] * 4, "names": ["a", "b", "c", "d"]},
+        {"velocity": [3.0] * 4, "names": NAMES[:1] * 4},
+        {"velocity": [3.0] * 4, "age": 0.5},
+        {"velocity": [3.0] * 4, "age": -0.5},
+        {},
+    ],
+    ids=["nan", "inf", "short", "nan effort", "names", "twice", "stale", "ahead", "empty"],
+)
+def test_bad_commands_move_nothing(drive, options):
+    drive.command(0.5, **options)
+    assert not drive.speeds.any()
+
+
+def test_huge_commands_stay_within_the_motors_limits(drive):
+    drive.command(1.0, [1e300] * 4, [-1e300] * 4)
+    assert np.isfinite(drive.speeds).all()
+    drive.volts(0.5, [1e300, -1e300, 1e300, -1e300])
+    assert np.isfinite(drive.speeds).all() and np.abs(drive.speeds).max() < 30.0
+
+
+def test_initialpose_moves_the_true_robot(drive):
+    message = PoseWithCovarianceStamped()
+    message.header.frame_id = "map"
+    message.pose.pose.position.x = 3.0
+    message.pose.pose.orientation.w = 1.0
+    publisher = drive.publisher(PoseWithCovarianceStamped, "initialpose")
+    publisher.publish(message)
+    drive.run(0.1)
+    assert last(drive.truth).pose.pose.position.x == pytest.approx(3.0)
+    message.header.frame_id = "camera"
+    message.pose.pose.position.x = 9.0
+    publisher.publish(message)
+    drive.run(0.1)
+    assert last(drive.truth).pose.pose.position.x == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("faults.dead_motor", ["rear_left"]), ("faults.stuck_wheel", ["rear_left"]),
+     ("faults.frozen_encoder", ["rear_left"])],
+)  # fmt: skip
+def test_faults_are_live(drive, name, value):
+    drive.command(0.5, [3.0] * 4)
+    assert drive.set(name, value).successful
+    drive.command(0.5, [2.0] * 4)
+    state = dict(zip(NAMES, last(drive.states).velocity, strict=True))
+    if name == "faults.frozen_encoder":
+        assert state["rear_left"] == pytest.approx(3.0, abs=0.1) or state["rear_left"] == 0.0
+    if name == "faults.stuck_wheel":
+        assert abs(drive.speeds[2]) < 0.05
+    if name == "faults.dead_motor":
+        assert abs(last(drive.states).effort[2]) < 1e-6
+    assert not drive.set(name, ["no_such_wheel"]).successful
+
+
+def test_lost_and_late_messages_are_live(drive):
+    assert drive.set("faults.lost_messages", 1.0).successful
+    drive.run(0.1)
+    count = len(drive.states)
+    drive.run(0.5)
+    assert len(drive.states) == count
+    assert drive.set("faults.lost_messages", 0.0).successful
+    assert drive.set("faults.late_messages", 0.2).successful
+    drive.run(0.5)
+    stamp = last(drive.states).header.stamp
+    assert drive.time - (stamp.sec + 1e-9 * stamp.nanosec) == pytest.approx(0.2, abs=0.011)
+
+
+def test_lifted_wheels_turn_and_the_robot_stays(drive):
+    assert drive.set("plant.lifted", True).successful
+    drive.command(1.0, [3.0] * 4)
+    assert drive.speeds.min() > 2.5
+    assert last(drive.truth).pose.pose.position.x == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize(("name", "value"), [("plant.slip_velocity", -1.0), ("mismatch.friction",
+                         [1.0, 2.0]), ("firmware.watchdog", NAN), ("wheels.x", [0.0] * 4)])  # fmt: skip
+def test_nonsense_is_refused(drive, name, value):
+    before = drive.node.settings.value
+    assert not drive.set(name, value).successful
+    assert drive.node.settings.value == before
+
+
+def test_publishes_the_clock_it_makes():
+    """At ten times real time; the only test here on the steady clock, bounded by messages."""
+    from rosgraph_msgs.msg import Clock
+
+    given = {"use_sim_time": False, "publish_clock": True, "real_time_factor": 10.0}
+    with World(SimulatedDriveNode, parameters=given) as world:
+        clocks = world.listen(Clock, "/clock")
+        states = world.listen(JointState, "wheel_states")
+        world._await(lambda: len(clocks) > 100 and len(states) > 100, "a hundred clocks")
+        times = [c.clock.sec + 1e-9 * c.clock.nanosec for c in clocks]
+        assert np.diff(times) == pytest.approx(0.005, abs=1e-6)
+        stamp = states[50].header.stamp
+        assert stamp.sec + 1e-9 * stamp.nanosec < 100.0, "stamps are simulated time"

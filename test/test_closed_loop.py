@@ -1,0 +1,164 @@
+"""Controller core and simulated drives in one loop: two models of one robot, written apart."""
+
+import math
+
+import numpy as np
+import pytest
+
+from omniman_ros.core.arbiter import Source
+from omniman_ros.core.parameters import build
+from omniman_ros.core.platform import PlatformController
+from omniman_ros.core.preview import Preview
+from omniman_ros.core.wheel_cascade import DriveMode
+from omniman_ros.drive.parameters import SimulationParameters
+from omniman_ros.drive.simulated import SimulatedDrives
+
+from . import robots
+
+PERIOD = 0.005
+LATENCY = 0.001
+MODES = ("velocity", "torque", "voltage")
+MISMATCHED = {
+    "mismatch.friction": (1.5, 0.7, 1.2, 0.8),
+    "mismatch.torque_constant": (1.1, 0.9, 1.05, 0.95),
+    "mismatch.amplifier_gain": (1.05, 0.95, 0.97, 1.03),
+}
+
+
+class Loop:
+    """A controller and drives, a tick at a time."""
+
+    def __init__(self, robot: str, changes: dict | None = None, simulation: dict | None = None):
+        self.controller = PlatformController(robots.parameters(robot, changes))
+        self.drives = SimulatedDrives(
+            self.controller.parameters.robot, build(SimulationParameters, simulation or {})
+        )
+        self.tick = 0
+        self.step()
+
+    @property
+    def now(self) -> float:
+        return self.tick * PERIOD
+
+    def step(self) -> None:
+        now, core = self.now, self.controller
+        states = self.drives.wheel_states(now)
+        core.hear_wheels(now, now + LATENCY, states.position, states.velocity)
+        command = core.tick(now + LATENCY)
+        if command.mode is DriveMode.VELOCITY:
+            self.drives.command_velocity(command.velocity, command.effort, now + LATENCY)
+        elif command.mode is DriveMode.TORQUE:
+            self.drives.command_torque(command.effort, now + LATENCY)
+        else:
+            self.drives.command_voltage(command.effort, now + LATENCY)
+        self.tick += 1
+
+
+def figure_of_eight(start: float, duration: float) -> Preview:
+    """Two loops of 2 m by 1.2 m with a heading that swings, from rest to rest."""
+    u = np.linspace(0.0, 1.0, round(duration / 0.02) + 1)
+    phase = 2 * np.pi * u**3 * (10 - 15 * u + 6 * u**2)
+    rate = 2 * np.pi * 30 * u**2 * (1 - u) ** 2 / duration
+    change = 2 * np.pi * (60 * u - 180 * u**2 + 120 * u**3) / duration**2
+    pose = np.column_stack([np.sin(phase), 0.6 * np.sin(2 * phase), 0.8 * np.sin(phase)])
+    slope = np.column_stack([np.cos(phase), 1.2 * np.cos(2 * phase), 0.8 * np.cos(phase)])
+    bend = np.column_stack([-np.sin(phase), -2.4 * np.sin(2 * phase), -0.8 * np.sin(phase)])
+    velocity = slope * rate[:, None]
+    acceleration = slope * change[:, None] + bend * rate[:, None] ** 2
+    return Preview(start + u * duration, pose, velocity, acceleration)
+
+
+def follow(loop: Loop, preview: Preview) -> tuple[np.ndarray, np.ndarray]:
+    """Errors (k, 3) of odometry and of the true pose against the preview, at the same time."""
+    odometry, truth = [], []
+    assert loop.controller.hear_preview(Source.PATH, preview, loop.now) == ""
+    while loop.now < preview.end:
+        measured_at = loop.now
+        loop.step()
+        reference = preview.sample(measured_at).pose
+        odometry.append(np.array(loop.controller.odometry.pose) - reference)
+        truth.append(loop.drives.ground_truth()[0] - reference)
+    assert loop.controller.latch.released, loop.controller.latch.status.reason
+    return np.array(odometry), np.array(truth)
+
+
+def rms(errors: np.ndarray) -> float:
+    return float(np.sqrt((errors[:, :2] ** 2).sum(axis=1).mean()))
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("robot", ["omniman", "ig42"])
+@pytest.mark.parametrize("simulation", [{}, MISMATCHED], ids=["equal", "mismatched"])
+def test_tracks_within_5_mm_rms_in_every_mode(robot, mode, simulation):
+    loop = Loop(robot, {"drive.mode": mode}, simulation)
+    preview = figure_of_eight(0.1, 24.0)
+    speed = np.hypot(*preview._velocities[:, :2].T)
+    assert speed.max() > 0.5
+    odometry, truth = follow(loop, preview)
+    assert rms(odometry) < 0.005, f"{1e3 * rms(odometry):.2f} mm"
+    assert np.hypot(*truth[:, :2].T).max() < 0.03, "odometry lost the true pose"
+
+
+@pytest.mark.parametrize("robot", robots.TESTED)
+def test_tracks_with_three_to_eight_wheels(robot):
+    odometry, _ = follow(Loop(robot), figure_of_eight(0.1, 24.0))
+    assert rms(odometry) < 0.005
+
+
+def test_feed_forward_of_the_core_is_what_the_plant_needs():
+    """Steady speed in any direction: the drives' loops have next to nothing to add."""
+    for direction in np.linspace(0.0, 2 * np.pi, 7):
+        loop = Loop("omniman")
+        twist = np.array([0.4 * math.cos(direction), 0.4 * math.sin(direction), 0.3])
+        for _ in range(600):
+            loop.controller.hear_twist(twist, loop.now)
+            loop.step()
+        asked = loop.controller.tick(loop.now).effort
+        given = loop.drives.wheel_states(loop.now).effort
+        assert np.abs(asked - given).max() < 0.15 * np.abs(asked).max()
+
+
+def test_coupling_controller_reduces_the_coupling_error():
+    largest = {}
+    for gain in (0.0, 2.0):
+        loop = Loop("omniman", {"coupling.k_epsilon": gain}, MISMATCHED)
+        errors = []
+        for _ in range(1000):
+            loop.controller.hear_twist(np.array([0.3, 0.3, 0.0]), loop.now)
+            loop.step()
+            errors.append(abs(loop.controller.cascade.coupling.error[0]))
+        largest[gain] = max(errors)
+    assert largest[2.0] < 0.5 * largest[0.0]
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_a_stop_from_every_mode_brings_the_true_robot_to_rest(mode):
+    loop = Loop("omniman", {"drive.mode": mode})
+    for _ in range(300):
+        loop.controller.hear_twist(np.array([0.3, -0.2, 0.4]), loop.now)
+        loop.step()
+    assert np.linalg.norm(loop.drives.ground_truth()[1]) > 0.4
+    loop.controller.latch.stop("test")
+    for _ in range(200):
+        loop.step()
+    assert np.abs(loop.drives.ground_truth()[1]).max() < 1e-3
+
+
+def test_odometry_says_when_a_wheel_spins_on_a_slippery_patch():
+    """In torque mode; drives that hold each wheel's speed let no encoder see the slip."""
+    patch = {
+        "plant.patch_x_min": 0.6, "plant.patch_x_max": 3.0, "plant.patch_y_min": 0.0,
+        "plant.patch_y_max": 2.0, "plant.patch_mu": 0.02,
+    }  # fmt: skip
+    slipped, variance = {}, {}
+    for name, simulation in (("dry", {}), ("wet", patch)):
+        loop = Loop("omniman", {"drive.mode": "torque"}, simulation)
+        slipped[name] = False
+        for i in range(1200):
+            speed = 0.8 if i % 200 < 100 else 0.1
+            loop.controller.hear_twist(np.array([speed, 0.0, 0.0]), loop.now)
+            loop.step()
+            slipped[name] |= loop.controller.odometry.slipping
+        variance[name] = loop.controller.odometry.covariance[0, 0]
+    assert slipped == {"dry": False, "wet": True}
+    assert variance["wet"] > 1.5 * variance["dry"]
