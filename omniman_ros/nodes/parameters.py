@@ -16,6 +16,7 @@ from rclpy.parameter import Parameter
 
 from omniman_ros.core.errors import OmnimanError, ParameterError
 from omniman_ros.core.parameters import Spec, build, specs
+from omniman_ros.nodes.registry import known_names
 from omniman_ros.robots import load_robot
 
 T = TypeVar("T")
@@ -82,6 +83,8 @@ class ParameterSet(Generic[T]):
             self._declare(spec, defaults.get(spec.name, spec.default))
         self.value: T = build(cls, self._current())
         node.add_on_set_parameters_callback(self._on_set)
+        for sentence in unknown_names(given, known_names()):
+            node.get_logger().warning(sentence)
 
     def on_change(self, apply: Callable[[T], None]) -> None:
         """Call `apply` with the new set at each change; what it raises refuses the change."""
@@ -93,7 +96,12 @@ class ParameterSet(Generic[T]):
             read_only=True,
         )
         name = self._node.declare_parameter("robot", "omniman", text).value
-        return {} if "wheels.names" in given else load_robot(name)
+        if "wheels.names" in given:
+            return {}
+        values = load_robot(name)
+        for sentence in unknown_names(values, known_names()):
+            raise ParameterError("robot", name, sentence)
+        return values
 
     def _declare(self, spec: Spec, default: Any) -> None:
         kind = _TYPES[spec.kind, spec.item]

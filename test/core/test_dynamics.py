@@ -185,9 +185,6 @@ def test_shaft_friction_is_mpc_24():
 @pytest.mark.parametrize("n", COUNTS)
 def test_roller_drag_takes_its_force_times_the_rollers_speed(n):
     made, model, dynamics = make_random(n, 4)
-    zero = PlatformDynamics(
-        random_robot(np.random.default_rng([n, 4]), n), model
-    )  # the same, to take the shaft's part away
     drag = np.array(made.friction.roller) * dynamics.loads
     wheels = made.wheels
     for twist, _ in motion(n + 80):
@@ -203,7 +200,7 @@ def test_roller_drag_takes_its_force_times_the_rollers_speed(n):
             rolling.append(-sx * math.sin(d + g) + sy * math.cos(d + g))
         shaft = np.array(made.friction.viscous) * speeds
         shaft = shaft + np.array(made.friction.coulomb) * smooth_sign(speeds)
-        power = (zero.friction_torque(twist, speeds) - shaft) @ speeds
+        power = (dynamics.friction_torque(twist, speeds) - shaft) @ speeds
         expected = drag @ (smooth_sign(np.array(rolling)) * rolling)
         assert power == pytest.approx(expected, rel=1e-9, abs=1e-9)
 

@@ -65,7 +65,8 @@ def test_a_pose_off_its_moving_reference_converges_to_it(offset):
 
 @pytest.mark.parametrize(
     ("error", "lost"),
-    [((0.29, 0.39, 0), False), ((0.31, 0.41, 0), True), ((0, 0, 0.79), False), ((0, 0, -0.81), True)],
+    [((0.29, 0.39, 0), False), ((0.31, 0.41, 0), True), ((0, 0, 0.79), False),
+     ((0, 0, -0.81), True)],
 )  # fmt: skip
 def test_an_error_beyond_its_limits_is_lost(error, lost):
     assert PositionController(GAINS).lost(np.array(error, float)) is lost

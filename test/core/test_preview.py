@@ -135,7 +135,7 @@ BAD = np.array([[0, 0, 0], [0, math.nan, 0]])
 @pytest.mark.parametrize(
     ("changes", "why"),
     [
-        ({"times": np.zeros(0), "poses": np.zeros((0, 3)), "velocities": np.zeros((0, 3))}, "got 0"),
+        ({"times": np.zeros(0)}, "got 0"),
         ({"times": np.arange(MAX_POINTS + 1.0)}, "got 100001"),
         ({"poses": np.zeros((3, 3))}, r"poses of shape \(3, 3\), expected \(2, 3\)"),
         ({"velocities": np.zeros((2, 2))}, "velocities of shape"),

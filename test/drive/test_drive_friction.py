@@ -140,11 +140,19 @@ def test_current_does_not_ring_at_any_inductance(inductance):
 
 def test_mismatch_acts_on_each_wheel_alone():
     plant = lifted(
-        mismatch__friction=[2.0, 1.0, 1.0, 1.0],
         mismatch__torque_constant=[1.0, 0.9, 1.0, 1.0],
         mismatch__amplifier_gain=[1.0, 1.0, 1.1, 1.0],
     )
     run(plant, [12.0] * 4, 1.0)
-    more_friction, weaker, louder, nominal = (wheel.speed for wheel in plant.wheels)
-    assert more_friction < nominal < weaker < louder
+    nominal, weaker, louder, same = (wheel.speed for wheel in plant.wheels)
+    assert nominal == same < weaker < louder
     assert plant.wheels[2].voltage == pytest.approx(13.2)
+
+
+@pytest.mark.parametrize("kind", ["friction__viscous", "friction__coulomb"])
+def test_friction_mismatch_acts_on_both_kinds_of_friction(kind):
+    none = {"friction__viscous": [0.0], "friction__coulomb": [0.0]}
+    plant = lifted(**{**none, kind: [0.1]}, mismatch__friction=[2.0, 1.0, 1.0, 0.0])
+    run(plant, [12.0] * 4, 0.5)
+    more, nominal, same, without = (wheel.speed for wheel in plant.wheels)
+    assert more < nominal == same < without

@@ -165,6 +165,25 @@ def test_a_slippery_floor_lets_the_wheels_spin():
     assert slip(2.0) < 0.05
 
 
+def test_on_a_circle_the_body_moves_as_its_wheels_turn():
+    """Without slip the heading turns along with the velocity, also within a step."""
+    changes = {**FRICTIONLESS, "friction__mu": 5.0, "wheels__inertia": [100.0]}
+    plant = Plant(
+        robot("ig42", **changes),
+        parameters(plant__slip_velocity=1e-7, faults__dead_motor=robot("ig42").wheels.names),
+    )
+    speed, turn, lever = 0.5, 1.5, 0.25 + 0.22
+    sides = np.array([-1, 1, -1, 1])
+    plant.set_wheel_speeds((speed + sides * lever * turn) / 0.1016)
+    plant.set_twist([speed, 0.0, turn])
+    run(plant, [0.0] * 4, 1.0)
+    # forwards, sideways and turning, as four wheels on the corners roll
+    patterns = np.array([[1, 1, 1, 1], [-1, 1, 1, -1], sides / lever]) / 4
+    np.testing.assert_allclose(plant.twist, patterns @ speeds(plant) * 0.1016, atol=1e-6)
+    circle = speed / turn * np.array([math.sin(turn), 1 - math.cos(turn)])
+    np.testing.assert_allclose(plant.pose[:2], circle, atol=5e-4)
+
+
 def test_moving_the_robot_elsewhere_changes_nothing_in_its_own_frame():
     plants = [Plant(robot("omniman"), parameters()) for _ in range(2)]
     for plant in plants:

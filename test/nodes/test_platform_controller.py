@@ -65,7 +65,8 @@ def test_rates_are_200_100_and_50_hz(rig):
     coupling = rig.listen(JointState, "coupling_error")
     before = len(rig.commands), len(rig.odom), len(coupling)
     rig.run(1.0)
-    counts = [len(got) - n for got, n in zip((rig.commands, rig.odom, coupling), before)]
+    after = len(rig.commands), len(rig.odom), len(coupling)
+    counts = [b - a for a, b in zip(before, after, strict=True)]
     assert counts == pytest.approx([200, 100, 50], abs=1)
     assert list(last(coupling).name) == ["constraint_1"]
 
@@ -560,7 +561,7 @@ def test_limits_are_live(rig):
 
 @pytest.mark.parametrize(
     "given", [{"limits.linear_velocity": -2.0}, {"wheels.radius": [0.1, 0.1]}, {"robot": "nobody"},
-              {"coupling.k_epsilon": 2}, 
+              {"coupling.k_epsilon": 2},
               {"wheels.roller_angle": [math.pi / 2, 0.785, 0.785, -0.785]}],
     ids=lambda given: next(iter(given)),
 )  # fmt: skip

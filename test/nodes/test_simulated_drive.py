@@ -42,9 +42,7 @@ class Drive(World):
         self.run(seconds, lambda: self._commands.publish(self.message(*args, **options)))
 
     def volts(self, seconds: float, volts, **options) -> None:
-        self.run(
-            seconds, lambda: self._voltages.publish(self.message(effort=volts, **options))
-        )
+        self.run(seconds, lambda: self._voltages.publish(self.message(effort=volts, **options)))
 
     def set(self, name: str, value: object) -> object:
         request = SetParameters.Request(
@@ -245,8 +243,11 @@ def test_lifted_wheels_turn_and_the_robot_stays(drive):
     assert last(drive.truth).pose.pose.position.x == pytest.approx(0.0, abs=1e-6)
 
 
-@pytest.mark.parametrize(("name", "value"), [("plant.slip_velocity", -1.0), ("mismatch.friction",
-                         [1.0, 2.0]), ("firmware.watchdog", NAN), ("wheels.x", [0.0] * 4)])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("plant.slip_velocity", -1.0), ("mismatch.friction", [1.0, 2.0]),
+     ("firmware.watchdog", NAN), ("wheels.x", [0.0] * 4)],
+)  # fmt: skip
 def test_nonsense_is_refused(drive, name, value):
     before = drive.node.settings.value
     assert not drive.set(name, value).successful

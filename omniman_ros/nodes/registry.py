@@ -1,0 +1,62 @@
+"""The nodes of the package and the parameters they have."""
+
+import importlib
+from collections.abc import Iterator
+
+from omniman_ros.core.parameters import Spec, specs
+
+NODES = {
+    "platform_controller": "PlatformControllerParameters",
+    "simulated_drive": "SimulatedDriveParameters",
+}
+"""Executable, which is also its module here, and the dataclass of its parameters there."""
+
+
+def node_specs(node: str) -> list[Spec]:
+    """List a node's parameters; those of the robot come first."""
+    module = importlib.import_module(f"omniman_ros.nodes.{node}")
+    return specs(getattr(module, NODES[node]))
+
+
+def known_names() -> set[str]:
+    """Names of all parameters that any node of the package has."""
+    return {spec.name for node in NODES for spec in node_specs(node)}
+
+
+def markdown(node: str, *, robot: bool) -> Iterator[str]:
+    """Lines of a table of a node's parameters.
+
+    Args:
+        node: A name from NODES.
+        robot: Whether to list the parameters of the robot (those of both nodes), or the others.
+    """
+    shared = set.intersection(*({spec.name for spec in node_specs(name)} for name in NODES))
+    yield "| parameter | default | unit | range | |"
+    yield "|---|---|---|---|---|"
+    for spec in node_specs(node):
+        if (spec.name in shared) is not robot:
+            continue
+        fixed = "*fixed.* " if spec.read_only else ""
+        yield (
+            f"| `{spec.name}` | {_default(spec)} | {spec.unit} | {_range(spec)} "
+            f"| {fixed}{spec.doc} |"
+        )
+
+
+def _default(spec: Spec) -> str:
+    if spec.required:
+        return "robot"
+    value = spec.default
+    if isinstance(value, tuple):
+        return "[" + ", ".join(map(str, value)) + "]"
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def _range(spec: Spec) -> str:
+    if spec.choices:
+        return ", ".join(spec.choices)
+    if spec.low is None and spec.high is None:
+        return ""
+    low = "" if spec.low is None else f"{spec.low:g}"
+    high = "" if spec.high is None else f"{spec.high:g}"
+    return f"{low} to {high}"

@@ -1,0 +1,163 @@
+import math
+from dataclasses import dataclass
+
+import pytest
+from robots import ALL, parameters, robot
+
+from omniman_ros.core.errors import OmnimanError, ParameterError
+from omniman_ros.core.parameters import (
+    REQUIRED,
+    build,
+    flatten,
+    flatten_mapping,
+    inline,
+    parameter,
+    specs,
+)
+from omniman_ros.core.platform_parameters import PlatformParameters
+
+
+@dataclass(frozen=True)
+class Inner:
+    gain: float = parameter(2.0, "A gain.", unit="1/s", low=0, high=10)
+    mode: str = parameter("slow", "A word.", choices=("slow", "fast"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outer:
+    first: Inner
+    second: Inner = inline()
+    count: int = parameter(REQUIRED, "A count.", low=1, high=8, read_only=True)
+    names: tuple[str, ...] = parameter((), "Words.")
+    sizes: tuple[float, ...] = parameter((1.0,), "Sizes.", unit="m", low=0)
+    on: bool = parameter(True, "A switch.")
+
+
+def test_specs_list_all_parameters_by_full_name_in_order():
+    found = {spec.name: spec for spec in specs(Outer)}
+    assert list(found) == [
+        "first.gain", "first.mode", "gain", "mode", "count", "names", "sizes", "on"
+    ]  # fmt: skip
+    gain = found["first.gain"]
+    assert (gain.kind, gain.item, gain.default, gain.unit) == (float, None, 2.0, "1/s")
+    assert (gain.low, gain.high, gain.read_only, gain.required) == (0, 10, False, False)
+    assert gain.doc == "A gain."
+    assert found["first.mode"].choices == ("slow", "fast")
+    assert found["count"].required
+    assert found["count"].read_only
+    assert (found["sizes"].kind, found["sizes"].item) == (tuple, float)
+
+
+def test_build_takes_defaults_and_leaves_other_names_alone():
+    made = build(Outer, {"count": 3, "gain": 5, "first.mode": "fast", "elsewhere": object()})
+    assert made == Outer(first=Inner(2.0, "fast"), second=Inner(5.0), count=3)
+    assert isinstance(made.second.gain, float)
+
+
+def test_flatten_is_the_inverse_of_build():
+    values = {"count": 3, "gain": 5.0, "names": ("a", "b"), "on": False}
+    flat = flatten(build(Outer, values))
+    assert flat["names"] == ("a", "b")
+    assert set(flat) == {spec.name for spec in specs(Outer)}
+    assert flatten(build(Outer, flat)) == flat
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_the_platforms_parameters_come_round(name):
+    made = parameters(name)
+    flat = flatten(made)
+    assert set(flat) == {spec.name for spec in specs(PlatformParameters)}
+    assert build(PlatformParameters, flat) == made
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "why"),
+    [
+        ("gain", "5", "expected float, got str"),
+        ("gain", True, "expected float, got bool"),
+        ("gain", None, "expected float, got NoneType"),
+        ("gain", math.nan, "not a finite number"),
+        ("gain", math.inf, "not a finite number"),
+        ("gain", -0.1, "below the minimum 0 1/s"),
+        ("gain", 10.1, "above the maximum 10 1/s"),
+        ("first.gain", [1.0], "expected float, got list"),
+        ("mode", "Fast", "expected one of slow, fast"),
+        ("mode", 1, "expected str, got int"),
+        ("count", 2.0, "expected int, got float"),
+        ("count", True, "expected int, got bool"),
+        ("count", 9, "above the maximum 8"),
+        ("on", 1, "expected bool, got int"),
+        ("names", "ab", "expected an array of str"),
+        ("names", [1], "expected str, got int"),
+        ("sizes", 1.0, "expected an array of float"),
+        ("sizes", [1, -1], "below the minimum 0 m"),
+        ("sizes", [math.nan], "not a finite number"),
+    ],
+)
+def test_a_bad_value_is_refused_by_name_value_unit_and_limit(name, value, why):
+    with pytest.raises(ParameterError) as caught:
+        build(Outer, {"count": 1, name: value})
+    assert caught.value.name == name
+    assert why in str(caught.value)
+    assert repr(name) in str(caught.value)
+    assert isinstance(caught.value, (OmnimanError, ValueError))
+
+
+def test_limits_themselves_are_allowed():
+    made = build(Outer, {"count": 8, "gain": 0, "first.gain": 10})
+    assert (made.second.gain, made.first.gain) == (0.0, 10.0)
+
+
+def test_what_has_no_default_must_be_given():
+    with pytest.raises(ParameterError, match="'count'.*no default"):
+        build(Outer, {})
+    with pytest.raises(ParameterError, match="no default"):
+        build(PlatformParameters, {})
+
+
+def test_nested_mappings_are_flattened():
+    tree = {"wheels": {"x": [1, 2], "more": {"deep": 1}}, "mu": 0.5}
+    assert flatten_mapping(tree) == {"wheels.x": [1, 2], "wheels.more.deep": 1, "mu": 0.5}
+
+
+def test_every_parameter_has_a_sentence_of_its_own():
+    found = specs(PlatformParameters)
+    assert len(found) > 60
+    for spec in found:
+        assert spec.doc[0].isupper(), spec.name
+        assert spec.doc.endswith("."), spec.name
+
+
+def test_defaults_keep_their_own_limits():
+    for spec in specs(PlatformParameters):
+        if not spec.required:
+            assert spec.check(spec.default) == spec.default
+
+
+@pytest.mark.parametrize(
+    ("changes", "name"),
+    [
+        ({"odometry.wheel_scale": [1.0, 1.0]}, "odometry.wheel_scale"),
+        ({"drive.offered": ["torque"]}, "drive.offered"),
+        ({"drive.offered": ["velocity"], "drive.mode": "torque"}, "drive.mode"),
+        ({"wheels.radius": [0.1, 0.1]}, "wheels.radius"),
+        ({"friction.coulomb": [0.1] * 5}, "friction.coulomb"),
+        ({"wheels.x": [0.1]}, "wheels.x"),
+        ({"wheels.names": ["a", "b"]}, "wheels.names"),
+        ({"wheels.names": ["a", "b", "c", "a"]}, "wheels.names"),
+        ({"wheels.names": ["a", "b", "c", ""]}, "wheels.names"),
+        ({"motor.gear_efficiency": 1.5}, "motor.gear_efficiency"),
+        ({"limits.linear_jerk": 0.0}, "limits.linear_jerk"),
+    ],
+)
+def test_values_that_do_not_fit_together_are_refused(changes, name):
+    with pytest.raises(ParameterError) as caught:
+        parameters("omniman", changes)
+    assert caught.value.name == name
+
+
+def test_one_value_serves_all_wheels():
+    made = robot("omniman", {"friction.coulomb": [0.1, 0.2, 0.3, 0.4]})
+    assert made.wheels.radius == (0.127,) * 4
+    assert made.friction.coulomb == (0.1, 0.2, 0.3, 0.4)
+    assert made.friction.viscous == (0.05,) * 4

@@ -1,0 +1,102 @@
+import ast
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import omniman_ros
+
+PACKAGE = Path(omniman_ros.__file__).parent
+CORE = sorted((PACKAGE / "core").glob("**/*.py"))
+DRIVE = sorted((PACKAGE / "drive").glob("**/*.py"))
+CORE_MODULES = {"__future__", "abc", "collections", "dataclasses", "enum", "math", "types",
+                "typing", "numpy"}  # fmt: skip
+FORBIDDEN_CALLS = {"open", "input", "print", "exec", "eval", "__import__"}
+
+
+def imports(path):
+    """Absolute names of the modules that a file imports, also within functions."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path.name}: relative import"
+            if node.module == "omniman_ros":
+                yield from (f"omniman_ros.{alias.name}" for alias in node.names)
+            else:
+                yield str(node.module)
+
+
+def below(name, *packages):
+    return any(name == package or name.startswith(f"{package}.") for package in packages)
+
+
+def test_there_are_files_to_check():
+    assert len(CORE) > 15
+    assert len(DRIVE) > 5
+
+
+@pytest.mark.parametrize("path", CORE, ids=lambda path: path.stem)
+def test_core_imports_numpy_and_itself_only(path):
+    for name in imports(path):
+        if below(name, "omniman_ros"):
+            assert below(name, "omniman_ros.core"), name
+        else:
+            assert name.split(".")[0] in CORE_MODULES, name
+
+
+@pytest.mark.parametrize("path", DRIVE, ids=lambda path: path.stem)
+def test_drive_imports_core_and_itself_only(path):
+    for name in imports(path):
+        assert not below(name, "rclpy", "casadi", "yaml"), name
+        if below(name, "omniman_ros"):
+            assert below(name, "omniman_ros.core", "omniman_ros.drive"), name
+
+
+def test_conversions_know_no_node_and_no_drive():
+    for name in imports(PACKAGE / "conversions.py"):
+        assert not below(name, "rclpy"), name
+        if below(name, "omniman_ros"):
+            assert below(name, "omniman_ros.core"), name
+
+
+@pytest.mark.parametrize("path", CORE, ids=lambda path: path.stem)
+def test_core_opens_no_file_and_prints_nothing(path):
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+            assert node.func.id not in FORBIDDEN_CALLS, f"line {node.lineno}"
+
+
+PROBE = """
+import json, sys
+before = set(sys.modules)
+import numpy
+known = set(sys.modules)
+import importlib, pathlib
+import omniman_ros.core
+for path in pathlib.Path(omniman_ros.core.__path__[0]).glob("*.py"):
+    if path.stem != "__init__":
+        importlib.import_module(f"omniman_ros.core.{path.stem}")
+print(json.dumps(sorted(set(sys.modules) - known)))
+"""
+
+
+@pytest.fixture(scope="module")
+def loaded():
+    """Modules that core brings into a fresh interpreter that has numpy already."""
+    result = subprocess.run(
+        [sys.executable, "-c", PROBE], capture_output=True, text=True, check=True, timeout=60
+    )
+    return json.loads(result.stdout)
+
+
+@pytest.mark.parametrize(
+    "module",
+    ["rclpy", "can", "casadi", "yaml", "socket", "asyncio", "multiprocessing", "geometry_msgs",
+     "omniman_ros.nodes", "omniman_ros.drive", "omniman_ros.conversions", "omniman_ros.robots"],
+)  # fmt: skip
+def test_core_brings_no_ros_bus_solver_or_socket_along(loaded, module):
+    assert "omniman_ros.core.platform" in loaded
+    assert not [name for name in loaded if below(name, module)]
