@@ -19,6 +19,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
+from omniman_ros.core import plausible
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.preview import Preview
 from omniman_ros.core.wheel_cascade import DriveMode, WheelCommand
@@ -71,17 +72,14 @@ def check_frame(frame: str, *allowed: str) -> None:
         raise InputError(f"frame '{frame}', expected {names}")
 
 
-def twist_array(message: Twist) -> Array:
-    """Body twist (3,) [m/s, m/s, rad/s] of a message.
+def twist_array(message: Twist, bound: float = plausible.SPEED) -> Array:
+    """Planar part (3,) of a twist or acceleration [m/s, m/s, rad/s, or the same per second].
 
     Raises:
-        InputError: One of its six numbers is not finite.
+        InputError: One of its six numbers is not finite or beyond +-bound.
     """
     v, w = message.linear, message.angular
-    if not all(map(math.isfinite, (v.x, v.y, v.z, w.x, w.y, w.z))):
-        raise InputError(
-            f"not finite: linear ({v.x}, {v.y}, {v.z}), angular ({w.x}, {w.y}, {w.z})"
-        )
+    plausible.demand(np.array([v.x, v.y, v.z, w.x, w.y, w.z]), bound, "linear and angular")
     return np.array([v.x, v.y, w.z])
 
 
@@ -124,16 +122,15 @@ def joint_arrays(
     return position, velocity, effort
 
 
-def finite(array: Array | None, label: str) -> Array:
-    """The array, which must be there and finite.
+def present(array: Array | None, bound: float, label: str) -> Array:
+    """The array, which must be there, finite and within +-bound.
 
     Raises:
-        InputError: It is absent or has a NaN or infinity.
+        InputError: It is not.
     """
     if array is None:
         raise InputError(f"no {label}")
-    if not np.isfinite(array).all():
-        raise InputError(f"{label} {array.tolist()} not finite")
+    plausible.demand(array, bound, label)
     return array
 
 
@@ -162,7 +159,7 @@ def preview(message: MultiDOFJointTrajectory, start: float, frames: Sequence[str
         times.append(start + time_seconds(point.time_from_start))
         poses.append(_pose(point.transforms[0]))
         velocities.append(twist_array(point.velocities[0]))
-        accelerations += [twist_array(twist) for twist in point.accelerations]
+        accelerations += [twist_array(a, plausible.ACCELERATION) for a in point.accelerations]
     if len(accelerations) not in (0, len(points)):
         raise InputError("some points have an acceleration and some have none")
     return Preview(
@@ -238,11 +235,14 @@ def wheel_command(message: JointState, names: Sequence[str], voltage: bool) -> W
     """
     _, velocity, effort = joint_arrays(message, names)
     if voltage:
-        return WheelCommand(DriveMode.VOLTAGE, finite(effort, "effort (volts)"))
+        return WheelCommand(DriveMode.VOLTAGE, present(effort, plausible.EFFORT, "effort (volts)"))
     if velocity is None:
-        return WheelCommand(DriveMode.TORQUE, finite(effort, "velocity or effort"))
-    feed_forward = np.zeros(len(names)) if effort is None else finite(effort, "effort")
-    return WheelCommand(DriveMode.VELOCITY, feed_forward, finite(velocity, "velocity"))
+        torque = present(effort, plausible.EFFORT, "velocity or effort")
+        return WheelCommand(DriveMode.TORQUE, torque)
+    speeds = present(velocity, plausible.WHEEL_SPEED, "velocity")
+    if effort is None:
+        return WheelCommand(DriveMode.VELOCITY, np.zeros(len(names)), speeds)
+    return WheelCommand(DriveMode.VELOCITY, present(effort, plausible.EFFORT, "effort"), speeds)
 
 
 def electrical(values: Array) -> Float64MultiArray:

@@ -69,15 +69,15 @@ class Arbiter:
         return reason
 
     def select(self, now: float) -> Source | None:
-        """Return who drives now; the source that loses control to another is cancelled."""
+        """Return who drives now; sources that lose control to another are cancelled."""
         chosen = None
         for source, slot in self._slots.items():
-            if not slot.cancelled and slot.fresh_until >= now:
+            fresh = not slot.cancelled and slot.fresh_until >= now
+            if fresh and chosen is None:
                 chosen = source
-                break
-        if chosen is not None and self.active not in (None, chosen):
-            assert self.active is not None
-            self.cancel(self.active, f"{chosen.value} took over")
+            elif chosen is not None and (fresh or source is self.active):
+                # Else it would take over by itself when the other falls silent.
+                self.cancel(source, f"{chosen.value} took over")
         self.active = chosen
         return chosen
 
@@ -88,6 +88,12 @@ class Arbiter:
         slot.fresh_until = NEVER
         if self.active is source:
             self.active = None
+
+    def restart(self, reason: str) -> None:
+        """Cancel every source and forget when it was heard: time has gone back."""
+        self.cancel_all(reason)
+        for slot in self._slots.values():
+            slot.heard = NEVER
 
     def cancel_all(self, reason: str) -> None:
         """Cancel every source: a stop."""

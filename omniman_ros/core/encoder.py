@@ -28,9 +28,9 @@ class Unwrapper:
 
     def update(self, reading: Array) -> Array:
         """Return the positions (n,) for the counters' readings (n,); the first is the origin."""
-        reading = np.asarray(reading, dtype=float)
+        reading = np.array(reading, dtype=float)
         if self._reading is None or self._position is None:
-            self._position = reading.copy()
+            self._position = reading
         else:
             step = reading - self._reading
             self._position = self._position + (step - self._span * np.round(step / self._span))

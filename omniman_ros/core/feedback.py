@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from omniman_ros.core import plausible
 from omniman_ros.core.encoder import Unwrapper, VelocityObserver
 from omniman_ros.core.errors import InputError
 
@@ -73,13 +74,15 @@ class WheelFeedback:
         """
         if position is None and velocity is None:
             raise InputError("wheel_states: neither positions nor velocities")
-        for label, array in (("positions", position), ("velocities", velocity)):
+        for label, array, bound in (
+            ("positions", position, plausible.WHEEL_ANGLE),
+            ("velocities", velocity, plausible.WHEEL_SPEED),
+        ):
             if array is None:
                 continue
             if array.shape != (self._count,):
                 raise InputError(f"wheel_states: {array.size} {label} for {self._count} wheels")
-            if not np.isfinite(array).all():
-                raise InputError(f"wheel_states: {label} {array.tolist()} are not finite")
+            plausible.demand(array, bound, f"wheel_states: {label}")
         if self.heard and time <= self.time:
             raise InputError(f"wheel_states: out of order, {self.time - time:.4f} s back")
         dt = time - self.time if self.heard else 0.0
@@ -87,6 +90,10 @@ class WheelFeedback:
             position = self._unwrapper.update(position)
         before = self._position
         self._position = None if position is None else np.array(position, dtype=float)
+        moved = None if self._position is None or before is None else self._position - before
+        broken = self._broken(moved, dt)
+        if broken:
+            self._observer.reset()
         if velocity is None and position is not None:
             velocity = self._observer.update(position, dt)
         assert velocity is not None
@@ -95,15 +102,17 @@ class WheelFeedback:
         self.time, self._arrival, self.heard = time, now, True
         if first:
             return None
-        if self._position is None or before is None:
+        if broken:
+            warning = f"wheel_states: {broken}, step left out"
+            return WheelStep(np.zeros(self._count), self.speeds, dt, warning)
+        if moved is None:
             moved = (0.5 * dt) * (last_speeds + self.speeds)
-            return WheelStep(moved, self.speeds, dt, "")
-        moved = self._position - before
-        allowed = 2.0 * self._max_speed * dt + 1.0
-        if dt > GAP or float(np.abs(moved).max()) > allowed:
-            self._observer.reset()
-            why = f"{dt:.2f} s gap" if dt > GAP else "positions jumped"
-            return WheelStep(
-                np.zeros(self._count), self.speeds, dt, f"wheel_states: {why}, step left out"
-            )
         return WheelStep(moved, self.speeds, dt, "")
+
+    def _broken(self, moved: Array | None, dt: float) -> str:
+        """Why the step is not one motion, or an empty string."""
+        if dt > GAP:
+            return f"{dt:.2f} s gap"
+        if moved is not None and float(np.abs(moved).max()) > 2.0 * self._max_speed * dt + 1.0:
+            return "positions jumped"
+        return ""

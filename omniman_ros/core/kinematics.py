@@ -17,8 +17,8 @@ Array = NDArray[np.float64]
 
 RANK_TOLERANCE = 1e-6
 """Smallest accepted ratio of J's singular values, lengths scaled by the platform's size."""
-ROLLER_TOLERANCE = 1e-6
-"""Smallest accepted cos(gamma): at 90 degrees the wheel cannot drive."""
+ROLLER_TOLERANCE = 0.01
+"""Smallest accepted cos(gamma): at 90 degrees the wheel cannot drive; 1.57 counts as 90."""
 
 
 def wheel_row(x: float, y: float, heading: float, roller_angle: float, radius: float) -> Array:
@@ -98,8 +98,9 @@ class PlatformKinematics:
         chosen: list[int] = []
         for _ in range(3):
             lengths = np.linalg.norm(rest, axis=1)
-            # The first of equals, so that symmetric platforms keep the paper's choice.
-            pivot = int(np.argmax(lengths > lengths.max() * (1 - 1e-9)))
+            lengths[chosen] = -1.0
+            # The first of equals, so that the choice does not hang on round-off.
+            pivot = int(np.argmax(lengths >= lengths.max() * (1 - 1e-9)))
             if lengths[pivot] < RANK_TOLERANCE:
                 raise GeometryError(
                     f"the wheels {', '.join(wheels.names)} move the platform in {len(chosen)} "

@@ -139,13 +139,14 @@ class TwistLimiter:
         rate = _rate_limit(twist, error, limits)
         pace = min(limits.jerk[0] / rate[0], limits.jerk[1] / rate[1])
         distance = ratio(error, rate)  # [s], at full acceleration
-        wanted = np.zeros(3)
-        if distance > 0.0:
-            share = pace * (math.sqrt(0.25 * dt * dt + 2.0 * distance / pace) - 0.5 * dt)
-            wanted = error / distance * min(1.0, share, distance / dt)
+        # Whole ticks after this one in which it falls to zero, and the share that does so.
+        ticks = math.floor(math.sqrt(0.25 + 2.0 * distance / (pace * dt * dt)) - 0.5)
+        share = min(1.0, distance / (dt * (ticks + 1)) + 0.5 * pace * dt * ticks)
+        arriving = distance <= dt and ticks == 0
+        wanted = error / dt if arriving else error * (share / distance)
         change = wanted - self._acceleration
         used = ratio(change, limits.jerk)
-        acceleration = self._acceleration + change * (dt / used) if used > dt else wanted
-        result = clamp(twist + acceleration * dt, limits.velocity)
-        self._acceleration = acceleration
-        return result
+        if used > dt:
+            arriving, wanted = False, self._acceleration + change * (dt / used)
+        self._acceleration = wanted
+        return target if arriving else clamp(twist + wanted * dt, limits.velocity)

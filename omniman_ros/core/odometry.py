@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from omniman_ros.core import se2
+from omniman_ros.core import plausible, se2
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.kinematics import PlatformKinematics
 from omniman_ros.core.parameters import parameter
@@ -93,13 +93,14 @@ class Odometry:
         Raises:
             InputError: Not finite, or the covariance is not (3, 3).
         """
-        if not all(map(math.isfinite, pose)):
-            raise InputError(f"pose {pose} is not finite")
+        plausible.demand(np.array(pose[:2]), plausible.LENGTH, "position")
+        plausible.demand(np.array(pose[2:]), plausible.ANGLE, "heading")
         if covariance is None:
             covariance = np.zeros((3, 3))
         if covariance.shape != (3, 3) or not np.isfinite(covariance).all():
             raise InputError("the pose's covariance must be a finite (3, 3) array")
-        if np.linalg.eigvalsh((covariance + covariance.T) / 2).min() < -1e-9:
+        covariance = (covariance + covariance.T) / 2
+        if np.linalg.eigvalsh(covariance).min() < -1e-9:
             raise InputError("the pose's covariance has a negative variance")
         self.pose = (float(pose[0]), float(pose[1]), float(pose[2]))
         rows, columns = (0, 0, 1, 0, 1, 2), (0, 1, 1, 2, 2, 2)

@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from omniman_ros.core import se2
+from omniman_ros.core import plausible, se2
 from omniman_ros.core.arbiter import Arbiter, Source
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.feedback import WheelFeedback
@@ -107,8 +107,9 @@ class PlatformController:
         Raises:
             InputError: Wrong size, not finite, or stale.
         """
-        if twist.shape != (3,) or not np.isfinite(twist).all():
-            raise InputError(f"cmd_vel: {twist.tolist()} is not three finite numbers")
+        if twist.shape != (3,):
+            raise InputError(f"cmd_vel: {twist.size} numbers, expected 3")
+        plausible.demand(twist, plausible.SPEED, "cmd_vel: twist")
         until = _fresh_until("cmd_vel", now, age, self.parameters.timeouts.cmd_vel)
         refusal = self._offer(Source.CMD_VEL, now, until, neutral=not twist.any())
         if not refusal:
@@ -138,8 +139,9 @@ class PlatformController:
             InputError: Wrong size, not finite, stale, or the drives have no voltage mode.
         """
         n = self.parameters.robot.wheel_count
-        if volts.shape != (n,) or not np.isfinite(volts).all():
-            raise InputError(f"mpc/voltages: {volts.tolist()} is not {n} finite numbers")
+        if volts.shape != (n,):
+            raise InputError(f"mpc/voltages: {volts.size} voltages for {n} wheels")
+        plausible.demand(volts, plausible.EFFORT, "mpc/voltages: volts")
         if DriveMode.VOLTAGE.value not in self.parameters.drive.offered:
             raise InputError("mpc/voltages: the drives have no voltage mode")
         until = _fresh_until("mpc/voltages", now, age, self.parameters.timeouts.voltages)
@@ -211,10 +213,17 @@ class PlatformController:
     # ---- output -----------------------------------------------------------------------------
 
     def tick(self, now: float) -> WheelCommand:
-        """Make the command for the tick at `now` [s]."""
-        dt = 0.0 if self._last_tick is None else min(max(now - self._last_tick, 0.0), LONGEST_TICK)
+        """Make the command for the tick at `now` [s].
+
+        Where simulated time goes back, every source is cancelled and feedback starts anew.
+        """
+        elapsed = 0.0 if self._last_tick is None else now - self._last_tick
+        dt = min(max(elapsed, 0.0), LONGEST_TICK)
         self._last_tick = now
         self.cancelled = ""
+        if elapsed < -LONGEST_TICK:
+            self.arbiter.restart("time went back")
+            self.feedback.forget()
         self._check(now, dt)
         source = self.arbiter.select(now)
         measured, before = self.feedback.speeds, self.setpoint

@@ -49,10 +49,11 @@ class PositionController:
     def lost(self, error: Array) -> bool:
         """Whether the following error (3,) is beyond its limits."""
         x, y, angle = error.tolist()
-        return (
-            math.hypot(x, y) > self.gains.max_linear_error
-            or abs(angle) > self.gains.max_angular_error
+        within = (
+            math.hypot(x, y) <= self.gains.max_linear_error
+            and abs(angle) <= self.gains.max_angular_error
         )
+        return not within  # so that NaN is lost, too
 
     def velocity(self, reference: Setpoint, error: Array) -> Array:
         """World-frame velocity (3,) [m/s, m/s, rad/s] for a setpoint and the error (3,)."""

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from omniman_ros.core import plausible
 from omniman_ros.core.errors import InputError
 
 Array = NDArray[np.float64]
@@ -34,7 +35,8 @@ class Preview:
         accelerations: (k, 3) world-frame accelerations, or None.
 
     Raises:
-        InputError: Empty, too long, wrong shapes, not finite, or times that do not increase.
+        InputError: Empty, too long, wrong shapes, not finite, huge, or times that do not
+            increase.
     """
 
     def __init__(
@@ -48,9 +50,12 @@ class Preview:
                 raise InputError(f"preview: {label} of shape {array.shape}, expected ({k}, 3)")
         if accelerations is not None and accelerations.shape != (k, 3):
             raise InputError(f"preview: accelerations of shape {accelerations.shape}")
-        for part in (times, poses, velocities, accelerations):
-            if part is not None and not np.isfinite(part).all():
-                raise InputError("preview: a time, pose, velocity or acceleration is not finite")
+        plausible.demand(times, np.finfo(float).max, "preview: times")
+        plausible.demand(poses[:, :2], plausible.LENGTH, "preview: positions")
+        plausible.demand(poses[:, 2], plausible.ANGLE, "preview: headings")
+        plausible.demand(velocities, plausible.SPEED, "preview: velocities")
+        if accelerations is not None:
+            plausible.demand(accelerations, plausible.ACCELERATION, "preview: accelerations")
         if k > 1 and not (np.diff(times) > 1e-6).all():
             raise InputError("preview: the points' times do not increase")
         self._times = times
@@ -77,8 +82,8 @@ class Preview:
 
     def sample(self, now: float) -> Setpoint:
         """The setpoint at `now` [s]; the segment of the last call is tried first."""
-        if now <= self.start or now >= self.end:
-            return Setpoint(self._poses[0 if now <= self.start else -1], np.zeros(3), np.zeros(3))
+        if now < self.start or now >= self.end:
+            return Setpoint(self._poses[0 if now < self.start else -1], np.zeros(3), np.zeros(3))
         times, i = self._list, self._segment
         if not times[i] <= now < times[i + 1]:
             i = int(np.searchsorted(self._times, now, side="right")) - 1

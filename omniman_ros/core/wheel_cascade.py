@@ -125,6 +125,7 @@ class WheelCascade:
         """
         wheels = self.kinematics.J @ twist
         reference = wheels + self.coupling.correction(wheels)
+        reference = reference * saturation(reference, self._parameters.robot.motor.max_speed)
         self.reference = reference
         effort = np.zeros_like(wheels)
         if self._parameters.drive.feed_forward:

@@ -12,6 +12,7 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from omniman_ros import conversions
+from omniman_ros.core import plausible
 from omniman_ros.core.arbiter import Source
 from omniman_ros.core.limits import ratio
 from omniman_ros.core.parameters import inline, parameter
@@ -128,7 +129,7 @@ class PlatformControllerNode(OmnimanNode):
 
     def _on_voltages(self, message: JointState) -> str:
         _, _, effort = conversions.joint_arrays(message, self._names)
-        volts = conversions.finite(effort, "effort (volts)")
+        volts = conversions.present(effort, plausible.EFFORT, "effort (volts)")
         return self.core.hear_voltages(volts, self.now(), self.age(message.header.stamp))
 
     def _on_set_pose(self, message: PoseWithCovarianceStamped) -> None:

@@ -43,6 +43,7 @@ class OmnimanNode(Node):
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._status = (b"", "")
         self.every(1.0, self.report)
+        self.every(0.1, self.report_changes)
 
     def now(self) -> float:
         """Time of the node's clock [s]."""

@@ -310,7 +310,7 @@ def test_a_wheel_that_does_not_follow_stops_the_robot(rig):
 NAN, INF = float("nan"), float("inf")
 
 
-@pytest.mark.parametrize("bad", [NAN, INF, -INF])
+@pytest.mark.parametrize("bad", [NAN, INF, -INF, 1e308])
 @pytest.mark.parametrize("field", ["linear.x", "linear.y", "angular.z", "linear.z", "angular.x"])
 def test_cmd_vel_that_is_not_finite_moves_nothing(rig, field, bad):
     message = Twist()
@@ -607,3 +607,13 @@ def test_a_robot_given_as_parameters_takes_nothing_from_a_file():
         robot = seen["set"].value.platform.robot
         assert robot.body.mass == 25.0 and robot.arm.inertia == 0.0
     assert isinstance(seen["set"], ParameterSet)
+
+
+def test_simulated_time_that_goes_back_stops_and_starts_anew(rig):
+    rig.drive(0.3, seconds=1.0)
+    rig.time -= 900.0
+    since = len(rig.commands)
+    rig.run(1.0)
+    assert not rig.speeds(since)[-1].any()
+    rig.drive(0.3, seconds=0.3)
+    assert rig.speeds()[-1].all(), "a new start after time went back"

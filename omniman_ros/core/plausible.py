@@ -1,0 +1,31 @@
+"""Bounds of what a message may say: NaN, infinity and huge numbers are no input."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omniman_ros.core.errors import InputError
+
+LENGTH = 1e6
+"""Largest coordinate [m]."""
+ANGLE = 1e6
+"""Largest angle of a pose or a turn [rad]."""
+SPEED = 1e3
+"""Largest speed of a platform [m/s, rad/s]."""
+ACCELERATION = 1e5
+"""Largest acceleration of a platform [m/s^2, rad/s^2]."""
+WHEEL_ANGLE = 1e12
+"""Largest unwrapped position of a wheel [rad]."""
+WHEEL_SPEED = 1e5
+"""Largest speed of a wheel [rad/s]."""
+EFFORT = 1e6
+"""Largest torque or voltage [N m, V]."""
+
+
+def demand(values: NDArray[np.float64], bound: float, label: str) -> None:
+    """Demand finite numbers within +-bound.
+
+    Raises:
+        InputError: One is NaN, infinite or beyond the bound; the message has label and values.
+    """
+    if values.size and not float(np.abs(values).max()) <= bound:
+        raise InputError(f"{label} {values.tolist()} not finite or beyond +-{bound:g}")
