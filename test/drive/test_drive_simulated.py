@@ -55,12 +55,6 @@ class Rig:
         return self.run(seconds, lambda: self.drives.command_torque(efforts, self.now))
 
 
-def mecanum_twist(rig, speeds):
-    """Twist that wheel speeds ask for, least squares over the true contact geometry."""
-    rows = [np.array(wheel.axis.row) / wheel.axis.arm for wheel in rig.drives._plant.wheels]
-    return np.linalg.lstsq(np.array(rows), np.asarray(speeds), rcond=None)[0]
-
-
 # velocity mode
 
 
@@ -300,6 +294,46 @@ def test_stop_is_quick_and_latched_until_reset_and_reset_moves_nothing():
     assert rig.drives.holding
     rig.velocity(1.0, 2.0)
     np.testing.assert_allclose(rig.speeds(), 2.0, atol=0.1)
+
+
+def test_a_stop_does_not_first_speed_up_towards_the_old_setpoint():
+    rig = Rig("omniman", changes={"motor__max_current": 2.0})
+    rig.velocity(0.5, 14.0)
+    speed = rig.speeds().max()
+    assert 1.0 < speed < 7.0
+    rig.drives.stop("test")
+    assert rig.run(1.0, period=0.001).max() < 1.05 * speed
+
+
+def test_a_stop_does_not_jump_up_to_the_wheel_that_runs_ahead_of_the_setpoint():
+    rig = Rig("omniman")
+    rig.velocity(1.5, 6.0)
+    rig.velocity(0.02, 1.0)  # far below the speed now
+    voltage = rig.drives.electrical()[:, 0].max()
+    rig.drives.stop("test")
+    rig.run(0.01, period=0.001)
+    assert rig.drives.electrical()[:, 0].max() < voltage + 0.5
+
+
+def test_the_watchdog_takes_the_feed_forward_over_without_a_bump():
+    rig = Rig("ig42")
+    rig.velocity(2.0, 4.0, np.full(4, 0.25))
+    rig.run(0.088, period=0.001)
+    before = rig.drives.electrical()[:, 0]
+    assert not rig.drives.holding
+    rig.run(0.006, period=0.001)
+    assert rig.drives.holding
+    np.testing.assert_allclose(rig.drives.electrical()[:, 0], before, atol=0.4)
+
+
+def test_the_first_setpoint_after_a_rest_is_ramped_to():
+    rig = Rig("omniman")
+    rig.velocity(1.0, 2.0)
+    rig.run(1.0)
+    assert rig.drives.holding
+    seen = rig.velocity(0.1, 5.0)
+    assert (seen <= 30.0 * np.arange(0.01, 0.101, 0.01)[:, None] + 0.3).all()
+    assert seen[-1].min() > 1.5
 
 
 def test_nothing_moves_before_the_first_command():
