@@ -14,6 +14,12 @@ Array = NDArray[np.float64]
 
 OBSERVER_BANDWIDTH = 60.0
 """Of the observer that stands in for a drive that reports no speed [rad/s]."""
+DISAGREEMENT_TIME = 0.5
+"""Time over which reported speeds and positions are compared [s]."""
+DISAGREEMENT = 0.3
+"""What they may differ by in that time [rad] ..."""
+DISAGREEMENT_SHARE = 0.2
+"""... and over the way that the speed makes in it."""
 GAP = 0.5
 """Longest gap between two reports that still counts as one motion [s]."""
 
@@ -40,6 +46,8 @@ class WheelFeedback:
         speeds: (n,) last speeds [rad/s].
         time: When they were measured [s].
         heard: Whether there is any feedback to act on.
+        suspect: Index of a wheel whose reported speed is not that of its position, or None: a
+            frozen encoder.
     """
 
     def __init__(self, count: int, span: float, max_speed: float) -> None:
@@ -54,6 +62,8 @@ class WheelFeedback:
     def forget(self) -> None:
         """Start anew: the next report is the first."""
         self.heard = False
+        self.suspect: int | None = None
+        self._drift: Array = np.zeros(self._count)
         self._arrival = -math.inf
         self._unwrapper = Unwrapper(self._span) if self._span > 0.0 else None
         self._position: Array | None = None
@@ -105,9 +115,19 @@ class WheelFeedback:
         if broken:
             warning = f"wheel_states: {broken}, step left out"
             return WheelStep(np.zeros(self._count), self.speeds, dt, warning)
+        way = (0.5 * dt) * (last_speeds + self.speeds)
         if moved is None:
-            moved = (0.5 * dt) * (last_speeds + self.speeds)
+            moved = way
+        else:
+            self._compare(moved, way, dt)
         return WheelStep(moved, self.speeds, dt, "")
+
+    def _compare(self, moved: Array, way: Array, dt: float) -> None:
+        self._drift = self._drift * math.exp(-dt / DISAGREEMENT_TIME) + (way - moved)
+        allowed = DISAGREEMENT + DISAGREEMENT_SHARE * DISAGREEMENT_TIME * np.abs(self.speeds)
+        excess = np.abs(self._drift) - allowed
+        worst = int(excess.argmax())
+        self.suspect = worst if excess[worst] > 0.0 else None
 
     def _broken(self, moved: Array | None, dt: float) -> str:
         """Why the step is not one motion, or an empty string."""

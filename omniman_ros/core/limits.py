@@ -149,4 +149,8 @@ class TwistLimiter:
         if used > dt:
             arriving, wanted = False, self._acceleration + change * (dt / used)
         self._acceleration = wanted
-        return target if arriving else clamp(twist + wanted * dt, limits.velocity)
+        if arriving:
+            return target
+        # A twist above its limit (which was lowered, or not ours) is led down, not cut off.
+        above = max(1.0, ratio(twist, limits.velocity))
+        return clamp(twist + wanted * dt, (above * limits.velocity[0], above * limits.velocity[1]))

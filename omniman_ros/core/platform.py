@@ -192,6 +192,16 @@ class PlatformController:
         for source in (Source.MPC, Source.PATH):
             self.arbiter.cancel(source, "the pose was set")
 
+    def _lost_wheel(self, dt: float) -> str:
+        """What is wrong with a wheel, or an empty string."""
+        drive, names = self.parameters.drive, self.parameters.robot.wheels.names
+        if self.feedback.suspect is not None:
+            wheel = names[self.feedback.suspect]
+            return f"wheel '{wheel}': position and velocity disagree, its encoder is lost"
+        error = self.cascade.reference - self.feedback.speeds
+        late = self._watch.update(error, drive.following_error, drive.following_time, dt)
+        return "" if late is None else f"wheel '{names[late]}' does not follow its setpoint"
+
     def _check(self, now: float, dt: float) -> None:
         """Latch what is wrong; a stop cancels every source."""
         fault = self.fault(now)
@@ -199,14 +209,9 @@ class PlatformController:
             self.latch.stop(fault)
         elif fault and self.latch.released:
             self.feedback.forget()
-        drive = self.parameters.drive
-        lost = self._watch.update(
-            self.cascade.reference - self.feedback.speeds,
-            drive.following_error, drive.following_time, dt,
-        )  # fmt: skip
-        if lost is not None:
-            name = self.parameters.robot.wheels.names[lost]
-            self.latch.stop(f"wheel '{name}' does not follow its setpoint")
+        lost = self._lost_wheel(dt)
+        if lost and self.latch.released:
+            self.latch.stop(lost)
         if not self.latch.released:
             self.arbiter.cancel_all(self.latch.status.reason)
 

@@ -37,6 +37,7 @@ class Encoder:
         self.count = 0
         self.velocity = self._velocity = 0.0
         self.frozen = False
+        self._missed = False
         self._edges: deque[tuple[float, int]] = deque()
 
     @property
@@ -52,9 +53,13 @@ class Encoder:
             before, after: Angle of the wheel at both, rad.
         """
         if self.frozen:
+            self._missed = True
             return
         edges = self._edges
         count = math.floor(after / self.resolution)
+        if self._missed:  # what was passed meanwhile are no edges of this interval
+            self._missed, self.count, self.velocity, self._velocity = False, count, 0.0, 0.0
+            edges.clear()
         if count != self.count:
             edge = count if count > self.count else count + 1
             self.count = count

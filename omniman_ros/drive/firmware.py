@@ -6,6 +6,15 @@ from dataclasses import dataclass
 from omniman_ros.core.robot import Robot
 from omniman_ros.drive.parameters import Firmware
 
+ENCODER_FILTER = 0.02
+"""Time constant of the velocity from the back-EMF, s."""
+ENCODER_PATIENCE = 0.05
+"""How long it must differ from the encoder's, s."""
+ENCODER_SHARE = 0.25
+"""Part of the velocity that it may differ by, over the tolerance: motors are not all alike."""
+VOLTAGE_SHARE = 0.1
+"""The same for the velocity that the voltage stands for: nor are amplifiers."""
+
 
 class Mode(enum.Enum):
     """What a drive unit controls."""
@@ -83,6 +92,10 @@ class DriveUnit:
     proportional-integral current loop (zero on the pole, closed-loop time constant
     `current_time`) gives the voltage on top of the back-EMF. Voltage mode: the voltage itself.
 
+    Encoder and motor watch each other: a velocity that is not what voltage and current say of the
+    back-EMF, for ENCODER_PATIENCE, means that the encoder or the motor is lost. The unit then
+    brakes with the motor shorted until a reset: no velocity loop can stop it.
+
     Without a valid command for `watchdog` seconds the unit goes over to velocity mode by itself
     and ramps its reference to zero; a quick stop does the same with a steeper ramp.
     """
@@ -94,6 +107,8 @@ class DriveUnit:
         self._goal = self._integral = self._reference = 0.0
         self._ramp = settings.firmware.acceleration  # 0: the reference follows the goal at once
         self._halted = True
+        self._estimate = self._suspect = 0.0
+        self.lost = False
 
     def configure(self, settings: DriveSettings) -> None:
         """Take other settings; the state stays."""
@@ -171,7 +186,10 @@ class DriveUnit:
         Returns:
             Voltage to give to the motor until the next run, V.
         """
-        if self.mode is Mode.VELOCITY:
+        self._watch(velocity, current)
+        if self.lost:
+            voltage = 0.0
+        elif self.mode is Mode.VELOCITY:
             voltage = self._velocity_loop(velocity, current)
         elif self.mode is Mode.TORQUE:
             voltage = self._current_loop(velocity, current)
@@ -180,6 +198,23 @@ class DriveUnit:
         limit = self._settings.max_voltage
         self.voltage = min(max(voltage, -limit), limit)
         return self.voltage
+
+    def reset(self) -> None:
+        """Trust encoder and motor again."""
+        self.lost, self._suspect = False, 0.0
+
+    def _watch(self, velocity: float, current: float) -> None:
+        """Compare the encoder with the back-EMF; a motor at its current limit tells nothing."""
+        settings = self._settings
+        if abs(current) > 0.98 * settings.max_current:
+            return
+        seen = (self.voltage - settings.resistance * current) / settings.back_emf
+        self._estimate += (seen - self._estimate) * min(settings.step / ENCODER_FILTER, 1.0)
+        uncertain = VOLTAGE_SHARE * abs(self.voltage) / settings.back_emf
+        allowed = settings.firmware.encoder_tolerance + ENCODER_SHARE * abs(self._estimate)
+        off = abs(self._estimate - velocity) > allowed + uncertain
+        self._suspect = self._suspect + settings.step if off else 0.0
+        self.lost = self.lost or self._suspect > ENCODER_PATIENCE
 
     def _velocity_loop(self, velocity: float, current: float) -> float:
         settings = self._settings

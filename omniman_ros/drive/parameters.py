@@ -81,16 +81,20 @@ class Firmware:
         0.25, "Time without an encoder edge after which the velocity is reported as zero.",
         unit="s", low=0.01, high=10,
     )  # fmt: skip
+    encoder_tolerance: float = parameter(
+        1.0, "Difference between encoder and back-EMF at which, if it lasts, all drives stop.",
+        unit="rad/s", low=0.01, high=1e6,
+    )  # fmt: skip
     watchdog: float = parameter(
         0.1, "Time after the last valid command at which the drives ramp to rest by themselves.",
         unit="s", low=0.005, high=10,
     )  # fmt: skip
     deceleration: float = parameter(
-        10.0, "Ramp of the wheel speed to rest when the watchdog has run out.",
+        9.0, "Ramp of the wheel speed to rest when the watchdog has run out.",
         unit="rad/s^2", low=0.01, high=10000,
     )  # fmt: skip
     quick_stop_deceleration: float = parameter(
-        15.0, "Ramp of the wheel speed in a quick stop.", unit="rad/s^2", low=0.01, high=10000
+        9.0, "Ramp of the wheel speed in a quick stop.", unit="rad/s^2", low=0.01, high=10000
     )
     acceleration: float = parameter(
         30.0, "Ramp to the first setpoint after the start, a stop or a change of mode.",

@@ -132,6 +132,8 @@ class SimulatedDrives:
         """Hear commands again. This moves nothing."""
         self._stop_reason = None
         self._last_command = -math.inf
+        for unit in self._units:
+            unit.reset()
 
     @property
     def stop_reason(self) -> str | None:
@@ -212,6 +214,10 @@ class SimulatedDrives:
                 for k in range(len(currents)):
                     currents[k] += self._random.gauss(0.0, noise)
             time = end
+            if self._stop_reason is None and any(unit.lost for unit in units):
+                names = self._robot.wheels.names
+                lost = [name for name, unit in zip(names, units, strict=True) if unit.lost]
+                self.stop(f"encoder or motor lost: {', '.join(lost)}")
 
     # feedback
 

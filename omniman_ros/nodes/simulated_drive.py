@@ -151,8 +151,7 @@ class SimulatedDriveNode(OmnimanNode):
         self.drives.set_pose(pose)
 
     def _configure(self, new: SimulatedDriveParameters) -> None:
-        self.drives.set_robot(new.robot)
-        self.drives.set_parameters(new.simulation)
+        self.drives.configure(new.robot, new.simulation)
 
     # ---- stops: a held drive obeys, as the controller ramps it down; a stopped one ramps itself
 
@@ -216,7 +215,8 @@ class SimulatedDriveNode(OmnimanNode):
         values: list[tuple[str, object]] = [
             ("mode", self.drives.mode.value),
             ("ramping_to_rest_by_itself", self.drives.holding),
-            ("energy_J", energy),
+            ("electrical_energy_J", round(energy.electrical, 3)),
+            *((f"{name}_loss_J", round(loss, 3)) for name, loss in energy.losses.items()),
         ]
         if self.latch.status.state is StopState.STOPPED:
             return DiagnosticStatus.ERROR, self.latch.status.reason, values

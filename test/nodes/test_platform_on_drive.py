@@ -129,6 +129,20 @@ def test_a_stuck_wheel_stops_all_wheels():
         assert np.abs(world.wheel_speeds[-1]).max() < 0.02
 
 
+@pytest.mark.parametrize("mode", ["velocity", "torque"])
+@pytest.mark.parametrize("moving", [True, False], ids=["in motion", "at rest"])
+def test_a_frozen_encoder_stops_all_true_wheels(mode, moving):
+    """The wheel's own loop cannot stop it: it sees a speed that is none."""
+    with Robot("omniman", {"drive.mode": mode}) as world:
+        world.go(0.4 if moving else 0.0, 0.0, 0.0, seconds=1.0)
+        world.set("simulated_drive", "faults.frozen_encoder", ["rear_right"])
+        world.go(0.4, 0.0, 0.0, seconds=2.5)
+        assert "rear_right" in world.core.latch.status.reason
+        assert np.abs(world.wheel_speeds[-1]).max() < 0.02
+        world.go(0.4, 0.0, 0.0, seconds=0.5)
+        assert np.abs(world.wheel_speeds[-1]).max() < 0.02
+
+
 def test_a_drive_that_comes_back_moves_nothing_by_itself():
     with Robot() as world:
         world.go(0.3, 0.0, 0.0, seconds=1.0)
