@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from omniman_ros.core.robot import Robot
 from omniman_ros.drive.parameters import Firmware
 
-ENCODER_FILTER = 0.02
+ENCODER_FILTER = 0.01
 """Time constant of the velocity from the back-EMF, s."""
-ENCODER_PATIENCE = 0.05
+ENCODER_PATIENCE = 0.1
 """How long it must differ from the encoder's, s."""
 ENCODER_SHARE = 0.25
 """Part of the velocity that it may differ by, over the tolerance: motors are not all alike."""
@@ -107,7 +107,7 @@ class DriveUnit:
         self._goal = self._integral = self._reference = 0.0
         self._ramp = settings.firmware.acceleration  # 0: the reference follows the goal at once
         self._halted = True
-        self._estimate = self._suspect = 0.0
+        self._current = self._estimate = self._suspect = 0.0
         self.lost = False
 
     def configure(self, settings: DriveSettings) -> None:
@@ -206,9 +206,12 @@ class DriveUnit:
     def _watch(self, velocity: float, current: float) -> None:
         """Compare the encoder with the back-EMF; a motor at its current limit tells nothing."""
         settings = self._settings
+        rise, self._current = (current - self._current) / settings.step, current
         if abs(current) > 0.98 * settings.max_current:
+            self._suspect, self._estimate = 0.0, velocity
             return
-        seen = (self.voltage - settings.resistance * current) / settings.back_emf
+        drop = settings.resistance * current + settings.inductance * rise
+        seen = (self.voltage - drop) / settings.back_emf
         self._estimate += (seen - self._estimate) * min(settings.step / ENCODER_FILTER, 1.0)
         uncertain = VOLTAGE_SHARE * abs(self.voltage) / settings.back_emf
         allowed = settings.firmware.encoder_tolerance + ENCODER_SHARE * abs(self._estimate)
