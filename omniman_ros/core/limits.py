@@ -119,6 +119,7 @@ class TwistLimiter:
     From rest or steady motion the way is straight in (x', y', theta'): the direction is kept and
     all three arrive together. The acceleration is the largest from which it can still be brought
     to zero at the jerk limit without passing the target (exact in discrete time).
+    Where a new target bends the way out of the velocity limits, these go before the jerk limit.
     """
 
     def __init__(self, limits: TwistLimits) -> None:

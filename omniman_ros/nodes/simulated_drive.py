@@ -29,7 +29,7 @@ from omniman_ros.nodes.stopping import StopPort
 SETPOINT = QoSProfile(depth=1)
 CLOCK_START = 1.0
 """First time on /clock [s]: a zero stamp would mean now."""
-CATCH_UP = 20
+CATCH_UP = 4
 """Reports that one callback makes at most: a simulation that cannot keep up falls behind."""
 REST_SPEED = 0.05
 """Wheel speed at which the drives are at rest [rad/s]."""

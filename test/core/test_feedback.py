@@ -131,6 +131,41 @@ def test_a_long_gap_is_left_out_with_a_warning(positions):
     assert not step.moved.any()
 
 
+def agree(seconds, position_of, speed_of):
+    """Feedback after a while; positions and speeds (2,) as functions of time."""
+    feedback = make()
+    for i in range(1, round(seconds / DT)):
+        feedback.update(i * DT, i * DT, np.array(position_of(i * DT)), np.array(speed_of(i * DT)))
+        if feedback.suspect is not None:
+            break
+    return feedback, i * DT
+
+
+@pytest.mark.parametrize(
+    ("position_of", "speed_of"),
+    [
+        (lambda t: [2 * t, 0.7], lambda t: [2.0, 2.0]),  # a frozen encoder
+        (lambda t: [2 * t, 2 * t], lambda t: [2.0, 0.0]),  # a frozen speed
+        (lambda t: [2 * t, -2 * t], lambda t: [2.0, 2.0]),  # a wrong sign
+    ],
+)
+def test_a_wheel_whose_speed_is_not_that_of_its_position_is_found(position_of, speed_of):
+    feedback, when = agree(2.0, position_of, speed_of)
+    assert feedback.suspect == 1
+    assert 0.05 < when < 0.6
+    feedback.forget()
+    assert feedback.suspect is None
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.01, 0.03])
+def test_healthy_wheels_are_not_suspected(lag):
+    def position(t):  # starts, reversals and 14 rad/s, seen through a coarse encoder
+        return (np.array([7 * math.sin(2 * t), 14 * t]) // 0.0131 * 0.0131).tolist()
+
+    feedback, when = agree(4.0, position, lambda t: [14 * math.cos(2 * (t - lag)), 14.0])
+    assert feedback.suspect is None, f"after {when:.2f} s"
+
+
 def test_forget_starts_anew():
     feedback = make(span=math.tau)
     feedback.update(1.0, 1.0, np.ones(2), np.ones(2))

@@ -213,12 +213,13 @@ def test_no_time_no_change():
         np.testing.assert_array_equal(limiter.step(twist, np.ones(3), dt), twist)
 
 
-def test_new_limits_hold_from_the_next_tick_on():
+def test_a_twist_above_a_lowered_limit_is_led_down_to_it():
     limiter, twist = TwistLimiter(LIMITS), np.zeros(3)
     for _ in range(1000):
         twist = limiter.step(twist, np.array([1.0, 0, 0]), 0.005)
     limiter.limits = replace(LIMITS, linear_velocity=0.4)
     for _ in range(1000):
         before, twist = twist, limiter.step(twist, np.array([1.0, 0, 0]), 0.005)
+        assert ratio(twist - before, LIMITS.deceleration) <= 0.005 * SLOPE
     np.testing.assert_allclose(twist, [0.4, 0, 0])
     assert before[0] == twist[0]

@@ -260,6 +260,8 @@ def test_reset_puts_pose_and_covariance():
         ((math.nan, 0, 0), None, "not finite"),
         ((0, math.inf, 0), None, "not finite"),
         ((0, 0, -math.inf), None, "not finite"),
+        ((1e300, 0, 0), None, "beyond"),
+        ((0, 0, 1e9), None, "beyond"),
         ((0, 0, 0), np.full((3, 3), math.nan), r"finite \(3, 3\)"),
         ((0, 0, 0), np.zeros((2, 2)), r"finite \(3, 3\)"),
         ((0, 0, 0), np.zeros(9), r"finite \(3, 3\)"),

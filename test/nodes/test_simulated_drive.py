@@ -266,6 +266,7 @@ def test_publishes_the_clock_it_makes():
         states = world.listen(JointState, "wheel_states")
         world._await(lambda: len(clocks) > 100 and len(states) > 100, "a hundred clocks")
         times = [c.clock.sec + 1e-9 * c.clock.nanosec for c in clocks]
-        assert np.diff(times) == pytest.approx(0.005, abs=1e-6)
+        steps = np.diff(times) / 0.005  # a busy listener may miss some
+        assert (steps > 0.5).all() and steps == pytest.approx(np.round(steps), abs=1e-3)
         stamp = states[50].header.stamp
         assert stamp.sec + 1e-9 * stamp.nanosec < 100.0, "stamps are simulated time"

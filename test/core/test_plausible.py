@@ -1,0 +1,27 @@
+import math
+
+import numpy as np
+import pytest
+
+from omniman_ros.core import plausible
+from omniman_ros.core.errors import InputError
+
+
+@pytest.mark.parametrize("values", [[], [0.0], [2.0, -2.0]])
+def test_numbers_up_to_the_bound_pass(values):
+    plausible.demand(np.array(values), 2.0, "speeds")
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 2.001, -1e300])
+@pytest.mark.parametrize("place", [0, 1, 2])
+def test_one_bad_number_anywhere_is_refused_with_label_and_bound(bad, place):
+    values = np.zeros(3)
+    values[place] = bad
+    with pytest.raises(InputError, match=r"^speeds .*beyond \+-2$"):
+        plausible.demand(values, 2.0, "speeds")
+
+
+def test_every_bound_leaves_room_to_square():
+    bounds = [value for name, value in vars(plausible).items() if name.isupper()]
+    assert len(bounds) > 5
+    assert all(bound > 0 and math.isfinite(bound**3) for bound in bounds)

@@ -1,0 +1,372 @@
+import math
+
+import numpy as np
+import pytest
+from robots import kinematics
+
+from omniman_ros.core.errors import InputError
+from omniman_ros.core.odometry import Odometry, OdometryParameters
+from omniman_ros.core.wheel_cascade import DriveMode, WheelCommand
+
+pytest.importorskip("rclpy")
+from builtin_interfaces.msg import Duration, Time  # noqa: E402
+from geometry_msgs.msg import (  # noqa: E402
+    PoseWithCovarianceStamped,
+    Quaternion,
+    Transform,
+    Twist,
+    TwistStamped,
+)
+from nav_msgs.msg import Odometry as OdometryMsg  # noqa: E402
+from sensor_msgs.msg import JointState  # noqa: E402
+from trajectory_msgs.msg import (  # noqa: E402
+    MultiDOFJointTrajectory,
+    MultiDOFJointTrajectoryPoint,
+)
+
+from omniman_ros import conversions  # noqa: E402
+
+NAMES = ("fl", "fr", "rl", "rr")
+NAN, INF = math.nan, math.inf
+
+
+def twist(x=0.0, y=0.0, z=0.0, rx=0.0, ry=0.0, rz=0.0):
+    message = Twist()
+    message.linear.x, message.linear.y, message.linear.z = x, y, z
+    message.angular.x, message.angular.y, message.angular.z = rx, ry, rz
+    return message
+
+
+# ---- time, headings, frames -------------------------------------------------------------------
+
+
+def test_time_seconds_of_stamps_and_durations():
+    assert conversions.time_seconds(Time(sec=3, nanosec=250_000_000)) == 3.25
+    assert conversions.time_seconds(Duration(sec=-1, nanosec=500_000_000)) == -0.5
+    assert conversions.time_seconds(Time()) == 0.0
+
+
+@pytest.mark.parametrize("theta", [0, 0.1, -0.1, 1.5, 3.1, -3.1, math.pi, -math.pi, 4, -5, 40])
+def test_yaw_of_a_quaternion_is_its_heading(theta):
+    q = conversions.quaternion(theta)
+    assert q.x == q.y == 0
+    assert math.cos(conversions.yaw(q)) == pytest.approx(math.cos(theta), abs=1e-12)
+    assert math.sin(conversions.yaw(q)) == pytest.approx(math.sin(theta), abs=1e-12)
+    opposite = Quaternion(x=0.0, y=0.0, z=-q.z, w=-q.w)  # the same rotation
+    assert math.cos(conversions.yaw(opposite)) == pytest.approx(math.cos(theta), abs=1e-12)
+
+
+def test_yaw_forgives_rounding():
+    q = conversions.quaternion(1.0)
+    rounded = Quaternion(x=0.0, y=0.0, z=round(q.z, 2), w=round(q.w, 2))
+    assert conversions.yaw(rounded) == pytest.approx(1.0, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("xyzw", "why"),
+    [
+        ((0, 0, 0, 0), "length 0,"),
+        ((0, 0, 0, 2), "length 2,"),
+        ((0, 0, 0, NAN), "length nan"),
+        ((0, 0, INF, 1), "length inf"),
+        ((NAN, 0, 0, 1), "length nan"),
+        ((0.05, 0, 0, 1), "not about the vertical"),
+        ((0, 1, 0, 0), "not about the vertical"),
+    ],
+)
+def test_a_bad_quaternion_is_refused(xyzw, why):
+    x, y, z, w = map(float, xyzw)
+    with pytest.raises(InputError, match=why):
+        conversions.yaw(Quaternion(x=x, y=y, z=z, w=w))
+
+
+def test_frames_are_checked():
+    conversions.check_frame("odom", "odom")
+    conversions.check_frame("/odom", "map", "odom")
+    with pytest.raises(InputError, match="frame 'map', expected 'odom'"):
+        conversions.check_frame("map", "odom")
+    with pytest.raises(InputError, match="frame '', expected 'odom' or 'map'"):
+        conversions.check_frame("", "odom", "map")
+
+
+# ---- twists -----------------------------------------------------------------------------------
+
+
+def test_twist_array_takes_the_planar_part():
+    array = conversions.twist_array(twist(1.0, 2.0, 3.0, 4.0, 5.0, 6.0))
+    assert array.shape == (3,)
+    np.testing.assert_array_equal(array, [1, 2, 6])
+
+
+@pytest.mark.parametrize("part", ["x", "y", "z", "rx", "ry", "rz"])
+@pytest.mark.parametrize("value", [NAN, INF, -INF, 1e300])
+def test_a_twist_that_is_not_finite_is_refused_whatever_part(part, value):
+    with pytest.raises(InputError, match="not finite"):
+        conversions.twist_array(twist(**{part: value}))
+
+
+@pytest.mark.parametrize(("frame", "fine"), [("base_link", True), ("", True), ("odom", False)])
+def test_a_stamped_twist_is_in_the_base_frame(frame, fine):
+    message = TwistStamped(twist=twist(0.5))
+    message.header.frame_id = frame
+    if fine:
+        np.testing.assert_array_equal(
+            conversions.stamped_twist_array(message, "base_link"), [0.5, 0, 0]
+        )
+    else:
+        with pytest.raises(InputError, match="frame 'odom'"):
+            conversions.stamped_twist_array(message, "base_link")
+
+
+# ---- joint states -----------------------------------------------------------------------------
+
+
+def test_joints_come_in_the_order_asked_for():
+    message = JointState(
+        name=["rr", "arm", "fl", "rl", "fr"],
+        position=[4.0, 99.0, 1.0, 3.0, 2.0], effort=[0.4, 9.0, 0.1, 0.3, 0.2],
+    )  # fmt: skip
+    position, velocity, effort = conversions.joint_arrays(message, NAMES)
+    np.testing.assert_array_equal(position, [1, 2, 3, 4])
+    np.testing.assert_array_equal(effort, [0.1, 0.2, 0.3, 0.4])
+    assert velocity is None
+
+
+def test_joints_in_the_same_order_are_passed():
+    message = JointState(name=list(NAMES), velocity=[1.0, 2.0, 3.0, 4.0])
+    position, velocity, effort = conversions.joint_arrays(message, NAMES)
+    assert position is None
+    assert effort is None
+    assert velocity.dtype == float
+    np.testing.assert_array_equal(velocity, [1, 2, 3, 4])
+
+
+@pytest.mark.parametrize(
+    ("names", "values", "why"),
+    [
+        (["fl", "fr", "rl"], [1.0] * 3, "no rr among the names fl, fr, rl"),
+        ([], [], "no fl, fr, rl, rr"),
+        ([], [1.0] * 4, "4 position values for 0 names"),
+        (["fl", "fr", "rl", "rr"], [1.0] * 3, "3 position values for 4 names"),
+        (["fl", "fr", "rl", "rr", "fl"], [1.0] * 5, "there twice"),
+    ],
+)
+def test_joint_states_that_do_not_fit_are_refused(names, values, why):
+    with pytest.raises(InputError, match=why):
+        conversions.joint_arrays(JointState(name=names, position=values), NAMES)
+
+
+def test_present_demands_plausible_content():
+    np.testing.assert_array_equal(conversions.present(np.ones(2), 1.0, "x"), [1, 1])
+    with pytest.raises(InputError, match="no volts"):
+        conversions.present(None, 10.0, "volts")
+    for bad in (NAN, INF, -11.0):
+        with pytest.raises(InputError, match="volts .* not finite or beyond"):
+            conversions.present(np.array([1.0, bad]), 10.0, "volts")
+
+
+# ---- previews ---------------------------------------------------------------------------------
+
+
+def trajectory(count=3, accelerations=True, frame="odom", joint="platform"):
+    message = MultiDOFJointTrajectory(joint_names=[joint])
+    message.header.frame_id = frame
+    for i in range(count):
+        transform = Transform(rotation=conversions.quaternion(0.1 * i))
+        transform.translation.x = 0.5 * i
+        point = MultiDOFJointTrajectoryPoint(
+            transforms=[transform],
+            velocities=[twist(0.5 + i, rz=0.1)],
+            accelerations=[twist(y=1.0 * i)] if accelerations else [],
+            time_from_start=Duration(sec=i, nanosec=500_000_000),
+        )
+        message.points.append(point)
+    return message
+
+
+def test_a_preview_is_due_at_the_stamp_and_time_from_start():
+    made = conversions.preview(trajectory(), 100.0, ["odom"])
+    assert (made.start, made.end) == (100.5, 102.5)
+    setpoint = made.sample(101.5)
+    np.testing.assert_allclose(setpoint.pose, [0.5, 0, 0.1])
+    np.testing.assert_allclose(setpoint.velocity, [1.5, 0, 0.1])
+    np.testing.assert_allclose(setpoint.acceleration, [0, 1, 0], atol=1e-12)
+
+
+def test_a_preview_without_accelerations_and_in_another_allowed_frame():
+    made = conversions.preview(trajectory(accelerations=False, frame="map"), 0, ["odom", "map"])
+    np.testing.assert_allclose(made.sample(1.5).velocity, [1.5, 0, 0.1])
+
+
+def spoiled(change):
+    message = trajectory()
+    change(message)
+    return message
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        (lambda m: setattr(m.header, "frame_id", "map"), "frame 'map'"),
+        (lambda m: setattr(m, "joint_names", ["base"]), "expected .'platform'"),
+        (lambda m: setattr(m, "joint_names", []), "expected .'platform'"),
+        (lambda m: setattr(m, "joint_names", ["platform", "arm"]), "expected .'platform'"),
+        (lambda m: setattr(m, "points", []), "got 0"),
+        (lambda m: setattr(m.points[1], "transforms", []), "point 1: expected one transform"),
+        (lambda m: setattr(m.points[1], "velocities", []), "point 1: expected one transform"),
+        (lambda m: setattr(m.points[1], "velocities", [Twist()] * 2), "point 1: expected"),
+        (lambda m: setattr(m.points[1], "accelerations", []), "some points have an accel"),
+        (lambda m: setattr(m.points[1], "accelerations", [Twist()] * 2), "2 accelerations"),
+        (lambda m: setattr(m.points[1], "time_from_start", Duration()), "do not increase"),
+        (lambda m: setattr(m.points[2].transforms[0].translation, "x", NAN), "position"),
+        (lambda m: setattr(m.points[2].transforms[0].rotation, "w", 0.0), "quaternion"),
+        (lambda m: setattr(m.points[2].transforms[0].rotation, "x", 0.1), "vertical"),
+        (lambda m: setattr(m.points[2].velocities[0].linear, "y", INF), "not finite"),
+        (lambda m: setattr(m.points[2].accelerations[0].angular, "z", NAN), "not finite"),
+    ],
+)
+def test_a_preview_that_cannot_be_used_is_refused(change, why):
+    with pytest.raises(InputError, match=why):
+        conversions.preview(spoiled(change), 0.0, ["odom"])
+
+
+# ---- poses and odometry -----------------------------------------------------------------------
+
+
+def pose_message():
+    message = PoseWithCovarianceStamped()
+    message.header.frame_id = "odom"
+    message.pose.pose.position.x = 1.0
+    message.pose.pose.position.y = -2.0
+    message.pose.pose.orientation = conversions.quaternion(0.5)
+    message.pose.covariance[:] = np.arange(36.0)
+    return message
+
+
+def test_planar_pose_takes_x_y_and_yaw():
+    pose, spread = conversions.planar_pose(pose_message(), ["odom"])
+    assert pose == pytest.approx((1, -2, 0.5))
+    np.testing.assert_array_equal(spread, [[0, 1, 5], [6, 7, 11], [30, 31, 35]])
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        (lambda m: setattr(m.header, "frame_id", "map"), "frame 'map'"),
+        (lambda m: setattr(m.pose.pose.position, "x", NAN), "not finite"),
+        (lambda m: setattr(m.pose.pose.orientation, "z", INF), "quaternion"),
+    ],
+)
+def test_a_bad_pose_is_refused(change, why):
+    message = pose_message()
+    change(message)
+    with pytest.raises(InputError, match=why):
+        conversions.planar_pose(message, ["odom"])
+
+
+def moved_odometry():
+    model = kinematics()
+    odometry = Odometry(model, OdometryParameters())
+    speeds = model.J @ np.array([0.5, 0.2, 0.3])
+    for _ in range(5):
+        odometry.update(speeds * 0.1, speeds, 0.1)
+    return odometry
+
+
+def write(message, odometry, stamp):
+    conversions.fill_odometry(message, odometry.pose, odometry.twist, odometry.covariance, stamp)
+
+
+def test_odometry_is_written_with_pose_twist_and_covariance():
+    odometry, message = moved_odometry(), OdometryMsg(child_frame_id="base_link")
+    message.header.frame_id = "odom"
+    stamp = Time(sec=7, nanosec=9)
+    write(message, odometry, stamp)
+    position = message.pose.pose.position
+    assert (position.x, position.y, position.z) == (*odometry.pose[:2], 0.0)
+    assert conversions.yaw(message.pose.pose.orientation) == pytest.approx(odometry.pose[2])
+    v, w = message.twist.twist.linear, message.twist.twist.angular
+    assert (v.x, v.y, v.z, w.x, w.y) == pytest.approx((0.5, 0.2, 0, 0, 0))
+    assert w.z == pytest.approx(0.3)
+    assert message.header.stamp == stamp
+    spread = np.array(message.pose.covariance).reshape(6, 6)
+    np.testing.assert_array_equal(spread[np.ix_((0, 1, 5), (0, 1, 5))], odometry.covariance)
+    assert not spread[2:5].any()
+    assert not spread[:, 2:5].any()
+
+
+def test_a_pose_comes_back_from_the_odometry_message():
+    odometry, message = moved_odometry(), OdometryMsg()
+    write(message, odometry, Time())
+    back = PoseWithCovarianceStamped(pose=message.pose)
+    back.header.frame_id = "odom"
+    pose, spread = conversions.planar_pose(back, ["odom"])
+    assert pose == pytest.approx(odometry.pose)
+    np.testing.assert_array_equal(spread, odometry.covariance)
+
+
+def test_transform_is_that_of_the_odometry():
+    message = OdometryMsg(child_frame_id="base_link")
+    message.header.frame_id = "odom"
+    write(message, moved_odometry(), Time(sec=1))
+    result = conversions.transform(message)
+    assert (result.header, result.child_frame_id) == (message.header, "base_link")
+    assert result.transform.translation.x == message.pose.pose.position.x
+    assert result.transform.translation.y == message.pose.pose.position.y
+    assert result.transform.rotation == message.pose.pose.orientation
+
+
+# ---- commands ---------------------------------------------------------------------------------
+
+COMMANDS = [
+    WheelCommand(DriveMode.VELOCITY, np.arange(4.0), np.arange(4.0) + 10),
+    WheelCommand(DriveMode.TORQUE, np.arange(4.0)),
+    WheelCommand(DriveMode.VOLTAGE, np.arange(4.0)),
+]
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.mode.value)
+def test_a_command_comes_back_from_its_message(command):
+    message = JointState(name=list(NAMES))
+    conversions.fill_command(message, COMMANDS[0], Time())  # what the message held before
+    conversions.fill_command(message, command, Time(sec=5))
+    assert message.header.stamp.sec == 5
+    back = conversions.wheel_command(message, NAMES, command.mode is DriveMode.VOLTAGE)
+    assert back.mode is command.mode
+    np.testing.assert_array_equal(back.effort, command.effort)
+    if command.velocity is None:
+        assert back.velocity is None
+    else:
+        np.testing.assert_array_equal(back.velocity, command.velocity)
+
+
+def test_speeds_alone_are_a_command_without_feed_forward():
+    message = JointState(name=list(NAMES), velocity=[1.0] * 4)
+    command = conversions.wheel_command(message, NAMES, voltage=False)
+    assert command.mode is DriveMode.VELOCITY
+    np.testing.assert_array_equal(command.effort, np.zeros(4))
+
+
+@pytest.mark.parametrize(
+    ("content", "voltage", "why"),
+    [
+        ({}, False, "no velocity or effort"),
+        ({"position": [1.0] * 4}, False, "no velocity or effort"),
+        ({"velocity": [1.0] * 4}, True, "no effort"),
+        ({"velocity": [NAN] * 4}, False, "velocity .* not finite"),
+        ({"velocity": [1.0] * 4, "effort": [0.0, INF, 0.0, 0.0]}, False, "effort .* not finite"),
+        ({"effort": [NAN] * 4}, True, "not finite"),
+        ({"velocity": [1.0] * 3}, False, "3 velocity values"),
+    ],
+)
+def test_a_command_that_cannot_be_used_is_refused(content, voltage, why):
+    with pytest.raises(InputError, match=why):
+        conversions.wheel_command(JointState(name=list(NAMES), **content), NAMES, voltage)
+
+
+def test_electrical_names_its_dimensions():
+    message = conversions.electrical(np.arange(12.0).reshape(4, 3))
+    assert list(message.data) == list(range(12))
+    wheel, value = message.layout.dim
+    assert (wheel.label, wheel.size, wheel.stride) == ("wheel", 4, 12)
+    assert (value.label, value.size, value.stride) == ("voltage,current,energy", 3, 3)
