@@ -131,6 +131,18 @@ def test_coupling_controller_reduces_the_coupling_error():
     assert largest[2.0] < 0.5 * largest[0.0]
 
 
+def test_a_speed_that_the_voltage_cannot_give_does_not_wind_up():
+    """The IG42 on 14 V is asked for more than it can do, then to slow down: it does at once."""
+    changes = {"drive.mode": "voltage", "motor.max_voltage": 14.0, "limits.linear_velocity": 2.0}
+    loop = Loop("ig42", changes | {"drive.following_error": 100.0})
+    for speed, ticks in ((1.8, 1200), (1.2, 80)):
+        for _ in range(ticks):
+            loop.controller.hear_twist(np.array([speed, 0.0, 0.0]), loop.now)
+            loop.step()
+    asked, measured = loop.controller.setpoint[0], loop.drives.ground_truth()[1][0]
+    assert measured == pytest.approx(asked, abs=0.05)
+
+
 @pytest.mark.parametrize("mode", MODES)
 def test_a_stop_from_every_mode_brings_the_true_robot_to_rest(mode):
     loop = Loop("omniman", {"drive.mode": mode})

@@ -113,6 +113,22 @@ class PlatformDynamics:
         result: Array = torque * efficiency / gain
         return result
 
+    def voltage_torques(self, wheel_speeds: Array) -> tuple[Array, Array]:
+        """Least and largest torque (n,) [N m] that voltage and current limits allow at a speed.
+
+        The inverse of :meth:`current` and :meth:`voltage`.
+        """
+        motor = self._motor
+        gain = motor.gear_ratio * motor.torque_constant
+        emf = gain * wheel_speeds
+        ends = []
+        for volts in (-motor.max_voltage, motor.max_voltage):
+            amps = np.clip((volts - emf) / motor.resistance, -motor.max_current, motor.max_current)
+            driving = amps * wheel_speeds >= 0.0
+            efficiency = np.where(driving, motor.gear_efficiency, 1.0 / motor.gear_efficiency)
+            ends.append(amps * gain * efficiency)
+        return ends[0], ends[1]
+
     def voltage(self, torque: Array, wheel_speeds: Array) -> Array:
         """Motor voltages (n,) [V], CCTA (22) at steady current, clipped to the amplifier's."""
         motor = self._motor

@@ -43,6 +43,7 @@ class WheelFeedback:
         max_speed: Fastest that a wheel turns [rad/s]; positions that jump further were set anew.
 
     Attributes:
+        max_speed: As above, live.
         speeds: (n,) last speeds [rad/s].
         time: When they were measured [s].
         heard: Whether there is any feedback to act on.
@@ -53,7 +54,7 @@ class WheelFeedback:
     def __init__(self, count: int, span: float, max_speed: float) -> None:
         self._count = count
         self._span = span
-        self._max_speed = max_speed
+        self.max_speed = max_speed
         self._observer = VelocityObserver(OBSERVER_BANDWIDTH)
         self.speeds: Array = np.zeros(count)
         self.time = -math.inf
@@ -133,6 +134,6 @@ class WheelFeedback:
         """Why the step is not one motion, or an empty string."""
         if dt > GAP:
             return f"{dt:.2f} s gap"
-        if moved is not None and float(np.abs(moved).max()) > 2.0 * self._max_speed * dt + 1.0:
+        if moved is not None and float(np.abs(moved).max()) > 2.0 * self.max_speed * dt + 1.0:
             return "positions jumped"
         return ""

@@ -77,6 +77,7 @@ class PlatformController:
         self.parameters = parameters
         self.arbiter.silence = _silences(parameters)
         self.odometry.configure(self.cascade.kinematics, parameters.odometry)
+        self.feedback.max_speed = parameters.robot.motor.max_speed
         self._limiter.limits = parameters.limits
         self._position.gains = parameters.position
 
@@ -113,7 +114,7 @@ class PlatformController:
         until = _fresh_until("cmd_vel", now, age, self.parameters.timeouts.cmd_vel)
         refusal = self._offer(Source.CMD_VEL, now, until, neutral=not twist.any())
         if not refusal:
-            self._target = twist
+            self._target = np.array(twist)
         return refusal
 
     def hear_preview(self, source: Source, preview: Preview, now: float) -> str:
@@ -263,8 +264,7 @@ class PlatformController:
     def _follow(self, source: Source, now: float, dt: float) -> tuple[Array, Array] | None:
         """Twist and its rate in base_link that follow a preview; None if it was cancelled."""
         preview, theta = self._previews[source], self.odometry.pose[2]
-        # The pose is as old as its measurement: it is compared with the reference of that time.
-        error = pose_error(preview.sample(self.feedback.time).pose, self.odometry.pose)
+        error = self._pose_error(preview, now)
         if self._position.lost(error):
             distance = math.hypot(error[0], error[1])
             self._cancel(source, f"following error {distance:.3f} m, {error[2]:.3f} rad")
@@ -278,6 +278,19 @@ class PlatformController:
         vx, vy, w = twist.tolist()
         turned = np.array([w * vy, -w * vx, 0.0])  # CCTA (20): the frame turns below the velocity
         return twist, se2.to_robot(theta, reference.acceleration) + turned
+
+    def _pose_error(self, preview: Preview, now: float) -> Array:
+        """Error (3,) in odom [m, m, rad].
+
+        The pose is as old as its measurement: it is compared with the reference of that time, or,
+        where the preview begins later, carried on to its begin.
+        """
+        measured = self.feedback.time
+        lead = max(min(preview.start, now) - measured, 0.0)
+        error = pose_error(preview.sample(measured + lead).pose, self.odometry.pose)
+        if lead > 0.0:
+            error -= lead * se2.to_world(self.odometry.pose[2], self.odometry.twist)
+        return error
 
     def _cancel(self, source: Source, reason: str) -> None:
         self.arbiter.cancel(source, reason)

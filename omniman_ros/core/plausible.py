@@ -20,12 +20,17 @@ WHEEL_SPEED = 1e5
 EFFORT = 1e6
 """Largest torque or voltage [N m, V]."""
 
+FEW = 8
+"""So many numbers are shown in a message."""
+
 
 def demand(values: NDArray[np.float64], bound: float, label: str) -> None:
     """Demand finite numbers within +-bound.
 
     Raises:
-        InputError: One is NaN, infinite or beyond the bound; the message has label and values.
+        InputError: One is NaN, infinite or beyond the bound; the message has label and values
+            (the bad ones among many).
     """
     if values.size and not float(np.abs(values).max()) <= bound:
-        raise InputError(f"{label} {values.tolist()} not finite or beyond +-{bound:g}")
+        shown = values if values.size <= FEW else values[~(np.abs(values) <= bound)][:FEW]
+        raise InputError(f"{label} {shown.tolist()} not finite or beyond +-{bound:g}")

@@ -134,9 +134,11 @@ class WheelCascade:
         if mode is DriveMode.VELOCITY:
             self._wheels.reset()
             return WheelCommand(mode, effort, reference)
-        torque = self._wheels.torque(reference, measured, effort, dt)
         if mode is DriveMode.TORQUE:
+            torque = self._wheels.torque(reference, measured, effort, dt)
             return WheelCommand(mode, torque)
+        limits = self.dynamics.voltage_torques(reference)
+        torque = self._wheels.torque(reference, measured, effort, dt, limits)
         return WheelCommand(mode, self.dynamics.voltage(torque, reference))
 
 

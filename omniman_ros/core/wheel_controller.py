@@ -47,18 +47,27 @@ class WheelController:
         """Empty the integral part."""
         self._integral = np.zeros_like(self._integral)
 
-    def torque(self, reference: Array, measured: Array, feed_forward: Array, dt: float) -> Array:
+    def torque(
+        self,
+        reference: Array,
+        measured: Array,
+        feed_forward: Array,
+        dt: float,
+        limits: tuple[Array, Array] | None = None,
+    ) -> Array:
         """Torques (n,) [N m] within the limits; saturated wheels do not wind up.
 
         Args:
             reference, measured: (n,) wheel speeds [rad/s].
             feed_forward: (n,) computed torque [N m].
             dt: Time since the last call [s].
+            limits: Least and largest torque (n,) [N m], where they are tighter than the current's.
         """
         g = self._gains
         error = reference - measured
         wanted = feed_forward + self._inertia @ (g.bandwidth * error + self._integral)
-        torque = np.clip(wanted, -self._limit, self._limit)
+        low, high = (-self._limit, self._limit) if limits is None else limits
+        torque = np.clip(wanted, low, high)
         if g.integral_time > 0.0:
             winding = (wanted != torque) & (error * wanted > 0.0)
             step = (g.bandwidth / g.integral_time * dt) * error

@@ -255,3 +255,22 @@ def test_smooth_sign_is_odd_bounded_and_a_sign_far_out():
     assert (abs(sign) < 1).all()
     assert (np.diff(sign) > 0).all()
     assert sign[-1] == pytest.approx(1, abs=1e-3)
+
+
+@pytest.mark.parametrize("name", ["omniman", "ig42"])
+def test_voltage_torques_are_what_the_voltage_limit_leaves(name):
+    """At a limit the voltage (or the current) is at its own, whichever comes first."""
+    robot_ = robot(name)
+    dynamics = PlatformDynamics(robot_, PlatformKinematics(robot_.wheels))
+    motor = robot_.motor
+    for speed in np.linspace(-motor.max_speed, motor.max_speed, 21):
+        speeds = np.full(4, speed)
+        low, high = dynamics.voltage_torques(speeds)
+        assert (low < high).all()
+        for torque in (low, high):
+            amps = dynamics.current(torque, speeds)
+            volts = motor.resistance * amps + motor.gear_ratio * motor.torque_constant * speed
+            at_voltage = np.isclose(np.abs(volts), motor.max_voltage)
+            at_current = np.isclose(np.abs(amps), motor.max_current)
+            assert (at_voltage | at_current).all()
+            assert (np.abs(amps) <= motor.max_current * (1 + 1e-9)).all()

@@ -627,6 +627,27 @@ def test_previews_that_replace_each_other_make_one_motion():
     assert abs(difference).max() < 2e-3
 
 
+@pytest.mark.parametrize("ticks_late", [1, 6])
+def test_previews_that_begin_now_and_late_feedback_make_no_lead(ticks_late):
+    """The pose is older than the preview: it is carried on to the preview's begin."""
+    rig, past = Rig().run(0.1), []
+    whole = rig.move((1.5, 0.5, 0.0), 5.0)
+    rig.reports = False
+    for _ in range(round(5.0 / DT)):
+        past.append((rig.now, rig.position, rig.speed))
+        time, position, speed = past[max(len(past) - 1 - ticks_late, 0)]
+        if time > rig.core.feedback.time:
+            rig.core.hear_wheels(time, rig.now + DT, position, speed)
+        times = rig.now + DT + np.arange(0, 0.3, 0.05)
+        points = [whole.sample(t) for t in times]
+        arrays = (np.array([getattr(p, key) for p in points])
+                  for key in ("pose", "velocity", "acceleration"))  # fmt: skip
+        assert rig.core.hear_preview(Source.PATH, Preview(times, *arrays), rig.now + DT) == ""
+        true = rig.core.cascade.kinematics.J_pinv @ rig.position
+        assert abs(true - whole.sample(rig.now).pose).max() < 1.5e-3
+        rig.tick()
+
+
 def test_a_robot_too_far_from_its_path_is_not_driven():
     rig = Rig().run(0.1)
     rig.core.hear_preview(Source.PATH, rig.move((1.0, 0, 0), 5.0, offset=0.6), rig.now)

@@ -25,3 +25,12 @@ def test_every_bound_leaves_room_to_square():
     bounds = [value for name, value in vars(plausible).items() if name.isupper()]
     assert len(bounds) > 5
     assert all(bound > 0 and math.isfinite(bound**3) for bound in bounds)
+
+
+def test_a_long_array_is_not_printed_whole():
+    values = np.zeros(100_000)
+    values[[5, 70_000]] = math.nan, 2e9
+    with pytest.raises(InputError) as caught:
+        plausible.demand(values, 1.0, "x")
+    assert len(str(caught.value)) < 200
+    assert "nan" in str(caught.value) and "2000000000.0" in str(caught.value)
