@@ -57,9 +57,9 @@ $(EMPTY):
 	echo '$(CURDIR)' > $@
 
 $(RUNTIME): setup.py | $(EMPTY)
-	$(PIP) install --quiet --editable '.[ros]'
+	$(PIP) install --quiet --editable '.[ros,plot]'
 	touch $@
 
 $(TESTING): $(RUNTIME)
-	$(PIP) install --quiet --editable '.[ros,test]'
+	$(PIP) install --quiet --editable '.[ros,plot,test]'
 	touch $@

@@ -21,7 +21,7 @@ from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from omniman_ros.core import plausible
 from omniman_ros.core.errors import InputError
-from omniman_ros.core.preview import Preview
+from omniman_ros.core.preview import MAX_POINTS, Preview
 from omniman_ros.core.wheel_cascade import DriveMode, WheelCommand
 
 Array = NDArray[np.float64]
@@ -69,7 +69,7 @@ def check_frame(frame: str, *allowed: str) -> None:
     """
     if frame.lstrip("/") not in allowed:
         names = " or ".join(repr(name) for name in allowed)
-        raise InputError(f"frame '{frame}', expected {names}")
+        raise InputError(f"frame '{frame[:40]}', expected {names}")
 
 
 def twist_array(message: Twist, bound: float = plausible.SPEED) -> Array:
@@ -113,13 +113,19 @@ def joint_arrays(
     if list(given) == list(names):
         return parts[0], parts[1], parts[2]
     if len(set(given)) != len(given):
-        raise InputError(f"a name is there twice: {', '.join(given)}")
+        raise InputError(f"a name is there twice among {_some(given)}")
     missing = [name for name in names if name not in given]
     if missing:
-        raise InputError(f"no {', '.join(missing)} among the names {', '.join(given) or '(none)'}")
+        raise InputError(f"no {', '.join(missing)} among the names {_some(given)}")
     order = [given.index(name) for name in names]
     position, velocity, effort = (None if part is None else part[order] for part in parts)
     return position, velocity, effort
+
+
+def _some(names: Sequence[str]) -> str:
+    """The first few names, for a message."""
+    shown = ", ".join(name[:40] for name in names[:8])
+    return f"{shown}, ..." if len(names) > 8 else shown or "(none)"
 
 
 def present(array: Array | None, bound: float, label: str) -> Array:
@@ -148,8 +154,10 @@ def preview(message: MultiDOFJointTrajectory, start: float, frames: Sequence[str
     """
     check_frame(message.header.frame_id, *frames)
     if list(message.joint_names) != [PLATFORM_JOINT]:
-        raise InputError(f"joints {list(message.joint_names)}, expected ['{PLATFORM_JOINT}']")
+        raise InputError(f"joints {_some(message.joint_names)}, expected '{PLATFORM_JOINT}' alone")
     points = message.points
+    if len(points) > MAX_POINTS:
+        raise InputError(f"{len(points)} points, at most {MAX_POINTS} are taken")
     times, poses, velocities, accelerations = [], [], [], []
     for i, point in enumerate(points):
         if len(point.transforms) != 1 or len(point.velocities) != 1:
@@ -187,8 +195,7 @@ def planar_pose(
     """
     check_frame(message.header.frame_id, *frames)
     position = message.pose.pose.position
-    if not (math.isfinite(position.x) and math.isfinite(position.y)):
-        raise InputError(f"position ({position.x}, {position.y}) is not finite")
+    plausible.demand(np.array([position.x, position.y]), plausible.LENGTH, "position")
     covariance = np.array(message.pose.covariance, dtype=float).reshape(6, 6)
     pose = (position.x, position.y, yaw(message.pose.pose.orientation))
     return pose, covariance[np.ix_(_PLANE, _PLANE)]

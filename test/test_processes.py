@@ -18,6 +18,11 @@ from sensor_msgs.msg import JointState
 from .nodes.harness import free_domain
 
 PATIENCE = 30.0
+PATIENT = {
+    "platform_controller": "timeouts.wheel_states:=2.0",
+    "simulated_drive": "firmware.watchdog:=0.3",
+}
+"""Other work on the machine must not stop the robot before the test does."""
 
 
 class Processes:
@@ -54,7 +59,8 @@ class Processes:
 
     def start(self, name: str, *parameters: str) -> subprocess.Popen:
         code = f"import sys; from omniman_ros.nodes.{name} import main; sys.exit(main())"
-        arguments = [word for text in parameters for word in ("-p", text)]
+        given = [PATIENT[name], *parameters]
+        arguments = [word for text in given for word in ("-p", text)]
         command = [sys.executable, "-c", code, "--ros-args", *arguments]
         child = subprocess.Popen(command, env=self.environment, stderr=subprocess.PIPE, text=True)
         self.children.append(child)

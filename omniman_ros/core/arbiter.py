@@ -89,11 +89,16 @@ class Arbiter:
         if self.active is source:
             self.active = None
 
-    def restart(self, reason: str) -> None:
-        """Cancel every source and forget when it was heard: time has gone back."""
+    def restart(self, now: float, reason: str) -> None:
+        """Cancel every source and count its silence from now: time has gone back."""
         self.cancel_all(reason)
+        self.resume(now)
+
+    def resume(self, now: float) -> None:
+        """Count silence from now: for a while it was the receiver that did not listen."""
         for slot in self._slots.values():
-            slot.heard = NEVER
+            if slot.cancelled:
+                slot.heard = now
 
     def cancel_all(self, reason: str) -> None:
         """Cancel every source: a stop."""

@@ -134,6 +134,6 @@ class WheelFeedback:
         """Why the step is not one motion, or an empty string."""
         if dt > GAP:
             return f"{dt:.2f} s gap"
-        if moved is not None and float(np.abs(moved).max()) > 2.0 * self.max_speed * dt + 1.0:
+        if moved is not None and float(np.abs(moved).max()) > 2.0 * self.max_speed * dt + 0.3:
             return "positions jumped"
         return ""

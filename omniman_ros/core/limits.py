@@ -29,10 +29,10 @@ class TwistLimits:
         REQUIRED, "Largest yaw acceleration.", unit="rad/s^2", low=1e-3, high=200
     )
     linear_deceleration: float = parameter(
-        REQUIRED, "Largest linear deceleration, stops included.", unit="m/s^2", low=1e-3, high=100
+        REQUIRED, "Largest linear deceleration, stops included.", unit="m/s^2", low=0.1, high=100
     )
     angular_deceleration: float = parameter(
-        REQUIRED, "Largest yaw deceleration, stops included.", unit="rad/s^2", low=1e-3, high=200
+        REQUIRED, "Largest yaw deceleration, stops included.", unit="rad/s^2", low=0.1, high=200
     )
     linear_jerk: float = parameter(
         REQUIRED, "Largest linear jerk under cmd_vel; stops have none.",

@@ -97,8 +97,9 @@ class Odometry:
         plausible.demand(np.array(pose[2:]), plausible.ANGLE, "heading")
         if covariance is None:
             covariance = np.zeros((3, 3))
-        if covariance.shape != (3, 3) or not np.isfinite(covariance).all():
-            raise InputError("the pose's covariance must be a finite (3, 3) array")
+        if covariance.shape != (3, 3):
+            raise InputError(f"covariance of shape {covariance.shape}, expected (3, 3)")
+        plausible.demand(covariance, plausible.COVARIANCE, "covariance")
         covariance = (covariance + covariance.T) / 2
         if np.linalg.eigvalsh(covariance).min() < -1e-9:
             raise InputError("the pose's covariance has a negative variance")

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from omniman_ros.core import plausible, se2
 from omniman_ros.core.arbiter import Arbiter, Source
-from omniman_ros.core.errors import InputError
+from omniman_ros.core.errors import InputError, ParameterError
 from omniman_ros.core.feedback import WheelFeedback
-from omniman_ros.core.limits import TwistLimiter, clamp, ramp_down, slew
+from omniman_ros.core.limits import TwistLimiter, clamp, ramp_down, ratio, slew
 from omniman_ros.core.odometry import Odometry
 from omniman_ros.core.platform_parameters import PlatformParameters
 from omniman_ros.core.position_controller import PositionController, pose_error
@@ -25,8 +25,12 @@ Array = NDArray[np.float64]
 
 LONGEST_TICK = 0.1
 """A tick that comes later counts as this long [s]."""
-OVERSPEED = 1.05
-"""Wheel speed over the largest one at which the MPC's voltages are no longer passed on."""
+OVERSPEED = 1.1
+"""Speed of a wheel or the platform over its limit at which voltages are no longer passed on."""
+FARTHEST_START = 1.0
+"""A preview that begins later than this is not for now [s]."""
+STANDING = 0.1
+"""Speed of a wheel above which a reset is refused [rad/s]."""
 MOVING_END = 1e-6
 """Speed [m/s, rad/s] above which a preview ends in motion: it ran out, it did not arrive."""
 
@@ -66,13 +70,20 @@ class PlatformController:
         self._volts: Array | None = None
         self._previews: dict[Source, Preview] = {}
         self._last_tick: float | None = None
+        self._stalled: float | None = None
 
     def configure(self, parameters: PlatformParameters) -> None:
         """Take over new limits and gains while running; motion goes on from where it is.
 
         Raises:
             GeometryError: The wheels would not make a platform; nothing is changed.
+            ParameterError: Wheels are calibrated in motion.
         """
+        scale = parameters.odometry.wheel_scale
+        if scale != self.parameters.odometry.wheel_scale and not self.at_rest:
+            raise ParameterError(
+                "odometry.wheel_scale", scale, "the platform moves: stop it first"
+            )
         self.cascade.configure(parameters)
         self.parameters = parameters
         self.arbiter.silence = _silences(parameters)
@@ -121,8 +132,10 @@ class PlatformController:
         """Take a preview of the platform's motion in odom; it is trusted until it ends.
 
         Raises:
-            InputError: It is over already.
+            InputError: It is over already, or begins too late to be followed now.
         """
+        if preview.start > now + FARTHEST_START:
+            raise InputError(f"{source.value}/reference: begins in {preview.start - now:.3g} s")
         if preview.end < now:
             age = now - preview.end
             raise InputError(f"{source.value}/reference: stale, it ended {age:.3f} s ago")
@@ -180,7 +193,8 @@ class PlatformController:
         Raises:
             ResetRefusedError: See StopLatch.reset.
         """
-        self.latch.reset(at_rest=self.at_rest, fault=self.fault(now))
+        turning = float(np.abs(self.feedback.speeds).max()) > STANDING
+        self.latch.reset(at_rest=self.at_rest and not turning, fault=self.fault(now))
         self.arbiter.cancel_all("reset")
 
     def set_pose(self, pose: tuple[float, float, float], covariance: Array | None = None) -> None:
@@ -218,30 +232,40 @@ class PlatformController:
 
     # ---- output -----------------------------------------------------------------------------
 
-    def tick(self, now: float) -> WheelCommand:
+    def tick(self, now: float) -> WheelCommand | None:
         """Make the command for the tick at `now` [s].
 
-        Where simulated time goes back, every source is cancelled and feedback starts anew.
+        Where simulated time goes back, every source is cancelled and feedback starts anew. After
+        a stall of the caller there is no command until the wheels have reported again: the drives
+        have begun to ramp down by themselves, and motion goes on from what they do.
         """
         elapsed = 0.0 if self._last_tick is None else now - self._last_tick
         dt = min(max(elapsed, 0.0), LONGEST_TICK)
         self._last_tick = now
         self.cancelled = ""
         if elapsed < -LONGEST_TICK:
-            self.arbiter.restart("time went back")
+            self.arbiter.restart(now, "time went back")
             self.feedback.forget()
+        elif elapsed > LONGEST_TICK:
+            self.arbiter.resume(now)
+            self._stalled = now
+            return None  # what came meanwhile is heard before the next tick
         self._check(now, dt)
+        if self._stalled is not None and not self._caught_up(dt):
+            return None
         source = self.arbiter.select(now)
         measured, before = self.feedback.speeds, self.setpoint
         if source is Source.MPC and self._volts is not None:
-            if float(np.abs(measured).max()) <= OVERSPEED * self.parameters.robot.motor.max_speed:
-                self.setpoint = self.cascade.kinematics.J_pinv @ measured
-                self._limiter.restart()
+            self.setpoint = self.cascade.kinematics.J_pinv @ measured
+            self._limiter.restart()
+            if not self._too_fast(measured):
                 return self.cascade.volts(self._volts, measured)
-            self._cancel(source, "a wheel is above its largest speed")
-            source = None
+            self._cancel(
+                source, "mpc/voltages drove a wheel or the platform above its speed limit"
+            )
+            source, before = None, self.setpoint
         twist, rate = self._motion(source, now, dt)
-        reachable = self.cascade.reachable(twist)
+        reachable = self._reachable(twist, before, dt)
         if self.cascade.saturated or rate is None:
             rate = (reachable - before) / dt if dt > 0.0 else np.zeros(3)
         self.setpoint = reachable
@@ -250,6 +274,35 @@ class PlatformController:
             return self.cascade.rest(measured)
         mode = DriveMode(self.parameters.drive.mode) if driven else DriveMode.VELOCITY
         return self.cascade.command(reachable, rate, measured, mode, dt)
+
+    def _caught_up(self, dt: float) -> bool:
+        """Take over from the wheels' own motion once they have reported after a stall."""
+        assert self._stalled is not None
+        if self.feedback.time < self._stalled:
+            self.setpoint = ramp_down(self.setpoint, self.parameters.limits.deceleration, dt)
+            return False
+        self.setpoint = self.cascade.kinematics.J_pinv @ self.feedback.speeds
+        if not self.feedback.speeds.any():
+            self.setpoint = np.zeros(3)
+        self._limiter.restart()
+        self._stalled = None
+        return True
+
+    def _too_fast(self, measured: Array) -> bool:
+        """Whether wheels or platform are above their limits, which voltages know nothing of."""
+        limits, motor = self.parameters.limits, self.parameters.robot.motor
+        wheels = float(np.abs(measured).max()) > OVERSPEED * motor.max_speed
+        return wheels or ratio(self.setpoint, limits.velocity) > OVERSPEED
+
+    def _reachable(self, twist: Array, before: Array, dt: float) -> Array:
+        """The twist within the wheels' speed; a speed that is lowered in motion is ramped to."""
+        reachable = self.cascade.reachable(twist)
+        if self.cascade.saturated:
+            deceleration = self.parameters.limits.deceleration
+            slowest = ramp_down(before, deceleration, dt)
+            if ratio(slowest, deceleration) > ratio(reachable, deceleration):
+                return slowest
+        return reachable
 
     def _motion(self, source: Source | None, now: float, dt: float) -> tuple[Array, Array | None]:
         """Twist (3,) in base_link for this tick, and its rate where the source knows it."""
@@ -277,7 +330,9 @@ class PlatformController:
         twist = se2.to_robot(theta, slew(before, wanted, limits, dt))
         vx, vy, w = twist.tolist()
         turned = np.array([w * vy, -w * vx, 0.0])  # CCTA (20): the frame turns below the velocity
-        return twist, se2.to_robot(theta, reference.acceleration) + turned
+        top = tuple(map(max, limits.acceleration, limits.deceleration))
+        planned = clamp(reference.acceleration, (top[0], top[1]))
+        return twist, se2.to_robot(theta, planned) + turned
 
     def _pose_error(self, preview: Preview, now: float) -> Array:
         """Error (3,) in odom [m, m, rad].
@@ -298,10 +353,7 @@ class PlatformController:
 
 
 def _silences(parameters: PlatformParameters) -> dict[Source, float]:
-    times = parameters.timeouts
-    return {
-        Source.CMD_VEL: times.cmd_vel, Source.MPC: times.reference, Source.PATH: times.reference
-    }  # fmt: skip
+    return dict.fromkeys(Source, parameters.timeouts.cancelled)
 
 
 def _fresh_until(label: str, now: float, age: float, timeout: float) -> float:

@@ -43,14 +43,18 @@ class Timeouts:
         unit="s", low=0.02, high=10,
     )  # fmt: skip
     reference: float = parameter(
-        0.2, "How long a preview holds its end, and a cancelled one must be silent.",
+        0.2, "How long a preview that ends at rest holds its end.",
         unit="s", low=0.02, high=10,
     )  # fmt: skip
     voltages: float = parameter(
         0.1, "Age at which mpc/voltages are stale.", unit="s", low=0.01, high=10
     )
+    cancelled: float = parameter(
+        1.0, "How long a source that lost control must be silent to be heard again: longer than "
+        "the period of any stream.", unit="s", low=0.05, high=60,
+    )  # fmt: skip
     wheel_states: float = parameter(
-        0.1, "Age at which wheel_states are lost: a stop is latched.",
+        0.2, "Age at which wheel_states are lost: a stop is latched.",
         unit="s", low=0.01, high=10,
     )  # fmt: skip
 

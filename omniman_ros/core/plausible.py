@@ -17,6 +17,8 @@ WHEEL_ANGLE = 1e12
 """Largest unwrapped position of a wheel [rad]."""
 WHEEL_SPEED = 1e5
 """Largest speed of a wheel [rad/s]."""
+COVARIANCE = 1e12
+"""Largest entry of a pose's covariance [m^2, rad^2]."""
 EFFORT = 1e6
 """Largest torque or voltage [N m, V]."""
 

@@ -10,7 +10,7 @@ from omniman_ros.core.errors import InputError
 
 Array = NDArray[np.float64]
 
-MAX_POINTS = 100_000
+MAX_POINTS = 5000
 """Longest accepted preview."""
 
 

@@ -125,12 +125,14 @@ class WheelCascade:
         """
         wheels = self.kinematics.J @ twist
         reference = wheels + self.coupling.correction(wheels)
-        reference = reference * saturation(reference, self._parameters.robot.motor.max_speed)
+        fastest = max(self._parameters.robot.motor.max_speed, float(np.abs(wheels).max()))
+        reference = reference * saturation(reference, fastest)
         self.reference = reference
         effort = np.zeros_like(wheels)
         if self._parameters.drive.feed_forward:
             effort = self.dynamics.platform_torque(twist, rate)
             effort += self.dynamics.friction_torque(twist, wheels)
+            effort = np.clip(effort, -self.dynamics.torque_limit, self.dynamics.torque_limit)
         if mode is DriveMode.VELOCITY:
             self._wheels.reset()
             return WheelCommand(mode, effort, reference)

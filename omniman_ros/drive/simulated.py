@@ -18,6 +18,8 @@ from omniman_ros.drive.plant import Plant
 
 Array = NDArray[np.float64]
 
+SLOWEST_RAMP = 0.05
+"""Least share of the deceleration with which a wheel ramps to rest."""
 LONGEST_GAP = 5.0
 """A longer gap between two calls is integrated for this long, s: all is at rest by then."""
 
@@ -167,11 +169,14 @@ class SimulatedDrives:
         return True
 
     def _halt(self, deceleration: float) -> None:
+        """Ramp to rest, all wheels in the same time: the robot stays on its curve."""
         self._held = True
+        fastest = max(abs(encoder.velocity) for encoder in self._encoders)
         for unit, encoder, current in zip(
             self._units, self._encoders, self._currents, strict=True
         ):
-            unit.halt(deceleration, encoder.velocity, current)
+            share = abs(encoder.velocity) / fastest if fastest else 1.0
+            unit.halt(max(share, SLOWEST_RAMP) * deceleration, encoder.velocity, current)
 
     # time
 
@@ -284,14 +289,6 @@ class SimulatedDrives:
             ParameterError: They are refused; nothing has changed then.
         """
         self.configure(self._robot, parameters)
-
-    def set_robot(self, robot: Robot) -> None:
-        """Take other masses, motor or friction values, in motion too; the wheels stay the same.
-
-        Raises:
-            ParameterError: They are refused; nothing has changed then.
-        """
-        self.configure(robot, self._parameters)
 
     def configure(self, robot: Robot, parameters: SimulationParameters) -> None:
         """Take other robot data and other parameters together.

@@ -1,5 +1,6 @@
 """Node `platform_controller`: the only publisher of wheel commands and voltages."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -66,6 +67,7 @@ class PlatformControllerNode(OmnimanNode):
         self._names = p.platform.robot.wheels.names
         self._ticks = 0
         self._zero_at = 0
+        self._waiting: dict[Source, Callable[[], None]] = {}
         self._active = ""
         self._make_outputs(p)
         self._make_inputs(p)
@@ -119,13 +121,19 @@ class PlatformControllerNode(OmnimanNode):
         return self.core.hear_twist(twist, self.now(), self.age(message.header.stamp))
 
     def _reference_handler(self, source: Source) -> object:
-        def handler(message: MultiDOFJointTrajectory) -> str:
+        def handle(message: MultiDOFJointTrajectory) -> str:
             now = self.now()
             start = now - self.age(message.header.stamp)
             preview = conversions.preview(message, start, self._odom_frames)
             return self.core.hear_preview(source, preview, now)
 
-        return handler
+        handler = self.guarded(f"{source.value}/reference", handle)
+
+        def keep(message: MultiDOFJointTrajectory) -> None:
+            """Convert the last one a tick only: a flood of previews must not delay the tick."""
+            self._waiting[source] = lambda: handler(message)
+
+        return keep
 
     def _on_voltages(self, message: JointState) -> str:
         _, _, effort = conversions.joint_arrays(message, self._names)
@@ -154,10 +162,13 @@ class PlatformControllerNode(OmnimanNode):
 
     def tick(self) -> None:
         """Publish a command; odometry and the rest at their own rates."""
+        while self._waiting:
+            self._waiting.popitem()[1]()
         command = self.core.tick(self.now())
-        publisher = self._voltages if command.mode is DriveMode.VOLTAGE else self._commands
-        conversions.fill_command(self._command_msg, command, self.stamp())
-        publisher.publish(self._command_msg)
+        if command is not None:
+            publisher = self._voltages if command.mode is DriveMode.VOLTAGE else self._commands
+            conversions.fill_command(self._command_msg, command, self.stamp())
+            publisher.publish(self._command_msg)
         if self.core.cancelled:
             self.warn("cancelled", self.core.cancelled)
         self._stop.publish()
@@ -206,9 +217,9 @@ class PlatformControllerNode(OmnimanNode):
             return DiagnosticStatus.ERROR, core.latch.status.reason, values
         if not core.feedback.heard:
             return DiagnosticStatus.WARN, "waiting for wheel_states", values
-        for topic in ("wheel_commands", "wheel_voltages"):
+        for topic in ("wheel_commands", "wheel_voltages", "wheel_states"):
             if self.count_publishers(topic) > 1:
-                return DiagnosticStatus.WARN, f"another node publishes {topic}", values
+                return DiagnosticStatus.WARN, f"{topic} has more than one publisher", values
         if core.odometry.slipping:
             return DiagnosticStatus.WARN, "the wheels slip", values
         return DiagnosticStatus.OK, "running", values
@@ -221,6 +232,8 @@ class PlatformControllerNode(OmnimanNode):
     @property
     def finished(self) -> bool:
         """Whether zero speed has been asked for a few times."""
+        if self._ticks == 0:
+            return True
         if not self.core.at_rest:
             self._zero_at = self._ticks + 3
         return self.core.at_rest and self._ticks >= self._zero_at

@@ -15,12 +15,16 @@ from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import ParameterException
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.experimental import EventsExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.time import Time
 
 from omniman_ros.core.errors import InputError, OmnimanError
 from omniman_ros.core.throttle import Throttle
+
+RCLError = rclpy_implementation.RCLError
+UnknownROSArgsError = rclpy_implementation.UnknownROSArgsError
 
 FUTURE = 0.05
 """Stamps further ahead than this are refused [s]."""
@@ -61,7 +65,9 @@ class OmnimanNode(Node):
         """
         if stamp.sec == 0 and stamp.nanosec == 0:
             return 0.0
-        age = (self.get_clock().now() - Time.from_msg(stamp)).nanoseconds * 1e-9
+        # Time.from_msg raises on negative seconds; so old a stamp is merely stale.
+        sent = stamp.sec * 1_000_000_000 + stamp.nanosec
+        age = (self.get_clock().now().nanoseconds - sent) * 1e-9
         if age < -FUTURE:
             raise InputError(f"the stamp is {-age:.3f} s ahead")
         return age
@@ -138,7 +144,6 @@ def run(make: Callable[[], OmnimanNode], args: list[str] | None = None) -> int:
     rclpy's own handlers would shut the context down first, and a last stop could not be sent.
     A second signal ends at once.
     """
-    rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     signals: list[int] = []
 
     def on_signal(number: int, frame: FrameType | None) -> None:
@@ -146,8 +151,9 @@ def run(make: Callable[[], OmnimanNode], args: list[str] | None = None) -> int:
 
     previous = {n: signal.signal(n, on_signal) for n in (signal.SIGINT, signal.SIGTERM)}
     try:
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         node = make()
-    except (OmnimanError, ParameterException) as error:
+    except (OmnimanError, ParameterException, RCLError, UnknownROSArgsError) as error:
         print(f"cannot start: {error}", file=sys.stderr)
         rclpy.try_shutdown()
         return 1

@@ -193,6 +193,8 @@ class SimulatedDriveNode(OmnimanNode):
             velocity=states.velocity.tolist(), effort=states.effort.tolist(),
         )  # fmt: skip
         message.header.stamp = stamp
+        if self.drives.stop_reason is not None:
+            self.latch.stop(self.drives.stop_reason)
         self._channel.put(message, now, faults.lost_messages, faults.late_messages)
         for due in self._channel.due(now):
             self._states.publish(due)
@@ -220,6 +222,8 @@ class SimulatedDriveNode(OmnimanNode):
         ]
         if self.latch.status.state is StopState.STOPPED:
             return DiagnosticStatus.ERROR, self.latch.status.reason, values
+        if not self.latch.released:
+            return DiagnosticStatus.WARN, self.latch.status.reason, values
         return DiagnosticStatus.OK, "running", values
 
     def begin_shutdown(self, reason: str) -> None:

@@ -565,12 +565,12 @@ def test_masses_can_change_in_motion_and_a_robot_that_tips_is_refused():
             robot("omniman", arm__mass=60.0), parameters(faults__dead_motor=["nobody"])
         )
     assert rig.drives._plant._mass == pytest.approx(160.4)
-    rig.drives.set_robot(robot("omniman", arm__mass=60.0, arm__com_x=0.1))
+    rig.drives.configure(robot("omniman", arm__mass=60.0, arm__com_x=0.1), parameters())
     twist = rig.drives.ground_truth()[1]
     rig.velocity(0.5, 3.0)
     assert rig.drives.ground_truth()[1][0] == pytest.approx(twist[0], abs=0.02)
     with pytest.raises(ParameterError, match="tips"):
-        rig.drives.set_robot(robot("omniman", arm__mass=2000.0, arm__com_x=2.0))
+        rig.drives.configure(robot("omniman", arm__mass=2000.0, arm__com_x=2.0), parameters())
     rig.velocity(0.1, 3.0)
     assert abs(rig.drives.energy.residual) < 1e-9 * rig.drives.energy.turnover
 

@@ -128,7 +128,7 @@ def test_cmd_vel_goes_before_path_and_path_does_not_come_back(rig):
     rig.run(1.5, lambda: publisher.publish(straight(rig)))
     assert not rig.speeds(since)[-1].any(), "a cancelled path took over again"
     assert [m.data for m in active] == ["none", "path", "cmd_vel", "none"]
-    rig.run(0.3)  # it falls silent, and a new goal may start
+    rig.run(1.1)  # it falls silent, and a new goal may start
     rig.run(0.3, lambda: publisher.publish(straight(rig)))
     assert last(active).data == "path"
 
@@ -198,7 +198,7 @@ def emergency_latched(rig: Rig) -> float:
 
 def dead_wheel_states(rig: Rig) -> float:
     rig.drive_alive = False
-    return 0.1
+    return 0.2
 
 
 def peer_stopped(rig: Rig) -> float:
@@ -233,7 +233,7 @@ LATCHING = [way for way in WAYS if way not in (stale, shutdown)]
 def test_a_latched_stop_ignores_a_stream_that_goes_on(rig, way):
     rig.drive(0.3, seconds=0.5)
     way(rig)
-    rig.drive(0.3, seconds=STOP_TIME)
+    rig.drive(0.3, seconds=0.2 + STOP_TIME)
     since = len(rig.commands)
     rig.drive(0.3, seconds=0.5)
     assert not rig.speeds(since).any()
@@ -292,7 +292,7 @@ def test_a_peer_holds_and_releases_without_a_reset(rig):
     ours = [m for m in states if m.name == "/platform_controller"]
     assert ours[-1].level == DiagnosticStatus.WARN and "/arm" in ours[-1].message
     publisher.publish(DiagnosticStatus(level=DiagnosticStatus.OK, name="/arm"))
-    rig.run(0.6)
+    rig.run(1.1)
     rig.drive(0.3, seconds=0.3)
     assert not rig.core.at_rest
 
@@ -356,7 +356,7 @@ def test_bad_wheel_states_never_count_as_fresh(rig, case):
     since = len(rig.commands) - 1
     pose = rig.core.odometry.pose
     rig.hooks.append(lambda: rig._states.publish(bad_states(rig)[case]))
-    rig.assert_stops(since, within=0.1 + STOP_TIME)
+    rig.assert_stops(since, within=0.2 + STOP_TIME)
     assert "wheel_states" in rig.core.latch.status.reason
     assert rig.core.odometry.pose == pytest.approx(pose, abs=0.01)
 
@@ -613,7 +613,168 @@ def test_simulated_time_that_goes_back_stops_and_starts_anew(rig):
     rig.drive(0.3, seconds=1.0)
     rig.time -= 900.0
     since = len(rig.commands)
-    rig.run(1.0)
+    rig.drive(0.3, seconds=1.0)
+    assert not rig.speeds(since)[-1].any(), "the stream from before went on driving"
+    rig.run(1.1)
     assert not rig.speeds(since)[-1].any()
     rig.drive(0.3, seconds=0.3)
     assert rig.speeds()[-1].all(), "a new start after time went back"
+
+
+# ---- what a reviewer broke ----------------------------------------------------------------------
+
+
+def test_negative_stamps_are_stale(rig):
+    message = rig.wheel_state(rig.position, [0.0] * 4)
+    message.header.stamp.sec = -1
+    voltage = JointState(name=rig.names, effort=[9.0] * 4)
+    voltage.header.stamp.sec = -2_000_000_000
+    publisher = rig.publisher(JointState, "mpc/voltages")
+    path = rig.publisher(MultiDOFJointTrajectory, "path/reference")
+    preview = straight(rig)
+    preview.header.stamp.sec = -1
+    since = len(rig.commands)
+    for topic, bad in ((rig._states, message), (publisher, voltage), (path, preview)):
+        topic.publish(bad)
+        rig.run(0.1)
+    assert not rig.speeds(since).any()
+
+
+def test_a_huge_covariance_is_refused(rig):
+    publisher = rig.publisher(PoseWithCovarianceStamped, "set_pose")
+    message = PoseWithCovarianceStamped()
+    message.header.frame_id = "odom"
+    message.pose.pose.position.x = 2.0
+    message.pose.covariance[0] = 1.7e308
+    publisher.publish(message)
+    rig.run(0.1)
+    assert rig.core.odometry.pose == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("mode", ["velocity", "torque", "voltage"])
+def test_an_absurd_acceleration_stays_within_the_limits(mode):
+    from geometry_msgs.msg import Twist as Acceleration
+
+    with Rig({"drive.mode": mode}) as rig:
+        publisher = rig.publisher(MultiDOFJointTrajectory, "path/reference")
+        message = reference([0, 0.5], [(0, 0, 0)] * 2, [(0, 0, 0)] * 2, rig.stamp())
+        for point in message.points:
+            point.accelerations = [Acceleration()]
+            point.accelerations[0].linear.x = 9e4
+        since = len(rig.commands)
+        publisher.publish(message)
+        rig.run(0.4)
+        limit = rig.core.cascade.dynamics.torque_limit.max()
+        efforts = [max(map(abs, c.effort)) for c in rig.commands[since:] if c.effort]
+        assert max(efforts) <= limit + 1e-9
+
+
+def test_after_a_stall_motion_goes_on_from_what_the_wheels_do(rig):
+    rig.drive(0.5, seconds=1.0)
+    stopped = rig.hooks.pop()
+    rig.time += 1.0  # nobody is served; the drives' watchdog brings the wheels to rest
+    standing = rig.position.copy()
+    resumed = int(rig.time)
+
+    def report() -> None:
+        rig._states.publish(rig.wheel_state(standing, [0.0] * 4))
+
+    rig.run(4 * PERIOD, report)
+    rig.hooks.append(stopped)
+    rig.position = standing
+    rig.drive(0.5, seconds=0.3)
+    assert rig.core.latch.released
+    speeds = np.array([c.velocity for c in rig.commands if c.header.stamp.sec >= resumed])
+    bound = rig.wheel_deceleration(1.2, 2.0) * PERIOD
+    assert np.abs(speeds[0]).max() <= bound.max(), "the setpoint from before the stall"
+    assert (np.abs(np.diff(speeds, axis=0)) <= bound + 1e-9).all()
+    assert speeds[-1].min() > 0.2, "and on it goes"
+
+
+def test_a_slow_stream_does_not_take_over_by_itself(rig):
+    path = rig.publisher(MultiDOFJointTrajectory, "mpc/reference")
+    tick = iter(range(10**6))
+
+    def stream() -> None:
+        if next(tick) % 50 == 0:  # 4 Hz
+            path.publish(straight(rig, seconds=0.4))
+
+    rig.run(0.5, stream)
+    assert rig.core.arbiter.active is not None
+    rig.run(0.3, lambda: (stream(), rig.cmd_vel.publish(twist(0.0, 0.1))))
+    rig.run(1.2, stream)
+    assert rig.core.arbiter.active is None and rig.core.at_rest
+
+
+def test_a_preview_of_the_far_future_moves_nothing(rig):
+    path = rig.publisher(MultiDOFJointTrajectory, "path/reference")
+    since = len(rig.commands)
+    late = reference([2e9], [(0.4, 0, 0)], [(0, 0, 0)], rig.stamp())
+    rig.run(0.2, lambda: path.publish(late))
+    assert not rig.speeds(since).any()
+
+
+def test_a_flood_of_previews_does_not_hold_up_the_tick(rig):
+    path = rig.publisher(MultiDOFJointTrajectory, "path/reference")
+    before = len(rig.commands)
+    rig.run(0.5, lambda: [path.publish(straight(rig)) for _ in range(5)])
+    assert len(rig.commands) - before == pytest.approx(100, abs=1)
+
+
+def test_a_preview_of_too_many_points_is_refused_unread(rig):
+    path = rig.publisher(MultiDOFJointTrajectory, "path/reference")
+    message = straight(rig)
+    message.points = message.points[:1] * 6000
+    since = len(rig.commands)
+    path.publish(message)
+    rig.run(0.2)
+    assert not rig.speeds(since).any()
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("motor.max_speed", 0.5), ("limits.linear_velocity", 0.05)]
+)
+def test_limits_that_are_lowered_in_motion_are_ramped_to(rig, name, value):
+    rig.drive(0.5, seconds=1.0)
+    since = len(rig.commands)
+    assert set_parameter(rig, name, value).successful
+    rig.drive(0.5, seconds=1.0)
+    bound = rig.wheel_deceleration(1.2, 2.0) * PERIOD
+    assert (np.abs(np.diff(rig.speeds(since - 1), axis=0)) <= bound + 1e-9).all()
+    assert np.abs(rig.speeds()[-1]).max() < 0.6
+
+
+def test_wheels_are_calibrated_at_rest_only(rig):
+    rig.drive(0.5, seconds=0.5)
+    refused = set_parameter(rig, "odometry.wheel_scale", [0.9])
+    assert not refused.successful and "odometry.wheel_scale" in refused.reason
+    rig.run(1.5)
+    assert set_parameter(rig, "odometry.wheel_scale", [0.9]).successful
+
+
+def test_reset_is_refused_while_the_wheels_turn(rig):
+    assert rig.call(Trigger, "platform_controller/stop").success
+    rig.hooks.clear()
+    rig._states.publish(rig.wheel_state(rig.position, [5.0] * 4))
+    rig.run(PERIOD)
+    assert not rig.call(Trigger, "platform_controller/reset").success
+
+
+def test_voltages_that_drive_too_fast_are_cancelled(rig):
+    """The ideal drive reports what the test says: 1.3 m/s, above 1.0 m/s."""
+    publisher = rig.publisher(JointState, "mpc/voltages")
+    rig.hooks.clear()
+    turned = rig.position
+
+    def send() -> None:
+        nonlocal turned
+        turned = turned + 10.2 * PERIOD
+        rig._states.publish(rig.wheel_state(turned, [10.2] * 4))
+        message = JointState(name=rig.names, effort=[30.0] * 4)
+        message.header.stamp = rig.stamp()
+        publisher.publish(message)
+
+    count = len(rig.volts)
+    rig.run(0.5, send)
+    assert len(rig.volts) - count < 5
+    assert rig.core.arbiter.active is None

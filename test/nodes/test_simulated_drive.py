@@ -270,3 +270,37 @@ def test_publishes_the_clock_it_makes():
         assert (steps > 0.5).all() and steps == pytest.approx(np.round(steps), abs=1e-3)
         stamp = states[50].header.stamp
         assert stamp.sec + 1e-9 * stamp.nanosec < 100.0, "stamps are simulated time"
+
+
+def test_a_fault_of_the_drives_latches_the_node_and_is_published(drive):
+    from diagnostic_msgs.msg import DiagnosticStatus
+
+    from omniman_ros.nodes.stopping import LATCHED
+
+    states = drive.listen(DiagnosticStatus, "stop_state", LATCHED)
+    assert drive.set("firmware.encoder_tolerance", 0.1).successful
+    assert drive.set("faults.frozen_encoder", ["rear_left"]).successful
+    drive.command(1.0, [2.0] * 4)
+    assert last(states).level == DiagnosticStatus.ERROR and "rear_left" in last(states).message
+    assert not drive.call(Trigger, "simulated_drive/reset").success or drive.speeds.max() < 0.1
+
+
+def test_a_ramp_of_the_drives_keeps_the_robot_on_its_curve(drive):
+    """All wheels come to rest in the same time, so the motion constraint holds."""
+    drive.command(1.5, [1.0, 4.0, 3.0, 2.0])
+    errors = []
+
+    def look() -> None:
+        speeds = drive.speeds
+        errors.append(abs(speeds @ [1.0, 1.0, -1.0, -1.0]))
+
+    drive.run(1.0, look)
+    assert max(errors) < 0.5
+    assert np.abs(drive.speeds).max() < 0.02
+
+
+def test_negative_stamps_are_stale(drive):
+    message = drive.message(velocity=[3.0] * 4)
+    message.header.stamp.sec = -1
+    drive.run(0.2, lambda: drive._commands.publish(message))
+    assert not drive.speeds.any()

@@ -1,0 +1,1 @@
+"""The command `omniman`: one module a subcommand, and what they share."""

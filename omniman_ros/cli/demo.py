@@ -1,0 +1,224 @@
+"""`omniman demo`: a simulated robot drives a show, is measured, and can be kept for teleop."""
+
+import argparse
+import os
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from rclpy.node import Node
+
+from omniman_ros.cli import results
+from omniman_ros.cli.children import Children, Exit, signals_to
+from omniman_ros.cli.errors import CommandError
+from omniman_ros.cli.figures import Pace
+from omniman_ros.cli.fleet import Setup, resolved, tasks
+from omniman_ros.cli.isolation import isolate
+from omniman_ros.cli.output import NodeLog
+from omniman_ros.cli.progress import Progress
+from omniman_ros.cli.recorder import Recording
+from omniman_ros.cli.score import LIMITS, DrivenFigure, DrivenTwist, judge
+from omniman_ros.cli.session import ANNOUNCED, Session
+from omniman_ros.cli.show import Show
+from omniman_ros.cli.terminal import GREEN, RED, paint, say, table
+from omniman_ros.core.limits import TwistLimits
+from omniman_ros.core.parameters import build
+from omniman_ros.core.robot import Robot
+from omniman_ros.robots import load_robot
+
+PATIENT = ("timeouts.wheel_states:=0.5", "firmware.watchdog:=0.5")
+"""A show on a busy machine: nothing real is at stake when a process waits for its turn."""
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run `omniman demo`; returns the exit code."""
+    params = [*PATIENT, *unlike_wheels(resolved(args.robot)), *args.param]
+    chosen = tasks(Setup(robot=args.robot, params=params))
+    private = choose_domain(args.keep)
+    log = NodeLog(args.verbose)
+    complaints: list[str] = []
+    children = Children(chosen, on_line=log, report=complaints.append)
+    progress = Progress()
+    progress.headline(
+        f"omniman demo: robot '{args.robot}' in simulation, its wheels not alike, "
+        f"ROS_DOMAIN_ID={os.environ['ROS_DOMAIN_ID']}"
+    )
+    started = time.monotonic()
+    with signals_to(children.interrupt):
+        try:
+            if not private:
+                refuse_other_robots(children.check)
+            with children:
+                result = perform(args, children, progress)
+                result["duration_s"] = time.monotonic() - started
+                if args.keep and not result["faults"]:
+                    keep(children, result)
+                children.stop()
+        except (CommandError, KeyboardInterrupt) as error:
+            progress.abandon()
+            for complaint in complaints:
+                say(complaint, sys.stderr)
+            if isinstance(error, CommandError):
+                log.show()
+            raise
+    result["faults"] += complaints
+    return conclude(result, log, args)
+
+
+def choose_domain(keep: bool) -> bool:
+    """Set this process's ROS domain, which the nodes inherit; returns whether it is private.
+
+    The show gets a domain of its own, so that it meets no robot. With --keep it uses the domain
+    that the user's next terminal will use. In both it is not seen beyond this machine, unless
+    the user has said otherwise: nobody's robot elsewhere hears the show's cmd_vel.
+    """
+    if keep:
+        os.environ.setdefault("ROS_DOMAIN_ID", "0")
+    private = "ROS_DOMAIN_ID" not in os.environ
+    isolate(os.environ)
+    return private
+
+
+def refuse_other_robots(check: Callable[[], None]) -> None:
+    """Look around in a domain that is not the demo's own, before there are nodes of its own.
+
+    Raises:
+        CommandError: A robot is there: it would drive the show too, and its drive and this one
+            would speak on the same topics.
+    """
+
+    def robot_there() -> bool:
+        check()
+        return robots_in(session.node)
+
+    with Session("omniman_demo") as session:
+        if session.wait(robot_there, ANNOUNCED):
+            raise CommandError(
+                "another robot is in this ROS domain (a node that was killed is seen for 20 s): "
+                "end it, or choose another ROS_DOMAIN_ID"
+            )
+
+
+def robots_in(node: Node) -> bool:
+    """Whether somebody publishes wheel commands or listens to cmd_vel."""
+    return bool(node.count_publishers("wheel_commands") or node.count_subscribers("cmd_vel"))
+
+
+def perform(args: argparse.Namespace, children: Children, progress: Progress) -> dict[str, Any]:
+    """Drive the show and judge it."""
+    pace = Pace.within(build(TwistLimits, load_robot(args.robot), "limits."))
+    with Session("omniman_demo") as session:
+        show = Show(session, pace, progress, children.check)
+        try:
+            show.meet()
+            show.drive_twists()
+            show.follow_figure()
+        finally:
+            show.halt()
+        assert show.driven.figure is not None
+        recording, driven = show.recorder.recording, show.driven
+        result = judge(recording, driven.twists, driven.figure)
+    drawn = draw(args, recording, driven.twists, driven.figure)
+    return {"robot": args.robot, **result, "picture": drawn and str(drawn)}
+
+
+def draw(
+    args: argparse.Namespace, recording: Recording, twists: list[DrivenTwist], figure: DrivenFigure
+) -> Path | None:
+    """Draw the show into a PNG file, where there is matplotlib."""
+    try:
+        from omniman_ros.cli import picture
+    except ImportError:
+        return None
+    path = Path(args.results) / "demo.png"
+    picture.draw(build(Robot, load_robot(args.robot)), recording, twists, figure, path)
+    return path
+
+
+def unlike_wheels(robot: str) -> list[str]:
+    """Parameters that make the simulated wheels differ, as real ones do (CCTA 2017, V.C)."""
+    n = build(Robot, load_robot(robot)).wheel_count
+    factors = {
+        "mismatch.friction": (1.3, 0.8, 1.1, 0.9),
+        "mismatch.torque_constant": (0.97, 1.03, 1.0, 0.98),
+        "mismatch.amplifier_gain": (1.02, 0.98, 1.01, 0.97),
+    }
+    return [
+        f"{name}:=[{', '.join(str(values[i % len(values)]) for i in range(n))}]"
+        for name, values in factors.items()
+    ]
+
+
+def keep(children: Children, result: dict[str, Any]) -> None:
+    """Leave the nodes up until Ctrl-C.
+
+    Raises:
+        CommandError: One of them died.
+    """
+    say("\n".join(report(result)))
+    program = Path(sys.executable).with_name("omniman")
+    domain = os.environ["ROS_DOMAIN_ID"]
+    setting = "" if domain == "0" else f"ROS_DOMAIN_ID={domain} "
+    say(f"""
+The robot stays up. In another terminal on this machine:
+  {setting}{program} teleop
+  {setting}{program} stop       (and: reset)
+or with ROS 2:
+  {setting}ros2 run teleop_twist_keyboard teleop_twist_keyboard
+Ctrl-C here ends it.""")
+    event = children.next_event()
+    if isinstance(event, Exit):
+        raise CommandError(str(event))
+
+
+def report(result: dict[str, Any]) -> list[str]:
+    """The table at the end."""
+    track, drift, timing = result["tracking"], result["odometry"], result["timing"]
+    worst = max(result["twists"], key=lambda twist: twist["linear_m_s"])
+    odom, commands = timing["odom"], timing["wheel_commands"]
+    rows: list[tuple[str, ...]] = [
+        ("", "value", "limit"),
+        ("tracking error in odom, RMS", f"{track['rms_mm']:.2f} mm",
+         f"{LIMITS['tracking RMS, mm']:g} mm"),
+        ("tracking error in odom, max", f"{track['max_mm']:.2f} mm",
+         f"{LIMITS['tracking max, mm']:g} mm"),
+        ("heading error, RMS", f"{track['heading_rms_deg']:.2f} deg", ""),
+        ("pose at the end of the path", f"{track['final_mm']:.2f} mm",
+         f"{LIMITS['final position, mm']:g} mm"),
+        (f"twist error, worst ({worst['name']})", f"{1e3 * worst['linear_m_s']:.1f} mm/s",
+         f"{1e3 * LIMITS['twist error, m/s']:g} mm/s"),
+        ("coupling error, RMS / max", f"{result['coupling']['rms_rad']:.4f} / "
+         f"{result['coupling']['max_rad']:.4f} rad", ""),
+        (f"odometry off the truth after {drift['travel_m']:.1f} m",
+         f"{drift['position_mm']:.1f} mm", f"{LIMITS['odometry position, mm']:g} mm"),
+        (f"heading off the truth after {drift['turn_rad']:.1f} rad",
+         f"{drift['heading_deg']:.2f} deg", f"{LIMITS['odometry heading, deg']:g} deg"),
+        ("energy taken by the motors", f"{result['energy']['total_j']:.0f} J", ""),
+        ("odom: rate, interval p50 / p99", f"{odom['rate_hz']:.1f} Hz, {odom['p50_ms']:.2f} / "
+         f"{odom['p99_ms']:.2f} ms", f"{LIMITS['odom rate, Hz']:g} Hz"),
+        ("wheel_commands: rate, p50 / p99", f"{commands['rate_hz']:.1f} Hz, "
+         f"{commands['p50_ms']:.2f} / {commands['p99_ms']:.2f} ms",
+         f"{LIMITS['wheel_commands rate, Hz']:g} Hz"),
+    ]  # fmt: skip
+    return ["", *table(rows)]
+
+
+def conclude(result: dict[str, Any], log: NodeLog, args: argparse.Namespace) -> int:
+    """Print the table (unless it was), the verdict, and the JSON; returns the exit code."""
+    good = not result["faults"]
+    if not (args.keep and good):
+        say("\n".join(report(result)))
+    if result["picture"]:
+        say(f"\nPicture: {result['picture']}")
+    if good:
+        say("\n" + paint("The robot did what it should.", GREEN, sys.stdout)
+            + f" {result['duration_s']:.0f} s")  # fmt: skip
+    else:
+        log.show()
+        say("\n" + paint("The robot did not do what it should:", RED, sys.stdout))
+        for fault in result["faults"]:
+            say(f"  {fault}")
+    results.publish("demo", {"ok": good, **result}, args.results)
+    return 0 if good else 1

@@ -1,0 +1,100 @@
+"""The nodes of a robot as child processes: which there are, their command lines, their order."""
+
+import os
+import re
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from omniman_ros.cli.children import Task
+from omniman_ros.cli.errors import CommandError
+from omniman_ros.core.errors import ParameterError
+from omniman_ros.robots import robot_file
+
+
+@dataclass(frozen=True)
+class NodeKind:
+    """A node of the package.
+
+    Attributes:
+        name: Of the executable and of the node.
+        stage: When it is stopped: a drive lives until those that command it are at rest.
+        sim_time: The parameter that --sim-time sets.
+    """
+
+    name: str
+    stage: int
+    sim_time: str = "use_sim_time"
+
+
+NODES = (
+    NodeKind("platform_controller", stage=0),
+    NodeKind("simulated_drive", stage=1, sim_time="publish_clock"),
+)
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What the nodes are started with; the fields are the options of `omniman up`."""
+
+    robot: str = "omniman"
+    only: Sequence[str] = ()
+    sim_time: bool = False
+    namespace: str = ""
+    params: Sequence[str] = ()
+    params_file: str | None = None
+
+
+def tasks(setup: Setup) -> list[Task]:
+    """Tasks of the chosen nodes.
+
+    Raises:
+        CommandError: No such robot, node or file, or a parameter that is not NAME:=VALUE.
+    """
+    known = [kind.name for kind in NODES]
+    unknown = [name for name in setup.only if name not in known]
+    if unknown:
+        raise CommandError(f"no node '{unknown[0]}'; there are {', '.join(known)}", 2)
+    for text in setup.params:
+        if not re.fullmatch(r"[^\s:=]+:=.+", text):
+            raise CommandError(f"parameter '{text}' is not NAME:=VALUE", 2)
+    if setup.params_file is not None and not Path(setup.params_file).is_file():
+        raise CommandError(f"no parameter file '{setup.params_file}'", 2)
+    robot = resolved(setup.robot)
+    chosen = [kind for kind in NODES if not setup.only or kind.name in setup.only]
+    return [
+        Task(kind.name, node_command(kind.name, _ros_arguments(kind, robot, setup)), kind.stage)
+        for kind in chosen
+    ]
+
+
+def resolved(robot: str) -> str:
+    """The robot's name as it is, or the whole path of its file.
+
+    Raises:
+        CommandError: There is no such robot.
+    """
+    try:
+        path = robot_file(robot)
+    except ParameterError as error:
+        raise CommandError(f"robot '{robot}': {error.reason}", 2) from error
+    return str(path.resolve()) if Path(robot).suffix else robot
+
+
+def node_command(node: str, arguments: Sequence[str]) -> tuple[str, ...]:
+    """Command line of a node, by name or module, that ends when this process does."""
+    return (sys.executable, "-m", "omniman_ros.cli.node", str(os.getpid()), node, *arguments)
+
+
+def _ros_arguments(kind: NodeKind, robot: str, setup: Setup) -> list[str]:
+    arguments = ["--ros-args", "-p", f"robot:={robot}"]
+    if setup.params_file is not None:
+        arguments += ["--params-file", setup.params_file]
+    for text in setup.params:
+        arguments += ["-p", text]
+    if setup.sim_time:
+        arguments += ["-p", f"{kind.sim_time}:=true"]
+    if setup.namespace:
+        arguments += ["-r", f"__ns:=/{setup.namespace.strip('/')}"]
+    return arguments

@@ -1,0 +1,182 @@
+"""Command `omniman`: names, arguments and help of the subcommands.
+
+A subcommand's own module, and rclpy and numpy with it, is imported only when it runs.
+"""
+
+import argparse
+import importlib
+import sys
+from collections.abc import Callable, Sequence
+
+from omniman_ros.cli.errors import CommandError
+from omniman_ros.core.errors import OmnimanError
+from omniman_ros.nodes.registry import NODES
+
+DESCRIPTION = """\
+Mobile manipulator on Mecanum or Omni wheels: start it, drive it, try it, measure it.
+"""
+EPILOG = """\
+`omniman COMMAND --help` explains a command. Exit code 0: it did what it should; 1: it did not,
+and the last lines say why; 2: the command line is wrong; 130: ended by Ctrl-C.
+"""
+ROBOT = "a robot of the package (omniman, ig42) or the path of its .yaml file"
+
+
+class Version(argparse.Action):
+    """Prints the version; looks it up only when it is asked for."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object, **__: object) -> None:
+        """Print and end."""
+        from importlib.metadata import PackageNotFoundError, version
+
+        try:
+            print("omniman", version("omniman_ros"))
+        except PackageNotFoundError:
+            print("omniman (not installed, the version is in setup.py)")
+        parser.exit()
+
+
+def add_robot(parser: argparse.ArgumentParser) -> None:
+    """Add --robot."""
+    parser.add_argument("--robot", default="omniman", help=f"{ROBOT}; default: omniman")
+
+
+def add_namespace(parser: argparse.ArgumentParser, text: str) -> None:
+    """Add --namespace."""
+    parser.add_argument("--namespace", default="", metavar="NS", help=text)
+
+
+def add_results(parser: argparse.ArgumentParser) -> None:
+    """Add --results."""
+    parser.add_argument(
+        "--results", default="results", metavar="FOLDER", help="where the JSON goes; %(default)s"
+    )
+
+
+def add_up(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `omniman up`."""
+    add_robot(parser)
+    add_namespace(parser, "namespace of all nodes and topics")
+    parser.add_argument(
+        "--only", nargs="+", metavar="NODE", help="start these nodes only; default: all"
+    )
+    parser.add_argument(
+        "--sim-time", action="store_true",
+        help="run on /clock, which the simulated drive then publishes",
+    )  # fmt: skip
+    parser.add_argument(
+        "-p", "--param", action="append", default=[], metavar="NAME:=VALUE",
+        help="a parameter, given to every node; may be repeated",
+    )  # fmt: skip
+    parser.add_argument("--params-file", metavar="FILE", help="a ROS parameter file for all nodes")
+
+
+def add_teleop(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `omniman teleop`."""
+    parser.add_argument("--linear", type=float, default=0.3, help="speed, m/s; %(default)s")
+    parser.add_argument("--angular", type=float, default=0.6, help="yaw rate, rad/s; %(default)s")
+    parser.add_argument(
+        "--stamped", action="store_true",
+        help="publish TwistStamped, for a controller with cmd_vel_stamped",
+    )  # fmt: skip
+    add_namespace(parser, "namespace of the robot")
+
+
+def add_stop(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `omniman stop` and `omniman reset`."""
+    add_namespace(parser, "only the nodes in this namespace; default: all that are found")
+
+
+def add_demo(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `omniman demo`."""
+    add_robot(parser)
+    parser.add_argument(
+        "--keep", action="store_true",
+        help="stay up after the show, in your own ROS domain, for your teleop; Ctrl-C ends all",
+    )  # fmt: skip
+    parser.add_argument("--verbose", action="store_true", help="show what the nodes say")
+    parser.add_argument(
+        "-p", "--param", action="append", default=[], metavar="NAME:=VALUE",
+        help="a parameter, given to every node; may be repeated",
+    )  # fmt: skip
+    add_results(parser)
+
+
+def add_bench(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `omniman bench`."""
+    parser.add_argument(
+        "name", nargs="?", default="control", choices=["control"],
+        help="control: time of a control tick, CPU of the nodes, latency; the default",
+    )  # fmt: skip
+    parser.add_argument(
+        "--quick", action="store_true", help="a few samples only: does it run at all?"
+    )
+    add_robot(parser)
+    add_results(parser)
+
+
+def add_parameters(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `omniman parameters`."""
+    parser.add_argument(
+        "node", nargs="?", choices=sorted(NODES), help="one node; default: all, by sections"
+    )
+
+
+COMMANDS: dict[str, tuple[str, str, Callable[[argparse.ArgumentParser], None]]] = {
+    "up": ("up", "start the nodes, Ctrl-C stops the robot and ends them", add_up),
+    "teleop": ("teleop", "drive with the keyboard: hold to drive, release stops", add_teleop),
+    "stop": ("stop_reset", "stop every node that moves something, until a reset", add_stop),
+    "reset": ("stop_reset", "release stopped nodes; moves nothing by itself", add_stop),
+    "demo": ("demo", "a simulated robot drives and is measured, in under a minute", add_demo),
+    "parameters": ("parameters", "list the parameters of the nodes", add_parameters),
+    "bench": ("bench", "measure how fast the control is", add_bench),
+}
+"""Name: module in omniman_ros.cli with `run(args) -> int`, help, arguments."""
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """Make the parser of the whole command line."""
+    parser = argparse.ArgumentParser(
+        "omniman", description=DESCRIPTION, epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False,
+    )  # fmt: skip
+    parser.add_argument("--version", action=Version, nargs=0, help="print the version")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    for name, (_, text, add_arguments) in COMMANDS.items():
+        add_arguments(
+            commands.add_parser(
+                name, help=text, description=text[0].upper() + text[1:] + ".", allow_abbrev=False
+            )
+        )
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point of `omniman`; returns the exit code."""
+    args = make_parser().parse_args(arguments)
+    try:
+        command = importlib.import_module(f"omniman_ros.cli.{COMMANDS[args.command][0]}")
+    except ModuleNotFoundError as error:
+        if (error.name or "").startswith("omniman_ros"):
+            raise
+        print(f"error: no Python module '{error.name}' here.", file=sys.stderr)
+        print(
+            "On a ROS 2 machine: source /opt/ros/jazzy/setup.bash first. Elsewhere: "
+            "pip install 'omniman_ros[ros]', or use `make demo`.",
+            file=sys.stderr,
+        )
+        return 1
+    try:
+        return int(command.run(args))
+    except CommandError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return error.code
+    except OmnimanError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,48 @@
+"""What becomes of the nodes' output: printed with their names, or kept for the worst case."""
+
+import sys
+import threading
+from collections import deque
+from collections.abc import Sequence
+
+from omniman_ros.cli.terminal import paint, say
+
+COLOURS = ("36", "35", "33", "32", "34")
+LAST_WORDS = 30
+"""Lines of the nodes' output that are shown when something went wrong."""
+
+
+class PrefixedLines:
+    """Prints lines with the name of the process they come from; for several threads."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        width = max(map(len, names))
+        self._prefixes = {
+            name: paint(f"[{name}]".ljust(width + 3), COLOURS[i % len(COLOURS)], sys.stdout)
+            for i, name in enumerate(names)
+        }
+        self._lock = threading.Lock()
+
+    def __call__(self, name: str, line: str) -> None:
+        """Print a line."""
+        with self._lock:
+            say(self._prefixes[name] + line)
+
+
+class NodeLog:
+    """Keeps the nodes' last words, or shows all of them at once, on stderr."""
+
+    def __init__(self, verbose: bool = False) -> None:
+        self._verbose = verbose
+        self._last: deque[str] = deque(maxlen=LAST_WORDS)
+
+    def __call__(self, name: str, line: str) -> None:
+        """Take a line."""
+        self._last.append(f"  [{name}] {line}")
+        if self._verbose:
+            say(f"[{name}] {line}", sys.stderr)
+
+    def show(self) -> None:
+        """Show the last lines, unless they were."""
+        if self._last and not self._verbose:
+            say("the nodes' last words:\n" + "\n".join(self._last), sys.stderr)

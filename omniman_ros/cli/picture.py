@@ -1,0 +1,167 @@
+"""A picture of the demo's drive: where the robot went, and how its errors went with time."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from numpy.typing import NDArray
+
+from omniman_ros.cli.recorder import Recording
+from omniman_ros.cli.score import DrivenFigure, DrivenTwist
+from omniman_ros.core.robot import Robot
+
+matplotlib.use("Agg")
+from matplotlib import pyplot as plt
+from matplotlib.patches import Polygon
+
+Array = NDArray[np.float64]
+
+INK, FAINT, TWISTS, PATH, TRUTH, ROBOT = (
+    "#1f2933", "#c3cad2", "#2f6fde", "#d9480f", "#0b8043", "#5f6b7a",
+)  # fmt: skip
+OUTLINES = 10
+"""Poses along the way at which the robot is outlined, the first and last included."""
+CORNERS = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]])
+
+
+def draw(
+    robot: Robot,
+    recording: Recording,
+    twists: list[DrivenTwist],
+    figure: DrivenFigure,
+    path: Path,
+) -> None:
+    """Draw the demo into a PNG file."""
+    odom, truth = np.array(recording.odom), np.array(recording.truth)
+    begin = twists[0].start
+    style: dict[str, Any] = {
+        "font.size": 9, "axes.edgecolor": FAINT, "axes.labelcolor": INK, "text.color": INK,
+        "xtick.color": ROBOT, "ytick.color": ROBOT, "axes.spines.top": False,
+        "axes.spines.right": False, "axes.titlesize": 10, "axes.titleweight": "bold",
+        "axes.titlelocation": "left", "figure.dpi": 130,
+    }  # fmt: skip
+    with plt.rc_context(style):
+        sheet = plt.figure(figsize=(11, 6), layout="constrained")
+        grid = sheet.add_gridspec(3, 2, width_ratios=(1.15, 1))
+        _way(sheet.add_subplot(grid[:, 0]), robot, odom, truth, figure)
+        rows = [sheet.add_subplot(grid[i, 1]) for i in range(3)]
+        _speeds(rows[0], odom, begin)
+        _coupling(rows[1], np.array(recording.coupling), begin)
+        _tracking(rows[2], odom, figure, begin)
+        for axes in rows:
+            _mark(axes, twists, figure, begin)
+            axes.set_xlim(0.0, odom[-1, 0] - begin)
+        rows[0].tick_params(labelbottom=False)
+        rows[1].tick_params(labelbottom=False)
+        rows[2].set_xlabel("time [s]")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        sheet.savefig(path)
+        plt.close(sheet)
+
+
+def _way(axes: Any, robot: Robot, odom: Array, truth: Array, figure: DrivenFigure) -> None:
+    """Top view: x forward is up, y left is left, as the robot sees it at the start."""
+    on_path = odom[:, 0] >= figure.start
+    axes.plot(
+        -odom[~on_path, 2], odom[~on_path, 1], color=TWISTS, lw=2.0, zorder=4, label="cmd_vel"
+    )
+    axes.plot(
+        -odom[on_path, 2], odom[on_path, 1], color=PATH, lw=2.0, zorder=4, label="path/reference"
+    )
+    axes.plot(
+        -truth[:, 2],
+        truth[:, 1],
+        color=TRUTH,
+        lw=1.0,
+        ls=(0, (4, 4)),
+        zorder=5,
+        label="ground truth",
+    )
+    for i in np.linspace(0, len(odom) - 1, OUTLINES).astype(int)[1:-1]:
+        _outline(axes, robot, odom[i, 1:4], alpha=0.5)
+    _robot(axes, robot, odom[-1, 1:4])
+    axes.set_aspect("equal")
+    axes.set_title("Way of the platform in odom")
+    axes.set_xlabel("← y [m]")
+    axes.set_ylabel("x [m] →")
+    axes.xaxis.set_major_formatter(lambda value, _: f"{-value + 0.0:g}")
+    axes.grid(color=FAINT, lw=0.4)
+    axes.legend(frameon=False, loc="upper right")
+
+
+def _outline(axes: Any, robot: Robot, pose: Array, **options: Any) -> None:
+    """Bounding box and a mark in front."""
+    corners = CORNERS * [robot.body.length / 2, robot.body.width / 2]
+    nose = np.array([[0.5, 0.0], [0.42, 0.06], [0.42, -0.06]]) * robot.body.length
+    axes.add_patch(_patch(corners, pose, facecolor="none", edgecolor=FAINT, **options))
+    axes.add_patch(_patch(nose, pose, facecolor=FAINT, edgecolor="none", **options))
+
+
+def _robot(axes: Any, robot: Robot, pose: Array) -> None:
+    """Outline, and wheels with a line along the axis of the roller on the floor."""
+    _outline(axes, robot, pose)
+    wheels = robot.wheels
+    for x, y, heading, roller, radius in zip(
+        wheels.x, wheels.y, wheels.heading, wheels.roller_angle, wheels.radius, strict=True
+    ):
+        tread = CORNERS * [radius, 0.4 * radius]
+        inside = _turn(tread, heading) + [x, y]
+        axes.add_patch(_patch(inside, pose, facecolor="#9aa5b1", edgecolor=ROBOT, lw=0.5))
+        axis = _turn(np.array([[-0.6 * radius, 0.0], [0.6 * radius, 0.0]]), heading + roller)
+        line = _place(axis + [x, y], pose)
+        axes.plot(*line.T, color="white", lw=1.2, zorder=1.5)
+
+
+def _turn(points: Array, angle: float) -> Array:
+    c, s = math.cos(angle), math.sin(angle)
+    return points @ np.array([[c, s], [-s, c]])
+
+
+def _place(points: Array, pose: Array) -> Array:
+    """Points of the robot in the picture's axes (-y, x)."""
+    x, y = (_turn(points, pose[2]) + pose[:2]).T
+    return np.column_stack([-y, x])
+
+
+def _patch(points: Array, pose: Array, **options: Any) -> Polygon:
+    return Polygon(_place(points, pose), closed=True, zorder=1, **options)
+
+
+def _speeds(axes: Any, odom: Array, begin: float) -> None:
+    time = odom[:, 0] - begin
+    for column, name, color in ((4, "x' [m/s]", TWISTS), (5, "y' [m/s]", PATH),
+                                (6, "θ' [rad/s]", TRUTH)):  # fmt: skip
+        axes.plot(time, odom[:, column], color=color, lw=1.2, label=name)
+    axes.set_title("Twist in base_link, from the encoders")
+    axes.legend(frameon=False, ncols=3, loc="lower left")
+
+
+def _coupling(axes: Any, coupling: Array, begin: float) -> None:
+    axes.set_title("Coupling error ε [rad]")
+    if coupling.shape[1] < 2:
+        axes.text(
+            0.5, 0.5, "three wheels have no constraint", transform=axes.transAxes, ha="center"
+        )
+        return
+    for column in range(1, coupling.shape[1]):
+        axes.plot(coupling[:, 0] - begin, coupling[:, column], color=INK, lw=1.2)
+
+
+def _tracking(axes: Any, odom: Array, figure: DrivenFigure, begin: float) -> None:
+    since = odom[:, 0] - figure.start
+    during = (since >= 0.0) & (since <= figure.figure.duration)
+    wanted = np.array([figure.figure.sample(t).pose[:2] for t in since[during].tolist()])
+    error = 1e3 * np.linalg.norm(odom[during, 1:3] - wanted, axis=1)
+    axes.plot(odom[during, 0] - begin, error, color=PATH, lw=1.2)
+    axes.set_title("Tracking error on the path [mm]")
+    axes.set_ylim(bottom=0.0)
+
+
+def _mark(axes: Any, twists: list[DrivenTwist], figure: DrivenFigure, begin: float) -> None:
+    """Light bands where something is driven."""
+    parts = [(driven.start, driven.phase.duration) for driven in twists]
+    parts.append((figure.start, figure.figure.duration))
+    for start, duration in parts:
+        axes.axvspan(start - begin, start - begin + duration, color="#eef2f7", zorder=0, lw=0)

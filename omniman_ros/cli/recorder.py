@@ -1,0 +1,114 @@
+"""What the demo hears while the robot drives."""
+
+import time
+from dataclasses import dataclass, field
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from nav_msgs.msg import Odometry
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray, String
+
+from omniman_ros.conversions import time_seconds, yaw
+
+LATCHED = QoSProfile(depth=50, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+Row = tuple[float, ...]
+
+
+@dataclass
+class Recording:
+    """Rows as they came; stamps are ROS time, arrivals are on the steady clock, all in seconds.
+
+    Attributes:
+        odom: Stamp, x, y, theta, x', y', theta'.
+        truth: Stamp, x, y, theta of the ground truth.
+        coupling: Stamp, epsilon of each constraint [rad].
+        energy: Energy of each wheel since the start of the drive [J].
+        odom_arrivals, command_arrivals: When odom, and wheel_commands or wheel_voltages, came.
+        stall: Longest time that this process was held up [s]; the nodes mostly were, too.
+    """
+
+    odom: list[Row] = field(default_factory=list)
+    truth: list[Row] = field(default_factory=list)
+    coupling: list[Row] = field(default_factory=list)
+    energy: list[Row] = field(default_factory=list)
+    odom_arrivals: list[float] = field(default_factory=list)
+    command_arrivals: list[float] = field(default_factory=list)
+    stall: float = 0.0
+
+
+class Recorder:
+    """Subscribes to all of it.
+
+    Attributes:
+        recording: The rows.
+        active_source: What the controller said last, or empty.
+        stopped: Names of stopped nodes, with the reason.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self.recording = Recording()
+        self.active_source = ""
+        self.stopped: dict[str, str] = {}
+        for kind, topic, handler, qos in (
+            (Odometry, "odom", self._on_odom, 10),
+            (Odometry, "ground_truth/odom", self._on_truth, 10),
+            (JointState, "wheel_commands", self._on_command, 10),
+            (JointState, "wheel_voltages", self._on_command, 10),  # instead, in voltage mode
+            (JointState, "coupling_error", self._on_coupling, 10),
+            (Float64MultiArray, "wheel_electrical", self._on_electrical, 10),
+            (String, "active_source", self._on_source, LATCHED),
+            (DiagnosticStatus, "stop_state", self._on_stop_state, LATCHED),
+        ):
+            node.create_subscription(kind, topic, handler, qos)
+
+    @property
+    def missing(self) -> list[str]:
+        """Topics that have said nothing yet."""
+        heard = {
+            "odom": self.recording.odom,
+            "ground_truth/odom": self.recording.truth,
+            "wheel_commands": self.recording.command_arrivals,
+            "wheel_electrical": self.recording.energy,
+            "coupling_error": self.recording.coupling,
+            "active_source": self.active_source,
+        }
+        return [topic for topic, rows in heard.items() if not rows]
+
+    def _on_odom(self, message: Odometry) -> None:
+        self.recording.odom_arrivals.append(time.monotonic())
+        twist = message.twist.twist
+        self.recording.odom.append(
+            (*_stamped_pose(message), twist.linear.x, twist.linear.y, twist.angular.z)
+        )
+
+    def _on_truth(self, message: Odometry) -> None:
+        self.recording.truth.append(_stamped_pose(message))
+
+    def _on_command(self, message: JointState) -> None:
+        self.recording.command_arrivals.append(time.monotonic())
+
+    def _on_coupling(self, message: JointState) -> None:
+        stamp = time_seconds(message.header.stamp)
+        self.recording.coupling.append((stamp, *message.position))
+
+    def _on_electrical(self, message: Float64MultiArray) -> None:
+        self.recording.energy.append(tuple(message.data[2::3]))
+
+    def _on_source(self, message: String) -> None:
+        self.active_source = message.data
+
+    def _on_stop_state(self, message: DiagnosticStatus) -> None:
+        if message.level == DiagnosticStatus.ERROR:
+            self.stopped[message.name] = message.message
+        else:
+            self.stopped.pop(message.name, None)
+
+
+def _stamped_pose(message: Odometry) -> Row:
+    pose = message.pose.pose
+    return (
+        time_seconds(message.header.stamp), pose.position.x, pose.position.y,
+        yaw(pose.orientation),
+    )  # fmt: skip

@@ -1,0 +1,213 @@
+"""Judgement of the demo: figures from what was recorded, and what is wrong with them."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omniman_ros.cli.figures import Figure, Sample, TwistPhase
+from omniman_ros.cli.recorder import Recording
+
+Array = NDArray[np.float64]
+
+TRACKING = (
+    "rms_mm", "max_mm", "heading_rms_deg", "heading_max_deg", "final_mm", "final_heading_deg"
+)  # fmt: skip
+SETTLING = 1.0
+"""Time after which a robot is to drive the twist that it is asked for [s]."""
+
+LIMITS = {
+    "twist error, m/s": 0.03,
+    "twist error, rad/s": 0.05,
+    "tracking RMS, mm": 5.0,
+    "tracking max, mm": 20.0,
+    "final position, mm": 10.0,
+    "final heading, deg": 1.0,
+    "odometry position, mm": 100.0,
+    "odometry heading, deg": 6.0,
+    "odom rate, Hz": 80.0,
+    "wheel_commands rate, Hz": 160.0,
+}
+"""What a demo must keep to; rates are the least, the others the most."""
+
+
+STALL = 0.15
+"""Time without the processor that can spoil a demo [s]."""
+
+
+@dataclass(frozen=True)
+class DrivenTwist:
+    """A phase of twists and when it began in ROS time [s]."""
+
+    phase: TwistPhase
+    start: float
+
+
+@dataclass(frozen=True)
+class DrivenFigure:
+    """A figure and when it began in ROS time [s]."""
+
+    figure: Figure
+    start: float
+
+
+def rms(values: Array) -> float:
+    """Root of the mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def wrapped(angle: Array) -> Array:
+    """Angles in [-pi, pi] [rad]."""
+    result: Array = np.remainder(angle + math.pi, math.tau) - math.pi
+    return result
+
+
+def twist_error(odom: Array, driven: DrivenTwist) -> dict[str, Any]:
+    """How far the mean twist was from the one that was asked for, once settled.
+
+    Args:
+        odom: Rows of Recording.odom.
+        driven: What was asked for.
+    """
+    since = odom[:, 0] - driven.start
+    chosen = (since >= SETTLING) & (since <= driven.phase.duration)
+    if not chosen.any():
+        return {"name": driven.phase.name, "linear_m_s": math.inf, "angular_rad_s": math.inf}
+    asked = np.array([driven.phase.twist(t) for t in since[chosen].tolist()])
+    mean = (odom[chosen, 4:7] - asked).mean(axis=0)
+    return {
+        "name": driven.phase.name,
+        "linear_m_s": math.hypot(mean[0], mean[1]),
+        "angular_rad_s": abs(float(mean[2])),
+    }
+
+
+def tracking(odom: Array, driven: DrivenFigure) -> dict[str, Any]:
+    """Error in odom, at each message's stamp, against the reference of that instant.
+
+    Args:
+        odom: Rows of Recording.odom.
+        driven: What was followed.
+    """
+    since = odom[:, 0] - driven.start
+    during = (since >= 0.0) & (since <= driven.figure.duration)
+    if not during.any():
+        return dict.fromkeys(TRACKING, math.inf)
+    distance, angle = _pose_errors(odom[during], since[during], driven.figure.sample)
+    last, turn = _pose_errors(odom[-1:], since[-1:], driven.figure.sample)
+    return {
+        "rms_mm": 1e3 * rms(distance),
+        "max_mm": 1e3 * float(distance.max()),
+        "heading_rms_deg": math.degrees(rms(angle)),
+        "heading_max_deg": math.degrees(float(np.abs(angle).max())),
+        "final_mm": 1e3 * float(last[0]),
+        "final_heading_deg": math.degrees(abs(float(turn[0]))),
+        "samples": int(during.sum()),
+    }
+
+
+def _pose_errors(
+    odom: Array, times: Array, sample: Callable[[float], Sample]
+) -> tuple[Array, Array]:
+    wanted = np.array([sample(t).pose for t in times.tolist()])
+    off = odom[:, 1:4] - wanted
+    return np.hypot(off[:, 0], off[:, 1]), wrapped(off[:, 2])
+
+
+def drift(odom: Array, truth: Array) -> dict[str, Any]:
+    """Odometry against the ground truth at the end, both seen from where they began.
+
+    Args:
+        odom, truth: Rows that begin with stamp, x, y, theta.
+    """
+    ours, true = _from_start(odom[:, 1:4]), _from_start(truth[:, 1:4])
+    steps = np.diff(truth[:, 1:4], axis=0)
+    return {
+        "position_mm": 1e3 * float(np.hypot(*(ours[:2] - true[:2]))),
+        "heading_deg": math.degrees(abs(float(wrapped(ours[2] - true[2])))),
+        "travel_m": float(np.hypot(steps[:, 0], steps[:, 1]).sum()),
+        "turn_rad": float(np.abs(wrapped(steps[:, 2])).sum()),
+    }
+
+
+def _from_start(poses: Array) -> Array:
+    x, y, turn = poses[-1] - poses[0]
+    c, s = math.cos(poses[0, 2]), math.sin(poses[0, 2])
+    return np.array([c * x + s * y, c * y - s * x, turn])
+
+
+def intervals(arrivals: Sequence[float]) -> dict[str, Any]:
+    """Rate [Hz] and interval [ms] of messages by their arrivals [s]."""
+    gaps = 1e3 * np.diff(np.array(arrivals))
+    return {
+        "rate_hz": 1e3 / float(gaps.mean()),
+        "p50_ms": float(np.percentile(gaps, 50)),
+        "p99_ms": float(np.percentile(gaps, 99)),
+        "max_ms": float(gaps.max()),
+    }
+
+
+def excuse(recording: Recording) -> str:
+    """What the machine has to do with a failure, in brackets, or an empty string."""
+    if recording.stall <= STALL:
+        return ""
+    return f" (this machine stood still for {recording.stall:.2f} s meanwhile: try again)"
+
+
+def judge(
+    recording: Recording, twists: Sequence[DrivenTwist], figure: DrivenFigure
+) -> dict[str, Any]:
+    """All figures, and under "faults" a sentence for each that is beyond its limit."""
+    odom, truth = np.array(recording.odom), np.array(recording.truth)
+    epsilon = np.array(recording.coupling)[:, 1:]
+    energy = np.array(recording.energy)
+    result: dict[str, Any] = {
+        "twists": [twist_error(odom, driven) for driven in twists],
+        "tracking": tracking(odom, figure),
+        "coupling": {
+            "rms_rad": rms(epsilon) if epsilon.size else 0.0,
+            "max_rad": float(np.abs(epsilon).max()) if epsilon.size else 0.0,
+        },
+        "odometry": drift(odom, truth),
+        "energy": {
+            "total_j": float((energy[-1] - energy[0]).sum()),
+            "wheels_j": (energy[-1] - energy[0]).tolist(),
+        },
+        "timing": {
+            "odom": intervals(recording.odom_arrivals),
+            "wheel_commands": intervals(recording.command_arrivals),
+        },
+    }
+    result["timing"]["stall_ms"] = 1e3 * recording.stall
+    result["faults"] = [fault + excuse(recording) for fault in faults(result)]
+    return result
+
+
+def faults(result: dict[str, Any]) -> list[str]:
+    """A sentence for each figure that is beyond its limit."""
+    track, odometry, timing = result["tracking"], result["odometry"], result["timing"]
+    most = [
+        ("tracking RMS, mm", track["rms_mm"]),
+        ("tracking max, mm", track["max_mm"]),
+        ("final position, mm", track["final_mm"]),
+        ("final heading, deg", track["final_heading_deg"]),
+        ("odometry position, mm", odometry["position_mm"]),
+        ("odometry heading, deg", odometry["heading_deg"]),
+    ]
+    for twist in result["twists"]:
+        most.append(("twist error, m/s", twist["linear_m_s"]))
+        most.append(("twist error, rad/s", twist["angular_rad_s"]))
+    found = [
+        f"{name}: {value:.3g}, at most {LIMITS[name]:g}"
+        for name, value in most
+        if not value <= LIMITS[name]
+    ]
+    for topic in ("odom", "wheel_commands"):
+        name = f"{topic} rate, Hz"
+        rate = timing[topic]["rate_hz"]
+        if not rate >= LIMITS[name]:
+            found.append(f"{name}: {rate:.3g}, at least {LIMITS[name]:g}")
+    return found

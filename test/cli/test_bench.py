@@ -1,0 +1,72 @@
+import json
+import math
+import os
+import subprocess
+
+import pytest
+
+from omniman_ros.cli.bench import aims
+from omniman_ros.cli.bench_core import core_ticks
+from omniman_ros.cli.bench_cpu import cpu_shares, cpu_time
+from omniman_ros.cli.errors import CommandError
+from test import robots
+
+from .support import command, environment
+
+
+@pytest.mark.parametrize("name", robots.ALL)
+def test_core_ticks_are_measured_in_every_mode_and_for_every_robot(name):
+    ticks = core_ticks(robots.values(name), blocks=2, block=50)
+    assert set(ticks) == {"velocity", "torque", "voltage"}
+    assert all(1.0 < micros < 5000.0 for micros in ticks.values())
+
+
+def test_cpu_time_is_that_of_the_system():
+    own = os.times()
+    assert cpu_time(os.getpid()) == pytest.approx(own.user + own.system, abs=0.05)
+
+
+def test_cpu_share_of_a_busy_process_is_one_core():
+    def burn():
+        end = os.times().user + 0.3
+        while os.times().user < end:
+            math.factorial(500)
+
+    share = cpu_shares({"busy": os.getpid()}, burn)["busy"]
+    assert 0.3 < share <= 1.15
+
+
+def test_a_process_that_is_gone_is_an_error():
+    with pytest.raises(CommandError, match="process 999999999"):
+        cpu_time(999999999)
+
+
+def test_aims_are_met_or_missed():
+    result = {
+        "core_tick_us": {"velocity": 50.0, "torque": 99.0},
+        "latency_ratio": 1.3,
+        "cpu_share": {"platform_controller": 0.33},
+    }
+    assert aims(result) == {"core_tick": True, "latency_ratio": True, "cpu_share": True}
+    result["core_tick_us"]["torque"] = 101.0
+    result["latency_ratio"] = 1.31
+    result["cpu_share"]["platform_controller"] = 0.34
+    assert aims(result) == {"core_tick": False, "latency_ratio": False, "cpu_share": False}
+
+
+def test_the_benchmark_runs_whole_and_says_so_in_json(tmp_path):
+    ended = subprocess.run(
+        command("bench", "control", "--quick", "--results", str(tmp_path)),
+        env=environment(), capture_output=True, text=True, timeout=120,
+    )  # fmt: skip
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    result = json.loads(ended.stdout.splitlines()[-1])
+    assert result == json.loads((tmp_path / "bench_control.json").read_text())
+    assert result["quick"] is True
+    for name in ("platform_controller", "relay"):
+        assert result["latency"][name]["samples"] == 20
+        # Half a period of the timer, and what two hops between processes take.
+        assert 0.5 < result["latency"][name]["median_ms"] < 50.0
+    assert 0.3 < result["latency_ratio"] < 10.0
+    assert 0.01 < result["cpu_share"]["platform_controller"] < 1.0
+    assert 0.01 < result["cpu_share"]["simulated_drive"] < 1.0

@@ -1,0 +1,101 @@
+import subprocess
+import sys
+
+import pytest
+
+from omniman_ros.cli import fleet
+from omniman_ros.cli.main import COMMANDS, main, make_parser
+from omniman_ros.nodes.registry import NODES
+
+from .support import command
+
+HEAVY = {"rclpy", "numpy", "yaml", "asyncio", "subprocess"}
+
+
+@pytest.mark.parametrize("arguments", [["--help"], *[[name, "--help"] for name in COMMANDS]])
+def test_help_imports_nothing_heavy_and_takes_little_time(arguments):
+    code = (
+        "import sys, time\n"
+        "from omniman_ros.cli.main import main\n"
+        "try:\n"
+        "    main(sys.argv[1:])\n"
+        "except SystemExit as end:\n"
+        "    assert end.code == 0, end.code\n"
+        f"heavy = {HEAVY!r} & set(sys.modules)\n"
+        "assert not heavy, heavy\n"
+        "assert time.process_time() < 0.3, time.process_time()\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True)
+    assert ended.returncode == 0, ended.stderr.decode()
+    assert b"usage: omniman" in ended.stdout
+
+
+def test_version_is_printed(capsys):
+    with pytest.raises(SystemExit) as end:
+        main(["--version"])
+    assert end.value.code == 0
+    assert capsys.readouterr().out.startswith("omniman ")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        [], ["fly"], ["up", "--only"], ["bench", "nothing"], ["teleop", "--linear", "fast"],
+        ["parameters", "no_node"], ["up", "--rob", "ig42"],
+    ],
+)  # fmt: skip
+def test_a_wrong_command_line_is_exit_code_2(arguments, capsys):
+    with pytest.raises(SystemExit) as end:
+        main(arguments)
+    assert end.value.code == 2
+    assert "omniman" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["up", "--robot", "nobody"], "robot 'nobody': expected one of ig42, omniman"),
+        (["demo", "--robot", "/nowhere/robot.yaml"], "no such file"),
+        (["bench", "--robot", "nobody"], "robot 'nobody'"),
+        (["up", "--only", "nothing"], "no node 'nothing'; there are platform_controller"),
+        (["up", "-p", "drive.mode=torque"], "'drive.mode=torque' is not NAME:=VALUE"),
+        (["up", "--params-file", "/nowhere"], "no parameter file '/nowhere'"),
+        (["teleop", "--linear", "0"], "--linear must be above 0, got 0"),
+    ],
+)
+def test_what_cannot_be_started_is_said_in_one_line(arguments, message, capsys):
+    assert main(arguments) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: ")
+    assert message in error
+    assert error.count("\n") == 1
+
+
+def test_without_rclpy_it_says_how_to_get_it():
+    code = (
+        "import sys\n"
+        "sys.modules['rclpy'] = None\n"
+        "from omniman_ros.cli.main import main\n"
+        "sys.exit(main(['stop']))\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert ended.returncode == 1
+    assert "no Python module 'rclpy" in ended.stderr
+    assert "source /opt/ros" in ended.stderr
+
+
+def test_teleop_without_a_terminal_is_refused():
+    ended = subprocess.run(
+        command("teleop"), stdin=subprocess.DEVNULL, capture_output=True, text=True
+    )
+    assert ended.returncode == 2
+    assert "not a terminal" in ended.stderr
+
+
+def test_up_can_start_every_node_of_the_package():
+    assert {kind.name for kind in fleet.NODES} == set(NODES)
+
+
+def test_defaults_are_those_of_the_nodes():
+    args = make_parser().parse_args(["up"])
+    assert args.robot == "omniman"
