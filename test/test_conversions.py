@@ -208,9 +208,9 @@ def spoiled(change):
     ("change", "why"),
     [
         (lambda m: setattr(m.header, "frame_id", "map"), "frame 'map'"),
-        (lambda m: setattr(m, "joint_names", ["base"]), "expected .'platform'"),
-        (lambda m: setattr(m, "joint_names", []), "expected .'platform'"),
-        (lambda m: setattr(m, "joint_names", ["platform", "arm"]), "expected .'platform'"),
+        (lambda m: setattr(m, "joint_names", ["base"]), "expected 'platform' alone"),
+        (lambda m: setattr(m, "joint_names", []), "expected 'platform' alone"),
+        (lambda m: setattr(m, "joint_names", ["platform", "arm"]), "expected 'platform' alone"),
         (lambda m: setattr(m, "points", []), "got 0"),
         (lambda m: setattr(m.points[1], "transforms", []), "point 1: expected one transform"),
         (lambda m: setattr(m.points[1], "velocities", []), "point 1: expected one transform"),

@@ -165,13 +165,40 @@ def test_late_and_backward_ticks_are_harmless(offset):
     np.testing.assert_allclose(rig.core.setpoint, before)
 
 
-def test_a_late_tick_counts_as_the_longest():
+def test_a_tick_that_is_a_little_late_counts_in_full():
     rig = driving()
     rig.core.latch.stop("button")
     before = rig.core.setpoint
-    rig.core.tick(rig.now + 0.9)
+    rig.core.tick(rig.now + 0.9 * LONGEST_TICK)
     spent = ratio(before - rig.core.setpoint, rig.core.parameters.limits.deceleration)
-    assert spent == pytest.approx(LONGEST_TICK)
+    assert spent == pytest.approx(0.9 * LONGEST_TICK)
+
+
+def test_after_a_stall_there_is_no_command_until_the_wheels_have_reported():
+    rig = driving()
+    rig.now += 0.9  # the drives have come to rest meanwhile, by themselves
+    assert rig.core.tick(rig.now) is None
+    rig.core.hear_wheels(rig.now - DT, rig.now, rig.position, rig.speed)  # from before its end
+    assert rig.core.tick(rig.now + DT) is None
+    assert rig.core.latch.released
+    rig.now += DT
+    rig.speed = np.zeros(rig.count)
+    rig.report()
+    rig.twist(*CRUISE)
+    command = rig.core.tick(rig.now + DT)
+    assert command is not None and command.velocity is not None
+    bound = abs(rig.core.cascade.kinematics.J).sum() * 0.1
+    assert abs(command.velocity).max() < bound * DT * 50
+    assert ratio(rig.core.setpoint, rig.core.parameters.limits.acceleration) <= 2 * DT
+
+
+def test_a_stall_of_the_controller_is_no_silence_of_its_sources():
+    rig = driving()
+    rig.core.arbiter.cancel(Source.CMD_VEL, "test")
+    rig.now += 5.0
+    rig.core.tick(rig.now)
+    rig.report()
+    assert "test" in rig.core.hear_twist(np.array([0.1, 0.0, 0.0]), rig.now + DT)
 
 
 # ---- stopping ---------------------------------------------------------------------------------
@@ -222,7 +249,7 @@ def test_a_stopped_peer_holds_and_its_release_moves_nothing():
     rig.core.latch.set_peer("arm_streamer", False)
     rig.run(1.5, lambda: rig.twist(*CRUISE))  # still the old stream
     decelerates(rig, since)
-    rig.run(0.6)  # a pause
+    rig.run(1.1)  # a pause
     rig.run(0.1, lambda: rig.twist(*CRUISE))
     assert rig.core.setpoint.any()
 
@@ -255,7 +282,7 @@ def test_lost_wheel_states_latch_a_stop_that_ends():
         rig.twist(*CRUISE)
         rig.tick()
         ticks += 1
-    assert ticks * DT == pytest.approx(0.1, abs=2 * DT)
+    assert ticks * DT == pytest.approx(0.2, abs=2 * DT)
     since += ticks - 1
     rig.run(2.0, lambda: rig.twist(*CRUISE))
     decelerates(rig, since)
@@ -275,7 +302,7 @@ def test_wheel_states_that_come_late_are_lost_too():
     for _ in range(100):
         rig.now += DT
         rig.twist(*CRUISE)
-        late = rig.now - 0.15
+        late = rig.now - 0.25
         if late > rig.core.feedback.time:
             rig.core.hear_wheels(late, rig.now, rig.position, rig.speed)
         rig.core.tick(rig.now)
@@ -718,14 +745,18 @@ def test_voltages_are_refused_where_the_drives_have_no_such_mode():
     assert rig.still
 
 
-def test_voltages_that_overspeed_a_wheel_are_cancelled():
-    rig = Rig(changes={"motor.max_speed": 8.0}).run(0.1)
-    rig.run(0.2, volts(rig, 8.0 * 1.04 * 25 * 0.11))
+@pytest.mark.parametrize(
+    ("limit", "speed"),
+    [({"motor.max_speed": 6.0}, 6.0), ({"limits.linear_velocity": 0.5}, 0.5 / 0.127)],
+)
+def test_voltages_that_overspeed_wheel_or_platform_are_cancelled(limit, speed):
+    rig = Rig(changes=limit).run(0.1)
+    rig.run(0.2, volts(rig, speed * 1.08 * 25 * 0.11))
     assert rig.core.arbiter.active is Source.MPC
-    volts(rig, 8.0 * 1.06 * 25 * 0.11)()
+    volts(rig, speed * 1.12 * 25 * 0.11)()
     rig.tick()
     rig.tick()
-    assert rig.core.cancelled == "mpc cancelled: a wheel is above its largest speed"
+    assert "mpc cancelled" in rig.core.cancelled and "speed limit" in rig.core.cancelled
     since = len(rig.commands) - 1
     assert rig.commands[-1].mode is DriveMode.VELOCITY
     rig.run(2.0, volts(rig, 24.0))
@@ -735,9 +766,9 @@ def test_voltages_that_overspeed_a_wheel_are_cancelled():
 
 def test_cmd_vel_takes_over_from_fast_voltages_without_a_jump():
     rig = Rig().run(0.1)
-    rig.run(0.5, volts(rig, 36.0))  # 1.66 m/s: voltages may go beyond the limit of 1 m/s
+    rig.run(0.5, volts(rig, 23.0))  # 1.06 m/s: voltages may go a little beyond the limit
     before = rig.core.setpoint
-    assert before[0] > 1.6
+    assert before[0] > 1.05
     since = len(rig.setpoints)
     rig.run(1.5, lambda: rig.twist(0.5, 0, 0))
     step = np.diff([before, *rig.setpoints[since:]], axis=0)
@@ -826,9 +857,10 @@ CHANGED = {
     "drive.following_error": 10.0,
     "odometry.encoder_span": math.tau,
     "motor.max_speed": 5.0,
-    "motor.max_voltage": 20.0,
+    "motor.max_voltage": 12.0,
     "motor.gear_efficiency": 0.6,
     "timeouts.wheel_states": 0.03,
+    "timeouts.cancelled": 30.0,
     "position.max_linear_error": 0.2,
     "position.max_angular_error": 0.2,
     "coupling.authority": 0.001,
@@ -889,7 +921,7 @@ def tour(changes):
     turned = Preview(rig.now + np.array([0.0, 2.0]), np.zeros((2, 3)), np.zeros((2, 3)))
     attempt(lambda: rig.core.hear_preview(Source.PATH, turned, rig.now))
     watch(2.5)
-    watch(0.3, lambda: attempt(volts(rig, 30.0)))
+    watch(0.3, lambda: attempt(volts(rig, 15.0)))
     watch(1.5)
     watch(1.0, lambda: attempt(lambda: rig.twist(0.4, 0.2, 0.2)))
     rig.position = rig.position + 200 * math.tau  # counters that start again
