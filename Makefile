@@ -36,6 +36,7 @@ test: lint types tests ## Check style and types and run all tests
 
 lint: $(TESTING) ## Check the style
 	$(BIN)/ruff check
+	$(BIN)/ruff format --check
 
 types: $(TESTING) ## Check the types
 	$(BIN)/mypy
