@@ -135,7 +135,8 @@ class SimulatedDriveNode(OmnimanNode):
         if age > self.settings.value.command_timeout:
             raise InputError(f"stale, {age:.3f} s old")
         if self.latch.status.state is StopState.STOPPED:
-            return f"stopped: {self.latch.status.reason}"
+            asked = command.effort if command.velocity is None else command.velocity
+            return f"stopped: {self.latch.status.reason}" if asked.any() else ""
         now = self.now()
         if command.mode is DriveMode.VOLTAGE:
             self.drives.command_voltage(command.effort, now)

@@ -299,6 +299,14 @@ def test_a_ramp_of_the_drives_keeps_the_robot_on_its_curve(drive):
     assert np.abs(drive.speeds).max() < 0.02
 
 
+def test_a_stopped_drive_complains_of_commands_to_move_only(drive):
+    service(drive)
+    drive.command(0.2, [0.0] * 4)
+    assert "wheel_commands refused" not in drive.node._throttle.counts
+    drive.command(0.2, [1.0] * 4)
+    assert drive.node._throttle.counts["wheel_commands refused"] > 30
+
+
 def test_negative_stamps_are_stale(drive):
     message = drive.message(velocity=[3.0] * 4)
     message.header.stamp.sec = -1
