@@ -32,6 +32,8 @@ UNIT_TOLERANCE = 0.01
 """How far a quaternion's length may be from 1."""
 TILT_TOLERANCE = 0.02
 """How far from vertical a planar pose may turn [rad, about]."""
+UNMEASURED = 1e6
+"""Variance of what a platform in the plane does not measure."""
 _PLANE = (0, 1, 5)
 """x, y and rotation about z among the six of a 6 x 6 covariance."""
 
@@ -216,6 +218,14 @@ def fill_odometry(
     message.twist.twist.linear.x = vx
     message.twist.twist.linear.y = vy
     message.twist.twist.angular.z = w
+
+
+def prepare_odometry(message: OdometryMsg, twist_variance: float) -> None:
+    """Write what stays: the twist's variance, and that z, roll and pitch are not measured."""
+    for i in range(6):
+        measured = i in _PLANE
+        message.twist.covariance[7 * i] = twist_variance if measured else UNMEASURED
+        message.pose.covariance[7 * i] = 0.0 if measured else UNMEASURED
 
 
 def transform(message: OdometryMsg) -> TransformStamped:

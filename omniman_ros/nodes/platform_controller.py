@@ -48,6 +48,10 @@ class PlatformControllerParameters:
         50.0, "Rate of coupling_error, at most the control rate.", unit="Hz", low=1, high=1000,
         read_only=True,
     )  # fmt: skip
+    twist_variance: float = parameter(
+        1e-4, "Variance of the twist in odom, for those who fuse it.",
+        unit="m^2/s^2, rad^2/s^2", low=0, high=100, read_only=True,
+    )  # fmt: skip
     odom_frame: str = parameter("odom", "Frame of poses and references.", read_only=True)
     base_frame: str = parameter("base_link", "Frame of twists.", read_only=True)
     map_is_odom: bool = parameter(False, "Whether input in `map` is taken for odom.")
@@ -87,6 +91,7 @@ class PlatformControllerNode(OmnimanNode):
         self._command_msg = JointState(name=list(self._names))
         self._odom_msg = OdometryMsg(child_frame_id=p.base_frame)
         self._odom_msg.header.frame_id = p.odom_frame
+        conversions.prepare_odometry(self._odom_msg, p.twist_variance)
         constraints = len(self.core.cascade.coupling.error)
         self._coupling_msg = JointState(name=[f"constraint_{i + 1}" for i in range(constraints)])
         self._odom_every = max(1, round(p.control_rate / p.odom_rate))

@@ -500,6 +500,15 @@ def test_set_pose_and_reset_odometry(rig):
     assert last(rig.odom).pose.pose.position.x == 0.0
 
 
+def test_odom_says_what_is_not_measured(rig):
+    rig.drive(0.3, 0.0, 0.2, seconds=1.0)
+    message = last(rig.odom)
+    for covariance in (message.pose.covariance, message.twist.covariance):
+        diagonal = np.array(covariance).reshape(6, 6).diagonal()
+        assert (diagonal[[2, 3, 4]] == 1e6).all()
+        assert (diagonal[[0, 1, 5]] > 0.0).all() and (diagonal[[0, 1, 5]] < 0.01).all()
+
+
 def test_map_is_odom_by_parameter():
     with Rig({"map_is_odom": True}) as rig:
         publisher = rig.publisher(PoseWithCovarianceStamped, "set_pose")
