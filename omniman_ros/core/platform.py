@@ -278,6 +278,9 @@ class PlatformController:
     def _caught_up(self, dt: float) -> bool:
         """Take over from the wheels' own motion once they have reported after a stall."""
         assert self._stalled is not None
+        if not self.feedback.heard and self.at_rest:
+            self._stalled = None
+            return True
         if self.feedback.time < self._stalled:
             self.setpoint = ramp_down(self.setpoint, self.parameters.limits.deceleration, dt)
             return False

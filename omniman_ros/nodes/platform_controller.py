@@ -38,7 +38,7 @@ class PlatformControllerParameters:
 
     platform: PlatformParameters = inline()
     control_rate: float = parameter(
-        200.0, "Rate of the control tick.", unit="Hz", low=10, high=1000, read_only=True
+        200.0, "Rate of the control tick.", unit="Hz", low=25, high=1000, read_only=True
     )
     odom_rate: float = parameter(
         100.0, "Rate of odom and /tf, at most the control rate.", unit="Hz", low=1, high=1000,

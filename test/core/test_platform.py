@@ -192,6 +192,14 @@ def test_after_a_stall_there_is_no_command_until_the_wheels_have_reported():
     assert ratio(rig.core.setpoint, rig.core.parameters.limits.acceleration) <= 2 * DT
 
 
+def test_a_stall_before_the_wheels_were_ever_heard_leaves_zero_commands():
+    rig = Rig()
+    rig.core.tick(rig.now)
+    assert rig.core.tick(rig.now + 0.9) is None
+    command = rig.core.tick(rig.now + 0.9 + DT)
+    assert command is not None and not command.velocity.any()
+
+
 def test_a_stall_of_the_controller_is_no_silence_of_its_sources():
     rig = driving()
     rig.core.arbiter.cancel(Source.CMD_VEL, "test")
