@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from builtin_interfaces.msg import Time
+from builtin_interfaces.msg import Duration, Time
 from geometry_msgs.msg import (
     PoseWithCovarianceStamped,
     Quaternion,
@@ -14,13 +14,15 @@ from geometry_msgs.msg import (
     TwistStamped,
 )
 from nav_msgs.msg import Odometry as OdometryMsg
+from nav_msgs.msg import Path
 from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
-from trajectory_msgs.msg import MultiDOFJointTrajectory
+from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
 
 from omniman_ros.core import plausible
 from omniman_ros.core.errors import InputError
+from omniman_ros.core.path.interpolator import Window
 from omniman_ros.core.preview import MAX_POINTS, Preview
 from omniman_ros.core.wheel_cascade import DriveMode, WheelCommand
 
@@ -187,6 +189,34 @@ def _pose(transform: Transform) -> Array:
     return np.array([x, y, yaw(transform.rotation)])
 
 
+def path_poses(message: Path, frames: Sequence[str], headings: bool) -> Array:
+    """Poses (k, 3) x, y, theta of a path [m, m, rad]; not unwrapped.
+
+    Args:
+        message: The path; poses without a frame of their own are in the path's.
+        frames: Frames that are taken for odom.
+        headings: Whether the orientations count; else they are not looked at.
+
+    Raises:
+        InputError: Wrong frame, or a pose that is not finite or not planar; it is named.
+    """
+    check_frame(message.header.frame_id, *frames)
+    strange = {pose.header.frame_id for pose in message.poses} - {"", message.header.frame_id}
+    for frame in strange:
+        check_frame(frame, *frames)
+    poses = [stamped.pose for stamped in message.poses]
+    places = np.array([(pose.position.x, pose.position.y) for pose in poses]).reshape(-1, 2)
+    plausible.demand(places, plausible.LENGTH, "positions")
+    result = np.column_stack([places, np.zeros(len(places))])
+    if headings:
+        for i, pose in enumerate(poses):
+            try:
+                result[i, 2] = yaw(pose.orientation)
+            except InputError as error:
+                raise InputError(f"pose {i}: {error}") from error
+    return result
+
+
 def planar_pose(
     message: PoseWithCovarianceStamped, frames: Sequence[str]
 ) -> tuple[tuple[float, float, float], Array]:
@@ -218,6 +248,44 @@ def fill_odometry(
     message.twist.twist.linear.x = vx
     message.twist.twist.linear.y = vy
     message.twist.twist.angular.z = w
+
+
+def reference_message(frame: str, points: int, tick: float) -> MultiDOFJointTrajectory:
+    """An empty preview of the platform with points a tick [s] apart, to be filled again and again.
+
+    :func:`fill_reference` writes into it.
+    """
+    message = MultiDOFJointTrajectory(joint_names=[PLATFORM_JOINT])
+    message.header.frame_id = frame
+    for i in range(points):
+        nanoseconds = round(i * tick * 1e9)
+        after = Duration(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
+        message.points.append(
+            MultiDOFJointTrajectoryPoint(
+                transforms=[Transform()], velocities=[Twist()], accelerations=[Twist()],
+                time_from_start=after,
+            )
+        )  # fmt: skip
+    return message
+
+
+def fill_reference(message: MultiDOFJointTrajectory, stamp: Time, window: Window) -> None:
+    """Write a part of the stream, whose first tick is at `stamp`, as far as there are points."""
+    message.header.stamp = stamp
+    rows = zip(
+        message.points,
+        window.positions.tolist(),
+        window.velocities.tolist(),
+        window.accelerations.tolist(),
+        strict=False,
+    )  # fmt: skip  (lists: numpy's own numbers are slow to assign)
+    for point, (x, y, theta), (vx, vy, w), (ax, ay, turn) in rows:
+        transform, velocity = point.transforms[0], point.velocities[0]
+        transform.translation.x, transform.translation.y = x, y
+        transform.rotation.z, transform.rotation.w = math.sin(0.5 * theta), math.cos(0.5 * theta)
+        velocity.linear.x, velocity.linear.y, velocity.angular.z = vx, vy, w
+        rate = point.accelerations[0]
+        rate.linear.x, rate.linear.y, rate.angular.z = ax, ay, turn
 
 
 def prepare_odometry(message: OdometryMsg, twist_variance: float) -> None:

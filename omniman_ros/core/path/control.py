@@ -1,0 +1,88 @@
+"""Whether the stream of the interpolator is followed, and whether one may begin."""
+
+OURS = "path"
+"""What `active_source` says while the stream is followed."""
+NOBODY = ("", "none", OURS)
+TAKE_OVER = 0.5
+"""Time in which the platform controller takes a stream over [s]."""
+
+
+class ControlWatch:
+    """Watches `active_source`, `stop_state` and `emergency_stop`.
+
+    Args:
+        silence: How long the stream must be silent after it lost control, to be heard again [s].
+
+    Attributes:
+        source: Who drives, as the platform controller said last; empty before.
+    """
+
+    def __init__(self, silence: float) -> None:
+        self.silence = silence
+        self.source = ""
+        self._stopped: dict[str, str] = {}
+        self._emergency = False
+        self._began: float | None = None
+        self._taken = False
+        self._sent = float("-inf")
+        self._quiet_until = float("-inf")
+
+    def hear_source(self, source: str) -> None:
+        """Hear who drives."""
+        self.source = source
+        self._taken = self._taken or (source == OURS and self._began is not None)
+
+    def hear_stop(self, node: str, stopped: bool, reason: str) -> None:
+        """Hear the state of a node that moves something."""
+        if stopped:
+            self._stopped[node] = reason
+        else:
+            self._stopped.pop(node, None)
+
+    def hear_emergency(self, active: bool) -> None:
+        """Hear the emergency stop."""
+        self._emergency = active
+
+    @property
+    def obstacle(self) -> str:
+        """Why no path can begin now, or an empty string."""
+        if self._emergency:
+            return "emergency_stop is true"
+        if self._stopped:
+            return "; ".join(f"{node} is {why}" for node, why in sorted(self._stopped.items()))
+        if self.source == "stop":
+            return "the platform is stopped"
+        if not self.source:
+            return "no platform_controller (nothing heard on active_source)"
+        return "" if self.source in NOBODY else f"{self.source} drives"
+
+    def wait(self, now: float) -> float:
+        """How long a new stream must wait to be heard [s]."""
+        return max(self._quiet_until - now, 0.0)
+
+    def begin(self, now: float) -> None:
+        """A stream begins."""
+        if self._began is None:
+            self._began, self._taken = now, False
+
+    def sent(self, now: float) -> None:
+        """A preview was sent."""
+        self._sent = now
+
+    def end(self, lost: bool) -> None:
+        """The stream has ended, by itself or because control was lost."""
+        self._began = None
+        if lost:
+            self._quiet_until = self._sent + self.silence
+
+    def lost(self, now: float) -> str:
+        """Why the stream is not followed, or an empty string."""
+        if self._began is None:
+            return ""
+        if self.obstacle:
+            return self.obstacle
+        if self._taken and self.source != OURS:
+            return "the platform controller has cancelled it"
+        if not self._taken and now - self._began > TAKE_OVER:
+            return "the platform controller does not take it"
+        return ""

@@ -1,0 +1,302 @@
+"""Node `path_interpolator`: paths in, a stream of x, x', x'' on `path/reference` out."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
+from nav_msgs.msg import Odometry, Path
+from numpy.typing import NDArray
+from rclpy.qos import QoSProfile
+from rclpy.serialization import deserialize_message
+from std_msgs.msg import Bool, Float64, String
+from std_srvs.srv import Trigger
+from trajectory_msgs.msg import MultiDOFJointTrajectory
+
+from omniman_ros import conversions
+from omniman_ros.core.errors import InputError
+from omniman_ros.core.parameters import inline, parameter
+from omniman_ros.core.path.control import ControlWatch
+from omniman_ros.core.path.interpolator import PathInterpolator, PathState, RefusedError
+from omniman_ros.core.path.parameters import TICK, PathParameters
+from omniman_ros.core.preview import MAX_POINTS
+from omniman_ros.nodes.parameters import ParameterSet
+from omniman_ros.nodes.runtime import OmnimanNode, run
+from omniman_ros.nodes.stopping import ALL_LATCHED, LATCHED
+
+Array = NDArray[np.float64]
+
+POSE_BYTES = 160
+"""A pose of a path takes less than this on the wire."""
+PLANNING = 2e-4
+"""Planning is expected to take less than this for each pose [s] ..."""
+PLANNING_LEAST = 0.03
+"""... and this for any path."""
+ATTEMPTS = 3
+"""To plan from a motion in time; each may take twice as long as the one before."""
+AT_REST = 0.02
+"""Speed below which a path may begin [m/s, rad/s]."""
+TIME_BACK = 0.1
+"""Simulated time that goes back by more than this ends a path [s]."""
+PATIENCE = 5.0
+"""How long a path waits for the robot to come to rest [s]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PathInterpolatorParameters:
+    """Parameters of the node: those of its core, of the stream, and frames."""
+
+    core: PathParameters = inline()
+    horizon: float = parameter(
+        0.4, "How far each preview reaches; at its end the robot ramps to rest.",
+        unit="s", low=0.1, high=5, read_only=True,
+    )  # fmt: skip
+    period: float = parameter(
+        0.04, "Period of the previews.", unit="s", low=0.008, high=1, read_only=True
+    )
+    restart: float = parameter(
+        1.2, "Silence after control was lost: longer than the controller's timeouts.cancelled.",
+        unit="s", low=0.05, high=60,
+    )  # fmt: skip
+    odom_timeout: float = parameter(
+        0.5, "Age at which odom is too old to begin a path.", unit="s", low=0.02, high=10
+    )
+    odom_frame: str = parameter("odom", "Frame of odometry and references.", read_only=True)
+    map_is_odom: bool = parameter(False, "Whether paths in `map` are taken for odom.")
+
+
+class PathInterpolatorNode(OmnimanNode):
+    """Message plumbing around `core.path.interpolator.PathInterpolator`."""
+
+    def __init__(self, **options: object) -> None:
+        super().__init__("path_interpolator", **options)
+        self.settings = ParameterSet(self, PathInterpolatorParameters)
+        p = self.settings.value
+        self.core = PathInterpolator(p.core)
+        self.watch = ControlWatch(p.restart)
+        self.settings.on_change(self._configure)
+        self._pose: tuple[float, float, float] | None = None
+        self._speed = 0.0
+        self._heard = 0.0
+        self._waiting: Callable[[], str] | None = None
+        self._waits_until = 0.0
+        self._ticked = self.now()
+        self._last = "no path yet"
+        self._reference = self.create_publisher(
+            MultiDOFJointTrajectory, "path/reference", QoSProfile(depth=1)
+        )
+        self._progress = self.create_publisher(Float64, "path_progress", 10)
+        points = int(p.horizon / TICK) + 1
+        self._message = conversions.reference_message(p.odom_frame, points, TICK)
+        self._make_inputs()
+        self.every(p.period, self.tick)
+
+    def _make_inputs(self) -> None:
+        # Bytes, so that a path of a million poses is refused before it is unpacked.
+        on_path = self.guarded("path", self._on_path)
+        self.create_subscription(Path, "path", on_path, 10, raw=True)
+        self.create_subscription(Odometry, "odom", self.guarded("odom", self._on_odom), 1)
+        self.create_subscription(String, "active_source", self._on_source, LATCHED)
+        self.create_subscription(DiagnosticStatus, "stop_state", self._on_stop, ALL_LATCHED)
+        for qos in (LATCHED, QoSProfile(depth=10)):
+            self.create_subscription(Bool, "emergency_stop", self._on_emergency, qos)
+        for name, request in (
+            ("pause", self.core.pause), ("resume", self.core.resume), ("cancel", self._cancel),
+        ):  # fmt: skip
+            self.create_service(Trigger, f"~/{name}", self._service(request))
+
+    def _configure(self, new: PathInterpolatorParameters) -> None:
+        new.core.planner()  # what it would refuse, it refuses now
+        self.core.parameters = new.core
+        self.watch.silence = new.restart
+
+    # ---- inputs -------------------------------------------------------------------------------
+
+    def _on_odom(self, message: Odometry) -> None:
+        conversions.check_frame(message.header.frame_id, self.settings.value.odom_frame)
+        pose, twist = message.pose.pose, conversions.twist_array(message.twist.twist)
+        theta = conversions.yaw(pose.orientation)
+        self._pose = (pose.position.x, pose.position.y, theta)
+        self._speed = float(abs(twist).max())
+        self._heard = self.now() - max(self.age(message.header.stamp), 0.0)
+
+    def _on_source(self, message: String) -> None:
+        self.watch.hear_source(message.data)
+        self._watch_out()
+
+    def _on_stop(self, message: DiagnosticStatus) -> None:
+        stopped = message.level == DiagnosticStatus.ERROR
+        self.watch.hear_stop(message.name, stopped, message.message)
+        self._watch_out()
+
+    def _on_emergency(self, message: Bool) -> None:
+        self.watch.hear_emergency(message.data)
+        self._watch_out()
+
+    def _on_path(self, data: bytes) -> str:
+        p = self.settings.value
+        most = p.core.path.max_poses
+        if len(data) > POSE_BYTES * (most + 100):
+            raise self._refused(f"{len(data) / 1e6:.0f} MB, at most {most} poses are taken")
+        try:
+            message = deserialize_message(data, Path)
+            frames = (p.odom_frame, "map") if p.map_is_odom else (p.odom_frame,)
+            poses = conversions.path_poses(message, frames, p.core.path.heading == "poses")
+        except InputError as error:
+            raise self._refused(str(error)) from error
+        self._waiting = lambda: self._begin(poses)
+        self._waits_until = self.now() + PATIENCE
+        return self._try_waiting()
+
+    def _refused(self, why: str) -> InputError:
+        self._last = f"a path was refused: {why}"
+        return InputError(why)
+
+    # ---- paths --------------------------------------------------------------------------------
+
+    def _try_waiting(self) -> str:
+        """Begin the path that waits, if it can be; returns why it never will."""
+        if self._waiting is None:
+            return ""
+        why, now = self.watch.obstacle, self.now()
+        if not why and self.core.state is PathState.IDLE:
+            old = now - self._heard > self.settings.value.odom_timeout
+            if self._pose is None or old:
+                why = "no odom"
+            elif self._speed > AT_REST:
+                why = "the robot moves"
+            elif self.watch.wait(now) > 0.0:
+                why = "control was lost a moment ago"
+            if why and now < self._waits_until:
+                self._last = f"a path waits: {why}"
+                return ""
+        begin, self._waiting = self._waiting, None
+        if not why:
+            try:
+                begin()
+            except InputError as error:
+                why = str(error)
+        if why:
+            self._last = f"a path was refused: {why}"
+        return why
+
+    def _begin(self, poses: Array) -> None:
+        lead = PLANNING_LEAST + PLANNING * len(poses)
+        for _ in range(ATTEMPTS):
+            if self.core.state is not PathState.IDLE:
+                self._publish(2.0 * lead + self.settings.value.horizon)  # what covers the planning
+            proposal = self.core.propose(poses, self._pose, self.now(), lead)
+            if self.core.take(proposal, self.now()):
+                break
+            lead *= 2.0
+        else:
+            raise InputError("it could not be planned in time; pause first")
+        plan = proposal.plan
+        self.watch.begin(self.now())
+        self._last = (
+            f"{len(poses)} poses in {plan.duration:.2f} s, {plan.duration / plan.bound:.3f} of "
+            "what the limits allow without jerk limits"
+        )
+        self.get_logger().info(f"path: {self._last}")
+        self.tick()
+
+    def _watch_out(self) -> None:
+        """Give the path up if it is no longer ours to drive."""
+        why = self.watch.lost(self.now())
+        if why:
+            self._give_up(why)
+
+    def _give_up(self, why: str) -> None:
+        if self.core.state is not PathState.IDLE:
+            self._last = f"the path was given up: {why}"
+            self.warn("given up", self._last)
+            self.core.abort()
+            self.watch.end(lost=True)
+
+    def _cancel(self, now: float) -> None:
+        self._waiting = None
+        if self.core.state is not PathState.IDLE:
+            self.core.cancel(now)
+
+    def _service(self, request: Callable[[float], None]) -> Callable[..., Trigger.Response]:
+        def serve(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+            try:
+                request(self.now())
+            except RefusedError as error:
+                response.success, response.message = False, str(error)
+            else:
+                self.tick()
+                response.success, response.message = True, self.core.state.value
+            return response
+
+        return serve
+
+    # ---- output -------------------------------------------------------------------------------
+
+    def tick(self) -> None:
+        """Publish the next preview and the progress."""
+        late, self._ticked = self.now() - self._ticked, self.now()
+        if not -TIME_BACK < late < self.settings.value.horizon:
+            self._give_up("time went back" if late < 0.0 else f"no preview for {late:.2f} s")
+        self._watch_out()
+        refusal = self._try_waiting()
+        if refusal:
+            self.warn("path refused", f"path not used: {refusal}")
+        now, before = self.now(), self.core.state
+        if before is PathState.IDLE:
+            return
+        self._progress.publish(Float64(data=self.core.progress(now)))
+        self._publish(self.settings.value.horizon)
+        self.core.update(now)
+        if self.core.state is PathState.IDLE:
+            self.watch.end(lost=False)
+            self._last = "cancelled" if before is PathState.CANCELLING else "arrived"
+            self.get_logger().info(f"path: {self._last}")
+
+    def _publish(self, horizon: float) -> None:
+        now = self.now()
+        window = self.core.window(now, horizon)
+        if window is None:
+            return
+        message = self._message
+        if len(window.times) != len(message.points):
+            frame = self.settings.value.odom_frame
+            points = min(len(window.times), MAX_POINTS)
+            message = conversions.reference_message(frame, points, TICK)
+        conversions.fill_reference(message, self.stamp(window.times[0]), window)
+        self._reference.publish(message)
+        self.watch.sent(now)
+
+    # ---- life ---------------------------------------------------------------------------------
+
+    def begin_shutdown(self, reason: str) -> None:
+        """Come to rest on the path."""
+        self._cancel(self.now())
+
+    @property
+    def finished(self) -> bool:
+        """Whether no path is driven."""
+        return self.core.state is PathState.IDLE
+
+    @property
+    def patience(self) -> float:
+        """Time of a stop from here [s], and a second."""
+        return 1.0 + self.core.remaining(self.now()) + self.settings.value.core.path.settle
+
+    def status(self) -> tuple[bytes, str, list[tuple[str, object]]]:
+        """Level, message and values for the diagnostics."""
+        now, core = self.now(), self.core
+        values: list[tuple[str, object]] = [
+            ("state", core.state.value),
+            ("path_progress", round(core.progress(now), 4)),
+            ("remaining_s", round(core.remaining(now), 2)),
+            ("last", self._last),
+        ]
+        troubled = core.state is PathState.IDLE and self._last.startswith(("a path", "the path"))
+        level = DiagnosticStatus.WARN if troubled else DiagnosticStatus.OK
+        return level, self._last if troubled else core.state.value, values
+
+
+def main(args: list[str] | None = None) -> int:
+    """Entry point of `ros2 run omniman_ros path_interpolator`."""
+    return run(PathInterpolatorNode, args)
