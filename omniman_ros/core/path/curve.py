@@ -73,6 +73,7 @@ class Curve:
         i = self.piece(u)
         s = (u - self.knots[i])[:, None]
         value: Array = self.values[i] + s * (self.slopes[i] + 0.5 * s * self.bends[i])
+        value[u >= self.end] = self.values[-1]  # without round-off: a path ends where it says
         return value
 
     def slope(self, u: Array) -> Array:

@@ -135,7 +135,9 @@ class PathInterpolator:
         else:
             self._near(headed[0], position)
             plan = planner.plan(np.vstack([position, headed]))
-        return Proposal(trajectory.continued(i, plan.ticks), trajectory.time(i), plan, planner)
+        return Proposal(
+            trajectory.continued(now, i, plan.ticks), trajectory.time(i), plan, planner
+        )
 
     def _check(self, poses: Array) -> None:
         options = self.parameters.path
@@ -211,7 +213,7 @@ class PathInterpolator:
             raise RefusedError(f"no path to {what}: {self.state.value}")
         i = self._next(trajectory, now)
         ticks = self._planner.stop(plan.route, *self._place(trajectory, i))
-        self._go_on(trajectory.continued(i, ticks), trajectory.time(i), plan)
+        self._go_on(trajectory.continued(now, i, ticks), trajectory.time(i), plan)
 
     def resume(self, now: float) -> None:
         """Go on from a pause, or from the braking for one.
@@ -225,7 +227,7 @@ class PathInterpolator:
         assert trajectory is not None and plan is not None
         i = self._next(trajectory, now)
         ticks = self._planner.drive(plan.route, *self._place(trajectory, i))
-        self._go_on(trajectory.continued(i, ticks), trajectory.time(i), plan)
+        self._go_on(trajectory.continued(now, i, ticks), trajectory.time(i), plan)
 
     def abort(self) -> None:
         """Forget the path at once: somebody else drives, or nothing may move."""

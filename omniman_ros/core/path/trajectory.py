@@ -10,9 +10,6 @@ from omniman_ros.core.path.smoothing import Smoother
 
 Array = NDArray[np.float64]
 
-KEPT = 64
-"""Past ticks that are kept when a trajectory is continued otherwise."""
-
 
 @dataclass(frozen=True)
 class Ticks:
@@ -97,9 +94,12 @@ class Trajectory:
         """Indices of ticks from the first on; the last one stands for all after it."""
         return np.minimum(np.arange(first, first + count), len(self.ticks) - 1)
 
-    def continued(self, index: int, ticks: Ticks) -> "Trajectory":
-        """The same up to a tick, then other ticks, the first of them at that tick."""
-        first, memory = max(index - KEPT, 0), self._smoother.memory
+    def continued(self, now: float, index: int, ticks: Ticks) -> "Trajectory":
+        """The same up to a tick, then other ticks, the first of them at that tick.
+
+        What was before `now` [s] is forgotten.
+        """
+        first, memory = min(self.index(now), index), self._smoother.memory
         history = self._raw[np.minimum(np.arange(first, first + memory), len(self._raw) - 1)]
         kept = self.ticks[self.rows(first, index - first)]
         return Trajectory(
