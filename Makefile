@@ -58,9 +58,9 @@ $(EMPTY):
 	echo '$(CURDIR)' > $@
 
 $(RUNTIME): setup.py | $(EMPTY)
-	$(PIP) install --quiet --editable '.[ros,plot]'
+	$(PIP) install --quiet --editable '.[ros,plot,viewer]'
 	touch $@
 
 $(TESTING): $(RUNTIME)
-	$(PIP) install --quiet --editable '.[ros,plot,test]'
+	$(PIP) install --quiet --editable '.[ros,plot,viewer,browser,test]'
 	touch $@

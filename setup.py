@@ -23,6 +23,8 @@ EXECUTABLES = {
     "omniman": "omniman_ros.cli.main:main",
     "platform_controller": "omniman_ros.nodes.platform_controller:main",
     "simulated_drive": "omniman_ros.nodes.simulated_drive:main",
+    "path_interpolator": "omniman_ros.nodes.path_interpolator:main",
+    "viewer": "omniman_ros.nodes.viewer:main",
 }
 
 # Folder below share/omniman_ros -> files that go there.
@@ -99,6 +101,9 @@ setup(
             "types-PyYAML",
         ],
         "plot": ["matplotlib"],
+        # The page relies on how viser marks up its buttons.
+        "viewer": ["viser==1.1.*", "websockets"],
+        "browser": ["playwright"],
         "colcon": ["colcon-common-extensions"],
     },
 )

@@ -5,7 +5,11 @@ from collections.abc import Sequence
 
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import (
+    Point,
+    Pose,
+    PoseStamped,
     PoseWithCovarianceStamped,
     Quaternion,
     Transform,
@@ -30,6 +34,8 @@ Array = NDArray[np.float64]
 
 PLATFORM_JOINT = "platform"
 """Name of the platform in previews."""
+LIMITS_KEY = "limits"
+"""Of the value in `wheel_health` that is the share of the limits left without a wheel."""
 UNIT_TOLERANCE = 0.01
 """How far a quaternion's length may be from 1."""
 TILT_TOLERANCE = 0.02
@@ -215,6 +221,34 @@ def path_poses(message: Path, frames: Sequence[str], headings: bool) -> Array:
             except InputError as error:
                 raise InputError(f"pose {i}: {error}") from error
     return result
+
+
+def limits_share(message: DiagnosticStatus) -> float:
+    """Share of the limits that `wheel_health` says is left, 1 where it says nothing of it.
+
+    Raises:
+        InputError: No number above 0 and up to 1.
+    """
+    for item in message.values:
+        if item.key == LIMITS_KEY:
+            try:
+                share = float(item.value)
+            except ValueError:
+                share = math.nan
+            if not 0.0 < share <= 1.0:
+                raise InputError(f"{LIMITS_KEY} '{item.value[:40]}', expected above 0 and up to 1")
+            return share
+    return 1.0
+
+
+def path_message(poses: Array, frame: str) -> Path:
+    """Poses (k, 3) x, y, theta [m, m, rad] as a path."""
+    message = Path()
+    message.header.frame_id = frame
+    for x, y, theta in poses.tolist():
+        pose = Pose(position=Point(x=x, y=y), orientation=quaternion(theta))
+        message.poses.append(PoseStamped(pose=pose))
+    return message
 
 
 def planar_pose(

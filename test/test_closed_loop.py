@@ -7,16 +7,12 @@ import pytest
 
 from omniman_ros.core.arbiter import Source
 from omniman_ros.core.parameters import build
-from omniman_ros.core.platform import PlatformController
 from omniman_ros.core.preview import Preview
-from omniman_ros.core.wheel_cascade import DriveMode
 from omniman_ros.drive.parameters import SimulationParameters
-from omniman_ros.drive.simulated import SimulatedDrives
+from omniman_ros.studies.closed_loop import ClosedLoop
 
 from . import robots
 
-PERIOD = 0.005
-LATENCY = 0.001
 MODES = ("velocity", "torque", "voltage")
 MISMATCHED = {
     "mismatch.friction": (1.5, 0.7, 1.2, 0.8),
@@ -25,33 +21,13 @@ MISMATCHED = {
 }
 
 
-class Loop:
-    """A controller and drives, a tick at a time."""
+class Loop(ClosedLoop):
+    """A loop of a robot by name, with changes of its parameters and of the simulation's."""
 
     def __init__(self, robot: str, changes: dict | None = None, simulation: dict | None = None):
-        self.controller = PlatformController(robots.parameters(robot, changes))
-        self.drives = SimulatedDrives(
-            self.controller.parameters.robot, build(SimulationParameters, simulation or {})
+        super().__init__(
+            robots.parameters(robot, changes), build(SimulationParameters, simulation or {})
         )
-        self.tick = 0
-        self.step()
-
-    @property
-    def now(self) -> float:
-        return self.tick * PERIOD
-
-    def step(self) -> None:
-        now, core = self.now, self.controller
-        states = self.drives.wheel_states(now)
-        core.hear_wheels(now, now + LATENCY, states.position, states.velocity)
-        command = core.tick(now + LATENCY)
-        if command.mode is DriveMode.VELOCITY:
-            self.drives.command_velocity(command.velocity, command.effort, now + LATENCY)
-        elif command.mode is DriveMode.TORQUE:
-            self.drives.command_torque(command.effort, now + LATENCY)
-        else:
-            self.drives.command_voltage(command.effort, now + LATENCY)
-        self.tick += 1
 
 
 def figure_of_eight(start: float, duration: float) -> Preview:
@@ -120,7 +96,8 @@ def test_feed_forward_of_the_core_is_what_the_plant_needs():
 
 def test_coupling_controller_reduces_the_coupling_error():
     largest = {}
-    for gain in (0.0, 2.0):
+    default = robots.parameters("omniman").coupling.k_epsilon
+    for gain in (0.0, 2.0, default):
         loop = Loop("omniman", {"coupling.k_epsilon": gain}, MISMATCHED)
         errors = []
         for _ in range(1000):
@@ -129,6 +106,7 @@ def test_coupling_controller_reduces_the_coupling_error():
             errors.append(abs(loop.controller.cascade.coupling.error[0]))
         largest[gain] = max(errors)
     assert largest[2.0] < 0.5 * largest[0.0]
+    assert largest[default] < 0.25 * largest[0.0]
 
 
 def test_a_speed_that_the_voltage_cannot_give_does_not_wind_up():

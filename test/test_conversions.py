@@ -6,6 +6,7 @@ from robots import kinematics
 
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.odometry import Odometry, OdometryParameters
+from omniman_ros.core.path.interpolator import Window
 from omniman_ros.core.wheel_cascade import DriveMode, WheelCommand
 
 pytest.importorskip("rclpy")
@@ -228,6 +229,94 @@ def spoiled(change):
 def test_a_preview_that_cannot_be_used_is_refused(change, why):
     with pytest.raises(InputError, match=why):
         conversions.preview(spoiled(change), 0.0, ["odom"])
+
+
+# ---- paths and the stream ---------------------------------------------------------------------
+
+
+PATH = np.array([[1.0, 2.0, 0.5], [3.0, -4.0, -3.0], [3.0, -4.0, 3.0]])
+
+
+def spoiled_path(change):
+    message = conversions.path_message(PATH, "odom")
+    change(message, message.poses[1])
+    return message
+
+
+@pytest.mark.parametrize("frame", ["odom", "/odom", "map"])
+def test_poses_of_a_path_come_back(frame):
+    message = conversions.path_message(PATH, frame)
+    message.poses[2].header.frame_id = frame
+    poses = conversions.path_poses(message, ("odom", "map"), headings=True)
+    assert poses.shape == (3, 3) and poses == pytest.approx(PATH)
+
+
+def test_an_empty_path_has_no_poses():
+    assert conversions.path_poses(
+        conversions.path_message(PATH[:0], "odom"), ("odom",), True
+    ).shape == (0, 3)
+
+
+def test_headings_that_do_not_count_are_not_looked_at():
+    def spoil(path, stamped):
+        stamped.pose.orientation = Quaternion(x=NAN, y=3.0, z=0.0, w=0.0)
+
+    poses = conversions.path_poses(spoiled_path(spoil), ("odom",), headings=False)
+    assert poses[:, :2] == pytest.approx(PATH[:, :2]) and not poses[:, 2].any()
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        (lambda p, s: setattr(p.header, "frame_id", "map"), "frame 'map', expected 'odom'"),
+        (lambda p, s: setattr(p.header, "frame_id", ""), "frame '', expected 'odom'"),
+        (lambda p, s: setattr(s.header, "frame_id", "base_link"), "frame 'base_link'"),
+        (lambda p, s: setattr(s.pose.position, "x", NAN), "positions .*nan.* not finite"),
+        (lambda p, s: setattr(s.pose.position, "y", -INF), "positions .*-inf.* not finite"),
+        (lambda p, s: setattr(s.pose.position, "y", 2e6), "positions .*beyond"),
+        (lambda p, s: setattr(s.pose.orientation, "w", 5.0), "pose 1: quaternion of length"),
+        (lambda p, s: setattr(s.pose.orientation, "z", NAN), "pose 1: quaternion of length nan"),
+        (lambda p, s: setattr(s.pose, "orientation", Quaternion(x=1.0, y=0.0, z=0.0, w=0.0)),
+         "pose 1: a rotation that is not about the vertical"),
+    ],
+)  # fmt: skip
+def test_a_path_that_cannot_be_used_is_refused(change, why):
+    with pytest.raises(InputError, match=why):
+        conversions.path_poses(spoiled_path(change), ("odom",), headings=True)
+
+
+def test_a_filled_reference_comes_back_as_the_preview_of_the_window():
+    rng = np.random.default_rng(5)
+    ticks = 0.008 * np.arange(6)
+    window = Window(10.0 + ticks, *(rng.normal(size=(6, 3)) for _ in range(3)))
+    message = conversions.reference_message("odom", 6, 0.008)
+    conversions.fill_reference(message, Time(sec=10), window)
+    preview = conversions.preview(message, 10.0, ("odom",))
+    assert (preview.start, preview.end) == pytest.approx((10.0, 10.04))
+    for i, now in enumerate(window.times[:-1]):
+        setpoint = preview.sample(now + 1e-12)
+        away = setpoint.pose - window.positions[i]
+        away[2] = math.remainder(away[2], 2 * math.pi)
+        assert away == pytest.approx([0, 0, 0], abs=1e-9)
+        assert setpoint.velocity == pytest.approx(window.velocities[i], abs=1e-6)
+        assert setpoint.acceleration == pytest.approx(window.accelerations[i], abs=1e-3)
+
+
+def test_a_reference_of_many_seconds_has_exact_times():
+    message = conversions.reference_message("odom", 300, 0.008)
+    times = [conversions.time_seconds(point.time_from_start) for point in message.points]
+    assert times == pytest.approx((0.008 * np.arange(300)).tolist(), abs=1e-12)
+
+
+def test_a_reference_is_filled_again_and_again():
+    message = conversions.reference_message("odom", 2, 0.008)
+    for value in (1.0, 2.0):
+        rows = np.full((2, 3), value)
+        conversions.fill_reference(message, Time(sec=1), Window(np.zeros(2), rows, rows, rows))
+    point = message.points[1]
+    assert point.transforms[0].translation.x == point.velocities[0].angular.z == 2.0
+    assert point.accelerations[0].linear.y == 2.0
+    assert conversions.yaw(point.transforms[0].rotation) == pytest.approx(2.0)
 
 
 # ---- poses and odometry -----------------------------------------------------------------------

@@ -150,15 +150,17 @@ def test_platform_starts_the_simulated_drive_and_the_controller_by_default(platf
         "namespace": "",
         "use_sim_time": "false",
         "drive": "simulated",
+        "viewer": "false",
     }
     assert nodes == {
         "simulated_drive": ("", {"robot": "omniman", "publish_clock": False}),
         "platform_controller": ("", {"robot": "omniman", "use_sim_time": False}),
+        "path_interpolator": ("", {"robot": "omniman", "use_sim_time": False}),
     }
 
 
 def test_platform_passes_robot_and_namespace_to_every_node(platform):
-    _, nodes = platform(robot="/tmp/mine.yaml", namespace="robot1")
+    _, nodes = platform(robot="/tmp/mine.yaml", namespace="robot1", viewer="true")
     for namespace, parameters in nodes.values():
         assert namespace == "robot1"
         assert parameters["robot"] == "/tmp/mine.yaml"
@@ -173,6 +175,11 @@ def test_in_simulated_time_the_drive_makes_the_clock_and_the_others_follow_it(pl
         assert parameters["use_sim_time"] is True
 
 
+def test_the_viewer_is_started_where_it_is_asked_for(platform):
+    _, nodes = platform(viewer="true", use_sim_time="true")
+    assert nodes["viewer"] == ("", {"robot": "omniman", "use_sim_time": True})
+
+
 def test_another_drive_starts_no_simulation(platform):
     _, nodes = platform(drive="can")
-    assert set(nodes) == {"platform_controller"}
+    assert set(nodes) == {"platform_controller", "path_interpolator"}

@@ -21,6 +21,8 @@ DISTRIBUTIONS = {
     "numpy": ("numpy", "python3-numpy"),
     "PyYAML": ("yaml", "python3-yaml"),
     "matplotlib": ("matplotlib", "python3-matplotlib"),
+    "viser": ("viser", None),
+    "websockets": ("websockets", "python3-websockets"),
 }
 # On a ROS machine, but not among the wheels.
 ROS_MACHINE_ONLY = {"control_msgs", "launch", "launch_ros", "ros2cli", "tf2_msgs"}
@@ -89,8 +91,9 @@ def test_rclpy_wheels_are_no_requirement(setup_py):
 def test_every_import_is_a_declared_dependency(package_xml, setup_py):
     declared = {depend.name for depend in package_xml.exec_depends}
     extras = setup_py["arguments"]["extras_require"]
-    for distribution in [*setup_py["arguments"]["install_requires"], *extras["plot"]]:
-        declared.add(DISTRIBUTIONS[distribution][0])
+    optional = [*extras["plot"], *extras["viewer"]]
+    for distribution in [*setup_py["arguments"]["install_requires"], *optional]:
+        declared.add(DISTRIBUTIONS[distribution.partition("==")[0]][0])
     for source in [*SOURCES, *ROOT.glob("config/launch/*.py")]:
         undeclared = imports(ast.walk(ast.parse(source.read_text()))) - declared
         assert not undeclared, f"{source.relative_to(ROOT)} imports {undeclared}"

@@ -1,4 +1,4 @@
-"""Drive and controller of one platform.
+"""Drive, controller and path interpolator of one platform.
 
 ros2 launch omniman_ros platform.launch.py robot:=ig42 namespace:=robot1
 """
@@ -31,6 +31,12 @@ ARGUMENTS = [
         description="What turns the wheels",
         choices=["simulated"],
     ),
+    DeclareLaunchArgument(
+        "viewer",
+        default_value="false",
+        description="Whether to serve the page for a browser; needs viser",
+        choices=["true", "false"],
+    ),
 ]
 
 
@@ -55,4 +61,21 @@ def generate_launch_description() -> LaunchDescription:
         parameters=[{"robot": robot, "use_sim_time": sim_time}],
         output="screen",
     )
-    return LaunchDescription([*ARGUMENTS, simulated_drive, platform_controller])
+    path_interpolator = Node(
+        package="omniman_ros",
+        executable="path_interpolator",
+        namespace=LaunchConfiguration("namespace"),
+        parameters=[{"robot": robot, "use_sim_time": sim_time}],
+        output="screen",
+    )
+    viewer = Node(
+        package="omniman_ros",
+        executable="viewer",
+        namespace=LaunchConfiguration("namespace"),
+        parameters=[{"robot": robot, "use_sim_time": sim_time}],
+        output="screen",
+        condition=IfCondition(LaunchConfiguration("viewer")),
+    )
+    return LaunchDescription(
+        [*ARGUMENTS, simulated_drive, platform_controller, path_interpolator, viewer]
+    )

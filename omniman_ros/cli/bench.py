@@ -50,6 +50,10 @@ QUICK = Effort(blocks=3, ticks=200, cpu_seconds=2.0, samples=20, block=10)
 
 def run(args: argparse.Namespace) -> int:
     """Run `omniman bench`; returns 0 if it could be measured, whatever the figures."""
+    if args.name == "path":
+        from omniman_ros.cli import bench_path
+
+        return bench_path.run(args)
     effort = QUICK if args.quick else FULL
     chosen = tasks(Setup(robot=args.robot))
     say("core tick ...")

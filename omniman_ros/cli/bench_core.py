@@ -48,7 +48,7 @@ def tick_time(parameters: PlatformParameters, blocks: int, block: int) -> float:
             now += PERIOD
             speed = core.cascade.reference
             position = position + PERIOD * speed
-            core.hear_wheels(now, now, position, speed)
+            core.hear_wheels(now, now, position, speed, core.cascade.asked)
             core.hear_twist(twists[k % block], now)
             core.tick(now)
         times.append((time.process_time() - before) / length)

@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import re
 import sys
 import time
 from collections.abc import Callable
@@ -19,7 +20,7 @@ from omniman_ros.cli.isolation import isolate
 from omniman_ros.cli.output import NodeLog
 from omniman_ros.cli.progress import Progress
 from omniman_ros.cli.recorder import Recording
-from omniman_ros.cli.score import LIMITS, DrivenFigure, DrivenTwist, judge
+from omniman_ros.cli.score import LIMITS, DrivenLeg, DrivenTwist, judge
 from omniman_ros.cli.session import ANNOUNCED, Session
 from omniman_ros.cli.show import Show
 from omniman_ros.cli.terminal import GREEN, RED, paint, say, table
@@ -28,13 +29,21 @@ from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
 from omniman_ros.robots import load_robot
 
+LIMP = "drive.dead_wheel:=drive_on"
+"""The show loses a wheel and goes on."""
 PATIENT = ("timeouts.wheel_states:=0.5", "firmware.watchdog:=0.5")
 """A show on a busy machine: nothing real is at stake when a process waits for its turn."""
 
 
+PAGE = re.compile(r"the page is at (http\S+)")
+"""What the viewer says when it is up."""
+PAGE_PATIENCE = 10.0
+"""How long to wait for the viewer's page [s]."""
+
+
 def run(args: argparse.Namespace) -> int:
     """Run `omniman demo`; returns the exit code."""
-    params = [*PATIENT, *unlike_wheels(resolved(args.robot)), *args.param]
+    params = [*PATIENT, LIMP, *unlike_wheels(resolved(args.robot)), *args.param]
     chosen = tasks(Setup(robot=args.robot, params=params))
     private = choose_domain(args.keep)
     log = NodeLog(args.verbose)
@@ -51,7 +60,8 @@ def run(args: argparse.Namespace) -> int:
             if not private:
                 refuse_other_robots(children.check)
             with children:
-                result = perform(args, children, progress)
+                viewer = log if any(task.name == "viewer" for task in chosen) else None
+                result = perform(args, children, progress, viewer)
                 result["duration_s"] = time.monotonic() - started
                 if args.keep and not result["faults"]:
                     keep(children, result)
@@ -106,26 +116,44 @@ def robots_in(node: Node) -> bool:
     return bool(node.count_publishers("wheel_commands") or node.count_subscribers("cmd_vel"))
 
 
-def perform(args: argparse.Namespace, children: Children, progress: Progress) -> dict[str, Any]:
-    """Drive the show and judge it."""
+def perform(
+    args: argparse.Namespace, children: Children, progress: Progress, viewer: NodeLog | None
+) -> dict[str, Any]:
+    """Drive the show and judge it; where there is a viewer, its page is there before it begins."""
+    lost = expendable(resolved(args.robot))
     pace = Pace.within(build(TwistLimits, load_robot(args.robot), "limits."))
     with Session("omniman_demo") as session:
         show = Show(session, pace, progress, children.check)
         try:
             show.meet()
+            page = ""
+            if viewer is not None:
+                session.wait(lambda: bool(viewer.find("viewer", PAGE)), PAGE_PATIENCE)
+                page = viewer.find("viewer", PAGE)
+                progress.headline(watch(page))
             show.drive_twists()
-            show.follow_figure()
+            show.follow_path()
+            if lost:
+                show.drive_without_a_wheel(lost)
         finally:
             show.halt()
-        assert show.driven.figure is not None
         recording, driven = show.recorder.recording, show.driven
-        result = judge(recording, driven.twists, driven.figure)
-    drawn = draw(args, recording, driven.twists, driven.figure)
-    return {"robot": args.robot, **result, "picture": drawn and str(drawn)}
+        result = judge(recording, driven.twists, driven.legs, driven.without_wheel)
+    limped = [driven.without_wheel.leg] if driven.without_wheel else []
+    drawn = draw(args, recording, driven.twists, driven.legs + limped)
+    return {"robot": args.robot, **result, "picture": drawn and str(drawn), "page": page}
+
+
+def watch(page: str) -> str:
+    """Where to look at the robot."""
+    return f"watch it at {page}" if page else "the viewer has no page (see --verbose)"
 
 
 def draw(
-    args: argparse.Namespace, recording: Recording, twists: list[DrivenTwist], figure: DrivenFigure
+    args: argparse.Namespace,
+    recording: Recording,
+    twists: list[DrivenTwist],
+    legs: list[DrivenLeg],
 ) -> Path | None:
     """Draw the show into a PNG file, where there is matplotlib."""
     try:
@@ -133,8 +161,14 @@ def draw(
     except ImportError:
         return None
     path = Path(args.results) / "demo.png"
-    picture.draw(build(Robot, load_robot(args.robot)), recording, twists, figure, path)
+    picture.draw(build(Robot, load_robot(args.robot)), recording, twists, legs, path)
     return path
+
+
+def expendable(robot: str) -> str:
+    """The wheel that the show drives without; empty where no wheel can be spared."""
+    names = build(Robot, load_robot(robot)).wheels.names
+    return names[-1] if len(names) > 3 else ""
 
 
 def unlike_wheels(robot: str) -> list[str]:
@@ -158,11 +192,12 @@ def keep(children: Children, result: dict[str, Any]) -> None:
         CommandError: One of them died.
     """
     say("\n".join(report(result)))
+    page = result["page"]
     program = Path(sys.executable).with_name("omniman")
     domain = os.environ["ROS_DOMAIN_ID"]
     setting = "" if domain == "0" else f"ROS_DOMAIN_ID={domain} "
     say(f"""
-The robot stays up. In another terminal on this machine:
+The robot stays up{f": {watch(page)}" if page else ""}. In another terminal on this machine:
   {setting}{program} teleop
   {setting}{program} stop       (and: reset)
 or with ROS 2:
@@ -195,6 +230,7 @@ def report(result: dict[str, Any]) -> list[str]:
          f"{drift['position_mm']:.1f} mm", f"{LIMITS['odometry position, mm']:g} mm"),
         (f"heading off the truth after {drift['turn_rad']:.1f} rad",
          f"{drift['heading_deg']:.2f} deg", f"{LIMITS['odometry heading, deg']:g} deg"),
+        *without_wheel(result),
         ("energy taken by the motors", f"{result['energy']['total_j']:.0f} J", ""),
         ("odom: rate, interval p50 / p99", f"{odom['rate_hz']:.1f} Hz, {odom['p50_ms']:.2f} / "
          f"{odom['p99_ms']:.2f} ms", f"{LIMITS['odom rate, Hz']:g} Hz"),
@@ -203,6 +239,19 @@ def report(result: dict[str, Any]) -> list[str]:
          f"{LIMITS['wheel_commands rate, Hz']:g} Hz"),
     ]  # fmt: skip
     return ["", *table(rows)]
+
+
+def without_wheel(result: dict[str, Any]) -> list[tuple[str, ...]]:
+    """Rows of the part that is driven without a wheel, where there was one."""
+    if "dead_wheel" not in result:
+        return []
+    dead = result["dead_wheel"]
+    return [
+        (f"wheel '{dead['wheel']}' without torque: noticed", f"{dead['noticed_s']:.2f} s",
+         f"{LIMITS['dead wheel noticed, s']:g} s"),
+        ("  driving on without it, RMS", f"{dead['rms_mm']:.2f} mm",
+         f"{LIMITS['tracking without a wheel RMS, mm']:g} mm"),
+    ]  # fmt: skip
 
 
 def conclude(result: dict[str, Any], log: NodeLog, args: argparse.Namespace) -> int:

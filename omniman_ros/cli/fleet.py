@@ -3,7 +3,7 @@
 import os
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +11,7 @@ from omniman_ros.cli.children import Task
 from omniman_ros.cli.errors import CommandError
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.robots import robot_file
+from omniman_ros.viewer import availability as viewer_availability
 
 
 @dataclass(frozen=True)
@@ -21,16 +22,21 @@ class NodeKind:
         name: Of the executable and of the node.
         stage: When it is stopped: a drive lives until those that command it are at rest.
         sim_time: The parameter that --sim-time sets.
+        is_available: Whether what it needs is installed; if not, it is started only where it is
+            asked for by name, and then says what is missing.
     """
 
     name: str
     stage: int
     sim_time: str = "use_sim_time"
+    is_available: Callable[[], bool] = lambda: True
 
 
 NODES = (
     NodeKind("platform_controller", stage=0),
+    NodeKind("path_interpolator", stage=0),
     NodeKind("simulated_drive", stage=1, sim_time="publish_clock"),
+    NodeKind("viewer", stage=0, is_available=viewer_availability.is_available),
 )
 
 
@@ -62,7 +68,9 @@ def tasks(setup: Setup) -> list[Task]:
     if setup.params_file is not None and not Path(setup.params_file).is_file():
         raise CommandError(f"no parameter file '{setup.params_file}'", 2)
     robot = resolved(setup.robot)
-    chosen = [kind for kind in NODES if not setup.only or kind.name in setup.only]
+    chosen = [
+        kind for kind in NODES if (kind.name in setup.only if setup.only else kind.is_available())
+    ]
     return [
         Task(kind.name, node_command(kind.name, _ros_arguments(kind, robot, setup)), kind.stage)
         for kind in chosen

@@ -105,14 +105,67 @@ def add_demo(parser: argparse.ArgumentParser) -> None:
 def add_bench(parser: argparse.ArgumentParser) -> None:
     """Arguments of `omniman bench`."""
     parser.add_argument(
-        "name", nargs="?", default="control", choices=["control"],
-        help="control: time of a control tick, CPU of the nodes, latency; the default",
+        "name", nargs="?", default="control", choices=["control", "path"],
+        help="control: time of a control tick, CPU of the nodes, latency; the default. "
+        "path: time of planning, how near to the least time, CPU of the stream",
     )  # fmt: skip
     parser.add_argument(
         "--quick", action="store_true", help="a few samples only: does it run at all?"
     )
     add_robot(parser)
     add_results(parser)
+
+
+def add_reproduce(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `omniman reproduce`."""
+    parser.add_argument(
+        "name", nargs="?", default="coupling", choices=["coupling"],
+        help="coupling: CCTA 2017 Fig. 7, coupling control on and off; the default",
+    )  # fmt: skip
+    effort = parser.add_mutually_exclusive_group()
+    effort.add_argument("--quick", action="store_true", help="few drives: does it run at all?")
+    effort.add_argument("--full", action="store_true", help="more gains, more random wheels")
+    parser.add_argument("--seed", type=int, default=0, help="of the random wheels; %(default)s")
+    add_robot(parser)
+    add_results(parser)
+
+
+def add_identify(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `omniman identify`."""
+    subjects = parser.add_subparsers(dest="subject", metavar="SUBJECT", required=True)
+    text = "calibrate the odometry by drives whose ends are measured"
+    odometry = subjects.add_parser(
+        "odometry", help=text, description=text[0].upper() + text[1:] + ".", allow_abbrev=False
+    )
+    odometry.add_argument(
+        "--area", type=float, default=3.0, metavar="METRES",
+        help="side of the free square in whose middle the robot stands; %(default)s",
+    )  # fmt: skip
+    odometry.add_argument("--speed", type=float, default=0.3, help="m/s; %(default)s")
+    odometry.add_argument(
+        "--truth", metavar="TOPIC",
+        help="nav_msgs/Odometry with the measured pose of base_link; default: you are asked",
+    )  # fmt: skip
+    odometry.add_argument(
+        "--accuracy", type=float, nargs=2, metavar=("MM", "DEGREES"),
+        help="standard deviations of a measured pose; 3 0.3 typed, 1 0.1 from a topic",
+    )  # fmt: skip
+    odometry.add_argument("--yes", action="store_true", help="with --truth: begin without asking")
+    odometry.add_argument(
+        "--runs", metavar="FILE", help="drive nothing, fit to runs recorded before"
+    )
+    odometry.add_argument(
+        "--simulate", action="store_true",
+        help="start a simulated robot for it, with wrong radii and mounting",
+    )  # fmt: skip
+    odometry.add_argument("--robot", help=f"with --simulate: {ROBOT}; default: omniman")
+    odometry.add_argument(
+        "-p", "--param", action="append", default=[], metavar="NAME:=VALUE",
+        help="with --simulate: a parameter, given to every node; may be repeated",
+    )  # fmt: skip
+    odometry.add_argument("--verbose", action="store_true", help="show what the nodes say")
+    add_namespace(odometry, "namespace of the robot")
+    add_results(odometry)
 
 
 def add_parameters(parser: argparse.ArgumentParser) -> None:
@@ -127,8 +180,10 @@ COMMANDS: dict[str, tuple[str, str, Callable[[argparse.ArgumentParser], None]]] 
     "teleop": ("teleop", "drive with the keyboard: hold to drive, release stops", add_teleop),
     "stop": ("stop_reset", "stop every node that moves something, until a reset", add_stop),
     "reset": ("stop_reset", "release stopped nodes; moves nothing by itself", add_stop),
-    "demo": ("demo", "a simulated robot drives and is measured, in under a minute", add_demo),
+    "demo": ("demo", "a simulated robot drives and is measured, in a minute", add_demo),
+    "identify": ("identify", "find out by drives what the robot is really like", add_identify),
     "parameters": ("parameters", "list the parameters of the nodes", add_parameters),
+    "reproduce": ("reproduce", "repeat a paper's experiment in simulation", add_reproduce),
     "bench": ("bench", "measure how fast the control is", add_bench),
 }
 """Name: module in omniman_ros.cli with `run(args) -> int`, help, arguments."""

@@ -1,5 +1,6 @@
 """What becomes of the nodes' output: printed with their names, or kept for the worst case."""
 
+import re
 import sys
 import threading
 from collections import deque
@@ -41,6 +42,14 @@ class NodeLog:
         self._last.append(f"  [{name}] {line}")
         if self._verbose:
             say(f"[{name}] {line}", sys.stderr)
+
+    def find(self, name: str, pattern: re.Pattern[str]) -> str:
+        """The pattern's group in the last of a node's last words that has it, or nothing."""
+        for line in reversed(self._last):
+            found = pattern.search(line) if line.startswith(f"  [{name}] ") else None
+            if found:
+                return found[1]
+        return ""
 
     def show(self) -> None:
         """Show the last lines, unless they were."""

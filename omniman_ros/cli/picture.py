@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omniman_ros.cli.recorder import Recording
-from omniman_ros.cli.score import DrivenFigure, DrivenTwist
+from omniman_ros.cli.score import DrivenLeg, DrivenTwist, Reference, pose_errors
 from omniman_ros.core.robot import Robot
 
 matplotlib.use("Agg")
@@ -30,7 +30,7 @@ def draw(
     robot: Robot,
     recording: Recording,
     twists: list[DrivenTwist],
-    figure: DrivenFigure,
+    legs: list[DrivenLeg],
     path: Path,
 ) -> None:
     """Draw the demo into a PNG file."""
@@ -45,13 +45,13 @@ def draw(
     with plt.rc_context(style):
         sheet = plt.figure(figsize=(11, 6), layout="constrained")
         grid = sheet.add_gridspec(3, 2, width_ratios=(1.15, 1))
-        _way(sheet.add_subplot(grid[:, 0]), robot, odom, truth, figure)
+        _way(sheet.add_subplot(grid[:, 0]), robot, odom, truth, legs)
         rows = [sheet.add_subplot(grid[i, 1]) for i in range(3)]
         _speeds(rows[0], odom, begin)
         _coupling(rows[1], np.array(recording.coupling), begin)
-        _tracking(rows[2], odom, figure, begin)
+        _tracking(rows[2], odom, Reference(recording.reference), legs, begin)
         for axes in rows:
-            _mark(axes, twists, figure, begin)
+            _mark(axes, twists, legs, begin)
             axes.set_xlim(0.0, odom[-1, 0] - begin)
         rows[0].tick_params(labelbottom=False)
         rows[1].tick_params(labelbottom=False)
@@ -61,15 +61,13 @@ def draw(
         plt.close(sheet)
 
 
-def _way(axes: Any, robot: Robot, odom: Array, truth: Array, figure: DrivenFigure) -> None:
+def _way(axes: Any, robot: Robot, odom: Array, truth: Array, legs: list[DrivenLeg]) -> None:
     """Top view: x forward is up, y left is left, as the robot sees it at the start."""
-    on_path = odom[:, 0] >= figure.start
+    on_path = odom[:, 0] >= legs[0].start
     axes.plot(
         -odom[~on_path, 2], odom[~on_path, 1], color=TWISTS, lw=2.0, zorder=4, label="cmd_vel"
     )
-    axes.plot(
-        -odom[on_path, 2], odom[on_path, 1], color=PATH, lw=2.0, zorder=4, label="path/reference"
-    )
+    axes.plot(-odom[on_path, 2], odom[on_path, 1], color=PATH, lw=2.0, zorder=4, label="path")
     axes.plot(
         -truth[:, 2],
         truth[:, 1],
@@ -149,19 +147,20 @@ def _coupling(axes: Any, coupling: Array, begin: float) -> None:
         axes.plot(coupling[:, 0] - begin, coupling[:, column], color=INK, lw=1.2)
 
 
-def _tracking(axes: Any, odom: Array, figure: DrivenFigure, begin: float) -> None:
-    since = odom[:, 0] - figure.start
-    during = (since >= 0.0) & (since <= figure.figure.duration)
-    wanted = np.array([figure.figure.sample(t).pose[:2] for t in since[during].tolist()])
-    error = 1e3 * np.linalg.norm(odom[during, 1:3] - wanted, axis=1)
-    axes.plot(odom[during, 0] - begin, error, color=PATH, lw=1.2)
+def _tracking(
+    axes: Any, odom: Array, reference: Reference, legs: list[DrivenLeg], begin: float
+) -> None:
+    for leg in legs:
+        during = odom[reference.during(odom[:, 0], [leg])]
+        error = 1e3 * pose_errors(during, reference)[0]
+        axes.plot(during[:, 0] - begin, error, color=PATH, lw=1.2)
     axes.set_title("Tracking error on the path [mm]")
     axes.set_ylim(bottom=0.0)
 
 
-def _mark(axes: Any, twists: list[DrivenTwist], figure: DrivenFigure, begin: float) -> None:
+def _mark(axes: Any, twists: list[DrivenTwist], legs: list[DrivenLeg], begin: float) -> None:
     """Light bands where something is driven."""
     parts = [(driven.start, driven.phase.duration) for driven in twists]
-    parts.append((figure.start, figure.figure.duration))
+    parts += [(leg.start, leg.end - leg.start) for leg in legs]
     for start, duration in parts:
         axes.axvspan(start - begin, start - begin + duration, color="#eef2f7", zorder=0, lw=0)

@@ -45,16 +45,16 @@ class Progress:
         self._drawn = now
         full = round(BAR * min(max(fraction, 0.0), 1.0))
         bar = self._full * full + paint(self._rest * (BAR - full), DIM, self._stream)
-        self._rewrite(f"  {self._name:<14}", bar, f"  {note}")
+        self._rewrite(f"  {self._name:<17}", bar, f"  {note}")
 
     def end(self, note: str) -> None:
         """End the part with a line that stays."""
         if self._live:
             bar = paint(self._full * BAR, GREEN, self._stream)
-            self._rewrite(f"  {self._name:<14}", bar, f"  {note}")
+            self._rewrite(f"  {self._name:<17}", bar, f"  {note}")
             say("", self._stream)
         else:
-            say(f"  {self._name:<14}{self._tick} {note}", self._stream)
+            say(f"  {self._name:<17}{self._tick} {note}", self._stream)
 
     def abandon(self) -> None:
         """Leave the part as it is, on a line of its own."""

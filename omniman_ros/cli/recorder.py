@@ -8,12 +8,15 @@ from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray, String
+from std_msgs.msg import Float64, Float64MultiArray, String
+from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from omniman_ros.conversions import time_seconds, yaw
 
 LATCHED = QoSProfile(depth=50, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 Row = tuple[float, ...]
+FRESH = 6
+"""Points of a preview of `path/reference` until about the next one."""
 
 
 @dataclass
@@ -24,6 +27,7 @@ class Recording:
         odom: Stamp, x, y, theta, x', y', theta'.
         truth: Stamp, x, y, theta of the ground truth.
         coupling: Stamp, epsilon of each constraint [rad].
+        reference: Stamp, x, y, theta of the path's reference; parts may be there twice.
         energy: Energy of each wheel since the start of the drive [J].
         odom_arrivals, command_arrivals: When odom, and wheel_commands or wheel_voltages, came.
         stall: Longest time that this process was held up [s]; the nodes mostly were, too.
@@ -32,6 +36,7 @@ class Recording:
     odom: list[Row] = field(default_factory=list)
     truth: list[Row] = field(default_factory=list)
     coupling: list[Row] = field(default_factory=list)
+    reference: list[Row] = field(default_factory=list)
     energy: list[Row] = field(default_factory=list)
     odom_arrivals: list[float] = field(default_factory=list)
     command_arrivals: list[float] = field(default_factory=list)
@@ -44,12 +49,16 @@ class Recorder:
     Attributes:
         recording: The rows.
         active_source: What the controller said last, or empty.
+        progress: What `path_progress` said last.
+        health: What `wheel_health` said last, by wheel and other keys.
         stopped: Names of stopped nodes, with the reason.
     """
 
     def __init__(self, node: Node) -> None:
         self.recording = Recording()
         self.active_source = ""
+        self.progress = 0.0
+        self.health: dict[str, str] = {}
         self.stopped: dict[str, str] = {}
         for kind, topic, handler, qos in (
             (Odometry, "odom", self._on_odom, 10),
@@ -58,8 +67,11 @@ class Recorder:
             (JointState, "wheel_voltages", self._on_command, 10),  # instead, in voltage mode
             (JointState, "coupling_error", self._on_coupling, 10),
             (Float64MultiArray, "wheel_electrical", self._on_electrical, 10),
+            (MultiDOFJointTrajectory, "path/reference", self._on_reference, 10),
+            (Float64, "path_progress", self._on_progress, 10),
             (String, "active_source", self._on_source, LATCHED),
             (DiagnosticStatus, "stop_state", self._on_stop_state, LATCHED),
+            (DiagnosticStatus, "wheel_health", self._on_health, LATCHED),
         ):
             node.create_subscription(kind, topic, handler, qos)
 
@@ -96,8 +108,26 @@ class Recorder:
     def _on_electrical(self, message: Float64MultiArray) -> None:
         self.recording.energy.append(tuple(message.data[2::3]))
 
+    def _on_reference(self, message: MultiDOFJointTrajectory) -> None:
+        """The ticks until about the next preview; the rest of this one may still be changed."""
+        stamp = time_seconds(message.header.stamp)
+        for point in message.points[:FRESH]:
+            place = point.transforms[0].translation
+            self.recording.reference.append(
+                (
+                    stamp + time_seconds(point.time_from_start), place.x, place.y,
+                    yaw(point.transforms[0].rotation),
+                )
+            )  # fmt: skip
+
+    def _on_progress(self, message: Float64) -> None:
+        self.progress = message.data
+
     def _on_source(self, message: String) -> None:
         self.active_source = message.data
+
+    def _on_health(self, message: DiagnosticStatus) -> None:
+        self.health = {item.key: item.value for item in message.values}
 
     def _on_stop_state(self, message: DiagnosticStatus) -> None:
         if message.level == DiagnosticStatus.ERROR:

@@ -1,15 +1,15 @@
 """Judgement of the demo: figures from what was recorded, and what is wrong with them."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from omniman_ros.cli.figures import Figure, Sample, TwistPhase
-from omniman_ros.cli.recorder import Recording
+from omniman_ros.cli.figures import TwistPhase
+from omniman_ros.cli.recorder import Recording, Row
 
 Array = NDArray[np.float64]
 
@@ -28,12 +28,15 @@ LIMITS = {
     "final heading, deg": 1.0,
     "odometry position, mm": 100.0,
     "odometry heading, deg": 6.0,
+    "dead wheel noticed, s": 2.0,
+    "tracking without a wheel RMS, mm": 20.0,
     "odom rate, Hz": 80.0,
     "wheel_commands rate, Hz": 160.0,
 }
 """What a demo must keep to; rates are the least, the others the most."""
 
-
+SAME_TICK = 1e-3
+"""Points of the reference that are nearer to each other are one [s]."""
 STALL = 0.15
 """Time without the processor that can spoil a demo [s]."""
 
@@ -47,11 +50,22 @@ class DrivenTwist:
 
 
 @dataclass(frozen=True)
-class DrivenFigure:
-    """A figure and when it began in ROS time [s]."""
+class DrivenLeg:
+    """A movement of the path, from when to when in ROS time [s]."""
 
-    figure: Figure
+    name: str
     start: float
+    end: float
+
+
+@dataclass(frozen=True)
+class DrivenWithoutWheel:
+    """A path on which a wheel lost its torque; when, and when it was noticed, in ROS time [s]."""
+
+    wheel: str
+    lost: float
+    noticed: float
+    leg: DrivenLeg
 
 
 def rms(values: Array) -> float:
@@ -85,19 +99,47 @@ def twist_error(odom: Array, driven: DrivenTwist) -> dict[str, Any]:
     }
 
 
-def tracking(odom: Array, driven: DrivenFigure) -> dict[str, Any]:
+class Reference:
+    """What `path/reference` asked for, as a function of ROS time.
+
+    Args:
+        rows: Stamp, x, y, theta, in any order, parts more than once; from Recording.reference.
+    """
+
+    def __init__(self, rows: Sequence[Row]) -> None:
+        table = np.array(rows).reshape(-1, 4)
+        table = table[np.argsort(table[:, 0], kind="stable")]
+        fresh = np.concatenate([[True], np.diff(table[:, 0]) > SAME_TICK])[: len(table)]
+        self.times = table[fresh, 0]
+        self._poses = np.column_stack([table[fresh, 1:3], np.unwrap(table[fresh, 3])])
+
+    def during(self, times: Array, legs: Sequence[DrivenLeg]) -> NDArray[np.bool_]:
+        """Which of the times (k,) are in a leg and within the reference."""
+        chosen = np.zeros(len(times), dtype=bool)
+        if len(self.times):
+            for leg in legs:
+                chosen |= (times >= leg.start) & (times <= leg.end)
+            chosen &= (times >= self.times[0]) & (times <= self.times[-1])
+        return chosen
+
+    def at(self, times: Array) -> Array:
+        """Poses (k, 3) at times (k,), held before the first and after the last [m, m, rad]."""
+        return np.column_stack([np.interp(times, self.times, pose) for pose in self._poses.T])
+
+
+def tracking(odom: Array, reference: Reference, legs: Sequence[DrivenLeg]) -> dict[str, Any]:
     """Error in odom, at each message's stamp, against the reference of that instant.
 
     Args:
         odom: Rows of Recording.odom.
-        driven: What was followed.
+        reference: What was asked for.
+        legs: When it was driven.
     """
-    since = odom[:, 0] - driven.start
-    during = (since >= 0.0) & (since <= driven.figure.duration)
+    during = reference.during(odom[:, 0], legs)
     if not during.any():
         return dict.fromkeys(TRACKING, math.inf)
-    distance, angle = _pose_errors(odom[during], since[during], driven.figure.sample)
-    last, turn = _pose_errors(odom[-1:], since[-1:], driven.figure.sample)
+    distance, angle = pose_errors(odom[during], reference)
+    last, turn = pose_errors(odom[-1:], reference)
     return {
         "rms_mm": 1e3 * rms(distance),
         "max_mm": 1e3 * float(distance.max()),
@@ -109,12 +151,29 @@ def tracking(odom: Array, driven: DrivenFigure) -> dict[str, Any]:
     }
 
 
-def _pose_errors(
-    odom: Array, times: Array, sample: Callable[[float], Sample]
-) -> tuple[Array, Array]:
-    wanted = np.array([sample(t).pose for t in times.tolist()])
-    off = odom[:, 1:4] - wanted
+def pose_errors(odom: Array, reference: Reference) -> tuple[Array, Array]:
+    """Distance [m] and angle [rad], (k,) each, of rows of Recording.odom from the reference."""
+    off = odom[:, 1:4] - reference.at(odom[:, 0])
     return np.hypot(off[:, 0], off[:, 1]), wrapped(off[:, 2])
+
+
+def coupling(rows: Sequence[Row], legs: Sequence[DrivenLeg]) -> dict[str, Any]:
+    """Coupling error on the path, on the whole and for each movement [rad]."""
+    table = np.array(rows)
+    epsilon = table[:, 1:]
+    result: dict[str, Any] = {"rms_rad": 0.0, "max_rad": 0.0, "movements": {}}
+    if not epsilon.size:
+        return result
+    inside = np.zeros(len(table), dtype=bool)
+    for leg in legs:
+        during = (table[:, 0] >= leg.start) & (table[:, 0] <= leg.end)
+        inside |= during
+        if during.any():
+            result["movements"][leg.name] = float(np.abs(epsilon[during]).max())
+    if inside.any():
+        result["rms_rad"] = rms(epsilon[inside])
+        result["max_rad"] = float(np.abs(epsilon[inside]).max())
+    return result
 
 
 def drift(odom: Array, truth: Array) -> dict[str, Any]:
@@ -158,19 +217,18 @@ def excuse(recording: Recording) -> str:
 
 
 def judge(
-    recording: Recording, twists: Sequence[DrivenTwist], figure: DrivenFigure
+    recording: Recording,
+    twists: Sequence[DrivenTwist],
+    legs: Sequence[DrivenLeg],
+    without_wheel: DrivenWithoutWheel | None = None,
 ) -> dict[str, Any]:
     """All figures, and under "faults" a sentence for each that is beyond its limit."""
     odom, truth = np.array(recording.odom), np.array(recording.truth)
-    epsilon = np.array(recording.coupling)[:, 1:]
     energy = np.array(recording.energy)
     result: dict[str, Any] = {
         "twists": [twist_error(odom, driven) for driven in twists],
-        "tracking": tracking(odom, figure),
-        "coupling": {
-            "rms_rad": rms(epsilon) if epsilon.size else 0.0,
-            "max_rad": float(np.abs(epsilon).max()) if epsilon.size else 0.0,
-        },
+        "tracking": tracking(odom, Reference(recording.reference), legs),
+        "coupling": coupling(recording.coupling, legs),
         "odometry": drift(odom, truth),
         "energy": {
             "total_j": float((energy[-1] - energy[0]).sum()),
@@ -181,6 +239,12 @@ def judge(
             "wheel_commands": intervals(recording.command_arrivals),
         },
     }
+    if without_wheel is not None:
+        result["dead_wheel"] = {
+            "wheel": without_wheel.wheel,
+            "noticed_s": without_wheel.noticed - without_wheel.lost,
+            **tracking(odom, Reference(recording.reference), [without_wheel.leg]),
+        }
     result["timing"]["stall_ms"] = 1e3 * recording.stall
     result["faults"] = [fault + excuse(recording) for fault in faults(result)]
     return result
@@ -197,6 +261,10 @@ def faults(result: dict[str, Any]) -> list[str]:
         ("odometry position, mm", odometry["position_mm"]),
         ("odometry heading, deg", odometry["heading_deg"]),
     ]
+    if "dead_wheel" in result:
+        dead = result["dead_wheel"]
+        most.append(("dead wheel noticed, s", dead["noticed_s"]))
+        most.append(("tracking without a wheel RMS, mm", dead["rms_mm"]))
     for twist in result["twists"]:
         most.append(("twist error, m/s", twist["linear_m_s"]))
         most.append(("twist error, rad/s", twist["angular_rad_s"]))

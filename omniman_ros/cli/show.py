@@ -1,32 +1,47 @@
-"""The show of the demo: twists through cmd_vel, then a figure through path/reference."""
+"""The show of the demo: twists through cmd_vel, then a path through path_interpolator."""
 
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Any
 
-from geometry_msgs.msg import Transform, Twist, Vector3
-from rclpy.duration import Duration
-from rclpy.time import Time
-from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
+import numpy as np
+from geometry_msgs.msg import Twist
+from nav_msgs.msg import Path
+from numpy.typing import NDArray
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
+from rclpy.client import Client
+from std_srvs.srv import Trigger
 
+from omniman_ros import conversions
 from omniman_ros.cli.errors import CommandError
-from omniman_ros.cli.figures import Figure, Pace, Sample, Triple, TwistPhase, twist_phases
+from omniman_ros.cli.figures import Pace, Triple, TwistPhase, twist_phases
+from omniman_ros.cli.previews import twist_message
 from omniman_ros.cli.progress import Progress
 from omniman_ros.cli.recorder import Recorder
-from omniman_ros.cli.score import DrivenFigure, DrivenTwist, excuse
+from omniman_ros.cli.score import DrivenLeg, DrivenTwist, DrivenWithoutWheel, excuse
 from omniman_ros.cli.session import DISCOVERY, Session
-from omniman_ros.conversions import PLATFORM_JOINT, quaternion
+from omniman_ros.core import se2
+from omniman_ros.studies.figure7 import Movement, movements
+
+Array = NDArray[np.float64]
 
 TWIST_PERIOD = 0.02
-PREVIEW_PERIOD = 0.025
-PREVIEW_POINTS = 13
-PREVIEW_STEP = 0.025
-"""A preview of 0.3 s every 25 ms, a point every 25 ms."""
 PAUSE = 0.7
 """Rest between two parts [s]."""
-LEAD = 0.3
-"""Time from the first preview to the figure's start [s]."""
+SPACING = 0.02
+"""Of the poses of a path [m]."""
+LIMP, LOST_AT = 0.5, 0.15
+"""Straights that are driven without a wheel [m], and where on the way it is lost."""
+DRIVES = "driving"
+"""What `wheel_health` says of a good wheel."""
+ANSWER = 5.0
+"""How long to wait for the answer of a service [s]."""
+LATE, SLOWEST = 20.0, 0.2
+"""A movement slower than this on the whole [s, m/s] will never be at its end."""
 
 
 def pose_text(pose: Triple) -> str:
@@ -36,38 +51,16 @@ def pose_text(pose: Triple) -> str:
     return f"x {x:+.2f} m  y {y:+.2f} m  heading {degrees:+4d} deg"
 
 
-def twist_message(twist: Triple) -> Twist:
-    """A body twist or a world velocity as a message."""
-    x, y, angle = twist
-    return Twist(linear=Vector3(x=x, y=y), angular=Vector3(z=angle))
+def placed(poses: Array, origin: Triple) -> Array:
+    """Poses (k, 3) that are seen from `origin`, in odom [m, m, rad]."""
+    result: Array = poses @ se2.rotation(origin[2]) + np.array(origin)
+    return result
 
 
-def preview_point(sample: Sample, after: Duration) -> MultiDOFJointTrajectoryPoint:
-    """A sample as a point, due some time after the header's stamp."""
-    x, y, theta = sample.pose
-    pose = Transform(translation=Vector3(x=x, y=y), rotation=quaternion(theta))
-    return MultiDOFJointTrajectoryPoint(
-        transforms=[pose],
-        velocities=[twist_message(sample.velocity)],
-        accelerations=[twist_message(sample.acceleration)],
-        time_from_start=after.to_msg(),
-    )
-
-
-def preview_message(figure: Figure, now: Time, start: Time) -> MultiDOFJointTrajectory:
-    """The next 0.3 s of a figure that starts at `start`; it ends at rest where the figure does."""
-    message = MultiDOFJointTrajectory(joint_names=[PLATFORM_JOINT])
-    message.header.frame_id = "odom"
-    message.header.stamp = now.to_msg()
-    since = (now - start).nanoseconds * 1e-9
-    message.points = [
-        preview_point(
-            figure.sample(since + i * PREVIEW_STEP),
-            Duration(nanoseconds=round(i * PREVIEW_STEP * 1e9)),
-        )
-        for i in range(PREVIEW_POINTS)
-    ]
-    return message
+def poses_along(movement: Movement, origin: Triple) -> Array:
+    """Poses (k, 3) of a movement whose frame is at `origin` in odom [m, m, rad]."""
+    steps = max(2, math.ceil(movement.length / SPACING))
+    return placed(movement.at(np.linspace(0.0, movement.length, steps + 1))[0], origin)
 
 
 @dataclass
@@ -75,7 +68,8 @@ class Driven:
     """What was driven, for the judgement."""
 
     twists: list[DrivenTwist] = field(default_factory=list)
-    figure: DrivenFigure | None = None
+    legs: list[DrivenLeg] = field(default_factory=list)
+    without_wheel: DrivenWithoutWheel | None = None
 
 
 class Show:
@@ -96,9 +90,12 @@ class Show:
         self._progress = progress
         self._poll = poll
         self._twists = session.node.create_publisher(Twist, "cmd_vel", 1)
-        self._previews = session.node.create_publisher(
-            MultiDOFJointTrajectory, "path/reference", 1
-        )
+        self._paths = session.node.create_publisher(Path, "path", 10)
+        self._faults = session.node.create_client(SetParameters, "simulated_drive/set_parameters")
+        self._resets = [
+            session.node.create_client(Trigger, f"{node}/reset")
+            for node in ("simulated_drive", "platform_controller")
+        ]
         self.recorder = Recorder(session.node)
         self.driven = Driven()
         self._checked = time.monotonic()
@@ -122,29 +119,103 @@ class Show:
         for phase in twist_phases(self._pace):
             self._drive_twist(phase)
 
-    def follow_figure(self) -> None:
-        """Follow the figure, from where the robot is, through previews."""
-        self._progress.begin("follow a path")
+    def follow_path(self) -> None:
+        """Drive the path of CCTA 2017 Fig. 7 from where the robot is, movement by movement."""
         if not self._wait(lambda: self.recorder.active_source == "none", 5.0):
             raise CommandError(f"'{self.recorder.active_source}' still drives, expected none")
-        figure = Figure(self._pose(), self._pace.figure, self._pace.ramp)
-        clock = self._session.node.get_clock()
-        start = clock.now() + Duration(nanoseconds=round(LEAD * 1e9))
-        self.driven.figure = DrivenFigure(figure, start.nanoseconds * 1e-9)
-        took_over = False
-        ticks = self._ticks(LEAD + figure.duration, PREVIEW_PERIOD)
-        for elapsed in ticks:
-            self._previews.publish(preview_message(figure, clock.now(), start))
-            self._progress.update(elapsed / (LEAD + figure.duration), self._note())
-            took_over |= self.recorder.active_source == "path"
-        if not took_over:
-            raise CommandError("the controller did not take over path/reference")
+        origin = self._pose()
+        for movement in movements():
+            self._follow(movement, poses_along(movement, origin))
+
+    def drive_without_a_wheel(self, wheel: str) -> None:
+        """Lose a motor on a path of two straights, go on with the other wheels, and repair it.
+
+        Raises:
+            CommandError: The controller did not notice, or the robot did not arrive.
+        """
+        origin = self._pose()
+        poses = np.array([[0.0, 0.0, 0.0], [LIMP, 0.0, 0.0], [LIMP, LIMP, 0.0]])
+        lost = noticed = math.inf
+
+        def lose() -> None:
+            nonlocal lost, noticed
+            if not math.isfinite(lost) and self.recorder.progress > LOST_AT:
+                lost = self._now()
+                self._set_fault([wheel])
+            elif lost < math.inf == noticed and self.recorder.health.get(wheel) not in (
+                "",
+                DRIVES,
+            ):
+                noticed = self._now()
+
+        leg = self._send("dead wheel", placed(poses, origin), 2.0 * LIMP, lose)
+        if not math.isfinite(noticed):
+            raise CommandError(f"the controller did not notice that '{wheel}' has no torque")
+        self.driven.without_wheel = DrivenWithoutWheel(wheel, lost, noticed, leg)
+        self._set_fault([])
+        for client in self._resets:
+            self._call(client, Trigger.Request())
+        if not self._wait(lambda: not self._is_known(wheel), ANSWER):
+            raise CommandError(f"the reset did not bring '{wheel}' back")
+
+    def _follow(self, movement: Movement, poses: Array) -> None:
+        leg = self._send(f"path: {movement.name}", poses, movement.length)
+        self.driven.legs.append(replace(leg, name=movement.name))
+
+    def _send(
+        self, name: str, poses: Array, length: float, each: Callable[[], None] = lambda: None
+    ) -> DrivenLeg:
+        """Send a path and wait for its end; `each` is called all the while.
+
+        Raises:
+            CommandError: It was not taken, or given up.
+        """
+        self._progress.begin(name)
+        self.recorder.progress = 0.0
+        begin = self._now()
+        self._paths.publish(conversions.path_message(poses, "odom"))
+        patience = LATE + length / SLOWEST
+        for _ in self._ticks(patience, TWIST_PERIOD):
+            self._progress.update(self.recorder.progress, self._note())
+            each()
+            if self.recorder.progress >= 1.0:
+                break
+        else:
+            raise CommandError(
+                f"{name} is not at its end, but at {self.recorder.progress:.0%}"
+                f"{excuse(self.recorder.recording)}"
+            )
+        leg = DrivenLeg(name, begin, self._now())
         self._rest()
         self._progress.end(self._note())
+        return leg
+
+    def _is_known(self, wheel: str) -> bool:
+        return self.recorder.health.get(wheel, DRIVES) != DRIVES
+
+    def _set_fault(self, wheels: list[str]) -> None:
+        """Take the torque of these wheels' motors away, and give all others theirs."""
+        value = ParameterValue(
+            type=ParameterType.PARAMETER_STRING_ARRAY, string_array_value=wheels
+        )
+        request = SetParameters.Request(
+            parameters=[ParameterMessage(name="faults.dead_motor", value=value)]
+        )
+        self._call(self._faults, request)
+
+    def _call(self, client: Client, request: Any) -> None:
+        """Call a service and wait for its answer.
+
+        Raises:
+            CommandError: None came.
+        """
+        future = client.call_async(request)
+        if not self._wait(future.done, ANSWER):
+            raise CommandError(f"{client.srv_name} does not answer")
 
     def _drive_twist(self, phase: TwistPhase) -> None:
         self._progress.begin(phase.name)
-        start = self._session.node.get_clock().now().nanoseconds * 1e-9
+        start = self._now()
         self.driven.twists.append(DrivenTwist(phase, start))
         for elapsed in self._ticks(phase.duration, TWIST_PERIOD):
             self._twists.publish(twist_message(phase.twist(elapsed)))
@@ -188,7 +259,7 @@ class Show:
     def _absent(self) -> str:
         unheard = [
             f"a listener to {publisher.topic_name}"
-            for publisher in (self._twists, self._previews)
+            for publisher in (self._twists, self._paths)
             if not publisher.get_subscription_count()
         ]
         return ", ".join(self.recorder.missing + unheard)
@@ -196,6 +267,10 @@ class Show:
     def _pose(self) -> Triple:
         x, y, theta = self.recorder.recording.odom[-1][1:4]
         return x, y, theta
+
+    def _now(self) -> float:
+        """ROS time [s]."""
+        return float(self._session.node.get_clock().now().nanoseconds * 1e-9)
 
     def _note(self) -> str:
         return pose_text(self._pose())

@@ -20,10 +20,11 @@ from omniman_ros.cli.errors import CommandError
 from omniman_ros.cli.keyboard import Keyboard
 from omniman_ros.cli.session import Session
 from omniman_ros.cli.show import pose_text, twist_message
-from omniman_ros.cli.stop_reset import has_service, nodes_that_move
-from omniman_ros.cli.teleop_keys import STEP, Framing, KeyTeleop, Twist, split_keys
+from omniman_ros.cli.teleop_keys import STEP, KeyTeleop, split_keys
 from omniman_ros.cli.terminal import say
 from omniman_ros.conversions import yaw
+from omniman_ros.core.framing import Framing, Twist
+from omniman_ros.nodes.movers import has_service, nodes_that_move
 
 PERIOD = 0.05
 """Of cmd_vel [s]."""

@@ -11,6 +11,8 @@ drives on beside a new one.
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from omniman_ros.core.framing import Twist
+
 HOLD_PRESS = 0.6
 """How long a key counts as held after a press: longer than the keyboard's repeat delay [s]."""
 HOLD_REPEAT = 0.2
@@ -25,7 +27,6 @@ SLOWEST, FASTEST = 0.1, 10.0
 """Bounds of the product of those factors."""
 
 Direction = tuple[int, int, int]
-Twist = tuple[float, float, float]
 
 MOTIONS: dict[str, Direction] = {
     "w": (1, 0, 0), "s": (-1, 0, 0), "a": (0, 1, 0), "d": (0, -1, 0),
@@ -130,31 +131,3 @@ class KeyTeleop:
         if x and y:
             linear *= 0.5**0.5
         return x * linear, y * linear, turn * angular
-
-
-class Framing:
-    """Decides what to publish a tick: a zero, twists while keys are held, some zeros, nothing.
-
-    The zero before says that this is a new motion, asked for after a stop and not left over from
-    before it: the controller does not hear a cancelled source again without. Silence in the end
-    lets other sources drive.
-
-    Args:
-        zeros: How many zeros follow.
-    """
-
-    def __init__(self, zeros: int = 5) -> None:
-        self._zeros = zeros
-        self._left = 0
-
-    def next(self, twist: Twist | None) -> Twist | None:
-        """The twist to publish in this tick, or None for none."""
-        if twist is not None and self._left:
-            self._left = self._zeros
-            return twist
-        if twist is not None:
-            self._left = 1
-        if self._left:
-            self._left -= twist is None
-            return 0.0, 0.0, 0.0
-        return None

@@ -28,12 +28,15 @@ def smooth_sign(speed: Array) -> Array:
 class PlatformDynamics:
     """Torques that a motion of the platform asks of its wheels, and what motors need for them.
 
+    Idle wheels of the kinematics get no torque: the others drag them along.
+
     Attributes (read-only arrays):
         mass_matrix: (3, 3) M about base_link's origin, arm included [kg, kg m, kg m^2].
         wheel_inertia: (n, n) W with tau = W phi'': what the wheels feel of platform, arm and
             their own inertia. Accelerations that break the constraints feel the wheels alone.
         loads: (n,) weight on each wheel [N], shared by the centre of mass.
-        torque_limit: (n,) torque at the wheel that the current limit allows [N m].
+        torque_limit: (n,) torque at the wheel that the current limit allows [N m]; 0 for idle
+            wheels.
     """
 
     def __init__(self, robot: Robot, kinematics: PlatformKinematics) -> None:
@@ -49,8 +52,15 @@ class PlatformDynamics:
         self._moment = np.array([mx, my, 0.0])
         wheels = robot.wheels
         self._inertia = np.array(wheels.inertia)
-        pinv = kinematics.J_pinv
-        self.wheel_inertia = pinv.T @ self.mass_matrix @ pinv + np.diag(self._inertia)
+        idle = list(kinematics.idle)
+        driven = np.ones(robot.wheel_count)
+        driven[idle] = 0.0
+        self._driven = driven
+        # What a wheel needs for itself; an idle one's is a force on the platform, (J+)' J'.
+        self._carry = np.diag(driven) + kinematics.J_pinv.T @ kinematics.J.T @ np.diag(1 - driven)
+        pinv, dragged = kinematics.J_pinv, kinematics.J[idle]
+        moved = self.mass_matrix + dragged.T @ (self._inertia[idle, None] * dragged)
+        self.wheel_inertia = pinv.T @ moved @ pinv + np.diag(self._inertia)
         spread = np.array([np.ones(len(wheels.x)), wheels.x, wheels.y])
         weight = GRAVITY * np.array([mass, mx, my])
         self.loads = np.maximum(np.linalg.pinv(spread) @ weight, 0.0)
@@ -59,7 +69,7 @@ class PlatformDynamics:
         self._set_rollers(robot)
         motor = robot.motor
         gain = motor.gear_efficiency * motor.gear_ratio * motor.torque_constant
-        self.torque_limit = np.full(len(wheels.x), gain * motor.max_current)
+        self.torque_limit = gain * motor.max_current * driven
 
     def _set_rollers(self, robot: Robot) -> None:
         """Maps of roller drag: twist to rolling speeds, drag forces to wheel torques, CCTA (5)."""
@@ -69,7 +79,7 @@ class PlatformDynamics:
         chassis = np.column_stack([-s, c, np.array(wheels.x) * c + np.array(wheels.y) * s])
         wheel = np.array(wheels.radius) * np.sin(wheels.roller_angle)  # CCTA (6)
         self._rolling = chassis + wheel[:, None] * self._kinematics.J
-        self._drag_torque = np.diag(wheel) + self._kinematics.J_pinv.T @ chassis.T
+        self._drag_torque = self._carry * wheel + self._kinematics.J_pinv.T @ chassis.T
         self._drag = np.array(robot.friction.roller) * self.loads
 
     def platform_torque(self, twist: Array, twist_rate: Array) -> Array:
@@ -83,7 +93,8 @@ class PlatformDynamics:
         in_space = twist_rate + np.array([-w * vy, w * vx, 0.0])
         force = self.mass_matrix @ in_space - (w * w) * self._moment
         pinv = self._kinematics.J_pinv
-        torque: Array = pinv.T @ force + self._inertia * (self._kinematics.J @ twist_rate)
+        own = self._inertia * (self._kinematics.J @ twist_rate)
+        torque: Array = pinv.T @ force + (self._carry @ own if self._kinematics.idle else own)
         return torque
 
     def friction_torque(self, twist: Array, wheel_speeds: Array) -> Array:
@@ -94,11 +105,9 @@ class PlatformDynamics:
             wheel_speeds: (n,) [rad/s].
         """
         drag = self._drag * smooth_sign(self._rolling @ twist)
-        torque: Array = (
-            self._viscous * wheel_speeds
-            + self._coulomb * smooth_sign(wheel_speeds)
-            + self._drag_torque @ drag
-        )
+        own = self._viscous * wheel_speeds + self._coulomb * smooth_sign(wheel_speeds)
+        carried = self._carry @ own if self._kinematics.idle else own
+        torque: Array = carried + self._drag_torque @ drag
         return torque
 
     def current(self, torque: Array, wheel_speeds: Array) -> Array:
@@ -118,16 +127,19 @@ class PlatformDynamics:
 
         The inverse of :meth:`current` and :meth:`voltage`.
         """
+        limit = self._motor.max_voltage
+        return self.torque_of(-limit, wheel_speeds), self.torque_of(limit, wheel_speeds)
+
+    def torque_of(self, volts: Array | float, wheel_speeds: Array) -> Array:
+        """Torques (n,) [N m] that motor voltages [V], (n,) or one, give at speeds (n,) [rad/s]."""
         motor = self._motor
         gain = motor.gear_ratio * motor.torque_constant
-        emf = gain * wheel_speeds
-        ends = []
-        for volts in (-motor.max_voltage, motor.max_voltage):
-            amps = np.clip((volts - emf) / motor.resistance, -motor.max_current, motor.max_current)
-            driving = amps * wheel_speeds >= 0.0
-            efficiency = np.where(driving, motor.gear_efficiency, 1.0 / motor.gear_efficiency)
-            ends.append(amps * gain * efficiency)
-        return ends[0], ends[1]
+        free = (volts - gain * wheel_speeds) / motor.resistance
+        amps = np.clip(free, -motor.max_current, motor.max_current) * self._driven
+        driving = amps * wheel_speeds >= 0.0
+        efficiency = np.where(driving, motor.gear_efficiency, 1.0 / motor.gear_efficiency)
+        torque: Array = amps * gain * efficiency
+        return torque
 
     def voltage(self, torque: Array, wheel_speeds: Array) -> Array:
         """Motor voltages (n,) [V], CCTA (22) at steady current, clipped to the amplifier's."""

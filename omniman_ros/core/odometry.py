@@ -11,20 +11,50 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omniman_ros.core import plausible, se2
-from omniman_ros.core.errors import InputError
+from omniman_ros.core.errors import InputError, ParameterError
 from omniman_ros.core.kinematics import PlatformKinematics
 from omniman_ros.core.parameters import parameter
 
 Array = NDArray[np.float64]
 
 
+LEAST_GAIN = 0.05
+"""Smallest determinant of the calibration matrix: below, directions would be mixed up."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class OdometryParameters:
-    """Calibration and noise of the odometry."""
+    """Calibration and noise of the odometry.
+
+    The calibration is a matrix on the measured twist: the scales in its diagonal, what one
+    direction adds to another beside it. Wheels mounted at a small offset or angle need all nine;
+    wrong radii alone are better told by `wheel_scale`, which the kinematics follow too.
+
+    Raises:
+        ParameterError: The calibration matrix is (nearly) singular.
+    """
 
     scale_x: float = parameter(1.0, "True over measured travel, forward.", low=0.5, high=2)
     scale_y: float = parameter(1.0, "True over measured travel, sideways.", low=0.5, high=2)
     scale_yaw: float = parameter(1.0, "True over measured turn.", low=0.5, high=2)
+    x_per_y: float = parameter(
+        0.0, "True travel forward per measured travel sideways.", low=-0.5, high=0.5
+    )
+    x_per_yaw: float = parameter(
+        0.0, "True travel forward per measured turn.", unit="m/rad", low=-0.5, high=0.5
+    )
+    y_per_x: float = parameter(
+        0.0, "True travel sideways per measured travel forward.", low=-0.5, high=0.5
+    )
+    y_per_yaw: float = parameter(
+        0.0, "True travel sideways per measured turn.", unit="m/rad", low=-0.5, high=0.5
+    )
+    yaw_per_x: float = parameter(
+        0.0, "True turn per measured travel forward.", unit="rad/m", low=-0.5, high=0.5
+    )
+    yaw_per_y: float = parameter(
+        0.0, "True turn per measured travel sideways.", unit="rad/m", low=-0.5, high=0.5
+    )
     wheel_scale: tuple[float, ...] = parameter(
         (1.0,), "True over configured radius of each wheel; one value or one per wheel.",
         low=0.5, high=2,
@@ -54,6 +84,26 @@ class OdometryParameters:
         0.1, "Time constant of the coupling residual's filter.", unit="s", low=0.005, high=10
     )
 
+    def __post_init__(self) -> None:
+        gain = float(np.linalg.det(self.correction))
+        if gain < LEAST_GAIN:
+            raise ParameterError(
+                "odometry.scale_x", self.scale_x,
+                f"with the other scales and cross terms the calibration matrix has the "
+                f"determinant {gain:.3g}, below {LEAST_GAIN:g}",
+            )  # fmt: skip
+
+    @property
+    def correction(self) -> Array:
+        """True twist over measured twist (3, 3), in base_link [m, m, rad]."""
+        return np.array(
+            [
+                [self.scale_x, self.x_per_y, self.x_per_yaw],
+                [self.y_per_x, self.scale_y, self.y_per_yaw],
+                [self.yaw_per_x, self.yaw_per_y, self.scale_yaw],
+            ]
+        )
+
 
 class Odometry:
     """Pose of base_link in odom, twist in base_link, covariance and slip.
@@ -75,8 +125,7 @@ class Odometry:
     def configure(self, kinematics: PlatformKinematics, parameters: OdometryParameters) -> None:
         """Take over new kinematics and parameters; the pose stays."""
         m = kinematics.constraint_count
-        scales = [parameters.scale_x, parameters.scale_y, parameters.scale_yaw] + [1.0] * m
-        self._forward = np.diag(scales) @ kinematics.J_a_inv
+        self._forward = np.vstack([parameters.correction @ kinematics.J_pinv, kinematics.T])
         # Travel at the rim that belongs to one radian of each constraint.
         self._rim = 1.0 / np.linalg.norm(kinematics.J[:, :2], axis=1).max()
         self._parameters = parameters

@@ -4,22 +4,21 @@ Inputs are heard as they come (`hear_*`), the output is made once a tick (`tick`
 argument everywhere, on one steady clock of the caller's.
 """
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
-from omniman_ros.core import plausible, se2
+from omniman_ros.core import plausible
 from omniman_ros.core.arbiter import Arbiter, Source
 from omniman_ros.core.errors import InputError, ParameterError
 from omniman_ros.core.feedback import WheelFeedback
-from omniman_ros.core.limits import TwistLimiter, clamp, ramp_down, ratio, slew
+from omniman_ros.core.follower import FollowingError, PreviewFollower
+from omniman_ros.core.limits import TwistLimiter, ramp_down, ratio
 from omniman_ros.core.odometry import Odometry
 from omniman_ros.core.platform_parameters import PlatformParameters
-from omniman_ros.core.position_controller import PositionController, pose_error
 from omniman_ros.core.preview import Preview
 from omniman_ros.core.stop import StopLatch
-from omniman_ros.core.wheel_cascade import DriveMode, FollowingWatch, WheelCascade, WheelCommand
+from omniman_ros.core.wheel_cascade import DriveMode, WheelCascade, WheelCommand
+from omniman_ros.core.wheel_guard import WheelGuard, told
 
 Array = NDArray[np.float64]
 
@@ -43,10 +42,10 @@ class PlatformController:
         odometry: Pose, twist, covariance.
         cascade: Kinematics, dynamics, coupling controller, wheel controllers.
         feedback: What the wheels said last.
+        guard: What is wrong with wheels, which of them do not drive, and what limits that leaves.
         latch: What holds the platform.
         arbiter: Who drives.
         setpoint: (3,) twist asked for in the last tick, in base_link [m/s, m/s, rad/s].
-        tracking_error: (3,) of the last tick that followed a preview [m, m, rad].
         cancelled: Why a source lost control in the last tick, or empty.
     """
 
@@ -55,17 +54,16 @@ class PlatformController:
         self.parameters = parameters
         self.latch = StopLatch()
         self.arbiter = Arbiter(_silences(parameters))
-        self.cascade = WheelCascade(parameters)
+        self.cascade = WheelCascade(parameters, told(parameters))
+        self.guard = WheelGuard(parameters, self.cascade)
         self.odometry = Odometry(self.cascade.kinematics, parameters.odometry)
         self.feedback = WheelFeedback(
             robot.wheel_count, parameters.odometry.encoder_span, robot.motor.max_speed
         )
         self.setpoint: Array = np.zeros(3)
-        self.tracking_error: Array = np.zeros(3)
         self.cancelled = ""
-        self._limiter = TwistLimiter(parameters.limits)
-        self._position = PositionController(parameters.position)
-        self._watch = FollowingWatch(robot.wheel_count)
+        self._limiter = TwistLimiter(self.guard.limits)
+        self._follower = PreviewFollower(parameters.position)
         self._target: Array = np.zeros(3)
         self._volts: Array | None = None
         self._previews: dict[Source, Preview] = {}
@@ -77,36 +75,50 @@ class PlatformController:
 
         Raises:
             GeometryError: The wheels would not make a platform; nothing is changed.
-            ParameterError: Wheels are calibrated in motion.
+            ParameterError: Wheels are calibrated or left out in motion, or too few are left.
         """
-        scale = parameters.odometry.wheel_scale
-        if scale != self.parameters.odometry.wheel_scale and not self.at_rest:
-            raise ParameterError(
-                "odometry.wheel_scale", scale, "the platform moves: stop it first"
-            )
-        self.cascade.configure(parameters)
+        before = self.parameters
+        for name, new, old in (
+            ("odometry.wheel_scale", parameters.odometry.wheel_scale, before.odometry.wheel_scale),
+            ("drive.dead", parameters.drive.dead, before.drive.dead),
+        ):
+            if new != old and not self.at_rest:
+                raise ParameterError(name, new, "the platform moves: stop it first")
+        self.cascade.configure(parameters, self.guard.without(parameters))
         self.parameters = parameters
         self.arbiter.silence = _silences(parameters)
-        self.odometry.configure(self.cascade.kinematics, parameters.odometry)
         self.feedback.max_speed = parameters.robot.motor.max_speed
-        self._limiter.limits = parameters.limits
-        self._position.gains = parameters.position
+        self._follower.gains = parameters.position
+        self._refit()
+
+    def _refit(self) -> None:
+        """Take over the wheels that drive from the cascade, whose models have changed."""
+        self.guard.configure(self.parameters, self.cascade)
+        self.odometry.configure(self.cascade.kinematics, self.parameters.odometry)
+        self._limiter.limits = self.guard.limits
 
     # ---- inputs: each returns why it is not used or what to warn of, or an empty string -----
 
     def hear_wheels(
-        self, time: float, now: float, position: Array | None, velocity: Array | None
+        self,
+        time: float,
+        now: float,
+        position: Array | None,
+        velocity: Array | None,
+        effort: Array | None = None,
     ) -> str:
-        """Take in the wheels' positions [rad] and speeds [rad/s], (n,) each or None.
+        """Take in the wheels' positions [rad], speeds [rad/s] and torques [N m], (n,) or None.
 
         Args:
             time: When they were measured [s]; odometry runs on it.
             now: When they arrived [s]; the time-out runs on the older of the two.
             position, velocity: At least one of them.
+            effort: Without it, or where it is not finite, a dead wheel is not found.
 
         Raises:
             InputError: Wrong size, not finite, no content, or not newer than the last.
         """
+        self.guard.hear(time, effort)
         step = self.feedback.update(time, now, position, velocity)
         if step is None:
             return ""
@@ -158,6 +170,8 @@ class PlatformController:
         plausible.demand(volts, plausible.EFFORT, "mpc/voltages: volts")
         if DriveMode.VOLTAGE.value not in self.parameters.drive.offered:
             raise InputError("mpc/voltages: the drives have no voltage mode")
+        if self.guard.idle:
+            raise InputError("mpc/voltages: made for all wheels, but one is dead")
         until = _fresh_until("mpc/voltages", now, age, self.parameters.timeouts.voltages)
         refusal = self._offer(Source.MPC, now, until)
         if not refusal:
@@ -172,6 +186,11 @@ class PlatformController:
         if not self.feedback.heard:
             return "no wheel_states yet"
         return self.arbiter.offer(source, now, fresh_until, neutral)
+
+    @property
+    def tracking_error(self) -> Array:
+        """Error (3,) of the last tick that followed a preview [m, m, rad]."""
+        return self._follower.error
 
     # ---- stops ------------------------------------------------------------------------------
 
@@ -196,6 +215,8 @@ class PlatformController:
         turning = float(np.abs(self.feedback.speeds).max()) > STANDING
         self.latch.reset(at_rest=self.at_rest and not turning, fault=self.fault(now))
         self.arbiter.cancel_all("reset")
+        self.guard.reset()
+        self._leave_out()
 
     def set_pose(self, pose: tuple[float, float, float], covariance: Array | None = None) -> None:
         """Put odometry's pose (x, y, theta) [m, m, rad] somewhere; previews are cancelled.
@@ -207,16 +228,6 @@ class PlatformController:
         for source in (Source.MPC, Source.PATH):
             self.arbiter.cancel(source, "the pose was set")
 
-    def _lost_wheel(self, dt: float) -> str:
-        """What is wrong with a wheel, or an empty string."""
-        drive, names = self.parameters.drive, self.parameters.robot.wheels.names
-        if self.feedback.suspect is not None:
-            wheel = names[self.feedback.suspect]
-            return f"wheel '{wheel}': position and velocity disagree, its encoder is lost"
-        error = self.cascade.reference - self.feedback.speeds
-        late = self._watch.update(error, drive.following_error, drive.following_time, dt)
-        return "" if late is None else f"wheel '{names[late]}' does not follow its setpoint"
-
     def _check(self, now: float, dt: float) -> None:
         """Latch what is wrong; a stop cancels every source."""
         fault = self.fault(now)
@@ -224,11 +235,23 @@ class PlatformController:
             self.latch.stop(fault)
         elif fault and self.latch.released:
             self.feedback.forget()
-        lost = self._lost_wheel(dt)
+        driven = self.arbiter.active is not None
+        lost = self.guard.check(self.cascade, self.feedback, driven, now, dt)
         if lost and self.latch.released:
             self.latch.stop(lost)
+        self._leave_out()
         if not self.latch.released:
             self.arbiter.cancel_all(self.latch.status.reason)
+
+    def _leave_out(self) -> None:
+        """Drive on without the wheels that the guard has given up, or with them again."""
+        if self.guard.idle == self.cascade.kinematics.idle:
+            return
+        self.cascade.configure(self.parameters, self.guard.idle)
+        self._refit()
+        if self._volts is not None and self.guard.idle:
+            self._volts = None
+            self._cancel(Source.MPC, "mpc/voltages are made for all wheels, but one is dead")
 
     # ---- output -----------------------------------------------------------------------------
 
@@ -259,7 +282,7 @@ class PlatformController:
             self.setpoint = self.cascade.kinematics.J_pinv @ measured
             self._limiter.restart()
             if not self._too_fast(measured):
-                return self.cascade.volts(self._volts, measured)
+                return self.cascade.volts(self._volts, measured, self.guard.probe(now))
             self._cancel(
                 source, "mpc/voltages drove a wheel or the platform above its speed limit"
             )
@@ -273,7 +296,8 @@ class PlatformController:
         if not driven and not reachable.any():
             return self.cascade.rest(measured)
         mode = DriveMode(self.parameters.drive.mode) if driven else DriveMode.VELOCITY
-        return self.cascade.command(reachable, rate, measured, mode, dt)
+        probe = self.guard.probe(now) if driven else None
+        return self.cascade.command(reachable, rate, measured, mode, dt, probe)
 
     def _caught_up(self, dt: float) -> bool:
         """Take over from the wheels' own motion once they have reported after a stall."""
@@ -282,7 +306,7 @@ class PlatformController:
             self._stalled = None
             return True
         if self.feedback.time < self._stalled:
-            self.setpoint = ramp_down(self.setpoint, self.parameters.limits.deceleration, dt)
+            self.setpoint = ramp_down(self.setpoint, self.guard.limits.deceleration, dt)
             return False
         self.setpoint = self.cascade.kinematics.J_pinv @ self.feedback.speeds
         if not self.feedback.speeds.any():
@@ -293,7 +317,7 @@ class PlatformController:
 
     def _too_fast(self, measured: Array) -> bool:
         """Whether wheels or platform are above their limits, which voltages know nothing of."""
-        limits, motor = self.parameters.limits, self.parameters.robot.motor
+        limits, motor = self.guard.limits, self.parameters.robot.motor
         wheels = float(np.abs(measured).max()) > OVERSPEED * motor.max_speed
         return wheels or ratio(self.setpoint, limits.velocity) > OVERSPEED
 
@@ -301,7 +325,7 @@ class PlatformController:
         """The twist within the wheels' speed; a speed that is lowered in motion is ramped to."""
         reachable = self.cascade.reachable(twist)
         if self.cascade.saturated:
-            deceleration = self.parameters.limits.deceleration
+            deceleration = self.guard.limits.deceleration
             slowest = ramp_down(before, deceleration, dt)
             if ratio(slowest, deceleration) > ratio(reachable, deceleration):
                 return slowest
@@ -314,41 +338,19 @@ class PlatformController:
         self._limiter.restart()
         followed = None if source is None else self._follow(source, now, dt)
         if followed is None:
-            return ramp_down(self.setpoint, self.parameters.limits.deceleration, dt), None
+            return ramp_down(self.setpoint, self.guard.limits.deceleration, dt), None
         return followed
 
     def _follow(self, source: Source, now: float, dt: float) -> tuple[Array, Array] | None:
         """Twist and its rate in base_link that follow a preview; None if it was cancelled."""
-        preview, theta = self._previews[source], self.odometry.pose[2]
-        error = self._pose_error(preview, now)
-        if self._position.lost(error):
-            distance = math.hypot(error[0], error[1])
-            self._cancel(source, f"following error {distance:.3f} m, {error[2]:.3f} rad")
+        try:
+            return self._follower.step(
+                self._previews[source], self.odometry, self.feedback.time, self.setpoint,
+                self.guard.limits, now, dt,
+            )  # fmt: skip
+        except FollowingError as error:
+            self._cancel(source, str(error))
             return None
-        self.tracking_error = error
-        limits = self.parameters.limits
-        reference = preview.sample(now)
-        wanted = clamp(self._position.velocity(reference, error), limits.velocity)
-        before = se2.to_world(theta, self.setpoint)
-        twist = se2.to_robot(theta, slew(before, wanted, limits, dt))
-        vx, vy, w = twist.tolist()
-        turned = np.array([w * vy, -w * vx, 0.0])  # CCTA (20): the frame turns below the velocity
-        top = tuple(map(max, limits.acceleration, limits.deceleration))
-        planned = clamp(reference.acceleration, (top[0], top[1]))
-        return twist, se2.to_robot(theta, planned) + turned
-
-    def _pose_error(self, preview: Preview, now: float) -> Array:
-        """Error (3,) in odom [m, m, rad].
-
-        The pose is as old as its measurement: it is compared with the reference of that time, or,
-        where the preview begins later, carried on to its begin.
-        """
-        measured = self.feedback.time
-        lead = max(min(preview.start, now) - measured, 0.0)
-        error = pose_error(preview.sample(measured + lead).pose, self.odometry.pose)
-        if lead > 0.0:
-            error -= lead * se2.to_world(self.odometry.pose[2], self.odometry.twist)
-        return error
 
     def _cancel(self, source: Source, reason: str) -> None:
         self.arbiter.cancel(source, reason)

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from omniman_ros.core.coupling_controller import CouplingParameters
+from omniman_ros.core.dead_wheel import WheelHealthParameters
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.limits import TwistLimits
 from omniman_ros.core.odometry import OdometryParameters
@@ -32,6 +33,17 @@ class DriveParameters:
     following_time: float = parameter(
         0.5, "How long a wheel's speed error must last.", unit="s", low=0.01, high=60
     )
+    dead_wheel: str = parameter(
+        "stop", "What a wheel without torque does: stop the robot, or drive on with the others "
+        "where these determine the twist.", choices=("stop", "drive_on"),
+    )  # fmt: skip
+    dead: tuple[str, ...] = parameter(
+        (), "Wheels known to be dead, by name: the robot drives without them. Only at rest."
+    )
+    dead_limits: float = parameter(
+        0.5, "Share of the velocity and acceleration limits that is left without a wheel.",
+        low=0.01, high=1,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -66,6 +78,7 @@ class PlatformParameters:
     robot: Robot = inline()
     limits: TwistLimits
     drive: DriveParameters
+    health: WheelHealthParameters
     position: PositionGains
     coupling: CouplingParameters
     wheel: WheelGains
@@ -80,3 +93,8 @@ class PlatformParameters:
             raise ParameterError("drive.offered", self.drive.offered, "stops need velocity mode")
         if self.drive.mode not in self.drive.offered:
             raise ParameterError("drive.mode", self.drive.mode, "the drives do not offer it")
+        names = self.robot.wheels.names
+        for wheel in self.drive.dead:
+            if wheel not in names:
+                there = ", ".join(names)
+                raise ParameterError("drive.dead", wheel, f"no such wheel; there are {there}")

@@ -1,5 +1,6 @@
 """From a twist to a command for the drives: the right-hand half of CCTA 2017 Fig. 6."""
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from enum import Enum
 
@@ -8,7 +9,8 @@ from numpy.typing import NDArray
 
 from omniman_ros.core.coupling_controller import CouplingController
 from omniman_ros.core.dynamics import PlatformDynamics
-from omniman_ros.core.kinematics import PlatformKinematics
+from omniman_ros.core.errors import ParameterError
+from omniman_ros.core.kinematics import MARGIN, PlatformKinematics
 from omniman_ros.core.limits import saturation
 from omniman_ros.core.platform_parameters import PlatformParameters
 from omniman_ros.core.robot import Robot
@@ -41,51 +43,49 @@ class WheelCommand:
     velocity: Array | None = None
 
 
-class FollowingWatch:
-    """Finds a wheel whose speed error lasts."""
-
-    def __init__(self, count: int) -> None:
-        self._lasted = np.zeros(count)
-
-    def update(self, error: Array, limit: float, patience: float, dt: float) -> int | None:
-        """Return the index of a wheel that was off by more than `limit` for `patience` s."""
-        self._lasted = np.where(np.abs(error) > limit, self._lasted + dt, 0.0)
-        worst = int(self._lasted.argmax())
-        if self._lasted[worst] <= patience:
-            return None
-        self._lasted[:] = 0.0
-        return worst
-
-
 class WheelCascade:
     """Inverse kinematics, saturation, coupling controller, computed torque, wheel controllers.
 
     Attributes:
-        kinematics, dynamics: Models with calibrated wheel radii.
+        kinematics, dynamics: Models with calibrated wheel radii; idle wheels get no torque.
         coupling: The coupling error epsilon.
         reference: (n,) wheel speeds asked for in the last command [rad/s].
+        asked: (n,) wheel torques asked for in it, or computed where the drive makes them [N m].
         saturated: Whether the last twist was scaled down to the wheels' speed.
     """
 
-    def __init__(self, parameters: PlatformParameters) -> None:
+    def __init__(self, parameters: PlatformParameters, idle: Collection[int] = ()) -> None:
         n = parameters.robot.wheel_count
-        self._set_models(parameters)
+        self._set_models(parameters, idle)
         self.coupling = CouplingController(self.kinematics, parameters.coupling)
         self._wheels = WheelController(
             self.dynamics.wheel_inertia, self.dynamics.torque_limit, parameters.wheel
         )
         self.reference: Array = np.zeros(n)
+        self.asked: Array = np.zeros(n)
         self.saturated = False
 
-    def _set_models(self, parameters: PlatformParameters) -> None:
+    def _set_models(self, parameters: PlatformParameters, idle: Collection[int]) -> None:
         robot = _calibrated(parameters.robot, parameters.odometry.wheel_scale)
-        self.kinematics = PlatformKinematics(robot.wheels)
+        whole = PlatformKinematics(robot.wheels)
+        if idle and whole.remains(idle) < MARGIN:
+            reason = "the other wheels do not determine the twist"
+            raise ParameterError("drive.dead", parameters.drive.dead, reason)
+        self.kinematics = PlatformKinematics(robot.wheels, idle) if idle else whole
         self.dynamics = PlatformDynamics(robot, self.kinematics)
         self._parameters = parameters
 
-    def configure(self, parameters: PlatformParameters) -> None:
-        """Take over new gains, limits and model values while running."""
-        self._set_models(parameters)
+    def configure(self, parameters: PlatformParameters, idle: Collection[int] = ()) -> None:
+        """Take over new gains, limits, model values and idle wheels while running.
+
+        Raises:
+            GeometryError: The wheels would not make a platform; nothing is changed.
+            ParameterError: Those that are not idle would not; nothing is changed.
+        """
+        before = self.kinematics.idle
+        self._set_models(parameters, idle)
+        if self.kinematics.idle != before:
+            self.coupling.reset()  # other constraints
         self.coupling.configure(self.kinematics, parameters.coupling)
         self._wheels.configure(
             self.dynamics.wheel_inertia, self.dynamics.torque_limit, parameters.wheel
@@ -100,19 +100,34 @@ class WheelCascade:
     def rest(self, measured: Array) -> WheelCommand:
         """Zero speed in velocity mode; once the wheels stand, epsilon starts anew."""
         self.reference = np.zeros_like(self.reference)
+        self.asked = np.zeros_like(self.asked)
         self._wheels.reset()
         if not float(np.abs(measured).max()) > REST_SPEED:
             self.coupling.reset()
         return WheelCommand(DriveMode.VELOCITY, np.zeros_like(measured), self.reference)
 
-    def volts(self, volts: Array, measured: Array) -> WheelCommand:
-        """Pass voltages (n,) [V] on; the cascade follows, so that it can take over any time."""
+    def volts(self, volts: Array, measured: Array, probe: Array | None = None) -> WheelCommand:
+        """Pass voltages (n,) [V] on; the cascade follows, so that it can take over any time.
+
+        Args:
+            volts, measured: Voltages, and speeds (n,) [rad/s].
+            probe: (n,) torques to add [N m].
+        """
         self.reference = measured
+        self.asked = self.dynamics.torque_of(volts, measured)
         self._wheels.reset()
+        if probe is not None:
+            volts = self.dynamics.voltage(self.asked + probe, measured)
         return WheelCommand(DriveMode.VOLTAGE, volts)
 
     def command(
-        self, twist: Array, rate: Array, measured: Array, mode: DriveMode, dt: float
+        self,
+        twist: Array,
+        rate: Array,
+        measured: Array,
+        mode: DriveMode,
+        dt: float,
+        probe: Array | None = None,
     ) -> WheelCommand:
         """Command for a reachable twist.
 
@@ -122,25 +137,31 @@ class WheelCascade:
             measured: (n,) wheel speeds [rad/s].
             mode: What the drives follow.
             dt: Time since the last command [s].
+            probe: (n,) torques to add, whatever the feed-forward is [N m].
         """
         wheels = self.kinematics.J @ twist
         reference = wheels + self.coupling.correction(wheels)
         fastest = max(self._parameters.robot.motor.max_speed, float(np.abs(wheels).max()))
         reference = reference * saturation(reference, fastest)
         self.reference = reference
-        effort = np.zeros_like(wheels)
-        if self._parameters.drive.feed_forward:
-            effort = self.dynamics.platform_torque(twist, rate)
-            effort += self.dynamics.friction_torque(twist, wheels)
-            effort = np.clip(effort, -self.dynamics.torque_limit, self.dynamics.torque_limit)
+        effort = self.dynamics.platform_torque(twist, rate)
+        effort += self.dynamics.friction_torque(twist, wheels)
+        effort = np.clip(effort, -self.dynamics.torque_limit, self.dynamics.torque_limit)
+        self.asked = effort
+        if not self._parameters.drive.feed_forward:
+            effort = np.zeros_like(wheels)
         if mode is DriveMode.VELOCITY:
             self._wheels.reset()
-            return WheelCommand(mode, effort, reference)
-        if mode is DriveMode.TORQUE:
-            torque = self._wheels.torque(reference, measured, effort, dt)
-            return WheelCommand(mode, torque)
-        limits = self.dynamics.voltage_torques(reference)
+            return WheelCommand(mode, effort if probe is None else effort + probe, reference)
+        limits = None
+        if mode is DriveMode.VOLTAGE:
+            limits = self.dynamics.voltage_torques(reference)
         torque = self._wheels.torque(reference, measured, effort, dt, limits)
+        self.asked = torque
+        if probe is not None:
+            torque = torque + probe
+        if mode is DriveMode.TORQUE:
+            return WheelCommand(mode, torque)
         return WheelCommand(mode, self.dynamics.voltage(torque, reference))
 
 

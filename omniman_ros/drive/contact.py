@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omniman_ros.core.errors import ParameterError
-from omniman_ros.core.robot import Robot
+from omniman_ros.core.robot import Robot, Wheels
+from omniman_ros.drive.parameters import Mismatch, per_wheel
 
 Vector3 = tuple[float, float, float]
 
@@ -36,6 +37,38 @@ class Direction:
 
     row: Vector3
     arm: float
+
+
+@dataclass(frozen=True)
+class Mounting:
+    """Where a real wheel is: contact in base_link [m], angles [rad] and radius [m]."""
+
+    x: float
+    y: float
+    heading: float
+    roller_angle: float
+    radius: float
+
+
+def mounted_wheels(wheels: Wheels, mismatch: Mismatch) -> list[Mounting]:
+    """Mount the wheels as they really are, not as the robot's data has them.
+
+    Raises:
+        ParameterError: A mismatch has neither one value nor n.
+    """
+    n = len(wheels.names)
+
+    def added(name: str) -> Sequence[float]:
+        return per_wheel(f"mismatch.{name}", getattr(mismatch, name), n)
+
+    columns = (
+        np.add(wheels.x, added("offset_x")),
+        np.add(wheels.y, added("offset_y")),
+        np.add(wheels.heading, added("heading")),
+        np.add(wheels.roller_angle, added("roller_angle")),
+        np.multiply(wheels.radius, added("radius")),
+    )
+    return [Mounting(*map(float, values)) for values in zip(*columns, strict=True)]
 
 
 def roller_directions(

@@ -16,6 +16,11 @@ VOLTAGE_SHARE = 0.1
 """The same for the velocity that the voltage stands for: nor are amplifiers."""
 
 
+OPEN_SHARE = 0.01
+"""Part of the largest current below which, against a voltage that should drive more, none flows:
+the motor's circuit is open."""
+
+
 class Mode(enum.Enum):
     """What a drive unit controls."""
 
@@ -93,8 +98,11 @@ class DriveUnit:
     `current_time`) gives the voltage on top of the back-EMF. Voltage mode: the voltage itself.
 
     Encoder and motor watch each other: a velocity that is not what voltage and current say of the
-    back-EMF, for ENCODER_PATIENCE, means that the encoder or the motor is lost. The unit then
-    brakes with the motor shorted until a reset: no velocity loop can stop it.
+    back-EMF, for ENCODER_PATIENCE, means that the encoder or the motor is lost. Where a current
+    flows, it is the encoder: the unit brakes with the motor shorted until a reset, as no velocity
+    loop can stop it. Where none flows, the motor's circuit is open: the wheel cannot be driven or
+    braked, nor run away, and the unit switches its output off until a reset. Such a fault is the
+    axis's own (CiA 402: disable drive function); what the robot does is the controller's matter.
 
     Without a valid command for `watchdog` seconds the unit goes over to velocity mode by itself
     and ramps its reference to zero; a quick stop does the same with a steeper ramp.
@@ -107,8 +115,8 @@ class DriveUnit:
         self._goal = self._integral = self._reference = 0.0
         self._ramp = settings.firmware.acceleration  # 0: the reference follows the goal at once
         self._halted = True
-        self._current = self._estimate = self._suspect = 0.0
-        self.lost = False
+        self._current = self._estimate = self._suspect = self._flow = 0.0
+        self.lost = self.open_circuit = False
 
     def configure(self, settings: DriveSettings) -> None:
         """Take other settings; the state stays."""
@@ -187,7 +195,7 @@ class DriveUnit:
             Voltage to give to the motor until the next run, V.
         """
         self._watch(velocity, current)
-        if self.lost:
+        if self.lost or self.open_circuit:
             voltage = 0.0
         elif self.mode is Mode.VELOCITY:
             voltage = self._velocity_loop(velocity, current)
@@ -201,7 +209,8 @@ class DriveUnit:
 
     def reset(self) -> None:
         """Trust encoder and motor again."""
-        self.lost, self._suspect = False, 0.0
+        self.lost = self.open_circuit = False
+        self._suspect = 0.0
 
     def _watch(self, velocity: float, current: float) -> None:
         """Compare the encoder with the back-EMF; a motor at its current limit tells nothing."""
@@ -212,12 +221,16 @@ class DriveUnit:
             return
         drop = settings.resistance * current + settings.inductance * rise
         seen = (self.voltage - drop) / settings.back_emf
-        self._estimate += (seen - self._estimate) * min(settings.step / ENCODER_FILTER, 1.0)
+        gain = min(settings.step / ENCODER_FILTER, 1.0)
+        self._estimate += (seen - self._estimate) * gain
+        self._flow += (current - self._flow) * gain
         uncertain = VOLTAGE_SHARE * abs(self.voltage) / settings.back_emf
         allowed = settings.firmware.encoder_tolerance + ENCODER_SHARE * abs(self._estimate)
         off = abs(self._estimate - velocity) > allowed + uncertain
         self._suspect = self._suspect + settings.step if off else 0.0
-        self.lost = self.lost or self._suspect > ENCODER_PATIENCE
+        if self._suspect > ENCODER_PATIENCE and not (self.lost or self.open_circuit):
+            self.open_circuit = abs(self._flow) < OPEN_SHARE * settings.max_current
+            self.lost = self.lost or not self.open_circuit
 
     def _velocity_loop(self, velocity: float, current: float) -> float:
         settings = self._settings

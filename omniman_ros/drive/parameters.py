@@ -48,7 +48,10 @@ class Plant:
 
 @dataclass(frozen=True)
 class Mismatch:
-    """How each real wheel differs from the robot's data: factors, one value or one per wheel."""
+    """How each real wheel differs from the robot's data; one value or one per wheel.
+
+    Offsets and angles are added to where the robot's data has the wheel and its rollers.
+    """
 
     friction: Floats = parameter((1.0,), "Factor on viscous and Coulomb friction.", low=0, high=10)
     torque_constant: Floats = parameter((1.0,), "Factor on the motor's K.", low=0.1, high=10)
@@ -56,6 +59,18 @@ class Mismatch:
         (1.0,), "Voltage given over voltage asked for.", low=0.1, high=10
     )
     radius: Floats = parameter((1.0,), "Factor on the wheel's radius.", low=0.5, high=2)
+    offset_x: Floats = parameter(
+        (0.0,), "The contact stands this much further forward.", unit="m", low=-0.2, high=0.2
+    )
+    offset_y: Floats = parameter(
+        (0.0,), "The contact stands this much further left.", unit="m", low=-0.2, high=0.2
+    )
+    heading: Floats = parameter(
+        (0.0,), "The wheel is mounted turned to the left.", unit="rad", low=-0.3, high=0.3
+    )
+    roller_angle: Floats = parameter(
+        (0.0,), "The rollers lie turned to the left on the wheel.", unit="rad", low=-0.3, high=0.3
+    )
 
 
 @dataclass(frozen=True)

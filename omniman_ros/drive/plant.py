@@ -7,7 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omniman_ros.core.robot import Robot
-from omniman_ros.drive.contact import centre_of_mass, roller_directions, wheel_loads
+from omniman_ros.drive.contact import (
+    centre_of_mass,
+    mounted_wheels,
+    roller_directions,
+    wheel_loads,
+)
 from omniman_ros.drive.energy import EnergyLedger
 from omniman_ros.drive.parameters import SimulationParameters, flags, per_wheel
 from omniman_ros.drive.wheel import Wheel
@@ -64,20 +69,19 @@ class Plant:
         wheels, motor, friction = robot.wheels, robot.motor, robot.friction
         n = robot.wheel_count
         mass, com, inertia = centre_of_mass(robot)
-        loads = wheel_loads(wheels.x, wheels.y, com, mass * plant.gravity)
         friction_scale = per_wheel("mismatch.friction", mismatch.friction, n)
         constant = per_wheel("mismatch.torque_constant", mismatch.torque_constant, n)
         gain = per_wheel("mismatch.amplifier_gain", mismatch.amplifier_gain, n)
-        radius = per_wheel("mismatch.radius", mismatch.radius, n)
+        mounted = mounted_wheels(wheels, mismatch)
+        loads = wheel_loads(
+            [at.x for at in mounted], [at.y for at in mounted], com, mass * plant.gravity
+        )
         dead = flags("faults.dead_motor", faults.dead_motor, wheels.names)
         stuck = flags("faults.stuck_wheel", faults.stuck_wheel, wheels.names)
         geometry = [
-            roller_directions(
-                wheels.x[k] - com[0], wheels.y[k] - com[1], wheels.heading[k],
-                wheels.roller_angle[k], wheels.radius[k] * radius[k],
-            )
-            for k in range(n)
-        ]  # fmt: skip
+            roller_directions(at.x - com[0], at.y - com[1], at.heading, at.roller_angle, at.radius)
+            for at in mounted
+        ]
 
         # a current that settles within a quarter of a step is taken to settle at once
         settles = motor.inductance < 0.25 * plant.substep * motor.resistance
@@ -97,7 +101,7 @@ class Plant:
                 plant.patch_x_min, plant.patch_x_max,
                 plant.patch_y_min, plant.patch_y_max, plant.patch_mu,
             )  # fmt: skip
-        self._contacts = tuple(zip(wheels.x, wheels.y, strict=True))
+        self._contacts = tuple((at.x, at.y) for at in mounted)
         self._loads = tuple(0.0 if plant.lifted else float(load) for load in loads)
         for k, wheel in enumerate(self.wheels):
             for contact, direction, limit, width in (

@@ -14,7 +14,8 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from omniman_ros import conversions
-from omniman_ros.core.errors import InputError
+from omniman_ros.core import plausible
+from omniman_ros.core.errors import InputError, ParameterError
 from omniman_ros.core.parameters import inline, parameter
 from omniman_ros.core.path.control import ControlWatch
 from omniman_ros.core.path.interpolator import PathInterpolator, PathState, RefusedError
@@ -28,7 +29,7 @@ Array = NDArray[np.float64]
 
 POSE_BYTES = 160
 """A pose of a path takes less than this on the wire."""
-PLANNING = 2e-4
+PLANNING = 1e-4
 """Planning is expected to take less than this for each pose [s] ..."""
 PLANNING_LEAST = 0.03
 """... and this for any path."""
@@ -72,15 +73,21 @@ class PathInterpolatorNode(OmnimanNode):
         super().__init__("path_interpolator", **options)
         self.settings = ParameterSet(self, PathInterpolatorParameters)
         p = self.settings.value
+        if 2.0 * p.period > p.horizon:
+            raise ParameterError("period", p.period, "more than half of the horizon")
         self.core = PathInterpolator(p.core)
         self.watch = ControlWatch(p.restart)
+        p.core.planner()  # what it would refuse, it refuses now
         self.settings.on_change(self._configure)
         self._pose: tuple[float, float, float] | None = None
         self._speed = 0.0
-        self._heard = 0.0
-        self._waiting: Callable[[], str] | None = None
+        self._heard = float("-inf")
+        self._waiting: Callable[[], None] | None = None
         self._waits_until = 0.0
         self._ticked = self.now()
+        self._silent = 0.0
+        self._covered = float("inf")
+        self._ending = False
         self._last = "no path yet"
         self._reference = self.create_publisher(
             MultiDOFJointTrajectory, "path/reference", QoSProfile(depth=1)
@@ -90,6 +97,7 @@ class PathInterpolatorNode(OmnimanNode):
         self._message = conversions.reference_message(p.odom_frame, points, TICK)
         self._make_inputs()
         self.every(p.period, self.tick)
+        self.every(1.0, self._check_stopped)
 
     def _make_inputs(self) -> None:
         # Bytes, so that a path of a million poses is refused before it is unpacked.
@@ -97,6 +105,8 @@ class PathInterpolatorNode(OmnimanNode):
         self.create_subscription(Path, "path", on_path, 10, raw=True)
         self.create_subscription(Odometry, "odom", self.guarded("odom", self._on_odom), 1)
         self.create_subscription(String, "active_source", self._on_source, LATCHED)
+        on_health = self.guarded("wheel_health", self._on_health)
+        self.create_subscription(DiagnosticStatus, "wheel_health", on_health, LATCHED)
         self.create_subscription(DiagnosticStatus, "stop_state", self._on_stop, ALL_LATCHED)
         for qos in (LATCHED, QoSProfile(depth=10)):
             self.create_subscription(Bool, "emergency_stop", self._on_emergency, qos)
@@ -114,20 +124,37 @@ class PathInterpolatorNode(OmnimanNode):
 
     def _on_odom(self, message: Odometry) -> None:
         conversions.check_frame(message.header.frame_id, self.settings.value.odom_frame)
-        pose, twist = message.pose.pose, conversions.twist_array(message.twist.twist)
-        theta = conversions.yaw(pose.orientation)
-        self._pose = (pose.position.x, pose.position.y, theta)
+        twist = conversions.twist_array(message.twist.twist)
+        place, theta = message.pose.pose.position, conversions.yaw(message.pose.pose.orientation)
+        plausible.demand(np.array([place.x, place.y]), plausible.LENGTH, "position")
+        self._silent = max(self.age(message.header.stamp), 0.0)
+        self._heard = self.now() - self._silent
+        self._pose = (place.x, place.y, theta)
         self._speed = float(abs(twist).max())
-        self._heard = self.now() - max(self.age(message.header.stamp), 0.0)
 
     def _on_source(self, message: String) -> None:
         self.watch.hear_source(message.data)
         self._watch_out()
 
+    def _on_health(self, message: DiagnosticStatus) -> None:
+        """Drive with the limits that the controller has left, where a wheel is dead."""
+        share = conversions.limits_share(message)
+        if share != self.core.share:
+            self.core.scale(share, self.now())
+            self.tick()
+
     def _on_stop(self, message: DiagnosticStatus) -> None:
         stopped = message.level == DiagnosticStatus.ERROR
         self.watch.hear_stop(message.name, stopped, message.message)
         self._watch_out()
+
+    def _check_stopped(self) -> None:
+        """A stopped node that vanished cannot be reset: those that it stopped, say so."""
+        if self.watch.stopped:
+            publishers = self.get_publishers_info_by_topic("stop_state")
+            there = {f"{p.node_namespace.rstrip('/')}/{p.node_name}" for p in publishers}
+            for node in set(self.watch.stopped) - there:
+                self.watch.hear_stop(node, False, "")
 
     def _on_emergency(self, message: Bool) -> None:
         self.watch.hear_emergency(message.data)
@@ -144,8 +171,10 @@ class PathInterpolatorNode(OmnimanNode):
             poses = conversions.path_poses(message, frames, p.core.path.heading == "poses")
         except InputError as error:
             raise self._refused(str(error)) from error
+        if self._ending:
+            raise self._refused("the node ends")
         self._waiting = lambda: self._begin(poses)
-        self._waits_until = self.now() + PATIENCE
+        self._waits_until = self.now() + PATIENCE + self.watch.wait(self.now())
         return self._try_waiting()
 
     def _refused(self, why: str) -> InputError:
@@ -160,13 +189,7 @@ class PathInterpolatorNode(OmnimanNode):
             return ""
         why, now = self.watch.obstacle, self.now()
         if not why and self.core.state is PathState.IDLE:
-            old = now - self._heard > self.settings.value.odom_timeout
-            if self._pose is None or old:
-                why = "no odom"
-            elif self._speed > AT_REST:
-                why = "the robot moves"
-            elif self.watch.wait(now) > 0.0:
-                why = "control was lost a moment ago"
+            why = self._not_yet(now)
             if why and now < self._waits_until:
                 self._last = f"a path waits: {why}"
                 return ""
@@ -180,6 +203,17 @@ class PathInterpolatorNode(OmnimanNode):
             self._last = f"a path was refused: {why}"
         return why
 
+    def _not_yet(self, now: float) -> str:
+        """Why a path cannot begin from rest yet, or an empty string."""
+        age = now - self._heard
+        if self._pose is None:
+            return "no odom"
+        if age > self.settings.value.odom_timeout:
+            return f"odom is {age:.2f} s old"
+        if self._speed > AT_REST:
+            return "the robot moves"
+        return "control was lost a moment ago" if self.watch.wait(now) > 0.0 else ""
+
     def _begin(self, poses: Array) -> None:
         lead = PLANNING_LEAST + PLANNING * len(poses)
         for _ in range(ATTEMPTS):
@@ -192,6 +226,8 @@ class PathInterpolatorNode(OmnimanNode):
         else:
             raise InputError("it could not be planned in time; pause first")
         plan = proposal.plan
+        if proposal.since is None:
+            self._silent, self._covered = 0.0, float("inf")
         self.watch.begin(self.now())
         self._last = (
             f"{len(poses)} poses in {plan.duration:.2f} s, {plan.duration / plan.bound:.3f} of "
@@ -199,6 +235,13 @@ class PathInterpolatorNode(OmnimanNode):
         )
         self.get_logger().info(f"path: {self._last}")
         self.tick()
+
+    def _start_over(self) -> None:
+        """Time went back: what was heard before says nothing about now."""
+        self._give_up("time went back")
+        now = self.now()
+        self.watch.restart(now)
+        self._heard, self._waits_until = float("-inf"), now + PATIENCE + self.watch.wait(now)
 
     def _watch_out(self) -> None:
         """Give the path up if it is no longer ours to drive."""
@@ -214,9 +257,11 @@ class PathInterpolatorNode(OmnimanNode):
             self.watch.end(lost=True)
 
     def _cancel(self, now: float) -> None:
-        self._waiting = None
-        if self.core.state is not PathState.IDLE:
+        if self._waiting is None or self.core.state is not PathState.IDLE:
             self.core.cancel(now)
+        else:
+            self._last = "cancelled"
+        self._waiting = None
 
     def _service(self, request: Callable[[float], None]) -> Callable[..., Trigger.Response]:
         def serve(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -236,8 +281,14 @@ class PathInterpolatorNode(OmnimanNode):
     def tick(self) -> None:
         """Publish the next preview and the progress."""
         late, self._ticked = self.now() - self._ticked, self.now()
-        if not -TIME_BACK < late < self.settings.value.horizon:
-            self._give_up("time went back" if late < 0.0 else f"no preview for {late:.2f} s")
+        if late < -TIME_BACK:
+            self._start_over()
+        elif self.now() > self._covered:
+            self._give_up(f"no preview for {late:.2f} s")
+        elif self._silent > self.settings.value.odom_timeout:
+            self._give_up(f"no odom for {self._silent:.2f} s")
+        # While this node is held up, it is not odom that is silent.
+        self._silent += min(max(late, 0.0), 2.0 * self.settings.value.period)
         self._watch_out()
         refusal = self._try_waiting()
         if refusal:
@@ -265,13 +316,17 @@ class PathInterpolatorNode(OmnimanNode):
             message = conversions.reference_message(frame, points, TICK)
         conversions.fill_reference(message, self.stamp(window.times[0]), window)
         self._reference.publish(message)
+        self._covered = float(window.times[len(message.points) - 1])
         self.watch.sent(now)
 
     # ---- life ---------------------------------------------------------------------------------
 
     def begin_shutdown(self, reason: str) -> None:
-        """Come to rest on the path."""
-        self._cancel(self.now())
+        """Come to rest on the path; no other is taken."""
+        self._ending, self._waiting = True, None
+        if self.core.state is not PathState.IDLE:
+            self.core.cancel(self.now())
+            self.tick()
 
     @property
     def finished(self) -> bool:

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseWithCovarianceStamped, Twist, TwistStamped
 from nav_msgs.msg import Odometry as OdometryMsg
 from rclpy.qos import QoSProfile
@@ -73,10 +73,12 @@ class PlatformControllerNode(OmnimanNode):
         self._zero_at = 0
         self._waiting: dict[Source, Callable[[], None]] = {}
         self._active = ""
+        self._told: object = None
         self._make_outputs(p)
         self._make_inputs(p)
         self._stop = StopPort(self, self.core.latch, self._reset)
         self._publish_active()
+        self._publish_health()
         if TFMessage is None and p.publish_tf:
             self.get_logger().info("no tf2_msgs here: /tf is off, odom has the same pose")
         self.every(1.0 / p.control_rate, self.tick)
@@ -88,6 +90,7 @@ class PlatformControllerNode(OmnimanNode):
         self._tf = self.create_publisher(TFMessage, "/tf", 100) if TFMessage else None
         self._coupling = self.create_publisher(JointState, "coupling_error", 10)
         self._active_source = self.create_publisher(String, "active_source", LATCHED)
+        self._health = self.create_publisher(DiagnosticStatus, "wheel_health", LATCHED)
         self._command_msg = JointState(name=list(self._names))
         self._odom_msg = OdometryMsg(child_frame_id=p.base_frame)
         self._odom_msg.header.frame_id = p.odom_frame
@@ -114,10 +117,10 @@ class PlatformControllerNode(OmnimanNode):
     # ---- inputs: each returns why it is not used, or nothing ----------------------------------
 
     def _on_wheel_states(self, message: JointState) -> str:
-        position, velocity, _ = conversions.joint_arrays(message, self._names)
+        position, velocity, effort = conversions.joint_arrays(message, self._names)
         now = self.now()
         time = now - max(self.age(message.header.stamp), 0.0)
-        return self.core.hear_wheels(time, now, position, velocity)
+        return self.core.hear_wheels(time, now, position, velocity, effort)
 
     def _on_cmd_vel(self, message: Twist | TwistStamped) -> str:
         if isinstance(message, Twist):
@@ -178,6 +181,7 @@ class PlatformControllerNode(OmnimanNode):
             self.warn("cancelled", self.core.cancelled)
         self._stop.publish()
         self._publish_active()
+        self._publish_health()
         self._ticks += 1
         if self._ticks % self._odom_every == 0 and self.core.feedback.heard:
             self._publish_odom()
@@ -206,6 +210,30 @@ class PlatformControllerNode(OmnimanNode):
             self._active = active
             self._active_source.publish(String(data=active))
 
+    def _publish_health(self) -> None:
+        """Tell on change what is known of each wheel."""
+        guard = self.core.guard
+        known = (guard.dead, guard.idle, guard.torque_reported)
+        if known == self._told:
+            return
+        self._told = known
+        level = DiagnosticStatus.WARN if guard.idle else DiagnosticStatus.OK
+        if set(guard.dead) - set(guard.idle):
+            level = DiagnosticStatus.ERROR
+        values = [(name, guard.state(i)) for i, name in enumerate(self._names)]
+        values.append(("torque", "measured" if guard.torque_reported else "not reported"))
+        share = self.core.parameters.drive.dead_limits if guard.idle else 1.0
+        values.append((conversions.LIMITS_KEY, f"{share:g}"))
+        if guard.note:
+            self.get_logger().warning(guard.note)
+        self._health.publish(
+            DiagnosticStatus(
+                level=level, name=self.get_fully_qualified_name(),
+                message=guard.note or ("a wheel is dead" if guard.dead else "all wheels drive"),
+                values=[KeyValue(key=key, value=value) for key, value in values],
+            )
+        )  # fmt: skip
+
     # ---- life ---------------------------------------------------------------------------------
 
     def status(self) -> tuple[bytes, str, list[tuple[str, object]]]:
@@ -217,7 +245,10 @@ class PlatformControllerNode(OmnimanNode):
             ("wheels_slipping", core.odometry.slipping),
             ("coupling_error_rad", core.cascade.coupling.error.round(4).tolist()),
             ("tracking_error_m_m_rad", core.tracking_error.round(4).tolist()),
-        ]
+            ("wheel_torque", "measured" if core.guard.torque_reported else
+             "not reported: a dead wheel that the floor turns is not noticed"),
+            *((name, core.guard.state(i)) for i, name in enumerate(self._names)),
+        ]  # fmt: skip
         if not core.latch.released:
             return DiagnosticStatus.ERROR, core.latch.status.reason, values
         if not core.feedback.heard:
@@ -225,6 +256,8 @@ class PlatformControllerNode(OmnimanNode):
         for topic in ("wheel_commands", "wheel_voltages", "wheel_states"):
             if self.count_publishers(topic) > 1:
                 return DiagnosticStatus.WARN, f"{topic} has more than one publisher", values
+        if core.guard.note:
+            return DiagnosticStatus.WARN, core.guard.note, values
         if core.odometry.slipping:
             return DiagnosticStatus.WARN, "the wheels slip", values
         return DiagnosticStatus.OK, "running", values

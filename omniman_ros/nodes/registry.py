@@ -8,6 +8,8 @@ from omniman_ros.core.parameters import Spec, specs
 NODES = {
     "platform_controller": "PlatformControllerParameters",
     "simulated_drive": "SimulatedDriveParameters",
+    "path_interpolator": "PathInterpolatorParameters",
+    "viewer": "ViewerParameters",
 }
 """Executable, which is also its module here, and the dataclass of its parameters there."""
 
@@ -28,9 +30,9 @@ def markdown(node: str, *, robot: bool) -> Iterator[str]:
 
     Args:
         node: A name from NODES.
-        robot: Whether to list the parameters of the robot (those of both nodes), or the others.
+        robot: Whether to list the parameters of the robot, or the others.
     """
-    shared = set.intersection(*({spec.name for spec in node_specs(name)} for name in NODES))
+    shared = _robot_names()
     yield "| parameter | default | unit | range | |"
     yield "|---|---|---|---|---|"
     for spec in node_specs(node):
@@ -41,6 +43,12 @@ def markdown(node: str, *, robot: bool) -> Iterator[str]:
             f"| `{spec.name}` | {_default(spec)} | {spec.unit} | {_range(spec)} "
             f"| {fixed}{spec.doc} |"
         )
+
+
+def _robot_names() -> set[str]:
+    """Names that all nodes have which know the robot (a node may do without)."""
+    names = [{spec.name for spec in node_specs(node)} for node in NODES]
+    return set.intersection(*(known for known in names if "wheels.names" in known))
 
 
 def _default(spec: Spec) -> str:

@@ -5,6 +5,7 @@ import pytest
 
 from omniman_ros.cli.errors import CommandError
 from omniman_ros.cli.fleet import Setup, resolved, tasks
+from omniman_ros.viewer import availability
 from test import robots
 
 
@@ -30,6 +31,14 @@ def test_nodes_run_on_this_python_and_end_with_this_process():
 
 def test_only_some_nodes_can_be_started():
     assert set(by_name(Setup(only=["simulated_drive"]))) == {"simulated_drive"}
+
+
+def test_the_viewer_is_left_out_where_its_library_is_not(monkeypatch):
+    monkeypatch.setattr(availability, "find_spec", lambda name: None)
+    assert "viewer" not in by_name(Setup())
+    assert set(by_name(Setup(only=["viewer"]))) == {"viewer"}, "it says itself what is missing"
+    monkeypatch.setattr(availability, "find_spec", lambda name: object())
+    assert "viewer" in by_name(Setup())
 
 
 def test_the_drive_makes_the_simulated_time_that_the_others_follow():

@@ -5,7 +5,8 @@ from std_srvs.srv import Trigger
 
 from omniman_ros.cli import stop_reset
 from omniman_ros.cli.session import Session
-from omniman_ros.cli.stop_reset import Calls, call_all, nodes_that_move
+from omniman_ros.cli.stop_reset import Calls, call_all
+from omniman_ros.nodes.movers import nodes_that_move
 
 
 class Mover:

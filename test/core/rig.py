@@ -27,6 +27,7 @@ class Rig:
         true_pose: Where the platform is, if its wheels do not slip.
         setpoints, commands, poses: One entry a tick.
         drive: From a command to the wheels' speeds; replace it for drives that are not ideal.
+        effort: Gives the torques (n,) that the drives report, or None.
     """
 
     def __init__(
@@ -42,6 +43,7 @@ class Rig:
         self.poses: list[tuple[float, float, float]] = []
         self.drive = self.ideal
         self.reports = True
+        self.effort: Callable[[], np.ndarray | None] = lambda: None
 
     @property
     def count(self) -> int:
@@ -64,7 +66,16 @@ class Rig:
 
     def report(self) -> str:
         """Tell the controller of the wheels."""
-        return self.core.hear_wheels(self.now, self.now, self.position.copy(), self.speed.copy())
+        return self.core.hear_wheels(
+            self.now, self.now, self.position.copy(), self.speed.copy(), self.effort()
+        )
+
+    def torques(self, *dead: int) -> np.ndarray:
+        """Torques of drives that give what they are asked for, a probe included, but dead ones."""
+        command = self.commands[-1]
+        result = np.array(command.effort)
+        result[list(dead)] = 0.0
+        return result
 
     def tick(self, dt: float = DT) -> WheelCommand:
         """One tick."""

@@ -84,6 +84,16 @@ def test_steps_add_up():
     np.testing.assert_array_equal(controller.error, [10, 20, 30])
 
 
+def test_one_count_of_a_coarse_encoder_asks_for_little_speed():
+    """The IG42's 480 counts a turn, at the default gain: 1.3 % of its wheels' speed at 0.4 m/s."""
+    model = kinematics("ig42")
+    controller = CouplingController(model, CouplingParameters())
+    controller.add(model.T[:, 0] * 2 * math.pi / 480)
+    wheels = model.J @ np.array([0.4, 0, 0])
+    change = controller.correction(wheels)
+    assert 0.0 < abs(change).max() <= 0.013 * abs(wheels).max()
+
+
 def test_a_limited_correction_still_brings_epsilon_back():
     controller, model = make()
     controller.add(np.array([5.0]))

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from robots import ALL, kinematics
 
-from omniman_ros.core.errors import InputError
+from omniman_ros.core.errors import InputError, ParameterError
 from omniman_ros.core.odometry import Odometry, OdometryParameters
 
 QUIET = OdometryParameters(
@@ -228,6 +228,45 @@ def test_calibration_factors_scale_their_own_direction(key, axis):
     rest[axis] = 0
     drive(other, model, rest, [0.1])
     np.testing.assert_allclose(other.twist, rest, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("key", "of", "to"),
+    [
+        ("x_per_y", 1, 0), ("x_per_yaw", 2, 0), ("y_per_x", 0, 1), ("y_per_yaw", 2, 1),
+        ("yaw_per_x", 0, 2), ("yaw_per_y", 1, 2),
+    ],
+)  # fmt: skip
+def test_cross_terms_add_one_direction_to_another(key, of, to):
+    odometry, model = make("skewed4", **{key: 0.2})
+    measured = np.zeros(3)
+    measured[of] = 0.5
+    drive(odometry, model, measured, [0.1])
+    expected = measured.copy()
+    expected[to] = 0.1
+    np.testing.assert_allclose(odometry.twist, expected, atol=1e-12)
+    other, _ = make("skewed4", **{key: 0.2})
+    rest = np.array([0.5, 0.5, 0.5])
+    rest[of] = 0
+    drive(other, model, rest, [0.1])
+    np.testing.assert_allclose(other.twist, rest, atol=1e-12)
+
+
+def test_the_correction_is_on_the_twist_alone():
+    """Not on the coupling error, which is the wheels' own."""
+    changes = {"scale_x": 1.2, "x_per_yaw": 0.3, "yaw_per_y": -0.2}
+    (odometry, _), (plain, _) = make("mecanum6", **changes), make("mecanum6")
+    steps = np.random.default_rng(5).normal(0, 0.1, 6)
+    np.testing.assert_array_equal(
+        odometry.update(steps, steps, 0.1), plain.update(steps, steps, 0.1)
+    )
+    correction = OdometryParameters(**changes).correction
+    np.testing.assert_allclose(odometry.twist, correction @ plain.twist, atol=1e-12)
+
+
+def test_a_calibration_that_mixes_up_the_directions_is_refused():
+    with pytest.raises(ParameterError, match="determinant"):
+        OdometryParameters(scale_x=0.5, scale_y=0.5, x_per_y=0.5, y_per_x=0.5)
 
 
 def test_configure_keeps_the_pose_and_takes_over_the_factors():

@@ -863,6 +863,10 @@ CHANGED = {
     "drive.mode": "torque",
     "drive.offered": ("velocity",),
     "drive.following_error": 10.0,
+    "drive.dead_wheel": "drive_on",
+    "drive.dead": ("rear_left",),
+    "health.asked_torque": 0.2,
+    "health.silent_torque": 0.008,
     "odometry.encoder_span": math.tau,
     "motor.max_speed": 5.0,
     "motor.max_voltage": 12.0,
@@ -890,7 +894,7 @@ def base_of(name):
     """What else must be set for a parameter to matter."""
     if name.startswith(("motor.", "wheel.")):
         return {"drive.mode": "voltage" if name.startswith("motor.res") else "torque"}
-    return {}
+    return {"drive.dead_wheel": "drive_on"} if name == "drive.dead_limits" else {}
 
 
 def tour(changes):
@@ -939,6 +943,15 @@ def tour(changes):
     rig.reports = True
     watch(0.5, lambda: attempt(lambda: rig.twist(0.4, 0.2, 0.2)))
     smooth = rig.drive
+    begin = rig.now
+    fading = np.array([0.0, 0.0, 0.0, 1.0])
+    rig.effort = lambda: rig.torques() * np.exp(-fading * (rig.now - begin) / 0.2)
+    watch(2.0, lambda: attempt(lambda: rig.twist(0.9, 0.0, 0.0)))
+    rig.core.latch.stop("button")
+    watch(1.5)
+    rig.core.reset(rig.now)
+    rig.effort = lambda: None
+    watch(1.2)
 
     def lame(command):
         speeds = np.array(smooth(command))
@@ -947,6 +960,13 @@ def tour(changes):
 
     rig.drive = lame
     watch(1.0, lambda: attempt(lambda: rig.twist(0.4, 0.2, 0.2)))
+    rig.drive = smooth
+    watch(1.5)
+    rig.core.reset(rig.now)
+    watch(1.2)
+    rig.drive, pushed = lame, np.array([20.0, 20.0, 40.0, 20.0])
+    rig.effort = lambda: pushed * min(abs(rig.core.setpoint[0]) / 0.3, 1.0)
+    watch(1.0, lambda: attempt(lambda: rig.twist(0.4, 0.0, 0.0)))
     return rig.trace(), told
 
 

@@ -5,7 +5,6 @@ from robots import ALL, parameters
 from omniman_ros.core.wheel_cascade import (
     REST_SPEED,
     DriveMode,
-    FollowingWatch,
     WheelCascade,
 )
 
@@ -84,7 +83,7 @@ def test_the_coupling_correction_never_asks_for_more_than_the_largest_speed():
 
 
 def test_the_correction_is_in_the_speeds_and_not_in_the_twist():
-    cascade, _ = make()
+    cascade, _ = make(**{"coupling.k_epsilon": 2.0})
     cascade.coupling.add(np.array([0.05]))
     twist = np.array([0.3, 0.1, 0.1])
     command = cascade.command(twist, ZERO, np.zeros(4), DriveMode.VELOCITY, 0.005)
@@ -141,23 +140,3 @@ def test_configure_takes_over_models_and_keeps_the_state():
     assert cascade.dynamics.mass_matrix[0, 0] == pytest.approx(300.4)
     reachable = cascade.reachable(np.array([9.0, 0, 0]))
     assert abs(cascade.kinematics.J @ reachable).max() == pytest.approx(7.0)
-
-
-# ---- following watch --------------------------------------------------------------------------
-
-
-def test_a_speed_error_must_last_to_be_found():
-    watch = FollowingWatch(3)
-    late = np.array([0.0, -2.1, 0.0])
-    found = [watch.update(late, 2.0, 0.5, 0.1) for _ in range(6)]
-    assert found[:5] == [None] * 5
-    assert found[5] == 1
-    assert watch.update(late, 2.0, 0.5, 0.1) is None  # counted anew
-
-
-def test_a_moment_of_following_clears_the_count():
-    watch = FollowingWatch(2)
-    for _ in range(20):
-        assert watch.update(np.array([3.0, 0]), 2.0, 0.5, 0.2) is None
-        assert watch.update(np.array([3.0, 0]), 2.0, 0.5, 0.2) is None
-        assert watch.update(np.array([1.9, 0]), 2.0, 0.5, 0.2) is None

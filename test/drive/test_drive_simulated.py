@@ -490,24 +490,46 @@ def test_a_frozen_encoder_reports_the_same_and_misleads_its_loop():
     assert rig.speeds()[1] > 4.5  # its loop still sees 3 rad/s
 
 
-@pytest.mark.parametrize("fault", ["frozen_encoder", "dead_motor"])
 @pytest.mark.parametrize("lifted", [False, True])
-def test_an_encoder_or_motor_that_is_lost_stops_all_wheels_until_a_reset(fault, lifted):
+def test_an_encoder_that_is_lost_stops_all_wheels_until_a_reset(lifted):
     rig = Rig("ig42", plant__lifted=lifted)
     rig.velocity(1.0, 3.0)
-    broken = {f"faults__{fault}": ["front_right"], "plant__lifted": lifted}
+    broken = {"faults__frozen_encoder": ["front_right"], "plant__lifted": lifted}
     rig.drives.set_parameters(parameters(**broken))
     rig.torque(0.5, 1.2)  # torque enough for 10 rad/s^2 and more
     assert rig.drives.stop_reason == "encoder or motor lost: front_right"
     rig.torque(1.5, 1.2)
-    moving = np.abs(rig.speeds())
-    assert moving[[0, 2, 3]].max() < 0.02
-    assert moving[1] < 0.02 or fault == "dead_motor"  # that one runs out by itself
+    assert np.abs(rig.speeds()).max() < 0.02
     rig.drives.set_parameters(parameters(plant__lifted=lifted))
     rig.torque(0.2, 1.0)
     assert rig.drives.stop_reason is not None
     rig.drives.reset()
     rig.velocity(1.0, 3.0)
+    np.testing.assert_allclose(rig.speeds(), 3.0, atol=0.2)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.2])
+@pytest.mark.parametrize("mode", ["velocity", "torque", "voltage"])
+def test_an_open_motor_circuit_switches_its_drive_off_until_a_reset_and_no_other(mode, noise):
+    """It can neither drive nor brake nor run away; what the robot does is not the drive's call."""
+    rig = Rig("ig42", faults__current_noise=noise)
+    rig.velocity(1.0, 3.0)
+    broken = parameters(faults__dead_motor=["front_right"], faults__current_noise=noise)
+    rig.drives.set_parameters(broken)
+    {"velocity": rig.velocity, "torque": rig.torque, "voltage": rig.voltage}[mode](
+        1.0, {"velocity": 6.0, "torque": 0.6, "voltage": 12.0}[mode]
+    )
+    assert rig.drives.stop_reason is None
+    units = rig.drives._units
+    assert [unit.open_circuit for unit in units] == [False, True, False, False]
+    assert units[1].voltage == 0.0
+    assert rig.speeds()[[0, 2, 3]].min() > 2.5  # they go on, though the robot yaws
+    rig.drives.set_parameters(parameters())
+    rig.velocity(1.0, 3.0)
+    assert units[1].voltage == 0.0
+    rig.drives.reset()
+    rig.velocity(1.0, 3.0)
+    assert not units[1].open_circuit and units[1].voltage > 1.0
     np.testing.assert_allclose(rig.speeds(), 3.0, atol=0.2)
 
 

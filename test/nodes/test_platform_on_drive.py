@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry
 from rcl_interfaces.srv import SetParameters
@@ -12,6 +13,7 @@ from std_srvs.srv import Trigger
 
 from omniman_ros.nodes.platform_controller import PlatformControllerNode
 from omniman_ros.nodes.simulated_drive import SimulatedDriveNode
+from omniman_ros.nodes.stopping import LATCHED
 
 from .. import robots
 from .harness import World, last
@@ -42,9 +44,8 @@ class Robot(World):
         return np.array([t.linear.x, t.linear.y, t.angular.z])
 
     def set(self, node: str, name: str, value: object) -> None:
-        request = SetParameters.Request(
-            parameters=[Parameter(name, value=value).to_parameter_msg()]
-        )
+        parameter = value if isinstance(value, Parameter) else Parameter(name, value=value)
+        request = SetParameters.Request(parameters=[parameter.to_parameter_msg()])
         result = self.call(SetParameters, f"{node}/set_parameters", request).results[0]
         assert result.successful, result.reason
 
@@ -126,6 +127,66 @@ def test_a_stuck_wheel_stops_all_wheels():
         world.set("simulated_drive", "faults.stuck_wheel", ["rear_right"])
         world.go(0.4, 0.0, 0.0, seconds=2.5)
         assert "rear_right" in world.core.latch.status.reason
+        assert np.abs(world.wheel_speeds[-1]).max() < 0.02
+
+
+def values(message):
+    return {pair.key: pair.value for pair in message.values}
+
+
+def test_a_dead_motor_stops_the_robot_and_is_told():
+    with Robot() as world:
+        health = world.listen(DiagnosticStatus, "wheel_health", LATCHED)
+        world.go(0.3, 0.0, 0.0, seconds=1.0)
+        assert last(health).level == DiagnosticStatus.OK
+        assert values(last(health))["torque"] == "measured"
+        world.set("simulated_drive", "faults.dead_motor", ["front_left"])
+        world.go(0.3, 0.0, 0.0, seconds=1.5)
+        assert world.core.latch.status.reason == "wheel 'front_left' is dead: no torque"
+        assert last(health).level == DiagnosticStatus.ERROR
+        assert values(last(health))["front_left"] == "dead"
+        assert np.abs(world.true_twist()).max() < 1e-3
+
+
+def test_told_to_drive_on_it_does_with_three_wheels_until_repair_and_reset():
+    with Robot(parameters={"drive.dead_wheel": "drive_on"}) as world:
+        health = world.listen(DiagnosticStatus, "wheel_health", LATCHED)
+        report = world.listen(DiagnosticArray, "/diagnostics")
+        world.go(0.3, 0.1, 0.0, seconds=1.0)
+        world.set("simulated_drive", "faults.dead_motor", ["rear_left"])
+        world.go(0.3, 0.1, 0.0, seconds=1.5)
+        assert world.true_twist() == pytest.approx([0.3, 0.1, 0.0], abs=0.02)
+        note = "wheel 'rear_left' is dead: driving on without"
+        assert (last(health).level, last(health).message) == (DiagnosticStatus.WARN, note)
+        assert values(last(health)) == {
+            "front_left": "driving", "front_right": "driving", "rear_left": "idle",
+            "rear_right": "driving", "torque": "measured",
+        }  # fmt: skip
+        ours = [s for m in report for s in m.status if "platform_controller" in s.name][-1]
+        assert (ours.level, ours.message) == (DiagnosticStatus.WARN, note)
+        odom, truth = world.core.odometry.pose, world.drive.drives.ground_truth()[0]
+        assert odom == pytest.approx(truth.tolist(), abs=0.02)
+        world.go(5.0, 0.0, 0.0, seconds=2.5)
+        assert world.true_twist()[0] == pytest.approx(0.5, abs=0.02), "half of its limit"
+        repaired = Parameter("faults.dead_motor", Parameter.Type.STRING_ARRAY, [])
+        world.set("simulated_drive", "faults.dead_motor", repaired)
+        world.go(0.0, 0.0, 0.0, seconds=1.0)
+        for node in ("simulated_drive", "platform_controller"):
+            assert world.call(Trigger, f"{node}/reset").success
+        world.go(0.0, 0.0, 0.0, seconds=0.1)
+        world.go(0.3, 0.0, 0.0, seconds=1.5)
+        assert last(health).level == DiagnosticStatus.OK
+        assert world.core.guard.idle == ()
+
+
+@pytest.mark.parametrize("way", WAYS, ids=lambda way: way.__name__)
+def test_every_way_to_stop_stops_every_true_wheel_with_a_dead_one_too(way):
+    given = {"drive.dead": ["front_right"], "faults.dead_motor": ["front_right"]}
+    with Robot(parameters=given) as world:
+        world.go(0.3, 0.1, 0.1, seconds=1.5)
+        assert np.abs(world.wheel_speeds[-1]).min() > 0.5
+        way(world)
+        world.go(0.3, 0.1, 0.1, seconds=2.0)
         assert np.abs(world.wheel_speeds[-1]).max() < 0.02
 
 

@@ -31,6 +31,7 @@ class ControlWatch:
         """Hear who drives."""
         self.source = source
         self._taken = self._taken or (source == OURS and self._began is not None)
+        self._overruled()
 
     def hear_stop(self, node: str, stopped: bool, reason: str) -> None:
         """Hear the state of a node that moves something."""
@@ -38,10 +39,22 @@ class ControlWatch:
             self._stopped[node] = reason
         else:
             self._stopped.pop(node, None)
+        self._overruled()
 
     def hear_emergency(self, active: bool) -> None:
         """Hear the emergency stop."""
         self._emergency = active
+        self._overruled()
+
+    def _overruled(self) -> None:
+        """A stream that has just ended is cancelled, too: the controller still held its end."""
+        if self._began is None and self.obstacle:
+            self._quiet_until = self._sent + self.silence
+
+    @property
+    def stopped(self) -> tuple[str, ...]:
+        """Nodes that are stopped."""
+        return tuple(self._stopped)
 
     @property
     def obstacle(self) -> str:
@@ -75,14 +88,22 @@ class ControlWatch:
         if lost:
             self._quiet_until = self._sent + self.silence
 
+    def restart(self, now: float) -> None:
+        """Time has gone back: silence counts from now."""
+        self._sent = now
+        self._quiet_until = now + self.silence
+
     def lost(self, now: float) -> str:
         """Why the stream is not followed, or an empty string."""
         if self._began is None:
             return ""
         if self.obstacle:
             return self.obstacle
-        if self._taken and self.source != OURS:
+        late = now - self._began > TAKE_OVER
+        if self.source == OURS:
+            # It may be what was said of the stream before, whose end is still held.
+            self._taken = self._taken or late
+            return ""
+        if self._taken:
             return "the platform controller has cancelled it"
-        if not self._taken and now - self._began > TAKE_OVER:
-            return "the platform controller does not take it"
-        return ""
+        return "the platform controller does not take it" if late else ""

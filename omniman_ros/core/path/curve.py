@@ -102,8 +102,8 @@ def _reaches(
     for group, tolerance in zip(groups, room, strict=True):
         turn = group.norm(turns)
         wanted = np.maximum(wanted, turn / (2.0 * group.acceleration))
-        with np.errstate(divide="ignore"):
-            allowed = np.minimum(allowed, 4.0 * tolerance / turn)
+        bent = turn > STRAIGHT * group.velocity
+        allowed[bent] = np.minimum(allowed[bent], 4.0 * tolerance / turn[bent])
     if head and len(allowed):
         allowed[0] = np.inf
     reach = np.minimum(wanted, allowed)

@@ -32,6 +32,7 @@ class PathState(Enum):
     PAUSING = "pausing"
     PAUSED = "paused"
     CANCELLING = "cancelling"
+    SLOWING = "slowing"
 
 
 class RefusedError(OmnimanError):
@@ -72,12 +73,14 @@ class PathInterpolator:
         parameters: What it is set by; new ones count from the next path that begins at rest.
         state: What it does.
         plan: The last plan, or None.
+        share: Of all speeds and accelerations that is used, see :meth:`scale`.
     """
 
     def __init__(self, parameters: PathParameters) -> None:
         self.parameters = parameters
         self.state = PathState.IDLE
         self.plan: Plan | None = None
+        self.share = 1.0
         self._planner = parameters.planner()
         self._trajectory: Trajectory | None = None
         self._since = 0.0
@@ -113,11 +116,12 @@ class PathInterpolator:
             return False
         self._planner = proposal.planner
         self._go_on(trajectory, since, proposal.plan)
+        self.scale(self.share, now)
         return True
 
     def _from_rest(self, poses: Array, pose: Array) -> Proposal:
         self._near(poses[0], pose)
-        planner = self.parameters.planner()
+        planner = self.parameters.planner().slower(self.share)
         plan = planner.plan(np.vstack([pose, self._headed(poses, float(pose[2]))]))
         return Proposal(Trajectory(0.0, TICK, plan.ticks, planner.smoother), None, plan, planner)
 
@@ -161,7 +165,8 @@ class PathInterpolator:
     def _headed(self, poses: Array, heading: float) -> Array:
         options = self.parameters.path
         if options.heading == "along":
-            poses = polyline.along(poses, SPREAD * options.corner_tolerance)
+            kept = np.column_stack([poses[:, :2], np.full(len(poses), heading)])
+            poses = polyline.along(kept, SPREAD * options.corner_tolerance)
         return polyline.unwrapped(poses, heading)
 
     def _go_on(self, trajectory: Trajectory, since: float, plan: Plan) -> None:
@@ -209,6 +214,8 @@ class PathInterpolator:
 
     def _stop(self, now: float, what: str) -> None:
         trajectory, plan = self._trajectory, self.plan
+        if self.state is PathState.SLOWING:
+            return  # it brakes already
         if self.state is not PathState.FOLLOWING or trajectory is None or plan is None:
             raise RefusedError(f"no path to {what}: {self.state.value}")
         i = self._next(trajectory, now)
@@ -221,10 +228,28 @@ class PathInterpolator:
         Raises:
             RefusedError: It does not pause.
         """
-        trajectory, plan = self._trajectory, self.plan
         if self.state not in (PathState.PAUSING, PathState.PAUSED):
             raise RefusedError(f"no pause to end: {self.state.value}")
+        if self.state is PathState.PAUSING and self._planner.share > self.share:
+            self.state = PathState.SLOWING
+            return
+        self._drive_on(now)
+
+    def scale(self, share: float, now: float) -> None:
+        """Use a share (0, 1] of all speeds and accelerations from the next rest on.
+
+        A path that is driven faster is braked for it, and goes on by itself.
+        """
+        self.share = share
+        if self.state is PathState.FOLLOWING and self._planner.share > share:
+            self._stop(now, "slow down")
+            self.state = PathState.SLOWING
+
+    def _drive_on(self, now: float) -> None:
+        trajectory, plan = self._trajectory, self.plan
         assert trajectory is not None and plan is not None
+        if self.state is not PathState.PAUSING:
+            self._planner = self._planner.slower(self.share)
         i = self._next(trajectory, now)
         ticks = self._planner.drive(plan.route, *self._place(trajectory, i))
         self._go_on(trajectory.continued(now, i, ticks), trajectory.time(i), plan)
@@ -242,6 +267,8 @@ class PathInterpolator:
             return
         if self.state is PathState.PAUSING:
             self.state = PathState.PAUSED
+        if self.state is PathState.SLOWING:
+            self._drive_on(now)
         held = now - self._trajectory.end >= self.parameters.path.settle
         if held and self.state in (PathState.FOLLOWING, PathState.CANCELLING):
             self.abort()

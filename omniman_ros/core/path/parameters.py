@@ -26,6 +26,13 @@ class PathOptions:
         "poses", "Where the robot looks: as the path's poses say, or along the path.",
         choices=("poses", "along"),
     )  # fmt: skip
+    linear_velocity: float = parameter(
+        0.5, "Largest speed on a path, within the robot's limits.", unit="m/s", low=0.001, high=20
+    )
+    angular_velocity: float = parameter(
+        0.8, "Largest yaw rate on a path, within the robot's limits.",
+        unit="rad/s", low=0.001, high=50,
+    )  # fmt: skip
     corner_tolerance: float = parameter(
         0.05, "How far corners are cut at most; 0: the robot stops at each.",
         unit="m", low=0, high=10,
@@ -60,14 +67,16 @@ class PathParameters:
     def groups(self) -> tuple[AxisGroup, AxisGroup]:
         """Position and heading of the platform as axes."""
         share, limits, options = 1.0 - self.path.reserve, self.limits, self.path
-        linear, angular = (share * min(pair) for pair in zip(
-            limits.acceleration, limits.deceleration, strict=True))  # fmt: skip
+        linear, angular = (
+            share * min(pair)
+            for pair in zip(limits.acceleration, limits.deceleration, strict=True)
+        )
+        speed = min(options.linear_velocity, share * limits.linear_velocity)
+        turn = min(options.angular_velocity, share * limits.angular_velocity)
         return (
-            AxisGroup((0, 1), share * limits.linear_velocity, linear,
-                      share * limits.linear_jerk, options.corner_tolerance),
-            AxisGroup((2,), share * limits.angular_velocity, angular,
-                      share * limits.angular_jerk, options.heading_tolerance),
-        )  # fmt: skip
+            AxisGroup((0, 1), speed, linear, share * limits.linear_jerk, options.corner_tolerance),
+            AxisGroup((2,), turn, angular, share * limits.angular_jerk, options.heading_tolerance),
+        )
 
     def planner(self) -> PathPlanner:
         """The planner for x, y, theta of the platform."""

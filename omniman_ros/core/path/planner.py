@@ -1,7 +1,7 @@
 """From points to a trajectory: route, profile, ticks."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,25 +67,39 @@ class PathPlanner:
         groups: The coordinates' limits; together they have each of the d coordinates once.
         dt: Tick of the time base [s].
         cap: Largest u' at points of a curve, besides 1; None for no such limit.
+        share: Of all speeds and accelerations that is used.
 
     Attributes:
-        smoother: The filter that its ticks are meant for.
+        smoother: The filter that its ticks are meant for; the same for each share.
+        share: As above.
     """
 
     def __init__(
-        self, groups: Sequence[AxisGroup], dt: float, cap: SpeedCap | None = None
+        self,
+        groups: Sequence[AxisGroup],
+        dt: float,
+        cap: SpeedCap | None = None,
+        share: float = 1.0,
     ) -> None:
-        self.dt = dt
-        self._groups = groups
+        self.dt, self.share = dt, share
+        self._full = (groups, dt, cap)
+        if share < 1.0:
+            cap = _shared(cap, share)
         self._speeds = [group.velocity for group in groups]
-        self._accelerations = [group.acceleration for group in groups]
         window = window_ticks(groups, dt)
         self.smoother = Smoother(window, dt)
         self._smear = [deviation(group.acceleration, window, dt) for group in groups]
+        groups = [replace(group, acceleration=share * group.acceleration) for group in groups]
+        self._groups = groups
+        self._accelerations = [group.acceleration for group in groups]
         self._profiler = TimeProfiler(groups, cap)
         self._scale = np.ones(sum(len(group.columns) for group in groups))
         for group in groups:
             self._scale[list(group.columns)] = max(group.tolerance, FINEST)
+
+    def slower(self, share: float) -> "PathPlanner":
+        """One for the same routes that uses a share of all speeds and accelerations."""
+        return PathPlanner(*self._full, share)
 
     def plan(self, points: Array) -> Plan:
         """Plan from rest at the first of the points (k, d) to rest at the last, k >= 1.
@@ -140,7 +154,7 @@ class PathPlanner:
         """The plan with as little left out as pays."""
         fine, coarse = (self._reduced(points, share, velocity) for share in (FINE, COARSE))
         plan = self._planned(fine, FINE, velocity)
-        if len(coarse) < len(fine):
+        if 1 < len(coarse) < len(fine):
             quick = self._planned(coarse, COARSE, velocity)
             if quick.duration < PAYS * plan.duration:
                 return quick
@@ -149,7 +163,9 @@ class PathPlanner:
     def _reduced(self, points: Array, share: float, velocity: Array | None) -> Array:
         kept = points[:0] if velocity is None else points[:1]
         rest = polyline.distinct(points[len(kept) :], self._scale)
-        return np.vstack([kept, polyline.simplified(rest, share * self._scale)])
+        rest = polyline.simplified(rest, share * self._scale)
+        # What is left may be the way there and back to one point.
+        return np.vstack([kept, polyline.distinct(rest, self._scale)])
 
     def _planned(self, points: Array, share: float, velocity: Array | None) -> Plan:
         rate = 0.0
@@ -232,3 +248,13 @@ class PathPlanner:
             route.curves[section].at(u), np.full(len(u), section), u, np.zeros(len(u)),
             route.progress(section, u),
         )  # fmt: skip
+
+
+def _shared(cap: SpeedCap | None, share: float) -> SpeedCap:
+    """A cap at a share of u' = 1 and of another cap."""
+
+    def lower(q: Array, slope: Array) -> Array:
+        most = np.ones(len(q)) if cap is None else np.minimum(cap(q, slope), 1.0)
+        return share * most
+
+    return lower

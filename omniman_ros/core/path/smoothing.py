@@ -47,19 +47,16 @@ class Smoother:
 
     def __init__(self, ticks: int, dt: float) -> None:
         self.memory = ticks + 2
-        size = self.memory + 1
-        # Position and velocity, times dt, of the inner motion at tick j, as weights of q.
-        place = np.zeros((ticks + 1, size))
-        speed = np.zeros((ticks + 1, size))
-        for j in range(ticks + 1):
-            place[j, j : j + 3] = (0.25, 0.5, 0.25)
-            speed[j, j : j + 3] = (-0.5, 0.0, 0.5)
-        trapezoid = 0.5 * (place[:-1] + place[1:]).sum(axis=0)
-        lift = speed[-1] - speed[0]
+        # The inner motion at a tick: position, and velocity times dt, from three q in a row.
+        place, speed = np.array([0.25, 0.5, 0.25]), np.array([-0.5, 0.0, 0.5])
+        blank = np.zeros(ticks)
+        trapezoid = np.convolve(np.concatenate([[0.5], np.ones(ticks - 1), [0.5]]), place)
+        rise = np.concatenate([blank, place]) - np.concatenate([place, blank])
+        lift = np.concatenate([blank, speed]) - np.concatenate([speed, blank])
         self._weights = np.stack(
             [
                 (trapezoid - lift / 12.0) / ticks,
-                (place[-1] - place[0]) / (ticks * dt),
+                rise / (ticks * dt),
                 lift / (ticks * dt * dt),
             ]
         )

@@ -229,9 +229,61 @@ def test_new_limits_count_from_the_next_path_from_rest(driver):
     slow = build(PathParameters, load_robot("omniman") | {"limits.linear_velocity": 0.1})
     driver.core.parameters = slow
     driver.start(LINE + [0, 0.3, 0])
-    assert driver.run_to_the_end()[:, 3].max() > 0.5
+    assert driver.run_to_the_end()[:, 3].max() > 0.4
     driver.start(LINE, tuple(LINE[0]))
     assert driver.run_to_the_end()[:, 3].max() <= 0.09 * (1 + ROUND_OFF)
+
+
+@pytest.mark.parametrize("after", [0.3, 1.4, 2.4])
+def test_a_path_is_slowed_down_on_the_way(driver, after):
+    driver.start(CORNER)
+    driver.run(after)
+    driver.core.scale(0.4, driver.now)
+    assert driver.core.state is PathState.SLOWING
+    braked = driver.run(2.0)
+    rows = driver.run_to_the_end()
+    driver.assert_smooth()
+    later = np.vstack([braked[braked[:, 3:5].any(axis=1).argmin() :], rows])
+    linear = driver.groups[0]
+    assert 0.3 * 0.5 < linear.norm(later[:, 3:6]).max() <= 0.4 * 0.5 * (1 + ROUND_OFF)
+    assert linear.norm(later[:, 6:9]).max() <= 0.4 * linear.acceleration * (1 + ROUND_OFF)
+    assert rows[-1, :3] == pytest.approx(CORNER[-1], abs=1e-12)
+    driver.core.scale(1.0, driver.now)
+    driver.start(LINE + rows[-1, :3], tuple(rows[-1, :3]))
+    assert driver.run_to_the_end()[:, 3:5].max() > 0.4, "the next path is a fast one again"
+
+
+def test_slowing_can_be_paused_and_cancelled_and_holds_for_new_paths(driver):
+    driver.start(LINE)
+    driver.run(1.5)
+    driver.core.scale(0.3, driver.now)
+    driver.core.pause(driver.now)
+    driver.core.resume(driver.now)
+    assert driver.core.state is PathState.SLOWING, "first to rest, then slowly on"
+    driver.core.pause(driver.now)
+    driver.run(3.0)
+    assert driver.core.state is PathState.PAUSED
+    driver.core.resume(driver.now)
+    assert driver.run(2.0)[:, 3].max() <= 0.15 * (1 + ROUND_OFF)
+    driver.start(LINE + [0, 0.2, 0])
+    assert driver.run(2.0)[:, 3].max() <= 0.15 * (1 + ROUND_OFF)
+    driver.core.cancel(driver.now)
+    driver.run_to_the_end()
+    here = driver.rows[-1][:3]
+    driver.start(LINE + here, tuple(here))
+    assert driver.run_to_the_end()[:, 3].max() <= 0.15 * (1 + ROUND_OFF)
+    driver.assert_smooth()
+
+
+def test_a_fast_path_that_was_planned_before_the_slowing_is_slowed_too(driver):
+    driver.start(LINE)
+    driver.run(1.0)
+    proposal = driver.core.propose(LINE + [0, 0.3, 0], HERE, driver.now, 0.1)
+    driver.core.scale(0.3, driver.now)
+    assert driver.core.take(proposal, driver.now)
+    driver.run(1.5)
+    assert driver.run_to_the_end()[:, 3].max() <= 0.15 * (1 + ROUND_OFF)
+    driver.assert_smooth()
 
 
 def test_headings_along_the_path():
@@ -284,7 +336,7 @@ def test_no_wheel_is_asked_for_more_than_its_share():
     from omniman_ros.core.kinematics import PlatformKinematics
     from omniman_ros.core.se2 import to_robot
 
-    driver = Driver(start_distance=10.0)
+    driver = Driver(start_distance=10.0, linear_velocity=5.0, angular_velocity=5.0)
     robot = driver.core.parameters.robot
     driver.start([[0, 0, 0], [2, 2, 2.5], [4, 0, 0]])
     rows = driver.run_to_the_end()

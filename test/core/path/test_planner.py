@@ -91,6 +91,33 @@ def test_without_heading_tolerance_it_stops_only_where_the_turning_changes():
     assert np.abs(trajectory.velocities[at]).max() < 1e-9
 
 
+@pytest.mark.parametrize("tolerances", [(0.05, 0.0), (0.0, 0.1)])
+@pytest.mark.parametrize("seed", range(5))
+def test_without_one_tolerance_the_others_corners_are_driven_all_the_same(tolerances, seed):
+    points = random_path(seed)
+    points[:, 2] = 0.0
+    plan, trajectory = planned(points, axes(*tolerances))
+    assert_smooth_within_limits(
+        axes(), trajectory.positions, trajectory.velocities, trajectory.accelerations
+    )
+    assert off_path(trajectory.positions, points).max() <= tolerances[0] + 1e-9
+    if tolerances[0]:
+        assert len(plan.route.curves) == 1, "no turning, no stop"
+
+
+@pytest.mark.parametrize("size", [0.001, 0.01, 0.04, 0.1])
+def test_a_way_there_and_back_is_driven_or_refused(size):
+    """Smaller than the tolerance it may be nothing to drive."""
+    points = np.array([[0, 0, 0], [size, 0, 0], [0, 0, 0]], dtype=float)
+    try:
+        _, trajectory = planned(points)
+    except InputError as error:
+        assert "nothing to drive" in str(error) and size < 0.05
+    else:
+        assert np.abs(trajectory.positions[-1]).max() == 0.0
+        assert trajectory.positions[:, 0].max() > size - 0.05
+
+
 def test_a_larger_tolerance_is_faster():
     times = [planned(SQUARE, axes(tolerance))[0].duration for tolerance in (0.0, 0.01, 0.05, 0.3)]
     assert times == sorted(times, reverse=True) and times[0] > times[-1] + 2.0

@@ -59,6 +59,11 @@ def test_the_jerk_is_as_large_as_allowed_for_a_reversal():
     assert jerk == pytest.approx(8.0, rel=0.01)
 
 
+def test_a_very_long_window_takes_no_more_memory_than_its_length():
+    x, v, a = Smoother(20_000, DT).smooth(np.full((20_010, 1), 2.0))
+    assert x == pytest.approx(2.0) and np.abs(v).max() < 1e-9 and np.abs(a).max() < 1e-9
+
+
 def test_leaves_a_circle_by_no_more_than_it_says():
     radius, speed = 0.5, 0.5
     phase = speed / radius * np.arange(600) * DT

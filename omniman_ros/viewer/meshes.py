@@ -1,0 +1,212 @@
+"""Shapes of the platform: vertices [m] and triangles, without a library.
+
+A wheel's frame is at its centre: x where it rolls to, y along its axle, z up.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omniman_ros.core.robot import Robot
+
+Array = NDArray[np.float64]
+Triangles = NDArray[np.int64]
+
+ROLLERS = 9
+"""Rollers of a wheel."""
+CORE = 0.82
+"""Distance of the rollers' axes from the axle, over the wheel's radius."""
+OVERLAP = 1.2
+"""How far the rollers' ends reach past each other, so that the wheel runs smoothly."""
+AROUND, ALONG = 12, 7
+"""Vertices of a roller around its axis and along it."""
+NARROWEST = 0.35
+"""Width of a wheel over its radius, at least: rollers of an Omni wheel have none along y."""
+CLEARANCE = 0.5
+"""Height of the chassis above the floor, over the largest wheel's radius."""
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Vertices (v, 3) [m] and triangles (t, 3), counter-clockwise from outside."""
+
+    vertices: Array
+    triangles: Triangles
+
+    def turned(self, rotation: Array) -> "Mesh":
+        """The mesh after a rotation (3, 3)."""
+        return Mesh(self.vertices @ rotation.T, self.triangles)
+
+    def moved(self, x: float, y: float, z: float) -> "Mesh":
+        """The mesh after a translation [m]."""
+        return Mesh(self.vertices + np.array([x, y, z]), self.triangles)
+
+
+def joined(*meshes: Mesh) -> Mesh:
+    """All as one."""
+    offsets = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+    return Mesh(
+        np.concatenate([mesh.vertices for mesh in meshes]),
+        np.concatenate(
+            [mesh.triangles + offset for mesh, offset in zip(meshes, offsets, strict=False)]
+        ),
+    )
+
+
+def about_y(angle: float) -> Array:
+    """Rotation (3, 3) about y [rad]."""
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+
+
+def rotation(theta: float) -> Array:
+    """Quaternion (w, x, y, z) of a turn about the vertical [rad]."""
+    return np.array([math.cos(0.5 * theta), 0.0, 0.0, math.sin(0.5 * theta)])
+
+
+def wheel_rotations(headings: Array, angles: Array) -> Array:
+    """Quaternions (n, 4) of wheels with headings (n,) that have rolled by angles (n,) [rad]."""
+    ch, sh = np.cos(0.5 * headings), np.sin(0.5 * headings)
+    ca, sa = np.cos(0.5 * angles), np.sin(0.5 * angles)
+    return np.stack([ch * ca, -sh * sa, ch * sa, sh * ca], axis=1)
+
+
+def revolved(stations: Array, radii: Array, around: int) -> Mesh:
+    """A body of revolution about x, closed at both ends.
+
+    Args:
+        stations: Positions (k,) along x [m], increasing.
+        radii: Radii (k,) there [m].
+        around: Vertices around the axis.
+    """
+    k = len(stations)
+    angles = 2.0 * math.pi * np.arange(around) / around
+    circle = np.stack([np.zeros(around), np.cos(angles), np.sin(angles)], axis=1)
+    rings = stations[:, None, None] * np.array([1.0, 0.0, 0.0]) + radii[:, None, None] * circle
+    ends = np.array([[stations[0], 0.0, 0.0], [stations[-1], 0.0, 0.0]])
+    index = np.arange(k * around).reshape(k, around)
+    here, there = index, np.roll(index, -1, axis=1)
+    sides = [
+        np.stack([here[:-1], there[1:], here[1:]], axis=-1).reshape(-1, 3),
+        np.stack([here[:-1], there[:-1], there[1:]], axis=-1).reshape(-1, 3),
+    ]
+    first, last = np.full(around, k * around), np.full(around, k * around + 1)
+    caps = [
+        np.stack([first, there[0], here[0]], axis=-1),
+        np.stack([last, here[-1], there[-1]], axis=-1),
+    ]
+    return Mesh(np.concatenate([rings.reshape(-1, 3), ends]), np.concatenate([*sides, *caps]))
+
+
+def prism(outline: Array, bottom: float, top: float) -> Mesh:
+    """An upright prism over a convex outline (k, 2) [m], counter-clockwise, with hard edges."""
+    k = len(outline)
+    low = np.column_stack([outline, np.full(k, bottom)])
+    high = np.column_stack([outline, np.full(k, top)])
+    fan = np.stack([np.zeros(k - 2, int), np.arange(1, k - 1), np.arange(2, k)], axis=1)
+    i = np.arange(k)
+    j = (i + 1) % k
+    sides = np.concatenate([np.stack([i, j, j + k], axis=1), np.stack([i, j + k, i + k], axis=1)])
+    return joined(
+        Mesh(low, fan[:, ::-1]), Mesh(high, fan), Mesh(np.concatenate([low, high]), sides)
+    )
+
+
+def rounded(length: float, width: float, corner: float) -> Array:
+    """Outline (k, 2) of a rectangle about the origin with round corners [m]."""
+    corner = min(corner, 0.5 * length, 0.5 * width)
+    angles = np.linspace(0.0, 0.5 * math.pi, 5)
+    parts = []
+    for quarter, (sx, sy) in enumerate([(1, 1), (-1, 1), (-1, -1), (1, -1)]):
+        centre = np.array([sx * (0.5 * length - corner), sy * (0.5 * width - corner)])
+        turned = angles + quarter * 0.5 * math.pi
+        parts.append(centre + corner * np.stack([np.cos(turned), np.sin(turned)], axis=1))
+    return np.concatenate(parts)
+
+
+@dataclass(frozen=True)
+class WheelShape:
+    """A wheel: its rollers, the plates that hold them, and a mark on these to see it turn."""
+
+    rollers: Mesh
+    plates: Mesh
+    mark: Mesh
+
+
+def wheel(radius: float, roller_angle: float) -> WheelShape:
+    """A wheel whose rollers make a cylinder of its radius.
+
+    The axis of the roller on the floor points along (cos gamma, sin gamma): what the wheel
+    drives is the motion along it (CCTA 2017 (8)).
+
+    Args:
+        radius: r [m].
+        roller_angle: gamma [rad], 0 for an Omni wheel.
+    """
+    core = CORE * radius
+    reach = core * math.sin(math.pi / ROLLERS) * OVERLAP
+    # A roller that lies across would be as long as the wheel is wide.
+    half = min(reach / max(math.cos(roller_angle), 1e-3), radius)
+    stations = np.linspace(-half, half, ALONG)
+    radii = radius - np.hypot(core, stations * math.cos(roller_angle))
+    roller = revolved(stations, np.maximum(radii, 0.02 * radius), AROUND)
+    c, s = math.cos(roller_angle), math.sin(roller_angle)
+    on_floor = roller.turned(np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])).moved(
+        0.0, 0.0, -core
+    )
+    steps = 2.0 * math.pi * np.arange(ROLLERS) / ROLLERS
+    width = wheel_width(radius, roller_angle)
+    rim = radius - float(radii.max()) * 1.1
+    thin = 0.06 * radius
+    along_y = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    plate = revolved(np.array([-thin, thin]), np.full(2, rim), 24).turned(along_y)
+    drum = revolved(np.array([-0.5 * width, 0.5 * width]), np.full(2, 0.35 * radius), 16).turned(
+        along_y
+    )
+    spoke = prism(rounded(0.16 * radius, width + 4.4 * thin, 0.0), 0.15 * rim, 0.98 * rim)
+    return WheelShape(
+        joined(*(on_floor.turned(about_y(step)) for step in steps)),
+        joined(drum, *(plate.moved(0.0, side * (0.5 * width + thin), 0.0) for side in (-1, 1))),
+        spoke,
+    )
+
+
+def wheel_width(radius: float, roller_angle: float) -> float:
+    """Width between the plates of a wheel [m]."""
+    reach = CORE * radius * math.sin(math.pi / ROLLERS) * OVERLAP
+    along_axle = 2.0 * min(abs(math.tan(roller_angle)) * reach, radius)
+    return max(0.8 * along_axle, NARROWEST * radius)
+
+
+@dataclass(frozen=True)
+class BodyShape:
+    """A platform without wheels: chassis between them, deck above, arrow that shows its front."""
+
+    chassis: Mesh
+    deck: Mesh
+    arrow: Mesh
+    height: float
+
+
+def body(robot: Robot) -> BodyShape:
+    """The body as its bounding box says; heights follow the wheels, as nothing is said of them."""
+    wheels, box = robot.wheels, robot.body
+    radius = max(wheels.radius)
+    inner = 2.0 * min(
+        abs(y) - 0.5 * wheel_width(r, gamma) - 0.2 * r
+        for y, r, gamma in zip(wheels.y, wheels.radius, wheels.roller_angle, strict=True)
+    )
+    width = inner if inner > 0.25 * box.width else 0.25 * box.width
+    low, high = 2.0 * radius + 0.1 * radius, 2.0 * radius + 0.5 * radius
+    corner = 0.12 * min(box.length, box.width)
+    size = 0.16 * min(box.length, box.width)
+    front = 0.5 * box.length - 0.7 * size
+    arrow = np.array([[front, 0.0], [front - size, size], [front - size, -size]])
+    return BodyShape(
+        prism(rounded(0.92 * box.length, width, corner), CLEARANCE * radius, low),
+        prism(rounded(box.length, box.width, corner), low, high),
+        prism(arrow, high, high + 0.01 * box.length),
+        high,
+    )

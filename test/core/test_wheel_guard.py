@@ -1,0 +1,287 @@
+"""What is wrong with a wheel, and what is done about it."""
+
+import numpy as np
+import pytest
+from robots import ALL, kinematics, parameters
+
+from omniman_ros.core.arbiter import Source
+from omniman_ros.core.errors import InputError, ParameterError
+from omniman_ros.core.platform import PlatformController
+from omniman_ros.core.stop import ResetRefusedError
+from omniman_ros.core.wheel_guard import LastingWatch
+
+from .rig import DT, Rig
+
+ON = {"drive.dead_wheel": "drive_on"}
+CRUISE = (0.3, 0.02, 0.03)
+
+
+def driving(robot="omniman", changes=None):
+    """A rig whose drives report the torques that they were asked for, in motion."""
+    rig = Rig(robot, changes)
+    rig.run(0.1)
+    rig.effort = rig.torques
+    return rig.cruise(*CRUISE)
+
+
+def kill(rig, *wheels, seconds=2.5):
+    """Take the torque of wheels that are dragged along, and drive on."""
+    rig.effort = lambda: rig.torques(*wheels)
+    return rig.run(seconds, lambda: rig.twist(*CRUISE))
+
+
+# ---- lasting watch ----------------------------------------------------------------------------
+
+
+def test_a_wrong_must_last_to_be_found():
+    watch = LastingWatch(3)
+    late = np.array([False, True, False])
+    found = [watch.update(late, 0.5, 0.1) for _ in range(6)]
+    assert found[:5] == [None] * 5
+    assert found[5] == 1
+    assert watch.update(late, 0.5, 0.1) is None  # counted anew
+
+
+def test_a_good_moment_clears_the_count():
+    watch = LastingWatch(2)
+    late = np.array([True, False])
+    for good in (~late, np.zeros(2, dtype=bool)):
+        for _ in range(20):
+            assert watch.update(late, 0.5, 0.2) is None
+            assert watch.update(late, 0.5, 0.2) is None
+            assert watch.update(good, 0.5, 0.2) is None
+
+
+# ---- dead wheels ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("changes", [{}, ON], ids=["stop", "drive_on"])
+def test_wheels_that_give_what_is_asked_are_left_alone(changes):
+    rig = driving(changes=changes).run(3.0, lambda: None)
+    rig.cruise(-0.2, 0.3, -0.3).cruise(0.0, 0.0, 0.5)
+    assert rig.core.latch.released
+    assert (rig.core.guard.dead, rig.core.guard.idle, rig.core.guard.note) == ((), (), "")
+    assert rig.core.guard.torque_reported
+
+
+def test_a_dead_wheel_stops_the_robot_by_name():
+    rig = kill(driving(), 2)
+    assert rig.core.latch.status.reason == "wheel 'rear_left' is dead: no torque"
+    assert [rig.core.guard.state(i) for i in range(4)] == ["driving", "driving", "dead", "driving"]
+    assert rig.core.guard.idle == ()
+    assert rig.run(1.5).still
+
+
+@pytest.mark.parametrize("robot", [name for name in ALL if name != "omni3"])
+def test_told_so_the_robot_drives_on_without_a_jump(robot):
+    rig = driving(robot, ON)
+    since = len(rig.setpoints)
+    kill(rig, 1)
+    assert rig.core.latch.released, rig.core.latch.status
+    assert rig.core.guard.idle == (1,)
+    assert rig.core.guard.state(1) == "idle"
+    assert "dead: driving on without" in rig.core.guard.note
+    steps = np.abs(np.diff(rig.setpoints[since - 1 :], axis=0))
+    limits = rig.core.parameters.limits
+    assert steps[:, :2].max() <= DT * max(limits.acceleration[0], limits.deceleration[0]) + 1e-9
+    moved = np.abs(np.diff(rig.poses[since - 1 :], axis=0))
+    assert moved.max() < 0.4 * DT
+    command = rig.commands[-1]
+    assert command.effort[1] == 0.0
+    np.testing.assert_allclose(
+        command.velocity[1], (rig.core.cascade.kinematics.J @ rig.core.setpoint)[1]
+    )
+
+
+def test_without_a_wheel_the_limits_are_lower_and_stops_as_hard():
+    rig = kill(driving(changes=ON), 1)
+    limits, known = rig.core.guard.limits, rig.core.parameters.limits
+    assert limits.velocity == tuple(0.5 * v for v in known.velocity)
+    assert limits.acceleration == tuple(0.5 * a for a in known.acceleration)
+    assert limits.deceleration == known.deceleration
+    rig.cruise(5.0, 0.0, 0.0)
+    assert rig.core.setpoint[0] == pytest.approx(0.5 * known.linear_velocity)
+
+
+def test_odometry_and_coupling_leave_the_dead_wheel_out():
+    rig = kill(driving(changes=ON), 0)
+    ideal = rig.drive
+
+    def lagging(command):
+        speeds = np.array(ideal(command))
+        speeds[0] -= 1.0
+        return speeds
+
+    rig.drive = lagging
+    rig.run(1.0, lambda: rig.twist(*CRUISE))
+    np.testing.assert_allclose(rig.core.odometry.twist, CRUISE, atol=1e-9)
+    assert not rig.core.cascade.coupling.error.any()
+
+
+def test_a_second_dead_wheel_stops_the_robot():
+    rig = kill(driving("mecanum6", ON), 1)
+    assert rig.core.guard.idle == (1,)
+    kill(rig, 1, 4)
+    assert "it is not the only one" in rig.core.latch.status.reason
+    assert "middle_right" in rig.core.latch.status.reason
+
+
+def test_two_at_once_stop_the_robot():
+    rig = kill(driving("mecanum6", ON), 1, 4)
+    assert not rig.core.latch.released
+    assert set(rig.core.guard.dead) == {1, 4}
+
+
+def test_with_three_wheels_there_is_nothing_to_drive_on_with():
+    rig = kill(driving("omni3", ON), 0)
+    assert "the others do not determine the twist" in rig.core.latch.status.reason
+
+
+def test_a_reset_trusts_the_wheel_again_and_finds_it_again():
+    rig = kill(driving(changes=ON), 3)
+    with pytest.raises(ResetRefusedError):
+        rig.core.reset(rig.now)
+    assert rig.core.guard.idle == (3,)
+    rig.run(2.5)
+    rig.core.reset(rig.now)
+    assert rig.core.guard.idle == rig.core.cascade.kinematics.idle == ()
+    assert rig.core.guard.limits == rig.core.parameters.limits
+    kill(rig.run(1.5), 3, seconds=3.0)
+    assert rig.core.guard.idle == (3,)
+
+
+def test_voltages_are_watched_too_and_refused_without_a_wheel():
+    told = []
+    rig = Rig("omniman", ON).run(0.1)
+    torques = np.full(4, 3.0)
+    rig.effort = lambda: torques
+    emf = rig.core.parameters.robot.motor
+    volts = np.full(4, 3.2 * emf.gear_ratio * emf.torque_constant)
+    rig.drive = lambda command: np.full(4, 3.0 if command.velocity is None else 0.0)
+
+    def feed():
+        try:
+            rig.core.hear_voltages(volts, rig.now)
+        except InputError as error:
+            told.append(str(error))
+
+    rig.run(0.5, feed)
+    assert rig.core.arbiter.active is Source.MPC
+    assert not told
+    torques = np.array([0.0, 3.0, 3.0, 3.0])
+    rig.run(1.5, feed)
+    assert rig.core.guard.idle == (0,)
+    assert "one is dead" in told[-1]
+    assert rig.core.arbiter.active is None
+
+
+# ---- told beforehand --------------------------------------------------------------------------
+
+
+def test_a_wheel_may_be_told_to_be_dead():
+    rig = Rig("omniman", {"drive.dead": ("rear_left",)}).run(0.1).cruise(*CRUISE)
+    assert rig.core.setpoint == pytest.approx(CRUISE)
+    assert (
+        rig.core.guard.note == "wheel 'rear_left' is dead: driving on without, as drive.dead says"
+    )
+    assert rig.commands[-1].effort[2] == 0.0
+    assert rig.core.cascade.kinematics.idle == (2,)
+
+
+def test_it_is_live_at_rest_only():
+    rig = Rig().run(0.1)
+    rig.core.configure(parameters("omniman", {"drive.dead": ("rear_left",)}))
+    assert rig.core.guard.idle == rig.core.cascade.kinematics.idle == (2,)
+    rig.cruise(*CRUISE)
+    with pytest.raises(ParameterError, match="stop it first"):
+        rig.core.configure(parameters("omniman"))
+    rig.run(1.5)
+    rig.core.configure(parameters("omniman"))
+    assert rig.core.guard.idle == rig.core.cascade.kinematics.idle == ()
+
+
+@pytest.mark.parametrize(
+    ("robot", "dead"),
+    [("omniman", ("wheel",)), ("omniman", ("front_left", "rear_left")), ("omni3", ("rear",))],
+)
+def test_a_robot_that_is_not_left_with_enough_is_refused(robot, dead):
+    with pytest.raises(ParameterError, match="drive.dead"):
+        PlatformController(parameters(robot, {"drive.dead": dead}))
+
+
+def test_a_new_limit_leaves_a_dead_wheel_dead():
+    rig = kill(driving(changes=ON), 1)
+    rig.core.configure(parameters("omniman", ON | {"drive.dead_limits": 0.25}))
+    assert rig.core.cascade.kinematics.idle == (1,)
+    assert rig.core.guard.limits.linear_velocity == 0.25 * rig.core.parameters.limits.velocity[0]
+
+
+# ---- no torques, bad torques, blocked wheels --------------------------------------------------
+
+
+def test_without_torques_nothing_is_found_and_that_is_said():
+    rig = Rig("omniman", ON).run(0.1).cruise(*CRUISE)
+    assert not rig.core.guard.torque_reported
+    assert rig.core.latch.released
+
+
+def test_torques_of_another_size_are_bad_input_and_move_nothing():
+    rig = driving()
+    pose = rig.core.odometry.pose
+    with pytest.raises(InputError, match="efforts"):
+        now = rig.now + DT
+        rig.core.hear_wheels(now, now, rig.position + 1.0, rig.speed, np.zeros(3))
+    assert rig.core.odometry.pose == pose
+
+
+@pytest.mark.parametrize("changes", [{}, ON], ids=["stop", "drive_on"])
+def test_a_blocked_wheel_stops_the_robot_at_once_even_if_told_to_drive_on(changes):
+    rig = driving(changes=changes)
+    ideal = rig.drive
+
+    def blocked(command):
+        speeds = np.array(ideal(command))
+        speeds[1] = 0.0
+        return speeds
+
+    rig.drive = blocked
+    direction = np.sign(rig.core.cascade.reference[1])
+    rig.effort = lambda: rig.torques() + np.array([0.0, 40.0 * direction, 0.0, 0.0])
+    rig.run(0.3, lambda: rig.twist(*CRUISE))
+    assert rig.core.latch.status.reason == "wheel 'front_right' is blocked: torque, but no speed"
+    assert rig.core.guard.idle == ()
+
+
+# ---- what is left -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("robot", [name for name in ALL if name != "omni3"])
+def test_the_models_without_a_wheel_are_those_of_the_others(robot):
+    whole = kinematics(robot)
+    cascade = PlatformController(
+        parameters(robot, {"drive.dead": parameters(robot).robot.wheels.names[:1]})
+    ).cascade
+    model, dynamics = cascade.kinematics, cascade.dynamics
+    rest = list(range(1, whole.wheel_count))
+    np.testing.assert_allclose(model.J_pinv[:, rest], np.linalg.pinv(whole.J[rest]), atol=1e-9)
+    assert not model.J_pinv[:, 0].any() and not model.T[:, 0].any()
+    np.testing.assert_allclose(model.T @ model.J, 0.0, atol=1e-9)
+    assert np.linalg.matrix_rank(model.T) == whole.constraint_count - 1
+    twist, rate = np.array([0.3, -0.2, 0.4]), np.array([0.2, 0.1, -0.3])
+    full = PlatformController(parameters(robot)).cascade.dynamics
+    wheels = whole.J @ twist
+    for part, same in (
+        (dynamics.platform_torque(twist, rate), full.platform_torque(twist, rate)),
+        (dynamics.friction_torque(twist, wheels), full.friction_torque(twist, wheels)),
+    ):
+        assert part[0] == pytest.approx(0.0, abs=1e-9)
+        np.testing.assert_allclose(whole.J.T @ part, whole.J.T @ same, atol=1e-9)
+    assert dynamics.torque_limit[0] == 0.0 < dynamics.torque_limit[1]
+
+
+def test_what_remains_is_measured():
+    model = kinematics("omniman")
+    assert model.remains(()) == pytest.approx(1.0)
+    assert all(0.5 < model.remains([k]) < 1.0 for k in range(4))
+    assert model.remains([0, 1]) == 0.0
+    assert kinematics("mecanum8").remains([3]) > 0.8

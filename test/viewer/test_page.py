@@ -1,0 +1,143 @@
+"""The real server, without a browser."""
+
+import socket
+
+import numpy as np
+import pytest
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
+
+from omniman_ros.core.errors import ParameterError
+from test import robots
+
+viser = pytest.importorskip("viser", reason="viser is not installed (extra 'viewer')")
+
+from omniman_ros.viewer.page import Page, free_port  # noqa: E402
+
+HOST = "127.0.0.1"
+
+
+@pytest.fixture
+def make_page():
+    """Makes pages of robots, on ports of their own, and ends them."""
+    made = []
+
+    def make(name="omniman", port=None):
+        robot = robots.robot(name)
+        page = Page(
+            robot, robot.wheel_count - 3, (1.0, 2.0), HOST, port or free_port(HOST, 18080), print
+        )
+        made.append(page)
+        return page
+
+    yield make
+    for page in made:
+        page.close()
+
+
+def shake_hands(page, **headers):
+    with connect(
+        page.address.replace("http", "ws"), subprotocols=[f"viser-v{viser.__version__}"],
+        additional_headers=headers,
+    ) as client:  # fmt: skip
+        return client.recv(timeout=10)
+
+
+def test_a_browser_of_this_machine_gets_the_page(make_page):
+    page = make_page()
+    assert shake_hands(page)
+    assert shake_hands(page, Origin=page.address)
+
+
+@pytest.mark.parametrize("origin", ["http://evil.org", "null", "http://127.0.0.1:1"])
+def test_a_page_from_elsewhere_cannot_connect(make_page, origin):
+    page = make_page()
+    with pytest.raises(InvalidStatus) as refused:
+        shake_hands(page, Origin=origin)
+    assert refused.value.response.status_code == 403
+    assert b"steer" in refused.value.response.body
+
+
+def test_it_is_served_to_this_machine_alone(make_page):
+    """On Linux all of 127.0.0.0/8 is this machine, but not what the page is bound to."""
+    port = int(make_page().address.rpartition(":")[2])
+    with socket.socket() as probe:
+        assert probe.connect_ex(("127.0.0.1", port)) == 0
+    with socket.socket() as probe:
+        assert probe.connect_ex(("127.0.0.2", port)) != 0
+
+
+def test_a_port_that_is_taken_gives_way_to_the_next(make_page):
+    first, second = make_page(port=18080), make_page(port=18080)
+    ports = [int(page.address.rpartition(":")[2]) for page in (first, second)]
+    assert 18080 <= ports[0] < ports[1]
+
+
+def test_a_host_that_is_not_ours_is_refused():
+    with pytest.raises(ParameterError, match=r"host.*203\.0\.113\.1"):
+        free_port("203.0.113.1", 8080)
+    with pytest.raises(ParameterError, match="host.*no such name"):
+        free_port("no such name", 8080)
+
+
+def test_no_port_at_all_is_told(monkeypatch):
+    monkeypatch.setattr("omniman_ros.viewer.page.TRIED", 1)
+    with socket.socket() as taken:
+        taken.bind((HOST, 0))
+        taken.listen()
+        with pytest.raises(ParameterError, match="port.*taken"):
+            free_port(HOST, taken.getsockname()[1])
+
+
+@pytest.mark.parametrize("name", robots.ALL)
+def test_every_robot_is_drawn(make_page, name):
+    from omniman_ros.viewer.state import Picture
+
+    page = make_page(name)
+    n = robots.robot(name).wheel_count
+    picture = Picture(n, n - 3)
+    page.draw(picture, 9.0)
+    picture.hear_odom((1.0, 2.0, 0.5), 10.0)
+    picture.hear_truth((1.1, 2.0, 0.5), 10.0)
+    picture.hear_wheels(np.full(n, 0.3), np.ones(n), 10.0)
+    picture.path.set(np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]))
+    for i in range(12):
+        picture.sample(10.0 + 0.05 * i)
+        page.draw(picture, 10.0 + 0.05 * i)
+    api = page._server.scene
+    assert api.get_handle_by_name("/world/robot").position.tolist() == [1.0, 2.0, 0.0]
+    assert api.get_handle_by_name("/world/robot").visible
+    path = api.get_handle_by_name("/world/path")
+    assert len(path.points) == 2 and path.visible
+    assert not api.get_handle_by_name("/world/reference").visible
+    picture.path.set(np.zeros((0, 2)))
+    for _ in range(5):
+        page.draw(picture, 11.0)
+    assert not path.visible
+    turned = api.get_handle_by_name("/world/robot/wheels_0/rollers").batched_wxyzs
+    assert np.allclose(np.abs(turned[:, 0]), abs(np.cos(0.15) * np.cos(heading(name) / 2)))
+    assert not page.watched
+
+
+def heading(name):
+    """Heading of the wheels of the first shape."""
+    wheels = robots.robot(name).wheels
+    kinds = list(zip(wheels.radius, wheels.roller_angle, strict=True))
+    return np.array([h for h, kind in zip(wheels.heading, kinds, strict=True) if kind == kinds[0]])
+
+
+@pytest.mark.parametrize(
+    ("told", "taken"), [(0.4, 0.4), (9.0, 1.0), (-1.0, 0.0), (float("nan"), 0.0)]
+)
+def test_a_slider_cannot_ask_for_more_than_the_limit(make_page, told, taken):
+    page = make_page()
+    page._controls._linear._impl.value = told  # as a page sends it
+    assert page.speeds[0] == taken
+    assert 0.0 < page.speeds[1] <= 2.0
+
+
+def test_nobody_puts_the_page_on_the_internet(make_page, monkeypatch):
+    tunnels = []
+    monkeypatch.setattr("viser._viser.ViserTunnel", lambda *given: tunnels.append(given))
+    assert make_page()._server.request_share_url() is None
+    assert tunnels == []
