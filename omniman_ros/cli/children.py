@@ -28,12 +28,13 @@ class Task:
     """What to run: a name for people, a command line, and when it is stopped.
 
     Stage 0 gets its signal first; a later stage when all of the earlier ones have ended. They
-    start the other way round.
+    start the other way round. The death of what is not essential is reported, and no event.
     """
 
     name: str
     command: Sequence[str]
     stage: int = 0
+    essential: bool = True
 
 
 @dataclass(frozen=True)
@@ -151,7 +152,14 @@ class Children:
         self._events.put(Interrupt(number))
 
     def next_event(self, timeout: float | None = None) -> Exit | Interrupt | None:
-        """Wait for the next exit or signal; None if there is none in time [s]."""
+        """Wait for the exit of what is essential, or a signal; None if none comes in time [s]."""
+        while True:
+            event = self._next_event(timeout)
+            if not isinstance(event, Exit) or self._children[event.name].task.essential:
+                return event
+            self._report(f"{event}: going on without it")
+
+    def _next_event(self, timeout: float | None = None) -> Exit | Interrupt | None:
         try:
             if timeout is not None and timeout <= 0.0:
                 event = self._events.get_nowait()
@@ -203,7 +211,7 @@ class Children:
         good = True
         deadline = time.monotonic() + self._patience
         while any(child.code is None for child in members):
-            event = self.next_event(max(deadline - time.monotonic(), 0.0))
+            event = self._next_event(max(deadline - time.monotonic(), 0.0))
             if isinstance(event, Exit):
                 if event.code != 0:
                     self._report(str(event))
@@ -224,7 +232,7 @@ class Children:
         for child in members:
             child.send(signal.SIGKILL)
         while any(child.code is None for child in members):
-            self.next_event()
+            self._next_event()
 
 
 @contextmanager

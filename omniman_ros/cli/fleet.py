@@ -24,19 +24,21 @@ class NodeKind:
         sim_time: The parameter that --sim-time sets.
         is_available: Whether what it needs is installed; if not, it is started only where it is
             asked for by name, and then says what is missing.
+        essential: Whether the robot is stopped when it dies.
     """
 
     name: str
     stage: int
     sim_time: str = "use_sim_time"
     is_available: Callable[[], bool] = lambda: True
+    essential: bool = True
 
 
 NODES = (
     NodeKind("platform_controller", stage=0),
     NodeKind("path_interpolator", stage=0),
     NodeKind("simulated_drive", stage=1, sim_time="publish_clock"),
-    NodeKind("viewer", stage=0, is_available=viewer_availability.is_available),
+    NodeKind("viewer", stage=0, is_available=viewer_availability.is_available, essential=False),
 )
 
 
@@ -72,7 +74,12 @@ def tasks(setup: Setup) -> list[Task]:
         kind for kind in NODES if (kind.name in setup.only if setup.only else kind.is_available())
     ]
     return [
-        Task(kind.name, node_command(kind.name, _ros_arguments(kind, robot, setup)), kind.stage)
+        Task(
+            kind.name,
+            node_command(kind.name, _ros_arguments(kind, robot, setup)),
+            kind.stage,
+            kind.essential or bool(setup.only),
+        )
         for kind in chosen
     ]
 

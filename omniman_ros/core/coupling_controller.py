@@ -34,7 +34,7 @@ class CouplingController:
     The default gain is chosen by `omniman reproduce coupling`: nine tenths of the error go, and
     with wheels off the floor (where nothing else damps) it settles though commands come 50 ms
     late; 30 oscillates. There is no integral part on purpose: drives have one, and with two
-    epsilon oscillates against the floor, at ten times the slip losses. Epsilon is forgotten at
+    epsilon oscillates against the floor and slips more. Epsilon is forgotten at
     rest: wheels that have slipped stay where they are, to turn them back would be slip again.
 
     Attributes:

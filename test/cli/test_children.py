@@ -264,3 +264,16 @@ def test_a_node_whose_parent_is_gone_does_not_start(fake_node):
     assert ended.returncode == 1
     assert "is gone" in ended.stderr
     assert "ready" not in ended.stdout
+
+
+def test_the_death_of_what_is_not_essential_is_reported_and_no_event():
+    said = []
+    tasks = [
+        Task("page", (sys.executable, "-c", "raise SystemExit(3)"), essential=False),
+        Task("node", ("sleep", "99")),
+    ]
+    with Children(tasks, report=said.append) as children:
+        wait_until(lambda: children.check() or said, "the report")
+        assert said == ["page ended with exit code 3: going on without it"]
+        children.interrupt(signal.SIGTERM)
+        assert children.next_event(TIMEOUT).number == signal.SIGTERM

@@ -160,7 +160,7 @@ def test_told_to_drive_on_it_does_with_three_wheels_until_repair_and_reset():
         assert (last(health).level, last(health).message) == (DiagnosticStatus.WARN, note)
         assert values(last(health)) == {
             "front_left": "driving", "front_right": "driving", "rear_left": "idle",
-            "rear_right": "driving", "torque": "measured",
+            "rear_right": "driving", "torque": "measured", "limits": "0.5",
         }  # fmt: skip
         ours = [s for m in report for s in m.status if "platform_controller" in s.name][-1]
         assert (ours.level, ours.message) == (DiagnosticStatus.WARN, note)
