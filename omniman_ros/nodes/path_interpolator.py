@@ -139,6 +139,8 @@ class PathInterpolatorNode(OmnimanNode):
     def _on_health(self, message: DiagnosticStatus) -> None:
         """Drive with the limits that the controller has left, where a wheel is dead."""
         share = conversions.limits_share(message)
+        if share > self.core.share:  # the controller was reset: it wants a silence
+            self.watch.restart(self.now())
         if share != self.core.share:
             self.core.scale(share, self.now())
             self.tick()
@@ -298,7 +300,13 @@ class PathInterpolatorNode(OmnimanNode):
             return
         self._progress.publish(Float64(data=self.core.progress(now)))
         self._publish(self.settings.value.horizon)
-        self.core.update(now)
+        try:
+            self.core.update(now)
+        except InputError as error:
+            self._last = f"a path was paused: {error}"
+            self.warn("path paused", self._last)
+        if before is PathState.SLOWING and self.core.state is PathState.FOLLOWING:
+            self._publish(self.settings.value.horizon)  # it goes on before the next tick
         if self.core.state is PathState.IDLE:
             self.watch.end(lost=False)
             self._last = "cancelled" if before is PathState.CANCELLING else "arrived"

@@ -11,8 +11,8 @@ import omniman_ros
 PACKAGE = Path(omniman_ros.__file__).parent
 CORE = sorted((PACKAGE / "core").glob("**/*.py"))
 DRIVE = sorted((PACKAGE / "drive").glob("**/*.py"))
-CORE_MODULES = {"__future__", "abc", "collections", "dataclasses", "enum", "functools", "math", "types",
-                "typing", "numpy"}  # fmt: skip
+CORE_MODULES = {"__future__", "abc", "collections", "dataclasses", "enum", "functools", "math",
+                "types", "typing", "numpy"}  # fmt: skip
 FORBIDDEN_CALLS = {"open", "input", "print", "exec", "eval", "__import__"}
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Quaternion, Twist
 from nav_msgs.msg import Odometry, Path
 from rcl_interfaces.srv import SetParameters
@@ -78,10 +78,10 @@ class Station(World):
     def ask(self, name: str) -> Trigger.Response:
         return self.call(Trigger, f"path_interpolator/{name}")
 
-    def set(self, name: str, value: object) -> Any:
-        parameter = Parameter(name, value=value).to_parameter_msg()
-        request = SetParameters.Request(parameters=[parameter])
-        return self.call(SetParameters, "path_interpolator/set_parameters", request).results[0]
+    def set(self, name: str, value: object, node: str = "path_interpolator") -> Any:
+        given = value if isinstance(value, Parameter) else Parameter(name, value=value)
+        request = SetParameters.Request(parameters=[given.to_parameter_msg()])
+        return self.call(SetParameters, f"{node}/set_parameters", request).results[0]
 
     def travel(self, poses: Poses) -> None:
         """Send a path that may have to wait, and see it to its end."""
@@ -809,6 +809,149 @@ def test_a_path_right_after_the_end_of_another_is_driven(alone):
     alone.arrive()
     assert alone.warnings == []
     assert alone.followed()[1][-1] == pytest.approx([0.2, 0.1, 0.5], abs=1e-9)
+
+
+# ---- a dead wheel -----------------------------------------------------------------------------
+
+LONG = [(0, 0, 0), (1.5, 0, 0), (1.5, 0.5, 0.5)]
+
+
+class Health:
+    """What a platform controller says on wheel_health."""
+
+    def __init__(self, world: Alone) -> None:
+        self._publisher = world.publisher(DiagnosticStatus, "wheel_health", LATCHED)
+        self._world = world
+
+    def say(self, limits: str | None) -> None:
+        message = DiagnosticStatus(name="/platform_controller")
+        if limits is not None:
+            message.values = [KeyValue(key="limits", value=limits)]
+        self._publisher.publish(message)
+        self._world.run(2 * PERIOD)
+
+
+def speeds(v: np.ndarray) -> np.ndarray:
+    return np.hypot(v[:, 0], v[:, 1])
+
+
+def test_with_a_dead_wheel_the_path_is_slowed_and_driven_to_its_end():
+    with Robot({"drive.dead_wheel": "drive_on"}) as world:
+        truths: list[tuple[float, np.ndarray]] = []
+        world.hooks.append(
+            lambda: truths.append((world.time, world.drive.drives.ground_truth()[0].copy()))
+        )
+        world.send(LONG)
+        world.run(1.5)
+        assert world.moved() > 0.4
+        world.set("faults.dead_motor", ["rear_left"], "simulated_drive")
+        world.run_until(lambda: world.core.state is PathState.SLOWING, 1.5, "the dead wheel")
+        world.run_until(lambda: world.core.state is PathState.FOLLOWING, 1.5, "a rest")
+        rested = world.time
+        assert world.core.share == 0.5
+        world.arrive()
+
+        times, x, v, a = world.assert_smooth()
+        assert speeds(v[times < rested]).max() == pytest.approx(0.5, abs=1e-6)
+        linear = world.core.parameters.groups()[0]
+        slow = times > rested + 0.1
+        assert 0.2 < speeds(v[slow]).max() <= 0.25 * (1 + 1e-6)
+        assert speeds(a[slow]).max() <= 0.5 * linear.acceleration * (1 + 1e-6)
+        assert x[-1] == pytest.approx(LONG[-1], abs=1e-9)
+        driven = [(t, pose) for t, pose in truths if times[0] <= t <= times[-1]]
+        wanted = np.column_stack(
+            [np.interp([t for t, _ in driven], times, column) for column in x[:, :2].T]
+        )
+        errors = np.hypot(*(np.array([pose[:2] for _, pose in driven]) - wanted).T)
+        assert math.sqrt(np.mean(errors**2)) <= 0.020
+        assert world.warnings == [] and world.refusals() == 0
+
+        repaired = Parameter("faults.dead_motor", Parameter.Type.STRING_ARRAY, [])
+        world.set("faults.dead_motor", repaired, "simulated_drive")
+        world.run_until(lambda: world.at_rest, 1.5, "rest")
+        for node in ("simulated_drive", "platform_controller"):
+            assert world.call(Trigger, f"{node}/reset").success
+        world.run(1.2)  # after a reset the controller takes no stream for a while
+        assert world.core.share == 1.0
+        since = len(world.references)
+        world.travel([(0.7, 0.5, 0.5)])
+        _, x, v, _ = world.assert_smooth(since)
+        assert speeds(v).max() > 0.45, "the next path is a fast one again"
+
+
+@pytest.mark.parametrize("value", ["", "half", "0", "-0.5", "1.5", "nan", "inf", "1e-999"])
+def test_malformed_limits_are_warned_of_and_change_nothing(alone, value):
+    health = Health(alone)
+    alone.send(BENT)
+    alone.run(0.5)
+    health.say(value)
+    assert alone.core.state is PathState.FOLLOWING and alone.core.share == 1.0
+    [warning] = alone.warnings
+    assert warning.startswith("wheel_health ignored: limits") and repr(value) in warning
+    alone.arrive()
+    _, _, v, _ = alone.assert_smooth()
+    assert speeds(v).max() > 0.45
+
+
+def test_limits_that_are_back_count_from_the_next_path(alone):
+    health = Health(alone)
+    health.say("0.4")
+    alone.send(BENT)
+    alone.run(1.0)
+    health.say(None)
+    assert alone.core.state is PathState.FOLLOWING, "it does not stop for more speed"
+    alone.arrive()
+    assert speeds(alone.assert_smooth()[2]).max() == pytest.approx(0.2, abs=1e-6)
+    since = len(alone.references)
+    alone.send([BENT[-1], (-0.4, 0.3, 0.5)])
+    alone.run(0.5)
+    alone.arrive()
+    assert speeds(alone.assert_smooth(since)[2]).max() == pytest.approx(0.5, abs=1e-6)
+
+
+def test_pause_and_cancel_while_it_slows_down(alone):
+    health = Health(alone)
+    alone.send(LONG)
+    alone.run(1.5)
+    health.say("0.4")
+    assert alone.core.state is PathState.SLOWING
+    assert alone.ask("pause").message == "pausing"
+    assert alone.ask("resume").message == "slowing", "not on at full speed"
+    assert alone.ask("pause").success
+    alone.run(1.5)
+    assert alone.core.state is PathState.PAUSED
+    place = alone.setpoint.pose
+    alone.run(0.5)
+    assert alone.setpoint.pose == pytest.approx(place, abs=1e-12)
+    assert alone.ask("resume").message == "following"
+    since = len(alone.references)
+    alone.run(1.0)
+    assert speeds(alone.followed(since)[2]).max() == pytest.approx(0.2, abs=1e-6)
+    health.say("0.2")
+    assert alone.core.state is PathState.SLOWING
+    assert alone.ask("cancel").message == "cancelling"
+    alone.arrive(3.0)
+    alone.run(2 * PERIOD)
+    _, x, _, _ = alone.assert_smooth()
+    assert 0.0 < x[-1, 0] < 1.5 and alone.node.status()[2][-1] == ("last", "cancelled")
+    alone.assert_silent()
+
+
+def test_a_path_that_would_take_hours_with_what_is_left_is_paused(alone):
+    health = Health(alone)
+    alone.send(LONG)
+    alone.run(1.0)
+    health.say("1e-6")
+    alone.run(1.5)
+    assert alone.core.state is PathState.PAUSED
+    assert len(alone.warnings) == 1 and "a path was paused: the path takes" in alone.warnings[0]
+    answer = alone.ask("resume")
+    assert not answer.success and "cannot go on: the path takes" in answer.message
+    health.say("1.0")
+    assert alone.ask("resume").message == "following"
+    alone.arrive()
+    _, x, _, _ = alone.assert_smooth()
+    assert x[-1] == pytest.approx(LONG[-1], abs=1e-9)
 
 
 # ---- time -------------------------------------------------------------------------------------

@@ -89,7 +89,7 @@ class ControlWatch:
             self._quiet_until = self._sent + self.silence
 
     def restart(self, now: float) -> None:
-        """Time has gone back: silence counts from now."""
+        """Time has gone back, or the controller was reset: silence counts from now."""
         self._sent = now
         self._quiet_until = now + self.silence
 

@@ -138,6 +138,7 @@ class PathInterpolator:
             plan = planner.plan_on(position, velocity, headed)
         else:
             self._near(headed[0], position)
+            planner = planner.slower(self.share)
             plan = planner.plan(np.vstack([position, headed]))
         return Proposal(
             trajectory.continued(now, i, plan.ticks), trajectory.time(i), plan, planner
@@ -226,14 +227,18 @@ class PathInterpolator:
         """Go on from a pause, or from the braking for one.
 
         Raises:
-            RefusedError: It does not pause.
+            RefusedError: It does not pause, or the rest would take too long with the share of
+                the limits that is left.
         """
         if self.state not in (PathState.PAUSING, PathState.PAUSED):
             raise RefusedError(f"no pause to end: {self.state.value}")
         if self.state is PathState.PAUSING and self._planner.share > self.share:
             self.state = PathState.SLOWING
             return
-        self._drive_on(now)
+        try:
+            self._drive_on(now)
+        except InputError as error:
+            raise RefusedError(f"cannot go on: {error}") from error
 
     def scale(self, share: float, now: float) -> None:
         """Use a share (0, 1] of all speeds and accelerations from the next rest on.
@@ -262,12 +267,18 @@ class PathInterpolator:
     # ---- output -------------------------------------------------------------------------------
 
     def update(self, now: float) -> None:
-        """Notice that it has come to rest."""
+        """Notice that it has come to rest.
+
+        Raises:
+            InputError: It was slowed down so much that the rest would take too long; it is
+                paused.
+        """
         if self._trajectory is None or now < self._trajectory.end:
             return
         if self.state is PathState.PAUSING:
             self.state = PathState.PAUSED
         if self.state is PathState.SLOWING:
+            self.state = PathState.PAUSED
             self._drive_on(now)
         held = now - self._trajectory.end >= self.parameters.path.settle
         if held and self.state in (PathState.FOLLOWING, PathState.CANCELLING):

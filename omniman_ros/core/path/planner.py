@@ -135,6 +135,9 @@ class PathPlanner:
         """Ticks from a place of a route to its end, the first there.
 
         The place and its u' are from ticks of this planner, so that it can stop in time.
+
+        Raises:
+            InputError: It would last too long.
         """
         ticks, _ = self._driven(route, section, u, rate)
         if ticks is None:
@@ -217,7 +220,7 @@ class PathPlanner:
         self, route: Route, section: int, u: float, rate: float
     ) -> tuple[Ticks | None, float]:
         """Ticks from a place to the route's end, and the time without smoothing."""
-        bound, parts = 0.0, []
+        bound, lasts, parts = 0.0, 0.0, []
         for i in range(section, len(route.curves)):
             if route.curves[i].end - u < STANDING:
                 parts.append(self._resting(route, i, np.array([u])))
@@ -227,8 +230,10 @@ class PathPlanner:
             if profile is None:
                 return None, bound
             bound += profile.duration
-            if not bound <= LONGEST:
-                raise InputError(f"the path takes {bound:.0f} s, at most {LONGEST:.0f} s")
+            # With little jerk the smoothing of each stop lasts longer than the rest.
+            lasts += profile.duration + self.smoother.memory * self.dt
+            if not lasts <= LONGEST:
+                raise InputError(f"the path takes over {lasts:.0f} s, at most {LONGEST:.0f} s")
             parts.append(self._sampled(route, i, profile))
             u = rate = 0.0
         return joined(parts), bound

@@ -49,6 +49,8 @@ def distinct(poses: Array, scale: Array) -> Array:
     """Poses (j, d) without repeats; coordinates are compared after division by scale (d,)."""
     moved = np.abs(np.diff(poses, axis=0) / scale).max(axis=1) > SAME
     kept: Array = poses[np.concatenate([[True], moved])]
+    if len(kept) > 1:
+        kept[-1] = poses[-1]  # the path ends where it says
     return kept
 
 

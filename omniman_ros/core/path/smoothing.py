@@ -47,25 +47,17 @@ class Smoother:
 
     def __init__(self, ticks: int, dt: float) -> None:
         self.memory = ticks + 2
-        # The inner motion at a tick: position, and velocity times dt, from three q in a row.
-        place, speed = np.array([0.25, 0.5, 0.25]), np.array([-0.5, 0.0, 0.5])
-        blank = np.zeros(ticks)
-        trapezoid = np.convolve(np.concatenate([[0.5], np.ones(ticks - 1), [0.5]]), place)
-        rise = np.concatenate([blank, place]) - np.concatenate([place, blank])
-        lift = np.concatenate([blank, speed]) - np.concatenate([speed, blank])
-        self._weights = np.stack(
-            [
-                (trapezoid - lift / 12.0) / ticks,
-                rise / (ticks * dt),
-                lift / (ticks * dt * dt),
-            ]
-        )
+        self._ticks, self._dt = ticks, dt
 
     def smooth(self, positions: Array) -> tuple[Array, Array, Array]:
         """x, x', x'' (k, d) at each tick but the first `memory` of positions (k + memory, d)."""
-        return tuple(  # type: ignore[return-value]
-            np.column_stack(
-                [np.convolve(column, weights[::-1], mode="valid") for column in positions.T]
-            )
-            for weights in self._weights
-        )
+        m, dt = self._ticks, self._dt
+        q = positions - positions[0]
+        # The inner motion at its ticks: position, and velocity times dt, from three q in a row.
+        place = 0.25 * (q[:-2] + 2.0 * q[1:-1] + q[2:])
+        speed = 0.5 * (q[2:] - q[:-2])
+        area = np.zeros_like(place)
+        np.cumsum(0.5 * (place[1:] + place[:-1]), axis=0, out=area[1:])
+        lift = speed[m:] - speed[:-m]
+        mean = (area[m:] - area[:-m] - lift / 12.0) / m
+        return positions[0] + mean, (place[m:] - place[:-m]) / (m * dt), lift / (m * dt * dt)

@@ -106,6 +106,9 @@ class _Cells:
         caps = np.ones(len(self.nodes))
         if cap is not None:
             caps = np.minimum(cap(curve.at(self.nodes), slopes), 1.0) ** 2
+            if start > 0.0:
+                # In the midst of a cell: a profile over it keeps the cap at its ends only.
+                caps[0] = 1.0
         rows, reach, tops = [], np.full(len(spans), np.inf), np.full(len(spans), np.inf)
         straight = ~(np.abs(bends) > 0.0).any(axis=1)
         for group in groups:

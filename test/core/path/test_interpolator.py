@@ -99,6 +99,13 @@ def test_progress_never_goes_back_and_ends_at_1(driver):
     assert driver.core.progress(driver.now) == 0.0
 
 
+def test_the_end_is_exact_where_the_last_pose_is_next_to_the_one_before():
+    driver = Driver(corner_tolerance=10.0, start_distance=10.0)
+    end = np.array([[0, 0, 0], [3, 0, 0], [3 + 5e-6, 0, 0]])
+    driver.start(end)
+    assert (driver.run_to_the_end()[-1, :3] == end[-1]).all()
+
+
 @pytest.mark.parametrize("after", [0.05, 0.4, 1.0, 1.5, 2.0, 2.6, 3.5])
 def test_pauses_on_the_path_and_resumes(driver, after):
     driver.start(CORNER)
@@ -275,6 +282,18 @@ def test_slowing_can_be_paused_and_cancelled_and_holds_for_new_paths(driver):
     driver.assert_smooth()
 
 
+def test_the_share_counts_for_a_new_path_from_a_pause(driver):
+    driver.core.scale(0.3, driver.now)
+    driver.start(LINE)
+    driver.run(2.0)
+    driver.core.pause(driver.now)
+    driver.run(2.0)
+    driver.core.scale(1.0, driver.now)
+    driver.start(LINE)
+    assert driver.run_to_the_end()[:, 3].max() > 0.4
+    driver.assert_smooth()
+
+
 def test_a_fast_path_that_was_planned_before_the_slowing_is_slowed_too(driver):
     driver.start(LINE)
     driver.run(1.0)
@@ -283,6 +302,21 @@ def test_a_fast_path_that_was_planned_before_the_slowing_is_slowed_too(driver):
     assert driver.core.take(proposal, driver.now)
     driver.run(1.5)
     assert driver.run_to_the_end()[:, 3].max() <= 0.15 * (1 + ROUND_OFF)
+    driver.assert_smooth()
+
+
+def test_a_path_that_would_take_hours_slowed_down_is_paused_until_it_would_not(driver):
+    driver.start(LINE)
+    driver.run(1.0)
+    driver.core.scale(1e-6, driver.now)
+    with pytest.raises(InputError, match="the path takes"):
+        driver.run(3.0)
+    assert driver.core.state is PathState.PAUSED
+    with pytest.raises(RefusedError, match="cannot go on: the path takes"):
+        driver.core.resume(driver.now)
+    driver.core.scale(1.0, driver.now)
+    driver.core.resume(driver.now)
+    assert driver.run_to_the_end()[-1, :3] == pytest.approx(LINE[-1], abs=1e-12)
     driver.assert_smooth()
 
 

@@ -199,3 +199,10 @@ def test_arms_and_platform_share_one_time_base():
         groups, trajectory.positions, trajectory.velocities, trajectory.accelerations
     )
     assert (trajectory.positions[-1] == points[-1]).all()
+
+
+def test_the_smoothing_at_stops_counts_for_the_longest_path():
+    """With little jerk each of 100 stops would last minutes: millions of ticks."""
+    zigzag = np.array([[i, i % 2, 0.0] for i in range(100)], dtype=float)
+    with pytest.raises(InputError, match="the path takes over"):
+        planned(zigzag, axes(tolerance=0.0, jerk=0.01))

@@ -151,3 +151,18 @@ def test_axes_beyond_the_platforms_share_the_time():
     for g in groups:
         assert g.norm(velocity).max() <= g.velocity * (1 + 1e-6)
         assert g.norm(acceleration).max() <= g.acceleration * (1 + 1e-3)
+
+
+def test_goes_on_from_the_midst_of_a_cell_where_a_cap_is_lower_than_at_its_ends():
+    def cap(q, slope):
+        return 0.3 + 2.0 * (q[:, 0] - 0.5) ** 2
+
+    groups = axes(acceleration=50.0)
+    curve = Curve(np.array([[0.0, 0, 0], [1.0, 0, 0]]), groups, [0.05, 0.1])
+    profiler = TimeProfiler(groups, cap)
+    profile = profiler.fastest(curve)
+    for time in np.linspace(0.1, 0.9, 50) * profile.duration:
+        u, rate = (float(value[0]) for value in profile.at(np.array([time])))
+        again = profiler.fastest(curve, u, rate)
+        assert again is not None
+        assert again.duration == pytest.approx(profile.duration - time, abs=1e-3)
