@@ -6,7 +6,8 @@ healthy wheel may give none either: torques along the motion constraints (T' lam
 loops that differ shift them at will, and behind one dead wheel another one idles, too (of four
 in forward motion, the opposite one of its axle). So a suspect is asked: a small torque along the
 constraints, which moves nothing, alternates its sign, and who stays silent is dead. (Not who
-gives another torque: a wheel that spins on ice does not answer either, but turns itself.)
+gives another torque: a wheel that spins on ice does not answer either, but turns itself. Nor who
+answers for a moment only: there its loop takes each step of the probe back within milliseconds.)
 """
 
 import math
@@ -41,6 +42,8 @@ LEAST_SHARE = 0.15
 """Least part of a wheel's torque that lies along the constraints for these to be used."""
 LEAST_REPORTS = 2
 """Reports that each part of a probe needs."""
+MOMENT = 0.5
+"""A torque of this part of the probe's, if only in one report of it, is an answer."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +76,7 @@ class WheelHealthParameters:
         0.5, "Measured torque from which a wheel that stands against it is blocked.",
         low=0.01, high=1,
     )  # fmt: skip
-    blocked_time: float = parameter(0.1, "How long it must stand.", unit="s", low=0.005, high=10)
+    blocked_time: float = parameter(0.2, "How long it must stand.", unit="s", low=0.005, high=10)
 
     def __post_init__(self) -> None:
         for name in ("asked_torque", "probe_torque"):
@@ -126,6 +129,8 @@ class Probe:
         self._part = part
         size = np.abs(torque)
         self.asks: Flags = size > 0.5 * float(size.max())
+        self._moment = MOMENT * size
+        self._peak: Array = np.zeros_like(size)
         self._sums = np.zeros((len(SIGNS), len(torque)))
         self._counts = [0] * len(SIGNS)
 
@@ -138,13 +143,21 @@ class Probe:
         """Take measured torques (n,) [N m] of a time [s]."""
         phase = (time - self._start) / self._part
         k = int(phase)
-        if 0.0 <= phase < len(SIGNS) and phase - k >= self._settle:
-            self._sums[k] += effort
-            self._counts[k] += 1
+        if 0.0 <= phase < len(SIGNS):
+            self._peak = np.maximum(self._peak, np.abs(effort))
+            if phase - k >= self._settle:
+                self._sums[k] += effort
+                self._counts[k] += 1
 
     def over(self, time: float) -> bool:
         """Whether what was measured at `time` comes after the probe."""
         return time - self._start >= self._part * len(SIGNS)
+
+    @property
+    def flinched(self) -> Flags:
+        """(n,) bool: wheels that gave a good part of the probe's torque for a moment at least."""
+        flinched: Flags = self._peak > self._moment
+        return flinched
 
     def answer(self) -> Array | None:
         """RMS over the parts of the mean torque (n,) in each [N m]; None: too few reports.
@@ -191,6 +204,7 @@ class DeadWheelDetector:
         self._unasked = np.where(_open_share(model) >= LEAST_SHARE, UNASKED_PACE, 0.0)
         self._parameters = parameters
         self._silence = parameters.silent_torque * limit
+        self._loudest_silence = float(self._silence.max())
         self._least_asked = parameters.asked_torque * limit
 
     def hear(self, time: float, effort: Array | None) -> None:
@@ -205,7 +219,7 @@ class DeadWheelDetector:
             self._gap = time - self._time
             self.torque = self.torque + (effort - self.torque) * (self._gap / (self._gap + FILTER))
         self._time = time
-        self._moved = self._moved or float(np.abs(effort).max()) > float(self._silence.max())
+        self._moved = self._moved or float(np.abs(effort).max()) > self._loudest_silence
         self.reported = self._moved
         if self._probe is not None:
             self._probe.hear(time, effort)
@@ -230,7 +244,9 @@ class DeadWheelDetector:
             Indices of the wheels found dead.
         """
         if not self.reported:
-            self._probe = None
+            return ()  # a probe takes its course: a report may lack torques now and then
+        # Most of the time nobody is quiet; plain floats tell it sooner than arrays.
+        if not self._waiting and min(map(abs, self.torque.tolist())) >= self._loudest_silence:
             return ()
         size = np.abs(self.torque)
         quiet = size < self._silence
@@ -265,12 +281,13 @@ class DeadWheelDetector:
         """Wheels that the probe shows dead, once it is over."""
         assert self._time is not None
         asked = self._suspects = self._suspects & probe.asks & ~braking
-        if not asked.any():
-            self._probe = None
-        elif probe.over(self._time):
-            self._probe = None
-            answer = probe.answer()
-            if answer is not None:
-                self._lasted = np.where(asked, -PAUSE, 0.0)
-                return tuple(np.flatnonzero(asked & (answer < self._silence)).tolist())
-        return ()
+        if asked.any() and not probe.over(self._time):
+            return ()
+        self._probe = None
+        answer = probe.answer() if asked.any() else None
+        self._lasted = np.minimum(self._lasted, 0.0)
+        if answer is None:  # whoever is still quiet is asked again, but not at once
+            return ()
+        self._lasted[asked] = -PAUSE
+        silent = asked & (answer < self._silence) & ~probe.flinched
+        return tuple(np.flatnonzero(silent).tolist())

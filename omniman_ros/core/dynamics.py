@@ -135,7 +135,8 @@ class PlatformDynamics:
         motor = self._motor
         gain = motor.gear_ratio * motor.torque_constant
         free = (volts - gain * wheel_speeds) / motor.resistance
-        amps = np.clip(free, -motor.max_current, motor.max_current) * self._driven
+        limit = motor.max_current
+        amps = np.minimum(np.maximum(free, -limit), limit) * self._driven
         driving = amps * wheel_speeds >= 0.0
         efficiency = np.where(driving, motor.gear_efficiency, 1.0 / motor.gear_efficiency)
         torque: Array = amps * gain * efficiency
@@ -146,4 +147,6 @@ class PlatformDynamics:
         motor = self._motor
         emf = motor.gear_ratio * motor.torque_constant * wheel_speeds
         volts = motor.resistance * self.current(torque, wheel_speeds) + emf
-        return np.clip(volts, -motor.max_voltage, motor.max_voltage)
+        limit = motor.max_voltage
+        result: Array = np.minimum(np.maximum(volts, -limit), limit)
+        return result

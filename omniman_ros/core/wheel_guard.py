@@ -18,36 +18,46 @@ Flags = NDArray[np.bool_]
 
 STANDING_SHARE = 0.1
 """A wheel slower than this part of its reference stands against it."""
-LEAST_REFERENCE = 0.1
-"""Speed that must be asked of a wheel to call it blocked [rad/s]."""
+LEAST_REFERENCE = 0.5
+"""Speed that must be asked of a wheel to call it blocked [rad/s]: below, one that starts against
+friction or its neighbours may stand as well."""
 
 
 class LastingWatch:
     """Finds a wheel of which something has been true for long."""
 
     def __init__(self, count: int) -> None:
-        self._lasted = np.zeros(count)
+        self._lasted: Array = np.zeros(count)
+        self._before: Flags = np.zeros(count, dtype=bool)
         self._any = False
 
-    def update(self, wrong: Flags, patience: float, dt: float) -> int | None:
+    def clear(self) -> None:
+        """Count anew."""
+        if self._any:
+            self._lasted = np.zeros_like(self._lasted)
+            self._before = np.zeros_like(self._before)
+            self._any = False
+
+    def update(self, wrong: Flags | None, patience: float, dt: float) -> int | None:
         """Return the index of a wheel that was wrong for `patience` s, then count anew.
 
+        A time counts if it was wrong at both ends.
+
         Args:
-            wrong: (n,) bool.
+            wrong: (n,) bool, or None for no wheel.
             patience: How long it must last [s].
             dt: Time since the last call [s].
         """
-        if True not in wrong.tolist():
-            if self._any:
-                self._lasted[:] = 0.0
-                self._any = False
+        if wrong is None or True not in wrong.tolist():
+            self.clear()
             return None
         self._any = True
-        self._lasted = np.where(wrong, self._lasted + dt, 0.0)
+        self._lasted = np.where(wrong & self._before, self._lasted + dt, 0.0)
+        self._before = wrong
         worst = int(self._lasted.argmax())
         if self._lasted[worst] <= patience:
             return None
-        self._lasted[:] = 0.0
+        self.clear()
         return worst
 
 
@@ -72,6 +82,7 @@ class WheelGuard:
         )
         self.dead: tuple[int, ...] = ()
         self._found: tuple[int, ...] = ()
+        self._seen = 0.0
         self.configure(parameters, cascade)
 
     def configure(self, parameters: PlatformParameters, cascade: WheelCascade) -> None:
@@ -85,6 +96,7 @@ class WheelGuard:
         self._detector.configure(limit, parameters.health, cascade.kinematics)
         share = parameters.health.blocked_torque
         self._blocked_torque = np.where(limit > 0.0, share * limit, np.inf)  # idle: never
+        self._least_blocked = float(self._blocked_torque.min())
 
     def reset(self) -> None:
         """Trust all wheels again but those that were told to be dead."""
@@ -145,25 +157,28 @@ class WheelGuard:
             return f"wheel '{wheel}': position and velocity disagree, its encoder is lost"
         drive, health = self._parameters.drive, self._parameters.health
         reference, speeds = cascade.reference, feedback.speeds
-        late = np.abs(reference - speeds) > drive.following_error
+        late = _above(reference - speeds, drive.following_error)
         k = self._following.update(late, drive.following_time, dt)
         if k is not None:
             return f"wheel '{self._names[k]}' does not follow its setpoint"
         if not driven:
             self._detector.rest()
+            self._blocked.clear()
             return ""
-        k = self._blocked.update(self._stands(reference, speeds), health.blocked_time, dt)
-        if k is not None:
-            return f"wheel '{self._names[k]}' is blocked: torque, but no speed"
+        if feedback.time != self._seen:  # a report that is held says nothing new
+            passed, self._seen = feedback.time - self._seen, feedback.time
+            k = self._blocked.update(self._stands(reference, speeds), health.blocked_time, passed)
+            if k is not None:
+                return f"wheel '{self._names[k]}' is blocked: torque, but no speed"
         dead = self._detector.update(cascade.asked, reference, now, dt)
         return self._lose(dead, cascade) if dead else ""
 
-    def _stands(self, reference: Array, speeds: Array) -> Flags:
+    def _stands(self, reference: Array, speeds: Array) -> Flags | None:
         """(n,) bool: wheels that stand though a torque pushes them where they are told to go."""
-        torque, size = self._detector.torque, np.abs(reference)
-        pushed: Flags = np.abs(torque) > self._blocked_torque
-        if not self._detector.reported or True not in pushed.tolist():
-            return np.zeros_like(pushed)
+        torque = self._detector.torque
+        if not self._detector.reported or _above(torque, self._least_blocked) is None:
+            return None
+        pushed, size = np.abs(torque) > self._blocked_torque, np.abs(reference)
         ahead = (torque * reference > 0.0) & (size > LEAST_REFERENCE)
         stands: Flags = pushed & ahead & (np.abs(speeds) < STANDING_SHARE * size)
         return stands
@@ -180,6 +195,14 @@ class WheelGuard:
             return f"{lost}; the others do not determine the twist"
         self.idle = self._found = dead
         return ""
+
+
+def _above(values: Array, bound: float) -> Flags | None:
+    """(n,) bool: which magnitudes are above a bound; None for none, which is told sooner."""
+    if max(map(abs, values.tolist())) <= bound:
+        return None
+    above: Flags = np.abs(values) > bound
+    return above
 
 
 def told(parameters: PlatformParameters) -> tuple[int, ...]:

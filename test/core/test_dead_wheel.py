@@ -106,6 +106,23 @@ def test_a_wheel_that_spins_on_ice_gives_its_friction_and_is_not_dead():
     assert bench.run(5.0) is None
 
 
+def test_a_wheel_on_ice_that_answers_for_a_moment_is_not_dead():
+    """Its loop takes each step of the probe back at once, and the ice turns it, friction or not."""
+    before = np.full(4, ASKED)
+
+    def drive(torque):
+        nonlocal before
+        given = np.array(torque)
+        given[1] -= before[1]
+        before = torque
+        return given
+
+    bench = Bench(drive=drive)
+    bench.detector.hear(0.0, np.full(4, ASKED))
+    assert bench.run(5.0) is None
+    assert bench.probes >= 2
+
+
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_nothing_is_expected_of_a_wheel_that_brakes_or_stands(sign):
     n = 4
@@ -139,6 +156,15 @@ def test_a_probe_is_dropped_when_its_wheel_begins_to_brake_and_when_nobody_drive
         assert bench.detector.probe(bench.now) is None
 
 
+def test_a_wheel_that_brakes_time_and_again_is_not_asked_all_the_time():
+    bench = Bench(drive=without(0))
+    bench.detector.hear(bench.now, np.full(4, ASKED))
+    for k in range(600):
+        brakes = k % 30 == 0
+        assert not bench.tick(np.full(4, -ASKED if brakes else ASKED), np.full(4, 3.0))
+    assert 2 < bench.probes <= 0.6 * 600 * DT / HEALTH.suspicion_time
+
+
 @pytest.mark.parametrize("delay", [0, 4, 8])
 def test_late_torques_mislead_nobody(delay):
     bench = Bench(drive=lambda torque: torque - np.array([0.0, ASKED, 0.0, 0.0]), delay=delay)
@@ -158,6 +184,17 @@ def test_without_torques_or_with_zeros_only_nothing_is_said():
         assert not detector.reported
     detector.hear(10.0, asked)
     assert detector.reported
+
+
+def test_a_report_without_torques_now_and_then_hides_no_dead_wheel():
+    bench = Bench(drive=without(2))
+    hear = bench.detector.hear
+
+    def losing(time, effort):
+        hear(time, None if round(time / DT) % 11 == 0 else effort)
+
+    bench.detector.hear = losing
+    assert bench.run(2.0)[0] == (2,)
 
 
 @pytest.mark.parametrize("robot", ALL)

@@ -36,10 +36,11 @@ def kill(rig, *wheels, seconds=2.5):
 def test_a_wrong_must_last_to_be_found():
     watch = LastingWatch(3)
     late = np.array([False, True, False])
-    found = [watch.update(late, 0.5, 0.1) for _ in range(6)]
+    found = [watch.update(late, 0.45, 0.1) for _ in range(6)]
     assert found[:5] == [None] * 5
     assert found[5] == 1
-    assert watch.update(late, 0.5, 0.1) is None  # counted anew
+    assert watch.update(late, 0.45, 0.1) is None  # counted anew
+    assert LastingWatch(3).update(late, 0.45, 1.0) is None, "wrong all that time? nobody knows"
 
 
 def test_a_good_moment_clears_the_count():
@@ -247,9 +248,50 @@ def test_a_blocked_wheel_stops_the_robot_at_once_even_if_told_to_drive_on(change
     rig.drive = blocked
     direction = np.sign(rig.core.cascade.reference[1])
     rig.effort = lambda: rig.torques() + np.array([0.0, 40.0 * direction, 0.0, 0.0])
-    rig.run(0.3, lambda: rig.twist(*CRUISE))
+    rig.run(0.4, lambda: rig.twist(*CRUISE))
     assert rig.core.latch.status.reason == "wheel 'front_right' is blocked: torque, but no speed"
     assert rig.core.guard.idle == ()
+
+
+def pushing_in_vain(rig, speed):
+    """From rest, drive forward with the front right wheel standing, pushed with all it has."""
+    rig.run(2.0)
+    ideal = rig.drive
+
+    def blocked(command):
+        speeds = np.array(ideal(command))
+        speeds[1] = 0.0
+        return speeds
+
+    rig.effort = lambda: rig.torques() + np.array([0.0, 40.0, 0.0, 0.0])
+    rig.drive = blocked
+    return rig.cruise(speed, 0.0, 0.0)
+
+
+def test_a_wheel_that_is_asked_for_next_to_nothing_may_stand():
+    """One that starts slowly stands against its friction and against neighbours that differ."""
+    rig = driving()
+    radius = rig.core.parameters.robot.wheels.radius[1]
+    pushing_in_vain(rig, 0.4 * radius)
+    assert rig.core.latch.released, rig.core.latch.status
+    rig.cruise(0.8 * radius, 0.0, 0.0)
+    assert "is blocked" in rig.core.latch.status.reason
+
+
+def test_a_wheel_is_not_blocked_by_reports_that_are_late():
+    """It stood when the motion began; what it does since is not known until it is reported."""
+    rig = driving()
+    rig.run(2.0)  # at rest: cmd_vel is stale
+    rig.effort = lambda: np.full(4, 40.0)
+    ideal = rig.drive
+    rig.drive = lambda command: np.zeros(4)
+    rig.run(0.15, lambda: rig.twist(0.6, 0.0, 0.0))
+    assert rig.core.cascade.reference[1] > 0.55
+    rig.reports, rig.drive = False, ideal
+    rig.run(0.19, lambda: rig.twist(0.6, 0.0, 0.0))
+    rig.reports = True
+    rig.run(0.3, lambda: rig.twist(0.6, 0.0, 0.0))
+    assert rig.core.latch.released, rig.core.latch.status
 
 
 # ---- what is left -----------------------------------------------------------------------------
