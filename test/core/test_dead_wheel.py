@@ -107,7 +107,7 @@ def test_a_wheel_that_spins_on_ice_gives_its_friction_and_is_not_dead():
 
 
 def test_a_wheel_on_ice_that_answers_for_a_moment_is_not_dead():
-    """Its loop takes each step of the probe back at once, and the ice turns it, friction or not."""
+    """Its loop takes each step of the probe back at once; the ice turns it, friction or not."""
     before = np.full(4, ASKED)
 
     def drive(torque):
