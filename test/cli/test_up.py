@@ -124,10 +124,10 @@ def test_nodes_do_not_outlive_a_killed_up(own_domain):
 
 def test_a_node_that_cannot_start_is_reported(own_domain):
     env = environment(own_domain)
-    with Running(command("up", "-p", "limits.linear_velocity:=-1.0"), env) as up:
+    with Running(command("up", "-p", "position.k_xy:=-1.0"), env) as up:
         assert up.finish() == 1
     assert "cannot start" in up.output
-    assert "limits.linear_velocity" in up.output
+    assert "position.k_xy" in up.output
     assert "platform_controller ended with exit code 1: stopping the robot" in up.output
 
 
