@@ -251,7 +251,7 @@ TROUBLES = ("none", "noise", "ice", "load")
     [
         (k, ("omniman", "ig42", "omni3", "mecanum6", "mecanum8")[k % 5], MODES[k % 3],
          TROUBLES[k % 4])
-        for k in range(12)
+        for k in range(8)
     ],
 )  # fmt: skip
 def test_no_healthy_wheel_is_blamed(seed, robot, mode, trouble):

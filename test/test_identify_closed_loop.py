@@ -102,7 +102,7 @@ def replayed(parameters, wheels, truth):
 
 @pytest.mark.parametrize(
     ("robot", "seed", "changes"),
-    [("omniman", 1, QUICK), ("ig42", 3, {})],
+    [("omniman", 1, QUICK)],
 )
 def test_nine_tenths_of_the_systematic_error_are_gone_on_other_paths(robot, seed, changes):
     loop = Loop(robot, changes, wrong_robot(seed))
