@@ -35,11 +35,11 @@ class TwistLimits:
         REQUIRED, "Largest yaw deceleration, stops included.", unit="rad/s^2", low=0.1, high=200
     )
     linear_jerk: float = parameter(
-        REQUIRED, "Largest linear jerk under cmd_vel; stops have none.",
+        REQUIRED, "Largest linear jerk under cmd_vel and on paths; stops have none.",
         unit="m/s^3", low=1e-2, high=1e4,
     )  # fmt: skip
     angular_jerk: float = parameter(
-        REQUIRED, "Largest yaw jerk under cmd_vel; stops have none.",
+        REQUIRED, "Largest yaw jerk under cmd_vel and on paths; stops have none.",
         unit="rad/s^3", low=1e-2, high=1e5,
     )  # fmt: skip
 

@@ -60,8 +60,9 @@ class PathInterpolatorParameters:
         unit="s", low=0.05, high=60,
     )  # fmt: skip
     odom_timeout: float = parameter(
-        0.5, "Age at which odom is too old to begin a path.", unit="s", low=0.02, high=10
-    )
+        0.5, "Age at which odom is too old to begin a path, or to go on with one.",
+        unit="s", low=0.02, high=10,
+    )  # fmt: skip
     odom_frame: str = parameter("odom", "Frame of odometry and references.", read_only=True)
     map_is_odom: bool = parameter(False, "Whether paths in `map` are taken for odom.")
 

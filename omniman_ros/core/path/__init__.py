@@ -7,7 +7,9 @@ In the order of the computation:
 * `time_profile`: the least time along the curve within speed and acceleration limits, exactly;
 * `smoothing`: a moving average in time over 2 A / J, which bounds the jerk and keeps the rest;
 * `planner`: all of it; `trajectory`: the result on the time base;
-* `interpolator`: follow, pause, resume, cancel, replace.
+* `interpolator`: follow, pause, resume, cancel, slow down, replace;
+* `control`: whether the stream is followed, and whether one may begin;
+* `parameters`: what the platform's paths are set by.
 
 All work on any number of coordinates (`axes`), so that arm joints can share the time base.
 """

@@ -18,7 +18,10 @@ from omniman_ros.core.path.curve import SHORTEST, Curve
 
 Array = NDArray[np.float64]
 SpeedCap = Callable[[Array, Array], Array]
-"""From q (k, d) and q' (k, d) the largest u' (k,): what axis limits cannot say."""
+"""From q (k, d) and q' (k, d) the largest u' (k,): what axis limits cannot say.
+
+It is asked at the cells' ends only; between them it may be passed by what it changes there.
+"""
 
 CELL = 0.02
 """Longest cell [s of u]."""
