@@ -24,6 +24,7 @@ EXECUTABLES = {
     "platform_controller": "omniman_ros.nodes.platform_controller:main",
     "simulated_drive": "omniman_ros.nodes.simulated_drive:main",
     "path_interpolator": "omniman_ros.nodes.path_interpolator:main",
+    "mpc_planner": "omniman_ros.nodes.mpc_planner:main",
     "viewer": "omniman_ros.nodes.viewer:main",
 }
 
@@ -87,7 +88,7 @@ setup(
     zip_safe=True,
     python_requires=">=3.11",
     # rclpy and the messages stay out: a ROS machine has its own.
-    install_requires=["numpy", "PyYAML"],
+    install_requires=["casadi", "numpy", "PyYAML"],
     extras_require={
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
         # A linter's next version finds other things: its version is ours to raise.

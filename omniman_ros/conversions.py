@@ -1,7 +1,9 @@
 """Messages to core and back: pure functions without a node."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol, TypeVar
 
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
@@ -16,21 +18,24 @@ from geometry_msgs.msg import (
     TransformStamped,
     Twist,
     TwistStamped,
+    Vector3,
 )
 from nav_msgs.msg import Odometry as OdometryMsg
 from nav_msgs.msg import Path
 from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray, MultiArrayDimension
+from std_msgs.msg import ColorRGBA, Float64MultiArray, Header, MultiArrayDimension
 from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
+from visualization_msgs.msg import Marker, MarkerArray
 
-from omniman_ros.core import plausible
+from omniman_ros.core import plausible, se2
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.path.interpolator import Window
 from omniman_ros.core.preview import MAX_POINTS, Preview
 from omniman_ros.core.wheel_cascade import DriveMode, WheelCommand
 
 Array = NDArray[np.float64]
+Observed = TypeVar("Observed")
 
 PLATFORM_JOINT = "platform"
 """Name of the platform in previews."""
@@ -372,4 +377,191 @@ def electrical(values: Array) -> Float64MultiArray:
         MultiArrayDimension(label="wheel", size=rows, stride=rows * columns),
         MultiArrayDimension(label="voltage,current,energy", size=columns, stride=columns),
     ]
+    return message
+
+
+# ---- obstacles --------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Deletion:
+    """Markers that go: the one of this namespace and number, or all of the namespace.
+
+    Attributes:
+        namespace: Theirs; empty with `number` None: every marker.
+        number: Of the one, or None for all.
+    """
+
+    namespace: str
+    number: int | None = None
+
+
+def marker_changes(
+    message: MarkerArray,
+    frames: Sequence[str],
+    clock: Callable[[Time], float],
+    observation: Callable[..., Observed],
+) -> tuple[list[Observed | Deletion], list[str]]:
+    """What the markers of obstacles change, in their order, and what is wrong with the others.
+
+    A CYLINDER or a SPHERE is an ellipse whose diameters along its own x and y are its scale.
+    ADD (and MODIFY) puts it there, DELETE takes it away, DELETEALL takes all away (of its
+    namespace, if it has one). Frame and type of a deletion do not count.
+
+    Args:
+        message: The markers.
+        frames: Frames that are taken for odom.
+        clock: Time of a stamp on the caller's clock [s]; a zero stamp means now. What it refuses
+            with an InputError is one of the complaints.
+        observation: Makes an observation from key (namespace, number), time [s], x, y [m],
+            angle [rad], semi-axes (a, b) [m] and lifetime [s], and refuses with an InputError
+            what is implausible: `planning.obstacles.Observation`.
+
+    Returns:
+        Observations and deletions; and a complaint for each marker that is left out, with its
+        namespace and number, what is wrong, and the value.
+    """
+    changes: list[Observed | Deletion] = []
+    complaints: list[str] = []
+    for marker in message.markers:
+        try:
+            if marker.action == Marker.ADD:
+                changes.append(_observed(marker, frames, clock, observation))
+            elif marker.action == Marker.DELETE:
+                changes.append(Deletion(marker.ns, marker.id))
+            elif marker.action == Marker.DELETEALL:
+                changes.append(Deletion(marker.ns))
+            else:
+                raise InputError(f"action {marker.action}, expected ADD, DELETE or DELETEALL")
+        except InputError as error:
+            complaints.append(f"marker '{marker.ns[:40]}' {marker.id}: {error}")
+    return changes, complaints
+
+
+def _observed(
+    marker: Marker,
+    frames: Sequence[str],
+    clock: Callable[[Time], float],
+    observation: Callable[..., Observed],
+) -> Observed:
+    check_frame(marker.header.frame_id, *frames)
+    if marker.type not in (Marker.CYLINDER, Marker.SPHERE):
+        raise InputError(f"type {marker.type}, expected CYLINDER or SPHERE")
+    place, scale = marker.pose.position, marker.scale
+    if not math.isfinite(place.x + place.y + place.z):
+        raise InputError(f"position ({place.x}, {place.y}, {place.z}) is not finite")
+    if not (scale.x > 0.0 and scale.y > 0.0):
+        raise InputError(f"scale ({scale.x}, {scale.y}) m, expected two diameters above 0")
+    return observation(
+        (marker.ns, marker.id), clock(marker.header.stamp), place.x, place.y,
+        yaw(marker.pose.orientation), (0.5 * scale.x, 0.5 * scale.y),
+        time_seconds(marker.lifetime),
+    )  # fmt: skip
+
+
+class MovingEllipses(Protocol):
+    """Ellipses at constant velocity, as `planning.ellipses.Ellipses`."""
+
+    @property
+    def angles(self) -> Array:
+        """(M,) of their own x axes [rad]."""
+
+    def centers_at(self, times: Array) -> Array:
+        """Centres (K, M, 2) [m] at times (K,) [s]."""
+
+    def axes_at(self, times: Array, margin: float = 0.0) -> Array:
+        """Semi-axes (K, M, 2) [m] at times (K,) with a margin [m] around them."""
+
+
+def ellipse_markers(
+    ellipses: MovingEllipses,
+    times: Array,
+    frame: str,
+    stamp: Time,
+    margin: float = 0.0,
+    height: float = 0.05,
+) -> MarkerArray:
+    """Where obstacles are expected: a flat cylinder each at each time, fainter the later it is.
+
+    The first marker deletes those of before.
+
+    Args:
+        ellipses: M obstacles.
+        times: (K,) at which they are shown [s].
+        frame: Frame of the ellipses.
+        stamp: Of the message.
+        margin: Around each, beside its growth [m].
+        height: Of the cylinders [m].
+
+    Returns:
+        1 + K M markers; namespace `predicted_i` for obstacle i, numbers 0 to K - 1 in time.
+    """
+    header = Header(stamp=stamp, frame_id=frame)
+    result = MarkerArray(markers=[Marker(header=header, action=Marker.DELETEALL)])
+    centers = ellipses.centers_at(times).tolist()
+    diameters = (2.0 * ellipses.axes_at(times, margin)).tolist()
+    orientations = [quaternion(angle) for angle in ellipses.angles.tolist()]
+    for k, (places, sizes) in enumerate(zip(centers, diameters, strict=True)):
+        color = ColorRGBA(r=1.0, g=0.4, b=0.1, a=0.5 * (1.0 - k / len(centers)))
+        rows = zip(places, sizes, orientations, strict=True)
+        for i, ((x, y), (length, width), orientation) in enumerate(rows):
+            result.markers.append(
+                Marker(
+                    header=header, ns=f"predicted_{i}", id=k, type=Marker.CYLINDER,
+                    action=Marker.ADD, color=color, scale=Vector3(x=length, y=width, z=height),
+                    pose=Pose(position=Point(x=x, y=y, z=0.5 * height), orientation=orientation),
+                )
+            )  # fmt: skip
+    return result
+
+
+# ---- goals and plans --------------------------------------------------------------------------
+
+
+def goal_pose(message: PoseStamped, frames: Sequence[str]) -> Array:
+    """Pose (3,) x, y, theta of a goal.
+
+    Raises:
+        InputError: Wrong frame, not planar, or not finite.
+    """
+    check_frame(message.header.frame_id, *frames)
+    place = message.pose.position
+    pose = np.array([place.x, place.y, yaw(message.pose.orientation)])
+    plausible.demand(pose[:2], plausible.LENGTH, "goal: position")
+    return pose
+
+
+def goal_state(message: OdometryMsg, frames: Sequence[str]) -> tuple[Array, Array]:
+    """Pose (3,) of a goal and its velocity (3,), both in odom.
+
+    The message's twist is in its `child_frame_id`: the robot's own frame, as in odometry, unless
+    that is one of `frames`.
+
+    Raises:
+        InputError: Wrong frame, not planar, or not finite.
+    """
+    pose = goal_pose(PoseStamped(header=message.header, pose=message.pose.pose), frames)
+    twist = twist_array(message.twist.twist)
+    if message.child_frame_id not in frames:
+        twist = se2.to_world(float(pose[2]), twist)
+    return pose, twist
+
+
+def preview_message(
+    frame: str, stamp: Time, times: Array, poses: Array, velocities: Array
+) -> MultiDOFJointTrajectory:
+    """A preview of the platform; the first of the times (k,) [s] is at `stamp`."""
+    message = MultiDOFJointTrajectory(joint_names=[PLATFORM_JOINT])
+    message.header.frame_id, message.header.stamp = frame, stamp
+    rows = zip((times - times[0]).tolist(), poses.tolist(), velocities.tolist(), strict=True)
+    for after, (x, y, theta), (vx, vy, w) in rows:
+        nanoseconds = round(after * 1e9)
+        twist = Twist(linear=Vector3(x=vx, y=vy), angular=Vector3(z=w))
+        transform = Transform(translation=Vector3(x=x, y=y), rotation=quaternion(theta))
+        message.points.append(
+            MultiDOFJointTrajectoryPoint(
+                transforms=[transform], velocities=[twist],
+                time_from_start=Duration(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9),
+            )
+        )  # fmt: skip
     return message

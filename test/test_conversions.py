@@ -1,4 +1,6 @@
 import math
+import re
+from time import process_time
 
 import numpy as np
 import pytest
@@ -6,8 +8,11 @@ from robots import kinematics
 
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.odometry import Odometry, OdometryParameters
+from omniman_ros.core.parameters import build
 from omniman_ros.core.path.interpolator import Window
 from omniman_ros.core.wheel_cascade import DriveMode, WheelCommand
+from omniman_ros.planning.ellipses import Ellipses
+from omniman_ros.planning.obstacles import Observation, ObstacleParameters, ObstacleSet
 
 pytest.importorskip("rclpy")
 from builtin_interfaces.msg import Duration, Time  # noqa: E402
@@ -24,6 +29,7 @@ from trajectory_msgs.msg import (  # noqa: E402
     MultiDOFJointTrajectory,
     MultiDOFJointTrajectoryPoint,
 )
+from visualization_msgs.msg import Marker, MarkerArray  # noqa: E402
 
 from omniman_ros import conversions  # noqa: E402
 
@@ -459,3 +465,176 @@ def test_electrical_names_its_dimensions():
     wheel, value = message.layout.dim
     assert (wheel.label, wheel.size, wheel.stride) == ("wheel", 4, 12)
     assert (value.label, value.size, value.stride) == ("voltage,current,energy", 3, 3)
+
+
+# ---- obstacles --------------------------------------------------------------------------------
+
+NOW = 50.0
+
+
+def clock(stamp):
+    """Seconds of a stamp; now if it is zero; refused beyond 60 s, as one from the future is."""
+    seconds = conversions.time_seconds(stamp)
+    if seconds > 60.0:
+        raise InputError(f"the stamp is {seconds - NOW:.3f} s ahead")
+    return seconds or NOW
+
+
+def marker(number=0, ns="people", action=Marker.ADD, **changes):
+    made = Marker(ns=ns, id=number, action=action, type=Marker.CYLINDER)
+    made.header.frame_id = "odom"
+    made.pose.position.x, made.pose.position.y = 1.0 + number, -2.0
+    made.pose.orientation = conversions.quaternion(0.4)
+    made.scale.x, made.scale.y, made.scale.z = 1.0, 0.5, 1.8
+    for name, value in changes.items():
+        owner, _, field = name.rpartition("__")
+        target = made
+        for part in owner.split("__") if owner else ():
+            target = getattr(target, part)
+        setattr(target, field, value)
+    return made
+
+
+def changed(*markers, frames=("odom",)):
+    return conversions.marker_changes(MarkerArray(markers=markers), frames, clock, Observation)
+
+
+def test_a_marker_is_an_observation():
+    (made,), complaints = changed(
+        marker(7, header__stamp=Time(sec=49, nanosec=500_000_000),
+               lifetime=Duration(sec=1, nanosec=250_000_000))
+    )  # fmt: skip
+    assert complaints == []
+    assert isinstance(made, Observation)
+    assert (made.key, made.time, made.x, made.y) == (("people", 7), 49.5, 8.0, -2.0)
+    assert made.angle == pytest.approx(0.4)
+    assert (made.semi_axes, made.lifetime) == ((0.5, 0.25), 1.25)
+
+
+def test_spheres_other_frames_and_zero_stamps_are_taken():
+    made, complaints = changed(
+        marker(type=Marker.SPHERE), marker(1, header__frame_id="/map"), frames=("odom", "map")
+    )
+    assert complaints == []
+    assert [change.time for change in made] == [NOW, NOW]
+
+
+def test_changes_keep_their_order():
+    made, complaints = changed(
+        marker(1), marker(2, action=Marker.DELETE), marker(action=Marker.DELETEALL, ns=""),
+        marker(action=Marker.DELETEALL, ns="boxes"), marker(1, action=Marker.MODIFY),
+    )  # fmt: skip
+    assert complaints == []
+    assert [change.key for change in (made[0], made[4])] == [("people", 1)] * 2
+    assert made[1:4] == [
+        conversions.Deletion("people", 2),
+        conversions.Deletion("", None),
+        conversions.Deletion("boxes", None),
+    ]
+
+
+def test_frame_shape_and_pose_of_a_deletion_do_not_count():
+    bare = Marker(ns="people", id=3, action=Marker.DELETE, type=Marker.ARROW)
+    bare.pose.position.x = NAN
+    everything = Marker(action=Marker.DELETEALL)
+    made, complaints = changed(bare, everything)
+    assert complaints == []
+    assert made == [conversions.Deletion("people", 3), conversions.Deletion("")]
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({"scale__x": 0.0}, r"scale \(0.0, 0.5\) m"),
+        ({"scale__y": -0.5}, r"scale \(1.0, -0.5\) m"),
+        ({"scale__x": NAN}, r"scale \(nan, 0.5\) m"),
+        ({"scale__x": INF}, r"semi-axes \(inf, 0.25\) m"),
+        ({"scale__x": 1e-3}, "semi-axes .*above 0.001"),
+        ({"scale__x": 200.0}, "semi-axes .*below 100"),
+        ({"header__frame_id": "map"}, "frame 'map', expected 'odom'"),
+        ({"header__frame_id": ""}, "frame '', expected 'odom'"),
+        ({"type": Marker.CUBE}, "type 1, expected CYLINDER or SPHERE"),
+        ({"action": 1}, "action 1, expected ADD"),
+        ({"action": -7}, "action -7"),
+        ({"pose__position__x": NAN}, r"position \(nan"),
+        ({"pose__position__y": -INF}, "position .*-inf"),
+        ({"pose__position__z": NAN}, "position .*nan"),
+        ({"pose__position__x": 1e300}, "position .*beyond"),
+        ({"pose__orientation__z": NAN}, "quaternion of length nan"),
+        ({"pose__orientation": Quaternion(x=0.0, y=0.0, z=0.0, w=0.0)}, "quaternion of length 0"),
+        ({"pose__orientation": Quaternion(x=1.0, y=0.0, z=0.0, w=0.0)}, "about the vertical"),
+        ({"lifetime": Duration(sec=-1)}, "lifetime -1.0 s"),
+        ({"header__stamp": Time(sec=100)}, "stamp is 50.000 s ahead"),
+    ],
+)
+def test_a_bad_marker_is_complained_of_and_loses_no_other(change, why):
+    made, complaints = changed(marker(1), marker(13, **change), marker(2))
+    assert [observation.key for observation in made] == [("people", 1), ("people", 2)]
+    (complaint,) = complaints
+    assert complaint.startswith("marker 'people' 13: ")
+    assert re.search(why, complaint)
+
+
+def test_a_hundred_markers_cost_little():
+    message = MarkerArray(markers=[marker(i) for i in range(100)])
+    found = ObstacleSet(build(ObstacleParameters, {}))
+    spent = []
+    for i in range(5):
+        now = NOW + 0.05 * i
+        before = process_time()
+        changes, _ = conversions.marker_changes(
+            message, ("odom",), lambda stamp, now=now: now, Observation
+        )
+        for change in changes:
+            found.add(change, now)
+        spent.append(process_time() - before)
+    assert len(found) == 100
+    assert min(spent[1:]) < 0.005  # 1.3 ms on the machine of the tests
+
+
+def test_expected_obstacles_are_shown_in_time():
+    ellipses = Ellipses(
+        10.0, np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]]),
+        np.array([[1.0, 0.0], [0.0, 0.0], [0.0, -1.0]]), np.array([[0.5, 0.25]] * 3),
+        np.array([0.0, 0.7, -0.4]), np.array([0.0, 0.1, 0.0]),
+    )  # fmt: skip
+    times = np.array([10.0, 10.5, 11.0, 12.0])
+    stamp = Time(sec=3)
+    message = conversions.ellipse_markers(ellipses, times, "odom", stamp, margin=0.1, height=0.2)
+    first, *rest = message.markers
+    assert (first.action, first.ns) == (Marker.DELETEALL, "")
+    assert len(rest) == 12
+    assert len({(one.ns, one.id) for one in rest}) == 12
+    for one in message.markers:
+        assert (one.header.frame_id, one.header.stamp) == ("odom", stamp)
+    assert all(one.action == Marker.ADD and one.type == Marker.CYLINDER for one in rest)
+    shown = {(one.ns, one.id): one for one in rest}
+    axes = ellipses.axes_at(times, 0.1)
+    for i in range(3):
+        alphas = [shown[f"predicted_{i}", k].color.a for k in range(4)]
+        assert 1.0 > alphas[0] > alphas[1] > alphas[2] > alphas[3] > 0.0
+        for k in range(4):
+            one = shown[f"predicted_{i}", k]
+            place = ellipses.centers[i] + (times[k] - 10.0) * ellipses.velocities[i]
+            assert (one.pose.position.x, one.pose.position.y) == pytest.approx(tuple(place))
+            assert (one.scale.x, one.scale.y) == pytest.approx(tuple(2.0 * axes[k, i]))
+            assert one.scale.z == 0.2
+            assert conversions.yaw(one.pose.orientation) == pytest.approx(ellipses.angles[i])
+
+
+def test_markers_of_ellipses_come_back_as_the_same_ellipses():
+    ellipses = Ellipses(
+        0.0, np.array([[1.0, 2.0]]), np.zeros((1, 2)), np.array([[0.5, 0.25]]), np.array([0.3]),
+        np.zeros(1),
+    )  # fmt: skip
+    message = conversions.ellipse_markers(ellipses, np.zeros(1), "odom", Time())
+    (gone, back), complaints = changed(*message.markers)
+    assert complaints == [] and gone == conversions.Deletion("")
+    assert (back.x, back.y, *back.semi_axes) == pytest.approx((1.0, 2.0, 0.5, 0.25))
+    assert back.angle == pytest.approx(0.3)
+
+
+def test_without_obstacles_the_old_markers_are_deleted_all_the_same():
+    for ellipses, times in ((Ellipses.none(), np.arange(3.0)), (Ellipses.none(), np.zeros(0))):
+        message = conversions.ellipse_markers(ellipses, times, "odom", Time())
+        assert [one.action for one in message.markers] == [Marker.DELETEALL]

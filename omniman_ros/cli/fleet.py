@@ -37,6 +37,7 @@ class NodeKind:
 NODES = (
     NodeKind("platform_controller", stage=0),
     NodeKind("path_interpolator", stage=0),
+    NodeKind("mpc_planner", stage=0),
     NodeKind("simulated_drive", stage=1, sim_time="publish_clock"),
     NodeKind("viewer", stage=0, is_available=viewer_availability.is_available, essential=False),
 )

@@ -9,21 +9,22 @@ from nav_msgs.msg import Odometry, Path
 from numpy.typing import NDArray
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
-from std_msgs.msg import Bool, Float64, String
+from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from omniman_ros import conversions
 from omniman_ros.core import plausible
+from omniman_ros.core.control import ControlWatch
 from omniman_ros.core.errors import InputError, ParameterError
 from omniman_ros.core.parameters import inline, parameter
-from omniman_ros.core.path.control import ControlWatch
 from omniman_ros.core.path.interpolator import PathInterpolator, PathState, RefusedError
 from omniman_ros.core.path.parameters import TICK, PathParameters
 from omniman_ros.core.preview import MAX_POINTS
+from omniman_ros.nodes.control_port import ControlPort
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.runtime import OmnimanNode, run
-from omniman_ros.nodes.stopping import ALL_LATCHED, LATCHED
+from omniman_ros.nodes.stopping import LATCHED
 
 Array = NDArray[np.float64]
 
@@ -98,19 +99,15 @@ class PathInterpolatorNode(OmnimanNode):
         self._message = conversions.reference_message(p.odom_frame, points, TICK)
         self._make_inputs()
         self.every(p.period, self.tick)
-        self.every(1.0, self._check_stopped)
 
     def _make_inputs(self) -> None:
         # Bytes, so that a path of a million poses is refused before it is unpacked.
         on_path = self.guarded("path", self._on_path)
         self.create_subscription(Path, "path", on_path, 10, raw=True)
         self.create_subscription(Odometry, "odom", self.guarded("odom", self._on_odom), 1)
-        self.create_subscription(String, "active_source", self._on_source, LATCHED)
         on_health = self.guarded("wheel_health", self._on_health)
         self.create_subscription(DiagnosticStatus, "wheel_health", on_health, LATCHED)
-        self.create_subscription(DiagnosticStatus, "stop_state", self._on_stop, ALL_LATCHED)
-        for qos in (LATCHED, QoSProfile(depth=10)):
-            self.create_subscription(Bool, "emergency_stop", self._on_emergency, qos)
+        ControlPort(self, self.watch, self._watch_out)
         for name, request in (
             ("pause", self.core.pause), ("resume", self.core.resume), ("cancel", self._cancel),
         ):  # fmt: skip
@@ -133,10 +130,6 @@ class PathInterpolatorNode(OmnimanNode):
         self._pose = (place.x, place.y, theta)
         self._speed = float(abs(twist).max())
 
-    def _on_source(self, message: String) -> None:
-        self.watch.hear_source(message.data)
-        self._watch_out()
-
     def _on_health(self, message: DiagnosticStatus) -> None:
         """Drive with the limits that the controller has left, where a wheel is dead."""
         share = conversions.limits_share(message)
@@ -145,23 +138,6 @@ class PathInterpolatorNode(OmnimanNode):
         if share != self.core.share:
             self.core.scale(share, self.now())
             self.tick()
-
-    def _on_stop(self, message: DiagnosticStatus) -> None:
-        stopped = message.level == DiagnosticStatus.ERROR
-        self.watch.hear_stop(message.name, stopped, message.message)
-        self._watch_out()
-
-    def _check_stopped(self) -> None:
-        """A stopped node that vanished cannot be reset: those that it stopped, say so."""
-        if self.watch.stopped:
-            publishers = self.get_publishers_info_by_topic("stop_state")
-            there = {f"{p.node_namespace.rstrip('/')}/{p.node_name}" for p in publishers}
-            for node in set(self.watch.stopped) - there:
-                self.watch.hear_stop(node, False, "")
-
-    def _on_emergency(self, message: Bool) -> None:
-        self.watch.hear_emergency(message.data)
-        self._watch_out()
 
     def _on_path(self, data: bytes) -> str:
         p = self.settings.value

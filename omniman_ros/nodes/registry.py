@@ -9,6 +9,7 @@ NODES = {
     "platform_controller": "PlatformControllerParameters",
     "simulated_drive": "SimulatedDriveParameters",
     "path_interpolator": "PathInterpolatorParameters",
+    "mpc_planner": "MpcPlannerParameters",
     "viewer": "ViewerParameters",
 }
 """Executable, which is also its module here, and the dataclass of its parameters there."""

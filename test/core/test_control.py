@@ -2,7 +2,7 @@
 
 import pytest
 
-from omniman_ros.core.path.control import TAKE_OVER, ControlWatch
+from omniman_ros.core.control import TAKE_OVER, ControlWatch
 
 SILENCE = 1.2
 
@@ -153,3 +153,21 @@ def test_time_that_goes_back_counts_silence_anew(watch):
     watch.end(lost=True)
     watch.restart(3.0)
     assert watch.wait(3.5) == pytest.approx(SILENCE - 0.5)
+
+
+def test_a_stream_overrules_those_below_it_only():
+    watch = ControlWatch(SILENCE, "mpc", ("path",))
+    for source, why in (("path", ""), ("mpc", ""), ("cmd_vel", "cmd_vel drives")):
+        watch.hear_source(source)
+        assert watch.obstacle == why
+
+
+def test_a_stream_goes_on_while_the_one_below_it_is_still_named():
+    watch = ControlWatch(SILENCE, "mpc", ("path",))
+    watch.hear_source("path")
+    watch.begin(10.0)
+    assert watch.lost(10.1) == ""
+    assert "does not take it" in watch.lost(10.0 + TAKE_OVER + 0.1)
+    watch.hear_source("mpc")
+    watch.hear_source("path")
+    assert "has cancelled it" in watch.lost(10.2)

@@ -1,8 +1,5 @@
-"""Whether the stream of the interpolator is followed, and whether one may begin."""
+"""Whether a stream of references is followed, and whether one may begin."""
 
-OURS = "path"
-"""What `active_source` says while the stream is followed."""
-NOBODY = ("", "none", OURS)
 TAKE_OVER = 0.5
 """Time in which the platform controller takes a stream over [s]."""
 
@@ -12,13 +9,17 @@ class ControlWatch:
 
     Args:
         silence: How long the stream must be silent after it lost control, to be heard again [s].
+        ours: What `active_source` says while the stream is followed.
+        below: Sources that the stream overrules.
 
     Attributes:
         source: Who drives, as the platform controller said last; empty before.
     """
 
-    def __init__(self, silence: float) -> None:
+    def __init__(self, silence: float, ours: str = "path", below: tuple[str, ...] = ()) -> None:
         self.silence = silence
+        self._ours = ours
+        self._free = ("", "none", ours, *below)
         self.source = ""
         self._stopped: dict[str, str] = {}
         self._emergency = False
@@ -30,7 +31,7 @@ class ControlWatch:
     def hear_source(self, source: str) -> None:
         """Hear who drives."""
         self.source = source
-        self._taken = self._taken or (source == OURS and self._began is not None)
+        self._taken = self._taken or (source == self._ours and self._began is not None)
         self._overruled()
 
     def hear_stop(self, node: str, stopped: bool, reason: str) -> None:
@@ -58,7 +59,7 @@ class ControlWatch:
 
     @property
     def obstacle(self) -> str:
-        """Why no path can begin now, or an empty string."""
+        """Why no stream can begin now, or an empty string."""
         if self._emergency:
             return "emergency_stop is true"
         if self._stopped:
@@ -67,7 +68,7 @@ class ControlWatch:
             return "the platform is stopped"
         if not self.source:
             return "no platform_controller (nothing heard on active_source)"
-        return "" if self.source in NOBODY else f"{self.source} drives"
+        return "" if self.source in self._free else f"{self.source} drives"
 
     def wait(self, now: float) -> float:
         """How long a new stream must wait to be heard [s]."""
@@ -100,7 +101,7 @@ class ControlWatch:
         if self.obstacle:
             return self.obstacle
         late = now - self._began > TAKE_OVER
-        if self.source == OURS:
+        if self.source == self._ours:
             # It may be what was said of the stream before, whose end is still held.
             self._taken = self._taken or late
             return ""

@@ -1,0 +1,133 @@
+"""The robot as the planner sees it, MPC 2021 (13) to (24), for any wheels, in casadi's symbols.
+
+The state is pose and body twist (x, y, psi, v_x, v_y, omega): in base_link the mass matrix is
+constant and wheel speeds are linear, phi' = J v, so that the energy is convex in state and control
+without any approximation. Controls are the motors' currents, held over a step; by (21) they stand
+for the voltages v = R i + N K phi', which follow the back-EMF within the step. Held voltages would
+make a stiff system of it where motors are strong (the time constant of `omniman` is 32 ms).
+"""
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from omniman_ros.core.dynamics import PlatformDynamics
+from omniman_ros.core.kinematics import PlatformKinematics
+from omniman_ros.core.robot import Robot
+
+Array = NDArray[np.float64]
+
+STATES = 6
+SIGN_WIDTH = 0.3
+"""Wheel speed over which Coulomb friction rises [rad/s]: MPC 2021 (24) with derivatives."""
+ROLLING_WIDTH = 0.03
+"""Rolling speed over which the drag of rollers rises [m/s]."""
+
+
+@dataclass(frozen=True)
+class PlanningModel:
+    """Constants of the model; arrays are read-only in spirit.
+
+    Attributes:
+        J: (n, 3) inverse Jacobian [1/m, 1/m, 1].
+        inertia: (3, 3) H of (14) in base_link: platform, arm and wheels [kg, kg m, kg m^2].
+        mass: (3, 3) the same without the wheels' own inertia.
+        moment: (3,) mass times centre of mass, of the centripetal force [kg m].
+        resistance, emf: R [ohm] and N K [V s/rad] of each motor at the wheel.
+        efficiency: eta, one for all.
+        viscous, coulomb: (n,) a [N m s/rad] and b [N m] of (24).
+        rolling: (n, 3) twist to rolling speeds of the rollers [-, -, m].
+        drag: (n,) largest drag of each roller [N].
+        max_current: (n,) what amplifier and traction allow [A].
+        max_voltage, max_speed: Of motor [V] and wheel [rad/s].
+        half: (2,) half length and half width of the bounding box [m].
+    """
+
+    J: Array
+    inertia: Array
+    mass: Array
+    moment: Array
+    resistance: float
+    emf: float
+    efficiency: float
+    viscous: Array
+    coulomb: Array
+    rolling: Array
+    drag: Array
+    max_current: Array
+    max_voltage: float
+    max_speed: float
+    half: Array
+
+    @staticmethod
+    def of(robot: Robot) -> "PlanningModel":
+        """The model of a robot."""
+        kinematics = PlatformKinematics(robot.wheels)
+        dynamics = PlatformDynamics(robot, kinematics)
+        wheels, motor = robot.wheels, robot.motor
+        emf = motor.gear_ratio * motor.torque_constant
+        J = np.array(kinematics.J)
+        own = J.T @ np.diag(wheels.inertia) @ J
+        angle = np.array(wheels.heading) + np.array(wheels.roller_angle)
+        c, s = np.cos(angle), np.sin(angle)
+        chassis = np.column_stack([-s, c, np.array(wheels.x) * c + np.array(wheels.y) * s])
+        rolling = chassis + (np.array(wheels.radius) * np.sin(wheels.roller_angle))[:, None] * J
+        # A wheel pushes along its roller's axis: mu N there is mu N r cos(gamma) at the axle.
+        grip = robot.friction.mu * dynamics.loads * wheels.radius * np.cos(wheels.roller_angle)
+        mass = np.array(dynamics.mass_matrix)
+        return PlanningModel(
+            J=J,
+            inertia=mass + own,
+            mass=mass,
+            moment=np.array([mass[1, 2], -mass[0, 2], 0.0]),
+            resistance=motor.resistance,
+            emf=emf,
+            efficiency=motor.gear_efficiency,
+            viscous=np.array(robot.friction.viscous),
+            coulomb=np.array(robot.friction.coulomb),
+            rolling=rolling,
+            drag=np.array(robot.friction.roller) * dynamics.loads,
+            max_current=np.minimum(motor.max_current, grip / (motor.gear_efficiency * emf)),
+            max_voltage=motor.max_voltage,
+            max_speed=motor.max_speed,
+            half=np.array([0.5 * robot.body.length, 0.5 * robot.body.width]),
+        )
+
+    @property
+    def wheel_count(self) -> int:
+        """Number of wheels n."""
+        return int(self.J.shape[0])
+
+    def voltages(self, currents: Array, twists: Array) -> Array:
+        """Motor voltages (..., n) [V] for currents (..., n) at body twists (..., 3), (21)."""
+        result: Array = self.resistance * currents + self.emf * (twists @ self.J.T)
+        return result
+
+    def twist_rate(self, twist: ca.SX, currents: ca.SX) -> ca.SX:
+        """Derivative (3,) of the body twist (3,) at currents (n,): (13) turned into base_link."""
+        axle = self.efficiency * self.emf * currents - self.viscous * (ca.DM(self.J) @ twist)
+        force = ca.DM(self.J.T) @ axle
+        speeds, strength, width = self.dry_speeds(twist)
+        held = strength * speeds / (width + ca.sqrt(speeds**2 + width**2))
+        force -= ca.DM(np.vstack([self.J, self.rolling]).T) @ held
+        turned = ca.vertcat(-twist[2] * twist[1], twist[2] * twist[0], 0)
+        force -= ca.DM(self.mass) @ turned - twist[2] ** 2 * ca.DM(self.moment)
+        return ca.DM(np.linalg.inv(self.inertia)) @ force
+
+    def dry_speeds(self, twist: ca.SX) -> tuple[ca.SX, Array, Array]:
+        """Where there is dry friction: speeds (2n,), its strength and the width of its rise.
+
+        Wheels [rad/s, N m] and rollers [m/s, N]. The friction is strength * s / (w + sqrt(s^2 +
+        w^2)), its power strength * (sqrt(s^2 + w^2) - w): convex, with all derivatives.
+        """
+        n = self.wheel_count
+        speeds = ca.vertcat(ca.DM(self.J) @ twist, ca.DM(self.rolling) @ twist)
+        width = np.repeat([SIGN_WIDTH, ROLLING_WIDTH], n)
+        return speeds, np.concatenate([self.coulomb, self.drag]), width
+
+    def kinetic_energy(self, twist: Array) -> Array:
+        """E_kin [J] of body twists (..., 3), wheels included, (4)."""
+        result: Array = 0.5 * np.einsum("...i,ij,...j->...", twist, self.inertia, twist)
+        return result

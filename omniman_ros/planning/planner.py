@@ -1,0 +1,451 @@
+"""The planner without ROS: goal and obstacles in, a motion that was checked to its end out.
+
+One cycle is two calls: `propose` plans from where the robot will be when the answer is due, and
+`take` uses the answer, or the rest of the last plan, or brakes. `motion` is followed until the
+next cycle. Time is an argument everywhere.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omniman_ros.core import plausible, se2
+from omniman_ros.core.errors import InputError
+from omniman_ros.planning.ellipses import Ellipses
+from omniman_ros.planning.goals import Goal, StateGoal, TrajectoryGoal
+from omniman_ros.planning.model import PlanningModel
+from omniman_ros.planning.motion import Motion
+from omniman_ros.planning.parameters import PlannerParameters
+from omniman_ros.planning.problem import Problem
+from omniman_ros.planning.safety import Surroundings
+from omniman_ros.planning.solver import Answer, Solver, SolverError
+from omniman_ros.planning.transcription import Transcription
+
+Array = NDArray[np.float64]
+
+COLD_ITERATIONS = 10
+"""Iterations on a new problem; then one a cycle."""
+ASTRAY = (0.15, 0.2)
+"""Distance [m] and angle [rad] from the motion at which plans begin where the robot is."""
+AT_REST = 0.02
+"""Speed below which the robot stands [m/s, rad/s]."""
+BLOCKED_AFTER = 2.0
+"""The robot is blocked when it has stood for so long on its way to a goal [s]."""
+HELD = 0.5
+"""How much of the past of a motion is kept [s]."""
+
+
+class PlannerState(Enum):
+    """What the planner does."""
+
+    IDLE = "idle"
+    DRIVING = "driving"
+    BLOCKED = "blocked"
+    PAUSED = "paused"
+    ARRIVED = "arrived"
+
+
+@dataclass(frozen=True)
+class Measured:
+    """The robot as odometry has it.
+
+    Attributes:
+        time: When that was [s].
+        pose: (3,) in odom [m, m, rad].
+        twist: (3,) in base_link [m/s, m/s, rad/s].
+
+    Raises:
+        InputError: Wrong size, not finite or huge.
+    """
+
+    time: float
+    pose: Array
+    twist: Array
+
+    def __post_init__(self) -> None:
+        if self.pose.shape != (3,) or self.twist.shape != (3,):
+            raise InputError("a measured state has a pose of three numbers and a twist of three")
+        plausible.demand(self.pose[:2], plausible.LENGTH, "position")
+        plausible.demand(self.pose[2:], plausible.ANGLE, "heading")
+        plausible.demand(self.twist, plausible.SPEED, "twist")
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """An answer that may be used until it is due.
+
+    Attributes:
+        due: When its plan begins [s]; later than that it is late.
+        plan: What was found, or None.
+        answer: The solver's, or None.
+        fault: Why there is no plan, or empty.
+        fresh: Whether the plan begins where the robot was measured, not on the last motion.
+    """
+
+    due: float
+    plan: Motion | None
+    answer: Answer | None
+    fault: str
+    fresh: bool
+
+
+@dataclass(frozen=True)
+class Report:
+    """What came of a cycle.
+
+    Attributes:
+        used: Whether the new plan is followed.
+        why: Why not, or empty.
+        braking: Whether the robot brakes because nothing else is free of contact.
+        slack: Largest slack of the answer [m].
+        cost: Of the answer [J].
+        late: By how much the answer came after it was due [s]; below zero, that much before.
+    """
+
+    used: bool = False
+    why: str = ""
+    braking: bool = False
+    slack: float = math.nan
+    cost: float = math.nan
+    late: float = math.nan
+
+
+class Planner:
+    """Weaves the robot to its goal, MPC 2021, with a safe answer to everything.
+
+    Attributes:
+        parameters: What it is set by; robot and horizon are fixed.
+        state: What it does.
+        goal: Where to, or None.
+        motion: What is followed: it ends at rest and was checked to its end.
+        report: What came of the last cycle.
+        anchored: Whether plans begin on the last motion (its follower corrects what is off), or
+            always where the robot is measured.
+    """
+
+    def __init__(self, parameters: PlannerParameters, anchored: bool = True) -> None:
+        self.model = PlanningModel.of(parameters.robot)
+        horizon = parameters.horizon
+        steps, step = horizon.steps, horizon.step
+        # Most of the time there is no obstacle, and nothing to pay for the slots of any.
+        slots = sorted({0, horizon.slots})
+        self._solvers = {
+            count: Solver(Transcription(self.model, steps, step, count)) for count in slots
+        }
+        self._problem = Problem(self.model, parameters)
+        self.anchored = anchored
+        self.state = PlannerState.IDLE
+        self.goal: Goal | None = None
+        self.motion = Motion.rest(0.0, np.zeros(3), self.model.wheel_count)
+        self.report = Report()
+        self._guess: tuple[float, Array] | None = None
+        self._faulty = False
+        self._stood_since: float | None = None
+
+    # ---- settings ---------------------------------------------------------------------------
+
+    @property
+    def parameters(self) -> PlannerParameters:
+        """What it is set by."""
+        return self._problem.parameters
+
+    def configure(self, parameters: PlannerParameters) -> None:
+        """Take over weights, limits, clearance; they count from the next cycle."""
+        if parameters.robot != self.parameters.robot:
+            self.model = PlanningModel.of(parameters.robot)
+            horizon = parameters.horizon
+            self._solvers = {
+                count: Solver(Transcription(self.model, horizon.steps, horizon.step, count))
+                for count in self._solvers
+            }
+            share = self._problem.share
+            self._problem = Problem(self.model, parameters)
+            self._problem.share = share
+            self._guess = None
+        self._problem.parameters = parameters
+
+    def scale(self, share: float) -> None:
+        """Keep to a share of the velocity and acceleration limits from now on."""
+        self._problem.share = share
+
+    @property
+    def share(self) -> float:
+        """Share of the limits that is kept to."""
+        return self._problem.share
+
+    # ---- goals ------------------------------------------------------------------------------
+
+    def drive(self, goal: Goal, measured: Measured, around: Ellipses) -> None:
+        """Go for a goal; a robot that drives goes over to it without stopping.
+
+        Raises:
+            InputError: It lies in an obstacle that stands, or not in the workspace.
+        """
+        goal = goal.near(self._heading(measured))
+        self._refuse_unreachable(goal, around)
+        if not self.active and self.motion.end <= measured.time:
+            self._begin(measured)
+        self.goal, self.state, self._stood_since = goal, PlannerState.DRIVING, None
+
+    def _heading(self, measured: Measured) -> float:
+        """Heading on the branch that the motion is on, if one is followed."""
+        if self.state in (PlannerState.IDLE, PlannerState.ARRIVED):
+            return float(self._unwound(measured)[2])
+        return float(self.motion.poses[-1, 2])
+
+    def _unwound(self, measured: Measured) -> Array:
+        """The measured pose (3,), its heading on the branch of the motion: odometry may wrap."""
+        heading = float(self.motion.sample(measured.time)[0][2])
+        turned = se2.wrap(float(measured.pose[2]) - heading)
+        return np.append(measured.pose[:2], heading + turned)
+
+    def _refuse_unreachable(self, goal: Goal, around: Ellipses) -> None:
+        if isinstance(goal, TrajectoryGoal):  # it moves: who knows what will be there then
+            return
+        poses, _ = goal.targets(np.array([around.time]))
+        place = Motion.rest(around.time, poses[0], 1)
+        standing = around.select(np.hypot(*around.velocities.T) < AT_REST)
+        x, y, theta = poses[0]
+        where = f"({x:.2f} m, {y:.2f} m, {theta:.2f} rad)"
+        bounds = self.parameters.workspace.bounds
+        empty = Surroundings(self.model.half, Ellipses.none(around.time), bounds, 0.0)
+        if empty.outside(place.poses[:1]) > 0.0:
+            raise InputError(f"the robot at the goal {where} is not within the workspace")
+        if replace(empty, ellipses=standing).overlap(place.poses[:1]) > 0.0:
+            raise InputError(f"an obstacle stands where the robot would be at the goal {where}")
+
+    def halt(self, now: float, around: Ellipses, state: PlannerState) -> None:
+        """Brake along the motion; PAUSED keeps the goal, the other states forget it."""
+        self.state, self._guess = state, None  # first: what is not active brakes at once
+        if self.motion.end > now:
+            self.motion = self._braked(now, self._surroundings(around, 0.0))
+        if state is not PlannerState.PAUSED:
+            self.goal = None
+
+    def resume(self) -> bool:
+        """Go on to the goal of before the pause; whether there is one."""
+        if self.goal is None or self.state is not PlannerState.PAUSED:
+            return False
+        self.state, self._stood_since = PlannerState.DRIVING, None
+        return True
+
+    def _begin(self, measured: Measured) -> None:
+        """Begin where the robot is, and as fast as it is."""
+        velocity = se2.to_world(float(measured.pose[2]), measured.twist)
+        slow = float(np.abs(velocity).max()) < AT_REST
+        moving = Motion.coasting(
+            measured.time, self._unwound(measured), velocity * (not slow), self.model.wheel_count
+        )
+        self.motion, self._guess = moving.braked(measured.time, self._deceleration), None
+
+    def abort(self, now: float, measured: Measured | None) -> None:
+        """Forget goal and motion: somebody else moves the robot."""
+        pose = self.motion.poses[-1] if measured is None else measured.pose
+        self.motion = Motion.rest(now, pose, self.model.wheel_count)
+        self.goal, self.state, self._guess = None, PlannerState.IDLE, None
+
+    @property
+    def active(self) -> bool:
+        """Whether there is a goal to drive to."""
+        return self.state in (PlannerState.DRIVING, PlannerState.BLOCKED)
+
+    # ---- a cycle ----------------------------------------------------------------------------
+
+    def propose(self, now: float, measured: Measured, around: Ellipses) -> Proposal:
+        """Plan from where the robot will be when the answer is due.
+
+        Solver faults are no exception: they make an empty proposal, and the next begins anew.
+        """
+        due = now + self.parameters.safety.deadline
+        if self.goal is None:
+            return Proposal(due, None, None, "no goal", False)
+        start, fresh = self._start(due, measured)
+        self._latch_arrival(start, due)
+        try:
+            answer = self._solve(start, due, around)
+        except (SolverError, RuntimeError, ValueError, ArithmeticError) as error:
+            # Once the last good plan may serve again; then nothing of the past does.
+            self._guess, self._faulty = (None if self._faulty else self._guess), True
+            return Proposal(due, None, None, f"solver: {error}", fresh)
+        self._faulty = False
+        step = self.parameters.horizon.step
+        plan = Motion.of_states(due, step, answer.states, answer.currents)
+        return Proposal(due, plan, answer, "", fresh)
+
+    def _start(self, due: float, measured: Measured) -> tuple[Array, bool]:
+        """State (6,) when the answer is due, and whether it is from the measured one."""
+        followed, velocity = self.motion.sample(due)
+        then, _ = self.motion.sample(measured.time)
+        error = measured.pose - then
+        error[2] = se2.wrap(error[2])
+        astray = math.hypot(error[0], error[1]) > ASTRAY[0] or abs(error[2]) > ASTRAY[1]
+        fresh = astray or not self.anchored
+        if fresh:
+            followed = followed + error
+            if not self.anchored:
+                lag = velocity - self.motion.sample(measured.time)[1]
+                velocity = se2.to_world(float(measured.pose[2]), measured.twist) + lag
+        twist = se2.to_robot(float(followed[2]), velocity)
+        return np.concatenate([followed, twist]), fresh
+
+    def _latch_arrival(self, start: Array, due: float) -> None:
+        """Say when a pose is passed at its velocity, once it is within reach."""
+        goal = self.goal
+        if not isinstance(goal, StateGoal):
+            return
+        if goal.arrival is not None and due < goal.arrival + 0.2:
+            return
+        p = self.parameters
+        error = goal.pose - start[:3]
+        speed = 0.5 * (1.0 - p.reserve) * p.limits.linear_velocity * self.share
+        turning = 0.5 * (1.0 - p.reserve) * p.limits.angular_velocity * self.share
+        needed = max(math.hypot(error[0], error[1]) / speed, abs(float(error[2])) / turning)
+        if needed < p.horizon.duration:
+            self.goal = goal.arriving(due + max(needed, 0.5 * p.horizon.duration))
+
+    def _solve(self, start: Array, due: float, around: Ellipses) -> Answer:
+        assert self.goal is not None
+        step = self.parameters.horizon.step
+        solver = self._solvers[max(self._solvers) if len(around) else 0]
+        iterations = 1
+        if self._guess is None:
+            guess, iterations = solver.cold(), COLD_ITERATIONS
+        else:
+            since, currents = self._guess
+            guess = solver.shifted(currents, due - since)
+        states = solver.states(start, guess)
+        along = Motion.of_states(due, step, states, guess)
+        stage = self._problem.stage(start, along, self.goal, around, solver.transcription.slots)
+        answer = solver.solve(start, guess, stage, iterations)
+        self._guess = due, answer.currents
+        return answer
+
+    def take(self, proposal: Proposal, now: float, measured: Measured, around: Ellipses) -> None:
+        """Use the answer if it is in time and clear, else the last plan's rest, else brake."""
+        surroundings = self._surroundings(around, self._off(measured))
+        report = Report(late=now - proposal.due, why=proposal.fault)
+        if proposal.answer is not None:
+            report = replace(
+                report, slack=float(proposal.answer.slack.max()), cost=proposal.answer.cost
+            )
+        self.report = report
+        if proposal.plan is not None:
+            why = self._refusal(report)
+            candidate = None if why else self._candidate(proposal, now, surroundings)
+            if candidate is not None:
+                self.motion, self.report = candidate, replace(report, used=True)
+                self._judge(now, measured)
+                return
+            self.report = report = replace(report, why=why or "the plan is not clear of contact")
+        if surroundings.contact(self.motion, now) < math.inf:
+            self.motion = self._braked(now, surroundings)
+            self.report = replace(report, braking=True)
+        self._judge(now, measured)
+
+    def voltages(self, now: float) -> Array | None:
+        """Motor voltages (n,) [V] of the motion at a time [s]; None where it has none planned."""
+        currents = self.motion.currents_at(now)
+        if not np.isfinite(currents).all():
+            return None
+        pose, velocity = self.motion.sample(now)
+        volts = self.model.voltages(currents, se2.to_robot(float(pose[2]), velocity))
+        limit = self.model.max_voltage
+        clipped: Array = np.clip(volts, -limit, limit)
+        return clipped
+
+    def energy(self) -> float:
+        """Electric energy that the motion is expected to take from its begin to its end [J]."""
+        motion = self.motion
+        spans = np.diff(motion.times)
+        middle, velocities = motion.at(0.5 * (motion.times[:-1] + motion.times[1:]))
+        twists = velocities.copy()
+        cos, sin = np.cos(middle[:, 2]), np.sin(middle[:, 2])
+        twists[:, 0] = cos * velocities[:, 0] + sin * velocities[:, 1]
+        twists[:, 1] = cos * velocities[:, 1] - sin * velocities[:, 0]
+        currents = np.nan_to_num(motion.currents)  # a braking is not counted
+        power = (self.model.voltages(currents, twists) * currents).sum(axis=1)
+        return float((power * spans).sum())
+
+    def _refusal(self, report: Report) -> str:
+        if not self.active:
+            return "there is no goal any more"
+        if report.late > 0.0:
+            return f"the answer came {1e3 * report.late:.0f} ms late"
+        return ""
+
+    def _candidate(self, proposal: Proposal, now: float, around: Surroundings) -> Motion | None:
+        """The last motion until the plan is due, then as much of the plan as is clear."""
+        plan, past = proposal.plan, min(now, proposal.due) - HELD
+        assert plan is not None
+        begins = max(past, self.motion.start)
+        if begins < proposal.due - 1e-3:
+            before = self.motion.between(begins, proposal.due)
+            moved = plan.poses[0] - before.poses[-1]  # none, but for a fresh start
+            plan = replace(before, poses=before.poses + moved).then(plan)
+        elif begins > proposal.due:
+            return None
+        earliest = proposal.due + 0.5 * self.parameters.horizon.step
+        return around.longest(plan, now, earliest, self._deceleration)
+
+    def _braked(self, now: float, around: Surroundings) -> Motion:
+        """The motion, braked: as late as is clear, at once where nothing is."""
+        begins = max(self.motion.start, now - HELD)
+        rest = self.motion.between(begins, max(self.motion.end, now + 1e-3))
+        if self.active:
+            later = around.longest(rest, now, now, self._deceleration)
+            if later is not None:
+                return later
+        return rest.braked(max(now, rest.start), self._deceleration)
+
+    @property
+    def _deceleration(self) -> tuple[float, float]:
+        return self.parameters.limits.deceleration
+
+    def _off(self, measured: Measured) -> float:
+        """How far a corner of the robot may be from where the motion has it [m]."""
+        pose, _ = self.motion.sample(measured.time)
+        error = measured.pose - pose
+        turned = abs(se2.wrap(float(error[2])))
+        return math.hypot(error[0], error[1]) + turned * math.hypot(*self.model.half)
+
+    def _surroundings(self, around: Ellipses, off: float) -> Surroundings:
+        p = self.parameters
+        margin = p.safety.least_clearance + off
+        return Surroundings(self.model.half, around, p.workspace.bounds, margin)
+
+    # ---- how far it has come ----------------------------------------------------------------
+
+    def error(self, measured: Measured) -> tuple[float, float]:
+        """Distance [m] and angle [rad] to the goal, zeros without one."""
+        if self.goal is None:
+            return 0.0, 0.0
+        poses, _ = self.goal.targets(np.array([measured.time]))
+        error = poses[0] - measured.pose
+        return math.hypot(error[0], error[1]), abs(se2.wrap(float(error[2])))
+
+    def _judge(self, now: float, measured: Measured) -> None:
+        """Whether the goal is reached, or the way there is blocked."""
+        if self.goal is None or not self.active:
+            return
+        distance, angle = self.error(measured)
+        tolerance = self.parameters.arrival
+        there = distance <= tolerance.position and angle <= tolerance.heading
+        standing = float(np.abs(measured.twist).max()) < AT_REST
+        stands_still = self.goal.until < now
+        if isinstance(self.goal, StateGoal):
+            if there and self.goal.arrival is not None and now >= self.goal.arrival:
+                self._arrive()
+        elif there and standing and stands_still:
+            self._arrive()
+        elif not standing:
+            self._stood_since, self.state = None, PlannerState.DRIVING
+        elif self._stood_since is None:
+            self._stood_since = now
+        elif now - self._stood_since > BLOCKED_AFTER and stands_still:
+            self.state = PlannerState.BLOCKED
+
+    def _arrive(self) -> None:
+        self.goal, self.state, self._guess = None, PlannerState.ARRIVED, None

@@ -1,0 +1,159 @@
+"""From goal, obstacles and limits to the parameters of one optimal control problem."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omniman_ros.planning.ellipses import Ellipses, inflated
+from omniman_ros.planning.goals import Goal
+from omniman_ros.planning.model import PlanningModel
+from omniman_ros.planning.motion import Motion
+from omniman_ros.planning.parameters import PlannerParameters
+from omniman_ros.planning.separation import box_gap, within_reach
+from omniman_ros.planning.transcription import OBSTACLE, SIDES, Stage
+
+Array = NDArray[np.float64]
+
+FAR_AWAY = 1e3
+"""Where the obstacle of an empty slot is [m]."""
+SLACK = 3.0
+"""Weight of the slack over the strongest pull of a goal: then slack is the last resort."""
+HEADROOM = 0.02
+"""Share by which the voltage limit lies above the back-EMF that is there already."""
+
+
+class Problem:
+    """Builds the stages of the problem for a planner's parameters.
+
+    Attributes:
+        parameters: Weights, limits and clearance are live.
+        share: Share of velocity and acceleration limits that is left.
+    """
+
+    def __init__(self, model: PlanningModel, parameters: PlannerParameters) -> None:
+        self._model = model
+        self.parameters = parameters
+        self.share = 1.0
+
+    def stage(
+        self, start: Array, guess: Motion, goal: Goal, ellipses: Ellipses, slots: int
+    ) -> Stage:
+        """Parameters of the problem.
+
+        Args:
+            start: (6,) state where the plan begins.
+            guess: N + 1 nodes; the plan begins at the first.
+            goal: Where to.
+            ellipses: Obstacles.
+            slots: How many of them the problem has room for.
+        """
+        p = self.parameters
+        times = guess.times[1:]
+        targets, pull = self._targets(start, times, goal)
+        gap = p.safety.clearance
+        x_min, y_min, x_max, y_max = p.workspace.bounds
+        return Stage(
+            limits=self._limits(start[3:], len(times)),
+            workspace=np.array([x_min + gap, y_min + gap, x_max - gap, y_max - gap]),
+            target=targets,
+            weights=self._weights(goal.moves, len(times)),
+            energy=p.weights.energy,
+            slack=(SLACK * pull, SLACK * pull / 0.1),
+            obstacles=self._obstacles(guess, ellipses, slots),
+        )
+
+    def _targets(self, start: Array, times: Array, goal: Goal) -> tuple[Array, float]:
+        """Targets (N, 6), and the strongest pull of the goal [J/m]."""
+        w, p = self.parameters.weights, self.parameters
+        poses, velocities = goal.targets(times)
+        reach = w.reach + p.limits.linear_velocity * p.horizon.duration
+        ahead = poses[:, :2] - start[:2]
+        distance = np.hypot(ahead[:, 0], ahead[:, 1])
+        poses[:, :2] = start[:2] + ahead * (reach / np.maximum(distance, reach))[:, None]
+        strength = w.position * (1.0 + w.running * p.horizon.duration)
+        return np.hstack([poses, velocities]), 2.0 * max(strength, 1.0) * reach
+
+    def _weights(self, moves: bool, steps: int) -> Array:
+        """Weights (N, 5) at the ends of the steps."""
+        w, model = self.parameters.weights, self._model
+        size = math.hypot(*model.half)
+        velocity = w.velocity if moves else 0.0
+        last = np.array([w.position, w.heading, velocity, velocity * size**2, 0.0])
+        weights = np.tile(last * w.running * self.parameters.horizon.step, (steps, 1))
+        weights[-1] += last
+        weights[-1, 4] = w.energy / model.efficiency
+        return weights
+
+    def _limits(self, twist: Array, steps: int) -> Array:
+        """Limits (N, 6); what is above its limit already may come down in its time."""
+        p, model = self.parameters, self._model
+        linear, angular = p.limits.velocity
+        room = (1.0 - p.reserve) * self.share
+        wheels = float(np.abs(model.J @ twist).max())
+        spokes = np.arange(SIDES) * (2.0 * math.pi / SIDES)
+        linear_now = float((np.cos(spokes) * twist[0] + np.sin(spokes) * twist[1]).max())
+        now = np.array([linear_now / math.cos(math.pi / SIDES), abs(twist[2]), wheels])
+        most = np.array([linear * room, angular * room, model.max_speed])
+        a, b = (
+            self.share * p.limits.linear_acceleration,
+            self.share * p.limits.angular_acceleration,
+        )
+        rates = 0.5 * np.array([a, b, a / model.half.min()])
+        passed = p.horizon.step * np.arange(1, steps + 1)[:, None]
+        # No headroom here: over the cycles it would add up to ever higher speeds.
+        limits = np.maximum(most, now - rates * passed)
+        volts = max(model.max_voltage, model.emf * wheels * (1.0 + HEADROOM))
+        return np.hstack([limits, np.tile([volts, a, b], (steps, 1))])
+
+    def _obstacles(self, guess: Motion, ellipses: Ellipses, slots: int) -> Array:
+        """The nearest obstacles (N, M, 7) along a guess, with their margins."""
+        p, model = self.parameters, self._model
+        times = guess.times[1:]
+        table = np.zeros((len(times), slots, OBSTACLE))
+        table[..., :2] = FAR_AWAY
+        table[..., 2], table[..., 5], table[..., 6] = 1.0, 1.0, 1.0
+        if not slots or not len(ellipses):
+            return table
+        reachable = self._reachable(guess, ellipses)
+        if not reachable.any():
+            return table
+        near = ellipses.select(reachable)
+        centers, axes = near.centers_at(times), near.axes_at(times, p.safety.clearance)
+        gaps = box_gap(guess.poses[1:], model.half, centers, axes, near.angles).min(axis=0)
+        chosen = np.argsort(gaps, kind="stable")[:slots]
+        centers, axes, angles = centers[:, chosen], axes[:, chosen], near.angles[chosen]
+        axes = inflated(axes, self._sag(guess, near.velocities[chosen], axes))
+        cos, sin = np.cos(angles), np.sin(angles)
+        m = len(chosen)
+        table[:, :m, :2] = centers
+        table[:, :m, 2], table[:, :m, 3] = cos / axes[..., 0], sin / axes[..., 0]
+        table[:, :m, 4], table[:, :m, 5] = -sin / axes[..., 1], cos / axes[..., 1]
+        table[:, :m, 6] = axes.min(axis=-1)
+        return table
+
+    def _reachable(self, guess: Motion, ellipses: Ellipses) -> NDArray[np.bool_]:
+        """Which obstacles can come near at all, whatever the plan will be."""
+        p = self.parameters
+        fastest = max(p.limits.linear_velocity, float(np.abs(guess.velocities).max()))
+        # Twice the speed and back again reaches as far as away for good.
+        there_and_back = np.tile([2.0 * fastest, 0.0, 0.0], (2, 1))
+        return within_reach(
+            guess.times[[0, -1]], np.tile(guess.poses[0], (2, 1)), there_and_back,
+            self._model.half, ellipses, p.safety.clearance,
+        )  # fmt: skip
+
+    def _sag(self, guess: Motion, velocities: Array, axes: Array) -> Array:
+        """By how much (N, M) [m] the robot could cut into an obstacle between two nodes.
+
+        A chord of length L between two points outside of a circle of radius c around a corner's
+        way comes as near as sqrt(c^2 - L^2 / 4): the circle is made wider by that. c is the
+        ellipse's least radius of curvature.
+        """
+        span = np.diff(guess.times)[:, None]
+        relative = guess.velocities[1:, None, :2] - velocities
+        turning = math.hypot(*self._model.half) * np.abs(guess.velocities[1:, 2:])
+        travel = span * (np.hypot(relative[..., 0], relative[..., 1]) + turning)
+        curvature = axes.min(axis=-1) ** 2 / axes.max(axis=-1)
+        result: Array = np.sqrt(curvature**2 + 0.25 * travel**2) - curvature
+        return result

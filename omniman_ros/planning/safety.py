@@ -1,0 +1,104 @@
+"""The last word on every motion: whether it keeps clear of what is known, all the way to rest."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omniman_ros.planning.ellipses import Ellipses
+from omniman_ros.planning.motion import Motion
+from omniman_ros.planning.separation import Workspace, box_gap, outside_by, swept_gap, within_reach
+
+Array = NDArray[np.float64]
+
+PARTS = 4
+"""Into so many parts each span of a motion is cut for the check."""
+CLOSER = 0.02
+"""So much of the margin may be used up where the robot is about as close as allowed [m]."""
+SAME = 1e-6
+"""Gaps that differ by less are equal [m]."""
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What a motion is checked against.
+
+    Attributes:
+        half: (2,) half length and half width of the robot's box [m].
+        ellipses: Obstacles, as they are known now.
+        workspace: (x_min, y_min, x_max, y_max) in odom [m].
+        margin: Gap that is kept to both [m].
+    """
+
+    half: Array
+    ellipses: Ellipses
+    workspace: Workspace
+    margin: float
+
+    def outside(self, poses: Array) -> float:
+        """By how much the box at poses (K, 3) leaves the workspace, its margin included [m]."""
+        return float(outside_by(poses, self.half, self.workspace).max()) + self.margin
+
+    def overlap(self, poses: Array) -> float:
+        """By how much the box at poses (K, 3) is too close to an obstacle as it is now [m]."""
+        e = self.ellipses
+        if not len(e):
+            return -math.inf
+        times = np.full(len(poses), e.time)
+        axes = e.axes_at(times, self.margin)
+        return -float(box_gap(poses, self.half, e.centers_at(times), axes, e.angles).min())
+
+    def contact(self, motion: Motion, now: float) -> float:
+        """Time at which a motion comes too close to anything, from `now` on [s]; or infinity.
+
+        Where the robot is too close already it may go on, but not closer, so that it gets away
+        from there; what is allowed beyond the margin does not add up over calls.
+        """
+        times, poses, velocities = motion.fine(now, PARTS)
+        first = math.inf
+        out = outside_by(poses, self.half, self.workspace) + self.margin
+        left = ~(out <= max(float(out[0]) + 1e-3, 0.0))
+        if left.any():
+            first = float(times[int(left.argmax())])
+        reached = within_reach(times, poses, velocities, self.half, self.ellipses, self.margin)
+        if not reached.any():
+            return first
+        near = self.ellipses.select(reached)
+        gaps = swept_gap(times, poses, velocities, self.half, near, self.margin)
+        allowed = np.minimum(np.maximum(gaps[0] - CLOSER, -min(CLOSER, self.margin)), 0.0)
+        nodes = box_gap(
+            poses, self.half, near.centers_at(times), near.axes_at(times, self.margin), near.angles
+        )
+        leaves = (nodes[0] <= 0.0) & (nodes[1:] >= nodes[0] - SAME)
+        touched = ~((gaps > allowed) | leaves).all(axis=1)
+        touched |= (gaps[0] == -math.inf).any()
+        if touched.any():
+            first = min(first, float(times[int(touched.argmax())]))
+        return first
+
+    def longest(
+        self, motion: Motion, now: float, earliest: float, deceleration: tuple[float, float]
+    ) -> Motion | None:
+        """As much of a motion as can be driven and then braked without contact.
+
+        Args:
+            motion: It need not end at rest.
+            now: From when on it is driven [s].
+            earliest: The braking begins no earlier than here [s].
+            deceleration: Linear and angular, of the braking [m/s^2, rad/s^2].
+
+        Returns:
+            A motion that ends at rest, or None if there is none.
+        """
+        whole = motion.braked(motion.end, deceleration)
+        contact = self.contact(whole, now)
+        if contact == math.inf:
+            return whole
+        nodes = motion.times[(motion.times >= earliest) & (motion.times < contact)]
+        # One by one: an earlier braking need not be safer, where an obstacle comes along behind.
+        for begin in nodes[::-1].tolist():
+            shorter = motion.braked(begin, deceleration)
+            if self.contact(shorter, now) == math.inf:
+                return shorter
+        return None

@@ -1,0 +1,389 @@
+"""The optimal control problem of MPC 2021 (25) to (28) as one quadratic program an iteration.
+
+States follow from the controls (a rollout before each iteration), so the program knows steps from
+the last iterate only: delta u_0, s_0, delta x_1, delta u_1, s_1, ..., delta x_N. Each stage has a
+slack s_k [m] that opens obstacles and workspace; motor and twist limits are hard.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from omniman_ros.planning.model import STATES, PlanningModel
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+OBSTACLE = 7
+"""Numbers that describe an obstacle at a node: centre, whitening matrix (row by row), scale."""
+FIXED = 27
+"""Numbers of a stage's parameters before its obstacles."""
+SIDES = 12
+"""Of the polygon inside the circle that limits a linear speed or acceleration: 3.4 % less."""
+FREE = 1e3
+"""A row that holds nothing back has this much room [m]."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Parameters of all stages, each (N, ...); limits hold at the stage's end.
+
+    Attributes:
+        limits: (N, 6) linear speed, yaw rate, wheel speed, voltage, linear and yaw acceleration.
+        workspace: (4,) x_min, y_min, x_max, y_max [m], the clearance taken off.
+        target: (N, 6) pose [m, m, rad] and velocity in odom [m/s, m/s, rad/s] at the stage's end.
+        weights: (N, 5) of position, heading, linear and angular velocity, kinetic energy there.
+        energy: Weight of the losses.
+        slack: Weights of the slack, linear [J/m] and quadratic [J/m^2].
+        obstacles: (N, M, 7) see `OBSTACLE`.
+    """
+
+    limits: Array
+    workspace: Array
+    target: Array
+    weights: Array
+    energy: float
+    slack: tuple[float, float]
+    obstacles: Array
+
+    def table(self) -> Array:
+        """(N, FIXED + 7 M), as `Transcription.program` takes it."""
+        steps = len(self.limits)
+        same = np.concatenate([self.workspace, [self.energy], self.slack])
+        head = np.hstack([self.limits, self.target, self.weights, np.tile(same, (steps, 1))])
+        spare = np.zeros((steps, FIXED - head.shape[1]))
+        return np.hstack([head, spare, self.obstacles.reshape(steps, -1)])
+
+
+class Transcription:
+    """Casadi functions of the problem with N steps of h seconds and M obstacles.
+
+    Attributes:
+        transition: (x, u) -> x, one step on.
+        rollout: (x_0 (6,), U (n, N)) -> X (6, N), states at the ends of the steps.
+        stage_cost: (x, u, p) -> cost of a stage and of the state at its end [J].
+        stage_rows: (x, u, p) -> inequalities low <= value <= high of a stage.
+        opened: From this row on the slack opens them: value + s >= low.
+        program: (x_0, U, P (p, N)) -> H, g, A, lower and upper of A, lower and upper of the step,
+            cost, X.
+        sizes: What the QP solver is told of the structure: N, nx, nu, ng.
+        rows: Inequality rows of each stage.
+    """
+
+    def __init__(
+        self, model: PlanningModel, steps: int, step: float, slots: int, damping: float = 1.0
+    ) -> None:
+        self.model, self.steps, self.step, self.slots = model, steps, step, slots
+        self.damping = damping
+        n = self.controls = model.wheel_count
+        angles = np.arange(SIDES // 2) * (2 * np.pi / SIDES)
+        self._spokes = ca.DM(np.column_stack([np.cos(angles), np.sin(angles)]))
+        self._spokes /= np.cos(np.pi / SIDES)
+        x, u = ca.SX.sym("x", STATES), ca.SX.sym("u", n)
+        p = ca.SX.sym("p", FIXED + OBSTACLE * slots)
+        end, _, _ = self._transition(x, u)
+        self.transition = ca.Function("transition", [x, u], [end])
+        self.rollout = self.transition.mapaccum("rollout", steps)
+        stage = self._stage(x, u, p)
+        self.rows = stage.size1_out(4)
+        self.program = self._assemble(stage)
+        rows, more = self.rows, n + 1
+        self.sizes = {
+            "N": steps,
+            "nx": [0] + [STATES] * steps,
+            "nu": [more] * steps + [0],
+            "ng": [rows] * steps + [0],
+        }
+
+    # ---- one stage --------------------------------------------------------------------------
+
+    def _transition(self, x: ca.SX, u: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """State after a step (Runge-Kutta 4), and the twists at its middle and end."""
+        h, twist, rate = self.step, x[3:], self.model.twist_rate
+
+        def moved(angle: ca.SX, v: ca.SX) -> ca.SX:
+            c, s = ca.cos(angle), ca.sin(angle)
+            return ca.vertcat(c * v[0] - s * v[1], s * v[0] + c * v[1], v[2])
+
+        a1 = rate(twist, u)
+        v2 = twist + 0.5 * h * a1
+        a2 = rate(v2, u)
+        v3 = twist + 0.5 * h * a2
+        a3 = rate(v3, u)
+        v4 = twist + h * a3
+        a4 = rate(v4, u)
+        last = twist + h / 6.0 * (a1 + 2 * a2 + 2 * a3 + a4)
+        # The pose's own stages, seen from the pose at the start: turning it turns them all.
+        zero = ca.SX(0)
+        p1 = moved(zero, twist)
+        p2 = moved(0.5 * h * twist[2], v2)
+        p3 = moved(0.5 * h * v2[2], v3)
+        p4 = moved(h * v3[2], v4)
+        moved_by = h / 6.0 * (p1 + 2 * p2 + 2 * p3 + p4)
+        pose = x[:3] + moved(x[2], moved_by)
+        return ca.vertcat(pose, last), 0.5 * (v2 + v3), last
+
+    def losses(self, x: ca.SX, u: ca.SX) -> tuple[Any, Any, Any, Any]:
+        """Losses of a step [J], (32) rewritten, by Simpson's rule; their Gauss-Newton parts.
+
+        Returns:
+            Roots of the quadratic losses (copper, viscous friction); the dry speeds at three
+            instants; the derivative and second derivative of the dry losses by these speeds.
+        """
+        m, h = self.model, self.step
+        _, middle, last = self._transition(x, u)
+        roots = [np.sqrt(m.resistance * h) * u]
+        speeds, slope, bend = [], [], []
+        for twist, share in ((x[3:], 1 / 6), (middle, 4 / 6), (last, 1 / 6)):
+            wheel = ca.DM(m.J) @ twist
+            roots.append(np.sqrt(m.viscous * h * share / m.efficiency) * wheel)
+            dry, strength, width = m.dry_speeds(twist)
+            weight = strength * h * share / m.efficiency
+            root = ca.sqrt(dry**2 + width**2)
+            speeds.append(dry)
+            slope.append(weight * dry / root)
+            bend.append(weight / root)
+        return ca.vertcat(*roots), ca.vertcat(*speeds), ca.vertcat(*slope), ca.vertcat(*bend)
+
+    def dry_loss(self, x: ca.SX, u: ca.SX) -> ca.SX:
+        """Dry losses of a step [J]."""
+        m, h = self.model, self.step
+        _, middle, last = self._transition(x, u)
+        total = ca.SX(0)
+        for twist, share in ((x[3:], 1 / 6), (middle, 4 / 6), (last, 1 / 6)):
+            dry, strength, width = m.dry_speeds(twist)
+            weight = strength * h * share / m.efficiency
+            total += ca.dot(ca.DM(weight), ca.sqrt(dry**2 + width**2) - width)
+        return total
+
+    def node_residuals(self, y: ca.SX, p: ca.SX) -> ca.SX:
+        """Residuals of the state y at a step's end, whose squares are its cost, (31) with W_vel.
+
+        The last are those of the kinetic energy.
+        """
+        target, weights = p[6:12], p[12:17]
+        c, s = ca.cos(y[2]), ca.sin(y[2])
+        velocity = ca.vertcat(c * y[3] - s * y[4], s * y[3] + c * y[4], y[5])
+        error = ca.vertcat(y[:3] - target[:3], velocity - target[3:])
+        scale = ca.sqrt(
+            ca.vertcat(weights[0], weights[0], weights[1], weights[2], weights[2], weights[3])
+        )
+        root = np.linalg.cholesky(0.5 * self.model.inertia).T
+        moving = ca.sqrt(weights[4]) * (ca.DM(root) @ y[3:])
+        return ca.vertcat(scale * error, moving)
+
+    def _stage(self, x: ca.SX, u: ca.SX, p: ca.SX) -> ca.Function:
+        """Everything of one stage, by state, control and parameters."""
+        m, z = self.model, ca.vertcat(x, u)
+        end, _, _ = self._transition(x, u)
+        ab = ca.jacobian(end, z)
+        energy = p[21]
+        roots, speeds, slope, bend = self.losses(x, u)
+        of_roots, of_speeds = ca.jacobian(roots, z), ca.jacobian(speeds, z)
+        gradient = energy * (2 * of_roots.T @ roots + of_speeds.T @ slope)
+        hessian = energy * (2 * of_roots.T @ of_roots + of_speeds.T @ (bend * of_speeds))
+        damped = self.damping * 2 * m.resistance * self.step
+        hessian += damped * ca.diag(ca.vertcat(ca.DM.zeros(STATES), ca.DM.ones(u.numel())))
+        y = ca.SX.sym("y", STATES)
+        residuals = self.node_residuals(y, p)
+        of_y = ca.jacobian(residuals, y)
+        node = ca.Function("node", [y, p], [2 * of_y.T @ residuals, 2 * of_y.T @ of_y, residuals])
+        node_gradient, node_hessian, at_end = node(end, p)
+        rows, low, high = self._rows(x, u, y, p)
+        row = ca.Function(
+            "row", [x, u, y, p], [rows, ca.jacobian(rows, z), ca.jacobian(rows, y), low, high]
+        )
+        value, direct, through, low, high = row(x, u, end, p)
+        cost = energy * (ca.sumsqr(roots) + self.dry_loss(x, u)) + ca.sumsqr(at_end)
+        self.stage_cost = ca.Function("stage_cost", [x, u, p], [cost])
+        self.stage_rows = ca.Function("stage_rows", [x, u, p], [value, low, high])
+        outputs = [
+            ab, gradient, hessian, node_gradient,
+            ca.densify(low - value), ca.densify(high - value),
+            direct + through @ ab, node_hessian, cost,
+        ]  # fmt: skip
+        return ca.Function("stage", [x, u, p], [ca.densify(out) for out in outputs])
+
+    def _rows(self, x: ca.SX, u: ca.SX, y: ca.SX, p: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """Inequalities low <= row <= high; y is the state at the stage's end.
+
+        The rows that the slack opens are the last, see `opened`.
+        """
+        m, limits = self.model, p[:6]
+        rows: list[tuple[ca.SX, ca.SX, ca.SX]] = []
+
+        def within(value: ca.SX, limit: ca.SX) -> None:
+            scaled = value / limit
+            rows.append((scaled, -ca.SX.ones(scaled.shape), ca.SX.ones(scaled.shape)))
+
+        J = ca.DM(m.J)
+        for twist in (x[3:], y[3:]):
+            within(m.resistance * u + m.emf * (J @ twist), limits[3])
+        within(y[5], limits[1])
+        within(J @ y[3:], limits[2])
+        within(self._spokes @ y[3:5], limits[0])
+        rate = m.twist_rate(x[3:], u)
+        turned = ca.vertcat(rate[0] - x[5] * x[4], rate[1] + x[5] * x[3])
+        within(self._spokes @ turned, limits[4])
+        within(rate[2], limits[5])
+        self.opened = sum(entry[0].size1() for entry in rows)
+        low, high = p[17:19], p[19:21]
+        corners = self._corners(y)
+        for corner in corners:
+            for axis in (0, 1):
+                out = corner[axis] - y[axis]
+                room = ca.if_else(out > 0, high[axis] - corner[axis], corner[axis] - low[axis])
+                rows.append((room, ca.SX(0), ca.SX(ca.inf)))
+        for k in range(self.slots):
+            at = FIXED + OBSTACLE * k
+            for gap in self._gaps(y, corners, p[at : at + OBSTACLE]):
+                rows.append((gap, ca.SX(0), ca.SX(ca.inf)))
+        value, low_end, high_end = (ca.vertcat(*part) for part in zip(*rows, strict=True))
+        return value, low_end, high_end
+
+    def _corners(self, y: ca.SX) -> list[ca.SX]:
+        """Corners of the bounding box in odom, counter-clockwise."""
+        a, b = self.model.half
+        c, s = ca.cos(y[2]), ca.sin(y[2])
+        return [
+            y[:2] + ca.vertcat(c * w - s * h, s * w + c * h)
+            for w, h in ((a, b), (-a, b), (-a, -b), (a, -b))
+        ]
+
+    def _gaps(self, y: ca.SX, corners: list[ca.SX], obstacle: ca.SX) -> list[ca.SX]:
+        """Room between each edge of the box and the ellipse [m], four rows.
+
+        Whitened by the ellipse, the distance of an edge from its centre is exact for a segment.
+        Where the centre is inside the box, only the nearest edge counts, and it must pass it.
+        """
+        centre, scale = obstacle[:2], obstacle[6]
+        white = ca.reshape(obstacle[2:6], 2, 2).T
+        c, s = ca.cos(y[2]), ca.sin(y[2])
+        seen = centre - y[:2]
+        a, b = self.model.half
+        body = ca.vertcat(c * seen[0] + s * seen[1], c * seen[1] - s * seen[0])
+        depths = ca.vertcat(b - body[1], a + body[0], b + body[1], a - body[0])
+        nearest = ca.mmin(depths)
+        inside = nearest > 0
+        gaps = []
+        for k in range(4):
+            start = white @ (corners[k] - centre)
+            along = white @ (corners[(k + 1) % 4] - corners[k])
+            share = ca.fmin(ca.fmax(-ca.dot(start, along) / ca.dot(along, along), 0), 1)
+            distance = ca.sqrt(ca.sumsqr(start + share * along) + 1e-9)
+            within = ca.if_else(depths[k] <= nearest, -distance, FREE)
+            gaps.append(scale * (ca.if_else(inside, within, distance) - 1))
+        return gaps
+
+    # ---- all stages -------------------------------------------------------------------------
+
+    def _assemble(self, stage: ca.Function) -> ca.Function:
+        """The quadratic program of all stages, its entries gathered from the stages' outputs."""
+        steps, n, rows = self.steps, self.controls, self.rows
+        width = STATES + n
+        x0, u = ca.MX.sym("x0", STATES), ca.MX.sym("u", n, steps)
+        p = ca.MX.sym("p", FIXED + OBSTACLE * self.slots, steps)
+        ends = self.rollout(x0, u)
+        starts = ca.horzcat(x0, ends[:, : steps - 1])
+        outputs = stage.map(steps)(starts, u, p)
+        ab, gradient, hessian, node_gradient, low, high, by_z, node_hessian, cost = outputs
+        source = ca.vertcat(
+            *map(ca.vec, (ab, gradient, hessian, node_gradient, low, high, by_z, node_hessian)),
+            ca.MX([0.0, 1.0, -1.0]), ca.vec(p[22:24, :]),
+        )  # fmt: skip
+        sizes = [STATES * width, width, width * width, STATES, rows, rows, rows * width]
+        begins = np.cumsum([0] + [size * steps for size in (*sizes, STATES * STATES)])
+        zero, one, minus, slack = begins[-1] + np.arange(4)
+
+        def block(which: int, k: int, height: int, columns: int) -> Indices:
+            first = begins[which] + k * height * columns
+            found: Indices = first + np.arange(height * columns).reshape(columns, height).T
+            return found
+
+        total = steps * (width + 1)  # without x_0, with x_N
+        size_a = steps * (STATES + rows)
+        hess, cons = _Entries((total, total)), _Entries((size_a, total))
+        lower, upper = np.full(size_a, zero), np.full(size_a, zero)
+        for k in range(steps):
+            # Columns of x_k (none at the start), u_k, s_k, x_k+1 and this stage's rows.
+            at = k * (width + 1) - STATES
+            of_x, of_u = np.arange(at, at + STATES), np.arange(at + STATES, at + width)
+            of_s, of_next = at + width, np.arange(at + width + 1, at + width + 1 + STATES)
+            z = np.concatenate([of_x, of_u])
+            keep = z >= 0
+            top = k * (STATES + rows)
+            motion, limits = (
+                np.arange(top, top + STATES),
+                np.arange(top + STATES, top + STATES + rows),
+            )
+            cons.add(motion, z[keep], block(0, k, STATES, width)[:, keep])
+            cons.diagonal(motion, of_next, minus)
+            cons.add(limits, z[keep], block(6, k, rows, width)[:, keep])
+            opened = limits[self.opened :]
+            cons.add(opened, np.array([of_s]), np.full((len(opened), 1), one))
+            hess.add(z[keep], z[keep], block(2, k, width, width)[np.ix_(keep, keep)])
+            hess.add(np.array([of_s]), np.array([of_s]), np.array([[slack + 2 * k + 1]]))
+            hess.add(of_next, of_next, block(7, k, STATES, STATES))
+            lower[limits] = block(4, k, rows, 1)[:, 0]
+            upper[limits] = block(5, k, rows, 1)[:, 0]
+        # Two sources meet in a node: its own cost and that of the stage that begins there.
+        own, ends_there = np.full(total, zero), np.full(total, zero)
+        for k in range(steps):
+            at = k * (width + 1) - STATES
+            z = np.arange(at, at + width)
+            keep = z >= 0
+            own[z[keep]] = block(1, k, width, 1)[keep, 0]
+            ends_there[at + width + 1 : at + width + 1 + STATES] = block(3, k, STATES, 1)[:, 0]
+            own[at + width] = slack + 2 * k
+        g = source[own.tolist()] + source[ends_there.tolist()]
+        bounds = ca.DM(self.model.max_current)
+        least, most = [], []
+        for k in range(steps):
+            least += [-bounds - u[:, k], ca.MX(0), ca.MX(-ca.inf * ca.DM.ones(STATES))]
+            most += [bounds - u[:, k], ca.MX(ca.inf), ca.MX(ca.inf * ca.DM.ones(STATES))]
+        return ca.Function(
+            "program", [x0, u, p],
+            [
+                hess.gather(source), g, cons.gather(source),
+                source[lower.tolist()], source[upper.tolist()],
+                ca.vertcat(*least), ca.vertcat(*most), ca.sum2(cost), ends,
+            ],
+        )  # fmt: skip
+
+
+class _Entries:
+    """Entries of a sparse matrix as indices into a vector; where two meet, they add up."""
+
+    def __init__(self, shape: tuple[int, int]) -> None:
+        self._shape = shape
+        self._where: dict[tuple[int, int], list[int]] = {}
+
+    def add(self, rows: Indices, columns: Indices, source: Indices) -> None:
+        for i, row in enumerate(rows):
+            for j, column in enumerate(columns):
+                self._where.setdefault((int(column), int(row)), []).append(int(source[i, j]))
+
+    def diagonal(self, rows: Indices, columns: Indices, source: int) -> None:
+        for row, column in zip(rows, columns, strict=True):
+            self._where.setdefault((int(column), int(row)), []).append(int(source))
+
+    def gather(self, source: ca.MX) -> ca.MX:
+        """The matrix, its entries taken from the vector `source`."""
+        places = sorted(self._where)
+        sparsity = ca.Sparsity.triplet(
+            *self._shape, [row for _, row in places], [column for column, _ in places]
+        )
+        depth = max(len(self._where[place]) for place in places)
+        zero = source.numel()
+        padded = ca.vertcat(source, 0)
+        values = ca.MX.zeros(len(places))
+        for layer in range(depth):
+            index = [
+                found[layer] if layer < len(found) else zero
+                for found in (self._where[place] for place in places)
+            ]
+            values = values + padded[index]
+        return ca.MX(sparsity, values)
