@@ -246,6 +246,8 @@ class MpcPlannerNode(OmnimanNode):
     def _watch_out(self) -> None:
         """Give the goal up if the motion is no longer ours to drive."""
         why = self.watch.lost(self.now())
+        if not why and self.core.state is PlannerState.PAUSED:
+            why = self.watch.obstacle
         if why:
             self._give_up(why)
 
@@ -259,11 +261,12 @@ class MpcPlannerNode(OmnimanNode):
     def _pause(self) -> str:
         if not self.core.active:
             return f"nothing to pause: {self.core.state.value}"
-        self._halt(PlannerState.PAUSED)
+        self.core.pause(self.now())
+        self._send_reference(self.now())
         return ""
 
     def _resume(self) -> str:
-        if not self.core.resume():
+        if self._measured is None or not self.core.resume(self._measured):
             return f"nothing to resume: {self.core.state.value}"
         self.watch.begin(self.now())
         return ""
@@ -272,14 +275,10 @@ class MpcPlannerNode(OmnimanNode):
         if self._waiting is None and self.core.goal is None:
             return f"nothing to cancel: {self.core.state.value}"
         self._waiting = None
-        self._halt(PlannerState.IDLE)
+        self.core.cancel(self.now())
+        self._send_reference(self.now())
         self._last = "cancelled"
         return ""
-
-    def _halt(self, state: PlannerState) -> None:
-        now = self.now()
-        self.core.halt(now, self.obstacles.ellipses(now), state)
-        self._send_reference(now)
 
     def _service(self, request: Callable[[], str]) -> Callable[..., Trigger.Response]:
         def serve(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -320,11 +319,10 @@ class MpcPlannerNode(OmnimanNode):
         silent = self.obstacles.silent(now)
         around = self.obstacles.ellipses(now)
         if silent:
-            if silent and not self._held:
-                self.warn("obstacles silent", f"the robot stops: {silent}")
-                self._held = silent
-                self.core.halt(now, around, PlannerState.PAUSED)
-                self.core.resume()
+            if not self._held:
+                self.core.brake(now)
+            self._held = silent
+            self.warn("obstacles silent", f"the robot stops: {silent}")
             if self.core.motion.end > now:
                 self._send_reference(now)
             return
@@ -439,8 +437,9 @@ class MpcPlannerNode(OmnimanNode):
     def begin_shutdown(self, reason: str) -> None:
         """Come to rest; no other goal is taken."""
         self._ending, self._waiting = True, None
-        if self.core.active:
-            self._halt(PlannerState.IDLE)
+        if self.core.goal is not None:
+            self.core.cancel(self.now())
+            self._send_reference(self.now())
 
     @property
     def finished(self) -> bool:

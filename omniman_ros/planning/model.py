@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from omniman_ros.core.dynamics import PlatformDynamics
+from omniman_ros.core.dynamics import PlatformDynamics, smooth_sign
 from omniman_ros.core.kinematics import PlatformKinematics
 from omniman_ros.core.robot import Robot
 
@@ -126,6 +126,18 @@ class PlanningModel:
         speeds = ca.vertcat(ca.DM(self.J) @ twist, ca.DM(self.rolling) @ twist)
         width = np.repeat([SIGN_WIDTH, ROLLING_WIDTH], n)
         return speeds, np.concatenate([self.coulomb, self.drag]), width
+
+    def dry_current(self, twist: Array) -> Array:
+        """Currents (n,) [A] for what the planner's friction leaves out at a crawl, twist (3,).
+
+        In the optimiser Coulomb friction rises over `SIGN_WIDTH`, on the floor it is there at
+        once: without this the robot would stop short of its goal.
+        """
+        wheel = self.J @ twist
+        full = smooth_sign(wheel)
+        planned = wheel / (SIGN_WIDTH + np.sqrt(wheel * wheel + SIGN_WIDTH * SIGN_WIDTH))
+        result: Array = self.coulomb * (full - planned) / (self.efficiency * self.emf)
+        return result
 
     def kinetic_energy(self, twist: Array) -> Array:
         """E_kin [J] of body twists (..., 3), wheels included, (4)."""

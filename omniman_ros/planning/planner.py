@@ -26,7 +26,7 @@ from omniman_ros.planning.transcription import Transcription
 
 Array = NDArray[np.float64]
 
-COLD_ITERATIONS = 10
+COLD_ITERATIONS = 5
 """Iterations on a new problem; then one a cycle."""
 ASTRAY = (0.15, 0.2)
 """Distance [m] and angle [rad] from the motion at which plans begin where the robot is."""
@@ -217,20 +217,31 @@ class Planner:
         if replace(empty, ellipses=standing).overlap(place.poses[:1]) > 0.0:
             raise InputError(f"an obstacle stands where the robot would be at the goal {where}")
 
-    def halt(self, now: float, around: Ellipses, state: PlannerState) -> None:
-        """Brake along the motion; PAUSED keeps the goal, the other states forget it."""
-        self.state, self._guess = state, None  # first: what is not active brakes at once
+    def brake(self, now: float) -> None:
+        """Brake along the motion at once; the goal stays."""
         if self.motion.end > now:
-            self.motion = self._braked(now, self._surroundings(around, 0.0))
-        if state is not PlannerState.PAUSED:
-            self.goal = None
+            self.motion = self._braked(now)
+        self._guess = None
 
-    def resume(self) -> bool:
+    def pause(self, now: float) -> None:
+        """Brake, and wait for `resume`; without a goal nothing happens."""
+        if self.active:
+            self.brake(now)
+            self.state = PlannerState.PAUSED
+
+    def resume(self, measured: Measured) -> bool:
         """Go on to the goal of before the pause; whether there is one."""
         if self.goal is None or self.state is not PlannerState.PAUSED:
             return False
+        if self.motion.end <= measured.time:
+            self._begin(measured)
         self.state, self._stood_since = PlannerState.DRIVING, None
         return True
+
+    def cancel(self, now: float) -> None:
+        """Brake, and forget the goal."""
+        self.brake(now)
+        self.goal, self.state = None, PlannerState.IDLE
 
     def _begin(self, measured: Measured) -> None:
         """Begin where the robot is, and as fast as it is."""
@@ -341,7 +352,7 @@ class Planner:
                 return
             self.report = report = replace(report, why=why or "the plan is not clear of contact")
         if surroundings.contact(self.motion, now) < math.inf:
-            self.motion = self._braked(now, surroundings)
+            self.motion = self._way_out(now, surroundings)
             self.report = replace(report, braking=True)
         self._judge(now, measured)
 
@@ -351,7 +362,8 @@ class Planner:
         if not np.isfinite(currents).all():
             return None
         pose, velocity = self.motion.sample(now)
-        volts = self.model.voltages(currents, se2.to_robot(float(pose[2]), velocity))
+        twist = se2.to_robot(float(pose[2]), velocity)
+        volts = self.model.voltages(currents + self.model.dry_current(twist), twist)
         limit = self.model.max_voltage
         clipped: Array = np.clip(volts, -limit, limit)
         return clipped
@@ -390,15 +402,17 @@ class Planner:
         earliest = proposal.due + 0.5 * self.parameters.horizon.step
         return around.longest(plan, now, earliest, self._deceleration)
 
-    def _braked(self, now: float, around: Surroundings) -> Motion:
-        """The motion, braked: as late as is clear, at once where nothing is."""
+    def _braked(self, now: float) -> Motion:
         begins = max(self.motion.start, now - HELD)
         rest = self.motion.between(begins, max(self.motion.end, now + 1e-3))
-        if self.active:
-            later = around.longest(rest, now, now, self._deceleration)
-            if later is not None:
-                return later
         return rest.braked(max(now, rest.start), self._deceleration)
+
+    def _way_out(self, now: float, around: Surroundings) -> Motion:
+        """As much of the motion as is clear with its braking; else the braking at once."""
+        begins = max(self.motion.start, now - HELD)
+        rest = self.motion.between(begins, max(self.motion.end, now + 1e-3))
+        clear = around.longest(rest, now, now, self._deceleration)
+        return self._braked(now) if clear is None else clear
 
     @property
     def _deceleration(self) -> tuple[float, float]:
