@@ -10,6 +10,8 @@ Array = NDArray[np.float64]
 
 BRAKE_TICK = 0.05
 """Time between two nodes of a braking [s]."""
+REST_TICK = 0.1
+"""Time between two looks at a robot at rest [s]."""
 SHORTEST = 1e-6
 """Nodes that are closer in time than this are one [s]."""
 
@@ -142,11 +144,15 @@ class Motion:
             return tail
         return self.between(self.start, time).then(tail)
 
-    def fine(self, first: float, parts: int) -> tuple[Array, Array, Array]:
-        """Times, poses and velocities from `first` on, each span between nodes in `parts`."""
+    def fine(self, first: float, last: float, parts: int) -> tuple[Array, Array, Array]:
+        """Times, poses and velocities from `first` on, each span between nodes in `parts`.
+
+        They go on to `last` where the motion is at rest before.
+        """
         nodes = np.concatenate([[first], self.times[self.times > first + SHORTEST]])
-        if len(nodes) == 1:
-            nodes = np.array([first, first + BRAKE_TICK])
+        rest = nodes[-1]
+        more = max(math.ceil((last - rest) / REST_TICK - SHORTEST), 1 if len(nodes) == 1 else 0)
+        nodes = np.concatenate([nodes, rest + REST_TICK * np.arange(1, more + 1)])
         spans = np.diff(nodes)
         times = (nodes[:-1, None] + spans[:, None] * np.arange(parts) / parts).ravel()
         times = np.append(times, nodes[-1])

@@ -131,6 +131,6 @@ class PlannerParameters:
     arrival: Arrival
     obstacles: ObstacleParameters
     reserve: float = parameter(
-        0.1, "Share of the velocity limits that plans leave to the position controller.",
+        0.15, "Share of the limits that plans leave to the position controller.",
         low=0, high=0.9,
     )  # fmt: skip

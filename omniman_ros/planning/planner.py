@@ -8,6 +8,7 @@ next cycle. Time is an argument everywhere.
 import math
 from dataclasses import dataclass, replace
 from enum import Enum
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,12 +29,16 @@ Array = NDArray[np.float64]
 
 COLD_ITERATIONS = 5
 """Iterations on a new problem; then one a cycle."""
+EVASION, EVASION_ITERATIONS = 0.625 * math.pi, 4
+"""Angle between two directions that are tried [rad]: 16 in all; iterations on each."""
 ASTRAY = (0.15, 0.2)
 """Distance [m] and angle [rad] from the motion at which plans begin where the robot is."""
 AT_REST = 0.02
 """Speed below which the robot stands [m/s, rad/s]."""
 BLOCKED_AFTER = 2.0
 """The robot is blocked when it has stood for so long on its way to a goal [s]."""
+WORTH = 0.2
+"""By how much later contact must come for another motion to be better than braking now [s]."""
 HELD = 0.5
 """How much of the past of a motion is kept [s]."""
 
@@ -75,21 +80,17 @@ class Measured:
 
 @dataclass(frozen=True)
 class Proposal:
-    """An answer that may be used until it is due.
+    """Answers that may be used until they are due.
 
     Attributes:
-        due: When its plan begins [s]; later than that it is late.
-        plan: What was found, or None.
-        answer: The solver's, or None.
-        fault: Why there is no plan, or empty.
-        fresh: Whether the plan begins where the robot was measured, not on the last motion.
+        due: When their plans begin [s]; later than that they are late.
+        answers: The solver's: the last plan improved, and while that is no good an evasion.
+        fault: Why there is none, or empty.
     """
 
     due: float
-    plan: Motion | None
-    answer: Answer | None
-    fault: str
-    fresh: bool
+    answers: tuple[Answer, ...] = ()
+    fault: str = ""
 
 
 @dataclass(frozen=True)
@@ -102,6 +103,7 @@ class Report:
         braking: Whether the robot brakes because nothing else is free of contact.
         slack: Largest slack of the answer [m].
         cost: Of the answer [J].
+        contact: Time until a contact is expected where nothing clear was found [s].
         late: By how much the answer came after it was due [s]; below zero, that much before.
     """
 
@@ -110,6 +112,7 @@ class Report:
     braking: bool = False
     slack: float = math.nan
     cost: float = math.nan
+    contact: float = math.inf
     late: float = math.nan
 
 
@@ -143,6 +146,7 @@ class Planner:
         self.report = Report()
         self._guess: tuple[float, Array] | None = None
         self._faulty = False
+        self._turn = 0
         self._stood_since: float | None = None
 
     # ---- settings ---------------------------------------------------------------------------
@@ -272,35 +276,32 @@ class Planner:
         """
         due = now + self.parameters.safety.deadline
         if self.goal is None:
-            return Proposal(due, None, None, "no goal", False)
-        start, fresh = self._start(due, measured)
+            return Proposal(due, fault="no goal")
+        start = self._start(due, measured)
         self._latch_arrival(start, due)
         try:
-            answer = self._solve(start, due, around)
+            answers = self._solve(start, due, around)
         except (SolverError, RuntimeError, ValueError, ArithmeticError) as error:
             # Once the last good plan may serve again; then nothing of the past does.
             self._guess, self._faulty = (None if self._faulty else self._guess), True
-            return Proposal(due, None, None, f"solver: {error}", fresh)
+            return Proposal(due, fault=f"solver: {error}")
         self._faulty = False
-        step = self.parameters.horizon.step
-        plan = Motion.of_states(due, step, answer.states, answer.currents)
-        return Proposal(due, plan, answer, "", fresh)
+        return Proposal(due, answers)
 
-    def _start(self, due: float, measured: Measured) -> tuple[Array, bool]:
-        """State (6,) when the answer is due, and whether it is from the measured one."""
+    def _start(self, due: float, measured: Measured) -> Array:
+        """State (6,) when the answer is due."""
         followed, velocity = self.motion.sample(due)
         then, _ = self.motion.sample(measured.time)
         error = measured.pose - then
         error[2] = se2.wrap(error[2])
         astray = math.hypot(error[0], error[1]) > ASTRAY[0] or abs(error[2]) > ASTRAY[1]
-        fresh = astray or not self.anchored
-        if fresh:
+        if astray or not self.anchored:
             followed = followed + error
             if not self.anchored:
                 lag = velocity - self.motion.sample(measured.time)[1]
                 velocity = se2.to_world(float(measured.pose[2]), measured.twist) + lag
         twist = se2.to_robot(float(followed[2]), velocity)
-        return np.concatenate([followed, twist]), fresh
+        return np.concatenate([followed, twist])
 
     def _latch_arrival(self, start: Array, due: float) -> None:
         """Say when a pose is passed at its velocity, once it is within reach."""
@@ -317,9 +318,8 @@ class Planner:
         if needed < p.horizon.duration:
             self.goal = goal.arriving(due + max(needed, 0.5 * p.horizon.duration))
 
-    def _solve(self, start: Array, due: float, around: Ellipses) -> Answer:
-        assert self.goal is not None
-        step = self.parameters.horizon.step
+    def _solve(self, start: Array, due: float, around: Ellipses) -> tuple[Answer, ...]:
+        """The last plan improved; where the last cycle was in trouble, an evasion, too."""
         solver = self._solvers[max(self._solvers) if len(around) else 0]
         iterations = 1
         if self._guess is None:
@@ -327,34 +327,86 @@ class Planner:
         else:
             since, currents = self._guess
             guess = solver.shifted(currents, due - since)
-        states = solver.states(start, guess)
-        along = Motion.of_states(due, step, states, guess)
-        stage = self._problem.stage(start, along, self.goal, around, solver.transcription.slots)
-        answer = solver.solve(start, guess, stage, iterations)
+        answer = self._improved(solver, start, due, guess, around, iterations)
         self._guess = due, answer.currents
-        return answer
+        if not len(around) or not self._troubled:
+            return (answer,)
+        self._turn += 1
+        guess = self._problem.evasion(start, self._turn * EVASION)
+        try:
+            return answer, self._improved(solver, start, due, guess, around, EVASION_ITERATIONS)
+        except SolverError:
+            return (answer,)
+
+    def _improved(
+        self, solver: Solver, start: Array, due: float, guess: Array, around: Ellipses, n: int
+    ) -> Answer:
+        assert self.goal is not None
+        step = self.parameters.horizon.step
+        along = Motion.of_states(due, step, solver.states(start, guess), guess)
+        slots = solver.transcription.slots
+        stage = self._problem.stage(start, along, self.goal, around, slots)
+        return solver.solve(start, guess, stage, n)
+
+    @property
+    def _troubled(self) -> bool:
+        """Whether the last plan was not good."""
+        report = self.report
+        return not report.used or report.contact < math.inf
 
     def take(self, proposal: Proposal, now: float, measured: Measured, around: Ellipses) -> None:
         """Use the answer if it is in time and clear, else the last plan's rest, else brake."""
         surroundings = self._surroundings(around, self._off(measured))
         report = Report(late=now - proposal.due, why=proposal.fault)
-        if proposal.answer is not None:
-            report = replace(
-                report, slack=float(proposal.answer.slack.max()), cost=proposal.answer.cost
-            )
-        self.report = report
-        if proposal.plan is not None:
-            why = self._refusal(report)
-            candidate = None if why else self._candidate(proposal, now, surroundings)
-            if candidate is not None:
-                self.motion, self.report = candidate, replace(report, used=True)
-                self._judge(now, measured)
-                return
-            self.report = report = replace(report, why=why or "the plan is not clear of contact")
-        if surroundings.contact(self.motion, now) < math.inf:
-            self.motion = self._way_out(now, surroundings)
-            self.report = replace(report, braking=True)
+        if proposal.answers:
+            first = proposal.answers[0]
+            report = replace(report, slack=float(first.slack.max()), cost=first.cost)
+        self.report = replace(report, **self._choose(proposal, report, now, surroundings))
         self._judge(now, measured)
+
+    def _choose(
+        self, proposal: Proposal, report: Report, now: float, around: Surroundings
+    ) -> dict[str, Any]:
+        """Set the motion to the best there is; what of it is to be reported.
+
+        As much of the plan as is clear with its braking, the last motion, as much of that. Where
+        nothing is clear for as long as is looked ahead, what is clear longest: the obstacles may
+        yet turn away, and an evasion may still be found.
+        """
+        why, plans = "", []
+        if proposal.answers and report.late > 0.0:
+            why = f"the answer came {1e3 * report.late:.0f} ms late"
+        elif proposal.answers:
+            why = "the plan is not clear of contact"
+            plans = [self._joined(proposal, answer, now) for answer in proposal.answers]
+        earliest = proposal.due + 0.5 * self.parameters.horizon.step
+        for answer, plan in zip(proposal.answers, plans, strict=False):
+            clear = around.longest(plan, now, earliest, self._deceleration)
+            if clear is not None:
+                self.motion, self._guess = clear, (proposal.due, answer.currents)
+                return {"used": True}
+        why = proposal.fault or why
+        if around.contact(self.motion, now) == math.inf:
+            return {"why": why}
+        begins = max(self.motion.start, now - HELD)
+        rest = self.motion.between(begins, max(self.motion.end, now + 1e-3))
+        clear = around.longest(rest, now, now, self._deceleration)
+        if clear is not None:
+            self.motion = clear
+            return {"why": why, "braking": True}
+        stop = self._braked(now)
+        latest = around.contact(stop, now) + WORTH
+        best, told = stop, {"why": why, "braking": True}
+        for k, other in enumerate([*plans, rest]):
+            whole = other.braked(other.end, self._deceleration)
+            contact = around.contact(whole, now)
+            if contact > latest:
+                best, latest, told = whole, contact, {"why": why}
+                if k < len(plans):
+                    self._guess = proposal.due, proposal.answers[k].currents
+                    told = {"used": True}
+        self.motion = best
+        return {**told, "contact": latest - now}
 
     def voltages(self, now: float) -> Array | None:
         """Motor voltages (n,) [V] of the motion at a time [s]; None where it has none planned."""
@@ -381,42 +433,27 @@ class Planner:
         power = (self.model.voltages(currents, twists) * currents).sum(axis=1)
         return float((power * spans).sum())
 
-    def _refusal(self, report: Report) -> str:
-        if not self.active:
-            return "there is no goal any more"
-        if report.late > 0.0:
-            return f"the answer came {1e3 * report.late:.0f} ms late"
-        return ""
-
-    def _candidate(self, proposal: Proposal, now: float, around: Surroundings) -> Motion | None:
-        """The last motion until the plan is due, then as much of the plan as is clear."""
-        plan, past = proposal.plan, min(now, proposal.due) - HELD
-        assert plan is not None
-        begins = max(past, self.motion.start)
-        if begins < proposal.due - 1e-3:
-            before = self.motion.between(begins, proposal.due)
-            moved = plan.poses[0] - before.poses[-1]  # none, but for a fresh start
-            plan = replace(before, poses=before.poses + moved).then(plan)
-        elif begins > proposal.due:
-            return None
-        earliest = proposal.due + 0.5 * self.parameters.horizon.step
-        return around.longest(plan, now, earliest, self._deceleration)
+    def _joined(self, proposal: Proposal, answer: Answer, now: float) -> Motion:
+        """The last motion until the plan is due, then the plan."""
+        step = self.parameters.horizon.step
+        plan = Motion.of_states(proposal.due, step, answer.states, answer.currents)
+        begins = max(min(now, proposal.due) - HELD, self.motion.start)
+        if begins > proposal.due - 1e-3:
+            return plan
+        before = self.motion.between(begins, proposal.due)
+        moved = plan.poses[0] - before.poses[-1]  # none, unless it begins where the robot is
+        return replace(before, poses=before.poses + moved).then(plan)
 
     def _braked(self, now: float) -> Motion:
         begins = max(self.motion.start, now - HELD)
         rest = self.motion.between(begins, max(self.motion.end, now + 1e-3))
         return rest.braked(max(now, rest.start), self._deceleration)
 
-    def _way_out(self, now: float, around: Surroundings) -> Motion:
-        """As much of the motion as is clear with its braking; else the braking at once."""
-        begins = max(self.motion.start, now - HELD)
-        rest = self.motion.between(begins, max(self.motion.end, now + 1e-3))
-        clear = around.longest(rest, now, now, self._deceleration)
-        return self._braked(now) if clear is None else clear
-
     @property
     def _deceleration(self) -> tuple[float, float]:
-        return self.parameters.limits.deceleration
+        left = 1.0 - self.parameters.reserve
+        linear, angular = self.parameters.limits.deceleration
+        return left * linear, left * angular
 
     def _off(self, measured: Measured) -> float:
         """How far a corner of the robot may be from where the motion has it [m]."""
@@ -428,7 +465,8 @@ class Planner:
     def _surroundings(self, around: Ellipses, off: float) -> Surroundings:
         p = self.parameters
         margin = p.safety.least_clearance + off
-        return Surroundings(self.model.half, around, p.workspace.bounds, margin)
+        until = around.time + p.horizon.duration
+        return Surroundings(self.model.half, around, p.workspace.bounds, margin, until)
 
     # ---- how far it has come ----------------------------------------------------------------
 

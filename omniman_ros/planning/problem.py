@@ -63,6 +63,27 @@ class Problem:
             obstacles=self._obstacles(guess, ellipses, slots),
         )
 
+    def evasion(self, start: Array, direction: float) -> Array:
+        """Currents (N, n) that drive off into a direction of odom [rad], then let it roll.
+
+        A guess from which the solver finds ways that it would not find from the last plan.
+        """
+        p, model = self.parameters, self._model
+        steps, step = p.horizon.steps, p.horizon.step
+        angle = direction - start[2]
+        room = (1.0 - p.reserve) * self.share
+        speed, rate = room * p.limits.linear_velocity, room * p.limits.linear_acceleration
+        missing = speed * np.array([math.cos(angle), math.sin(angle), 0.0]) - start[3:]
+        force = model.inertia @ np.array([missing[0], missing[1], missing[2]])
+        lasts = float(np.clip(math.hypot(missing[0], missing[1]) / rate, step, steps * step))
+        torque = np.linalg.pinv(model.J.T) @ (force / lasts)
+        currents = np.clip(
+            torque / (model.efficiency * model.emf), -model.max_current, model.max_current
+        )
+        pushing = np.arange(steps) * step < lasts - 0.5 * step
+        result: Array = pushing[:, None] * currents
+        return result
+
     def _targets(self, start: Array, times: Array, goal: Goal) -> tuple[Array, float]:
         """Targets (N, 6), and the strongest pull of the goal [J/m]."""
         w, p = self.parameters.weights, self.parameters
@@ -95,10 +116,7 @@ class Problem:
         linear_now = float((np.cos(spokes) * twist[0] + np.sin(spokes) * twist[1]).max())
         now = np.array([linear_now / math.cos(math.pi / SIDES), abs(twist[2]), wheels])
         most = np.array([linear * room, angular * room, model.max_speed])
-        a, b = (
-            self.share * p.limits.linear_acceleration,
-            self.share * p.limits.angular_acceleration,
-        )
+        a, b = room * p.limits.linear_acceleration, room * p.limits.angular_acceleration
         rates = 0.5 * np.array([a, b, a / model.half.min()])
         passed = p.horizon.step * np.arange(1, steps + 1)[:, None]
         # No headroom here: over the cycles it would add up to ever higher speeds.

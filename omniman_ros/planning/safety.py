@@ -29,12 +29,14 @@ class Surroundings:
         ellipses: Obstacles, as they are known now.
         workspace: (x_min, y_min, x_max, y_max) in odom [m].
         margin: Gap that is kept to both [m].
+        until: A motion is looked at until then even where it is at rest before [s].
     """
 
     half: Array
     ellipses: Ellipses
     workspace: Workspace
     margin: float
+    until: float = -math.inf
 
     def outside(self, poses: Array) -> float:
         """By how much the box at poses (K, 3) leaves the workspace, its margin included [m]."""
@@ -55,7 +57,7 @@ class Surroundings:
         Where the robot is too close already it may go on, but not closer, so that it gets away
         from there; what is allowed beyond the margin does not add up over calls.
         """
-        times, poses, velocities = motion.fine(now, PARTS)
+        times, poses, velocities = motion.fine(now, self.until, PARTS)
         first = math.inf
         out = outside_by(poses, self.half, self.workspace) + self.margin
         left = ~(out <= max(float(out[0]) + 1e-3, 0.0))
