@@ -9,17 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omniman_ros.cli.recorder import Recording
-from omniman_ros.cli.score import DrivenLeg, DrivenTwist, Reference, pose_errors
+from omniman_ros.cli.score import DrivenGoal, DrivenLeg, DrivenTwist, Reference, pose_errors
 from omniman_ros.core.robot import Robot
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt
-from matplotlib.patches import Polygon
+from matplotlib.patches import Circle, Polygon
 
 Array = NDArray[np.float64]
 
-INK, FAINT, TWISTS, PATH, TRUTH, ROBOT = (
-    "#1f2933", "#c3cad2", "#2f6fde", "#d9480f", "#0b8043", "#5f6b7a",
+INK, FAINT, TWISTS, PATH, TRUTH, ROBOT, GOAL, OBSTACLE = (
+    "#1f2933", "#c3cad2", "#2f6fde", "#d9480f", "#0b8043", "#5f6b7a", "#b5179e", "#8d6e63",
 )  # fmt: skip
 OUTLINES = 10
 """Poses along the way at which the robot is outlined, the first and last included."""
@@ -32,6 +32,7 @@ def draw(
     twists: list[DrivenTwist],
     legs: list[DrivenLeg],
     path: Path,
+    goal: DrivenGoal | None = None,
 ) -> None:
     """Draw the demo into a PNG file."""
     odom, truth = np.array(recording.odom), np.array(recording.truth)
@@ -45,7 +46,7 @@ def draw(
     with plt.rc_context(style):
         sheet = plt.figure(figsize=(11, 6), layout="constrained")
         grid = sheet.add_gridspec(3, 2, width_ratios=(1.15, 1))
-        _way(sheet.add_subplot(grid[:, 0]), robot, odom, truth, legs)
+        _way(sheet.add_subplot(grid[:, 0]), robot, odom, truth, legs, goal)
         rows = [sheet.add_subplot(grid[i, 1]) for i in range(3)]
         _speeds(rows[0], odom, begin)
         _coupling(rows[1], np.array(recording.coupling), begin)
@@ -61,8 +62,17 @@ def draw(
         plt.close(sheet)
 
 
-def _way(axes: Any, robot: Robot, odom: Array, truth: Array, legs: list[DrivenLeg]) -> None:
+def _way(
+    axes: Any,
+    robot: Robot,
+    odom: Array,
+    truth: Array,
+    legs: list[DrivenLeg],
+    goal: DrivenGoal | None,
+) -> None:
     """Top view: x forward is up, y left is left, as the robot sees it at the start."""
+    if goal is not None:
+        _among_obstacles(axes, odom, goal)
     on_path = odom[:, 0] >= legs[0].start
     axes.plot(
         -odom[~on_path, 2], odom[~on_path, 1], color=TWISTS, lw=2.0, zorder=4, label="cmd_vel"
@@ -87,6 +97,22 @@ def _way(axes: Any, robot: Robot, odom: Array, truth: Array, legs: list[DrivenLe
     axes.xaxis.set_major_formatter(lambda value, _: f"{-value + 0.0:g}")
     axes.grid(color=FAINT, lw=0.4)
     axes.legend(frameon=False, loc="upper right")
+
+
+def _among_obstacles(axes: Any, odom: Array, goal: DrivenGoal) -> None:
+    """The way to the goal, and where the obstacles went: as discs where they were nearest."""
+    during = odom[(odom[:, 0] >= goal.start) & (odom[:, 0] <= goal.end)]
+    axes.plot(-during[:, 2], during[:, 1], color=GOAL, lw=2.0, zorder=4.5, label="goal")
+    axes.plot(-goal.goal[1], goal.goal[0], "*", color=GOAL, ms=11, zorder=6)
+    crossing = goal.crossing
+    nearest = crossing.gaps(during[:, :4], (0.0, 0.0)).argmin(axis=0)
+    begin, end = crossing.at(goal.start), crossing.at(goal.end)
+    for k, radius in enumerate(crossing.radii.tolist()):
+        x, y = crossing.at(float(during[nearest[k], 0]))[k]
+        axes.add_patch(Circle((-y, x), radius, facecolor=OBSTACLE, edgecolor="none", alpha=0.45))
+        axes.plot(
+            [-begin[k, 1], -end[k, 1]], [begin[k, 0], end[k, 0]], color=OBSTACLE, lw=1.0, ls=":"
+        )
 
 
 def _outline(axes: Any, robot: Robot, pose: Array, **options: Any) -> None:

@@ -50,6 +50,7 @@ class Recorder:
         recording: The rows.
         active_source: What the controller said last, or empty.
         progress: What `path_progress` said last.
+        planner: What `mpc/status` said last, by key.
         health: What `wheel_health` said last, by wheel and other keys.
         stopped: Names of stopped nodes, with the reason.
     """
@@ -59,6 +60,7 @@ class Recorder:
         self.active_source = ""
         self.progress = 0.0
         self.health: dict[str, str] = {}
+        self.planner: dict[str, str] = {}
         self.stopped: dict[str, str] = {}
         for kind, topic, handler, qos in (
             (Odometry, "odom", self._on_odom, 10),
@@ -69,6 +71,7 @@ class Recorder:
             (Float64MultiArray, "wheel_electrical", self._on_electrical, 10),
             (MultiDOFJointTrajectory, "path/reference", self._on_reference, 10),
             (Float64, "path_progress", self._on_progress, 10),
+            (DiagnosticStatus, "mpc/status", self._on_planner, 10),
             (String, "active_source", self._on_source, LATCHED),
             (DiagnosticStatus, "stop_state", self._on_stop_state, LATCHED),
             (DiagnosticStatus, "wheel_health", self._on_health, LATCHED),
@@ -128,6 +131,9 @@ class Recorder:
 
     def _on_health(self, message: DiagnosticStatus) -> None:
         self.health = {item.key: item.value for item in message.values}
+
+    def _on_planner(self, message: DiagnosticStatus) -> None:
+        self.planner = {item.key: item.value for item in message.values}
 
     def _on_stop_state(self, message: DiagnosticStatus) -> None:
         if message.level == DiagnosticStatus.ERROR:

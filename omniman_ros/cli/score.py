@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from omniman_ros.cli.crossing import Crossing
 from omniman_ros.cli.figures import TwistPhase
 from omniman_ros.cli.recorder import Recording, Row
 
@@ -28,6 +29,8 @@ LIMITS = {
     "final heading, deg": 1.0,
     "odometry position, mm": 100.0,
     "odometry heading, deg": 6.0,
+    "goal position, mm": 40.0,
+    "goal heading, deg": 3.0,
     "dead wheel noticed, s": 2.0,
     "tracking without a wheel RMS, mm": 20.0,
     "odom rate, Hz": 80.0,
@@ -54,6 +57,16 @@ class DrivenLeg:
     """A movement of the path, from when to when in ROS time [s]."""
 
     name: str
+    start: float
+    end: float
+
+
+@dataclass(frozen=True)
+class DrivenGoal:
+    """A goal (x, y, theta) in odom that was driven to among obstacles; times in ROS time [s]."""
+
+    goal: tuple[float, float, float]
+    crossing: Crossing
     start: float
     end: float
 
@@ -198,6 +211,28 @@ def _from_start(poses: Array) -> Array:
     return np.array([c * x + s * y, c * y - s * x, turn])
 
 
+def goal_figures(odom: Array, driven: DrivenGoal, half: Sequence[float]) -> dict[str, Any]:
+    """How near to the goal the robot came, and how near to the obstacles, which are in odom.
+
+    Args:
+        odom: Rows of Recording.odom.
+        driven: The goal.
+        half: Half length and half width of the robot's box [m].
+    """
+    during = odom[(odom[:, 0] >= driven.start) & (odom[:, 0] <= driven.end)]
+    if not len(during):
+        return dict.fromkeys(("position_mm", "heading_deg", "time_s"), math.inf) | {
+            "clearance_m": -math.inf
+        }
+    last, goal = during[-1, 1:4], np.array(driven.goal)
+    return {
+        "position_mm": 1e3 * float(np.hypot(*(last[:2] - goal[:2]))),
+        "heading_deg": math.degrees(abs(float(wrapped(last[2] - goal[2])))),
+        "time_s": driven.end - driven.start,
+        "clearance_m": float(driven.crossing.gaps(during[:, :4], half).min()),
+    }
+
+
 def intervals(arrivals: Sequence[float]) -> dict[str, Any]:
     """Rate [Hz] and interval [ms] of messages by their arrivals [s]."""
     gaps = 1e3 * np.diff(np.array(arrivals))
@@ -221,6 +256,8 @@ def judge(
     twists: Sequence[DrivenTwist],
     legs: Sequence[DrivenLeg],
     without_wheel: DrivenWithoutWheel | None = None,
+    goal: DrivenGoal | None = None,
+    half: Sequence[float] = (0.0, 0.0),
 ) -> dict[str, Any]:
     """All figures, and under "faults" a sentence for each that is beyond its limit."""
     odom, truth = np.array(recording.odom), np.array(recording.truth)
@@ -239,6 +276,8 @@ def judge(
             "wheel_commands": intervals(recording.command_arrivals),
         },
     }
+    if goal is not None:
+        result["goal"] = goal_figures(odom, goal, half)
     if without_wheel is not None:
         result["dead_wheel"] = {
             "wheel": without_wheel.wheel,
@@ -261,6 +300,9 @@ def faults(result: dict[str, Any]) -> list[str]:
         ("odometry position, mm", odometry["position_mm"]),
         ("odometry heading, deg", odometry["heading_deg"]),
     ]
+    if "goal" in result:
+        most.append(("goal position, mm", result["goal"]["position_mm"]))
+        most.append(("goal heading, deg", result["goal"]["heading_deg"]))
     if "dead_wheel" in result:
         dead = result["dead_wheel"]
         most.append(("dead wheel noticed, s", dead["noticed_s"]))
@@ -273,6 +315,8 @@ def faults(result: dict[str, Any]) -> list[str]:
         for name, value in most
         if not value <= LIMITS[name]
     ]
+    if "goal" in result and not result["goal"]["clearance_m"] > 0.0:
+        found.append(f"an obstacle was touched: clearance {result['goal']['clearance_m']:.3g} m")
     for topic in ("odom", "wheel_commands"):
         name = f"{topic} rate, Hz"
         rate = timing[topic]["rate_hz"]

@@ -1,4 +1,4 @@
-"""The show of the demo: twists through cmd_vel, then a path through path_interpolator."""
+"""The show of the demo: twists, a path, a goal among moving obstacles, and a wheel lost."""
 
 import math
 import time
@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import Twist
+from geometry_msgs.msg import PoseStamped, Twist
 from nav_msgs.msg import Path
 from numpy.typing import NDArray
 from rcl_interfaces.msg import Parameter as ParameterMessage
@@ -15,14 +15,16 @@ from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.client import Client
 from std_srvs.srv import Trigger
+from visualization_msgs.msg import MarkerArray
 
 from omniman_ros import conversions
+from omniman_ros.cli.crossing import GOAL, Crossing
 from omniman_ros.cli.errors import CommandError
 from omniman_ros.cli.figures import Pace, Triple, TwistPhase, twist_phases
 from omniman_ros.cli.previews import twist_message
 from omniman_ros.cli.progress import Progress
 from omniman_ros.cli.recorder import Recorder
-from omniman_ros.cli.score import DrivenLeg, DrivenTwist, DrivenWithoutWheel, excuse
+from omniman_ros.cli.score import DrivenGoal, DrivenLeg, DrivenTwist, DrivenWithoutWheel, excuse
 from omniman_ros.cli.session import DISCOVERY, Session
 from omniman_ros.core import se2
 from omniman_ros.studies.figure7 import Movement, movements
@@ -40,6 +42,10 @@ DRIVES = "driving"
 """What `wheel_health` says of a good wheel."""
 ANSWER = 5.0
 """How long to wait for the answer of a service [s]."""
+GOAL_PATIENCE = 30.0
+"""How long the way to the goal may take [s]."""
+OBSERVED = 0.05
+"""Period of the obstacles' observations [s]."""
 LATE, SLOWEST = 20.0, 0.2
 """A movement slower than this on the whole [s, m/s] will never be at its end."""
 
@@ -69,6 +75,7 @@ class Driven:
 
     twists: list[DrivenTwist] = field(default_factory=list)
     legs: list[DrivenLeg] = field(default_factory=list)
+    goal: DrivenGoal | None = None
     without_wheel: DrivenWithoutWheel | None = None
 
 
@@ -91,6 +98,8 @@ class Show:
         self._poll = poll
         self._twists = session.node.create_publisher(Twist, "cmd_vel", 1)
         self._paths = session.node.create_publisher(Path, "path", 10)
+        self._goals = session.node.create_publisher(PoseStamped, "goal_pose", 10)
+        self._obstacles = session.node.create_publisher(MarkerArray, "obstacles", 50)
         self._faults = session.node.create_client(SetParameters, "simulated_drive/set_parameters")
         self._resets = [
             session.node.create_client(Trigger, f"{node}/reset")
@@ -126,6 +135,47 @@ class Show:
         origin = self._pose()
         for movement in movements():
             self._follow(movement, poses_along(movement, origin))
+
+    def reach_goal(self) -> None:
+        """Drive to a goal among obstacles that cross the way.
+
+        Raises:
+            CommandError: The robot did not arrive.
+        """
+        self._progress.begin("goal, obstacles")
+        self._wait(lambda: self.recorder.active_source == "none", 5.0)
+        begin, robot = self._now(), self._pose()
+        crossing = Crossing.before(robot, begin)
+        goal = placed(np.array([GOAL]), robot)[0]
+        self._observe(crossing)
+        message = conversions.path_message(goal[None], "odom").poses[0]
+        message.header.frame_id = "odom"
+        self._goals.publish(message)
+        self.recorder.planner.clear()
+        distance, driving = math.hypot(*GOAL[:2]), False
+        for _ in self._ticks(GOAL_PATIENCE, OBSERVED):
+            self._observe(crossing)
+            x, y, _ = self._pose()
+            left = math.hypot(goal[0] - x, goal[1] - y)
+            self._progress.update(1.0 - left / distance, self._note())
+            driving = driving or self.recorder.planner.get("state") == "driving"
+            if driving and self.recorder.planner.get("state") == "arrived":
+                break
+        else:
+            said = self.recorder.planner.get("last", "nothing")
+            raise CommandError(
+                f"the goal is not reached, {left:.2f} m are left; mpc_planner says: {said}"
+                f"{excuse(self.recorder.recording)}"
+            )
+        x, y, theta = (float(value) for value in goal)
+        self.driven.goal = DrivenGoal((x, y, theta), crossing, begin, self._now())
+        self._obstacles.publish(crossing.gone())
+        self._rest()
+        self._progress.end(self._note())
+
+    def _observe(self, crossing: Crossing) -> None:
+        clock = self._session.node.get_clock().now()
+        self._obstacles.publish(crossing.message(self._now(), clock.to_msg()))
 
     def drive_without_a_wheel(self, wheel: str) -> None:
         """Lose a motor on a path of two straights, go on with the other wheels, and repair it.
@@ -259,7 +309,7 @@ class Show:
     def _absent(self) -> str:
         unheard = [
             f"a listener to {publisher.topic_name}"
-            for publisher in (self._twists, self._paths)
+            for publisher in (self._twists, self._paths, self._goals, self._obstacles)
             if not publisher.get_subscription_count()
         ]
         return ", ".join(self.recorder.missing + unheard)

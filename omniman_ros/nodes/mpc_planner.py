@@ -227,7 +227,6 @@ class MpcPlannerNode(OmnimanNode):
         if why:
             self._last = f"a goal was refused: {why}"
             return why
-        self.watch.begin(now)
         self._last = self._held = ""
         self.get_logger().info("goal taken")
         return ""
@@ -246,7 +245,7 @@ class MpcPlannerNode(OmnimanNode):
     def _watch_out(self) -> None:
         """Give the goal up if the motion is no longer ours to drive."""
         why = self.watch.lost(self.now())
-        if not why and self.core.state is PlannerState.PAUSED:
+        if not why and self.core.goal is not None:  # it stands, and nothing of it is followed
             why = self.watch.obstacle
         if why:
             self._give_up(why)
@@ -268,7 +267,6 @@ class MpcPlannerNode(OmnimanNode):
     def _resume(self) -> str:
         if self._measured is None or not self.core.resume(self._measured):
             return f"nothing to resume: {self.core.state.value}"
-        self.watch.begin(self.now())
         return ""
 
     def _cancel(self) -> str:
@@ -347,6 +345,8 @@ class MpcPlannerNode(OmnimanNode):
         self._streaming = (
             self.settings.value.output == "voltages" and self.core.voltages(now) is not None
         )
+        if motion.end <= now:
+            self.watch.end(lost=False)
         if motion.end <= now or self._streaming:
             return
         part = motion.between(now, motion.end)
@@ -355,6 +355,7 @@ class MpcPlannerNode(OmnimanNode):
             part.velocities,
         )  # fmt: skip
         self._reference.publish(message)
+        self.watch.begin(now)
         self.watch.sent(now)
 
     def _stream(self) -> None:
@@ -370,6 +371,7 @@ class MpcPlannerNode(OmnimanNode):
         message.header.stamp = self.stamp(now)
         message.effort = volts.tolist()
         self._voltages.publish(message)
+        self.watch.begin(now)
         self.watch.sent(now)
 
     def _show(self, now: float, around: object) -> None:

@@ -151,7 +151,9 @@ class Motion:
         """
         nodes = np.concatenate([[first], self.times[self.times > first + SHORTEST]])
         rest = nodes[-1]
-        more = max(math.ceil((last - rest) / REST_TICK - SHORTEST), 1 if len(nodes) == 1 else 0)
+        more = max(
+            math.ceil((max(last, rest) - rest) / REST_TICK - SHORTEST), 1 if len(nodes) == 1 else 0
+        )
         nodes = np.concatenate([nodes, rest + REST_TICK * np.arange(1, more + 1)])
         spans = np.diff(nodes)
         times = (nodes[:-1, None] + spans[:, None] * np.arange(parts) / parts).ravel()

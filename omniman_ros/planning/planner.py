@@ -374,7 +374,9 @@ class Planner:
         yet turn away, and an evasion may still be found.
         """
         why, plans = "", []
-        if proposal.answers and report.late > 0.0:
+        if not self.active:
+            why = "there is no goal any more"
+        elif proposal.answers and report.late > 0.0:
             why = f"the answer came {1e3 * report.late:.0f} ms late"
         elif proposal.answers:
             why = "the plan is not clear of contact"

@@ -60,7 +60,8 @@ class Surroundings:
         times, poses, velocities = motion.fine(now, self.until, PARTS)
         first = math.inf
         out = outside_by(poses, self.half, self.workspace) + self.margin
-        left = ~(out <= max(float(out[0]) + 1e-3, 0.0))
+        allowed = max(float(out[0]) + 1e-3, 0.0) if math.isfinite(out[0]) else -math.inf
+        left = ~(out <= allowed)
         if left.any():
             first = float(times[int(left.argmax())])
         reached = within_reach(times, poses, velocities, self.half, self.ellipses, self.margin)

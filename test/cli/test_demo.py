@@ -19,7 +19,7 @@ from .support import PATIENCE, Running, children_of, command, environment, is_al
 
 PARTS = (
     "diagonal", "spin", "circle + spin", "path: forwards", "path: sideways", "path: backwards",
-    "path: circle 1", "path: circle 2", "dead wheel",
+    "path: circle 1", "path: circle 2", "goal, obstacles", "dead wheel",
 )  # fmt: skip
 
 TIMES = {"rate_hz": 100.0, "p50_ms": 10.0, "p99_ms": 11.0, "max_ms": 12.0}
@@ -89,9 +89,11 @@ def test_the_demo_drives_is_measured_and_says_so_in_json(tmp_path):
     assert result == json.loads((tmp_path / "demo.json").read_text())
     assert result["ok"] is True
     assert result["faults"] == []
-    assert result["duration_s"] < 75.0
+    assert result["duration_s"] < 90.0
     assert result["tracking"]["rms_mm"] < 5.0
     assert result["tracking"]["samples"] > 900
+    assert result["goal"]["position_mm"] < 40.0
+    assert result["goal"]["clearance_m"] > 0.0
     assert result["dead_wheel"]["wheel"] == "rear_right"
     assert result["dead_wheel"]["rms_mm"] < 20.0
     assert result["odometry"]["travel_m"] > 5.0
