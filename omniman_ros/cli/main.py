@@ -82,6 +82,20 @@ def add_teleop(parser: argparse.ArgumentParser) -> None:
     add_namespace(parser, "namespace of the robot")
 
 
+def add_goal(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `omniman goal`."""
+    parser.add_argument("x", type=float, help="m, in odom")
+    parser.add_argument("y", type=float, help="m, in odom")
+    parser.add_argument("heading", type=float, nargs="?", default=0.0, help="degrees; %(default)s")
+    parser.add_argument(
+        "--relative", action="store_true", help="seen from the robot, where it is now"
+    )
+    parser.add_argument(
+        "--timeout", type=float, default=120.0, help="seconds until it is cancelled; %(default)s"
+    )
+    add_namespace(parser, "namespace of the robot")
+
+
 def add_stop(parser: argparse.ArgumentParser) -> None:
     """Arguments of `omniman stop` and `omniman reset`."""
     add_namespace(parser, "only the nodes in this namespace; default: all that are found")
@@ -178,6 +192,7 @@ def add_parameters(parser: argparse.ArgumentParser) -> None:
 COMMANDS: dict[str, tuple[str, str, Callable[[argparse.ArgumentParser], None]]] = {
     "up": ("up", "start the nodes, Ctrl-C stops the robot and ends them", add_up),
     "teleop": ("teleop", "drive with the keyboard: hold to drive, release stops", add_teleop),
+    "goal": ("goal", "send the robot to a goal among obstacles; Ctrl-C cancels", add_goal),
     "stop": ("stop_reset", "stop every node that moves something, until a reset", add_stop),
     "reset": ("stop_reset", "release stopped nodes; moves nothing by itself", add_stop),
     "demo": ("demo", "a simulated robot drives and is measured, in a minute", add_demo),

@@ -51,8 +51,9 @@ def draw(
         _speeds(rows[0], odom, begin)
         _coupling(rows[1], np.array(recording.coupling), begin)
         _tracking(rows[2], odom, Reference(recording.reference), legs, begin)
+        marked = legs if goal is None else [*legs, DrivenLeg("goal", goal.start, goal.end)]
         for axes in rows:
-            _mark(axes, twists, legs, begin)
+            _mark(axes, twists, marked, begin)
             axes.set_xlim(0.0, odom[-1, 0] - begin)
         rows[0].tick_params(labelbottom=False)
         rows[1].tick_params(labelbottom=False)

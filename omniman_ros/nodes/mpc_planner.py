@@ -91,6 +91,7 @@ class MpcPlannerNode(OmnimanNode):
         self._ticked = self.now()
         self._solved = math.nan
         self._held = ""
+        self._goals = self._refused = 0
         self._last = "no goal yet"
         self._reference = self.create_publisher(
             MultiDOFJointTrajectory, "mpc/reference", QoSProfile(depth=1)
@@ -199,10 +200,15 @@ class MpcPlannerNode(OmnimanNode):
                 raise InputError("the node ends")
             goal = make()
         except InputError as error:
-            self._last = f"a goal was refused: {error}"
+            self._refuse(str(error))
             raise
         self._waiting = goal, self.now() + PATIENCE + self.watch.wait(self.now())
         return self._try_waiting()
+
+    def _refuse(self, why: str) -> str:
+        self._last = f"a goal was refused: {why}"
+        self._refused += 1
+        return why
 
     # ---- goals --------------------------------------------------------------------------------
 
@@ -225,9 +231,9 @@ class MpcPlannerNode(OmnimanNode):
             except InputError as error:
                 why = str(error)
         if why:
-            self._last = f"a goal was refused: {why}"
-            return why
+            return self._refuse(why)
         self._last = self._held = ""
+        self._goals += 1
         self.get_logger().info("goal taken")
         return ""
 
@@ -415,6 +421,8 @@ class MpcPlannerNode(OmnimanNode):
         distance, angle = (0.0, 0.0) if self._measured is None else core.error(self._measured)
         values: list[tuple[str, object]] = [
             ("state", core.state.value),
+            ("goals", self._goals),
+            ("refused", self._refused),
             ("distance_m", round(distance, 3)),
             ("angle_rad", round(angle, 3)),
             ("solve_ms", round(1e3 * self._solved, 2)),
