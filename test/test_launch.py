@@ -150,12 +150,14 @@ def test_platform_starts_the_simulated_drive_and_the_controller_by_default(platf
         "namespace": "",
         "use_sim_time": "false",
         "drive": "simulated",
+        "mpc": "true",
         "viewer": "false",
     }
     assert nodes == {
         "simulated_drive": ("", {"robot": "omniman", "publish_clock": False}),
         "platform_controller": ("", {"robot": "omniman", "use_sim_time": False}),
         "path_interpolator": ("", {"robot": "omniman", "use_sim_time": False}),
+        "mpc_planner": ("", {"robot": "omniman", "use_sim_time": False}),
     }
 
 
@@ -181,5 +183,5 @@ def test_the_viewer_is_started_where_it_is_asked_for(platform):
 
 
 def test_another_drive_starts_no_simulation(platform):
-    _, nodes = platform(drive="can")
+    _, nodes = platform(drive="can", mpc="false")
     assert set(nodes) == {"platform_controller", "path_interpolator"}

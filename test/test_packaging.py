@@ -20,6 +20,7 @@ SOURCES = sorted(ROOT.glob("omniman_ros/**/*.py"))
 DISTRIBUTIONS = {
     "numpy": ("numpy", "python3-numpy"),
     "PyYAML": ("yaml", "python3-yaml"),
+    "casadi": ("casadi", "python3-casadi-pip"),
     "matplotlib": ("matplotlib", "python3-matplotlib"),
     "viser": ("viser", None),
     "websockets": ("websockets", "python3-websockets"),

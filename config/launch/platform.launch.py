@@ -1,4 +1,4 @@
-"""Drive, controller and path interpolator of one platform.
+"""Drive, controller, path interpolator and planner of one platform.
 
 ros2 launch omniman_ros platform.launch.py robot:=ig42 namespace:=robot1
 """
@@ -30,6 +30,12 @@ ARGUMENTS = [
         default_value="simulated",
         description="What turns the wheels",
         choices=["simulated"],
+    ),
+    DeclareLaunchArgument(
+        "mpc",
+        default_value="true",
+        description="Whether to start the planner among obstacles; needs casadi",
+        choices=["true", "false"],
     ),
     DeclareLaunchArgument(
         "viewer",
@@ -68,6 +74,14 @@ def generate_launch_description() -> LaunchDescription:
         parameters=[{"robot": robot, "use_sim_time": sim_time}],
         output="screen",
     )
+    mpc_planner = Node(
+        package="omniman_ros",
+        executable="mpc_planner",
+        namespace=LaunchConfiguration("namespace"),
+        parameters=[{"robot": robot, "use_sim_time": sim_time}],
+        output="screen",
+        condition=IfCondition(LaunchConfiguration("mpc")),
+    )
     viewer = Node(
         package="omniman_ros",
         executable="viewer",
@@ -77,5 +91,12 @@ def generate_launch_description() -> LaunchDescription:
         condition=IfCondition(LaunchConfiguration("viewer")),
     )
     return LaunchDescription(
-        [*ARGUMENTS, simulated_drive, platform_controller, path_interpolator, viewer]
+        [
+            *ARGUMENTS,
+            simulated_drive,
+            platform_controller,
+            path_interpolator,
+            mpc_planner,
+            viewer,
+        ]
     )

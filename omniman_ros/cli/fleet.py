@@ -10,6 +10,7 @@ from pathlib import Path
 from omniman_ros.cli.children import Task
 from omniman_ros.cli.errors import CommandError
 from omniman_ros.core.errors import ParameterError
+from omniman_ros.planning import availability as planning_availability
 from omniman_ros.robots import robot_file
 from omniman_ros.viewer import availability as viewer_availability
 
@@ -37,7 +38,7 @@ class NodeKind:
 NODES = (
     NodeKind("platform_controller", stage=0),
     NodeKind("path_interpolator", stage=0),
-    NodeKind("mpc_planner", stage=0),
+    NodeKind("mpc_planner", stage=0, is_available=planning_availability.is_available),
     NodeKind("simulated_drive", stage=1, sim_time="publish_clock"),
     NodeKind("viewer", stage=0, is_available=viewer_availability.is_available, essential=False),
 )

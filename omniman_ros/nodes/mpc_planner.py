@@ -1,6 +1,7 @@
 """Node `mpc_planner`: goals and obstacles in, a checked motion on `mpc/reference` out."""
 
 import math
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -23,10 +24,13 @@ from omniman_ros.nodes.control_port import ControlPort
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.runtime import OmnimanNode, run
 from omniman_ros.nodes.stopping import LATCHED
+from omniman_ros.planning import availability
+from omniman_ros.planning.cycle import Measured, PlannerState
+from omniman_ros.planning.ellipses import Ellipses
 from omniman_ros.planning.goals import Goal, PoseGoal, StateGoal, TrajectoryGoal
 from omniman_ros.planning.obstacles import Observation, ObstacleSet
 from omniman_ros.planning.parameters import PlannerParameters
-from omniman_ros.planning.planner import Measured, Planner, PlannerState
+from omniman_ros.planning.planner import Measured, Planner, PlannerState, Proposal
 
 Array = NDArray[np.float64]
 
@@ -77,6 +81,7 @@ class MpcPlannerNode(OmnimanNode):
     """Message plumbing around `planning.planner.Planner`."""
 
     def __init__(self, **options: object) -> None:
+
         super().__init__("mpc_planner", **options)
         self.settings = ParameterSet(self, MpcPlannerParameters)
         p = self.settings.value
@@ -257,15 +262,22 @@ class MpcPlannerNode(OmnimanNode):
             self._give_up(why)
 
     def _give_up(self, why: str) -> None:
-        if self._moving or self.core.goal is not None:
+        """Forget goal and motion: nothing more is sent."""
+        self._say_given_up(why)
+        self.core.abort(self.now() - 1.0, self._measured)  # at rest, and that long since
+        self._streaming = False
+        self.watch.end(lost=True)
+
+    def _say_given_up(self, why: str) -> None:
+        self._held = ""
+        if self.core.goal is not None:
             self._last = f"the goal was given up: {why}"
             self.warn("given up", self._last)
-            self.core.abort(self.now(), self._measured)
-        self.watch.end(lost=True)
 
     def _pause(self) -> str:
         if not self.core.active:
             return f"nothing to pause: {self.core.state.value}"
+        self._held = ""
         self.core.pause(self.now())
         self._send_reference(self.now())
         return ""
@@ -279,10 +291,14 @@ class MpcPlannerNode(OmnimanNode):
         if self._waiting is None and self.core.goal is None:
             return f"nothing to cancel: {self.core.state.value}"
         self._waiting = None
-        self.core.cancel(self.now())
-        self._send_reference(self.now())
+        self._brake_for_good()
         self._last = "cancelled"
         return ""
+
+    def _brake_for_good(self) -> None:
+        self._held = ""
+        self.core.cancel(self.now())
+        self._send_reference(self.now())
 
     def _service(self, request: Callable[[], str]) -> Callable[..., Trigger.Response]:
         def serve(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -310,13 +326,12 @@ class MpcPlannerNode(OmnimanNode):
         if self.core.active and measured is not None:
             age = now - measured.time
             if age > self.settings.value.odom_timeout:
-                self._give_up(f"odom is {age:.2f} s old")
+                self._say_given_up(f"odom is {age:.2f} s old")
+                self._brake_for_good()
             else:
                 self._cycle(now, measured)
-        elif self.core.motion.end > now:
-            self._send_reference(now)
-        elif not self.core.active:
-            self.watch.end(lost=False)
+        else:
+            self._run_out(now)
         self._send_status()
 
     def _cycle(self, now: float, measured: Measured) -> None:
@@ -327,8 +342,7 @@ class MpcPlannerNode(OmnimanNode):
                 self.core.brake(now)
             self._held = silent
             self.warn("obstacles silent", f"the robot stops: {silent}")
-            if self.core.motion.end > now:
-                self._send_reference(now)
+            self._send_reference(now)
             return
         self._held = ""
         proposal = self.core.propose(now, measured, around)
@@ -345,12 +359,24 @@ class MpcPlannerNode(OmnimanNode):
         self._send_reference(done)
         self._show(done, around)
 
+    def _run_out(self, now: float) -> None:
+        """Come to the end of the motion without a goal; what is in the way still counts."""
+        if self.core.motion.end > now and self._measured is not None:
+            if self.obstacles.silent(now):
+                self.core.brake(now)
+            else:
+                report, around = self.core.report, self.obstacles.ellipses(now)
+                self.core.take(Proposal(now), now, self._measured, around)
+                self.core.report = report  # that of the last plan is told
+        self._send_reference(now)
+
     def _send_reference(self, now: float) -> None:
-        """Send the motion from now on, unless voltages drive it."""
-        motion = self.core.motion
-        self._streaming = (
-            self.settings.value.output == "voltages" and self.core.voltages(now) is not None
-        )
+        """Send the motion from now on, unless voltages drive it; a stream ends with its motion.
+
+        The controller lets go of a robot that stands: that is no loss of control.
+        """
+        motion, volts = self.core.motion, self.settings.value.output == "voltages"
+        self._streaming = volts and self.core.active and self.core.voltages(now) is not None
         if motion.end <= now:
             self.watch.end(lost=False)
         if motion.end <= now or self._streaming:
@@ -380,7 +406,7 @@ class MpcPlannerNode(OmnimanNode):
         self.watch.begin(now)
         self.watch.sent(now)
 
-    def _show(self, now: float, around: object) -> None:
+    def _show(self, now: float, around: Ellipses) -> None:
         frame = self.settings.value.odom_frame
         motion = self.core.motion
         if self._plan.get_subscription_count():
@@ -390,7 +416,7 @@ class MpcPlannerNode(OmnimanNode):
             self._plan.publish(plan)
         if self._predicted.get_subscription_count():
             markers = conversions.ellipse_markers(
-                self.obstacles.ellipses(now), now + np.array(SHOWN), frame, self.stamp(now)
+                around, now + np.array(SHOWN), frame, self.stamp(now)
             )
             self._predicted.publish(markers)
 
@@ -448,8 +474,7 @@ class MpcPlannerNode(OmnimanNode):
         """Come to rest; no other goal is taken."""
         self._ending, self._waiting = True, None
         if self.core.goal is not None:
-            self.core.cancel(self.now())
-            self._send_reference(self.now())
+            self._brake_for_good()
 
     @property
     def finished(self) -> bool:
@@ -464,4 +489,7 @@ class MpcPlannerNode(OmnimanNode):
 
 def main(args: list[str] | None = None) -> int:
     """Entry point of `ros2 run omniman_ros mpc_planner`."""
+    if not availability.is_available():
+        print(f"cannot start: {availability.HINT}", file=sys.stderr)
+        return 1
     return run(MpcPlannerNode, args)

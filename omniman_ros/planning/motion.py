@@ -128,7 +128,7 @@ class Motion:
         speed, turning = math.hypot(velocity[0], velocity[1]), abs(float(velocity[2]))
         ends = np.array([speed / deceleration[0], turning / deceleration[1]])
         longest = float(ends.max())
-        if longest < SHORTEST:
+        if not SHORTEST <= longest < math.inf:  # what is not finite stays so, to be refused
             tail = Motion.rest(time, pose, self.currents.shape[1])
         else:
             ticks = np.arange(0.0, longest, BRAKE_TICK)

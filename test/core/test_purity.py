@@ -11,6 +11,8 @@ import omniman_ros
 PACKAGE = Path(omniman_ros.__file__).parent
 CORE = sorted((PACKAGE / "core").glob("**/*.py"))
 DRIVE = sorted((PACKAGE / "drive").glob("**/*.py"))
+PLANNING = sorted((PACKAGE / "planning").glob("**/*.py"))
+WITH_CASADI = {"model", "transcription", "solver"}
 CORE_MODULES = {"__future__", "abc", "collections", "dataclasses", "enum", "functools", "math",
                 "types", "typing", "numpy"}  # fmt: skip
 FORBIDDEN_CALLS = {"open", "input", "print", "exec", "eval", "__import__"}
@@ -36,6 +38,7 @@ def below(name, *packages):
 def test_there_are_files_to_check():
     assert len(CORE) > 15
     assert len(DRIVE) > 5
+    assert {path.stem for path in PLANNING} >= WITH_CASADI
 
 
 @pytest.mark.parametrize("path", CORE, ids=lambda path: path.stem)
@@ -55,6 +58,27 @@ def test_drive_imports_core_and_itself_only(path):
             assert below(name, "omniman_ros.core", "omniman_ros.drive"), name
 
 
+@pytest.mark.parametrize("path", PLANNING, ids=lambda path: path.stem)
+def test_planning_imports_core_and_itself_and_casadi_where_it_solves(path):
+    """The plant is not among it: what plans knows nothing of what moves."""
+    for name in imports(path):
+        if below(name, "omniman_ros"):
+            assert below(name, "omniman_ros.core", "omniman_ros.planning"), name
+        elif name == "casadi":
+            assert path.stem in WITH_CASADI
+        else:
+            assert name.split(".")[0] in CORE_MODULES or path.stem == "availability", name
+
+
+def test_no_node_needs_casadi_to_be_imported():
+    """A machine without it can do all but plan: every node reads the names of all parameters."""
+    code = (
+        "import sys; sys.modules['casadi'] = None; import omniman_ros.nodes.registry as r; "
+        "assert 'weights.position' in r.known_names()"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
 def test_conversions_know_no_node_and_no_drive():
     for name in imports(PACKAGE / "conversions.py"):
         assert not below(name, "rclpy"), name
@@ -62,7 +86,7 @@ def test_conversions_know_no_node_and_no_drive():
             assert below(name, "omniman_ros.core"), name
 
 
-@pytest.mark.parametrize("path", CORE, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", [*CORE, *PLANNING], ids=lambda path: path.stem)
 def test_core_opens_no_file_and_prints_nothing(path):
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
