@@ -4,6 +4,7 @@ import math
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
@@ -30,7 +31,9 @@ from omniman_ros.planning.ellipses import Ellipses
 from omniman_ros.planning.goals import Goal, PoseGoal, StateGoal, TrajectoryGoal
 from omniman_ros.planning.obstacles import Observation, ObstacleSet
 from omniman_ros.planning.parameters import PlannerParameters
-from omniman_ros.planning.planner import Measured, Planner, PlannerState, Proposal
+
+if TYPE_CHECKING:
+    from omniman_ros.planning.planner import Proposal
 
 Array = NDArray[np.float64]
 
