@@ -4,7 +4,6 @@ import math
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
@@ -31,9 +30,6 @@ from omniman_ros.planning.ellipses import Ellipses
 from omniman_ros.planning.goals import Goal, PoseGoal, StateGoal, TrajectoryGoal
 from omniman_ros.planning.obstacles import Observation, ObstacleSet
 from omniman_ros.planning.parameters import PlannerParameters
-
-if TYPE_CHECKING:
-    from omniman_ros.planning.planner import Proposal
 
 Array = NDArray[np.float64]
 
@@ -84,6 +80,8 @@ class MpcPlannerNode(OmnimanNode):
     """Message plumbing around `planning.planner.Planner`."""
 
     def __init__(self, **options: object) -> None:
+        # Here, so that a machine without casadi can import this module for its parameters.
+        from omniman_ros.planning.planner import Planner
 
         super().__init__("mpc_planner", **options)
         self.settings = ParameterSet(self, MpcPlannerParameters)
@@ -368,9 +366,7 @@ class MpcPlannerNode(OmnimanNode):
             if self.obstacles.silent(now):
                 self.core.brake(now)
             else:
-                report, around = self.core.report, self.obstacles.ellipses(now)
-                self.core.take(Proposal(now), now, self._measured, around)
-                self.core.report = report  # that of the last plan is told
+                self.core.coast(now, self._measured, self.obstacles.ellipses(now))
         self._send_reference(now)
 
     def _send_reference(self, now: float) -> None:

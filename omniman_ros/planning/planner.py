@@ -296,6 +296,15 @@ class Planner:
         report = self.report
         return not report.used or report.contact < math.inf
 
+    def coast(self, now: float, measured: Measured, around: Ellipses) -> None:
+        """A cycle without a plan: the motion comes to its end, what is in its way still counts.
+
+        The report of the last plan stays.
+        """
+        report = self.report
+        self.take(Proposal(now), now, measured, around)
+        self.report = report
+
     def take(self, proposal: Proposal, now: float, measured: Measured, around: Ellipses) -> None:
         """Use the answer if it is in time and clear, else the last plan's rest, else brake."""
         surroundings = self._surroundings(around, self._off(measured))
