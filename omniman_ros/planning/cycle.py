@@ -58,7 +58,8 @@ class Report:
         braking: Whether the robot brakes because nothing else is free of contact.
         slack: Largest slack of the answer [m].
         cost: Of the answer [J].
-        contact: Time until a contact is expected where nothing clear was found [s].
+        clear: Whether what is followed keeps its distance all the way to rest.
+        contact: Where it does not: time until the robot is touched, if all goes on as now [s].
         late: By how much the answer came after it was due [s]; below zero, that much before.
     """
 
@@ -67,5 +68,6 @@ class Report:
     braking: bool = False
     slack: float = math.nan
     cost: float = math.nan
+    clear: bool = True
     contact: float = math.inf
     late: float = math.nan

@@ -35,10 +35,14 @@ ASTRAY = (0.15, 0.2)
 """Distance [m] and angle [rad] from the motion at which plans begin where the robot is."""
 AT_REST = 0.02
 """Speed below which the robot stands [m/s, rad/s]."""
+NEWCOMER = 0.15
+"""Growth of an obstacle's margin above which it is not known to stand [m/s]."""
 BLOCKED_AFTER = 2.0
 """The robot is blocked when it has stood for so long on its way to a goal [s]."""
 WORTH = 0.2
 """By how much later contact must come for another motion to be better than braking now [s]."""
+WIDER = 0.005
+"""By how much wider a gap must be, where contact comes at the same time [m]."""
 HELD = 0.5
 """How much of the past of a motion is kept [s]."""
 
@@ -153,7 +157,9 @@ class Planner:
             return
         poses, _ = goal.targets(np.array([around.time]))
         place = Motion.rest(around.time, poses[0], 1)
-        standing = around.select(np.hypot(*around.velocities.T) < AT_REST)
+        # One that was just seen may move: nothing is known of its velocity yet.
+        known = around.growth < NEWCOMER
+        standing = around.select(known & (np.hypot(*around.velocities.T) < AT_REST))
         x, y, theta = poses[0]
         where = f"({x:.2f} m, {y:.2f} m, {theta:.2f} rad)"
         bounds = self.parameters.workspace.bounds
@@ -294,7 +300,7 @@ class Planner:
     def _troubled(self) -> bool:
         """Whether the last plan was not good."""
         report = self.report
-        return not report.used or report.contact < math.inf
+        return not (report.used and report.clear)
 
     def coast(self, now: float, measured: Measured, around: Ellipses) -> None:
         """A cycle without a plan: the motion comes to its end, what is in its way still counts.
@@ -347,19 +353,18 @@ class Planner:
         if clear is not None:
             self.motion = clear
             return {"why": why, "braking": True}
-        stop = self._braked(now)
-        latest = around.contact(stop, now) + WORTH
-        best, told = stop, {"why": why, "braking": True}
+        self.motion = self._braked(now)
+        contact, gap = around.threat(self.motion, now)
+        told: dict[str, Any] = {"why": why, "braking": True}
         for k, other in enumerate([*plans, rest]):
             whole = other.braked(other.end, self._deceleration)
-            contact = around.contact(whole, now)
-            if contact > latest:
-                best, latest, told = whole, contact, {"why": why}
+            later, wider = around.threat(whole, now)
+            if later > contact + WORTH or (later >= contact and wider > gap + WIDER):
+                self.motion, contact, gap, told = whole, later, wider, {"why": why}
                 if k < len(plans):
                     self._guess = proposal.due, proposal.answers[k].currents
                     told = {"used": True}
-        self.motion = best
-        return {**told, "contact": latest - now}
+        return {**told, "contact": contact - now, "clear": False}
 
     def voltages(self, now: float) -> Array | None:
         """Motor voltages (n,) [V] of the motion at a time [s]; None where it has none planned."""

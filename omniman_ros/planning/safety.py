@@ -1,7 +1,7 @@
 """The last word on every motion: whether it keeps clear of what is known, all the way to rest."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,6 +79,26 @@ class Surroundings:
         if touched.any():
             first = min(first, float(times[int(touched.argmax())]))
         return first
+
+    def threat(self, motion: Motion, now: float) -> tuple[float, float]:
+        """How bad a motion is that is not clear: of two, the greater is the better one.
+
+        Returns:
+            When the robot itself touches an obstacle where it is expected, without any margin [s];
+            and the least gap until then or to the end [m].
+        """
+        times, poses, velocities = motion.fine(now, self.until, PARTS)
+        certain = replace(self.ellipses, growth=np.zeros(len(self.ellipses)))
+        reached = within_reach(times, poses, velocities, self.half, certain, CLOSER)
+        if not reached.any():
+            return math.inf, CLOSER
+        gaps = swept_gap(times, poses, velocities, self.half, certain.select(reached))
+        least = gaps.min(axis=1)
+        touched = ~(least > 0.0)
+        if not touched.any():
+            return math.inf, min(float(least.min()), CLOSER)
+        first = int(touched.argmax())
+        return float(times[first]), float(least[: first + 1].min())
 
     def longest(
         self, motion: Motion, now: float, earliest: float, deceleration: tuple[float, float]
