@@ -16,20 +16,23 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, String
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import MultiDOFJointTrajectory
+from visualization_msgs.msg import MarkerArray
 
 from omniman_ros import conversions
 from omniman_ros.core import plausible
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.framing import Framing, Twist
-from omniman_ros.core.parameters import REQUIRED, inline, parameter
+from omniman_ros.core.parameters import REQUIRED, build, inline, parameter
 from omniman_ros.core.robot import Robot
+from omniman_ros.nodes import obstacle_port
 from omniman_ros.nodes.movers import Calls, nodes_that_move
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.runtime import OmnimanNode, run
 from omniman_ros.nodes.stopping import ALL_LATCHED, LATCHED
+from omniman_ros.planning.obstacles import ObstacleParameters, ObstacleSet
 from omniman_ros.viewer import availability
 from omniman_ros.viewer.hold import DEAD_MAN, HoldToDrive, Pressed
-from omniman_ros.viewer.state import Array, Condition, Picture, Pose, thinned
+from omniman_ros.viewer.state import Array, Condition, Picture, Pose, outlines, thinned
 
 PERIOD = 0.05
 """Of cmd_vel, and of looking for what was pressed [s]."""
@@ -37,6 +40,8 @@ EVENTS = 1000
 """Events of the page that are served in one period at most."""
 CALLING = 4.0
 """How long nodes are looked for that a stop or a reset is meant for [s]."""
+SHOWN = 100
+"""So many obstacles are drawn at most; of more, every second, third, ..."""
 PATH_SERVICES = tuple(f"path_interpolator/{action}" for action in ("pause", "resume", "cancel"))
 _LATEST = QoSProfile(depth=1)
 
@@ -99,6 +104,7 @@ class ViewerNode(OmnimanNode):
         self._frames = (p.odom_frame, "map") if p.map_is_odom else (p.odom_frame,)
         constraints = len(self._names) - 3
         self.picture = Picture(len(self._names), constraints)
+        self._obstacles = ObstacleSet(build(ObstacleParameters, {}))
         self._events: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._hold = HoldToDrive()
         self._framing = Framing()
@@ -129,6 +135,8 @@ class ViewerNode(OmnimanNode):
             (Odometry, "ground_truth/odom", self._on_truth, _LATEST),
             (Path, "path", self._on_path, 10),
             (MultiDOFJointTrajectory, "path/reference", self._on_reference, _LATEST),
+            (Path, "mpc/plan", self._on_plan, _LATEST),
+            (MarkerArray, "obstacles", self._on_obstacles, 50),
             (Float64, "path_progress", self._on_progress, _LATEST),
             (String, "active_source", self._on_source, LATCHED),
             (DiagnosticStatus, "stop_state", self._on_stop_state, ALL_LATCHED),
@@ -203,6 +211,23 @@ class ViewerNode(OmnimanNode):
         poses = message.poses
         places = [poses[i].pose.position for i in thinned(len(poses))]
         self.picture.path.set(_positions(places))
+
+    def _on_plan(self, message: Path) -> None:
+        conversions.check_frame(message.header.frame_id, *self._frames)
+        poses = message.poses
+        places = [poses[i].pose.position for i in thinned(len(poses))]
+        self.picture.hear_plan(_positions(places), self.now())
+
+    def _on_obstacles(self, message: MarkerArray) -> str:
+        complaints = obstacle_port.hear(self, message, self._obstacles, self._frames)
+        return complaints[0] if complaints else ""
+
+    def _draw_obstacles(self) -> None:
+        """Where they are now, at constant velocity since they were observed."""
+        around = self._obstacles.ellipses(self.now())
+        if len(around) or len(self.picture.obstacles.points):
+            shown = around.select(np.array(list(thinned(len(around), SHOWN)), dtype=int))
+            self.picture.obstacles.set(outlines(shown.centers, shown.semi_axes, shown.angles))
 
     def _on_reference(self, message: MultiDOFJointTrajectory) -> None:
         conversions.check_frame(message.header.frame_id, *self._frames)
@@ -318,6 +343,7 @@ class ViewerNode(OmnimanNode):
         self._listen(watched)
         if watched:
             self._take_in()
+            self._draw_obstacles()
             self.page.draw(self.picture, self.now())
 
     def survey(self) -> None:

@@ -149,7 +149,7 @@ class ObstacleSet:
         Raises:
             InputError: It is ahead of now by more than 0.1 s, or there are too many obstacles.
         """
-        self.heard(now)
+        self._notice(now)
         key, time = observation.key, observation.time
         if time > now + AHEAD:
             raise InputError(f"obstacle {key}: observed {time - now:.3f} s ahead of now")
@@ -171,6 +171,7 @@ class ObstacleSet:
             # The same observation again keeps it alive, and may change its shape.
             known.track.observe(time, observation.x, observation.y)
             known.seen, known.expiry = observation, expiry
+        self._heard = now  # what was refused is no sign of life
         self._table = None
 
     def delete(self, key: Key) -> None:

@@ -21,6 +21,8 @@ ACCENT: Colour = (253, 126, 20)
 GHOST: Colour = (34, 139, 230)
 PATH: Colour = (43, 138, 62)
 TRAIL: Colour = (73, 80, 87)
+PLAN: Colour = (194, 37, 156)
+OBSTACLE: Colour = (156, 54, 23)
 
 LIFT = 0.004
 """Height of the lowest line above the floor; each next one is that much higher [m]."""
@@ -138,6 +140,8 @@ class Scene:
         self._truth_trail = _Line(api, "/world/ghost_trail", GHOST, 2.0, 2, JUMP)
         self._odom_trail = _Line(api, "/world/trail", TRAIL, 2.0, 3, JUMP)
         self._reference = _Line(api, "/world/reference", ACCENT, 4.0, 4)
+        self._plan = _Line(api, "/world/plan", PLAN, 4.0, 5)
+        self._obstacles = _Line(api, "/world/obstacles", OBSTACLE, 4.0, 6)
         size = max(robot.body.length, robot.body.width)
         server.initial_camera.position = (-1.5 * size, -1.6 * size, 1.6 * size)
         server.initial_camera.look_at = (0.0, 0.0, 0.0)
@@ -165,6 +169,8 @@ class Scene:
         for line, what in (
             (self._path, picture.path),
             (self._reference, picture.reference),
+            (self._plan, picture.plan),
+            (self._obstacles, picture.obstacles),
             (self._odom_trail, picture.odom_trail),
             (self._truth_trail, picture.truth_trail),
         ):

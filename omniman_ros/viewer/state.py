@@ -22,6 +22,8 @@ JUMP = 0.5
 """A trail is broken where it jumps further than this, as when odometry is set [m]."""
 LINE_POINTS = 1000
 """Points of a path that are drawn; of a longer one, every second, third, ..."""
+CORNERS = 24
+"""Of an obstacle's outline."""
 FORGET = 3.0
 """Silence after which what a node complained of is no longer shown [s]."""
 SILENCE = 1.0
@@ -71,6 +73,17 @@ def segments(points: Array, jump: float = np.inf) -> Array:
     pieces = np.stack([points[:-1], points[1:]], axis=1)
     near: Array = pieces[np.hypot(*(pieces[:, 1] - pieces[:, 0]).T) <= jump]
     return near
+
+
+def outlines(centers: Array, semi_axes: Array, angles: Array) -> Array:
+    """Points (k, 2) around M ellipses: (M, 2) [m], (M, 2) [m], (M,) [rad]; NaN between two."""
+    turn = np.append(np.linspace(0.0, 2.0 * np.pi, CORNERS + 1), np.nan)
+    x = semi_axes[:, :1] * np.cos(turn)
+    y = semi_axes[:, 1:] * np.sin(turn)
+    c, s = np.cos(angles)[:, None], np.sin(angles)[:, None]
+    around = np.stack([c * x - s * y, s * x + c * y], axis=2) + centers[:, None, :]
+    flat: Array = around.reshape(-1, 2)
+    return flat
 
 
 def thinned(count: int, limit: int = LINE_POINTS) -> Iterable[int]:
@@ -148,7 +161,7 @@ class Picture:
     Attributes:
         odom, truth: Poses, None until heard.
         odom_trail, truth_trail: Where they have been.
-        path, reference: Lines.
+        path, reference, plan, obstacles: Lines.
         wheel_angles: (n,) measured [rad].
         wheel_speeds: Window of n measured and n commanded speeds [rad/s].
         coupling: Window of m errors [rad].
@@ -165,6 +178,7 @@ class Picture:
         self.truth: Pose | None = None
         self.odom_trail, self.truth_trail = Trail(), Trail()
         self.path, self.reference = Line(), Line()
+        self.plan, self.obstacles = Line(), Line()
         self.wheel_angles = np.zeros(wheels)
         self.wheel_speeds = Window(2 * wheels)
         self.coupling = Window(constraints)
@@ -215,6 +229,11 @@ class Picture:
         self.reference.set(points)
         self._heard["reference"] = now
 
+    def hear_plan(self, points: Array, now: float) -> None:
+        """Take in the planned motion, points (k, 2) [m]."""
+        self.plan.set(points)
+        self._heard["plan"] = now
+
     def hear_progress(self, progress: float, now: float) -> None:
         """Take in how much of the path is driven, 0 to 1."""
         self.progress = progress
@@ -235,8 +254,9 @@ class Picture:
         self.wheel_speeds.sample(now, np.concatenate([measured, commanded]))
         fresh = self.is_fresh("coupling", now)
         self.coupling.sample(now, self._errors if fresh else np.full_like(self._errors, np.nan))
-        if len(self.reference.points) and not self.is_fresh("reference", now):
-            self.reference.set(self.reference.points[:0])
+        for line, name in ((self.reference, "reference"), (self.plan, "plan")):
+            if len(line.points) and not self.is_fresh(name, now):
+                line.set(line.points[:0])
         self.complaints = {
             name: condition
             for name, condition in self.complaints.items()

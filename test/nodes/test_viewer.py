@@ -13,6 +13,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import MultiDOFJointTrajectory
+from visualization_msgs.msg import Marker, MarkerArray
 
 from omniman_ros.nodes import viewer
 from omniman_ros.nodes.platform_controller import PlatformControllerNode
@@ -384,6 +385,40 @@ def test_a_path_in_another_frame_is_not_drawn_as_if_it_were_here(world):
     world.run(0.2)
     assert world.nodes[0].picture.path.version == 0
     assert "path" in world.nodes[0]._throttle.counts
+
+
+def test_the_plan_is_drawn_and_goes_when_it_is_over(world):
+    world.publisher(Path, "mpc/plan").publish(path(5))
+    line = world.nodes[0].picture.plan
+    world.run_until(lambda: len(line.points) == 5, 1.0, "the plan")
+    world.run_until(lambda: len(line.points) == 0, 2.0, "its end")
+
+
+def marker(**changes):
+    result = Marker(type=Marker.CYLINDER, **changes)
+    result.header.frame_id = "odom"
+    result.scale.x = result.scale.y = 0.6
+    result.pose.orientation.w = 1.0
+    return result
+
+
+def test_obstacles_are_outlined_until_they_are_deleted(world):
+    obstacles, line = world.publisher(MarkerArray, "obstacles"), world.nodes[0].picture.obstacles
+    obstacles.publish(MarkerArray(markers=[marker(id=1), marker(id=2)]))
+    world.run_until(lambda: len(line.points) > 0, 1.0, "the obstacles")
+    around = line.points[np.isfinite(line.points).all(axis=1)]
+    assert np.hypot(*around.T) == pytest.approx(0.3, abs=1e-6)
+    obstacles.publish(MarkerArray(markers=[Marker(action=Marker.DELETEALL)]))
+    world.run_until(lambda: len(line.points) == 0, 1.0, "nothing")
+
+
+def test_a_bad_obstacle_is_warned_of_and_the_others_are_drawn(world):
+    bad = marker(id=1)
+    bad.scale.x = 0.0
+    world.publisher(MarkerArray, "obstacles").publish(MarkerArray(markers=[bad, marker(id=2)]))
+    line = world.nodes[0].picture.obstacles
+    world.run_until(lambda: len(line.points) > 0, 1.0, "the good one")
+    assert world.nodes[0]._throttle.counts
 
 
 def test_the_reference_and_the_progress_are_shown(world):

@@ -285,12 +285,14 @@ def test_a_required_source_is_waited_for():
     assert found.silent(1e6) == ""  # a time-out of 0 is none
 
 
-def test_a_refused_flood_is_heard_all_the_same():
+def test_what_is_refused_is_no_sign_of_life():
     found = obstacles(most=1)
     found.add(seen(A), 0.0)
     with pytest.raises(InputError):
         found.add(seen(B, 5.0), 5.0)
-    assert found.silent(5.5) == ""
+    assert "no obstacles heard for 5.5 s" in found.silent(5.5)
+    found.add(seen(A, 5.5), 5.5)
+    assert found.silent(5.6) == ""
 
 
 def test_an_observation_ahead_of_the_clock_is_refused():

@@ -1,7 +1,10 @@
+import math
+
 import numpy as np
 import pytest
 
 from omniman_ros.viewer.state import (
+    CORNERS,
     FORGET,
     SILENCE,
     SPACING,
@@ -10,6 +13,7 @@ from omniman_ros.viewer.state import (
     Picture,
     Trail,
     Window,
+    outlines,
     segments,
     thinned,
 )
@@ -162,3 +166,23 @@ def test_a_line_that_is_set_is_new():
     line = Line()
     line.set(np.zeros((2, 2)))
     assert line.version == 1 and line.points.shape == (2, 2)
+
+
+def test_outlines_go_around_each_obstacle_with_a_gap_between_two():
+    centers, axes = np.array([[1.0, 2.0], [4.0, 0.0]]), np.array([[0.5, 0.2], [1.0, 1.0]])
+    points = outlines(centers, axes, np.array([math.pi / 2, 0.0]))
+    pieces = segments(points)
+    assert len(pieces) == 2 * CORNERS
+    first, second = pieces[:CORNERS].reshape(-1, 2), pieces[CORNERS:].reshape(-1, 2)
+    around = (first - centers[0]) / [0.2, 0.5]  # it is turned by 90 degrees
+    assert np.hypot(*around.T) == pytest.approx(1.0)
+    assert np.hypot(*(second - centers[1]).T) == pytest.approx(1.0)
+
+
+def test_a_plan_that_is_not_repeated_is_forgotten():
+    picture = Picture(4, 1)
+    picture.hear_plan(np.ones((3, 2)), 10.0)
+    picture.sample(10.5)
+    assert len(picture.plan.points) == 3
+    picture.sample(11.5)
+    assert len(picture.plan.points) == 0
