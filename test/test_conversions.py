@@ -12,11 +12,13 @@ from omniman_ros.core.parameters import build
 from omniman_ros.core.path.interpolator import Window
 from omniman_ros.core.wheel_cascade import DriveMode, WheelCommand
 from omniman_ros.planning.ellipses import Ellipses
+from omniman_ros.planning.motion import Motion
 from omniman_ros.planning.obstacles import Observation, ObstacleParameters, ObstacleSet
 
 pytest.importorskip("rclpy")
 from builtin_interfaces.msg import Duration, Time  # noqa: E402
 from geometry_msgs.msg import (  # noqa: E402
+    PoseStamped,
     PoseWithCovarianceStamped,
     Quaternion,
     Transform,
@@ -638,3 +640,130 @@ def test_without_obstacles_the_old_markers_are_deleted_all_the_same():
     for ellipses, times in ((Ellipses.none(), np.arange(3.0)), (Ellipses.none(), np.zeros(0))):
         message = conversions.ellipse_markers(ellipses, times, "odom", Time())
         assert [one.action for one in message.markers] == [Marker.DELETEALL]
+
+
+# ---- goals and plans --------------------------------------------------------------------------
+
+
+def goal(x=1.0, y=-2.0, theta=0.5, frame="odom", **orientation):
+    message = PoseStamped()
+    message.header.frame_id = frame
+    message.pose.position.x, message.pose.position.y = float(x), float(y)
+    message.pose.orientation = conversions.quaternion(theta)
+    for name, value in orientation.items():
+        setattr(message.pose.orientation, name, value)
+    return message
+
+
+def goal_state(pose, velocity, child="base_link", frame="odom"):
+    message = OdometryMsg(child_frame_id=child)
+    message.header.frame_id = frame
+    message.pose.pose = goal(*pose).pose
+    x, y, turn = map(float, velocity)
+    message.twist.twist = twist(x, y, rz=turn)
+    return message
+
+
+@pytest.mark.parametrize("frame", ["odom", "/odom", "map"])
+def test_a_goal_is_a_pose_on_the_floor(frame):
+    message = goal(1.5, -2.5, 3.0, frame)
+    message.pose.position.z = 0.7  # RViz may click on something: height is no matter
+    pose = conversions.goal_pose(message, ("odom", "map"))
+    assert pose.shape == (3,)
+    assert pose == pytest.approx([1.5, -2.5, 3.0], abs=1e-12)
+
+
+BAD_GOALS = [
+    ({"frame": "map"}, "frame 'map', expected 'odom'"),
+    ({"frame": ""}, "frame '', expected 'odom'"),
+    ({"x": NAN}, "goal: position .*nan.* not finite"),
+    ({"y": -INF}, "goal: position .*inf.* not finite"),
+    ({"x": 1e9}, "goal: position .*beyond"),
+    ({"z": 0.0, "w": 0.0}, "quaternion of length 0"),
+    ({"w": NAN}, "quaternion of length nan"),
+    ({"x": 1.0, "y": 0.0, "theta": 0.0, "w": 2.0}, "quaternion of length 2"),
+]
+
+
+@pytest.mark.parametrize(("change", "why"), BAD_GOALS)
+def test_a_bad_goal_is_refused(change, why):
+    with pytest.raises(InputError, match=why):
+        conversions.goal_pose(goal(**change), ("odom",))
+    message = OdometryMsg(child_frame_id="base_link")
+    bad = goal(**change)
+    message.header, message.pose.pose = bad.header, bad.pose
+    with pytest.raises(InputError, match=why):
+        conversions.goal_state(message, ("odom",))
+
+
+def test_a_tilted_goal_is_refused():
+    message = goal()
+    message.pose.orientation = Quaternion(x=0.6, y=0.0, z=0.0, w=0.8)
+    with pytest.raises(InputError, match="not about the vertical"):
+        conversions.goal_pose(message, ("odom",))
+
+
+@pytest.mark.parametrize("theta", [0.0, 0.5, math.pi / 2, -2.5])
+def test_the_velocity_of_a_goal_is_the_robots_own_or_odoms(theta):
+    body = np.array([0.3, -0.1, 0.2])
+    pose, velocity = conversions.goal_state(goal_state((1, 2, theta), body), ("odom",))
+    assert pose.shape == velocity.shape == (3,)
+    assert pose == pytest.approx([1.0, 2.0, theta])
+    c, s = math.cos(theta), math.sin(theta)
+    world = [c * 0.3 + s * 0.1, s * 0.3 - c * 0.1, 0.2]
+    assert velocity == pytest.approx(world, abs=1e-12)
+    for child in ("odom", "map"):
+        message = goal_state((1, 2, theta), world, child=child)
+        _, same = conversions.goal_state(message, ("odom", "map"))
+        assert same == pytest.approx(world, abs=1e-12)
+
+
+@pytest.mark.parametrize("value", [NAN, INF, 1e300])
+@pytest.mark.parametrize("part", [0, 1, 2])
+def test_a_velocity_of_a_goal_that_is_not_finite_is_refused(part, value):
+    velocity = [0.1, 0.1, 0.1]
+    velocity[part] = value
+    with pytest.raises(InputError, match="not finite"):
+        conversions.goal_state(goal_state((1, 2, 0), velocity), ("odom",))
+
+
+def test_a_motion_comes_back_from_its_message_between_its_points_too():
+    rng = np.random.default_rng(5)
+    for _ in range(20):
+        k = int(rng.integers(2, 15))
+        times = 7.0 + np.cumsum(rng.uniform(1e-3, 0.3, k))
+        poses = np.cumsum(rng.normal(0.0, 0.2, (k, 3)), axis=0) + [0.0, 0.0, 3.0]
+        motion = Motion(times, poses, rng.normal(0.0, 0.5, (k, 3)), np.zeros((k - 1, 4)))
+        stamp = Time(sec=100, nanosec=250_000_000)
+        message = conversions.preview_message(
+            "odom", stamp, motion.times, motion.poses, motion.velocities
+        )
+        assert (message.header.frame_id, message.header.stamp) == ("odom", stamp)
+        assert list(message.joint_names) == [conversions.PLATFORM_JOINT]
+        assert not any(len(point.accelerations) for point in message.points)
+        back = conversions.preview(message, float(times[0]), ("odom",))
+        assert (back.start, back.end) == pytest.approx((times[0], times[-1]), abs=1e-8)
+        for now in np.linspace(times[0] + 1e-6, times[-1] - 1e-6, 50):
+            pose, velocity = motion.sample(now)
+            point = back.sample(now)
+            turns = round((point.pose[2] - pose[2]) / (2.0 * math.pi)) * 2.0 * math.pi
+            assert point.pose - [0.0, 0.0, turns] == pytest.approx(pose, abs=1e-6)
+            assert point.velocity == pytest.approx(velocity, abs=1e-5)
+
+
+def test_times_of_a_preview_count_from_its_stamp_to_the_nanosecond():
+    times = np.array([1e6, 1e6 + 0.1, 1e6 + 1.2, 1e6 + 3.999_999_999_9])
+    message = conversions.preview_message(
+        "odom", Time(), times, np.zeros((4, 3)), np.zeros((4, 3))
+    )
+    after = [(p.time_from_start.sec, p.time_from_start.nanosec) for p in message.points]
+    assert after[0] == (0, 0) and after[3] == (4, 0)
+    assert [seconds for seconds, _ in after[1:3]] == [0, 1]
+    assert [part for _, part in after[1:3]] == pytest.approx([1e8, 2e8], abs=2)
+
+
+def test_a_preview_whose_arrays_do_not_fit_is_no_message():
+    with pytest.raises(ValueError, match="zip"):
+        conversions.preview_message(
+            "odom", Time(), np.arange(3.0), np.zeros((2, 3)), np.zeros((3, 3))
+        )

@@ -54,6 +54,10 @@ def run(args: argparse.Namespace) -> int:
         from omniman_ros.cli import bench_path
 
         return bench_path.run(args)
+    if args.name == "mpc":
+        from omniman_ros.cli import bench_mpc
+
+        return bench_mpc.run(args)
     effort = QUICK if args.quick else FULL
     chosen = tasks(Setup(robot=args.robot))
     say("core tick ...")

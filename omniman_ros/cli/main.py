@@ -119,13 +119,16 @@ def add_demo(parser: argparse.ArgumentParser) -> None:
 def add_bench(parser: argparse.ArgumentParser) -> None:
     """Arguments of `omniman bench`."""
     parser.add_argument(
-        "name", nargs="?", default="control", choices=["control", "path"],
+        "name", nargs="?", default="control", choices=["control", "path", "mpc"],
         help="control: time of a control tick, CPU of the nodes, latency; the default. "
-        "path: time of planning, how near to the least time, CPU of the stream",
+        "path: time of planning, how near to the least time, CPU of the stream. "
+        "mpc: CPU and cost of the planner's solver next to IPOPT and fatrop",
     )  # fmt: skip
-    parser.add_argument(
+    effort = parser.add_mutually_exclusive_group()
+    effort.add_argument(
         "--quick", action="store_true", help="a few samples only: does it run at all?"
     )
+    effort.add_argument("--full", action="store_true", help="mpc: more steps, scenes and horizons")
     add_robot(parser)
     add_results(parser)
 
@@ -133,14 +136,17 @@ def add_bench(parser: argparse.ArgumentParser) -> None:
 def add_reproduce(parser: argparse.ArgumentParser) -> None:
     """Arguments of `omniman reproduce`."""
     parser.add_argument(
-        "name", nargs="?", default="coupling", choices=["coupling"],
-        help="coupling: CCTA 2017 Fig. 7, coupling control on and off; the default",
+        "name", nargs="?", default="coupling", choices=["coupling", "free", "corridor", "moving"],
+        help="coupling: CCTA 2017 Fig. 7, coupling control on and off; the default. "
+        "free, corridor, moving: the cases of MPC 2021",
     )  # fmt: skip
     effort = parser.add_mutually_exclusive_group()
     effort.add_argument("--quick", action="store_true", help="few drives: does it run at all?")
-    effort.add_argument("--full", action="store_true", help="more gains, more random wheels")
-    parser.add_argument("--seed", type=int, default=0, help="of the random wheels; %(default)s")
-    add_robot(parser)
+    effort.add_argument("--full", action="store_true", help="more drives")
+    parser.add_argument(
+        "--seed", type=int, default=0, help="of random wheels, of noisy observations; %(default)s"
+    )
+    parser.add_argument("--robot", help=f"{ROBOT}; default: omniman for coupling, else ig42")
     add_results(parser)
 
 

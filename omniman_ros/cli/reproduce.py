@@ -1,10 +1,17 @@
-"""`omniman reproduce coupling`: the experiment of CCTA 2017, Fig. 7, on the simulated robot."""
+"""`omniman reproduce`: the papers' experiments on the simulated robot.
+
+`coupling` is CCTA 2017, Fig. 7; `free`, `corridor` and `moving` are the cases of MPC 2021.
+"""
 
 import argparse
+import math
 import os
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,14 +37,44 @@ from omniman_ros.studies.coupling_sweep import (
     sweep,
 )
 from omniman_ros.studies.figure7 import movements
+from omniman_ros.studies.mpc_cases import (
+    NEAR_DIAGONAL,
+    PAPER,
+    SCENES,
+    SETTLE,
+    Comparison,
+    Planned,
+    Scene,
+    StudyError,
+    Variant,
+    compare,
+    goals,
+    planned,
+    slant_figures,
+    variants,
+)
 
 NAME = "reproduce_coupling"
+ROBOTS = {"coupling": "omniman", "free": "ig42", "corridor": "ig42", "moving": "ig42"}
+"""The robot of each experiment, where none is named."""
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman reproduce`; returns 0 if it could be measured, whatever the figures."""
+    """Run `omniman reproduce`.
+
+    Returns:
+        0; of an MPC case 1 if a drive did not reach its goal or touched an obstacle.
+    """
     if args.seed < 0:
         raise CommandError(f"--seed must be 0 or more, got {args.seed}", code=2)
+    args.robot = args.robot or ROBOTS[args.name]
+    return _coupling(args) if args.name == "coupling" else _case(args)
+
+
+# ---- CCTA 2017 ----------------------------------------------------------------------------------
+
+
+def _coupling(args: argparse.Namespace) -> int:
     plan = QUICK if args.quick else FULL if args.full else STANDARD
     robot = load_robot(args.robot)
     chosen = build(PlatformParameters, robot).coupling.k_epsilon
@@ -169,3 +206,212 @@ def _overshoot(result: dict[str, Any], gain: float, delay: float) -> str:
         step for step in result["late_commands"] if (step["k"], step["delay_s"]) == (gain, delay)
     )
     return f"{100 * step['overshoot']:.0f} %" if step["settled"] else "oscillates"
+
+
+# ---- MPC 2021 -----------------------------------------------------------------------------------
+
+CASES = {
+    "free": "a straight way with nothing on it, MPC 2021, 4.1",
+    "corridor": "circles closer together than the robot is long, MPC 2021, 4.2",
+    "moving": "circles that cross the way, one of them changes its velocity, MPC 2021, 4.3",
+}
+SHOWN = {"corridor": (5, 3), "moving": (7, 4)}
+"""Snapshots and columns of a picture."""
+
+
+def _case(args: argparse.Namespace) -> int:
+    robot, scene = load_robot(args.robot), SCENES[args.name]()
+    started = time.monotonic()
+    progress = Progress()
+    progress.headline(f"{CASES[args.name]}, robot '{args.robot}'")
+    ways = _ways(args, robot)
+    rides: list[Planned] = []
+    progress.begin("drives")
+    for way in ways:
+        rides.append(_drive(robot, scene, way, args.seed))
+        progress.update(len(rides) / len(ways), f"{len(rides)} of {len(ways)}")
+    progress.end(f"{len(rides)} drives")
+    drives = [drive_row(way, ride, robot) for way, ride in zip(ways, rides, strict=True)]
+    # The paper's own setting is shown for what it is: it may fail.
+    passed = all(row["reached"] and not row["collided"] for row in drives if row["counts"])
+    result: dict[str, Any] = {
+        "case": args.name, "robot": args.robot, "quick": args.quick, "full": args.full,
+        "seed": args.seed, "passed": passed, "defaults": dict(scene.changes),
+        "observation_noise_m": scene.noise, "drives": drives,
+    }  # fmt: skip
+    if args.name == "free":
+        result["energy"] = _energies(args, robot, progress)
+        result["energy_until"] = f"{SETTLE:g} s after the arrival"
+    progress.begin("picture")
+    result |= draw_case(build(Robot, robot), scene, rides[0], result, Path(args.results))
+    progress.end("done" if result["picture"] else "no matplotlib")
+    result["took_s"] = time.monotonic() - started
+    say("\n".join(case_report(result)))
+    results.publish(f"reproduce_{args.name}", result, args.results)
+    return 0 if passed else 1
+
+
+def _ways(args: argparse.Namespace, robot: Mapping[str, Any]) -> list[Variant]:
+    if args.name == "free":
+        ways = variants(robot)
+        return ways[:2] if args.quick else ways
+    ways = [Variant("defaults"), Variant("voltages put out", voltages=True)]
+    return ways if args.quick else [*ways, Variant("the paper's horizon and cost", planner=PAPER)]
+
+
+def _drive(robot: Mapping[str, Any], scene: Scene, way: Variant, seed: int) -> Planned:
+    changed = replace(scene, changes={**scene.changes, **way.planner})
+    timer = time.process_time
+    return planned({**robot, **way.robot}, changed, way.voltages, seed, timer)
+
+
+def drive_row(way: Variant, ride: Planned, robot: Mapping[str, Any]) -> dict[str, Any]:
+    """What is published of a drive; it counts where no parameter was changed for the show."""
+    changes = {**way.robot, **way.planner}
+    return {
+        "about": way.about,
+        "changes": changes,
+        "counts": not changes,
+        "voltages": way.voltages,
+        **ride.figures(),
+        **slant_figures(ride.drive, build(Robot, robot)),
+    }
+
+
+def _energies(
+    args: argparse.Namespace, robot: Mapping[str, Any], progress: Progress
+) -> list[dict[str, Any]]:
+    """The table of energies; one row failing is told in it and ends nothing."""
+    todo = [goal for goal in goals(args.full) if not args.quick or goal == (1.0, 0.0)]
+    rows: list[dict[str, Any]] = []
+    progress.begin("energy")
+    with ProcessPoolExecutor(min(len(todo), os.cpu_count() or 1)) as pool:
+        for row in pool.map(partial(energy_row, dict(robot), args.full), todo):
+            rows.append(row)
+            progress.update(len(rows) / len(todo), f"{len(rows)} of {len(todo)}")
+    progress.end(f"{len(rows)} goals, each at the arrival time of the planner")
+    return rows
+
+
+def energy_row(robot: Mapping[str, Any], both: bool, goal: tuple[float, float]) -> dict[str, Any]:
+    """Energies to a goal at a distance [m] and bearing [rad], by planner and straight lines."""
+    distance, bearing = goal
+    row: dict[str, Any] = {"distance_m": distance, "bearing_deg": math.degrees(bearing)}
+    try:
+        found: Comparison | None = compare(robot, distance, bearing, {}, both)
+        row["fault"] = ""
+    except StudyError as error:
+        found, row["fault"] = None, str(error)
+    nan = math.nan
+    return row | {
+        "arrival_s": found.arrival if found else nan,
+        "lateness_s": found.lateness if found else nan,
+        "peak_turn_rad": found.peak if found else nan,
+        "energy_j": found.energy if found else nan,
+        "speed_only_j": found.speed_only if found else nan,
+        "all_limits_j": found.all_limits if found else nan,
+        "ratio": found.ratio if found else nan,
+    }
+
+
+def draw_case(
+    robot: Robot, scene: Scene, ride: Planned, result: dict[str, Any], folder: Path
+) -> dict[str, str | None]:
+    """Draw a case into a PNG file, and a GIF where something moves, if there is matplotlib."""
+    try:
+        from omniman_ros.cli import mpc_picture
+    except ImportError:
+        return {"picture": None, "film": None}
+    name = scene.name
+    path, film = folder / f"reproduce_{name}.png", folder / f"reproduce_{name}.gif"
+    if name == "free":
+        mpc_picture.draw_free(robot, scene, ride, result, path)
+    else:
+        mpc_picture.draw_case(robot, scene, ride, path, *SHOWN[name])
+    if name == "moving":
+        mpc_picture.animate(robot, scene, ride, film)
+    return {"picture": str(path), "film": str(film) if name == "moving" else None}
+
+
+def case_report(result: Mapping[str, Any]) -> list[str]:
+    """The tables at the end."""
+    rows: list[tuple[str, ...]] = [
+        ("", "reached", "time", "energy", "least gap", "plans used", "braked", "CPU median",
+         "p99", "off path")
+    ]  # fmt: skip
+    rows += [_drive_cells(row) for row in result["drives"]]
+    lines = ["", *table(rows)]
+    if result["case"] == "free":
+        lines += ["", *_slant_lines(result["drives"])]
+        lines += ["", *_energy_lines(result)]
+    failed = [row["about"] for row in result["drives"] if not row["reached"] or row["collided"]]
+    passed = (
+        paint("passed", GREEN, sys.stdout)
+        if result["passed"]
+        else paint("FAILED", RED, sys.stdout)
+    )
+    told = f" (not reached or touched: {', '.join(failed)})" if failed else ""
+    lines += ["", f"Goal reached without contact, with the defaults: {passed}{told}"]
+    for label, path in (("Picture", result["picture"]), ("Film", result["film"])):
+        if path:
+            lines.append(f"{label}: {path}")
+    return lines
+
+
+def _number(value: float, unit: str, digits: int) -> str:
+    return f"{value:.{digits}f} {unit}" if math.isfinite(value) else "-"
+
+
+def _drive_cells(row: Mapping[str, Any]) -> tuple[str, ...]:
+    return (
+        row["about"],
+        "CONTACT" if row["collided"] else "yes" if row["reached"] else row["state"],
+        _number(row["time_s"], "s", 2),
+        _number(row["energy_j"], "J", 0),
+        _number(1e3 * row["clearance_m"], "mm", 0),
+        f"{row['plans_used']} of {row['cycles']}",
+        f"{row['brakings']}",
+        _number(row["cpu_median_ms"], "ms", 1),
+        _number(row["cpu_p99_ms"], "ms", 1),
+        _number(1e3 * row["tracking_m"], "mm", 0),
+    )
+
+
+def _slant_lines(drives: Sequence[Mapping[str, Any]]) -> list[str]:
+    rows: list[tuple[str, ...]] = [
+        ("", "along a diagonal", "of the way", "nearest", "at", "turned by")
+    ]
+    for row in drives:
+        rows.append(
+            (
+                row["about"],
+                "yes" if row["along_diagonal"] else "no",
+                f"{100 * row['share']:.0f} %",
+                _number(math.degrees(row["nearest_rad"]), "deg", 0),
+                _number(row["nearest_s"], "s", 1),
+                _number(math.degrees(row["peak_turn_rad"]), "deg", 0),
+            )
+        )
+    limit = math.degrees(NEAR_DIAGONAL)
+    return [f"Direction of travel within {limit:.0f} deg of a roller diagonal:", *table(rows)]
+
+
+def _energy_lines(result: Mapping[str, Any]) -> list[str]:
+    rows: list[tuple[str, ...]] = [
+        ("goal", "arrival", "planner", "line, slower", "slower, softer", "ratio", "turned")
+    ]  # fmt: skip
+    for row in result["energy"]:
+        rows.append(
+            (
+                f"{row['distance_m']:g} m at {row['bearing_deg']:g} deg",
+                _number(row["arrival_s"], "s", 2),
+                _number(row["energy_j"], "J", 1),
+                _number(row["speed_only_j"], "J", 1),
+                _number(row["all_limits_j"], "J", 1),
+                _number(row["ratio"], "", 2).rstrip(),
+                _number(math.degrees(row["peak_turn_rad"]), "deg", 0),
+            )
+        )
+    faults = [row["fault"] for row in result["energy"] if row["fault"]]
+    head = "Energy until rest at equal arrival times, planner and straight line:"
+    return [head, *table(rows), *(f"  {fault}" for fault in faults)]

@@ -70,7 +70,9 @@ class PreviewFollower:
         self.error = error
         reference = preview.sample(now)
         wanted = clamp(self._position.velocity(reference, error), limits.velocity)
-        before = se2.to_world(theta, setpoint)
+        # Where the velocity pointed a tick ago: the platform has turned below it since. Seen from
+        # there its change is the acceleration in space, which is what the limits are for.
+        before = se2.to_world(theta - dt * float(setpoint[2]), setpoint)
         twist = se2.to_robot(theta, slew(before, wanted, limits, dt))
         vx, vy, w = twist.tolist()
         turned = np.array([w * vy, -w * vx, 0.0])  # CCTA (20): the frame turns below the velocity

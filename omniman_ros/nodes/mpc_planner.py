@@ -20,6 +20,7 @@ from omniman_ros import conversions
 from omniman_ros.core.control import ControlWatch
 from omniman_ros.core.errors import InputError, ParameterError
 from omniman_ros.core.parameters import inline, parameter
+from omniman_ros.nodes import obstacle_port
 from omniman_ros.nodes.control_port import ControlPort
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.runtime import OmnimanNode, run
@@ -28,7 +29,7 @@ from omniman_ros.planning import availability
 from omniman_ros.planning.cycle import Measured, PlannerState
 from omniman_ros.planning.ellipses import Ellipses
 from omniman_ros.planning.goals import Goal, PoseGoal, StateGoal, TrajectoryGoal
-from omniman_ros.planning.obstacles import Observation, ObstacleSet
+from omniman_ros.planning.obstacles import ObstacleSet
 from omniman_ros.planning.parameters import PlannerParameters
 
 Array = NDArray[np.float64]
@@ -158,22 +159,7 @@ class MpcPlannerNode(OmnimanNode):
         )
 
     def _on_obstacles(self, message: MarkerArray) -> str:
-        now = self.now()
-        changes, complaints = conversions.marker_changes(
-            message, self._frames, lambda stamp: now - max(self.age(stamp), 0.0), Observation
-        )
-        for change in changes:
-            if isinstance(change, Observation):
-                try:
-                    self.obstacles.add(change, now)
-                except InputError as error:
-                    complaints.append(str(error))
-            elif change.number is None:
-                self.obstacles.delete_all(change.namespace)
-            else:
-                self.obstacles.delete((change.namespace, change.number))
-        if changes or not message.markers:
-            self.obstacles.heard(now)  # what was rejected as a whole does not count as fresh
+        complaints = obstacle_port.hear(self, message, self.obstacles, self._frames)
         more = f" (and {len(complaints) - 1} more)" if len(complaints) > 1 else ""
         return complaints[0] + more if complaints else ""
 
@@ -188,7 +174,11 @@ class MpcPlannerNode(OmnimanNode):
         return self._take_goal(lambda: PoseGoal(conversions.goal_pose(message, self._frames)))
 
     def _on_state(self, message: Odometry) -> str:
-        return self._take_goal(lambda: StateGoal(*conversions.goal_state(message, self._frames)))
+        def goal() -> Goal:
+            pose, velocity = conversions.goal_state(message, self._frames)
+            return StateGoal(pose, velocity) if velocity.any() else PoseGoal(pose)
+
+        return self._take_goal(goal)
 
     def _on_trajectory(self, message: MultiDOFJointTrajectory) -> str:
         def goal() -> Goal:

@@ -95,8 +95,8 @@ class Safety:
         unit="s", low=0.001, high=0.5,
     )  # fmt: skip
     slack: float = parameter(
-        0.02, "Largest overlap of a plan with what it must keep clear of, clearance included.",
-        unit="m", low=0, high=1,
+        0.02, "Overlap of a plan with what it must keep clear of, clearance included, from which "
+        "on evasions are tried beside it.", unit="m", low=0, high=10,
     )  # fmt: skip
 
     def __post_init__(self) -> None:

@@ -35,6 +35,8 @@ ASTRAY = (0.15, 0.2)
 """Distance [m] and angle [rad] from the motion at which plans begin where the robot is."""
 AT_REST = 0.02
 """Speed below which the robot stands [m/s, rad/s]."""
+LEAST_SHARE = 0.01
+"""Of the limits: with none at all there would be nothing to plan with."""
 NEWCOMER = 0.15
 """Growth of an obstacle's margin above which it is not known to stand [m/s]."""
 BLOCKED_AFTER = 2.0
@@ -43,6 +45,10 @@ WORTH = 0.2
 """By how much later contact must come for another motion to be better than braking now [s]."""
 WIDER = 0.005
 """By how much wider a gap must be, where contact comes at the same time [m]."""
+RUN_UP, LONGEST_RUN_UP = 0.7, 10.0
+"""Share of the acceleration and longest time [s] to get up to a velocity that is to be passed."""
+PASSING, JUST = 2.0, 0.1
+"""A pose that is passed may be off by so many times what one to rest at may; since when [s]."""
 HELD = 0.5
 """How much of the past of a motion is kept [s]."""
 
@@ -88,7 +94,7 @@ class Planner:
         self.anchored = anchored
         self.state = PlannerState.IDLE
         self.goal: Goal | None = None
-        self.motion = Motion.rest(0.0, np.zeros(3), self.model.wheel_count)
+        self.motion = Motion.rest(-HELD, np.zeros(3), self.model.wheel_count)  # long ago
         self.report = Report()
         self._guess: tuple[float, Array] | None = None
         self._faulty = False
@@ -119,7 +125,7 @@ class Planner:
 
     def scale(self, share: float) -> None:
         """Keep to a share of the velocity and acceleration limits from now on."""
-        self._problem.share = share
+        self._problem.share = max(share, LEAST_SHARE)
 
     @property
     def share(self) -> float:
@@ -263,8 +269,28 @@ class Planner:
         speed = 0.5 * (1.0 - p.reserve) * p.limits.linear_velocity * self.share
         turning = 0.5 * (1.0 - p.reserve) * p.limits.angular_velocity * self.share
         needed = max(math.hypot(error[0], error[1]) / speed, abs(float(error[2])) / turning)
-        if needed < p.horizon.duration:
-            self.goal = goal.arriving(due + max(needed, 0.5 * p.horizon.duration))
+        if needed >= p.horizon.duration and goal.arrival is None:
+            return
+        lasts = max(needed, 0.5 * p.horizon.duration, self._run_up(start, goal))
+        self.goal = goal.arriving(due + lasts)
+
+    def _run_up(self, start: Array, goal: StateGoal) -> float:
+        """Least time [s] to get onto the line that passes a pose at its velocity.
+
+        Seen from what moves along that line, the robot is away from its place by what the line
+        is ahead, and has to come to rest there: with RUN_UP of the acceleration, half of the time
+        speeding up and half of it braking.
+        """
+        p = self.parameters
+        rate = RUN_UP * (1.0 - p.reserve) * p.limits.linear_acceleration * self.share
+        velocity = se2.to_world(float(start[2]), start[3:])
+        relative = (velocity - goal.velocity)[:2]
+        times = np.arange(p.horizon.step, LONGEST_RUN_UP, 0.1)[:, None]
+        away = start[:2] - goal.pose[:2] + times * (goal.velocity[:2] + 0.5 * relative)
+        distance = np.hypot(away[:, 0], away[:, 1])
+        slowing = 0.25 * times[:, 0] * math.hypot(relative[0], relative[1])
+        enough = 0.25 * rate * times[:, 0] ** 2 >= distance + slowing
+        return float(times[enough.argmax(), 0]) if enough.any() else LONGEST_RUN_UP
 
     def _solve(self, start: Array, due: float, around: Ellipses) -> tuple[Answer, ...]:
         """The last plan improved; where the last cycle was in trouble, an evasion, too."""
@@ -300,7 +326,8 @@ class Planner:
     def _troubled(self) -> bool:
         """Whether the last plan was not good."""
         report = self.report
-        return not (report.used and report.clear)
+        tight = report.slack > self.parameters.safety.slack
+        return not (report.used and report.clear) or tight
 
     def coast(self, now: float, measured: Measured, around: Ellipses) -> None:
         """A cycle without a plan: the motion comes to its end, what is in its way still counts.
@@ -313,7 +340,7 @@ class Planner:
 
     def take(self, proposal: Proposal, now: float, measured: Measured, around: Ellipses) -> None:
         """Use the answer if it is in time and clear, else the last plan's rest, else brake."""
-        surroundings = self._surroundings(around, self._off(measured))
+        surroundings = self._surroundings(around, self._off(measured), now)
         report = Report(late=now - proposal.due, why=proposal.fault)
         if proposal.answers:
             first = proposal.answers[0]
@@ -420,10 +447,10 @@ class Planner:
         turned = abs(se2.wrap(float(error[2])))
         return math.hypot(error[0], error[1]) + turned * math.hypot(*self.model.half)
 
-    def _surroundings(self, around: Ellipses, off: float) -> Surroundings:
+    def _surroundings(self, around: Ellipses, off: float, now: float) -> Surroundings:
         p = self.parameters
         margin = p.safety.least_clearance + off
-        until = around.time + p.horizon.duration
+        until = now + p.horizon.duration
         return Surroundings(self.model.half, around, p.workspace.bounds, margin, until)
 
     # ---- how far it has come ----------------------------------------------------------------
@@ -446,8 +473,9 @@ class Planner:
         standing = float(np.abs(measured.twist).max()) < AT_REST
         stands_still = self.goal.until < now
         if isinstance(self.goal, StateGoal):
-            if there and self.goal.arrival is not None and now >= self.goal.arrival:
+            if self._passed(self.goal, measured):
                 self._arrive()
+                self.brake(now)
         elif there and standing and stands_still:
             self._arrive()
         elif not standing:
@@ -456,6 +484,24 @@ class Planner:
             self._stood_since = now
         elif now - self._stood_since > BLOCKED_AFTER and stands_still:
             self.state = PlannerState.BLOCKED
+
+    def _passed(self, goal: StateGoal, measured: Measured) -> bool:
+        """Whether the robot has just gone through a pose, in the direction of its velocity."""
+        tolerance, speed = self.parameters.arrival, math.hypot(*goal.velocity[:2])
+        if goal.arrival is None:
+            return False
+        x, y = (measured.pose - goal.pose)[:2].tolist()
+        turned = abs(se2.wrap(float(measured.pose[2] - goal.pose[2])))
+        if speed < AT_REST:
+            return math.hypot(x, y) <= tolerance.position and turned <= tolerance.heading
+        ux, uy = (goal.velocity[:2] / speed).tolist()
+        ahead, aside = x * ux + y * uy, abs(y * ux - x * uy)
+        since = max(ahead, 0.0) / speed
+        turned -= abs(float(goal.velocity[2])) * since
+        vx, vy, _ = se2.to_world(float(measured.pose[2]), measured.twist).tolist()
+        behind_it = -0.1 * tolerance.position <= ahead <= JUST * speed
+        close = aside <= PASSING * tolerance.position and turned <= PASSING * tolerance.heading
+        return bool(behind_it and close and vx * ux + vy * uy > 0.5 * speed)
 
     def _arrive(self) -> None:
         self.goal, self.state, self._guess = None, PlannerState.ARRIVED, None

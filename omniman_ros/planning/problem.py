@@ -51,16 +51,19 @@ class Problem:
         p = self.parameters
         times = guess.times[1:]
         targets, pull = self._targets(start, times, goal)
+        ahead = targets[-1, :2] - start[:2]
+        direction = math.atan2(ahead[1], ahead[0])
         gap = p.safety.clearance
         x_min, y_min, x_max, y_max = p.workspace.bounds
         return Stage(
-            limits=self._limits(start[3:], len(times)),
+            limits=self._limits(start, direction, len(times)),
             workspace=np.array([x_min + gap, y_min + gap, x_max - gap, y_max - gap]),
             target=targets,
             weights=self._weights(goal.moves, len(times)),
             energy=p.weights.energy,
             slack=(SLACK * pull, SLACK * pull / 0.1),
             obstacles=self._obstacles(guess, ellipses, slots),
+            direction=direction,
         )
 
     def evasion(self, start: Array, direction: float) -> Array:
@@ -106,15 +109,18 @@ class Problem:
         weights[-1, 4] = w.energy / model.efficiency
         return weights
 
-    def _limits(self, twist: Array, steps: int) -> Array:
+    def _limits(self, start: Array, direction: float, steps: int) -> Array:
         """Limits (N, 6); what is above its limit already may come down in its time."""
-        p, model = self.parameters, self._model
+        p, model, twist = self.parameters, self._model, start[3:]
         linear, angular = p.limits.velocity
         room = (1.0 - p.reserve) * self.share
         wheels = float(np.abs(model.J @ twist).max())
-        spokes = np.arange(SIDES) * (2.0 * math.pi / SIDES)
-        linear_now = float((np.cos(spokes) * twist[0] + np.sin(spokes) * twist[1]).max())
-        now = np.array([linear_now / math.cos(math.pi / SIDES), abs(twist[2]), wheels])
+        # What of its limit the polygon takes this velocity for.
+        along = math.atan2(twist[1], twist[0]) + start[2] - direction
+        normals = (np.arange(SIDES) + 0.5) * (2.0 * math.pi / SIDES)
+        share = float(np.cos(along - normals).max()) / math.cos(math.pi / SIDES)
+        linear_now = math.hypot(twist[0], twist[1]) * share
+        now = np.array([linear_now, abs(twist[2]), wheels])
         most = np.array([linear * room, angular * room, model.max_speed])
         a, b = room * p.limits.linear_acceleration, room * p.limits.angular_acceleration
         rates = 0.5 * np.array([a, b, a / model.half.min()])
@@ -138,8 +144,10 @@ class Problem:
             return table
         near = ellipses.select(reachable)
         centers, axes = near.centers_at(times), near.axes_at(times, p.safety.clearance)
-        gaps = box_gap(guess.poses[1:], model.half, centers, axes, near.angles).min(axis=0)
-        chosen = np.argsort(gaps, kind="stable")[:slots]
+        chosen = np.arange(len(near))
+        if len(near) > slots:
+            gaps = box_gap(guess.poses[1:], model.half, centers, axes, near.angles).min(axis=0)
+            chosen = np.argsort(gaps, kind="stable")[:slots]
         centers, axes, angles = centers[:, chosen], axes[:, chosen], near.angles[chosen]
         axes = inflated(axes, self._sag(guess, near.velocities[chosen], axes))
         cos, sin = np.cos(angles), np.sin(angles)

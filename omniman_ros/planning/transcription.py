@@ -6,7 +6,6 @@ slack s_k [m] that opens obstacles and workspace; motor and twist limits are har
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -38,6 +37,8 @@ class Stage:
         weights: (N, 5) of position, heading, linear and angular velocity, kinetic energy there.
         energy: Weight of the losses.
         slack: Weights of the slack, linear [J/m] and quadratic [J/m^2].
+        direction: Of odom in which the limits of linear speed and acceleration are met in full
+            [rad]; elsewhere a polygon stands for their circle.
         obstacles: (N, M, 7) see `OBSTACLE`.
     """
 
@@ -48,11 +49,12 @@ class Stage:
     energy: float
     slack: tuple[float, float]
     obstacles: Array
+    direction: float = 0.0
 
     def table(self) -> Array:
         """(N, FIXED + 7 M), as `Transcription.program` takes it."""
         steps = len(self.limits)
-        same = np.concatenate([self.workspace, [self.energy], self.slack])
+        same = np.concatenate([self.workspace, [self.energy], self.slack, [self.direction]])
         head = np.hstack([self.limits, self.target, self.weights, np.tile(same, (steps, 1))])
         spare = np.zeros((steps, FIXED - head.shape[1]))
         return np.hstack([head, spare, self.obstacles.reshape(steps, -1)])
@@ -74,12 +76,12 @@ class Transcription:
     """
 
     def __init__(
-        self, model: PlanningModel, steps: int, step: float, slots: int, damping: float = 1.0
+        self, model: PlanningModel, steps: int, step: float, slots: int, damping: float = 8.0
     ) -> None:
         self.model, self.steps, self.step, self.slots = model, steps, step, slots
         self.damping = damping
         n = self.controls = model.wheel_count
-        angles = np.arange(SIDES // 2) * (2 * np.pi / SIDES)
+        angles = (np.arange(SIDES // 2) + 0.5) * (2 * np.pi / SIDES)
         self._spokes = ca.DM(np.column_stack([np.cos(angles), np.sin(angles)]))
         self._spokes /= np.cos(np.pi / SIDES)
         x, u = ca.SX.sym("x", STATES), ca.SX.sym("u", n)
@@ -126,38 +128,43 @@ class Transcription:
         pose = x[:3] + moved(x[2], moved_by)
         return ca.vertcat(pose, last), 0.5 * (v2 + v3), last
 
-    def losses(self, x: ca.SX, u: ca.SX) -> tuple[Any, Any, Any, Any]:
-        """Losses of a step [J], (32) rewritten, by Simpson's rule; their Gauss-Newton parts.
-
-        Returns:
-            Roots of the quadratic losses (copper, viscous friction); the dry speeds at three
-            instants; the derivative and second derivative of the dry losses by these speeds.
-        """
+    def losses(self, x: ca.SX, u: ca.SX) -> ca.SX:
+        """Losses of a step [J], (32) rewritten, by Simpson's rule."""
         m, h = self.model, self.step
-        _, middle, last = self._transition(x, u)
-        roots = [np.sqrt(m.resistance * h) * u]
-        speeds, slope, bend = [], [], []
-        for twist, share in ((x[3:], 1 / 6), (middle, 4 / 6), (last, 1 / 6)):
-            wheel = ca.DM(m.J) @ twist
-            roots.append(np.sqrt(m.viscous * h * share / m.efficiency) * wheel)
+        total = m.resistance * h * ca.sumsqr(u)
+        for twist, weight in self._instants(x, u):
             dry, strength, width = m.dry_speeds(twist)
-            weight = strength * h * share / m.efficiency
-            root = ca.sqrt(dry**2 + width**2)
-            speeds.append(dry)
-            slope.append(weight * dry / root)
-            bend.append(weight / root)
-        return ca.vertcat(*roots), ca.vertcat(*speeds), ca.vertcat(*slope), ca.vertcat(*bend)
-
-    def dry_loss(self, x: ca.SX, u: ca.SX) -> ca.SX:
-        """Dry losses of a step [J]."""
-        m, h = self.model, self.step
-        _, middle, last = self._transition(x, u)
-        total = ca.SX(0)
-        for twist, share in ((x[3:], 1 / 6), (middle, 4 / 6), (last, 1 / 6)):
-            dry, strength, width = m.dry_speeds(twist)
-            weight = strength * h * share / m.efficiency
-            total += ca.dot(ca.DM(weight), ca.sqrt(dry**2 + width**2) - width)
+            viscous = m.viscous * (ca.DM(m.J) @ twist) ** 2
+            held = ca.DM(strength) * (ca.sqrt(dry**2 + width**2) - width)
+            total += weight * (ca.sum1(viscous) + ca.sum1(held))
         return total
+
+    def _instants(self, x: ca.SX, u: ca.SX) -> list[tuple[ca.SX, float]]:
+        """Twists at the begin, middle and end of a step, and Simpson's weights over eta [s]."""
+        _, middle, last = self._transition(x, u)
+        weight = self.step / (6.0 * self.model.efficiency)
+        return [(x[3:], weight), (middle, 4.0 * weight), (last, weight)]
+
+    def _loss_derivatives(self, x: ca.SX, u: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Gradient and Gauss-Newton Hessian of :meth:`losses` by (x, u).
+
+        All speeds are linear in the twist: three by three is what each instant has to tell. The
+        curvature of dry friction is that of the parabola above it that touches it.
+        """
+        m, z = self.model, ca.vertcat(x, u)
+        speeds = ca.DM(np.vstack([m.J, m.rolling]))
+        viscous = ca.DM(2.0 * m.J.T @ (m.viscous[:, None] * m.J))
+        copper = ca.vertcat(
+            ca.DM.zeros(STATES), 2.0 * m.resistance * self.step * ca.DM.ones(u.numel())
+        )
+        gradient, hessian = copper * z, ca.SX(ca.diag(copper))
+        for twist, weight in self._instants(x, u):
+            by_z = ca.jacobian(twist, z)
+            dry, strength, width = m.dry_speeds(twist)
+            bend = ca.DM(strength) / ca.sqrt(dry**2 + width**2)
+            gradient += weight * by_z.T @ (viscous @ twist + speeds.T @ (bend * dry))
+            hessian += weight * by_z.T @ ((viscous + speeds.T @ ca.diag(bend) @ speeds) @ by_z)
+        return gradient, hessian
 
     def node_residuals(self, y: ca.SX, p: ca.SX) -> ca.SX:
         """Residuals of the state y at a step's end, whose squares are its cost, (31) with W_vel.
@@ -181,10 +188,8 @@ class Transcription:
         end, _, _ = self._transition(x, u)
         ab = ca.jacobian(end, z)
         energy = p[21]
-        roots, speeds, slope, bend = self.losses(x, u)
-        of_roots, of_speeds = ca.jacobian(roots, z), ca.jacobian(speeds, z)
-        gradient = energy * (2 * of_roots.T @ roots + of_speeds.T @ slope)
-        hessian = energy * (2 * of_roots.T @ of_roots + of_speeds.T @ (bend * of_speeds))
+        gradient, hessian = self._loss_derivatives(x, u)
+        gradient, hessian = energy * gradient, energy * hessian
         damped = self.damping * 2 * m.resistance * self.step
         hessian += damped * ca.diag(ca.vertcat(ca.DM.zeros(STATES), ca.DM.ones(u.numel())))
         y = ca.SX.sym("y", STATES)
@@ -192,12 +197,12 @@ class Transcription:
         of_y = ca.jacobian(residuals, y)
         node = ca.Function("node", [y, p], [2 * of_y.T @ residuals, 2 * of_y.T @ of_y, residuals])
         node_gradient, node_hessian, at_end = node(end, p)
-        rows, low, high = self._rows(x, u, y, p)
+        rows, low, high = self.inequalities(x, u, y, p)
         row = ca.Function(
             "row", [x, u, y, p], [rows, ca.jacobian(rows, z), ca.jacobian(rows, y), low, high]
         )
         value, direct, through, low, high = row(x, u, end, p)
-        cost = energy * (ca.sumsqr(roots) + self.dry_loss(x, u)) + ca.sumsqr(at_end)
+        cost = energy * self.losses(x, u) + ca.sumsqr(at_end)
         self.stage_cost = ca.Function("stage_cost", [x, u, p], [cost])
         self.stage_rows = ca.Function("stage_rows", [x, u, p], [value, low, high])
         outputs = [
@@ -205,9 +210,9 @@ class Transcription:
             ca.densify(low - value), ca.densify(high - value),
             direct + through @ ab, node_hessian, cost,
         ]  # fmt: skip
-        return ca.Function("stage", [x, u, p], [ca.densify(out) for out in outputs])
+        return ca.Function("stage", [x, u, p], ca.cse([ca.densify(out) for out in outputs]))
 
-    def _rows(self, x: ca.SX, u: ca.SX, y: ca.SX, p: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+    def inequalities(self, x: ca.SX, u: ca.SX, y: ca.SX, p: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
         """Inequalities low <= row <= high; y is the state at the stage's end.
 
         The rows that the slack opens are the last, see `opened`.
@@ -224,10 +229,10 @@ class Transcription:
             within(m.resistance * u + m.emf * (J @ twist), limits[3])
         within(y[5], limits[1])
         within(J @ y[3:], limits[2])
-        within(self._spokes @ y[3:5], limits[0])
+        within(self._spokes @ _turned(y[2] - p[24], y[3:5]), limits[0])
         rate = m.twist_rate(x[3:], u)
         turned = ca.vertcat(rate[0] - x[5] * x[4], rate[1] + x[5] * x[3])
-        within(self._spokes @ turned, limits[4])
+        within(self._spokes @ _turned(x[2] - p[24], turned), limits[4])
         within(rate[2], limits[5])
         self.opened = sum(entry[0].size1() for entry in rows)
         low, high = p[17:19], p[19:21]
@@ -352,6 +357,12 @@ class Transcription:
                 ca.vertcat(*least), ca.vertcat(*most), ca.sum2(cost), ends,
             ],
         )  # fmt: skip
+
+
+def _turned(angle: ca.SX, vector: ca.SX) -> ca.SX:
+    """A vector (2,) of a frame that is turned by an angle, seen from where it is not."""
+    c, s = ca.cos(angle), ca.sin(angle)
+    return ca.vertcat(c * vector[0] - s * vector[1], s * vector[0] + c * vector[1])
 
 
 class _Entries:

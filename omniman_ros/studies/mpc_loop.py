@@ -10,10 +10,12 @@ from omniman_ros.core.arbiter import Source
 from omniman_ros.core.platform_parameters import PlatformParameters
 from omniman_ros.core.preview import Preview
 from omniman_ros.drive.parameters import SimulationParameters
+from omniman_ros.planning.cycle import Measured, PlannerState, Report
+from omniman_ros.planning.ellipses import Ellipses
 from omniman_ros.planning.goals import Goal
 from omniman_ros.planning.obstacles import Observation, ObstacleSet
 from omniman_ros.planning.parameters import PlannerParameters
-from omniman_ros.planning.planner import Measured, Planner, PlannerState, Report
+from omniman_ros.planning.planner import Planner
 from omniman_ros.studies.closed_loop import LATENCY, PERIOD, ClosedLoop
 
 Array = NDArray[np.float64]
@@ -22,6 +24,8 @@ CYCLE = 0.05
 """Period of the planner [s]."""
 OBSERVED = 0.05
 """Period of the observations of obstacles [s]."""
+WARM_UP = 12
+"""Ticks before the first goal: a planner holds its first motion, at the origin, for 50 ms."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +55,10 @@ class Trace:
         obstacles: True places (M, 2).
         reports: Of the planner.
         energy: Electric energy taken until then [J].
+        states: Of the planner.
+        plan_times: Of the poses planned, (k,) each [s].
+        known: Obstacles as they were known.
+        spent: What planning took, on the timer of the loop [s]; 0 where nothing was planned.
     """
 
     times: list[float] = field(default_factory=list)
@@ -61,6 +69,37 @@ class Trace:
     reports: list[Report] = field(default_factory=list)
     energy: list[float] = field(default_factory=list)
     states: list[PlannerState] = field(default_factory=list)
+    plan_times: list[Array] = field(default_factory=list)
+    known: list[Ellipses] = field(default_factory=list)
+    spent: list[float] = field(default_factory=list)
+
+
+@dataclass
+class Course:
+    """What the robot did, one row a tick of the controller, as it truly was.
+
+    Attributes:
+        times: [s].
+        poses: (3,) each [m, m, rad].
+        odometry: Poses (3,) as the robot has them.
+        twists: (3,) in base_link, from the encoders.
+        energy: Electric energy taken until then [J].
+    """
+
+    times: list[float] = field(default_factory=list)
+    poses: list[Array] = field(default_factory=list)
+    odometry: list[Array] = field(default_factory=list)
+    twists: list[Array] = field(default_factory=list)
+    energy: list[float] = field(default_factory=list)
+
+    def add(self, loop: ClosedLoop) -> None:
+        """Take down the last tick of a loop."""
+        odometry = loop.controller.odometry
+        self.times.append(loop.now - PERIOD)
+        self.poses.append(loop.truth.copy())
+        self.odometry.append(np.array(odometry.pose))
+        self.twists.append(np.array(odometry.twist))
+        self.energy.append(float(loop.drives.electrical()[:, 2].sum()))
 
 
 class MpcLoop:
@@ -76,6 +115,7 @@ class MpcLoop:
         solve_time: How long an answer takes; a multiple of the tick of 5 ms [s].
         noise: Standard deviation of the observed places of obstacles [m].
         seed: Of the noise.
+        timer: CPU time [s], or whatever planning is to be measured by; None: it is not.
     """
 
     def __init__(
@@ -89,17 +129,20 @@ class MpcLoop:
         solve_time: float = 0.01,
         noise: float = 0.0,
         seed: int = 0,
+        timer: Callable[[], float] | None = None,
     ) -> None:
         self.loop = ClosedLoop(platform, simulation)
         x, y, theta = map(float, start)
         self.loop.drives.set_pose((x, y, theta))
         self.loop.controller.set_pose((x, y, theta))
-        for _ in range(4):
+        for _ in range(WARM_UP):
             self.loop.step()
         self.planner = Planner(planner, anchored=not voltages)
         self.seen = ObstacleSet(planner.obstacles)
         self.obstacles = list(obstacles)
-        self.trace = Trace()
+        self.trace, self.course = Trace(), Course()
+        self._timer = timer or (lambda: 0.0)
+        self._spent = 0.0
         self._voltages, self._noise = voltages, noise
         self._solving = round(solve_time / PERIOD)
         self._random = np.random.default_rng(seed)
@@ -136,11 +179,16 @@ class MpcLoop:
         self._observe()
         now, planner = self.now, self.planner
         ticks = round(CYCLE / PERIOD)
+        self._spent = 0.0
         if planner.active:
+            begun = self._timer()
             proposal = planner.propose(now, self.measured(), self.seen.ellipses(now))
+            self._spent = self._timer() - begun
             for _ in range(self._solving):
                 self._step()
+            begun = self._timer()
             planner.take(proposal, self.now, self.measured(), self.seen.ellipses(self.now))
+            self._spent += self._timer() - begun
             ticks -= self._solving
             self._publish()
         self._record()
@@ -151,6 +199,7 @@ class MpcLoop:
         if self._voltages and self.loop.tick % 2 == 0:
             self._apply()
         self.loop.step()
+        self.course.add(self.loop)
 
     def _publish(self) -> None:
         """Hand the motion to the controller as a preview."""
@@ -193,3 +242,6 @@ class MpcLoop:
         trace.reports.append(self.planner.report)
         trace.energy.append(float(self.loop.drives.electrical()[:, 2].sum()))
         trace.states.append(self.planner.state)
+        trace.plan_times.append(self.planner.motion.times.copy())
+        trace.known.append(self.seen.ellipses(now))
+        trace.spent.append(self._spent)

@@ -1,11 +1,14 @@
+import argparse
 import importlib.util
 import json
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+import omniman_ros.cli
 from omniman_ros.cli import reproduce
 from omniman_ros.cli.main import main
 from omniman_ros.core.parameters import build
@@ -13,6 +16,15 @@ from omniman_ros.drive.parameters import Mismatch
 from omniman_ros.studies.coupling import Case, Outcome, Run, Setup
 from omniman_ros.studies.coupling_sweep import QUICK, summary
 from omniman_ros.studies.figure7 import Figure7
+from omniman_ros.studies.mpc_cases import (
+    Comparison,
+    Scene,
+    StudyError,
+    Turned,
+    Variant,
+    circle,
+    planned,
+)
 from test import robots
 
 from .support import command, environment
@@ -127,3 +139,134 @@ def test_the_path_in_the_json_is_the_path_driven():
     assert path["travel_m"] == pytest.approx(QUICK.figure.length * (3 + 1.5 * np.pi))
     assert path["duration_s"] == QUICK.figure.duration
     assert Setup(robots.values(), Figure7()).figure.duration > path["duration_s"]
+
+
+# ---- MPC 2021 -----------------------------------------------------------------------------------
+
+BESIDE = (circle(0.3, Turned((0.2, 0.9))),)
+SHORT = Scene("corridor", (0.3, 0.0, 0.0), obstacles=BESIDE)
+
+
+@pytest.fixture(scope="module")
+def ride():
+    """A drive of 0.3 m past a circle."""
+    ticks = iter(range(10**6))
+    return planned(robots.values("ig42"), SHORT, timer=lambda: 1e-3 * next(ticks))
+
+
+def case(monkeypatch, tmp_path, ride, name="corridor", **options):
+    """Run a case whose drives all come out as one that was driven before."""
+    asked = []
+
+    def driven(robot, scene, voltages, seed, timer):
+        asked.append((dict(scene.changes), voltages, seed))
+        return ride(len(asked)) if callable(ride) else ride
+
+    monkeypatch.setattr(reproduce, "planned", driven)
+    monkeypatch.setitem(reproduce.SCENES, name, lambda: replace(SHORT, name=name))
+    args = {"robot": None, "quick": True, "full": False, "seed": 3, "results": str(tmp_path)}
+    code = reproduce.run(argparse.Namespace(name=name, **(args | options)))
+    return code, json.loads((tmp_path / f"reproduce_{name}.json").read_text()), asked
+
+
+def collided(ride):
+    return replace(ride, drive=replace(ride.drive, gaps=ride.drive.gaps - 0.7))
+
+
+def short_of(ride):
+    return replace(ride, drive=replace(ride.drive, goal=(9.0, 0.0, 0.0)))
+
+
+def test_a_case_is_driven_with_both_outputs_and_told_in_json(monkeypatch, tmp_path, ride, capsys):
+    code, result, asked = case(monkeypatch, tmp_path, ride)
+    assert code == 0
+    assert asked == [({}, False, 3), ({}, True, 3)]
+    assert result["robot"] == "ig42"
+    first = result["drives"][0]
+    assert first["reached"] is True
+    assert first["collided"] is False
+    assert first["clearance_m"] == pytest.approx(0.35, abs=0.02)
+    assert first["cpu_median_ms"] == pytest.approx(2.0)
+    assert first["plans_used"] <= first["cycles"]
+    text = capsys.readouterr().out
+    assert "passed" in text
+    assert json.loads(text.splitlines()[-1]) == result
+    assert (tmp_path / "reproduce_corridor.png").exists() is DRAWS
+
+
+def test_the_paper_s_setting_is_shown_too(monkeypatch, tmp_path, ride):
+    _, result, asked = case(monkeypatch, tmp_path, ride, quick=False)
+    assert asked[2][0] == dict(reproduce.PAPER)
+    assert result["drives"][2]["counts"] is False
+
+
+@pytest.mark.parametrize("spoil", [collided, short_of])
+def test_contact_or_a_goal_not_reached_is_a_failure(monkeypatch, tmp_path, ride, spoil, capsys):
+    code, result, _ = case(monkeypatch, tmp_path, spoil(ride))
+    assert code == 1
+    assert result["passed"] is False
+    assert "FAILED" in capsys.readouterr().out
+
+
+def test_what_another_setting_does_is_no_failure_of_ours(monkeypatch, tmp_path, ride, capsys):
+    code, result, _ = case(
+        monkeypatch, tmp_path, lambda n: collided(ride) if n == 3 else ride, quick=False
+    )
+    assert code == 0
+    assert [row["collided"] for row in result["drives"]] == [False, False, True]
+    assert "CONTACT" in capsys.readouterr().out
+
+
+@pytest.mark.skipif(not DRAWS, reason="matplotlib is not installed")
+def test_moving_obstacles_are_shown_as_a_film_too(monkeypatch, tmp_path, ride):
+    _, result, _ = case(monkeypatch, tmp_path, ride, "moving")
+    assert (tmp_path / "reproduce_moving.gif").read_bytes()[:4] == b"GIF8"
+    assert result["film"].endswith("reproduce_moving.gif")
+
+
+class Here:
+    """Stands for a pool of processes."""
+
+    def __init__(self, *_):
+        self.map = map
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        pass
+
+
+def test_the_free_case_has_the_table_of_energies(monkeypatch, tmp_path, ride, capsys):
+    def compared(robot, distance, bearing, changes, both):
+        if distance > 2.0:
+            raise StudyError("not at the same time")
+        return Comparison(distance, bearing, 3.0, 30.0, 0.1, 40.0, float("nan"), 0.01)
+
+    monkeypatch.setattr(reproduce, "compare", compared)
+    monkeypatch.setattr(reproduce, "ProcessPoolExecutor", Here)
+    monkeypatch.setattr(reproduce, "variants", lambda _: [Variant("defaults")])
+    code, result, _ = case(monkeypatch, tmp_path, ride, "free", quick=False)
+    assert code == 0
+    rows = {(row["distance_m"], row["bearing_deg"]): row for row in result["energy"]}
+    assert len(rows) == 9
+    assert rows[2.0, 90.0]["ratio"] == 0.75
+    assert rows[4.0, 0.0]["fault"] == "not at the same time"
+    assert rows[4.0, 0.0]["ratio"] is None
+    text = capsys.readouterr().out
+    assert "0.75" in text
+    assert "not at the same time" in text
+
+
+def test_without_matplotlib_a_case_has_no_picture(monkeypatch, tmp_path, ride):
+    monkeypatch.setitem(sys.modules, "omniman_ros.cli.mpc_picture", None)
+    monkeypatch.delattr(omniman_ros.cli, "mpc_picture", raising=False)
+    code, result, _ = case(monkeypatch, tmp_path, ride, "moving")
+    assert code == 0
+    assert result["picture"] is None
+    assert [path.name for path in tmp_path.iterdir()] == ["reproduce_moving.json"]
+
+
+def test_each_experiment_has_its_robot():
+    assert reproduce.ROBOTS["coupling"] == "omniman"
+    assert {reproduce.ROBOTS[name] for name in reproduce.SCENES} == {"ig42"}

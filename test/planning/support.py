@@ -1,6 +1,9 @@
 """Planners, obstacles and a robot that does as it is told, for the tests of the planner."""
 
+import copy
 from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -9,11 +12,12 @@ from numpy.typing import NDArray
 
 from omniman_ros.core import se2
 from omniman_ros.core.parameters import build
+from omniman_ros.planning.cycle import Measured, PlannerState
 from omniman_ros.planning.ellipses import Ellipses
 from omniman_ros.planning.goals import Goal
 from omniman_ros.planning.model import PlanningModel
 from omniman_ros.planning.parameters import PlannerParameters
-from omniman_ros.planning.planner import Measured, Planner, PlannerState
+from omniman_ros.planning.planner import ASTRAY, Planner
 
 Array = NDArray[np.float64]
 
@@ -33,7 +37,15 @@ def parameters(name: str = "ig42", **changes: Any) -> PlannerParameters:
 
 def planner(name: str = "ig42", **changes: Any) -> Planner:
     """A planner with an anchor; changes as in `parameters`."""
-    return Planner(parameters(name, **changes))
+    built = _planner(name, tuple(sorted(changes.items())))
+    result = copy.copy(built)  # its solvers are dear, and keep nothing from one call to the next
+    result._problem = copy.copy(built._problem)
+    return result
+
+
+@cache
+def _planner(name: str, changes: tuple[tuple[str, Any], ...]) -> Planner:
+    return Planner(parameters(name, **dict(changes)))
 
 
 def model(name: str) -> PlanningModel:
@@ -54,6 +66,11 @@ def ellipses(
     )  # fmt: skip
 
 
+def observed(known: Ellipses, now: float) -> Ellipses:
+    """The same obstacles, as they are seen at a time [s]."""
+    return replace(known, time=now, centers=known.centers_at(np.array([now]))[0])
+
+
 def true_gaps(times: Array, poses: Array, half: Array, around: Ellipses) -> Array:
     """Gaps (K, M) [m] between box and ellipses without margin, from points on the ellipses.
 
@@ -67,19 +84,16 @@ def true_gaps(times: Array, poses: Array, half: Array, around: Ellipses) -> Arra
     x = c * a * np.cos(turn) - s * b * np.sin(turn)
     y = s * a * np.cos(turn) + c * b * np.sin(turn)
     seen = around.centers_at(times) - poses[:, None, :2]
-    result = np.empty(seen.shape[:2])
-    for k in range(len(poses)):
-        px, py = seen[k, :, :1] + x, seen[k, :, 1:] + y
-        c_box, s_box = np.cos(poses[k, 2]), np.sin(poses[k, 2])
-        beyond_x = np.abs(c_box * px + s_box * py) - half[0]
-        beyond_y = np.abs(c_box * py - s_box * px) - half[1]
-        gap = np.hypot(np.maximum(beyond_x, 0.0), np.maximum(beyond_y, 0.0)).min(axis=1)
-        # The box in the ellipse has no point of the ellipse's edge within: its centre tells.
-        cx, cy = np.cos(around.angles), np.sin(around.angles)
-        u = (cx * -seen[k, :, 0] + cy * -seen[k, :, 1]) / around.semi_axes[:, 0]
-        v = (cx * -seen[k, :, 1] + cy * seen[k, :, 0]) / around.semi_axes[:, 1]
-        result[k] = np.where(u * u + v * v <= 1.0, 0.0, gap)
-    return result
+    c_box, s_box = np.cos(poses[:, 2])[:, None, None], np.sin(poses[:, 2])[:, None, None]
+    px, py = seen[..., :1] + x, seen[..., 1:] + y
+    beyond_x = np.maximum(np.abs(c_box * px + s_box * py) - half[0], 0.0)
+    beyond_y = np.maximum(np.abs(c_box * py - s_box * px) - half[1], 0.0)
+    gaps: Array = np.sqrt((beyond_x**2 + beyond_y**2).min(axis=-1))
+    # A box in the ellipse has no point of the ellipse's edge within: its centre tells.
+    c, s = np.cos(around.angles), np.sin(around.angles)
+    u = (c * seen[..., 0] + s * seen[..., 1]) / around.semi_axes[:, 0]
+    v = (c * seen[..., 1] - s * seen[..., 0]) / around.semi_axes[:, 1]
+    return np.where(u * u + v * v <= 1.0, 0.0, gaps)
 
 
 class Ride:
@@ -108,7 +122,7 @@ class Ride:
     ) -> None:
         self.planner, self.now, self._wrapped = planner, now, wrapped
         known = ellipses() if seen is None else seen
-        self.seen = known if callable(known) else lambda _: known
+        self.seen = known if callable(known) else lambda now: observed(known, now)
         self.offset = np.zeros(3)
         self._last = np.array(pose, float)
         self._followed = False
@@ -138,14 +152,16 @@ class Ride:
         """One cycle; nothing is asked of a planner that is not active."""
         end = self.now + CYCLE
         planner = self.planner
+        astray = np.hypot(*self.offset[:2]) > ASTRAY[0] or abs(self.offset[2]) > ASTRAY[1]
         if planner.active:
             proposal = planner.propose(self.now, self.measured(), self.seen(self.now))
             self._move(self.now + solving)
+            there = self.pose()
             planner.take(proposal, self.now, self.measured(), self.seen(self.now))
             if planner.report.used:
                 self._followed = True
-                if proposal.fresh:
-                    self.offset = np.zeros(3)
+                if astray:  # the plan begins where the robot is, not where the last one was
+                    self.offset = there - planner.motion.sample(self.now)[0]
         self.states.append(planner.state)
         self._move(end)
 

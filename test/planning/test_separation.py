@@ -356,6 +356,22 @@ def test_growth_and_margin_take_from_the_gap():
     np.testing.assert_allclose(gaps, [0.33, 0.25], atol=1e-12)  # at the ends of the intervals
 
 
+def test_an_obstacle_counts_as_grown_for_the_whole_interval():
+    times = np.array([0.0, 0.5])
+    poses, velocities = standing(times)
+    poses[1, 0], velocities[:, 0] = -0.05, -0.1  # it drives away: 0.4 m, then 0.35 m
+    gaps = swept_gap(times, poses, velocities, HALF, one((1, 0), growth=0.2))
+    np.testing.assert_allclose(gaps, [[0.3]], atol=1e-12)
+
+
+def test_a_turn_and_back_between_two_samples_is_found():
+    """At 1 s it heads as at 0 s; in between it turns by 0.1 rad, a corner by 0.04 m."""
+    times = np.array([0.0, 1.0])
+    poses, velocities = np.zeros((2, 3)), np.array([[0.0, 0, 0.4], [0, 0, -0.4]])
+    post = one((0.4, 0.47), axes=(0.2, 0.2))  # 0.02 m beside that corner
+    assert swept_gap(times, poses, velocities, HALF, post)[0, 0] <= 0
+
+
 def test_the_swept_gap_is_never_above_the_gaps_at_the_ends():
     """Also where poses and velocities contradict each other."""
     times, poses = np.array([0.0, 1.0]), np.array([[0.0, 0, 0], [1.4, 0, 0]])
@@ -453,6 +469,14 @@ def test_an_unknown_obstacle_is_a_contact_at_once(field, value):
     getattr(ellipses, field)[0] = value
     assert within_reach(times, poses, velocities, HALF, ellipses).all()
     assert first_contact(times, poses, velocities, HALF, ellipses) == times[0]
+
+
+@pytest.mark.parametrize("column", [0, 1, 2])
+@pytest.mark.parametrize("which", ["poses", "velocities"])
+def test_all_is_within_reach_of_an_unknown_box(which, column):
+    times, poses, velocities = winding()
+    {"poses": poses, "velocities": velocities}[which][7, column] = math.nan
+    assert within_reach(times, poses, velocities, HALF, one((40, 40))).all()
 
 
 def test_an_obstacle_of_unknown_angle_counts_where_it_is_near():

@@ -1,0 +1,1354 @@
+"""The node over real topics, on simulated time: with a fake controller, and with the real one."""
+
+import math
+import re
+from collections.abc import Callable, Sequence
+from time import process_time
+from typing import Any
+
+import numpy as np
+import pytest
+from builtin_interfaces.msg import Duration
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from geometry_msgs.msg import PoseStamped, Quaternion, Twist
+from nav_msgs.msg import Odometry, Path
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool, String
+from std_srvs.srv import Trigger
+from trajectory_msgs.msg import MultiDOFJointTrajectory
+from visualization_msgs.msg import Marker, MarkerArray
+
+from omniman_ros import conversions
+from omniman_ros.core import se2
+from omniman_ros.core.errors import ParameterError
+from omniman_ros.core.path.interpolator import PathState
+from omniman_ros.core.preview import Preview, Setpoint
+from omniman_ros.nodes.mpc_planner import PATIENCE, MpcPlannerNode
+from omniman_ros.nodes.path_interpolator import PathInterpolatorNode
+from omniman_ros.nodes.platform_controller import PlatformControllerNode
+from omniman_ros.nodes.simulated_drive import SimulatedDriveNode
+from omniman_ros.nodes.stopping import LATCHED
+from omniman_ros.planning import planner
+from omniman_ros.planning.planner import Planner, PlannerState
+from omniman_ros.planning.separation import box_gap
+from omniman_ros.planning.solver import SolverError
+from omniman_ros.planning.transcription import Transcription
+
+from .harness import PERIOD, World, last
+from .rig import reference, twist
+
+NAN, INF = math.nan, math.inf
+FAR = (2.0, 0.0, 0.0)
+CYCLE = 0.05
+TICK = 0.01
+"""Time passes in such steps where the controller is a fake [s]."""
+LEAST = 0.02
+"""The parameter safety.least_clearance [m]."""
+
+
+def goal(x: float, y: float, theta: float = 0.0, frame: str = "odom") -> PoseStamped:
+    message = PoseStamped()
+    message.header.frame_id = frame
+    message.pose.position.x, message.pose.position.y = float(x), float(y)
+    message.pose.orientation = conversions.quaternion(theta)
+    return message
+
+
+def goal_state(
+    pose: Sequence[float], velocity: Sequence[float], frame: str = "odom", child: str = "base_link"
+) -> Odometry:
+    message = Odometry(child_frame_id=child)
+    message.header.frame_id = frame
+    message.pose.pose = goal(*pose).pose
+    message.twist.twist = twist(*velocity)
+    return message
+
+
+def turned(x: float = 0.0, y: float = 0.0, z: float = 0.0, w: float = 0.0) -> PoseStamped:
+    """A goal whose orientation is odd."""
+    message = goal(0.5, 0.0)
+    message.pose.orientation = Quaternion(x=x, y=y, z=z, w=w)
+    return message
+
+
+class Thing:
+    """A round obstacle as it truly is: at a place, at a constant velocity from a time on."""
+
+    def __init__(
+        self, x: float, y: float, radius: float = 0.2, velocity: Sequence[float] = (0.0, 0.0)
+    ) -> None:
+        self.origin, self.radius = np.array([x, y], dtype=float), radius
+        self.velocity, self.since = np.array(velocity, dtype=float), 0.0
+
+    def place(self, time: float) -> np.ndarray:
+        return self.origin + (time - self.since) * self.velocity
+
+
+def marker(
+    x: float, y: float, radius: float = 0.2, number: int = 0, frame: str = "odom"
+) -> Marker:
+    made = Marker(ns="things", id=number, type=Marker.CYLINDER, action=Marker.ADD)
+    made.header.frame_id = frame
+    made.pose.position.x, made.pose.position.y = float(x), float(y)
+    made.pose.orientation.w = 1.0
+    made.scale.x = made.scale.y = 2.0 * radius
+    made.scale.z = 1.0
+    return made
+
+
+class Station(World):
+    """A planner with a short horizon, what it sends with the times of arrival, what it says.
+
+    Attributes:
+        things: Obstacles that are there.
+        seen: Whether they are reported, every 50 ms.
+        gaps: Least true gap between the robot and anything so far [m].
+    """
+
+    def __init__(self, *others: Any, parameters: dict[str, Any] | None = None) -> None:
+        given = {"horizon.steps": 10} | (parameters or {})
+        super().__init__(MpcPlannerNode, *others, parameters=given)
+        self.node: MpcPlannerNode = self.nodes[0]
+        self.core: Planner = self.node.core
+        self.arrivals: list[float] = []
+        self.references: list[bytes] = []  # unpacked where they are looked at: that takes longest
+        self._previews: dict[int, Preview] = {}
+        self.probe.create_subscription(
+            MultiDOFJointTrajectory, "mpc/reference", self._hear, 100, raw=True
+        )
+        self._await(
+            lambda: self.node._reference.get_subscription_count() > 0,
+            "a publisher of mpc/reference",
+        )
+        self.statuses = self.listen(DiagnosticStatus, "mpc/status")
+        self.goals = self.publisher(PoseStamped, "goal_pose")
+        self.markers = self.publisher(MarkerArray, "obstacles", 50)
+        self.things: list[Thing] = []
+        self.seen = False
+        self.gap = INF
+        self._reported = -INF
+        self.hooks.append(self._look)
+        self.warnings: list[str] = []
+        warn = self.node.warn
+        self.node.warn = lambda subject, text: (self.warnings.append(text), warn(subject, text))
+
+    # ---- what is there ----------------------------------------------------------------------
+
+    def true_pose(self) -> np.ndarray:
+        raise NotImplementedError
+
+    def true_speed(self) -> float:
+        """Largest entry of the true velocity [m/s, rad/s]."""
+        raise NotImplementedError
+
+    def _look(self) -> None:
+        if self.seen and self.time >= self._reported + CYCLE - 1e-9:
+            self._reported = self.time
+            self.report(*self.marks())
+        if self.things:
+            centers = np.array([[thing.place(self.time) for thing in self.things]])
+            axes = np.array([[(thing.radius, thing.radius) for thing in self.things]])
+            half, flat = self.core.model.half, np.zeros(len(self.things))
+            gaps = box_gap(self.true_pose()[None, :], half, centers, axes, flat)
+            self.gap = min(self.gap, float(gaps.min()))
+
+    def marks(self) -> list[Marker]:
+        """Markers of what is there now."""
+        return [
+            marker(*thing.place(self.time), thing.radius, i) for i, thing in enumerate(self.things)
+        ]
+
+    def report(self, *marks: Marker) -> None:
+        self.markers.publish(MarkerArray(markers=list(marks)))
+
+    # ---- what it is asked --------------------------------------------------------------------
+
+    def send(self, *pose: float) -> None:
+        self.goals.publish(goal(*pose))
+        self.run(2 * PERIOD)
+
+    def ask(self, name: str) -> Trigger.Response:
+        return self.call(Trigger, f"mpc_planner/{name}")
+
+    def set(self, name: str, value: object, node: str = "mpc_planner") -> Any:
+        given = value if isinstance(value, Parameter) else Parameter(name, value=value)
+        request = SetParameters.Request(parameters=[given.to_parameter_msg()])
+        return self.call(SetParameters, f"{node}/set_parameters", request).results[0]
+
+    # ---- what it does ------------------------------------------------------------------------
+
+    def _hear(self, data: bytes) -> None:
+        self.references.append(data)
+        self.arrivals.append(self.time)
+
+    def preview(self, i: int) -> Preview:
+        i %= len(self.references)
+        if i not in self._previews:
+            message = deserialize_message(self.references[i], MultiDOFJointTrajectory)
+            start = conversions.time_seconds(message.header.stamp)
+            self._previews[i] = conversions.preview(message, start, ("odom",))
+        return self._previews[i]
+
+    @property
+    def state(self) -> PlannerState:
+        return self.core.state
+
+    def begin(self, seconds: float = 8.0) -> None:
+        self.run_until(lambda: self.core.active, seconds, "the goal to be driven to")
+
+    def arrive(self, seconds: float = 8.0) -> float:
+        return self.run_until(
+            lambda: self.state is PlannerState.ARRIVED and self.node.finished,
+            seconds, "the arrival",
+        )  # fmt: skip
+
+    def rest(self, seconds: float = 3.0) -> float:
+        """Wait until the robot stands; nothing moves by itself again."""
+        return self.run_until(lambda: self.true_speed() < 0.01, seconds, "rest")
+
+    def assert_silent(self, seconds: float = 0.5) -> None:
+        """Nothing is streamed."""
+        before = len(self.references)
+        self.run(seconds)
+        assert len(self.references) == before, "a reference was sent"
+
+    def said(self) -> tuple[bytes, str, dict[str, str]]:
+        """Level, message and values of the last mpc/status."""
+        if not self.statuses:
+            return b"", "", {}
+        status = self.statuses[-1]
+        return status.level, status.message, {item.key: item.value for item in status.values}
+
+    def since_start(self) -> float:
+        """How far the robot has come from where odometry began [m]."""
+        return float(np.hypot(*self.true_pose()[:2]))
+
+    def distance(self, *pose: float) -> float:
+        """Largest error of the true pose [m, rad]."""
+        error = self.true_pose() - np.array(pose)
+        error[2] = se2.wrap(float(error[2]))
+        return float(np.abs(error).max())
+
+
+class Alone(Station):
+    """The planner with a fake controller that follows at once.
+
+    Attributes:
+        takes: Whether the controller takes the stream.
+        odometry: Makes what is published on odom, or None for nothing.
+        setpoint: What is followed now.
+    """
+
+    def __init__(self, parameters: dict[str, Any] | None = None, source: str = "none") -> None:
+        super().__init__(parameters=parameters)
+        self.takes = bool(source)
+        self.odometry: Callable[[], Odometry] | None = self.odom_message
+        self.setpoint = Setpoint(np.zeros(3), np.zeros(3), np.zeros(3))
+        self.speeds: list[float] = []
+        self._odom = self.publisher(Odometry, "odom")
+        self._source = self.publisher(String, "active_source", LATCHED)
+        self._said, self._heard = "", 0
+        self._preview: Preview | None = None
+        self.hooks.append(self._control)
+        if source:
+            self.say(source)
+        self.run(4 * PERIOD)
+
+    def run(self, seconds: float, each: Callable[[], None] | None = None) -> None:
+        """As `World.run`, in longer steps."""
+        for _ in range(max(round(seconds / TICK), 1)):
+            self.time += TICK - PERIOD
+            super().run(PERIOD, each)
+
+    def say(self, source: str) -> None:
+        """Say who drives."""
+        if source != self._said:
+            self._said = source
+            self._source.publish(String(data=source))
+
+    def _control(self) -> None:
+        new, self._heard = len(self.references) > self._heard, len(self.references)
+        if not self.takes:
+            self._preview = None
+        elif new:
+            self._preview = self.preview(-1)
+        if self._preview is not None:
+            self.setpoint = self._preview.sample(self.time + 1e-9)
+            held = 0.0 if self._preview.end_speed > 1e-6 else 0.2
+            self.say("mpc" if self.time <= self._preview.end + held else "none")
+        self.speeds.append(self.true_speed())
+        if self.odometry is not None:
+            self._odom.publish(self.odometry())
+
+    def true_pose(self) -> np.ndarray:
+        return np.array(self.setpoint.pose)
+
+    def true_speed(self) -> float:
+        return float(np.abs(self.setpoint.velocity).max())
+
+    def odom_message(self) -> Odometry:
+        """The controller's odometry: where the stream is now."""
+        message = Odometry(child_frame_id="base_link")
+        message.header.frame_id, message.header.stamp = "odom", self.stamp()
+        x, y, theta = self.setpoint.pose.tolist()
+        message.pose.pose = goal(x, y, theta).pose
+        message.twist.twist = twist(*se2.to_robot(theta, self.setpoint.velocity))
+        return message
+
+
+class Robot(Station):
+    """The planner with the real controller on the simulated drive."""
+
+    def __init__(self, *others: Any, parameters: dict[str, Any] | None = None) -> None:
+        super().__init__(
+            PlatformControllerNode, SimulatedDriveNode, *others,
+            parameters={"robot": "ig42"} | (parameters or {}),
+        )  # fmt: skip
+        self.controller, self.drive = self.nodes[1:3]
+        self.sources = self.listen(String, "active_source", LATCHED)
+        self.run_until(lambda: self.node._measured is not None, 2.0, "odom")
+
+    def true_pose(self) -> np.ndarray:
+        return np.array(self.drive.drives.ground_truth()[0])
+
+    def true_speed(self) -> float:
+        return float(np.abs(self.drive.drives.ground_truth()[1]).max())
+
+    def refusals(self) -> int:
+        """How many references and voltages the controller has refused."""
+        counts = self.controller._throttle.counts
+        return sum(n for subject, n in counts.items() if subject.startswith("mpc/"))
+
+
+@pytest.fixture(autouse=True, scope="module")
+def built_once():
+    """The problem of a robot and a horizon is built once for all planners of this file."""
+    built: dict[tuple[Any, ...], Transcription] = {}
+
+    def make(model: Any, steps: int, step: float, slots: int) -> Transcription:
+        key = (*model.half, *model.inertia.flat, *model.J.flat, steps, step, slots)
+        if key not in built:
+            built[key] = Transcription(model, steps, step, slots)
+        return built[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(planner, "Transcription", make)
+        yield
+
+
+@pytest.fixture
+def alone():
+    with Alone() as world:
+        yield world
+
+
+@pytest.fixture
+def robot():
+    with Robot() as world:
+        yield world
+
+
+# ---- goals ------------------------------------------------------------------------------------
+
+NUMBERS = ("solve_ms", "slack_m", "cost_j", "energy_j", "distance_m", "angle_rad")
+
+
+@pytest.mark.parametrize("output", ["reference", "voltages"])
+def test_the_robot_reaches_its_goal(output):
+    with Robot(parameters={"output": output}) as world:
+        plans = world.listen(Path, "mpc/plan")
+        predicted = world.listen(MarkerArray, "mpc/predicted_obstacles")
+        volts: list[tuple[float, JointState]] = []
+        world.probe.create_subscription(
+            JointState, "mpc/voltages", lambda m: volts.append((world.time, m)), 100
+        )
+        world.things, world.seen = [Thing(0.2, -0.8)], True
+        place = (0.4, 0.15, 0.3)
+        world.send(*place)
+        world.begin()
+        world.run(0.5)
+        level, message, values = world.said()
+        assert (level, message, values["state"]) == (DiagnosticStatus.OK, "driving", "driving")
+        assert all(math.isfinite(float(values[key])) for key in NUMBERS), values
+        assert values["obstacles"] == "1" and values["plan_used"] == "True"
+        world.arrive()
+        assert world.distance(*place) < 0.03
+        world.run(0.8)
+        assert world.said()[:2] == (DiagnosticStatus.OK, "arrived")
+        assert world.warnings == [] and world.refusals() == 0
+        assert [m.data for m in world.sources] == ["none", "mpc", "none"]
+        assert world.distance(*place) < 0.03 and world.true_speed() < 0.01
+        assert world.gap > LEAST
+
+        plan = plans[2]
+        assert plan.header.frame_id == "odom" and len(plan.poses) > 8
+        first, final = plan.poses[0].pose.position, plan.poses[-1].pose.position
+        assert math.hypot(final.x - first.x, final.y - first.y) > 0.05
+        shown = predicted[2].markers
+        assert [m.action for m in shown] == [Marker.DELETEALL, *[Marker.ADD] * 3]
+        for one in shown[1:]:
+            assert (one.pose.position.x, one.pose.position.y) == pytest.approx(
+                (0.2, -0.8), abs=1e-3
+            )
+            assert one.scale.x >= 0.4
+        if output == "voltages":
+            assert_volts(world, volts)
+        else:
+            assert volts == []
+            assert np.diff(world.arrivals[1:20]) == pytest.approx([CYCLE] * 18, abs=1e-6)
+
+
+def assert_volts(world: Robot, volts: list[tuple[float, JointState]]) -> None:
+    """Voltages come at their period, stamped, named, within the supply, until the arrival."""
+    assert len(volts) > 60
+    times = np.array([time for time, _ in volts])
+    assert np.diff(times) == pytest.approx(np.full(len(times) - 1, 0.01), abs=1e-6)
+    limit = world.core.model.max_voltage
+    for time, message in volts:
+        assert list(message.name) == list(world.core.parameters.robot.wheels.names)
+        assert conversions.time_seconds(message.header.stamp) == pytest.approx(
+            time, abs=PERIOD + 1e-6
+        )
+        assert np.isfinite(message.effort).all() and np.abs(message.effort).max() <= limit
+        assert not message.velocity and not message.position
+    assert np.abs([message.effort for _, message in volts]).max() > 1.0
+    begin, end = times[0], times[-1]
+    away = [time for time in world.arrivals if begin + CYCLE < time < end]
+    assert away == [], "the reference is sent until the first voltages, and after the last"
+    assert world.arrivals[-1] > end
+
+
+@pytest.mark.parametrize(
+    ("child", "given", "velocity"),
+    [("base_link", (0.3, 0.0, 0.0), (0.287, 0.089, 0.0)),
+     ("odom", (0.3, 0.1, 0.0), (0.3, 0.1, 0.0))],
+)  # fmt: skip
+def test_a_goal_with_a_velocity_is_passed_at_it(child, given, velocity):
+    with Alone({"horizon.steps": 20}) as world:
+        goals = world.publisher(Odometry, "goal_state")
+        goals.publish(goal_state((1.2, 0.0, 0.3), given, child=child))
+        world.begin()
+        world.run_until(lambda: world.state is PlannerState.ARRIVED, 8.0, "the goal to be passed")
+        assert world.distance(1.2, 0.0, 0.3) < 0.08
+        assert world.setpoint.velocity == pytest.approx(velocity, abs=0.05)
+        world.rest(4.0)
+        world.run(2 * CYCLE)
+        assert world.said()[:2] == (DiagnosticStatus.OK, "arrived") and world.warnings == []
+        world.assert_silent(0.3)
+
+
+def test_what_appears_after_a_goal_was_passed_is_not_touched():
+    """The robot runs out without a goal, and looks where it goes all the same."""
+    with Alone({"horizon.steps": 20}) as world:
+        world.seen = True
+        goals = world.publisher(Odometry, "goal_state")
+        goals.publish(goal_state((1.0, 0.0, 0.0), (0.5, 0.0, 0.0)))
+        world.begin()
+        world.run_until(lambda: world.state is PlannerState.ARRIVED, 8.0, "the goal to be passed")
+        end = world.core.motion.poses[-1, 0]
+        assert end > world.true_pose()[0] + 0.5
+        world.things = [Thing(end + world.core.model.half[0], 0.0)]
+        world.rest(4.0)
+        assert world.gap > 0.0
+
+
+def line(world: Station, end: float = 3.0, stamp: Any = None, **options: Any) -> Any:
+    """A goal that goes sideways at 0.2 m/s and then stands."""
+    poses = [(0.0, 0.0, 0.0), (0.0, 0.2 * end, 0.0)]
+    velocities = [(0.0, 0.2, 0.0), (0.0, 0.2, 0.0)]
+    return reference((0.0, end), poses, velocities, stamp or world.stamp(), **options)
+
+
+def lost_line(world: Station) -> Any:
+    message = line(world)
+    message.points[1].transforms[0].translation.y = NAN
+    return message
+
+
+def test_a_goal_that_moves_is_followed_to_its_end(alone):
+    goals = alone.publisher(MultiDOFJointTrajectory, "goal_trajectory")
+    begin = alone.time
+    goals.publish(line(alone))
+    alone.run(2 * PERIOD)
+    errors = []
+    alone.run(1.5)
+    alone.run(1.4, lambda: errors.append(alone.true_pose()[1] - 0.2 * (alone.time - begin)))
+    assert np.abs(errors).max() < 0.05
+    alone.arrive()
+    assert alone.distance(0.0, 0.6, 0.0) < 0.02 and alone.warnings == []
+
+
+def test_a_new_goal_on_the_way_is_gone_to_without_a_stop(alone):
+    alone.send(*FAR)
+    alone.run(1.0)
+    assert alone.true_speed() > 0.3
+    before = len(alone.speeds)
+    alone.send(1.0, 0.5, 0.0)
+    alone.run(0.5)
+    assert min(alone.speeds[before:]) > 0.2 and alone.warnings == []
+    jumps = np.abs(np.diff(alone.speeds))
+    assert jumps.max() <= 1.2 * 1.2 * TICK, "the speed jumps"
+    alone.arrive()
+    assert alone.distance(1.0, 0.5, 0.0) < 0.03
+
+
+def test_goals_in_map_by_parameter():
+    with Alone({"map_is_odom": True}) as world:
+        world.goals.publish(goal(0.2, 0.0, frame="map"))
+        world.run(2 * PERIOD)
+        assert world.state is PlannerState.DRIVING and world.warnings == []
+
+
+# ---- goals that are refused -------------------------------------------------------------------
+
+STATE, MOVING, POSE = "goal_state", "goal_trajectory", "goal_pose"
+KINDS = {STATE: Odometry, MOVING: MultiDOFJointTrajectory, POSE: PoseStamped}
+ROOM = {"workspace.x_max": 4.0, "workspace.y_min": -4.0}
+STONE = (0.0, 3.0)
+
+BAD: dict[str, tuple[str, Callable[[Station], Any], str]] = {
+    "in map": (POSE, lambda _: goal(1, 0, frame="map"), "frame 'map', expected 'odom'"),
+    "in no frame": (POSE, lambda _: goal(1, 0, frame=""), "frame '', expected 'odom'"),
+    "NaN": (POSE, lambda _: goal(NAN, 0), "position .*nan.* not finite"),
+    "infinite": (POSE, lambda _: goal(0, -INF), "position .*inf.* not finite"),
+    "huge": (POSE, lambda _: goal(1e7, 0), "position .*beyond"),
+    "zero quaternion": (POSE, lambda _: turned(), "quaternion of length 0"),
+    "NaN quaternion": (POSE, lambda _: turned(w=NAN), "quaternion of length nan"),
+    "tilted": (POSE, lambda _: turned(x=0.6, w=0.8), "not about the vertical"),
+    "in an obstacle": (POSE, lambda _: goal(*STONE), "an obstacle stands where the robot would"),
+    "touching an obstacle": (POSE, lambda _: goal(0.65, 3.0), "an obstacle stands where"),
+    "outside": (POSE, lambda _: goal(4.5, 0), "4.50 m, .* not within the workspace"),
+    "a corner outside": (POSE, lambda _: goal(1, -3.5, 0.7), "not within the workspace"),
+    "state in map": (STATE, lambda _: goal_state((1, 0, 0), (0, 0, 0), "map"), "frame 'map'"),
+    "state of NaN": (
+        STATE,
+        lambda _: goal_state((1, 0, 0), (0, NAN, 0)),
+        "linear .*nan.* not finite",
+    ),
+    "state too fast": (STATE, lambda _: goal_state((1, 0, 0), (1e6, 0, 0)), "beyond"),
+    "state outside": (STATE, lambda _: goal_state((9, 0, 0), (0, 0, 0)), "workspace"),
+    "over": (MOVING, lambda w: line(w, stamp=w.stamp(-5.0)), "it ended 2.0. s ago"),
+    "moving in map": (MOVING, lambda w: line(w, frame="map"), "frame 'map', expected 'odom'"),
+    "moving at NaN": (MOVING, lost_line, "position .*nan.* not finite"),
+    "backwards": (MOVING, lambda w: line(w, 0.0), "times do not increase"),
+    "empty": (MOVING, lambda w: reference((), (), (), w.stamp()), "1 to 5000 points, got 0"),
+    "ahead": (MOVING, lambda w: line(w, stamp=w.stamp(1.0)), "the stamp is 0.99. s ahead"),
+}
+
+
+FIXED = [
+    ("safety.least_clearance", 0.2, "above safety.clearance"),
+    ("safety.clearance", 0.01, "above safety.clearance"),
+    ("safety.deadline", 0.1, "above the period 0.05 s"), ("weights.position", -1.0, ""),
+    ("weights.energy", NAN, ""), ("workspace.x_max", -2e3, "not above workspace.x_min"),
+    ("output", "torque", ""), ("horizon.steps", 20, ""), ("horizon.step", 0.2, ""),
+    ("wheels.radius", [0.2], ""), ("period", 0.1, ""), ("odom_frame", "map", ""),
+]  # fmt: skip
+
+
+class Judge(Alone):
+    """A room with a stone in it; publishers of all kinds of goals."""
+
+    def __init__(self) -> None:
+        super().__init__(ROOM)
+        self.things, self.seen = [Thing(*STONE)], True
+        self.kinds = {
+            POSE: self.goals, STATE: self.publisher(Odometry, STATE),
+            MOVING: self.publisher(MultiDOFJointTrajectory, MOVING),
+        }  # fmt: skip
+        self.run(0.1)
+
+    def give(self, kind: str, message: Any) -> None:
+        self.warnings.clear()
+        self.node._throttle.__init__(1.0)  # every one is to be heard
+        self.kinds[kind].publish(message)
+        self.run(2 * PERIOD)
+
+
+@pytest.fixture(scope="class")
+def resting():
+    with Judge() as world:
+        yield world
+
+
+class TestAtRest:
+    """One world for what moves nothing; it ends with this class, and so frees its domain."""
+
+    @pytest.mark.parametrize(("kind", "make", "why"), BAD.values(), ids=BAD)
+    def test_a_bad_goal_moves_nothing_and_is_told(self, resting, kind, make, why):
+        resting.give(kind, make(resting))
+        resting.run(2 * CYCLE)
+        [warning] = resting.warnings
+        assert warning.startswith(kind) and len(warning) < 300
+        level, message, _ = resting.said()
+        assert level == DiagnosticStatus.WARN and message.startswith("a goal was refused: ")
+        for text in (warning, message):
+            assert re.search(why, text), text
+        assert resting.state is PlannerState.IDLE and not resting.references
+
+    @pytest.mark.parametrize(("name", "value", "why"), FIXED)
+    def test_bad_values_and_what_is_fixed_are_refused_by_name(self, resting, name, value, why):
+        before = resting.core.parameters
+        result = resting.set(name, value)
+        assert not result.successful and why in result.reason
+        named = "safety.least_clearance" if name == "safety.clearance" else name
+        assert named in result.reason or "read-only" in result.reason
+        assert resting.core.parameters == before == resting.node.settings.value.core
+
+
+def test_bad_goals_do_not_harm_the_one_under_way():
+    with Judge() as world:
+        world.send(*FAR)
+        world.begin()
+        for kind, make, _ in BAD.values():
+            world.give(kind, make(world))
+            assert world.warnings and world.state is PlannerState.DRIVING
+        world.arrive()
+        assert world.distance(*FAR) < 0.03
+
+
+# ---- odom -------------------------------------------------------------------------------------
+
+
+def odd_odom(world: Alone, x: float = 0.0, frame: str = "odom", age: float = 0.0) -> Odometry:
+    message = world.odom_message()
+    message.header.frame_id, message.header.stamp = frame, world.stamp(-age)
+    message.pose.pose.position.x += x
+    return message
+
+
+ODD: dict[str, tuple[dict[str, Any], str]] = {
+    "stale": ({"age": 3.0}, "odom is 3.0. s old"),
+    "in map": ({"frame": "map"}, "no odom"),
+    "NaN": ({"x": NAN}, "no odom"),
+    "ahead": ({"age": -1.0}, "no odom"),
+    "huge": ({"x": 1e9}, "no odom"),
+}
+
+
+@pytest.mark.parametrize(("odd", "why"), ODD.values(), ids=ODD)
+def test_odd_odom_is_no_odom(odd, why):
+    with Alone(source="") as world:
+        world.node._measured = None  # as if this were the first
+        world.odometry = lambda: odd_odom(world, **odd)
+        world.say("none")
+        world.run(0.05)
+        world.send(*FAR)
+        world.run(0.3)
+        assert world.state is PlannerState.IDLE and not world.references
+        assert re.search(f"a goal waits: {why}", world.said()[2]["last"])
+        if "age" in odd:
+            world.run(PATIENCE)
+            [refusal] = [w for w in world.warnings if w.startswith("goal not used")]
+            assert re.search(why, refusal) and re.search(why, world.said()[1])
+            world.odometry = world.odom_message
+            world.assert_silent(0.3)
+
+
+@pytest.mark.parametrize("odd", [None, *(odd for odd, _ in ODD.values())], ids=["gone", *ODD])
+def test_a_goal_whose_odom_fails_is_given_up_and_the_robot_brakes(alone, odd):
+    alone.send(*FAR)
+    alone.run(1.0)
+    place = alone.since_start()
+    alone.odometry = None if odd is None else lambda: odd_odom(alone, **odd)
+    alone.run(0.4)
+    assert alone.state is PlannerState.IDLE
+    level, message, _ = alone.said()
+    assert level == DiagnosticStatus.WARN
+    assert re.match(r"the goal was given up: odom is \d\.\d\d s old", message)
+    alone.rest(1.0)
+    assert alone.since_start() - place < 0.6, "it does not go on blind"
+    alone.odometry = alone.odom_message
+    alone.run(0.2)
+    alone.assert_silent()
+    assert alone.state is PlannerState.IDLE
+
+
+def test_a_single_bad_odom_does_no_harm(alone):
+    alone.send(0.5, 0.0, 0.0)
+    alone.run(0.5)
+    alone.odometry = lambda: odd_odom(alone, x=NAN)
+    alone.run(0.1)
+    alone.odometry = alone.odom_message
+    alone.arrive()
+    assert alone.distance(0.5, 0.0, 0.0) < 0.03
+    assert all(w.startswith("odom ignored: position") for w in alone.warnings)
+
+
+# ---- who drives -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("source", "why"), [("", "no platform_controller"), ("cmd_vel", "cmd_vel drives"),
+                        ("stop", "the platform is stopped")],
+)  # fmt: skip
+def test_a_goal_while_it_cannot_drive_is_refused_with_the_reason(source, why):
+    with Alone(source=source) as world:
+        world.takes = False
+        world.send(*FAR)
+        world.run(CYCLE)
+        [warning] = world.warnings
+        assert warning.startswith("goal_pose not used: ") and why in warning
+        assert world.said()[0] == DiagnosticStatus.WARN and why in world.said()[1]
+        world.say("none")
+        world.assert_silent()
+
+
+def test_cmd_vel_takes_over_and_a_later_goal_waits_for_silence_and_is_driven(robot):
+    cmd_vel = robot.publisher(Twist, "cmd_vel")
+    robot.send(*FAR)
+    robot.run(0.8)
+    assert robot.true_speed() > 0.1
+    cmd_vel.publish(twist(0.0, 0.2))
+    robot.run(2 * PERIOD)
+    lost, sent = robot.time, len(robot.references)
+    robot.run(0.3, lambda: cmd_vel.publish(twist(0.0, 0.2)))
+    assert robot.state is PlannerState.IDLE and robot.node.finished
+    assert robot.warnings == ["the goal was given up: cmd_vel drives"]
+    robot.send(*FAR)
+    assert robot.warnings[-1] == "goal_pose not used: cmd_vel drives"
+    robot.run(0.2, lambda: cmd_vel.publish(twist(0.0, 0.0)))
+    robot.run_until(lambda: last(robot.sources).data == "none", 2.0, "none to drive")
+    assert len(robot.references) == sent, "nothing is sent once the goal is given up"
+    refused = robot.refusals()
+    assert refused <= 1
+    x, y, theta = robot.true_pose()
+    robot.send(x, y + 0.2, theta)
+    if not robot.core.active:
+        robot.run(CYCLE)
+        assert robot.said()[2]["last"] == "a goal waits: control was lost a moment ago"
+    robot.begin()
+    assert robot.time - lost > 1.0
+    robot.arrive()
+    assert robot.distance(x, y + 0.2, theta) < 0.03
+    assert robot.refusals() == refused
+    robot.run(0.4)
+    assert [m.data for m in robot.sources] == ["none", "mpc", "cmd_vel", "none", "mpc", "none"]
+
+
+def test_a_goal_sent_right_after_control_was_lost_waits(alone):
+    alone.send(*FAR)
+    alone.run(0.5)
+    alone.takes = False
+    alone.say("cmd_vel")
+    alone.run(2 * PERIOD)
+    sent = alone.arrivals[-1]
+    alone.say("none")
+    alone.run(PERIOD)
+    alone.send(0.5, 0.0, 0.0)
+    alone.run(2 * CYCLE)
+    assert alone.said()[2]["last"] == "a goal waits: control was lost a moment ago"
+    alone.takes = True
+    alone.begin(1.5)
+    alone.run(CYCLE)
+    assert min(t for t in alone.arrivals if t > sent) - sent > 1.0
+    alone.arrive()
+
+
+def emergency(qos: Any) -> Callable[[Station], None]:
+    def act(world: Station) -> None:
+        world.publisher(Bool, "emergency_stop", qos).publish(Bool(data=True))
+
+    return act
+
+
+def peer(world: Station) -> Any:
+    message = DiagnosticStatus(level=DiagnosticStatus.ERROR, name="/arm", message="stopped: test")
+    publisher = world.publisher(DiagnosticStatus, "stop_state", LATCHED)
+    publisher.publish(message)
+    world.run(PERIOD)
+    return publisher
+
+
+def says(source: str) -> Callable[[Any], None]:
+    def act(world: Alone) -> None:
+        world.takes = False
+        world.say(source)
+
+    return act
+
+
+WAYS = {
+    "emergency_stop": (emergency(10), "emergency_stop is true"),
+    "latched emergency_stop": (emergency(LATCHED), "emergency_stop is true"),
+    "a stopped peer": (peer, "/arm is stopped: test"),
+    "the controller stops": (says("stop"), "the platform is stopped"),
+    "cmd_vel": (says("cmd_vel"), "cmd_vel drives"),
+}
+
+
+LOST = [(way, False) for way in WAYS] + [("a stopped peer", True), ("cmd_vel", True)]
+
+
+@pytest.mark.parametrize(("name", "paused"), LOST)
+def test_control_that_is_lost_is_not_taken_back(alone, name, paused):
+    way, why = WAYS[name]
+    alone.send(*FAR)
+    alone.run(0.6)
+    if paused:
+        alone.ask("pause")
+        alone.run(1.2)
+    way(alone)
+    alone.run(2 * PERIOD)
+    assert alone.state is PlannerState.IDLE and alone.node.finished
+    assert alone.warnings == [f"the goal was given up: {why}"]
+    alone.assert_silent(0.3)
+    assert not alone.ask("resume").success
+    alone.say("none")
+    alone.assert_silent(1.3)
+    assert alone.said()[:2] == (DiagnosticStatus.WARN, f"the goal was given up: {why}")
+
+
+def test_a_controller_that_cancels_the_stream_ends_it(alone):
+    alone.send(*FAR)
+    alone.run(0.6)
+    says("none")(alone)
+    alone.run(2 * PERIOD)
+    assert "the platform controller has cancelled it" in alone.warnings[-1]
+    alone.assert_silent(1.5)
+
+
+def test_a_controller_that_never_takes_it_is_told(alone):
+    alone.takes = False
+    alone.send(*FAR)
+    alone.run(0.6)
+    assert "the platform controller does not take it" in alone.warnings[-1]
+    alone.assert_silent()
+
+
+def test_goal_and_stop_in_the_same_instant(alone):
+    stop = alone.publisher(Bool, "emergency_stop")
+    alone.goals.publish(goal(*FAR))
+    stop.publish(Bool(data=True))
+    alone.run(PERIOD * 2)
+    assert alone.state is PlannerState.IDLE and alone.warnings
+    alone.assert_silent(0.3)
+    stop.publish(Bool(data=False))
+    alone.assert_silent(0.5)
+
+
+def test_a_goal_overrules_a_path():
+    with Robot(PathInterpolatorNode) as world:
+        walker = world.nodes[-1]
+        paths = world.publisher(Path, "path")
+        paths.publish(conversions.path_message(np.array([[0, 0, 0], [0.0, 0.6, 0]]), "odom"))
+        world.run(1.0)
+        assert walker.core.state is PathState.FOLLOWING and world.true_speed() > 0.1
+        world.send(0.4, 0.1, 0.0)
+        world.run(0.1)
+        assert walker.core.state is PathState.IDLE
+        assert "mpc drives" in walker.status()[1] and world.state is PlannerState.DRIVING
+        world.arrive()
+        assert world.distance(0.4, 0.1, 0.0) < 0.03 and world.warnings == []
+        assert [m.data for m in world.sources] == ["none", "path", "mpc"]
+
+
+# ---- pause, resume, cancel --------------------------------------------------------------------
+
+
+def test_pause_keeps_the_goal_and_resume_goes_on(alone):
+    alone.send(1.0, 0.0, 0.0)
+    alone.run(0.8)
+    speed, place = alone.true_speed(), alone.true_pose()[0]
+    assert speed > 0.3
+    answer = alone.ask("pause")
+    assert (answer.success, answer.message) == (True, "paused")
+    alone.rest(1.0)
+    assert alone.true_pose()[0] - place == pytest.approx(speed**2 / 2.04, rel=0.15)
+    alone.run(1.0)
+    alone.assert_silent(2.0)
+    assert alone.said()[:2] == (DiagnosticStatus.OK, "paused") and alone.warnings == []
+    answer = alone.ask("resume")
+    assert (answer.success, answer.message) == (True, "driving")
+    alone.arrive()
+    assert alone.distance(1.0, 0.0, 0.0) < 0.03 and alone.warnings == []
+
+
+@pytest.mark.parametrize("wait", [0.0, 0.2])
+def test_resume_while_it_brakes_goes_on_without_a_jump(alone, wait):
+    alone.send(1.0, 0.0, 0.0)
+    alone.run(0.8)
+    alone.ask("pause")
+    alone.run(wait)
+    assert alone.ask("resume").success
+    alone.arrive()
+    assert alone.distance(1.0, 0.0, 0.0) < 0.03 and alone.warnings == []
+    assert np.abs(np.diff(alone.speeds)).max() <= 1.2 * 1.2 * TICK
+
+
+def test_a_new_goal_replaces_a_paused_one(alone):
+    alone.send(*FAR)
+    alone.run(0.5)
+    alone.ask("pause")
+    alone.run(1.0)
+    alone.send(0.0, 0.3, 0.0)
+    alone.arrive()
+    assert alone.distance(0.0, 0.3, 0.0) < 0.03
+    assert not alone.ask("resume").success
+
+
+@pytest.mark.parametrize("before", ["", "pause"])
+def test_cancel_brakes_and_forgets(alone, before):
+    alone.send(*FAR)
+    alone.run(0.8)
+    if before:
+        alone.ask(before)
+    speed, place = alone.true_speed(), alone.true_pose()[0]
+    answer = alone.ask("cancel")
+    assert (answer.success, answer.message) == (True, "idle")
+    alone.rest(1.0)
+    assert alone.true_pose()[0] - place == pytest.approx(speed**2 / 2.04, rel=0.15)
+    alone.run(CYCLE)
+    assert alone.said()[1] == "idle" and alone.said()[2]["last"] == "cancelled"
+    assert not alone.ask("resume").success and not alone.ask("cancel").success
+    alone.assert_silent()
+    alone.send(0.0, 0.2, 0.0)
+    alone.arrive()
+
+
+def test_requests_with_nothing_to_do_are_refused_with_a_reason(alone):
+    for _ in range(2):
+        for name in ("pause", "resume", "cancel"):
+            answer = alone.ask(name)
+            assert not answer.success and answer.message.startswith(f"nothing to {name}: ")
+        alone.send(0.1, 0.0, 0.0)
+        answer = alone.ask("resume")
+        assert (answer.success, answer.message) == (False, "nothing to resume: driving")
+        alone.arrive()
+
+
+def test_a_waiting_goal_can_be_cancelled(alone):
+    alone.odometry = None
+    alone.run(0.4)
+    alone.send(*FAR)
+    assert alone.ask("cancel").success
+    alone.odometry = alone.odom_message
+    alone.assert_silent()
+    assert not alone.ask("cancel").success
+
+
+# ---- obstacles --------------------------------------------------------------------------------
+
+
+def across(x: float) -> list[Thing]:
+    """Three obstacles that leave no way through."""
+    return [Thing(x, 0.0, 0.2), Thing(x, 0.9, 0.5), Thing(x, -0.9, 0.5)]
+
+
+def test_an_obstacle_that_appears_in_front_is_not_touched(robot):
+    robot.seen = True
+    robot.send(*FAR)
+    robot.run(1.3)
+    assert robot.true_speed() > 0.5
+    robot.things = across(robot.true_pose()[0] + 1.2)
+    robot.run(1.8)
+    assert 0.0 < robot.gap < 0.3 and robot.true_speed() < 0.05
+    assert robot.core.active, "the goal stays"
+
+
+def test_a_robot_that_finds_no_way_is_blocked_until_there_is_one(alone):
+    alone.things, alone.seen = across(1.4), True
+    alone.send(*FAR)
+    alone.run_until(lambda: alone.state is PlannerState.BLOCKED, 9.0, "the robot to be blocked")
+    alone.run(2 * CYCLE)
+    assert alone.said()[:2] == (DiagnosticStatus.WARN, "blocked: no clear way found")
+    assert 0.0 < alone.gap < 0.2
+    alone.things = []
+    alone.report(Marker(action=Marker.DELETEALL))
+    alone.arrive()
+    assert alone.distance(*FAR) < 0.03
+
+
+def test_an_obstacle_that_comes_from_the_side_is_not_touched(alone):
+    alone.seen = True
+    alone.things = [Thing(1.2, 1.6, velocity=(0.0, -0.6))]
+    alone.things[0].since = alone.time
+    alone.send(*FAR)
+    alone.arrive(12.0)
+    assert 0.0 < alone.gap < 0.6, "it did come near"
+    assert alone.distance(*FAR) < 0.03
+
+
+def test_an_obstacle_that_comes_along_is_evaded(alone):
+    alone.seen = True
+    alone.things = [Thing(1.3, 0.15)]
+    alone.send(2.6, 0.0, 0.0)
+    alone.arrive(20.0)
+    assert alone.gap > LEAST and alone.distance(2.6, 0.0, 0.0) < 0.03
+
+
+def test_silence_of_the_source_brakes_says_so_and_it_goes_on_when_it_is_heard(alone):
+    alone.seen = True
+    alone.send(*FAR)
+    alone.run(1.0)
+    alone.seen = False
+    alone.run(1.1)
+    before = alone.true_pose()[0]
+    alone.rest(1.2)
+    assert alone.true_pose()[0] - before < 0.6
+    alone.run(1.5)
+    level, message, values = alone.said()
+    assert level == DiagnosticStatus.WARN
+    assert re.fullmatch(r"waits: no obstacles heard for \d\.\d s", message)
+    assert values["state"] == "driving" and "no obstacles heard" in values["why"]
+    assert all("the robot stops: no obstacles heard" in w for w in alone.warnings)
+    assert alone.warnings
+    alone.assert_silent()
+    alone.seen = True
+    alone.run(0.2)
+    assert alone.said()[:2] == (DiagnosticStatus.OK, "driving")
+    alone.arrive()
+    assert alone.distance(*FAR) < 0.03
+
+
+@pytest.mark.parametrize("ends", ["cancel", "pause", "cmd_vel"])
+def test_a_goal_that_ends_while_the_source_is_silent_waits_no_more(alone, ends):
+    alone.seen = True
+    alone.send(*FAR)
+    alone.run(0.5)
+    alone.seen = False
+    alone.run(2.0)
+    assert alone.said()[1].startswith("waits: ")
+    if ends == "cmd_vel":
+        says("cmd_vel")(alone)
+    else:
+        assert alone.ask(ends).success
+    alone.run(2 * CYCLE)
+    said = {
+        "cancel": "idle",
+        "pause": "paused",
+        "cmd_vel": "the goal was given up: cmd_vel drives",
+    }
+    assert alone.said()[1] == said[ends] and alone.said()[2]["why"] == ""
+
+
+def test_without_a_required_source_a_goal_waits():
+    with Alone({"obstacles.required": True}) as world:
+        world.send(0.3, 0.0, 0.0)
+        world.run(1.0)
+        assert world.said()[2]["last"] == "a goal waits: no obstacle source yet"
+        assert not world.references
+        world.seen = True
+        world.arrive()
+        assert world.warnings == []
+
+
+def test_without_a_required_source_a_goal_is_refused_in_the_end():
+    with Alone({"obstacles.required": True}) as world:
+        world.send(0.3, 0.0, 0.0)
+        world.run(PATIENCE + 0.1)
+        assert world.warnings == ["goal not used: no obstacle source yet"]
+        assert world.said()[1] == "a goal was refused: no obstacle source yet"
+        assert not world.references
+
+
+def test_obstacles_are_deleted_and_expire(alone):
+    def known() -> int:
+        alone.run(CYCLE + 2 * TICK)
+        return int(alone.said()[2]["obstacles"])
+
+    def other(number: int) -> Marker:
+        made = marker(0, 5, number=number)
+        made.ns = "others"
+        return made
+
+    alone.send(*FAR)
+    alone.run(2 * PERIOD)
+    alone.report(*(marker(0, 3 + i, number=i) for i in range(3)), other(0), other(1))
+    assert known() == 5
+    gone = marker(0, 0, number=1)
+    gone.action, gone.header.frame_id = Marker.DELETE, ""
+    alone.report(gone, gone)
+    assert known() == 4
+    alone.report(Marker(ns="others", action=Marker.DELETEALL))
+    assert known() == 2
+    alone.report(Marker(action=Marker.DELETEALL), other(7))
+    assert known() == 1
+    brief = other(8)
+    brief.lifetime = Duration(nanosec=300_000_000)
+    alone.report(brief)
+    assert known() == 2
+    alone.run(0.1)
+    assert known() == 2
+    alone.run(0.1)
+    assert known() == 1 and alone.warnings == []
+
+
+def test_what_is_rejected_as_a_whole_does_not_count_as_fresh(alone):
+    alone.report(marker(0, 3))
+    alone.send(*FAR)
+    alone.run(1.0)
+    flat, odd, lost = marker(0, 3), marker(0, 3, number=1), marker(0, 3, number=2, frame="map")
+    flat.scale.x = 0.0
+    odd.scale.y = NAN
+
+    def send() -> None:
+        alone.report(flat, odd, lost)
+
+    alone.run(0.5, send)
+    [told, *_] = [w for w in alone.warnings if w.startswith("obstacles not used: ")]
+    assert re.search(r"marker 'things' 0: scale \(0.0, 0.4\) m, .* \(and 2 more\)", told)
+    alone.run(0.8, send)
+    assert alone.said()[1].startswith("waits: no obstacles heard for ")
+    alone.run(0.1, lambda: alone.report(flat, marker(0, 3)))
+    assert alone.said()[1] == "driving", "one good marker is news"
+
+
+def test_two_thousand_markers_neither_crash_nor_stall(alone):
+    alone.send(0.6, 0.0, 0.0)
+    alone.run(0.2)
+    spent = process_time()
+    alone.report(*(marker(i % 50, 3 + i // 50, number=i) for i in range(2000)))
+    alone.run(2 * CYCLE)
+    assert process_time() - spent < 1.5  # 0.2 s on the machine of the tests, most of it the wire
+    assert alone.said()[2]["obstacles"] == "1000"
+    [warning] = alone.warnings
+    assert "there are 1000 already, at most 1000 are kept (and 999 more)" in warning
+    alone.hooks.append(alone.report)  # there is nothing new
+    alone.arrive()
+    assert alone.distance(0.6, 0.0, 0.0) < 0.03 and len(alone.warnings) == 1
+
+
+# ---- the solver -------------------------------------------------------------------------------
+
+
+def fail(*_: Any) -> Any:
+    raise SolverError("the matrix is singular")
+
+
+def test_without_a_solver_the_rest_of_the_plan_is_followed_to_rest(alone):
+    alone.send(*FAR)
+    alone.run(1.0)
+    wanted, solve = alone.preview(-1), alone.core._solve
+    begin = alone.time
+    alone.core._solve = fail
+    for _ in range(60):
+        alone.run(TICK)
+        expected = wanted.sample(alone.time - PERIOD)
+        assert alone.setpoint.pose == pytest.approx(expected.pose, abs=2e-3)
+    alone.run_until(lambda: alone.time > wanted.end + 0.05, 3.0, "the end of the plan")
+    assert alone.true_speed() < 1e-9 and alone.time - begin < 2.5
+    values = alone.said()[2]
+    assert values["why"] == "solver: the matrix is singular" and values["plan_used"] == "False"
+    alone.run(2.2)
+    assert alone.said()[:2] == (DiagnosticStatus.WARN, "blocked: no clear way found")
+    assert all(w.startswith("last plan not used: solver: ") for w in alone.warnings)
+    alone.core._solve = solve
+    alone.arrive()
+    assert alone.distance(*FAR) < 0.03
+
+
+def test_a_few_failures_in_a_row_are_hardly_noticed(alone):
+    alone.send(1.0, 0.0, 0.0)
+    solve = alone.core._solve
+    alone.run(1.0)
+    alone.core._solve = fail
+    alone.run(0.25)
+    alone.core._solve = solve
+    alone.arrive()
+    assert alone.distance(1.0, 0.0, 0.0) < 0.03
+    assert np.abs(np.diff(alone.speeds)).max() <= 1.2 * 1.2 * TICK
+
+
+def slow(world: Alone, seconds: float) -> None:
+    """Planning takes a while; the others go on."""
+    propose = Planner.propose
+
+    def later(*args: Any) -> Any:
+        proposal = propose(world.core, *args)
+        world.time += seconds
+        for node in (*world.nodes, world.probe):
+            world._set_time(node)
+        return proposal
+
+    world.core.propose = later
+
+
+def test_late_answers_are_not_used_and_the_rest_of_the_plan_is_followed(alone):
+    alone.send(*FAR)
+    alone.run(1.0)
+    wanted = alone.preview(-1)
+    slow(alone, 0.035)
+    alone.run(0.8)
+    assert alone.said()[2]["why"] == "the answer came 10 ms late"
+    assert float(alone.said()[2]["solve_ms"]) == pytest.approx(35.0)
+    assert alone.setpoint.pose == pytest.approx(wanted.sample(alone.time - PERIOD).pose, abs=5e-3)
+    alone.rest(3.0)
+    slow(alone, 0.02)
+    alone.arrive()
+    assert alone.distance(*FAR) < 0.03
+    assert all("ms late" in w for w in alone.warnings) and alone.warnings
+
+
+# ---- time, health, parameters, the end --------------------------------------------------------
+
+
+def test_time_that_goes_back_ends_the_goal_and_a_new_one_is_driven(alone):
+    alone.send(*FAR)
+    alone.run(0.5)
+    alone.odometry = None
+    alone.time -= 500.0
+    alone.run(0.1)
+    assert alone.state is PlannerState.IDLE
+    assert alone.warnings == ["the goal was given up: time went back"]
+    alone.assert_silent(0.3)
+    alone.send(0.5, 0.3, 0.0)
+    alone.run(0.3)
+    assert alone.state is PlannerState.IDLE, "odom of another time is no odom"
+    assert alone.said()[2]["last"] == "a goal waits: no odom"
+    alone.odometry = alone.odom_message
+    alone.begin(2.0)
+    alone.arrive()
+    assert alone.distance(0.5, 0.3, 0.0) < 0.03
+
+
+def test_time_that_goes_back_at_rest_is_no_trouble(alone):
+    alone.send(0.1, 0.0, 0.0)
+    alone.arrive()
+    alone.time -= 500.0
+    alone.run(0.1)
+    assert alone.warnings == [] and alone.said()[0] == DiagnosticStatus.OK
+    alone.assert_silent(0.3)
+
+
+def test_a_dead_wheel_slows_the_robot(alone):
+    health = alone.publisher(DiagnosticStatus, "wheel_health", LATCHED)
+
+    def say(limits: str) -> None:
+        values = [KeyValue(key="limits", value=limits)]
+        health.publish(DiagnosticStatus(name="/platform_controller", values=values))
+        alone.run(2 * PERIOD)
+
+    alone.send(3.0, 0.0, 0.0)
+    alone.run(1.3)
+    assert max(alone.speeds) > 0.7
+    say("0.6")
+    alone.run(1.6)
+    slow_from = len(alone.speeds)
+    alone.run(0.5)
+    assert 0.4 < max(alone.speeds[slow_from:]) <= 0.6 * 0.85 * 1.035
+    say("nonsense")
+    assert alone.core.share == 0.6 and "limits 'nonsense'" in alone.warnings[-1]
+    alone.arrive()
+    assert max(alone.speeds[slow_from:]) <= 0.6 * 0.85 * 1.035
+
+
+def fastest(world: Alone) -> float:
+    """Largest speed in 1.3 s towards a goal 1 m ahead."""
+    x, y, theta = world.true_pose()
+    world.speeds.clear()
+    world.send(x + 1.0, y, theta)
+    world.run(1.3)
+    world.ask("cancel")
+    world.rest()
+    world.run(CYCLE)
+    return max(world.speeds)
+
+
+def test_limits_and_weights_are_live(alone):
+    usual = fastest(alone)
+    assert alone.set("limits.linear_velocity", 0.3).successful
+    assert 0.2 < fastest(alone) <= 0.85 * 0.3 * 1.035 < usual
+    assert alone.set("limits.linear_velocity", 1.0).successful
+    assert fastest(alone) == pytest.approx(usual, rel=0.02)
+    assert alone.set("weights.energy", 10.0).successful
+    assert 0.1 < fastest(alone) < 0.8 * usual
+
+
+def test_clearance_is_live(alone):
+    alone.things, alone.seen = [Thing(1.2, -0.6)], True
+    alone.send(2.4, 0.0, 0.0)
+    alone.arrive(10.0)
+    near, alone.gap = alone.gap, INF
+    assert alone.set("safety.clearance", 0.3).successful
+    alone.send(0.0, 0.0, 0.0)
+    alone.arrive(15.0)
+    assert LEAST < near < 0.25 < alone.gap
+
+
+def test_output_is_changed_at_rest_only(alone):
+    assert alone.set("output", "voltages").successful and not alone.core.anchored
+    assert alone.set("output", "reference").successful and alone.core.anchored
+    alone.send(0.5, 0.0, 0.0)
+    alone.run(0.5)
+    result = alone.set("output", "voltages")
+    assert not result.successful and "output" in result.reason and "cancel first" in result.reason
+    assert alone.core.anchored and alone.ask("cancel").success
+    assert not alone.set("output", "voltages").successful, "it brakes still"
+    alone.rest()
+    alone.run(0.1)
+    assert alone.set("output", "voltages").successful
+
+
+def test_a_deadline_above_the_period_is_refused():
+    with pytest.raises(ParameterError, match="safety.deadline"):
+        World(MpcPlannerNode, parameters={"safety.deadline": 0.1, "period": 0.05})
+
+
+def test_an_end_of_the_node_comes_to_rest_and_takes_no_other_goal(alone):
+    assert alone.node.finished
+    alone.send(*FAR)
+    alone.run(0.8)
+    alone.node.begin_shutdown("SIGINT")
+    assert not alone.node.finished
+    patience, place = alone.node.patience, alone.true_pose()[0]
+    alone.run(0.1)
+    alone.send(1.0, 0.0, 0.0)
+    assert "the node ends" in alone.warnings[-1]
+    took = alone.run_until(lambda: alone.node.finished, 5.0, "the end")
+    assert took + 0.1 < patience
+    alone.run(PERIOD)
+    assert alone.true_speed() == 0.0 and 0.0 < alone.true_pose()[0] - place < 0.5
+
+
+# ---- voltages ---------------------------------------------------------------------------------
+
+
+def brake(world: Robot) -> None:
+    assert world.ask("pause").success
+
+
+def end(world: Robot) -> None:
+    world.node.begin_shutdown("SIGINT")
+
+
+class Electric(Robot):
+    """A robot on its way that is driven by voltages; when these came."""
+
+    def __init__(self) -> None:
+        super().__init__(parameters={"output": "voltages"})
+        self.volts: list[float] = []
+        self.probe.create_subscription(
+            JointState, "mpc/voltages", lambda _: self.volts.append(self.time), 100
+        )
+        self.send(*FAR)
+        self.run(0.9)
+        assert self.true_speed() > 0.3 and self.volts[-1] > self.time - 0.02
+        self.run(PERIOD)
+
+
+@pytest.mark.parametrize("way", [brake, end], ids=lambda way: way.__name__)
+def test_braking_goes_over_from_voltages_to_the_reference(way):
+    with Electric() as world:
+        place, begin, sent = world.true_pose()[0], world.time, len(world.references)
+        way(world)
+        world.run(0.3)
+        assert world.volts[-1] <= begin + 2 * PERIOD
+        assert begin <= world.arrivals[sent] <= begin + 2 * PERIOD
+        world.rest(1.5)
+        assert 0.0 < world.true_pose()[0] - place < 0.6
+        assert world.refusals() == 0 and world.warnings == []
+
+
+def test_voltages_end_at_once_when_control_is_lost():
+    with Electric() as world:
+        assert world.call(Trigger, "platform_controller/stop").success
+        world.run(2 * PERIOD)
+        sent = len(world.volts), len(world.references)
+        world.rest(1.5)
+        world.run(1.0)
+        assert (len(world.volts), len(world.references)) == sent
+        assert world.state is PlannerState.IDLE and "~/stop" in world.warnings[-1]
