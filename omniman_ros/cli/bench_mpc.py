@@ -287,7 +287,8 @@ def ratios(result: Mapping[str, Any]) -> dict[str, Any]:
 def aims(result: Mapping[str, Any]) -> dict[str, bool | None]:
     """Which aims were met; None where too little was measured to say."""
     over = result["ratios"]
-    ipopt, growth = over["ipopt_over_cycle"], over["N=20_over_N=10"]
+    # Like with like: what IPOPT is timed for has no choice of obstacles and no guess in it.
+    ipopt, growth = over["ipopt_over_solver"], over["N=20_over_N=10"]
     cost = [loop["median_ratio"] for loop in result["closed_loop"].values()]
     known = bool(cost) and None not in cost
     more = over["M=10_over_M=4"]
@@ -343,13 +344,13 @@ def report(result: Mapping[str, Any]) -> list[str]:
         shown = "-" if value is None else f"{value:.3g}"
         compare.append((text, shown, aim, words.get(met[key], "not measured")))
 
-    ipopt = over["ipopt_over_cycle"]
-    against(f"IPOPT's over ours, median, {name(MAIN)}", ipopt["median"], f">= {AIM_MEDIAN:g}",
-            "median")  # fmt: skip
+    ipopt = over["ipopt_over_solver"]
+    against(f"IPOPT's over our solver's, median, {name(MAIN)}", ipopt["median"],
+            f">= {AIM_MEDIAN:g}", "median")  # fmt: skip
     against("  p99", ipopt["p99"], f">= {AIM_P99:g}", "p99")
-    solver = over["ipopt_over_solver"]
-    compare.append(("  solver alone, median", f"{solver['median']:.3g}", "", ""))
-    compare.append(("  p99", f"{solver['p99']:.3g}", "", ""))
+    cycle = over["ipopt_over_cycle"]
+    compare.append(("IPOPT's over our whole cycle's, median", f"{cycle['median']:.3g}", "", ""))
+    compare.append(("  p99", f"{cycle['p99']:.3g}", "", ""))
     against("N=20 over N=10", over["N=20_over_N=10"], f"<= {AIM_DOUBLE:g}", "steps")
     against("M=10 over M=4", over["M=10_over_M=4"], f"<= {10 / MAIN[1]:g}", "obstacles")
     for horizon, loop in result["closed_loop"].items():

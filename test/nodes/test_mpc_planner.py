@@ -440,19 +440,17 @@ def test_a_goal_with_a_velocity_is_passed_at_it(child, given, velocity):
         world.assert_silent(0.3)
 
 
-def test_what_appears_after_a_goal_was_passed_is_not_touched():
-    """The robot runs out without a goal, and looks where it goes all the same."""
+def test_a_robot_that_passed_its_goal_brakes_at_once():
     with Alone({"horizon.steps": 20}) as world:
         world.seen = True
         goals = world.publisher(Odometry, "goal_state")
         goals.publish(goal_state((1.0, 0.0, 0.0), (0.5, 0.0, 0.0)))
         world.begin()
         world.run_until(lambda: world.state is PlannerState.ARRIVED, 8.0, "the goal to be passed")
-        end = world.core.motion.poses[-1, 0]
-        assert end > world.true_pose()[0] + 0.5
-        world.things = [Thing(end + world.core.model.half[0], 0.0)]
+        passed = world.true_pose()[0]
+        assert passed == pytest.approx(1.0, abs=0.08)
         world.rest(4.0)
-        assert world.gap > 0.0
+        assert world.true_pose()[0] - passed < 0.5**2 / (2 * 0.85 * 1.5) + 0.1
 
 
 def line(world: Station, end: float = 3.0, stamp: Any = None, **options: Any) -> Any:
