@@ -91,7 +91,7 @@ class Safety:
         unit="m", low=0, high=2,
     )  # fmt: skip
     deadline: float = parameter(
-        0.025, "Time after which an answer is late: each plan begins so far ahead.",
+        0.04, "Time after which an answer is late: each plan begins so far ahead.",
         unit="s", low=0.001, high=0.5,
     )  # fmt: skip
     slack: float = parameter(

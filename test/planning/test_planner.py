@@ -362,7 +362,7 @@ def test_a_robot_without_answers_ends_at_rest():
     ride = a_ride()
     end = ride.planner.motion.end
     while ride.now < end + 0.2:
-        ride.cycle(solving=0.04)
+        ride.cycle(solving=ride.planner.parameters.safety.deadline + 0.01)
     assert not ride.measured().twist.any()
     assert ride.planner.state is PlannerState.DRIVING
     ride.run(2.5, until=lambda: ride.planner.state is PlannerState.BLOCKED)
