@@ -370,7 +370,8 @@ class MpcPlannerNode(OmnimanNode):
             self.watch.end(lost=False)
         if motion.end <= now or self._streaming:
             return
-        part = motion.between(now, motion.end)
+        preview = self.core.preview
+        part = preview.between(now, max(preview.end, now + 1e-3))
         message = conversions.preview_message(
             self.settings.value.odom_frame, self.stamp(now), part.times, part.poses,
             part.velocities,

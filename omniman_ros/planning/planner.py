@@ -49,6 +49,8 @@ RUN_UP, LONGEST_RUN_UP = 0.7, 10.0
 """Share of the acceleration and longest time [s] to get up to a velocity that is to be passed."""
 PASSING, JUST = 2.0, 0.1
 """A pose that is passed may be off by so many times what one to rest at may; since when [s]."""
+SENT = 0.4
+"""How much of a motion is sent ahead before its braking [s]."""
 HELD = 0.5
 """How much of the past of a motion is kept [s]."""
 
@@ -96,6 +98,7 @@ class Planner:
         self.goal: Goal | None = None
         self.motion = Motion.rest(-HELD, np.zeros(3), self.model.wheel_count)  # long ago
         self.report = Report()
+        self._short: tuple[Motion, Motion] | None = None
         self._guess: tuple[float, Array] | None = None
         self._faulty = False
         self._turn = 0
@@ -251,9 +254,8 @@ class Planner:
         astray = math.hypot(error[0], error[1]) > ASTRAY[0] or abs(error[2]) > ASTRAY[1]
         if astray or not self.anchored:
             followed = followed + error
-            if not self.anchored:
-                lag = velocity - self.motion.sample(measured.time)[1]
-                velocity = se2.to_world(float(measured.pose[2]), measured.twist) + lag
+            lag = velocity - self.motion.sample(measured.time)[1]
+            velocity = se2.to_world(float(measured.pose[2]), measured.twist) + lag
         twist = se2.to_robot(float(followed[2]), velocity)
         return np.concatenate([followed, twist])
 
@@ -346,7 +348,27 @@ class Planner:
             first = proposal.answers[0]
             report = replace(report, slack=float(first.slack.max()), cost=first.cost)
         self.report = replace(report, **self._choose(proposal, report, now, surroundings))
+        self._shorten(now, surroundings)
         self._judge(now, measured)
+
+    @property
+    def preview(self) -> Motion:
+        """What to send of the motion: its begin, and braking, where that is clear, too.
+
+        Who sends it may die: then nobody looks out any more, and the robot should not go on to
+        the end of a plan.
+        """
+        if self._short is not None and self._short[0] is self.motion:
+            return self._short[1]
+        return self.motion
+
+    def _shorten(self, now: float, around: Surroundings) -> None:
+        self._short, soon = None, now + SENT
+        if self.motion.end > soon:
+            begins = max(self.motion.start, now - HELD)
+            short = self.motion.between(begins, self.motion.end).braked(soon, self._deceleration)
+            if around.contact(short, now) == math.inf:
+                self._short = self.motion, short
 
     def _choose(
         self, proposal: Proposal, report: Report, now: float, around: Surroundings

@@ -209,7 +209,8 @@ class MpcLoop:
             return
         if motion.end <= now + 1e-3:
             return
-        part = motion.between(now, motion.end)
+        sent = self.planner.preview
+        part = sent.between(now, max(sent.end, now + 1e-3))
         preview = Preview(part.times, part.poses, part.velocities)
         self.loop.controller.hear_preview(Source.MPC, preview, now)
 

@@ -605,3 +605,28 @@ def test_error_is_the_way_to_the_goal():
     assert angle == pytest.approx(abs(ride.pose()[2]))
     ride.planner.cancel(ride.now)
     assert ride.planner.error(ride.measured()) == (0.0, 0.0)
+
+
+def test_what_is_sent_brakes_soon_and_the_motion_goes_on():
+    ride = a_ride()
+    planner, now = ride.planner, ride.now
+    sent, whole = planner.preview, planner.motion
+    assert sent.end < now + 1.2 < whole.end
+    assert np.abs(sent.velocities[-1]).max() < 1e-9
+    early = np.linspace(now, now + 0.3, 20)
+    np.testing.assert_allclose(sent.at(early)[0], whole.at(early)[0], atol=1e-9)
+    ride.run(12.0)
+    assert ride.planner.state is PlannerState.ARRIVED, "each cycle sends more of it"
+
+
+def test_where_braking_soon_is_not_clear_the_whole_motion_is_sent():
+    """Something comes along behind: to stop before it would be worse."""
+    things = ellipses((-1.3, 0.0, 0.3), velocities=[(0.8, 0.0)], time=100.0)
+    ride = Ride(planner(), seen=lambda now: replace(things, time=now, centers=things.centers_at(
+        np.array([now]))[0]))  # fmt: skip
+    ride.drive(pose(8.0, 0.0, 0.0))
+    whole = []
+    for _ in range(60):
+        ride.cycle()
+        whole.append(ride.planner.preview is ride.planner.motion)
+    assert any(whole[30:]) and speeds(ride)[-1, 0] > 0.5
