@@ -31,7 +31,10 @@ from omniman_ros.robots import load_robot
 
 LIMP = "drive.dead_wheel:=drive_on"
 """The show loses a wheel and goes on."""
-PATIENT = ("timeouts.wheel_states:=0.5", "firmware.watchdog:=0.5", "safety.deadline:=0.05")
+PATIENT = (
+    "timeouts.wheel_states:=0.5", "firmware.watchdog:=0.5", "safety.deadline:=0.05",
+    "odom_timeout:=1.0",
+)  # fmt: skip
 """A show on a busy machine: nothing real is at stake when a process waits for its turn."""
 
 

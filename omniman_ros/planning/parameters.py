@@ -8,8 +8,6 @@ from omniman_ros.core.parameters import inline, parameter
 from omniman_ros.core.robot import Robot
 from omniman_ros.planning.obstacles import ObstacleParameters
 
-Floats = tuple[float, ...]
-
 
 @dataclass(frozen=True)
 class Horizon:
@@ -53,8 +51,9 @@ class Weights:
     )  # fmt: skip
     energy: float = parameter(1.0, "Weight of the energy.", low=1e-3, high=1e3)
     reach: float = parameter(
-        1.5, "A goal further away than this pulls no harder.", unit="m", low=0.1, high=100
-    )
+        1.5, "A goal that is further beyond what can be driven within the horizon than this pulls "
+        "no harder.", unit="m", low=0.1, high=100,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

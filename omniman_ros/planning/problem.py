@@ -77,7 +77,7 @@ class Problem:
         room = (1.0 - p.reserve) * self.share
         speed, rate = room * p.limits.linear_velocity, room * p.limits.linear_acceleration
         missing = speed * np.array([math.cos(angle), math.sin(angle), 0.0]) - start[3:]
-        force = model.inertia @ np.array([missing[0], missing[1], missing[2]])
+        force = model.inertia @ missing
         lasts = float(np.clip(math.hypot(missing[0], missing[1]) / rate, step, steps * step))
         torque = np.linalg.pinv(model.J.T) @ (force / lasts)
         currents = np.clip(

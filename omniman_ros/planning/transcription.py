@@ -18,7 +18,7 @@ Indices = NDArray[np.intp]
 
 OBSTACLE = 7
 """Numbers that describe an obstacle at a node: centre, whitening matrix (row by row), scale."""
-FIXED = 27
+FIXED = 25
 """Numbers of a stage's parameters before its obstacles."""
 SIDES = 12
 """Of the polygon inside the circle that limits a linear speed or acceleration: 3.4 % less."""
@@ -56,8 +56,7 @@ class Stage:
         steps = len(self.limits)
         same = np.concatenate([self.workspace, [self.energy], self.slack, [self.direction]])
         head = np.hstack([self.limits, self.target, self.weights, np.tile(same, (steps, 1))])
-        spare = np.zeros((steps, FIXED - head.shape[1]))
-        return np.hstack([head, spare, self.obstacles.reshape(steps, -1)])
+        return np.hstack([head, self.obstacles.reshape(steps, -1)])
 
 
 class Transcription:
