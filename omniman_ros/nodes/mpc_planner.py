@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped
-from nav_msgs.msg import Odometry, Path
+from nav_msgs.msg import OccupancyGrid, Odometry, Path
 from numpy.typing import NDArray
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
@@ -20,7 +20,7 @@ from omniman_ros import conversions
 from omniman_ros.core.control import ControlWatch
 from omniman_ros.core.errors import InputError, ParameterError
 from omniman_ros.core.parameters import inline, parameter
-from omniman_ros.nodes import obstacle_port
+from omniman_ros.nodes import map_port, obstacle_port
 from omniman_ros.nodes.control_port import ControlPort
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.runtime import OmnimanNode, run
@@ -67,7 +67,14 @@ class MpcPlannerParameters:
     )  # fmt: skip
     odom_frame: str = parameter("odom", "Frame of odometry and references.", read_only=True)
     map_is_odom: bool = parameter(
-        False, "Whether goals and obstacles in `map` are taken for odom."
+        False, "Whether goals, obstacles and maps in `map` are taken for odom."
+    )
+    map_threshold: int = parameter(
+        50, "A cell of the map of this many percent or more is occupied.",
+        unit="%", low=1, high=100, read_only=True,
+    )  # fmt: skip
+    map_unknown_is_free: bool = parameter(
+        False, "Whether the robot may go where the map knows nothing.", read_only=True
     )
 
     def __post_init__(self) -> None:
@@ -105,6 +112,7 @@ class MpcPlannerNode(OmnimanNode):
         )
         self._voltages = self.create_publisher(JointState, "mpc/voltages", QoSProfile(depth=1))
         self._plan = self.create_publisher(Path, "mpc/plan", 10)
+        self._route = self.create_publisher(Path, "mpc/route", 10)
         self._predicted = self.create_publisher(MarkerArray, "mpc/predicted_obstacles", 10)
         self._status_out = self.create_publisher(DiagnosticStatus, "mpc/status", 10)
         self._make_inputs()
@@ -120,6 +128,8 @@ class MpcPlannerNode(OmnimanNode):
         subscribe(MultiDOFJointTrajectory, "goal_trajectory", self._on_trajectory, 10)
         subscribe(MarkerArray, "obstacles", self._on_obstacles, 50)
         subscribe(Odometry, "odom", self._on_odom, 1)
+        on_map = self.guarded("map", self._on_map)
+        self.create_subscription(OccupancyGrid, "map", on_map, LATCHED)
         on_health = self.guarded("wheel_health", self._on_health)
         self.create_subscription(DiagnosticStatus, "wheel_health", on_health, LATCHED)
         ControlPort(self, self.watch, self._watch_out)
@@ -162,6 +172,13 @@ class MpcPlannerNode(OmnimanNode):
         complaints = obstacle_port.hear(self, message, self.obstacles, self._frames)
         more = f" (and {len(complaints) - 1} more)" if len(complaints) > 1 else ""
         return complaints[0] + more if complaints else ""
+
+    def _on_map(self, message: OccupancyGrid) -> None:
+        p = self.settings.value
+        grid = map_port.grid(message, self._frames, p.map_threshold, p.map_unknown_is_free)
+        self.core.chart(grid)
+        length, width = grid.size
+        self.get_logger().info(f"map taken: {length:.1f} x {width:.1f} m")
 
     def _on_health(self, message: DiagnosticStatus) -> None:
         """Drive with the limits that the controller has left, where a wheel is dead."""
@@ -349,6 +366,7 @@ class MpcPlannerNode(OmnimanNode):
             self.get_logger().info("goal reached")
         self._send_reference(done)
         self._show(done, around)
+        self.core.look(done, around)
 
     def _run_out(self, now: float) -> None:
         """Come to the end of the motion without a goal; what is in the way still counts."""
@@ -404,6 +422,11 @@ class MpcPlannerNode(OmnimanNode):
             plan = conversions.path_message(part.poses, frame)
             plan.header.stamp = self.stamp(now)
             self._plan.publish(plan)
+        route = self.core.route
+        if self._route.get_subscription_count() and route is not None:
+            way = conversions.path_message(route.poses, frame)
+            way.header.stamp = self.stamp(now)
+            self._route.publish(way)
         if self._predicted.get_subscription_count():
             markers = conversions.ellipse_markers(
                 around, now + np.array(SHOWN), frame, self.stamp(now)
@@ -446,6 +469,7 @@ class MpcPlannerNode(OmnimanNode):
             ("cost_j", round(report.cost, 1)),
             ("energy_j", round(core.energy(), 1)),
             ("obstacles", len(self.obstacles)),
+            ("route", core.leading),
             ("plan_used", report.used),
             ("why", self._held or report.why),
             ("last", self._last),
@@ -455,7 +479,8 @@ class MpcPlannerNode(OmnimanNode):
         if self._held:
             level, message = DiagnosticStatus.WARN, f"waits: {self._held}"
         elif core.state is PlannerState.BLOCKED:
-            level, message = DiagnosticStatus.WARN, "blocked: no clear way found"
+            why = core.lost or "no clear way found"
+            level, message = DiagnosticStatus.WARN, f"blocked: {why}"
         elif not core.active and self._last.startswith(("a goal", "the goal")):
             level, message = DiagnosticStatus.WARN, self._last
         return level, message, values

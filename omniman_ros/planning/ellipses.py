@@ -45,6 +45,17 @@ class Ellipses:
             self.angles[indices], self.growth[indices],
         )  # fmt: skip
 
+    def joined(self, others: "Ellipses") -> "Ellipses":
+        """These, and behind them others of the same time."""
+        return Ellipses(
+            self.time,
+            np.concatenate([self.centers, others.centers]),
+            np.concatenate([self.velocities, others.velocities]),
+            np.concatenate([self.semi_axes, others.semi_axes]),
+            np.concatenate([self.angles, others.angles]),
+            np.concatenate([self.growth, others.growth]),
+        )
+
     def centers_at(self, times: Array) -> Array:
         """Predicted centres (K, M, 2) [m] at times (K,) [s]."""
         ahead = (times - self.time)[:, None, None]

@@ -133,3 +133,8 @@ class PlannerParameters:
         0.15, "Share of the limits that plans leave to the position controller.",
         low=0, high=0.9,
     )  # fmt: skip
+
+    def speeds(self, share: float = 1.0) -> tuple[float, float]:
+        """Largest linear [m/s] and angular speed [rad/s] of plans, with a share of the limits."""
+        room = (1.0 - self.reserve) * share
+        return room * self.limits.linear_velocity, room * self.limits.angular_velocity

@@ -16,17 +16,24 @@ from omniman_ros.core import se2
 from omniman_ros.core.errors import InputError
 from omniman_ros.planning.cycle import Measured, PlannerState, Report
 from omniman_ros.planning.ellipses import Ellipses
+from omniman_ros.planning.floor import Floor
 from omniman_ros.planning.goals import Goal, StateGoal, TrajectoryGoal
+from omniman_ros.planning.grid_map import GridMap
+from omniman_ros.planning.guidance import STANDING, WORK, Guide
 from omniman_ros.planning.model import PlanningModel
 from omniman_ros.planning.motion import Motion
 from omniman_ros.planning.parameters import PlannerParameters
 from omniman_ros.planning.problem import Problem
+from omniman_ros.planning.route import Route
 from omniman_ros.planning.safety import Surroundings
 from omniman_ros.planning.solver import Answer, Solver, SolverError
 from omniman_ros.planning.transcription import Transcription
+from omniman_ros.planning.walls import REACH, Walls
 
 Array = NDArray[np.float64]
 
+WALL_SLOTS = 8
+"""Further obstacles in the optimisation where there are walls."""
 COLD_ITERATIONS = 5
 """Iterations on a new problem; then one a cycle."""
 EVASION, EVASION_ITERATIONS = 0.625 * math.pi, 4
@@ -88,7 +95,7 @@ class Planner:
         horizon = parameters.horizon
         steps, step = horizon.steps, horizon.step
         # Most of the time there is no obstacle, and nothing to pay for the slots of any.
-        slots = sorted({0, horizon.slots})
+        slots = sorted({0, horizon.slots, horizon.slots + WALL_SLOTS})
         self._solvers = {
             count: Solver(Transcription(self.model, steps, step, count)) for count in slots
         }
@@ -101,6 +108,9 @@ class Planner:
         self._short: tuple[Motion, Motion] | None = None
         self._guess: tuple[float, Array] | None = None
         self._faulty = False
+        self._guide: Guide | None = None
+        self.grid: GridMap | None = None
+        self._walls = Walls.none()
         self._turn = 0
         self._stood_since: float | None = None
 
@@ -126,6 +136,11 @@ class Planner:
             self._guess = None
         self._problem.parameters = parameters
 
+    def chart(self, grid: GridMap | None) -> None:
+        """Take a map over: what is occupied on it stands. None: there is none any more."""
+        self.grid = grid
+        self._walls = Walls.none() if grid is None else Walls(*grid.obstacles())
+
     def scale(self, share: float) -> None:
         """Keep to a share of the velocity and acceleration limits from now on."""
         self._problem.share = max(share, LEAST_SHARE)
@@ -148,6 +163,13 @@ class Planner:
         if not self.active and self.motion.end <= measured.time:
             self._begin(measured)
         self.goal, self.state, self._stood_since = goal, PlannerState.DRIVING, None
+        self._guide = self._guided(goal)
+        self.look(measured.time, around, work=0)
+
+    def _guided(self, goal: Goal) -> Guide | None:
+        if isinstance(goal, TrajectoryGoal) or self.parameters.weights.running == 0.0:
+            return None
+        return Guide(self.model, goal.targets(np.zeros(1))[0][0])
 
     def _heading(self, measured: Measured) -> float:
         """Heading on the branch that the motion is on, if one is followed."""
@@ -175,7 +197,7 @@ class Planner:
         empty = Surroundings(self.model.half, Ellipses.none(around.time), bounds, 0.0)
         if empty.outside(place.poses[:1]) > 0.0:
             raise InputError(f"the robot at the goal {where} is not within the workspace")
-        if replace(empty, ellipses=standing).overlap(place.poses[:1]) > 0.0:
+        if replace(empty, ellipses=standing, walls=self._walls).overlap(place.poses[:1]) > 0.0:
             raise InputError(f"an obstacle stands where the robot would be at the goal {where}")
 
     def brake(self, now: float) -> None:
@@ -276,6 +298,47 @@ class Planner:
         lasts = max(needed, 0.5 * p.horizon.duration, self._run_up(start, goal))
         self.goal = goal.arriving(due + lasts)
 
+    def _toward(self, start: Array, due: float) -> Goal:
+        """What is aimed at in this cycle: targets along the route, or the goal itself."""
+        assert self.goal is not None
+        if self._guide is None or self.goal.moves:
+            return self.goal
+        return self._guide.along(start, due, self.parameters, self.share)
+
+    def look(self, now: float, around: Ellipses, work: int = WORK) -> None:
+        """Look after the route: a slice of work for when a cycle is done.
+
+        Args:
+            now: Time [s].
+            around: Obstacles.
+            work: How much a search may do, in expansions.
+        """
+        if self._guide is None or self.goal is None or self.goal.moves:
+            return
+        standing = (np.hypot(*around.velocities.T) < STANDING) & (around.growth < NEWCOMER)
+        known = np.isfinite(around.centers).all(axis=1)
+        # What moves is waited for, but not for ever.
+        counts = known & (standing | self._guide.stuck(now))
+        p = self.parameters
+        floor = Floor(around.select(counts), p.workspace.bounds, self.grid, self._walls)
+        pose, _ = self.motion.sample(now)
+        self._guide.look(now, pose, floor, p, self.share, work)
+
+    @property
+    def route(self) -> Route | None:
+        """The way to the goal, where there is one to be led along."""
+        return None if self._guide is None else self._guide.route
+
+    @property
+    def leading(self) -> str:
+        """What leads to the goal: the goal itself, a straight line, a route, or a search."""
+        return "the goal" if self._guide is None else self._guide.state
+
+    @property
+    def lost(self) -> str:
+        """Why the last search found no route, or empty."""
+        return "" if self._guide is None else self._guide.lost
+
     def _run_up(self, start: Array, goal: StateGoal) -> float:
         """Least time [s] to get onto the line that passes a pose at its velocity.
 
@@ -296,32 +359,53 @@ class Planner:
 
     def _solve(self, start: Array, due: float, around: Ellipses) -> tuple[Answer, ...]:
         """The last plan improved; where the last cycle was in trouble, an evasion, too."""
-        solver = self._solvers[max(self._solvers) if len(around) else 0]
+        walls = self._walls_near(start)
+        solver = self._solver(around, walls)
+        around = around.joined(walls.ellipses(around.time)) if len(walls) else around
         iterations = 1
         if self._guess is None:
             guess, iterations = solver.cold(), COLD_ITERATIONS
         else:
             since, currents = self._guess
             guess = solver.shifted(currents, due - since)
-        answer = self._improved(solver, start, due, guess, around, iterations)
+        goal = self._toward(start, due)
+        answer = self._improved(solver, start, due, guess, around, goal, iterations)
         self._guess = due, answer.currents
         if not len(around) or not self._troubled:
             return (answer,)
         self._turn += 1
         guess = self._problem.evasion(start, self._turn * EVASION)
         try:
-            return answer, self._improved(solver, start, due, guess, around, EVASION_ITERATIONS)
+            return answer, self._improved(
+                solver, start, due, guess, around, goal, EVASION_ITERATIONS
+            )
         except SolverError:
             return (answer,)
 
+    def _solver(self, around: Ellipses, walls: Walls) -> Solver:
+        """The one with room for all that there is: what is not there costs time, too."""
+        few, some, many = sorted(self._solvers)[0], self.parameters.horizon.slots, 0
+        many = max(self._solvers)
+        return self._solvers[many if len(walls) else some if len(around) else few]
+
+    def _walls_near(self, place: Array) -> Walls:
+        """Walls that the robot can get to before a plan's end and the braking from there."""
+        if not len(self._walls):
+            return self._walls
+        speed = self.parameters.limits.linear_velocity
+        braking = speed / self._deceleration[0]
+        reach = speed * (self.parameters.horizon.duration + 0.5 * braking)
+        return self._walls.near(place, reach + math.hypot(*self.model.half) + REACH)
+
     def _improved(
-        self, solver: Solver, start: Array, due: float, guess: Array, around: Ellipses, n: int
-    ) -> Answer:
-        assert self.goal is not None
+        self, solver: Solver, start: Array, due: float, guess: Array, around: Ellipses,
+        goal: Goal, n: int,
+    ) -> Answer:  # fmt: skip
         step = self.parameters.horizon.step
         along = Motion.of_states(due, step, solver.states(start, guess), guess)
         slots = solver.transcription.slots
-        stage = self._problem.stage(start, along, self.goal, around, slots)
+        clearance = None if self._guide is None else self._guide.clearance(self.parameters)
+        stage = self._problem.stage(start, along, goal, around, slots, clearance)
         return solver.solve(start, guess, stage, n)
 
     @property
@@ -473,7 +557,8 @@ class Planner:
         p = self.parameters
         margin = p.safety.least_clearance + off
         until = now + p.horizon.duration
-        return Surroundings(self.model.half, around, p.workspace.bounds, margin, until)
+        walls = self._walls_near(self.motion.sample(now)[0])
+        return Surroundings(self.model.half, around, p.workspace.bounds, margin, until, walls)
 
     # ---- how far it has come ----------------------------------------------------------------
 
@@ -500,6 +585,8 @@ class Planner:
                 self.brake(now)
         elif there and standing and stands_still:
             self._arrive()
+        elif self.lost:
+            self.state = PlannerState.BLOCKED
         elif not standing:
             self._stood_since, self.state = None, PlannerState.DRIVING
         elif self._stood_since is None:

@@ -19,6 +19,8 @@ FAR_AWAY = 1e3
 """Where the obstacle of an empty slot is [m]."""
 SLACK = 3.0
 """Weight of the slack over the strongest pull of a goal: then slack is the last resort."""
+ROUGHLY = 48
+"""So many obstacles are looked at in detail at each step, the nearest by their centres."""
 HEADROOM = 0.02
 """Share by which the voltage limit lies above the back-EMF that is there already."""
 
@@ -37,7 +39,13 @@ class Problem:
         self.share = 1.0
 
     def stage(
-        self, start: Array, guess: Motion, goal: Goal, ellipses: Ellipses, slots: int
+        self,
+        start: Array,
+        guess: Motion,
+        goal: Goal,
+        ellipses: Ellipses,
+        slots: int,
+        clearance: float | None = None,
     ) -> Stage:
         """Parameters of the problem.
 
@@ -47,13 +55,14 @@ class Problem:
             goal: Where to.
             ellipses: Obstacles.
             slots: How many of them the problem has room for.
+            clearance: Gap to be kept [m]; None for that of the parameters.
         """
         p = self.parameters
         times = guess.times[1:]
         targets, pull = self._targets(start, times, goal)
         ahead = targets[-1, :2] - start[:2]
         direction = math.atan2(ahead[1], ahead[0])
-        gap = p.safety.clearance
+        gap = p.safety.clearance if clearance is None else clearance
         x_min, y_min, x_max, y_max = p.workspace.bounds
         return Stage(
             limits=self._limits(start, direction, len(times)),
@@ -62,7 +71,7 @@ class Problem:
             weights=self._weights(goal.moves, len(times)),
             energy=p.weights.energy,
             slack=(SLACK * pull, SLACK * pull / 0.1),
-            obstacles=self._obstacles(guess, ellipses, slots),
+            obstacles=self._obstacles(guess, ellipses, slots, gap),
             direction=direction,
         )
 
@@ -130,9 +139,8 @@ class Problem:
         volts = max(model.max_voltage, model.emf * wheels * (1.0 + HEADROOM))
         return np.hstack([limits, np.tile([volts, a, b], (steps, 1))])
 
-    def _obstacles(self, guess: Motion, ellipses: Ellipses, slots: int) -> Array:
+    def _obstacles(self, guess: Motion, ellipses: Ellipses, slots: int, clearance: float) -> Array:
         """The nearest obstacles (N, M, 7) along a guess, with their margins."""
-        p, model = self.parameters, self._model
         times = guess.times[1:]
         table = np.zeros((len(times), slots, OBSTACLE))
         table[..., :2] = FAR_AWAY
@@ -143,20 +151,59 @@ class Problem:
         if not reachable.any():
             return table
         near = ellipses.select(reachable)
-        centers, axes = near.centers_at(times), near.axes_at(times, p.safety.clearance)
-        chosen = np.arange(len(near))
+        centers, axes = near.centers_at(times), near.axes_at(times, clearance)
+        angles = np.broadcast_to(near.angles, centers.shape[:2])
+        velocities = np.broadcast_to(near.velocities, centers.shape)
         if len(near) > slots:
-            gaps = box_gap(guess.poses[1:], model.half, centers, axes, near.angles).min(axis=0)
-            chosen = np.argsort(gaps, kind="stable")[:slots]
-        centers, axes, angles = centers[:, chosen], axes[:, chosen], near.angles[chosen]
-        axes = inflated(axes, self._sag(guess, near.velocities[chosen], axes))
+            chosen = self._beside(guess.poses[1:], near, centers, axes, slots)
+            centers, axes, velocities = (
+                np.take_along_axis(values, chosen[..., None], axis=1)
+                for values in (centers, axes, velocities)
+            )
+            angles = np.take_along_axis(angles, chosen, axis=1)
+        axes = inflated(axes, self._sag(guess, velocities, axes))
         cos, sin = np.cos(angles), np.sin(angles)
-        m = len(chosen)
+        m = centers.shape[1]
         table[:, :m, :2] = centers
         table[:, :m, 2], table[:, :m, 3] = cos / axes[..., 0], sin / axes[..., 0]
         table[:, :m, 4], table[:, :m, 5] = -sin / axes[..., 1], cos / axes[..., 1]
         table[:, :m, 6] = axes.min(axis=-1)
         return table
+
+    def _beside(
+        self, poses: Array, ellipses: Ellipses, centers: Array, axes: Array, slots: int
+    ) -> NDArray[np.intp]:
+        """Indices (N, slots) of the obstacles that matter at each pose.
+
+        The nearest in each of as many sectors around the robot, where there are any, then the
+        nearest of the others: a wall beside it is many discs, and must not hide the other side.
+        """
+        size = axes.max(axis=-1)
+        away = centers - poses[:, None, :2]
+        rough = np.hypot(away[..., 0], away[..., 1]) - size
+        if len(ellipses) > ROUGHLY:
+            some = np.argpartition(rough, ROUGHLY, axis=1)[:, :ROUGHLY]
+        else:
+            some = np.broadcast_to(np.arange(len(ellipses)), rough.shape)
+        away, seen, wide = (
+            np.take_along_axis(values, some[..., None], axis=1) for values in (away, centers, axes)
+        )
+        gaps = box_gap(poses, self._model.half, seen, wide, ellipses.angles[some])
+        cos, sin = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])
+        a, b = self._model.half
+        ahead = (cos * away[..., 0] + sin * away[..., 1]) / a
+        aside = (cos * away[..., 1] - sin * away[..., 0]) / b
+        sector = np.floor(np.arctan2(aside, ahead) * (slots / math.tau)).astype(int) % slots
+        order = np.argsort(gaps, axis=1, kind="stable")
+        sorted_sector = np.take_along_axis(sector, order, axis=1)
+        rank = np.zeros(order.shape, dtype=int)  # among those of its sector
+        for k in range(slots):
+            inside = sorted_sector == k
+            rank[inside] = (np.cumsum(inside, axis=1) - 1)[inside]
+        best = np.argsort(rank, axis=1, kind="stable")[:, :slots]
+        chosen = np.take_along_axis(order, best, axis=1)
+        result: NDArray[np.intp] = np.take_along_axis(some, chosen, axis=1)
+        return result
 
     def _reachable(self, guess: Motion, ellipses: Ellipses) -> NDArray[np.bool_]:
         """Which obstacles can come near at all, whatever the plan will be."""

@@ -1,7 +1,7 @@
 """The last word on every motion: whether it keeps clear of what is known, all the way to rest."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from omniman_ros.planning.ellipses import Ellipses
 from omniman_ros.planning.motion import Motion
 from omniman_ros.planning.separation import Workspace, box_gap, outside_by, swept_gap, within_reach
+from omniman_ros.planning.walls import Walls
 
 Array = NDArray[np.float64]
 
@@ -16,6 +17,8 @@ PARTS = 4
 """Into so many parts each span of a motion is cut for the check."""
 CLOSER = 0.02
 """So much of the margin may be used up where the robot is about as close as allowed [m]."""
+WALL_PARTS = 16
+"""The same next to walls, whose check is coarser in space."""
 SAME = 1e-6
 """Gaps that differ by less are equal [m]."""
 
@@ -30,6 +33,7 @@ class Surroundings:
         workspace: (x_min, y_min, x_max, y_max) in odom [m].
         margin: Gap that is kept to both [m].
         until: A motion is looked at until then even where it is at rest before [s].
+        walls: What stands for good.
     """
 
     half: Array
@@ -37,6 +41,7 @@ class Surroundings:
     workspace: Workspace
     margin: float
     until: float = -math.inf
+    walls: Walls = field(default_factory=Walls.none)
 
     def outside(self, poses: Array) -> float:
         """By how much the box at poses (K, 3) leaves the workspace, its margin included [m]."""
@@ -45,11 +50,13 @@ class Surroundings:
     def overlap(self, poses: Array) -> float:
         """By how much the box at poses (K, 3) is too close to an obstacle as it is now [m]."""
         e = self.ellipses
+        into = self.margin - float(self.walls.gaps(poses, self.half).min())
         if not len(e):
-            return -math.inf
+            return into if len(self.walls) else -math.inf
         times = np.full(len(poses), e.time)
         axes = e.axes_at(times, self.margin)
-        return -float(box_gap(poses, self.half, e.centers_at(times), axes, e.angles).min())
+        gaps = box_gap(poses, self.half, e.centers_at(times), axes, e.angles)
+        return max(-float(gaps.min()), into if len(self.walls) else -math.inf)
 
     def contact(self, motion: Motion, now: float) -> float:
         """Time at which a motion comes too close to anything, from `now` on [s]; or infinity.
@@ -64,6 +71,7 @@ class Surroundings:
         left = ~(out <= allowed)
         if left.any():
             first = float(times[int(left.argmax())])
+        first = min(first, self._at_wall(motion, now, self.margin))
         reached = within_reach(times, poses, velocities, self.half, self.ellipses, self.margin)
         if not reached.any():
             return first
@@ -80,6 +88,17 @@ class Surroundings:
             first = min(first, float(times[int(touched.argmax())]))
         return first
 
+    def _at_wall(self, motion: Motion, now: float, margin: float) -> float:
+        """Time at which a motion comes too close to a wall [s], or infinity; see `contact`."""
+        if not len(self.walls):
+            return math.inf
+        times, poses, velocities = motion.fine(now, -math.inf, WALL_PARTS)
+        nodes, gaps = self.walls.swept(times, poses, velocities, self.half)
+        allowed = margin + min(max(float(gaps[0]) - margin - CLOSER, -min(CLOSER, margin)), 0.0)
+        leaves = (nodes[0] <= margin) & (nodes[1:] >= nodes[0] - SAME)
+        touched = ~((gaps > allowed) | leaves)
+        return float(times[int(touched.argmax())]) if touched.any() else math.inf
+
     def threat(self, motion: Motion, now: float) -> tuple[float, float]:
         """How bad a motion is that is not clear: of two, the greater is the better one.
 
@@ -87,18 +106,20 @@ class Surroundings:
             When the robot itself touches an obstacle where it is expected, without any margin [s];
             and the least gap until then or to the end [m].
         """
+        wall = self._at_wall(motion, now, 0.0)
         times, poses, velocities = motion.fine(now, self.until, PARTS)
         certain = replace(self.ellipses, growth=np.zeros(len(self.ellipses)))
         reached = within_reach(times, poses, velocities, self.half, certain, CLOSER)
         if not reached.any():
-            return math.inf, CLOSER
+            return wall, CLOSER if wall == math.inf else 0.0
         gaps = swept_gap(times, poses, velocities, self.half, certain.select(reached))
         least = gaps.min(axis=1)
         touched = ~(least > 0.0)
-        if not touched.any():
-            return math.inf, min(float(least.min()), CLOSER)
-        first = int(touched.argmax())
-        return float(times[first]), float(least[: first + 1].min())
+        first = int(touched.argmax()) if touched.any() else len(least) - 1
+        contact = float(times[first]) if touched.any() else math.inf
+        if wall < contact:
+            return wall, 0.0
+        return contact, min(float(least[: first + 1].min()), CLOSER)
 
     def longest(
         self, motion: Motion, now: float, earliest: float, deceleration: tuple[float, float]

@@ -29,7 +29,7 @@ def box_gap(poses: Array, half: Array, centers: Array, semi_axes: Array, angles:
         half: (2,) half length and half width of the box [m], above zero.
         centers: (K, M, 2) of the ellipses in odom [m].
         semi_axes: (K, M, 2) [m], above zero.
-        angles: (M,) of the ellipses' x axes in odom [rad].
+        angles: (M,) or (K, M) of the ellipses' x axes in odom [rad].
 
     Returns:
         (K, M) [m]: exact for circles outside of the box and wherever the shortest way is along an

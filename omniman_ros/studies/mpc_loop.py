@@ -189,6 +189,7 @@ class MpcLoop:
             begun = self._timer()
             planner.take(proposal, self.now, self.measured(), self.seen.ellipses(self.now))
             self._spent += self._timer() - begun
+            planner.look(self.now, self.seen.ellipses(self.now))
             ticks -= self._solving
             self._publish()
         self._record()

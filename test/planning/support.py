@@ -158,6 +158,7 @@ class Ride:
             self._move(self.now + solving)
             there = self.pose()
             planner.take(proposal, self.now, self.measured(), self.seen(self.now))
+            planner.look(self.now, self.seen(self.now))
             if planner.report.used:
                 self._followed = True
                 if astray:  # the plan begins where the robot is, not where the last one was

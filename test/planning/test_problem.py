@@ -159,7 +159,7 @@ def test_obstacles_are_predicted_and_have_their_margins():
         assert abs(turned @ [math.cos(0.5), math.sin(0.5)]) == pytest.approx(1.0)
 
 
-def test_slots_hold_the_nearest_obstacles_along_the_way():
+def test_slots_hold_the_nearest_obstacle_of_every_side_at_every_step():
     places = np.random.default_rng(3).uniform(-2, 2, (40, 2)).round(3)
     rows = [(x, y, 0.1) for x, y in places if abs(y) > 0.4]
     known, guess = ellipses(*rows, time=NOW), a_line(0.5)
@@ -167,9 +167,22 @@ def test_slots_hold_the_nearest_obstacles_along_the_way():
     half = model("ig42").half
     axes = known.axes_at(guess.times[1:])
     gaps = box_gap(guess.poses[1:], half, known.centers_at(guess.times[1:]), axes, known.angles)
-    nearest = np.argsort(gaps.min(axis=0))[:SLOTS]
-    found = {tuple(np.round(row[:2], 6)) for row in stage.obstacles[0]}
-    assert found == {tuple(known.centers[k]) for k in nearest}
+    for k, (x, y, _) in enumerate(guess.poses[1:]):
+        ahead, aside = (known.centers - [x, y]).T / half[:, None]  # the guess is not turned
+        sector = np.floor(np.arctan2(aside, ahead) % math.tau / (math.tau / SLOTS)).astype(int)
+        found = {tuple(row) for row in stage.obstacles[k, :, :2].round(6).tolist()}
+        assert len(found) == SLOTS
+        assert tuple(known.centers[gaps[k].argmin()]) in found
+        for side in set(sector.tolist()):
+            inside = np.flatnonzero(sector == side)
+            assert tuple(known.centers[inside[gaps[k, inside].argmin()]]) in found
+
+
+def test_a_wall_of_many_discs_leaves_room_for_the_other_side():
+    wall = [(x, 0.5, 0.03) for x in np.arange(-2.0, 3.0, 0.05).round(3)]
+    other = (1.0, -0.9, 0.1)
+    stage = stage_of(a_problem(), guess=a_line(0.5), around=ellipses(*wall, other, time=NOW))
+    assert (stage.obstacles[:, :, :2] == np.array(other[:2])).all(axis=2).any(axis=1).all()
 
 
 def test_empty_slots_are_far_away():

@@ -1,0 +1,105 @@
+"""What a map says is occupied, as discs that stand: quick to keep a box clear of."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omniman_ros.planning.ellipses import Ellipses
+
+Array = NDArray[np.float64]
+
+REACH = 0.3
+"""Walls that are further away than this count as being so far [m]."""
+CHUNK = 24
+"""So many poses are looked at together, with the discs that are beside any of them."""
+
+
+@dataclass(frozen=True)
+class Walls:
+    """Discs of one radius that cover what is occupied at its boundary.
+
+    Attributes:
+        centers: (M, 2) in odom [m].
+        radius: [m].
+    """
+
+    centers: Array
+    radius: float
+
+    def __len__(self) -> int:
+        return len(self.centers)
+
+    @staticmethod
+    def none() -> "Walls":
+        """No wall."""
+        return Walls(np.zeros((0, 2)), 1.0)
+
+    def near(self, place: Array, reach: float) -> "Walls":
+        """Those whose centres are within a square of this half edge [m] around a place (2,)."""
+        beside = (np.abs(self.centers - place[:2]) <= reach).all(axis=1)
+        return Walls(self.centers[beside], self.radius)
+
+    def ellipses(self, time: float) -> Ellipses:
+        """The same as obstacles that stand, at a time [s]."""
+        count = len(self)
+        none = np.zeros(count)
+        axes = np.full((count, 2), self.radius)
+        return Ellipses(time, self.centers, np.zeros((count, 2)), axes, none, none)
+
+    def gaps(self, poses: Array, half: Array) -> Array:
+        """Distance from a box to the nearest disc, pose by pose.
+
+        Args:
+            poses: (K, 3) of the box's centre in odom [m, m, rad].
+            half: (2,) half length and half width of the box [m].
+
+        Returns:
+            (K,) [m], at most REACH; below zero by how deep a disc is in the box; -inf where a
+            pose is not finite.
+        """
+        result = np.full(len(poses), REACH)
+        if not len(self):
+            return result
+        cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        size = math.hypot(*half) + self.radius + REACH
+        for first in range(0, len(poses), CHUNK):
+            part = slice(first, first + CHUNK)
+            places = poses[part, :2]
+            low, high = places.min(axis=0) - size, places.max(axis=0) + size
+            beside = ((self.centers >= low) & (self.centers <= high)).all(axis=1)
+            away = self.centers[beside] - places[:, None]
+            if not away.size:
+                continue
+            c, s = cos[part, None], sin[part, None]
+            x = np.abs(c * away[..., 0] + s * away[..., 1]) - half[0]
+            y = np.abs(c * away[..., 1] - s * away[..., 0]) - half[1]
+            out = np.hypot(np.maximum(x, 0.0), np.maximum(y, 0.0))
+            depth = np.minimum(np.maximum(x, y), 0.0)
+            result[part] = np.minimum((out + depth).min(axis=1) - self.radius, REACH)
+        result[~np.isfinite(poses).all(axis=1)] = -math.inf
+        return result
+
+    def swept(
+        self, times: Array, poses: Array, velocities: Array, half: Array
+    ) -> tuple[Array, Array]:
+        """The same at samples, and over the intervals between them.
+
+        The distance changes by no more than any point of the box travels, L: between two samples
+        it is (g0 + g1 - L) / 2 or more.
+
+        Args:
+            times: (K,) increasing [s].
+            poses: (K, 3) in odom [m, m, rad].
+            velocities: (K, 3) in odom; between two samples no speed is above both its ends'.
+            half: (2,) half length and half width of the box [m].
+
+        Returns:
+            `gaps` (K,) at the samples, and lower bounds (K - 1,) between them [m].
+        """
+        gaps = self.gaps(poses, half)
+        speed = np.hypot(velocities[:, 0], velocities[:, 1])
+        speed = speed + math.hypot(*half) * np.abs(velocities[:, 2])
+        travel = np.diff(times) * np.maximum(speed[:-1], speed[1:])
+        return gaps, 0.5 * (gaps[:-1] + gaps[1:] - travel)
