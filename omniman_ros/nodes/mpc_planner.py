@@ -422,9 +422,9 @@ class MpcPlannerNode(OmnimanNode):
             plan = conversions.path_message(part.poses, frame)
             plan.header.stamp = self.stamp(now)
             self._plan.publish(plan)
-        route = self.core.route
-        if self._route.get_subscription_count() and route is not None:
-            way = conversions.path_message(route.poses, frame)
+        guide = self.core.guide
+        if self._route.get_subscription_count() and guide is not None and guide.route is not None:
+            way = conversions.path_message(guide.route.poses, frame)
             way.header.stamp = self.stamp(now)
             self._route.publish(way)
         if self._predicted.get_subscription_count():
@@ -469,7 +469,7 @@ class MpcPlannerNode(OmnimanNode):
             ("cost_j", round(report.cost, 1)),
             ("energy_j", round(core.energy(), 1)),
             ("obstacles", len(self.obstacles)),
-            ("route", core.leading),
+            ("led_by", "the goal" if core.guide is None else core.guide.state),
             ("plan_used", report.used),
             ("why", self._held or report.why),
             ("last", self._last),
@@ -479,7 +479,8 @@ class MpcPlannerNode(OmnimanNode):
         if self._held:
             level, message = DiagnosticStatus.WARN, f"waits: {self._held}"
         elif core.state is PlannerState.BLOCKED:
-            why = core.lost or "no clear way found"
+            lost = "" if core.guide is None else core.guide.lost
+            why = lost or "no clear way found"
             level, message = DiagnosticStatus.WARN, f"blocked: {why}"
         elif not core.active and self._last.startswith(("a goal", "the goal")):
             level, message = DiagnosticStatus.WARN, self._last

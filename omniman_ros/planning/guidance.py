@@ -35,7 +35,7 @@ STUCK, PROGRESS = 1.5, 0.1
 TIGHTER = 3
 """Clearances that a search is made with, from the usual one down to the least."""
 SLOW, FREED = 0.25, 1.0
-"""Pace at which a robot goes on that was stuck, and for how much of the route [s]."""
+"""Pace at which a robot goes on that was stuck twice, and for how much of the route [s]."""
 SPARE, BESIDE, WIDE = 0.01, 0.3, 0.2
 """Plans keep so much less than the gaps of the route [m], from so much before the robot to so
 much after the plan [s]; gaps above that are wide [m]."""
@@ -67,14 +67,15 @@ class Guide:
         self.route: Route | None = None
         self.lost = ""
         self._direct = True
-        self._room = np.zeros((2, 1)) + [[0.0], [math.inf]]
+        self._room = np.array([[0.0], [math.inf]])
         self._place = 0.0
         self._search: RouteSearch | None = None
         self._searches: Iterator[RouteSearch] = iter(())
         self._asked = math.nan
         self._due = -math.inf
+        self._looked = -math.inf
         self._came = math.inf, 0.0
-        self._slow = False
+        self._tries = 0
 
     @property
     def state(self) -> str:
@@ -91,10 +92,9 @@ class Guide:
 
     def along(self, start: Array, due: float, p: PlannerParameters, share: float) -> Along:
         """Targets from a state (6,) on that the robot has when an answer is due [s]."""
-        route = self.route
-        if route is None:
-            route = self._straight(start[:3], p, share)
-            self._adopt(route, None, direct=True)
+        if self.route is None:
+            self._adopt(self._straight(start[:3], p, share), None, direct=True)
+        route = self._timed(p.speeds(share))
         self._place = max(self._place, route.project(start[:3], self._place))
         limits = p.limits
         rate = RATE * min(
@@ -102,7 +102,7 @@ class Guide:
             min(limits.angular_acceleration, limits.angular_deceleration)
             / limits.angular_velocity,
         )
-        most = SLOW if self._slow else min(EASE * math.sqrt(rate * route.duration), 1.0)
+        most = SLOW if self._tries > 1 else min(EASE * math.sqrt(rate * route.duration), 1.0)
         return Along(route, due, self._place, self._pace(route, start), rate, most)
 
     def clearance(self, p: PlannerParameters) -> float:
@@ -113,6 +113,18 @@ class Guide:
         )
         room = float(gaps[ahead].min(initial=math.inf)) - SPARE
         return max(min(p.safety.clearance, room), p.safety.least_clearance)
+
+    def _timed(self, speeds: tuple[float, float]) -> Route:
+        """The route at the speeds of now: limits are live."""
+        assert self.route is not None
+        if self.route.speeds != speeds:
+            old, new = self.route, Route(self.route.poses, speeds)
+            here = np.array([self._place, self._came[1]])
+            place, came = np.interp(here, old.times, new.times).tolist()
+            self._place, self._came = place, (self._came[0], came)
+            self._room[0] = np.interp(self._room[0], old.times, new.times)
+            self.route = new
+        return self.route
 
     def _pace(self, route: Route, start: Array) -> float:
         """How fast a state (6,) moves along the route, in the route's seconds per second."""
@@ -137,13 +149,14 @@ class Guide:
             share: Of the limits that is left.
             work: How much a search may do in this call, in expansions.
         """
-        if self._came[0] == math.inf or self._place > self._came[1] + PROGRESS:
+        if now > self._looked + LOOK or self._place > self._came[1] + PROGRESS:
             self._came = now, self._place
-            self._slow = self._slow and self._place < FREED
+            self._tries = 0 if self._place > FREED else self._tries
+        self._looked = now
         if self._search is not None:
             self._go_on(now, floor, work)
         elif self.stuck(now):
-            self._slow = True
+            self._tries += 1
             self._seek(pose, floor, p, share)
         elif now >= self._due:
             self._due = now + LOOK

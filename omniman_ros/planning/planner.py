@@ -24,7 +24,6 @@ from omniman_ros.planning.model import PlanningModel
 from omniman_ros.planning.motion import Motion
 from omniman_ros.planning.parameters import PlannerParameters
 from omniman_ros.planning.problem import Problem
-from omniman_ros.planning.route import Route
 from omniman_ros.planning.safety import Surroundings
 from omniman_ros.planning.solver import Answer, Solver, SolverError
 from omniman_ros.planning.transcription import Transcription
@@ -298,12 +297,10 @@ class Planner:
         lasts = max(needed, 0.5 * p.horizon.duration, self._run_up(start, goal))
         self.goal = goal.arriving(due + lasts)
 
-    def _toward(self, start: Array, due: float) -> Goal:
-        """What is aimed at in this cycle: targets along the route, or the goal itself."""
-        assert self.goal is not None
-        if self._guide is None or self.goal.moves:
-            return self.goal
-        return self._guide.along(start, due, self.parameters, self.share)
+    @property
+    def guide(self) -> Guide | None:
+        """What leads to the goal; None where the goal itself is aimed at, or there is none."""
+        return None if self.goal is None or self.goal.moves else self._guide
 
     def look(self, now: float, around: Ellipses, work: int = WORK) -> None:
         """Look after the route: a slice of work for when a cycle is done.
@@ -313,31 +310,16 @@ class Planner:
             around: Obstacles.
             work: How much a search may do, in expansions.
         """
-        if self._guide is None or self.goal is None or self.goal.moves:
+        guide = self.guide
+        if guide is None:
             return
-        standing = (np.hypot(*around.velocities.T) < STANDING) & (around.growth < NEWCOMER)
-        known = np.isfinite(around.centers).all(axis=1)
+        stand = (np.hypot(*around.velocities.T) < STANDING) & (around.growth < NEWCOMER)
         # What moves is waited for, but not for ever.
-        counts = known & (standing | self._guide.stuck(now))
+        counts = np.isfinite(around.centers).all(axis=1) & (stand | guide.stuck(now))
         p = self.parameters
         floor = Floor(around.select(counts), p.workspace.bounds, self.grid, self._walls)
         pose, _ = self.motion.sample(now)
-        self._guide.look(now, pose, floor, p, self.share, work)
-
-    @property
-    def route(self) -> Route | None:
-        """The way to the goal, where there is one to be led along."""
-        return None if self._guide is None else self._guide.route
-
-    @property
-    def leading(self) -> str:
-        """What leads to the goal: the goal itself, a straight line, a route, or a search."""
-        return "the goal" if self._guide is None else self._guide.state
-
-    @property
-    def lost(self) -> str:
-        """Why the last search found no route, or empty."""
-        return "" if self._guide is None else self._guide.lost
+        guide.look(now, pose, floor, p, self.share, work)
 
     def _run_up(self, start: Array, goal: StateGoal) -> float:
         """Least time [s] to get onto the line that passes a pose at its velocity.
@@ -368,7 +350,9 @@ class Planner:
         else:
             since, currents = self._guess
             guess = solver.shifted(currents, due - since)
-        goal = self._toward(start, due)
+        assert self.goal is not None
+        guide, p = self.guide, self.parameters
+        goal = self.goal if guide is None else guide.along(start, due, p, self.share)
         answer = self._improved(solver, start, due, guess, around, goal, iterations)
         self._guess = due, answer.currents
         if not len(around) or not self._troubled:
@@ -384,17 +368,15 @@ class Planner:
 
     def _solver(self, around: Ellipses, walls: Walls) -> Solver:
         """The one with room for all that there is: what is not there costs time, too."""
-        few, some, many = sorted(self._solvers)[0], self.parameters.horizon.slots, 0
-        many = max(self._solvers)
-        return self._solvers[many if len(walls) else some if len(around) else few]
+        slots = self.parameters.horizon.slots if len(around) else 0
+        return self._solvers[max(self._solvers) if len(walls) else slots]
 
     def _walls_near(self, place: Array) -> Walls:
-        """Walls that the robot can get to before a plan's end and the braking from there."""
+        """Walls that a plan from a place can come to: what the optimisation has to know."""
         if not len(self._walls):
             return self._walls
-        speed = self.parameters.limits.linear_velocity
-        braking = speed / self._deceleration[0]
-        reach = speed * (self.parameters.horizon.duration + 0.5 * braking)
+        p = self.parameters
+        reach = p.limits.linear_velocity * p.horizon.duration
         return self._walls.near(place, reach + math.hypot(*self.model.half) + REACH)
 
     def _improved(
@@ -404,7 +386,7 @@ class Planner:
         step = self.parameters.horizon.step
         along = Motion.of_states(due, step, solver.states(start, guess), guess)
         slots = solver.transcription.slots
-        clearance = None if self._guide is None else self._guide.clearance(self.parameters)
+        clearance = None if self.guide is None else self.guide.clearance(self.parameters)
         stage = self._problem.stage(start, along, goal, around, slots, clearance)
         return solver.solve(start, guess, stage, n)
 
@@ -557,8 +539,9 @@ class Planner:
         p = self.parameters
         margin = p.safety.least_clearance + off
         until = now + p.horizon.duration
-        walls = self._walls_near(self.motion.sample(now)[0])
-        return Surroundings(self.model.half, around, p.workspace.bounds, margin, until, walls)
+        return Surroundings(
+            self.model.half, around, p.workspace.bounds, margin, until, self._walls
+        )
 
     # ---- how far it has come ----------------------------------------------------------------
 
@@ -585,7 +568,7 @@ class Planner:
                 self.brake(now)
         elif there and standing and stands_still:
             self._arrive()
-        elif self.lost:
+        elif self.guide is not None and self.guide.lost:
             self.state = PlannerState.BLOCKED
         elif not standing:
             self._stood_since, self.state = None, PlannerState.DRIVING

@@ -64,12 +64,11 @@ class Walls:
             return result
         cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
         size = math.hypot(*half) + self.radius + REACH
+        around = self._beside(poses[:, :2], size)
         for first in range(0, len(poses), CHUNK):
             part = slice(first, first + CHUNK)
             places = poses[part, :2]
-            low, high = places.min(axis=0) - size, places.max(axis=0) + size
-            beside = ((self.centers >= low) & (self.centers <= high)).all(axis=1)
-            away = self.centers[beside] - places[:, None]
+            away = around._beside(places, size).centers - places[:, None]
             if not away.size:
                 continue
             c, s = cos[part, None], sin[part, None]
@@ -80,6 +79,12 @@ class Walls:
             result[part] = np.minimum((out + depth).min(axis=1) - self.radius, REACH)
         result[~np.isfinite(poses).all(axis=1)] = -math.inf
         return result
+
+    def _beside(self, places: Array, size: float) -> "Walls":
+        """Those that can be within `size` [m] of any of the places (K, 2)."""
+        low, high = places.min(axis=0) - size, places.max(axis=0) + size
+        beside = ((self.centers >= low) & (self.centers <= high)).all(axis=1)
+        return Walls(self.centers[beside], self.radius)
 
     def swept(
         self, times: Array, poses: Array, velocities: Array, half: Array

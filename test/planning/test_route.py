@@ -70,7 +70,7 @@ def test_headings_of_any_branch_are_projected_alike_even_where_the_route_turns_f
     known = route([0, 0, 0], [0.1, 0, 9])
     for at in np.linspace(0, known.duration, 30):
         pose = known.at(np.array([at]))[0] + [0, 0.05, 4 * math.pi]
-        assert known.project(pose, near=at, window=(0.5, 0.5)) == pytest.approx(at, abs=0.01)
+        assert known.project(pose) == pytest.approx(at, abs=0.01)
 
 
 def test_a_pose_is_looked_for_near_where_it_was_and_not_behind_a_wall():

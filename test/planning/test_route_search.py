@@ -169,7 +169,7 @@ def test_a_door_of_60_cm_is_found_at_any_angle(degrees):
     assert route.length < 3.2
 
 
-@pytest.mark.parametrize("degrees", [0, 31])
+@pytest.mark.parametrize("degrees", [0, 31, 77])
 def test_a_corridor_of_60_cm_is_found_at_any_angle(degrees):
     rows = wall((-1, 0.35), (1, 0.35)) + wall((-1, -0.35), (1, -0.35))
     for side in (1, -1):
@@ -195,8 +195,10 @@ def test_a_door_of_any_number_of_cells_is_found_wherever_it_is():
             cells[30:32] = True
             cells[30:32, first : first + count] = False
             grid = GridMap(cells, 0.05, np.array([0.3, -0.2, 0]))
-            route = find((1.4, 0.3, 0), (1.4, 2.3, 0), grid=grid, workspace=(0.2, -0.2, 3.4, 3))
-            assert route.length < 3.5
+            start, goal, edge = (1.4, 0.3, 0), (1.4, 2.3, 0), (0.2, -0.2, 3.4, 3)
+            search = searched(start, goal, grid=grid, workspace=edge)
+            assert checked(search, start, goal).length < 3.5
+            assert search.worked < 40_000  # without a finer lattice
 
 
 # ---- what cannot be reached -------------------------------------------------------------------
@@ -388,7 +390,7 @@ def test_in_slices_the_same_is_found(nodes):
     assert len(whole.route.poses) > 2
     assert sliced.worked == whole.worked
     # A slice may overdo it, then the next does less: in all it is what was asked for.
-    assert slices <= 1 + whole.worked / nodes
+    assert whole.worked / nodes - 3000 / nodes <= slices <= whole.worked / nodes + 1
     assert sliced.advance(nodes) and sliced.worked == whole.worked
 
 
@@ -421,6 +423,14 @@ def test_a_route_among_random_obstacles_keeps_clear_of_them(seed):
     search = searched(start, goal, known)
     route = checked(search, start, goal)
     assert route.duration < 5 * np.hypot(*(goal - start)[:2]) / SPEEDS[0] + 5
+
+
+@pytest.mark.parametrize("seed", [12, 23, 24, 32, 39])
+def test_what_stands_between_the_nodes_of_a_coarse_lattice_is_not_overlooked(seed):
+    places = np.random.default_rng(seed).uniform((0.7, -1.3), (3.3, 1.3), (9, 2))
+    posts = ellipses(*[(x, y, 0.01) for x, y in places])
+    start, goal, edge = (0, 0, 0), (4, 0, 0), (-0.8, -1.4, 4.8, 1.4)
+    find(start, goal, posts, workspace=edge, resolution=0.25, headings=24)
 
 
 def test_without_a_margin_and_with_a_large_one():
