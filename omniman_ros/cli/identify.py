@@ -3,7 +3,7 @@
 import argparse
 import importlib
 
-SUBJECTS = {"odometry": "identify_odometry"}
+SUBJECTS = {"odometry": "identify_odometry", "friction": "identify_friction"}
 """Subject: module in omniman_ros.cli with `run(args) -> int`."""
 
 

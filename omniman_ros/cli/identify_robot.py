@@ -2,8 +2,9 @@
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -87,18 +88,41 @@ def read_controller(session: Session, namespace: str, check: Callable[[], None])
             f"no {name} within {DISCOVERY:g} s: start the robot (omniman up) or use --simulate; "
             "is ROS_DOMAIN_ID the robot's?"
         )
-    # One name a request: a single one that has no value would leave the answer to all empty.
-    values = {}
-    for asked in [spec.name for spec in specs(PlatformParameters)] + [SIM_TIME, STAMPED]:
-        future = client.call_async(GetParameters.Request(names=[asked]))
-        if not session.wait(future.done, ANSWER):
-            raise CommandError(f"{name} does not tell '{asked}' within {ANSWER:g} s")
-        for answer in future.result().values:
-            if answer.type != ParameterType.PARAMETER_NOT_SET:
-                values[asked] = parameter_value_to_python(answer)
+    values = parameter_values(
+        session,
+        client,
+        name,
+        [spec.name for spec in specs(PlatformParameters)] + [SIM_TIME, STAMPED],
+    )
     if values.get(SIM_TIME):
         raise CommandError(f"{name} runs on simulated time (use_sim_time): start it without")
     return Controller(build(PlatformParameters, values), bool(values.get(STAMPED)))
+
+
+def parameter_values(
+    session: Session, client: Any, name: str, asked: Sequence[str]
+) -> dict[str, Any]:
+    """Ask a node for parameters; what it does not have is absent.
+
+    Args:
+        session: The ROS node.
+        client: Of the service `get_parameters`, ready.
+        name: Of the node, for messages.
+        asked: Full names of parameters.
+
+    Raises:
+        CommandError: It does not answer.
+    """
+    # One name a request: a single one that has no value would leave the answer to all empty.
+    values = {}
+    for one in asked:
+        future = client.call_async(GetParameters.Request(names=[one]))
+        if not session.wait(future.done, ANSWER):
+            raise CommandError(f"{name} does not tell '{one}' within {ANSWER:g} s")
+        for answer in future.result().values:
+            if answer.type != ParameterType.PARAMETER_NOT_SET:
+                values[one] = parameter_value_to_python(answer)
+    return values
 
 
 @dataclass
