@@ -171,13 +171,23 @@ def test_a_door_of_60_cm_is_found_at_any_angle(degrees):
 
 @pytest.mark.parametrize("degrees", [0, 31, 77])
 def test_a_corridor_of_60_cm_is_found_at_any_angle(degrees):
+    start, goal, known = corridor(math.radians(degrees))
+    assert find(start, goal, known).length < 4.5
+
+
+def corridor(angle):
+    """Start, goal and walls of a corridor 60 cm wide and 2 m long, turned."""
     rows = wall((-1, 0.35), (1, 0.35)) + wall((-1, -0.35), (1, -0.35))
     for side in (1, -1):
-        rows += wall((-1, 0.35 * side), (-1, 2.5 * side))
-    angle = math.radians(degrees)
-    start, goal = pose_turned((-2, 0.3, 0), angle), pose_turned((1.2, 0, 0.02), angle)
-    route = find(start, goal, ellipses(*turned(rows, angle)))
-    assert route.length < 4
+        rows += wall((-1, 0.35 * side), (-1, 4 * side))
+    start, goal = pose_turned((-2, 0.3, 0), angle), pose_turned((1.8, 0.2, 0.02), angle)
+    return start, goal, ellipses(*turned(rows, angle))
+
+
+def test_where_the_lattice_is_too_coarse_a_finer_one_finds_the_way():
+    start, goal, known = corridor(math.radians(77))
+    edge = (-2.7, -2.7, 2.7, 2.7)
+    assert find(start, goal, known, workspace=edge, headings=72).length < 4.5
 
 
 @pytest.mark.parametrize("width", [0.46, 0.52])
@@ -196,7 +206,7 @@ def test_a_door_of_any_number_of_cells_is_found_wherever_it_is():
             cells[30:32, first : first + count] = False
             grid = GridMap(cells, 0.05, np.array([0.3, -0.2, 0]))
             start, goal, edge = (1.4, 0.3, 0), (1.4, 2.3, 0), (0.2, -0.2, 3.4, 3)
-            search = searched(start, goal, grid=grid, workspace=edge)
+            search = searched(start, goal, grid=grid, workspace=edge, headings=72)
             assert checked(search, start, goal).length < 3.5
             assert search.worked < 40_000  # without a finer lattice
 
