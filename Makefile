@@ -42,7 +42,7 @@ types: $(TESTING) ## Check the types
 	$(BIN)/mypy
 
 tests: $(TESTING) ## Run the tests
-	ROS_PYTHON_CHECK_FIELDS=1 $(BIN)/python -m pytest $(ARGS)
+	.ci/tests $(BIN)/python $(ARGS)
 
 bench: $(RUNTIME) ## Measure how long the control cycle takes
 	$(OMNIMAN) bench $(ARGS)

@@ -97,6 +97,7 @@ setup(
             "hypothesis",
             "mypy==2.4.*",
             "pytest",
+            "pytest-xdist",
             "ruff==0.17.*",
             "setuptools",
             "types-PyYAML",

@@ -136,9 +136,11 @@ def add_bench(parser: argparse.ArgumentParser) -> None:
 def add_reproduce(parser: argparse.ArgumentParser) -> None:
     """Arguments of `omniman reproduce`."""
     parser.add_argument(
-        "name", nargs="?", default="coupling", choices=["coupling", "free", "corridor", "moving"],
+        "name", nargs="?", default="coupling",
+        choices=["coupling", "free", "corridor", "moving", "workshop", "scenes"],
         help="coupling: CCTA 2017 Fig. 7, coupling control on and off; the default. "
-        "free, corridor, moving: the cases of MPC 2021",
+        "free, corridor, moving: the cases of MPC 2021. workshop: rooms and doors, with a map. "
+        "scenes: random ones",
     )  # fmt: skip
     effort = parser.add_mutually_exclusive_group()
     effort.add_argument("--quick", action="store_true", help="few drives: does it run at all?")
@@ -148,44 +150,96 @@ def add_reproduce(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--robot", help=f"{ROBOT}; default: omniman for coupling, else ig42")
     add_results(parser)
+    scenes = parser.add_argument_group("of scenes only")
+    scenes.add_argument("--count", type=int, help="how many, from seed 0 on; default: 240")
+    scenes.add_argument("--seeds", metavar="A:B", help="these seeds, without B; or one")
+    scenes.add_argument("--jobs", type=int, help="processes; default: as many as there are CPUs")
+    scenes.add_argument(
+        "--solve-time", type=float, metavar="SECONDS",
+        help="each answer takes so long, not as long as it takes: a run that repeats exactly",
+    )  # fmt: skip
 
 
 def add_identify(parser: argparse.ArgumentParser) -> None:
     """Arguments of `omniman identify`."""
     subjects = parser.add_subparsers(dest="subject", metavar="SUBJECT", required=True)
-    text = "calibrate the odometry by drives whose ends are measured"
-    odometry = subjects.add_parser(
-        "odometry", help=text, description=text[0].upper() + text[1:] + ".", allow_abbrev=False
-    )
-    odometry.add_argument(
+    for name, (text, add_arguments) in IDENTIFIED.items():
+        subject = subjects.add_parser(
+            name, help=text, description=text[0].upper() + text[1:] + ".", allow_abbrev=False
+        )
+        add_arguments(subject)
+        subject.add_argument(
+            "-p", "--param", action="append", default=[], metavar="NAME:=VALUE",
+            help="with --simulate: a parameter, given to every node; may be repeated",
+        )  # fmt: skip
+        subject.add_argument("--verbose", action="store_true", help="show what the nodes say")
+        add_namespace(subject, "namespace of the robot")
+        add_results(subject)
+
+
+def add_identify_odometry(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `omniman identify odometry`."""
+    parser.add_argument(
         "--area", type=float, default=3.0, metavar="METRES",
         help="side of the free square in whose middle the robot stands; %(default)s",
     )  # fmt: skip
-    odometry.add_argument("--speed", type=float, default=0.3, help="m/s; %(default)s")
-    odometry.add_argument(
+    parser.add_argument("--speed", type=float, default=0.3, help="m/s; %(default)s")
+    parser.add_argument(
         "--truth", metavar="TOPIC",
         help="nav_msgs/Odometry with the measured pose of base_link; default: you are asked",
     )  # fmt: skip
-    odometry.add_argument(
+    parser.add_argument(
         "--accuracy", type=float, nargs=2, metavar=("MM", "DEGREES"),
         help="standard deviations of a measured pose; 3 0.3 typed, 1 0.1 from a topic",
     )  # fmt: skip
-    odometry.add_argument("--yes", action="store_true", help="with --truth: begin without asking")
-    odometry.add_argument(
+    parser.add_argument("--yes", action="store_true", help="with --truth: begin without asking")
+    parser.add_argument(
         "--runs", metavar="FILE", help="drive nothing, fit to runs recorded before"
     )
-    odometry.add_argument(
+    parser.add_argument(
         "--simulate", action="store_true",
         help="start a simulated robot for it, with wrong radii and mounting",
     )  # fmt: skip
-    odometry.add_argument("--robot", help=f"with --simulate: {ROBOT}; default: omniman")
-    odometry.add_argument(
-        "-p", "--param", action="append", default=[], metavar="NAME:=VALUE",
-        help="with --simulate: a parameter, given to every node; may be repeated",
+    parser.add_argument("--robot", help=f"with --simulate: {ROBOT}; default: omniman")
+
+
+def add_identify_friction(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `omniman identify friction`."""
+    parser.add_argument(
+        "--lifted", action="store_true",
+        help="the wheels are off the floor and free: begin without asking",
     )  # fmt: skip
-    odometry.add_argument("--verbose", action="store_true", help="show what the nodes say")
-    add_namespace(odometry, "namespace of the robot")
-    add_results(odometry)
+    parser.add_argument(
+        "--levels", type=int, default=6, metavar="N",
+        help="voltages in each direction; %(default)s",
+    )  # fmt: skip
+    parser.add_argument(
+        "--rounds", type=int, default=2, metavar="N", help="how often each is given; %(default)s"
+    )
+    parser.add_argument(
+        "--precision", type=float, default=0.5, metavar="PERCENT",
+        help="of a mean current, where a measurement ends, after 20 s at the latest; %(default)s",
+    )  # fmt: skip
+    parser.add_argument("--runs", metavar="FILE", help="turn nothing, fit to runs recorded before")
+    parser.add_argument(
+        "--simulate", action="store_true",
+        help="start a simulated robot for it, on blocks, with friction other than configured",
+    )  # fmt: skip
+    parser.add_argument(
+        "--robot",
+        help=f"{ROBOT}; default: what the drive is configured as; with --simulate omniman",
+    )
+
+
+IDENTIFIED: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
+    "odometry": (
+        "calibrate the odometry by drives whose ends are measured", add_identify_odometry
+    ),
+    "friction": (
+        "measure the wheels' friction, with the wheels off the floor", add_identify_friction
+    ),
+}  # fmt: skip
+"""Subject: help, arguments."""
 
 
 def add_parameters(parser: argparse.ArgumentParser) -> None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from omniman_ros.core.robot import Robot
 from omniman_ros.studies.mpc_cases import Planned, Scene, diagonals, steady_power
+from omniman_ros.studies.scene_geometry import Wall
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt
@@ -23,6 +24,7 @@ Array = NDArray[np.float64]
 INK, FAINT, GREY = "#1f2933", "#c3cad2", "#5f6b7a"
 START, GOAL, NOW, PLAN = "#d62828", "#2f6fde", "#7b8794", "#d6009a"
 OBSTACLE, AHEAD = "#e9a23b", "#b86e00"
+WALL = "#5b5f66"
 SPEED_ONLY, ALL_LIMITS = "#5f9ea0", "#a3c9a8"
 STYLE: Any = {
     "font.size": 9, "axes.edgecolor": FAINT, "axes.labelcolor": INK, "text.color": INK,
@@ -77,6 +79,9 @@ class TopView:
         poses = np.vstack([self.ride.drive.poses[:, :2], [self.scene.start[:2]],
                            [self.scene.goal[:2]]])  # fmt: skip
         low, high = poses.min(axis=0) - radius, poses.max(axis=0) + radius
+        for wall in self.scene.walls:
+            corners = _wall(wall)
+            low, high = np.minimum(low, corners.min(axis=0)), np.maximum(high, corners.max(axis=0))
         for obstacle in self.scene.obstacles:
             size = max(obstacle.semi_axes)
             places = np.array([obstacle.place(time + self._since) for time in times])
@@ -113,6 +118,8 @@ class TopView:
         return np.column_stack([np.interp(fine, times, places[:, k]) for k in (0, 1)])
 
     def _obstacles(self, axes: Any, time: float, cycle: int) -> None:
+        for wall in self.scene.walls:
+            axes.add_patch(Polygon(_wall(wall), closed=True, zorder=2, fc=WALL, ec=WALL, lw=0.3))
         known, now = self.ride.trace.known[cycle], time + self._since
         moves = np.hypot(*known.velocities.T) > 0.05 if len(known) else np.zeros(0, bool)
         reach = float(self.ride.trace.plan_times[cycle][-1]) - now
@@ -130,6 +137,22 @@ class TopView:
             _ellipse(
                 axes, place, a, b, obstacle.angle, zorder=2, fc=OBSTACLE, ec=AHEAD, lw=0.8
             )  # fmt: skip
+
+    def trail(self, axes: Any, every: float) -> None:
+        """Draw the whole drive, the robot each so many seconds."""
+        drive = self.ride.drive
+        self._obstacles(axes, 0.0, 0)
+        for pose, colour in ((self.scene.start, START), (self.scene.goal, GOAL)):
+            self._robot(axes, np.array(pose), colour, filled=False)
+        for time in np.arange(every, _end(self.ride), every):
+            row = min(int(np.searchsorted(drive.times, time)), len(drive.times) - 1)
+            box = _placed(CORNERS * self.half, drive.poses[row])
+            nose = _placed(np.array([[1.0, 0.0], [0.7, 0.3], [0.7, -0.3]]) * self.half,
+                           drive.poses[row])  # fmt: skip
+            for points, alpha in ((box, 0.12), (nose, 0.6)):
+                axes.add_patch(Polygon(points, closed=True, zorder=4, fc=NOW, lw=0, alpha=alpha))
+            axes.add_patch(Polygon(box, closed=True, zorder=4, fc="none", ec=NOW, lw=0.7))
+        axes.plot(*drive.poses[:, :2].T, color=INK, lw=1.0, zorder=5)
 
     def _robot(self, axes: Any, pose: Array, colour: str, filled: bool = True) -> None:
         """Box, wheels, and a mark in front."""
@@ -154,6 +177,12 @@ class TopView:
 def _ellipse(axes: Any, place: Array, a: float, b: float, angle: float, **options: Any) -> None:
     x, y = place.tolist()
     axes.add_patch(Ellipse((x, y), 2 * a, 2 * b, angle=math.degrees(angle), **options))
+
+
+def _wall(wall: Wall) -> Array:
+    """Corners (4, 2) in odom."""
+    size = 0.5 * np.array([wall.length, wall.width])
+    return _placed(CORNERS * size, np.array([wall.x, wall.y, wall.heading]))
 
 
 def _placed(points: Array, pose: Array) -> Array:
@@ -243,8 +272,24 @@ def draw_case(
             view.draw(axes, time)
             _frame(axes, bounds)
             axes.set_title(f"t = {time:.1f} s")
-        _gaps(sheet.add_subplot(grid[count // columns, count % columns :]), ride, times)
+        right = sheet.add_subplot(grid[count // columns, count % columns :])
+        _gaps(right, ride, times, len(scene.obstacles))
         _legend(sheet, scene, bool(view.moving.any()))
+        _save(sheet, path)
+
+
+def draw_trail(robot: Robot, scene: Scene, ride: Planned, path: Path, every: float = 0.8) -> None:
+    """Draw a drive through a building, the robot every so many seconds, and the gaps kept."""
+    view = TopView(robot, scene, ride)
+    bounds = view.bounds([0.0])
+    with plt.rc_context(STYLE):
+        ratio = (bounds[3] - bounds[2]) / (bounds[1] - bounds[0])
+        sheet = plt.figure(figsize=(12.0, 12.0 * ratio + 2.2), layout="constrained")
+        grid = sheet.add_gridspec(2, 1, height_ratios=(12.0 * ratio, 1.6))
+        axes = sheet.add_subplot(grid[0])
+        view.trail(axes, every)
+        _frame(axes, bounds)
+        _gaps(sheet.add_subplot(grid[1]), ride, [], len(scene.obstacles))
         _save(sheet, path)
 
 
@@ -309,8 +354,8 @@ def _slant(axes: Any, robot: Robot, ride: Planned) -> None:
         axes.axhline(diagonal, color=GREY, ls="--", lw=0.8,
                      label="roller diagonals" if k == 0 else None)  # fmt: skip
     axes.set_xlim(0.0, _end(ride))
-    axes.set_ylim(-60.0, 60.0)
-    axes.set_yticks([-45, -22.5, 0, 22.5, 45], ["-45", "", "0", "", "45"])
+    axes.set_ylim(-100.0, 100.0)
+    axes.set_yticks([-90, -45, 0, 45, 90])
     axes.set_xlabel("time [s]")
     axes.set_ylabel("angle [°]")
     axes.set_title("Does it turn to a roller diagonal?", pad=18)
@@ -356,12 +401,13 @@ def _number(value: Any) -> float:
     return math.nan if value is None else float(value)
 
 
-def _gaps(axes: Any, ride: Planned, times: Sequence[float]) -> None:
-    """True gaps to the obstacles over time."""
+def _gaps(axes: Any, ride: Planned, times: Sequence[float], obstacles: int) -> None:
+    """True gaps over time to so many obstacles, and to the walls."""
     drive = ride.drive
     for k, gaps in enumerate(drive.gaps.T):
         near = np.where(gaps < NEARBY, gaps, np.nan)
-        axes.plot(drive.times, near, lw=1.2, label=f"{k + 1}")
+        label = "walls" if k == obstacles else f"{k + 1}"
+        axes.plot(drive.times, near, lw=1.2, label=label)
     for time in times:
         axes.axvline(time, color=FAINT, lw=0.8, zorder=0)
     axes.axhline(0.0, color=START, lw=1.0)

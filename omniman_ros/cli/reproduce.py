@@ -1,6 +1,7 @@
 """`omniman reproduce`: the papers' experiments on the simulated robot.
 
-`coupling` is CCTA 2017, Fig. 7; `free`, `corridor` and `moving` are the cases of MPC 2021.
+`coupling` is CCTA 2017, Fig. 7; `free`, `corridor` and `moving` are the cases of MPC 2021;
+`workshop` has a map, `scenes` are random ones that the planner's node is driven through.
 """
 
 import argparse
@@ -53,21 +54,35 @@ from omniman_ros.studies.mpc_cases import (
     slant_figures,
     variants,
 )
+from omniman_ros.studies.workshop import workshop
 
 NAME = "reproduce_coupling"
-ROBOTS = {"coupling": "omniman", "free": "ig42", "corridor": "ig42", "moving": "ig42"}
+ROBOTS = {
+    "coupling": "omniman", "free": "ig42", "corridor": "ig42", "moving": "ig42",
+    "workshop": "ig42", "scenes": "ig42",
+}  # fmt: skip
 """The robot of each experiment, where none is named."""
+OF_SCENES = ("count", "seeds", "jobs", "solve_time")
+"""Options that only the scenes have."""
 
 
 def run(args: argparse.Namespace) -> int:
     """Run `omniman reproduce`.
 
     Returns:
-        0; of an MPC case 1 if a drive did not reach its goal or touched an obstacle.
+        0; of an MPC case 1 if a drive did not reach its goal or touched an obstacle, of the scenes
+        if an aim was missed.
     """
     if args.seed < 0:
         raise CommandError(f"--seed must be 0 or more, got {args.seed}", code=2)
     args.robot = args.robot or ROBOTS[args.name]
+    if args.name == "scenes":
+        from omniman_ros.cli import scenes  # it imports rclpy
+
+        return scenes.run(args)
+    given = [name for name in OF_SCENES if getattr(args, name, None) is not None]
+    if given:
+        raise CommandError(f"--{given[0].replace('_', '-')} is of scenes only", code=2)
     return _coupling(args) if args.name == "coupling" else _case(args)
 
 
@@ -214,13 +229,15 @@ CASES = {
     "free": "a straight way with nothing on it, MPC 2021, 4.1",
     "corridor": "circles closer together than the robot is long, MPC 2021, 4.2",
     "moving": "circles that cross the way, one of them changes its velocity, MPC 2021, 4.3",
+    "workshop": "a dead end and three doors, with a map",
 }
+SITES = {**SCENES, "workshop": workshop}
 SHOWN = {"corridor": (5, 3), "moving": (7, 4)}
 """Snapshots and columns of a picture."""
 
 
 def _case(args: argparse.Namespace) -> int:
-    robot, scene = load_robot(args.robot), SCENES[args.name]()
+    robot, scene = load_robot(args.robot), SITES[args.name]()
     started = time.monotonic()
     progress = Progress()
     progress.headline(f"{CASES[args.name]}, robot '{args.robot}'")
@@ -256,6 +273,8 @@ def _ways(args: argparse.Namespace, robot: Mapping[str, Any]) -> list[Variant]:
         ways = variants(robot)
         return ways[:2] if args.quick else ways
     ways = [Variant("defaults"), Variant("voltages put out", voltages=True)]
+    if args.name == "workshop":
+        return ways[:1] if args.quick else ways
     return ways if args.quick else [*ways, Variant("the paper's horizon and cost", planner=PAPER)]
 
 
@@ -326,6 +345,8 @@ def draw_case(
     path, film = folder / f"reproduce_{name}.png", folder / f"reproduce_{name}.gif"
     if name == "free":
         mpc_picture.draw_free(robot, scene, ride, result, path)
+    elif name == "workshop":
+        mpc_picture.draw_trail(robot, scene, ride, path)
     else:
         mpc_picture.draw_case(robot, scene, ride, path, *SHOWN[name])
     if name == "moving":

@@ -62,8 +62,8 @@ class Ellipses:
         result: Array = self.centers + ahead * self.velocities
         return result
 
-    def axes_at(self, times: Array, margin: float = 0.0) -> Array:
-        """Semi-axes (K, M, 2) [m] at times (K,) with the margin [m] and its growth around them."""
+    def axes_at(self, times: Array, margin: Array | float = 0.0) -> Array:
+        """Semi-axes (K, M, 2) [m] at times (K,), with a margin, one or (M,) [m], and growth."""
         ahead = np.maximum(times - self.time, 0.0)[:, None]
         return inflated(self.semi_axes, margin + ahead * self.growth)
 

@@ -16,7 +16,7 @@ class Along:
     """The goal of one cycle: where to be on a route when. See `goals.Goal`.
 
     The pace is that at which the route's own seconds pass, 1 at its speeds. It rises and falls at
-    one rate, up to a most, so that the targets come to rest at the end of the route; the same
+    one rate, to a most, so that the targets come to rest at the end of the route; the same
     comes out again from any place and pace on the way.
 
     Attributes:
@@ -44,14 +44,15 @@ class Along:
         """How much of the route (N,) [s] is passed times (N,) [s] after the cycle."""
         left, rate = self.route.duration - self.place, self.rate
         pace = min(max(self.pace, 0.0), 1.0)
-        top = max(min(math.sqrt(rate * left + 0.5 * pace * pace), self.most), pace)
-        up, down = (top - pace) / rate, top / rate
+        top = min(math.sqrt(rate * left + 0.5 * pace * pace), self.most)
+        change = math.copysign(rate, top - pace)
+        up, down = (top - pace) / change, top / rate
         ramps = 0.5 * (top + pace) * up + 0.5 * top * down
         level = max(left - ramps, 0.0) / max(top, 1e-9)
         rising, holding = np.clip(after, 0.0, up), np.clip(after - up, 0.0, level)
         falling = np.clip(after - up - level, 0.0, down)
         result: Array = (
-            (pace + 0.5 * rate * rising) * rising
+            (pace + 0.5 * change * rising) * rising
             + top * holding
             + (top - 0.5 * rate * falling) * falling
         )

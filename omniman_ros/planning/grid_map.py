@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,11 +121,17 @@ class GridMap:
         Returns:
             Centres (M, 2) in odom [m], row by row, and the radius of all of them [m].
         """
+        return self._discs, self.radius
+
+    @cached_property
+    def _discs(self) -> Array:
+        """Centres of the discs; in a large map they take a while."""
         rows, columns = np.nonzero(self.occupied & ~self._within())
         own = self.resolution * (np.column_stack([columns, rows]) + 0.5)
         cos, sin = math.cos(self.origin[2]), math.sin(self.origin[2])
         centers: Array = self.origin[:2] + own @ np.array([[cos, sin], [-sin, cos]])
-        return centers, self.radius
+        centers.setflags(write=False)
+        return centers
 
     def ellipses(self, time: float = 0.0) -> Ellipses:
         """The discs of `obstacles` as obstacles that stand, at a time [s]."""

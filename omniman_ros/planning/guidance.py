@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omniman_ros.core import se2
+from omniman_ros.core.errors import InputError
 from omniman_ros.planning import economy
 from omniman_ros.planning.floor import Floor
 from omniman_ros.planning.following import Along
@@ -26,6 +27,8 @@ STANDING = 0.1
 """Obstacles that are slower than this stand, where a route is concerned [m/s]."""
 WORK = 4000
 """What a search does in a cycle of the planner, in expansions: about 8 ms."""
+FIRST = 3
+"""So many times that while the robot waits for its first route."""
 LOOK = 0.5
 """Period at which the rest of a route is checked [s]."""
 AGAIN = 2.0
@@ -34,8 +37,10 @@ STUCK, PROGRESS = 1.5, 0.1
 """A robot that has not come on by so much of a route for so long is stuck [s]."""
 TIGHTER = 3
 """Clearances that a search is made with, from the usual one down to the least."""
-SLOW, FREED = 0.25, 1.0
-"""Pace at which a robot goes on that was stuck twice, and for how much of the route [s]."""
+SLOW, SLOWEST = 0.25, 0.1
+"""Paces at which a robot goes on that was stuck twice, and more often."""
+FREED, EASED = 1.0, 0.3
+"""For so much of a route it does so [s]; that slow, for so much."""
 SPARE, BESIDE, WIDE = 0.01, 0.3, 0.2
 """Plans keep so much less than the gaps of the route [m], from so much before the robot to so
 much after the plan [s]; gaps above that are wide [m]."""
@@ -84,6 +89,21 @@ class Guide:
             return "searches"
         return "a straight line" if self._direct else "a route"
 
+    @property
+    def left(self) -> float:
+        """What is left of the route, at its speeds [s]; 0 without one."""
+        return 0.0 if self.route is None else self.route.duration - self._place
+
+    @property
+    def waiting(self) -> bool:
+        """Whether the first search is not done yet: nobody knows where to go."""
+        return self.route is None and self._search is not None
+
+    @property
+    def hindered(self) -> bool:
+        """Whether the robot was stuck a short way back."""
+        return self._tries > 0
+
     def stuck(self, now: float) -> bool:
         """Whether the robot has not come on for a while."""
         return now > self._came[0] + STUCK
@@ -92,7 +112,7 @@ class Guide:
 
     def along(self, start: Array, due: float, p: PlannerParameters, share: float) -> Along:
         """Targets from a state (6,) on that the robot has when an answer is due [s]."""
-        if self.route is None:
+        if self.route is None:  # nobody looked
             self._adopt(self._straight(start[:3], p, share), None, direct=True)
         route = self._timed(p.speeds(share))
         self._place = max(self._place, route.project(start[:3], self._place))
@@ -102,7 +122,7 @@ class Guide:
             min(limits.angular_acceleration, limits.angular_deceleration)
             / limits.angular_velocity,
         )
-        most = SLOW if self._tries > 1 else min(EASE * math.sqrt(rate * route.duration), 1.0)
+        most = self._slow if self._tries > 1 else min(EASE * math.sqrt(rate * route.duration), 1.0)
         return Along(route, due, self._place, self._pace(route, start), rate, most)
 
     def clearance(self, p: PlannerParameters) -> float:
@@ -113,6 +133,10 @@ class Guide:
         )
         room = float(gaps[ahead].min(initial=math.inf)) - SPARE
         return max(min(p.safety.clearance, room), p.safety.least_clearance)
+
+    @property
+    def _slow(self) -> float:
+        return SLOW if self._tries == 2 else SLOWEST
 
     def _timed(self, speeds: tuple[float, float]) -> Route:
         """The route at the speeds of now: limits are live."""
@@ -149,14 +173,27 @@ class Guide:
             share: Of the limits that is left.
             work: How much a search may do in this call, in expansions.
         """
-        if now > self._looked + LOOK or self._place > self._came[1] + PROGRESS:
+        comes_on = self._place > self._came[1] + PROGRESS
+        if comes_on or now > self._looked + LOOK:
             self._came = now, self._place
-            self._tries = 0 if self._place > FREED else self._tries
+            self.lost = "" if comes_on else self.lost
+            if self._place > EASED:
+                self._tries = 0 if self._place > FREED else min(self._tries, 2)
         self._looked = now
+        try:
+            self._look_after(now, pose, floor, p, share, work)
+        except InputError as error:  # of numbers that are no place: nothing can be searched
+            self.lost, self._search, self._due = str(error), None, now + AGAIN
+
+    def _look_after(
+        self, now: float, pose: Array, floor: Floor, p: PlannerParameters, share: float, work: int
+    ) -> None:
         if self._search is not None:
-            self._go_on(now, floor, work)
+            self._go_on(now, floor, FIRST * work if self.waiting else work)
+            if self._search is None and self.route is None:  # as near as it gets
+                self._adopt(self._straight(pose, p, share), None, direct=True)
         elif self.stuck(now):
-            self._tries += 1
+            self._tries += not self.lost  # where there is no way, patience finds none
             self._seek(pose, floor, p, share)
         elif now >= self._due:
             self._due = now + LOOK
@@ -172,6 +209,7 @@ class Guide:
         same = self._direct or self._asked == p.safety.clearance
         kept = self.route is not None and same and clear(self.route, TOO_CLOSE, self._place)
         if kept and self._direct:
+            self.lost = ""  # of a line that was blocked until now
             return
         turned = self._straight(pose, p, share)
         for line in (turned, Route(turned.poses[[0, -1]], turned.speeds)):
@@ -217,8 +255,8 @@ class Guide:
         return Route(economy.straight(self._model, pose, goal, speeds), speeds)
 
     def _adopt(self, route: Route, floor: Floor | None, direct: bool) -> None:
+        self._came = self._came[0], self._came[1] - self._place  # what it has come on counts
         self.route, self._direct, self._place = route, direct, 0.0
-        self._came = self._came[0], 0.0
         self._room = np.array([[0.0], [math.inf]])
         if floor is not None:
             half = self._model.half

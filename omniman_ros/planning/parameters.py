@@ -89,6 +89,11 @@ class Safety:
         0.02, "Gap below which a plan is not used; tracking errors come on top.",
         unit="m", low=0, high=2,
     )  # fmt: skip
+    berth: float = parameter(
+        0.6, "Plans keep away from what moves by so much more of its way, up to 0.3 m: it may "
+        "turn.",
+        unit="s", low=0, high=5,
+    )  # fmt: skip
     deadline: float = parameter(
         0.04, "Time after which an answer is late: each plan begins so far ahead.",
         unit="s", low=0.001, high=0.5,

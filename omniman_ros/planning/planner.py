@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from omniman_ros.core import se2
 from omniman_ros.core.errors import InputError
+from omniman_ros.planning import passing
 from omniman_ros.planning.cycle import Measured, PlannerState, Report
 from omniman_ros.planning.ellipses import Ellipses
 from omniman_ros.planning.floor import Floor
@@ -35,8 +36,9 @@ WALL_SLOTS = 8
 """Further obstacles in the optimisation where there are walls."""
 COLD_ITERATIONS = 5
 """Iterations on a new problem; then one a cycle."""
-EVASION, EVASION_ITERATIONS = 0.625 * math.pi, 4
-"""Angle between two directions that are tried [rad]: 16 in all; iterations on each."""
+EVASION, EVASION_ITERATIONS = 0.625 * math.pi, (4, 2)
+"""Angle between two directions that are tried [rad]: 16 in all; iterations on each, and where
+there are walls, which make them dearer."""
 ASTRAY = (0.15, 0.2)
 """Distance [m] and angle [rad] from the motion at which plans begin where the robot is."""
 AT_REST = 0.02
@@ -51,10 +53,6 @@ WORTH = 0.2
 """By how much later contact must come for another motion to be better than braking now [s]."""
 WIDER = 0.005
 """By how much wider a gap must be, where contact comes at the same time [m]."""
-RUN_UP, LONGEST_RUN_UP = 0.7, 10.0
-"""Share of the acceleration and longest time [s] to get up to a velocity that is to be passed."""
-PASSING, JUST = 2.0, 0.1
-"""A pose that is passed may be off by so many times what one to rest at may; since when [s]."""
 SENT = 0.4
 """How much of a motion is sent ahead before its braking [s]."""
 HELD = 0.5
@@ -196,7 +194,10 @@ class Planner:
         empty = Surroundings(self.model.half, Ellipses.none(around.time), bounds, 0.0)
         if empty.outside(place.poses[:1]) > 0.0:
             raise InputError(f"the robot at the goal {where} is not within the workspace")
-        if replace(empty, ellipses=standing, walls=self._walls).overlap(place.poses[:1]) > 0.0:
+        standing_in = replace(empty, ellipses=standing, walls=self._walls).overlap(place.poses[:1])
+        # Far within what is occupied there is no boundary that the robot could touch.
+        within = self.grid is not None and self.grid.occupied_at(poses[:, :2]).any()
+        if within or standing_in > 0.0:
             raise InputError(f"an obstacle stands where the robot would be at the goal {where}")
 
     def brake(self, now: float) -> None:
@@ -255,8 +256,12 @@ class Planner:
         due = now + self.parameters.safety.deadline
         if self.goal is None:
             return Proposal(due, fault="no goal")
+        if self.guide is not None and self.guide.waiting:
+            return Proposal(due)
         start = self._start(due, measured)
-        self._latch_arrival(start, due)
+        if isinstance(self.goal, StateGoal):
+            left = 0.0 if self.guide is None else self.guide.left
+            self.goal = passing.planned(self.goal, start, due, left, self.parameters, self.share)
         try:
             answers = self._solve(start, due, around)
         except (SolverError, RuntimeError, ValueError, ArithmeticError) as error:
@@ -280,23 +285,6 @@ class Planner:
         twist = se2.to_robot(float(followed[2]), velocity)
         return np.concatenate([followed, twist])
 
-    def _latch_arrival(self, start: Array, due: float) -> None:
-        """Say when a pose is passed at its velocity, once it is within reach."""
-        goal = self.goal
-        if not isinstance(goal, StateGoal):
-            return
-        if goal.arrival is not None and due < goal.arrival + 0.2:
-            return
-        p = self.parameters
-        error = goal.pose - start[:3]
-        speed = 0.5 * (1.0 - p.reserve) * p.limits.linear_velocity * self.share
-        turning = 0.5 * (1.0 - p.reserve) * p.limits.angular_velocity * self.share
-        needed = max(math.hypot(error[0], error[1]) / speed, abs(float(error[2])) / turning)
-        if needed >= p.horizon.duration and goal.arrival is None:
-            return
-        lasts = max(needed, 0.5 * p.horizon.duration, self._run_up(start, goal))
-        self.goal = goal.arriving(due + lasts)
-
     @property
     def guide(self) -> Guide | None:
         """What leads to the goal; None where the goal itself is aimed at, or there is none."""
@@ -313,31 +301,14 @@ class Planner:
         guide = self.guide
         if guide is None:
             return
-        stand = (np.hypot(*around.velocities.T) < STANDING) & (around.growth < NEWCOMER)
-        # What moves is waited for, but not for ever.
-        counts = np.isfinite(around.centers).all(axis=1) & (stand | guide.stuck(now))
+        known = around.select(np.isfinite(around.centers.sum(axis=1)))
+        if not (guide.hindered or guide.stuck(now)):  # what moves is waited for, not for ever
+            speeds = np.hypot(known.velocities[:, 0], known.velocities[:, 1])
+            known = known.select((speeds < STANDING) & (known.growth < NEWCOMER))
         p = self.parameters
-        floor = Floor(around.select(counts), p.workspace.bounds, self.grid, self._walls)
+        floor = Floor(known, p.workspace.bounds, self.grid, self._walls)
         pose, _ = self.motion.sample(now)
         guide.look(now, pose, floor, p, self.share, work)
-
-    def _run_up(self, start: Array, goal: StateGoal) -> float:
-        """Least time [s] to get onto the line that passes a pose at its velocity.
-
-        Seen from what moves along that line, the robot is away from its place by what the line
-        is ahead, and has to come to rest there: with RUN_UP of the acceleration, half of the time
-        speeding up and half of it braking.
-        """
-        p = self.parameters
-        rate = RUN_UP * (1.0 - p.reserve) * p.limits.linear_acceleration * self.share
-        velocity = se2.to_world(float(start[2]), start[3:])
-        relative = (velocity - goal.velocity)[:2]
-        times = np.arange(p.horizon.step, LONGEST_RUN_UP, 0.1)[:, None]
-        away = start[:2] - goal.pose[:2] + times * (goal.velocity[:2] + 0.5 * relative)
-        distance = np.hypot(away[:, 0], away[:, 1])
-        slowing = 0.25 * times[:, 0] * math.hypot(relative[0], relative[1])
-        enough = 0.25 * rate * times[:, 0] ** 2 >= distance + slowing
-        return float(times[enough.argmax(), 0]) if enough.any() else LONGEST_RUN_UP
 
     def _solve(self, start: Array, due: float, around: Ellipses) -> tuple[Answer, ...]:
         """The last plan improved; where the last cycle was in trouble, an evasion, too."""
@@ -359,10 +330,9 @@ class Planner:
             return (answer,)
         self._turn += 1
         guess = self._problem.evasion(start, self._turn * EVASION)
+        tries = EVASION_ITERATIONS[len(walls) > 0]
         try:
-            return answer, self._improved(
-                solver, start, due, guess, around, goal, EVASION_ITERATIONS
-            )
+            return answer, self._improved(solver, start, due, guess, around, goal, tries)
         except SolverError:
             return (answer,)
 
@@ -563,37 +533,19 @@ class Planner:
         standing = float(np.abs(measured.twist).max()) < AT_REST
         stands_still = self.goal.until < now
         if isinstance(self.goal, StateGoal):
-            if self._passed(self.goal, measured):
+            if passing.passed(self.goal, measured, self.parameters.arrival):
                 self._arrive()
                 self.brake(now)
         elif there and standing and stands_still:
             self._arrive()
         elif self.guide is not None and self.guide.lost:
             self.state = PlannerState.BLOCKED
-        elif not standing:
+        elif not standing or (self.guide is not None and self.guide.waiting):
             self._stood_since, self.state = None, PlannerState.DRIVING
         elif self._stood_since is None:
             self._stood_since = now
         elif now - self._stood_since > BLOCKED_AFTER and stands_still:
             self.state = PlannerState.BLOCKED
-
-    def _passed(self, goal: StateGoal, measured: Measured) -> bool:
-        """Whether the robot has just gone through a pose, in the direction of its velocity."""
-        tolerance, speed = self.parameters.arrival, math.hypot(*goal.velocity[:2])
-        if goal.arrival is None:
-            return False
-        x, y = (measured.pose - goal.pose)[:2].tolist()
-        turned = abs(se2.wrap(float(measured.pose[2] - goal.pose[2])))
-        if speed < AT_REST:
-            return math.hypot(x, y) <= tolerance.position and turned <= tolerance.heading
-        ux, uy = (goal.velocity[:2] / speed).tolist()
-        ahead, aside = x * ux + y * uy, abs(y * ux - x * uy)
-        since = max(ahead, 0.0) / speed
-        turned -= abs(float(goal.velocity[2])) * since
-        vx, vy, _ = se2.to_world(float(measured.pose[2]), measured.twist).tolist()
-        behind_it = -0.1 * tolerance.position <= ahead <= JUST * speed
-        close = aside <= PASSING * tolerance.position and turned <= PASSING * tolerance.heading
-        return bool(behind_it and close and vx * ux + vy * uy > 0.5 * speed)
 
     def _arrive(self) -> None:
         self.goal, self.state, self._guess = None, PlannerState.ARRIVED, None

@@ -19,6 +19,12 @@ FAR_AWAY = 1e3
 """Where the obstacle of an empty slot is [m]."""
 SLACK = 3.0
 """Weight of the slack over the strongest pull of a goal: then slack is the last resort."""
+WIDEST_BERTH = 0.3
+"""At most so much more is kept from what moves [m]."""
+REACTION = 0.4
+"""From when an obstacle turns until the robot brakes [s]."""
+CREEPING, CAREFUL = 0.05, 0.2
+"""Obstacles that are slower than this stand; the robot may be this fast anywhere [m/s]."""
 ROUGHLY = 48
 """So many obstacles are looked at in detail at each step, the nearest by their centres."""
 HEADROOM = 0.02
@@ -65,7 +71,7 @@ class Problem:
         gap = p.safety.clearance if clearance is None else clearance
         x_min, y_min, x_max, y_max = p.workspace.bounds
         return Stage(
-            limits=self._limits(start, direction, len(times)),
+            limits=self._limits(start, direction, self._caution(guess, ellipses)),
             workspace=np.array([x_min + gap, y_min + gap, x_max - gap, y_max - gap]),
             target=targets,
             weights=self._weights(goal.moves, len(times)),
@@ -118,7 +124,7 @@ class Problem:
         weights[-1, 4] = w.energy / model.efficiency
         return weights
 
-    def _limits(self, start: Array, direction: float, steps: int) -> Array:
+    def _limits(self, start: Array, direction: float, caution: Array) -> Array:
         """Limits (N, 6); what is above its limit already may come down in its time."""
         p, model, twist = self.parameters, self._model, start[3:]
         linear, angular = p.limits.velocity
@@ -130,7 +136,9 @@ class Problem:
         share = float(np.cos(along - normals).max()) / math.cos(math.pi / SIDES)
         linear_now = math.hypot(twist[0], twist[1]) * share
         now = np.array([linear_now, abs(twist[2]), wheels])
-        most = np.array([linear * room, angular * room, model.max_speed])
+        steps = len(caution)
+        most = np.tile([linear * room, angular * room, model.max_speed], (steps, 1))
+        most[:, 0] = np.minimum(most[:, 0], caution)
         a, b = room * p.limits.linear_acceleration, room * p.limits.angular_acceleration
         rates = 0.5 * np.array([a, b, a / model.half.min()])
         passed = p.horizon.step * np.arange(1, steps + 1)[:, None]
@@ -151,7 +159,7 @@ class Problem:
         if not reachable.any():
             return table
         near = ellipses.select(reachable)
-        centers, axes = near.centers_at(times), near.axes_at(times, clearance)
+        centers, axes = near.centers_at(times), near.axes_at(times, clearance + self._berth(near))
         angles = np.broadcast_to(near.angles, centers.shape[:2])
         velocities = np.broadcast_to(near.velocities, centers.shape)
         if len(near) > slots:
@@ -169,6 +177,41 @@ class Problem:
         table[:, :m, 4], table[:, :m, 5] = -sin / axes[..., 1], cos / axes[..., 1]
         table[:, :m, 6] = axes.min(axis=-1)
         return table
+
+    def _caution(self, guess: Motion, ellipses: Ellipses) -> Array:
+        """Speeds (N,) [m/s] from which the robot still comes to rest if an obstacle turns to it.
+
+        The robot closes in on it at c, along the line between them. If it turns, the robot reacts
+        after t and brakes at a; the gap must last for the way of both until then, at the
+        obstacle's speed u, and until it is as fast itself to get away: c t + c^2 / (2 a) +
+        u (t + c / a) + u^2 / (2 a) = gap.
+        """
+        p, result = self.parameters, np.full(len(guess.times) - 1, math.inf)
+        speeds = np.hypot(ellipses.velocities[:, 0], ellipses.velocities[:, 1])
+        moving = speeds > CREEPING
+        if not moving.any():
+            return result
+        near, u = ellipses.select(moving), speeds[moving]
+        times, poses, velocities = guess.times[1:], guess.poses[1:], guess.velocities[1:]
+        centers = near.centers_at(times)
+        gaps = box_gap(poses, self._model.half, centers, near.axes_at(times), near.angles)
+        away = centers - poses[:, None, :2]
+        distance = np.maximum(np.hypot(away[..., 0], away[..., 1]), 1e-6)
+        closing = (away * velocities[:, None, :2]).sum(axis=-1) / distance
+        a = (1.0 - p.reserve) * p.limits.linear_deceleration
+        late = REACTION + u / a
+        room = np.maximum(gaps - u * REACTION - 0.5 * u * u / a, 0.0)
+        allowed = a * (np.sqrt(late * late + 2.0 * room / a) - late)
+        speed = np.hypot(velocities[:, 0], velocities[:, 1])[:, None]
+        slower = speed * allowed / np.maximum(closing, CREEPING)
+        slower[closing <= CREEPING] = math.inf
+        result[:] = np.maximum(slower.min(axis=1), CAREFUL)
+        return result
+
+    def _berth(self, ellipses: Ellipses) -> Array:
+        """What plans keep (M,) from obstacles that move, beside the clearance [m]."""
+        speeds = np.hypot(ellipses.velocities[:, 0], ellipses.velocities[:, 1])
+        return np.minimum(self.parameters.safety.berth * speeds, WIDEST_BERTH)
 
     def _beside(
         self, poses: Array, ellipses: Ellipses, centers: Array, axes: Array, slots: int

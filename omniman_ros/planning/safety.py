@@ -95,7 +95,7 @@ class Surroundings:
         times, poses, velocities = motion.fine(now, -math.inf, WALL_PARTS)
         nodes, gaps = self.walls.swept(times, poses, velocities, self.half)
         allowed = margin + min(max(float(gaps[0]) - margin - CLOSER, -min(CLOSER, margin)), 0.0)
-        leaves = (nodes[0] <= margin) & (nodes[1:] >= nodes[0] - SAME)
+        leaves = (-math.inf < nodes[0] <= margin) & (nodes[1:] >= nodes[0] - SAME)
         touched = ~((gaps > allowed) | leaves)
         return float(times[int(touched.argmax())]) if touched.any() else math.inf
 

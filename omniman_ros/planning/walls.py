@@ -21,12 +21,17 @@ class Walls:
     """Discs of one radius that cover what is occupied at its boundary.
 
     Attributes:
-        centers: (M, 2) in odom [m].
+        centers: (M, 2) in odom, put in the order of x: few of a large map are looked at [m].
         radius: [m].
     """
 
     centers: Array
     radius: float
+
+    def __post_init__(self) -> None:
+        x = self.centers[:, 0]
+        if (x[1:] < x[:-1]).any():
+            object.__setattr__(self, "centers", self.centers[np.argsort(x)])
 
     def __len__(self) -> int:
         return len(self.centers)
@@ -38,8 +43,7 @@ class Walls:
 
     def near(self, place: Array, reach: float) -> "Walls":
         """Those whose centres are within a square of this half edge [m] around a place (2,)."""
-        beside = (np.abs(self.centers - place[:2]) <= reach).all(axis=1)
-        return Walls(self.centers[beside], self.radius)
+        return self._beside(place[None, :2], reach)
 
     def ellipses(self, time: float) -> Ellipses:
         """The same as obstacles that stand, at a time [s]."""
@@ -59,9 +63,15 @@ class Walls:
             (K,) [m], at most REACH; below zero by how deep a disc is in the box; -inf where a
             pose is not finite.
         """
+        finite = np.isfinite(poses).all(axis=1)
+        result = np.where(finite, REACH, -math.inf)
+        if len(self) and finite.any():
+            result[finite] = self._gaps(poses[finite], half)
+        return result
+
+    def _gaps(self, poses: Array, half: Array) -> Array:
+        """The same at finite poses, one or more."""
         result = np.full(len(poses), REACH)
-        if not len(self):
-            return result
         cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
         size = math.hypot(*half) + self.radius + REACH
         around = self._beside(poses[:, :2], size)
@@ -77,14 +87,16 @@ class Walls:
             out = np.hypot(np.maximum(x, 0.0), np.maximum(y, 0.0))
             depth = np.minimum(np.maximum(x, y), 0.0)
             result[part] = np.minimum((out + depth).min(axis=1) - self.radius, REACH)
-        result[~np.isfinite(poses).all(axis=1)] = -math.inf
         return result
 
     def _beside(self, places: Array, size: float) -> "Walls":
         """Those that can be within `size` [m] of any of the places (K, 2)."""
-        low, high = places.min(axis=0) - size, places.max(axis=0) + size
-        beside = ((self.centers >= low) & (self.centers <= high)).all(axis=1)
-        return Walls(self.centers[beside], self.radius)
+        (x_min, y_min), (x_max, y_max) = places.min(axis=0) - size, places.max(axis=0) + size
+        first = int(np.searchsorted(self.centers[:, 0], x_min, side="left"))
+        last = int(np.searchsorted(self.centers[:, 0], x_max, side="right"))
+        strip = self.centers[first:last]
+        beside = (strip[:, 1] >= y_min) & (strip[:, 1] <= y_max)
+        return Walls(strip[beside], self.radius)
 
     def swept(
         self, times: Array, poses: Array, velocities: Array, half: Array

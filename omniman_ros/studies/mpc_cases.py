@@ -2,7 +2,7 @@
 
 The paper gives its cases as pictures only. Read here as:
 
-* free: 6 m straight ahead, heading 0 at both ends, nothing in the way.
+* free: 6 m nearly sideways, the same heading at both ends, nothing in the way.
 * corridor: four circles, the gaps between neighbours wider than the robot and shorter than it.
 * moving: four circles that cross the way from both sides; the third changes its velocity.
 """
@@ -25,13 +25,16 @@ from omniman_ros.core.platform_parameters import PlatformParameters
 from omniman_ros.core.preview import Preview
 from omniman_ros.core.robot import Robot
 from omniman_ros.drive.parameters import SimulationParameters
+from omniman_ros.planning import economy
 from omniman_ros.planning.cycle import PlannerState
 from omniman_ros.planning.goals import PoseGoal
+from omniman_ros.planning.grid_map import GridMap
 from omniman_ros.planning.model import PlanningModel
 from omniman_ros.planning.parameters import Arrival, PlannerParameters
 from omniman_ros.planning.separation import box_gap
 from omniman_ros.studies.closed_loop import ClosedLoop
 from omniman_ros.studies.mpc_loop import Course, MovingObstacle, MpcLoop, Trace
+from omniman_ros.studies.scene_geometry import Box, Wall, wall_gap
 
 Array = NDArray[np.float64]
 Pose = tuple[float, float, float]
@@ -99,6 +102,8 @@ class Scene:
         changes: Full parameter names to values, where the case needs others than the defaults.
         noise: Standard deviation of observed places [m].
         most: The goal must be reached by then [s].
+        walls: What stands for good.
+        grid: What the robot has of them, a map.
     """
 
     name: str
@@ -109,6 +114,8 @@ class Scene:
     changes: Mapping[str, Any] = field(default_factory=dict)
     noise: float = 0.0
     most: float = 30.0
+    walls: tuple[Wall, ...] = ()
+    grid: GridMap | None = None
 
 
 def circle(radius: float, place: Callable[[float], Array]) -> MovingObstacle:
@@ -131,7 +138,7 @@ class Drive:
         energy: (K,) electric energy taken since it was sent off, what is fed back taken off [J].
         goal: Pose in odom.
         tolerance: When a goal is reached.
-        gaps: (K, M) true gaps to the obstacles [m].
+        gaps: (K, M) true gaps to the obstacles [m], the last to the walls where there are any.
     """
 
     times: Array
@@ -151,14 +158,18 @@ class Drive:
         tolerance: Arrival,
         half: Array,
         obstacles: Sequence[MovingObstacle] = (),
+        walls: Sequence[Wall] = (),
     ) -> "Drive":
         """What came of a course since a time [s], among obstacles as they truly were."""
         rows = slice(int(np.searchsorted(course.times, since - 1e-9)), None)
         times, poses = np.array(course.times[rows]), np.array(course.poses[rows])
         energy = np.array(course.energy[rows])
+        gaps = true_gaps(times, poses, half, obstacles)
+        if walls:
+            gaps = np.column_stack([gaps, wall_gaps(poses, half, walls)])
         return Drive(
             times - since, poses, np.array(course.odometry[rows]), np.array(course.twists[rows]),
-            energy - energy[0], goal, tolerance, true_gaps(times, poses, half, obstacles),
+            energy - energy[0], goal, tolerance, gaps,
         )  # fmt: skip
 
     @property
@@ -224,6 +235,16 @@ def true_gaps(
     centers = np.array([[o.place(time) for o in obstacles] for time in times.tolist()])
     axes = np.tile(np.array([o.semi_axes for o in obstacles]), (len(times), 1, 1))
     return box_gap(poses, half, centers, axes, np.array([o.angle for o in obstacles]))
+
+
+def wall_gaps(poses: Array, half: Array, walls: Sequence[Wall]) -> Array:
+    """Gap (K,) [m] between the robot's box at poses (K, 3) and the nearest wall."""
+    box = Box(2.0 * float(half[0]), 2.0 * float(half[1]))
+    rows = [np.array([wall.x, wall.y, wall.heading, wall.length, wall.width]) for wall in walls]
+    count = len(poses)
+    gaps = [wall_gap(poses, box, np.tile(row, (count, 1))) for row in rows]
+    result: Array = np.min(gaps, axis=0)
+    return result
 
 
 @dataclass(frozen=True)
@@ -305,10 +326,14 @@ def planned(
         parameters, build(PlatformParameters, robot), build(SimulationParameters, {}),
         scene.start, scene.obstacles, voltages, noise=scene.noise, seed=seed, timer=timer,
     )  # fmt: skip
+    loop.planner.chart(scene.grid)
     since = loop.now
     loop.drive(PoseGoal(np.array(scene.goal)))
     given_up = (PlannerState.ARRIVED, PlannerState.BLOCKED)
-    standing = not any(np.ptp([o.place(0.0), o.place(1.0)], axis=0).any() for o in loop.obstacles)
+    # A search for a way around may yet find one.
+    standing = scene.grid is None and not any(
+        np.ptp([o.place(0.0), o.place(1.0)], axis=0).any() for o in loop.obstacles
+    )
     # Where obstacles move, a robot that is blocked may yet be free again.
     ends = given_up if standing else given_up[:1]
     loop.run(scene.most, until=lambda: loop.planner.state in ends)
@@ -317,7 +342,7 @@ def planned(
     trace = replace(loop.trace, times=[time - since for time in loop.trace.times])
     drive = Drive.of(
         loop.course, since, scene.goal, parameters.arrival, loop.planner.model.half,
-        scene.obstacles,
+        scene.obstacles, scene.walls,
     )  # fmt: skip
     return Planned(drive, trace, state, since)
 
@@ -507,22 +532,10 @@ def steady_power(robot: Robot, speed: float, directions: Array) -> Array:
 
     By the model's friction, with the least currents that balance it.
     """
-    model = PlanningModel.of(robot)
-    spread = np.linalg.pinv(model.J.T)
-    result = np.empty(len(directions))
-    for i, direction in enumerate(directions.tolist()):
-        twist = speed * np.array([math.cos(direction), math.sin(direction), 0.0])
-        wheels, rollers = model.J @ twist, model.rolling @ twist
-        at_wheels = model.viscous * wheels + model.coulomb * _sign(wheels)
-        force = model.J.T @ at_wheels + model.rolling.T @ (model.drag * _sign(rollers))
-        currents = spread @ force / (model.efficiency * model.emf)
-        result[i] = float(model.voltages(currents, twist) @ currents)
-    return result
-
-
-def _sign(speeds: Array) -> Array:
-    result: Array = np.sign(np.where(np.abs(speeds) < 1e-9, 0.0, speeds))
-    return result
+    twists = speed * np.column_stack(
+        [np.cos(directions), np.sin(directions), np.zeros(len(directions))]
+    )
+    return economy.power(PlanningModel.of(robot), twists)
 
 
 def slant_figures(drive: Drive, robot: Robot) -> dict[str, Any]:
@@ -553,9 +566,13 @@ LEAN = 0.5
 """Angle of the corridor's row of circles from the y axis [rad]."""
 
 
+SIDEWAYS = math.radians(70.0)
+"""Direction of the goal of the free case, as seen from the robot [rad]."""
+
+
 def free() -> Scene:
     """Nothing in the way: 6 m, so that the robot still drives in the paper's last snapshot."""
-    return Scene("free", (6.0, 0.0, 0.0), snapshots=(2.0, 3.5, 7.0))
+    return Scene("free", (6.0, 0.0, -SIDEWAYS), (0.0, 0.0, -SIDEWAYS), snapshots=(2.0, 3.5, 7.0))
 
 
 def corridor() -> Scene:

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import robots
@@ -10,8 +12,9 @@ from omniman_ros.core.parameters import build
 from omniman_ros.planning.cycle import PlannerState
 from omniman_ros.planning.ellipses import Ellipses
 from omniman_ros.planning.parameters import Arrival
-from omniman_ros.studies.mpc_cases import Drive, Planned, Scene, Turned, circle
+from omniman_ros.studies.mpc_cases import Drive, Planned, Scene, Turned, circle, wall_gaps
 from omniman_ros.studies.mpc_loop import Course, Trace
+from omniman_ros.studies.scene_geometry import Wall
 
 ROBOT = robots.robot("ig42")
 SINCE = 0.25
@@ -168,3 +171,19 @@ def test_the_film_lasts_as_long_as_the_drive_and_a_second_more(tmp_path):
     with Image.open(tmp_path / "film.gif") as film:
         shown = film.n_frames * film.info["duration"] / 1e3
     assert shown == pytest.approx(seen.drive.arrival + 1.0, abs=0.2)
+
+
+def test_a_drive_through_a_building_is_drawn_within_its_walls(tmp_path):
+    walls = (Wall(0.5, 2.0, 0.0, 4.0, 0.1), Wall(-2.0, 0.0, 1.57, 3.0, 0.1))
+    building = replace(scene(()), walls=walls)
+    driven = ride(())
+    gaps = wall_gaps(driven.drive.poses, np.array([0.4, 0.25]), walls)
+    driven = replace(driven, drive=replace(driven.drive, gaps=gaps[:, None]))
+    low_x, high_x, low_y, high_y = TopView(ROBOT, building, driven).bounds([0.0])
+    assert low_x < -2.0 and high_x > 2.5 and high_y > 2.05 and low_y < -1.5
+    axes = Axes()
+    TopView(ROBOT, building, driven).trail(axes, 0.4)
+    assert len(axes.patches) > 2 + 3 * 2
+    path = tmp_path / "trail.png"
+    mpc_picture.draw_trail(ROBOT, building, driven, path)
+    assert path.read_bytes()[:4] == b"\x89PNG"

@@ -267,6 +267,13 @@ def test_without_matplotlib_a_case_has_no_picture(monkeypatch, tmp_path, ride):
     assert [path.name for path in tmp_path.iterdir()] == ["reproduce_moving.json"]
 
 
+def test_the_workshop_is_driven_and_drawn(monkeypatch, tmp_path, ride):
+    code, result, _ = case(monkeypatch, tmp_path, ride, "workshop", quick=False)
+    assert code == 0
+    assert [row["voltages"] for row in result["drives"]] == [False, True]
+    assert (result["picture"] is not None) == DRAWS
+
+
 def test_each_experiment_has_its_robot():
     assert reproduce.ROBOTS["coupling"] == "omniman"
     assert {reproduce.ROBOTS[name] for name in reproduce.SCENES} == {"ig42"}

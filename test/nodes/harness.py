@@ -24,12 +24,17 @@ PERIOD = 0.005
 START = 1000.0
 MATCH_TIMEOUT = 20.0
 
-_domains = itertools.cycle(range(60))
+WORKER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
+WORKERS = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+DOMAINS = range(40, 100)[WORKER::WORKERS]
+"""Of tests in this process (0 to 101 are safe on every system)."""
+
+_next = itertools.count(os.getpid() * 7)
 
 
 def free_domain() -> int:
-    """A ROS_DOMAIN_ID of the test's own (0 to 101 are safe on every system)."""
-    return 40 + (os.getpid() * 7 + next(_domains)) % 60
+    """A ROS_DOMAIN_ID of the test's own."""
+    return DOMAINS[next(_next) % len(DOMAINS)]
 
 
 class World:

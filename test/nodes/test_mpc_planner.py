@@ -11,9 +11,10 @@ import pytest
 from builtin_interfaces.msg import Duration
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped, Quaternion, Twist
-from nav_msgs.msg import Odometry, Path
+from nav_msgs.msg import OccupancyGrid, Odometry, Path
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, String
@@ -36,6 +37,7 @@ from omniman_ros.planning.planner import Planner, PlannerState
 from omniman_ros.planning.separation import box_gap
 from omniman_ros.planning.solver import SolverError
 from omniman_ros.planning.transcription import Transcription
+from omniman_ros.planning.walls import Walls
 
 from .harness import PERIOD, World, last
 from .rig import reference, twist
@@ -1351,3 +1353,151 @@ def test_voltages_end_at_once_when_control_is_lost():
         world.run(1.0)
         assert (len(world.volts), len(world.references)) == sent
         assert world.state is PlannerState.IDLE and "~/stop" in world.warnings[-1]
+
+
+# ---- maps -------------------------------------------------------------------------------------
+
+CELL = 0.05
+"""Of the maps here [m]."""
+
+
+def a_map(world: Station, wall: bool = True, frame: str = "odom") -> OccupancyGrid:
+    """A room of 3.4 x 2.4 m around the origin, with a wall at x = 1 that has a door of 1 m."""
+    cells = np.zeros((48, 68), dtype=np.int8)
+    if wall:
+        cells[:1], cells[-1:], cells[:, :1], cells[:, -1:] = 100, 100, 100, 100
+        cells[:24, 38:40] = 100  # x from 0.9 to 1.0, y from -1.2 to 0.0
+        cells[44:, 38:40] = 100  # the door is from there to 1.0
+    message = OccupancyGrid()
+    message.header.frame_id, message.header.stamp = frame, world.stamp()
+    message.info.resolution, message.info.width, message.info.height = CELL, 68, 48
+    message.info.origin.position.x, message.info.origin.position.y = -1.0, -1.2
+    message.info.origin.orientation.w = 1.0
+    message.data = cells.ravel().tolist()
+    return message
+
+
+def wall_gap(world: Station) -> float:
+    """Gap between the robot and the wall of the map [m]."""
+    edge = np.arange(0.0, 0.101, 0.025)
+    lower = np.array([(0.9 + dx, y) for dx in edge for y in np.arange(-1.2, 0.001, 0.025)])
+    upper = np.array([(0.9 + dx, y) for dx in edge for y in np.arange(1.0, 1.201, 0.025)])
+    walls = Walls(np.vstack([lower, upper]), 0.0)
+    return float(walls.gaps(world.true_pose()[None], world.core.model.half)[0])
+
+
+def test_a_goal_behind_a_wall_is_reached_through_its_door(alone):
+    (heard,) = alone.node.get_subscriptions_info_by_topic("map")
+    assert heard.qos_profile.durability is DurabilityPolicy.TRANSIENT_LOCAL
+    maps = alone.publisher(OccupancyGrid, "map", LATCHED)
+    routes = alone.listen(Path, "mpc/route")
+    maps.publish(a_map(alone))
+    alone.run(2 * TICK)
+    assert alone.core.grid is not None and alone.core.grid.size == pytest.approx((3.4, 2.4))
+    alone.send(1.8, -0.5, 0.0)
+    alone.begin()
+    led, gaps = set(), []
+
+    def note() -> None:
+        led.add(alone.said()[2].get("led_by", ""))
+        gaps.append(wall_gap(alone))
+
+    alone.hooks.append(note)
+    alone.arrive(25.0)
+    assert alone.distance(1.8, -0.5, 0.0) < 0.03
+    assert min(gaps) > LEAST - 0.005
+    assert {"searches", "a route"} <= led
+    assert alone.warnings == [], "it is not blocked while it searches"
+    alone.run(3 * CYCLE)
+    assert alone.said()[2]["led_by"] == "the goal"
+    way = max(routes, key=lambda route: len(route.poses))
+    assert way.header.frame_id == "odom"
+    x, y = np.array([(p.pose.position.x, p.pose.position.y) for p in way.poses]).T
+    assert (x[0], y[0]) == pytest.approx((0.0, 0.0), abs=0.05)
+    assert (x[-1], y[-1]) == pytest.approx((1.8, -0.5), abs=1e-6)
+    assert np.interp(0.95, x, y) > 0.3
+
+
+def test_a_straight_way_is_said_and_shown(alone):
+    routes = alone.listen(Path, "mpc/route")
+    alone.send(1.0, 0.0, 0.0)
+    alone.run(0.2)
+    assert alone.said()[2]["led_by"] == "a straight line"
+    ends = [(p.pose.position.x, p.pose.position.y) for p in routes[-1].poses]
+    assert ends == [(0.0, 0.0), pytest.approx((1.0, 0.0))]
+
+
+def map_of(change: Callable[[OccupancyGrid], object]) -> Callable[[Station], OccupancyGrid]:
+    def make(world: Station) -> OccupancyGrid:
+        message = a_map(world, wall=False)
+        change(message)
+        return message
+
+    return make
+
+
+BAD_MAPS = {
+    "frame 'map', expected 'odom'": lambda m: setattr(m.header, "frame_id", "map"),
+    "3264 cells, expected 67 x 48": lambda m: setattr(m.info, "width", 67),
+    "0 cells, expected 68 x 48": lambda m: setattr(m, "data", []),
+    "3264 cells, expected 0 x 48": lambda m: setattr(m.info, "width", 0),
+    "map: origin": lambda m: setattr(m.info.origin.position, "x", NAN),
+    "not finite or beyond": lambda m: setattr(m.info.origin.position, "y", -INF),
+    "quaternion of length": lambda m: setattr(m.info.origin.orientation, "w", 0.0),
+    "not about the vertical": lambda m: setattr(
+        m.info.origin, "orientation", Quaternion(x=0.6, y=0.0, z=0.0, w=0.8)
+    ),
+    "map: resolution 0.0 m": lambda m: setattr(m.info, "resolution", 0.0),
+    "map: resolution nan": lambda m: setattr(m.info, "resolution", NAN),
+    "a cell of value 101": lambda m: m.data.__setitem__(5, 101),
+}
+
+
+def test_maps_that_are_none_are_refused_and_the_last_stays(alone):
+    maps = alone.publisher(OccupancyGrid, "map", LATCHED)
+    maps.publish(a_map(alone))
+    alone.run(2 * TICK)
+    kept = alone.core.grid
+    assert kept is not None and alone.warnings == []
+    for number, (words, change) in enumerate(BAD_MAPS.items(), start=1):
+        maps.publish(map_of(change)(alone))
+        alone.run(2 * TICK)
+        assert len(alone.warnings) == number, words
+        assert alone.warnings[-1].startswith("map ignored: ") and words in alone.warnings[-1]
+        assert alone.core.grid is kept
+    maps.publish(a_map(alone, wall=False))
+    alone.run(2 * TICK)
+    assert alone.core.grid is not kept and not alone.core.grid.occupied.any()
+
+
+def test_a_map_of_the_frame_map_is_taken_where_that_is_odom():
+    given = {"map_is_odom": True, "map_threshold": 80, "map_unknown_is_free": True}
+    with Alone(given) as world:
+        maps = world.publisher(OccupancyGrid, "map", LATCHED)
+        message = a_map(world, wall=False, frame="map")
+        message.data[0], message.data[1], message.data[2] = -1, 79, 80
+        maps.publish(message)
+        world.run(2 * TICK)
+        assert world.warnings == [] and world.core.grid is not None
+        assert np.flatnonzero(world.core.grid.occupied).tolist() == [2]
+
+
+def test_a_goal_in_a_wall_is_refused_and_a_wall_that_comes_up_stops_the_robot(alone):
+    maps = alone.publisher(OccupancyGrid, "map", LATCHED)
+    alone.send(1.9, -0.5, 0.0)
+    alone.run(0.8)
+    assert alone.true_speed() > 0.2
+    shut = a_map(alone)
+    cells = np.array(shut.data).reshape(48, 68)
+    cells[:, 38:40] = 100
+    shut.data = cells.ravel().tolist()
+    maps.publish(shut)
+    gaps = []
+    alone.hooks.append(lambda: gaps.append(1.0 - 0.1 - alone.true_pose()[0]))
+    alone.run_until(lambda: alone.state is PlannerState.BLOCKED, 15.0, "the robot to be blocked")
+    alone.rest(3.0)
+    assert min(gaps) > alone.core.model.half[1]
+    level, message, _ = alone.said()
+    assert level == DiagnosticStatus.WARN and message.startswith("blocked: ")
+    alone.send(0.95, 0.0, 0.0)
+    assert "an obstacle stands where the robot would be" in alone.warnings[-1]

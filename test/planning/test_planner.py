@@ -8,7 +8,9 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.core.preview import Preview
 from omniman_ros.planning.cycle import Measured, PlannerState
 from omniman_ros.planning.goals import PoseGoal, StateGoal, TrajectoryGoal
+from omniman_ros.planning.grid_map import GridMap
 from omniman_ros.planning.solver import Solver, SolverError
+from omniman_ros.planning.walls import Walls
 
 from .support import CYCLE, Ride, ellipses, parameters, planner, true_gaps
 
@@ -210,7 +212,7 @@ def test_a_closed_ring_blocks_the_robot_without_contact():
     ride.drive(pose(3.0, 0.3, 0.0))
     ride.run(8.0, until=lambda: ride.planner.state is PlannerState.BLOCKED)
     assert ride.planner.state is PlannerState.BLOCKED and ride.planner.active
-    ride.run(4.0, until=never)
+    ride.run(7.0, until=never)
     assert ride.gaps(ring).min() > 0.015
     assert speeds(ride)[-100:, 0].max() < 0.05
     assert ride.planner.goal is not None
@@ -554,7 +556,7 @@ def test_clearance_changes_on_the_way():
         known = ellipses((2.5, 0.5, 0.3))
         ride = a_ride(seen=known)
         ride.planner.configure(parameters(safety__clearance=clearance))
-        ride.run(3.0)
+        ride.run(3.3)
         assert ride.pose()[0] > 2.9
         closest.append(ride.gaps(known).min())
     assert closest[0] < 0.2 and closest[1] > 0.27
@@ -631,3 +633,149 @@ def test_where_braking_soon_is_not_clear_the_whole_motion_is_sent():
         ride.cycle()
         whole.append(ride.planner.preview is ride.planner.motion)
     assert any(whole[30:]) and speeds(ride)[-1, 0] > 0.5
+
+
+# ---- walls and ways around --------------------------------------------------------------------
+
+CELL = 0.05
+"""Of the maps of these tests [m]."""
+CORNER = np.array([-1.0, -1.5, 0.0])
+"""Where their first cell is."""
+
+
+def floor_plan(*boxes, size=(5.0, 3.0)):
+    """A map of walls (x0, y0, x1, y1) in odom, closed all around."""
+    columns, rows = (round(edge / CELL) for edge in size)
+    cells = np.zeros((rows, columns), dtype=bool)
+    cells[:2], cells[-2:], cells[:, :2], cells[:, -2:] = True, True, True, True
+    for box in boxes:
+        (x0, y0), (x1, y1) = (np.round((np.reshape(box, (2, 2)) - CORNER[:2]) / CELL)).astype(int)
+        cells[y0:y1, x0:x1] = True
+    return GridMap(cells, CELL, CORNER)
+
+
+def wall_gap(ride, grid):
+    """Least gap between what the robot did and the cells themselves, none of them a disc [m]."""
+    rows, columns = np.nonzero(grid.occupied)
+    edge = np.linspace(0.0, 1.0, 3)
+    spots = np.stack(np.meshgrid(edge, edge), axis=-1).reshape(1, -1, 2)
+    points = (np.column_stack([columns, rows])[:, None] + spots).reshape(-1, 2) * CELL
+    walls = Walls(np.unique(points, axis=0) + grid.origin[:2], 0.0)
+    few = slice(None, None, 5)
+    return float(walls.gaps(np.array(ride.poses)[few], ride.planner.model.half).min())
+
+
+def test_a_trap_is_left_and_the_goal_behind_it_reached():
+    sides = [(x, s * 0.8, 0.12) for s in (-1, 1) for x in np.arange(0.0, 1.5, 0.2)]
+    trap = ellipses(*sides, *[(1.5, y, 0.12) for y in np.arange(-0.8, 0.9, 0.2)])
+    ride = Ride(planner(), seen=trap)
+    ride.drive(pose(3.0, 0.0, 0.0))
+    ride.run(25.0)
+    assert ride.planner.state is PlannerState.ARRIVED
+    np.testing.assert_allclose(ride.pose(), [3.0, 0.0, 0.0], atol=0.03)
+    assert ride.gaps(trap).min() > 0.01
+    assert min(place[0] for place in ride.poses) < -0.2, "it went back out of it"
+    assert PlannerState.BLOCKED not in ride.states
+    assert_smooth(ride)
+
+
+def test_rooms_are_crossed_through_their_doors_without_touching_a_wall():
+    # Doors of 0.65 m, for a robot of 0.5 m, one at the top and one at the bottom.
+    walls = (0.8, -1.5, 0.9, 0.75), (2.3, -0.75, 2.4, 1.5)
+    grid = floor_plan(*walls)
+    ride = Ride(planner())
+    ride.planner.chart(grid)
+    ride.drive(pose(3.2, 0.8, 0.0))
+    ride.run(25.0)
+    assert ride.planner.state is PlannerState.ARRIVED
+    np.testing.assert_allclose(ride.pose(), [3.2, 0.8, 0.0], atol=0.03)
+    assert wall_gap(ride, grid) > 0.015
+    across = np.array(ride.poses)
+    assert across[np.abs(across[:, 0] - 0.85) < 0.1, 1].min() > 0.7
+    assert across[np.abs(across[:, 0] - 2.35) < 0.1, 1].max() < -0.7
+    assert_smooth(ride)
+
+
+def test_walls_that_become_known_on_the_way_stop_the_robot_until_they_are_gone():
+    shut = floor_plan((1.6, -1.5, 1.7, 1.5))
+    ride = Ride(planner())
+    ride.drive(pose(3.0, 0.0, 0.0))
+    ride.run(1.2)
+    assert speeds(ride)[-1, 0] > 0.5
+    ride.planner.chart(shut)
+    assert ride.planner.grid is shut
+    ride.run(12.0, until=lambda: ride.planner.state is PlannerState.BLOCKED)
+    assert ride.planner.state is PlannerState.BLOCKED and ride.planner.guide.lost
+    ride.run(2.0, until=never)
+    assert wall_gap(ride, shut) > 0.01
+    assert ride.pose()[0] < 1.6 - ride.planner.model.half[1]
+    ride.planner.chart(None)
+    assert ride.planner.grid is None
+    ride.run(15.0)
+    assert ride.planner.state is PlannerState.ARRIVED
+    np.testing.assert_allclose(ride.pose(), [3.0, 0.0, 0.0], atol=0.03)
+    assert_smooth(ride)
+
+
+def test_a_state_goal_behind_a_wall_is_passed():
+    grid = floor_plan((1.2, -1.5, 1.3, 0.6))
+    goal = StateGoal(np.array([2.6, -0.5, 0.0]), np.array([0.4, 0.0, 0.0]))
+    ride = Ride(planner())
+    ride.planner.chart(grid)
+    ride.drive(goal)
+    ride.run(25.0)
+    assert ride.planner.state is PlannerState.ARRIVED
+    away = np.hypot(*(np.array(ride.poses)[:, :2] - goal.pose[:2]).T)
+    passed = int(np.argmin(away))
+    assert away[passed] < 0.04
+    before, after = ride.poses[passed - 4], ride.poses[passed]
+    found = (after - before) / (ride.times[passed] - ride.times[passed - 4])
+    np.testing.assert_allclose(found, goal.velocity, atol=0.15)
+    ride.run(2.0, until=never)
+    assert wall_gap(ride, grid) > 0.01
+    assert_smooth(ride)
+
+
+def test_goals_in_a_wall_are_refused_and_those_beside_it_are_not():
+    grid = floor_plan((1.2, -1.5, 1.3, 0.4), (2.0, -1.5, 4.0, 0.2))
+    ride = Ride(planner())
+    ride.planner.chart(grid)
+    for inside in (pose(1.25, 0.0, 0.0), pose(0.9, 0.0, 0.0), pose(1.3, 0.5, 1.5)):
+        with pytest.raises(InputError, match="obstacle stands where the robot would be"):
+            ride.drive(inside)
+    assert ride.planner.goal is None
+    with pytest.raises(InputError, match="obstacle stands"):
+        ride.drive(pose(3.0, -0.7, 0.0))  # far within, and off all the edges
+    ride.drive(pose(1.25, 0.9, 0.0))
+    assert ride.planner.state is PlannerState.DRIVING
+    ride.planner.chart(None)
+    ride.drive(pose(1.25, 0.0, 0.0))
+
+
+def test_a_new_goal_while_the_way_to_the_last_is_still_searched():
+    grid = floor_plan((1.2, -1.5, 1.3, 0.6))
+    ride = Ride(planner())
+    ride.planner.chart(grid)
+    ride.drive(pose(2.6, -0.5, 0.0))
+    ride.cycle()
+    assert ride.planner.guide.state == "searches"
+    ride.drive(pose(-0.2, 0.3, 0.0))
+    assert ride.planner.guide.state == "a straight line"
+    ride.run(10.0)
+    assert ride.planner.state is PlannerState.ARRIVED
+    np.testing.assert_allclose(ride.pose(), [-0.2, 0.3, 0.0], atol=0.03)
+
+
+def test_a_pause_in_the_middle_of_a_search():
+    grid = floor_plan((1.2, -1.5, 1.3, 0.6))
+    ride = Ride(planner())
+    ride.planner.chart(grid)
+    ride.drive(pose(2.6, -0.5, 0.0))
+    ride.cycle()
+    ride.planner.pause(ride.now)
+    ride.run(1.0, until=never)
+    assert ride.planner.state is PlannerState.PAUSED and not ride.measured().twist.any()
+    assert ride.planner.resume(ride.measured())
+    ride.run(20.0)
+    assert ride.planner.state is PlannerState.ARRIVED
+    assert wall_gap(ride, grid) > 0.01

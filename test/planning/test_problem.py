@@ -145,7 +145,8 @@ def test_obstacles_are_predicted_and_have_their_margins():
     )
     problem = a_problem()
     stage = stage_of(problem, guess=a_line(0.0), around=known)
-    clearance = problem.parameters.safety.clearance
+    safety = problem.parameters.safety
+    clearance = safety.clearance + safety.berth * math.hypot(0.1, 0.3)
     for k, row in enumerate(stage.obstacles[:, 0]):
         ahead = STEP * (k + 1) + 0.2
         centre, matrix = shape_of(row)
@@ -157,6 +158,21 @@ def test_obstacles_are_predicted_and_have_their_margins():
         assert row[6] == pytest.approx(axes[0])
         turned = np.linalg.eigh(matrix)[1][:, 1]
         assert abs(turned @ [math.cos(0.5), math.sin(0.5)]) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("speed", "more"), [(0.0, 0.0), (0.25, 0.1), (5.0, 0.3)])
+def test_what_moves_is_given_a_wide_berth_up_to_a_limit(speed, more):
+    known = ellipses((1.0, 1.0, 0.3), time=NOW, velocities=[(0.0, speed)])
+    still = ellipses((1.0, 1.0, 0.3), time=NOW, velocities=[(0.0, 0.0)])
+    problem = a_problem(safety__berth=0.4)
+    (least, wide) = (
+        stage_of(problem, guess=a_line(0.0, speed), around=seen).obstacles[0, 0, 6]
+        for seen in (still, known)
+    )
+    # The guess moves with the obstacle: nothing is cut between two steps.
+    reference = stage_of(problem, guess=a_line(0.0), around=still).obstacles[0, 0, 6]
+    assert least >= reference
+    assert wide - reference == pytest.approx(more, abs=1e-6)
 
 
 def test_slots_hold_the_nearest_obstacle_of_every_side_at_every_step():

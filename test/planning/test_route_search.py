@@ -57,9 +57,8 @@ def checked(search, start, goal, margin=MARGIN):
     np.testing.assert_array_equal(route.poses[0], start)
     np.testing.assert_array_equal(route.poses[-1, :2], goal[:2])
     assert abs(math.remainder(route.poses[-1, 2] - goal[2], math.tau)) < 1e-9
-    grid = search._grid
-    around = search._known if grid is None else search._all
-    clearance = Clearance(HALF, around, search._workspace, 0.5)
+    grid = search.problem.grid
+    clearance = Clearance(HALF, search.problem.around, search.problem.workspace, 0.5)
     steps = np.abs(np.diff(route.poses, axis=0))
     count = int((np.hypot(steps[:, 0], steps[:, 1]) + RADIUS * steps[:, 2]).sum() / 0.004)
     poses = route.at(np.linspace(0, route.duration, max(count, 50)))

@@ -1,0 +1,409 @@
+"""The planner node's own callbacks in simulated time, with the controller and the slipping plant.
+
+The node is made as ever, but not spun: its subscriptions' callbacks get messages, its timer's
+callback is called when it is due, what it publishes is kept. Its clock is the simulation's. While
+it computes, the plant drives on: an answer reaches the controller as late as it was measured to
+take, and messages wait meanwhile, as in a node with one thread.
+"""
+
+import math
+import os
+import re
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache, partial
+from typing import Any
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Odometry
+from numpy.typing import NDArray
+from rclpy.parameter import Parameter
+from rclpy.time import Time
+from std_msgs.msg import String
+from trajectory_msgs.msg import MultiDOFJointTrajectory
+from visualization_msgs.msg import Marker, MarkerArray
+
+from omniman_ros import conversions
+from omniman_ros.core.arbiter import Source
+from omniman_ros.core.errors import InputError
+from omniman_ros.core.parameters import build
+from omniman_ros.core.platform_parameters import PlatformParameters
+from omniman_ros.core.robot import Robot
+from omniman_ros.drive.parameters import SimulationParameters
+from omniman_ros.drive.simulated import SimulatedDrives
+from omniman_ros.nodes.mpc_planner import MpcPlannerNode
+from omniman_ros.planning.cycle import PlannerState
+from omniman_ros.robots import load_robot
+from omniman_ros.studies.closed_loop import PERIOD, ClosedLoop
+from omniman_ros.studies.scene_generator import RandomScene, scene
+from omniman_ros.studies.scenes import (
+    LIMIT,
+    Outcome,
+    SceneDrive,
+    agility_of,
+    box_of,
+    judged,
+    mover_of,
+    true_robot,
+)
+
+Array = NDArray[np.float64]
+
+EPOCH = 1000.0
+"""ROS time when the simulation begins: a stamp of zero would mean now [s]."""
+ODOM_EVERY = 2
+"""Ticks of the plant between two messages on odom: 100 Hz."""
+ODOM_NOISE = (0.002, 0.002, 0.002, 0.005, 0.005, 0.005)
+"""Standard deviations in odom: of the pose [m, m, rad] and the twist [m/s, m/s, rad/s]."""
+MARKER_NOISE = 0.01
+"""Standard deviation of a marker's x and y [m]."""
+MARKER_PERIOD = (0.04, 0.12)
+"""Between two messages of obstacles [s], at random."""
+MARKER_DELAY = (0.005, 0.03)
+"""From an observation to its arrival [s], at random."""
+SENT_OFF = 0.25
+"""When the goal is sent, on the plant's clock: obstacles have been seen a few times [s]."""
+GIVEN_UP = 1.0
+"""After so long without a goal a drive is over [s]."""
+_NUMBER = re.compile(r"-?\d+(\.\d+)?")
+
+
+class Outlet:
+    """What stands for a publisher of the node.
+
+    Args:
+        hear: Called with each message.
+        heard: Whether somebody subscribes: nobody is told what nobody hears.
+    """
+
+    def __init__(self, hear: Callable[[Any], None], heard: bool) -> None:
+        self.publish = hear
+        self._heard = heard
+
+    def get_subscription_count(self) -> int:
+        """Number of subscribers."""
+        return int(self._heard)
+
+
+class HeardPlanner(MpcPlannerNode):
+    """The planner's node with `Outlet`s in the place of its publishers.
+
+    Args:
+        hear: Called with each reference.
+        options: Of a node.
+    """
+
+    def __init__(self, hear: Callable[[MultiDOFJointTrajectory], None], **options: Any) -> None:
+        self._hear = hear
+        super().__init__(**options)
+
+    def create_publisher(self, msg_type: Any, topic: str, *args: Any, **options: Any) -> Any:
+        """Make an outlet, or for topics that are not the node's own a publisher."""
+        if topic == "mpc/reference":
+            return Outlet(self._hear, heard=True)
+        if topic.startswith("mpc/") or topic == "/diagnostics":
+            return Outlet(lambda _: None, heard=topic == "mpc/status")
+        return super().create_publisher(msg_type, topic, *args, **options)
+
+    def warn(self, subject: str, text: str) -> None:
+        """Say nothing: hundreds of drives would fill the terminal; `last` is kept anyway."""
+
+
+@cache
+def context() -> rclpy.Context:
+    """The context of this process, which looks for no other."""
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "OFF"
+    made = rclpy.Context()
+    made.init(args=[])
+    return made
+
+
+@dataclass(frozen=True)
+class Request:
+    """How scenes are to be driven.
+
+    Attributes:
+        robot: A name or a path.
+        seed: Of all noise, beside the scene's own.
+        solve_time: How long each answer takes [s]; None: as long as it takes, on the CPU.
+
+    Raises:
+        InputError: The time is negative or not finite.
+    """
+
+    robot: str = "ig42"
+    seed: int = 0
+    solve_time: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.solve_time is not None and not 0.0 <= self.solve_time < math.inf:
+            raise InputError(f"the solve time must be 0 s or more, got {self.solve_time} s")
+
+
+class NodeLoop:
+    """Node, controller and plant in one scene.
+
+    Args:
+        robot: Its name or path, for the node.
+        made: The scene.
+        seed: Of the noise.
+        solve_time: How long each answer takes [s]; None: measured.
+    """
+
+    def __init__(
+        self, robot: str, made: RandomScene, seed: int = 0, solve_time: float | None = None
+    ) -> None:
+        values = load_robot(robot)
+        self.made = made
+        self.loop = _loop(values, made)
+        self.node = HeardPlanner(
+            self._hear, context=context(), parameter_overrides=_overrides(robot, made),
+            enable_rosout=False, start_parameter_services=False,
+        )  # fmt: skip
+        rclpy.logging.set_logger_level(
+            self.node.get_logger().name, rclpy.logging.LoggingSeverity.FATAL
+        )
+        self._callbacks = {s.topic_name.lstrip("/"): s.callback for s in self.node.subscriptions}
+        self._random = np.random.default_rng((2021, made.seed, seed))
+        self._solve_time = solve_time
+        self._propose = self.node.core.propose
+        self.node.core.propose = self._proposed
+        self._begun: float | None = None
+        self._tick_at = 0.0
+        self._planned = False
+        self._answered = math.nan
+        self._free = self._due = 0.0
+        self._inbox: list[tuple[float, str, Any]] = []
+        self._outbox: list[tuple[float, MultiDOFJointTrajectory]] = []
+        self._observed_next = 0.0
+        self._source = self._health = ""
+        self.times: list[float] = []
+        self.poses: list[Array] = []
+        self.energy: list[float] = []
+        self.answers: list[float] = []
+        self.late = 0
+        self.whys: Counter[str] = Counter()
+
+    def close(self) -> None:
+        """Take the node down."""
+        self.node.destroy_node()
+
+    @property
+    def now(self) -> float:
+        """Time of the plant [s]."""
+        return self.loop.now
+
+    # ---- a drive ------------------------------------------------------------------------------
+
+    def run(self, limit: float = LIMIT) -> SceneDrive:
+        """Send the goal and drive until the planner has arrived, has given up, or time is over."""
+        while self.now < SENT_OFF - 1e-9:
+            self.step()
+        self._send("goal_pose", _goal(self.made.goal))
+        first = len(self.times)
+        end, idle = self.now + limit, self.now
+        while self.now < end - 1e-9:
+            self.step()
+            if self.node.core.state is PlannerState.ARRIVED:
+                break
+            if self.node.core.goal is not None:
+                idle = self.now
+            elif self.now - idle > GIVEN_UP + SENT_OFF:
+                break
+        return self._drive(first)
+
+    def _drive(self, first: int) -> SceneDrive:
+        core = self.node.core
+        odometry = np.array(self.loop.controller.odometry.pose)
+        message, last = self.node.status()[1], self.node._last
+        return SceneDrive(
+            np.array(self.times[first:]), np.array(self.poses[first:]),
+            self.energy[-1] - self.energy[first], core.state is PlannerState.ARRIVED,
+            np.array(self.answers), self.late,
+            float(np.hypot(*(odometry - self.poses[-1])[:2])),
+            core.state.value, message if message == last else f"{message}; {last}",
+            dict(self.whys.most_common(5)),
+        )  # fmt: skip
+
+    def step(self) -> None:
+        """One tick of the plant, and what the node does until the next."""
+        self._deliver()
+        self.loop.step()
+        self.times.append(self.now - PERIOD)
+        self.poses.append(self.loop.truth.copy())
+        self.energy.append(float(self.loop.drives.electrical()[:, 2].sum()))
+        self._report()
+        self._observe()
+        if self.now >= self._free - 1e-9:
+            self._serve()
+
+    # ---- the node -----------------------------------------------------------------------------
+
+    def _serve(self) -> None:
+        """Let the node take in what has arrived, and tick if it is time to."""
+        now = self.now
+        self._set_clock(now)
+        arrived = [item for item in self._inbox if item[0] <= now + 1e-9]
+        self._inbox = [item for item in self._inbox if item[0] > now + 1e-9]
+        newest = max((k for k, item in enumerate(arrived) if item[1] == "odom"), default=-1)
+        for k, (_, topic, message) in enumerate(arrived):
+            if topic != "odom" or k == newest:  # of odom the node's queue holds one
+                self._callbacks[topic](message)
+        if now < self._due - 1e-9:
+            return
+        period = self.node.settings.value.period
+        self._due += period * max(math.floor((now - self._due) / period + 1e-9) + 1, 1)
+        self._tick(now)
+
+    def _tick(self, now: float) -> None:
+        self._tick_at, self._planned, self._answered = now, False, math.nan
+        self._begun = time.thread_time()
+        self.node.tick()
+        took = self._elapsed()
+        self._free, self._begun = now + took, None
+        if self._planned:
+            # A robot that is to stand gets no reference.
+            self.answers.append(took if math.isnan(self._answered) else self._answered)
+            report = self.node.core.report
+            self.late += report.late > 0.0
+            if report.why:
+                self.whys[_NUMBER.sub("#", report.why)] += 1
+
+    def _elapsed(self) -> float:
+        """Time since the tick began [s]."""
+        if self._begun is None:
+            return 0.0
+        if self._solve_time is not None:
+            return self._solve_time if self._planned else 0.0
+        return time.thread_time() - self._begun
+
+    def _proposed(self, *args: Any) -> Any:
+        """Plan; the node's clock goes on by the time that it took."""
+        proposal = self._propose(*args)
+        self._planned = True
+        self._set_clock(self._tick_at + self._elapsed())
+        return proposal
+
+    def _hear(self, message: MultiDOFJointTrajectory) -> None:
+        """A reference, on its way to the controller."""
+        self._answered = self._elapsed()
+        self._outbox.append((self._tick_at + self._answered, message))
+
+    def _deliver(self) -> None:
+        """Hand the controller the last reference that has arrived, as its node does."""
+        arrived = [message for at, message in self._outbox if at <= self.now + 1e-9]
+        if not arrived:
+            return
+        self._outbox = [item for item in self._outbox if item[0] > self.now + 1e-9]
+        message = arrived[-1]
+        start = conversions.time_seconds(message.header.stamp) - EPOCH
+        try:
+            preview = conversions.preview(message, start, ("odom",))
+            refusal = self.loop.controller.hear_preview(Source.MPC, preview, self.now)
+        except InputError as error:
+            refusal = str(error)
+        if refusal:
+            self.whys[_NUMBER.sub("#", f"controller: {refusal}")] += 1
+
+    def _set_clock(self, now: float) -> None:
+        self.node.get_clock().set_ros_time_override(Time(nanoseconds=round((EPOCH + now) * 1e9)))
+
+    # ---- what the node hears --------------------------------------------------------------------
+
+    def _send(self, topic: str, message: Any, after: float = 0.0) -> None:
+        self._inbox.append((self.now + after, topic, message))
+
+    def _report(self) -> None:
+        """Say what the controller's node says in a tick."""
+        core = self.loop.controller
+        if self.loop.tick % ODOM_EVERY == 0:
+            noise = np.array(ODOM_NOISE) * self._random.standard_normal(6)
+            odometry, message = core.odometry, Odometry(child_frame_id="base_link")
+            message.header.frame_id = "odom"
+            conversions.fill_odometry(
+                message, np.array(odometry.pose) + noise[:3], odometry.twist + noise[3:],
+                odometry.covariance, _stamp(core.feedback.time),
+            )  # fmt: skip
+            self._send("odom", message)
+        source = core.arbiter.active
+        active = source.value if source else "none" if core.latch.released else "stop"
+        if active != self._source:
+            self._source = active
+            self._send("active_source", String(data=active))
+        health = f"{core.parameters.drive.dead_limits if core.guard.idle else 1.0:g}"
+        if health != self._health:
+            self._health = health
+            share = KeyValue(key=conversions.LIMITS_KEY, value=health)
+            self._send("wheel_health", DiagnosticStatus(values=[share]))
+
+    def _observe(self) -> None:
+        """Look for obstacles now and then: what is seen is told a little later."""
+        if self.now < self._observed_next - 1e-9:
+            return
+        self._observed_next = self.now + float(self._random.uniform(*MARKER_PERIOD))
+        message = MarkerArray()
+        for number, obstacle in enumerate(self.made.obstacles):
+            noise = MARKER_NOISE * self._random.standard_normal(2)
+            marker = Marker(ns="scene", id=number, type=Marker.CYLINDER, action=Marker.ADD)
+            marker.header.frame_id, marker.header.stamp = "odom", _stamp(self.now)
+            x, y = (obstacle.place(self.now) + noise).tolist()
+            marker.pose.position.x, marker.pose.position.y = x, y
+            marker.pose.orientation = conversions.quaternion(obstacle.angle)
+            marker.scale.x, marker.scale.y = (2.0 * axis for axis in obstacle.semi_axes)
+            marker.scale.z = 1.0
+            message.markers.append(marker)
+        self._send("obstacles", message, float(self._random.uniform(*MARKER_DELAY)))
+
+
+def _loop(values: Mapping[str, Any], made: RandomScene) -> ClosedLoop:
+    """The controller of the robot as it is thought to be on the drives of the one that is."""
+    true, changes = true_robot(values, made.mismatch)
+    simulation = build(SimulationParameters, changes)
+    loop = ClosedLoop(build(PlatformParameters, values), simulation)
+    loop.drives = SimulatedDrives(build(Robot, true), simulation)
+    loop.drives.set_pose(made.start)
+    loop.controller.set_pose(made.start)
+    return loop
+
+
+def _overrides(robot: str, made: RandomScene) -> list[Parameter]:
+    given: dict[str, Any] = {"use_sim_time": True, "robot": robot}
+    if made.workspace is not None:
+        names = ("x_min", "y_min", "x_max", "y_max")
+        given |= {f"workspace.{n}": v for n, v in zip(names, made.workspace, strict=True)}
+    return [Parameter(name, value=value) for name, value in given.items()]
+
+
+def _goal(pose: tuple[float, float, float]) -> PoseStamped:
+    message = PoseStamped()
+    message.header.frame_id = "odom"
+    message.pose.position.x, message.pose.position.y = pose[:2]
+    message.pose.orientation = conversions.quaternion(pose[2])
+    return message
+
+
+def _stamp(now: float) -> Any:
+    return Time(nanoseconds=round((EPOCH + now) * 1e9)).to_msg()
+
+
+def drive_scene(request: Request, seed: int) -> Outcome:
+    """Drive the scene of a seed and judge it."""
+    values = load_robot(request.robot)
+    made = scene(seed, box_of(values))
+    loop = NodeLoop(request.robot, made, request.seed, request.solve_time)
+    try:
+        drive = loop.run()
+    finally:
+        loop.close()
+    reaction = MARKER_PERIOD[1] + MARKER_DELAY[1]
+    return judged(made, drive, mover_of(values), agility_of(values, reaction))
+
+
+def driver(request: Request) -> Callable[[int], Outcome]:
+    """What drives the scene of a seed, for another process too."""
+    return partial(drive_scene, request)
