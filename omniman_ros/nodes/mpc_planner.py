@@ -389,7 +389,8 @@ class MpcPlannerNode(OmnimanNode):
         if motion.end <= now or self._streaming:
             return
         preview = self.core.preview
-        part = preview.between(now, max(preview.end, now + 1e-3))
+        # However short: what ends on its way to the controller would be stale there.
+        part = preview.between(now, max(preview.end, now + self.settings.value.period))
         message = conversions.preview_message(
             self.settings.value.odom_frame, self.stamp(now), part.times, part.poses,
             part.velocities,

@@ -26,6 +26,7 @@ from omniman_ros.planning.motion import Motion
 from omniman_ros.planning.parameters import PlannerParameters
 from omniman_ros.planning.problem import Problem
 from omniman_ros.planning.safety import Surroundings
+from omniman_ros.planning.separation import box_gap
 from omniman_ros.planning.solver import Answer, Solver, SolverError
 from omniman_ros.planning.transcription import Transcription
 from omniman_ros.planning.walls import REACH, Walls
@@ -36,8 +37,10 @@ WALL_SLOTS = 8
 """Further obstacles in the optimisation where there are walls."""
 COLD_ITERATIONS = 5
 """Iterations on a new problem; then one a cycle."""
+DIRECTIONS, MINDED = 16, 24
+"""Of evasions; so many obstacles, the nearest, say which is the most promising."""
 EVASION, EVASION_ITERATIONS = 0.625 * math.pi, (4, 2)
-"""Angle between two directions that are tried [rad]: 16 in all; iterations on each, and where
+"""Angle between two directions that are tried [rad]; iterations on each, and where
 there are walls, which make them dearer."""
 ASTRAY = (0.15, 0.2)
 """Distance [m] and angle [rad] from the motion at which plans begin where the robot is."""
@@ -49,7 +52,7 @@ NEWCOMER = 0.15
 """Growth of an obstacle's margin above which it is not known to stand [m/s]."""
 BLOCKED_AFTER = 2.0
 """The robot is blocked when it has stood for so long on its way to a goal [s]."""
-WORTH = 0.2
+WORTH = 0.1
 """By how much later contact must come for another motion to be better than braking now [s]."""
 WIDER = 0.005
 """By how much wider a gap must be, where contact comes at the same time [m]."""
@@ -329,12 +332,31 @@ class Planner:
         if not len(around) or not self._troubled:
             return (answer,)
         self._turn += 1
-        guess = self._problem.evasion(start, self._turn * EVASION)
+        guess = self._evasion(solver, start, due, around)
         tries = EVASION_ITERATIONS[len(walls) > 0]
         try:
             return answer, self._improved(solver, start, due, guess, around, goal, tries)
         except SolverError:
             return (answer,)
+
+    def _evasion(self, solver: Solver, start: Array, due: float, around: Ellipses) -> Array:
+        """Currents (N, n) to begin an evasion from: the most promising one and another in turn."""
+        if self._turn % 2:
+            return self._problem.evasion(start, self._turn * EVASION)
+        distances = np.hypot(*(around.centers - start[:2]).T) - around.semi_axes.max(axis=1)
+        near = around.select(np.argsort(distances)[:MINDED])
+        guesses = [self._problem.evasion(start, k * EVASION) for k in range(DIRECTIONS)]
+        ways = [solver.states(start, guess)[1:, :3] for guess in guesses]
+        times: Array = due + self.parameters.horizon.step * np.arange(1.0, len(ways[0]) + 1.0)
+        centers, axes = (
+            np.tile(values, (DIRECTIONS, 1, 1))
+            for values in (near.centers_at(times), near.axes_at(times))
+        )
+        gaps = box_gap(np.concatenate(ways), self.model.half, centers, axes, near.angles)
+        gaps = gaps.min(axis=1).reshape(DIRECTIONS, -1)
+        touched = gaps <= 0.0
+        until = np.where(touched.any(axis=1), touched.argmax(axis=1), gaps.shape[1])
+        return guesses[int(np.lexsort((gaps.min(axis=1), until))[-1])]
 
     def _solver(self, around: Ellipses, walls: Walls) -> Solver:
         """The one with room for all that there is: what is not there costs time, too."""
@@ -441,11 +463,14 @@ class Planner:
         self.motion = self._braked(now)
         contact, gap = around.threat(self.motion, now)
         told: dict[str, Any] = {"why": why, "braking": True}
+        # Who flees goes on fleeing: a little of each, in turn, gets nowhere.
+        flees = not self.report.clear and not self.report.braking
+        more = -WORTH if flees else WORTH
         for k, other in enumerate([*plans, rest]):
             whole = other.braked(other.end, self._deceleration)
             later, wider = around.threat(whole, now)
-            if later > contact + WORTH or (later >= contact and wider > gap + WIDER):
-                self.motion, contact, gap, told = whole, later, wider, {"why": why}
+            if later > contact + more or (later >= contact and wider > gap + WIDER):
+                self.motion, contact, gap, told, more = whole, later, wider, {"why": why}, 0.0
                 if k < len(plans):
                     self._guess = proposal.due, proposal.answers[k].currents
                     told = {"used": True}

@@ -78,6 +78,13 @@ def test_those_scenes_are_hard_in_all_ways():
     assert any(not obstacle.fixed for there in these for obstacle in there.obstacles)
 
 
+@pytest.mark.parametrize(("seed", "solve_time"), [(20, 0.005), (97, 0.01)])
+def test_what_turns_on_the_robot_is_fled_from(seed, solve_time):
+    """Where braking and fleeing took turns, the robot stayed and was run over."""
+    outcome = drive_scene(Request(solve_time=solve_time), seed)
+    assert not outcome.verdict.collided and outcome.reached
+
+
 def test_with_a_fixed_solve_time_a_drive_repeats_exactly(loop_in):
     there = made(MOVING, STANDING)
     one, two, other = (

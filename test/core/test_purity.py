@@ -13,8 +13,8 @@ CORE = sorted((PACKAGE / "core").glob("**/*.py"))
 DRIVE = sorted((PACKAGE / "drive").glob("**/*.py"))
 PLANNING = sorted((PACKAGE / "planning").glob("**/*.py"))
 WITH_CASADI = {"model", "transcription", "solver"}
-CORE_MODULES = {"__future__", "abc", "collections", "dataclasses", "enum", "functools", "heapq", "math",
-                "types", "typing", "numpy"}  # fmt: skip
+CORE_MODULES = {"__future__", "abc", "collections", "dataclasses", "enum", "functools", "heapq",
+                "math", "types", "typing", "numpy"}  # fmt: skip
 FORBIDDEN_CALLS = {"open", "input", "print", "exec", "eval", "__import__"}
 
 
