@@ -130,3 +130,28 @@ def test_nonsense_at_start_ends_with_a_message_that_names_it(given, word):
         _, said = child.communicate(timeout=PATIENCE)
         assert child.returncode == 1
         assert word in said and "Traceback" not in said, said
+
+
+LOCKED_UP = """
+import ctypes, os, signal
+from omniman_ros.nodes import runtime
+
+class Node(runtime.OmnimanNode):
+    def destroy_node(self):
+        ctypes.PyDLL(None).pause()  # waits with Python's lock held, as the middleware may
+
+def make():
+    signal.raise_signal(signal.SIGINT)
+    return Node("locked_up")
+
+runtime.TAKE_DOWN = 1
+runtime.run(make)
+"""
+
+
+def test_a_node_that_locks_up_in_the_middleware_is_gone_all_the_same():
+    domain = {"ROS_DOMAIN_ID": str(free_domain()), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    ended = subprocess.run(
+        [sys.executable, "-c", LOCKED_UP], env=os.environ | domain, timeout=60, check=False
+    )
+    assert ended.returncode == -signal.SIGALRM

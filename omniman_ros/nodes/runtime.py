@@ -1,5 +1,6 @@
 """Life of a node: one clock, warnings with a rate limit, diagnostics, and an orderly end."""
 
+import gc
 import math
 import signal
 import sys
@@ -30,6 +31,8 @@ FUTURE = 0.05
 """Stamps further ahead than this are refused [s]."""
 WARNING_PERIOD = 1.0
 """Shortest time between two warnings on one subject [s]."""
+TAKE_DOWN = 5
+"""A node at rest that is not taken down after so long is ended by the kernel [s]."""
 
 
 class OmnimanNode(Node):
@@ -168,9 +171,16 @@ def run(make: Callable[[], OmnimanNode], args: list[str] | None = None) -> int:
             _spin(executor)
         return 0 if node.finished else 1
     finally:
+        # Taking down an executor of events while something is heard can lock up for ever in the
+        # middleware, with Python's lock held: then the kernel ends the process.
+        previous[signal.SIGALRM] = signal.signal(signal.SIGALRM, signal.SIG_DFL)
+        signal.alarm(TAKE_DOWN)
         executor.remove_node(node)
         node.destroy_node()
         rclpy.try_shutdown()
+        del executor, node
+        gc.collect()
+        signal.alarm(0)
         for number, handler in previous.items():
             signal.signal(number, handler)
 
