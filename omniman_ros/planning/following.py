@@ -68,6 +68,6 @@ class Along:
         """It comes to no end in time."""
         return -math.inf
 
-    def near(self, heading: float) -> "Along":  # noqa: ARG002 - of the protocol
+    def near(self, heading: float) -> "Along":
         """The same: a route begins on the branch of the motion."""
         return self
