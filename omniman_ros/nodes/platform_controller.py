@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseWithCovarianceStamped, Twist, TwistStamped
 from nav_msgs.msg import Odometry as OdometryMsg
+from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -280,6 +281,11 @@ class PlatformControllerNode(OmnimanNode):
     def patience(self) -> float:
         """Time of a stop from here [s], and a second."""
         return 1.0 + ratio(self.core.setpoint, self.core.parameters.limits.deceleration)
+
+    @property
+    def last_words(self) -> tuple[Publisher, ...]:
+        """The wheels' commands: the last ones are zero."""
+        return self._commands, self._voltages
 
 
 def main(args: list[str] | None = None) -> int:

@@ -13,11 +13,13 @@ import rclpy
 from builtin_interfaces.msg import Time as TimeMsg
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
 from rclpy.exceptions import ParameterException
 from rclpy.executors import Executor, SingleThreadedExecutor
 from rclpy.experimental import EventsExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
 from rclpy.time import Time
 
@@ -33,6 +35,8 @@ WARNING_PERIOD = 1.0
 """Shortest time between two warnings on one subject [s]."""
 TAKE_DOWN = 5
 """A node at rest that is not taken down after so long is ended by the kernel [s]."""
+DELIVERY = 0.5
+"""How long a node waits for its last messages to be acknowledged [s]; a dead reader never does."""
 
 
 class OmnimanNode(Node):
@@ -140,6 +144,11 @@ class OmnimanNode(Node):
         """How long coming to rest may take [s]."""
         return 0.0
 
+    @property
+    def last_words(self) -> tuple[Publisher, ...]:
+        """Publishers whose last message the node must not take with it when it ends."""
+        return ()
+
 
 def run(make: Callable[[], OmnimanNode], args: list[str] | None = None) -> int:
     """Run a node until SIGINT or SIGTERM; it comes to rest before it ends. Returns an exit code.
@@ -169,6 +178,7 @@ def run(make: Callable[[], OmnimanNode], args: list[str] | None = None) -> int:
         deadline = time.monotonic() + node.patience
         while not node.finished and time.monotonic() < deadline and len(signals) < 2:
             _spin(executor)
+        _deliver(node.last_words)
         return 0 if node.finished else 1
     finally:
         # Taking down an executor of events while something is heard can lock up for ever in the
@@ -183,6 +193,14 @@ def run(make: Callable[[], OmnimanNode], args: list[str] | None = None) -> int:
         signal.alarm(0)
         for number, handler in previous.items():
             signal.signal(number, handler)
+
+
+def _deliver(publishers: Iterable[Publisher]) -> None:
+    """Let lost messages be sent again: what is not acknowledged yet dies with its publisher."""
+    deadline = time.monotonic() + DELIVERY
+    for publisher in publishers:
+        while not publisher.wait_for_all_acked(Duration()) and time.monotonic() < deadline:
+            time.sleep(0.005)  # without Python's lock, which a listener may wait for
 
 
 def _executor(node: OmnimanNode) -> Executor:

@@ -53,6 +53,10 @@ class Probe:
         forward.x = SPEED
         return forward
 
+    def hear_rest(self):
+        """Serve what is still queued until the command in hand is zero, or time is up."""
+        self.session.wait(lambda: not any(self.commands[-1]), PATIENCE)
+
     def drive(self, up):
         if not self.session.wait(self.fast, PATIENCE):
             up.process.terminate()
@@ -87,7 +91,7 @@ def test_a_signal_brings_the_moving_robot_to_rest_and_ends_all_with_code_0(own_d
         up.process.send_signal(number)
         wait_until(lambda: not is_alive(pids["platform_controller"]), "the controller's end")
         assert up.finish() == 0, up.output
-        probe.session.spin(0.5)
+        probe.hear_rest()
     assert not any(probe.commands[-1])
     speeds = [max(map(abs, command)) for command in probe.commands]
     assert max(speeds) > 1.0
@@ -99,7 +103,7 @@ def test_a_killed_drive_is_reported_and_stops_the_robot(own_domain):
     with robot() as (up, probe, pids):
         os.kill(pids["simulated_drive"], signal.SIGKILL)
         assert up.finish() == 1
-        probe.session.spin(0.5)
+        probe.hear_rest()
     assert "simulated_drive was killed by SIGKILL: stopping the robot" in up.output
     assert not any(probe.commands[-1])
     rows = [max(map(abs, command)) for command in probe.commands]
