@@ -27,6 +27,7 @@ class Mode(enum.Enum):
     VELOCITY = "velocity"
     TORQUE = "torque"
     VOLTAGE = "voltage"
+    OFF = "off"
 
 
 @dataclass(frozen=True)
@@ -104,8 +105,8 @@ class DriveUnit:
     braked, nor run away, and the unit switches its output off until a reset. Such a fault is the
     axis's own (CiA 402: disable drive function); what the robot does is the controller's matter.
 
-    Without a valid command for `watchdog` seconds the unit goes over to velocity mode by itself
-    and ramps its reference to zero; a quick stop does the same with a steeper ramp.
+    A halt (without a valid command for a while, or in a quick stop) goes over to velocity mode and
+    ramps the reference to zero. A unit that is off gives no voltage: its motor turns freely.
     """
 
     def __init__(self, settings: DriveSettings) -> None:
@@ -178,6 +179,12 @@ class DriveUnit:
         self._goal = self.feedforward = 0.0
         self._ramp, self._halted = deceleration, True
 
+    def release(self) -> None:
+        """Go off, until the next command; encoder and motor are trusted again."""
+        self.mode = Mode.OFF
+        self.setpoint = self.feedforward = self._integral = 0.0
+        self.reset()
+
     def _enter_velocity(self, measured: float, current: float, feedforward: float) -> None:
         self.mode = Mode.VELOCITY
         self._reference = measured
@@ -194,6 +201,9 @@ class DriveUnit:
         Returns:
             Voltage to give to the motor until the next run, V.
         """
+        if self.mode is Mode.OFF:  # the terminals have the back-EMF: where the next mode begins
+            self.voltage = self._settings.back_emf * velocity
+            return self.voltage
         self._watch(velocity, current)
         if self.lost or self.open_circuit:
             voltage = 0.0

@@ -386,7 +386,7 @@ def test_after_a_long_gap_all_is_at_rest_and_the_next_second_counts_again():
     rig.velocity(1.0, 5.0)
     rig.now += 1e6
     rig.drives.advance(rig.now)
-    assert rig.drives._steps < 10_000
+    assert rig.drives._wheels.steps < 10_000
     assert not rig.speeds().any()
     rig.velocity(1.0, 3.0)
     np.testing.assert_allclose(rig.speeds(), 3.0, atol=0.1)
@@ -520,7 +520,7 @@ def test_an_open_motor_circuit_switches_its_drive_off_until_a_reset_and_no_other
         1.0, {"velocity": 6.0, "torque": 0.6, "voltage": 12.0}[mode]
     )
     assert rig.drives.stop_reason is None
-    units = rig.drives._units
+    units = rig.drives._wheels.units
     assert [unit.open_circuit for unit in units] == [False, True, False, False]
     assert units[1].voltage == 0.0
     assert rig.speeds()[[0, 2, 3]].min() > 2.5  # they go on, though the robot yaws
