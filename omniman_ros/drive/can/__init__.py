@@ -1,0 +1,1 @@
+"""Simulated drives on a CAN bus: each protocol written from its public documents alone."""
