@@ -50,6 +50,21 @@ def test_core_imports_numpy_and_itself_only(path):
             assert name.split(".")[0] in CORE_MODULES, name
 
 
+CAN_DRIVE = sorted((PACKAGE / "can_drive").glob("**/*.py"))
+ON_THE_BUS = {"bus"}
+
+
+@pytest.mark.parametrize("path", CAN_DRIVE, ids=lambda path: path.stem)
+def test_the_bridges_protocols_and_policy_know_no_bus_no_clock_and_no_simulation(path):
+    names = list(imports(path))
+    for name in names:
+        assert not below(name, "rclpy", "casadi", "yaml", "asyncio"), name
+        if below(name, "omniman_ros"):
+            assert below(name, "omniman_ros.core", "omniman_ros.can_drive"), name
+    if path.stem not in ON_THE_BUS:
+        assert not [name for name in names if below(name, "can", "time", "threading", "socket")]
+
+
 @pytest.mark.parametrize("path", DRIVE, ids=lambda path: path.stem)
 def test_drive_imports_core_and_itself_only(path):
     for name in imports(path):

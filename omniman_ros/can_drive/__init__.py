@@ -1,0 +1,1 @@
+"""Motor drives on a CAN bus: protocols and policy, pure; python-can only in `bus`."""
