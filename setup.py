@@ -23,6 +23,8 @@ EXECUTABLES = {
     "omniman": "omniman_ros.cli.main:main",
     "platform_controller": "omniman_ros.nodes.platform_controller:main",
     "simulated_drive": "omniman_ros.nodes.simulated_drive:main",
+    "can_bridge": "omniman_ros.nodes.can_bridge:main",
+    "simulated_can_drives": "omniman_ros.nodes.simulated_can_drives:main",
     "path_interpolator": "omniman_ros.nodes.path_interpolator:main",
     "mpc_planner": "omniman_ros.nodes.mpc_planner:main",
     "viewer": "omniman_ros.nodes.viewer:main",
@@ -32,6 +34,7 @@ EXECUTABLES = {
 SHARED = {
     "": "package.xml",
     "config": "config/*.yaml",
+    "config/can": "config/can/*.yaml",
     "launch": "config/launch/*.launch.py",
     "urdf": "config/urdf/*",
     "rviz": "config/rviz/*",
@@ -88,7 +91,7 @@ setup(
     zip_safe=True,
     python_requires=">=3.11",
     # rclpy and the messages stay out: a ROS machine has its own.
-    install_requires=["casadi", "numpy", "PyYAML"],
+    install_requires=["canopen", "casadi", "msgpack", "numpy", "python-can", "PyYAML"],
     extras_require={
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
         # A linter's next version finds other things: its version is ours to raise.
@@ -96,6 +99,7 @@ setup(
             "catkin_pkg",
             "hypothesis",
             "mypy==2.4.*",
+            "odrive-can",
             "pytest",
             "pytest-xdist",
             "ruff==0.17.*",

@@ -32,6 +32,22 @@ class EqualsSubstitution:
 
 
 @dataclass(frozen=True)
+class FindPackageShare:
+    package: str
+
+    def value(self, arguments):
+        return f"/share/{self.package}"
+
+
+@dataclass(frozen=True)
+class PathJoinSubstitution:
+    parts: list
+
+    def value(self, arguments):
+        return "/".join(value(part, arguments) for part in self.parts)
+
+
+@dataclass(frozen=True)
 class IfCondition:
     predicate: Any
 
@@ -56,7 +72,7 @@ class ParameterValue:
 @dataclass
 class DeclareLaunchArgument:
     name: str
-    default_value: str
+    default_value: Any
     description: str
     choices: list | None = None
 
@@ -88,10 +104,11 @@ STAND_INS = {
     "launch": [LaunchDescription],
     "launch.actions": [DeclareLaunchArgument],
     "launch.conditions": [IfCondition],
-    "launch.substitutions": [EqualsSubstitution, LaunchConfiguration],
+    "launch.substitutions": [EqualsSubstitution, LaunchConfiguration, PathJoinSubstitution],
     "launch_ros": [],
     "launch_ros.actions": [Node],
     "launch_ros.parameter_descriptions": [ParameterValue],
+    "launch_ros.substitutions": [FindPackageShare],
 }
 
 
@@ -108,13 +125,16 @@ def launch(file, **given):
     """Arguments of a launch file with their values, and its nodes that would start."""
     entities = runpy.run_path(str(file))["generate_launch_description"]().entities
     declared = [e for e in entities if isinstance(e, DeclareLaunchArgument)]
-    arguments = {argument.name: argument.default_value for argument in declared}
+    arguments = {argument.name: value(argument.default_value, {}) for argument in declared}
     assert set(given) <= set(arguments)
     arguments |= given
     nodes = {}
     for node in (e for e in entities if isinstance(e, Node)):
         if node.condition is None or value(node.condition, arguments):
-            parameters = {k: v for group in node.parameters for k, v in group.items()}
+            parameters = {}
+            for group in node.parameters:
+                parameters |= group if isinstance(group, dict) else {"file": group}
+            assert node.executable not in nodes
             nodes[node.executable] = (
                 value(node.namespace, arguments),
                 {name: value(v, arguments) for name, v in parameters.items()},
@@ -150,6 +170,7 @@ def test_platform_starts_the_simulated_drive_and_the_controller_by_default(platf
         "namespace": "",
         "use_sim_time": "false",
         "drive": "simulated",
+        "installation": "/share/omniman_ros/config/can/cia402.yaml",
         "mpc": "true",
         "viewer": "false",
     }
@@ -182,6 +203,18 @@ def test_the_viewer_is_started_where_it_is_asked_for(platform):
     assert nodes["viewer"] == ("", {"robot": "omniman", "use_sim_time": True})
 
 
-def test_another_drive_starts_no_simulation(platform):
-    _, nodes = platform(drive="can", mpc="false")
-    assert set(nodes) == {"platform_controller", "path_interpolator"}
+BUS = {"can.interface": "udp_multicast", "can.channel": "239.74.163.2"}
+
+
+def test_real_drives_have_a_bridge_with_their_installation_and_no_simulation(platform):
+    _, nodes = platform(drive="real", mpc="false", installation="/mine.yaml")
+    assert set(nodes) == {"platform_controller", "path_interpolator", "can_bridge"}
+    assert nodes["can_bridge"] == ("", {"file": "/mine.yaml", "robot": "omniman"})
+
+
+def test_simulated_drives_on_a_bus_share_installation_and_bus_with_the_bridge(platform):
+    _, nodes = platform(drive="can", mpc="false", robot="ig42")
+    assert "simulated_drive" not in nodes
+    file = "/share/omniman_ros/config/can/cia402.yaml"
+    expected = ("", {"file": file, "robot": "ig42", **BUS})
+    assert nodes["can_bridge"] == nodes["simulated_can_drives"] == expected

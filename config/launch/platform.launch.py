@@ -6,9 +6,10 @@ ros2 launch omniman_ros platform.launch.py robot:=ig42 namespace:=robot1
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
 from launch.conditions import IfCondition
-from launch.substitutions import EqualsSubstitution, LaunchConfiguration
+from launch.substitutions import EqualsSubstitution, LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
+from launch_ros.substitutions import FindPackageShare
 
 ARGUMENTS = [
     DeclareLaunchArgument(
@@ -29,7 +30,14 @@ ARGUMENTS = [
         "drive",
         default_value="simulated",
         description="What turns the wheels",
-        choices=["simulated"],
+        choices=["simulated", "can", "real"],
+    ),
+    DeclareLaunchArgument(
+        "installation",
+        default_value=PathJoinSubstitution(
+            [FindPackageShare("omniman_ros"), "config", "can", "cia402.yaml"]
+        ),
+        description="Path of the YAML file of the drives on the bus, with drive:=can or real",
     ),
     DeclareLaunchArgument(
         "mpc",
@@ -59,6 +67,29 @@ def generate_launch_description() -> LaunchDescription:
         parameters=[{"robot": robot, "publish_clock": sim_time}],
         output="screen",
         condition=IfCondition(EqualsSubstitution(LaunchConfiguration("drive"), "simulated")),
+    )
+    # can: the bus is UDP multicast on this machine, and the drives on it are simulated.
+    installation = LaunchConfiguration("installation")
+    private_bus = {"can.interface": "udp_multicast", "can.channel": "239.74.163.2"}
+    bridge = {"package": "omniman_ros", "executable": "can_bridge", "output": "screen",
+              "namespace": LaunchConfiguration("namespace")}  # fmt: skip
+    can_bridge = Node(
+        **bridge,
+        parameters=[installation, {"robot": robot}],
+        condition=IfCondition(EqualsSubstitution(LaunchConfiguration("drive"), "real")),
+    )
+    can_bridge_on_private_bus = Node(
+        **bridge,
+        parameters=[installation, {"robot": robot, **private_bus}],
+        condition=IfCondition(EqualsSubstitution(LaunchConfiguration("drive"), "can")),
+    )
+    simulated_can_drives = Node(
+        package="omniman_ros",
+        executable="simulated_can_drives",
+        namespace=LaunchConfiguration("namespace"),
+        parameters=[installation, {"robot": robot, **private_bus}],
+        output="screen",
+        condition=IfCondition(EqualsSubstitution(LaunchConfiguration("drive"), "can")),
     )
     platform_controller = Node(
         package="omniman_ros",
@@ -94,6 +125,9 @@ def generate_launch_description() -> LaunchDescription:
         [
             *ARGUMENTS,
             simulated_drive,
+            can_bridge,
+            can_bridge_on_private_bus,
+            simulated_can_drives,
             platform_controller,
             path_interpolator,
             mpc_planner,

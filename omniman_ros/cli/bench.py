@@ -58,6 +58,10 @@ def run(args: argparse.Namespace) -> int:
         from omniman_ros.cli import bench_mpc
 
         return bench_mpc.run(args)
+    if args.name == "can":
+        from omniman_ros.cli import bench_can
+
+        return bench_can.run(args)
     effort = QUICK if args.quick else FULL
     chosen = tasks(Setup(robot=args.robot))
     say("core tick ...")

@@ -33,7 +33,8 @@ LIMP = "drive.dead_wheel:=drive_on"
 """The show loses a wheel and goes on."""
 PATIENT = (
     "timeouts.wheel_states:=0.5", "firmware.watchdog:=0.5", "safety.deadline:=0.05",
-    "odom_timeout:=1.0",
+    "odom_timeout:=1.0", "can.missed_periods:=100", "can.drive_heartbeat:=0.2",
+    "can.heartbeat_timeout:=0.5", "can.command_timeout:=0.5",
 )  # fmt: skip
 """A show on a busy machine: nothing real is at stake when a process waits for its turn."""
 
@@ -47,15 +48,18 @@ PAGE_PATIENCE = 10.0
 def run(args: argparse.Namespace) -> int:
     """Run `omniman demo`; returns the exit code."""
     params = [*PATIENT, LIMP, *unlike_wheels(resolved(args.robot)), *args.param]
-    chosen = tasks(Setup(robot=args.robot, params=params))
-    private = choose_domain(args.keep)
+    private = choose_domain(args.keep)  # before the nodes: their bus is one of the domain
+    chosen = tasks(
+        Setup(robot=args.robot, params=params, drive=args.drive, installation=args.installation)
+    )
     log = NodeLog(args.verbose)
     complaints: list[str] = []
     children = Children(chosen, on_line=log, report=complaints.append)
     progress = Progress()
     progress.headline(
         f"omniman demo: robot '{args.robot}' in simulation, its wheels not alike, "
-        f"ROS_DOMAIN_ID={os.environ['ROS_DOMAIN_ID']}"
+        + (f"{args.installation} drives on a CAN bus, " if args.drive == "can" else "")
+        + f"ROS_DOMAIN_ID={os.environ['ROS_DOMAIN_ID']}"
     )
     started = time.monotonic()
     with signals_to(children.interrupt):
@@ -126,7 +130,7 @@ def perform(
     lost = expendable(resolved(args.robot))
     pace = Pace.within(build(TwistLimits, load_robot(args.robot), "limits."))
     with Session("omniman_demo") as session:
-        show = Show(session, pace, progress, children.check)
+        show = Show(session, pace, progress, children.check, args.drive)
         try:
             show.meet()
             page = ""

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from omniman_ros.cli.children import Task
 from omniman_ros.cli.errors import CommandError
+from omniman_ros.cli.installation import installation_file, private_bus
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.planning import availability as planning_availability
 from omniman_ros.robots import robot_file
@@ -26,6 +27,7 @@ class NodeKind:
         is_available: Whether what it needs is installed; if not, it is started only where it is
             asked for by name, and then says what is missing.
         essential: Whether the robot is stopped when it dies.
+        drives: With which drives it is started; none: with all.
     """
 
     name: str
@@ -33,13 +35,16 @@ class NodeKind:
     sim_time: str = "use_sim_time"
     is_available: Callable[[], bool] = lambda: True
     essential: bool = True
+    drives: tuple[str, ...] = ()
 
 
 NODES = (
     NodeKind("platform_controller", stage=0),
     NodeKind("path_interpolator", stage=0),
     NodeKind("mpc_planner", stage=0, is_available=planning_availability.is_available),
-    NodeKind("simulated_drive", stage=1, sim_time="publish_clock"),
+    NodeKind("simulated_drive", stage=1, sim_time="publish_clock", drives=("simulated",)),
+    NodeKind("can_bridge", stage=1, drives=("can", "real")),
+    NodeKind("simulated_can_drives", stage=2, drives=("can",)),
     NodeKind("viewer", stage=0, is_available=viewer_availability.is_available, essential=False),
 )
 
@@ -54,13 +59,16 @@ class Setup:
     namespace: str = ""
     params: Sequence[str] = ()
     params_file: str | None = None
+    drive: str = "simulated"
+    installation: str = "cia402"
 
 
 def tasks(setup: Setup) -> list[Task]:
     """Tasks of the chosen nodes.
 
     Raises:
-        CommandError: No such robot, node or file, or a parameter that is not NAME:=VALUE.
+        CommandError: No such robot, node, installation or file, a parameter that is not
+            NAME:=VALUE, or simulated time with drives that have none.
     """
     known = [kind.name for kind in NODES]
     unknown = [name for name in setup.only if name not in known]
@@ -71,10 +79,10 @@ def tasks(setup: Setup) -> list[Task]:
             raise CommandError(f"parameter '{text}' is not NAME:=VALUE", 2)
     if setup.params_file is not None and not Path(setup.params_file).is_file():
         raise CommandError(f"no parameter file '{setup.params_file}'", 2)
+    if setup.sim_time and setup.drive != "simulated":
+        raise CommandError(f"--sim-time: drives '{setup.drive}' run on real time", 2)
     robot = resolved(setup.robot)
-    chosen = [
-        kind for kind in NODES if (kind.name in setup.only if setup.only else kind.is_available())
-    ]
+    chosen = [kind for kind in NODES if _is_chosen(kind, setup)]
     return [
         Task(
             kind.name,
@@ -84,6 +92,12 @@ def tasks(setup: Setup) -> list[Task]:
         )
         for kind in chosen
     ]
+
+
+def _is_chosen(kind: NodeKind, setup: Setup) -> bool:
+    if setup.only:
+        return kind.name in setup.only
+    return kind.is_available() and (not kind.drives or setup.drive in kind.drives)
 
 
 def resolved(robot: str) -> str:
@@ -106,6 +120,10 @@ def node_command(node: str, arguments: Sequence[str]) -> tuple[str, ...]:
 
 def _ros_arguments(kind: NodeKind, robot: str, setup: Setup) -> list[str]:
     arguments = ["--ros-args", "-p", f"robot:={robot}"]
+    if set(kind.drives) & {"can", "real"}:
+        arguments += ["--params-file", installation_file(setup.installation)]
+        if setup.drive == "can":
+            arguments += private_bus()
     if setup.params_file is not None:
         arguments += ["--params-file", setup.params_file]
     for text in setup.params:

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable, Sequence
 
 from omniman_ros.cli.errors import CommandError
+from omniman_ros.cli.installation import DRIVES
 from omniman_ros.core.errors import OmnimanError
 from omniman_ros.nodes.registry import NODES
 
@@ -69,6 +70,21 @@ def add_up(parser: argparse.ArgumentParser) -> None:
         help="a parameter, given to every node; may be repeated",
     )  # fmt: skip
     parser.add_argument("--params-file", metavar="FILE", help="a ROS parameter file for all nodes")
+    add_drive(parser, tuple(DRIVES))
+
+
+def add_drive(parser: argparse.ArgumentParser, drives: Sequence[str]) -> None:
+    """Add --drive and --installation."""
+    kinds = "; ".join(f"{name}: {DRIVES[name]}" for name in drives)
+    parser.add_argument(
+        "--drive", choices=drives, default="simulated",
+        help=f"what turns the wheels; {kinds}; default: %(default)s",
+    )  # fmt: skip
+    parser.add_argument(
+        "--installation", default="cia402", metavar="NAME",
+        help="drives on the bus: cia402, vesc, odrive or the path of a .yaml file; "
+        "default: %(default)s",
+    )  # fmt: skip
 
 
 def add_teleop(parser: argparse.ArgumentParser) -> None:
@@ -109,6 +125,7 @@ def add_demo(parser: argparse.ArgumentParser) -> None:
         help="stay up after the show, in your own ROS domain, for your teleop; Ctrl-C ends all",
     )  # fmt: skip
     parser.add_argument("--verbose", action="store_true", help="show what the nodes say")
+    add_drive(parser, ("simulated", "can"))
     parser.add_argument(
         "-p", "--param", action="append", default=[], metavar="NAME:=VALUE",
         help="a parameter, given to every node; may be repeated",
@@ -119,10 +136,11 @@ def add_demo(parser: argparse.ArgumentParser) -> None:
 def add_bench(parser: argparse.ArgumentParser) -> None:
     """Arguments of `omniman bench`."""
     parser.add_argument(
-        "name", nargs="?", default="control", choices=["control", "path", "mpc"],
+        "name", nargs="?", default="control", choices=["control", "path", "mpc", "can"],
         help="control: time of a control tick, CPU of the nodes, latency; the default. "
         "path: time of planning, how near to the least time, CPU of the stream. "
-        "mpc: CPU and cost of the planner's solver next to IPOPT and fatrop",
+        "mpc: CPU and cost of the planner's solver next to IPOPT and fatrop. "
+        "can: round trips over a CAN bus of UDP next to a bare echo, CPU, bus load",
     )  # fmt: skip
     effort = parser.add_mutually_exclusive_group()
     effort.add_argument(

@@ -31,6 +31,12 @@ from omniman_ros.studies.figure7 import Movement, movements
 
 Array = NDArray[np.float64]
 
+PLANTS = {
+    "simulated": ("simulated_drive", "simulated_drive"),
+    "can": ("simulated_can_drives", "can_bridge"),
+}
+"""Nodes that play faults, and that hear wheel commands, by what turns the wheels."""
+
 TWIST_PERIOD = 0.02
 PAUSE = 0.7
 """Rest between two parts [s]."""
@@ -87,11 +93,14 @@ class Show:
         pace: How fast.
         progress: Where progress is shown.
         poll: Called many times a second; raises to end the show early.
+        drive: What turns the wheels: "simulated", or "can" where that is behind a bus.
     """
 
     def __init__(
-        self, session: Session, pace: Pace, progress: Progress, poll: Callable[[], None]
-    ) -> None:
+        self, session: Session, pace: Pace, progress: Progress, poll: Callable[[], None],
+        drive: str = "simulated",
+    ) -> None:  # fmt: skip
+        plant, commanded = PLANTS[drive]
         self._session = session
         self._pace = pace
         self._progress = progress
@@ -100,10 +109,10 @@ class Show:
         self._paths = session.node.create_publisher(Path, "path", 10)
         self._goals = session.node.create_publisher(PoseStamped, "goal_pose", 10)
         self._obstacles = session.node.create_publisher(MarkerArray, "obstacles", 50)
-        self._faults = session.node.create_client(SetParameters, "simulated_drive/set_parameters")
+        self._faults = session.node.create_client(SetParameters, f"{plant}/set_parameters")
         self._resets = [
             session.node.create_client(Trigger, f"{node}/reset")
-            for node in ("simulated_drive", "platform_controller")
+            for node in (commanded, "platform_controller")
         ]
         self.recorder = Recorder(session.node)
         self.driven = Driven()

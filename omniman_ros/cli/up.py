@@ -15,8 +15,9 @@ from omniman_ros.cli.terminal import paint, say
 def run(args: argparse.Namespace) -> int:
     """Run `omniman up`; returns the exit code."""
     setup = Setup(
-        args.robot, args.only or (), args.sim_time, args.namespace, args.param, args.params_file
-    )
+        args.robot, args.only or (), args.sim_time, args.namespace, args.param, args.params_file,
+        args.drive, args.installation,
+    )  # fmt: skip
     chosen = tasks(setup)
     names = [task.name for task in chosen]
     environment = dict(os.environ)

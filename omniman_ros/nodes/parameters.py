@@ -28,6 +28,7 @@ _TYPES = {
     (str, None): Parameter.Type.STRING,
     (tuple, float): Parameter.Type.DOUBLE_ARRAY,
     (tuple, str): Parameter.Type.STRING_ARRAY,
+    (tuple, int): Parameter.Type.INTEGER_ARRAY,
 }
 _UNBOUNDED = 1e300
 

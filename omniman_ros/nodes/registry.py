@@ -8,6 +8,8 @@ from omniman_ros.core.parameters import Spec, specs
 NODES = {
     "platform_controller": "PlatformControllerParameters",
     "simulated_drive": "SimulatedDriveParameters",
+    "can_bridge": "CanBridgeParameters",
+    "simulated_can_drives": "SimulatedCanDrivesParameters",
     "path_interpolator": "PathInterpolatorParameters",
     "mpc_planner": "MpcPlannerParameters",
     "viewer": "ViewerParameters",

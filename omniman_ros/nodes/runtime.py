@@ -33,6 +33,8 @@ FUTURE = 0.05
 """Stamps further ahead than this are refused [s]."""
 WARNING_PERIOD = 1.0
 """Shortest time between two warnings on one subject [s]."""
+TOGETHER, BOTH_CLOCKS = 1e-4, 5
+"""Two clocks are read together when it takes no longer [s]; attempts: others may run between."""
 TAKE_DOWN = 5
 """A node at rest that is not taken down after so long is ended by the kernel [s]."""
 DELIVERY = 0.5
@@ -81,10 +83,13 @@ class OmnimanNode(Node):
 
     def stamp(self, at: float | None = None) -> TimeMsg:
         """ROS time of an instant `at` of the node's clock [s], now if it is None."""
-        ros = self.get_clock().now()
         if at is None or not math.isfinite(at):
-            return ros.to_msg()
-        nanoseconds = ros.nanoseconds - round((self.now() - at) * 1e9)
+            return self.get_clock().now().to_msg()
+        for _ in range(BOTH_CLOCKS):
+            before, ros, after = self.now(), self.get_clock().now(), self.now()
+            if after - before < TOGETHER:
+                break
+        nanoseconds = ros.nanoseconds - round((0.5 * (before + after) - at) * 1e9)
         return Time(nanoseconds=max(nanoseconds, 0)).to_msg()
 
     def warn(self, subject: str, text: str) -> None:
