@@ -1,9 +1,9 @@
-"""The bus itself: python-can, and a thread that only carries frames over."""
+"""The bus itself: python-can, and a thread that tells when there is something to hear."""
 
+import select
 import threading
-import time
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 import can
@@ -23,17 +23,21 @@ class BusError(OmnimanError):
 
 
 class CanBus:
-    """A bus of python-can, read by a thread that never dies of what it hears.
+    """A bus of python-can.
+
+    Where the interface has a file descriptor (socketcan, udp_multicast, serial lines) a thread
+    waits for it and the frames are read by whoever takes them; else the thread reads.
 
     Args:
         p: Interface, channel and bit rate.
-        wake: Called from the thread when there is something to take.
+        wake: Called from the thread when there is something to take; :meth:`take` must follow.
+            None if nobody is to be woken.
 
     Raises:
         BusError: It cannot be opened.
     """
 
-    def __init__(self, p: CanParameters, wake: Callable[[], None] = lambda: None) -> None:
+    def __init__(self, p: CanParameters, wake: Callable[[], None] | None = None) -> None:
         options: dict[str, Any] = {"interface": p.interface, "channel": p.channel}
         if p.interface == "udp_multicast":
             options |= {"port": p.port, "hop_limit": 0, "fd": False}
@@ -47,61 +51,92 @@ class CanBus:
         self._wake = wake
         self._heard: deque[Frame | str] = deque()
         self._event = threading.Event()
-        self._pending = False
-        self._closing = False
+        self._closing = threading.Event()
         self.garbage = 0
-        self._thread = threading.Thread(target=self._read, name="can", daemon=True)
-        self._thread.start()
+        try:
+            self._socket = self._bus.fileno()
+        except NotImplementedError:
+            self._socket = -1
+        reader = self._read if self._socket < 0 else self._watch
+        self._thread = threading.Thread(target=reader, name="can", daemon=True)
+        if wake is not None or self._socket < 0:
+            self._thread.start()
+
+    # ---- the thread: it wakes, and reads where there is nothing to wait for --------------------
+
+    def _watch(self) -> None:
+        """Wake whoever takes frames when there are some, and wait until they are taken."""
+        while not self._closing.is_set():
+            try:
+                ready = select.select([self._socket], [], [], PATIENCE)[0]
+            except (OSError, ValueError):  # closed
+                return
+            if ready:
+                self._event.clear()
+                self._call()
+                self._event.wait(PATIENCE)
 
     def _read(self) -> None:
-        while not self._closing:
-            try:
-                message = self._bus.recv(PATIENCE)
-            except can.CanError as error:
-                self._on_error(error)
-                continue
-            if message is None:
-                continue
-            if message.is_error_frame:
-                if message.arbitration_id & BUS_OFF:
-                    self._put("off (error frame)")
-                continue
-            if message.is_fd:
-                self.garbage += 1
-                continue
-            self._put(
-                Frame(
-                    message.arbitration_id, bytes(message.data), message.is_extended_id,
-                    message.is_remote_frame,
-                )
-            )  # fmt: skip
+        """Read, from an interface that cannot be waited for otherwise."""
+        while not self._closing.is_set():
+            item = self._receive(PATIENCE)
+            if item is not None:
+                self._heard.append(item)
+                self._event.set()
+                self._call()
+                if isinstance(item, str):
+                    self._closing.wait(PATIENCE)
 
-    def _on_error(self, error: can.CanError) -> None:
-        """Nonsense on the wire is counted; a bus that cannot be read has failed."""
-        if isinstance(error.__cause__, OSError):
-            if not self._closing:
-                self._put(f"cannot be read: {error}")
-                time.sleep(PATIENCE)
-        else:
-            self.garbage += 1
-
-    def _put(self, item: Frame | str) -> None:
-        self._heard.append(item)
-        self._event.set()
-        if not self._pending:
-            self._pending = True
+    def _call(self) -> None:
+        if self._wake is not None:
             self._wake()
 
-    def take(self) -> Iterable[Frame | str]:
+    # ---- receiving ------------------------------------------------------------------------------
+
+    def _receive(self, timeout: float) -> Frame | str | None:
+        """A frame, a failure of the bus in words, or None: nothing that counts."""
+        try:
+            message = self._bus.recv(timeout)
+        except can.CanError as error:
+            if isinstance(error.__cause__, OSError):
+                return f"cannot be read: {error}"
+            self.garbage += 1  # nonsense on the wire
+            return None
+        if message is None:
+            return None
+        if message.is_error_frame:
+            return "off (error frame)" if message.arbitration_id & BUS_OFF else None
+        if message.is_fd:
+            self.garbage += 1
+            return None
+        return Frame(
+            message.arbitration_id, bytes(message.data), message.is_extended_id,
+            message.is_remote_frame,
+        )  # fmt: skip
+
+    def take(self) -> Iterator[Frame | str]:
         """Yield what was heard: frames, and failures of the bus in words."""
-        self._pending = False
-        self._event.clear()
-        while self._heard:
-            yield self._heard.popleft()
+        if self._socket < 0:
+            self._event.clear()
+            while self._heard:
+                yield self._heard.popleft()
+            return
+        while select.select([self._socket], [], [], 0.0)[0]:
+            item = self._receive(0.0)
+            if item is not None:
+                yield item
+            if isinstance(item, str):
+                break
+        self._event.set()
 
     def wait(self, timeout: float) -> None:
         """Wait until something was heard, at most so long, s."""
-        self._event.wait(max(timeout, 0.0))
+        if self._socket < 0:
+            self._event.wait(max(timeout, 0.0))
+        else:
+            select.select([self._socket], [], [], max(timeout, 0.0))
+
+    # ---- sending --------------------------------------------------------------------------------
 
     def send(self, frames: Iterable[Frame]) -> str:
         """Send frames; return what went wrong, or nothing. All of them are tried."""
@@ -124,6 +159,8 @@ class CanBus:
 
     def close(self) -> None:
         """Close the bus and end the thread."""
-        self._closing = True
-        self._thread.join(5 * PATIENCE)
+        self._closing.set()
+        self._event.set()
+        if self._thread.is_alive():
+            self._thread.join(5 * PATIENCE)
         self._bus.shutdown()

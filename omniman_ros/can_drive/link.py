@@ -19,7 +19,7 @@ class CanLink:
         robot: The robot.
         p: The installation.
         clock: Gives the time, s, steady.
-        wake: Called from another thread when frames wait for :meth:`hear`.
+        wake: Called from another thread when frames wait for :meth:`hear`, if not None.
 
     Attributes:
         drives: The policy.
@@ -33,7 +33,7 @@ class CanLink:
 
     def __init__(
         self, robot: Robot, p: CanParameters, clock: Callable[[], float],
-        wake: Callable[[], None] = lambda: None,
+        wake: Callable[[], None] | None = None,
     ) -> None:  # fmt: skip
         self.drives = CanDrives(robot, p)
         self._period = p.period
