@@ -2,7 +2,8 @@
 
 import argparse
 
-from omniman_ros.nodes.registry import NODES, markdown
+from omniman_ros.core.parameters import Spec
+from omniman_ros.nodes.registry import NODES, markdown, node_specs
 
 
 def run(args: argparse.Namespace) -> int:
@@ -21,6 +22,8 @@ def tables() -> str:
     """What all nodes know of the robot, then the parameters of each."""
     first = next(iter(NODES))
     parts = ["### The robot (all nodes)", "", *markdown(first, robot=True)]
+    told: list[Spec] = []
     for node in NODES:
-        parts += ["", f"### {node}'s own", "", *markdown(node, robot=False)]
+        parts += ["", f"### {node}'s own", "", *markdown(node, robot=False, told=told)]
+        told += node_specs(node)
     return "\n".join(parts)

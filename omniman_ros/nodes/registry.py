@@ -1,7 +1,7 @@
 """The nodes of the package and the parameters they have."""
 
 import importlib
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 
 from omniman_ros.core.parameters import Spec, specs
 
@@ -28,24 +28,32 @@ def known_names() -> set[str]:
     return {spec.name for node in NODES for spec in node_specs(node)}
 
 
-def markdown(node: str, *, robot: bool) -> Iterator[str]:
+def markdown(node: str, *, robot: bool, told: Collection[Spec] = ()) -> Iterator[str]:
     """Lines of a table of a node's parameters.
 
     Args:
         node: A name from NODES.
         robot: Whether to list the parameters of the robot, or the others.
+        told: Parameters that another table has; groups of them are only named.
     """
     shared = _robot_names()
+    known = {spec for spec in told if "." in spec.name}
+    groups: dict[str, None] = {}
     yield "| parameter | default | unit | range | |"
     yield "|---|---|---|---|---|"
     for spec in node_specs(node):
         if (spec.name in shared) is not robot:
+            continue
+        if spec in known:
+            groups[f"`{spec.name.partition('.')[0]}.*`"] = None
             continue
         fixed = "*fixed.* " if spec.read_only else ""
         yield (
             f"| `{spec.name}` | {_default(spec)} | {spec.unit} | {_range(spec)} "
             f"| {fixed}{spec.doc} |"
         )
+    if groups:
+        yield f"| {', '.join(groups)} | as above | | | |"
 
 
 def _robot_names() -> set[str]:
