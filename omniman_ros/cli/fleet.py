@@ -48,6 +48,12 @@ NODES = (
     NodeKind("viewer", stage=0, is_available=viewer_availability.is_available, essential=False),
 )
 
+PATIENCE = (
+    "-p", "can.missed_periods:=40", "-p", "can.drive_heartbeat:=0.1",
+    "-p", "can.heartbeat_timeout:=0.3",
+)  # fmt: skip
+"""Simulated drives are processes that wait for their turn on a busy machine; real ones do not."""
+
 
 @dataclass(frozen=True)
 class Setup:
@@ -123,7 +129,7 @@ def _ros_arguments(kind: NodeKind, robot: str, setup: Setup) -> list[str]:
     if set(kind.drives) & {"can", "real"}:
         arguments += ["--params-file", installation_file(setup.installation)]
         if setup.drive == "can":
-            arguments += private_bus()
+            arguments += [*private_bus(), *PATIENCE]
     if setup.params_file is not None:
         arguments += ["--params-file", setup.params_file]
     for text in setup.params:
