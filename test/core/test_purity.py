@@ -50,6 +50,18 @@ def test_core_imports_numpy_and_itself_only(path):
             assert name.split(".")[0] in CORE_MODULES, name
 
 
+ARM = sorted((PACKAGE / "arm").glob("**/*.py"))
+
+
+@pytest.mark.parametrize("path", ARM, ids=lambda path: path.stem)
+def test_the_arms_protocols_import_core_and_themselves_only(path):
+    for name in imports(path):
+        if below(name, "omniman_ros"):
+            assert below(name, "omniman_ros.core", "omniman_ros.arm"), name
+        else:
+            assert name.split(".")[0] in CORE_MODULES | {"struct"}, name
+
+
 CAN_DRIVE = sorted((PACKAGE / "can_drive").glob("**/*.py"))
 ON_THE_BUS = {"bus"}
 
