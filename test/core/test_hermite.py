@@ -1,0 +1,50 @@
+"""Polynomials through points, in any number of dimensions."""
+
+import numpy as np
+import pytest
+
+from omniman_ros.core.hermite import Hermite
+
+
+def polynomial(degree, dimensions, seed):
+    """Coefficients (degree + 1, d), lowest first, and the first two derivatives'."""
+    rows = [np.random.default_rng(seed).normal(size=(degree + 1, dimensions))]
+    for _ in range(2):
+        last = rows[-1]
+        rows.append(last[1:] * np.arange(1, len(last))[:, None])
+    return rows
+
+
+def at(coefficients, times):
+    powers = np.power.outer(np.atleast_1d(times), np.arange(len(coefficients)))
+    return powers @ coefficients
+
+
+@pytest.mark.parametrize("dimensions", [1, 3, 6, 9])
+@pytest.mark.parametrize(("degree", "with_accelerations"), [(5, True), (3, False)])
+def test_a_polynomial_of_its_degree_is_met_everywhere(dimensions, degree, with_accelerations):
+    x, v, a = polynomial(degree, dimensions, seed=dimensions)
+    times = np.array([-1.0, -0.3, 0.4, 0.5, 1.2])
+    accelerations = at(a, times) if with_accelerations else None
+    curve = Hermite(times, at(x, times), at(v, times), accelerations)
+    for now in np.linspace(-1.0, 1.2, 50, endpoint=False)[::-1]:
+        for sampled, expected in zip(curve.sample(now), (x, v, a), strict=True):
+            assert sampled.shape == (dimensions,)
+            assert sampled == pytest.approx(at(expected, now)[0], abs=1e-9)
+
+
+def test_before_and_after_it_rests_at_its_ends():
+    curve = Hermite(
+        np.array([1.0, 2.0]), np.array([[0.0, 5.0], [1.0, 7.0]]), np.ones((2, 2)), None
+    )
+    for now, place in ((0.0, [0.0, 5.0]), (2.0, [1.0, 7.0]), (9.0, [1.0, 7.0])):
+        position, velocity, acceleration = curve.sample(now)
+        assert position.tolist() == place
+        assert not velocity.any()
+        assert not acceleration.any()
+    assert (curve.start, curve.end, curve.end_speed) == (1.0, 2.0, 1.0)
+
+
+def test_one_point_is_a_place_to_be():
+    curve = Hermite(np.array([1.0]), np.array([[3.0]]), np.array([[0.0]]), None)
+    assert [curve.sample(now)[0].tolist() for now in (0.0, 1.0, 2.0)] == [[3.0]] * 3
