@@ -16,6 +16,8 @@ BUS_OFF = 0x040
 """Flag of SocketCAN's error frames: the controller is off the bus."""
 PATIENCE = 0.1
 """How long one read of the thread waits, s: so long does closing take at most."""
+MOST = 256
+"""Frames that are taken at once: a flood must not keep the periods from being done."""
 
 
 class BusError(OmnimanError):
@@ -97,36 +99,41 @@ class CanBus:
         """A frame, a failure of the bus in words, or None: nothing that counts."""
         try:
             message = self._bus.recv(timeout)
-        except can.CanError as error:
-            if isinstance(error.__cause__, OSError):
-                return f"cannot be read: {error}"
-            self.garbage += 1  # nonsense on the wire
-            return None
+        except Exception as error:  # each back end of python-can raises what its library does
+            if _is_nonsense(error):
+                self.garbage += 1
+                return None
+            return f"cannot be read: {str(error) or type(error).__name__}"
         if message is None:
             return None
+        number = int(message.arbitration_id)  # UDP brings whatever somebody has packed
         if message.is_error_frame:
-            return "off (error frame)" if message.arbitration_id & BUS_OFF else None
+            return "off (error frame)" if number & BUS_OFF else None
         if message.is_fd:
             self.garbage += 1
             return None
         return Frame(
-            message.arbitration_id, bytes(message.data), message.is_extended_id,
-            message.is_remote_frame,
+            number, bytes(message.data), bool(message.is_extended_id),
+            bool(message.is_remote_frame),
         )  # fmt: skip
 
     def take(self) -> Iterator[Frame | str]:
-        """Yield what was heard: frames, and failures of the bus in words."""
+        """Yield what was heard, :data:`MOST` at once: frames, and failures of the bus in words."""
         if self._socket < 0:
             self._event.clear()
-            while self._heard:
+            for _ in range(min(len(self._heard), MOST)):
                 yield self._heard.popleft()
+            if self._heard:
+                self._event.set()
             return
-        while select.select([self._socket], [], [], 0.0)[0]:
+        for _ in range(MOST):
+            if not select.select([self._socket], [], [], 0.0)[0]:
+                break
             item = self._receive(0.0)
             if item is not None:
                 yield item
             if isinstance(item, str):
-                break
+                return  # the thread waits before it wakes anybody again
         self._event.set()
 
     def wait(self, timeout: float) -> None:
@@ -155,7 +162,12 @@ class CanBus:
     @property
     def failure(self) -> str:
         """What the interface says of its own state, where it says something."""
-        return "off" if self._bus.state is can.BusState.ERROR else ""
+        try:
+            return "off" if self._bus.state is can.BusState.ERROR else ""
+        except NotImplementedError:
+            return ""
+        except (can.CanError, OSError) as error:
+            return f"does not tell its state: {error}"
 
     def close(self) -> None:
         """Close the bus and end the thread."""
@@ -164,3 +176,12 @@ class CanBus:
         if self._thread.is_alive():
             self._thread.join(5 * PATIENCE)
         self._bus.shutdown()
+
+
+def _is_nonsense(error: Exception) -> bool:
+    """Whether what was read was no frame; else the bus itself cannot be read."""
+    if isinstance(error, OSError):
+        return False
+    if isinstance(error, can.CanError):
+        return error.__cause__ is not None and not isinstance(error.__cause__, OSError)
+    return True

@@ -62,7 +62,7 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.core.wheel_cascade import DriveMode
 
 SETTLED = 3
-"""Ticks after which a drive that leaves operation enabled was not sent away by an older one."""
+"""Ticks after which a drive shows what an older one told it: those of before are at an end."""
 
 __all__ = ["CanopenNetwork", "Cia402Axis"]
 
@@ -119,7 +119,7 @@ class Cia402Axis:
         self._told_at = -math.inf
         self._pds: PdsState | None = None
         self._mode_shown = self._mode_asked = self._error = 0
-        self._settled = 0
+        self._settled = self._driven = 0
         self._following = False
         self._reset: FaultReset | None = None
 
@@ -134,7 +134,7 @@ class Cia402Axis:
     def _begin(self) -> None:
         self._forget()
         self.state = AxisState.CONFIGURING
-        self._abilities, self._mapped, self.modes = None, False, frozenset()
+        self._mapped, self.modes = False, frozenset()
         self._bring_up = BringUp(self.settings)
 
     def reset(self, now: float) -> None:
@@ -264,7 +264,7 @@ class Cia402Axis:
 
     def _tell_error(self) -> None:
         # 603F keeps the last error, also when it is gone.
-        if self._error and self._pds in FAULTS and "fault" in self._troubles:
+        if self._error and "fault" in self._troubles:
             self._fail("error", f"error code {error_text(self._error)}")
 
     def _run_if_ready(self, now: float) -> None:
@@ -373,8 +373,11 @@ class Cia402Axis:
         word = reset.controlword() if reset else CONTROLWORDS[demand][self._pds]
         drives = demand is Demand.DRIVE and word == ENABLE
         self._settled = self._settled + 1 if drives and self._pds is PdsState.ENABLED else 0
+        # A drive that was told to stop may still show that it is enabled: where it takes "enable
+        # operation" in its quick stop, an old setpoint would speed it up again.
+        self._driven = self._driven + 1 if demand is Demand.DRIVE else 0
         self._watch.tick()
-        moves = drives and self._following
+        moves = drives and self._following and self._driven > SETTLED
         mode = setpoint.mode if demand is Demand.DRIVE else DriveMode.VELOCITY
         self._mode_asked = abilities.modes[mode]
         value, offset = (setpoint.value, setpoint.feedforward) if moves else (0.0, 0.0)

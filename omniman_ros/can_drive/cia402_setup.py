@@ -19,6 +19,8 @@ from omniman_ros.can_drive.cia402_objects import (
     CYCLE_EXPONENT,
     DEVICE_TYPE,
     ERROR_BEHAVIOUR,
+    FAULT_REACTION_OPTION,
+    MODE,
     PRODUCER_HEARTBEAT,
     PROFILE,
     QUICK_STOP_DECELERATION,
@@ -55,16 +57,25 @@ MODES = {
 
 QUICK_STOP_OPTIONS = (6, 2)
 """605A: ramp and stay in quick stop; or ramp and switch off."""
-QUICK_STOP_ON_ABORT = 3
-"""6007: quick stop when the heartbeat of the host fails, on bus-off, reset and NMT stop."""
+ABORT_OPTIONS = (3, 1)
+"""6007, when the heartbeat of the host fails, on bus-off, reset and NMT stop: quick stop; or a
+fault, with its own reaction."""
+QUICK_STOP_ON_FAULT = 2
+"""605E: ramp of the quick stop, where the fault leaves one."""
 
 STAYS_OPERATIONAL = 1
 """1029:01: it goes on reporting how its wheel comes to rest when the host's heartbeat is lost."""
 
-POWER_POLLS = 20
-"""How often the statusword is read until the power is off."""
+POWER_PATIENCE = 1.0
+"""How long at least a drive may take to take the power off, s: it may have to set a brake, or be
+in its reaction to a fault."""
 SHARE = 0.05
 """Part by which the deceleration may be off: drives round it."""
+HEARTBEAT_SHARE = 0.5
+"""Part by which the heartbeat may be off: three of them are waited for, so two must fit."""
+PLAUSIBLE = 50.0
+"""Largest ratio of rated torque and largest torque. Makers differ in the unit of 6076 (mN m in the
+profile): one of uN m would make all torques a thousand times too small or too large."""
 
 UNUSED, NO_RTR = 1 << 31, 1 << 30
 """Bits of a PDO's COB-id; the second is the drive's own matter."""
@@ -170,31 +181,31 @@ def setup(settings: AxisSettings) -> Steps[Abilities]:
         SdoError: The drive refuses something, lacks a mode, or did not take what it was told.
     """
     told = numbers(settings)
+    # First of all: it may still turn, and it may hear though its answers are lost.
+    yield from attempt(CONTROLWORD, DISABLE_VOLTAGE)
     kind = yield from read(DEVICE_TYPE)
     if kind & 0xFFFF != PROFILE:
         raise SdoError(f"is no CiA 402 drive: device type {kind:08X}")
-    yield from _power_off()
+    yield from _powerless(settings)
     modes = yield from _modes(settings)
-    rated_torque = settings.rated_torque or (yield from _rated_torque())
+    rated_torque = settings.rated_torque or (yield from _rated_torque(settings))
     yield from write(TARGET_VELOCITY, 0)
-    yield from write(TARGET_TORQUE, 0, () if DriveMode.TORQUE in modes else ABSENT)
-    yield from write(VELOCITY_OFFSET, 0, ABSENT)
-    yield from write(TORQUE_OFFSET, 0, () if settings.feed_forward else ABSENT)
+    for entry in (TARGET_TORQUE, VELOCITY_OFFSET, TORQUE_OFFSET):
+        yield from write(entry, 0, ABSENT)  # where it is needed it is mapped as well
     yield from _verified(CONSUMER_HEARTBEAT, told.consumer_heartbeat)
-    yield from write(PRODUCER_HEARTBEAT, told.producer_heartbeat)
-    yield from _quick_stop_option()
+    yield from _verified(PRODUCER_HEARTBEAT, told.producer_heartbeat, HEARTBEAT_SHARE)
+    yield from _option(QUICK_STOP_OPTION, QUICK_STOP_OPTIONS)
     yield from _verified(QUICK_STOP_DECELERATION, told.quick_stop_deceleration, SHARE)
-    yield from write(ABORT_OPTION, QUICK_STOP_ON_ABORT, ABSENT)
-    yield from write(ERROR_BEHAVIOUR, STAYS_OPERATIONAL, ABSENT)
-    if (yield from write(CYCLE, told.cycle, ABSENT)):
-        yield from write(CYCLE_EXPONENT, told.cycle_exponent, ABSENT)
+    yield from _option(ABORT_OPTION, ABORT_OPTIONS)
+    yield from attempt(FAULT_REACTION_OPTION, QUICK_STOP_ON_FAULT)
+    yield from attempt(ERROR_BEHAVIOUR, STAYS_OPERATIONAL)
+    yield from _tell_cycle(told)
     supply = yield from _map_all(settings, DriveMode.TORQUE in modes)
     return Abilities(modes, rated_torque, supply)
 
 
-def _power_off() -> Steps[None]:
-    yield from write(CONTROLWORD, DISABLE_VOLTAGE)
-    for _ in range(POWER_POLLS):
+def _powerless(settings: AxisSettings) -> Steps[None]:
+    for _ in range(math.ceil(POWER_PATIENCE / settings.period)):  # at most one read a tick
         word = yield from read(STATUSWORD)
         if pds_state(word) not in POWERED:
             return
@@ -202,37 +213,62 @@ def _power_off() -> Steps[None]:
 
 
 def _modes(settings: AxisSettings) -> Steps[dict[DriveMode, int]]:
+    """Find a mode for each need, and leave the drive in that for velocities.
+
+    A drive may list modes that it does not take, those that it has on another field bus.
+    """
     supported = yield from read(SUPPORTED_MODES)
     needed = [DriveMode.VELOCITY]
     if settings.mode is not DriveMode.VELOCITY:  # voltages are served by torques
-        needed.append(DriveMode.TORQUE)
+        needed.insert(0, DriveMode.TORQUE)
     found = {}
     for need in needed:
-        names = [n for n in MODES[need] if supported & OperationMode.SUPPORTED[n]]
-        if not names:
+        said = f"{SUPPORTED_MODES} is {supported:08X}"
+        for name in MODES[need]:
+            code = OperationMode.NAME2CODE[name]
+            if not supported & OperationMode.SUPPORTED[name]:
+                continue
+            abort = yield from attempt(MODE, code)
+            if not abort:
+                found[need] = code
+                break
+            said += f"; SDO {MODE} = {code}: abort {abort_text(abort)}"
+        else:
             lacking = " nor ".join(name.lower() for name in MODES[need])
-            raise SdoError(f"has neither {lacking} mode: {SUPPORTED_MODES} is {supported:08X}")
-        found[need] = OperationMode.NAME2CODE[names[0]]
+            raise SdoError(f"takes neither {lacking} mode: {said}")
     return found
 
 
-def _rated_torque() -> Steps[float]:
-    torque = yield from read(RATED_TORQUE)
-    if torque == 0:
-        raise SdoError(f"{RATED_TORQUE} is 0: give can.rated_torque")
-    return 1e-3 * torque
+def _rated_torque(settings: AxisSettings) -> Steps[float]:
+    torque = 1e-3 * (yield from read(RATED_TORQUE))
+    if not settings.max_torque / PLAUSIBLE <= torque <= settings.max_torque * PLAUSIBLE:
+        reason = f"{torque:g} N m, with at most {settings.max_torque:g} N m at this motor"
+        raise SdoError(f"{RATED_TORQUE} is {reason}: give can.rated_torque")
+    return torque
 
 
-def _quick_stop_option() -> Steps[None]:
-    # What counts is what it says afterwards: it may have one of them for good.
-    for option in QUICK_STOP_OPTIONS:
-        abort = yield from attempt(QUICK_STOP_OPTION, option)
+def _option(entry: Entry, choices: tuple[int, ...]) -> Steps[None]:
+    """Write the first choice that is taken; without the entry the profile's default holds."""
+    for option in choices:
+        abort = yield from attempt(entry, option)
+        if abort in ABSENT:
+            return
         if not abort:
             break
-    value = yield from read(QUICK_STOP_OPTION)
-    if value not in QUICK_STOP_OPTIONS:
-        options = " or ".join(map(str, QUICK_STOP_OPTIONS))
-        raise SdoError(f"{QUICK_STOP_OPTION} stays {value}: needed is {options}")
+    # What counts is what it says afterwards: it may have one of them for good.
+    value = yield from read(entry)
+    if value not in choices:
+        options = " or ".join(map(str, choices))
+        raise SdoError(f"{entry} stays {value}: needed is {options}")
+
+
+def _tell_cycle(told: Numbers) -> Steps[None]:
+    """Tell the time over which setpoints are interpolated; a drive may have none, or its own."""
+    if (yield from attempt(CYCLE_EXPONENT, told.cycle_exponent)):
+        answer = yield Request(CYCLE_EXPONENT)
+        if answer.data is None or CYCLE_EXPONENT.unpack(answer.data) != told.cycle_exponent:
+            return
+    yield from attempt(CYCLE, told.cycle)
 
 
 def _verified(entry: Entry, value: int, share: float = 0.0) -> Steps[None]:
@@ -265,7 +301,8 @@ def _map_all(settings: AxisSettings, torque: bool) -> Steps[Pdo | None]:
 def _switch_off(pdo: Pdo) -> Steps[None]:
     cob_id = yield from _cob_id(pdo)
     if cob_id is not None and not cob_id & UNUSED:
-        yield from write(pdo.cob_id, cob_id | UNUSED)
+        # Of one that stays on nothing is used: only the bus carries it.
+        yield from attempt(pdo.cob_id, cob_id | UNUSED)
 
 
 def _cob_id(pdo: Pdo) -> Steps[int | None]:

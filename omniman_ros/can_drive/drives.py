@@ -32,6 +32,8 @@ SETTLED = 0.2
 """How long all wheels must stand before a stop takes the power off, s."""
 LEAST_STEP = 0.25
 """Periods between two times of measurement; of reports that come late in a bunch one counts."""
+LISTEN = 0.2
+"""How long the bus is listened to before anything is sent, s: two periods of the slowest host."""
 GRACE = 0.5
 """How much longer than its ramp a stop may take before the power is taken off all the same, s."""
 
@@ -92,6 +94,7 @@ class CanDrives:
         self._commanded = -math.inf
         self._ramp = SpeedRamp(len(self.axes))
         self._since = -math.inf
+        self._listening = False
         self._stood: float | None = None
         self._taken = [0] * len(self.axes)
         self._seen = [0] * len(self.axes)
@@ -99,6 +102,7 @@ class CanDrives:
         self._ticked = (-math.inf, -math.inf)
         self._stamped = -math.inf
         self._energy = np.zeros(len(self.axes))
+        self._fastest = 0.0
         self.configure_parameters(robot, parameters)
 
     def configure_parameters(self, robot: Robot, parameters: CanParameters) -> None:
@@ -106,6 +110,7 @@ class CanDrives:
         self._robot, self._parameters = robot, parameters
         self._gears = transmissions(robot, parameters)
         self._max_speed = max_wheel_speed(robot, parameters)
+        self._fastest = max(self._fastest, self._max_speed)  # wheels may turn as before
         self._mode = DriveMode(parameters.mode)
 
     # ---- what is asked for --------------------------------------------------------------------
@@ -113,15 +118,15 @@ class CanDrives:
     def configure(self, now: float) -> None:
         """Begin to configure all drives; `tick` goes on until the phase is IDLE.
 
-        A drive that says then that it has a fault is reset once: it may be that of the silence
-        since the last host.
+        First the bus is listened to: drives that another host commands are left alone. A drive
+        that says then that it has a fault is reset once: it may be that of the silence since the
+        last host.
         """
         self.phase, self._since = Phase.CONFIGURING, now
         self.stop_reason = ""
         self._forget()
         self._retried = [False] * len(self.axes)
-        for axis in self.axes:
-            axis.configure(now)
+        self._listening = True
 
     def enable(self, now: float) -> None:
         """Begin to enable all drives at zero speed; `tick` goes on until the phase is DRIVING.
@@ -177,7 +182,7 @@ class CanDrives:
     def _begin_stop(self, now: float) -> None:
         self._forget()
         self._since, self._stood = now, None
-        self._ramp.begin(self._measured())
+        self._ramp.begin(self._believable())
 
     def _forget(self) -> None:
         """Drop the last command: nothing that was asked before moves a wheel."""
@@ -221,7 +226,10 @@ class CanDrives:
         if self.lookout.is_host(frame):
             if self.phase is Phase.UNCONFIGURED or self.lookout.is_echo(frame):
                 return []
-            return self.stop(f"another host commands the drives: frame {frame}", now)
+            reason = f"another host commands the drives: frame {frame}"
+            if self.phase is Phase.CONFIGURING:
+                self._give_up(reason)
+            return self.stop(reason, now)
         key = (frame.id, frame.extended)
         owner = self._owners.get(key)
         if owner is not None:
@@ -256,12 +264,17 @@ class CanDrives:
         return self.stop(f"{axis.settings.name}: {wrong}", now)
 
     def bus_failed(self, reason: str, now: float) -> list[Frame]:
-        """Hear that the bus is off, or that a frame could not be sent: all stop, latched."""
+        """Hear that the bus is off, or that a frame could not be sent: all stop, latched.
+
+        While the drives are configured nothing moves, and that is given up instead.
+        """
+        if self.phase is Phase.CONFIGURING:
+            self._give_up(f"bus: {reason}")
         return self.stop(f"bus: {reason}", now)
 
     def tick(self, now: float) -> list[Frame]:
         """Return the frames of one period, to be called at the installation's rate."""
-        if self.phase is Phase.UNCONFIGURED:
+        if self.phase is Phase.UNCONFIGURED or self._listens(now):
             return []
         self._ticked = (now, self._ticked[0])
         before = self._network.before(now)
@@ -281,6 +294,14 @@ class CanDrives:
 
     # ---- a period -----------------------------------------------------------------------------
 
+    def _listens(self, now: float) -> bool:
+        """Whether nothing is sent yet."""
+        if self._listening and now - self._since >= LISTEN:
+            self._listening, self._since = False, now
+            for axis in self.axes:
+                axis.configure(now)
+        return self._listening
+
     def _forgive(self, now: float) -> None:
         for k, axis in enumerate(self.axes):
             if (axis.trouble or axis.state is AxisState.FAULT) and not self._retried[k]:
@@ -288,14 +309,19 @@ class CanDrives:
                 axis.reset(now)
 
     def _finish_configuring(self, now: float) -> None:
+        if self.phase is not Phase.CONFIGURING:
+            return
         if self._all(AxisState.READY) and all(axis.feedback.count for axis in self.axes):
             self.phase = Phase.IDLE
             self._stood = now - SETTLED
         elif now - self._since > self._parameters.configure_timeout or any(
             axis.trouble for axis in self.axes
         ):
-            self.stop_reason = f"not configured: {self._who_is_not(AxisState.READY)}"
-            self.phase = Phase.UNCONFIGURED
+            self._give_up(self._who_is_not(AxisState.READY))
+
+    def _give_up(self, reason: str) -> None:
+        self._listening = False
+        self.stop_reason, self.phase = f"not configured: {reason}", Phase.UNCONFIGURED
 
     def _who_is_not(self, state: AxisState) -> str:
         """Name the drives that are not in a state, and say what they say."""
@@ -351,11 +377,21 @@ class CanDrives:
         return Demand.IDLE if now - self._since > self.longest_stop else Demand.STOP
 
     def _axis_frames(self, demand: Demand, now: float) -> list[Frame]:
+        """Frames of all axes. One that fails is no reason not to stop the others, at once."""
         setpoints = self._setpoints(demand, now)
         frames: list[Frame] = []
+        failed = ""
         for axis, setpoint in zip(self.axes, setpoints, strict=True):
-            frames += axis.tick(demand, setpoint, now)
-        return frames
+            try:
+                frames += axis.tick(demand, setpoint, now)
+            except Exception as error:  # whatever it is: it must not keep a wheel moving
+                failed = failed or f"{axis.settings.name}: {type(error).__name__}: {error}"
+        if failed and self.phase is Phase.CONFIGURING:
+            self._give_up(failed)
+        if not failed or self.stop_reason:
+            return frames
+        self._latch(failed, now)
+        return self._axis_frames(Demand.STOP, now)
 
     def _setpoints(self, demand: Demand, now: float) -> Sequence[Setpoint]:
         """Setpoints at the motors: a fresh command, else a ramp to rest."""
@@ -367,14 +403,12 @@ class CanDrives:
             return [REST] * len(self.axes)
         command = self._command
         if command is None or now - self._commanded > p.command_timeout:
-            if command is not None:
-                self._command = None
-                if command.mode is not DriveMode.VELOCITY:
-                    self._ramp.begin(self._measured())
+            self._command = None
             return self._speeds(self._ramp.down(p.deceleration, now))
         if command.velocity is not None:
             speeds = self._ramp.towards(command.velocity, p.acceleration, now)
             return self._speeds(speeds, command.effort)
+        self._ramp.begin(self._believable())  # from where speeds go on, whatever asks for them
         return self._efforts(command)
 
     def _speeds(self, speeds: Array, efforts: Array | None = None) -> list[Setpoint]:
@@ -404,6 +438,13 @@ class CanDrives:
         ]
         return np.array([speed if math.isfinite(speed) else 0.0 for speed in speeds])
 
+    def _believable(self) -> Array:
+        """Wheel speeds (n,), rad/s, without those of a wheel that runs away or reports nonsense.
+
+        A ramp keeps the proportions of all speeds: none may hold up the others.
+        """
+        return np.clip(self._measured(), -self._fastest, self._fastest)
+
     # ---- what comes out -----------------------------------------------------------------------
 
     def at_rest(self, now: float) -> bool:
@@ -421,7 +462,7 @@ class CanDrives:
     @property
     def longest_stop(self) -> float:
         """How long a stop takes at most, s; then the power is taken off all the same."""
-        return self._max_speed / self._parameters.quick_stop_deceleration + GRACE
+        return self._fastest / self._parameters.quick_stop_deceleration + GRACE
 
     @property
     def is_off(self) -> bool:
@@ -460,6 +501,6 @@ class CanDrives:
         rows = np.array(
             [g.electrical(axis.feedback) for g, axis in zip(self._gears, self.axes, strict=True)]
         )
-        power = np.nan_to_num(rows[:, 0] * rows[:, 1])
-        self._energy = self._energy + power * dt
+        power = rows[:, 0] * rows[:, 1]
+        self._energy = self._energy + np.where(np.isfinite(power), power, 0.0) * dt
         return np.column_stack([rows, self._energy])

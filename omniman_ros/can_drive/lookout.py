@@ -12,15 +12,15 @@ MEMORY = 32
 class Lookout:
     """Tells own echoes from commands of another host; counts what is not used.
 
-    Some interfaces (udp_multicast) give back what was sent. A frame with an id that only the host
-    sends is an echo if one like it was among the last that were sent, else somebody else commands
-    the drives.
+    Some interfaces (udp_multicast) give back what was sent, each frame once. A frame with an id
+    that only the host sends is an echo if one like it was sent and has not come back yet, else
+    somebody else commands the drives: a second host betrays itself though it says the same.
 
     Args:
         command_ids: Ids, and whether they are extended, that only the host sends.
 
     Attributes:
-        counts: Frames that were not used, by "echo", "unknown", "malformed" and "remote".
+        counts: Frames that were not used, by "echo", "unknown" and "malformed".
     """
 
     def __init__(self, command_ids: Iterable[tuple[int, bool]]) -> None:
@@ -41,7 +41,10 @@ class Lookout:
         return (frame.id, frame.extended) in self._sent
 
     def is_echo(self, frame: Frame) -> bool:
-        """Whether one like it was among the last that were sent; it is counted then."""
-        known = frame.data in self._sent[frame.id, frame.extended]
-        self.counts["echo"] += known
-        return known
+        """Whether one like it was sent and has not come back yet; it is counted then."""
+        sent = self._sent[frame.id, frame.extended]
+        if frame.remote or frame.data not in sent:
+            return False
+        sent.remove(frame.data)
+        self.counts["echo"] += 1
+        return True

@@ -135,6 +135,9 @@ class OdriveAxis:
     There is no boot-up frame. A drive that left closed loop unasked, or whose position made a step
     that no shaft can do, is taken for restarted: OFFLINE. The position is continued over it.
 
+    Torque is the measured Iq times the torque constant: with firmware 0.5 and a motor whose
+    `direction` was calibrated as -1 its sign is not that of the encoder's.
+
     Positions are float32 turns: from 4096 turns on they have steps of 1/2048 turn (3 mrad), from
     131,072 of 1/64 (0.1 rad), of the motor. Restart a drive that is to run further than that.
     """

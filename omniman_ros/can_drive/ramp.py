@@ -50,4 +50,4 @@ class SpeedRamp:
 
     def _step(self, rate: float, now: float) -> float:
         last, self._at = self._at, now
-        return rate * (now - last) if last is not None else 0.0
+        return rate * max(now - last, 0.0) if last is not None else 0.0

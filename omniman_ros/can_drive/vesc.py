@@ -3,8 +3,10 @@
 Source: documentation/comm_can.md and comm/comm_can.c of the firmware, github.com/vedderb/bldc.
 29-bit ids, command << 8 | node; big-endian. What the drive has to be told beforehand, with VESC
 Tool (App Settings, General): its id, CAN mode VESC, status messages 1 and 5 at the rate of
-`can.feedback_period`; and a time-out with a brake current: when the host falls silent a VESC goes
-on with its last command until then, and without a brake current it lets the motor turn freely.
+`can.feedback_period`; a time-out with a brake current: when the host falls silent a VESC goes on
+with its last command until then, and without a brake current it lets the motor turn freely; and a
+least speed of the speed controller (s_pid_min_erpm) of 0: below it, 900 by default, the motor is
+shorted (FOC) or released, not controlled: the end of a ramp is not followed, rest is not held.
 
 A VESC has no state machine on the bus: no enabling, no acknowledgement, no heartbeat, and none of
 its status frames carries a fault code. A fault shows as a current of zero, and heals by itself.
@@ -46,7 +48,8 @@ class Packet(IntEnum):
     STATUS_3 = 15
     STATUS_4 = 16
     STATUS_5 = 27
-    STATUS_6 = 28
+    NOTIFY_BOOT = 57
+    STATUS_6 = 58
 
 
 SCALES = {Packet.SET_DUTY: 1e5, Packet.SET_CURRENT: 1e3, Packet.SET_RPM: 1.0}
@@ -87,9 +90,9 @@ class VescAxis:
     filtered), not the direction: times the sign of the duty it is that of the torque. At a duty
     that rounds to zero the direction is not known; positive is assumed.
 
-    A restart shows in the tachometer alone, which begins at zero again: a step that no shaft can
-    do is taken for one. One within a few turns of zero is not seen, nor one in a long silence,
-    which is lost feedback anyway.
+    A restart shows in the tachometer, which begins at zero again: a step that no shaft can do is
+    taken for one. One within a few turns of zero is not seen, nor one in a long silence, which is
+    lost feedback anyway. Some firmware announces it besides, by NOTIFY_BOOT.
     """
 
     def __init__(self, settings: AxisSettings) -> None:
@@ -107,6 +110,7 @@ class VescAxis:
             Packet.STATUS << 8 | node: self._take_status,
             Packet.STATUS_5 << 8 | node: self._take_status_5,
         }
+        self._boot_id = Packet.NOTIFY_BOOT << 8 | node
         others = (Packet.STATUS_2, Packet.STATUS_3, Packet.STATUS_4, Packet.STATUS_6)
         self._others = frozenset(packet << 8 | node for packet in others)
         self._angle = math.tau / (6 * settings.pole_pairs)
@@ -130,6 +134,10 @@ class VescAxis:
 
     def receive(self, frame: Frame, now: float) -> Receipt:
         """See `Axis`: remote, 11-bit and short frames are malformed, a VESC sends none."""
+        if frame.id == self._boot_id and frame.extended and not frame.remote:
+            self._tachometer.restart()
+            self._begin_anew("it says so")
+            return Receipt.TAKEN
         read = self._readers.get(frame.id)
         if read is None and frame.id not in self._others:
             return Receipt.FOREIGN
@@ -194,11 +202,7 @@ class VescAxis:
             step, now - self._counted_at, self.settings
         ):
             counter.value = before  # it is continued from there
-            if self.state in (AxisState.READY, AxisState.ENABLED):
-                turns = step / math.tau
-                self._fail(
-                    AxisState.OFFLINE, f"it began anew: its tachometer jumped by {turns:.1f} turns"
-                )
+            self._begin_anew(f"its tachometer jumped by {step / math.tau:.1f} turns")
         self._counted_at = now
         self.feedback.position = counter.value * self._angle
         self.feedback.bus_voltage = supply * 0.1
@@ -214,6 +218,10 @@ class VescAxis:
             self.feedback.count += 1
         if self.state is AxisState.CONFIGURING and len(self._heard) == 2:
             self.state = AxisState.READY
+
+    def _begin_anew(self, sign: str) -> None:
+        if self.state in (AxisState.READY, AxisState.ENABLED):
+            self._fail(AxisState.OFFLINE, f"it began anew: {sign}")
 
     def _fail(self, state: AxisState, trouble: str) -> None:
         self.state = state

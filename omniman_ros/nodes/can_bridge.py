@@ -1,10 +1,14 @@
 """Node `can_bridge`: wheel commands to real motor drives on a CAN bus, and their feedback back."""
 
+import functools
 import sys
+import traceback
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from lifecycle_msgs.srv import ChangeState
 from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
@@ -19,7 +23,7 @@ from omniman_ros.core.parameters import inline, parameter
 from omniman_ros.core.robot import Robot
 from omniman_ros.core.stop import StopLatch, StopState
 from omniman_ros.nodes.parameters import ParameterSet
-from omniman_ros.nodes.runtime import OmnimanNode, run
+from omniman_ros.nodes.runtime import OmnimanNode, RCLError, run
 from omniman_ros.nodes.stopping import StopPort
 
 if TYPE_CHECKING:
@@ -27,8 +31,23 @@ if TYPE_CHECKING:
 
 SETPOINT = QoSProfile(depth=1)
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
+Callback = Callable[["CanBridgeNode", LifecycleState], TransitionCallbackReturn]
 RETRY = 2.0
 """Time between two attempts to start by itself, until the first success [s]."""
+
+
+def _told(callback: Callback) -> Callback:
+    """Have what a transition raises logged: rclpy drops it, and goes on with `on_error`."""
+
+    @functools.wraps(callback)
+    def transition(node: "CanBridgeNode", state: LifecycleState) -> TransitionCallbackReturn:
+        try:
+            return callback(node, state)
+        except Exception:
+            node.get_logger().error(f"{callback.__name__} failed:\n{traceback.format_exc()}")
+            return TransitionCallbackReturn.ERROR
+
+    return transition
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,6 +76,8 @@ class CanBridgeNode(OmnimanNode, LifecycleNodeMixin):
     def __init__(self, **options: object) -> None:
         OmnimanNode.__init__(self, "can_bridge", **options)
         LifecycleNodeMixin.__init__(self)
+        self._change_state = self._service_change_state.callback
+        self._service_change_state.callback = self._on_change_state
         if self.get_parameter("use_sim_time").value:
             raise ParameterError("use_sim_time", True, "real drives run on real time")
         self.settings = ParameterSet(self, CanBridgeParameters)
@@ -65,7 +86,7 @@ class CanBridgeNode(OmnimanNode, LifecycleNodeMixin):
         self.link: CanLink | None = None
         self.latch = StopLatch()
         self._active = False
-        self._attempt = -RETRY
+        self._attempt: float | None = -RETRY
         self._names = list(p.robot.wheels.names)
         self._make_topics(p)
         self._stop = StopPort(self, self.latch, self._reset, self._halt)
@@ -85,15 +106,30 @@ class CanBridgeNode(OmnimanNode, LifecycleNodeMixin):
     # ---- life cycle ---------------------------------------------------------------------------
 
     def _start(self) -> None:
-        """Bring itself up; what was up once is not brought up again."""
-        if self._active or self._attempt is None or self.now() - self._attempt < RETRY:
+        """Bring itself up; what was up once, or was taken down, is not brought up again."""
+        if self._attempt is None or self.now() - self._attempt < RETRY:
             return
         if self.link is None:
             self.trigger_configure()
         if self.link is not None:
             self.trigger_activate()
-        self._attempt = None if self._active else self.now()
+        if self._attempt is not None:
+            self._attempt = self.now()
 
+    def _on_change_state(
+        self, request: ChangeState.Request, response: ChangeState.Response
+    ) -> ChangeState.Response:
+        """Refuse a transition that its state does not have: rclpy lets it end the node."""
+        try:
+            return self._change_state(request, response)
+        except RCLError:
+            asked = request.transition.label or request.transition.id
+            state = self._state_machine.current_state[1]
+            self.warn("transition", f"transition {asked} refused: the node is {state}")
+            response.success = False
+            return response
+
+    @_told
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Open the bus and configure the drives."""
         # Here, so that a machine without python-can can import this module for its parameters.
@@ -116,6 +152,7 @@ class CanBridgeNode(OmnimanNode, LifecycleNodeMixin):
         self._close()
         return FAILURE
 
+    @_told
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Enable the drives at zero speed."""
         drives = self.link.drives
@@ -129,34 +166,40 @@ class CanBridgeNode(OmnimanNode, LifecycleNodeMixin):
             return FAILURE
         self.link.run_until(lambda: drives.phase is Phase.DRIVING or drives.stop_reason, 1e9)
         if drives.phase is Phase.DRIVING and not drives.stop_reason:
-            self._active = True
+            self._active, self._attempt = True, None
             self.get_logger().info("active: the drives hold zero speed")
             return SUCCESS
         self.warn("activate", f"not activated: {drives.stop_reason}")
         self._power_off()
         return FAILURE
 
+    @_told
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop the wheels and take the power off."""
         self._active = False
         self._power_off()
         return SUCCESS
 
+    @_told
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Close the bus."""
+        self._attempt = None
         self._close()
         return SUCCESS
 
+    @_told
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop the wheels, take the power off, close the bus."""
+        self._attempt = None
+        return self.on_error(state)
+
+    @_told
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Do the same after an error in a transition; the node is then unconfigured."""
         self._active = False
         self._power_off()
         self._close()
         return SUCCESS
-
-    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Do the same after an error in a transition; the node is then unconfigured."""
-        return self.on_shutdown(state)
 
     def _power_off(self) -> None:
         if self.link is None:

@@ -85,11 +85,14 @@ class OmnimanNode(Node):
         """ROS time of an instant `at` of the node's clock [s], now if it is None."""
         if at is None or not math.isfinite(at):
             return self.get_clock().now().to_msg()
+        took, offset = math.inf, 0.0
         for _ in range(BOTH_CLOCKS):
             before, ros, after = self.now(), self.get_clock().now(), self.now()
-            if after - before < TOGETHER:
+            if after - before < took:
+                took, offset = after - before, ros.nanoseconds - 0.5e9 * (before + after)
+            if took < TOGETHER:
                 break
-        nanoseconds = ros.nanoseconds - round((0.5 * (before + after) - at) * 1e9)
+        nanoseconds = round(offset + at * 1e9)
         return Time(nanoseconds=max(nanoseconds, 0)).to_msg()
 
     def warn(self, subject: str, text: str) -> None:

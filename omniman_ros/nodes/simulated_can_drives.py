@@ -70,6 +70,30 @@ def open_bus(parameters: CanParameters) -> "can.BusABC":
         raise ParameterError("can.interface", parameters.interface, str(error)) from error
 
 
+def _plain(message: "can.Message") -> "can.Message":
+    """The same message, of the types that it should have; raises where that cannot be."""
+    import can
+
+    return can.Message(
+        timestamp=float(message.timestamp),
+        arbitration_id=int(message.arbitration_id),
+        is_extended_id=bool(message.is_extended_id),
+        is_remote_frame=bool(message.is_remote_frame),
+        is_error_frame=bool(message.is_error_frame),
+        data=bytes(message.data),
+        check=True,
+    )
+
+
+def _is_nonsense(error: Exception) -> bool:
+    """Whether what came was no frame; else the bus cannot be read."""
+    import can
+
+    if isinstance(error, can.CanError):
+        return error.__cause__ is not None and not isinstance(error.__cause__, OSError)
+    return not isinstance(error, OSError)
+
+
 class SimulatedCanDrivesNode(OmnimanNode):
     """Plumbing around `drive.can.network.SimulatedBus`: real drives hear no topics."""
 
@@ -104,19 +128,19 @@ class SimulatedCanDrivesNode(OmnimanNode):
 
     def _listen(self) -> None:
         """Take frames from the bus, in a thread of its own, and have them served at once."""
-        import can
-
         while not self._closing.is_set():
             try:
                 message = self._bus.recv(LISTEN)
-            except (can.CanError, OSError, ValueError) as error:
+                plain = None if message is None else _plain(message)
+            except Exception as error:  # UDP brings whatever somebody has packed
                 self._trouble.append(str(error))
-                self._closing.wait(LISTEN)
+                if not _is_nonsense(error):
+                    self._closing.wait(LISTEN)
                 continue
-            if message is None:
+            if plain is None:
                 continue
             first, executor = not self._arrived, self.executor
-            self._arrived.append(message)
+            self._arrived.append(plain)
             if first and executor is not None and not self._closing.is_set():
                 executor.create_task(self.tick)
 

@@ -11,9 +11,11 @@ from omniman_ros.can_drive.frame import Frame
 
 from .fuzz import settings
 
-SIGNED = {0x605A, 0x6007, 0x6060, 0x6061, 0x6064, 0x606C, 0x6071, 0x6077, 0x60B1, 0x60B2, 0x60FF}
+SIGNED = {
+    0x605A, 0x605E, 0x6007, 0x6060, 0x6061, 0x6064, 0x606C, 0x6071, 0x6077, 0x60B1, 0x60B2, 0x60FF,
+}  # fmt: skip
 SIZES = {0x6060: 1, 0x6061: 1, 0x60C2: 1, 0x6064: 4, 0x606C: 4, 0x60FF: 4, 0x60B1: 4, 0x6085: 4}
-SIZES |= {0x6079: 4, 0x6076: 4, 0x6502: 4, 0x1000: 4, 0x1016: 4}
+SIZES |= {0x6079: 4, 0x6076: 4, 0x6502: 4, 0x1000: 4, 0x1016: 4, 0x1029: 1}
 
 # (state, command bits) -> state; CiA 402 "PDS FSA", transitions 2 to 12
 SHUTDOWN, SWITCH_ON, ENABLE, QUICK, DISABLE = 6, 7, 15, 2, 0
@@ -39,11 +41,13 @@ WORDS = {
 
 
 class FakeDrive:
-    def __init__(self, node=5):
+    def __init__(self, node=5, begins_anew=False):
+        self.begins_anew = begins_anew  # and may be sent PDOs before it is mapped
         self.node, self.nmt, self.state, self.word = node, 0x7F, "disabled", 0
         self.objects = {
             (0x1000, 0): 0x00020192, (0x1016, 1): 0, (0x1017, 0): 0, (0x6007, 0): 0,
             (0x603F, 0): 0, (0x6040, 0): 0, (0x6041, 0): 0, (0x605A, 0): 2, (0x6060, 0): 0,
+            (0x605E, 0): 0, (0x1029, 1): 0,
             (0x6061, 0): 0, (0x6064, 0): 0, (0x606C, 0): 0, (0x6071, 0): 100, (0x6076, 0): 1000,
             (0x6077, 0): 0, (0x6079, 0): 24000, (0x6085, 0): 1, (0x60B1, 0): 7, (0x60B2, 0): 7,
             (0x60C2, 1): 1, (0x60C2, 2): -3, (0x60FF, 0): 4096, (0x6502, 0): 0x3AF,
@@ -81,7 +85,7 @@ class FakeDrive:
             return self.sync()
         for n in range(4):
             if self.objects.get((0x1400 + n, 1)) == frame.id and self.nmt == 5:
-                assert self.objects[0x1400 + n, 2] == 1
+                assert self.objects[0x1400 + n, 2] == 1 or self.begins_anew
                 self.latched[n] = frame.data
         return []
 

@@ -70,6 +70,8 @@ def test_the_watchdogs_are_set():
     assert objects[0x1017, 0] == 30
     assert objects[0x605A, 0] == 6
     assert objects[0x6007, 0] == 3
+    assert objects[0x605E, 0] == 2
+    assert objects[0x1029, 1] == 1
     assert objects[0x6085, 0] == round(200.0 / math.tau * 4096)
 
 
@@ -133,11 +135,104 @@ def test_the_cycle_is_told(period, cycle):
     assert (objects[0x60C2, 1], objects[0x60C2, 2] - 256) == cycle
 
 
-@pytest.mark.parametrize("absent", [(0x60C2, 1), (0x6007, 0), (0x60B1, 0), (0x60B2, 0)])
+@pytest.mark.parametrize("absent", [
+    (0x60C2, 1), (0x60C2, 2), (0x6007, 0), (0x605A, 0), (0x605E, 0), (0x1029, 1), (0x60B1, 0),
+    (0x60B2, 0),
+])  # fmt: skip
 def test_what_a_drive_need_not_have_may_be_absent(absent):
     drive = FakeDrive()
     del drive.objects[absent]
     Bench(drive).configured()
+
+
+# 06010002: read only; 06090030: value range; 08000022: not in this state (CiA 301 table 22)
+@pytest.mark.parametrize("abort", [0x06010002, 0x06090030, 0x08000022])
+@pytest.mark.parametrize("entry", [(0x60C2, 1), (0x60C2, 2), (0x605E, 0), (0x1029, 1)])
+def test_what_a_drive_need_not_take_may_be_refused(entry, abort):
+    drive = FakeDrive()
+    drive.aborts[(*entry, "w")] = abort
+    Bench(drive).configured()
+
+
+@pytest.mark.parametrize("period, cycle", [(0.005, (5, -3)), (1 / 400, (1, -3))])
+def test_a_cycle_is_not_told_in_a_power_of_ten_that_the_drive_has_not(period, cycle):
+    drive = FakeDrive()
+    drive.aborts[0x60C2, 2, "w"] = 0x06010002
+    Bench(drive, period=period).configured()
+    assert (drive.objects[0x60C2, 1], drive.objects[0x60C2, 2]) == cycle
+
+
+def test_a_spare_pdo_that_stays_on_does_no_harm():
+    drive = FakeDrive()
+    drive.aborts[0x1803, 1, "w"] = 0x06010002
+    Bench(drive).configured()
+
+
+@pytest.mark.parametrize("entry, kept", [((0x605A, 0), 2), ((0x6007, 0), 1)])
+def test_another_way_to_stop_is_taken_where_the_best_is_refused(entry, kept):
+    drive = FakeDrive()
+    drive.objects[entry] = 0
+    normal = drive.serve
+
+    def serve(data):
+        head = bytes((0x2B, entry[0] & 0xFF, entry[0] >> 8, 0))
+        if data[:4] == head and data[4] != kept:
+            return [Frame(0x585, bytes((0x80, *head[1:])) + bytes.fromhex("30000906"))]
+        return normal(data)
+
+    drive.serve = serve
+    Bench(drive).configured()
+    assert drive.objects[entry] == kept
+
+
+def test_a_listed_mode_that_is_refused_is_stood_in_for():
+    # 6502 may be that of the maker's other field buses
+    drive = FakeDrive()
+    normal = drive.serve
+
+    def serve(data):
+        if data[:4] == bytes.fromhex("2F606000") and data[4] in (9, 10):
+            return [Frame(0x585, bytes.fromhex("8060600030000906"))]
+        return normal(data)
+
+    drive.serve = serve
+    bench = Bench(drive, mode=TORQUE).driving()
+    assert bench.rpdos()[1][6] == 3
+    bench.setpoint = Setpoint(TORQUE, 0.0)
+    bench.step(3)
+    assert bench.rpdos()[2][4] == 4
+
+
+def test_the_drive_is_left_in_the_mode_for_velocities():
+    written = Bench(mode=TORQUE).configured().drive.written
+    assert [value for index, _, value in written if index == 0x6060] == [10, 9]
+
+
+def test_a_heartbeat_is_taken_as_the_drive_rounds_it_while_two_of_three_are_heard():
+    drive = FakeDrive()
+    drive.ignored.add((0x1017, 0))
+    drive.objects[0x1017, 0] = 40
+    Bench(drive).configured()
+
+
+def test_power_may_take_a_second_to_go():
+    for period in (0.005, 0.001):
+        drive = FakeDrive()
+        drive.frozen_word = WORDS["reaction"]
+        bench = Bench(drive, period=period)
+        bench.axis.configure(0.0)
+        bench.step(round(0.9 / period))
+        assert bench.axis.state is AxisState.CONFIGURING
+        drive.frozen_word = None
+        bench.until(AxisState.READY)
+
+
+def test_the_power_is_taken_off_though_no_answer_is_heard():
+    bench = Bench().driving(Setpoint(VELOCITY, 5.0))
+    bench.lost = lambda frame: True
+    bench.axis.configure(bench.now)
+    bench.step(3)
+    assert bench.drive.state == "disabled"
 
 
 def test_any_kind_of_drive_will_do():
@@ -202,14 +297,22 @@ def test_quick_stop_option_2_is_taken_where_6_is_refused():
 
 REFUSALS = {
     "device type": ({"set": {(0x1000, 0): 0x00030191}}, "no CiA 402 drive: device type 00030191"),
-    "velocity": ({"set": {(0x6502, 0): 0x1}}, "neither cyclic synchronous velocity nor profiled"),
+    "velocity": ({"set": {(0x6502, 0): 0x200}}, "neither cyclic synchronous velocity nor"),
     "torque": ({"set": {(0x6502, 0): 0x100}}, "neither cyclic synchronous torque nor profiled"),
-    "rated torque": ({"set": {(0x6076, 0): 0}}, "6076:00 (motor rated torque) is 0"),
+    "modes": ({"aborts": {(0x6060, 0, "w"): 0x06090030}},
+              "is 000003AF; SDO 6060:00 (modes of operation) = 10: "
+              "abort 06090030 (Value range of parameter exceeded)"),
+    "rated torque": ({"set": {(0x6076, 0): 0}}, "6076:00 (motor rated torque) is 0 N m, "),
+    "unit of torque": ({"set": {(0x6076, 0): 800_000}}, "is 800 N m, with at most 2 N m at this"),
+    "small torque": ({"set": {(0x6076, 0): 1}}, "is 0.001 N m, with at most 2 N m at this motor"),
+    "slow heartbeat": ({"ignored": {(0x1017, 0)}, "set": {(0x1017, 0): 100}},
+                       "1017:00 (producer heartbeat time) reads 100 after 30 was written"),
     "abort": ({"aborts": {(0x1600, 2, "w"): 0x06040041}},
               "SDO 1600:02 (RPDO1 mapping) = 60FF0020: abort 06040041 (Object cannot be mapped"),
     "abort of a read": ({"aborts": {(0x6502, 0, "r"): 0x06020000}},
                         "SDO 6502:00 (supported drive modes): abort 06020000 (Object does not"),
-    "6007": ({"aborts": {(0x6007, 0, "w"): 0x06090030}}, "SDO 6007:00 (abort connection option"),
+    "6007": ({"aborts": {(0x6007, 0, "w"): 0x06090030}},
+             "6007:00 (abort connection option code) stays 0: needed is 3 or 1"),
     "1016": ({"ignored": {(0x1016, 1)}}, "1016:01 (consumer heartbeat time) reads 0 after 8323"),
     "605A": ({"set": {(0x605A, 0): 5}, "ignored": {(0x605A, 0)}},
              "605A:00 (quick stop option code) stays 5: needed is 6 or 2"),
@@ -254,7 +357,7 @@ def test_the_configuration_can_be_tried_again():
     bench = Bench(drive)
     bench.axis.configure(0.0)
     assert bench.until(AxisState.OFFLINE) == pytest.approx(0.6, abs=0.03)
-    assert bench.axis.trouble == "no answer to SDO 1000:00 (device type)"
+    assert bench.axis.trouble == "no answer to SDO 6040:00 (controlword)"
     drive.silent = set()
     bench.axis.reset(bench.now)
     assert (bench.axis.state, bench.axis.trouble) == (AxisState.CONFIGURING, "")
@@ -328,6 +431,9 @@ def test_a_drive_that_boots_while_it_is_configured_is_configured_from_the_beginn
     ({"velocity_scale": math.nan}, "velocity_scale"), ({"torque_constant": 0.0}, "torque_const"),
     ({"heartbeat_timeout": 1e-4}, "heartbeat_timeout"), ({"drive_heartbeat": 70.0}, "drive_hea"),
     ({"quick_stop_deceleration": 1e9}, "quick_stop_deceleration"), ({"period": 0.0}, "period"),
+    ({"heartbeat_timeout": 65.536}, "heartbeat_timeout"),
+    ({"drive_heartbeat": 65.536}, "drive_heartbeat"),
+    ({"quick_stop_deceleration": 2**32 * math.tau / 4096}, "quick_stop_deceleration"),
     ({"heartbeat_timeout": math.inf}, "heartbeat_timeout"), ({"period": 1e-9}, "rate"),
     ({"max_torque": 0.0}, "max_torque"), ({"max_speed": math.nan}, "max_speed"),
     ({"rated_torque": -1.0}, "rated_torque"), ({"node": 128}, "nodes"),
@@ -335,6 +441,32 @@ def test_a_drive_that_boots_while_it_is_configured_is_configured_from_the_beginn
 def test_settings_that_the_drive_cannot_hold_are_refused(changes, name):
     with pytest.raises(ParameterError, match=f"can.{name}"):
         Cia402Axis(settings(**changes))
+
+
+def test_settings_that_the_drive_just_holds_are_taken():
+    most = {"heartbeat_timeout": 65.535, "drive_heartbeat": 65.535}
+    Cia402Axis(settings(**most, quick_stop_deceleration=(2**32 - 1) * math.tau / 4096))
+    Cia402Axis(settings(heartbeat_timeout=0.001, drive_heartbeat=0.001))
+
+
+@pytest.mark.parametrize("told, state", [(9, "ready"), (11, "ready"), (12, "offline")])
+def test_a_small_deceleration_may_be_off_by_one(told, state):
+    drive = FakeDrive()
+    drive.ignored.add((0x6085, 0))
+    drive.objects[0x6085, 0] = told
+    bench = Bench(drive, velocity_scale=1.0, quick_stop_deceleration=10 * math.tau)
+    bench.axis.configure(0.0)
+    bench.until(AxisState(state))
+
+
+def test_feed_forward_needs_a_drive_that_has_it():
+    drive = FakeDrive()
+    del drive.objects[0x60B2, 0]
+    drive.aborts[0x1602, 1, "w"] = 0x06020000  # no such object to map
+    bench = Bench(drive, feed_forward=True)
+    bench.axis.configure(0.0)
+    bench.until(AxisState.OFFLINE)
+    assert "SDO 1602:01 (RPDO3 mapping) = 60B20010: abort 06020000" in bench.axis.trouble
 
 
 # Driving
@@ -545,6 +677,19 @@ def test_idle_takes_the_power_off_from_any_state(state):
     assert (bench.axis.state, bench.axis.trouble) == (AxisState.READY, "")
 
 
+def test_after_a_stop_it_begins_at_zero_though_it_still_shows_that_it_is_enabled():
+    # where the quick stop is left by "enable operation" (transition 16) an old speed would return
+    bench = Bench().driving(Setpoint(VELOCITY, 5.0))
+    bench.lost = lambda frame: True
+    for demand in (Demand.STOP, Demand.IDLE):
+        bench.demand = demand
+        bench.step()
+        bench.demand = Demand.DRIVE
+        for _ in range(3):
+            bench.step()
+            assert bench.rpdos()[1][2:6] == bytes(4)
+
+
 def test_to_idle_and_back_is_no_trouble():
     bench = Bench().driving()
     for demand in (Demand.IDLE, Demand.DRIVE, Demand.STOP, Demand.DRIVE) * 3:
@@ -608,6 +753,14 @@ def test_pdos_of_a_mapping_that_is_not_ours_are_no_feedback():
     assert bench.axis.feedback.count == 0
     assert math.isnan(bench.axis.feedback.torque)
     assert bench.axis.state is AxisState.CONFIGURING
+
+
+def test_pdos_before_any_configuration_are_no_feedback():
+    bench = Bench()
+    for cob_id in (0x180, 0x280, 0x380, 0x480):
+        assert bench.tell(cob_id, "3702090000000000") is Receipt.TAKEN
+    assert bench.axis.feedback.count == 0
+    assert math.isnan(bench.axis.feedback.torque)
 
 
 @pytest.mark.parametrize("frame, receipt", [

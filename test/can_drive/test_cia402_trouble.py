@@ -410,6 +410,20 @@ def test_a_drive_that_hears_no_pdo_is_stopped_by_sdo(demand, word):
     assert Receipt.MALFORMED not in bench.receipts
 
 
+def test_one_whose_new_configuration_fails_goes_on_being_told_to_stop():
+    bench = Bench().driving(MOVING)
+    bench.tell(0x700, "7F")
+    bench.lost = lambda frame: True
+    bench.axis.reset(bench.now)
+    bench.until(AxisState.OFFLINE)
+    assert "no answer" in bench.axis.trouble
+    bench.drive.state = "enabled"
+    bench.demand = Demand.STOP
+    still(bench, 25)
+    assert bench.rpdos()[1][0] == 2
+    assert bench.drive.state == "quick"
+
+
 def test_a_stale_answer_is_not_taken_for_feedback_of_the_drive():
     bench = Bench().driving()
     bench.tell(0x700, "00")
@@ -435,6 +449,8 @@ def test_an_abort_is_trouble_at_reception():
     bench.axis.configure(0.0)
     bench.lost = lambda frame: frame.id == 0x585
     bench.step(3)
+    assert bench.tell(0x580, "6040600000000000") is Receipt.TAKEN
+    bench.step()
     assert bench.tell(0x580, "8000100000000008") is Receipt.TAKEN
     assert bench.axis.trouble == "SDO 1000:00 (device type): abort 08000000 (General error)"
     assert bench.axis.state is AxisState.OFFLINE

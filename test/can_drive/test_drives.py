@@ -7,8 +7,9 @@ import pytest
 
 from omniman_ros.can_drive import protocols
 from omniman_ros.can_drive.axis import AxisState, Demand
-from omniman_ros.can_drive.drives import SETTLED, CanDrives
+from omniman_ros.can_drive.drives import LISTEN, SETTLED, CanDrives
 from omniman_ros.can_drive.frame import Frame
+from omniman_ros.can_drive.lookout import MEMORY
 from omniman_ros.can_drive.phase import Phase
 from omniman_ros.core.can_parameters import CanParameters
 from omniman_ros.core.errors import InputError, ParameterError
@@ -59,9 +60,15 @@ class Bench:
     def hear(self, frame):
         return self.drives.receive(frame, self.now + 0.001)
 
-    def up(self):
+    def configure(self):
         self.drives.configure(self.now)
-        self.period(3)
+        while self.drives._listening:
+            self.now += PERIOD
+            self.sent = self.drives.tick(self.now)
+        return self
+
+    def up(self):
+        self.configure().period(3)
         assert self.drives.phase is Phase.IDLE
         self.drives.enable(self.now)
         self.period(3)
@@ -102,6 +109,29 @@ def test_nothing_is_sent_before_it_is_configured(bench):
     assert bench.drives.phase is Phase.UNCONFIGURED
 
 
+def test_nothing_is_sent_before_the_bus_was_listened_to(bench):
+    start = bench.now
+    bench.drives.configure(bench.now)
+    while not bench.drives.tick(bench.now):
+        assert bench.drives.phase is Phase.CONFIGURING
+        bench.now += PERIOD
+    assert bench.now - start == pytest.approx(LISTEN, abs=PERIOD)
+
+
+def test_drives_that_another_host_commands_are_left_alone_until_it_is_gone(bench):
+    bench.drives.configure(bench.now)
+    bench.hear(report(11, 0.0, 0.0))
+    assert bench.drives.phase is Phase.CONFIGURING
+    assert bench.hear(Frame(SYNC, b"")) == []
+    assert bench.drives.phase is Phase.UNCONFIGURED
+    assert bench.drives.stop_reason == (
+        "not configured: another host commands the drives: frame 080#"
+    )
+    assert bench.drives.tick(bench.now + 1.0) == []
+    bench.configure().period(3)
+    assert bench.drives.phase is Phase.IDLE
+
+
 def test_a_period_ends_with_the_frames_of_the_network(bench):
     bench.up()
     assert [frame.id for frame in bench.sent] == [*(COMMAND + node for node in NODES), SYNC]
@@ -109,7 +139,7 @@ def test_a_period_ends_with_the_frames_of_the_network(bench):
 
 def test_drives_that_stay_silent_are_named_when_the_time_for_configuring_is_over(bench):
     bench.silent = {12, 14}
-    bench.drives.configure(bench.now)
+    bench.configure()
     bench.period(round(bench.parameters.configure_timeout / PERIOD) - 1)
     assert bench.drives.phase is Phase.CONFIGURING
     bench.period(3)
@@ -120,7 +150,7 @@ def test_drives_that_stay_silent_are_named_when_the_time_for_configuring_is_over
 
 
 def test_a_fault_from_before_is_reset_once_while_configuring(bench):
-    bench.drives.configure(bench.now)
+    bench.configure()
     bench.axes[0].state, bench.axes[0].trouble = AxisState.FAULT, "EMCY 8130"
     bench.period(4)
     assert bench.axes[0].resets == 1
@@ -128,9 +158,9 @@ def test_a_fault_from_before_is_reset_once_while_configuring(bench):
 
 
 def test_a_drive_that_refuses_its_configuration_twice_is_named(bench):
-    bench.drives.configure(bench.now)
     for axis in bench.axes:
         axis.obedient = False
+    bench.configure()
     for _ in range(2):
         bench.axes[0].trouble = "SDO 1017:00: abort 06020000"
         bench.period()
@@ -139,7 +169,7 @@ def test_a_drive_that_refuses_its_configuration_twice_is_named(bench):
 
 
 def test_enabling_begins_at_zero_and_commands_from_before_are_not_taken_up(bench):
-    bench.drives.configure(bench.now)
+    bench.configure()
     bench.period(3)
     assert bench.drives.command(velocity(1, 1, 1, 1), bench.now) == "idle"
     for axis in bench.axes:
@@ -152,7 +182,7 @@ def test_enabling_begins_at_zero_and_commands_from_before_are_not_taken_up(bench
 
 
 def test_a_drive_that_is_not_enabled_in_time_stops_all_and_is_named(bench):
-    bench.drives.configure(bench.now)
+    bench.configure()
     bench.period(3)
     bench.axes[2].obedient = False
     bench.drives.enable(bench.now)
@@ -502,7 +532,216 @@ def test_deactivating_stops_the_wheels_first(bench):
     assert bench.drives.phase is Phase.DRIVING
 
 
+class BrokenError(Exception):
+    """Nothing that anybody foresaw."""
+
+
+def breaks(axis):
+    def tick(demand, setpoint, now):
+        raise BrokenError("a codec that breaks")
+
+    axis.tick = tick
+
+
+@pytest.mark.parametrize("k", range(4))
+def test_an_axis_that_fails_does_not_keep_the_others_from_being_stopped_at_once(bench, k):
+    bench.driving()
+    breaks(bench.axes[k])
+    bench.period(1, velocity(*SPEED))
+    others = sorted(COMMAND + node for i, node in enumerate(NODES) if i != k)
+    assert sorted(f.id for f in bench.sent if f.data[:1] == b"s") == others
+    assert {f.data[:1] for f in bench.sent if f.id != SYNC} == {b"s"}, "and no other command"
+    name = bench.axes[k].settings.name
+    assert bench.drives.stop_reason == f"{name}: BrokenError: a codec that breaks"
+    del bench.axes[k].tick
+    bench.period(300, velocity(*SPEED))
+    assert bench.asked() == [Demand.IDLE] * 4
+
+
+def test_every_stop_reaches_the_other_wheels_though_one_axis_fails(bench):
+    bench.driving()
+    breaks(bench.axes[0])
+    frames = bench.drives.stop("~/stop", bench.now)
+    assert sorted(frame.id for frame in frames) == [COMMAND + node for node in NODES[1:]]
+    while bench.now - bench.drives._since < bench.drives.longest_stop + 0.1:
+        bench.period()
+        assert len(bench.sent) == 4, "three wheels and the SYNC"
+    assert bench.drives.stop_reason == "~/stop"
+    assert [axis.asked[-1][0] for axis in bench.axes[1:]] == [Demand.IDLE] * 3
+
+
+def test_an_axis_that_fails_while_it_is_configured_ends_that(bench):
+    bench.configure()
+    breaks(bench.axes[2])
+    bench.drives.tick(bench.now)
+    assert bench.drives.phase is Phase.UNCONFIGURED
+    assert bench.drives.stop_reason == (
+        "not configured: rear_left: BrokenError: a codec that breaks"
+    )
+
+
+@pytest.mark.parametrize("speed", [1e4, -1e4])
+def test_a_wheel_that_runs_away_does_not_hold_up_the_stop_of_the_others(bench, speed):
+    bench.driving()
+    bench.hear(report(NODES[0], 0.0, speed))
+    assert "runs away" in bench.drives.stop_reason
+    limit = bench.drives._max_speed
+    assert max(map(abs, bench.speeds())) <= limit
+    bench.period(round(limit / bench.parameters.quick_stop_deceleration / PERIOD) + 2)
+    assert bench.speeds() == pytest.approx([0.0] * 4, abs=1e-9)
+    assert bench.asked() == [Demand.STOP] * 4, "still under power when they stand"
+
+
+def test_lower_limits_do_not_take_the_power_off_wheels_that_still_turn(bench):
+    bench.driving()
+    before = bench.drives.longest_stop
+    slow = {"nodes": NODES, "max_speed": 0.01, "direction": bench.parameters.direction}
+    bench.drives.configure_parameters(
+        bench.robot, build(CanParameters, {f"can.{k}": v for k, v in slow.items()}, "can.")
+    )
+    assert bench.drives.longest_stop == before
+    while any(abs(speed) > 1e-9 for speed in bench.speeds()):
+        bench.period()
+        assert Demand.IDLE not in bench.asked()
+    assert bench.drives.stop_reason.startswith("front_left: runs away at 4.0 rad/s")
+
+
+def test_speeds_after_torques_begin_at_those_of_the_wheels(monkeypatch):
+    bench = Bench(monkeypatch, mode="torque").up()
+    ratio = bench.robot.motor.gear_ratio
+    turning = np.array([6.0, -3.0, 1.0, 5.0])
+    for _ in range(5):
+        bench.now += PERIOD
+        bench.drives.command(WheelCommand(DriveMode.TORQUE, np.full(4, 0.5)), bench.now)
+        bench.drives.tick(bench.now)
+        for node, d, speed in zip(NODES, bench.parameters.direction, turning, strict=True):
+            bench.hear(report(node, 0.0, speed * ratio * d))
+    bench.now += PERIOD
+    bench.drives.command(velocity(*(0.99 * turning)), bench.now)
+    bench.drives.tick(bench.now)
+    step = bench.parameters.acceleration * PERIOD
+    assert bench.speeds() == pytest.approx(turning, abs=step)
+    bench.period(1, velocity(0, 0, 0, 0))
+    assert bench.speeds() == pytest.approx(turning, abs=2 * step), "a ramp to a far command"
+
+
+def test_the_time_may_stand_or_go_back_without_a_wheel_getting_faster(bench):
+    bench.driving()
+    bench.drives.stop("~/stop", bench.now)
+    last = np.abs(bench.speeds())
+    for step in (0.0, -1.0, 0.0, -30.0, PERIOD, PERIOD, -0.1, PERIOD):
+        bench.now += step
+        bench.drives.tick(bench.now)
+        speeds = np.abs(bench.speeds())
+        assert (speeds <= last + 1e-9).all()
+        last = speeds
+    bench.drives.tick(bench.now + 1e6)
+    assert Demand.DRIVE not in bench.asked()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_periods_that_jitter_are_borne(bench, seed):
+    bench.up()
+    rng = np.random.default_rng(seed)
+    for _ in range(500):
+        bench.now += PERIOD * rng.uniform(-0.9, 1.0)
+        bench.period(1, velocity(*SPEED))
+    assert not bench.drives.stop_reason
+    assert bench.speeds() == pytest.approx(SPEED)
+
+
+def test_resets_without_a_stop_change_nothing(bench):
+    bench.driving()
+    for _ in range(50):
+        bench.drives.reset(bench.now)
+        bench.period(1, velocity(*SPEED))
+    assert bench.drives.phase is Phase.DRIVING
+    assert bench.speeds() == pytest.approx(SPEED)
+    assert [axis.resets for axis in bench.axes] == [0] * 4
+
+
+def test_a_reset_storm_while_a_drive_stays_in_fault_never_moves_a_wheel(bench):
+    bench.driving()
+    axis = bench.axes[1]
+    axis.state, axis.trouble, axis.obedient = AxisState.FAULT, "fault", False
+    axis.reset = lambda now: None
+    bench.period(300)
+    for _ in range(300):
+        bench.drives.reset(bench.now)
+        bench.period(1, velocity(*SPEED))
+        assert bench.speeds() == [0.0] * 4
+        assert bench.drives.phase is not Phase.DRIVING
+    assert bench.drives.stop_reason == "front_right: fault"
+
+
+def test_a_stop_while_the_drives_are_enabled_reaches_those_that_already_are(bench):
+    bench.configure()
+    bench.period(3)
+    bench.axes[3].obedient = False
+    bench.drives.enable(bench.now)
+    bench.period(2)
+    assert bench.drives.phase is Phase.ENABLING
+    assert all_told_to_stop(bench.drives.stop("~/stop", bench.now))
+    bench.period(60)
+    assert bench.drives.is_off
+    assert bench.asked() == [Demand.IDLE] * 4
+
+
+def test_taking_the_power_off_during_the_ramp_of_a_stale_command_goes_on_down(bench):
+    bench.driving()
+    while max(bench.speeds()) > 3.5:
+        bench.period()
+    last = max(bench.speeds())
+    bench.drives.disable(bench.now)
+    while not bench.drives.is_off:
+        bench.period()
+        fastest = max(map(abs, bench.speeds()))
+        assert fastest <= last + 1e-9
+        last = fastest
+    assert last == 0.0
+
+
+def test_what_a_drive_says_before_it_is_configured_stops_nothing(bench):
+    bench.hear(report(NODES[0], 0.0, 1e5))
+    bench.configure()
+    bench.period(3)
+    assert bench.drives.phase is Phase.IDLE
+    assert not bench.drives.stop_reason
+
+
+def test_one_dead_axis_gives_no_feedback_of_the_robot(bench):
+    bench.driving()
+    bench.drives.take_states()
+    bench.silent = {12}
+    for _ in range(20):
+        bench.period()
+        assert bench.drives.take_states() is None
+    bench.silent = set()
+    bench.period()
+    assert bench.drives.take_states() is not None
+
+
 # ---- the bus --------------------------------------------------------------------------------
+
+
+def test_a_bus_that_fails_while_the_drives_are_configured_is_what_is_said(bench):
+    bench.configure()
+    assert bench.drives.bus_failed("frame 000#8001 not sent: queue full", bench.now) == []
+    assert bench.drives.phase is Phase.UNCONFIGURED
+    assert bench.drives.stop_reason == ("not configured: bus: frame 000#8001 not sent: queue full")
+    bench.configure()
+    bench.period(3)
+    assert bench.drives.phase is Phase.IDLE
+    assert not bench.drives.stop_reason, "the next attempt begins anew"
+
+
+def test_a_second_host_that_says_the_same_is_found(bench):
+    bench.driving()
+    for _ in range(MEMORY):  # those that this bench has not brought back so far
+        bench.hear(bench.sent[0])
+    assert not bench.drives.stop_reason
+    bench.hear(bench.sent[0])
+    assert bench.drives.stop_reason.startswith("another host commands the drives")
 
 
 def test_own_echoes_are_known_and_counted(bench):
@@ -552,3 +791,11 @@ def test_energy_is_the_integral_of_the_motors_power(bench):
         table = bench.drives.electrical(0.02)
     assert table[:, 2] == pytest.approx([-20.0] * 4)
     assert table[1, :2] == pytest.approx([-10.0, 2.0]), "in the wheel's direction"
+
+
+def test_the_energy_leaves_out_what_is_unknown_or_no_power(bench):
+    bench.up()
+    for axis, current in zip(bench.axes, (1.0, math.nan, math.inf, -math.inf), strict=True):
+        axis.feedback.voltage, axis.feedback.current = 10.0, current
+    bench.drives.electrical(0.5)
+    assert bench.drives.electrical(0.5)[:, 2] == pytest.approx([10.0, 0.0, 0.0, 0.0])

@@ -543,7 +543,7 @@ def test_current_and_supply_are_requested_in_turn_ten_times_a_second():
         asked += remote
     assert 8 <= len(asked) <= 11
     assert [frame.id & 31 for frame in asked[:4]] in ([0x14, 0x17] * 2, [0x17, 0x14] * 2)
-    assert all(frame.data == b"" and not frame.extended for frame in asked)
+    assert all(f.data == b"" and not f.extended and f.id >> 5 == NODE for f in asked)
 
 
 def test_what_comes_by_itself_is_not_requested():
@@ -592,6 +592,14 @@ def test_each_command_that_is_sent_is_one_of_a_host():
     sent += tick(axis, Demand.DRIVE, Setpoint(DriveMode.TORQUE, 1.0))
     assert {frame.id & 31 for frame in sent} == {0x07, 0x0B, 0x0D, 0x0E, 0x0F, 0x18}
     assert all((frame.id, frame.extended) in axis.command_ids for frame in sent)
+
+
+def test_command_ids_are_what_only_a_host_sends():
+    # "CAN Protocol": set axis state, controller mode, position, velocity, torque, limits; reboot,
+    # clear errors, set absolute position
+    commands = (0x07, 0x0B, 0x0C, 0x0D, 0x0E, 0x0F, 0x16, 0x18, 0x19)
+    axis = OdriveAxis(axis_settings())
+    assert set(axis.command_ids) == {(id_of(command), False) for command in commands}
 
 
 @pytest.mark.parametrize("name, value", [

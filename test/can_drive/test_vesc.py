@@ -178,6 +178,13 @@ def test_setpoints_are_clipped(value, mode, number):
     assert int_of(frame.data) == pytest.approx(number, abs=0.51)
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_setpoints_are_clipped_to_32_bits(sign):
+    axis = in_state(AxisState.ENABLED, max_speed=1e12)
+    (frame,) = axis.tick(Demand.DRIVE, Setpoint(DriveMode.VELOCITY, sign * 1e12), 0.0)
+    assert int_of(frame.data) == sign * (2**31 - 1)
+
+
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("state", [AxisState.OFFLINE, AxisState.READY, AxisState.ENABLED])
 def test_setpoints_that_are_not_finite_raise(bad, state):
@@ -306,6 +313,24 @@ def test_a_tachometer_that_jumps_has_begun_anew(state):
     assert axis.feedback.position == pytest.approx(before + math.tau)
 
 
+@pytest.mark.parametrize("state", [AxisState.READY, AxisState.ENABLED])
+def test_one_that_says_that_it_booted_has_begun_anew(state):
+    # CAN_PACKET_NOTIFY_BOOT is 57 in datatypes.h; of any length
+    axis = in_state(state, tachometer=100)
+    before = axis.feedback.position
+    assert axis.receive(Frame(0x3905, b"\x05", True), DT) is Receipt.TAKEN
+    assert axis.state is AxisState.OFFLINE
+    assert axis.trouble == "it began anew: it says so"
+    hear(axis, 2 * DT, tachometer=0)
+    assert axis.feedback.position == before
+
+
+def test_one_that_boots_before_it_is_driven_is_no_trouble():
+    axis = in_state(AxisState.CONFIGURING)
+    axis.receive(Frame(0x3905, b"", True), DT)
+    assert axis.state is AxisState.CONFIGURING and not axis.trouble
+
+
 def test_one_that_began_anew_in_motion_is_held_at_zero_until_it_is_released():
     axis = in_state(AxisState.ENABLED, tachometer=100_000)
     hear(axis, DT, tachometer=0)
@@ -395,6 +420,10 @@ def test_the_first_trouble_stays_until_reset():
     (Frame(1 << 16 | STATUS, bytes(8), True), Receipt.FOREIGN),
     (Frame(RPM, bytes(4), True), Receipt.FOREIGN),
     (Frame(0x1005, bytes(8), True), Receipt.TAKEN),
+    (Frame(0x3A05, bytes(8), True), Receipt.TAKEN),  # status 6 is 58
+    (Frame(0x1C05, bytes(8), True), Receipt.FOREIGN),
+    (Frame(0x3905, b"\x05", False), Receipt.FOREIGN),
+    (Frame(0x3905, b"", True, True), Receipt.FOREIGN),
 ])  # fmt: skip
 def test_frames_are_sorted(frame, receipt):
     axis = in_state(AxisState.READY)
@@ -415,6 +444,12 @@ def test_each_command_that_is_sent_is_one_of_a_host():
     sent = [axis.tick(Demand.DRIVE, setpoint, 0.0)[0] for setpoint in setpoints]
     assert {frame.id for frame in sent} == {DUTY, CURRENT, RPM}
     assert all((frame.id, frame.extended) in axis.command_ids for frame in sent)
+
+
+def test_command_ids_are_all_simple_commands():
+    # datatypes.h, CAN_PACKET_ID: SET_DUTY to SET_POS, SET_CURRENT_REL to _HANDBRAKE_REL
+    ids = {number << 8 | NODE for number in (0, 1, 2, 3, 4, 10, 11, 12, 13)}
+    assert set(VescAxis(axis_settings()).command_ids) == {(id, True) for id in ids}
 
 
 @pytest.mark.parametrize("name, value", [

@@ -220,6 +220,51 @@ def test_the_life_cycle_opens_enables_disables_and_closes(drives, channel):
         assert it.state == State.PRIMARY_STATE_UNCONFIGURED
 
 
+@pytest.mark.parametrize(
+    "transition",
+    [
+        Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE,
+        Transition.TRANSITION_CLEANUP, Transition.TRANSITION_UNCONFIGURED_SHUTDOWN, 200,
+    ],
+)  # fmt: skip
+def test_a_transition_that_its_state_does_not_have_is_refused_and_it_drives_on(
+    drives, channel, transition
+):
+    with bench(channel) as it:
+        it.drive(drives)
+        assert not it.change(transition)
+        assert it.node._throttle.counts["transition"] == 1
+        assert it.state == State.PRIMARY_STATE_ACTIVE
+        assert min(drives.speeds) > 2.0
+
+
+def test_what_was_taken_down_by_hand_is_not_brought_up_again(drives, channel):
+    with bench(channel) as it:
+        it.node._attempt = it.node.now() + 3600.0  # by hand is faster than by itself
+        assert it.change(Transition.TRANSITION_CONFIGURE)
+        assert it.change(Transition.TRANSITION_ACTIVATE)
+        assert it.change(Transition.TRANSITION_DEACTIVATE)
+        assert it.node._attempt is None
+        it.node._attempt = 0.0
+        assert it.change(Transition.TRANSITION_CLEANUP)
+        assert it.node._attempt is None
+        it.node._attempt = 0.0
+        assert it.change(Transition.TRANSITION_UNCONFIGURED_SHUTDOWN)
+        it.node._start()
+        assert it.state == State.PRIMARY_STATE_FINALIZED
+
+
+def test_an_error_in_a_transition_is_told_and_closes_the_bus(drives, channel, capfd):
+    with bench(channel, autostart=False) as it:
+        assert it.change(Transition.TRANSITION_CONFIGURE)
+        it.node.link.drives.enable = lambda now: 1 / 0
+        assert not it.change(Transition.TRANSITION_ACTIVATE)
+        assert it.node.link is None
+        assert it.state == State.PRIMARY_STATE_UNCONFIGURED
+    assert "on_activate failed" in (said := capfd.readouterr().err)
+    assert "ZeroDivisionError" in said
+
+
 def test_a_stop_is_latched_until_the_reset_which_moves_nothing(drives, channel):
     with bench(channel) as it:
         it.drive(drives)

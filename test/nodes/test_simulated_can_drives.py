@@ -198,3 +198,21 @@ def test_shutdown_ramps_all_wheels_to_rest_then_takes_the_power_off(make):
 def test_what_cannot_run_does_not_start(make, changes, name):
     with pytest.raises(ParameterError, match=name):
         make(**changes)
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [{"is_extended_id": []}, {"arbitration_id": 1.5e9}, {"arbitration_id": "x"}, {"data": None}],
+    ids=str,
+)
+def test_a_frame_of_strange_types_is_no_frame_and_makes_nobody_deaf(make, fields):
+    rig = make()
+    rig.heard()
+    strange = can.Message(arbitration_id=0x603, data=bytes(8), is_extended_id=False)
+    for name, value in fields.items():
+        object.__setattr__(strange, name, value)
+    working, once = rig.node._bus.recv, [strange]
+    rig.node._bus.recv = lambda timeout: once.pop() if once else working(timeout)
+    rig.wait(lambda: not once)
+    assert rig.send(0x603, "40 00 10 00 00 00 00 00")
+    assert 0x583 in [can_id for can_id, _ in rig.heard()]

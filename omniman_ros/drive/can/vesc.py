@@ -116,7 +116,8 @@ class VescDrive:
     at `max_current`, below `min_current` the motor is released; brake current against the motion
     until it would need a voltage against the motion too, from there on the phases are shorted
     while they carry less than it (mcpwm_foc.c: no active reversal); the handbrake as a brake
-    current; speed by the motor's own loop, below `min_erpm` the motor is released; ping.
+    current; speed by the motor's own loop, below `min_erpm` the phases are shorted (the same file,
+    "Brake when set ERPM is below min ERPM"); ping.
     The current of status 1 has the sign of the power, negative while the motor brakes, in
     whichever direction it turns (`mcpwm_foc_get_tot_current_filtered`). Status 5 has 8 bytes, two
     of them reserved.
@@ -309,6 +310,8 @@ class VescDrive:
             self._brake(min(abs(value), limit), now)
         elif mode is Mode.SPEED and abs(value) >= self._min_erpm:
             motor.follow_velocity(value / self._pole_pairs * TURN / 60.0)
+        elif mode is Mode.SPEED:
+            motor.follow_voltage(0.0)
         else:
             motor.release()
 

@@ -109,12 +109,13 @@ def test_simple_commands_reach_a_motor_that_turns_forwards(command, number, orde
     assert motor.order[1:] == pytest.approx(order[1:])
 
 
-def test_speeds_below_the_smallest_release_the_motor():
+def test_speeds_below_the_smallest_short_the_motor():
+    # mcpwm_foc.c: "Brake when set ERPM is below min ERPM", duty 0
     drive, motor = setup(min_erpm=900.0)
     drive.receive(frame(SET_RPM, 900), 0.01)
     assert motor.order[0] == "velocity"
     drive.receive(frame(SET_RPM, -899), 0.02)
-    assert motor.order == ("released",)
+    assert motor.order == ("voltage", 0.0)
 
 
 @pytest.mark.parametrize(
