@@ -23,7 +23,7 @@ export PYTHON
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_PATH
 unexport CMAKE_PREFIX_PATH RMW_IMPLEMENTATION ROS_DISTRO ROS_VERSION ROS_PYTHON_VERSION
 
-.PHONY: help venv demo test lint types tests bench clean
+.PHONY: help venv demo test lint types tests fuzz bench clean
 .NOTPARALLEL:
 
 help: ## Show this list
@@ -43,6 +43,9 @@ types: $(TESTING) ## Check the types
 
 tests: $(TESTING) ## Run the tests
 	.ci/tests $(BIN)/python $(ARGS)
+
+fuzz: $(TESTING) ## Give each codec of CAN drives a million frames of any content
+	OMNIMAN_FUZZ=1000000 .ci/tests $(BIN)/python test/can_drive -n auto -k 'frame_raises' $(ARGS)
 
 bench: $(RUNTIME) ## Measure how long the control cycle takes
 	$(OMNIMAN) bench $(ARGS)

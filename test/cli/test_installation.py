@@ -1,0 +1,116 @@
+import pytest
+
+from omniman_ros.cli import installation
+from omniman_ros.cli.errors import CommandError
+from omniman_ros.cli.fleet import Setup, tasks
+from omniman_ros.cli.installation import FIRST_PORT, MULTICAST, installation_file, private_bus
+from omniman_ros.cli.main import main, make_parser
+
+BRIDGE, DRIVES = "can_bridge", "simulated_can_drives"
+EVERYWHERE = {"platform_controller", "path_interpolator", "mpc_planner", "viewer"}
+
+
+def by_name(**options):
+    return {task.name: task for task in tasks(Setup(**options))}
+
+
+def arguments(node, **options):
+    return " ".join(by_name(**options)[node].command)
+
+
+@pytest.mark.parametrize("name", ["cia402", "vesc", "odrive"])
+def test_a_name_is_an_installation_of_the_package(name):
+    assert installation_file(name).endswith(f"config/can/{name}.yaml")
+
+
+def test_an_installation_of_ones_own_is_a_path_from_here_and_given_whole(tmp_path, monkeypatch):
+    (tmp_path / "lab.yaml").write_text("")
+    monkeypatch.chdir(tmp_path)
+    assert installation_file("lab.yaml") == str(tmp_path / "lab.yaml")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert installation_file("~/lab.yaml") == str(tmp_path / "lab.yaml")
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [("lab", "no installation 'lab'; there are cia402, odrive, vesc"),
+     ("lab.yaml", "no installation 'lab.yaml'"), ("", "no installation ''")],
+)  # fmt: skip
+def test_an_installation_that_is_not_there_is_named(name, message):
+    with pytest.raises(CommandError, match=message) as error:
+        installation_file(name)
+    assert error.value.code == 2
+
+
+@pytest.mark.parametrize(
+    ("drive", "started"),
+    [("simulated", {"simulated_drive"}), ("can", {BRIDGE, DRIVES}), ("real", {BRIDGE})],
+)
+def test_each_kind_of_drive_has_its_nodes(drive, started):
+    assert set(by_name(drive=drive)) - EVERYWHERE == started
+
+
+def test_those_who_command_end_before_the_bridge_and_it_before_the_drives():
+    started = by_name(drive="can")
+    stages = [started[name].stage for name in ("platform_controller", BRIDGE, DRIVES)]
+    assert stages == sorted(set(stages))
+
+
+def test_all_that_is_on_the_bus_has_the_same_installation(monkeypatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", "7")
+    for node in (BRIDGE, DRIVES):
+        text = arguments(node, drive="can", installation="odrive")
+        assert f"--params-file {installation_file('odrive')}" in text
+        assert "-p can.interface:=udp_multicast" in text
+        assert f"-p can.channel:='{MULTICAST}' -p can.port:={FIRST_PORT + 7}" in text
+    assert "--params-file" not in arguments("platform_controller", drive="can")
+
+
+def test_a_real_bus_is_that_of_the_file():
+    text = arguments(BRIDGE, drive="real", installation="vesc")
+    assert f"--params-file {installation_file('vesc')}" in text
+    assert "can.interface" not in text and "can.port" not in text
+
+
+def test_what_is_given_by_hand_comes_after_the_installation(tmp_path):
+    file = tmp_path / "more.yaml"
+    file.write_text("")
+    text = arguments(BRIDGE, drive="can", params=["can.rate:=50.0"], params_file=str(file))
+    ours, bus = text.index("cia402.yaml"), text.index("can.port")
+    assert ours < bus < text.index(str(file)) < text.index("can.rate:=50.0")
+
+
+def test_robots_in_different_domains_have_different_buses(monkeypatch):
+    ports = set()
+    for domain in ("0", "1", "232"):
+        monkeypatch.setenv("ROS_DOMAIN_ID", domain)
+        ports.add(private_bus()[-1])
+    monkeypatch.delenv("ROS_DOMAIN_ID")
+    assert private_bus()[-1] == f"can.port:={FIRST_PORT}"
+    assert len(ports) == 3
+
+
+@pytest.mark.parametrize("drive", ["can", "real"])
+def test_drives_on_a_bus_have_no_simulated_time(drive):
+    with pytest.raises(CommandError, match=f"--sim-time: drives '{drive}'"):
+        tasks(Setup(drive=drive, sim_time=True))
+
+
+def test_the_options_are_those_of_up_and_demo_and_nothing_real_is_in_the_demo(capsys):
+    parse = make_parser().parse_args
+    for command in ("up", "demo"):
+        assert (parse([command]).drive, parse([command]).installation) == ("simulated", "cia402")
+        given = parse([command, "--drive", "can", "--installation", "vesc"])
+        assert (given.drive, given.installation) == ("can", "vesc")
+    assert parse(["up", "--drive", "real"]).drive == "real"
+    for wrong in (["demo", "--drive", "real"], ["up", "--drive", "none"]):
+        with pytest.raises(SystemExit) as end:
+            parse(wrong)
+        assert end.value.code == 2
+    assert set(installation.DRIVES) == {"simulated", "can", "real"}
+
+
+@pytest.mark.parametrize("command", ["up", "demo"])
+def test_an_unknown_installation_ends_the_command_with_code_2(command, capsys, own_domain):
+    assert main([command, "--drive", "can", "--installation", "lab"]) == 2
+    assert "no installation 'lab'" in capsys.readouterr().err
