@@ -223,6 +223,8 @@ class CanDrives:
 
     def receive(self, frame: Frame, now: float) -> list[Frame]:
         """Take a frame from the bus; return frames to send at once: a stop, if it asks for one."""
+        if self._notice_gap(now):
+            return self._noted(self._axis_frames(Demand.STOP, now))
         if self.lookout.is_host(frame):
             if self.phase is Phase.UNCONFIGURED or self.lookout.is_echo(frame):
                 return []
@@ -276,6 +278,7 @@ class CanDrives:
         """Return the frames of one period, to be called at the installation's rate."""
         if self.phase is Phase.UNCONFIGURED or self._listens(now):
             return []
+        self._notice_gap(now)
         self._ticked = (now, self._ticked[0])
         before = self._network.before(now)
         if self.phase is Phase.CONFIGURING:
@@ -293,6 +296,22 @@ class CanDrives:
         return frames
 
     # ---- a period -----------------------------------------------------------------------------
+
+    def _notice_gap(self, now: float) -> bool:
+        """Stop if this process itself was held up, before what waited meanwhile is believed.
+
+        The drives stop by themselves then; a ramp for those that have none goes on from the last
+        period, not from now.
+        """
+        last = self._ticked[0]
+        gap = now - last
+        if self.stop_reason or self.phase is not Phase.DRIVING:
+            return False
+        if gap <= self._parameters.heartbeat_timeout:
+            return False
+        self._latch(f"the bridge was held up for {gap:.2f} s", now)
+        self._ramp.begin(self._believable(), last)
+        return True
 
     def _listens(self, now: float) -> bool:
         """Whether nothing is sent yet."""
@@ -336,9 +355,6 @@ class CanDrives:
         """Look for what came to pass without a frame: troubles, silence, drives that give up."""
         if self.stop_reason:
             return
-        gap = now - self._ticked[1]
-        if self.phase is Phase.DRIVING and gap > self._parameters.heartbeat_timeout:
-            return self._latch(f"the bridge was held up for {gap:.2f} s", now)
         for axis in self.axes:
             if axis.trouble:
                 return self._latch(f"{axis.settings.name}: {axis.trouble}", now)
@@ -365,7 +381,8 @@ class CanDrives:
 
     def _stop_demand(self, now: float) -> Demand:
         """STOP until all wheels have stood for a while or the stop takes too long, then IDLE."""
-        if all(axis.state not in (AxisState.ENABLED, AxisState.STOPPING) for axis in self.axes):
+        # A drive that is offline may have its power on, and its wheel may turn.
+        if all(axis.state in (AxisState.READY, AxisState.FAULT) for axis in self.axes):
             return Demand.IDLE
         standing = bool((np.abs(self._measured()) < REST_SPEED).all())
         if not standing:

@@ -23,9 +23,9 @@ class SpeedRamp:
         self._speeds = np.zeros_like(self._speeds)
         self._at, self._catching = None, True
 
-    def begin(self, speeds: Array) -> None:
-        """Start from speeds (n,), rad/s."""
-        self._speeds, self._at, self._catching = speeds, None, True
+    def begin(self, speeds: Array, at: float | None = None) -> None:
+        """Start from speeds (n,), rad/s, as they were at a time, s; None: the next call's."""
+        self._speeds, self._at, self._catching = speeds, at, True
 
     def down(self, deceleration: float, now: float) -> Array:
         """Return the speeds (n,) on the way to rest; the fastest wheel has this deceleration."""

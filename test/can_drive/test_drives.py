@@ -345,7 +345,7 @@ def test_a_turning_motor_gets_less_torque_at_the_same_voltage(monkeypatch):
 
 
 def test_stale_torques_become_a_ramp_of_speeds_from_the_measured_ones(monkeypatch):
-    bench = Bench(monkeypatch, mode="torque")
+    bench = Bench(monkeypatch, mode="torque", heartbeat_timeout=1.0)
     bench.up()
     ratio = bench.robot.motor.gear_ratio
     bench.period(1, WheelCommand(DriveMode.TORQUE, np.full(4, 0.5)))
@@ -770,6 +770,34 @@ def test_a_frozen_host_finds_its_commands_stale_and_its_wheels_lost(bench):
     frames = bench.drives.tick(bench.now)
     assert all_told_to_stop(frames)
     assert bench.drives.stop_reason == "the bridge was held up for 1.00 s"
+
+
+@pytest.mark.parametrize("gap", [0.15, 0.3, 1.5])
+@pytest.mark.parametrize("frames_first", [False, True])
+def test_after_a_gap_of_its_own_the_ramp_is_where_it_would_be_by_now(bench, gap, frames_first):
+    bench.driving()
+    bench.now += gap
+    if frames_first:  # old ones, which waited in the interface
+        for node, axis in zip(NODES, bench.axes, strict=True):
+            bench.hear(report(node, 0.0, axis.asked[-1][1].value))
+    bench.drives.tick(bench.now)
+    assert bench.drives.stop_reason == f"the bridge was held up for {gap:.2f} s"
+    share = max(1.0 - gap * bench.parameters.quick_stop_deceleration / 4.0, 0.0)
+    assert bench.speeds() == pytest.approx(SPEED * share, abs=0.02)
+    assert bench.asked() == [Demand.STOP] * 4
+
+
+def test_drives_that_are_offline_are_told_to_stop_for_as_long_as_their_wheels_may_turn(bench):
+    bench.driving()
+    for axis in bench.axes:
+        axis.obedient, axis.state = False, AxisState.OFFLINE
+    bench.silent = set(NODES)
+    began = bench.now
+    bench.period(5)
+    assert bench.drives.stop_reason
+    while bench.asked() == [Demand.STOP] * 4 and bench.now < began + 60:
+        bench.period()
+    assert bench.now - began == pytest.approx(bench.drives.longest_stop, abs=0.1)
 
 
 def test_limits_are_live(bench):
