@@ -3,6 +3,7 @@
 import argparse
 import math
 import time
+from collections.abc import Callable
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -11,6 +12,7 @@ from nav_msgs.msg import Odometry
 from std_srvs.srv import Trigger
 
 from omniman_ros import conversions
+from omniman_ros.cli.children import signals_to
 from omniman_ros.cli.errors import CommandError
 from omniman_ros.cli.progress import Progress
 from omniman_ros.cli.session import DISCOVERY, Session
@@ -28,10 +30,12 @@ class GoalDriver:
     Args:
         session: The ROS node.
         progress: Where progress is shown.
+        poll: Called many times a second; raises to end it early.
     """
 
-    def __init__(self, session: Session, progress: Progress) -> None:
+    def __init__(self, session: Session, progress: Progress, poll: Callable[[], None]) -> None:
         self._session = session
+        self._poll = poll
         self._progress = progress
         self._status: dict[str, str] = {}
         self._message = ""
@@ -75,6 +79,7 @@ class GoalDriver:
         self._follow(math.hypot(goal[0] - self._pose[0], goal[1] - self._pose[1]), timeout)
 
     def _ready(self) -> bool:
+        self._poll()
         return bool(self._status and self._pose and self._goals.get_subscription_count())
 
     def _follow(self, distance: float, timeout: float) -> None:
@@ -82,6 +87,7 @@ class GoalDriver:
         began, whole = time.monotonic(), max(distance, 0.1)
         while time.monotonic() < began + timeout:
             self._session.spin(0.05)
+            self._poll()
             said = self._status.get("last", "")
             if self._status.get("refused", "") != refused:
                 raise CommandError(said)
@@ -109,8 +115,15 @@ class GoalDriver:
 def run(args: argparse.Namespace) -> int:
     """Run `omniman goal`; returns the exit code."""
     progress = Progress()
-    with Session("omniman_goal", args.namespace) as session:
-        driver = GoalDriver(session, progress)
+    # Noted, not raised: a KeyboardInterrupt that comes up in a callback of the executor gets lost.
+    signals: list[int] = []
+
+    def poll() -> None:
+        if signals:
+            raise KeyboardInterrupt
+
+    with signals_to(signals.append), Session("omniman_goal", args.namespace) as session:
+        driver = GoalDriver(session, progress, poll)
         try:
             driver.drive((args.x, args.y, math.radians(args.heading)), args.relative, args.timeout)
         except KeyboardInterrupt:
