@@ -240,15 +240,16 @@ def test_a_transition_that_its_state_does_not_have_is_refused_and_it_drives_on(
 
 def test_what_was_taken_down_by_hand_is_not_brought_up_again(drives, channel):
     with bench(channel) as it:
-        it.node._attempt = it.node.now() + 3600.0  # by hand is faster than by itself
+        later = it.node.now() + 3600.0  # by hand is faster than by itself
+        it.node._attempt = later
         assert it.change(Transition.TRANSITION_CONFIGURE)
         assert it.change(Transition.TRANSITION_ACTIVATE)
         assert it.change(Transition.TRANSITION_DEACTIVATE)
         assert it.node._attempt is None
-        it.node._attempt = 0.0
+        it.node._attempt = later
         assert it.change(Transition.TRANSITION_CLEANUP)
         assert it.node._attempt is None
-        it.node._attempt = 0.0
+        it.node._attempt = later
         assert it.change(Transition.TRANSITION_UNCONFIGURED_SHUTDOWN)
         it.node._start()
         assert it.state == State.PRIMARY_STATE_FINALIZED
