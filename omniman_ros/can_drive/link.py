@@ -8,9 +8,6 @@ from omniman_ros.can_drive.frame import Frame
 from omniman_ros.core.can_parameters import CanParameters
 from omniman_ros.core.robot import Robot
 
-OVERHEAD = {False: 47, True: 67}
-"""Bits of a frame besides its data, by whether its id is extended; without stuffing."""
-
 
 class CanLink:
     """A policy on an open bus.
@@ -24,7 +21,6 @@ class CanLink:
     Attributes:
         drives: The policy.
         sent, heard: Frames so far.
-        bits: Of all of them, without stuffing.
 
     Raises:
         ParameterError: The installation does not fit the robot.
@@ -38,7 +34,7 @@ class CanLink:
         self.drives = CanDrives(robot, p)
         self._period = p.period
         self._clock = clock
-        self.sent = self.heard = self.bits = 0
+        self.sent = self.heard = 0
         self.bus = CanBus(p, wake)
 
     def hear(self) -> None:
@@ -48,7 +44,6 @@ class CanLink:
                 self.send(self.drives.bus_failed(item, self._clock()))
                 continue
             self.heard += 1
-            self.bits += OVERHEAD[item.extended] + 8 * len(item.data)
             answer = self.drives.receive(item, self._clock())
             if answer:
                 self.send(answer)
@@ -64,7 +59,6 @@ class CanLink:
         """Send frames; where one cannot be sent all stop, and that is tried to be sent."""
         frames = list(frames)
         self.sent += len(frames)
-        self.bits += sum(OVERHEAD[frame.extended] + 8 * len(frame.data) for frame in frames)
         failure = self.bus.send(frames)
         if failure:
             self.bus.send(self.drives.bus_failed(failure, self._clock()))

@@ -67,14 +67,12 @@ def told_to_stop(link):
     return {m.arbitration_id - COMMAND for m in link.fake.sent if bytes(m.data[:1]) == STOP}
 
 
-def test_what_is_heard_and_sent_is_counted_with_its_bits(link):
+def test_what_is_heard_and_sent_is_counted(link):
     up(link)
-    heard, sent, bits = link.heard, link.sent, link.bits
+    heard, sent = link.heard, link.sent
     reports(link)
     link.tick()
     assert (link.heard - heard, link.sent - sent) == (4, 5)
-    # classic base frame without stuffing (ISO 11898-1): 47 bits and its data, here 8, 5 and 0
-    assert link.bits - bits == 4 * (47 + 64) + 4 * (47 + 40) + 47
 
 
 def test_a_frame_that_cannot_be_sent_stops_all_and_the_stop_is_tried(link):
