@@ -65,6 +65,7 @@ class WheelFeedback:
         self.heard = False
         self.suspect: int | None = None
         self._drift: Array = np.zeros(self._count)
+        self._unsure: Array = np.zeros(self._count)
         self._arrival = -math.inf
         self._unwrapper = Unwrapper(self._span) if self._span > 0.0 else None
         self._position: Array | None = None
@@ -120,13 +121,26 @@ class WheelFeedback:
         if moved is None:
             moved = way
         else:
-            self._compare(moved, way, dt)
+            longest = dt * np.maximum(np.abs(last_speeds), np.abs(self.speeds))
+            self._compare(way - moved, longest, dt)
         return WheelStep(moved, self.speeds, dt, "")
 
-    def _compare(self, moved: Array, way: Array, dt: float) -> None:
-        self._drift = self._drift * math.exp(-dt / DISAGREEMENT_TIME) + (way - moved)
+    def _compare(self, apart: Array, way: Array, dt: float) -> None:
+        """Find a wheel whose speed and position drift apart.
+
+        A report may have been held up anywhere in the time since the one before it, and what was
+        held up then comes at once: so long the way that the speed makes is not known to more.
+
+        Args:
+            apart: (n,) way by the speeds less way by the positions in this step [rad].
+            way: (n,) longest way in it [rad].
+            dt: Its time [s].
+        """
+        kept = math.exp(-dt / DISAGREEMENT_TIME)
+        self._drift = self._drift * kept + apart
+        self._unsure = np.maximum(self._unsure * kept, way)
         allowed = DISAGREEMENT + DISAGREEMENT_SHARE * DISAGREEMENT_TIME * np.abs(self.speeds)
-        excess = np.abs(self._drift) - allowed
+        excess = np.abs(self._drift) - allowed - self._unsure
         worst = int(excess.argmax())
         self.suspect = worst if excess[worst] > 0.0 else None
 

@@ -166,6 +166,17 @@ def test_healthy_wheels_are_not_suspected(lag):
     assert feedback.suspect is None, f"after {when:.2f} s"
 
 
+@pytest.mark.parametrize("held", [0.1, 0.2, 0.35])
+@pytest.mark.parametrize("speed", [2.0, 6.0, 14.0])
+def test_reports_that_were_held_up_and_come_at_once_are_no_lost_encoder(held, speed):
+    feedback = make()
+    for t in np.arange(1, 600) * DT:
+        late = 1.0 < t <= 1.0 + held  # they all come when that is over, one after the other
+        arrival = 1.0 + held + (t - 1.0) * 0.01 if late else t
+        feedback.update(arrival, arrival, np.full(2, speed * t), np.full(2, speed))
+        assert feedback.suspect is None, f"after {t:.2f} s"
+
+
 def test_forget_starts_anew():
     feedback = make(span=math.tau)
     feedback.update(1.0, 1.0, np.ones(2), np.ones(2))
