@@ -1,0 +1,1 @@
+"""A simulated UR controller: its own protocols, program runner, servo and safety."""

@@ -1,0 +1,1 @@
+"""URScript: read and run as a controller does, one cycle at a time."""
