@@ -15,6 +15,8 @@ Array = NDArray[np.float64]
 
 TOLERANCE = 1e-6
 """Share by which a limit may be passed: rounding."""
+SLACK = 1e-6
+"""By which a position limit may be passed, and a stop before it [rad]: rounding."""
 
 
 class GuardError(InputError):
@@ -57,9 +59,19 @@ class JointLimits:
 class JointGuard:
     """Compares each setpoint with the last ones and with what is measured.
 
+    A setpoint passes if it is finite, within the limits on position, velocity and acceleration,
+    slow enough to stop before the position limits, and near enough to the measured angles. The
+    steps of a stop only have to be finite, to keep the acceleration, and not to become faster:
+    limits may have been lowered since, the arm may have been pushed away.
+
     Args:
         limits: Of the joints.
         period: Between two setpoints, s.
+
+    Attributes:
+        limits: As above, live.
+        last: (n,) the last setpoint, rad.
+        velocity: (n,) of the last step, rad/s.
 
     Raises:
         ParameterError: The period is not positive.
@@ -70,8 +82,9 @@ class JointGuard:
             raise ParameterError("period", period, "must be positive")
         self.limits = limits
         self._period = period
-        self._last: Array | None = None
-        self._velocity: Array = np.zeros(len(limits.names))
+        self._begun = False
+        self.last: Array = np.zeros(len(limits.names))
+        self.velocity: Array = np.zeros(len(limits.names))
 
     def begin(self, measured: Array) -> Array:
         """Start from where the arm is, at rest; return the first setpoint: that very place.
@@ -82,52 +95,101 @@ class JointGuard:
         Raises:
             GuardError: They are not finite, or not within the limits.
         """
-        self._last = None
-        self._within(measured)
-        self._last = np.array(measured, dtype=float)
-        self._velocity = np.zeros_like(self._last)
-        return self._last.copy()
+        self._begun = False
+        self._demand_size(measured)
+        self._demand_within(measured[None])
+        self._begun = True
+        self.last = np.array(measured, dtype=float)
+        self.velocity = np.zeros_like(self.last)
+        return self.last.copy()
 
-    def check(self, setpoint: Array, measured: Array) -> Array:
+    def check(self, setpoint: Array, measured: Array | None) -> Array:
         """Return the setpoint if it may be sent; it is then the one that the next follows.
 
         A refused one changes nothing: the next is compared with the last good one.
 
         Args:
             setpoint: Joint angles (n,), rad, one period after the last ones.
-            measured: Joint angles (n,), rad.
+            measured: Joint angles (n,), rad; None: it is the step of a stop.
 
         Raises:
             GuardError: It may not; or :meth:`begin` was not called.
         """
-        if self._last is None:
-            raise GuardError("no setpoint before the measured joints are known")
-        limits = self.limits
-        self._within(setpoint)
-        velocity = (setpoint - self._last) / self._period
-        change = (velocity - self._velocity) / self._period
-        self._demand(np.abs(velocity), limits.velocity, "velocity", "rad/s")
-        self._demand(np.abs(change), limits.acceleration, "acceleration", "rad/s^2")
-        self._demand(np.abs(setpoint - measured), limits.distance, "distance to measured", "rad")
-        self._last, self._velocity = np.array(setpoint, dtype=float), velocity
-        return self._last.copy()
+        self._demand_size(setpoint)
+        if measured is None:
+            velocity = self._stop_step(setpoint)
+        else:
+            velocity = self.examine(setpoint[None])[0]
+            away = np.abs(setpoint - measured)[None]
+            self._demand(away, self.limits.distance, "distance to measured", "rad")
+        self.last, self.velocity = np.array(setpoint, dtype=float), velocity
+        return self.last.copy()
 
-    def _within(self, joints: Array) -> None:
+    def _stop_step(self, setpoint: Array) -> Array:
+        self._demand_begun()
         limits = self.limits
-        if joints.shape != limits.lower.shape:
-            raise GuardError(f"{joints.size} joint angles, expected {limits.lower.size}")
-        self._demand(joints, limits.upper, "position", "rad")
-        self._demand(-joints, -limits.lower, "position", "rad", -1.0)
+        velocity: Array = (setpoint - self.last) / self._period
+        rate = (velocity - self.velocity) / self._period
+        fastest = np.maximum(limits.velocity, np.abs(self.velocity))
+        self._demand(np.abs(velocity)[None], fastest, "velocity", "rad/s")
+        self._demand(np.abs(rate)[None], limits.acceleration, "acceleration", "rad/s^2")
+        return velocity
+
+    def _demand_begun(self) -> None:
+        if not self._begun:
+            raise GuardError("no setpoint before the measured joints are known")
+
+    def examine(self, setpoints: Array) -> Array:
+        """Check a sequence that would follow the last setpoint; nothing is changed.
+
+        Args:
+            setpoints: (k, n) joint angles, rad, one period after the other.
+
+        Returns:
+            (k, n) velocities of their steps, rad/s.
+
+        Raises:
+            GuardError: One of them may not be sent; or :meth:`begin` was not called.
+        """
+        self._demand_begun()
+        limits, dt = self.limits, self._period
+        self._demand_within(setpoints)
+        velocities = np.diff(setpoints, axis=0, prepend=self.last[None]) / dt
+        rates = np.diff(velocities, axis=0, prepend=self.velocity[None]) / dt
+        self._demand(np.abs(velocities), limits.velocity, "velocity", "rad/s")
+        self._demand(np.abs(rates), limits.acceleration, "acceleration", "rad/s^2")
+        # The way of a stop from here, in steps: they are shorter by a * dt^2 each.
+        speeds = np.abs(velocities)
+        way = np.maximum(0.5 * speeds * (speeds / limits.acceleration - dt), 0.0) - SLACK
+        left = np.where(velocities > 0.0, limits.upper - setpoints, setpoints - limits.lower)
+        good = way <= left + TOLERANCE
+        if not good.all():
+            i, k = np.argwhere(~good)[0]
+            raise GuardError(
+                f"{limits.names[k]}: velocity {velocities[i, k]:.4g} rad/s at "
+                f"{setpoints[i, k]:.4g} rad is too fast to stop before the position limit"
+            )
+        return velocities
+
+    def _demand_size(self, joints: Array) -> None:
+        if joints.shape != self.limits.lower.shape:
+            raise GuardError(f"{joints.size} joint angles, expected {self.limits.lower.size}")
+
+    def _demand_within(self, joints: Array) -> None:
+        limits = self.limits
+        self._demand(joints, limits.upper, "position", "rad", slack=SLACK)
+        self._demand(-joints, -limits.lower, "position", "rad", -1.0, SLACK)
 
     def _demand(
-        self, values: Array, bounds: Array, what: str, unit: str, sign: float = 1.0
-    ) -> None:
-        """Refuse values above their bounds; what cannot be compared is refused, too."""
-        good = values <= bounds + TOLERANCE * np.abs(bounds)  # false for NaN
+        self, values: Array, bounds: Array, what: str, unit: str, sign: float = 1.0,
+        slack: float = 0.0,
+    ) -> None:  # fmt: skip
+        """Refuse values (k, n) above bounds (n,); what cannot be compared is refused, too."""
+        good = values <= bounds + TOLERANCE * np.abs(bounds) + slack  # false for NaN
         if good.all():
             return
-        k = int(np.argmin(good))
+        i, k = np.argwhere(~good)[0]
         raise GuardError(
-            f"{self.limits.names[k]}: {what} {sign * values[k]:.4g} {unit}, "
+            f"{self.limits.names[k]}: {what} {sign * values[i, k]:.4g} {unit}, "
             f"the limit is {sign * bounds[k]:.4g} {unit}"
         )

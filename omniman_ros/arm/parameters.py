@@ -61,7 +61,7 @@ class UrParameters:
         high=3,
     )  # fmt: skip
     start_distance: float = parameter(
-        0.02, "How far from the arm a preview may begin; the arm is led onto it.", unit="rad",
+        0.05, "How far from the arm a preview may begin; the arm is led onto it.", unit="rad",
         low=0.0001, high=0.5,
     )  # fmt: skip
     unlock: bool = parameter(

@@ -25,8 +25,6 @@ class Mode(IntEnum):
 
     SERVO = 1
     """Follow the joint angles."""
-    IDLE = 0
-    """Hold, and go on reading."""
     STOPPED = -2
     """Decelerate, and end."""
 

@@ -17,7 +17,7 @@ def test_a_message_is_eight_big_endian_integers():
     assert len(message) == MESSAGE.size == 32
 
 
-@pytest.mark.parametrize(("mode", "number"), [(Mode.IDLE, 0), (Mode.STOPPED, -2)])
+@pytest.mark.parametrize(("mode", "number"), [(Mode.SERVO, 1), (Mode.STOPPED, -2)])
 def test_the_mode_is_the_last_number(mode, number):
     assert struct.unpack(">i", pack(JOINTS, mode, 0.04)[-4:]) == (number,)
 

@@ -48,3 +48,19 @@ def test_before_and_after_it_rests_at_its_ends():
 def test_one_point_is_a_place_to_be():
     curve = Hermite(np.array([1.0]), np.array([[3.0]]), np.array([[0.0]]), None)
     assert [curve.sample(now)[0].tolist() for now in (0.0, 1.0, 2.0)] == [[3.0]] * 3
+
+
+@pytest.mark.parametrize("with_accelerations", [True, False])
+def test_many_positions_at_once_are_those_one_by_one(with_accelerations):
+    rng = np.random.default_rng(4)
+    times = np.cumsum(rng.uniform(0.1, 1.0, 5))
+    rows = [rng.normal(size=(5, 6)) for _ in range(3)]
+    curve = Hermite(times, rows[0], rows[1], rows[2] if with_accelerations else None)
+    asked = np.linspace(times[0] - 1.0, times[-1] + 1.0, 200)
+    expected = [curve.sample(now)[0] for now in asked]
+    assert np.allclose(curve.positions_at(asked), expected, rtol=0, atol=1e-12)
+
+
+def test_a_single_point_is_everywhere():
+    curve = Hermite(np.array([1.0]), np.array([[3.0, 4.0]]), np.zeros((1, 2)), None)
+    assert curve.positions_at(np.array([0.0, 1.0, 2.0])).tolist() == [[3.0, 4.0]] * 3

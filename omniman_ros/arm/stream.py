@@ -1,0 +1,242 @@
+"""Setpoints of the arm, one a period: along previews, and always to a rest."""
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omniman_ros.arm.guard import GuardError, JointGuard, JointLimits
+from omniman_ros.arm.joint_preview import JointPreview
+from omniman_ros.arm.reference import Reference, braking, stopping_time, straight
+from omniman_ros.core.errors import InputError
+
+Array = NDArray[np.float64]
+
+BRAKE_SHARE = 0.9
+"""Share of the acceleration limits that braking takes: a path bends within a period."""
+FURTHEST_AHEAD = 1.0
+"""A preview may begin so much later [s]."""
+SILENT_PERIODS = 2.0
+"""After so many periods of the previews without another, their source is silent."""
+CHECKED = 1.0
+"""So much of a preview is checked when it comes [s]; each setpoint is checked anyway."""
+
+
+class StreamState(Enum):
+    """What the setpoints do."""
+
+    HOLDING = "holding"
+    FOLLOWING = "following"
+    BRAKING = "braking"
+
+
+@dataclass
+class StreamSettings:
+    """What may change while it runs.
+
+    Attributes:
+        start_distance: How far from the setpoint a preview may be when it comes [rad].
+    """
+
+    start_distance: float
+
+
+class JointStream:
+    """Follows previews; brakes along them when they run out or when it is told to.
+
+    A preview is trusted to its end. It is braked on while it lasts if its source has been silent
+    for two of its periods and the rest is just long enough; else at its end, straight on. The next
+    preview goes on from there if it is near enough; what is further away is refused.
+
+    Args:
+        limits: Of the joints; each setpoint is checked by a :class:`JointGuard`.
+        settings: See there, live.
+        period: Of the setpoints [s].
+
+    Attributes:
+        state: What the setpoints do.
+        settings: As above.
+    """
+
+    def __init__(self, limits: JointLimits, settings: StreamSettings, period: float) -> None:
+        self.settings = settings
+        self.state = StreamState.HOLDING
+        self._guard = JointGuard(limits, period)
+        self._period = period
+        self._allowed = False
+        self._reference: Reference | None = None
+        self._time = self._at = 0.0  # of the last setpoint: on the clock, on the reference
+        self._rate = 1.0
+        self._newest = -math.inf
+        self._arrived, self._interval = -math.inf, math.inf
+
+    @property
+    def limits(self) -> JointLimits:
+        """Limits of the joints."""
+        return self._guard.limits
+
+    @limits.setter
+    def limits(self, limits: JointLimits) -> None:
+        self._guard.limits = limits
+
+    @property
+    def setpoint(self) -> Array:
+        """The last setpoint (n,) [rad]."""
+        return self._guard.last
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the setpoints stand."""
+        return self.state is StreamState.HOLDING
+
+    def begin(self, measured: Array, now: float) -> Array:
+        """Hold where the arm is (n,) [rad]; return the first setpoint. Previews are taken.
+
+        Raises:
+            GuardError: The arm is not within its limits.
+        """
+        first = self._guard.begin(measured)
+        self._rest()
+        self._time, self._allowed = now, True
+        return first
+
+    def preview(self, preview: JointPreview, now: float) -> None:
+        """Follow a preview from the last setpoint on.
+
+        Raises:
+            InputError: Previews are not taken now, or not this one: too old, too early, too far
+                away, or more than the limits allow.
+        """
+        if not self._allowed:
+            raise InputError("the arm is held")
+        if preview.start < self._newest:
+            raise InputError(f"out of order, {self._newest - preview.start:.3f} s back")
+        if preview.end < now:
+            raise InputError(f"over {now - preview.end:.3f} s ago")
+        if preview.start > now + FURTHEST_AHEAD:
+            raise InputError(f"it begins {preview.start - now:.3f} s ahead")
+        # It may begin between the last setpoint and the next.
+        begin = min(max(preview.start, self._time), self._time + self._period)
+        position, velocity = self._motion(begin)
+        self._demand_near(preview, begin, position)
+        reference = Reference(
+            preview, begin, position, velocity, self._guard.limits.acceleration, self._period
+        )
+        count = max(int(min(preview.end - self._time, CHECKED) / self._period), 1)
+        steps: Array = self._time + self._period * np.arange(1.0, count + 1.0)
+        try:
+            self._guard.examine(reference.positions_at(steps))
+        except GuardError as error:
+            raise InputError(str(error)) from error
+        self._interval, self._arrived = now - self._arrived, now
+        self._newest, self._reference = preview.start, reference
+        # On the preview, the last setpoint is where its time is.
+        self._at, self._rate, self.state = self._time, 1.0, StreamState.FOLLOWING
+
+    def _demand_near(self, preview: JointPreview, begin: float, position: Array) -> None:
+        place = preview.sample(begin)[0]
+        if place.shape != position.shape:
+            raise InputError(f"{place.size} joint angles, expected {position.size}")
+        away = np.abs(place - position)
+        k = int(away.argmax())
+        if away[k] > self.settings.start_distance:
+            name = self._guard.limits.names[k]
+            raise InputError(
+                f"{name}: {place[k]:.4g} rad is {away[k]:.3g} rad away from where it is led now"
+            )
+
+    def _motion(self, time: float) -> tuple[Array, Array]:
+        """Angles (n,) [rad] and rates [rad/s] soon after the last setpoint."""
+        if self._reference is None:
+            return self.setpoint, np.zeros_like(self.setpoint)
+        at = self._at + self._rate * (time - self._time)
+        position, velocity, _ = self._reference.sample(at)
+        return position, self._rate * velocity
+
+    def hold(self) -> None:
+        """Brake along the preview, then hold; no other is taken."""
+        self._allowed = False
+        if self.state is StreamState.FOLLOWING:
+            self.state = StreamState.BRAKING
+
+    def release(self) -> None:
+        """Take previews again; nothing moves by that."""
+        self._allowed = True
+
+    def tick(self, now: float, measured: Array | None) -> Array:
+        """Return the setpoint (n,) [rad] of a time [s].
+
+        Args:
+            now: One period after the last.
+            measured: Joint angles (n,) [rad]; None while they are not known and it brakes.
+
+        Raises:
+            GuardError: What comes next may not be sent. It brakes from the last setpoint on:
+                call again with `measured` None.
+        """
+        reference = self._reference
+        self._time = now
+        if reference is None:
+            return self._checked(self.setpoint, measured)
+        if self.state is StreamState.FOLLOWING and self._runs_out(reference, now):
+            self.state = StreamState.BRAKING
+        if self.state is StreamState.BRAKING:
+            return self._brake(reference, measured)
+        setpoint = self._checked(reference.sample(now)[0], measured)
+        self._at = now
+        if now >= reference.end and not self._guard.velocity.any():
+            self._rest()
+        return setpoint
+
+    def _runs_out(self, reference: Reference, now: float) -> bool:
+        if now >= reference.end:
+            return bool(np.abs(reference.sample(now)[1]).max() > 0.0)
+        if now - self._arrived <= SILENT_PERIODS * self._interval:
+            return False
+        limits = BRAKE_SHARE * self._guard.limits.acceleration
+        speeds = [np.abs(reference.sample(t)[1]) for t in (now, reference.end)]
+        # Braking takes half of the reference's own time, and more where the path brakes as well.
+        time = 0.75 * stopping_time(np.maximum(*speeds), limits)
+        return time >= reference.end - now - self._period
+
+    def _brake(self, reference: Reference, measured: Array | None) -> Array:
+        try:
+            setpoint = self._guard.check(self._slower(reference), measured)
+        except GuardError:  # it bends too much for that
+            setpoint = self._checked(self._slower(self._go_straight()), measured)
+        if self._rate == 0.0:
+            self._rest()
+        return setpoint
+
+    def _slower(self, reference: Reference) -> Array:
+        """Brake for a period; return where that leads (n,) [rad]."""
+        _, velocity, acceleration = reference.sample(self._at)
+        limits = BRAKE_SHARE * self._guard.limits.acceleration
+        self._rate = braking(velocity, acceleration, self._rate, limits, self._period)
+        self._at += self._period * self._rate
+        return reference.sample(self._at)[0]
+
+    def _checked(self, setpoint: Array, measured: Array | None) -> Array:
+        try:
+            return self._guard.check(setpoint, measured)
+        except GuardError:
+            self._go_straight()
+            self._allowed = False
+            raise
+
+    def _go_straight(self) -> Reference:
+        """Leave what was followed, to brake from the last setpoint on."""
+        guard = self._guard
+        onward = straight(guard.last, guard.velocity, 0.0)
+        self._reference = Reference(
+            onward, 0.0, guard.last, guard.velocity, guard.limits.acceleration, self._period
+        )
+        self._at, self._rate, self.state = 0.0, 1.0, StreamState.BRAKING
+        return self._reference
+
+    def _rest(self) -> None:
+        self._reference, self.state = None, StreamState.HOLDING
+        self._rate, self._newest, self._interval = 1.0, -math.inf, math.inf
+        self._arrived = -math.inf
