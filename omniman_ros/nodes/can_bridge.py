@@ -1,15 +1,11 @@
 """Node `can_bridge`: wheel commands to real motor drives on a CAN bus, and their feedback back."""
 
-import functools
 import sys
-import traceback
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from lifecycle_msgs.srv import ChangeState
-from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
@@ -18,36 +14,19 @@ from omniman_ros import conversions
 from omniman_ros.can_drive import availability
 from omniman_ros.can_drive.phase import Phase
 from omniman_ros.core.can_parameters import CanParameters
-from omniman_ros.core.errors import InputError, ParameterError
+from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import inline, parameter
 from omniman_ros.core.robot import Robot
 from omniman_ros.core.stop import StopLatch, StopState
+from omniman_ros.nodes.lifecycle import FAILURE, SUCCESS, HardwareNode, told
 from omniman_ros.nodes.parameters import ParameterSet
-from omniman_ros.nodes.runtime import OmnimanNode, RCLError, run
+from omniman_ros.nodes.runtime import run
 from omniman_ros.nodes.stopping import StopPort
 
 if TYPE_CHECKING:
     from omniman_ros.can_drive.link import CanLink
 
 SETPOINT = QoSProfile(depth=1)
-SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
-Callback = Callable[["CanBridgeNode", LifecycleState], TransitionCallbackReturn]
-RETRY = 2.0
-"""Time between two attempts to start by itself, until the first success [s]."""
-
-
-def _told(callback: Callback) -> Callback:
-    """Have what a transition raises logged: rclpy drops it, and goes on with `on_error`."""
-
-    @functools.wraps(callback)
-    def transition(node: "CanBridgeNode", state: LifecycleState) -> TransitionCallbackReturn:
-        try:
-            return callback(node, state)
-        except Exception:
-            node.get_logger().error(f"{callback.__name__} failed:\n{traceback.format_exc()}")
-            return TransitionCallbackReturn.ERROR
-
-    return transition
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,7 +44,7 @@ class CanBridgeParameters:
     )
 
 
-class CanBridgeNode(OmnimanNode, LifecycleNodeMixin):
+class CanBridgeNode(HardwareNode):
     """Message plumbing and life cycle around `can_drive.drives.CanDrives`.
 
     configure opens the bus and configures the drives, activate enables them at zero speed,
@@ -74,19 +53,13 @@ class CanBridgeNode(OmnimanNode, LifecycleNodeMixin):
     """
 
     def __init__(self, **options: object) -> None:
-        OmnimanNode.__init__(self, "can_bridge", **options)
-        LifecycleNodeMixin.__init__(self)
-        self._change_state = self._service_change_state.callback
-        self._service_change_state.callback = self._on_change_state
-        if self.get_parameter("use_sim_time").value:
-            raise ParameterError("use_sim_time", True, "real drives run on real time")
+        super().__init__("can_bridge", **options)
         self.settings = ParameterSet(self, CanBridgeParameters)
         p = self.settings.value
         p.can.check(p.robot)
         self.link: CanLink | None = None
         self.latch = StopLatch()
         self._active = False
-        self._attempt: float | None = -RETRY
         self._names = list(p.robot.wheels.names)
         self._make_topics(p)
         self._stop = StopPort(self, self.latch, self._reset, self._halt)
@@ -94,7 +67,7 @@ class CanBridgeNode(OmnimanNode, LifecycleNodeMixin):
         self.every(p.can.period, self.tick)
         self.every(1.0 / p.electrical_rate, self._report_electrical)
         if p.autostart:
-            self.every(0.1, self._start)
+            self.autostart()
 
     def _make_topics(self, p: CanBridgeParameters) -> None:
         self._states = self.create_publisher(JointState, "wheel_states", 5)
@@ -105,31 +78,12 @@ class CanBridgeNode(OmnimanNode, LifecycleNodeMixin):
 
     # ---- life cycle ---------------------------------------------------------------------------
 
-    def _start(self) -> None:
-        """Bring itself up; what was up once, or was taken down, is not brought up again."""
-        if self._attempt is None or self.now() - self._attempt < RETRY:
-            return
-        if self.link is None:
-            self.trigger_configure()
-        if self.link is not None:
-            self.trigger_activate()
-        if self._attempt is not None:
-            self._attempt = self.now()
+    @property
+    def is_configured(self) -> bool:
+        """Whether the bus is open and the drives are configured."""
+        return self.link is not None
 
-    def _on_change_state(
-        self, request: ChangeState.Request, response: ChangeState.Response
-    ) -> ChangeState.Response:
-        """Refuse a transition that its state does not have: rclpy lets it end the node."""
-        try:
-            return self._change_state(request, response)
-        except RCLError:
-            asked = request.transition.label or request.transition.id
-            state = self._state_machine.current_state[1]
-            self.warn("transition", f"transition {asked} refused: the node is {state}")
-            response.success = False
-            return response
-
-    @_told
+    @told
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Open the bus and configure the drives."""
         # Here, so that a machine without python-can can import this module for its parameters.
@@ -152,7 +106,7 @@ class CanBridgeNode(OmnimanNode, LifecycleNodeMixin):
         self._close()
         return FAILURE
 
-    @_told
+    @told
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Enable the drives at zero speed."""
         drives = self.link.drives
@@ -166,34 +120,35 @@ class CanBridgeNode(OmnimanNode, LifecycleNodeMixin):
             return FAILURE
         self.link.run_until(lambda: drives.phase is Phase.DRIVING or drives.stop_reason, 1e9)
         if drives.phase is Phase.DRIVING and not drives.stop_reason:
-            self._active, self._attempt = True, None
+            self._active = True
+            self.leave_alone()
             self.get_logger().info("active: the drives hold zero speed")
             return SUCCESS
         self.warn("activate", f"not activated: {drives.stop_reason}")
         self._power_off()
         return FAILURE
 
-    @_told
+    @told
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop the wheels and take the power off."""
         self._active = False
         self._power_off()
         return SUCCESS
 
-    @_told
+    @told
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Close the bus."""
-        self._attempt = None
+        self.leave_alone()
         self._close()
         return SUCCESS
 
-    @_told
+    @told
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop the wheels, take the power off, close the bus."""
-        self._attempt = None
+        self.leave_alone()
         return self.on_error(state)
 
-    @_told
+    @told
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Do the same after an error in a transition; the node is then unconfigured."""
         self._active = False
@@ -310,7 +265,7 @@ class CanBridgeNode(OmnimanNode, LifecycleNodeMixin):
 
     def begin_shutdown(self, reason: str) -> None:
         """Stop every wheel; then the power is taken off."""
-        self._attempt = None
+        self.leave_alone()
         self.latch.stop(f"shutting down: {reason}")
         self._halt()
 
