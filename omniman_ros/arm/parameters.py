@@ -64,6 +64,10 @@ class UrParameters:
         0.05, "How far from the arm a preview may begin; the arm is led onto it.", unit="rad",
         low=0.0001, high=0.5,
     )  # fmt: skip
+    priority: int = parameter(
+        50, "Priority (SCHED_FIFO) of the streaming process, where it is permitted; 0: none.",
+        low=0, high=99, read_only=True,
+    )  # fmt: skip
     unlock: bool = parameter(
         False, "Whether ~/reset asks the controller to unlock a protective stop; else that is "
         "done on its pendant, after a look at the arm.",

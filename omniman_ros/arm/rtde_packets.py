@@ -8,6 +8,7 @@ import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import cached_property
 from typing import NamedTuple
 
 from omniman_ros.arm.errors import ProtocolError
@@ -135,7 +136,7 @@ class Recipe:
             raise ProtocolError(f"RTDE: {len(types)} types for {len(names)} outputs")
         return cls(payload[0], tuple(names), tuple(types))
 
-    @property
+    @cached_property
     def layout(self) -> struct.Struct:
         """Layout of the values after the id."""
         return struct.Struct(">" + "".join(FORMATS[kind] for kind in self.types))

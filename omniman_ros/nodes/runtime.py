@@ -66,18 +66,22 @@ class OmnimanNode(Node):
         """Call back each `period` seconds of the node's clock."""
         self.create_timer(period, callback, clock=self.clock)
 
-    def age(self, stamp: TimeMsg) -> float:
+    def age(self, stamp: TimeMsg, ahead: float = FUTURE) -> float:
         """How long ago a stamp was, in ROS time [s]; 0 for a zero stamp, which means now.
 
+        Args:
+            stamp: It.
+            ahead: How far ahead it may be [s].
+
         Raises:
-            InputError: It is more than 50 ms ahead.
+            InputError: It is further ahead.
         """
         if stamp.sec == 0 and stamp.nanosec == 0:
             return 0.0
         # Time.from_msg raises on negative seconds; so old a stamp is merely stale.
         sent = stamp.sec * 1_000_000_000 + stamp.nanosec
         age = (self.get_clock().now().nanoseconds - sent) * 1e-9
-        if age < -FUTURE:
+        if age < -ahead:
             raise InputError(f"the stamp is {-age:.3f} s ahead")
         return age
 

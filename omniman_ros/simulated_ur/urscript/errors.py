@@ -1,0 +1,19 @@
+"""What can be wrong with a program: before it runs, and while it runs."""
+
+from omniman_ros.core.errors import OmnimanError
+
+
+class ScriptError(OmnimanError, ValueError):
+    """The text is not a program.
+
+    Attributes:
+        line: Line at fault, from 1.
+    """
+
+    def __init__(self, line: int, reason: str) -> None:
+        super().__init__(f"line {line}: {reason}")
+        self.line = line
+
+
+class Fault(OmnimanError):
+    """A statement cannot be executed; the machine adds the line and ends the program."""
