@@ -34,6 +34,7 @@ class Channel:
         self._sock = sock
         self._heard = bytearray()
         self._unsent = b""
+        self._gone = ""
 
     def fileno(self) -> int:
         """File descriptor, to wait for messages."""
@@ -57,28 +58,26 @@ class Channel:
         except OSError as error:
             raise ChannelError(f"the other process is gone: {error}") from error
 
-    def receive(self) -> Iterator[Any]:
-        """Yield the messages that have come.
+    def receive(self) -> list[Any]:
+        """Return the messages that have come.
 
         Raises:
-            ChannelError: The other side is gone; what it sent before has been given out.
+            ChannelError: The other side is gone, and all that it sent has been returned.
         """
-        gone = ""
-        while True:
+        while not self._gone:
             try:
                 data = self._sock.recv(AT_ONCE)
             except BlockingIOError:
                 break
             except OSError as error:
-                gone = str(error)
+                self._gone = str(error)
                 break
-            if not data:
-                gone = "closed"
-                break
+            self._gone = "" if data else "closed"
             self._heard += data
-        yield from self._messages()
-        if gone:
-            raise ChannelError(f"the other process is gone: {gone}")
+        messages = list(self._messages())
+        if self._gone and not messages:
+            raise ChannelError(f"the other process is gone: {self._gone}")
+        return messages
 
     def _messages(self) -> Iterator[Any]:
         heard, at = self._heard, 0
@@ -92,8 +91,8 @@ class Channel:
             yield pickle.loads(body)
         del heard[:at]
 
-    def wait_and_receive(self) -> Iterator[Any]:
-        """Wait for something to come, and yield the messages; errors as :meth:`receive`."""
+    def wait_and_receive(self) -> list[Any]:
+        """Wait for something to come, and return the messages; errors as :meth:`receive`."""
         select.select([self._sock], [], [])
         return self.receive()
 

@@ -6,7 +6,6 @@ and then by many cycles. It ends by itself, with the arm brought to rest, when i
 
 import gc
 import os
-import select
 import signal
 import socket
 import sys
@@ -204,11 +203,11 @@ def be_punctual(priority: int) -> str:
 
 
 def _first(channel: Channel) -> Any:
-    """Wait for the first message."""
-    while True:
-        select.select([channel.fileno()], [], [])
-        for message in channel.receive():
-            return message
+    """Wait for the first message, which comes alone."""
+    messages: list[Any] = []
+    while not messages:
+        messages = channel.wait_and_receive()
+    return messages[0]
 
 
 def main() -> int:

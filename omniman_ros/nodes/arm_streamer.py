@@ -25,7 +25,7 @@ from omniman_ros.arm.streamer import joint_limits
 from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.core.parameters import parameter
 from omniman_ros.core.stop import ResetRefusedError, StopLatch, StopState
-from omniman_ros.nodes.lifecycle import FAILURE, SUCCESS, HardwareNode, told
+from omniman_ros.nodes.lifecycle import ERROR, FAILURE, SUCCESS, HardwareNode, told
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.runtime import run
 from omniman_ros.nodes.stopping import StopPort
@@ -103,10 +103,7 @@ class ArmStreamerNode(HardwareNode):
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Start the streaming process, and wait for the controller's data."""
         p = self.settings.value
-        self.process, self._resets = StreamProcess(p.arm, p.ur, self._wake), 0
-        self._told = (False, "")
-        self._heard = self.now()
-        self._await(lambda report: report.connected, p.ur.connect_timeout + 1.0)
+        self._open()
         if self.process.report.connected:
             self.get_logger().info(f"configured: the controller at {p.ur.host} sends data")
             if self.process.punctual:
@@ -134,6 +131,8 @@ class ArmStreamerNode(HardwareNode):
             return SUCCESS
         why = self.process.failure or report.failure or "no answer"
         self.warn("activate", f"not activated: {why}")
+        if self.process.failure:
+            return ERROR
         self.process.order("finish")
         return FAILURE
 
@@ -162,6 +161,14 @@ class ArmStreamerNode(HardwareNode):
         self._finish()
         self._close()
         return SUCCESS
+
+    def _open(self) -> None:
+        """Start the process, and wait for the controller's data."""
+        p = self.settings.value
+        self.process, self._resets = StreamProcess(p.arm, p.ur, self._wake), 0
+        self._told = (False, "")
+        self._heard = self.now()
+        self._await(lambda report: report.connected, p.ur.connect_timeout + 1.0)
 
     def _finish(self) -> None:
         self._active = False
@@ -262,13 +269,22 @@ class ArmStreamerNode(HardwareNode):
         if self.process is None or not self._active:
             self.latch.reset(at_rest=True)
             return
-        self._unlock()
         self._hear()
+        if self.process.failure:
+            return self._begin_anew()
+        self._unlock()
         report = self.process.report
-        trouble = self.process.failure or report.trouble
-        self.latch.reset(at_rest=report.at_rest, fault=trouble)
+        self.latch.reset(at_rest=report.at_rest, fault=report.trouble)
         self._resets += 1
         self.process.order("reset", self._resets)
+
+    def _begin_anew(self) -> None:
+        """Replace a streaming process that has ended."""
+        self._close()
+        self._open()
+        trouble = self.process.failure or self.process.report.trouble
+        self.latch.reset(at_rest=self.process.report.at_rest, fault=trouble)
+        self.process.order("start")
 
     def _unlock(self) -> None:
         ur = self.settings.value.ur

@@ -14,6 +14,7 @@ from omniman_ros.nodes.runtime import OmnimanNode, RCLError
 RETRY = 2.0
 """Time between two attempts to start by itself, until the first success [s]."""
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
+ERROR = TransitionCallbackReturn.ERROR
 Callback = Callable[[Any, LifecycleState], TransitionCallbackReturn]
 
 
