@@ -9,7 +9,11 @@ In the order of the computation:
 * `planner`: all of it; `trajectory`: the result on the time base;
 * `interpolator`: follow, pause, resume, cancel, slow down, replace;
 * `control`: whether the stream is followed, and whether one may begin;
-* `parameters`: what the platform's paths are set by.
+* `parameters`: what the platform's paths are set by;
+* `joint_points`, `given_times`, `timed_curve`, `axis_limits`: trajectories of joints, with times
+  that are kept and checked, or planned as above;
+* `joint_interpolator`: follow, pause, resume, cancel, replace them; `joint_parameters`;
+* `pace`: slows all of it on its paths together, and brings it back.
 
 All work on any number of coordinates (`axes`), so that arm joints can share the time base.
 """

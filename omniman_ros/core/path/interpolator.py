@@ -12,14 +12,13 @@ from numpy.typing import NDArray
 from omniman_ros.core import plausible
 from omniman_ros.core.errors import InputError, OmnimanError
 from omniman_ros.core.path import polyline
+from omniman_ros.core.path.pace import LEAD, Demand
 from omniman_ros.core.path.parameters import TICK, PathParameters
 from omniman_ros.core.path.planner import STANDING, PathPlanner, Plan
 from omniman_ros.core.path.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 
-LEAD = 3
-"""Ticks from a decision to the first tick that it changes: the receiver must hear of it first."""
 SPREAD = 4.0
 """Along a path the heading turns over so many corner tolerances on either side of a corner."""
 
@@ -298,6 +297,18 @@ class PathInterpolator:
             trajectory.velocities[rows],
             trajectory.accelerations[rows],
         )
+
+    def sample(self, times: Array) -> tuple[Array, Array, Array]:
+        """x, x', x'' (k, d) at times (k,) [s], on the ticks or not, with a path."""
+        assert self._trajectory is not None
+        return self._trajectory.sample(times)
+
+    def demand(self, times: Array) -> Demand | None:
+        """What it asks of its limits at times (k,) [s]; None without a path."""
+        if self._trajectory is None:
+            return None
+        _, v, a = self.sample(times)
+        return Demand.of(self._planner.groups, v, a)
 
     def progress(self, now: float) -> float:
         """How much of the path is behind, 0 to 1; 0 without a path."""

@@ -97,6 +97,11 @@ class PathPlanner:
         for group in groups:
             self._scale[list(group.columns)] = max(group.tolerance, FINEST)
 
+    @property
+    def groups(self) -> tuple[AxisGroup, ...]:
+        """The limits that it plans within, with its share of the accelerations."""
+        return tuple(self._groups)
+
     def slower(self, share: float) -> "PathPlanner":
         """One for the same routes that uses a share of all speeds and accelerations."""
         return PathPlanner(*self._full, share)

@@ -84,6 +84,19 @@ class Trajectory:
         """Time of a tick [s]."""
         return self.start + index * self.dt
 
+    def sample(self, times: Array) -> tuple[Array, Array, Array]:
+        """x, x', x'' (k, d) at times (k,) [s], between ticks too; at rest before the first."""
+        last = len(self.ticks) - 1
+        i = np.clip(np.floor((times - self.start) / self.dt + 1e-6), 0, last).astype(np.intp)
+        s = np.clip(times - self.start - self.dt * i, 0.0, self.dt)[:, None]
+        x, v, a = self.positions[i], self.velocities[i], self.accelerations[i]
+        jerk = (self.accelerations[np.minimum(i + 1, last)] - a) / self.dt
+        return (
+            x + s * (v + s * (0.5 * a + s * jerk / 6.0)),
+            v + s * (a + 0.5 * s * jerk),
+            a + s * jerk,
+        )
+
     def progress(self, now: float) -> float:
         """How much of the route is behind, 0 to 1."""
         last = len(self.ticks) - 1
