@@ -25,6 +25,8 @@ EXECUTABLES = {
     "simulated_drive": "omniman_ros.nodes.simulated_drive:main",
     "can_bridge": "omniman_ros.nodes.can_bridge:main",
     "simulated_can_drives": "omniman_ros.nodes.simulated_can_drives:main",
+    "simulated_ur": "omniman_ros.nodes.simulated_ur:main",
+    "arm_streamer": "omniman_ros.nodes.arm_streamer:main",
     "path_interpolator": "omniman_ros.nodes.path_interpolator:main",
     "mpc_planner": "omniman_ros.nodes.mpc_planner:main",
     "viewer": "omniman_ros.nodes.viewer:main",
@@ -105,6 +107,7 @@ setup(
             "ruff==0.17.*",
             "setuptools",
             "types-PyYAML",
+            "ur-rtde",
         ],
         "plot": ["matplotlib"],
         # The page relies on how viser marks up its buttons.

@@ -8,8 +8,9 @@ from omniman_ros.core.hermite import Hermite
 
 Array = NDArray[np.float64]
 
-JOIN_SHARE = 0.4
-"""Share of the acceleration limits that joining a preview may take."""
+GENTLE, FIRM = 0.08, 0.4
+"""Shares of the acceleration limits that joining a preview takes: planned motions leave a tenth to
+it, and more for most of the time."""
 NEAR = 1e-9
 """Distances and speeds that need no joining [rad, rad/s]."""
 
@@ -21,8 +22,11 @@ class Reference:
         preview: Where to go.
         now: Time [s].
         position, velocity: (n,) present setpoint and its rate [rad, rad/s].
-        acceleration: (n,) limits [rad/s^2].
+        acceleration: (n,) that the offset may take to fade [rad/s^2].
         period: Of the setpoints [s].
+
+    Attributes:
+        joined: When the offset has faded [s].
     """
 
     def __init__(
@@ -33,8 +37,10 @@ class Reference:
         place, rate, _ = preview.sample(now)
         away, drift = position - place, velocity - rate
         self._offset: Hermite | None = None
+        self.joined = now
         if float(np.abs(away).max()) > NEAR or float(np.abs(drift).max()) > NEAR:
-            time = joining_time(away, drift, JOIN_SHARE * acceleration, period)
+            time = joining_time(away, drift, acceleration, period)
+            self.joined = now + time
             zero = np.zeros_like(away)
             self._offset = Hermite(
                 np.array([now, now + time]), np.stack([away, zero]), np.stack([drift, zero]), None

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from omniman_ros.arm.guard import GuardError, JointGuard, JointLimits
 from omniman_ros.arm.joint_preview import JointPreview
-from omniman_ros.arm.reference import Reference, braking, stopping_time, straight
+from omniman_ros.arm.reference import FIRM, GENTLE, Reference, braking, stopping_time, straight
 from omniman_ros.core.errors import InputError
 
 Array = NDArray[np.float64]
@@ -20,6 +20,8 @@ FURTHEST_AHEAD = 1.0
 """A preview may begin so much later [s]."""
 SILENT_PERIODS = 2.0
 """After so many periods of the previews without another, their source is silent."""
+SOON = 0.3
+"""A preview that is joined gently in less time than this is joined gently [s]."""
 CHECKED = 1.0
 """So much of a preview is checked when it comes [s]; each setpoint is checked anyway."""
 
@@ -121,19 +123,33 @@ class JointStream:
         begin = min(max(preview.start, self._time), self._time + self._period)
         position, velocity = self._motion(begin)
         self._demand_near(preview, begin, position)
-        reference = Reference(
-            preview, begin, position, velocity, self._guard.limits.acceleration, self._period
-        )
-        count = max(int(min(preview.end - self._time, CHECKED) / self._period), 1)
-        steps: Array = self._time + self._period * np.arange(1.0, count + 1.0)
-        try:
-            self._guard.examine(reference.positions_at(steps))
-        except GuardError as error:
-            raise InputError(str(error)) from error
+        reference = self._joining(preview, begin, position, velocity)
         self._interval, self._arrived = now - self._arrived, now
         self._newest, self._reference = preview.start, reference
         # On the preview, the last setpoint is where its time is.
         self._at, self._rate, self.state = self._time, 1.0, StreamState.FOLLOWING
+
+    def _joining(
+        self, preview: JointPreview, begin: float, position: Array, velocity: Array
+    ) -> Reference:
+        """Return a way onto a preview that the guard lets pass."""
+        limits = self._guard.limits.acceleration
+        gentle, firm = (
+            Reference(preview, begin, position, velocity, share * limits, self._period)
+            for share in (GENTLE, FIRM)
+        )
+        count = max(int(min(preview.end - self._time, CHECKED) / self._period), 1)
+        steps: Array = self._time + self._period * np.arange(1.0, count + 1.0)
+        soon = gentle.joined - begin <= SOON
+        why: GuardError | None = None
+        for reference in (gentle, firm) if soon else (firm, gentle):
+            try:
+                self._guard.examine(reference.positions_at(steps))
+            except GuardError as error:
+                why = why or error
+            else:
+                return reference
+        raise InputError(str(why))
 
     def _demand_near(self, preview: JointPreview, begin: float, position: Array) -> None:
         place = preview.sample(begin)[0]

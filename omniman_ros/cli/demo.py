@@ -34,7 +34,8 @@ LIMP = "drive.dead_wheel:=drive_on"
 PATIENT = (
     "timeouts.wheel_states:=0.5", "firmware.watchdog:=0.5", "safety.deadline:=0.05",
     "odom_timeout:=1.0", "can.missed_periods:=100", "can.drive_heartbeat:=0.2",
-    "can.heartbeat_timeout:=0.5", "can.command_timeout:=0.5",
+    "can.heartbeat_timeout:=0.5", "can.command_timeout:=0.5", "ur.read_timeout:=0.2",
+    "ur.feedback_timeout:=0.5", "joint_trajectory.states_timeout:=1.0", "scaling_timeout:=2.0",
 )  # fmt: skip
 """A show on a busy machine: nothing real is at stake when a process waits for its turn."""
 
@@ -50,7 +51,13 @@ def run(args: argparse.Namespace) -> int:
     params = [*PATIENT, LIMP, *unlike_wheels(resolved(args.robot)), *args.param]
     private = choose_domain(args.keep)  # before the nodes: their bus is one of the domain
     chosen = tasks(
-        Setup(robot=args.robot, params=params, drive=args.drive, installation=args.installation)
+        Setup(
+            robot=args.robot,
+            params=params,
+            drive=args.drive,
+            installation=args.installation,
+            arm=args.arm,
+        )  # fmt: skip
     )
     log = NodeLog(args.verbose)
     complaints: list[str] = []
@@ -59,6 +66,7 @@ def run(args: argparse.Namespace) -> int:
     progress.headline(
         f"omniman demo: robot '{args.robot}' in simulation, its wheels not alike, "
         + (f"{args.installation} drives on a CAN bus, " if args.drive == "can" else "")
+        + ("" if args.arm == "none" else "a UR5 behind TCP, ")
         + f"ROS_DOMAIN_ID={os.environ['ROS_DOMAIN_ID']}"
     )
     started = time.monotonic()
@@ -130,7 +138,7 @@ def perform(
     lost = expendable(resolved(args.robot))
     pace = Pace.within(build(TwistLimits, load_robot(args.robot), "limits."))
     with Session("omniman_demo") as session:
-        show = Show(session, pace, progress, children.check, args.drive)
+        show = Show(session, pace, progress, children.check, args.drive, args.arm != "none")
         try:
             show.meet()
             page = ""
@@ -149,8 +157,9 @@ def perform(
         body = build(Robot, load_robot(args.robot)).body
         half = (0.5 * body.length, 0.5 * body.width)
         result = judge(
-            recording, driven.twists, driven.legs, driven.without_wheel, driven.goal, half
-        )
+            recording, driven.twists, driven.legs, driven.without_wheel, driven.goal, half,
+            driven.arm,
+        )  # fmt: skip
     limped = [driven.without_wheel.leg] if driven.without_wheel else []
     drawn = draw(args, recording, driven.twists, driven.legs + limped, driven.goal)
     return {"robot": args.robot, **result, "picture": drawn and str(drawn), "page": page}
@@ -243,6 +252,7 @@ def report(result: dict[str, Any]) -> list[str]:
          f"{drift['position_mm']:.1f} mm", f"{LIMITS['odometry position, mm']:g} mm"),
         (f"heading off the truth after {drift['turn_rad']:.1f} rad",
          f"{drift['heading_deg']:.2f} deg", f"{LIMITS['odometry heading, deg']:g} deg"),
+        *of_arm(result),
         *to_goal(result),
         *without_wheel(result),
         ("energy taken by the motors", f"{result['energy']['total_j']:.0f} J", ""),
@@ -253,6 +263,23 @@ def report(result: dict[str, Any]) -> list[str]:
          f"{LIMITS['wheel_commands rate, Hz']:g} Hz"),
     ]  # fmt: skip
     return ["", *table(rows)]
+
+
+def of_arm(result: dict[str, Any]) -> list[tuple[str, ...]]:
+    """Rows of the arm, where there was one."""
+    if "arm" not in result:
+        return []
+    arm = result["arm"]
+    sent = arm["setpoints"]
+    return [
+        (f"arm after {arm['moves']} moves: off by, worst joint", f"{arm['final_mrad']:.2f} mrad",
+         f"{LIMITS['arm final position, mrad']:g} mrad"),
+        ("  on the way, RMS; behind by", f"{arm['rms_mrad']:.2f} mrad, {arm['lag_ms']:.0f} ms",
+         f"{LIMITS['arm off its path, mrad']:g} mrad, "
+         f"{LIMITS['arm behind its reference, ms']:g} ms"),
+        ("  setpoints by TCP: interval p50 / p99", f"{sent['p50_ms']:.2f} / {sent['p99_ms']:.2f} "
+         "ms", ""),
+    ]  # fmt: skip
 
 
 def to_goal(result: dict[str, Any]) -> list[tuple[str, ...]]:

@@ -7,9 +7,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from omniman_ros.cli.arm import chosen_arm, private_controller
 from omniman_ros.cli.children import Task
 from omniman_ros.cli.errors import CommandError
-from omniman_ros.cli.installation import installation_file, private_bus
+from omniman_ros.cli.installation import installation_file, private_bus, settings_file
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.planning import availability as planning_availability
 from omniman_ros.robots import robot_file
@@ -28,6 +29,7 @@ class NodeKind:
             asked for by name, and then says what is missing.
         essential: Whether the robot is stopped when it dies.
         drives: With which drives it is started; none: with all.
+        arms: With which arms it is started; none: with all.
     """
 
     name: str
@@ -36,6 +38,7 @@ class NodeKind:
     is_available: Callable[[], bool] = lambda: True
     essential: bool = True
     drives: tuple[str, ...] = ()
+    arms: tuple[str, ...] = ()
 
 
 NODES = (
@@ -45,6 +48,8 @@ NODES = (
     NodeKind("simulated_drive", stage=1, sim_time="publish_clock", drives=("simulated",)),
     NodeKind("can_bridge", stage=1, drives=("can", "real")),
     NodeKind("simulated_can_drives", stage=2, drives=("can",)),
+    NodeKind("arm_streamer", stage=1, arms=("simulated", "real")),
+    NodeKind("simulated_ur", stage=2, arms=("simulated",)),
     NodeKind("viewer", stage=0, is_available=viewer_availability.is_available, essential=False),
 )
 
@@ -67,6 +72,8 @@ class Setup:
     params_file: str | None = None
     drive: str = "simulated"
     installation: str = "cia402"
+    arm: str | None = None
+    controller: str = "ur5"
 
 
 def tasks(setup: Setup) -> list[Task]:
@@ -88,11 +95,13 @@ def tasks(setup: Setup) -> list[Task]:
     if setup.sim_time and setup.drive != "simulated":
         raise CommandError(f"--sim-time: drives '{setup.drive}' run on real time", 2)
     robot = resolved(setup.robot)
-    chosen = [kind for kind in NODES if _is_chosen(kind, setup)]
+    arm = chosen_arm(setup.arm, setup.drive, setup.sim_time)
+    chosen = [kind for kind in NODES if _is_chosen(kind, setup, arm)]
+    of_arm = _arm_arguments(arm, setup) if any(kind.arms for kind in chosen) else []
     return [
         Task(
             kind.name,
-            node_command(kind.name, _ros_arguments(kind, robot, setup)),
+            node_command(kind.name, _ros_arguments(kind, robot, setup, of_arm)),
             kind.stage,
             kind.essential or bool(setup.only),
         )
@@ -100,10 +109,17 @@ def tasks(setup: Setup) -> list[Task]:
     ]
 
 
-def _is_chosen(kind: NodeKind, setup: Setup) -> bool:
+def _is_chosen(kind: NodeKind, setup: Setup, arm: str) -> bool:
     if setup.only:
         return kind.name in setup.only
-    return kind.is_available() and (not kind.drives or setup.drive in kind.drives)
+    fits = (not kind.drives or setup.drive in kind.drives) and (not kind.arms or arm in kind.arms)
+    return kind.is_available() and fits
+
+
+def _arm_arguments(arm: str, setup: Setup) -> list[str]:
+    if arm == "real":
+        return ["--params-file", settings_file("controller", "ur", setup.controller)]
+    return private_controller() if arm == "simulated" else []
 
 
 def resolved(robot: str) -> str:
@@ -124,12 +140,14 @@ def node_command(node: str, arguments: Sequence[str]) -> tuple[str, ...]:
     return (sys.executable, "-m", "omniman_ros.cli.node", str(os.getpid()), node, *arguments)
 
 
-def _ros_arguments(kind: NodeKind, robot: str, setup: Setup) -> list[str]:
+def _ros_arguments(kind: NodeKind, robot: str, setup: Setup, of_arm: Sequence[str]) -> list[str]:
     arguments = ["--ros-args", "-p", f"robot:={robot}"]
     if set(kind.drives) & {"can", "real"}:
         arguments += ["--params-file", installation_file(setup.installation)]
         if setup.drive == "can":
             arguments += [*private_bus(), *PATIENCE]
+    if kind.arms or kind.name == "path_interpolator":  # which plans within the arm's limits
+        arguments += of_arm
     if setup.params_file is not None:
         arguments += ["--params-file", setup.params_file]
     for text in setup.params:

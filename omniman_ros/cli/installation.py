@@ -17,8 +17,13 @@ MULTICAST, FIRST_PORT = "239.74.163.2", 43113
 """Group of python-can's UDP bus, and the port in ROS domain 0."""
 
 
-def installation_file(name: str) -> str:
-    """Path of an installation's file: a name of one in config/can/, or a path.
+def settings_file(kind: str, folder: str, name: str) -> str:
+    """Path of a file with parameters: a name of one in config/FOLDER/, or a path.
+
+    Args:
+        kind: What it describes, for the message.
+        folder: In config/.
+        name: Of the file, without .yaml; or its path.
 
     Raises:
         CommandError: There is none.
@@ -27,12 +32,17 @@ def installation_file(name: str) -> str:
     if path.suffix in (".yaml", ".yml"):
         if path.is_file():
             return str(path.resolve())
-        raise CommandError(f"no installation '{name}'", 2)
-    folder = share_path("config", "can")
-    if (folder / f"{name}.yaml").is_file():
-        return str(folder / f"{name}.yaml")
-    known = ", ".join(sorted(file.stem for file in folder.glob("*.yaml")))
-    raise CommandError(f"no installation '{name}'; there are {known}, or give a .yaml file", 2)
+        raise CommandError(f"no {kind} '{name}'", 2)
+    place = share_path("config", folder)
+    if (place / f"{name}.yaml").is_file():
+        return str(place / f"{name}.yaml")
+    known = ", ".join(sorted(file.stem for file in place.glob("*.yaml")))
+    raise CommandError(f"no {kind} '{name}'; there are {known}, or give a .yaml file", 2)
+
+
+def installation_file(name: str) -> str:
+    """Path of an installation's file; see :func:`settings_file`."""
+    return settings_file("installation", "can", name)
 
 
 def private_bus() -> list[str]:

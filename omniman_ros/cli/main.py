@@ -8,6 +8,7 @@ import importlib
 import sys
 from collections.abc import Callable, Sequence
 
+from omniman_ros.cli.arm import ARMS
 from omniman_ros.cli.errors import CommandError
 from omniman_ros.cli.installation import DRIVES
 from omniman_ros.core.errors import OmnimanError
@@ -71,6 +72,21 @@ def add_up(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--params-file", metavar="FILE", help="a ROS parameter file for all nodes")
     add_drive(parser, tuple(DRIVES))
+    add_arm(parser, tuple(ARMS))
+    parser.add_argument(
+        "--controller", default="ur5", metavar="NAME",
+        help="real arm: ur5 or the path of a .yaml file; default: %(default)s",
+    )  # fmt: skip
+
+
+def add_arm(parser: argparse.ArgumentParser, arms: Sequence[str]) -> None:
+    """Add --arm."""
+    kinds = "; ".join(f"{name}: {ARMS[name]}" for name in arms)
+    parser.add_argument(
+        "--arm", choices=arms,
+        help=f"what moves the arm; {kinds}; default: simulated, or none with real drives and "
+        "in simulated time",
+    )  # fmt: skip
 
 
 def add_drive(parser: argparse.ArgumentParser, drives: Sequence[str]) -> None:
@@ -126,6 +142,7 @@ def add_demo(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--verbose", action="store_true", help="show what the nodes say")
     add_drive(parser, ("simulated", "can"))
+    add_arm(parser, ("simulated", "none"))
     parser.add_argument(
         "-p", "--param", action="append", default=[], metavar="NAME:=VALUE",
         help="a parameter, given to every node; may be repeated",

@@ -9,7 +9,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray, String
-from trajectory_msgs.msg import MultiDOFJointTrajectory
+from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
 from omniman_ros.conversions import time_seconds, yaw
 
@@ -29,6 +29,9 @@ class Recording:
         coupling: Stamp, epsilon of each constraint [rad].
         reference: Stamp, x, y, theta of the path's reference; parts may be there twice.
         energy: Energy of each wheel since the start of the drive [J].
+        arm: Stamp and measured joint angles [rad].
+        arm_reference: Stamp and joint angles of what they should be; parts may be there twice.
+        arm_intervals: Between two setpoints on their way to the arm's controller [s].
         odom_arrivals, command_arrivals: When odom, and wheel_commands or wheel_voltages, came.
         stall: Longest time that this process was held up [s]; the nodes mostly were, too.
     """
@@ -38,6 +41,9 @@ class Recording:
     coupling: list[Row] = field(default_factory=list)
     reference: list[Row] = field(default_factory=list)
     energy: list[Row] = field(default_factory=list)
+    arm: list[Row] = field(default_factory=list)
+    arm_reference: list[Row] = field(default_factory=list)
+    arm_intervals: list[float] = field(default_factory=list)
     odom_arrivals: list[float] = field(default_factory=list)
     command_arrivals: list[float] = field(default_factory=list)
     stall: float = 0.0
@@ -70,6 +76,9 @@ class Recorder:
             (JointState, "coupling_error", self._on_coupling, 10),
             (Float64MultiArray, "wheel_electrical", self._on_electrical, 10),
             (MultiDOFJointTrajectory, "path/reference", self._on_reference, 10),
+            (JointState, "arm/joint_states", self._on_arm, 10),
+            (JointTrajectory, "arm/joint_reference", self._on_arm_reference, 10),
+            (Float64MultiArray, "arm/timing", self._on_arm_timing, 10),
             (Float64, "path_progress", self._on_progress, 10),
             (DiagnosticStatus, "mpc/status", self._on_planner, 10),
             (String, "active_source", self._on_source, LATCHED),
@@ -77,6 +86,11 @@ class Recorder:
             (DiagnosticStatus, "wheel_health", self._on_health, LATCHED),
         ):
             node.create_subscription(kind, topic, handler, qos)
+
+    @property
+    def has_arm(self) -> bool:
+        """Whether an arm has said where it is."""
+        return bool(self.recording.arm)
 
     @property
     def missing(self) -> list[str]:
@@ -122,6 +136,19 @@ class Recorder:
                     yaw(point.transforms[0].rotation),
                 )
             )  # fmt: skip
+
+    def _on_arm(self, message: JointState) -> None:
+        self.recording.arm.append((time_seconds(message.header.stamp), *message.position))
+
+    def _on_arm_reference(self, message: JointTrajectory) -> None:
+        stamp = time_seconds(message.header.stamp)
+        for point in message.points[:FRESH]:
+            at = stamp + time_seconds(point.time_from_start)
+            self.recording.arm_reference.append((at, *point.positions))
+
+    def _on_arm_timing(self, message: Float64MultiArray) -> None:
+        count = message.layout.dim[0].size
+        self.recording.arm_intervals.extend(message.data[:count])
 
     def _on_progress(self, message: Float64) -> None:
         self.progress = message.data

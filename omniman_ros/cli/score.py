@@ -31,6 +31,9 @@ LIMITS = {
     "odometry heading, deg": 6.0,
     "goal position, mm": 40.0,
     "goal heading, deg": 3.0,
+    "arm final position, mrad": 3.0,
+    "arm behind its reference, ms": 100.0,
+    "arm off its path, mrad": 10.0,
     "dead wheel noticed, s": 2.0,
     "tracking without a wheel RMS, mm": 20.0,
     "odom rate, Hz": 80.0,
@@ -79,6 +82,15 @@ class DrivenWithoutWheel:
     lost: float
     noticed: float
     leg: DrivenLeg
+
+
+@dataclass(frozen=True)
+class ArmMove:
+    """Joint angles [rad] that the arm was sent to, from when to when in ROS time [s]."""
+
+    goal: tuple[float, ...]
+    start: float
+    end: float = math.nan
 
 
 def rms(values: Array) -> float:
@@ -258,6 +270,7 @@ def judge(
     without_wheel: DrivenWithoutWheel | None = None,
     goal: DrivenGoal | None = None,
     half: Sequence[float] = (0.0, 0.0),
+    moves: Sequence[ArmMove] = (),
 ) -> dict[str, Any]:
     """All figures, and under "faults" a sentence for each that is beyond its limit."""
     odom, truth = np.array(recording.odom), np.array(recording.truth)
@@ -278,6 +291,8 @@ def judge(
     }
     if goal is not None:
         result["goal"] = goal_figures(odom, goal, half)
+    if moves:
+        result["arm"] = arm_figures(recording, moves)
     if without_wheel is not None:
         result["dead_wheel"] = {
             "wheel": without_wheel.wheel,
@@ -287,6 +302,43 @@ def judge(
     result["timing"]["stall_ms"] = 1e3 * recording.stall
     result["faults"] = [fault + excuse(recording) for fault in faults(result)]
     return result
+
+
+def arm_figures(recording: Recording, moves: Sequence[ArmMove]) -> dict[str, Any]:
+    """How the arm followed, and where it came to rest, over all joints.
+
+    The servo of the controller lags: the lag is the delay at which the measured angles fit the
+    reference best, the error is what is left then.
+    """
+    measured = np.array(recording.arm)
+    reference = np.array(recording.arm_reference).reshape(-1, measured.shape[1])
+    reference = reference[np.argsort(reference[:, 0], kind="stable")]
+    moving = np.zeros(len(measured), dtype=bool)
+    final = []
+    for move in moves:
+        moving |= (measured[:, 0] >= move.start + SETTLING) & (measured[:, 0] <= move.end)
+        last = measured[measured[:, 0] <= move.end][-1, 1:]
+        final.append(float(np.abs(last - np.array(move.goal)).max()))
+    rows = measured[moving]
+
+    def error(lag: float) -> Array:
+        columns = [
+            np.interp(rows[:, 0] - lag, reference[:, 0], reference[:, k])
+            for k in range(1, reference.shape[1])
+        ]
+        return rows[:, 1:] - np.column_stack(columns)
+
+    lags = np.arange(0.0, 0.2, 0.002)
+    lag = float(lags[int(np.argmin([rms(error(x)) for x in lags]))])
+    ways = np.abs(np.diff(rows[:, 1:], axis=0)).sum(axis=0)
+    return {
+        "moves": len(moves),
+        "travel_rad": float(ways.max()),
+        "final_mrad": 1e3 * max(final),
+        "lag_ms": 1e3 * lag,
+        "rms_mrad": 1e3 * rms(error(lag)),
+        "setpoints": intervals(np.cumsum(recording.arm_intervals).tolist()),
+    }
 
 
 def faults(result: dict[str, Any]) -> list[str]:
@@ -303,6 +355,10 @@ def faults(result: dict[str, Any]) -> list[str]:
     if "goal" in result:
         most.append(("goal position, mm", result["goal"]["position_mm"]))
         most.append(("goal heading, deg", result["goal"]["heading_deg"]))
+    if "arm" in result:
+        most.append(("arm final position, mrad", result["arm"]["final_mrad"]))
+        most.append(("arm behind its reference, ms", result["arm"]["lag_ms"]))
+        most.append(("arm off its path, mrad", result["arm"]["rms_mrad"]))
     if "dead_wheel" in result:
         dead = result["dead_wheel"]
         most.append(("dead wheel noticed, s", dead["noticed_s"]))

@@ -15,6 +15,7 @@ from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.client import Client
 from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from visualization_msgs.msg import MarkerArray
 
 from omniman_ros import conversions
@@ -24,9 +25,17 @@ from omniman_ros.cli.figures import Pace, Triple, TwistPhase, twist_phases
 from omniman_ros.cli.previews import twist_message
 from omniman_ros.cli.progress import Progress
 from omniman_ros.cli.recorder import Recorder
-from omniman_ros.cli.score import DrivenGoal, DrivenLeg, DrivenTwist, DrivenWithoutWheel, excuse
+from omniman_ros.cli.score import (
+    ArmMove,
+    DrivenGoal,
+    DrivenLeg,
+    DrivenTwist,
+    DrivenWithoutWheel,
+    excuse,
+)
 from omniman_ros.cli.session import DISCOVERY, Session
 from omniman_ros.core import se2
+from omniman_ros.core.arm_parameters import UR_JOINTS
 from omniman_ros.studies.figure7 import Movement, movements
 
 Array = NDArray[np.float64]
@@ -52,6 +61,13 @@ GOAL_PATIENCE = 30.0
 """How long the way to the goal may take [s]."""
 OBSERVED = 0.05
 """Period of the obstacles' observations [s]."""
+ARM_POSES = (
+    (0.6, -0.5, 0.9, -0.4, 0.4, 0.8),
+    (-0.5, -0.2, 0.4, -0.8, -0.6, -0.7),
+    (0.3, -0.7, 0.2, 0.5, 0.7, 0.4),
+    (0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+)
+"""Where the arm goes on the path's movements, from where it was in the beginning [rad]."""
 LATE, SLOWEST = 20.0, 0.2
 """A movement slower than this on the whole [s, m/s] will never be at its end."""
 
@@ -81,6 +97,7 @@ class Driven:
 
     twists: list[DrivenTwist] = field(default_factory=list)
     legs: list[DrivenLeg] = field(default_factory=list)
+    arm: list[ArmMove] = field(default_factory=list)
     goal: DrivenGoal | None = None
     without_wheel: DrivenWithoutWheel | None = None
 
@@ -94,11 +111,12 @@ class Show:
         progress: Where progress is shown.
         poll: Called many times a second; raises to end the show early.
         drive: What turns the wheels: "simulated", or "can" where that is behind a bus.
+        arm: Whether there is an arm.
     """
 
     def __init__(
         self, session: Session, pace: Pace, progress: Progress, poll: Callable[[], None],
-        drive: str = "simulated",
+        drive: str = "simulated", arm: bool = True,
     ) -> None:  # fmt: skip
         plant, commanded = PLANTS[drive]
         self._session = session
@@ -107,6 +125,8 @@ class Show:
         self._poll = poll
         self._twists = session.node.create_publisher(Twist, "cmd_vel", 1)
         self._paths = session.node.create_publisher(Path, "path", 10)
+        self._with_arm = arm
+        self._joints = session.node.create_publisher(JointTrajectory, "joint_trajectory", 10)
         self._goals = session.node.create_publisher(PoseStamped, "goal_pose", 10)
         self._obstacles = session.node.create_publisher(MarkerArray, "obstacles", 50)
         self._faults = session.node.create_client(SetParameters, f"{plant}/set_parameters")
@@ -142,8 +162,17 @@ class Show:
         if not self._wait(lambda: self.recorder.active_source == "none", 5.0):
             raise CommandError(f"'{self.recorder.active_source}' still drives, expected none")
         origin = self._pose()
-        for movement in movements():
+        home = np.array(self.recorder.recording.arm[-1][1:]) if self._with_arm else None
+        for i, movement in enumerate(movements()):
+            if home is not None:
+                self._move_arm(home + np.array(ARM_POSES[i % len(ARM_POSES)]))
             self._follow(movement, poses_along(movement, origin))
+
+    def _move_arm(self, goal: Array) -> None:
+        """Send the arm somewhere; it moves while the platform does."""
+        point = JointTrajectoryPoint(positions=goal.tolist())
+        self._joints.publish(JointTrajectory(joint_names=list(UR_JOINTS), points=[point]))
+        self.driven.arm.append(ArmMove(tuple(goal.tolist()), self._now()))
 
     def reach_goal(self) -> None:
         """Drive to a goal among obstacles that cross the way.
@@ -220,6 +249,8 @@ class Show:
     def _follow(self, movement: Movement, poses: Array) -> None:
         leg = self._send(f"path: {movement.name}", poses, movement.length)
         self.driven.legs.append(replace(leg, name=movement.name))
+        if self._with_arm:
+            self.driven.arm[-1] = replace(self.driven.arm[-1], end=leg.end)
 
     def _send(
         self, name: str, poses: Array, length: float, each: Callable[[], None] = lambda: None
@@ -321,7 +352,8 @@ class Show:
             for publisher in (self._twists, self._paths, self._goals, self._obstacles)
             if not publisher.get_subscription_count()
         ]
-        return ", ".join(self.recorder.missing + unheard)
+        arm = ["arm/joint_states"] if self._with_arm and not self.recorder.has_arm else []
+        return ", ".join(self.recorder.missing + arm + unheard)
 
     def _pose(self) -> Triple:
         x, y, theta = self.recorder.recording.odom[-1][1:4]

@@ -16,7 +16,7 @@ def run(args: argparse.Namespace) -> int:
     """Run `omniman up`; returns the exit code."""
     setup = Setup(
         args.robot, args.only or (), args.sim_time, args.namespace, args.param, args.params_file,
-        args.drive, args.installation,
+        args.drive, args.installation, args.arm, args.controller,
     )  # fmt: skip
     chosen = tasks(setup)
     names = [task.name for task in chosen]

@@ -226,8 +226,7 @@ class ArmStreamerNode(HardwareNode):
         self._report_scaling(report)
 
     def _on_preview(self, message: JointTrajectory) -> str:
-        now = self.now()
-        start = now - self.age(message.header.stamp, AHEAD)
+        start = self.instant(message.header.stamp, AHEAD)
         arrays = arm_conversions.joint_preview(message, start, self._names)
         JointPreview(*arrays)  # it is checked here: a refusal is told at once
         if not self._active:

@@ -10,6 +10,8 @@ NODES = {
     "simulated_drive": "SimulatedDriveParameters",
     "can_bridge": "CanBridgeParameters",
     "simulated_can_drives": "SimulatedCanDrivesParameters",
+    "simulated_ur": "SimulatedUrParameters",
+    "arm_streamer": "ArmStreamerParameters",
     "path_interpolator": "PathInterpolatorParameters",
     "mpc_planner": "MpcPlannerParameters",
     "viewer": "ViewerParameters",

@@ -89,6 +89,26 @@ class OmnimanNode(Node):
         """ROS time of an instant `at` of the node's clock [s], now if it is None."""
         if at is None or not math.isfinite(at):
             return self.get_clock().now().to_msg()
+        nanoseconds = round(self._ahead() + at * 1e9)
+        return Time(nanoseconds=max(nanoseconds, 0)).to_msg()
+
+    def instant(self, stamp: TimeMsg, ahead: float = FUTURE) -> float:
+        """Instant of the node's clock that a stamp means [s]; now for a zero stamp.
+
+        Args:
+            stamp: It.
+            ahead: How far ahead it may be [s].
+
+        Raises:
+            InputError: It is further ahead.
+        """
+        if stamp.sec == 0 and stamp.nanosec == 0:
+            return self.now()
+        self.age(stamp, ahead)
+        return (stamp.sec * 1_000_000_000 + stamp.nanosec - self._ahead()) * 1e-9
+
+    def _ahead(self) -> float:
+        """How far ROS time is ahead of the node's clock [ns]."""
         took, offset = math.inf, 0.0
         for _ in range(BOTH_CLOCKS):
             before, ros, after = self.now(), self.get_clock().now(), self.now()
@@ -96,8 +116,7 @@ class OmnimanNode(Node):
                 took, offset = after - before, ros.nanoseconds - 0.5e9 * (before + after)
             if took < TOGETHER:
                 break
-        nanoseconds = round(offset + at * 1e9)
-        return Time(nanoseconds=max(nanoseconds, 0)).to_msg()
+        return offset
 
     def warn(self, subject: str, text: str) -> None:
         """Warn, at most once a second a subject, and count it for the diagnostics."""

@@ -163,3 +163,16 @@ def loaded():
 def test_core_brings_no_ros_bus_solver_or_socket_along(loaded, module):
     assert "omniman_ros.core.platform" in loaded
     assert not [name for name in loaded if below(name, module)]
+
+
+SIMULATED_UR = sorted((PACKAGE / "simulated_ur").glob("**/*.py"))
+WITH_SOCKETS = ("network", "ports", "server")
+
+
+@pytest.mark.parametrize("path", SIMULATED_UR, ids=lambda path: path.stem)
+def test_the_simulated_controller_shares_nothing_with_its_client(path):
+    for name in imports(path):
+        if below(name, "omniman_ros"):
+            assert below(name, "omniman_ros.core", "omniman_ros.simulated_ur"), name
+        elif path.stem not in WITH_SOCKETS:
+            assert name.split(".")[0] not in {"socket", "select", "threading", "time", "rclpy"}
