@@ -37,6 +37,7 @@ SHARED = {
     "": "package.xml",
     "config": "config/*.yaml",
     "config/can": "config/can/*.yaml",
+    "config/ur": "config/ur/*.yaml",
     "launch": "config/launch/*.launch.py",
     "urdf": "config/urdf/*",
     "rviz": "config/rviz/*",

@@ -56,6 +56,14 @@ class IfCondition:
 
 
 @dataclass(frozen=True)
+class UnlessCondition:
+    predicate: Any
+
+    def value(self, arguments):
+        return not IfCondition(self.predicate).value(arguments)
+
+
+@dataclass(frozen=True)
 class ParameterValue:
     raw: Any
     value_type: type
@@ -103,7 +111,7 @@ def value(item, arguments):
 STAND_INS = {
     "launch": [LaunchDescription],
     "launch.actions": [DeclareLaunchArgument],
-    "launch.conditions": [IfCondition],
+    "launch.conditions": [IfCondition, UnlessCondition],
     "launch.substitutions": [EqualsSubstitution, LaunchConfiguration, PathJoinSubstitution],
     "launch_ros": [],
     "launch_ros.actions": [Node],
@@ -171,6 +179,8 @@ def test_platform_starts_the_simulated_drive_and_the_controller_by_default(platf
         "use_sim_time": "false",
         "drive": "simulated",
         "installation": "/share/omniman_ros/config/can/cia402.yaml",
+        "arm": "none",
+        "controller": "/share/omniman_ros/config/ur/ur5.yaml",
         "mpc": "true",
         "viewer": "false",
     }
@@ -218,3 +228,17 @@ def test_simulated_drives_on_a_bus_share_installation_and_bus_with_the_bridge(pl
     file = "/share/omniman_ros/config/can/cia402.yaml"
     expected = ("", {"file": file, "robot": "ig42", **BUS})
     assert nodes["can_bridge"] == nodes["simulated_can_drives"] == expected
+
+
+def test_a_simulated_arm_has_its_controller_beside_it(platform):
+    _, nodes = platform(arm="simulated", mpc="false", namespace="robot1")
+    assert nodes["arm_streamer"] == nodes["simulated_ur"] == ("robot1", {})
+
+
+def test_a_real_arm_and_who_plans_for_it_have_the_controllers_file(platform):
+    _, nodes = platform(arm="ur", mpc="false", controller="/mine.yaml")
+    assert "simulated_ur" not in nodes
+    assert nodes["arm_streamer"] == ("", {"file": "/mine.yaml"})
+    assert nodes["path_interpolator"][1] == {
+        "file": "/mine.yaml", "robot": "omniman", "use_sim_time": False
+    }  # fmt: skip

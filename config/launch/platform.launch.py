@@ -1,11 +1,12 @@
-"""Drive, controller, path interpolator and planner of one platform.
+"""Drive, controller, path interpolator, planner and arm of one robot.
 
 ros2 launch omniman_ros platform.launch.py robot:=ig42 namespace:=robot1
+ros2 launch omniman_ros platform.launch.py arm:=simulated
 """
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
-from launch.conditions import IfCondition
+from launch.conditions import IfCondition, UnlessCondition
 from launch.substitutions import EqualsSubstitution, LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
@@ -38,6 +39,19 @@ ARGUMENTS = [
             [FindPackageShare("omniman_ros"), "config", "can", "cia402.yaml"]
         ),
         description="Path of the YAML file of the drives on the bus, with drive:=can or real",
+    ),
+    DeclareLaunchArgument(
+        "arm",
+        default_value="none",
+        description="What moves the arm; ur: the controller of `controller`",
+        choices=["none", "simulated", "ur"],
+    ),
+    DeclareLaunchArgument(
+        "controller",
+        default_value=PathJoinSubstitution(
+            [FindPackageShare("omniman_ros"), "config", "ur", "ur5.yaml"]
+        ),
+        description="Path of the YAML file of the arm's controller, with arm:=ur",
     ),
     DeclareLaunchArgument(
         "mpc",
@@ -98,13 +112,41 @@ def generate_launch_description() -> LaunchDescription:
         parameters=[{"robot": robot, "use_sim_time": sim_time}],
         output="screen",
     )
-    path_interpolator = Node(
-        package="omniman_ros",
-        executable="path_interpolator",
-        namespace=LaunchConfiguration("namespace"),
-        parameters=[{"robot": robot, "use_sim_time": sim_time}],
-        output="screen",
+    # The arm runs on real time, like drives on a bus.
+    streamer = {"package": "omniman_ros", "executable": "arm_streamer", "output": "screen",
+                "namespace": LaunchConfiguration("namespace")}  # fmt: skip
+    arm_streamer = Node(
+        **streamer,
+        parameters=[LaunchConfiguration("controller")],
+        condition=IfCondition(EqualsSubstitution(LaunchConfiguration("arm"), "ur")),
     )
+    arm_streamer_of_simulated_ur = Node(
+        **streamer,
+        condition=IfCondition(EqualsSubstitution(LaunchConfiguration("arm"), "simulated")),
+    )
+    simulated_ur = Node(
+        package="omniman_ros",
+        executable="simulated_ur",
+        namespace=LaunchConfiguration("namespace"),
+        output="screen",
+        condition=IfCondition(EqualsSubstitution(LaunchConfiguration("arm"), "simulated")),
+    )
+    # It plans within the limits that the controller's file has for the arm.
+    interpolator = {"package": "omniman_ros", "executable": "path_interpolator",
+                    "namespace": LaunchConfiguration("namespace"), "output": "screen"}  # fmt: skip
+    with_ur = EqualsSubstitution(LaunchConfiguration("arm"), "ur")
+    path_interpolator = Node(
+        **interpolator,
+        parameters=[{"robot": robot, "use_sim_time": sim_time}],
+        condition=UnlessCondition(with_ur),
+    )
+    path_interpolator_with_ur = Node(
+        **interpolator,
+        parameters=[
+            LaunchConfiguration("controller"), {"robot": robot, "use_sim_time": sim_time}
+        ],
+        condition=IfCondition(with_ur),
+    )  # fmt: skip
     mpc_planner = Node(
         package="omniman_ros",
         executable="mpc_planner",
@@ -128,8 +170,12 @@ def generate_launch_description() -> LaunchDescription:
             can_bridge,
             can_bridge_on_private_bus,
             simulated_can_drives,
+            arm_streamer,
+            arm_streamer_of_simulated_ur,
+            simulated_ur,
             platform_controller,
             path_interpolator,
+            path_interpolator_with_ur,
             mpc_planner,
             viewer,
         ]

@@ -8,7 +8,7 @@ from omniman_ros.cli.errors import CommandError
 
 ARMS = {
     "simulated": "a simulated UR5 controller on this machine",
-    "real": "the controller of --controller",
+    "ur": "the controller of --controller",
     "none": "there is no arm",
 }
 """What moves the arm."""

@@ -48,7 +48,7 @@ NODES = (
     NodeKind("simulated_drive", stage=1, sim_time="publish_clock", drives=("simulated",)),
     NodeKind("can_bridge", stage=1, drives=("can", "real")),
     NodeKind("simulated_can_drives", stage=2, drives=("can",)),
-    NodeKind("arm_streamer", stage=1, arms=("simulated", "real")),
+    NodeKind("arm_streamer", stage=1, arms=("simulated", "ur")),
     NodeKind("simulated_ur", stage=2, arms=("simulated",)),
     NodeKind("viewer", stage=0, is_available=viewer_availability.is_available, essential=False),
 )
@@ -117,7 +117,7 @@ def _is_chosen(kind: NodeKind, setup: Setup, arm: str) -> bool:
 
 
 def _arm_arguments(arm: str, setup: Setup) -> list[str]:
-    if arm == "real":
+    if arm == "ur":
         return ["--params-file", settings_file("controller", "ur", setup.controller)]
     return private_controller() if arm == "simulated" else []
 

@@ -75,7 +75,7 @@ def add_up(parser: argparse.ArgumentParser) -> None:
     add_arm(parser, tuple(ARMS))
     parser.add_argument(
         "--controller", default="ur5", metavar="NAME",
-        help="real arm: ur5 or the path of a .yaml file; default: %(default)s",
+        help="with --arm ur: ur5 or the path of a .yaml file; default: %(default)s",
     )  # fmt: skip
 
 
@@ -153,11 +153,12 @@ def add_demo(parser: argparse.ArgumentParser) -> None:
 def add_bench(parser: argparse.ArgumentParser) -> None:
     """Arguments of `omniman bench`."""
     parser.add_argument(
-        "name", nargs="?", default="control", choices=["control", "path", "mpc", "can"],
+        "name", nargs="?", default="control", choices=["control", "path", "mpc", "can", "arm"],
         help="control: time of a control tick, CPU of the nodes, latency; the default. "
         "path: time of planning, how near to the least time, CPU of the stream. "
         "mpc: CPU and cost of the planner's solver next to IPOPT and fatrop. "
-        "can: round trips over a CAN bus of UDP next to a bare echo, CPU, bus load",
+        "can: round trips over a CAN bus of UDP next to a bare echo, CPU, bus load. "
+        "arm: setpoints at 125 Hz in the whole running robot next to a bare loop",
     )  # fmt: skip
     effort = parser.add_mutually_exclusive_group()
     effort.add_argument(
@@ -166,6 +167,17 @@ def add_bench(parser: argparse.ArgumentParser) -> None:
     effort.add_argument("--full", action="store_true", help="mpc: more steps, scenes and horizons")
     add_robot(parser)
     add_results(parser)
+    arm = parser.add_argument_group("of arm only")
+    arm.add_argument("--pairs", type=int, metavar="N", help="pairs of blocks; default: 5")
+    arm.add_argument("--seconds", type=float, metavar="S", help="length of each block; default: 8")
+    arm.add_argument(
+        "--priority", type=int, default=50, metavar="N",
+        help="of both loops, SCHED_FIFO where it is permitted; 0: none; %(default)s",
+    )  # fmt: skip
+    arm.add_argument(
+        "-p", "--param", action="append", default=[], metavar="NAME:=VALUE",
+        help="a parameter, given to every node; may be repeated",
+    )  # fmt: skip
 
 
 def add_reproduce(parser: argparse.ArgumentParser) -> None:

@@ -110,7 +110,7 @@ def test_faults_and_slider_are_live_and_told(make):
     assert rig.set(faults__protective_stop=False).successful
     assert rig.node.controller.slider == 0.3
     assert not rig.set(pendant__speed_slider=0.0).successful
-    assert not rig.set(ur__speed=1.0).successful
+    assert not rig.set(simulated_arm__speed=1.0).successful
 
 
 def test_what_the_controller_says_is_logged(make):
