@@ -44,20 +44,23 @@ def draw(
         "axes.titlelocation": "left", "figure.dpi": 130,
     }  # fmt: skip
     with plt.rc_context(style):
-        sheet = plt.figure(figsize=(11, 6), layout="constrained")
-        grid = sheet.add_gridspec(3, 2, width_ratios=(1.15, 1))
+        count = 4 if recording.arm else 3
+        sheet = plt.figure(figsize=(11, 2.0 * count), layout="constrained")
+        grid = sheet.add_gridspec(count, 2, width_ratios=(1.15, 1))
         _way(sheet.add_subplot(grid[:, 0]), robot, odom, truth, legs, goal)
-        rows = [sheet.add_subplot(grid[i, 1]) for i in range(3)]
+        rows = [sheet.add_subplot(grid[i, 1]) for i in range(count)]
         _speeds(rows[0], odom, begin)
         _coupling(rows[1], np.array(recording.coupling), begin)
         _tracking(rows[2], odom, Reference(recording.reference), legs, begin)
+        if recording.arm:
+            _arm(rows[3], np.array(recording.arm), begin)
         marked = legs if goal is None else [*legs, DrivenLeg("goal", goal.start, goal.end)]
         for axes in rows:
             _mark(axes, twists, marked, begin)
             axes.set_xlim(0.0, odom[-1, 0] - begin)
-        rows[0].tick_params(labelbottom=False)
-        rows[1].tick_params(labelbottom=False)
-        rows[2].set_xlabel("time [s]")
+        for axes in rows[:-1]:
+            axes.tick_params(labelbottom=False)
+        rows[-1].set_xlabel("time [s]")
         path.parent.mkdir(parents=True, exist_ok=True)
         sheet.savefig(path)
         plt.close(sheet)
@@ -183,6 +186,14 @@ def _tracking(
         axes.plot(during[:, 0] - begin, error, color=PATH, lw=1.2)
     axes.set_title("Tracking error on the path [mm]")
     axes.set_ylim(bottom=0.0)
+
+
+def _arm(axes: Any, arm: Array, begin: float) -> None:
+    """Joint angles from where they were in the beginning."""
+    for column in range(1, arm.shape[1]):
+        axes.plot(arm[:, 0] - begin, arm[:, column] - arm[0, column], lw=1.2, label=str(column))
+    axes.set_title("Joints of the arm, measured, from the start [rad]")
+    axes.legend(frameon=False, ncols=6, loc="lower left")
 
 
 def _mark(axes: Any, twists: list[DrivenTwist], legs: list[DrivenLeg], begin: float) -> None:

@@ -7,9 +7,11 @@ import pytest
 from omniman_ros.cli.figures import TwistPhase
 from omniman_ros.cli.recorder import Recording
 from omniman_ros.cli.score import (
+    ArmMove,
     DrivenLeg,
     DrivenTwist,
     Reference,
+    arm_figures,
     coupling,
     drift,
     faults,
@@ -182,3 +184,43 @@ def test_every_limit_is_a_fault_of_its_own(path, value, says):
     inner[path[-1]] = value
     (fault,) = faults(result)
     assert fault.startswith(says)
+
+
+def led(lag=0.04, off=0.0):
+    """A recording of an arm that follows late, and the moves that it made: there and back."""
+
+    def joints(times):
+        return np.column_stack([1.0 - np.cos(np.pi * times / 2.0), 0.5 * np.sin(np.pi * times)])
+
+    times = np.arange(0.0, 4.0, 0.008)
+    late = np.clip(times - lag, 0.0, 4.0)
+    recording, twists, legs = perfect()
+    recording.arm = [(START + t, *q) for t, q in zip(times, joints(late) + off, strict=True)]
+    recording.arm_reference = [
+        (START + t, *q) for t, q in zip(times, joints(times), strict=True) for _ in range(2)
+    ]
+    recording.arm_intervals = [0.008] * 500
+    moves = [
+        ArmMove(tuple(joints(np.array([2.0 - lag]))[0]), START, START + 2.0),
+        ArmMove(tuple(joints(np.array([3.9 - lag]))[0]), START + 2.0, START + 3.9),
+    ]
+    return recording, twists, legs, moves
+
+
+def test_the_arms_lag_is_told_apart_from_its_error():
+    recording, _, _, moves = led(lag=0.04)
+    figures = arm_figures(recording, moves)
+    assert figures["moves"] == 2
+    assert figures["lag_ms"] == pytest.approx(40.0, abs=2.1)
+    assert figures["rms_mrad"] < 1.0
+    assert figures["final_mrad"] < 12.0  # the last sample is up to 8 ms old
+    assert figures["travel_rad"] == pytest.approx(4.0, rel=0.3)
+    assert figures["setpoints"]["p99_ms"] == pytest.approx(8.0)
+
+
+def test_an_arm_that_ends_elsewhere_is_a_fault():
+    recording, twists, legs, moves = led(off=0.05)
+    result = judge(recording, twists, legs, moves=moves)
+    assert result["arm"]["final_mrad"] == pytest.approx(50.0, abs=12.0)
+    assert any(fault.startswith("arm final position, mrad") for fault in result["faults"])
+    assert any(fault.startswith("arm off its path, mrad") for fault in result["faults"])
