@@ -89,15 +89,18 @@ class JointGuard:
     def begin(self, measured: Array) -> Array:
         """Start from where the arm is, at rest; return the first setpoint: that very place.
 
+        A joint beyond a limit may stay, and move back only.
+
         Args:
             measured: Joint angles (n,), rad.
 
         Raises:
-            GuardError: They are not finite, or not within the limits.
+            GuardError: They are not finite.
         """
         self._begun = False
         self._demand_size(measured)
-        self._demand_within(measured[None])
+        if not np.isfinite(measured).all():
+            raise GuardError(f"joint angles {measured.tolist()} are not finite")
         self._begun = True
         self.last = np.array(measured, dtype=float)
         self.velocity = np.zeros_like(self.last)
@@ -161,7 +164,8 @@ class JointGuard:
         # The way of a stop from here, in steps: they are shorter by a * dt^2 each.
         speeds = np.abs(velocities)
         way = np.maximum(0.5 * speeds * (speeds / limits.acceleration - dt), 0.0) - SLACK
-        left = np.where(velocities > 0.0, limits.upper - setpoints, setpoints - limits.lower)
+        lower, upper = self._range()
+        left = np.where(velocities > 0.0, upper - setpoints, setpoints - lower)
         good = way <= left + TOLERANCE
         if not good.all():
             i, k = np.argwhere(~good)[0]
@@ -175,10 +179,15 @@ class JointGuard:
         if joints.shape != self.limits.lower.shape:
             raise GuardError(f"{joints.size} joint angles, expected {self.limits.lower.size}")
 
-    def _demand_within(self, joints: Array) -> None:
+    def _range(self) -> tuple[Array, Array]:
+        """Lower and upper bounds (n,), rad; a joint beyond one is bounded by where it is."""
         limits = self.limits
-        self._demand(joints, limits.upper, "position", "rad", slack=SLACK)
-        self._demand(-joints, -limits.lower, "position", "rad", -1.0, SLACK)
+        return np.minimum(limits.lower, self.last), np.maximum(limits.upper, self.last)
+
+    def _demand_within(self, joints: Array) -> None:
+        lower, upper = self._range()
+        self._demand(joints, upper, "position", "rad", slack=SLACK)
+        self._demand(-joints, -lower, "position", "rad", -1.0, SLACK)
 
     def _demand(
         self, values: Array, bounds: Array, what: str, unit: str, sign: float = 1.0,

@@ -1,13 +1,14 @@
 """All connections to a UR controller together: what the streaming loop calls."""
 
+import math
 import select
 import socket
 from collections.abc import Callable, Sequence
 
 from omniman_ros.arm import sockets
 from omniman_ros.arm.feedback import ArmSample
-from omniman_ros.arm.parameters import UrParameters
-from omniman_ros.arm.program_link import ProgramLink, ProgramState
+from omniman_ros.arm.parameters import PERIOD, UrParameters
+from omniman_ros.arm.program_link import WAITING, ProgramLink, ProgramState
 from omniman_ros.arm.rtde_link import RtdeLink
 from omniman_ros.arm.sockets import LinkError
 
@@ -35,7 +36,9 @@ class ArmLink:
         self._clock = clock
         host = sockets.address_of(p.host)
         self._rtde = RtdeLink(host, p.rtde_port, p.register)
-        self._program = ProgramLink(host, p.script_port, p.reverse_port)
+        # What was held up as long as the program waits is sent at once.
+        waiting = max(WAITING, math.ceil(p.read_timeout / PERIOD) + 4)
+        self._program = ProgramLink(host, p.script_port, p.reverse_port, waiting)
 
     # ---- real-time data -------------------------------------------------------------------------
 
@@ -124,7 +127,7 @@ class ArmLink:
             others: File descriptors to wait for, too.
 
         Returns:
-            Those of the others that can be read, as soon as there are some; else none.
+            Those of the others that can be read; as soon as there are some, or new data.
         """
         while True:
             readers: list[socket.socket | int] = [*others]
@@ -138,7 +141,7 @@ class ArmLink:
                 self._rtde.serve(ready, self._clock())
                 self._program.serve(ready)
                 heard = [fd for fd in others if fd in ready]
-                if heard:
+                if heard or self._rtde.samples:
                     return heard
             if self._clock() >= until:
                 return []

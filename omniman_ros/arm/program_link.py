@@ -39,6 +39,7 @@ class ProgramLink:
         host: Address of the controller.
         script_port: Its port that takes programs.
         reverse_port: Port here that the program calls; 0: any that is free.
+        waiting: Setpoints that may be on their way, see :meth:`send`.
 
     Attributes:
         state: Of the program.
@@ -51,8 +52,10 @@ class ProgramLink:
         LinkError: The reverse port cannot be had.
     """
 
-    def __init__(self, host: str, script_port: int, reverse_port: int) -> None:
-        self._host, self._script_port = host, script_port
+    def __init__(
+        self, host: str, script_port: int, reverse_port: int, waiting: int = WAITING
+    ) -> None:
+        self._host, self._script_port, self._waiting = host, script_port, waiting
         self._listener = sockets.listen(reverse_port, host)
         self.port: int = self._listener.getsockname()[1]
         self._script: socket.socket | None = None
@@ -123,14 +126,14 @@ class ProgramLink:
 
         Never blocks. A message that is not taken whole ends the connection, as what followed
         would be read across the messages' borders; so does a host that does not acknowledge
-        :data:`WAITING` of them, which is for a stream and not for bursts. A program that does
+        `waiting` of them. A program that does
         not read is no such host: its host acknowledges for minutes what it keeps for it. That
         shows in `ArmSample.read` only.
         """
         if self._reverse is None:
             return False
         try:
-            taken = _unacknowledged(self._reverse) < WAITING * MESSAGE.size
+            taken = _unacknowledged(self._reverse) < self._waiting * MESSAGE.size
             if taken and sockets.send(self._reverse, data) == len(data):
                 return True
             self._fail("the controller takes no more setpoints", reset=True)

@@ -1,5 +1,7 @@
 """What the arm is led along: a preview, and the way from where it is onto it."""
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,13 +17,16 @@ NEAR = 1e-9
 """Distances and speeds that need no joining [rad, rad/s]."""
 
 
+Motion = Callable[[float], tuple[Array, Array, Array]]
+
+
 class Reference:
-    """A preview plus an offset that fades: it begins with the arm's present motion.
+    """A preview plus an offset that fades: it begins with the arm's motion of that time.
 
     Args:
         preview: Where to go.
-        now: Time [s].
-        position, velocity: (n,) present setpoint and its rate [rad, rad/s].
+        begin: When it begins [s].
+        before: The motion until then, of a time: angles (n,) [rad], rates, second derivatives.
         acceleration: (n,) that the offset may take to fade [rad/s^2].
         period: Of the setpoints [s].
 
@@ -30,20 +35,25 @@ class Reference:
     """
 
     def __init__(
-        self, preview: JointPreview, now: float, position: Array, velocity: Array,
-        acceleration: Array, period: float,
+        self, preview: JointPreview, begin: float, before: Motion, acceleration: Array,
+        period: float,
     ) -> None:  # fmt: skip
         self.preview = preview
-        place, rate, _ = preview.sample(now)
+        self._begin, self._before = begin, before
+        position, velocity, _ = before(begin)
+        place, rate, _ = preview.sample(begin)
         away, drift = position - place, velocity - rate
         self._offset: Hermite | None = None
-        self.joined = now
+        self.joined = begin
         if float(np.abs(away).max()) > NEAR or float(np.abs(drift).max()) > NEAR:
             time = joining_time(away, drift, acceleration, period)
-            self.joined = now + time
+            self.joined = begin + time
             zero = np.zeros_like(away)
             self._offset = Hermite(
-                np.array([now, now + time]), np.stack([away, zero]), np.stack([drift, zero]), None
+                np.array([begin, begin + time]),
+                np.stack([away, zero]),
+                np.stack([drift, zero]),
+                None,
             )
 
     @property
@@ -53,6 +63,8 @@ class Reference:
 
     def sample(self, now: float) -> tuple[Array, Array, Array]:
         """Angles (n,) [rad], their rates and second derivatives at a time [s]."""
+        if now < self._begin:
+            return self._before(now)
         position, velocity, acceleration = self.preview.sample(now)
         if self._offset is None or now >= self._offset.end:
             return position, velocity, acceleration
@@ -62,7 +74,17 @@ class Reference:
     def positions_at(self, times: Array) -> Array:
         """Angles (m, n) [rad] at times (m,) [s]."""
         positions = self.preview.positions_at(times)
-        return positions if self._offset is None else positions + self._offset.positions_at(times)
+        if self._offset is not None:
+            positions = positions + self._offset.positions_at(times)
+        for i in np.flatnonzero(times < self._begin):
+            positions[i] = self._before(float(times[i]))[0]
+        return positions
+
+    def forget(self, now: float) -> None:
+        """Give up what was before, if that is over."""
+        if now >= self._begin:
+            position, velocity, acceleration = self.sample(self._begin)
+            self._before = lambda time: (position, velocity, acceleration)
 
 
 def joining_time(away: Array, drift: Array, acceleration: Array, period: float) -> float:

@@ -1,7 +1,7 @@
 """Setpoints of the arm, one a period: along previews, and always to a rest."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -9,15 +9,23 @@ from numpy.typing import NDArray
 
 from omniman_ros.arm.guard import GuardError, JointGuard, JointLimits
 from omniman_ros.arm.joint_preview import JointPreview
-from omniman_ros.arm.reference import FIRM, GENTLE, Reference, braking, stopping_time, straight
+from omniman_ros.arm.reference import (
+    FIRM,
+    GENTLE,
+    Motion,
+    Reference,
+    braking,
+    stopping_time,
+    straight,
+)
 from omniman_ros.core.errors import InputError
 
 Array = NDArray[np.float64]
 
 BRAKE_SHARE = 0.9
 """Share of the acceleration limits that braking takes: a path bends within a period."""
-FURTHEST_AHEAD = 1.0
-"""A preview may begin so much later [s]."""
+FURTHEST_AHEAD, AHEAD_OF_MOTION = 1.0, 0.1
+"""A preview may begin so much later [s]: at rest, and while the arm moves."""
 SILENT_PERIODS = 2.0
 """After so many periods of the previews without another, their source is silent."""
 SOON = 0.3
@@ -66,21 +74,30 @@ class JointStream:
         self.settings = settings
         self.state = StreamState.HOLDING
         self._guard = JointGuard(limits, period)
+        self._limits = limits
         self._period = period
         self._allowed = False
         self._reference: Reference | None = None
         self._time = self._at = 0.0  # of the last setpoint: on the clock, on the reference
-        self._rate = 1.0
+        self._rate, self._each = 1.0, False
         self._newest = -math.inf
         self._arrived, self._interval = -math.inf, math.inf
 
     @property
     def limits(self) -> JointLimits:
-        """Limits of the joints."""
-        return self._guard.limits
+        """Limits of the joints.
+
+        A stop must not become longer than the way that was kept free for it: lower accelerations
+        count from the next rest on.
+        """
+        return self._limits
 
     @limits.setter
     def limits(self, limits: JointLimits) -> None:
+        self._limits = limits
+        if not self.at_rest:
+            kept = np.maximum(limits.acceleration, self._guard.limits.acceleration)
+            limits = replace(limits, acceleration=kept)
         self._guard.limits = limits
 
     @property
@@ -117,25 +134,26 @@ class JointStream:
             raise InputError(f"out of order, {self._newest - preview.start:.3f} s back")
         if preview.end < now:
             raise InputError(f"over {now - preview.end:.3f} s ago")
-        if preview.start > now + FURTHEST_AHEAD:
-            raise InputError(f"it begins {preview.start - now:.3f} s ahead")
-        # It may begin between the last setpoint and the next.
-        begin = min(max(preview.start, self._time), self._time + self._period)
-        position, velocity = self._motion(begin)
-        self._demand_near(preview, begin, position)
-        reference = self._joining(preview, begin, position, velocity)
-        self._interval, self._arrived = now - self._arrived, now
+        ahead = preview.start - now
+        if ahead > (FURTHEST_AHEAD if self.at_rest else AHEAD_OF_MOTION):
+            raise InputError(f"it begins {ahead:.3f} s ahead")
+        begin = max(preview.start, self._time)
+        before = self._motion()
+        self._demand_near(preview, begin, before(begin)[0])
+        reference = self._joining(preview, begin, before)
+        if preview.start > self._newest:  # one that is repeated is no sign of life
+            self._interval = max(now - self._arrived, preview.start - self._newest)
+            self._arrived = now
         self._newest, self._reference = preview.start, reference
         # On the preview, the last setpoint is where its time is.
         self._at, self._rate, self.state = self._time, 1.0, StreamState.FOLLOWING
+        self._each = False
 
-    def _joining(
-        self, preview: JointPreview, begin: float, position: Array, velocity: Array
-    ) -> Reference:
+    def _joining(self, preview: JointPreview, begin: float, before: Motion) -> Reference:
         """Return a way onto a preview that the guard lets pass."""
         limits = self._guard.limits.acceleration
         gentle, firm = (
-            Reference(preview, begin, position, velocity, share * limits, self._period)
+            Reference(preview, begin, before, share * limits, self._period)
             for share in (GENTLE, FIRM)
         )
         count = max(int(min(preview.end - self._time, CHECKED) / self._period), 1)
@@ -163,19 +181,31 @@ class JointStream:
                 f"{name}: {place[k]:.4g} rad is {away[k]:.3g} rad away from where it is led now"
             )
 
-    def _motion(self, time: float) -> tuple[Array, Array]:
-        """Angles (n,) [rad] and rates [rad/s] soon after the last setpoint."""
-        if self._reference is None:
-            return self.setpoint, np.zeros_like(self.setpoint)
-        at = self._at + self._rate * (time - self._time)
-        position, velocity, _ = self._reference.sample(at)
-        return position, self._rate * velocity
+    def _motion(self) -> Motion:
+        """What is done now, as it goes on without braking."""
+        reference, at, rate, since = self._reference, self._at, self._rate, self._time
+        if reference is None:
+            place, rest = self.setpoint, np.zeros_like(self.setpoint)
+            return lambda time: (place, rest, rest)
+        reference.forget(at)
+
+        def motion(time: float) -> tuple[Array, Array, Array]:
+            position, velocity, acceleration = reference.sample(at + rate * (time - since))
+            return position, rate * velocity, rate * rate * acceleration
+
+        return motion
 
     def hold(self) -> None:
         """Brake along the preview, then hold; no other is taken."""
         self._allowed = False
-        if self.state is StreamState.FOLLOWING:
+        self.pause()
+
+    def pause(self) -> bool:
+        """Brake along the preview, then hold until the next comes; whether one was followed."""
+        followed = self.state is StreamState.FOLLOWING
+        if followed:
             self.state = StreamState.BRAKING
+        return followed
 
     def release(self) -> None:
         """Take previews again; nothing moves by that."""
@@ -219,12 +249,19 @@ class JointStream:
 
     def _brake(self, reference: Reference, measured: Array | None) -> Array:
         try:
-            setpoint = self._guard.check(self._slower(reference), measured)
-        except GuardError:  # it bends too much for that
-            setpoint = self._checked(self._slower(self._go_straight()), measured)
+            setpoint = self._checked_on_path(reference, measured)
+        except GuardError:  # it bends too much for that, or leads beyond a limit
+            setpoint = self._checked(self._each_slower(), measured)
         if self._rate == 0.0:
             self._rest()
         return setpoint
+
+    def _checked_on_path(self, reference: Reference, measured: Array | None) -> Array:
+        if self._each:
+            raise GuardError("the path is left already")
+        setpoint = self._slower(reference)
+        self._guard.examine(setpoint[None])
+        return self._guard.check(setpoint, measured)
 
     def _slower(self, reference: Reference) -> Array:
         """Brake for a period; return where that leads (n,) [rad]."""
@@ -234,25 +271,39 @@ class JointStream:
         self._at += self._period * self._rate
         return reference.sample(self._at)[0]
 
+    def _each_slower(self) -> Array:
+        """Brake each joint as hard as it may; return where that leads (n,) [rad].
+
+        That is what the guard has kept the way to the position limits free for.
+        """
+        most = self._guard.limits.acceleration * self._period
+        velocity = self._guard.velocity
+        velocity = velocity - np.clip(velocity, -most, most)
+        setpoint: Array = self.setpoint + self._period * velocity
+        self._leave(setpoint, velocity)
+        self._rate = float(velocity.any())
+        return setpoint
+
     def _checked(self, setpoint: Array, measured: Array | None) -> Array:
         try:
             return self._guard.check(setpoint, measured)
         except GuardError:
-            self._go_straight()
+            self._leave(self._guard.last, self._guard.velocity)
             self._allowed = False
             raise
 
-    def _go_straight(self) -> Reference:
-        """Leave what was followed, to brake from the last setpoint on."""
-        guard = self._guard
-        onward = straight(guard.last, guard.velocity, 0.0)
+    def _leave(self, position: Array, velocity: Array) -> None:
+        """Leave what was followed, to brake from a setpoint with its rate on."""
+        onward, limits = straight(position, velocity, 0.0), self._guard.limits
+        rest = np.zeros_like(velocity)
         self._reference = Reference(
-            onward, 0.0, guard.last, guard.velocity, guard.limits.acceleration, self._period
+            onward, 0.0, lambda time: (position, velocity, rest), limits.acceleration, self._period
         )
-        self._at, self._rate, self.state = 0.0, 1.0, StreamState.BRAKING
-        return self._reference
+        self._at, self._rate = 0.0, 1.0
+        self._each, self.state = True, StreamState.BRAKING
 
     def _rest(self) -> None:
-        self._reference, self.state = None, StreamState.HOLDING
+        self._reference, self.state, self._each = None, StreamState.HOLDING, False
+        self._guard.limits = self._limits
         self._rate, self._newest, self._interval = 1.0, -math.inf, math.inf
         self._arrived = -math.inf

@@ -62,8 +62,12 @@ def run(args: argparse.Namespace) -> int:
         from omniman_ros.cli import bench_can
 
         return bench_can.run(args)
+    if args.name == "arm":
+        from omniman_ros.cli import bench_arm
+
+        return bench_arm.run(args)
     effort = QUICK if args.quick else FULL
-    chosen = tasks(Setup(robot=args.robot))
+    chosen = tasks(Setup(robot=args.robot, arm="none"))
     say("core tick ...")
     result: dict[str, Any] = {"robot": args.robot, "quick": args.quick}
     result["core_tick_us"] = core_ticks(load_robot(args.robot), effort.blocks, effort.ticks)

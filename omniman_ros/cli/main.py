@@ -172,7 +172,8 @@ def add_bench(parser: argparse.ArgumentParser) -> None:
     arm.add_argument("--seconds", type=float, metavar="S", help="length of each block; default: 8")
     arm.add_argument(
         "--priority", type=int, default=50, metavar="N",
-        help="of both loops, SCHED_FIFO where it is permitted; 0: none; %(default)s",
+        help="of both loops, SCHED_FIFO where it is permitted; 0: none (a busy machine may need "
+        "-p ur.read_timeout:=0.2 then); default: %(default)s",
     )  # fmt: skip
     arm.add_argument(
         "-p", "--param", action="append", default=[], metavar="NAME:=VALUE",

@@ -47,11 +47,28 @@ def test_nothing_passes_before_the_arm_was_measured():
         guard.check(START, START)
 
 
-def test_an_arm_outside_its_limits_is_not_begun_with_nor_with_an_older_begin(guard):
-    with pytest.raises(GuardError, match=r"elbow: position 7 rad, the limit is 6\.283 rad"):
-        guard.begin(moved(2, 5.5))
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_an_arm_that_is_nowhere_is_not_begun_with_nor_with_an_older_begin(guard, value):
+    with pytest.raises(GuardError, match="not finite"):
+        guard.begin(moved(2, value))
     with pytest.raises(GuardError, match="measured joints are known"):
         guard.check(START, START)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_an_arm_beyond_a_limit_may_stay_and_go_back_only(guard, sign):
+    beyond = START.copy()
+    beyond[2] = sign * (2 * math.pi + 0.2)
+    step = np.zeros(6)
+    step[2] = sign * 1e-4
+    guard.begin(beyond)
+    guard.check(beyond, beyond)
+    with pytest.raises(GuardError, match="elbow: position"):
+        guard.check(beyond + step, beyond)
+    inward = guard.check(beyond - step, beyond)
+    with pytest.raises(GuardError, match="elbow: position"):
+        guard.check(beyond, beyond)
+    guard.check(inward, beyond)
 
 
 @pytest.mark.parametrize("joint", range(6))
