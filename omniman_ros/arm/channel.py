@@ -51,8 +51,17 @@ class Channel:
         self._unsent += HEADER.pack(len(body)) + body
         if len(self._unsent) > 2 * BUFFER:
             raise ChannelError("the other process reads nothing any more")
+        self.flush()
+
+    def flush(self) -> None:
+        """Send what there was no room for.
+
+        Raises:
+            ChannelError: The other side is gone.
+        """
         try:
-            self._unsent = self._unsent[self._sock.send(self._unsent) :]
+            if self._unsent:
+                self._unsent = self._unsent[self._sock.send(self._unsent) :]
         except BlockingIOError:
             pass  # the next call sends it
         except OSError as error:

@@ -28,8 +28,10 @@ LATEST_REPORT = 0.04
 """Longest time between two reports [s]."""
 TIMED = 25
 """Setpoints whose punctuality is told at once."""
-LEAVING = 5.0
+LEAVING = 3.0
 """How long the arm may take to come to rest when the node is gone [s]."""
+SILENT = 0.5
+"""Silence of the node after which the arm is brought to rest: nobody could stop it [s]."""
 TIMELESS = 10.0
 """A cycle that is later than this is no cycle: the machine slept [s]."""
 
@@ -69,6 +71,7 @@ class StreamLoop:
         self._reported = -LATEST_REPORT
         self._said: tuple[object, ...] = ()
         self._sent = 0.0
+        self._heard = clock()
         self._intervals: deque[float] = deque(maxlen=10 * TIMED)
 
     def run(self) -> None:
@@ -85,6 +88,7 @@ class StreamLoop:
         """Serve everything until the next setpoint is due, then send it."""
         self._due += PERIOD
         if self._clock() - self._due > TIMELESS:
+            self._streamer.tick(self._due, self._clock())  # which is told how late it is
             self._due = self._clock()
         while True:
             node = [self._channel.fileno()] if self._running else []
@@ -94,6 +98,7 @@ class StreamLoop:
             now = self._clock()
             samples = self._link.take_samples()
             self._streamer.watch(samples, now)
+            self._miss_node(now)
             self._report(samples, now)
             if now >= self._due:
                 break
@@ -111,7 +116,13 @@ class StreamLoop:
         else:
             self._sent = 0.0
 
+    def _miss_node(self, now: float) -> None:
+        """Brake when the node hangs: it hears no stop."""
+        if now - self._heard > SILENT:
+            self._streamer.pause(f"the node said nothing for {SILENT:g} s")
+
     def _listen(self) -> None:
+        self._heard = self._clock()
         try:
             for order in self._channel.receive():
                 getattr(self, f"do_{order.do}")(*order.arguments)
@@ -128,6 +139,13 @@ class StreamLoop:
     def do_start(self) -> None:
         """Bring the program up."""
         self._streamer.start(self._clock())
+
+    def do_live(self) -> None:
+        """Nothing: the node lives."""
+
+    def do_resume(self) -> None:
+        """Be in the place of a process that has ended."""
+        self._streamer.resume()
 
     def do_finish(self) -> None:
         """Bring the arm to rest and end the program."""

@@ -15,8 +15,9 @@ from omniman_ros.arm.report import ArmReport
 from omniman_ros.arm.sockets import LinkError
 from omniman_ros.core.arm_parameters import ArmParameters
 
-ENDING = 6.0
-"""How long the process may take to bring the arm to rest and end [s]."""
+ENDED = "the streaming process has ended"
+ENDING = 4.0
+"""How long the process may take to end [s]; nodes are ended by the kernel soon after."""
 
 
 class StreamProcess:
@@ -54,12 +55,19 @@ class StreamProcess:
 
     def order(self, do: str, *arguments: Any) -> None:
         """Send an order; see :class:`loop.StreamLoop`. A process that is gone gets none."""
+        self._try(lambda: self._channel.send(Order(do, arguments)))
+
+    def flush(self) -> None:
+        """Send orders that there was no room for: call it now and then."""
+        self._try(self._channel.flush)
+
+    def _try(self, send: Callable[[], None]) -> None:
         if self.failure:
             return
         try:
-            self._channel.send(Order(do, arguments))
+            send()
         except ChannelError as error:
-            self.failure = str(error)
+            self.failure = ENDED if error.__cause__ else str(error)
 
     def take(self) -> list[ArmReport]:
         """Return the reports that have come since the last call, oldest first."""
@@ -71,7 +79,7 @@ class StreamProcess:
                 self.report = message
                 reports.append(message)
             elif isinstance(message, ChannelError):
-                self.failure = self.failure or "the streaming process has ended"
+                self.failure = self.failure or ENDED
             elif isinstance(message, LinkError):
                 self.failure = str(message)
             else:
@@ -97,12 +105,12 @@ class StreamProcess:
         self._news.set()
         self._wake()
 
-    def close(self) -> None:
-        """End the process: it brings the arm to rest first."""
+    def close(self, hung: bool = False) -> None:
+        """End the process: it brings the arm to rest first. One that hangs is killed."""
         self._wake = lambda: None
         self._channel.shut()
         try:
-            self._process.wait(ENDING)
+            self._process.wait(0.0 if hung else ENDING)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()

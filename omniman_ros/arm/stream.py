@@ -28,6 +28,8 @@ FURTHEST_AHEAD, AHEAD_OF_MOTION = 1.0, 0.1
 """A preview may begin so much later [s]: at rest, and while the arm moves."""
 SILENT_PERIODS = 2.0
 """After so many periods of the previews without another, their source is silent."""
+SAME = 2e-3
+"""Begins of previews nearer to each other are one [s]: clocks are compared to no better."""
 SOON = 0.3
 """A preview that is joined gently in less time than this is joined gently [s]."""
 CHECKED = 1.0
@@ -130,7 +132,7 @@ class JointStream:
         """
         if not self._allowed:
             raise InputError("the arm is held")
-        if preview.start < self._newest:
+        if preview.start < self._newest - SAME:
             raise InputError(f"out of order, {self._newest - preview.start:.3f} s back")
         if preview.end < now:
             raise InputError(f"over {now - preview.end:.3f} s ago")

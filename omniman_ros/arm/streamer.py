@@ -113,13 +113,23 @@ class ArmStreamer:
 
     def start(self, now: float) -> None:
         """Bring a program up, and keep the arm led until :meth:`finish`."""
+        self.stop_reason = ""  # what asks for it has none
         self._wanted, self._proven, self.failure = True, False, self.trouble
         self._begin_program(now)
 
+    def resume(self) -> None:
+        """Be in another streamer's place, stopped: the program is begun by :meth:`reset`."""
+        self._wanted = self._proven = True
+
     def finish(self) -> None:
         """Bring the arm to rest, then end the program."""
-        self._wanted = False
+        self._wanted, self.failure = False, ""
         self._brake()
+
+    def pause(self, why: str) -> None:
+        """Bring the arm to rest; it goes on with the next preview."""
+        if self.phase is Phase.STREAMING and self._stream.pause():
+            self._refusals.append(f"the arm is brought to rest: {why}")
 
     def stop(self, reason: str) -> None:
         """Stop for good: the first reason is kept."""
@@ -186,11 +196,11 @@ class ArmStreamer:
         """
         if self.phase is Phase.IDLE:
             return
-        for sample in samples:
-            self._hear(sample)
         why = self.trouble
         if why and self._link.connected:
-            return self._abort(why)  # the controller stops the arm itself
+            return self._abort(why)  # the controller stops the arm itself; its program follows
+        for sample in samples:
+            self._hear(sample)
         if self._link.program is ProgramState.LOST:
             return self._abort(self._link.program_trouble)
         if self.phase is Phase.STARTING:

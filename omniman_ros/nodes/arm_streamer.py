@@ -20,9 +20,11 @@ from omniman_ros.arm.joint_preview import JointPreview
 from omniman_ros.arm.parameters import UrParameters
 from omniman_ros.arm.process import StreamProcess
 from omniman_ros.arm.report import ArmReport, Phase, Timing
+from omniman_ros.arm.reverse import JOINTS
 from omniman_ros.arm.sockets import LinkError
 from omniman_ros.arm.streamer import joint_limits
 from omniman_ros.core.arm_parameters import ArmParameters
+from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import parameter
 from omniman_ros.core.stop import ResetRefusedError, StopLatch, StopState
 from omniman_ros.nodes.lifecycle import ERROR, FAILURE, SUCCESS, HardwareNode, told
@@ -40,6 +42,8 @@ TIMED = 1250
 """Setpoints whose punctuality the diagnostics tell: of the last 10 s."""
 PATIENCE = 6.0
 """How long the end may take [s]."""
+LIVING = 0.1
+"""Longest time between two messages to the streaming process, which are its sign of life [s]."""
 UNLOCKED = 1.0
 """How long the controller may take to say that it is unlocked [s]."""
 
@@ -69,6 +73,8 @@ class ArmStreamerNode(HardwareNode):
         self.settings = ParameterSet(self, ArmStreamerParameters, robot=False)
         p = self.settings.value
         joint_limits(p.arm, p.ur)  # what it would refuse, it refuses now
+        if len(p.arm.joints) != JOINTS:
+            raise ParameterError("arm.joints", p.arm.joints, f"a UR has {JOINTS} joints")
         self.process: StreamProcess | None = None
         self.latch = StopLatch()
         self._active = False
@@ -89,6 +95,7 @@ class ArmStreamerNode(HardwareNode):
         self._stop = StopPort(self, self.latch, self._reset, self._follow_latch)
         self.settings.on_change(self._configure)
         self.every(0.02, self._check)
+        self.every(LIVING, self._live)
         if p.autostart:
             self.autostart()
 
@@ -178,8 +185,9 @@ class ArmStreamerNode(HardwareNode):
                 self.get_logger().error("the program on the controller does not end")
 
     def _close(self) -> None:
+        self._hear()
         if self.process is not None:
-            self.process.close()
+            self.process.close(hung=bool(self._hung))
         self.process = None
 
     def _await(self, done: Callable[[ArmReport], bool], timeout: float) -> bool:
@@ -221,7 +229,7 @@ class ArmStreamerNode(HardwareNode):
             self.get_logger().info(f"the controller says: {text}")
         if report.timing is not None:
             self._report_timing(report.timing)
-        if report.stop_reason and report.resets == self._resets:
+        if self._active and report.stop_reason and report.resets == self._resets:
             self.latch.stop(report.stop_reason)
         self._report_scaling(report)
 
@@ -243,13 +251,25 @@ class ArmStreamerNode(HardwareNode):
 
     def _check(self) -> None:
         """Notice a process that hangs, and a latch that was released."""
-        self._follow_latch()
-        if self.process is None or not self._active:
-            return
-        silent = self.now() - self._heard
-        if silent > SILENT and not self.process.failure:
-            self.latch.stop(f"the streaming process says nothing for {silent:.2f} s")
+        self._hear()  # what waits, where this node was held up itself
+        if self.process is not None:
+            self.process.flush()
+        if self.process is not None and self._active and self._hung:
+            self.latch.stop(self._hung)
             self._stop.publish()
+
+    def _live(self) -> None:
+        """Show the process that this node does not hang."""
+        if self.process is not None:
+            self.process.order("live")
+
+    @property
+    def _hung(self) -> str:
+        """Why the process seems to hang, or an empty string."""
+        silent = self.now() - self._heard
+        if self.process is None or self.process.failure or silent <= SILENT:
+            return ""
+        return f"the streaming process says nothing for {silent:.2f} s"
 
     # ---- stops ----------------------------------------------------------------------------------
 
@@ -270,20 +290,21 @@ class ArmStreamerNode(HardwareNode):
             return
         self._hear()
         if self.process.failure:
-            return self._begin_anew()
+            self._begin_anew()
         self._unlock()
         report = self.process.report
-        self.latch.reset(at_rest=report.at_rest, fault=report.trouble)
+        fault = self.process.failure or self._hung or report.trouble
+        self.latch.reset(at_rest=report.at_rest, fault=fault)
+        self._follow_latch()  # so that the same stop is told again
         self._resets += 1
         self.process.order("reset", self._resets)
 
     def _begin_anew(self) -> None:
-        """Replace a streaming process that has ended."""
+        """Replace a streaming process that has ended by one that is stopped as it was."""
         self._close()
         self._open()
-        trouble = self.process.failure or self.process.report.trouble
-        self.latch.reset(at_rest=self.process.report.at_rest, fault=trouble)
-        self.process.order("start")
+        self._follow_latch()
+        self.process.order("resume")
 
     def _unlock(self) -> None:
         ur = self.settings.value.ur
@@ -344,6 +365,8 @@ class ArmStreamerNode(HardwareNode):
             *((f"data {kind}", count) for kind, count in report.counts),
             *self._timing_values(),
         ]
+        if self.process.failure:
+            return DiagnosticStatus.ERROR, self.process.failure, values
         if self.latch.status.state is StopState.STOPPED:
             return DiagnosticStatus.ERROR, self.latch.status.reason, values
         if not self.latch.released:
