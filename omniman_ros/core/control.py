@@ -58,12 +58,17 @@ class ControlWatch:
         return tuple(self._stopped)
 
     @property
-    def obstacle(self) -> str:
-        """Why no stream can begin now, or an empty string."""
+    def stop(self) -> str:
+        """Why nothing may move, whoever drives; or an empty string."""
         if self._emergency:
             return "emergency_stop is true"
-        if self._stopped:
-            return "; ".join(f"{node} is {why}" for node, why in sorted(self._stopped.items()))
+        return "; ".join(f"{node} is {why}" for node, why in sorted(self._stopped.items()))
+
+    @property
+    def obstacle(self) -> str:
+        """Why no stream can begin now, or an empty string."""
+        if self.stop:
+            return self.stop
         if self.source == "stop":
             return "the platform is stopped"
         if not self.source:

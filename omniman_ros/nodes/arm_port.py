@@ -42,22 +42,11 @@ LAG = 0.2
 """The arm may be where it was to be so long ago [s]."""
 
 
-class StopWatch(ControlWatch):
-    """A watch that also says whether anything is stopped, whoever drives the platform."""
-
-    @property
-    def stop(self) -> str:
-        """Why the arm may not move, or an empty string."""
-        if self._emergency:
-            return "emergency_stop is true"
-        return "; ".join(f"{node} is {why}" for node, why in sorted(self._stopped.items()))
-
-
 class Host(Protocol):
     """What the port asks of its node."""
 
     pace: Pace
-    watch: StopWatch
+    watch: ControlWatch
 
     def motion_time(self) -> float:
         """Motion time now [s]."""

@@ -17,6 +17,7 @@ from trajectory_msgs.msg import MultiDOFJointTrajectory
 from omniman_ros import conversions
 from omniman_ros.core import plausible
 from omniman_ros.core.arm_parameters import ArmParameters
+from omniman_ros.core.control import ControlWatch
 from omniman_ros.core.errors import InputError, ParameterError
 from omniman_ros.core.parameters import inline, parameter
 from omniman_ros.core.path.interpolator import PathInterpolator, PathState, RefusedError, Window
@@ -24,7 +25,7 @@ from omniman_ros.core.path.joint_parameters import JointTrajectoryOptions
 from omniman_ros.core.path.pace import Demand, Pace
 from omniman_ros.core.path.parameters import TICK, PathParameters
 from omniman_ros.core.preview import MAX_POINTS
-from omniman_ros.nodes.arm_port import ArmPort, StopWatch
+from omniman_ros.nodes.arm_port import ArmPort
 from omniman_ros.nodes.control_port import ControlPort
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.runtime import OmnimanNode, run
@@ -100,7 +101,7 @@ class PathInterpolatorNode(OmnimanNode):
         if 2.0 * p.period > p.horizon:
             raise ParameterError("period", p.period, "more than half of the horizon")
         self.core = PathInterpolator(p.core)
-        self.watch = StopWatch(p.restart)
+        self.watch = ControlWatch(p.restart)
         p.core.planner()  # what it would refuse, it refuses now
         self.pace = Pace(self._demand, TICK)
         self._held_still = False

@@ -51,6 +51,15 @@ def test_emergency_stop_comes_first_and_false_ends_it(watch):
     assert watch.obstacle == "the platform is stopped"
 
 
+def test_a_stop_is_told_apart_from_others_that_drive(watch):
+    watch.hear_source("cmd_vel")
+    assert (watch.obstacle, watch.stop) == ("cmd_vel drives", "")
+    watch.hear_stop("/arm_streamer", True, "~/stop")
+    assert watch.stop == watch.obstacle == "/arm_streamer is ~/stop"
+    watch.hear_emergency(True)
+    assert watch.stop == "emergency_stop is true"
+
+
 def test_stopped_nodes_are_named_until_each_runs_again(watch):
     begin(watch, 10.0)
     watch.hear_stop("/b", True, "stopped: ~/stop")
