@@ -114,6 +114,7 @@ setup(
         # The page relies on how viser marks up its buttons.
         "viewer": ["viser==1.1.*", "websockets"],
         "browser": ["playwright"],
+        "reference": ["pin"],
         "colcon": ["colcon-common-extensions"],
     },
 )
