@@ -87,7 +87,7 @@ def domain():
 @pytest.fixture(scope="module")
 def address(domain):
     """Where the page is, of nodes that run as processes until the end of these tests."""
-    with Running(command("up", *SLOWLY), domain) as up:
+    with Running(command("up", "--arm", "none", *SLOWLY), domain) as up:
         line = up.wait_for("the page is at ")
         yield re.search(r"http://\S+", line)[0]
         up.process.send_signal(signal.SIGINT)

@@ -23,7 +23,7 @@ PORTS = {
 """Ports of every UR controller, where clients look for it."""
 
 
-PATIENCE = ("ur.read_timeout:=0.1", "ur.feedback_timeout:=0.2")
+PATIENCE = ("ur.read_timeout:=0.2", "ur.feedback_timeout:=0.5")
 """A simulated controller is a process that waits for its turn on a busy machine."""
 
 

@@ -34,7 +34,7 @@ from omniman_ros.nodes.stopping import StopPort
 
 SCALING_PERIOD = 0.1
 """Longest time between two messages on arm/speed_scaling [s]."""
-SILENT = 0.25
+SILENT = 0.5
 """Silence of the streaming process after which it is taken for hung [s]."""
 AHEAD = 1.0
 """Stamps of previews may be so far ahead [s]."""
