@@ -61,6 +61,7 @@ class Robot:
         self.ports = free_ports()
         self.children = []
         self.truth, self.reason = [], ""
+        self.told = 0  # samples of the truth that were there when the reason came
         self.source, self.way = None, -1.0
         node, prefix = session.node, f"{namespace}/" if namespace else ""
         node.create_subscription(
@@ -77,7 +78,7 @@ class Robot:
         self.truth.append((time.monotonic(), np.array(message.position), message.velocity))
 
     def _on_stop_state(self, message):
-        self.reason = message.message
+        self.reason, self.told = message.message, len(self.truth)
 
     def start(self, name, *parameters):
         code = f"import sys; from omniman_ros.nodes.{name} import main; sys.exit(main())"
@@ -199,15 +200,17 @@ def test_a_signal_in_motion_brings_the_arm_to_rest_before_the_end(robot):
         streamer = robot.streamer()
         robot.swing()
         (process,) = children_of(streamer.pid)
-        begin = len(robot.truth)
         streamer.send_signal(number)
+        robot.until(lambda: "shutting down" in robot.reason, "the stop")
+        told = robot.told
         robot.until(lambda child=streamer: child.poll() is not None, "the end")
         robot.source = None
         assert streamer.returncode == 0
         assert not is_alive(process), "the streaming process is left behind"
         robot.until(robot.rests, "rest")
-        way = robot.truth[-1][1] - robot.truth[begin][1]
-        assert np.abs(way).max() < 0.45 * 1.0, "it braked soon, on a busy machine too"
+        # From when it was told: how late a signal is heard depends on the machine.
+        way = robot.truth[-1][1] - robot.truth[told - 1][1]
+        assert np.abs(way).max() < 0.45**2 / (2.0 * 4.0) + 0.45 * 0.2, "it braked at once"
         robot.stays()
 
 
