@@ -1,15 +1,18 @@
 """Messages of the arm to core and back: pure functions without a node."""
 
+from array import array
 from collections.abc import Sequence
 
 import numpy as np
+from builtin_interfaces.msg import Duration, Time
 from numpy.typing import NDArray
-from trajectory_msgs.msg import JointTrajectory
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from omniman_ros.arm.joint_preview import ACCELERATION, ANGLE, MAX_POINTS, SPEED
-from omniman_ros.conversions import time_seconds
-from omniman_ros.core import plausible
+from omniman_ros.arm.joint_preview import MAX_POINTS
+from omniman_ros.conversions import some_names, time_seconds
 from omniman_ros.core.errors import InputError
+from omniman_ros.core.path.interpolator import Window
+from omniman_ros.core.path.joint_points import JointPoints
 
 Array = NDArray[np.float64]
 
@@ -17,7 +20,7 @@ Array = NDArray[np.float64]
 def joint_preview(
     message: JointTrajectory, start: float, names: Sequence[str]
 ) -> tuple[Array, Array, Array, Array | None]:
-    """Times, positions, velocities and accelerations for a `JointPreview`, joints in our order.
+    """Arguments of a `JointPreview`, which checks what they say; the joints in our order.
 
     Args:
         message: Positions and velocities (needed), accelerations (all or none) of all joints.
@@ -25,32 +28,85 @@ def joint_preview(
         names: Of the joints.
 
     Raises:
-        InputError: Other joints, wrong sizes, too many points, or not finite.
+        InputError: Other joints, wrong sizes, or too many points.
     """
-    given = list(message.joint_names)
+    given, points = list(message.joint_names), message.points
     if sorted(given) != sorted(names):
-        shown = ", ".join(name[:40] for name in given[:12])
-        raise InputError(f"joints {shown or '(none)'}, expected {', '.join(names)}")
-    if not 1 <= len(message.points) <= MAX_POINTS:
-        raise InputError(f"{len(message.points)} points, 1 to {MAX_POINTS} are taken")
+        raise InputError(f"joints {some_names(given)}, expected {some_names(names)}")
+    if not 1 <= len(points) <= MAX_POINTS:
+        raise InputError(f"{len(points)} points, 1 to {MAX_POINTS} are taken")
+    positions, velocities, accelerations = (
+        _rows(points, label, len(names)) for label in ("positions", "velocities", "accelerations")
+    )
+    if positions is None or velocities is None:
+        raise InputError(f"points without {'positions' if positions is None else 'velocities'}")
     order = [given.index(name) for name in names]
-    times = [start + time_seconds(point.time_from_start) for point in message.points]
-    arrays: list[Array | None] = []
-    for label, bound in (
-        ("positions", ANGLE),
-        ("velocities", SPEED),
-        ("accelerations", ACCELERATION),
-    ):
-        rows = [getattr(point, label) for point in message.points]
-        sizes = {len(row) for row in rows}
-        if sizes == {0} and label == "accelerations":
-            arrays.append(None)
-            continue
-        if sizes != {len(names)}:
-            raise InputError(f"{label}: {sorted(sizes)} values a point for {len(names)} joints")
-        array = np.array(rows, dtype=float)[:, order]
-        plausible.demand(array, bound, label)
-        arrays.append(array)
-    positions, velocities, accelerations = arrays
-    assert positions is not None and velocities is not None
-    return np.array(times), positions, velocities, accelerations
+    times = np.array([start + time_seconds(point.time_from_start) for point in points])
+    if accelerations is not None:
+        accelerations = accelerations[:, order]
+    return times, positions[:, order], velocities[:, order], accelerations
+
+
+def joint_points(message: JointTrajectory, names: Sequence[str], most: int) -> JointPoints:
+    """Points of a trajectory; times that are all zero are none. Efforts are not looked at.
+
+    Args:
+        message: At least one point; some of the joints, in any order.
+        names: All joints.
+        most: So many points are taken.
+
+    Raises:
+        InputError: Unknown or repeated names, wrong sizes, velocities or accelerations that only
+            some points have, or content that :class:`JointPoints` refuses.
+    """
+    given, points = list(message.joint_names), message.points
+    if len(points) > most:
+        raise InputError(f"{len(points)} points, at most {most} are taken")
+    unknown = [name for name in given if name not in names]
+    if unknown:
+        raise InputError(f"no joint {some_names(unknown)}; the joints are {some_names(names)}")
+    if not given or len(set(given)) != len(given):
+        raise InputError(f"no joint, or one twice, among the names {some_names(given)}")
+    arrays = [_rows(points, label, len(given)) for label in ("velocities", "accelerations")]
+    times = np.array([time_seconds(point.time_from_start) for point in points])
+    columns = tuple(names.index(name) for name in given)
+    positions = _rows(points, "positions", len(given))
+    if positions is None:
+        raise InputError("points without positions")
+    return JointPoints(columns, times if times.any() else None, positions, *arrays)
+
+
+def _rows(points: Sequence[JointTrajectoryPoint], label: str, width: int) -> Array | None:
+    """One row (width,) a point, or None where no point has them."""
+    rows = [getattr(point, label) for point in points]
+    if not any(len(row) for row in rows):
+        return None
+    for i, row in enumerate(rows):
+        if len(row) != width:
+            raise InputError(f"point {i}: {len(row)} {label} for {width} joints")
+    return np.array(rows, dtype=float)
+
+
+def joint_reference_message(names: Sequence[str], points: int, tick: float) -> JointTrajectory:
+    """An empty preview of joints with points a tick [s] apart, to be filled again and again.
+
+    :func:`fill_joint_reference` writes into it.
+    """
+    message = JointTrajectory(joint_names=list(names))
+    for i in range(points):
+        nanoseconds = round(i * tick * 1e9)
+        after = Duration(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
+        message.points.append(JointTrajectoryPoint(time_from_start=after))
+    return message
+
+
+def fill_joint_reference(message: JointTrajectory, stamp: Time, window: Window) -> None:
+    """Write a part of the stream, whose first tick is at `stamp`, as far as there are points."""
+    message.header.stamp = stamp
+    rows = zip(
+        message.points, window.positions, window.velocities, window.accelerations, strict=False
+    )
+    for point, position, velocity, acceleration in rows:
+        point.positions = array("d", position.tobytes())
+        point.velocities = array("d", velocity.tobytes())
+        point.accelerations = array("d", acceleration.tobytes())

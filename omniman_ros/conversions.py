@@ -1,7 +1,6 @@
 """Messages to core and back: pure functions without a node."""
 
 import math
-from array import array
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol, TypeVar
@@ -27,8 +26,6 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
 from std_msgs.msg import ColorRGBA, Float64MultiArray, Header, MultiArrayDimension
 from trajectory_msgs.msg import (
-    JointTrajectory,
-    JointTrajectoryPoint,
     MultiDOFJointTrajectory,
     MultiDOFJointTrajectoryPoint,
 )
@@ -37,7 +34,6 @@ from visualization_msgs.msg import Marker, MarkerArray
 from omniman_ros.core import plausible, se2
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.path.interpolator import Window
-from omniman_ros.core.path.joint_points import JointPoints
 from omniman_ros.core.preview import MAX_POINTS, Preview
 from omniman_ros.core.wheel_cascade import DriveMode, WheelCommand
 
@@ -135,16 +131,16 @@ def joint_arrays(
     if list(given) == list(names):
         return parts[0], parts[1], parts[2]
     if len(set(given)) != len(given):
-        raise InputError(f"a name is there twice among {_some(given)}")
+        raise InputError(f"a name is there twice among {some_names(given)}")
     missing = [name for name in names if name not in given]
     if missing:
-        raise InputError(f"no {', '.join(missing)} among the names {_some(given)}")
+        raise InputError(f"no {', '.join(missing)} among the names {some_names(given)}")
     order = [given.index(name) for name in names]
     position, velocity, effort = (None if part is None else part[order] for part in parts)
     return position, velocity, effort
 
 
-def _some(names: Sequence[str]) -> str:
+def some_names(names: Sequence[str]) -> str:
     """The first few names, for a message."""
     shown = ", ".join(name[:40] for name in names[:8])
     return f"{shown}, ..." if len(names) > 8 else shown or "(none)"
@@ -176,7 +172,9 @@ def preview(message: MultiDOFJointTrajectory, start: float, frames: Sequence[str
     """
     check_frame(message.header.frame_id, *frames)
     if list(message.joint_names) != [PLATFORM_JOINT]:
-        raise InputError(f"joints {_some(message.joint_names)}, expected '{PLATFORM_JOINT}' alone")
+        raise InputError(
+            f"joints {some_names(message.joint_names)}, expected '{PLATFORM_JOINT}' alone"
+        )
     points = message.points
     if len(points) > MAX_POINTS:
         raise InputError(f"{len(points)} points, at most {MAX_POINTS} are taken")
@@ -332,74 +330,6 @@ def fill_reference(message: MultiDOFJointTrajectory, stamp: Time, window: Window
         velocity.linear.x, velocity.linear.y, velocity.angular.z = vx, vy, w
         rate = point.accelerations[0]
         rate.linear.x, rate.linear.y, rate.angular.z = ax, ay, turn
-
-
-# ---- trajectories of joints -------------------------------------------------------------------
-
-
-def joint_points(message: JointTrajectory, names: Sequence[str], most: int) -> JointPoints:
-    """Points of a trajectory; times that are all zero are none. Efforts are not looked at.
-
-    Args:
-        message: At least one point; some of the joints, in any order.
-        names: All joints.
-        most: So many points are taken.
-
-    Raises:
-        InputError: Unknown or repeated names, wrong sizes, velocities or accelerations that only
-            some points have, or content that :class:`JointPoints` refuses.
-    """
-    given, points = list(message.joint_names), message.points
-    if len(points) > most:
-        raise InputError(f"{len(points)} points, at most {most} are taken")
-    unknown = [name for name in given if name not in names]
-    if unknown:
-        raise InputError(f"no joint {_some(unknown)}; the joints are {_some(names)}")
-    if not given or len(set(given)) != len(given):
-        raise InputError(f"no joint, or one twice, among the names {_some(given)}")
-    arrays = [_rows(points, label, len(given)) for label in ("velocities", "accelerations")]
-    times = np.array([time_seconds(point.time_from_start) for point in points])
-    columns = tuple(names.index(name) for name in given)
-    positions = _rows(points, "positions", len(given))
-    if positions is None:
-        raise InputError("points without positions")
-    return JointPoints(columns, times if times.any() else None, positions, *arrays)
-
-
-def _rows(points: Sequence[JointTrajectoryPoint], label: str, width: int) -> Array | None:
-    """One row (width,) a point, or None where no point has them."""
-    rows = [getattr(point, label) for point in points]
-    if not any(len(row) for row in rows):
-        return None
-    for i, row in enumerate(rows):
-        if len(row) != width:
-            raise InputError(f"point {i}: {len(row)} {label} for {width} joints")
-    return np.array(rows, dtype=float)
-
-
-def joint_reference_message(names: Sequence[str], points: int, tick: float) -> JointTrajectory:
-    """An empty preview of joints with points a tick [s] apart, to be filled again and again.
-
-    :func:`fill_joint_reference` writes into it.
-    """
-    message = JointTrajectory(joint_names=list(names))
-    for i in range(points):
-        nanoseconds = round(i * tick * 1e9)
-        after = Duration(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
-        message.points.append(JointTrajectoryPoint(time_from_start=after))
-    return message
-
-
-def fill_joint_reference(message: JointTrajectory, stamp: Time, window: Window) -> None:
-    """Write a part of the stream, whose first tick is at `stamp`, as far as there are points."""
-    message.header.stamp = stamp
-    rows = zip(
-        message.points, window.positions, window.velocities, window.accelerations, strict=False
-    )
-    for point, position, velocity, acceleration in rows:
-        point.positions = array("d", position.tobytes())
-        point.velocities = array("d", velocity.tobytes())
-        point.accelerations = array("d", acceleration.tobytes())
 
 
 def prepare_odometry(message: OdometryMsg, twist_variance: float) -> None:

@@ -13,7 +13,7 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
-from omniman_ros import conversions
+from omniman_ros import arm_conversions, conversions
 from omniman_ros.core import plausible
 from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.core.control import ControlWatch
@@ -88,7 +88,7 @@ class ArmPort:
         self._speed = 0.0
         self._wanted: deque[tuple[float, Array]] = deque()
         self._covered = float("inf")
-        self._message = conversions.joint_reference_message(
+        self._message = arm_conversions.joint_reference_message(
             arm.joints, int(horizon / TICK) + 1, TICK
         )
         self._reference: Publisher = node.create_publisher(
@@ -151,7 +151,7 @@ class ArmPort:
             if not message.points:
                 self._stop()
                 return ""
-            points = conversions.joint_points(message, self._names, most)
+            points = arm_conversions.joint_points(message, self._names, most)
             delay = self._delay(message.header.stamp)
             why = self._obstacle()
             if not why:
@@ -315,6 +315,6 @@ class ArmPort:
         points = min(len(window.times), MAX_POINTS)
         if points != len(message.points) or window.times[1] - window.times[0] > 1.001 * TICK:
             step = float(window.times[1] - window.times[0])
-            message = conversions.joint_reference_message(self._names, points, step)
-        conversions.fill_joint_reference(message, self._node.stamp(window.times[0]), window)
+            message = arm_conversions.joint_reference_message(self._names, points, step)
+        arm_conversions.fill_joint_reference(message, self._node.stamp(window.times[0]), window)
         self._reference.publish(message)
