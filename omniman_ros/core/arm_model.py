@@ -14,6 +14,13 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 JOINTS, BRANCHES = 6, 8
+SIGNS = tuple(
+    (shoulder, wrist, elbow)
+    for shoulder in (1.0, -1.0)
+    for wrist in (1.0, -1.0)
+    for elbow in (1.0, -1.0)
+)
+"""Of each branch: shoulder, wrist, elbow."""
 TWISTS = (math.pi / 2, 0.0, 0.0, math.pi / 2, -math.pi / 2, 0.0)
 """alpha of each joint [rad]."""
 SINGULAR = 1e-3
@@ -102,15 +109,16 @@ class ArmModel:
         """
         shape = poses.shape[:-2]
         pose = poses.reshape(-1, 4, 4)
-        branches = [
-            self._branch(pose, shoulder, wrist, elbow)
-            for shoulder in (1.0, -1.0)
-            for wrist in (1.0, -1.0)
-            for elbow in (1.0, -1.0)
-        ]
+        branches = [self.inverse_on(pose, branch) for branch in range(BRANCHES)]
         solutions = np.stack(branches, axis=1)
         solutions = math.pi - np.remainder(math.pi - solutions, math.tau)
         return solutions.reshape(*shape, BRANCHES, JOINTS)
+
+    def branch_of(self, q: Array) -> int:
+        """Index of the branch of :meth:`inverse` that joint angles (6,) [rad] are on."""
+        found = self.inverse(self.forward(q))
+        away = np.abs(np.remainder(found - q + math.pi, math.tau) - math.pi).max(axis=1)
+        return int(np.nanargmin(away))
 
     def nearest(self, pose: Array, q: Array, lower: Array, upper: Array) -> Array | None:
         """Joint angles (6,) that reach a pose, nearest to others; None if none are in range.
@@ -159,9 +167,12 @@ class ArmModel:
         link[..., 3, 3] = 1.0
         return link
 
-    def _branch(self, pose: Array, shoulder: float, wrist: float, elbow: float) -> Array:
-        """Joint angles (k, 6) on one branch for poses (k, 4, 4)."""
-        t = self.table
+    def inverse_on(self, pose: Array, branch: int) -> Array:
+        """Joint angles (k, 6) [rad] on one branch that reach poses (k, 4, 4); NaN for none.
+
+        They are known up to whole turns.
+        """
+        t, (shoulder, wrist, elbow) = self.table, SIGNS[branch]
         centre = pose[:, :3, 3] - t.d6 * pose[:, :3, 2]
         away = np.hypot(centre[:, 0], centre[:, 1])
         with np.errstate(divide="ignore", invalid="ignore"):

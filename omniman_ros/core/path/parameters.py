@@ -64,6 +64,11 @@ class PathParameters:
     limits: TwistLimits
     path: PathOptions
 
+    @property
+    def kinematics(self) -> PlatformKinematics:
+        """Of the robot's wheels."""
+        return PlatformKinematics(self.robot.wheels)
+
     def groups(self) -> tuple[AxisGroup, AxisGroup]:
         """Position and heading of the platform as axes."""
         share, limits, options = 1.0 - self.path.reserve, self.limits, self.path
@@ -80,7 +85,7 @@ class PathParameters:
 
     def planner(self) -> PathPlanner:
         """The planner for x, y, theta of the platform."""
-        kinematics = PlatformKinematics(self.robot.wheels)
+        kinematics = self.kinematics
         fastest = (1.0 - self.path.reserve) * self.robot.motor.max_speed
 
         def cap(poses: Array, slopes: Array) -> Array:
