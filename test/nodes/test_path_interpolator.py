@@ -23,7 +23,8 @@ from omniman_ros.core.kinematics import PlatformKinematics
 from omniman_ros.core.path.interpolator import PathState
 from omniman_ros.core.path.parameters import TICK
 from omniman_ros.core.preview import Preview, Setpoint
-from omniman_ros.nodes.path_interpolator import PATIENCE, PathInterpolatorNode
+from omniman_ros.nodes.motions.waiting import PATIENCE
+from omniman_ros.nodes.path_interpolator import PathInterpolatorNode
 from omniman_ros.nodes.platform_controller import PlatformControllerNode
 from omniman_ros.nodes.simulated_drive import SimulatedDriveNode
 from omniman_ros.nodes.stopping import LATCHED
@@ -49,7 +50,7 @@ class Station(World):
     def __init__(self, *others: Any, parameters: dict[str, Any] | None = None) -> None:
         super().__init__(PathInterpolatorNode, *others, parameters=parameters)
         self.node: PathInterpolatorNode = self.nodes[0]
-        self.core = self.node.core
+        self.core = self.node.path.core
         self.arrivals: list[float] = []
         self.references: list[bytes] = []  # unpacked where they are looked at: that takes longest
         self._previews: dict[int, Preview] = {}
@@ -65,7 +66,7 @@ class Station(World):
         self.node.warn = lambda subject, text: (self.warnings.append(text), warn(subject, text))
 
     def count_listeners(self) -> int:
-        return int(self.node._reference.get_subscription_count())
+        return int(self.node.platform_previews.publisher.get_subscription_count())
 
     def _hear(self, data: bytes) -> None:
         self.references.append(data)
@@ -578,7 +579,7 @@ ODD: dict[str, tuple[dict[str, Any], str]] = {
 @pytest.mark.parametrize(("odd", "why"), ODD.values(), ids=ODD)
 def test_odd_odom_is_no_odom(odd, why):
     with Alone(source="") as world:
-        world.node._pose, world.node._heard = None, -INF  # as if this were the first
+        world.node.odom.pose = None  # as if this were the first
         world.odometry = lambda: odd_odom(world, **odd)
         world.say("none")
         world.run(0.05)

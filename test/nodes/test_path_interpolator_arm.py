@@ -61,7 +61,7 @@ class WithArm(Alone):
         self.probe.create_subscription(
             JointTrajectory, "arm/joint_reference", self._hear_joints, 100, raw=True
         )
-        publisher = self.node.arm._reference
+        publisher = self.node.arm_previews.publisher
         self._await(lambda: publisher.get_subscription_count() > 0, "arm/joint_reference")
         self._states = self.publisher(JointState, "arm/joint_states")
         self._scalings = self.publisher(Float64, "arm/speed_scaling")
@@ -214,7 +214,7 @@ BAD: dict[str, Any] = {
     "too sudden": ({"rows": FAR, "times": [0.98]}, "shoulder_pan_joint: jerk .* limit is 50"),
     "times back": ({"rows": [FAR, HOME], "times": [2.0, 1.0]}, "do not increase: point 0 at 2 s"),
     "some times": ({"rows": [FAR, HOME, FAR], "times": [0, 0, 2.0]}, "do not increase"),
-    "elsewhere": ({"rows": [FAR, HOME], "times": [0, 2.0]}, "0.8 rad from where the arm is"),
+    "elsewhere": ({"rows": [FAR, HOME], "times": [0, 2.0]}, "0.8 rad from where it is"),
     "end in motion": ({"times": [2.0], "velocities": [0.1 + 0 * FAR]}, "not at rest"),
     "accelerations alone": ({"times": [2.0], "accelerations": [0 * FAR]}, "without velocities"),
     "too many": ({"rows": np.tile(HOME, (2001, 1))}, "2001 points, at most 2000"),
@@ -373,7 +373,7 @@ def test_without_joint_states_nothing_begins(late):
     with WithArm() as world:
         world.arm_alive = late > 0.0
         if late == 0.0:
-            world.node.arm._position = world.node.arm._states = None
+            world.node.arm_feed.forget_place()
         world.run(late)
         world.arm_alive = False
         world.run(0.3)
@@ -481,7 +481,7 @@ def test_scaling_that_cannot_be_is_ignored_loudly(world, value):
     assert world.warnings and "arm/speed_scaling ignored" in world.warnings[0]
     world.arrive()
     world.assert_smooth()
-    assert world.node.pace.plain
+    assert world.node.together.pace.plain
 
 
 def test_when_the_scaling_falls_silent_the_arm_is_given_up_and_later_paths_are_fast(world):
@@ -511,7 +511,7 @@ def test_with_a_scaling_of_one_the_stream_is_bit_for_bit_that_without():
             world.run(0.1)
             world.send(BENT)
             world.run(1.2)
-            assert world.node.pace.plain
+            assert world.node.together.pace.plain
             streams.append(
                 [
                     [p.transforms[0].translation, p.velocities, p.accelerations]

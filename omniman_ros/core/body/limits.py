@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 class BodyLimits(AxisLimits):
     """Limits of odom_x, odom_y, odom_t and the arm's joints; x and y have theirs as a vector.
 
+    Those of the platform are less than its own by what paths leave to feedback, always.
+
     Attributes:
         wheels: (n, 3) wheel speeds of a twist in base_link [rad/s].
         wheel_speed: Largest of them [rad/s].
@@ -37,12 +39,14 @@ class BodyLimits(AxisLimits):
     def of_body(cls, path: PathParameters, arm: ArmParameters) -> Self:
         """Those of a platform on paths and of an arm."""
         joints, limits = AxisLimits.of_arm(arm), path.limits
+        share = 1.0 - path.path.reserve
         linear, angular = (
-            min(pair) for pair in zip(limits.acceleration, limits.deceleration, strict=True)
+            share * min(pair)
+            for pair in zip(limits.acceleration, limits.deceleration, strict=True)
         )
         ends = np.array([plausible.LENGTH, plausible.LENGTH, plausible.ANGLE])
-        speed, turn = limits.linear_velocity, limits.angular_velocity
-        jerk, turn_jerk = limits.linear_jerk, limits.angular_jerk
+        speed, turn = share * limits.linear_velocity, share * limits.angular_velocity
+        jerk, turn_jerk = share * limits.linear_jerk, share * limits.angular_jerk
         return cls(
             PLATFORM_AXES + joints.names,
             np.concatenate([-ends, joints.lower]),
@@ -52,13 +56,17 @@ class BodyLimits(AxisLimits):
             np.concatenate([[jerk, jerk, turn_jerk], joints.jerk]),
             ("m", "m", "rad", *joints.units),
             path.kinematics.J,
-            path.robot.motor.max_speed,
+            share * path.robot.motor.max_speed,
             (path.path.linear_velocity, path.path.angular_velocity),
         )
 
     def groups(self, share: float, tolerance: float) -> tuple[AxisGroup, ...]:
-        """Position and heading of the platform, then each joint alone; see the base class."""
-        x, _, heading, *joints = super().groups(share, tolerance)
+        """Position and heading of the platform, then each joint alone; see the base class.
+
+        The share is one of the joints' limits.
+        """
+        joints = super().groups(share, tolerance)[len(PLATFORM_AXES) :]
+        x, _, heading = super().groups(1.0, tolerance)[: len(PLATFORM_AXES)]
         linear, angular = self.path_speeds
         return (
             AxisGroup((0, 1), min(linear, x.velocity), x.acceleration, x.jerk, tolerance),
@@ -69,12 +77,11 @@ class BodyLimits(AxisLimits):
         )
 
     def cap(self, share: float) -> SpeedCap:
-        """Largest u' at which no wheel is faster than a share of what it may be."""
-        fastest = share * self.wheel_speed
+        """Largest u' at which no wheel is too fast; there is no share of that."""
 
         def cap(q: Array, slopes: Array) -> Array:
             used = np.abs(self._wheel_speeds(q, slopes)).max(axis=1)
-            largest: Array = fastest / np.maximum(used, 1e-9)
+            largest: Array = self.wheel_speed / np.maximum(used, 1e-9)
             return largest
 
         return cap

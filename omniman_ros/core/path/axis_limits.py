@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.core.errors import InputError, ParameterError
 from omniman_ros.core.path.axes import AxisGroup
+from omniman_ros.core.path.time_profile import SpeedCap
 from omniman_ros.core.path.timed_curve import TimedCurve
 
 Array = NDArray[np.float64]
@@ -64,6 +65,10 @@ class AxisLimits:
         """Each axis alone, with a share of its limits and a tolerance at corners [rad or m]."""
         rows = zip(*(share * np.stack([self.velocity, self.acceleration, self.jerk])), strict=True)
         return tuple(AxisGroup((i,), *row, tolerance) for i, row in enumerate(map(_floats, rows)))
+
+    def cap(self, share: float) -> SpeedCap | None:
+        """Largest u' besides what the groups say, with a share of all limits; here none."""
+        return None
 
     def demand_within(self, positions: Array) -> None:
         """Demand positions (k, d) within the limits.

@@ -100,8 +100,9 @@ class JointPlanner:
 
     def __init__(self, limits: AxisLimits, options: JointTrajectoryOptions, dt: float) -> None:
         self.limits, self.options, self._dt = limits, options, dt
-        groups = limits.groups(1.0 - options.reserve, options.corner_tolerance)
-        self._planner = PathPlanner(groups, dt)
+        share = 1.0 - options.reserve
+        groups = limits.groups(share, options.corner_tolerance)
+        self._planner = PathPlanner(groups, dt, limits.cap(share))
 
     def timed(self, points: JointPoints, state: State) -> TimedCurve:
         """The motion that keeps the points' times, from a state on.
@@ -173,7 +174,7 @@ class JointPlanner:
         if off[k] > self.options.start_tolerance:
             name, unit = self.limits.names[columns[k]], self.limits.units[columns[k]]
             raise InputError(
-                f"{name}: it begins {off[k]:.3g} {unit} from where the arm is, at most "
+                f"{name}: it begins {off[k]:.3g} {unit} from where it is, at most "
                 f"{self.options.start_tolerance:g} {unit} are allowed with a first time of 0"
             )
         if points.velocities is not None:
@@ -182,7 +183,7 @@ class JointPlanner:
             if change[k] > SAME_SPEED:
                 name, unit = self.limits.names[columns[k]], self.limits.units[columns[k]]
                 raise InputError(
-                    f"{name}: it begins with {points.velocities[0][k]:.3g} {unit}/s, the arm has "
+                    f"{name}: it begins with {points.velocities[0][k]:.3g} {unit}/s, it has "
                     f"{state.velocity[columns[k]]:.3g} {unit}/s"
                 )
         arrays = (points.positions, points.velocities, points.accelerations)

@@ -114,9 +114,9 @@ def test_a_first_point_with_time_zero_is_where_the_arm_is(arm):
     assert arm.run(DT)[0, :6] == pytest.approx(HOME, abs=0)
     assert arm.run_to_the_end()[-1, :6] == pytest.approx(goal, abs=0)
     arm.assert_smooth()
-    with pytest.raises(InputError, match="0.03 rad from where the arm is, at most 0.02 rad"):
+    with pytest.raises(InputError, match="0.03 rad from where it is, at most 0.02 rad"):
         arm.start([arm.here + 0.03, HOME], [0.0, 2.0])
-    with pytest.raises(InputError, match="begins with 0.2 rad/s, the arm has 0 rad/s"):
+    with pytest.raises(InputError, match="begins with 0.2 rad/s, it has 0 rad/s"):
         arm.start([arm.here, HOME], [0.0, 2.0], velocities=[[0.2] * 6, [0.0] * 6])
 
 
