@@ -29,6 +29,7 @@ EXECUTABLES = {
     "arm_streamer": "omniman_ros.nodes.arm_streamer:main",
     "path_interpolator": "omniman_ros.nodes.path_interpolator:main",
     "mpc_planner": "omniman_ros.nodes.mpc_planner:main",
+    "joint_state_broadcaster": "omniman_ros.nodes.joint_state_broadcaster:main",
     "viewer": "omniman_ros.nodes.viewer:main",
 }
 

@@ -1,14 +1,18 @@
 """The launch file against small stand-ins for `launch` and `launch_ros`, which PyPI lacks."""
 
 import runpy
+import shlex
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
 from typing import Any
+from xml.etree import ElementTree as xml
 
 import pytest
 import setuptools
+
+from omniman_ros.cli.main import main
 
 ROOT = Path(__file__).resolve().parents[1]
 LAUNCH_FILES = sorted((ROOT / "config" / "launch").glob("*.launch.py"))
@@ -29,6 +33,45 @@ class EqualsSubstitution:
 
     def value(self, arguments):
         return str(value(self.left, arguments) == value(self.right, arguments)).lower()
+
+
+@dataclass(frozen=True)
+class NotSubstitution:
+    raw: Any
+
+    def value(self, arguments):
+        return {"true": "false", "false": "true"}[value(self.raw, arguments)]
+
+
+@dataclass(frozen=True)
+class AndSubstitution:
+    left: Any
+    right: Any
+
+    def value(self, arguments):
+        sides = [value(side, arguments) for side in (self.left, self.right)]
+        assert set(sides) <= {"true", "false"}
+        return str(sides == ["true", "true"]).lower()
+
+
+@dataclass(frozen=True)
+class Command:
+    """What launch would run, instead of what that prints."""
+
+    command: list
+    on_stderr: str = "fail"
+
+    def value(self, arguments):
+        return shlex.split("".join(value(part, arguments) for part in self.command))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExecutableInPackage:
+    executable: str
+    package: str
+
+    def value(self, arguments):
+        return f"/my ws/lib/{self.package}/{self.executable}"
 
 
 @dataclass(frozen=True)
@@ -73,6 +116,7 @@ class ParameterValue:
         object.__setattr__(self, "value_type", value_type)
 
     def value(self, arguments):
+        assert self.value_type in (str, bool)
         text = value(self.raw, arguments)
         return {"true": True, "false": False}[text] if self.value_type is bool else text
 
@@ -112,16 +156,33 @@ STAND_INS = {
     "launch": [LaunchDescription],
     "launch.actions": [DeclareLaunchArgument],
     "launch.conditions": [IfCondition, UnlessCondition],
-    "launch.substitutions": [EqualsSubstitution, LaunchConfiguration, PathJoinSubstitution],
+    "launch.substitutions": [
+        AndSubstitution, Command, EqualsSubstitution, LaunchConfiguration, NotSubstitution,
+        PathJoinSubstitution,
+    ],
     "launch_ros": [],
     "launch_ros.actions": [Node],
     "launch_ros.parameter_descriptions": [ParameterValue],
-    "launch_ros.substitutions": [FindPackageShare],
-}
+    "launch_ros.substitutions": [ExecutableInPackage, FindPackageShare],
+}  # fmt: skip
+
+
+@pytest.fixture
+def installed():
+    """Packages of others on this machine; a test adds to it before it launches."""
+    return set()
 
 
 @pytest.fixture(autouse=True)
-def stand_ins(monkeypatch):
+def stand_ins(monkeypatch, installed):
+    def get_package_prefix(package):
+        if package not in installed:
+            raise KeyError(package)
+        return "/opt/ros/jazzy"
+
+    index = ModuleType("ament_index_python.packages")
+    index.get_package_prefix = get_package_prefix
+    monkeypatch.setitem(sys.modules, "ament_index_python.packages", index)
     for name, members in STAND_INS.items():
         module = ModuleType(name)
         for member in members:
@@ -147,7 +208,9 @@ def launch(file, **given):
                 value(node.namespace, arguments),
                 {name: value(v, arguments) for name, v in parameters.items()},
             )
-            assert node.package == "omniman_ros"
+            others = {"robot_state_publisher"}
+            assert node.package == ("omniman_ros" if node.executable not in others
+                                    else node.executable)  # fmt: skip
     return arguments, nodes
 
 
@@ -162,7 +225,7 @@ def test_every_argument_in_use_is_declared_and_every_executable_exists(file, mon
     # An argument that is not declared raises a KeyError in `launch`.
     _, nodes = launch(file)
     assert nodes
-    assert set(nodes) <= set(executables)
+    assert set(nodes) <= set(executables)  # those of others are not started by default
 
 
 @pytest.fixture
@@ -183,13 +246,17 @@ def test_platform_starts_the_simulated_drive_and_the_controller_by_default(platf
         "controller": "/share/omniman_ros/config/ur/ur5.yaml",
         "mpc": "true",
         "viewer": "false",
+        "description": "false",
     }
     assert nodes == {
         "simulated_drive": ("", {"robot": "omniman", "publish_clock": False}),
         "platform_controller": ("", {"robot": "omniman", "use_sim_time": False}),
         "path_interpolator": ("", {"robot": "omniman", "use_sim_time": False}),
+        "joint_state_broadcaster": (
+            "", {"robot": "omniman", "use_sim_time": False, "publish_description": True}
+        ),
         "mpc_planner": ("", {"robot": "omniman", "use_sim_time": False}),
-    }
+    }  # fmt: skip
 
 
 def test_platform_passes_robot_and_namespace_to_every_node(platform):
@@ -218,7 +285,9 @@ BUS = {"can.interface": "udp_multicast", "can.channel": "239.74.163.2"}
 
 def test_real_drives_have_a_bridge_with_their_installation_and_no_simulation(platform):
     _, nodes = platform(drive="real", mpc="false", installation="/mine.yaml")
-    assert set(nodes) == {"platform_controller", "path_interpolator", "can_bridge"}
+    assert set(nodes) == {
+        "platform_controller", "path_interpolator", "joint_state_broadcaster", "can_bridge"
+    }  # fmt: skip
     assert nodes["can_bridge"] == ("", {"file": "/mine.yaml", "robot": "omniman"})
 
 
@@ -235,10 +304,54 @@ def test_a_simulated_arm_has_its_controller_beside_it(platform):
     assert nodes["arm_streamer"] == nodes["simulated_ur"] == ("robot1", {})
 
 
-def test_a_real_arm_and_who_plans_for_it_have_the_controllers_file(platform):
+def test_a_real_arm_and_who_knows_its_limits_have_the_controllers_file(platform):
     _, nodes = platform(arm="ur", mpc="false", controller="/mine.yaml")
     assert "simulated_ur" not in nodes
     assert nodes["arm_streamer"] == ("", {"file": "/mine.yaml"})
     assert nodes["path_interpolator"][1] == {
         "file": "/mine.yaml", "robot": "omniman", "use_sim_time": False
     }  # fmt: skip
+    assert nodes["joint_state_broadcaster"][1]["file"] == "/mine.yaml"
+
+
+OMNIMAN = "/my ws/lib/omniman_ros/omniman"
+
+
+def test_robot_state_publisher_is_started_where_it_is_installed(platform, installed):
+    installed.add("robot_state_publisher")
+    arguments, nodes = platform()
+    assert arguments["description"] == "true"
+    assert "robot_state_publisher" in nodes
+    assert "robot_state_publisher" not in platform(description="false")[1]
+
+
+def test_robot_state_publisher_has_the_urdf_of_the_same_robot_in_the_same_namespace(platform):
+    _, nodes = platform(
+        description="true", robot="/a b/mine.yaml", namespace="robot1", use_sim_time="true"
+    )
+    namespace, parameters = nodes["robot_state_publisher"]
+    assert namespace == "robot1"
+    assert parameters["robot_description"] == [OMNIMAN, "urdf", "--robot", "/a b/mine.yaml"]
+    assert parameters["use_sim_time"] is True
+
+
+def test_the_urdf_of_a_real_arm_has_the_limits_of_the_controllers_file(platform):
+    _, nodes = platform(description="true", arm="ur", controller="/my lab.yaml")
+    command = nodes["robot_state_publisher"][1]["robot_description"]
+    assert command == [OMNIMAN, "urdf", "--robot", "omniman", "--params-file", "/my lab.yaml"]
+
+
+@pytest.mark.parametrize("arm", ["none", "simulated", "ur"])
+@pytest.mark.parametrize("described", ["true", "false"])
+def test_the_urdf_is_published_by_one_node(platform, described, arm):
+    _, nodes = platform(description=described, arm=arm)
+    ours = nodes["joint_state_broadcaster"][1]["publish_description"]
+    assert ours is not ("robot_state_publisher" in nodes)
+
+
+def test_the_command_that_launch_runs_is_one_that_prints_a_urdf(platform, capsys):
+    _, nodes = platform(description="true", arm="ur", controller=str(ROOT / "config/ur/ur5.yaml"))
+    program, *words = nodes["robot_state_publisher"][1]["robot_description"]
+    assert Path(program).name == "omniman"
+    assert main(words) == 0
+    assert xml.fromstring(capsys.readouterr().out).tag == "robot"

@@ -1,16 +1,34 @@
-"""Drive, controller, path interpolator, planner and arm of one robot.
+"""Drive, controller, path interpolator, planner, arm, and joint states of one robot.
 
 ros2 launch omniman_ros platform.launch.py robot:=ig42 namespace:=robot1
 ros2 launch omniman_ros platform.launch.py arm:=simulated
 """
 
+from ament_index_python.packages import get_package_prefix
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
 from launch.conditions import IfCondition, UnlessCondition
-from launch.substitutions import EqualsSubstitution, LaunchConfiguration, PathJoinSubstitution
+from launch.substitutions import (
+    AndSubstitution,
+    Command,
+    EqualsSubstitution,
+    LaunchConfiguration,
+    NotSubstitution,
+    PathJoinSubstitution,
+)
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
-from launch_ros.substitutions import FindPackageShare
+from launch_ros.substitutions import ExecutableInPackage, FindPackageShare
+
+
+def has_robot_state_publisher() -> bool:
+    """Whether robot_state_publisher is installed: it is not needed by the robot itself."""
+    try:
+        get_package_prefix("robot_state_publisher")
+    except LookupError:
+        return False
+    return True
+
 
 ARGUMENTS = [
     DeclareLaunchArgument(
@@ -63,6 +81,13 @@ ARGUMENTS = [
         "viewer",
         default_value="false",
         description="Whether to serve the page for a browser; needs viser",
+        choices=["true", "false"],
+    ),
+    DeclareLaunchArgument(
+        "description",
+        default_value="true" if has_robot_state_publisher() else "false",
+        description="Whether to start robot_state_publisher with the URDF; if not, the URDF alone "
+        "is on robot_description",
         choices=["true", "false"],
     ),
 ]
@@ -147,6 +172,41 @@ def generate_launch_description() -> LaunchDescription:
         ],
         condition=IfCondition(with_ur),
     )  # fmt: skip
+    # Who has the URDF puts it on robot_description: one of the two.
+    description = LaunchConfiguration("description")
+    of_joints = {
+        "robot": robot,
+        "use_sim_time": sim_time,
+        "publish_description": ParameterValue(NotSubstitution(description), value_type=bool),
+    }
+    broadcaster = {"package": "omniman_ros", "executable": "joint_state_broadcaster",
+                   "namespace": LaunchConfiguration("namespace"), "output": "screen"}  # fmt: skip
+    joint_state_broadcaster = Node(
+        **broadcaster, parameters=[of_joints], condition=UnlessCondition(with_ur)
+    )
+    joint_state_broadcaster_with_ur = Node(
+        **broadcaster,
+        parameters=[LaunchConfiguration("controller"), of_joints],
+        condition=IfCondition(with_ur),
+    )
+    # Quotes: launch splits the line into words as a shell does.
+    urdf = [
+        "'", ExecutableInPackage(executable="omniman", package="omniman_ros"), "'",
+        " urdf --robot '", LaunchConfiguration("robot"), "'",
+    ]  # fmt: skip
+    publisher = {"package": "robot_state_publisher", "executable": "robot_state_publisher",
+                 "namespace": LaunchConfiguration("namespace"), "output": "screen"}  # fmt: skip
+    robot_state_publisher = Node(
+        **publisher,
+        parameters=[{"robot_description": _text_of(urdf), "use_sim_time": sim_time}],
+        condition=IfCondition(AndSubstitution(description, NotSubstitution(with_ur))),
+    )
+    of_controller = [*urdf, " --params-file '", LaunchConfiguration("controller"), "'"]
+    robot_state_publisher_with_ur = Node(
+        **publisher,
+        parameters=[{"robot_description": _text_of(of_controller), "use_sim_time": sim_time}],
+        condition=IfCondition(AndSubstitution(description, with_ur)),
+    )
     mpc_planner = Node(
         package="omniman_ros",
         executable="mpc_planner",
@@ -176,7 +236,16 @@ def generate_launch_description() -> LaunchDescription:
             platform_controller,
             path_interpolator,
             path_interpolator_with_ur,
+            joint_state_broadcaster,
+            joint_state_broadcaster_with_ur,
+            robot_state_publisher,
+            robot_state_publisher_with_ur,
             mpc_planner,
             viewer,
         ]
     )
+
+
+def _text_of(command: list[object]) -> ParameterValue:
+    """What a command prints; without the type, launch would read a URDF as YAML."""
+    return ParameterValue(Command(command, on_stderr="warn"), value_type=str)

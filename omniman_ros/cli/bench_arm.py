@@ -52,7 +52,7 @@ PATIENT = (
     "drive.dead_wheel:=drive_on",
 )  # fmt: skip
 """Simulated parts are processes that wait for their turn; the read time-out is what is tried."""
-EXTRA = ("viewer",)
+EXTRA = ("joint_state_broadcaster", "viewer")
 """Nodes that no robot needs."""
 HARDWARE, FAVOUR = ("simulated_drive", "simulated_ur"), -10
 """A real robot's has CPUs of its own; niceness of the simulated one, where it is permitted."""

@@ -45,6 +45,7 @@ NODES = (
     NodeKind("platform_controller", stage=0),
     NodeKind("path_interpolator", stage=0),
     NodeKind("mpc_planner", stage=0, is_available=planning_availability.is_available),
+    NodeKind("joint_state_broadcaster", stage=0, essential=False),
     NodeKind("simulated_drive", stage=1, sim_time="publish_clock", drives=("simulated",)),
     NodeKind("can_bridge", stage=1, drives=("can", "real")),
     NodeKind("simulated_can_drives", stage=2, drives=("can",)),
@@ -52,6 +53,9 @@ NODES = (
     NodeKind("simulated_ur", stage=2, arms=("simulated",)),
     NodeKind("viewer", stage=0, is_available=viewer_availability.is_available, essential=False),
 )
+
+KNOW_THE_ARM = ("path_interpolator", "joint_state_broadcaster")
+"""They plan within the arm's limits, or tell them, and get what its controller's file says."""
 
 PATIENCE = (
     "-p", "can.missed_periods:=40", "-p", "can.drive_heartbeat:=0.1",
@@ -146,7 +150,7 @@ def _ros_arguments(kind: NodeKind, robot: str, setup: Setup, of_arm: Sequence[st
         arguments += ["--params-file", installation_file(setup.installation)]
         if setup.drive == "can":
             arguments += [*private_bus(), *PATIENCE]
-    if kind.arms or kind.name == "path_interpolator":  # which plans within the arm's limits
+    if kind.arms or kind.name in KNOW_THE_ARM:
         arguments += of_arm
     if setup.params_file is not None:
         arguments += ["--params-file", setup.params_file]

@@ -14,6 +14,7 @@ NODES = {
     "arm_streamer": "ArmStreamerParameters",
     "path_interpolator": "PathInterpolatorParameters",
     "mpc_planner": "MpcPlannerParameters",
+    "joint_state_broadcaster": "JointStateBroadcasterParameters",
     "viewer": "ViewerParameters",
 }
 """Executable, which is also its module here, and the dataclass of its parameters there."""

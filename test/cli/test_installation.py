@@ -7,7 +7,9 @@ from omniman_ros.cli.installation import FIRST_PORT, MULTICAST, installation_fil
 from omniman_ros.cli.main import main, make_parser
 
 BRIDGE, DRIVES = "can_bridge", "simulated_can_drives"
-EVERYWHERE = {"platform_controller", "path_interpolator", "mpc_planner", "viewer"}
+EVERYWHERE = {
+    "platform_controller", "path_interpolator", "mpc_planner", "joint_state_broadcaster", "viewer",
+}  # fmt: skip
 
 
 def by_name(**options):

@@ -176,3 +176,15 @@ def test_the_simulated_controller_shares_nothing_with_its_client(path):
             assert below(name, "omniman_ros.core", "omniman_ros.simulated_ur"), name
         elif path.stem not in WITH_SOCKETS:
             assert name.split(".")[0] not in {"socket", "select", "threading", "time", "rclpy"}
+
+
+DESCRIPTION = sorted((PACKAGE / "description").glob("**/*.py"))
+
+
+@pytest.mark.parametrize("path", DESCRIPTION, ids=lambda path: path.stem)
+def test_the_description_imports_core_itself_and_xml_only(path):
+    for name in imports(path):
+        if below(name, "omniman_ros"):
+            assert below(name, "omniman_ros.core", "omniman_ros.description"), name
+        else:
+            assert name.split(".")[0] in CORE_MODULES | {"xml"}, name
