@@ -44,6 +44,13 @@ class UrParameters:
     gain: float = parameter(
         300.0, "servoj: proportional gain.", low=100, high=2000, read_only=True
     )
+    servo_lag: float = parameter(
+        0.042, "By how much the arm is behind its setpoints (lookahead, joints, transport): they "
+        "are sent so much ahead, so that it is in time. To find it: add the time by which "
+        "arm/joint_states are behind arm/joint_reference in steady motion (the demo tells that of "
+        "its arm: behind by).",
+        unit="s", low=0, high=0.3, read_only=True,
+    )  # fmt: skip
     read_timeout: float = parameter(
         0.04, "Time without a setpoint after which the program stops the arm.", unit="s",
         low=0.016, high=0.2, read_only=True,

@@ -30,6 +30,8 @@ SILENT_PERIODS = 2.0
 """After so many periods of the previews without another, their source is silent."""
 SAME = 2e-3
 """Begins of previews nearer to each other are one [s]: clocks are compared to no better."""
+STEEP = 0.55
+"""The same as FIRM for motions that gather speed as fast as they may, and are joined under way."""
 SOON = 0.3
 """A preview that is joined gently in less time than this is joined gently [s]."""
 CHECKED = 1.0
@@ -50,9 +52,12 @@ class StreamSettings:
 
     Attributes:
         start_distance: How far from the setpoint a preview may be when it comes [rad].
+        lead: By how much the arm is behind its setpoints [s]: they are sent so much before their
+            times. Fixed.
     """
 
     start_distance: float
+    lead: float = 0.0
 
 
 class JointStream:
@@ -61,6 +66,9 @@ class JointStream:
     A preview is trusted to its end. It is braked on while it lasts if its source has been silent
     for two of its periods and the rest is just long enough; else at its end, straight on. The next
     preview goes on from there if it is near enough; what is further away is refused.
+
+    Each setpoint is that of the time at which the arm will be there, a lead after it is sent. A
+    motion that begins earlier than that is joined under way.
 
     Args:
         limits: Of the joints; each setpoint is checked by a :class:`JointGuard`.
@@ -80,7 +88,8 @@ class JointStream:
         self._period = period
         self._allowed = False
         self._reference: Reference | None = None
-        self._time = self._at = 0.0  # of the last setpoint: on the clock, on the reference
+        # Of the last setpoint, when the arm is there: on the clock, on the reference.
+        self._time = self._at = 0.0
         self._rate, self._each = 1.0, False
         self._newest = -math.inf
         self._arrived, self._interval = -math.inf, math.inf
@@ -120,7 +129,7 @@ class JointStream:
         """
         first = self._guard.begin(measured)
         self._rest()
-        self._time, self._allowed = now, True
+        self._time, self._allowed = now + self.settings.lead, True
         return first
 
     def preview(self, preview: JointPreview, now: float) -> None:
@@ -144,8 +153,9 @@ class JointStream:
         self._demand_near(preview, begin, before(begin)[0])
         reference = self._joining(preview, begin, before)
         if preview.start > self._newest:  # one that is repeated is no sign of life
-            self._interval = max(now - self._arrived, preview.start - self._newest)
-            self._arrived = now
+            arrived = now + self.settings.lead
+            self._interval = max(arrived - self._arrived, preview.start - self._newest)
+            self._arrived = arrived
         self._newest, self._reference = preview.start, reference
         # On the preview, the last setpoint is where its time is.
         self._at, self._rate, self.state = self._time, 1.0, StreamState.FOLLOWING
@@ -154,15 +164,15 @@ class JointStream:
     def _joining(self, preview: JointPreview, begin: float, before: Motion) -> Reference:
         """Return a way onto a preview that the guard lets pass."""
         limits = self._guard.limits.acceleration
-        gentle, firm = (
+        gentle, firm, steep = (
             Reference(preview, begin, before, share * limits, self._period)
-            for share in (GENTLE, FIRM)
+            for share in (GENTLE, FIRM, STEEP)
         )
         count = max(int(min(preview.end - self._time, CHECKED) / self._period), 1)
         steps: Array = self._time + self._period * np.arange(1.0, count + 1.0)
         soon = gentle.joined - begin <= SOON
         why: GuardError | None = None
-        for reference in (gentle, firm) if soon else (firm, gentle):
+        for reference in (gentle, firm, steep) if soon else (firm, gentle, steep):
             try:
                 self._guard.examine(reference.positions_at(steps))
             except GuardError as error:
@@ -214,10 +224,10 @@ class JointStream:
         self._allowed = True
 
     def tick(self, now: float, measured: Array | None) -> Array:
-        """Return the setpoint (n,) [rad] of a time [s].
+        """Return the setpoint (n,) [rad] to send at a time [s].
 
         Args:
-            now: One period after the last.
+            now: When it is sent, one period after the last.
             measured: Joint angles (n,) [rad]; None while they are not known and it brakes.
 
         Raises:
@@ -225,7 +235,7 @@ class JointStream:
                 call again with `measured` None.
         """
         reference = self._reference
-        self._time = now
+        now = self._time = now + self.settings.lead
         if reference is None:
             return self._checked(self.setpoint, measured)
         if self.state is StreamState.FOLLOWING and self._runs_out(reference, now):
@@ -240,7 +250,8 @@ class JointStream:
 
     def _runs_out(self, reference: Reference, now: float) -> bool:
         if now >= reference.end:
-            return bool(np.abs(reference.sample(now)[1]).max() > 0.0)
+            # At rest there, what is left of joining it is gone on with.
+            return bool(np.abs(reference.preview.sample(now)[1]).max() > 0.0)
         if now - self._arrived <= SILENT_PERIODS * self._interval:
             return False
         limits = BRAKE_SHARE * self._guard.limits.acceleration

@@ -90,7 +90,7 @@ class ArmStreamer:
     def __init__(self, link: Link, arm: ArmParameters, ur: UrParameters) -> None:
         self._link = link
         self._stream = JointStream(
-            joint_limits(arm, ur), StreamSettings(ur.start_distance), PERIOD
+            joint_limits(arm, ur), StreamSettings(ur.start_distance, ur.servo_lag), PERIOD
         )
         self._ur = ur
         self.phase = Phase.IDLE
@@ -218,7 +218,7 @@ class ArmStreamer:
         """Send the setpoint of a time.
 
         Args:
-            due: One period after the last [s].
+            due: One period after the last [s]; the setpoint is that of `ur.servo_lag` later.
             now: Time [s].
         """
         if self.phase not in (Phase.STREAMING, Phase.ENDING):

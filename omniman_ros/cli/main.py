@@ -185,8 +185,9 @@ def add_reproduce(parser: argparse.ArgumentParser) -> None:
     """Arguments of `omniman reproduce`."""
     parser.add_argument(
         "name", nargs="?", default="coupling",
-        choices=["coupling", "free", "corridor", "moving", "workshop", "scenes"],
+        choices=["coupling", "tool_path", "free", "corridor", "moving", "workshop", "scenes"],
         help="coupling: CCTA 2017 Fig. 7, coupling control on and off; the default. "
+        "tool_path: platform and arm in step, with the arm's correction and without. "
         "free, corridor, moving: the cases of MPC 2021. workshop: rooms and doors, with a map. "
         "scenes: random ones",
     )  # fmt: skip
@@ -196,7 +197,9 @@ def add_reproduce(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seed", type=int, default=0, help="of random wheels, of noisy observations; %(default)s"
     )
-    parser.add_argument("--robot", help=f"{ROBOT}; default: omniman for coupling, else ig42")
+    parser.add_argument(
+        "--robot", help=f"{ROBOT}; default: omniman for coupling and tool_path, else ig42"
+    )
     add_results(parser)
     scenes = parser.add_argument_group("of scenes only")
     scenes.add_argument("--count", type=int, help="how many, from seed 0 on; default: 240")
@@ -290,6 +293,20 @@ IDENTIFIED: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
 """Subject: help, arguments."""
 
 
+def add_urdf(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `omniman urdf`."""
+    add_robot(parser)
+    parser.add_argument(
+        "-p", "--param", action="append", default=[], metavar="NAME:=VALUE",
+        help="a parameter of the robot, of its arm or of the mount; may be repeated",
+    )  # fmt: skip
+    parser.add_argument(
+        "--params-file", metavar="FILE",
+        help="a ROS parameter file, such as that of the arm's controller",
+    )  # fmt: skip
+    parser.add_argument("--output", metavar="FILE", help="where it goes; default: printed")
+
+
 def add_parameters(parser: argparse.ArgumentParser) -> None:
     """Arguments of `omniman parameters`."""
     parser.add_argument(
@@ -306,6 +323,7 @@ COMMANDS: dict[str, tuple[str, str, Callable[[argparse.ArgumentParser], None]]] 
     "demo": ("demo", "a simulated robot drives and is measured, in a minute", add_demo),
     "identify": ("identify", "find out by drives what the robot is really like", add_identify),
     "parameters": ("parameters", "list the parameters of the nodes", add_parameters),
+    "urdf": ("urdf", "print the robot's description for RViz and MoveIt", add_urdf),
     "reproduce": ("reproduce", "repeat a paper's experiment in simulation", add_reproduce),
     "bench": ("bench", "measure how fast the control is", add_bench),
 }

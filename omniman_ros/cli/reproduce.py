@@ -1,7 +1,8 @@
 """`omniman reproduce`: the papers' experiments on the simulated robot.
 
 `coupling` is CCTA 2017, Fig. 7; `free`, `corridor` and `moving` are the cases of MPC 2021;
-`workshop` has a map, `scenes` are random ones that the planner's node is driven through.
+`workshop` has a map, `scenes` are random ones that the planner's node is driven through;
+`tool_path` has platform and arm in step, CCTA 2017 V.A.
 """
 
 import argparse
@@ -16,7 +17,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from omniman_ros.cli import results
+from omniman_ros.cli import reproduce_tool_path, results
 from omniman_ros.cli.errors import CommandError
 from omniman_ros.cli.progress import Progress
 from omniman_ros.cli.terminal import GREEN, RED, paint, say, table
@@ -59,7 +60,7 @@ from omniman_ros.studies.workshop import workshop
 NAME = "reproduce_coupling"
 ROBOTS = {
     "coupling": "omniman", "free": "ig42", "corridor": "ig42", "moving": "ig42",
-    "workshop": "ig42", "scenes": "ig42",
+    "workshop": "ig42", "scenes": "ig42", "tool_path": "omniman",
 }  # fmt: skip
 """The robot of each experiment, where none is named."""
 OF_SCENES = ("count", "seeds", "jobs", "solve_time")
@@ -71,7 +72,7 @@ def run(args: argparse.Namespace) -> int:
 
     Returns:
         0; of an MPC case 1 if a drive did not reach its goal or touched an obstacle, of the scenes
-        if an aim was missed.
+        and the tool's paths if an aim was missed.
     """
     if args.seed < 0:
         raise CommandError(f"--seed must be 0 or more, got {args.seed}", code=2)
@@ -83,6 +84,8 @@ def run(args: argparse.Namespace) -> int:
     given = [name for name in OF_SCENES if getattr(args, name, None) is not None]
     if given:
         raise CommandError(f"--{given[0].replace('_', '-')} is of scenes only", code=2)
+    if args.name == "tool_path":
+        return reproduce_tool_path.run(args)
     return _coupling(args) if args.name == "coupling" else _case(args)
 
 

@@ -345,3 +345,84 @@ def test_whatever_comes_the_limits_hold_and_it_ends_at_rest(size, omega, length,
     assert np.abs(run.velocities).max() <= 3.0 * (1 + 1e-6)
     assert np.abs(run.accelerations).max() <= ACCELERATION * (1 + 1e-6)
     assert not run.velocities[-1].any()
+
+
+LEAD = 0.042
+
+
+def leading(lead=LEAD):
+    """A stream whose arm is so much behind its setpoints [s]."""
+    run = Run()
+    run.stream = JointStream(limits(), StreamSettings(0.05, lead), DT)
+    run.sent = [run.stream.begin(HOME, run.now)]
+    return run
+
+
+def gathering(jerk=50.0, top=ACCELERATION):
+    """All joints gather speed as fast as they may: q, q', q'' of a time [s]."""
+    ramp = top / jerk
+
+    def motion(t):
+        t = max(t, 0.0)
+        u, w = min(t, ramp), max(t - ramp, 0.0)
+        v = 0.5 * jerk * u * u
+        q = jerk * u**3 / 6.0 + v * w + 0.5 * top * w * w
+        one = np.ones(N)
+        return HOME + q * one, (v + top * w) * one, jerk * u * one
+
+    return motion
+
+
+def test_setpoints_are_those_of_the_time_at_which_the_arm_is_there():
+    run, motion = leading(), swing(bend=0.0)
+    run.follow(motion, 1.0)
+    expected = [motion(t + LEAD - T0)[0] for t in run.times]
+    assert np.allclose(run.sent[60:], expected[60:], rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("ahead", [0.0, 0.012, 0.024, 0.04, 0.06])
+def test_a_motion_that_begins_sooner_than_the_arm_can_be_there_is_joined_under_way(ahead):
+    run, motion = leading(), gathering()
+    for k in range(30):
+        if k % 5 == 0:  # none of them is refused
+            late = preview(lambda t: motion(t - ahead), run.now, length=0.4)
+            run.stream.preview(late, run.now)
+        run.tick()
+    expected = [motion(t + LEAD - ahead - T0)[0] for t in run.times]
+    off = np.abs(np.array(run.sent) - expected).max(axis=1)
+    assert off.max() < 2e-3
+    assert off[-8:].max() < 1e-5
+    assert np.abs(run.accelerations).max() <= ACCELERATION + 1e-6
+
+
+def test_an_end_that_the_setpoints_have_passed_is_gone_to():
+    run = leading()
+    times = np.array([T0, T0 + 0.02])
+    run.stream.preview(JointPreview(times, np.array([HOME, HOME + 0.01]), np.zeros((2, N))), T0)
+    run.tick(40)
+    assert run.stream.at_rest
+    assert run.sent[-1] == pytest.approx(HOME + 0.01, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("start", "why"), [(-0.001, "over"), (1.001, "ahead")], ids=["old", "far ahead"]
+)
+def test_a_preview_is_judged_by_the_time_at_which_it_comes(start, why):
+    def still(at):
+        return JointPreview(np.array([T0 + at]), HOME[None], np.zeros((1, N)))
+
+    with pytest.raises(InputError, match=why):
+        leading().stream.preview(still(start), T0)
+    leading().stream.preview(still(0.001), T0)
+    leading().stream.preview(still(0.999), T0)
+
+
+def test_a_silent_source_is_noticed_as_soon_with_a_lead_as_without():
+    def braked(run):
+        run.follow(swing(bend=0.0), 0.6, length=0.15)
+        while run.stream.state is StreamState.FOLLOWING:
+            run.tick()
+        return run.now
+
+    # On the same way, only so much sooner as the way is left sooner.
+    assert braked(Run()) - braked(leading()) == pytest.approx(LEAD, abs=2 * DT)

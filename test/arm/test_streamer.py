@@ -410,3 +410,17 @@ def test_the_age_of_a_setpoint_is_that_of_the_one_that_was_read(rig):
     rig.now += 0.001
     rig.hear()
     assert list(rig.streamer.ages) == pytest.approx([0.001 + 3 * PERIOD - 0.0002], abs=1e-6)
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.042, 0.1])
+def test_setpoints_are_ahead_of_the_preview_by_the_servos_lag(lag):
+    rig = Rig(servo_lag=lag).streaming()
+    rig.cycle(3)
+    begin = rig.now
+    rig.preview(to=0.2, seconds=2.0)
+    rig.cycle(120)
+    u = (rig.now - begin + lag) / 2.0
+    way = 0.2 * (10 * u**3 - 15 * u**4 + 6 * u**5)
+    assert np.array(rig.link.sent[-1][1:7]) * 1e-6 == pytest.approx(
+        HOME + way * np.ones(6), abs=1e-5
+    )

@@ -39,3 +39,17 @@ class ToolPathOptions:
         "distance from the arm's first axis over the arm's length.", low=0.01, high=0.5,
     )  # fmt: skip
     max_poses: int = parameter(20000, "Most poses of a path.", low=1, high=1000000)
+    correction: bool = parameter(
+        True, "Whether the arm takes the platform's measured tracking error out."
+    )
+    correction_bandwidth: float = parameter(
+        20.0, "Bandwidth of the filter of that error; lower where coarse encoders shake the arm.",
+        unit="rad/s", low=0.5, high=100,
+    )  # fmt: skip
+    max_error: float = parameter(
+        0.05, "Tracking error of the platform at which the path is given up; from half of it on "
+        "the motion is slowed.", unit="m", low=0.001, high=0.5,
+    )  # fmt: skip
+    max_heading_error: float = parameter(
+        0.1, "The same for its heading.", unit="rad", low=0.001, high=0.5
+    )

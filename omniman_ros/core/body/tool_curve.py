@@ -1,0 +1,304 @@
+"""A Cartesian path of the tool as a curve with a continuous second derivative.
+
+Coordinates are x, y, z [m], psi, swing_x, swing_y [rad] with R = Rz(psi) exp(swing) R0, where R0
+is the first orientation and the swing's axis is horizontal: swing and twist about the vertical.
+So psi takes any number of turns, which the platform can follow, and only a tool that is turned
+upside down against the first pose has no coordinates.
+
+The parameter u is a way [m]: between two poses the larger of the tool's way and of LEVER times
+what psi and swing change.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omniman_ros.core.body.parameters import ToolPathOptions
+from omniman_ros.core.errors import InputError
+from omniman_ros.core.path import polyline
+from omniman_ros.core.path.axes import AxisGroup, largest
+from omniman_ros.core.path.curve import Curve
+
+Array = NDArray[np.float64]
+
+Shares = tuple[float, float, float]
+
+LEVER = 0.4
+"""Way that a turn is worth [m/rad]."""
+FINE, COARSE = (0.25, 0.5, 0.2), (0.7, 0.2, 0.08)
+"""Shares of the tolerance: of poses that are left out, of corners, of the average over u."""
+PAYS = 0.5
+"""Coarse is chosen where no more than this share of the poses is left: they are noisy."""
+BEND = 0.25
+"""A bend that needs no parabola longer than its straights [1/m]."""
+LONGEST_WINDOW = 0.02
+"""Of the average [m]."""
+UPSIDE_DOWN = 3.0
+"""Largest swing [rad]: near pi its axis jumps."""
+SMALL = 1e-5
+"""Below this a swing [rad] is not divided by."""
+
+
+class ToolCurve:
+    """Coordinates as piecewise cubic polynomials in u, two times continuously differentiable.
+
+    Corners are rounded by parabolas, and the result is averaged over a window in u; at both ends
+    the path is mirrored in its end, so that it stays there.
+
+    Args:
+        poses: (k, 4, 4) rigid transforms, k >= 2; the first is where the tool is.
+        options: Tolerances.
+        frame: (4, 4) the frame in which the poses are seen; only :meth:`place` asks for it.
+
+    Attributes:
+        given: (k, 6) coordinates of the poses.
+        knots: (p + 1,) [m], from 0; the third derivative is constant between them.
+
+    Raises:
+        InputError: All poses are one, or one is turned upside down against the first.
+    """
+
+    def __init__(self, poses: Array, options: ToolPathOptions, frame: Array | None = None) -> None:
+        self._frame: Array = np.eye(4) if frame is None else frame
+        self._first: Array = poses[0, :3, :3].copy()
+        self.given: Array = coordinates(poses)
+        kept, (_, rounded, averaged) = self._kept(options)
+        points = self.given[kept]
+        room = rounded * options.tolerance, rounded * options.angular_tolerance / math.sqrt(2.0)
+        groups = (
+            AxisGroup((0, 1, 2), 1.0, BEND, 1.0, room[0]),
+            AxisGroup((3, 4, 5), 1.0 / LEVER, BEND / LEVER, 1.0, room[1]),
+        )
+        steps = np.diff(points, axis=0)
+        spans = largest(groups, steps, [group.velocity for group in groups])
+        self._kept_at = np.concatenate([[0.0], np.cumsum(spans)])
+        self._kept_index = kept
+        curve = Curve(points, groups, room)
+        self.knots, self._values, self._slopes, self._bends = _averaged(
+            curve, options, groups, averaged
+        )
+        self._values[0], self._values[-1] = points[0], points[-1]
+        self._jerks: Array = np.diff(self._bends, axis=0) / np.diff(self.knots)[:, None]
+
+    @property
+    def end(self) -> float:
+        """Largest u [m]."""
+        return float(self.knots[-1])
+
+    def at(self, u: Array) -> Array:
+        """Coordinates (m, 6) at u (m,), held at the ends."""
+        return self.derivatives(u, 0)[0]
+
+    def derivatives(self, u: Array, order: int) -> list[Array]:
+        """Coordinates and their derivatives up to an order of at most 2, each (m, 6)."""
+        u = np.clip(u, 0.0, self.end)
+        i = np.searchsorted(self.knots[1:-1], u, side="right")
+        s = (u - self.knots[i])[:, None]
+        value, slope, bend, jerk = (
+            table[i] for table in (self._values, self._slopes, self._bends, self._jerks)
+        )
+        result = [value + s * (slope + s * (0.5 * bend + s * jerk / 6.0))]
+        if order > 0:
+            result.append(slope + s * (bend + 0.5 * s * jerk))
+        if order > 1:
+            result.append(bend + s * jerk)
+        return result
+
+    def pose(self, u: Array) -> Array:
+        """Poses (m, 4, 4) of the tool at u (m,)."""
+        return self._pose(self.at(u))
+
+    def motion(self, u: Array) -> tuple[Array, Array, Array]:
+        """Poses (m, 4, 4), and twist (m, 6) per u and its derivative by u.
+
+        The twist is the velocity of the tool's origin and the turn rate, as in the Jacobian.
+        """
+        c, first, second = self.derivatives(u, 2)
+        pose = self._pose(c)
+        turn = _upright(c[:, 3])
+        swing, rate, rise = c[:, 4:], first[:, 4:], second[:, 4:]
+        step = SMALL
+        ahead = _swing_rate(swing + step * (rate + 0.5 * step * rise), rate + step * rise)
+        behind = _swing_rate(swing - step * (rate - 0.5 * step * rise), rate - step * rise)
+        spin = _rotated(turn, _swing_rate(swing, rate))
+        change = _rotated(turn, (ahead - behind) / (2.0 * step))
+        psi = first[:, 3:4]
+        omega = spin.copy()
+        omega[:, 2:] += psi
+        # psi' z x spin, and psi'' about z.
+        change[:, 0] -= psi[:, 0] * spin[:, 1]
+        change[:, 1] += psi[:, 0] * spin[:, 0]
+        change[:, 2] += second[:, 3]
+        return pose, np.hstack([first[:, :3], omega]), np.hstack([second[:, :3], change])
+
+    def length(self) -> float:
+        """The way of the tool's origin [m]; Simpson's rule on each piece."""
+        spans = np.diff(self.knots)
+        middle = self.derivatives(self.knots[:-1] + 0.5 * spans, 1)[1]
+        speeds = [np.linalg.norm(part[:, :3], axis=1) for part in (self._slopes, middle)]
+        ends, inner = speeds[0][:-1] + speeds[0][1:], speeds[1]
+        return float((spans * (ends + 4.0 * inner)).sum() / 6.0)
+
+    def place(self, u: float) -> Array:
+        """Position (3,) of the tool at u outside the frame [m]."""
+        result: Array = (self._frame @ self.pose(np.array([u])))[0, :3, 3]
+        return result
+
+    def pose_index(self, u: float) -> int:
+        """Index of the given pose that is nearest to u on the piece of the path that u is on."""
+        i = int(np.clip(np.searchsorted(self._kept_at, u) - 1, 0, len(self._kept_at) - 2))
+        first, last = int(self._kept_index[i]), int(self._kept_index[i + 1])
+        away = self.given[first : last + 1] - self.at(np.array([u]))
+        away[:, 3:] *= LEVER
+        return first + int((away * away).sum(axis=1).argmin())
+
+    def _kept(self, options: ToolPathOptions) -> tuple[NDArray[np.intp], Shares]:
+        """Indices of the poses that are kept, and the shares of the tolerance."""
+        scale = np.repeat(
+            [options.tolerance / math.sqrt(3.0), options.angular_tolerance / math.sqrt(6.0)], 3
+        )
+        # The index goes along as a coordinate that does not count.
+        rows = np.column_stack([self.given, np.arange(len(self.given))])
+        rows = polyline.distinct(rows, np.append(scale, np.inf))
+        if len(rows) < 2:
+            raise InputError("nothing to do: the tool is there already")
+        kept = []
+        for shares in (FINE, COARSE):
+            less = polyline.simplified(rows, np.append(shares[0] * scale, np.inf))
+            less = polyline.distinct(less, np.append(scale, np.inf))
+            kept.append((less[:, 6].astype(np.intp), shares))
+        fine, coarse = kept
+        return coarse if 2 <= len(coarse[0]) <= PAYS * len(fine[0]) else fine
+
+    def _pose(self, c: Array) -> Array:
+        result = np.zeros((len(c), 4, 4))
+        result[:, :3, :3] = _upright(c[:, 3]) @ _tilted(c[:, 4:]) @ self._first
+        result[:, :3, 3] = c[:, :3]
+        result[:, 3, 3] = 1.0
+        return result
+
+
+def coordinates(poses: Array) -> Array:
+    """Coordinates (k, 6) of poses (k, 4, 4), psi unwrapped from 0 on.
+
+    Raises:
+        InputError: One is turned upside down against the first.
+    """
+    turned = poses[:, :3, :3] @ poses[0, :3, :3].T
+    swing = np.arctan2(np.hypot(turned[:, 0, 2], turned[:, 1, 2]), turned[:, 2, 2])
+    if float(swing.max()) > UPSIDE_DOWN:
+        worst = int(swing.argmax())
+        raise InputError(
+            f"pose {worst - 1} of the path tilts the tool by {swing[worst]:.3g} rad against where "
+            f"it is now, at most {UPSIDE_DOWN:g} rad"
+        )
+    # Of Rz(psi) times a symmetric block whose trace is positive.
+    psi = np.arctan2(turned[:, 1, 0] - turned[:, 0, 1], turned[:, 0, 0] + turned[:, 1, 1])
+    psi = np.unwrap(psi)
+    tilt = np.swapaxes(_upright(psi), 1, 2) @ turned
+    # The tilt's axis is horizontal, its third column is (sin n_y, -sin n_x, cos).
+    ratio = np.where(swing > SMALL, swing / np.maximum(np.sin(swing), 1e-12), 1.0)
+    return np.column_stack([poses[:, :3, 3], psi, -tilt[:, 1, 2] * ratio, tilt[:, 0, 2] * ratio])
+
+
+def _upright(angle: Array) -> Array:
+    """Turns (k, 3, 3) about the vertical."""
+    result = np.zeros((len(angle), 3, 3))
+    result[:, 0, 0] = result[:, 1, 1] = np.cos(angle)
+    result[:, 1, 0] = np.sin(angle)
+    result[:, 0, 1] = -result[:, 1, 0]
+    result[:, 2, 2] = 1.0
+    return result
+
+
+def _parts(square: Array) -> tuple[Array, Array]:
+    """Of angles squared: sin a / a and (1 - cos a) / a^2."""
+    angle = np.sqrt(square)
+    half = np.sinc(angle / math.tau)
+    return np.sinc(angle / math.pi), 0.5 * half * half
+
+
+def _tilted(swing: Array) -> Array:
+    """Turns (k, 3, 3) by horizontal rotation vectors (k, 2), Rodrigues."""
+    x, y = swing.T
+    sine, versine = _parts(x * x + y * y)
+    result = np.empty((len(swing), 3, 3))
+    result[:, 0, 0] = 1.0 - versine * y * y
+    result[:, 0, 1] = result[:, 1, 0] = versine * x * y
+    result[:, 0, 2] = sine * y
+    result[:, 2, 0] = -result[:, 0, 2]
+    result[:, 1, 1] = 1.0 - versine * x * x
+    result[:, 1, 2] = -sine * x
+    result[:, 2, 1] = -result[:, 1, 2]
+    result[:, 2, 2] = 1.0 - versine * (x * x + y * y)
+    return result
+
+
+def _swing_rate(swing: Array, rate: Array) -> Array:
+    """Turn rate (k, 3) of exp(swing) for the rate of the swing, each (k, 2); seen from outside."""
+    x, y = swing.T
+    sine, versine = _parts(x * x + y * y)
+    square = np.maximum(x * x + y * y, 1e-300)
+    rest = np.where(square > SMALL, (1.0 - sine) / square, 1.0 / 6.0)
+    along = rest * (x * rate[:, 0] + y * rate[:, 1])
+    return np.column_stack(
+        [
+            sine * rate[:, 0] + along * x, sine * rate[:, 1] + along * y,
+            versine * (x * rate[:, 1] - y * rate[:, 0]),
+        ]
+    )  # fmt: skip
+
+
+def _rotated(turn: Array, vectors: Array) -> Array:
+    result: Array = (turn @ vectors[:, :, None])[:, :, 0]
+    return result
+
+
+def _averaged(
+    curve: Curve, options: ToolPathOptions, groups: tuple[AxisGroup, AxisGroup], share: float
+) -> tuple[Array, Array, Array, Array]:
+    """Knots (p + 1,), values, slopes, bends (p + 1, 6) of a curve's average over a window.
+
+    From q'' with the kernels K(s) = (w/2 - |s|)^2 / (2 w) for q, -K' for q', 1/w for q''.
+    """
+    window = min(LONGEST_WINDOW, 0.25 * curve.end)
+    for group, tolerance in zip(
+        groups, (options.tolerance, options.angular_tolerance / math.sqrt(2.0)), strict=True
+    ):
+        bend = float(group.norm(curve.bends).max())
+        window = min(window, math.sqrt(24.0 * share * tolerance / max(bend, 1e-9)))
+    half = 0.5 * window
+    knots, bends = curve.knots, curve.bends
+    head = int(np.searchsorted(knots, half, side="right"))
+    tail = int(np.searchsorted(knots, curve.end - half))
+    edges = np.concatenate([-knots[head:0:-1], knots, 2.0 * curve.end - knots[tail:-1][::-1]])
+    pieces = np.vstack([-bends[:head][::-1], bends, -bends[tail:][::-1]])
+    inner = np.unique(np.concatenate([edges - half, edges + half]))
+    apart = 1e-3 * window
+    inner = inner[(inner > apart) & (inner < curve.end - apart)]
+    at = np.concatenate([[0.0], inner, [curve.end]])
+    at = at[np.concatenate([[True], np.diff(at) > 1e-12])]
+    at[-1] = curve.end
+    value, slope = curve.at(at), curve.slope(at)
+    rise: Array = np.zeros((len(at), 6))
+    first = np.maximum(np.searchsorted(edges, at - half, side="right") - 1, 0)
+    last = np.minimum(np.searchsorted(edges, at + half, side="left"), len(pieces))
+    for offset in range(int((last - first).max())):
+        i = first + offset
+        inside = i < last
+        i = np.minimum(i, len(pieces) - 1)
+        low = np.clip(edges[i] - at, -half, half)
+        high = np.clip(edges[i + 1] - at, -half, half)
+        part = np.where(inside[:, None], pieces[i], 0.0)
+        value += part * ((_doubled(high, half) - _doubled(low, half)) / (2.0 * window))[:, None]
+        lift = ((half - np.abs(high)) ** 2 - (half - np.abs(low)) ** 2) / (2.0 * window)
+        slope -= part * lift[:, None]
+        rise += part * ((high - low) / window)[:, None]
+    return at, value, slope, rise
+
+
+def _doubled(s: Array, half: float) -> Array:
+    """Antiderivative of (half - |s|)^2, 0 at 0."""
+    result: Array = np.sign(s) * (half**3 - (half - np.abs(s)) ** 3) / 3.0
+    return result
