@@ -5,11 +5,14 @@ from collections.abc import Sequence
 
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
+from geometry_msgs.msg import Pose
+from nav_msgs.msg import Path
 from numpy.typing import NDArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from omniman_ros.arm.joint_preview import MAX_POINTS
-from omniman_ros.conversions import some_names, time_seconds
+from omniman_ros.conversions import UNIT_TOLERANCE, check_frame, some_names, time_seconds
+from omniman_ros.core import plausible
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.path.interpolator import Window
 from omniman_ros.core.path.joint_points import JointPoints
@@ -74,6 +77,80 @@ def joint_points(message: JointTrajectory, names: Sequence[str], most: int) -> J
     if positions is None:
         raise InputError("points without positions")
     return JointPoints(columns, times if times.any() else None, positions, *arrays)
+
+
+def tool_poses(message: Path, frames: Sequence[str], here: Array) -> Array:
+    """Poses (k, 4, 4) of a path of the tool.
+
+    Args:
+        message: The path; poses without a frame of their own are in the path's.
+        frames: Frames that are taken for odom.
+        here: (3, 3) orientation of poses whose quaternion is all zeros.
+
+    Raises:
+        InputError: Wrong frame, no pose, or one that is not finite or no rotation; it is named.
+    """
+    check_frame(message.header.frame_id, *frames)
+    for frame in {pose.header.frame_id for pose in message.poses} - {"", message.header.frame_id}:
+        check_frame(frame, *frames)
+    if not message.poses:
+        raise InputError("an empty path; ~/cancel ends the one that is driven")
+    poses = [stamped.pose for stamped in message.poses]
+    places = np.array([(pose.position.x, pose.position.y, pose.position.z) for pose in poses])
+    plausible.demand(places, plausible.LENGTH, "positions")
+    turns = np.array(
+        [(p.orientation.x, p.orientation.y, p.orientation.z, p.orientation.w) for p in poses]
+    )
+    lengths = np.sqrt((turns * turns).sum(axis=1))
+    given = lengths != 0.0
+    strange = given & ~(np.abs(lengths - 1.0) <= UNIT_TOLERANCE)
+    if strange.any():
+        i = int(strange.argmax())
+        raise InputError(f"pose {i}: quaternion of length {lengths[i]:.4g}, expected 1 or 0")
+    result = np.zeros((len(poses), 4, 4))
+    result[:, :3, :3] = here
+    result[given, :3, :3] = rotations(turns[given] / lengths[given, None])
+    result[:, :3, 3], result[:, 3, 3] = places, 1.0
+    return result
+
+
+def rotations(turns: Array) -> Array:
+    """Rotation matrices (k, 3, 3) of quaternions (k, 4) x, y, z, w of unit length."""
+    x, y, z, w = turns.T
+    rows = [
+        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
+        [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
+        [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), 2, 0)
+
+
+def fill_pose(message: Pose, pose: Array) -> None:
+    """Write a pose (4, 4) into a message."""
+    place, turn = message.position, message.orientation
+    place.x, place.y, place.z = (float(value) for value in pose[:3, 3])
+    turn.x, turn.y, turn.z, turn.w = (float(value) for value in unit_quaternion(pose[:3, :3]))
+
+
+def unit_quaternion(rotation: Array) -> Array:
+    """Quaternion (4,) x, y, z, w of a rotation matrix (3, 3); the largest entry is positive."""
+    r = rotation
+    # Four times the products of all entries with each: the row with the largest square counts.
+    products = np.array(
+        [
+            [1.0 + r[0, 0] - r[1, 1] - r[2, 2], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0],
+             r[2, 1] - r[1, 2]],
+            [r[0, 1] + r[1, 0], 1.0 - r[0, 0] + r[1, 1] - r[2, 2], r[1, 2] + r[2, 1],
+             r[0, 2] - r[2, 0]],
+            [r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], 1.0 - r[0, 0] - r[1, 1] + r[2, 2],
+             r[1, 0] - r[0, 1]],
+            [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1],
+             1.0 + r[0, 0] + r[1, 1] + r[2, 2]],
+        ]
+    )  # fmt: skip
+    row = products[int(np.diag(products).argmax())]
+    result: Array = row / np.sqrt((row * row).sum())
+    return result
 
 
 def _rows(points: Sequence[JointTrajectoryPoint], label: str, width: int) -> Array | None:

@@ -24,10 +24,12 @@ from omniman_ros.nodes.motions.path_port import PathPort
 from omniman_ros.nodes.motions.previews import ArmPreviews, PlatformPreviews
 from omniman_ros.nodes.motions.scaling_port import ScalingPort
 from omniman_ros.nodes.motions.together import Together
+from omniman_ros.nodes.motions.tool_port import ToolPort
 from omniman_ros.nodes.motions.trajectory_input import TrajectoryInput
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.runtime import OmnimanNode, run
 from omniman_ros.nodes.stopping import LATCHED
+from omniman_ros.nodes.trajectory_action import serve_actions
 
 Array = NDArray[np.float64]
 
@@ -44,6 +46,7 @@ class PathInterpolatorNode(OmnimanNode):
         watch: Who drives the platform, and who is stopped.
         odom, arm_feed: What is measured.
         path, arm, body: What moves: the platform on paths, the arm, and both as one.
+        tool: What makes motions of both from paths of the tool.
         together: Their time base.
         platform_previews, arm_previews: What is sent.
         ending: Whether the node ends.
@@ -82,6 +85,9 @@ class PathInterpolatorNode(OmnimanNode):
             self, p.arm.joints, lambda: not (self.arm.idle and self.body.idle), self._on_joints
         )
         TrajectoryInput(self, self.arm, self.body)
+        self.tool = ToolPort(self, self.body)
+        ports = {p.arm_action: self.arm, p.body_action: self.body}
+        self.actions = serve_actions(self, ports, p.trajectory_action)
         on_health = self.guarded("wheel_health", self._on_health)
         self.create_subscription(DiagnosticStatus, "wheel_health", on_health, LATCHED)
         ControlPort(self, self.watch, self._look)
@@ -96,6 +102,8 @@ class PathInterpolatorNode(OmnimanNode):
         self.arm.configure(new.arm, new.joint_trajectory)
         self.body.configure(new)
         self.path.core.parameters = new.core
+        for action in self.actions:
+            action.options = new.trajectory_action
         self.watch.silence = new.restart
 
     def _scaling_timeout(self) -> float:
@@ -104,7 +112,7 @@ class PathInterpolatorNode(OmnimanNode):
     # ---- inputs -------------------------------------------------------------------------------
 
     def _on_pose(self, pose: Array, at: float) -> None:
-        """Nothing yet."""
+        self.body.hear_pose(pose, at)
 
     def _on_joints(self) -> None:
         self.arm.compare()
@@ -133,7 +141,8 @@ class PathInterpolatorNode(OmnimanNode):
         return response
 
     def _cancel(self) -> None:
-        waited = [port for port in (self.path, self.body) if port.waiting.drop()]
+        waiting = (self.path.waiting, self.path), (self.body, self.body), (self.tool, self.tool)
+        waited = [port for what, port in waiting if what.drop()]
         for port in waited:
             port.last = "cancelled"
         if not self.together.idle or not waited:
@@ -200,15 +209,17 @@ class PathInterpolatorNode(OmnimanNode):
             port.give_up("time went back", brake=False)
         self.watch.restart(self.now())
         self.odom.forget()
-        self.path.waiting.extend()
-        self.body.waiting.extend()
+        for port in (self.path, self.body, self.tool):
+            port.waiting.extend()
 
     def tick(self) -> None:
         """Publish the next previews and the progress."""
         late, self._ticked = self.now() - self._ticked, self.now()
         self._look_at_time(late)
         self._look()
-        for port, what in ((self.path, "path"), (self.body, "trajectory")):
+        for port, what in (
+            (self.path, "path"), (self.body, "trajectory"), (self.tool, "tool path"),
+        ):  # fmt: skip
             refusal = port.try_waiting()
             if refusal:
                 self.warn(f"{what} refused", f"{what} not used: {refusal}")
@@ -224,16 +235,17 @@ class PathInterpolatorNode(OmnimanNode):
     def begin_shutdown(self, reason: str) -> None:
         """Come to rest on the path; nothing else is taken."""
         self.ending = True
-        self.path.waiting.drop()
-        self.body.waiting.drop()
+        for waiting in (self.path.waiting, self.body, self.tool):
+            waiting.drop()
+        self.tool.close()
         if not self.together.idle:
             self.together.cancel()
             self.tick()
 
     @property
     def finished(self) -> bool:
-        """Whether nothing is driven."""
-        return self.together.idle
+        """Whether nothing is driven, and all clients of actions know it."""
+        return self.together.idle and all(action.idle for action in self.actions)
 
     @property
     def patience(self) -> float:
@@ -254,10 +266,13 @@ class PathInterpolatorNode(OmnimanNode):
                 (f"{name}_progress", round(port.core.progress(now), 4)),
                 (f"{name}_last", port.last),
             ]
+        values += [("tool_path_last", self.tool.last)]
         values += [("speed_scaling", round(self.scaling.value, 4)), ("last", path.last)]
         for port in (path, arm, body):
             if port.core.state is PathState.IDLE and port.last.startswith(TROUBLE):
                 return DiagnosticStatus.WARN, port.last, values
+        if self.tool.last.startswith(TROUBLE) and "refused" in self.tool.last:
+            return DiagnosticStatus.WARN, self.tool.last, values
         return DiagnosticStatus.OK, self.together.state.value, values
 
 

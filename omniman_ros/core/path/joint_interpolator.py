@@ -238,6 +238,11 @@ class JointInterpolator:
         assert self._motion is not None
         return self._sample(times, self._motion.pace)
 
+    def along(self, times: Array) -> Array:
+        """Times (k,) of the curve of the last motion at times (k,) [s] that increase."""
+        assert self._motion is not None
+        return self._motion.pace.sample(times).motion - self._motion.start
+
     def demand(self, times: Array) -> Demand | None:
         """What it asks of its limits at times (k,) [s] that increase; None without a motion."""
         if self._motion is None:

@@ -239,7 +239,6 @@ class GoalMonitor:
                 ended before.
         """
         if outcome is None:
-            self._ended = None
             if desired is not None and actual is not None and not self.stop:
                 self._look(desired, actual)
             return None
@@ -272,14 +271,13 @@ class GoalMonitor:
         return Verdict(Ending.ABORTED, ErrorCode.GOAL_TOLERANCE_VIOLATED, text)
 
     def _shortest(self, errors: Array) -> Array:
-        turned: Array = (errors + math.pi) % (2.0 * math.pi) - math.pi
-        result: Array = np.where(self._turns, turned, errors)
+        turns = np.where(self._turns, np.rint(errors / (2.0 * math.pi)), 0.0)
+        result: Array = errors - 2.0 * math.pi * turns
         return result
 
     def _worst(self, errors: Array, bounds: Array, whence: str) -> str:
         """What is furthest beyond its bound, in words; empty if nothing is."""
-        with np.errstate(invalid="ignore"):
-            beyond = np.abs(errors) - bounds
+        beyond = np.where(np.isfinite(bounds), np.abs(errors) - bounds, -math.inf)
         beyond[np.isnan(beyond)] = math.inf
         row, i = np.unravel_index(int(beyond.argmax()), beyond.shape)
         if not beyond[row, i] > 0.0:

@@ -1,5 +1,6 @@
 """What the node hears of where the arm is."""
 
+import contextlib
 from collections import deque
 from collections.abc import Callable
 
@@ -10,6 +11,7 @@ from sensor_msgs.msg import JointState
 
 from omniman_ros import conversions
 from omniman_ros.core import plausible
+from omniman_ros.core.errors import InputError
 from omniman_ros.core.path.parameters import TICK
 from omniman_ros.nodes.runtime import OmnimanNode
 
@@ -33,6 +35,7 @@ class ArmFeed:
     Attributes:
         position: (6,) [rad], or None.
         velocity: (6,) [rad/s]; zeros where it is not said.
+        time: When it was measured, on this node's clock [s].
         silent: Age that it had, and time that has passed since on this node's clock [s].
         held: (6,) where the last motion ended that was driven to a rest [rad], or None.
     """
@@ -45,7 +48,7 @@ class ArmFeed:
         self._looked_at, self._compare = looked_at, compare
         self.position: Array | None = None
         self.velocity: Array = np.zeros(len(names))
-        self.silent = 0.0
+        self.silent, self.time = 0.0, float("-inf")
         self.held: Array | None = None
         self._heard = float("-inf")
         self._states: bytes | None = None
@@ -78,6 +81,18 @@ class ArmFeed:
             plausible.demand(velocity, plausible.SPEED, "velocity")
             self.velocity = velocity
         self.silent = max(self._node.age(message.header.stamp), 0.0)
+        self.time = self._node.now() - self.silent
+
+    def state(self) -> tuple[Array, Array] | None:
+        """Last measured angles [rad] and rates [rad/s] (6,), if there are any that can be used."""
+        with contextlib.suppress(InputError):
+            self.measure()
+        return None if self.position is None else (self.position, self.velocity)
+
+    @property
+    def age(self) -> float:
+        """Since states were heard [s]."""
+        return self._node.now() - self._heard
 
     def pass_time(self, elapsed: float) -> None:
         """Let time pass [s]: while the node is held up, it is not the arm that is silent."""
@@ -132,7 +147,7 @@ class ArmFeed:
         self.measure()
         if self.position is None:
             return "no arm/joint_states"
-        age = self._node.now() - self._heard if idle else self.silent
+        age = self.age if idle else self.silent
         age = max(age, self.silent)
         if age > timeout:
             return f"arm/joint_states are {age:.2f} s old"

@@ -27,22 +27,24 @@ class ArmPort(JointPort):
         self.core.planner = JointPlanner(AxisLimits.of_arm(arm), options, TICK)
 
     def trajectory(self, message: JointTrajectory) -> str:
-        """Begin a trajectory; returns why it cannot begin now.
-
-        Raises:
-            InputError: It cannot be used.
-        """
+        """Begin a trajectory; see the base class."""
         points, delay = self.points(message), self.delay(message.header.stamp)
         why = self._obstacle()
         if not why:
+            self._claim()
             self.begin(points, delay)
         return why
 
     def _obstacle(self) -> str:
-        options = self._host.options.joint_trajectory
-        return self._host.watch.stop or self._host.arm_feed.not_yet(
+        options, host = self._host.options.joint_trajectory, self._host
+        stop = host.watch.stop or host.busy(self)
+        return stop or host.arm_feed.not_yet(
             options.states_timeout, options.start_tolerance, self.idle
         )
+
+    def actual(self) -> tuple[Array, Array] | None:
+        """Measured angles and rates (6,); see the base class."""
+        return self._host.arm_feed.state()
 
     def _here(self) -> Array:
         here = self._host.arm_feed.place(self._host.options.joint_trajectory.start_tolerance)

@@ -35,14 +35,14 @@ class JointPort:
     Attributes:
         core: The interpolator.
         last: What happened last, in words.
-        motion: Number of the motion under way, or of the last; 0 before the first.
+    Motions have numbers: an action, whose client waits for the end of one, asks by them.
     """
 
     def __init__(self, host: Host, limits: AxisLimits) -> None:
         self._host, self._node = host, host.node
         self.core = JointInterpolator(limits, host.options.joint_trajectory)
         self.last = "no trajectory yet"
-        self.motion = 0
+        self._claimed = self._motion = 0
         self._outcomes: dict[int, str] = {}
 
     @property
@@ -89,16 +89,73 @@ class JointPort:
         self.last = f"a {what} was refused: {why}"
         return InputError(why)
 
-    def outcome(self, motion: int) -> str | None:
-        """Why a motion has ended: empty where it arrived; None while it goes on."""
-        if motion == self.motion and not self.idle:
-            return None
-        return self._outcomes.get(motion, "forgotten")
+    # ---- for actions --------------------------------------------------------------------------
 
-    def _over(self, outcome: str) -> None:
-        self._outcomes[self.motion] = outcome
+    def send(self, message: JointTrajectory) -> int:
+        """Begin a motion; returns its number.
+
+        Raises:
+            InputError: It is refused; what was under way goes on.
+        """
+        if self._host.ending:
+            raise self.refused("the node ends")
+        why = self.trajectory(message)
+        if why:
+            raise self.refused(why)
+        return self._claimed
+
+    def outcome(self, motion: int) -> str | None:
+        """Why a motion has ended: empty where it arrived; None while it waits or goes on."""
+        waits = motion == self._claimed != self._motion
+        if (motion == self._motion and not self.idle) or (waits and self._waits()):
+            return None
+        return self._outcomes.get(motion, "refused")
+
+    def cancel(self, motion: int) -> None:
+        """Bring a motion to rest on its path; one that has ended is left alone."""
+        if motion == self._motion and not self.idle:
+            self.stop()
+            self._host.begun()
+
+    def desired(self) -> tuple[Array, Array, Array] | None:
+        """Positions, velocities and accelerations (d,) of the motion under way.
+
+        They are those of the instant at which :meth:`actual` was measured.
+        """
+        return None if self.idle else self._desired_at(self._host.arm_feed.time)
+
+    def _desired_at(self, time: float) -> tuple[Array, Array, Array]:
+        """The same at a time [s]."""
+        paced = self._host.together.pace.sample(np.array([time]))
+        x, v, a = paced.apply(*self.core.sample(paced.motion))
+        return x[0], v[0], a[0]
+
+    def actual(self) -> tuple[Array, Array] | None:
+        """Measured positions and velocities (d,), if they are known."""
+        raise NotImplementedError
+
+    def _waits(self) -> bool:
+        """Whether the motion that was sent last waits."""
+        return False
+
+    def _claim(self) -> None:
+        """A trajectory that was understood gets its number."""
+        self._claimed += 1
+
+    def _over(self, outcome: str, motion: int | None = None) -> None:
+        self._outcomes[self._motion if motion is None else motion] = outcome
         while len(self._outcomes) > REMEMBERED:
             del self._outcomes[min(self._outcomes)]
+
+    # ---- requests -----------------------------------------------------------------------------
+
+    def trajectory(self, message: JointTrajectory) -> str:
+        """Begin a trajectory; returns why it cannot begin now.
+
+        Raises:
+            InputError: It cannot be used.
+        """
+        raise NotImplementedError
 
     def stop(self) -> None:
         """Obey a trajectory without points: it ends the one under way."""
@@ -153,7 +210,7 @@ class JointPort:
             raise InputError("it could not be planned in time; pause first")
         if not from_rest:
             self._over("replaced")
-        self.motion += 1
+        self._motion = self._claimed
         self._began(from_rest=from_rest)
         return proposal
 

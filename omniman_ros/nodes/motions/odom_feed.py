@@ -7,7 +7,7 @@ from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
 
 from omniman_ros import conversions
-from omniman_ros.core import plausible
+from omniman_ros.core import plausible, se2
 from omniman_ros.nodes.runtime import OmnimanNode
 
 Array = NDArray[np.float64]
@@ -26,6 +26,8 @@ class OdomFeed:
 
     Attributes:
         pose: (x, y, theta) [m, m, rad], or None.
+        velocity: (3,) of the pose, in odom [m/s, m/s, rad/s].
+        time: When it was measured, on this node's clock [s].
         silent: Age that it had, and time that has passed since on this node's clock [s].
     """
 
@@ -35,8 +37,8 @@ class OdomFeed:
         self._node, self._frame, self._tell = node, frame, heard
         self.pose: tuple[float, float, float] | None = None
         self.silent = 0.0
-        self._speed = 0.0
-        self._at = float("-inf")
+        self.velocity: Array = np.zeros(3)
+        self.time = float("-inf")
         node.create_subscription(Odometry, "odom", node.guarded("odom", self._on_odom), 1)
 
     def _on_odom(self, message: Odometry) -> None:
@@ -45,10 +47,15 @@ class OdomFeed:
         place, theta = message.pose.pose.position, conversions.yaw(message.pose.pose.orientation)
         plausible.demand(np.array([place.x, place.y]), plausible.LENGTH, "position")
         self.silent = max(self._node.age(message.header.stamp), 0.0)
-        self._at = self._node.now() - self.silent
+        self.time = self._node.now() - self.silent
         self.pose = (place.x, place.y, theta)
-        self._speed = float(abs(twist).max())
-        self._tell(np.array(self.pose), self._at)
+        self.velocity = se2.to_world(theta, twist)
+        self._tell(np.array(self.pose), self.time)
+
+    @property
+    def age(self) -> float:
+        """Of the pose [s]."""
+        return self._node.now() - self.time
 
     def pass_time(self, elapsed: float) -> None:
         """Let time pass [s]: while the node is held up, it is not odom that is silent."""
@@ -56,13 +63,13 @@ class OdomFeed:
 
     def forget(self) -> None:
         """What was heard says nothing about now."""
-        self._at = float("-inf")
+        self.time = float("-inf")
 
     def not_yet(self, timeout: float) -> str:
         """Why no motion of the platform can begin from rest yet, or an empty string."""
-        age = self._node.now() - self._at
+        age = self.age
         if self.pose is None:
             return "no odom"
         if age > timeout:
             return f"odom is {age:.2f} s old"
-        return "the robot moves" if self._speed > AT_REST else ""
+        return "the robot moves" if np.abs(self.velocity).max() > AT_REST else ""

@@ -8,6 +8,7 @@ from omniman_ros.core.body.parameters import ToolPathOptions
 from omniman_ros.core.parameters import inline, parameter
 from omniman_ros.core.path.joint_parameters import JointTrajectoryOptions
 from omniman_ros.core.path.parameters import PathParameters
+from omniman_ros.core.path.trajectory_goal import TrajectoryActionOptions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,6 +20,14 @@ class PathInterpolatorParameters:
     mount: Mount
     joint_trajectory: JointTrajectoryOptions
     tool_path: ToolPathOptions
+    trajectory_action: TrajectoryActionOptions
+    arm_action: str = parameter(
+        "arm_controller/follow_joint_trajectory", "Name of the arm's action.", read_only=True
+    )
+    body_action: str = parameter(
+        "body_controller/follow_joint_trajectory", "Name of the whole body's action.",
+        read_only=True,
+    )  # fmt: skip
     horizon: float = parameter(
         0.4, "How far each preview reaches; at its end the robot ramps to rest.",
         unit="s", low=0.1, high=5, read_only=True,
