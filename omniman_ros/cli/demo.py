@@ -24,6 +24,8 @@ from omniman_ros.cli.score import LIMITS, DrivenGoal, DrivenLeg, DrivenTwist, ju
 from omniman_ros.cli.session import ANNOUNCED, Session
 from omniman_ros.cli.show import Show
 from omniman_ros.cli.terminal import GREEN, RED, paint, say, table
+from omniman_ros.cli.tool_leg import ToolTrack
+from omniman_ros.core.body.model import BodyModel, Mount
 from omniman_ros.core.limits import TwistLimits
 from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
@@ -137,6 +139,7 @@ def perform(
     """Drive the show and judge it; where there is a viewer, its page is there before it begins."""
     lost = expendable(resolved(args.robot))
     pace = Pace.within(build(TwistLimits, load_robot(args.robot), "limits."))
+    model = BodyModel(build(Mount, load_robot(args.robot), "mount."))
     with Session("omniman_demo") as session:
         show = Show(session, pace, progress, children.check, args.drive, args.arm != "none")
         try:
@@ -148,6 +151,8 @@ def perform(
                 progress.headline(watch(page))
             show.drive_twists()
             show.follow_path()
+            if args.arm != "none":
+                show.lead_tool(model)
             show.reach_goal()
             if lost:
                 show.drive_without_a_wheel(lost)
@@ -156,12 +161,13 @@ def perform(
         recording, driven = show.recorder.recording, show.driven
         body = build(Robot, load_robot(args.robot)).body
         half = (0.5 * body.length, 0.5 * body.width)
+        tool = ToolTrack(recording, model, driven.tool) if driven.tool else None
         result = judge(
             recording, driven.twists, driven.legs, driven.without_wheel, driven.goal, half,
-            driven.arm,
+            driven.arm, tool,
         )  # fmt: skip
     limped = [driven.without_wheel.leg] if driven.without_wheel else []
-    drawn = draw(args, recording, driven.twists, driven.legs + limped, driven.goal)
+    drawn = draw(args, recording, driven.twists, driven.legs + limped, driven.goal, tool)
     return {"robot": args.robot, **result, "picture": drawn and str(drawn), "page": page}
 
 
@@ -176,6 +182,7 @@ def draw(
     twists: list[DrivenTwist],
     legs: list[DrivenLeg],
     goal: DrivenGoal | None,
+    tool: ToolTrack | None,
 ) -> Path | None:
     """Draw the show into a PNG file, where there is matplotlib."""
     try:
@@ -183,7 +190,7 @@ def draw(
     except ImportError:
         return None
     path = Path(args.results) / "demo.png"
-    picture.draw(build(Robot, load_robot(args.robot)), recording, twists, legs, path, goal)
+    picture.draw(build(Robot, load_robot(args.robot)), recording, twists, legs, path, goal, tool)
     return path
 
 
@@ -253,6 +260,7 @@ def report(result: dict[str, Any]) -> list[str]:
         (f"heading off the truth after {drift['turn_rad']:.1f} rad",
          f"{drift['heading_deg']:.2f} deg", f"{LIMITS['odometry heading, deg']:g} deg"),
         *of_arm(result),
+        *of_tool(result),
         *to_goal(result),
         *without_wheel(result),
         ("energy taken by the motors", f"{result['energy']['total_j']:.0f} J", ""),
@@ -279,6 +287,20 @@ def of_arm(result: dict[str, Any]) -> list[tuple[str, ...]]:
          f"{LIMITS['arm behind its reference, ms']:g} ms"),
         ("  setpoints by TCP: interval p50 / p99", f"{sent['p50_ms']:.2f} / {sent['p99_ms']:.2f} "
          "ms", ""),
+    ]  # fmt: skip
+
+
+def of_tool(result: dict[str, Any]) -> list[tuple[str, ...]]:
+    """Rows of the path of the tool, where there was one."""
+    if "tool" not in result:
+        return []
+    tool = result["tool"]
+    return [
+        (f"tool on a path of {tool['length_m']:.1f} m, timed: off by RMS / max",
+         f"{tool['rms_mm']:.2f} / {tool['max_mm']:.2f} mm",
+         f"{LIMITS['tool off its path RMS, mm']:g} / {LIMITS['tool off its path max, mm']:g} mm"),
+        ("  by the ground truth (odometry's drift is in it)",
+         f"{tool['true_rms_mm']:.2f} / {tool['true_max_mm']:.2f} mm", ""),
     ]  # fmt: skip
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from omniman_ros.cli.recorder import Recording
 from omniman_ros.cli.score import DrivenGoal, DrivenLeg, DrivenTwist, Reference, pose_errors
+from omniman_ros.cli.tool_leg import ToolTrack
 from omniman_ros.core.robot import Robot
 
 matplotlib.use("Agg")
@@ -18,9 +19,12 @@ from matplotlib.patches import Circle, Polygon
 
 Array = NDArray[np.float64]
 
-INK, FAINT, TWISTS, PATH, TRUTH, ROBOT, GOAL, OBSTACLE = (
+INK, FAINT, TWISTS, PATH, TRUTH, ROBOT, GOAL, OBSTACLE, TOOL = (
     "#1f2933", "#c3cad2", "#2f6fde", "#d9480f", "#0b8043", "#5f6b7a", "#b5179e", "#8d6e63",
+    "#0891b2",
 )  # fmt: skip
+LINES = 16
+"""Times at which a line is drawn from the platform to the tool."""
 OUTLINES = 10
 """Poses along the way at which the robot is outlined, the first and last included."""
 CORNERS = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]])
@@ -33,6 +37,7 @@ def draw(
     legs: list[DrivenLeg],
     path: Path,
     goal: DrivenGoal | None = None,
+    tool: ToolTrack | None = None,
 ) -> None:
     """Draw the demo into a PNG file."""
     odom, truth = np.array(recording.odom), np.array(recording.truth)
@@ -44,17 +49,21 @@ def draw(
         "axes.titlelocation": "left", "figure.dpi": 130,
     }  # fmt: skip
     with plt.rc_context(style):
-        count = 4 if recording.arm else 3
+        count = 3 + bool(recording.arm) + (tool is not None)
         sheet = plt.figure(figsize=(11, 2.0 * count), layout="constrained")
         grid = sheet.add_gridspec(count, 2, width_ratios=(1.15, 1))
-        _way(sheet.add_subplot(grid[:, 0]), robot, odom, truth, legs, goal)
+        _way(sheet.add_subplot(grid[:, 0]), robot, odom, truth, legs, goal, tool)
         rows = [sheet.add_subplot(grid[i, 1]) for i in range(count)]
         _speeds(rows[0], odom, begin)
         _coupling(rows[1], np.array(recording.coupling), begin)
         _tracking(rows[2], odom, Reference(recording.reference), legs, begin)
         if recording.arm:
             _arm(rows[3], np.array(recording.arm), begin)
+        if tool is not None:
+            _tool(rows[-1], tool, begin)
         marked = legs if goal is None else [*legs, DrivenLeg("goal", goal.start, goal.end)]
+        if tool is not None:
+            marked = [*marked, DrivenLeg("tool", tool.times[0], tool.times[-1])]
         for axes in rows:
             _mark(axes, twists, marked, begin)
             axes.set_xlim(0.0, odom[-1, 0] - begin)
@@ -73,6 +82,7 @@ def _way(
     truth: Array,
     legs: list[DrivenLeg],
     goal: DrivenGoal | None,
+    tool: ToolTrack | None,
 ) -> None:
     """Top view: x forward is up, y left is left, as the robot sees it at the start."""
     if goal is not None:
@@ -91,6 +101,12 @@ def _way(
         zorder=5,
         label="ground truth",
     )
+    if tool is not None:
+        x, y = tool.measured[:, 0, 3], tool.measured[:, 1, 3]
+        axes.plot(-y, x, color=TOOL, lw=1.6, zorder=5.5, label="tool")
+        for k in np.linspace(0, len(x) - 1, LINES).astype(int):
+            base = tool.platform[k]
+            axes.plot([-base[1], -y[k]], [base[0], x[k]], color=TOOL, lw=0.6, alpha=0.5, zorder=5)
     for i in np.linspace(0, len(odom) - 1, OUTLINES).astype(int)[1:-1]:
         _outline(axes, robot, odom[i, 1:4], alpha=0.5)
     _robot(axes, robot, odom[-1, 1:4])
@@ -194,6 +210,18 @@ def _arm(axes: Any, arm: Array, begin: float) -> None:
         axes.plot(arm[:, 0] - begin, arm[:, column] - arm[0, column], lw=1.2, label=str(column))
     axes.set_title("Joints of the arm, measured, from the start [rad]")
     axes.legend(frameon=False, ncols=6, loc="lower left")
+
+
+def _tool(axes: Any, tool: ToolTrack, begin: float) -> None:
+    """Distance of the tool from the timed point of its path."""
+    axes.plot(tool.times - begin, 1e3 * tool.errors, color=TOOL, lw=1.0, label="in odom")
+    axes.plot(
+        tool.times - begin, 1e3 * tool.true_errors, color=TRUTH, lw=1.0, ls=(0, (4, 4)),
+        label="ground truth",
+    )  # fmt: skip
+    axes.set_title("Tool off its path, timed [mm]")
+    axes.set_ylim(bottom=0.0)
+    axes.legend(frameon=False, loc="upper left")
 
 
 def _mark(axes: Any, twists: list[DrivenTwist], legs: list[DrivenLeg], begin: float) -> None:

@@ -4,6 +4,7 @@ import time
 from dataclasses import dataclass, field
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -31,6 +32,7 @@ class Recording:
         energy: Energy of each wheel since the start of the drive [J].
         arm: Stamp and measured joint angles [rad].
         arm_reference: Stamp and joint angles of what they should be; parts may be there twice.
+        tool_reference: Stamp, x, y, z of where the tool is to be.
         arm_intervals: Between two setpoints on their way to the arm's controller [s].
         odom_arrivals, command_arrivals: When odom, and wheel_commands or wheel_voltages, came.
         stall: Longest time that this process was held up [s]; the nodes mostly were, too.
@@ -43,6 +45,7 @@ class Recording:
     energy: list[Row] = field(default_factory=list)
     arm: list[Row] = field(default_factory=list)
     arm_reference: list[Row] = field(default_factory=list)
+    tool_reference: list[Row] = field(default_factory=list)
     arm_intervals: list[float] = field(default_factory=list)
     odom_arrivals: list[float] = field(default_factory=list)
     command_arrivals: list[float] = field(default_factory=list)
@@ -78,6 +81,7 @@ class Recorder:
             (MultiDOFJointTrajectory, "path/reference", self._on_reference, 10),
             (JointState, "arm/joint_states", self._on_arm, 10),
             (JointTrajectory, "arm/joint_reference", self._on_arm_reference, 10),
+            (PoseStamped, "tool_reference", self._on_tool_reference, 10),
             (Float64MultiArray, "arm/timing", self._on_arm_timing, 10),
             (Float64, "path_progress", self._on_progress, 10),
             (DiagnosticStatus, "mpc/status", self._on_planner, 10),
@@ -145,6 +149,11 @@ class Recorder:
         for point in message.points[:FRESH]:
             at = stamp + time_seconds(point.time_from_start)
             self.recording.arm_reference.append((at, *point.positions))
+
+    def _on_tool_reference(self, message: PoseStamped) -> None:
+        place = message.pose.position
+        stamp = time_seconds(message.header.stamp)
+        self.recording.tool_reference.append((stamp, place.x, place.y, place.z))
 
     def _on_arm_timing(self, message: Float64MultiArray) -> None:
         count = message.layout.dim[0].size

@@ -8,9 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from omniman_ros.cli import tool_leg
 from omniman_ros.cli.crossing import Crossing
 from omniman_ros.cli.figures import TwistPhase
 from omniman_ros.cli.recorder import Recording, Row
+from omniman_ros.cli.tool_leg import ToolTrack
 
 Array = NDArray[np.float64]
 
@@ -34,6 +36,8 @@ LIMITS = {
     "arm final position, mrad": 3.0,
     "arm behind its reference, ms": 100.0,
     "arm off its path, mrad": 10.0,
+    "tool off its path RMS, mm": 2.0,
+    "tool off its path max, mm": 5.0,
     "dead wheel noticed, s": 2.0,
     "tracking without a wheel RMS, mm": 20.0,
     "odom rate, Hz": 80.0,
@@ -271,6 +275,7 @@ def judge(
     goal: DrivenGoal | None = None,
     half: Sequence[float] = (0.0, 0.0),
     moves: Sequence[ArmMove] = (),
+    tool: ToolTrack | None = None,
 ) -> dict[str, Any]:
     """All figures, and under "faults" a sentence for each that is beyond its limit."""
     odom, truth = np.array(recording.odom), np.array(recording.truth)
@@ -293,6 +298,8 @@ def judge(
         result["goal"] = goal_figures(odom, goal, half)
     if moves:
         result["arm"] = arm_figures(recording, moves)
+    if tool is not None:
+        result["tool"] = tool_leg.figures(tool)
     if without_wheel is not None:
         result["dead_wheel"] = {
             "wheel": without_wheel.wheel,
@@ -328,7 +335,7 @@ def arm_figures(recording: Recording, moves: Sequence[ArmMove]) -> dict[str, Any
         ]
         return rows[:, 1:] - np.column_stack(columns)
 
-    lags = np.arange(0.0, 0.2, 0.002)
+    lags = np.arange(-0.1, 0.2, 0.002)
     lag = float(lags[int(np.argmin([rms(error(x)) for x in lags]))])
     ways = np.abs(np.diff(rows[:, 1:], axis=0)).sum(axis=0)
     return {
@@ -357,8 +364,11 @@ def faults(result: dict[str, Any]) -> list[str]:
         most.append(("goal heading, deg", result["goal"]["heading_deg"]))
     if "arm" in result:
         most.append(("arm final position, mrad", result["arm"]["final_mrad"]))
-        most.append(("arm behind its reference, ms", result["arm"]["lag_ms"]))
+        most.append(("arm behind its reference, ms", abs(result["arm"]["lag_ms"])))
         most.append(("arm off its path, mrad", result["arm"]["rms_mrad"]))
+    if "tool" in result:
+        most.append(("tool off its path RMS, mm", result["tool"]["rms_mm"]))
+        most.append(("tool off its path max, mm", result["tool"]["max_mm"]))
     if "dead_wheel" in result:
         dead = result["dead_wheel"]
         most.append(("dead wheel noticed, s", dead["noticed_s"]))

@@ -1,4 +1,4 @@
-"""The show of the demo: twists, a path, a goal among moving obstacles, and a wheel lost."""
+"""The show of the demo: twists, paths of platform and tool, a goal, and a wheel lost."""
 
 import math
 import time
@@ -19,6 +19,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from visualization_msgs.msg import MarkerArray
 
 from omniman_ros import conversions
+from omniman_ros.cli import tool_leg
 from omniman_ros.cli.crossing import GOAL, Crossing
 from omniman_ros.cli.errors import CommandError
 from omniman_ros.cli.figures import Pace, Triple, TwistPhase, twist_phases
@@ -34,8 +35,10 @@ from omniman_ros.cli.score import (
     excuse,
 )
 from omniman_ros.cli.session import DISCOVERY, Session
+from omniman_ros.cli.tool_leg import DrivenTool
 from omniman_ros.core import se2
 from omniman_ros.core.arm_parameters import UR_JOINTS
+from omniman_ros.core.body.model import BodyModel
 from omniman_ros.studies.figure7 import Movement, movements
 
 Array = NDArray[np.float64]
@@ -68,7 +71,9 @@ ARM_POSES = (
     (0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
 )
 """Where the arm goes on the path's movements, from where it was in the beginning [rad]."""
-LATE, SLOWEST = 20.0, 0.2
+ARM_PATIENCE, ARM_THERE = 10.0, 0.005
+"""How long the arm may take to be where it was sent [s], and how near is there [rad]."""
+LATE, SLOWEST = 20.0, 0.1
 """A movement slower than this on the whole [s, m/s] will never be at its end."""
 
 
@@ -98,6 +103,7 @@ class Driven:
     twists: list[DrivenTwist] = field(default_factory=list)
     legs: list[DrivenLeg] = field(default_factory=list)
     arm: list[ArmMove] = field(default_factory=list)
+    tool: DrivenTool | None = None
     goal: DrivenGoal | None = None
     without_wheel: DrivenWithoutWheel | None = None
 
@@ -127,6 +133,7 @@ class Show:
         self._paths = session.node.create_publisher(Path, "path", 10)
         self._with_arm = arm
         self._joints = session.node.create_publisher(JointTrajectory, "joint_trajectory", 10)
+        self._tool_paths = session.node.create_publisher(Path, "tool_path", 10)
         self._goals = session.node.create_publisher(PoseStamped, "goal_pose", 10)
         self._obstacles = session.node.create_publisher(MarkerArray, "obstacles", 50)
         self._faults = session.node.create_client(SetParameters, f"{plant}/set_parameters")
@@ -173,6 +180,31 @@ class Show:
         point = JointTrajectoryPoint(positions=goal.tolist())
         self._joints.publish(JointTrajectory(joint_names=list(UR_JOINTS), points=[point]))
         self.driven.arm.append(ArmMove(tuple(goal.tolist()), self._now()))
+
+    def lead_tool(self, model: BodyModel) -> None:
+        """Lead the tool along a path of several metres, platform and arm in step.
+
+        Raises:
+            CommandError: It was not taken, or given up.
+        """
+        self._progress.begin("arm made ready")
+        self._move_arm(np.array(tool_leg.READY))
+        if not self._wait(self._arm_is_ready, ARM_PATIENCE):
+            raise CommandError("the arm does not get ready for the path of the tool")
+        self._rest()
+        self.driven.arm[-1] = replace(self.driven.arm[-1], end=self._now())
+        self._progress.end(self._note())
+        joints = self.recorder.recording.arm[-1][1:]
+        here = self._pose()
+        poses = tool_leg.way(model.forward(np.array([*here, *joints])), here[2])
+        length = float(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1).sum())
+        path = tool_leg.message(poses, "odom")
+        leg = self._publish("tool path", lambda: self._tool_paths.publish(path), length)
+        self.driven.tool = DrivenTool(leg.start, leg.end)
+
+    def _arm_is_ready(self) -> bool:
+        away = np.array(self.recorder.recording.arm[-1][1:]) - tool_leg.READY
+        return float(np.abs(away).max()) < ARM_THERE
 
     def reach_goal(self) -> None:
         """Drive to a goal among obstacles that cross the way.
@@ -255,7 +287,15 @@ class Show:
     def _send(
         self, name: str, poses: Array, length: float, each: Callable[[], None] = lambda: None
     ) -> DrivenLeg:
-        """Send a path and wait for its end; `each` is called all the while.
+        """Send a path and wait for its end; `each` is called all the while."""
+        path = conversions.path_message(poses, "odom")
+        return self._publish(name, lambda: self._paths.publish(path), length, each)
+
+    def _publish(
+        self, name: str, publish: Callable[[], None], length: float,
+        each: Callable[[], None] = lambda: None,
+    ) -> DrivenLeg:  # fmt: skip
+        """Send a motion and wait for its end.
 
         Raises:
             CommandError: It was not taken, or given up.
@@ -263,7 +303,7 @@ class Show:
         self._progress.begin(name)
         self.recorder.progress = 0.0
         begin = self._now()
-        self._paths.publish(conversions.path_message(poses, "odom"))
+        publish()
         patience = LATE + length / SLOWEST
         for _ in self._ticks(patience, TWIST_PERIOD):
             self._progress.update(self.recorder.progress, self._note())
@@ -349,7 +389,13 @@ class Show:
     def _absent(self) -> str:
         unheard = [
             f"a listener to {publisher.topic_name}"
-            for publisher in (self._twists, self._paths, self._goals, self._obstacles)
+            for publisher in (
+                self._twists,
+                self._paths,
+                self._tool_paths,
+                self._goals,
+                self._obstacles,
+            )  # fmt: skip
             if not publisher.get_subscription_count()
         ]
         arm = ["arm/joint_states"] if self._with_arm and not self.recorder.has_arm else []
