@@ -78,6 +78,11 @@ class ToolPort:
         self.waiting.put(lambda: self._plan(message))
         return self.try_waiting()
 
+    @property
+    def planning(self) -> bool:
+        """Whether a path is planned, and that is not done yet."""
+        return self._planned is not None and not self._planned.done()
+
     def _refused(self, why: str) -> InputError:
         self.last = f"a tool path was refused: {why}"
         return InputError(why)
