@@ -66,6 +66,10 @@ def run(args: argparse.Namespace) -> int:
         from omniman_ros.cli import bench_arm
 
         return bench_arm.run(args)
+    if args.name == "whole_body":
+        from omniman_ros.cli import bench_whole_body
+
+        return bench_whole_body.run(args)
     effort = QUICK if args.quick else FULL
     chosen = tasks(Setup(robot=args.robot, arm="none"))
     say("core tick ...")

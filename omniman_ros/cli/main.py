@@ -128,6 +128,20 @@ def add_goal(parser: argparse.ArgumentParser) -> None:
     add_namespace(parser, "namespace of the robot")
 
 
+def add_tool(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `omniman tool`."""
+    for name in ("x", "y", "z"):
+        parser.add_argument(name, type=float, help="m, in odom")
+    parser.add_argument(
+        "--relative", action="store_true",
+        help="from where the tool is, x forward and y left as the robot looks",
+    )  # fmt: skip
+    parser.add_argument(
+        "--timeout", type=float, default=300.0, help="seconds until it is cancelled; %(default)s"
+    )
+    add_namespace(parser, "namespace of the robot")
+
+
 def add_stop(parser: argparse.ArgumentParser) -> None:
     """Arguments of `omniman stop` and `omniman reset`."""
     add_namespace(parser, "only the nodes in this namespace; default: all that are found")
@@ -153,12 +167,14 @@ def add_demo(parser: argparse.ArgumentParser) -> None:
 def add_bench(parser: argparse.ArgumentParser) -> None:
     """Arguments of `omniman bench`."""
     parser.add_argument(
-        "name", nargs="?", default="control", choices=["control", "path", "mpc", "can", "arm"],
+        "name", nargs="?", default="control",
+        choices=["control", "path", "mpc", "can", "arm", "whole_body"],
         help="control: time of a control tick, CPU of the nodes, latency; the default. "
         "path: time of planning, how near to the least time, CPU of the stream. "
         "mpc: CPU and cost of the planner's solver next to IPOPT and fatrop. "
         "can: round trips over a CAN bus of UDP next to a bare echo, CPU, bus load. "
-        "arm: setpoints at 125 Hz in the whole running robot next to a bare loop",
+        "arm: setpoints at 125 Hz in the whole running robot next to a bare loop. "
+        "whole_body: time of planning tool paths, CPU of their stream, inverse kinematics",
     )  # fmt: skip
     effort = parser.add_mutually_exclusive_group()
     effort.add_argument(
@@ -318,6 +334,7 @@ COMMANDS: dict[str, tuple[str, str, Callable[[argparse.ArgumentParser], None]]] 
     "up": ("up", "start the nodes, Ctrl-C stops the robot and ends them", add_up),
     "teleop": ("teleop", "drive with the keyboard: hold to drive, release stops", add_teleop),
     "goal": ("goal", "send the robot to a goal among obstacles; Ctrl-C cancels", add_goal),
+    "tool": ("tool", "lead the tool straight to a place; Ctrl-C cancels", add_tool),
     "stop": ("stop_reset", "stop every node that moves something, until a reset", add_stop),
     "reset": ("stop_reset", "release stopped nodes; moves nothing by itself", add_stop),
     "demo": ("demo", "a simulated robot drives and is measured, in a minute", add_demo),

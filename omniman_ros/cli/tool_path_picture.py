@@ -39,7 +39,7 @@ def draw(runs: Sequence[Run], rms_bound: float, max_bound: float, path: Path) ->
                     cell.set_title(f"Tool off its path [mm]: {name}")
                 if course == courses[-1]:
                     cell.set_xlabel("time [s]")
-        axes[0][-1].legend(loc="upper right")
+        axes[0][1].legend(loc="center", frameon=False)
         path.parent.mkdir(parents=True, exist_ok=True)
         sheet.savefig(path)
         plt.close(sheet)

@@ -24,8 +24,8 @@ Array = NDArray[np.float64]
 
 HEADING = PLATFORM_AXES.index("odom_t")
 PLATFORM, JOINTS = slice(None, len(PLATFORM_AXES)), slice(len(PLATFORM_AXES), None)
-CORRECTED, CORRECTED_EACH = 0.2, 0.018
-"""How far previews of the arm reach between those of the platform, and their least period [s]."""
+CORRECTED = 0.018
+"""Least period of previews of the arm between those of the platform [s]."""
 
 
 class BodyPort(JointPort):
@@ -186,8 +186,8 @@ class BodyPort(JointPort):
             x, y, theta = tool.correction.error
             off = f"{math.hypot(x, y):.3f} m and {theta:.3f} rad"
             self.give_up(f"the platform is {off} off its path", brake=True)
-        elif self._node.now() - self._corrected >= CORRECTED_EACH:
-            self.publish(CORRECTED, platform=False)
+        elif self._node.now() - self._corrected >= CORRECTED:
+            self.publish(self._host.options.horizon, platform=False)
 
     def publish(self, horizon: float, *, platform: bool = True) -> None:
         """Publish previews that reach so far [s], of the arm alone or of both."""
