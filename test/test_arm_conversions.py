@@ -1,3 +1,5 @@
+import math
+
 import numpy as np
 import pytest
 
@@ -6,6 +8,8 @@ from omniman_ros.core.path.interpolator import Window
 
 pytest.importorskip("rclpy")
 from builtin_interfaces.msg import Duration, Time  # noqa: E402
+from geometry_msgs.msg import PoseStamped  # noqa: E402
+from nav_msgs.msg import Path  # noqa: E402
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint  # noqa: E402
 
 from omniman_ros import arm_conversions  # noqa: E402
@@ -97,3 +101,87 @@ def test_a_preview_of_other_joints_or_sizes_is_refused(names, arrays, why):
 def test_a_preview_without_points_is_refused():
     with pytest.raises(InputError, match="0 points"):
         arm_conversions.joint_preview(message(list(NAMES)), 0.0, NAMES)
+
+
+# ---- poses of the tool --------------------------------------------------------------------------
+
+
+def tool_message(quaternions, frame="odom", places=None):
+    message = Path()
+    message.header.frame_id = frame
+    for i, (x, y, z, w) in enumerate(quaternions):
+        stamped = PoseStamped()
+        place, turn = stamped.pose.position, stamped.pose.orientation
+        place.x, place.y, place.z = (0.1 * i, 0.2, 0.3) if places is None else places[i]
+        turn.x, turn.y, turn.z, turn.w = float(x), float(y), float(z), float(w)
+        message.poses.append(stamped)
+    return message
+
+
+def some_quaternions(count=500):
+    rows = np.random.default_rng(3).normal(size=(500, 4))
+    rows[:8, :2] = 0.0  # about the vertical, and half turns
+    rows[8:16, 2:] = 0.0
+    rows[16:24] = np.eye(4)[np.arange(8) % 4]
+    return (rows / np.linalg.norm(rows, axis=1)[:, None])[:count]
+
+
+def test_rotations_are_rotations_and_go_back_to_their_quaternions():
+    given = some_quaternions()
+    turned = arm_conversions.rotations(given)
+    assert np.allclose(turned @ np.swapaxes(turned, 1, 2), np.eye(3), atol=1e-12)
+    assert np.linalg.det(turned) == pytest.approx(1.0)
+    for quaternion, rotation in zip(given, turned, strict=True):
+        back = arm_conversions.unit_quaternion(rotation)
+        assert abs(float(back @ quaternion)) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_a_quarter_turn_about_the_vertical_takes_x_to_y():
+    half = math.sqrt(0.5)
+    turned = arm_conversions.rotations(np.array([[0.0, 0.0, half, half]]))[0]
+    assert turned @ [1.0, 0.0, 0.0] == pytest.approx([0.0, 1.0, 0.0])
+
+
+def test_poses_of_the_tool_are_read_and_zeros_keep_the_orientation():
+    given = some_quaternions(3)
+    given[1] = 0.0
+    here = arm_conversions.rotations(some_quaternions(5)[4:])[0]
+    poses = arm_conversions.tool_poses(tool_message(given), ("odom",), here)
+    assert poses[:, 0, 3] == pytest.approx([0.0, 0.1, 0.2])
+    assert np.allclose(poses[:, 1:3, 3], [0.2, 0.3])
+    assert poses[1, :3, :3] == pytest.approx(here)
+    assert poses[0, :3, :3] == pytest.approx(arm_conversions.rotations(given[:1])[0])
+    assert (poses[:, 3] == [0, 0, 0, 1]).all()
+
+
+@pytest.mark.parametrize(
+    ("message", "words"),
+    [
+        (tool_message([]), "empty path"),
+        (tool_message([(0, 0, 0, 1)], frame="map"), "frame 'map'"),
+        (tool_message([(0, 0, 0, 1), (0, 0, 0.5, 1)]), "pose 1: quaternion of length 1.118"),
+        (tool_message([(0, 0, 0, math.nan)]), "pose 0: quaternion of length nan"),
+        (tool_message([(0, 0, 0, 1)], places=[(math.inf, 0.0, 0.0)]), "positions"),
+        (tool_message([(0, 0, 0, 1)], places=[(0.0, 0.0, 1e9)]), "positions"),
+    ],
+)
+def test_poses_of_the_tool_that_cannot_be_used_are_refused_by_name(message, words):
+    with pytest.raises(InputError, match=words):
+        arm_conversions.tool_poses(message, ("odom",), np.eye(3))
+
+
+def test_a_pose_of_another_frame_within_the_path_is_refused():
+    message = tool_message([(0, 0, 0, 1), (0, 0, 0, 1)])
+    message.poses[1].header.frame_id = "base_link"
+    with pytest.raises(InputError, match="frame 'base_link'"):
+        arm_conversions.tool_poses(message, ("odom",), np.eye(3))
+
+
+def test_a_pose_goes_into_a_message_and_back():
+    given = some_quaternions(20)
+    message = tool_message(given)
+    poses = arm_conversions.tool_poses(message, ("odom",), np.eye(3))
+    again = tool_message(np.zeros((20, 4)))
+    for stamped, pose in zip(again.poses, poses, strict=True):
+        arm_conversions.fill_pose(stamped.pose, pose)
+    assert arm_conversions.tool_poses(again, ("odom",), np.eye(3)) == pytest.approx(poses)

@@ -232,18 +232,17 @@ def iterated(solve: Solve, sample: Sample, count: int) -> dict[str, Any]:
 
 
 def measured(
-    robot: Robot, arm: ArmParameters, mount: Mount, count: int, tries: int, least: float
+    robot: Robot, arm: ArmParameters, mount: Mount, tries: int, least: float
 ) -> dict[str, Any]:
     """All of it.
 
     Args:
         robot, arm, mount: What the URDF is made from.
-        count: Poses that the closed form is checked with.
         tries: Poses that each iteration is measured with.
         least: CPU time of each measurement of the closed form [s].
     """
     body = BodyModel(mount)
-    sample = Sample.of(body.arm, count)
+    sample = Sample.of(body.arm, max(BATCHES))
     result: dict[str, Any] = {"closed_form": closed_form(body.arm, sample, least)}
     others = {"Newton in numpy": iterated(Newton(body.arm), sample, tries)}
     try:
@@ -271,6 +270,11 @@ def ratios(ours: dict[str, float], theirs: float) -> dict[str, float | None]:
     return {batch: rate / theirs if theirs else None for batch, rate in ours.items()}
 
 
+def times(ratio: float) -> str:
+    """A ratio with two digits at least."""
+    return f"{ratio:,.0f}" if ratio >= 10.0 else f"{ratio:.2g}"
+
+
 def rows(result: dict[str, Any]) -> list[tuple[str, ...]]:
     """Lines of the table."""
     ours = result["closed_form"]
@@ -290,7 +294,7 @@ def rows(result: dict[str, Any]) -> list[tuple[str, ...]]:
             found = f"{100.0 * row['success']:.1f} % found"
             ratio = result["ratios"][name][kind]
             if all(ratio.values()):
-                found += f"; one branch over it: {', '.join(f'{r:,.2g}' for r in ratio.values())}"
+                found += f"; one branch over it: {', '.join(map(times, ratio.values()))}"
             lines.append(
                 (f"  {name}, {place}, to {tolerance}", f"{row['per_second']:,.0f} /s", found)
             )

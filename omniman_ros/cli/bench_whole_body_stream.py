@@ -86,9 +86,9 @@ class BareStream:
         self._pose, self._stamp = Pose(), Time()
         self._heard = 0.0
 
-    def hear(self, time: float) -> None:
-        """Take in a pose of odom."""
-        self._heard = max(time, self._heard + 1e-4)
+    def hear(self) -> None:
+        """Take in the next pose of odom."""
+        self._heard += 1.0 / ODOM_RATE
         wanted = self._core.sample(np.array([self._pace.motion(self._heard)]))[0][0, :3]
         self._tool.correction.hear(self._heard, wanted + OFF, wanted)
 
@@ -140,14 +140,13 @@ def previews(
             times.append(time.process_time() - begin)
         return 1e6 * min(times) / PREVIEWS
 
-    figures: dict[str, Any] = {"hear_odom": each(bare.hear)}
+    figures: dict[str, Any] = {"hear_odom": each(lambda _: bare.hear())}
     for name, reach, platform in (("arm", CORRECTED, False), ("both", horizon, True)):
         figures[name] = {
             "planned": each(lambda at, reach=reach: bare.planned(at, reach)),
             "corrected": each(lambda at, reach=reach: bare.window(at, reach)),
             "and_filled": each(lambda at, r=reach, p=platform: bare.filled(at, r, p)),
         }
-    figures["hear_odom"] = each(bare.hear)
     published = _published(robot, parameters, plan, each)
     for name, value in published.items():
         figures[name]["and_published"] = value
