@@ -60,7 +60,7 @@ def time_seconds(stamp: Time) -> float:
 
 
 def yaw(quaternion: Quaternion) -> float:
-    """Heading [rad] of a rotation in the plane.
+    """Heading in (-pi, pi] [rad] of a rotation in the plane.
 
     Raises:
         InputError: Not finite, not of unit length, or not about the vertical.
@@ -71,7 +71,7 @@ def yaw(quaternion: Quaternion) -> float:
         raise InputError(f"quaternion of length {length:.4g}, expected 1")
     if 2.0 * math.hypot(x, y) > TILT_TOLERANCE:
         raise InputError("a rotation that is not about the vertical")
-    return 2.0 * math.atan2(z, w)
+    return se2.wrap(2.0 * math.atan2(z, w))
 
 
 def quaternion(theta: float) -> Quaternion:

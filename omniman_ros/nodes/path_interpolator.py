@@ -209,6 +209,7 @@ class PathInterpolatorNode(OmnimanNode):
             port.give_up("time went back", brake=False)
         self.watch.restart(self.now())
         self.odom.forget()
+        self.arm_feed.forget_place()
         for port in (self.path, self.body, self.tool):
             port.waiting.extend()
 
@@ -237,7 +238,6 @@ class PathInterpolatorNode(OmnimanNode):
         self.ending = True
         for waiting in (self.path.waiting, self.body, self.tool):
             waiting.drop()
-        self.tool.close()
         if not self.together.idle:
             self.together.cancel()
             self.tick()

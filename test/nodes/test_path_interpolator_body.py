@@ -217,6 +217,65 @@ def test_when_the_arm_falls_silent_the_platform_brakes_too(world):
     assert any("no arm/joint_states" in text for text in world.warnings)
 
 
+@pytest.mark.parametrize("scaling", [0.25, 0.5])
+def test_what_is_given_up_while_it_is_slowed_does_not_become_faster(world, scaling):
+    world.scaling = scaling
+    world.run(0.2)
+    world.send_body([GOAL])
+    world.run(3.5)
+    world.arm_alive = False
+    world.run_until(lambda: world.body.state is PathState.IDLE, 1.0, "giving up")
+    world.run(0.5)
+    stop = world.preview(-1)
+    fastest = np.hypot(*world.preview(-2).sample(stop.start).velocity[:2])
+    times = np.arange(stop.start, stop.end, 0.004)
+    moves = np.array([stop.sample(t).velocity for t in times])
+    places = np.array([stop.sample(t).pose for t in times])
+    assert np.hypot(*moves[:, :2].T).max() <= 1.001 * fastest
+    # What it says of speeds is what its places do.
+    assert np.abs(np.diff(places, axis=0) / 0.004 - moves[:-1]).max() < 0.02
+    assert stop.end_speed == 0.0 and fastest > 0.05
+
+
+def test_a_bad_report_of_the_arm_does_not_end_what_waits_nor_the_node(world):
+    world.takes = False
+    world.send(BENT)
+    world.run(0.6)
+    world.takes = True
+    world.send_body([GOAL])
+    assert "waits" in world.node.body.last
+    world.joints, good = np.full(6, NAN), world.joints
+    world.run(0.3)
+    assert "waits: arm/joint_states: " in world.node.body.last
+    world.joints = good
+    world.run_until(lambda: world.body.state is PathState.FOLLOWING, 3.0, "the begin")
+    world.body_arrives()
+
+
+def test_what_waits_is_dropped_by_a_trajectory_without_points(world):
+    world.takes = False
+    world.send(BENT)
+    world.run(0.6)
+    world.takes = True
+    world.send_body([GOAL])
+    assert world.node.body.waiting
+    world.trajectories.publish(trajectory(np.empty((0, 6))))
+    before = len(world.references)
+    world.run(3.0)
+    assert len(world.references) == before and not world.node.body.waiting
+
+
+def test_time_that_goes_back_forgets_where_the_arm_was(world):
+    world.run(0.2)
+    assert world.node.arm_feed.position is not None or world.node.arm_feed._states is not None
+    world.arm_alive = False
+    world.time -= 500.0
+    world.run(0.1)
+    world.send_body([GOAL])
+    world.run(0.3)
+    assert "arm/joint_states" in world.node.body.last and not world.joint_previews
+
+
 def test_a_stop_ends_both_at_once(world):
     world.send_body([GOAL])
     world.run(1.0)

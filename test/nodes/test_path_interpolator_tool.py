@@ -12,7 +12,10 @@ from nav_msgs.msg import Odometry, Path
 
 from omniman_ros import arm_conversions, conversions
 from omniman_ros.core.body.model import BodyModel, Mount
+from omniman_ros.core.body.tool_planner import ToolPlanner
+from omniman_ros.core.errors import InputError
 from omniman_ros.core.path.interpolator import PathState
+from omniman_ros.core.preview import Setpoint
 
 from .harness import PERIOD
 from .test_path_interpolator import BENT
@@ -37,6 +40,15 @@ def tool_path(offsets: Any, frame: str = "odom", orientation: bool = True) -> Pa
             stamped.pose.orientation.w = stamped.pose.orientation.x = 0.0
             stamped.pose.orientation.y = stamped.pose.orientation.z = 0.0
         message.poses.append(stamped)
+    return message
+
+
+def turned_path(offsets: Any) -> Path:
+    """A path for a robot that looks back."""
+    message = tool_path(offsets, orientation=False)
+    for stamped in message.poses:
+        place = stamped.pose.position
+        place.x, place.y = -place.x, -place.y
     return message
 
 
@@ -161,6 +173,97 @@ def test_it_is_slowed_where_the_error_is_large_and_given_up_beyond(world):
     assert world.joint_previews[-1][2].end_speed == 0.0
 
 
+def test_what_is_given_up_keeps_the_correction(world):
+    world.send_tool(CORNERS)
+    world.begins()
+    began = world.time
+    world.off = lambda time: np.array([0.0, min(0.02, 0.01 * (time - began)), 0.0])
+    world.run(4.0)
+    led = world.joint_previews[-1][2].sample(world.time + 1e-9)[0]
+    world.takes = False
+    world.say("cmd_vel")
+    world.run_until(lambda: world.node.body.idle, 1.0, "giving up")
+    world.run(0.1)
+    stop = world.joint_previews[-1][2]
+    assert np.abs(stop.sample(stop.start)[0] - led).max() < 0.01
+    assert stop.end_speed == 0.0
+
+
+def test_an_error_that_stays_large_does_not_hold_it_for_ever(world):
+    world.send_tool(CORNERS)
+    world.begins()
+    began = world.time
+    world.off = lambda time: np.array([0.0, min(0.0495, 0.02 * (time - began)), 0.0])
+    world.run(5.0)
+    here = world.tool_references[-1].pose.position.x
+    world.run(3.0)
+    assert not world.node.body.idle
+    assert world.tool_references[-1].pose.position.x > here + 0.01
+
+
+def test_a_tool_that_cannot_follow_on_the_way_is_told(world, monkeypatch):
+    world.send_tool(CORNERS)
+    world.begins()
+    world.run(1.0)
+
+    def unreachable(*_: Any) -> Any:
+        raise InputError("out of the arm's reach")
+
+    monkeypatch.setattr(world.node.body._tool, "window", unreachable)
+    world.run(0.2)
+    assert world.node.body.idle and "given up: out of the arm's reach" in world.node.body.last
+    assert world.status().level == DiagnosticStatus.WARN
+
+
+def test_a_path_that_is_planned_is_dropped_by_a_stop(world):
+    world.tool_paths.publish(tool_path(CORNERS))
+    world.run_until(lambda: world.node.tool.planning or not world.node.body.idle, 1.0, "planning")
+    assert world.node.body.idle, "it was planned before it could be stopped"
+    world.takes = False
+    world.say("stop")
+    world.run(4 * PERIOD)
+    world.say("none")
+    world.takes = True
+    world.planned()
+    world.run(3.0)
+    assert world.node.body.idle and not world.references
+    assert any("not used: the platform is stopped" in text for text in world.warnings)
+
+
+@pytest.mark.parametrize("way", [1e-9, 1e-7, 1e-6, 1e-5])
+def test_a_way_that_is_none_is_refused(world, way):
+    world.send_tool([(0, 0, 0), (way, 0, 0)])
+    world.planned()
+    assert "nothing to do" in world.warnings[0]
+
+
+def test_an_error_of_the_planner_is_told_and_the_node_lives(world, monkeypatch):
+    def broken(*_: Any) -> Any:
+        raise ZeroDivisionError("nobody thought of that")
+
+    monkeypatch.setattr(ToolPlanner, "plan", broken)
+    world.send_tool(CORNERS)
+    world.planned()
+    assert "ZeroDivisionError: nobody thought of that" in world.warnings[0]
+    monkeypatch.undo()
+    world.send_tool(CORNERS)
+    world.begins()
+
+
+def test_a_heading_that_wraps_while_it_is_planned_is_no_motion(world):
+    def stand(theta: float) -> None:
+        world.setpoint = Setpoint(np.array([0.0, 0.0, theta]), np.zeros(3), np.zeros(3))
+
+    stand(math.pi - 1e-7)
+    world.run(0.1)
+    world.tool_paths.publish(turned_path([(0, 0, 0), (0.3, 0, 0)]))
+    world.run_until(lambda: world.node.tool.planning, 1.0, "planning")
+    stand(math.pi + 1e-7)
+    world.begins()
+    world.ends()
+    assert not world.warnings and world.errors().max() < 1e-4
+
+
 def test_poses_without_orientation_keep_the_tool_as_it_is(world):
     world.send_tool(CORNERS, orientation=False)
     world.begins()
@@ -254,6 +357,16 @@ def test_it_says_where_the_tool_is(world):
     before = len(poses)
     world.run(0.5)
     assert len(poses) == before
+
+
+def test_reports_of_the_arm_that_cannot_be_used_end_what_is_said_of_the_tool(world):
+    poses = world.listen(PoseStamped, "tool_pose")
+    world.joints = np.full(6, math.nan)
+    world.run(0.8)
+    before = len(poses)
+    world.run(0.5)
+    assert len(poses) == before
+    assert any("arm/joint_states ignored" in text for text in world.warnings)
 
 
 def test_previews_of_the_arm_come_at_twice_the_rate_of_the_platforms(world):

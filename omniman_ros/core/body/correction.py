@@ -48,10 +48,6 @@ class PlatformCorrection:
 
     def __init__(self, options: ToolPathOptions) -> None:
         self.options = options
-        self.restart()
-
-    def restart(self) -> None:
-        """Forget what was measured: a motion begins, without an error."""
         self.error: Array = np.zeros(3)
         self.rate: Array = np.zeros(3)
         self.time = -math.inf

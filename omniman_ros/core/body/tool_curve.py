@@ -36,6 +36,8 @@ LONGEST_WINDOW = 0.02
 """Of the average [m]."""
 UPSIDE_DOWN = 3.0
 """Largest swing [rad]: near pi its axis jumps."""
+SHORTEST = 1e-4
+"""Ways that are shorter are none [m]."""
 SMALL = 1e-5
 """Below this a swing [rad] is not divided by."""
 
@@ -75,6 +77,8 @@ class ToolCurve:
         self._kept_at = np.concatenate([[0.0], np.cumsum(spans)])
         self._kept_index = kept
         curve = Curve(points, groups, room)
+        if curve.end < SHORTEST:
+            raise InputError("nothing to do: the tool is there already")
         self.knots, self._values, self._slopes, self._bends = _averaged(
             curve, options, groups, averaged
         )

@@ -83,6 +83,7 @@ class ToolPlanner:
         inverse = np.linalg.inv(frame)
         path = ToolCurve(inverse @ np.concatenate([now[None], poses]), self._options, frame)
         local = np.concatenate([np.zeros(3), start[3:]])
+        self._resolver.signs(local[3:])  # on a singularity there is no branch
         branch = self._model.arm.branch_of(local[3:])
         way = BodyWay(self._model, path, self._resolver.resolve(path, local), branch)
         samples = way.samples()

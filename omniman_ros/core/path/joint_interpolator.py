@@ -21,6 +21,8 @@ from omniman_ros.core.path.timed_curve import TimedCurve
 
 Array = NDArray[np.float64]
 
+KEPT = 0.25
+"""So long a motion that was replaced is known: measurements are older than now [s]."""
 SETTLE = 0.2
 """How long the end is held, so that the receiver has it whatever is lost [s]."""
 
@@ -222,12 +224,12 @@ class JointInterpolator:
         motion = self._motion
         if motion is None:
             return
-        while self._before and now >= self._before[0][0]:
+        while self._before and now >= self._before[0][0] + KEPT:
             self._before.pop(0)
         if self.state is PathState.FOLLOWING:
             if motion.pace.motion(now) >= motion.end + SETTLE:
                 self.finish(now)
-        elif not self._before and motion.pace.stands(now):
+        elif now >= self._since and motion.pace.stands(now):
             if self.state is PathState.PAUSING:
                 self.state = PathState.PAUSED
             elif self.state is PathState.CANCELLING:

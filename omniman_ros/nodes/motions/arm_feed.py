@@ -1,6 +1,5 @@
 """What the node hears of where the arm is."""
 
-import contextlib
 from collections import deque
 from collections.abc import Callable
 
@@ -85,8 +84,10 @@ class ArmFeed:
 
     def state(self) -> tuple[Array, Array] | None:
         """Last measured angles [rad] and rates [rad/s] (6,), if there are any that can be used."""
-        with contextlib.suppress(InputError):
+        try:
             self.measure()
+        except InputError as error:
+            self._node.warn("arm/joint_states", f"arm/joint_states ignored: {error}")
         return None if self.position is None else (self.position, self.velocity)
 
     @property
@@ -141,10 +142,13 @@ class ArmFeed:
             tolerance: As above [rad].
             idle: Whether it moves for nobody here.
 
-        Raises:
-            InputError: What was heard last cannot be used.
+        What was heard last and cannot be used is such a reason: this is asked outside of callbacks
+        of messages, too.
         """
-        self.measure()
+        try:
+            self.measure()
+        except InputError as error:
+            return f"arm/joint_states: {error}"
         if self.position is None:
             return "no arm/joint_states"
         age = self.age if idle else self.silent
@@ -157,3 +161,4 @@ class ArmFeed:
     def forget_place(self) -> None:
         """As if nothing had been heard."""
         self.position = self._states = None
+        self.time = self._heard = float("-inf")

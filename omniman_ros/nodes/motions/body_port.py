@@ -43,6 +43,7 @@ class BodyPort(JointPort):
         self._tool: ToolStream | None = None
         self._corrected = float("-inf")
         self._arm_at: Array | None = None
+        self._offset: Array = np.zeros(len(self.names) - len(PLATFORM_AXES))
         self._tool_out = ToolOutput(self._node, "tool_reference", host.options.odom_frame)
 
     def configure(self, new: PathInterpolatorParameters) -> None:
@@ -213,7 +214,18 @@ class BodyPort(JointPort):
         along = self.core.along(paced.motion)
         motion = paced.apply(*self.core.sample(paced.motion))
         self._tool_out.send(float(times[0]), tool.plan.tool(along[1:2])[0])
-        return Window(times, *tool.window(wide, along, float(paced.rate[0]), *motion))
+        window = Window(times, *tool.window(wide, along, float(paced.rate[0]), *motion))
+        self._offset = window.positions[0, JOINTS] - motion[0][1, JOINTS]
+        return window
+
+    def _paced_stop(self, now: float) -> Window | None:
+        """The arm keeps what is corrected; see the base class."""
+        window = super()._paced_stop(now)
+        if window is None or self._tool is None:
+            return window
+        positions = window.positions.copy()
+        positions[:, JOINTS] += self._offset
+        return replace(window, positions=positions)
 
     # ---- what axes there are ------------------------------------------------------------------
 

@@ -279,6 +279,8 @@ class JointPort:
         if before is PathState.IDLE:
             return
         self.publish(self._host.options.horizon)
+        if self.idle:
+            return  # given up: that has been told
         motion = together.now()
         self.core.update(motion)
         if self.core.state is PathState.CANCELLING and together.pace.stands(self._node.now()):

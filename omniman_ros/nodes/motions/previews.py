@@ -33,11 +33,12 @@ class PlatformPreviews:
         )
 
     def send(self, window: Window) -> None:
-        """Publish a part of the stream."""
+        """Publish a part of the stream; its times may be further apart than ticks."""
         message = self._message
-        if len(window.times) != len(message.points):
-            points = min(len(window.times), MAX_POINTS)
-            message = conversions.reference_message(self._frame, points, TICK)
+        points = min(len(window.times), MAX_POINTS)
+        step = float(window.times[1] - window.times[0])
+        if points != len(message.points) or not np.isclose(step, TICK, rtol=1e-3):
+            message = conversions.reference_message(self._frame, points, step)
         conversions.fill_reference(message, self._node.stamp(window.times[0]), window)
         self.publisher.publish(message)
         self.covered = float(window.times[len(message.points) - 1])

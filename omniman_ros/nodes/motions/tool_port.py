@@ -1,6 +1,8 @@
 """Paths of the tool: `tool_path` in; planned beside the node's cycle, driven by the whole body."""
 
-from concurrent.futures import Future, ThreadPoolExecutor
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future
 
 import numpy as np
 from nav_msgs.msg import Path
@@ -8,6 +10,7 @@ from numpy.typing import NDArray
 from rclpy.serialization import deserialize_message
 
 from omniman_ros import arm_conversions
+from omniman_ros.core import se2
 from omniman_ros.core.body.limits import BodyLimits
 from omniman_ros.core.body.model import BodyModel
 from omniman_ros.core.body.tool_planner import ToolPlan, ToolPlanner
@@ -43,8 +46,6 @@ class ToolPort:
         self._model = BodyModel(host.options.mount)
         self.waiting = Waiting(self._node.now, host.watch)
         self.last = "no path of the tool yet"
-        # Planning takes up to seconds: stops and services must not wait for it.
-        self._workers = ThreadPoolExecutor(1, thread_name_prefix="tool_path")
         self._planned: Future[ToolPlan] | None = None
         self._start: Array = np.zeros(0)
         self._pose = ToolOutput(self._node, "tool_pose", host.options.odom_frame)
@@ -56,15 +57,18 @@ class ToolPort:
     def _tell_pose(self) -> None:
         """Say where the tool is, as long as that is measured."""
         measured, host = self._body.actual(), self._host
-        late = host.options.odom_timeout
-        if measured is not None and max(host.odom.age, host.arm_feed.age) < late:
-            self._pose.send(self._node.now(), self._model.forward(measured[0]))
+        late, since = host.options.odom_timeout, min(host.odom.time, host.arm_feed.time)
+        if measured is not None and self._node.now() - since < late:
+            self._pose.send(since, self._model.forward(measured[0]))
 
     def _on_path(self, data: bytes) -> str:
         p = self._host.options
         most = p.tool_path.max_poses
         if len(data) > POSE_BYTES * (most + 100):
             raise self._refused(f"{len(data) / 1e6:.0f} MB, at most {most} poses are taken")
+        why = self._obstacle()
+        if why:  # before it is unpacked: what moves would have to wait for that
+            raise self._refused(why)
         message = deserialize_message(data, Path)
         try:
             arm_conversions.tool_poses(message, p.frames, np.eye(3))
@@ -90,17 +94,16 @@ class ToolPort:
     def drop(self) -> bool:
         """Forget the path that waits or is planned; returns whether there was one."""
         planned, self._planned = self._planned, None
-        if planned is not None:
-            planned.cancel()
         return self.waiting.drop() or planned is not None
-
-    def close(self) -> None:
-        """Plan no more."""
-        self._workers.shutdown(wait=False, cancel_futures=True)
 
     def try_waiting(self) -> str:
         """Go on with the path that waits or is planned; returns why it never will begin."""
-        why, waits = self.waiting.attempt(self._obstacle(), self._body.not_yet)
+        obstacle = self._obstacle()
+        if self._planned is not None and obstacle:  # a reset must not begin it
+            self.drop()
+            self.last = f"a tool path was refused: {obstacle}"
+            return obstacle
+        why, waits = self.waiting.attempt(obstacle, self._body.not_yet)
         if waits:
             self.last = f"a tool path waits: {waits}"
         if self._planned is not None and self._planned.done():
@@ -120,7 +123,7 @@ class ToolPort:
         here = self._model.forward(start)[:3, :3]
         poses = arm_conversions.tool_poses(message, p.frames, here)
         planner = ToolPlanner(self._model, BodyLimits.of_body(p.core, p.arm), p.tool_path)
-        self._planned, self._start = self._workers.submit(planner.plan, poses, start), start
+        self._planned, self._start = in_background(lambda: planner.plan(poses, start)), start
         self.last = f"planning a tool path of {len(poses)} poses"
 
     def _begin(self, planned: Future[ToolPlan]) -> str:
@@ -129,10 +132,33 @@ class ToolPort:
             plan = planned.result()
         except InputError as error:
             return str(error)
-        moved = float(np.abs(self._body.here() - self._start).max())
+        except Exception as error:  # the thread's: the node must not die of a path
+            why = f"it could not be planned: {type(error).__name__}: {error}"
+            self._node.get_logger().error(why)
+            return why
+        away = self._body.here() - self._start
+        away[2] = se2.wrap(float(away[2]))
+        moved = float(np.abs(away).max())
         if moved > MOVED:
             return f"the robot has moved by {moved:.3f} (m or rad) while it was planned"
         p = self._host.options
         self._body.follow(ToolStream(self._model, plan, p.tool_path, p.arm.each("velocity")))
         self.last = self._body.last
         return ""
+
+
+def in_background(plan: Callable[[], ToolPlan]) -> Future[ToolPlan]:
+    """Plan in a thread: that takes up to seconds, and stops and services must not wait for it.
+
+    Nor does the end of the process: a plan that is not wanted any more is left alone.
+    """
+    future: Future[ToolPlan] = Future()
+
+    def work() -> None:
+        try:
+            future.set_result(plan())
+        except BaseException as error:  # told by the one who asks for the result
+            future.set_exception(error)
+
+    threading.Thread(target=work, name="tool_path", daemon=True).start()
+    return future

@@ -39,7 +39,8 @@ class ToolStream:
     @property
     def pace(self) -> float:
         """How fast it may be driven, 0 to 1."""
-        return float(np.floor(STEPS * min(self.correction.pace(), self._slowed))) / STEPS
+        steps = np.floor(STEPS * min(self.correction.pace(), self._slowed))
+        return max(float(steps), 1.0) / STEPS  # what stands would stand for ever
 
     def window(
         self, times: Array, along: Array, rate: float, q: Array, v: Array, a: Array

@@ -36,6 +36,7 @@ class TrajectoryInput:
         message = deserialize_message(data, JointTrajectory)
         if not message.points:
             self._arm.stop()
+            self._body.drop()
             self._body.stop()
             return ""
         return self.take(message)

@@ -100,14 +100,6 @@ def test_a_gap_begins_the_filter_anew():
     assert not correction.rate.any()
 
 
-def test_a_restart_forgets():
-    correction = made()
-    heard(correction, lambda t: t * OFF)
-    correction.restart()
-    assert not at(correction, 0.0).any()
-    correction.hear(0.1, REFERENCE, REFERENCE)  # older than what was forgotten
-
-
 @pytest.mark.parametrize("time", [2.0, 1.99, -1.0, math.nan])
 def test_a_measurement_that_is_not_newer_is_refused_and_changes_nothing(time):
     correction = made()
