@@ -242,3 +242,25 @@ def test_wild_paths_are_planned_well_or_refused(seed):
     assert np.allclose(MODEL.forward(curve.positions), plan.tool(curve.times), atol=1e-9)
     assert np.abs(np.sin(curve.positions[:, [5, 7]])).min() >= 0.99 * OPTIONS.singularity
     assert math.isfinite(plan.length)
+
+
+def test_every_start_on_a_singularity_is_refused_by_its_name():
+    angles = [0.0, math.pi / 2, -math.pi / 2, math.pi, 0.1]
+    rng = np.random.default_rng(4)
+    for wrist in ("elbow", "wrist"):
+        for _ in range(40):
+            arm = np.concatenate([[0.0], rng.choice(angles, 4), [0.0]])
+            arm[2 if wrist == "elbow" else 4] = rng.choice([0.0, 1e-9, 1e-5])
+            start = np.concatenate([np.zeros(3), arm])
+            poses = MODEL.forward(start)[None] + np.zeros((2, 1, 1))
+            poses[1, 0, 3] += 0.3
+            with pytest.raises(InputError, match="starts too near to the .* singularity"):
+                PLANNER.plan(poses, start)
+
+
+@pytest.mark.parametrize("way", [0.0, 1e-9, 1e-7, 1e-6, 5e-5])
+def test_a_way_that_is_none_is_refused(way):
+    poses = np.repeat(MODEL.forward(START)[None], 2, axis=0)
+    poses[1, 0, 3] += way
+    with pytest.raises(InputError, match="nothing to do"):
+        PLANNER.plan(poses, START)

@@ -215,3 +215,17 @@ def test_whatever_happens_the_stream_keeps_its_limits(seed):
         states.add(arm.core.state)
     assert len(states) >= 4
     arm.assert_smooth()
+
+
+def test_what_was_replaced_is_known_for_a_while():
+    """Measurements are older than now, and are compared with where they were to be."""
+    core = JointInterpolator(AxisLimits.of_arm(ArmParameters()), JointTrajectoryOptions())
+    core.take(core.propose(JointPoints((0,), None, np.array([[3.0]])), np.zeros(6), 0.0), 0.0)
+    before = JointPoints((0,), np.array([2.0]), np.array([[3.1]]))
+    core.take(core.propose(before, np.zeros(6), 1.0, 0.03), 1.0)
+    since = core._since
+    expected = core.sample(np.array([since - 0.012]))
+    core.update(since + 0.2)
+    again = core.sample(np.array([since - 0.012]))
+    assert again[0] == pytest.approx(expected[0]) and again[1] == pytest.approx(expected[1])
+    assert abs(expected[1][0, 0]) > 0.5
