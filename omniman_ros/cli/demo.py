@@ -37,7 +37,7 @@ PATIENT = (
     "timeouts.wheel_states:=0.5", "firmware.watchdog:=0.5", "safety.deadline:=0.05",
     "odom_timeout:=1.0", "can.missed_periods:=100", "can.drive_heartbeat:=0.2",
     "can.heartbeat_timeout:=0.5", "can.command_timeout:=0.5",
-    "joint_trajectory.states_timeout:=1.0", "scaling_timeout:=2.0",
+    "joint_trajectory.states_timeout:=1.0", "scaling_timeout:=2.0", "ur.following_error:=0.5",
 )  # fmt: skip
 """A show on a busy machine: nothing real is at stake when a process waits for its turn."""
 

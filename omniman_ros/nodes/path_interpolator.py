@@ -12,7 +12,7 @@ from std_srvs.srv import Trigger
 from omniman_ros import conversions
 from omniman_ros.core.control import ControlWatch
 from omniman_ros.core.errors import ParameterError
-from omniman_ros.core.path.interpolator import PathState, RefusedError
+from omniman_ros.core.path.interpolator import RefusedError
 from omniman_ros.core.path.parameters import TICK
 from omniman_ros.nodes.control_port import ControlPort
 from omniman_ros.nodes.motions.arm_feed import ArmFeed
@@ -35,8 +35,6 @@ Array = NDArray[np.float64]
 
 TIME_BACK = 0.1
 """Simulated time that goes back by more than this ends all motions [s]."""
-TROUBLE = ("a path", "the path", "a trajectory", "the trajectory", "a tool path")
-"""What a warning in the diagnostics begins with."""
 
 
 class PathInterpolatorNode(OmnimanNode):
@@ -268,11 +266,9 @@ class PathInterpolatorNode(OmnimanNode):
             ]
         values += [("tool_path_last", self.tool.last)]
         values += [("speed_scaling", round(self.scaling.value, 4)), ("last", path.last)]
-        for port in (path, arm, body):
-            if port.core.state is PathState.IDLE and port.last.startswith(TROUBLE):
-                return DiagnosticStatus.WARN, port.last, values
-        if self.tool.last.startswith(TROUBLE) and "refused" in self.tool.last:
-            return DiagnosticStatus.WARN, self.tool.last, values
+        latest = max((path, arm, body, self.tool), key=lambda port: port.told)
+        if latest.troubled and latest.idle:
+            return DiagnosticStatus.WARN, latest.last, values
         return DiagnosticStatus.OK, self.together.state.value, values
 
 

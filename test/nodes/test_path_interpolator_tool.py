@@ -377,3 +377,34 @@ def test_previews_of_the_arm_come_at_twice_the_rate_of_the_platforms(world):
     world.run(1.0)
     assert len(world.joint_previews) - before > 45 and len(world.references) - count < 30
     assert min(p.end - start for _, start, p in world.joint_previews) >= 0.39
+
+
+def test_the_diagnostics_tell_what_happened_last(world):
+    world.trajectories.publish(trajectory([[1.0]], names=["nobody"]))
+    world.run(0.1)
+    assert "nobody" in world.status().message
+    world.send_tool([(0, 0, 0), (0.1, 0, 0)])
+    world.begins()
+    world.ends()
+    status = world.status()
+    assert status.level == DiagnosticStatus.OK and status.message == "idle"
+    world.send([(9.0, 9.0, 0.0)])
+    assert "a path was refused" in world.status().message
+    world.trajectories.publish(trajectory([READY + 0.1]))
+    world.run(3.0)
+    assert world.status().level == DiagnosticStatus.OK
+
+
+def test_one_false_pose_of_the_platform_does_not_lead_the_arm_astray(world):
+    world.send_tool(CORNERS)
+    world.begins()
+    world.run(2.0)
+    count, world.off = len(world.joint_previews), lambda time: np.array([0.1, 0.0, 0.0])
+    world.run(PERIOD)
+    world.off = lambda time: np.zeros(3)
+    world.run(0.5)
+    assert any("odom ignored: the platform would be 0.100 m" in t for t in world.warnings)
+    assert not world.node.body.idle and len(world.joint_previews) > count + 10
+    _, _, v, a = world.driven(count - 5)
+    assert np.abs(v).max() < 0.3 and np.abs(a).max() < 1.0
+    world.ends()

@@ -25,6 +25,8 @@ LONGEST_GAP = 0.25
 """After so long without a measurement the filter begins anew [s]."""
 SLOWEST = 0.1
 """The least pace from which joint speeds at another are concluded."""
+BELIEVED = 3
+"""So many measurements one after the other that are too far off are no mistake of one."""
 FREE = 0.5
 """Share of the largest error up to which the motion is not slowed."""
 
@@ -51,6 +53,7 @@ class PlatformCorrection:
         self.error: Array = np.zeros(3)
         self.rate: Array = np.zeros(3)
         self.time = -math.inf
+        self._strange = 0
 
     def hear(self, time: float, measured: Array, reference: Array) -> None:
         """Take in a measured pose.
@@ -61,7 +64,8 @@ class PlatformCorrection:
             reference: (3,) where it was to be at that time [m, m, rad].
 
         Raises:
-            InputError: Not finite, or not newer than the last; nothing is changed.
+            InputError: Not finite, not newer than the last, or further off than is corrected, but
+                not yet so often that it is believed; the error is not changed.
         """
         if not time > self.time:
             raise InputError(f"a pose of {time:.3f} s, the last was of {self.time:.3f} s")
@@ -71,6 +75,16 @@ class PlatformCorrection:
         raw[2] = se2.wrap(float(raw[2]))
         step = time - self.time
         self.time = time
+        if float(self._shares(raw[None])[0]) > 1.0:
+            self._strange += 1
+            if self._strange < BELIEVED:
+                raise InputError(
+                    f"the platform would be {math.hypot(raw[0], raw[1]):.3f} m and "
+                    f"{raw[2]:.3f} rad off its path"
+                )
+            self.error, self.rate = raw, np.zeros(3)
+            return
+        self._strange = 0
         if step > LONGEST_GAP:
             self.error, self.rate = raw, np.zeros(3)
             return

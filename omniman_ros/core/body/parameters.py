@@ -39,6 +39,9 @@ class ToolPathOptions:
         "distance from the arm's first axis over the arm's length.", low=0.01, high=0.5,
     )  # fmt: skip
     max_poses: int = parameter(20000, "Most poses of a path.", low=1, high=1000000)
+    max_length: float = parameter(
+        100.0, "Longest path; a turn of 1 rad counts as 0.4 m.", unit="m", low=0.1, high=1000
+    )
     correction: bool = parameter(
         True, "Whether the arm takes the platform's measured tracking error out."
     )

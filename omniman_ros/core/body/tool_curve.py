@@ -79,6 +79,10 @@ class ToolCurve:
         curve = Curve(points, groups, room)
         if curve.end < SHORTEST:
             raise InputError("nothing to do: the tool is there already")
+        if curve.end > options.max_length:
+            raise InputError(
+                f"the path is {curve.end:.0f} m long, at most {options.max_length:g} m are taken"
+            )
         self.knots, self._values, self._slopes, self._bends = _averaged(
             curve, options, groups, averaged
         )

@@ -14,6 +14,7 @@ from omniman_ros.core.path.interpolator import PathState, Window
 from omniman_ros.core.path.joint_interpolator import JointInterpolator, JointProposal
 from omniman_ros.core.path.joint_points import JointPoints
 from omniman_ros.nodes.motions.host import ATTEMPTS, PLANNING_LEAST, Host
+from omniman_ros.nodes.motions.teller import Teller
 
 Array = NDArray[np.float64]
 
@@ -25,7 +26,7 @@ REMEMBERED = 20
 """Ends of so many motions are remembered."""
 
 
-class JointPort:
+class JointPort(Teller):
     """Message plumbing around `core.path.joint_interpolator.JointInterpolator`.
 
     Args:
@@ -34,14 +35,13 @@ class JointPort:
 
     Attributes:
         core: The interpolator.
-        last: What happened last, in words.
     Motions have numbers: an action, whose client waits for the end of one, asks by them.
     """
 
     def __init__(self, host: Host, limits: AxisLimits) -> None:
         self._host, self._node = host, host.node
         self.core = JointInterpolator(limits, host.options.joint_trajectory)
-        self.last = "no trajectory yet"
+        self._last = "no trajectory yet"
         self._claimed = self._motion = 0
         self._outcomes: dict[int, str] = {}
 

@@ -9,6 +9,7 @@ from omniman_ros import conversions
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.path.interpolator import PathInterpolator, PathState, Window
 from omniman_ros.nodes.motions.host import ATTEMPTS, PLANNING_LEAST, Host
+from omniman_ros.nodes.motions.teller import Teller
 from omniman_ros.nodes.motions.waiting import Waiting
 
 Array = NDArray[np.float64]
@@ -19,13 +20,12 @@ PLANNING = 1e-4
 """Planning is expected to take less than this for each pose [s]."""
 
 
-class PathPort:
+class PathPort(Teller):
     """Message plumbing around `core.path.interpolator.PathInterpolator`.
 
     Attributes:
         core: The interpolator.
         waiting: The path that waits.
-        last: What happened last, in words.
     """
 
     def __init__(self, host: Host) -> None:
@@ -34,7 +34,7 @@ class PathPort:
         parameters.planner()  # what it would refuse, it refuses now
         self.core = PathInterpolator(parameters)
         self.waiting = Waiting(self._node.now, host.watch)
-        self.last = "no path yet"
+        self._last = "no path yet"
         # Bytes, so that a path of a million poses is refused before it is unpacked.
         on_path = self._node.guarded("path", self._on_path)
         self._node.create_subscription(Path, "path", on_path, 10, raw=True)

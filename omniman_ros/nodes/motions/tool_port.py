@@ -18,6 +18,7 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.nodes.motions.body_port import BodyPort
 from omniman_ros.nodes.motions.host import Host
 from omniman_ros.nodes.motions.path_port import POSE_BYTES
+from omniman_ros.nodes.motions.teller import Teller
 from omniman_ros.nodes.motions.tool_stream import ToolOutput, ToolStream
 from omniman_ros.nodes.motions.waiting import Waiting
 
@@ -29,7 +30,7 @@ MOVED = 0.005
 """The robot must not move by more while a path is planned [m, rad]."""
 
 
-class ToolPort:
+class ToolPort(Teller):
     """Takes paths of the tool, one at a time, from rest.
 
     Args:
@@ -38,15 +39,15 @@ class ToolPort:
 
     Attributes:
         waiting: The path that waits for the robot.
-        last: What happened last, in words.
     """
 
     def __init__(self, host: Host, body: BodyPort) -> None:
         self._host, self._node, self._body = host, host.node, body
         self._model = BodyModel(host.options.mount)
         self.waiting = Waiting(self._node.now, host.watch)
-        self.last = "no path of the tool yet"
+        self._last = "no path of the tool yet"
         self._planned: Future[ToolPlan] | None = None
+        self._running: Future[ToolPlan] | None = None
         self._start: Array = np.zeros(0)
         self._pose = ToolOutput(self._node, "tool_pose", host.options.odom_frame)
         self._node.every(TOLD, self._tell_pose)
@@ -83,6 +84,11 @@ class ToolPort:
         return self.try_waiting()
 
     @property
+    def idle(self) -> bool:
+        """Whether no path of the tool is under way."""
+        return self._body.idle
+
+    @property
     def planning(self) -> bool:
         """Whether a path is planned, and that is not done yet."""
         return self._planned is not None and not self._planned.done()
@@ -103,7 +109,7 @@ class ToolPort:
             self.drop()
             self.last = f"a tool path was refused: {obstacle}"
             return obstacle
-        why, waits = self.waiting.attempt(obstacle, self._body.not_yet)
+        why, waits = self.waiting.attempt(obstacle, self._not_yet)
         if waits:
             self.last = f"a tool path waits: {waits}"
         if self._planned is not None and self._planned.done():
@@ -118,12 +124,18 @@ class ToolPort:
             return "a motion of the whole body is under way; ~/cancel ends it"
         return self._host.watch.obstacle or self._host.busy(self._body)
 
+    def _not_yet(self) -> str:
+        if self._running is not None and not self._running.done():
+            return "one that is not wanted any more is still planned"
+        return self._body.not_yet()
+
     def _plan(self, message: Path) -> None:
         p, start = self._host.options, self._body.here()
         here = self._model.forward(start)[:3, :3]
         poses = arm_conversions.tool_poses(message, p.frames, here)
         planner = ToolPlanner(self._model, BodyLimits.of_body(p.core, p.arm), p.tool_path)
         self._planned, self._start = in_background(lambda: planner.plan(poses, start)), start
+        self._running = self._planned
         self.last = f"planning a tool path of {len(poses)} poses"
 
     def _begin(self, planned: Future[ToolPlan]) -> str:

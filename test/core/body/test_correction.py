@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from omniman_ros.core.body.correction import (
+    BELIEVED,
     FADING,
     LONGEST_GAP,
     PlatformCorrection,
@@ -29,10 +30,16 @@ def made(**options):
 
 
 def heard(correction, error, seconds=2.0, since=0.0):
-    """Feed an error (a function of time); returns the time of the last measurement."""
+    """Feed an error (a function of time); returns the time of the last measurement.
+
+    One that is larger than what is corrected is believed after a while.
+    """
     for k in range(1, round(seconds / PERIOD) + 1):
         time = since + k * PERIOD
-        correction.hear(time, REFERENCE + error(time), REFERENCE)
+        try:
+            correction.hear(time, REFERENCE + error(time), REFERENCE)
+        except InputError as refused:
+            assert "off its path" in str(refused) and k < BELIEVED
     return time
 
 
@@ -212,3 +219,25 @@ def test_a_motion_that_was_slowed_for_its_joints_stays_so():
     assert speed_pace(pace * full, limits, pace) == pytest.approx(pace)
     assert speed_pace(pace * 0.3 * full, limits, pace) == 1.0
     assert speed_pace(np.zeros((4, 2)), limits, 0.0) == 1.0  # it goes on from a halt
+
+
+def test_one_pose_that_is_far_off_is_refused_and_changes_nothing():
+    correction = PlatformCorrection(ToolPathOptions())
+    for i in range(20):
+        correction.hear(0.01 * i, np.array([0.002, 0.0, 0.0]), np.zeros(3))
+    before, rate = correction.error.copy(), correction.rate.copy()
+    with pytest.raises(InputError, match="0.100 m"):
+        correction.hear(0.2, np.array([0.1, 0.0, 0.0]), np.zeros(3))
+    assert correction.error == pytest.approx(before) and correction.rate == pytest.approx(rate)
+    correction.hear(0.21, np.array([0.002, 0.0, 0.0]), np.zeros(3))
+    assert correction.share < 0.1
+
+
+def test_poses_that_stay_far_off_are_believed():
+    correction = PlatformCorrection(ToolPathOptions())
+    far = np.array([0.0, 0.0, 0.3])
+    for i in range(2):
+        with pytest.raises(InputError, match="0.300 rad"):
+            correction.hear(0.01 * i, far, np.zeros(3))
+    correction.hear(0.02, far, np.zeros(3))
+    assert correction.share == pytest.approx(3.0)

@@ -264,3 +264,10 @@ def test_a_way_that_is_none_is_refused(way):
     poses[1, 0, 3] += way
     with pytest.raises(InputError, match="nothing to do"):
         PLANNER.plan(poses, START)
+
+
+def test_a_path_that_is_too_long_is_refused_before_it_is_planned():
+    poses = np.repeat(MODEL.forward(START)[None], 2, axis=0)
+    poses[1, 0, 3] += 3000.0
+    with pytest.raises(InputError, match="3000 m long, at most 100 m"):
+        PLANNER.plan(poses, START)
