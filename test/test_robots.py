@@ -5,6 +5,7 @@ import pytest
 import robots
 import yaml
 
+from omniman_ros.core.body.model import Mount
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.kinematics import PlatformKinematics
 from omniman_ros.core.parameters import build, specs
@@ -18,7 +19,7 @@ from omniman_ros.share import share_path
 FILES = sorted(share_path("config").glob("*.yaml")) + sorted(robots.CONFIG.glob("*.yaml"))
 KNOWN = {
     spec.name: spec for cls in (PlatformParameters, SimulationParameters) for spec in specs(cls)
-}
+} | {spec.name: spec for spec in specs(Mount, "mount.")}
 
 
 def test_all_robots_are_here():

@@ -12,7 +12,7 @@ from nav_msgs.msg import Odometry
 from std_srvs.srv import Trigger
 
 from omniman_ros import conversions
-from omniman_ros.cli.children import signals_to
+from omniman_ros.cli.driving import drive
 from omniman_ros.cli.errors import CommandError
 from omniman_ros.cli.progress import Progress
 from omniman_ros.cli.session import DISCOVERY, Session
@@ -114,23 +114,8 @@ class GoalDriver:
 
 def run(args: argparse.Namespace) -> int:
     """Run `omniman goal`; returns the exit code."""
-    progress = Progress()
-    # Noted, not raised: a KeyboardInterrupt that comes up in a callback of the executor gets lost.
-    signals: list[int] = []
-
-    def poll() -> None:
-        if signals:
-            raise KeyboardInterrupt
-
-    with signals_to(signals.append), Session("omniman_goal", args.namespace) as session:
-        driver = GoalDriver(session, progress, poll)
-        try:
-            driver.drive((args.x, args.y, math.radians(args.heading)), args.relative, args.timeout)
-        except KeyboardInterrupt:
-            driver.cancel()
-            progress.abandon()
-            raise
-        except CommandError:
-            progress.abandon()
-            raise
-    return 0
+    place = (args.x, args.y, math.radians(args.heading))
+    return drive(
+        "omniman_goal", args.namespace, GoalDriver,
+        lambda driver: driver.drive(place, args.relative, args.timeout),
+    )  # fmt: skip

@@ -116,7 +116,7 @@ def _way(
     axes.set_ylabel("x [m] →")
     axes.xaxis.set_major_formatter(lambda value, _: f"{-value + 0.0:g}")
     axes.grid(color=FAINT, lw=0.4)
-    axes.legend(frameon=False, loc="upper right")
+    axes.legend(frameon=False, loc="best")
 
 
 def _among_obstacles(axes: Any, odom: Array, goal: DrivenGoal) -> None:

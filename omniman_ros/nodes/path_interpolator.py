@@ -21,7 +21,7 @@ from omniman_ros.nodes.motions.body_port import BodyPort
 from omniman_ros.nodes.motions.odom_feed import OdomFeed
 from omniman_ros.nodes.motions.parameters import PathInterpolatorParameters
 from omniman_ros.nodes.motions.path_port import PathPort
-from omniman_ros.nodes.motions.previews import ArmPreviews, PlatformPreviews
+from omniman_ros.nodes.motions.previews import arm_previews, platform_previews
 from omniman_ros.nodes.motions.scaling_port import ScalingPort
 from omniman_ros.nodes.motions.together import Together
 from omniman_ros.nodes.motions.tool_port import ToolPort
@@ -59,8 +59,8 @@ class PathInterpolatorNode(OmnimanNode):
             raise ParameterError("period", p.period, "more than half of the horizon")
         self.ending = False
         self.watch = ControlWatch(p.restart)
-        self.platform_previews = PlatformPreviews(self, p.odom_frame, p.horizon)
-        self.arm_previews = ArmPreviews(self, p.arm.joints, p.horizon)
+        self.platform_previews = platform_previews(self, p.odom_frame, p.horizon)
+        self.arm_previews = arm_previews(self, p.arm.joints, p.horizon)
         self._progress = self.create_publisher(Float64, "path_progress", 10)
         self.path, self.arm, self.body = PathPort(self), ArmPort(self), BodyPort(self)
         self.scaling = ScalingPort(self, self._scaled)

@@ -836,10 +836,10 @@ def test_a_goal_overrules_a_path():
         paths = world.publisher(Path, "path")
         paths.publish(conversions.path_message(np.array([[0, 0, 0], [0.0, 0.6, 0]]), "odom"))
         world.run(1.0)
-        assert walker.core.state is PathState.FOLLOWING and world.true_speed() > 0.1
+        assert walker.path.core.state is PathState.FOLLOWING and world.true_speed() > 0.1
         world.send(0.4, 0.1, 0.0)
         world.run(0.1)
-        assert walker.core.state is PathState.IDLE
+        assert walker.path.core.state is PathState.IDLE
         assert "mpc drives" in walker.status()[1] and world.state is PlannerState.DRIVING
         world.arrive()
         assert world.distance(0.4, 0.1, 0.0) < 0.03 and world.warnings == []

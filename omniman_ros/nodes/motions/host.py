@@ -6,7 +6,7 @@ from omniman_ros.core.control import ControlWatch
 from omniman_ros.nodes.motions.arm_feed import ArmFeed
 from omniman_ros.nodes.motions.odom_feed import OdomFeed
 from omniman_ros.nodes.motions.parameters import PathInterpolatorParameters
-from omniman_ros.nodes.motions.previews import ArmPreviews, PlatformPreviews
+from omniman_ros.nodes.motions.previews import Previews
 from omniman_ros.nodes.motions.together import Together
 from omniman_ros.nodes.runtime import OmnimanNode
 
@@ -33,8 +33,8 @@ class Host(Protocol):
     odom: OdomFeed
     arm_feed: ArmFeed
     together: Together
-    platform_previews: PlatformPreviews
-    arm_previews: ArmPreviews
+    platform_previews: Previews
+    arm_previews: Previews
     ending: bool
 
     @property
