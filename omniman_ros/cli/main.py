@@ -337,7 +337,7 @@ COMMANDS: dict[str, tuple[str, str, Callable[[argparse.ArgumentParser], None]]] 
     "tool": ("tool", "lead the tool straight to a place; Ctrl-C cancels", add_tool),
     "stop": ("stop_reset", "stop every node that moves something, until a reset", add_stop),
     "reset": ("stop_reset", "release stopped nodes; moves nothing by itself", add_stop),
-    "demo": ("demo", "a simulated robot drives and is measured, in a minute", add_demo),
+    "demo": ("demo", "a simulated robot drives and is measured, in a minute and a half", add_demo),
     "identify": ("identify", "find out by drives what the robot is really like", add_identify),
     "parameters": ("parameters", "list the parameters of the nodes", add_parameters),
     "urdf": ("urdf", "print the robot's description for RViz and MoveIt", add_urdf),
