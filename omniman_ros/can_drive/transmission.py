@@ -35,13 +35,13 @@ class Transmission:
         The gear takes its loss from whatever drives (CCTA 2017 (21), (22) with the gear).
         """
         torque = min(max(torque, -self.max_torque), self.max_torque)
-        share = 1.0 / self.efficiency if torque * velocity >= 0.0 else self.efficiency
+        share = 1.0 / self.efficiency if _drives(torque, velocity) else self.efficiency
         return torque * share / self.ratio
 
     def to_wheel(self, torque: float, velocity: float) -> float:
         """Torque at the wheel for one at the motor; N m, wheel speed in rad/s."""
         wheel = torque * self.ratio
-        return wheel * self.efficiency if wheel * velocity >= 0.0 else wheel / self.efficiency
+        return wheel * self.efficiency if _drives(wheel, velocity) else wheel / self.efficiency
 
     def setpoint(self, mode: DriveMode, value: float, effort: float, velocity: float) -> Setpoint:
         """Setpoint at the motor's shaft.
@@ -142,3 +142,8 @@ def axis_settings(robot: Robot, p: CanParameters) -> tuple[AxisSettings, ...]:
         )
         for name, node, gear in zip(robot.wheels.names, p.nodes, gears, strict=True)
     )
+
+
+def _drives(torque: float, velocity: float) -> bool:
+    """Whether a torque drives what turns; by signs, as a product of the smallest numbers is 0."""
+    return not (torque < 0.0 < velocity or velocity < 0.0 < torque)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from omniman_ros.can_drive.axis import Feedback, Setpoint
@@ -33,6 +33,7 @@ wheel_speeds = st.floats(-30.0, 30.0)
 
 
 @given(torque=torques, speed=wheel_speeds)
+@example(torque=-0.5, speed=5e-324)
 @settings(max_examples=200, deadline=None)
 def test_a_torque_at_the_wheel_is_the_same_there_and_back(torque, speed):
     assert GEAR.to_wheel(GEAR.to_motor(torque, speed), speed) == pytest.approx(torque)
