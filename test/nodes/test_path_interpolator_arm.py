@@ -520,3 +520,16 @@ def test_with_a_scaling_of_one_the_stream_is_bit_for_bit_that_without():
                 ]
             )
     assert streams[0] == streams[1]
+
+
+def test_reports_that_cannot_be_used_do_not_count_as_fresh(world):
+    """What says where the tool is looks at them first: they must not vouch for an older place."""
+    world.run(0.2)
+    good, world.joints = world.joints, np.full(6, NAN)
+    world.run(0.5)
+    world.arm_alive, world.joints = False, good
+    world.run(0.15)
+    world.move([FAR])
+    world.run(0.2)
+    assert not world.joint_previews
+    assert "arm/joint_states" in world.node.arm.last and " old" in world.node.arm.last

@@ -80,7 +80,7 @@ class ArmFeed:
             plausible.demand(velocity, plausible.SPEED, "velocity")
             self.velocity = velocity
         self.silent = max(self._node.age(message.header.stamp), 0.0)
-        self.time = self._node.now() - self.silent
+        self.time = min(self._node.now() - self.silent, self._heard)
 
     def state(self) -> tuple[Array, Array] | None:
         """Last measured angles [rad] and rates [rad/s] (6,), if there are any that can be used."""
@@ -92,8 +92,8 @@ class ArmFeed:
 
     @property
     def age(self) -> float:
-        """Since states were heard [s]."""
-        return self._node.now() - self._heard
+        """Of the states that are known [s]; what could not be used is none."""
+        return self._node.now() - self.time
 
     def pass_time(self, elapsed: float) -> None:
         """Let time pass [s]: while the node is held up, it is not the arm that is silent."""
@@ -137,13 +137,13 @@ class ArmFeed:
     def not_yet(self, timeout: float, tolerance: float, idle: bool) -> str:
         """Why no motion of the arm can begin, or an empty string.
 
-        Args:
-            timeout: Age at which it is unknown where the arm is [s].
-            tolerance: As above [rad].
-            idle: Whether it moves for nobody here.
-
         What was heard last and cannot be used is such a reason: this is asked outside of callbacks
         of messages, too.
+
+        Args:
+            timeout: Age at which it is unknown where the arm is [s].
+            tolerance: How far the arm may be from where its last motion ended [rad].
+            idle: Whether it moves for nobody here.
         """
         try:
             self.measure()

@@ -46,7 +46,8 @@ class ArmPort(JointPort):
         """Measured angles and rates (6,); see the base class."""
         return self._host.arm_feed.state()
 
-    def _here(self) -> Array:
+    def here(self) -> Array:
+        """Where (6,) the arm is at rest [rad]."""
         here = self._host.arm_feed.place(self._host.options.joint_trajectory.start_tolerance)
         assert here is not None
         return here

@@ -116,7 +116,7 @@ class BodyPort(JointPort):
             return points
         column = points.columns.index(HEADING)
         motion = None if self.idle else self.core.sample(np.array([self._host.together.now()]))
-        here = self._here()[HEADING] if motion is None else motion[0][0, HEADING]
+        here = self.here()[HEADING] if motion is None else motion[0][0, HEADING]
         turns = round((here - points.positions[0, column]) / math.tau)
         positions = points.positions.copy()
         positions[:, column] += turns * math.tau
@@ -145,7 +145,8 @@ class BodyPort(JointPort):
         waits = host.watch.wait(self._node.now()) > 0.0
         return why or ("control was lost a moment ago" if waits else "")
 
-    def _here(self) -> Array:
+    def here(self) -> Array:
+        """Where (9,) platform and arm are at rest [m, m, rad, ...]."""
         arm = self._host.arm_feed.place(self._host.options.joint_trajectory.start_tolerance)
         assert self._host.odom.pose is not None and arm is not None
         return np.concatenate([self._host.odom.pose, arm])
@@ -159,10 +160,6 @@ class BodyPort(JointPort):
         host.watch.begin(self._node.now())
 
     # ---- paths of the tool --------------------------------------------------------------------
-
-    def here(self) -> Array:
-        """Where (9,) platform and arm are at rest."""
-        return self._here()
 
     def follow(self, tool: ToolStream) -> None:
         """Begin a path of the tool that was planned from here."""

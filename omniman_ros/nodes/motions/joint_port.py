@@ -29,13 +29,14 @@ REMEMBERED = 20
 class JointPort(Teller):
     """Message plumbing around `core.path.joint_interpolator.JointInterpolator`.
 
+    Motions have numbers: an action, whose client waits for the end of one, asks by them.
+
     Args:
         host: The node.
         limits: Of the axes.
 
     Attributes:
         core: The interpolator.
-    Motions have numbers: an action, whose client waits for the end of one, asks by them.
     """
 
     def __init__(self, host: Host, limits: AxisLimits) -> None:
@@ -57,7 +58,7 @@ class JointPort(Teller):
 
     # ---- what axes there are ------------------------------------------------------------------
 
-    def _here(self) -> Array:
+    def here(self) -> Array:
         """Where (d,) the axes are at rest."""
         raise NotImplementedError
 
@@ -190,7 +191,7 @@ class JointPort(Teller):
         def propose(lead: float) -> JointProposal:
             now = together.now()
             start = None if delay is None else max(together.pace.motion(begun + delay), now)
-            return self.core.propose(points, self._here(), now, lead, start)
+            return self.core.propose(points, self.here(), now, lead, start)
 
         proposal = self._take(propose, PLANNING_LEAST + PLANNING * len(points.positions))
         times = "its own" if points.times is not None else "computed"
