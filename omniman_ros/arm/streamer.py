@@ -22,6 +22,8 @@ from omniman_ros.core.errors import InputError
 
 Array = NDArray[np.float64]
 
+NAMING = 0.02
+"""How long after the end of the program's connection the data is awaited that says why [s]."""
 STANDING = 0.01
 """Measured joint speeds below it are rest [rad/s]."""
 REMEMBERED = 256
@@ -99,6 +101,7 @@ class ArmStreamer:
         self._wanted = self._held = False
         self._proven = self._played = self._blind = False
         self._since = 0.0
+        self._lost: float | None = None
         self._count = 0
         self._times: deque[float] = deque(maxlen=REMEMBERED)
         self._refusals: list[str] = []
@@ -202,7 +205,7 @@ class ArmStreamer:
         for sample in samples:
             self._hear(sample)
         if self._link.program is ProgramState.LOST:
-            return self._abort(self._link.program_trouble)
+            return self._lose(now)
         if self.phase is Phase.STARTING:
             if why:
                 self._abort(why)
@@ -223,6 +226,8 @@ class ArmStreamer:
         """
         if self.phase not in (Phase.STREAMING, Phase.ENDING):
             return
+        if self._link.program is ProgramState.LOST:
+            return self._lose(now)
         if now - due > self._ur.read_timeout:
             return self._abort(f"held up for {now - due:.3f} s")
         try:
@@ -273,19 +278,26 @@ class ArmStreamer:
             self.stop_reason = self.stop_reason or reason
         self._link.end_program()
         self._stream.hold()
-        self.phase = Phase.IDLE
+        self.phase, self._lost = Phase.IDLE, None
+
+    def _lose(self, now: float) -> None:
+        """The program's connection is gone: the controller's data may say why a little later."""
+        if self._lost is None:
+            self._lost = now
+        if self.phase is Phase.STARTING or now - self._lost >= NAMING:
+            self._abort(self._link.program_trouble)
 
     def _end_program(self) -> None:
         if self.phase is Phase.ENDING:
             self._link.send(self._message(self._stream.setpoint, Mode.STOPPED))
         self._link.end_program()
-        self.phase = Phase.IDLE
+        self.phase, self._lost = Phase.IDLE, None
 
     def _send(self, setpoint: Array, now: float) -> None:
         self._count += 1
         self._times.append(now)
         if not self._link.send(self._message(setpoint, Mode.SERVO)):
-            self._abort(self._link.program_trouble)
+            self._lose(now)
 
     def _message(self, setpoint: Array, mode: Mode) -> bytes:
         return reverse.pack(setpoint.tolist(), mode, self._ur.read_timeout)

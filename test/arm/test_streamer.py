@@ -50,6 +50,10 @@ class PlayedLink:
         return True
 
 
+NAMED = 4
+"""Periods after which a loss has its name."""
+
+
 class Rig:
     """A streamer with its link, ticked in step with the controller's samples."""
 
@@ -250,16 +254,30 @@ def test_what_the_controller_stops_by_itself_is_left_at_once_and_for_good(rig, c
 
 def test_a_program_that_is_lost_stops_for_good(rig):
     moving(rig)
+    before = len(rig.link.sent)
     rig.link.program, rig.link.program_trouble = ProgramState.LOST, "closed by the controller"
-    rig.cycle()
+    rig.cycle(NAMED)
     assert rig.streamer.stop_reason == "closed by the controller"
     assert rig.streamer.phase is Phase.IDLE
+    assert len(rig.link.sent) == before
+
+
+def test_a_loss_is_named_by_what_the_controller_says_of_it_a_little_later(rig):
+    moving(rig)
+    before = len(rig.link.sent)
+    rig.link.program, rig.link.program_trouble = ProgramState.LOST, "reset"
+    rig.cycle()
+    assert rig.streamer.stop_reason == ""
+    rig.hear(safety_mode=3)
+    assert rig.streamer.stop_reason == "safety mode: protective stop"
+    assert rig.streamer.phase is Phase.IDLE
+    assert len(rig.link.sent) == before
 
 
 def test_a_controller_that_takes_no_setpoints_stops_for_good(rig):
     moving(rig)
     rig.link.takes = False
-    rig.cycle()
+    rig.cycle(NAMED)
     assert rig.streamer.stop_reason == "it takes no more"
 
 
