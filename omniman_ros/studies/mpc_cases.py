@@ -1,10 +1,6 @@
 """The test cases of MPC 2021, section 4, driven on the slipping plant and judged by the truth.
 
-The paper gives its cases as pictures only. Read here as:
-
-* free: 6 m nearly sideways, the same heading at both ends, nothing in the way.
-* corridor: four circles, the gaps between neighbours wider than the robot and shorter than it.
-* moving: four circles that cross the way from both sides; the third changes its velocity.
+The scenes are those of `planning.cases`.
 """
 
 import math
@@ -26,6 +22,7 @@ from omniman_ros.core.preview import Preview
 from omniman_ros.core.robot import Robot
 from omniman_ros.drive.parameters import SimulationParameters
 from omniman_ros.planning import economy
+from omniman_ros.planning.cases import CASES, RADIUS, Case, Pose
 from omniman_ros.planning.cycle import PlannerState
 from omniman_ros.planning.goals import PoseGoal
 from omniman_ros.planning.grid_map import GridMap
@@ -37,7 +34,6 @@ from omniman_ros.studies.mpc_loop import Course, MovingObstacle, MpcLoop, Trace
 from omniman_ros.studies.scene_geometry import Box, Wall, wall_gap
 
 Array = NDArray[np.float64]
-Pose = tuple[float, float, float]
 
 PAPER: Mapping[str, Any] = {"horizon.steps": 10, "horizon.step": 0.1, "weights.running": 0.0}
 """The paper's horizon and cost: n = 10 stages of 0.1 s, nothing of (31) before the end."""
@@ -62,31 +58,6 @@ class StudyError(OmnimanError):
 
 
 # ---- scenes -------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Turned:
-    """Where a circle is that goes at one velocity until a time, then at another.
-
-    Attributes:
-        place, velocity: (x, y) at time 0 [m], and per second.
-        time: When the velocity changes [s]; infinity for never.
-        then: The velocity from then on [m/s].
-    """
-
-    place: tuple[float, float]
-    velocity: tuple[float, float] = (0.0, 0.0)
-    time: float = math.inf
-    then: tuple[float, float] = (0.0, 0.0)
-
-    def __call__(self, now: float) -> Array:
-        """Its centre (2,) at a time [s]."""
-        before = min(now, self.time)
-        after = max(now - self.time, 0.0) if math.isfinite(self.time) else 0.0
-        result: Array = (
-            np.array(self.place) + before * np.array(self.velocity) + after * np.array(self.then)
-        )
-        return result
 
 
 @dataclass(frozen=True)
@@ -558,44 +529,24 @@ def slant_figures(drive: Drive, robot: Robot) -> dict[str, Any]:
 
 
 # ---- the scenes ---------------------------------------------------------------------------------
-RADIUS = 0.3
-"""Of all obstacles [m]."""
-GAP = 0.72
-"""Between neighbours of the corridor case: the robot is 0.8 m long and 0.5 m wide [m]."""
-LEAN = 0.5
-"""Angle of the corridor's row of circles from the y axis [rad]."""
-
-
-SIDEWAYS = math.radians(70.0)
-"""Direction of the goal of the free case, as seen from the robot [rad]."""
+def _scene(case: Case, **more: Any) -> Scene:
+    circles = tuple(circle(RADIUS, way) for way in case.ways)
+    return Scene(case.name, case.goal, case.start, circles, **more)
 
 
 def free() -> Scene:
-    """Nothing in the way: 6 m, so that the robot still drives in the paper's last snapshot."""
-    return Scene("free", (6.0, 0.0, -SIDEWAYS), (0.0, 0.0, -SIDEWAYS), snapshots=(2.0, 3.5, 7.0))
+    """Nothing in the way."""
+    return _scene(CASES["free"], snapshots=(2.0, 3.5, 7.0))
 
 
 def corridor() -> Scene:
-    """A leaning row of four circles across the way: the robot fits through lengthwise only."""
-    along = np.array([math.sin(LEAN), math.cos(LEAN)])
-    first = np.array([2.0, 0.1]) - 1.5 * (GAP + 2.0 * RADIUS) * along
-    row = [first + k * (GAP + 2.0 * RADIUS) * along for k in range(4)]
-    circles = tuple(circle(RADIUS, Turned((float(x), float(y)))) for x, y in row)
-    return Scene(
-        "corridor", (4.5, 0.0, 0.0), obstacles=circles, snapshots=(0.8, 1.9, 2.7, 3.4, 4.8)
-    )
+    """Four circles across the way: the robot fits through lengthwise only."""
+    return _scene(CASES["corridor"], snapshots=(0.8, 1.9, 2.7, 3.4, 4.8))
 
 
 def moving() -> Scene:
-    """Circles cross the way from both sides; the third darts down where the robot would pass."""
-    crossing = (
-        Turned((1.8, 1.6), (0.0, -0.45)),
-        Turned((3.0, -2.2), (0.0, 0.45)),
-        Turned((4.4, 1.7), (0.0, -0.15), 4.5, (0.0, -0.9)),
-        Turned((5.4, -3.4), (0.0, 0.5)),
-    )
-    circles = tuple(circle(RADIUS, place) for place in crossing)
-    return Scene("moving", (6.5, 0.0, 0.0), obstacles=circles, noise=0.01)
+    """Circles cross the way from both sides, observed with noise."""
+    return _scene(CASES["moving"], noise=0.01)
 
 
 SCENES: Mapping[str, Callable[[], Scene]] = {"free": free, "corridor": corridor, "moving": moving}

@@ -9,10 +9,11 @@ pytest.importorskip("matplotlib")
 from omniman_ros.cli import mpc_picture
 from omniman_ros.cli.mpc_picture import TopView, moments
 from omniman_ros.core.parameters import build
+from omniman_ros.planning.cases import Turned
 from omniman_ros.planning.cycle import PlannerState
 from omniman_ros.planning.ellipses import Ellipses
 from omniman_ros.planning.parameters import Arrival
-from omniman_ros.studies.mpc_cases import Drive, Planned, Scene, Turned, circle, wall_gaps
+from omniman_ros.studies.mpc_cases import Drive, Planned, Scene, circle, wall_gaps
 from omniman_ros.studies.mpc_loop import Course, Trace
 from omniman_ros.studies.scene_geometry import Wall
 

@@ -6,13 +6,13 @@ import pytest
 import robots
 
 from omniman_ros.core.parameters import build
+from omniman_ros.planning.cases import RADIUS, Turned
 from omniman_ros.planning.parameters import Arrival
 from omniman_ros.studies import mpc_cases
 from omniman_ros.studies.mpc_cases import (
     Drive,
     Scene,
     StudyError,
-    Turned,
     circle,
     corridor,
     diagonals,
@@ -209,7 +209,7 @@ def test_a_scene_that_cannot_be_passed_is_not_reached_and_given_up():
 
 def test_the_gaps_of_the_corridor_are_wider_than_the_robot_and_shorter():
     places = np.array([o.place(0.0) for o in corridor().obstacles])
-    gaps = np.hypot(*np.diff(places, axis=0).T) - 2 * mpc_cases.RADIUS
+    gaps = np.hypot(*np.diff(places, axis=0).T) - 2 * RADIUS
     assert (gaps > 2 * HALF[1] + 0.1).all()
     assert (gaps < 2 * HALF[0]).all()
 
