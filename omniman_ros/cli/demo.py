@@ -146,7 +146,7 @@ def perform(
             show.meet()
             page = ""
             if viewer is not None:
-                session.wait(lambda: bool(viewer.find("viewer", PAGE)), PAGE_PATIENCE)
+                show.wait(lambda: bool(viewer.find("viewer", PAGE)), PAGE_PATIENCE)
                 page = viewer.find("viewer", PAGE)
                 progress.headline(watch(page))
             show.drive_twists()
@@ -156,6 +156,7 @@ def perform(
             show.reach_goal()
             if lost:
                 show.drive_without_a_wheel(lost)
+            show.stop_in_an_emergency()
         finally:
             show.halt()
         recording, driven = show.recorder.recording, show.driven
@@ -164,7 +165,7 @@ def perform(
         tool = ToolTrack(recording, model, driven.tool) if driven.tool else None
         result = judge(
             recording, driven.twists, driven.legs, driven.without_wheel, driven.goal, half,
-            driven.arm, tool,
+            driven.arm, tool, driven.stop,
         )  # fmt: skip
     limped = [driven.without_wheel.leg] if driven.without_wheel else []
     drawn = draw(args, recording, driven.twists, driven.legs + limped, driven.goal, tool)
@@ -263,6 +264,7 @@ def report(result: dict[str, Any]) -> list[str]:
         *of_tool(result),
         *to_goal(result),
         *without_wheel(result),
+        *in_an_emergency(result),
         ("energy taken by the motors", f"{result['energy']['total_j']:.0f} J", ""),
         ("odom: rate, interval p50 / p99", f"{odom['rate_hz']:.1f} Hz, {odom['p50_ms']:.2f} / "
          f"{odom['p99_ms']:.2f} ms", f"{LIMITS['odom rate, Hz']:g} Hz"),
@@ -328,6 +330,29 @@ def without_wheel(result: dict[str, Any]) -> list[tuple[str, ...]]:
         ("  driving on without it, RMS", f"{dead['rms_mm']:.2f} mm",
          f"{LIMITS['tracking without a wheel RMS, mm']:g} mm"),
     ]  # fmt: skip
+
+
+def in_an_emergency(result: dict[str, Any]) -> list[tuple[str, ...]]:
+    """Rows of the emergency stop, where there was one."""
+    if "emergency_stop" not in result:
+        return []
+    stop = result["emergency_stop"]
+    rows: list[tuple[str, ...]] = [
+        (f"emergency stop at {stop['speed_m_s']:.2f} m/s: at rest after, way",
+         f"{stop['rest_s']:.2f} s, {stop['way_mm']:.0f} mm",
+         f"{LIMITS['at rest after an emergency stop, s']:g} s"),
+    ]  # fmt: skip
+    if "arm_rest_s" in stop:
+        rows.append(
+            (f"  arm at {stop['arm_rate_rad_s']:.2f} rad/s: at rest after",
+             f"{stop['arm_rest_s']:.2f} s",
+             f"{LIMITS['arm at rest after an emergency stop, s']:g} s")
+        )  # fmt: skip
+    rows.append(
+        ("  moved in the second after the reset", f"{stop['moved_mm']:.2f} mm",
+         f"{LIMITS['moved after the reset, mm']:g} mm")
+    )  # fmt: skip
+    return rows
 
 
 def conclude(result: dict[str, Any], log: NodeLog, args: argparse.Namespace) -> int:

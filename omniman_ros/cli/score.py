@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from omniman_ros.cli import tool_leg
+from omniman_ros.cli import stop_leg, tool_leg
 from omniman_ros.cli.crossing import Crossing
 from omniman_ros.cli.figures import TwistPhase
 from omniman_ros.cli.recorder import Recording, Row
+from omniman_ros.cli.stop_leg import DrivenStop
 from omniman_ros.cli.tool_leg import ToolTrack
 
 Array = NDArray[np.float64]
@@ -40,6 +41,10 @@ LIMITS = {
     "tool off its path max, mm": 5.0,
     "dead wheel noticed, s": 2.0,
     "tracking without a wheel RMS, mm": 20.0,
+    "at rest after an emergency stop, s": 1.0,
+    "arm at rest after an emergency stop, s": 1.0,
+    "moved after the reset, mm": 1.0,
+    "arm moved after the reset, mrad": 1.0,
     "odom rate, Hz": 80.0,
     "wheel_commands rate, Hz": 160.0,
 }
@@ -276,6 +281,7 @@ def judge(
     half: Sequence[float] = (0.0, 0.0),
     moves: Sequence[ArmMove] = (),
     tool: ToolTrack | None = None,
+    stop: DrivenStop | None = None,
 ) -> dict[str, Any]:
     """All figures, and under "faults" a sentence for each that is beyond its limit."""
     odom, truth = np.array(recording.odom), np.array(recording.truth)
@@ -306,6 +312,8 @@ def judge(
             "noticed_s": without_wheel.noticed - without_wheel.lost,
             **tracking(odom, Reference(recording.reference), [without_wheel.leg]),
         }
+    if stop is not None:
+        result["emergency_stop"] = stop_leg.figures(recording, stop)
     result["timing"]["stall_ms"] = 1e3 * recording.stall
     result["faults"] = [fault + excuse(recording) for fault in faults(result)]
     return result
@@ -373,6 +381,13 @@ def faults(result: dict[str, Any]) -> list[str]:
         dead = result["dead_wheel"]
         most.append(("dead wheel noticed, s", dead["noticed_s"]))
         most.append(("tracking without a wheel RMS, mm", dead["rms_mm"]))
+    if "emergency_stop" in result:
+        stop = result["emergency_stop"]
+        most.append(("at rest after an emergency stop, s", stop["rest_s"]))
+        most.append(("moved after the reset, mm", stop["moved_mm"]))
+        if "arm_rest_s" in stop:
+            most.append(("arm at rest after an emergency stop, s", stop["arm_rest_s"]))
+            most.append(("arm moved after the reset, mrad", stop["arm_moved_mrad"]))
     for twist in result["twists"]:
         most.append(("twist error, m/s", twist["linear_m_s"]))
         most.append(("twist error, rad/s", twist["angular_rad_s"]))

@@ -1,4 +1,4 @@
-"""The show of the demo: twists, paths of platform and tool, a goal, and a wheel lost."""
+"""The show of the demo: twists, paths of platform and tool, a goal, faults and a stop."""
 
 import math
 import time
@@ -14,18 +14,19 @@ from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.client import Client
+from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from visualization_msgs.msg import MarkerArray
 
 from omniman_ros import conversions
-from omniman_ros.cli import tool_leg
+from omniman_ros.cli import stop_leg, tool_leg
 from omniman_ros.cli.crossing import GOAL, Crossing
 from omniman_ros.cli.errors import CommandError
 from omniman_ros.cli.figures import Pace, Triple, TwistPhase, twist_phases
 from omniman_ros.cli.previews import twist_message
 from omniman_ros.cli.progress import Progress
-from omniman_ros.cli.recorder import Recorder
+from omniman_ros.cli.recorder import LATCHED, Recorder
 from omniman_ros.cli.score import (
     ArmMove,
     DrivenGoal,
@@ -35,10 +36,12 @@ from omniman_ros.cli.score import (
     excuse,
 )
 from omniman_ros.cli.session import DISCOVERY, Session
+from omniman_ros.cli.stop_leg import DrivenStop
 from omniman_ros.cli.tool_leg import DrivenTool
 from omniman_ros.core import se2
 from omniman_ros.core.arm_parameters import UR_JOINTS
 from omniman_ros.core.body.model import BodyModel
+from omniman_ros.nodes.movers import Calls
 from omniman_ros.studies.figure7 import Movement, movements
 
 Array = NDArray[np.float64]
@@ -62,6 +65,8 @@ ANSWER = 5.0
 """How long to wait for the answer of a service [s]."""
 GOAL_PATIENCE = 30.0
 """How long the way to the goal may take [s]."""
+RESET_PATIENCE = 10.0
+"""How long a reset of all nodes may take [s]: the arm's controller powers its brakes."""
 OBSERVED = 0.05
 """Period of the obstacles' observations [s]."""
 ARM_POSES = (
@@ -106,6 +111,7 @@ class Driven:
     tool: DrivenTool | None = None
     goal: DrivenGoal | None = None
     without_wheel: DrivenWithoutWheel | None = None
+    stop: DrivenStop | None = None
 
 
 class Show:
@@ -136,6 +142,7 @@ class Show:
         self._tool_paths = session.node.create_publisher(Path, "tool_path", 10)
         self._goals = session.node.create_publisher(PoseStamped, "goal_pose", 10)
         self._obstacles = session.node.create_publisher(MarkerArray, "obstacles", 50)
+        self._emergency = session.node.create_publisher(Bool, "emergency_stop", LATCHED)
         self._faults = session.node.create_client(SetParameters, f"{plant}/set_parameters")
         self._resets = [
             session.node.create_client(Trigger, f"{node}/reset")
@@ -143,6 +150,8 @@ class Show:
         ]
         self.recorder = Recorder(session.node)
         self.driven = Driven()
+        self._home: Array | None = None
+        self._stopping = False
         self._checked = time.monotonic()
 
     # ---- parts ------------------------------------------------------------------------------
@@ -155,7 +164,7 @@ class Show:
         """
         self._progress.begin("starting")
         before = time.monotonic()
-        if not self._wait(lambda: not self._absent(), DISCOVERY):
+        if not self.wait(lambda: not self._absent(), DISCOVERY):
             raise CommandError(f"nothing heard within {DISCOVERY:g} s of {self._absent()}")
         self._progress.end(f"nodes up and talking after {time.monotonic() - before:.1f} s")
 
@@ -166,19 +175,23 @@ class Show:
 
     def follow_path(self) -> None:
         """Drive the path of CCTA 2017 Fig. 7 from where the robot is, movement by movement."""
-        if not self._wait(lambda: self.recorder.active_source == "none", 5.0):
+        if not self.wait(lambda: self.recorder.active_source == "none", 5.0):
             raise CommandError(f"'{self.recorder.active_source}' still drives, expected none")
         origin = self._pose()
-        home = np.array(self.recorder.recording.arm[-1][1:]) if self._with_arm else None
+        if self._with_arm:
+            self._home = np.array(self.recorder.recording.arm[-1][1:])
         for i, movement in enumerate(movements()):
-            if home is not None:
-                self._move_arm(home + np.array(ARM_POSES[i % len(ARM_POSES)]))
+            if self._home is not None:
+                self._move_arm(self._home + np.array(ARM_POSES[i % len(ARM_POSES)]))
             self._follow(movement, poses_along(movement, origin))
+
+    def _send_arm(self, goal: Array) -> None:
+        point = JointTrajectoryPoint(positions=goal.tolist())
+        self._joints.publish(JointTrajectory(joint_names=list(UR_JOINTS), points=[point]))
 
     def _move_arm(self, goal: Array) -> None:
         """Send the arm somewhere; it moves while the platform does."""
-        point = JointTrajectoryPoint(positions=goal.tolist())
-        self._joints.publish(JointTrajectory(joint_names=list(UR_JOINTS), points=[point]))
+        self._send_arm(goal)
         self.driven.arm.append(ArmMove(tuple(goal.tolist()), self._now()))
 
     def lead_tool(self, model: BodyModel) -> None:
@@ -189,7 +202,7 @@ class Show:
         """
         self._progress.begin("arm made ready")
         self._move_arm(np.array(tool_leg.READY))
-        if not self._wait(self._arm_is_ready, ARM_PATIENCE):
+        if not self.wait(self._arm_is_ready, ARM_PATIENCE):
             raise CommandError("the arm does not get ready for the path of the tool")
         self._rest()
         self.driven.arm[-1] = replace(self.driven.arm[-1], end=self._now())
@@ -213,7 +226,7 @@ class Show:
             CommandError: The robot did not arrive.
         """
         self._progress.begin("goal, obstacles")
-        self._wait(lambda: self.recorder.active_source == "none", 5.0)
+        self.wait(lambda: self.recorder.active_source == "none", 5.0)
         begin, robot = self._now(), self._pose()
         crossing = Crossing.before(robot, begin)
         goal = placed(np.array([GOAL]), robot)[0]
@@ -275,8 +288,48 @@ class Show:
         self._set_fault([])
         for client in self._resets:
             self._call(client, Trigger.Request())
-        if not self._wait(lambda: not self._is_known(wheel), ANSWER):
+        if not self.wait(lambda: not self._is_known(wheel), ANSWER):
             raise CommandError(f"the reset did not bring '{wheel}' back")
+
+    def stop_in_an_emergency(self) -> None:
+        """Press the emergency stop while platform and arm move, keep on asking, and reset.
+
+        Raises:
+            CommandError: The robot did not stop, or cannot be reset.
+        """
+        name = "emergency stop"
+        self._progress.begin(name)
+        self.wait(lambda: self.recorder.active_source == "none", 5.0)
+        forwards = twist_message((self._pace.twist, 0.0, 0.0))
+        if self._home is not None:
+            self._send_arm(self._home + np.array(ARM_POSES[0]))
+        for _ in self._ticks(stop_leg.DRIVEN, TWIST_PERIOD):
+            self._twists.publish(forwards)
+        pressed, self._stopping = self._now(), True
+        self._emergency.publish(Bool(data=True))
+        for _ in self._ticks(stop_leg.HELD, TWIST_PERIOD):
+            self._twists.publish(forwards)
+        if not self.recorder.stopped:
+            raise CommandError("the emergency stop did not stop the robot")
+        self._progress.update(0.5, self._note())
+        self._emergency.publish(Bool(data=False))
+        self.wait(lambda: False, PAUSE)
+        self._reset_all()
+        self._stopping, reset = False, self._now()
+        self.wait(lambda: False, stop_leg.WATCHED)
+        self.driven.stop = DrivenStop(pressed, reset, self._now())
+        self._progress.end(self._note())
+
+    def _reset_all(self) -> None:
+        calls = Calls(self._session.node, "reset", self._session.node.get_namespace())
+        try:
+            calls.look()
+            self.wait(lambda: calls.look() and not self.recorder.stopped, RESET_PATIENCE)
+        finally:
+            calls.close()
+        if self.recorder.stopped:
+            refused = [said[1] for said in calls.answers.values() if said and not said[0]]
+            raise CommandError(f"the reset failed: {', '.join(refused) or self.recorder.stopped}")
 
     def _follow(self, movement: Movement, poses: Array) -> None:
         leg = self._send(f"path: {movement.name}", poses, movement.length)
@@ -340,7 +393,7 @@ class Show:
             CommandError: None came.
         """
         future = client.call_async(request)
-        if not self._wait(future.done, ANSWER):
+        if not self.wait(future.done, ANSWER):
             raise CommandError(f"{client.srv_name} does not answer")
 
     def _drive_twist(self, phase: TwistPhase) -> None:
@@ -362,14 +415,16 @@ class Show:
         """Wait until the controller says that nobody drives."""
         for _ in self._ticks(PAUSE, TWIST_PERIOD):
             pass
-        self._wait(lambda: self.recorder.active_source == "none", 5.0)
+        self.wait(lambda: self.recorder.active_source == "none", 5.0)
 
     # ---- helpers ----------------------------------------------------------------------------
 
     def _ticks(self, duration: float, period: float) -> "Ticks":
         return Ticks(self._session, duration, period, self._check)
 
-    def _wait(self, condition: Callable[[], bool], timeout: float) -> bool:
+    def wait(self, condition: Callable[[], bool], timeout: float) -> bool:
+        """Serve ROS and look after the robot until a condition holds; False if it is late."""
+
         def checked() -> bool:
             self._check()
             return condition()
@@ -383,7 +438,7 @@ class Show:
         recording.stall = max(recording.stall, now - self._checked)
         self._checked = now
         self._poll()
-        for name, why in self.recorder.stopped.items():
+        for name, why in self.recorder.stopped.items() if not self._stopping else ():
             raise CommandError(f"the robot stopped: {name} is {why}{excuse(recording)}")
 
     def _absent(self) -> str:

@@ -17,11 +17,15 @@ from omniman_ros.cli.session import Session
 
 from .support import PATIENCE, Running, children_of, command, environment, is_alive, wait_until
 
+pytestmark = pytest.mark.processes
+
 PARTS = (
     "diagonal", "spin", "circle + spin", "path: forwards", "path: sideways", "path: backwards",
     "path: circle 1", "path: circle 2", "goal, obstacles", "dead wheel",
 )  # fmt: skip
 
+TRIES = 3
+"""Of the show on a busy machine."""
 TIMES = {"rate_hz": 100.0, "p50_ms": 10.0, "p99_ms": 11.0, "max_ms": 12.0}
 RESULT = {
     "tracking": {"rms_mm": 1.0, "max_mm": 2.0, "heading_rms_deg": 0.1, "final_mm": 0.5},
@@ -72,13 +76,13 @@ def test_the_demo_drives_is_measured_and_says_so_in_json(tmp_path):
     """The main job, whole: a minute and a half, exit code 0, all figures within their limits."""
     env = environment()
     del env["ROS_DOMAIN_ID"]
-    for _ in range(3):
+    for _ in range(TRIES):
         ended = subprocess.run(
             command("demo", "--results", str(tmp_path)), env=env, capture_output=True,
             text=True, timeout=200,
         )  # fmt: skip
-        # No controller can follow a path while its machine stands still, as virtual ones do.
-        if "stood still" not in ended.stdout + ended.stderr:
+        # No controller follows a path while its machine has no processor for it.
+        if ended.returncode == 0:
             break
     assert ended.returncode == 0, ended.stdout + ended.stderr
     lines = ended.stdout.splitlines()
@@ -96,6 +100,12 @@ def test_the_demo_drives_is_measured_and_says_so_in_json(tmp_path):
     assert result["goal"]["clearance_m"] > 0.0
     assert result["dead_wheel"]["wheel"] == "rear_right"
     assert result["dead_wheel"]["rms_mm"] < 20.0
+    stop = result["emergency_stop"]
+    assert stop["speed_m_s"] > 0.2
+    assert stop["arm_rate_rad_s"] > 0.1
+    assert 0.0 < stop["rest_s"] < 1.0
+    assert 0.0 < stop["arm_rest_s"] < 1.0
+    assert stop["moved_mm"] < 1.0
     assert result["odometry"]["travel_m"] > 5.0
     assert result["energy"]["total_j"] > 100.0
 
