@@ -12,7 +12,7 @@ import pytest
 from omniman_ros.cli import isolation
 
 HERE = Path(__file__).parent
-PROCESSES = {HERE / "cli", HERE / "test_processes.py", HERE / "test_viewer_browser.py"}
+PROCESSES = {HERE / "test_processes.py", HERE / "test_viewer_browser.py"}
 
 # Each worker has domains of its own; those of test/nodes/harness.py lie in between.
 WORKER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])

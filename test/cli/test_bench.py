@@ -66,6 +66,7 @@ def test_aims_are_met_or_missed():
     assert aims(result) == {"core_tick": False, "latency_ratio": False, "cpu_share": False}
 
 
+@pytest.mark.processes
 def test_the_benchmark_runs_whole_and_says_so_in_json(tmp_path):
     ended = subprocess.run(
         command("bench", "control", "--quick", "--results", str(tmp_path)),

@@ -244,6 +244,7 @@ def timing(*parts):
     return message
 
 
+@pytest.mark.processes
 def test_intervals_and_ages_are_told_apart_by_their_labels(load, monkeypatch):
     monkeypatch.setattr(load, "run", lambda seconds: hear())
 
@@ -256,6 +257,7 @@ def test_intervals_and_ages_are_told_apart_by_their_labels(load, monkeypatch):
     assert block == Block((0.008, 0.009, 0.010), (0.003, 0.004, 0.005)), "not what was before"
 
 
+@pytest.mark.processes
 def test_a_stop_fails_the_bench_with_its_reason_and_that_of_the_controller(load):
     load.check()
     status = DiagnosticStatus(name="/simulated_ur")
@@ -313,6 +315,7 @@ def test_the_bare_loop_catches_up_after_more_than_a_period(monkeypatch):
     assert intervals == pytest.approx([0.008, 0.028, 0.0, 0.0, 0.004, *[0.008] * 5])
 
 
+@pytest.mark.processes
 def test_the_bare_loop_answers_by_the_intervals_of_each_block():
     (port,) = free_ports(1)
     with bench_arm.Bare() as bare:
@@ -330,6 +333,7 @@ def test_the_bare_loop_answers_by_the_intervals_of_each_block():
     assert not loop.is_alive(), "it ends with the bench"
 
 
+@pytest.mark.processes
 def test_a_bare_loop_that_is_gone_is_an_error():
     with bench_arm.Bare() as bare:
         address = bare._listener.getsockname()
@@ -342,6 +346,7 @@ def test_a_bare_loop_that_is_gone_is_an_error():
 # ---- processes ----------------------------------------------------------------------------------
 
 
+@pytest.mark.processes
 def test_a_child_is_found_by_a_word_of_its_command_line():
     idle = "import sys; sys.stdin.read()"
     with subprocess.Popen([sys.executable, "-c", idle, "r1.word"], stdin=subprocess.PIPE) as child:
@@ -360,6 +365,7 @@ def test_the_scheduling_class_is_that_of_the_system():
         scheduling(999999999)
 
 
+@pytest.mark.processes
 def test_all_threads_of_a_process_get_the_niceness():
     idle = (
         "import sys, threading; threading.Thread(target=sys.stdin.read).start(); print(flush=True)"
@@ -384,6 +390,7 @@ def finite(value):
     return value is not None and (not isinstance(value, float) or math.isfinite(value))
 
 
+@pytest.mark.processes
 def test_the_benchmark_runs_whole_and_says_so_in_json(tmp_path):
     ended = subprocess.run(
         command("bench", "arm", "--quick", *PATIENT, "--results", str(tmp_path)),
@@ -419,6 +426,7 @@ def descendants(pid):
     return found
 
 
+@pytest.mark.processes
 def test_ctrl_c_ends_all_processes(tmp_path):
     arguments = command("bench", "arm", *PATIENT, "--priority", "0", "--results", str(tmp_path))
     with Running(arguments, environment()) as bench:
@@ -432,6 +440,7 @@ def test_ctrl_c_ends_all_processes(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.processes
 def test_a_robot_that_stops_fails_the_bench_with_the_reason(tmp_path):
     elsewhere = environment(0)
     arguments = command("bench", "arm", *PATIENT, "--results", str(tmp_path))

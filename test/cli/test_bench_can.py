@@ -192,6 +192,7 @@ def finite(value):
     return value is not None and (not isinstance(value, float) or math.isfinite(value))
 
 
+@pytest.mark.processes
 def test_the_benchmark_runs_whole_and_says_so_in_json(tmp_path):
     ended = subprocess.run(
         command("bench", "can", "--quick", "--results", str(tmp_path)),

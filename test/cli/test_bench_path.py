@@ -34,6 +34,7 @@ def test_planning_is_measured_next_to_plain_resampling(monkeypatch):
         assert 1.0 < row["duration_ratio"] == row["duration_s"] / row["bound_s"] < 1.2
 
 
+@pytest.mark.processes
 def test_the_benchmark_runs_whole_and_says_so_in_json(tmp_path):
     ended = subprocess.run(
         command("bench", "path", "--quick", "--results", str(tmp_path)),

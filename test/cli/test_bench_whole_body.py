@@ -120,6 +120,7 @@ def test_the_preview_that_is_measured_has_the_platform_s_error_taken_out(short, 
     assert list(message.points[-1].positions) == pytest.approx(window.positions[-1, 3:])
 
 
+@pytest.mark.processes
 def test_previews_are_measured_with_the_node_s_own(short, own_domain):
     figures = stream.previews(PARAMETERS, "omniman", short[1], 1)
     kinds = {"planned", "corrected", "and_filled", "and_published"}
@@ -133,6 +134,7 @@ def test_previews_are_measured_with_the_node_s_own(short, own_domain):
         assert tick[kind] == pytest.approx(expected)
 
 
+@pytest.mark.processes
 def test_a_node_that_gives_up_is_no_measurement(short, own_domain, monkeypatch):
     def lost(self, platform, times):
         return platform + np.array([3.0, 0.0, 0.0])
@@ -211,6 +213,7 @@ def test_a_robot_that_is_not_there_is_refused(robot, capsys):
     assert f"robot '{robot}'" in capsys.readouterr().err
 
 
+@pytest.mark.processes
 def test_the_benchmark_runs_whole_and_says_so_in_json(tmp_path):
     ended = subprocess.run(
         command("bench", "whole_body", "--quick", "--results", str(tmp_path)),

@@ -12,6 +12,8 @@ from omniman_ros.cli.up import supervise
 
 from .support import is_alive, wait_until
 
+pytestmark = pytest.mark.processes
+
 # Says "ready", waits for a signal, says which, and ends after what the test adds.
 FAKE = """\
 import signal, sys

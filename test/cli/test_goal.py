@@ -10,6 +10,8 @@ from omniman_ros.cli.main import main
 
 from .support import PATIENT, Running, command, environment
 
+pytestmark = pytest.mark.processes
+
 NODES = ("platform_controller", "simulated_drive", "mpc_planner")
 QUICK = ("-p", "horizon.steps:=10", "-p", "safety.deadline:=0.05")
 

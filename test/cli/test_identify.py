@@ -442,6 +442,7 @@ def test_the_simulated_robot_is_wrong_in_every_way_that_is_calibrated():
     assert not names & set(load_robot("omniman"))
 
 
+@pytest.mark.processes
 def test_ctrl_c_stops_the_robot_and_ends_with_130(tmp_path):
     arguments = ("identify", "odometry", "--simulate", "--results", str(tmp_path))
     with Running(command(*arguments), environment()) as running:

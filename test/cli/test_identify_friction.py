@@ -350,6 +350,7 @@ def assert_rest(drive):
     assert np.abs(drive.given).max() > 1.0
 
 
+@pytest.mark.processes
 def test_all_levels_are_given_and_the_wheels_rest(bench):
     experiment = bench.turn(bench.plan)
     assert experiment.phase is Phase.DONE and len(experiment.runs) == 6
@@ -387,6 +388,7 @@ def silent(message, rows):
     return True
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize(
     ("fault", "message"),
     [
@@ -405,6 +407,7 @@ def test_feedback_that_is_nonsense_or_silent_brings_the_wheels_to_rest(bench, fa
     assert_rest(drive)
 
 
+@pytest.mark.processes
 def test_a_stop_of_the_drive_ends_it_with_zero_at_once(bench):
     drive = bench.drive
     stopped = DiagnosticStatus(
@@ -419,6 +422,7 @@ def test_a_stop_of_the_drive_ends_it_with_zero_at_once(bench):
     assert given[last] == pytest.approx(bench.plan.levels[0]), "no ramp in between"
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize("qos", [LATCHED, QoSProfile(depth=1)])
 def test_the_emergency_stop_ends_it_latched_or_not(bench, qos):
     drive = bench.drive
@@ -429,6 +433,7 @@ def test_the_emergency_stop_ends_it_latched_or_not(bench, qos):
     assert_rest(drive)
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize("topic", ["wheel_voltages", "wheel_commands"])
 def test_somebody_else_who_commands_the_wheels_ends_it(bench, topic):
     drive = bench.drive
@@ -445,6 +450,7 @@ def test_somebody_else_who_commands_the_wheels_ends_it(bench, topic):
     assert_rest(drive)
 
 
+@pytest.mark.processes
 def test_ctrl_c_ramps_down(bench):
     drive = bench.drive
     pressed = []
@@ -466,6 +472,7 @@ def test_ctrl_c_ramps_down(bench):
 # ---- real processes ----------------------------------------------------------------------------
 
 
+@pytest.mark.processes
 def test_it_does_not_begin_next_to_a_controller(own_domain):
     """Refused before anything is published, and whatever the user says."""
     tool = command("identify", "friction", "--lifted")
@@ -478,6 +485,7 @@ def test_it_does_not_begin_next_to_a_controller(own_domain):
     assert "LIFT" not in running.output
 
 
+@pytest.mark.processes
 def test_ctrl_c_ends_a_simulation_with_130_and_leaves_nothing(tmp_path):
     arguments = ("identify", "friction", "--simulate", "--results", str(tmp_path))
     with Running(command(*arguments), environment()) as running:
@@ -490,6 +498,7 @@ def test_ctrl_c_ends_a_simulation_with_130_and_leaves_nothing(tmp_path):
     assert not list(tmp_path.iterdir()), "no run was whole, nothing is kept"
 
 
+@pytest.mark.processes
 def test_a_running_drive_on_the_floor_is_found_out(tmp_path):
     """Lifted, says the user; the drive's wheels say otherwise."""
     env = environment()

@@ -112,6 +112,7 @@ def test_the_options_are_those_of_up_and_demo_and_nothing_real_is_in_the_demo(ca
     assert set(installation.DRIVES) == {"simulated", "can", "real"}
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize("command", ["up", "demo"])
 def test_an_unknown_installation_ends_the_command_with_code_2(command, capsys, own_domain):
     assert main([command, "--drive", "can", "--installation", "lab"]) == 2

@@ -1,7 +1,11 @@
 import socket
 
+import pytest
+
 from omniman_ros.cli import isolation
 from omniman_ros.cli.isolation import SELDOM_USED, USUAL, free_domain, is_free, isolate
+
+pytestmark = pytest.mark.processes
 
 
 def test_a_domain_is_chosen_and_kept_to_this_machine():

@@ -9,6 +9,8 @@ from omniman_ros.nodes.registry import NODES
 
 from .support import command
 
+pytestmark = pytest.mark.processes
+
 HEAVY = {"rclpy", "numpy", "yaml", "asyncio", "subprocess"}
 
 

@@ -8,6 +8,8 @@ from omniman_ros.cli.session import Session
 from omniman_ros.cli.stop_reset import Calls, call_all
 from omniman_ros.nodes.movers import nodes_that_move
 
+pytestmark = pytest.mark.processes
+
 
 class Mover:
     """A node with the stop interface; `refuses` names the service that it refuses."""

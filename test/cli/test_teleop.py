@@ -18,6 +18,8 @@ from omniman_ros.cli.session import Session
 
 from .support import PATIENCE, PATIENT, Running, command, environment
 
+pytestmark = pytest.mark.processes
+
 REPEAT = 0.03
 
 

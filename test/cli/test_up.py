@@ -22,6 +22,8 @@ from .support import (
     wait_until,
 )
 
+pytestmark = pytest.mark.processes
+
 SPEED = 0.3
 
 

@@ -77,6 +77,7 @@ def test_what_makes_no_urdf_is_said_in_one_line(words, code, message, capsys):
     assert message in error
 
 
+@pytest.mark.processes
 def test_it_needs_no_ros():
     code = (
         "import sys\n"
