@@ -2,7 +2,7 @@
 
 `coupling` is CCTA 2017, Fig. 7; `free`, `corridor` and `moving` are the cases of MPC 2021;
 `workshop` has a map, `scenes` are random ones that the planner's node is driven through;
-`tool_path` has platform and arm in step, CCTA 2017 V.A.
+`tool_path` has platform and arm in step, CCTA 2017 V.A; `all` is all of them, and a report.
 """
 
 import argparse
@@ -17,7 +17,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from omniman_ros.cli import reproduce_tool_path, results
+import numpy as np
+
+from omniman_ros.cli import reproduce_all, reproduce_tool_path, results
 from omniman_ros.cli.errors import CommandError
 from omniman_ros.cli.progress import Progress
 from omniman_ros.cli.terminal import GREEN, RED, paint, say, table
@@ -38,13 +40,14 @@ from omniman_ros.studies.coupling_sweep import (
     summary,
     sweep,
 )
-from omniman_ros.studies.figure7 import movements
+from omniman_ros.studies.figure7 import Figure7, movements
 from omniman_ros.studies.mpc_cases import (
     NEAR_DIAGONAL,
     PAPER,
     SCENES,
     SETTLE,
     Comparison,
+    Drive,
     Planned,
     Scene,
     StudyError,
@@ -72,10 +75,14 @@ def run(args: argparse.Namespace) -> int:
 
     Returns:
         0; of an MPC case 1 if a drive did not reach its goal or touched an obstacle, of the scenes
-        and the tool's paths if an aim was missed.
+        and the tool's paths if an aim was missed, of all if any of them did not return 0.
     """
     if args.seed < 0:
         raise CommandError(f"--seed must be 0 or more, got {args.seed}", code=2)
+    if args.name == "all":
+        return reproduce_all.run(args)
+    if getattr(args, "reuse", False):
+        raise CommandError("--reuse is of all only", code=2)
     args.robot = args.robot or ROBOTS[args.name]
     if args.name == "scenes":
         from omniman_ros.cli import scenes  # it imports rclpy
@@ -118,6 +125,7 @@ def _coupling(args: argparse.Namespace) -> int:
         "robot": args.robot, "quick": args.quick, "full": args.full, "seed": args.seed,
         "paper_gain": PAPER_GAIN, "chosen_gain": chosen, "samples": plan.samples,
         "spread": SPREAD, "noise_window_s": SMOOTHING, "path": path_of(plan), "table": rows,
+        "uncontrolled_rad": movement_peaks(plan.figure, runs),
         "late_commands": [
             {"k": step.gain, "delay_s": step.delay, "overshoot": step.overshoot,
              "swing": step.swing, "settled": step.settled}
@@ -144,6 +152,26 @@ def path_of(plan: Plan) -> dict[str, Any]:
         "travel_m": sum(movement.length for movement in movements(figure.length)),
         "movements": [movement.name for movement in movements(figure.length)],
     }
+
+
+def movement_peaks(figure: Figure7, runs: Sequence[Run]) -> dict[str, float]:
+    """Largest change of epsilon [rad] within each movement, control off.
+
+    From the begin of the movement on; mean over the wheels of group P. Empty without such drives.
+    """
+    off = [run for run in runs if run.case.group == "P" and run.case.gain == 0.0]
+    if not off:
+        return {}
+    peaks = {}
+    for leg, movement in zip(figure.legs(0.0), movements(figure.length), strict=True):
+        first, last = leg.begin, leg.begin + figure.law.duration(movement.length)
+        changes = []
+        for run in off:
+            inside = (run.time >= first) & (run.time <= last)
+            epsilon = run.epsilon[inside]
+            changes.append(float(np.abs(epsilon - epsilon[:1]).max(initial=0.0)))
+        peaks[leg.name] = float(np.mean(changes))
+    return peaks
 
 
 def row_of(rows: Sequence[dict[str, Any]], group: str, gain: float) -> dict[str, Any]:
@@ -297,7 +325,14 @@ def drive_row(way: Variant, ride: Planned, robot: Mapping[str, Any]) -> dict[str
         "voltages": way.voltages,
         **ride.figures(),
         **slant_figures(ride.drive, build(Robot, robot)),
+        "backwards_share": backwards(ride.drive),
     }
+
+
+def backwards(drive: Drive) -> float:
+    """Share of the time in motion in which the direction of travel is behind the robot's side."""
+    _, angles = drive.slant()
+    return float(np.mean(np.abs(angles) > 0.5 * math.pi)) if len(angles) else 0.0
 
 
 def _energies(

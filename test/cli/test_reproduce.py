@@ -13,6 +13,7 @@ from omniman_ros.cli import reproduce
 from omniman_ros.cli.main import main
 from omniman_ros.core.parameters import build
 from omniman_ros.drive.parameters import Mismatch
+from omniman_ros.planning.cases import Turned
 from omniman_ros.studies.coupling import Case, Outcome, Run, Setup
 from omniman_ros.studies.coupling_sweep import QUICK, summary
 from omniman_ros.studies.figure7 import Figure7
@@ -20,7 +21,6 @@ from omniman_ros.studies.mpc_cases import (
     Comparison,
     Scene,
     StudyError,
-    Turned,
     Variant,
     circle,
     planned,
@@ -58,6 +58,7 @@ def result(runs):
     }  # fmt: skip
 
 
+@pytest.mark.processes
 def test_the_command_runs_whole_and_says_so_in_json(tmp_path):
     ended = subprocess.run(
         command("reproduce", "coupling", "--quick", "--results", str(tmp_path)),
@@ -90,6 +91,20 @@ def test_reached_is_the_mean_ratio_of_p_loops_at_the_chosen_gain(runs):
     worse = [made("P", 3, 0.0), made("P", 3, 2.0, 2.0)]
     rows = summary([*runs, *worse, *(made("PI", 0, gain, 7.0) for gain in (0.0, 2.0, 5.0))])
     assert reproduce.reached(rows, 2.0) == pytest.approx((3 * 1 / 3 + 2 / 3) / 4)
+
+
+def test_each_movement_has_its_largest_change_of_the_uncontrolled_error(runs):
+    figure = QUICK.figure
+    time = np.arange(0.0, figure.duration, 0.02)
+    third = figure.legs(0.0)[2]
+    jump = np.where(time > third.begin + 1.0, 0.5, 0.0)  # in the third movement, and it stays
+    off = [replace(made("P", n, 0.0), time=time, epsilon=np.outer(jump, [n])) for n in (1, 3)]
+    controlled = replace(made("P", 1, 2.0), time=time, epsilon=np.outer(time, [9.0]))
+    other = replace(made("PI", 1, 0.0), time=time, epsilon=np.outer(time, [9.0]))
+    peaks = reproduce.movement_peaks(figure, [*off, controlled, other])
+    assert list(peaks) == ["forwards", "sideways", "backwards", "circle 1", "circle 2"]
+    assert list(peaks.values()) == pytest.approx([0.0, 0.0, 1.0, 0.0, 0.0])
+    assert reproduce.movement_peaks(figure, [controlled, other]) == {}
 
 
 def test_without_matplotlib_there_is_no_picture(monkeypatch, runs, result, tmp_path):
@@ -198,6 +213,17 @@ def test_the_paper_s_setting_is_shown_too(monkeypatch, tmp_path, ride):
     _, result, asked = case(monkeypatch, tmp_path, ride, quick=False)
     assert asked[2][0] == dict(reproduce.PAPER)
     assert result["drives"][2]["counts"] is False
+
+
+@pytest.mark.parametrize(
+    ("direction", "share"), [(0.0, 0.0), (1.5, 0.0), (1.6, 1.0), (np.pi, 1.0)]
+)
+def test_backwards_is_with_the_direction_of_travel_behind_the_side(ride, direction, share):
+    twists = np.tile([np.cos(direction), np.sin(direction), 0.0], (10, 1))
+    rests = np.zeros((5, 3))
+    drive = replace(ride.drive, times=np.arange(15.0), twists=np.vstack([twists, rests]))
+    assert reproduce.backwards(drive) == share
+    assert reproduce.backwards(replace(drive, twists=np.zeros((15, 3)))) == 0.0
 
 
 @pytest.mark.parametrize("spoil", [collided, short_of])
