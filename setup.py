@@ -41,7 +41,9 @@ SHARED = {
     "config/ur": "config/ur/*.yaml",
     "launch": "config/launch/*.launch.py",
     "urdf": "config/urdf/*",
+    "config/nav2": "config/nav2/*.yaml",
     "rviz": "config/rviz/*",
+    "plotjuggler": "config/plotjuggler/*",
 }
 
 STUB = """\
@@ -102,16 +104,20 @@ setup(
         "test": [
             "catkin_pkg",
             "hypothesis",
+            "mcap",
             "mypy==2.4.*",
             "odrive-can",
             "pytest",
             "pytest-xdist",
+            "rosbags",
             "ruff==0.17.*",
             "setuptools",
             "types-PyYAML",
             "ur-rtde",
         ],
-        "plot": ["matplotlib"],
+        # A robot that records needs no pictures.
+        "record": ["rosbags"],
+        "plot": ["matplotlib", "rosbags"],
         # The page relies on how viser marks up its buttons.
         "viewer": ["viser==1.1.*", "websockets"],
         "browser": ["playwright"],

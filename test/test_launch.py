@@ -1,4 +1,4 @@
-"""The launch file against small stand-ins for `launch` and `launch_ros`, which PyPI lacks."""
+"""The launch files against small stand-ins for `launch` and `launch_ros`, which PyPI lacks."""
 
 import runpy
 import shlex
@@ -13,6 +13,12 @@ import pytest
 import setuptools
 
 from omniman_ros.cli.main import main
+from omniman_ros.core.parameters import specs
+from omniman_ros.nodes.arm_streamer import ArmStreamerParameters
+from omniman_ros.nodes.can_bridge import CanBridgeParameters
+from omniman_ros.nodes.simulated_can_drives import SimulatedCanDrivesParameters
+from omniman_ros.nodes.simulated_drive import SimulatedDriveParameters
+from omniman_ros.nodes.simulated_ur import SimulatedUrParameters
 
 ROOT = Path(__file__).resolve().parents[1]
 LAUNCH_FILES = sorted((ROOT / "config" / "launch").glob("*.launch.py"))
@@ -91,6 +97,14 @@ class PathJoinSubstitution:
 
 
 @dataclass(frozen=True)
+class PythonExpression:
+    expression: list
+
+    def value(self, arguments):
+        return str(eval("".join(value(part, arguments) for part in self.expression), {}, {}))
+
+
+@dataclass(frozen=True)
 class IfCondition:
     predicate: Any
 
@@ -116,9 +130,11 @@ class ParameterValue:
         object.__setattr__(self, "value_type", value_type)
 
     def value(self, arguments):
-        assert self.value_type in (str, bool)
         text = value(self.raw, arguments)
-        return {"true": True, "false": False}[text] if self.value_type is bool else text
+        if self.value_type is bool:
+            return {"true": True, "false": False}[text]
+        assert self.value_type in (str, int)
+        return text if self.value_type is str else int(text)
 
 
 @dataclass
@@ -138,8 +154,26 @@ class Node:
     executable: str
     namespace: Any = None
     parameters: list = field(default_factory=list)
+    arguments: list = field(default_factory=list)
+    remappings: list = field(default_factory=list)
     output: str = "log"
     condition: Any = None
+
+
+@dataclass(frozen=True)
+class PythonLaunchDescriptionSource:
+    path: Any
+
+
+@dataclass
+class IncludeLaunchDescription:
+    source: PythonLaunchDescriptionSource
+    launch_arguments: Any
+
+
+@dataclass
+class GroupAction:
+    actions: list
 
 
 @dataclass
@@ -154,11 +188,12 @@ def value(item, arguments):
 
 STAND_INS = {
     "launch": [LaunchDescription],
-    "launch.actions": [DeclareLaunchArgument],
+    "launch.actions": [DeclareLaunchArgument, GroupAction, IncludeLaunchDescription],
     "launch.conditions": [IfCondition, UnlessCondition],
+    "launch.launch_description_sources": [PythonLaunchDescriptionSource],
     "launch.substitutions": [
         AndSubstitution, Command, EqualsSubstitution, LaunchConfiguration, NotSubstitution,
-        PathJoinSubstitution,
+        PathJoinSubstitution, PythonExpression,
     ],
     "launch_ros": [],
     "launch_ros.actions": [Node],
@@ -190,48 +225,75 @@ def stand_ins(monkeypatch, installed):
         monkeypatch.setitem(sys.modules, name, module)
 
 
-def launch(file, **given):
-    """Arguments of a launch file with their values, and its nodes that would start."""
+OTHERS = {"robot_state_publisher", "rviz2"}
+"""Executables of packages of the same name."""
+
+
+def described(file, **given):
+    """Arguments of a launch file with their values, and all that it describes."""
     entities = runpy.run_path(str(file))["generate_launch_description"]().entities
     declared = [e for e in entities if isinstance(e, DeclareLaunchArgument)]
     arguments = {argument.name: value(argument.default_value, {}) for argument in declared}
     assert set(given) <= set(arguments)
-    arguments |= given
+    for argument in declared:
+        assert argument.choices is None or given.get(argument.name, argument.choices[0]) in (
+            argument.choices
+        )
+    return arguments | given, entities
+
+
+def started(file, **given):
+    """Nodes that would start, by executable, and the arguments that they are made from."""
+    arguments, entities = described(file, **given)
     nodes = {}
     for node in (e for e in entities if isinstance(e, Node)):
         if node.condition is None or value(node.condition, arguments):
-            parameters = {}
-            for group in node.parameters:
-                parameters |= group if isinstance(group, dict) else {"file": group}
             assert node.executable not in nodes
-            nodes[node.executable] = (
-                value(node.namespace, arguments),
-                {name: value(v, arguments) for name, v in parameters.items()},
-            )
-            others = {"robot_state_publisher"}
-            assert node.package == ("omniman_ros" if node.executable not in others
-                                    else node.executable)  # fmt: skip
+            package = node.executable if node.executable in OTHERS else "omniman_ros"
+            assert node.package == package
+            nodes[node.executable] = node
     return arguments, nodes
 
 
-def test_there_is_a_launch_file():
-    assert "platform.launch.py" in [file.name for file in LAUNCH_FILES]
+def settings(node, arguments):
+    """Namespace and parameters of a node."""
+    parameters = {}
+    for group in node.parameters:
+        parameters |= group if isinstance(group, dict) else {"file": group}
+    return (
+        value(node.namespace, arguments),
+        {name: value(v, arguments) for name, v in parameters.items()},
+    )
 
 
-@pytest.mark.parametrize("file", LAUNCH_FILES, ids=lambda file: file.name)
-def test_every_argument_in_use_is_declared_and_every_executable_exists(file, monkeypatch):
-    monkeypatch.setattr(setuptools, "setup", lambda **arguments: None)
-    executables = runpy.run_path(str(ROOT / "setup.py"))["EXECUTABLES"]
-    # An argument that is not declared raises a KeyError in `launch`.
-    _, nodes = launch(file)
-    assert nodes
-    assert set(nodes) <= set(executables)  # those of others are not started by default
+def launch(file, **given):
+    """Arguments of a launch file with their values, and its nodes that would start."""
+    arguments, nodes = started(file, **given)
+    return arguments, {name: settings(node, arguments) for name, node in nodes.items()}
 
 
 @pytest.fixture
-def platform():
-    (file,) = (file for file in LAUNCH_FILES if file.name == "platform.launch.py")
-    return lambda **given: launch(file, **given)
+def file_of():
+    return lambda name: ROOT / "config" / "launch" / f"{name}.launch.py"
+
+
+@pytest.fixture
+def platform(file_of):
+    return lambda **given: launch(file_of("platform"), **given)
+
+
+def test_there_is_a_launch_file():
+    names = [file.name for file in LAUNCH_FILES]
+    assert names == ["platform.launch.py", "two_robots.launch.py"]
+
+
+def test_every_argument_in_use_is_declared_and_every_executable_exists(platform, monkeypatch):
+    monkeypatch.setattr(setuptools, "setup", lambda **arguments: None)
+    executables = runpy.run_path(str(ROOT / "setup.py"))["EXECUTABLES"]
+    # An argument that is not declared raises a KeyError in `launch`.
+    _, nodes = platform()
+    assert nodes
+    assert set(nodes) <= set(executables)  # those of others are not started by default
 
 
 def test_platform_starts_the_simulated_drive_and_the_controller_by_default(platform):
@@ -246,6 +308,8 @@ def test_platform_starts_the_simulated_drive_and_the_controller_by_default(platf
         "controller": "/share/omniman_ros/config/ur/ur5.yaml",
         "mpc": "true",
         "viewer": "false",
+        "rviz": "false",
+        "number": "0",
         "description": "false",
     }
     assert nodes == {
@@ -280,7 +344,7 @@ def test_the_viewer_is_started_where_it_is_asked_for(platform):
     assert nodes["viewer"] == ("", {"robot": "omniman", "use_sim_time": True})
 
 
-BUS = {"can.interface": "udp_multicast", "can.channel": "239.74.163.2"}
+BUS = {"can.interface": "udp_multicast", "can.channel": "239.74.163.2", "can.port": 43113}
 
 
 def test_real_drives_have_a_bridge_with_their_installation_and_no_simulation(platform):
@@ -301,7 +365,117 @@ def test_simulated_drives_on_a_bus_share_installation_and_bus_with_the_bridge(pl
 
 def test_a_simulated_arm_has_its_controller_beside_it(platform):
     _, nodes = platform(arm="simulated", mpc="false", namespace="robot1")
-    assert nodes["arm_streamer"] == nodes["simulated_ur"] == ("robot1", {})
+    client = {
+        "ur.host": "127.0.0.1", "ur.dashboard_port": 29999, "ur.script_port": 30002,
+        "ur.rtde_port": 30004, "ur.reverse_port": 0,
+    }  # fmt: skip
+    controller = {
+        "ports.dashboard": 29999, "ports.primary": 30001, "ports.secondary": 30002,
+        "ports.realtime": 30003, "ports.rtde": 30004,
+    }  # fmt: skip
+    assert nodes["arm_streamer"] == ("robot1", client)
+    assert nodes["simulated_ur"] == ("robot1", controller)
+
+
+NODES = {
+    "simulated_drive": SimulatedDriveParameters,
+    "simulated_can_drives": SimulatedCanDrivesParameters,
+    "can_bridge": CanBridgeParameters,
+    "arm_streamer": ArmStreamerParameters,
+    "simulated_ur": SimulatedUrParameters,
+}
+OF_ALL = {"robot", "file", "use_sim_time"}
+
+
+@pytest.mark.parametrize("given", [{"drive": "can", "arm": "simulated"}, {}])
+def test_every_parameter_is_one_of_its_node(platform, given):
+    # rclpy ignores a wrong name without a word.
+    _, nodes = platform(**given)
+    looked_at = set(NODES) & set(nodes)
+    assert looked_at
+    for name in looked_at:
+        known = {entry.name for entry in specs(NODES[name])}
+        assert set(nodes[name][1]) - OF_ALL <= known
+
+
+def test_simulated_robots_of_two_numbers_share_no_bus_and_no_port(platform):
+    def own(number):
+        _, nodes = platform(drive="can", arm="simulated", number=number)
+        numbers = [
+            [v for v in parameters.values() if type(v) is int and v > 0]
+            for _, parameters in nodes.values()
+        ]
+        return {n for group in numbers for n in group}
+
+    everyone = [own(str(number)) for number in range(10)]
+    assert all(len(numbers) == 6 for numbers in everyone)
+    assert len(set.union(*everyone)) == 60
+
+
+def test_a_simulated_arm_has_its_client_at_its_own_ports(platform):
+    _, nodes = platform(arm="simulated", number="3")
+    client, controller = nodes["arm_streamer"][1], nodes["simulated_ur"][1]
+    assert client["ur.dashboard_port"] == controller["ports.dashboard"]
+    assert client["ur.script_port"] == controller["ports.secondary"]
+    assert client["ur.rtde_port"] == controller["ports.rtde"]
+
+
+TF = [("/tf", "tf"), ("/tf_static", "tf_static")]
+
+
+def test_all_that_sends_or_hears_transforms_does_so_in_the_namespace(file_of):
+    source = {file.stem: file.read_text() for file in (ROOT / "omniman_ros/nodes").glob("*.py")}
+    ours = {name for name, text in source.items() if "tf2_msgs" in text}
+    assert ours == {"platform_controller"}
+    for arm in ("none", "ur"):
+        _, nodes = started(file_of("platform"), rviz="true", description="true", arm=arm)
+        assert {name for name, node in nodes.items() if node.remappings == TF} == ours | OTHERS
+        assert all(node.remappings in ([], TF) for node in nodes.values())
+
+
+def test_rviz_is_started_where_it_is_asked_for_with_the_configuration_that_is_installed(file_of):
+    arguments, nodes = started(
+        file_of("platform"), rviz="true", namespace="robot1", use_sim_time="true"
+    )
+    rviz = nodes["rviz2"]
+    assert settings(rviz, arguments) == ("robot1", {"use_sim_time": True})
+    option, place = (value(word, arguments) for word in rviz.arguments)
+    assert (option, place) == ("-d", "/share/omniman_ros/rviz/omniman.rviz")
+    assert (ROOT / "config" / "rviz" / "omniman.rviz").is_file()
+    assert "rviz2" not in started(file_of("platform"))[1]
+
+
+def included(file, **given):
+    """Files that a launch file includes, each with what it is given."""
+    arguments, entities = described(file, **given)
+    groups = [e for e in entities if isinstance(e, GroupAction)]
+    assert len(groups) + len(arguments) == len(entities)
+    for group in groups:
+        (action,) = group.actions  # alone: its arguments do not reach the next
+        handed = {name: value(v, arguments) for name, v in action.launch_arguments}
+        yield value(action.source.path, arguments), handed
+
+
+def test_two_robots_are_the_platform_twice_with_nothing_in_common(file_of, platform):
+    robots = list(included(file_of("two_robots"), drive="can", arm="simulated", robot="ig42"))
+    assert [place for place, _ in robots] == ["/share/omniman_ros/launch/platform.launch.py"] * 2
+    both = [platform(**given)[1] for _, given in robots]
+    assert set(both[0]) == set(both[1]) >= {"simulated_can_drives", "simulated_ur", "mpc_planner"}
+    for nodes, namespace in zip(both, ("robot1", "robot2"), strict=True):
+        assert {given for given, _ in nodes.values()} == {namespace}
+    assert both[0]["platform_controller"][1] == both[1]["platform_controller"][1]
+    assert both[0]["platform_controller"][1]["robot"] == "ig42"
+    for name in ("can_bridge", "arm_streamer"):
+        assert both[0][name][1] != both[1][name][1]
+
+
+def test_two_robots_hand_on_all_that_they_take(file_of, platform):
+    arguments, _ = described(file_of("two_robots"))
+    ours, _ = platform()
+    assert set(arguments) <= set(ours)
+    for _, given in included(file_of("two_robots"), rviz="true", mpc="false"):
+        assert (given["rviz"], given["mpc"]) == ("true", "false")
+        assert set(arguments) < set(given)
 
 
 def test_a_real_arm_and_who_knows_its_limits_have_the_controllers_file(platform):

@@ -25,6 +25,7 @@ DISTRIBUTIONS = {
     "msgpack": ("msgpack", "python3-msgpack"),
     "casadi": ("casadi", "python3-casadi-pip"),
     "matplotlib": ("matplotlib", "python3-matplotlib"),
+    "rosbags": ("rosbags", None),
     "viser": ("viser", None),
     "websockets": ("websockets", "python3-websockets"),
 }
@@ -100,7 +101,7 @@ def test_rclpy_wheels_are_no_requirement(setup_py):
 def test_every_import_is_a_declared_dependency(package_xml, setup_py):
     declared = {depend.name for depend in package_xml.exec_depends}
     extras = setup_py["arguments"]["extras_require"]
-    optional = [*extras["plot"], *extras["viewer"]]
+    optional = [*extras["record"], *extras["plot"], *extras["viewer"]]
     for distribution in [*setup_py["arguments"]["install_requires"], *optional]:
         declared.add(DISTRIBUTIONS[distribution.partition("==")[0]][0])
     for source in [*SOURCES, *ROOT.glob("config/launch/*.py")]:

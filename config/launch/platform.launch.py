@@ -1,7 +1,11 @@
 """Drive, controller, path interpolator, planner, arm, and joint states of one robot.
 
 ros2 launch omniman_ros platform.launch.py robot:=ig42 namespace:=robot1
-ros2 launch omniman_ros platform.launch.py arm:=simulated
+ros2 launch omniman_ros platform.launch.py arm:=simulated rviz:=true
+
+Transforms go to tf and tf_static in the namespace: frames have no prefix, and two robots would
+mix on one /tf. What all robots of a ROS domain share is /diagnostics, where each node has its
+whole name, and /clock: in simulated time there is one robot in a domain.
 """
 
 from ament_index_python.packages import get_package_prefix
@@ -15,6 +19,7 @@ from launch.substitutions import (
     LaunchConfiguration,
     NotSubstitution,
     PathJoinSubstitution,
+    PythonExpression,
 )
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
@@ -29,6 +34,14 @@ def has_robot_state_publisher() -> bool:
         return False
     return True
 
+
+TF = [("/tf", "tf"), ("/tf_static", "tf_static")]
+"""Of every node that sends or hears transforms."""
+BUS = ("239.74.163.2", 43113)
+"""Group and port of python-can's UDP bus of the first robot."""
+UR_PORTS = {"dashboard": 29999, "primary": 30001, "secondary": 30002, "realtime": 30003,
+            "rtde": 30004}  # fmt: skip
+"""Ports of every UR controller: those of the first robot's simulated one."""
 
 ARGUMENTS = [
     DeclareLaunchArgument(
@@ -84,6 +97,19 @@ ARGUMENTS = [
         choices=["true", "false"],
     ),
     DeclareLaunchArgument(
+        "rviz",
+        default_value="false",
+        description="Whether to start RViz with share/omniman_ros/rviz/omniman.rviz",
+        choices=["true", "false"],
+    ),
+    DeclareLaunchArgument(
+        "number",
+        default_value="0",
+        description="Of this robot among those that are simulated on this machine: each has a bus "
+        "(drive:=can) and ports of its arm's controller (arm:=simulated) of its own",
+        choices=[str(number) for number in range(10)],
+    ),
+    DeclareLaunchArgument(
         "description",
         default_value="true" if has_robot_state_publisher() else "false",
         description="Whether to start robot_state_publisher with the URDF; if not, the URDF alone "
@@ -109,7 +135,10 @@ def generate_launch_description() -> LaunchDescription:
     )
     # can: the bus is UDP multicast on this machine, and the drives on it are simulated.
     installation = LaunchConfiguration("installation")
-    private_bus = {"can.interface": "udp_multicast", "can.channel": "239.74.163.2"}
+    group, port = BUS
+    private_bus = {
+        "can.interface": "udp_multicast", "can.channel": group, "can.port": _numbered(port, 1000)
+    }  # fmt: skip
     bridge = {"package": "omniman_ros", "executable": "can_bridge", "output": "screen",
               "namespace": LaunchConfiguration("namespace")}  # fmt: skip
     can_bridge = Node(
@@ -135,6 +164,7 @@ def generate_launch_description() -> LaunchDescription:
         executable="platform_controller",
         namespace=LaunchConfiguration("namespace"),
         parameters=[{"robot": robot, "use_sim_time": sim_time}],
+        remappings=TF,
         output="screen",
     )
     # The arm runs on real time, like drives on a bus.
@@ -145,14 +175,25 @@ def generate_launch_description() -> LaunchDescription:
         parameters=[LaunchConfiguration("controller")],
         condition=IfCondition(EqualsSubstitution(LaunchConfiguration("arm"), "ur")),
     )
+    ports = {name: _numbered(port, 10) for name, port in UR_PORTS.items()}
     arm_streamer_of_simulated_ur = Node(
         **streamer,
+        parameters=[
+            {
+                "ur.host": "127.0.0.1",
+                "ur.dashboard_port": ports["dashboard"],
+                "ur.script_port": ports["secondary"],
+                "ur.rtde_port": ports["rtde"],
+                "ur.reverse_port": 0,
+            }
+        ],
         condition=IfCondition(EqualsSubstitution(LaunchConfiguration("arm"), "simulated")),
     )
     simulated_ur = Node(
         package="omniman_ros",
         executable="simulated_ur",
         namespace=LaunchConfiguration("namespace"),
+        parameters=[{f"ports.{name}": port for name, port in ports.items()}],
         output="screen",
         condition=IfCondition(EqualsSubstitution(LaunchConfiguration("arm"), "simulated")),
     )
@@ -195,7 +236,8 @@ def generate_launch_description() -> LaunchDescription:
         " urdf --robot '", LaunchConfiguration("robot"), "'",
     ]  # fmt: skip
     publisher = {"package": "robot_state_publisher", "executable": "robot_state_publisher",
-                 "namespace": LaunchConfiguration("namespace"), "output": "screen"}  # fmt: skip
+                 "namespace": LaunchConfiguration("namespace"), "output": "screen",
+                 "remappings": TF}  # fmt: skip
     robot_state_publisher = Node(
         **publisher,
         parameters=[{"robot_description": _text_of(urdf), "use_sim_time": sim_time}],
@@ -223,6 +265,17 @@ def generate_launch_description() -> LaunchDescription:
         output="screen",
         condition=IfCondition(LaunchConfiguration("viewer")),
     )
+    rviz = Node(
+        package="rviz2",
+        executable="rviz2",
+        namespace=LaunchConfiguration("namespace"),
+        arguments=[
+            "-d", PathJoinSubstitution([FindPackageShare("omniman_ros"), "rviz", "omniman.rviz"])
+        ],
+        parameters=[{"use_sim_time": sim_time}],
+        remappings=TF,
+        condition=IfCondition(LaunchConfiguration("rviz")),
+    )  # fmt: skip
     return LaunchDescription(
         [
             *ARGUMENTS,
@@ -242,8 +295,15 @@ def generate_launch_description() -> LaunchDescription:
             robot_state_publisher_with_ur,
             mpc_planner,
             viewer,
+            rviz,
         ]
     )
+
+
+def _numbered(first: int, step: int) -> ParameterValue:
+    """A number that each robot on this machine has of its own."""
+    number = PythonExpression([f"{first} + {step} * ", LaunchConfiguration("number")])
+    return ParameterValue(number, value_type=int)
 
 
 def _text_of(command: list[object]) -> ParameterValue:

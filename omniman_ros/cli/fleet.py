@@ -57,6 +57,8 @@ NODES = (
 KNOW_THE_ARM = ("path_interpolator", "joint_state_broadcaster")
 """They plan within the arm's limits, or tell them, and get what its controller's file says."""
 
+OWN_TRANSFORMS = ("-r", "/tf:=tf", "-r", "/tf_static:=tf_static")
+"""Robots in namespaces have frames of the same names: each keeps its transforms to itself."""
 PATIENCE = (
     "-p", "can.missed_periods:=40", "-p", "can.drive_heartbeat:=0.1",
     "-p", "can.heartbeat_timeout:=0.3",
@@ -149,7 +151,7 @@ def _ros_arguments(kind: NodeKind, robot: str, setup: Setup, of_arm: Sequence[st
     if set(kind.drives) & {"can", "real"}:
         arguments += ["--params-file", installation_file(setup.installation)]
         if setup.drive == "can":
-            arguments += [*private_bus(), *PATIENCE]
+            arguments += [*private_bus(setup.namespace), *PATIENCE]
     if kind.arms or kind.name in KNOW_THE_ARM:
         arguments += of_arm
     if setup.params_file is not None:
@@ -159,5 +161,5 @@ def _ros_arguments(kind: NodeKind, robot: str, setup: Setup, of_arm: Sequence[st
     if setup.sim_time:
         arguments += ["-p", f"{kind.sim_time}:=true"]
     if setup.namespace:
-        arguments += ["-r", f"__ns:=/{setup.namespace.strip('/')}"]
+        arguments += ["-r", f"__ns:=/{setup.namespace.strip('/')}", *OWN_TRANSFORMS]
     return arguments

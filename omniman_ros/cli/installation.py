@@ -1,6 +1,7 @@
 """What turns the wheels: drives without a bus, on a bus of this machine, or on a real one."""
 
 import os
+import zlib
 from pathlib import Path
 
 from omniman_ros.cli.errors import CommandError
@@ -15,6 +16,8 @@ DRIVES = {
 
 MULTICAST, FIRST_PORT = "239.74.163.2", 43113
 """Group of python-can's UDP bus, and the port in ROS domain 0."""
+BUSES, SPREAD = 240, 80
+"""More than there are ROS domains, and how many namespaces get ports of their own."""
 
 
 def settings_file(kind: str, folder: str, name: str) -> str:
@@ -45,10 +48,12 @@ def installation_file(name: str) -> str:
     return settings_file("installation", "can", name)
 
 
-def private_bus() -> list[str]:
-    """Parameters of a bus on this machine alone, another one in each ROS domain."""
+def private_bus(namespace: str = "") -> list[str]:
+    """Parameters of a bus on this machine alone, another one in each ROS domain and namespace."""
     domain = int(os.environ.get("ROS_DOMAIN_ID", "0"))
+    name = namespace.strip("/").encode()
+    port = FIRST_PORT + domain + (BUSES * (1 + zlib.crc32(name) % SPREAD) if name else 0)
     return [
         "-p", "can.interface:=udp_multicast", "-p", f"can.channel:='{MULTICAST}'",
-        "-p", f"can.port:={FIRST_PORT + domain}",
+        "-p", f"can.port:={port}",
     ]  # fmt: skip

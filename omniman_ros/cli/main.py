@@ -142,6 +142,31 @@ def add_tool(parser: argparse.ArgumentParser) -> None:
     add_namespace(parser, "namespace of the robot")
 
 
+def add_record(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `omniman record`."""
+    parser.add_argument(
+        "topics", nargs="*", metavar="TOPIC",
+        help="record these only, named in the robot's namespace; default: all of the robot",
+    )  # fmt: skip
+    parser.add_argument(
+        "--output", metavar="FOLDER", help="where it goes; default: recording_DATE_TIME"
+    )
+    parser.add_argument(
+        "--duration", type=float, metavar="SECONDS", help="end after so long; default: Ctrl-C ends"
+    )
+    add_namespace(parser, "namespace of the robot; default: all robots")
+
+
+def add_plot(parser: argparse.ArgumentParser) -> None:
+    """Arguments of `omniman plot`."""
+    parser.add_argument("bag", help="folder of a recording of `omniman record` or `ros2 bag`")
+    parser.add_argument(
+        "--results", default="results", metavar="FOLDER", help="where the pictures go; %(default)s"
+    )
+    parser.add_argument("--show", action="store_true", help="open the pictures, too")
+    add_namespace(parser, "namespace of the robot, where the recording has several")
+
+
 def add_stop(parser: argparse.ArgumentParser) -> None:
     """Arguments of `omniman stop` and `omniman reset`."""
     add_namespace(parser, "only the nodes in this namespace; default: all that are found")
@@ -201,11 +226,13 @@ def add_reproduce(parser: argparse.ArgumentParser) -> None:
     """Arguments of `omniman reproduce`."""
     parser.add_argument(
         "name", nargs="?", default="coupling",
-        choices=["coupling", "tool_path", "free", "corridor", "moving", "workshop", "scenes"],
+        choices=[
+            "coupling", "tool_path", "free", "corridor", "moving", "workshop", "scenes", "all"
+        ],
         help="coupling: CCTA 2017 Fig. 7, coupling control on and off; the default. "
         "tool_path: platform and arm in step, with the arm's correction and without. "
         "free, corridor, moving: the cases of MPC 2021. workshop: rooms and doors, with a map. "
-        "scenes: random ones",
+        "scenes: random ones. all: one after the other, and a page of measured against published",
     )  # fmt: skip
     effort = parser.add_mutually_exclusive_group()
     effort.add_argument("--quick", action="store_true", help="few drives: does it run at all?")
@@ -216,8 +243,12 @@ def add_reproduce(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--robot", help=f"{ROBOT}; default: omniman for coupling and tool_path, else ig42"
     )
+    parser.add_argument(
+        "--reuse", action="store_true",
+        help="with all: what has its JSON in the folder already is not run again",
+    )  # fmt: skip
     add_results(parser)
-    scenes = parser.add_argument_group("of scenes only")
+    scenes = parser.add_argument_group("of scenes only, in all too")
     scenes.add_argument("--count", type=int, help="how many, from seed 0 on; default: 240")
     scenes.add_argument("--seeds", metavar="A:B", help="these seeds, without B; or one")
     scenes.add_argument("--jobs", type=int, help="processes; default: as many as there are CPUs")
@@ -337,6 +368,8 @@ COMMANDS: dict[str, tuple[str, str, Callable[[argparse.ArgumentParser], None]]] 
     "tool": ("tool", "lead the tool straight to a place; Ctrl-C cancels", add_tool),
     "stop": ("stop_reset", "stop every node that moves something, until a reset", add_stop),
     "reset": ("stop_reset", "release stopped nodes; moves nothing by itself", add_stop),
+    "record": ("record", "record what the robot says, for ros2 bag and its likes", add_record),
+    "plot": ("plot", "draw the standard figures from a recording", add_plot),
     "demo": ("demo", "a simulated robot drives and is measured, in a minute and a half", add_demo),
     "identify": ("identify", "find out by drives what the robot is really like", add_identify),
     "parameters": ("parameters", "list the parameters of the nodes", add_parameters),

@@ -58,7 +58,7 @@ def test_namespace_parameters_and_file_reach_every_node(namespace, tmp_path):
     for node in by_name(setup):
         text = arguments(setup, node)
         assert "-p robot:=ig42" in text
-        assert "-r __ns:=/robot1" in text
+        assert "-r __ns:=/robot1 -r /tf:=tf" in text
         assert "-p drive.mode:=torque" in text
         assert f"--params-file {file}" in text
 

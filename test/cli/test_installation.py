@@ -89,6 +89,15 @@ def test_robots_in_different_domains_have_different_buses(monkeypatch):
         ports.add(private_bus()[-1])
     monkeypatch.delenv("ROS_DOMAIN_ID")
     assert private_bus()[-1] == f"can.port:={FIRST_PORT}"
+
+
+def test_robots_in_different_namespaces_have_different_buses(monkeypatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", "0")
+    names = ("", "robot1", "robot2", "left", "right")
+    ports = {name: int(private_bus(name)[-1].rpartition("=")[2]) for name in names}
+    assert len(set(ports.values())) == len(names)
+    assert max(ports.values()) < 65536 - 232
+    assert private_bus("/robot1/") == private_bus("robot1")
     assert len(ports) == 3
 
 
