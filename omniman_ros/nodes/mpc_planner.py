@@ -215,8 +215,21 @@ class MpcPlannerNode(OmnimanNode):
         except InputError as error:
             self._refuse(str(error))
             raise
+        self._dismiss_source()
         self._waiting = goal, self.now() + PATIENCE + self.watch.wait(self.now())
         return self._try_waiting()
+
+    def _dismiss_source(self) -> None:
+        """Wait for a silent source no longer if it is gone from the graph: a goal says so.
+
+        A motion that is under way stops and stays stopped: nobody has looked since.
+        """
+        if self.obstacles.silent(self.now()) and not self.count_publishers("obstacles"):
+            self.obstacles.dismiss()
+            if not self.obstacles.silent(self.now()):
+                self.warn(
+                    "source gone", "the source of obstacles is gone: driving by what is known"
+                )
 
     def _refuse(self, why: str) -> str:
         self._last = f"a goal was refused: {why}"

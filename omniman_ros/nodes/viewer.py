@@ -1,93 +1,55 @@
-"""Node `viewer`: a page in the browser that shows the robot and drives it by hand."""
+"""Node `viewer`: a page in the browser that shows the robot, and steers it."""
 
 import queue
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from geometry_msgs.msg import Twist as TwistMsg
-from geometry_msgs.msg import TwistStamped, Vector3
-from nav_msgs.msg import Odometry, Path
-from rclpy.qos import QoSProfile
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64, String
-from std_srvs.srv import Trigger
-from trajectory_msgs.msg import MultiDOFJointTrajectory
-from visualization_msgs.msg import MarkerArray
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.publisher import Publisher
 
-from omniman_ros import conversions
-from omniman_ros.core import plausible
 from omniman_ros.core.errors import InputError
-from omniman_ros.core.framing import Framing, Twist
-from omniman_ros.core.parameters import REQUIRED, build, inline, parameter
-from omniman_ros.core.robot import Robot
-from omniman_ros.nodes import obstacle_port
-from omniman_ros.nodes.movers import Calls, nodes_that_move
+from omniman_ros.description.urdf import carries_arm
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.runtime import OmnimanNode, run
-from omniman_ros.nodes.stopping import ALL_LATCHED, LATCHED
-from omniman_ros.planning.obstacles import ObstacleParameters, ObstacleSet
+from omniman_ros.nodes.viewing.calls import CallPort
+from omniman_ros.nodes.viewing.crowd_port import CrowdPort
+from omniman_ros.nodes.viewing.driving import Driving
+from omniman_ros.nodes.viewing.ears import Ears
+from omniman_ros.nodes.viewing.parameters import ViewerParameters
+from omniman_ros.nodes.viewing.places import Places
+from omniman_ros.nodes.viewing.planner_senses import PlannerSenses
+from omniman_ros.nodes.viewing.robot_senses import RobotSenses
+from omniman_ros.nodes.viewing.tuning import Tuning
 from omniman_ros.viewer import availability
-from omniman_ros.viewer.hold import DEAD_MAN, HoldToDrive, Pressed
-from omniman_ros.viewer.state import Array, Condition, Picture, Pose, outlines, thinned
+from omniman_ros.viewer.events import (
+    CaseChosen,
+    Event,
+    GoalDragged,
+    Gone,
+    Held,
+    ObstacleChosen,
+    ObstacleDeleted,
+    ObstacleDragged,
+    ObstacleSent,
+    ObstacleShaped,
+    Pressed,
+    Released,
+    StartDragged,
+    Tuned,
+)
+from omniman_ros.viewer.state import Picture
 
 PERIOD = 0.05
 """Of cmd_vel, and of looking for what was pressed [s]."""
 EVENTS = 1000
 """Events of the page that are served in one period at most."""
-CALLING = 4.0
-"""How long nodes are looked for that a stop or a reset is meant for [s]."""
-SHOWN = 100
-"""So many obstacles are drawn at most; of more, every second, third, ..."""
-PATH_SERVICES = tuple(f"path_interpolator/{action}" for action in ("pause", "resume", "cancel"))
-_LATEST = QoSProfile(depth=1)
-
-
-@dataclass(frozen=True)
-class DrivingLimits:
-    """Bounds of the sliders; the platform controller has the limits that hold."""
-
-    linear_velocity: float = parameter(
-        REQUIRED, "Largest linear speed of the buttons.", unit="m/s", low=1e-3, high=20,
-        read_only=True,
-    )  # fmt: skip
-    angular_velocity: float = parameter(
-        REQUIRED, "Largest yaw rate of the buttons.", unit="rad/s", low=1e-3, high=50,
-        read_only=True,
-    )  # fmt: skip
-
-
-@dataclass(frozen=True, kw_only=True)
-class ViewerParameters:
-    """Parameters of the node: the robot as it looks, where the page is, rates and frames."""
-
-    robot: Robot = inline()
-    limits: DrivingLimits
-    host: str = parameter(
-        "127.0.0.1", "Address to serve the page on; who can reach it can drive the robot.",
-        read_only=True,
-    )  # fmt: skip
-    port: int = parameter(
-        8080, "Port of the page; if it is taken, the next one that is free.", low=1, high=65535,
-        read_only=True,
-    )  # fmt: skip
-    frame_rate: float = parameter(
-        25.0, "Frames of the page, while a browser is there.", unit="Hz", low=1, high=60,
-        read_only=True,
-    )  # fmt: skip
-    odom_frame: str = parameter("odom", "Frame of paths and references.", read_only=True)
-    map_is_odom: bool = parameter(
-        False, "Whether paths in `map` are taken for odom.", read_only=True
-    )
-    base_frame: str = parameter("base_link", "Frame of twists.", read_only=True)
-    cmd_vel_stamped: bool = parameter(False, "Whether cmd_vel is a TwistStamped.", read_only=True)
+TIME_BACK = 0.1
+"""Simulated time that goes back by more than this is a new simulation [s]."""
 
 
 class ViewerNode(OmnimanNode):
-    """Message plumbing between the topics and the page.
+    """Ties topics, services and parameters to the page.
 
     The page has threads of its own; they put what is pressed into a queue, which this node
     empties in its own time. Nothing here waits for a browser.
@@ -100,258 +62,117 @@ class ViewerNode(OmnimanNode):
         super().__init__("viewer", **options)
         self.settings = ParameterSet(self, ViewerParameters)
         p = self.settings.value
-        self._names = p.robot.wheels.names
-        self._frames = (p.odom_frame, "map") if p.map_is_odom else (p.odom_frame,)
-        constraints = len(self._names) - 3
-        self.picture = Picture(len(self._names), constraints)
-        self._obstacles = ObstacleSet(build(ObstacleParameters, {}))
-        self._events: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        self._hold = HoldToDrive()
-        self._framing = Framing()
-        self._silent = True
+        constraints = p.robot.wheel_count - 3
+        self.picture = Picture(p.robot.wheel_count, constraints)
+        self._events: queue.SimpleQueue[Event] = queue.SimpleQueue()
+        self._driving = Driving(self, p)
+        self._ears = Ears(self)
+        self._robot = RobotSenses(self, self._ears, self.picture, p)
+        self._crowd = CrowdPort(self, self.picture, p.odom_frame)
+        self._planner = PlannerSenses(self, self._ears, self.picture, p.frames, self._crowd.ours)
+        self._calls = CallPort(self, self.picture)
+        self._tuning = Tuning(self, self.picture)
+        self._places = Places(
+            self, self.picture, self._ears, p.frames, self._robot, self._planner, self._crowd,
+            self._calls, p.robot.body,
+        )  # fmt: skip
+        self._handlers = self._table()
         self._served_at = self.now()
-        self._calls: tuple[str, Calls, float] | None = None
-        self._answering: dict[str, Any] = {}
-        self._waiting: dict[str, Callable[[], None]] = {}
-        self._watching: list[Any] = []
-        self._path_clients = {name: self.create_client(Trigger, name) for name in PATH_SERVICES}
-        kind = TwistStamped if p.cmd_vel_stamped else TwistMsg
-        self._cmd_vel = self.create_publisher(kind, "cmd_vel", _LATEST)
-        self._make_inputs()
         limits = (p.limits.linear_velocity, p.limits.angular_velocity)
+        mount = p.mount if carries_arm(p.robot) else None
         if make_page is None:
             from omniman_ros.viewer.page import Page as make_page
-        self.page = make_page(p.robot, constraints, limits, p.host, p.port, self._events.put)
+        self.page = make_page(
+            p.robot, mount, constraints, limits, p.host, p.port, self._events.put
+        )
         self.get_logger().info(f"the page is at {self.page.address}")
         self.every(PERIOD, self.serve)
         self.every(1.0 / p.frame_rate, self.draw)
         self.every(1.0, self.survey)
 
-    # ---- inputs -------------------------------------------------------------------------------
-
-    def _make_inputs(self) -> None:
-        for kind, topic, handler, qos in (
-            (Odometry, "odom", self._on_odom, _LATEST),
-            (Odometry, "ground_truth/odom", self._on_truth, _LATEST),
-            (Path, "path", self._on_path, 10),
-            (MultiDOFJointTrajectory, "path/reference", self._on_reference, _LATEST),
-            (Path, "mpc/plan", self._on_plan, _LATEST),
-            (MarkerArray, "obstacles", self._on_obstacles, 50),
-            (Float64, "path_progress", self._on_progress, _LATEST),
-            (String, "active_source", self._on_source, LATCHED),
-            (DiagnosticStatus, "stop_state", self._on_stop_state, ALL_LATCHED),
-            (DiagnosticArray, "/diagnostics", self._on_diagnostics, 50),
-        ):
-            self._subscribe(kind, topic, handler, qos)
-
-    def _subscribe(
-        self, kind: type, topic: str, handler: Callable[[Any], None], qos: QoSProfile | int
-    ) -> Any:
-        keep_last = qos is _LATEST
-        take = self._keeper(topic, handler) if keep_last else self.guarded(topic, handler)
-        return self.create_subscription(kind, topic, take, qos)
-
-    def _listen(self, watched: bool) -> None:
-        """Hear what comes 200 times a second only while somebody looks: it costs the most."""
-        if watched and not self._watching:
-            self._watching = [
-                self._subscribe(JointState, topic, handler, _LATEST)
-                for topic, handler in (
-                    ("wheel_states", self._on_wheels),
-                    ("wheel_commands", self._on_commands),
-                    ("coupling_error", self._on_coupling),
-                )
-            ]
-        elif not watched:
-            while self._watching:
-                self.destroy_subscription(self._watching.pop())
-
-    def _keeper(self, topic: str, handler: Callable[[Any], None]) -> Callable[[Any], None]:
-        """Keep the last message only, until it is taken in: a stream comes faster than frames."""
-        guarded = self.guarded(topic, handler)
-
-        def keep(message: Any) -> None:
-            self._waiting[topic] = lambda: guarded(message)
-
-        return keep
-
-    def _take_in(self) -> None:
-        while self._waiting:
-            self._waiting.popitem()[1]()
-
-    def _on_wheels(self, message: JointState) -> None:
-        position, velocity, _ = conversions.joint_arrays(message, self._names)
-        for values, bound, label in (
-            (position, plausible.WHEEL_ANGLE, "position"),
-            (velocity, plausible.WHEEL_SPEED, "velocity"),
-        ):
-            if values is not None:
-                plausible.demand(values, bound, label)
-        self.picture.hear_wheels(position, velocity, self.now())
-
-    def _on_commands(self, message: JointState) -> None:
-        _, velocity, _ = conversions.joint_arrays(message, self._names)
-        if velocity is not None:
-            plausible.demand(velocity, plausible.WHEEL_SPEED, "velocity")
-        self.picture.hear_commands(velocity, self.now())
-
-    def _on_odom(self, message: Odometry) -> None:
-        self.picture.hear_odom(_pose(message), self.now())
-
-    def _on_truth(self, message: Odometry) -> None:
-        self.picture.hear_truth(_pose(message), self.now())
-
-    def _on_coupling(self, message: JointState) -> None:
-        errors = np.array(message.position, dtype=float)
-        plausible.demand(errors, plausible.WHEEL_ANGLE, "position")
-        self.picture.hear_coupling(errors, self.now())
-
-    def _on_path(self, message: Path) -> None:
-        conversions.check_frame(message.header.frame_id, *self._frames)
-        poses = message.poses
-        places = [poses[i].pose.position for i in thinned(len(poses))]
-        self.picture.path.set(_positions(places))
-
-    def _on_plan(self, message: Path) -> None:
-        conversions.check_frame(message.header.frame_id, *self._frames)
-        poses = message.poses
-        places = [poses[i].pose.position for i in thinned(len(poses))]
-        self.picture.hear_plan(_positions(places), self.now())
-
-    def _on_obstacles(self, message: MarkerArray) -> str:
-        complaints = obstacle_port.hear(self, message, self._obstacles, self._frames)
-        return complaints[0] if complaints else ""
-
-    def _draw_obstacles(self) -> None:
-        """Where they are now, at constant velocity since they were observed."""
-        around = self._obstacles.ellipses(self.now())
-        if len(around) or len(self.picture.obstacles.points):
-            shown = around.select(np.array(list(thinned(len(around), SHOWN)), dtype=int))
-            self.picture.obstacles.set(outlines(shown.centers, shown.semi_axes, shown.angles))
-
-    def _on_reference(self, message: MultiDOFJointTrajectory) -> None:
-        conversions.check_frame(message.header.frame_id, *self._frames)
-        points = message.points
-        places = [
-            transform.translation
-            for i in thinned(len(points))
-            for transform in points[i].transforms[:1]
-        ]
-        self.picture.hear_reference(_positions(places), self.now())
-
-    def _on_progress(self, message: Float64) -> None:
-        if not 0.0 <= message.data <= 1.0:
-            raise InputError(f"{message.data} is not within 0 to 1")
-        self.picture.hear_progress(message.data, self.now())
-
-    def _on_source(self, message: String) -> None:
-        self.picture.active_source = message.data
-
-    def _on_stop_state(self, message: DiagnosticStatus) -> None:
-        self.picture.stops[message.name] = Condition(_level(message), message.message)
-
-    def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        inside = self.get_namespace().rstrip("/") + "/"
-        for status in message.status:
-            if status.name.startswith(inside) and status.name != self.get_fully_qualified_name():
-                self.picture.hear_complaint(
-                    status.name, _level(status), status.message, self.now()
-                )
+    def _table(self) -> dict[type, Callable[[Any, float], None]]:
+        """What serves each kind of event, at a time [s]."""
+        return {
+            **dict.fromkeys((Held, Released, Gone), self._driving.hold.hear),
+            Pressed: self._on_pressed,
+            GoalDragged: self._places.drag_goal,
+            StartDragged: self._places.drag_start,
+            CaseChosen: self._places.load,
+            ObstacleDragged: self._crowd.drag,
+            ObstacleSent: self._crowd.send,
+            ObstacleShaped: self._crowd.shape,
+            ObstacleChosen: self._crowd.choose,
+            ObstacleDeleted: self._crowd.delete,
+            Tuned: self._tuning.set,
+        }
 
     # ---- the page -----------------------------------------------------------------------------
 
     def serve(self) -> None:
-        """Serve what was pressed, and drive while a button is held."""
+        """Serve what was pressed, drive while a button is held, and report the obstacles."""
         now = self.now()
-        held_up = now - self._served_at > DEAD_MAN
+        if now < self._served_at - TIME_BACK:
+            self._start_over(now)
         self._served_at = now
+        self._serve_events(now)
+        self._driving.drive(self.page.speeds, now)
+        self._calls.collect(now)
+        self._tuning.collect(now)
+        self._ears.take_in()
+        self._places.step(now)
+        self._crowd.publish(now)
+        for senses in (self._robot, self._planner, self.picture):
+            senses.sample(now)
+
+    def _start_over(self, now: float) -> None:
+        """What was held and what waits was so in another time."""
+        self._driving.hold.release()
+        self._places.give_up()
+        self._crowd.start_over(now)
+
+    def _serve_events(self, now: float) -> None:
         for _ in range(EVENTS):
             try:
                 event = self._events.get_nowait()
             except queue.Empty:
-                break
-            if isinstance(event, Pressed):
-                self._on_pressed(event.action, now)
-            else:
-                self._hold.hear(event, now)
-        if held_up:
-            # What was held while this node could not listen may be long released.
-            self._hold.release()
-        twist = self._framing.next(self._hold.twist(now, *self.page.speeds))
-        self._silent = twist is None
-        if twist is not None:
-            self._cmd_vel.publish(self._twist_message(twist))
-        self._collect(now)
-        self._take_in()
-        self.picture.sample(now)
+                return
+            try:
+                self._handlers[type(event)](event, now)
+            except InputError as error:
+                self.picture.note = str(error)
 
-    def _twist_message(self, twist: Twist) -> TwistMsg | TwistStamped:
-        x, y, turn = twist
-        message = TwistMsg(linear=Vector3(x=x, y=y), angular=Vector3(z=turn))
-        p = self.settings.value
-        if not p.cmd_vel_stamped:
-            return message
-        stamped = TwistStamped(twist=message)
-        stamped.header.stamp = self.stamp()
-        stamped.header.frame_id = p.base_frame
-        return stamped
-
-    def _on_pressed(self, action: str, now: float) -> None:
-        if action == "clear":
+    def _on_pressed(self, event: Pressed, now: float) -> None:
+        action, places = event.action, self._places
+        if action in ("stop", "reset"):
+            self._driving.hold.release()
+            places.give_up()
+            self._calls.reach(action, now)
+        elif action == "clear":
             self.picture.odom_trail.clear()
             self.picture.truth_trail.clear()
-        elif action in ("stop", "reset"):
-            self._hold.release()
-            # A reset ends the search for nodes to stop, and the other way round.
-            self._end_calls()
-            self._calls = (action, Calls(self, action, self.get_namespace()), now + CALLING)
+        elif action == "add":
+            self._crowd.add(now)
+        elif action in ("pause", "resume", "cancel", "go", "restart"):
+            getattr(places, action)(now)
         else:
-            self._call_path(f"path_interpolator/{action}")
-
-    def _end_calls(self) -> None:
-        if self._calls is not None:
-            self._calls[1].close()
-            self._calls = None
-
-    def _call_path(self, name: str) -> None:
-        if not self._path_clients[name].service_is_ready():
-            self.picture.note = f"{name} is not there"
-            return
-        self._answering[name] = self._path_clients[name].call_async(Trigger.Request())
-        self.picture.note = f"{name} ..."
-
-    def _collect(self, now: float) -> None:
-        """Take in answers; a stop also calls nodes that turn up a little later."""
-        if self._calls is not None:
-            action, calls, until = self._calls
-            calls.look()
-            answers = [
-                _answer(name.rpartition("/")[2], answer) for name, answer in calls.answers.items()
-            ]
-            self.picture.note = f"{action}: {', '.join(answers) or 'no node found yet'}"
-            if now > until:
-                self._end_calls()
-        for name, future in list(self._answering.items()):
-            if future.done():
-                del self._answering[name]
-                answer = future.result()
-                self.picture.note = _answer(name, (answer.success, answer.message))
+            raise InputError(f"there is no button '{action[:40]}'")
 
     def draw(self) -> None:
         """Draw a frame, if somebody looks."""
         watched = self.page.watched
-        self._listen(watched)
+        self._ears.watch(watched)
         if watched:
-            self._take_in()
-            self._draw_obstacles()
-            self.page.draw(self.picture, self.now())
+            now = self.now()
+            self._ears.take_in()
+            self._planner.show(now)
+            self._crowd.show(now)
+            self.page.draw(self.picture, now)
 
     def survey(self) -> None:
         """Look who is there."""
-        self.picture.keep_stops(nodes_that_move(self, self.get_namespace()))
-        self.picture.services = frozenset(
-            name for name, client in self._path_clients.items() if client.service_is_ready()
-        )
+        self._calls.survey()
+        self._crowd.survey()
+        self._tuning.survey(self.now())
 
     # ---- life ---------------------------------------------------------------------------------
 
@@ -360,49 +181,31 @@ class ViewerNode(OmnimanNode):
         return DiagnosticStatus.OK, "running", [("page", self.page.address)]
 
     def begin_shutdown(self, reason: str) -> None:
-        """Let go of what is held, for good; zeros follow."""
+        """Let go of what is held, for good; zeros follow. The obstacles of the page go too."""
         self._events = queue.SimpleQueue()
-        self._hold.release()
+        self._driving.hold.release()
+        self._places.give_up()
+        self._crowd.end()
 
     @property
     def finished(self) -> bool:
         """Whether the zeros are sent."""
-        return self._silent
+        return self._driving.silent
 
     @property
     def patience(self) -> float:
         """How long that may take [s]."""
         return 1.0
 
+    @property
+    def last_words(self) -> tuple[Publisher, ...]:
+        """Whose last message takes the obstacles away."""
+        return self._crowd.publishers
+
     def destroy_node(self) -> None:
         """End the page too."""
         self.page.close()
         super().destroy_node()
-
-
-def _answer(name: str, answer: tuple[bool, str] | None) -> str:
-    """What a service said, in words; None while it has not."""
-    if answer is None:
-        return f"{name} does not answer"
-    success, message = answer
-    return f"{name} done" if success else f"{name} REFUSED ({message})"
-
-
-def _pose(message: Odometry) -> Pose:
-    position = message.pose.pose.position
-    plausible.demand(np.array([position.x, position.y]), plausible.LENGTH, "position")
-    return position.x, position.y, conversions.yaw(message.pose.pose.orientation)
-
-
-def _positions(places: list[Any]) -> Array:
-    points = np.array([(place.x, place.y) for place in places], dtype=float).reshape(-1, 2)
-    plausible.demand(points, plausible.LENGTH, "positions")
-    return points
-
-
-def _level(status: DiagnosticStatus) -> int:
-    """0 good, 1 warning, 2 error; stale counts as an error."""
-    return min(int.from_bytes(status.level, "little"), 2)
 
 
 def main(args: list[str] | None = None) -> int:

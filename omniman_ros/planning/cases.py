@@ -19,10 +19,12 @@ Array = NDArray[np.float64]
 Pose = tuple[float, float, float]
 """x, y [m], heading [rad] in `odom`."""
 
+LENGTH, WIDTH = 0.8, 0.5
+"""Of the robot that the cases are made for [m]."""
 RADIUS = 0.3
 """Of all obstacles [m]."""
 GAP = 0.72
-"""Between neighbours of the corridor case: the robot is 0.8 m long and 0.5 m wide [m]."""
+"""Between neighbours of the corridor case: wider than the robot, shorter than it [m]."""
 LEAN = 0.5
 """Angle of the corridor's row of circles from the y axis [rad]."""
 SIDEWAYS = math.radians(70.0)
@@ -65,13 +67,30 @@ class Case:
     Attributes:
         name: Of the case.
         start, goal: Poses in odom [m, m, rad].
-        ways: Where the obstacles, circles of `RADIUS`, are and go.
+        ways: Where the obstacles, circles, are and go.
+        radius: Of the circles [m].
     """
 
     name: str
     start: Pose
     goal: Pose
     ways: tuple[Turned, ...] = ()
+    radius: float = RADIUS
+
+    def fitting(self, length: float, width: float) -> "Case":
+        """The case for a robot of another size [m]: all lengths and speeds grow with it."""
+        factor = max(length / LENGTH, width / WIDTH)
+        ways = tuple(
+            Turned(_times(way.place, factor), _times(way.velocity, factor), way.time,
+                   _times(way.then, factor))
+            for way in self.ways
+        )  # fmt: skip
+        start, goal = ((*_times(pose[:2], factor), pose[2]) for pose in (self.start, self.goal))
+        return Case(self.name, start, goal, ways, factor * self.radius)
+
+
+def _times(pair: tuple[float, float], factor: float) -> tuple[float, float]:
+    return pair[0] * factor, pair[1] * factor
 
 
 def _row() -> tuple[Turned, ...]:

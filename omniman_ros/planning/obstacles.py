@@ -188,6 +188,10 @@ class ObstacleSet:
         }
         self._table = None
 
+    def dismiss(self) -> None:
+        """Expect no source any more; what it has said stays known."""
+        self._heard = -math.inf
+
     def silent(self, now: float) -> str:
         """Why the source cannot be trusted at now [s], or an empty string."""
         self._notice(now)

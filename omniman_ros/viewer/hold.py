@@ -1,9 +1,9 @@
 """Hold to drive: a twist while a button is held, and a dead man's switch for the rest."""
 
 import math
-from dataclasses import dataclass
 
 from omniman_ros.core.framing import Twist
+from omniman_ros.viewer.events import Gone, Held, Released
 
 MOTIONS: dict[str, Twist] = {
     "turn_left": (0.0, 0.0, 1.0),
@@ -16,39 +16,6 @@ MOTIONS: dict[str, Twist] = {
 """Buttons in the order of the page, three in a row, and what one of them asks for."""
 DEAD_MAN = 0.2
 """Silence of a page after which what it held is released [s]."""
-
-
-@dataclass(frozen=True)
-class Held:
-    """A page says, again and again, that a button is held."""
-
-    client: int
-    motion: str
-
-
-@dataclass(frozen=True)
-class Released:
-    """A button was let go."""
-
-    client: int
-    motion: str
-
-
-@dataclass(frozen=True)
-class Gone:
-    """A page has lost its connection."""
-
-    client: int
-
-
-@dataclass(frozen=True)
-class Pressed:
-    """Another button was pressed: stop, reset, pause, resume, cancel, clear."""
-
-    action: str
-
-
-Event = Held | Released | Gone | Pressed
 
 
 class HoldToDrive:

@@ -8,11 +8,14 @@ from math import isfinite
 
 import viser
 
+from omniman_ros.core.body.model import Mount
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.robot import Robot
+from omniman_ros.viewer.buttons import Post
+from omniman_ros.viewer.events import Gone
 from omniman_ros.viewer.guard import guarding
-from omniman_ros.viewer.hold import Gone
-from omniman_ros.viewer.panel import Controls, Plots, Post
+from omniman_ros.viewer.panel import WIDTH, Controls, Status
+from omniman_ros.viewer.plots import Plots
 from omniman_ros.viewer.scene import Scene
 from omniman_ros.viewer.state import Picture
 
@@ -63,6 +66,7 @@ class Page:
 
     Args:
         robot: What it looks like.
+        mount: Where its arm stands; None for a robot without one.
         constraints: Number of coupling errors.
         limits: Largest speed [m/s] and yaw rate [rad/s] to drive with.
         host: Address to serve on.
@@ -74,8 +78,8 @@ class Page:
     """
 
     def __init__(
-        self, robot: Robot, constraints: int, limits: tuple[float, float], host: str, port: int,
-        post: Post,
+        self, robot: Robot, mount: Mount | None, constraints: int,
+        limits: tuple[float, float], host: str, port: int, post: Post,
     ) -> None:  # fmt: skip
         chosen = free_port(host, port)
         # viser would greet on stdout with a box; the node says the address in its log.
@@ -86,9 +90,11 @@ class Page:
         self._server.gui.configure_theme(
             show_logo=False, show_share_button=False, control_width="medium"
         )
-        self._scene = Scene(self._server, robot)
+        self._scene = Scene(self._server, robot, mount, post)
         self._controls = Controls(self._server, limits, post)
-        self._plots = Plots(self._server, robot.wheels.names, constraints)
+        self._plots = Plots(self._server, robot.wheels.names, constraints, robot.motor.max_voltage)
+        self._status = Status(self._server, self._plots.panel)
+        self._plots.panel.set_width(WIDTH)
 
         @self._server.on_client_disconnect
         async def _(client: viser.ClientHandle) -> None:
@@ -123,6 +129,7 @@ class Page:
                 self._scene.draw_lines(picture)
             if self._frames % PLOTS_EVERY == 0:
                 self._controls.draw(picture, now)
+                self._status.draw(picture, now)
                 self._plots.draw(picture, now)
         self._frames += 1
 

@@ -89,6 +89,7 @@ def test_robots_in_different_domains_have_different_buses(monkeypatch):
         ports.add(private_bus()[-1])
     monkeypatch.delenv("ROS_DOMAIN_ID")
     assert private_bus()[-1] == f"can.port:={FIRST_PORT}"
+    assert len(ports) == 3
 
 
 def test_robots_in_different_namespaces_have_different_buses(monkeypatch):
@@ -98,7 +99,6 @@ def test_robots_in_different_namespaces_have_different_buses(monkeypatch):
     assert len(set(ports.values())) == len(names)
     assert max(ports.values()) < 65536 - 232
     assert private_bus("/robot1/") == private_bus("robot1")
-    assert len(ports) == 3
 
 
 @pytest.mark.parametrize("drive", ["can", "real"])

@@ -1026,6 +1026,32 @@ def test_a_goal_that_ends_while_the_source_is_silent_waits_no_more(alone, ends):
     assert alone.said()[1] == said[ends] and alone.said()[2]["why"] == ""
 
 
+def test_a_new_goal_does_not_wait_for_a_source_that_is_gone(alone):
+    alone.seen = True
+    alone.send(*FAR)
+    alone.run(0.5)
+    alone.seen = False
+    alone.run(2.5)
+    assert alone.said()[1].startswith("waits: ")
+    alone.probe.destroy_publisher(alone.markers)
+    alone.run(1.5)
+    assert alone.said()[1].startswith("waits: "), "nobody has said that it may go on"
+    alone.send(*FAR)
+    alone.arrive()
+    assert any("the source of obstacles is gone" in warning for warning in alone.warnings)
+
+
+def test_a_new_goal_waits_for_a_source_that_is_silent_but_there(alone):
+    alone.seen = True
+    alone.send(*FAR)
+    alone.run(0.5)
+    alone.seen = False
+    alone.run(2.5)
+    alone.rest()
+    alone.send(*FAR)
+    alone.assert_silent(1.0)
+
+
 def test_without_a_required_source_a_goal_waits():
     with Alone({"obstacles.required": True}) as world:
         world.send(0.3, 0.0, 0.0)

@@ -278,6 +278,16 @@ def test_a_source_that_falls_silent_is_not_trusted():
     assert found.silent(105.3) == "no obstacles heard for 4.0 s"
 
 
+def test_a_source_that_is_dismissed_is_not_waited_for_and_what_it_said_stays():
+    found = obstacles(timeout=1.0)
+    found.add(seen(time=100.0), 100.0)
+    assert found.silent(102.0)
+    found.dismiss()
+    assert not found.silent(102.0) and len(found) == 1
+    found.heard(103.0)
+    assert found.silent(104.5) == "no obstacles heard for 1.5 s"
+
+
 def test_a_required_source_is_waited_for():
     found = obstacles(required=True, timeout=0.0)
     assert found.silent(0.0) == "no obstacle source yet"

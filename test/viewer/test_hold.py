@@ -2,7 +2,8 @@ import math
 
 import pytest
 
-from omniman_ros.viewer.hold import DEAD_MAN, MOTIONS, Gone, Held, HoldToDrive, Released
+from omniman_ros.viewer.events import Gone, Held, Released
+from omniman_ros.viewer.hold import DEAD_MAN, MOTIONS, HoldToDrive
 
 SPEEDS = (0.4, 0.8)
 

@@ -1,18 +1,22 @@
 """The real server, without a browser."""
 
+import queue
 import socket
 
+import msgspec
 import numpy as np
 import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from omniman_ros.core.errors import ParameterError
+from omniman_ros.viewer.events import Pressed
 from test import robots
 
 viser = pytest.importorskip("viser", reason="viser is not installed (extra 'viewer')")
 
 from omniman_ros.viewer.page import Page, free_port  # noqa: E402
+from omniman_ros.viewer.state import Picture  # noqa: E402
 
 HOST = "127.0.0.1"
 
@@ -22,11 +26,12 @@ def make_page():
     """Makes pages of robots, on ports of their own, and ends them."""
     made = []
 
-    def make(name="omniman", port=None):
+    def make(name="omniman", port=None, post=print):
         robot = robots.robot(name)
         page = Page(
-            robot, robot.wheel_count - 3, (1.0, 2.0), HOST, port or free_port(HOST, 18080), print
-        )
+            robot, None, robot.wheel_count - 3, (1.0, 2.0), HOST,
+            port or free_port(HOST, 18080), post,
+        )  # fmt: skip
         made.append(page)
         return page
 
@@ -91,8 +96,6 @@ def test_no_port_at_all_is_told(monkeypatch):
 
 @pytest.mark.parametrize("name", robots.ALL)
 def test_every_robot_is_drawn(make_page, name):
-    from omniman_ros.viewer.state import Picture
-
     page = make_page(name)
     n = robots.robot(name).wheel_count
     picture = Picture(n, n - 3)
@@ -141,3 +144,48 @@ def test_nobody_puts_the_page_on_the_internet(make_page, monkeypatch):
     monkeypatch.setattr("viser._viser.ViserTunnel", lambda *given: tunnels.append(given))
     assert make_page()._server.request_share_url() is None
     assert tunnels == []
+
+
+CAMERA = {
+    "type": "ViewerCameraMessage", "wxyz": (1.0, 0.0, 0.0, 0.0), "position": (1.0, 1.0, 1.0),
+    "fov": 1.0, "near": 0.1, "far": 100.0, "image_height": 100, "image_width": 100,
+    "look_at": (0.0, 0.0, 0.0), "up_direction": (0.0, 0.0, 1.0),
+}  # fmt: skip
+"""What a browser says first; before, it is none."""
+
+
+def say(page, *messages):
+    """Say something as a browser of its own; bytes and text go as they are."""
+    with connect(
+        page.address.replace("http", "ws"), subprotocols=[f"viser-v{viser.__version__}"]
+    ) as client:
+        client.recv(timeout=10)
+        for message in (CAMERA, *messages):
+            raw = isinstance(message, bytes | str)
+            client.send(message if raw else msgspec.msgpack.encode(message))
+
+
+def update(handle, **updates):
+    return {"type": "GuiUpdateMessage", "uuid": handle._impl.uuid, "updates": updates}
+
+
+def test_garbage_from_a_browser_leaves_the_page_to_the_others(make_page):
+    said = queue.SimpleQueue()
+    page = make_page(post=said.put)
+    slider = page._controls._linear
+    handles = page._server.gui._gui_input_handle_from_uuid.values()
+    (stop,) = [handle for handle in handles if handle.label == "Stop"]
+    for garbage in (
+        b"\x00garbage", "text", ["no", "message"], {"type": "NoSuchMessage"},
+        update(slider, value="fast"), update(slider, value=None),
+        update(slider, nothing=1.0),
+        {"type": "GuiUpdateMessage", "uuid": "nobody", "updates": {"value": 1.0}},
+    ):  # fmt: skip
+        say(page, garbage)
+    say(page, update(slider, value=float("nan")), update(stop, value=True))
+    heard = [said.get(timeout=10)]
+    while heard[-1] != Pressed("stop"):
+        heard.append(said.get(timeout=10))
+    assert np.isnan(slider.value), "it has come"
+    assert page.speeds[0] == 0.0
+    page.draw(Picture(4, 1), 1.0)

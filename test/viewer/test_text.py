@@ -3,7 +3,7 @@ import re
 import numpy as np
 
 from omniman_ros.viewer.state import SILENCE, Condition, Picture
-from omniman_ros.viewer.text import LONGEST, legend, status
+from omniman_ros.viewer.text import BAD, FIRST_STEPS, GOOD, LONGEST, hint, legend, status
 
 
 def words(html):
@@ -28,7 +28,7 @@ def test_it_says_who_drives_what_holds_and_where_the_robot_is():
         active_source="path", stops={"/r/simulated_drive": Condition(0, "running")},
     )  # fmt: skip
     shown.hear_progress(0.424, 10.0)
-    shown.hear_odom((1.0, -2.0, np.pi / 2), 10.0)
+    shown.hear_odom((1.0, -2.0, 4.5 * np.pi), 10.0)
     shown.hear_truth((1.003, -2.004, np.pi / 2), 10.0)
     text = words(status(shown, 10.0))
     for part in ("driven by path", "simulated_drive running", "odom +1.00 -2.00 m +90°",
@@ -76,3 +76,38 @@ def test_what_nodes_say_cannot_become_part_of_the_page():
 
 def test_a_long_message_is_cut():
     assert len(words(status(picture(note="x" * 10_000), 10.0))) < LONGEST + 200
+
+
+def planning(**said):
+    shown = picture(active_source="mpc")
+    shown.hear_planner(said, 10.0)
+    return shown
+
+
+def test_it_says_what_the_planner_does_and_why_it_is_blocked():
+    html = status(planning(state="driving", distance_m="2.31", why=""), 10.0)
+    assert "planner driving, 2.31 m to go" in words(html)
+    assert f'color:{GOOD}">driving' in html
+    html = status(planning(state="blocked", distance_m="2.31", why="no clear way found"), 10.0)
+    assert "planner blocked, 2.31 m to go: no clear way found" in words(html)
+    assert f'color:{BAD}">blocked' in html
+    assert "to go" not in status(planning(state="idle", distance_m="0.0"), 10.0)
+
+
+def test_the_planner_is_left_out_while_it_is_silent():
+    assert "planner" not in status(picture(), 10.0)
+    assert "planner" not in status(planning(state="idle"), 10.0 + SILENCE)
+
+
+def test_who_has_done_nothing_yet_is_told_what_to_do():
+    assert FIRST_STEPS in status(picture(active_source="none"), 10.0)
+    for done in ({"note": "stop: done"}, {"active_source": "path"}, {"active_source": ""}):
+        assert FIRST_STEPS not in status(picture(**{"active_source": "none", **done}), 10.0)
+    for line in ("path", "plan"):
+        shown = picture(active_source="none")
+        getattr(shown, line).set(np.zeros((2, 2)))
+        assert FIRST_STEPS not in status(shown, 10.0)
+
+
+def test_a_hint_is_escaped():
+    assert "&lt;b&gt;" in hint("<b>")

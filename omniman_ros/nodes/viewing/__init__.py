@@ -1,0 +1,1 @@
+"""The parts of the node `viewer`: what it hears, and what the page has it do."""
