@@ -1,6 +1,6 @@
 """The page in a real browser: headless Chromium drives a simulated robot.
 
-A screenshot is left in results/viewer.png.
+Screenshots are left in results/viewer*.png.
 """
 
 import math
@@ -11,17 +11,22 @@ import signal
 from pathlib import Path
 
 import pytest
-from geometry_msgs.msg import Twist
-from nav_msgs.msg import Odometry
 
 from omniman_ros.cli.session import Session
+from omniman_ros.planning.cases import CASES
 
+from . import robots
+from .browser import Mouse, Robot
 from .cli.support import PATIENCE, Running, command, environment
+from .viewer.screen import first_camera
 
 playwright = pytest.importorskip(
     "playwright.sync_api", reason="playwright is not installed (extra 'browser')"
 )
 pytest.importorskip("viser", reason="viser is not installed (extra 'viewer')")
+
+from omniman_ros.viewer.floor_shapes import marker  # noqa: E402
+from omniman_ros.viewer.things import GAP  # noqa: E402
 
 CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium")
 pytestmark = pytest.mark.skipif(
@@ -39,40 +44,22 @@ SLOWLY = [
     word
     for text in (
         "frame_rate:=10.0", "port:=18180", "timeouts.wheel_states:=5.0", "firmware.watchdog:=0.5",
-        "drive.following_time:=10.0",
+        "drive.following_time:=10.0", "odom_timeout:=5.0", "obstacles.timeout:=10.0",
+        "safety.deadline:=0.05",
     )
     for word in ("-p", text)
 ]  # fmt: skip
 """The machine may stand still for a moment, which must not stop the robot for good."""
-RESULTS = Path(__file__).resolve().parents[1] / "results"
+ROOT = Path(__file__).resolve().parents[1]
+RESULTS = ROOT / "results"
+SIZE = {"width": 1300, "height": 780}
+BODY = robots.robot("omniman").body
+PLACE = 1.7, 0.5
+"""Where the goal is dragged to, before and beside the robot [m]."""
+HAND = 0.15
+"""How exactly a mouse puts something in a page with few pixels [m]."""
 MOVED = 0.2
 PRESSES = 6
-
-
-class Robot:
-    """The robot's topics, spun while something is waited for."""
-
-    def __init__(self, session):
-        self.session = session
-        self.odom = None
-        self.twists = []
-        session.node.create_subscription(Odometry, "odom", self._on_odom, 1)
-        session.node.create_subscription(Twist, "cmd_vel", self.twists.append, 10)
-
-    def _on_odom(self, message):
-        self.odom = message
-
-    @property
-    def x(self):
-        return self.odom.pose.pose.position.x
-
-    @property
-    def speed(self):
-        twist = self.odom.twist.twist
-        return math.hypot(twist.linear.x, twist.linear.y) + abs(twist.angular.z)
-
-    def wait(self, condition, what, timeout=PATIENCE):
-        assert self.session.wait(condition, timeout), f"waited {timeout} s for {what}"
 
 
 @pytest.fixture(scope="module")
@@ -120,7 +107,7 @@ def open_page(browser, address):
     errors = []
 
     def open_page(query=COARSE):
-        opened = browser.new_page(viewport={"width": 1300, "height": 780})
+        opened = browser.new_page(viewport=SIZE)
         opened.set_default_timeout(1e3 * PATIENCE)
         opened.on("pageerror", lambda error: errors.append(str(error)))
         opened.goto(f"{address}/{query}")
@@ -130,6 +117,11 @@ def open_page(browser, address):
 
     yield open_page
     assert errors == []
+
+
+@pytest.fixture(scope="module")
+def camera():
+    return first_camera(robots.robot("omniman"))
 
 
 @pytest.fixture(scope="module")
@@ -164,6 +156,16 @@ def hold(page, robot, name, until):
     pytest.fail(f"{name} is held in vain; the page:\n{page.inner_text('body')}")
 
 
+def hold_key(page, robot, key, until):
+    """Hold a key until something is so, as above."""
+    for _ in range(PRESSES):
+        page.keyboard.down(key)
+        if robot.session.wait(until, PATIENCE / PRESSES):
+            return
+        page.keyboard.up(key)
+    pytest.fail(f"the key {key} is held in vain; the page:\n{page.inner_text('body')}")
+
+
 def drive(page, robot, name="Forward"):
     """Hold a button until the robot has moved a little."""
     start = robot.x
@@ -171,7 +173,41 @@ def drive(page, robot, name="Forward"):
 
 
 def wait_for_rest(robot):
-    robot.wait(lambda: robot.speed < 0.005, "the robot at rest")
+    robot.wait(lambda: robot.at_rest, "the robot at rest")
+
+
+def wait_until_shown(page, robot):
+    """Wait until a page shows where the robot stands."""
+    page.get_by_text(re.compile(re.escape(f"odom {robot.x:+.2f}"))).wait_for()
+
+
+def near(robot, place):
+    return math.dist(robot.pose[:2], place) < HAND
+
+
+def leads_to(plan, place):
+    return len(plan) > 0 and math.dist(plan[-1, :2], place) < HAND
+
+
+def dismiss_notices(page):
+    """Close what viser says of a page without a graphics card."""
+    for closing in page.locator(".mantine-Notification-closeButton").all():
+        closing.click()
+
+
+def open_tab(page, name):
+    page.get_by_role("tab", name=name, exact=True).click()
+
+
+def go_until(page, robot, until, what):
+    """Wait while the robot drives to its goal; on a machine that stands still the planner may
+    give it up, and a person would send it again."""
+    for _ in range(PRESSES):
+        if robot.session.wait(until, PATIENCE / PRESSES):
+            return
+        if robot.planner != "driving":
+            button(page, "Go").click()
+    pytest.fail(f"no {what}; the page:\n{page.inner_text('body')}")
 
 
 def test_a_held_button_drives_and_its_release_stops(page, robot):
@@ -198,9 +234,8 @@ def test_a_second_browser_sees_the_same_and_when_it_is_lost_the_robot_stops(
 ):
     wait_for_rest(robot)
     second = open_page()
-    where = re.compile(re.escape(f"odom {robot.x:+.2f}"))
-    second.get_by_text(where).wait_for()
-    page.get_by_text(where).wait_for()
+    wait_until_shown(second, robot)
+    wait_until_shown(page, robot)
     drive(second, robot, "Forward")
     second.close()
     wait_for_rest(robot)
@@ -235,7 +270,113 @@ def test_stop_and_reset_are_seen_and_obeyed(page, robot):
     wait_for_rest(robot)
 
 
-def test_the_plots_and_the_scene_move(page, open_page, robot):
+def test_a_held_key_drives_and_its_release_stops(page, robot):
+    start, sent = robot.pose, len(robot.twists)
+    hold_key(page, robot, "i", lambda: math.dist(robot.pose[:2], start[:2]) > MOVED)
+    page.keyboard.up("i")
+    wait_for_rest(robot)
+    forward = [twist for twist in robot.twists[sent:] if twist.linear.x > 0.0]
+    assert forward
+    assert {(twist.linear.y, twist.angular.z) for twist in forward} == {(0.0, 0.0)}
+    assert robot.twists[-1].linear.x == 0.0
+
+
+def test_space_stops_a_robot_whose_key_is_held(page, robot):
+    start = robot.pose
+    hold_key(page, robot, "k", lambda: math.dist(robot.pose[:2], start[:2]) > MOVED)
+    page.keyboard.press("Space")
+    page.get_by_text(re.compile("platform_controller stopped: ~/stop")).wait_for()
+    page.get_by_text(re.compile("simulated_drive stopped: ~/stop")).wait_for()
+    wait_for_rest(robot)
+    page.keyboard.up("k")
+    button(page, "Reset").click()
+    page.get_by_text(re.compile("platform_controller running")).wait_for()
+    page.get_by_text(re.compile("driven by none")).wait_for()
+
+
+def test_a_dragged_goal_is_driven_to_and_its_knob_turns_it(page, robot, camera):
+    wait_for_rest(robot)
+    wait_until_shown(page, robot)
+    x, y = robot.ahead(BODY.length + GAP)
+    wanted = robot.ahead(*PLACE)
+    mouse = Mouse(page, robot, camera)
+    mouse.drag((x - 0.2, y - 0.15, 0.03), (wanted[0] - 0.2, wanted[1] - 0.15, 0.03))
+    robot.wait(lambda: robot.goals, "a goal")
+    robot.wait(lambda: math.dist(robot.goals[-1][:2], wanted) < HAND, "the goal where it was put")
+    go_until(page, robot, lambda: leads_to(robot.plan, wanted), "plan that leads to the goal")
+    go_until(page, robot, lambda: near(robot, wanted), "arrival")
+    wait_for_rest(robot)
+    wait_until_shown(page, robot)
+    x, y, heading = robot.goals[-1]
+    tip = marker(BODY).tip
+    mouse.drag(
+        (x + tip * math.cos(heading), y + tip * math.sin(heading), 0.06),
+        (x - tip * math.sin(heading), y + tip * math.cos(heading), 0.06),
+    )
+    turned = heading + 0.5 * math.pi
+    robot.wait(lambda: abs(robot.goals[-1][2] - turned) < 0.15, "the goal turned")
+    assert robot.goals[-1][:2] == pytest.approx((x, y), abs=1e-6)
+    go_until(page, robot, lambda: abs(robot.pose[2] - turned) < 0.2, "turn")
+    wait_for_rest(robot)
+
+
+def test_an_obstacle_is_added_dragged_and_deleted(page, robot, camera):
+    open_tab(page, "Obstacles")
+    button(page, "Add").click()
+    robot.wait(lambda: len(robot.placed) == 1, "an obstacle")
+    page.get_by_text("Obstacle 1 of 1").wait_for()
+    wait_until_shown(page, robot)
+    ((number, place),) = robot.placed.items()
+    to = robot.ahead(1.7, -0.5)
+    Mouse(page, robot, camera).drag((*place, 0.3), (*to, 0.3))
+    robot.wait(
+        lambda: robot.placed and math.dist(robot.placed[number], to) < HAND, "the obstacle there"
+    )
+    button(page, "Delete").click()
+    robot.wait(lambda: not robot.placed, "no obstacle")
+    open_tab(page, "Task")
+
+
+def test_a_case_waits_for_go_and_is_paused_and_goes_on(page, open_page, robot):
+    """With the pictures, of a page of as many pixels as a person's."""
+    case = CASES["moving"].fitting(BODY.length, BODY.width)
+    fine = open_page("")
+    dismiss_notices(fine)
+    sent = len(robot.goals)
+    button(page, "Moving").click()
+    robot.wait(lambda: len(robot.placed) == len(case.ways), "the obstacles of the case")
+    robot.wait(lambda: math.dist(robot.pose[:2], case.start[:2]) < 0.05, "the robot at the start")
+    robot.session.spin(0.5)
+    assert len(robot.goals) == sent, "it waits"
+    assert sorted(robot.placed.values()) == pytest.approx(
+        [pytest.approx(way.place) for way in sorted(case.ways, key=lambda way: way.place)]
+    )
+    began = dict(robot.placed)
+    button(page, "Go").click()
+    robot.wait(lambda: robot.goals[sent:] == [pytest.approx(case.goal)], "the goal of the case")
+    go_until(page, robot, lambda: robot.x > case.start[0] + 1.0, "robot on its way")
+    fine.screenshot(path=RESULTS / "viewer.png")
+    assert robot.placed != began
+    button(page, "Pause").click()
+    robot.wait(lambda: robot.planner == "paused", "the planner paused")
+    wait_for_rest(robot)
+    at, placed = robot.x, dict(robot.placed)
+    robot.session.spin(0.5)
+    assert robot.x == pytest.approx(at, abs=0.005)
+    assert robot.placed == placed
+    open_tab(fine, "Planner")
+    fine.get_by_label("position weight").first.wait_for()
+    fine.screenshot(path=RESULTS / "viewer_planner.png")
+    fine.close()
+    button(page, "Resume").click()
+    go_until(page, robot, lambda: robot.x > at + 0.3, "robot that goes on")
+    assert robot.placed != placed
+    button(page, "Cancel").click()
+    robot.wait(lambda: robot.planner != "driving", "the planner at its end")
+    wait_for_rest(robot)
+
+
+def test_the_plots_and_the_scene_move(page, robot):
     """What is drawn after driving differs from what was drawn before, in plot and scene."""
     plot, scene = page.locator(".uplot canvas").first, page.locator("canvas[data-engine]")
     before = plot.screenshot(), scene.screenshot()
@@ -244,6 +385,3 @@ def test_the_plots_and_the_scene_move(page, open_page, robot):
     wait_for_rest(robot)
     assert plot.screenshot() != before[0]
     assert scene.screenshot() != before[1]
-    fine = open_page("")
-    fine.screenshot(path=RESULTS / "viewer.png")
-    fine.close()

@@ -1,5 +1,6 @@
 """Reads rosbag2 recordings, MCAP or SQLite, with the definitions that they carry."""
 
+import struct
 from collections.abc import Collection, Iterator
 from pathlib import Path
 from types import TracebackType
@@ -7,9 +8,16 @@ from typing import Any, Self
 
 from rosbags.highlevel import AnyReader, AnyReaderError
 from rosbags.rosbag2 import ReaderError
+from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
 from omniman_ros.core.errors import InputError
+
+_DAMAGED = (
+    AnyReaderError, ReaderError, SerdeError, LookupError, ValueError, OverflowError, MemoryError,
+    struct.error,
+)  # fmt: skip
+"""What the library raises where a file is damaged: it takes any length for true."""
 
 
 class BagReader:
@@ -37,7 +45,7 @@ class BagReader:
     def __enter__(self) -> Self:
         try:
             self._reader.open()
-        except (AnyReaderError, ReaderError) as error:
+        except _DAMAGED as error:
             raise InputError(f"{self._path} cannot be read: {error}") from error
         self.kinds = {c.topic: c.msgtype for c in self._reader.connections if c.msgcount}
         return self
@@ -54,10 +62,17 @@ class BagReader:
         return self._reader.duration * 1e-9
 
     def messages(self, topics: Collection[str]) -> Iterator[tuple[str, float, Any]]:
-        """Topic, time of arrival [s] and message, in the order of arrival."""
+        """Topic, time of arrival [s] and message, in the order of arrival.
+
+        Raises:
+            InputError: The recording is damaged.
+        """
         chosen = [c for c in self._reader.connections if c.topic in topics and c.msgcount]
         if not chosen:
             return
-        for connection, stamp, data in self._reader.messages(chosen):
-            message = self._reader.deserialize(data, connection.msgtype)
-            yield connection.topic, stamp * 1e-9, message
+        try:
+            for connection, stamp, data in self._reader.messages(chosen):
+                message = self._reader.deserialize(data, connection.msgtype)
+                yield connection.topic, stamp * 1e-9, message
+        except _DAMAGED as error:
+            raise InputError(f"{self._path} is damaged: {error}") from error

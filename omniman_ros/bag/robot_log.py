@@ -19,6 +19,26 @@ PLANNER = ("solve_ms", "slack_m", "distance_m", "energy_j")
 """Keys of `mpc/status`."""
 AT_WORK = ("driving", "blocked")
 """States of the planner in which it solves."""
+KINDS = {
+    "odom": ("nav_msgs/msg/Odometry",),
+    "ground_truth/odom": ("nav_msgs/msg/Odometry",),
+    "cmd_vel": ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"),
+    "wheel_states": ("sensor_msgs/msg/JointState",),
+    "wheel_commands": ("sensor_msgs/msg/JointState",),
+    "wheel_electrical": ("std_msgs/msg/Float64MultiArray",),
+    "coupling_error": ("sensor_msgs/msg/JointState",),
+    "path": ("nav_msgs/msg/Path",),
+    "path/reference": ("trajectory_msgs/msg/MultiDOFJointTrajectory",),
+    "mpc/reference": ("trajectory_msgs/msg/MultiDOFJointTrajectory",),
+    "mpc/plan": ("nav_msgs/msg/Path",),
+    "mpc/status": ("diagnostic_msgs/msg/DiagnosticStatus",),
+    "goal_pose": ("geometry_msgs/msg/PoseStamped",),
+    "arm/joint_states": ("sensor_msgs/msg/JointState",),
+    "arm/joint_reference": ("trajectory_msgs/msg/JointTrajectory",),
+    "arm/timing": ("std_msgs/msg/Float64MultiArray",),
+    "active_source": ("std_msgs/msg/String",),
+}
+"""Types of the topics; those of other robots may have the same names."""
 
 
 @dataclass
@@ -87,7 +107,7 @@ def namespaces(topics: Iterable[str]) -> list[str]:
 
 
 def read(bag: BagReader, namespace: str = "") -> RobotLog:
-    """Read one robot's topics.
+    """Read one robot's topics; of each topic the messages that are like its first.
 
     Args:
         bag: The open recording.
@@ -95,8 +115,12 @@ def read(bag: BagReader, namespace: str = "") -> RobotLog:
     """
     prefix = f"/{namespace}/" if namespace else "/"
     reader = _Reader()
-    handlers = {prefix + name: handler for name, handler in reader.handlers.items()}
-    for topic, arrival, message in bag.messages(set(handlers) & set(bag.kinds)):
+    handlers = {
+        prefix + name: handler
+        for name, handler in reader.handlers.items()
+        if bag.kinds.get(prefix + name) in KINDS[name]
+    }
+    for topic, arrival, message in bag.messages(handlers):
         handlers[topic](arrival, message)
     return reader.log()
 
@@ -143,7 +167,7 @@ class _Reader:
             return np.asarray(arrivals + ahead)
 
         log = RobotLog(
-            wheels=self._names.get("measured", self._names.get("commanded", ())),
+            wheels=self._names.get("wheels", ()),
             joints=self._names.get("arm", ()),
             paths=self._paths,
             references={n: _joined(p) for n, p in self._previews.items() if n != "arm"},
@@ -160,7 +184,9 @@ class _Reader:
         return log
 
     def _add(self, name: str, *row: float) -> None:
-        self._rows.setdefault(name, []).append(row)
+        rows = self._rows.setdefault(name, [])
+        if not rows or len(row) == len(rows[0]):
+            rows.append(row)
 
     # ---- one for each topic -----------------------------------------------------------------
 
@@ -177,17 +203,20 @@ class _Reader:
 
     def _on_wheels(self, name: str) -> Callable[[float, Any], None]:
         def take(arrival: float, message: Any) -> None:
-            names = self._names.setdefault(name, tuple(message.name))
+            names = self._names.setdefault("wheels", tuple(message.name))
             speeds = message.velocity if len(message.velocity) else np.full(len(names), math.nan)
-            if tuple(message.name) == names and len(speeds) == len(names):
+            by_name = dict(zip(message.name, speeds, strict=False))
+            if len(speeds) == len(names) and by_name.keys() == set(names):
                 stamp = _seconds(message.header.stamp)
+                ordered = [by_name[wheel] for wheel in names]
                 # A zero stamp means now.
-                self._add(name if stamp else f"heard {name}", stamp or arrival, *speeds)
+                self._add(name if stamp else f"heard {name}", stamp or arrival, *ordered)
 
         return take
 
     def _on_electrical(self, arrival: float, message: Any) -> None:
-        self._add("heard electrical", arrival, *message.data)
+        if len(message.data) and len(message.data) % 3 == 0:
+            self._add("heard electrical", arrival, *message.data)
 
     def _on_coupling(self, arrival: float, message: Any) -> None:
         if len(message.position):
@@ -202,10 +231,10 @@ class _Reader:
             start = _seconds(message.header.stamp)
             rows: list[tuple[float, ...]] = []
             for point in message.points:
-                pose = point.transforms[0]
-                place = pose.translation
-                rows.append((start + _seconds(point.time_from_start), place.x, place.y,
-                             _yaw(pose.rotation)))  # fmt: skip
+                for pose in point.transforms[:1]:
+                    place = pose.translation
+                    rows.append((start + _seconds(point.time_from_start), place.x, place.y,
+                                 _yaw(pose.rotation)))  # fmt: skip
             self._previews.setdefault(name, []).append(rows)
 
         return take
@@ -248,14 +277,16 @@ class _Reader:
 def _joined(previews: list[list[tuple[float, ...]]]) -> Array:
     """What was followed: of each preview what came before the next; NaN between movements."""
     previews = [rows for rows in previews if rows]
+    width = len(previews[0][0]) if previews else 0
+    previews = [rows for rows in previews if all(len(row) == width for row in rows)]
     kept: list[tuple[float, ...]] = []
-    for rows, after in zip(previews, [*previews[1:], None], strict=True):
+    for rows, after in zip(previews, [*previews[1:], None][: len(previews)], strict=True):
         until = math.inf if after is None else after[0][0]
         fresh = [row for row in rows if row[0] < until and (not kept or row[0] > kept[-1][0])]
         if kept and fresh and fresh[0][0] - kept[-1][0] > HOLE:
             kept.append((0.5 * (kept[-1][0] + fresh[0][0]), *[math.nan] * (len(fresh[0]) - 1)))
         kept += fresh
-    return np.array(kept)
+    return np.array(kept) if kept else np.zeros((0, 4))
 
 
 def off_reference(poses: Array, reference: Array) -> Array:

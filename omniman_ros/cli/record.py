@@ -147,7 +147,8 @@ class Ears:
             say(f"hearing {', '.join(fresh)}")
         dropped = self._writer.dropped.total()
         if dropped > self._told_drops:
-            warn(f"the disk is too slow: {dropped} messages dropped so far")
+            why = self._writer.failure or "the disk is too slow"
+            warn(f"{why}: {dropped} messages dropped so far")
             self._told_drops = dropped
 
     def _is_wanted(self, name: str) -> bool:
@@ -259,7 +260,8 @@ def report(folder: Path, writer: Any, ears: Ears, seconds: float) -> int:
     if writer.failure:
         warn(f"writing ended early: {writer.failure}")
         complete = False
-    for what, lost in (("dropped: the disk was too slow", writer.dropped),
+    why = "dropped" if writer.failure else "dropped: the disk was too slow"
+    for what, lost in ((why, writer.dropped),
                        ("lost on the way here", ears.lost)):  # fmt: skip
         if lost:
             worst = ", ".join(f"{name} {count}" for name, count in lost.most_common(5))

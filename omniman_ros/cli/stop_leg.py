@@ -46,7 +46,8 @@ def figures(recording: Recording, driven: DrivenStop) -> dict[str, Any]:
     stopping = odom[(odom[:, 0] >= driven.pressed) & (odom[:, 0] <= driven.reset)]
     result["way_mm"] = 1e3 * float(np.hypot(*np.diff(stopping[:, 1:3], axis=0).T).sum())
     after = odom[(odom[:, 0] > driven.reset) & (odom[:, 0] <= driven.end)]
-    result["moved_mm"] = 1e3 * float(np.hypot(*(after[:, 1:3] - after[0, 1:3]).T).max())
+    moved = np.hypot(*(after[:, 1:3] - after[0, 1:3]).T).max() if len(after) else math.inf
+    result["moved_mm"] = 1e3 * float(moved)
     if len(arm):
         before = np.column_stack(
             [np.interp(arm[:, 0] - ARM_STEP, arm[:, 0], joint) for joint in arm[:, 1:].T]

@@ -127,8 +127,10 @@ class ViewerNode(OmnimanNode):
     def _start_over(self, now: float) -> None:
         """What was held and what waits was so in another time."""
         self._driving.hold.release()
-        self._places.give_up()
+        self._places.start_over()
         self._crowd.start_over(now)
+        self.picture.start_over()
+        self._calls.start_over(now)
 
     def _serve_events(self, now: float) -> None:
         for _ in range(EVENTS):

@@ -7,6 +7,7 @@ import socket
 from math import isfinite
 
 import viser
+from viser._messages import GuiUpdateMessage
 
 from omniman_ros.core.body.model import Mount
 from omniman_ros.core.errors import ParameterError
@@ -57,6 +58,19 @@ class _Server(viser.ViserServer):
         return None
 
 
+def _take_values_only(server: viser.ViserServer) -> None:
+    """Let browsers set values: viser would set any attribute of a control, and so remove Stop."""
+    gui = server.gui
+    handle = gui._handle_gui_updates
+
+    async def handle_values(client: int, message: GuiUpdateMessage) -> None:
+        if set(message.updates) <= {"value"}:
+            await handle(client, message)
+
+    gui._websock_interface.unregister_handler(GuiUpdateMessage, handle)
+    gui._websock_interface.register_handler(GuiUpdateMessage, handle_values)
+
+
 class Page:
     """One page, for any number of browsers.
 
@@ -85,6 +99,7 @@ class Page:
         # viser would greet on stdout with a box; the node says the address in its log.
         with guarding(host), contextlib.redirect_stdout(io.StringIO()):
             self._server = _Server(host=host, port=chosen, label="omniman", verbose=False)
+        _take_values_only(self._server)
         self._limits = limits
         self._frames = 0
         self._server.gui.configure_theme(

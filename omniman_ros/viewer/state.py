@@ -217,6 +217,13 @@ class Picture:
             if now - condition.heard < FORGET
         }
 
+    def start_over(self) -> None:
+        """Time went back: nothing was heard yet in the new time, and the plots are empty."""
+        self._heard.clear()
+        self.complaints.clear()
+        for window in self.windows.values():
+            window.clear()
+
     def is_fresh(self, what: str, now: float) -> bool:
         """Whether it was heard in the last second: odom, truth, arm, progress, ..."""
         return now - self._heard.get(what, -np.inf) < SILENCE

@@ -227,7 +227,7 @@ class _Crowd:
         @self._bodies.handle.on_click
         async def _(event: viser.SceneNodePointerEvent[viser.BatchedMeshHandle]) -> None:
             index, numbers = event.instance_index, self._shown[0]
-            if index is not None and index < len(numbers):
+            if index is not None and 0 <= index < len(numbers):
                 post(ObstacleChosen(int(numbers[index])))
 
     def draw(self, rows: Rows, chosen: int | None, ahead: Mapping[Thing, Any]) -> None:
@@ -252,13 +252,13 @@ class _Crowd:
 
     def _middle(self, index: int | None) -> tuple[Thing, Pair] | None:
         numbers, centers, _ = self._shown
-        if index is None or index >= len(numbers):
+        if index is None or not 0 <= index < len(numbers):
             return None
         return ("obstacle", int(numbers[index])), _pair(centers[index])
 
     def _tip(self, index: int | None) -> tuple[Thing, Pair] | None:
         numbers, centers, courses = self._shown
-        if index is None or index >= len(numbers):
+        if index is None or not 0 <= index < len(numbers):
             return None
         return ("arrow", int(numbers[index])), _pair(centers[index] + courses[index])
 

@@ -35,6 +35,11 @@ class Window:
             self._times[-1] = now
         self._values[-1] = values
 
+    def clear(self) -> None:
+        """Forget all samples."""
+        self._times[:] = -np.inf
+        self._values[:] = np.nan
+
     def columns(self, now: float) -> tuple[Array, ...]:
         """Times (k,) before now [s, negative], then each signal (k,)."""
         first = int(np.searchsorted(self._times, now - self._span))

@@ -140,3 +140,49 @@ def test_without_anything_of_a_robot_there_is_no_time(tmp_path):
     log = log_of(tmp_path, [(1.0, "/rosout", s.text("hello"))])
     with pytest.raises(InputError, match="nothing of a robot"):
         log.span  # noqa: B018
+
+
+def test_a_topic_of_another_type_is_left_out(tmp_path):
+    log = log_of(tmp_path, [
+        (1.0, "/odom", s.odometry(1.0, (1, 2, 0))),
+        (2.0, "/path", s.text("not a path")),
+        (2.0, "/wheel_states", s.twist(1, 0, 0)),
+    ])  # fmt: skip
+    assert len(log.odom) == 1
+    assert not log.paths and not len(log.measured)
+
+
+def test_messages_of_another_size_than_the_first_are_left_out(tmp_path):
+    sizes = (9, 12, 2, 0)
+    log = log_of(tmp_path, [
+        *((k, "/wheel_electrical", s.numbers(n, data=[0.0] * n)) for k, n in enumerate(sizes, 1)),
+        *((k, "/coupling_error", s.joints(k, "ab"[:k], [0.0] * k)) for k in (1, 2)),
+    ])  # fmt: skip
+    assert log.electrical.shape == (1, 10)
+    assert log.coupling.shape == (1, 2)
+
+
+def test_commanded_and_measured_speeds_are_of_the_same_wheels(tmp_path):
+    log = log_of(tmp_path, [
+        (1.0, "/wheel_states", s.joints(1.0, WHEELS, velocity=(1, 2, 3))),
+        (1.0, "/wheel_commands", s.joints(1.0, WHEELS[::-1], velocity=(6, 5, 4))),
+        (2.0, "/wheel_commands", s.joints(2.0, WHEELS[:2], velocity=(7, 8))),
+    ])  # fmt: skip
+    assert log.measured[:, 1:].tolist() == [[1, 2, 3]]
+    assert log.commanded[:, 1:].tolist() == [[4, 5, 6]]
+
+
+def test_previews_that_lead_nowhere_are_no_reference(tmp_path):
+    empty = s.preview(1.0, [(0.0, (1, 2, 0))])
+    empty.points[0].transforms = []
+    log = log_of(tmp_path, [(1.0, "/path/reference", empty)])
+    assert log.references["path"].shape == (0, 4)
+
+
+@pytest.mark.parametrize("kind", [b"nav_msgs/msg/Odom\xff\xffry", b"nav_msgs/msg/Odo\xff\xffry"])
+def test_a_damaged_recording_is_refused(tmp_path, kind):
+    folder = s.write(tmp_path / "bag", [(1.0, "/odom", s.odometry(1.0, (1, 2, 0)))])
+    (file,) = folder.glob("*.mcap")
+    file.write_bytes(file.read_bytes().replace(b"nav_msgs/msg/Odometry", kind))
+    with pytest.raises(InputError, match="bag"), BagReader(folder) as bag:
+        read(bag)

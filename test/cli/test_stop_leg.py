@@ -63,6 +63,12 @@ def test_a_robot_that_does_not_stop_never_rests():
     assert figures(said, STOP)["rest_s"] == math.inf
 
 
+def test_a_robot_that_is_not_heard_after_the_reset_counts_as_moved():
+    said = stopped()
+    said.odom = [row for row in said.odom if row[0] <= RESET]
+    assert figures(said, STOP)["moved_mm"] == math.inf
+
+
 def test_a_robot_without_an_arm_has_no_figures_of_one():
     said = stopped()
     said.arm.clear()

@@ -96,6 +96,15 @@ def test_what_was_held_before_time_went_back_is_not_driven(world):
     assert components(twists)[-1] == (0.0, 0.0, 0.0)
 
 
+def test_what_was_heard_before_time_went_back_is_not_fresh(world):
+    picture = world.nodes[0].picture
+    picture.hear_truth((0.0, 0.0, 0.0), world.nodes[0].now())
+    world.run(0.2)
+    world.time -= 500.0
+    world.run(0.2)
+    assert not picture.is_fresh("truth", world.nodes[0].now())
+
+
 def test_without_a_button_nothing_is_sent(world):
     twists = world.listen(Twist, "cmd_vel")
     world.run(2.0)

@@ -358,6 +358,14 @@ def test_what_the_planner_says_is_kept_and_its_solving_plotted(world):
     assert latest(world, "solving") == [12.5, 4.0]
 
 
+def test_what_no_plot_can_scale_is_not_plotted(world):
+    status, picture = world.publisher(DiagnosticStatus, "mpc/status"), world.nodes[0].picture
+    status.publish(planner_says(state="driving", solve_ms=1e300, slack_m=1e307))
+    world.run_until(lambda: bool(picture.planner), 1.0, "the status")
+    world.run(0.1)
+    assert np.isnan(latest(world, "solving")).all()
+
+
 def test_a_planner_that_rests_has_no_solving_time(world):
     status, picture = world.publisher(DiagnosticStatus, "mpc/status"), world.nodes[0].picture
     status.publish(planner_says(state="idle", solve_ms=12.5, slack_m=0.004))

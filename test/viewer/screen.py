@@ -1,6 +1,8 @@
 """Where in a browser's window a point of the scene is seen, for tests that use the mouse."""
 
 import math
+from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import numpy as np
 
@@ -35,3 +37,16 @@ def of_client(camera, point, width, height):
     return pixel(
         point, camera.position, camera.look_at, camera.up_direction, camera.fov, width, height
     )
+
+
+def first_camera(robot):
+    """The camera of a browser that nobody has turned yet; the robot is in the origin."""
+    from omniman_ros.viewer.scene import Scene
+
+    server = MagicMock()
+    Scene(server, robot, None, lambda event: None)
+    camera = server.initial_camera
+    return SimpleNamespace(
+        position=np.array(camera.position), look_at=np.array(camera.look_at), fov=camera.fov,
+        up_direction=np.array([0.0, 0.0, 1.0]),
+    )  # fmt: skip

@@ -189,3 +189,17 @@ def test_garbage_from_a_browser_leaves_the_page_to_the_others(make_page):
     assert np.isnan(slider.value), "it has come"
     assert page.speeds[0] == 0.0
     page.draw(Picture(4, 1), 1.0)
+
+
+def test_a_browser_cannot_take_stop_away_from_the_others(make_page):
+    said = queue.SimpleQueue()
+    page = make_page(post=said.put)
+    handles = page._server.gui._gui_input_handle_from_uuid.values()
+    (stop,) = [handle for handle in handles if handle.label == "Stop"]
+    for taken in ({"removed": True}, {"update_cb": []}, {"value": True, "disabled": True}):
+        say(page, update(stop, **taken))
+    say(page, update(stop, value=True))
+    heard = [said.get(timeout=10)]
+    while heard[-1] != Pressed("stop"):
+        heard.append(said.get(timeout=10))
+    assert not stop._impl.removed and not stop.disabled

@@ -110,3 +110,19 @@ def test_what_was_heard_is_fresh_for_a_second():
     picture.hear_planner({"state": "idle"}, 10.5)
     fresh = [picture.is_fresh(name, 11.2) for name in ("truth", "arm", "planner", "odom")]
     assert fresh == [False, True, True, False]
+
+
+def test_when_time_goes_back_nothing_old_is_fresh_and_the_plots_go_on():
+    picture = Picture(4, 1)
+    picture.hear("coupling", np.array([0.1]), 1000.0)
+    picture.hear_complaint("/a", 1, "old", 1000.0)
+    picture.sample(1000.0)
+    picture.start_over()
+    assert not picture.is_fresh("coupling", 5.0)
+    assert not picture.complaints
+    for i in range(10):
+        picture.hear("coupling", np.array([0.2]), 5.0 + 0.05 * i)
+        picture.sample(5.0 + 0.05 * i)
+    times, values = picture.windows["coupling"].columns(5.45)
+    assert len(times) == 10
+    assert values.tolist() == [0.2] * 10

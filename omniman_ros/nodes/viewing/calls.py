@@ -14,7 +14,7 @@ CALLING = 4.0
 ASKED = ("path_interpolator", "mpc_planner")
 """Nodes that hold, go on and cancel."""
 ACTIONS = ("pause", "resume", "cancel")
-NOTHING = "nothing to"
+NOTHING = ("nothing to", "no path to", "no trajectory to")
 """A refusal that begins so needs no telling, where another node did what was asked for."""
 
 
@@ -101,6 +101,12 @@ class CallPort:
             self._tell()
             self._drop()
 
+    def start_over(self, now: float) -> None:
+        """Time went back: what is waited for is waited for as long as if it began now."""
+        self._until = now + CALLING
+        if self._movers is not None:
+            self._movers = *self._movers[:2], now + CALLING
+
     def survey(self) -> None:
         """Look who is there."""
         self._picture.keep_stops(nodes_that_move(self._node, self._node.get_namespace()))
@@ -111,7 +117,7 @@ class CallPort:
     def _tell(self) -> None:
         if self._tells:
             told = ", ".join(text for text in self._answers.values() if text)
-            self._say(f"{self._asked}: {told or f'{NOTHING} {self._asked}'}")
+            self._say(f"{self._asked}: {told or f'nothing to {self._asked}'}")
 
     def _say(self, text: str) -> None:
         """Say something once: what others say meanwhile stands."""

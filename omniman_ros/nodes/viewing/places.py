@@ -212,6 +212,11 @@ class Places:
             elif goes:
                 self.go(now)
 
+    def start_over(self) -> None:
+        """Time went back: what waits is given up, and a goal may be sent at once."""
+        self.give_up()
+        self._sent_at = -np.inf
+
     def give_up(self) -> None:
         """Place nothing, and send nothing, that waits."""
         self._placing, self._goes = None, False

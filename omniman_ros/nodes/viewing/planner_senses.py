@@ -21,6 +21,8 @@ SHOWN = 100
 """So many obstacles are drawn at most; of more, every second, third, ..."""
 PREDICTED = 200
 """The same for where they are expected."""
+LARGEST = 1e6
+"""Of a number that is plotted: what is larger no plot can scale."""
 DRIVING = ("driving", "blocked")
 """States of the planner with a goal to drive to."""
 
@@ -117,9 +119,9 @@ class PlannerSenses:
 
 
 def _number(said: dict[str, str], key: str) -> float:
-    """A number of a status, NaN where there is none."""
+    """A number of a status, NaN where there is none that can be plotted."""
     try:
         value = float(said.get(key, ""))
     except ValueError:
         return np.nan
-    return value if np.isfinite(value) else np.nan
+    return value if abs(value) <= LARGEST else np.nan

@@ -1,0 +1,137 @@
+"""A robot that is watched by its topics, and the mouse in its page, for tests with a browser."""
+
+import math
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseStamped, Twist
+from nav_msgs.msg import Odometry, Path
+from visualization_msgs.msg import Marker, MarkerArray
+
+from omniman_ros import conversions
+
+from .cli.support import PATIENCE
+from .viewer.screen import of_client
+
+AT_REST = 0.005
+"""Sum of speed and yaw rate of a robot that stands [m/s, rad/s]."""
+STEPS = 6
+"""Of the mouse from one place to another."""
+FRAME = 100
+"""Time that a page is given to draw what it knows [ms]."""
+
+
+class Robot:
+    """The robot's topics, spun while something is waited for.
+
+    Attributes:
+        twists: All of `cmd_vel`.
+        goals: All of `goal_pose`, as (x, y, heading).
+        plan: The last `mpc/plan`, (k, 3).
+        planner: State of the planner.
+        placed: The page's obstacles, number to (x, y).
+    """
+
+    def __init__(self, session):
+        self.session = session
+        self.odom = None
+        self.twists, self.goals = [], []
+        self.plan = np.empty((0, 3))
+        self.planner = ""
+        self.placed = {}
+        listen = session.node.create_subscription
+        listen(Odometry, "odom", self._on_odom, 1)
+        listen(Twist, "cmd_vel", self.twists.append, 10)
+        listen(PoseStamped, "goal_pose", self._on_goal, 10)
+        listen(Path, "mpc/plan", self._on_plan, 1)
+        listen(DiagnosticStatus, "mpc/status", self._on_status, 1)
+        listen(MarkerArray, "obstacles", self._on_obstacles, 50)
+
+    def _on_odom(self, message):
+        self.odom = message
+
+    def _on_goal(self, message):
+        self.goals.append(_pose(message.pose))
+
+    def _on_plan(self, message):
+        self.plan = np.array([_pose(stamped.pose) for stamped in message.poses]).reshape(-1, 3)
+
+    def _on_status(self, message):
+        self.planner = {item.key: item.value for item in message.values}["state"]
+
+    def _on_obstacles(self, message):
+        for marker in message.markers:
+            if marker.action == Marker.ADD:
+                place = marker.pose.position
+                self.placed[marker.id] = place.x, place.y
+            elif marker.action == Marker.DELETE:
+                self.placed.pop(marker.id, None)
+            else:
+                self.placed.clear()
+
+    @property
+    def x(self):
+        return self.odom.pose.pose.position.x
+
+    @property
+    def pose(self):
+        """(x, y, heading) in odom."""
+        return _pose(self.odom.pose.pose)
+
+    @property
+    def speed(self):
+        twist = self.odom.twist.twist
+        return math.hypot(twist.linear.x, twist.linear.y) + abs(twist.angular.z)
+
+    @property
+    def at_rest(self):
+        return self.speed < AT_REST
+
+    def ahead(self, forward, left=0.0):
+        """A place (x, y) in odom that lies so far before and beside the robot."""
+        x, y, heading = self.pose
+        c, s = math.cos(heading), math.sin(heading)
+        return x + c * forward - s * left, y + s * forward + c * left
+
+    def wait(self, condition, what, timeout=PATIENCE):
+        assert self.session.wait(condition, timeout), (
+            f"waited {timeout} s for {what}; the planner: {self.planner}"
+        )
+
+
+class Mouse:
+    """The mouse in a page that follows a robot, and whose camera nobody has turned."""
+
+    def __init__(self, page, robot, camera):
+        self.page = page
+        self._robot = robot
+        self._camera = camera
+        self._canvas = page.locator("canvas[data-engine]")
+
+    def pixel(self, x, y, z):
+        """Where a place in odom is seen."""
+        box = self._canvas.bounding_box()
+        here = self._robot.pose
+        seen = x - here[0], y - here[1], z
+        u, v = of_client(self._camera, seen, box["width"], box["height"])
+        assert 0 < u < box["width"] and 0 < v < box["height"], f"({x}, {y}, {z}) is out of sight"
+        return box["x"] + u, box["y"] + v
+
+    def drag(self, place, to):
+        """Drag what is at a place (x, y, z) in odom to another; the robot stands."""
+        # A page behind another does not draw.
+        self.page.bring_to_front()
+        self.page.wait_for_timeout(5 * FRAME)
+        start, end = self.pixel(*place), self.pixel(*to)
+        self.page.mouse.move(*start)
+        self.page.wait_for_timeout(FRAME)
+        self.page.mouse.down()
+        for step in range(1, STEPS + 1):
+            way = step / STEPS
+            self.page.mouse.move(*(a + way * (b - a) for a, b in zip(start, end, strict=True)))
+            self.page.wait_for_timeout(FRAME)
+        self.page.mouse.up()
+
+
+def _pose(pose):
+    return pose.position.x, pose.position.y, conversions.yaw(pose.orientation)
