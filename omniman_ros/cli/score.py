@@ -23,6 +23,9 @@ TRACKING = (
 SETTLING = 1.0
 """Time after which a robot is to drive the twist that it is asked for [s]."""
 
+RESTING = 0.5
+"""Time after a movement in which the robot stands at its end [s]."""
+
 LIMITS = {
     "twist error, m/s": 0.03,
     "twist error, rad/s": 0.05,
@@ -173,7 +176,8 @@ def tracking(odom: Array, reference: Reference, legs: Sequence[DrivenLeg]) -> di
     if not during.any():
         return dict.fromkeys(TRACKING, math.inf)
     distance, angle = pose_errors(odom[during], reference)
-    last, turn = pose_errors(odom[-1:], reference)
+    ended = odom[:, 0] <= max(leg.end for leg in legs) + RESTING
+    last, turn = pose_errors(odom[ended][-1:], reference)
     return {
         "rms_mm": 1e3 * rms(distance),
         "max_mm": 1e3 * float(distance.max()),

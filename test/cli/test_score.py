@@ -110,6 +110,15 @@ def test_a_heading_a_turn_away_is_the_same_heading():
     assert result["heading_max_deg"] == pytest.approx(0.0, abs=0.01)
 
 
+def test_what_is_driven_after_the_path_is_not_its_end():
+    recording, _, legs = perfect()
+    odom = np.array(recording.odom)
+    later = odom[-1] + np.array([3.0, 0.5, 0.5, 1.0, 0.0, 0.0, 0.0])
+    result = tracking(np.vstack([odom, later]), Reference(recording.reference), legs)
+    assert result["final_mm"] == pytest.approx(0.0, abs=0.01)
+    assert result["final_heading_deg"] == pytest.approx(0.0, abs=0.01)
+
+
 def test_only_the_movements_count():
     odom = followed()
     between = (odom[:, 0] > START + 5.01) & (odom[:, 0] < START + 5.99)
