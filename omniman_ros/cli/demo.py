@@ -80,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
                 viewer = log if any(task.name == "viewer" for task in chosen) else None
                 result = perform(args, children, progress, viewer)
                 result["duration_s"] = time.monotonic() - started
-                if args.keep and not result["faults"]:
+                if args.keep:
                     keep(children, result)
                 children.stop()
         except (CommandError, KeyboardInterrupt) as error:
@@ -222,6 +222,8 @@ def keep(children: Children, result: dict[str, Any]) -> None:
         CommandError: One of them died.
     """
     say("\n".join(report(result)))
+    if result["faults"]:
+        say("\n" + complaint(result["faults"]))
     page = result["page"]
     program = Path(sys.executable).with_name("omniman")
     domain = os.environ["ROS_DOMAIN_ID"]
@@ -236,6 +238,12 @@ Ctrl-C here ends it.""")
     event = children.next_event()
     if isinstance(event, Exit):
         raise CommandError(str(event))
+
+
+def complaint(faults: list[str]) -> str:
+    """What the robot did not do as it should."""
+    head = paint("The robot did not do what it should:", RED, sys.stdout)
+    return "\n".join([head, *(f"  {fault}" for fault in faults)])
 
 
 def report(result: dict[str, Any]) -> list[str]:
@@ -358,7 +366,7 @@ def in_an_emergency(result: dict[str, Any]) -> list[tuple[str, ...]]:
 def conclude(result: dict[str, Any], log: NodeLog, args: argparse.Namespace) -> int:
     """Print the table (unless it was), the verdict, and the JSON; returns the exit code."""
     good = not result["faults"]
-    if not (args.keep and good):
+    if not args.keep:
         say("\n".join(report(result)))
     if result["picture"]:
         say(f"\nPicture: {result['picture']}")
@@ -367,8 +375,6 @@ def conclude(result: dict[str, Any], log: NodeLog, args: argparse.Namespace) -> 
             + f" {result['duration_s']:.0f} s")  # fmt: skip
     else:
         log.show()
-        say("\n" + paint("The robot did not do what it should:", RED, sys.stdout))
-        for fault in result["faults"]:
-            say(f"  {fault}")
+        say("\n" + complaint(result["faults"]))
     results.publish("demo", {"ok": good, **result}, args.results)
     return 0 if good else 1

@@ -143,6 +143,16 @@ def test_a_kept_robot_stays_until_a_signal(monkeypatch, capfd, number):
     assert "ROS_DOMAIN_ID" not in text
 
 
+def test_a_robot_is_kept_whatever_its_figures_and_they_are_told(monkeypatch, capfd):
+    monkeypatch.setenv("ROS_DOMAIN_ID", "0")
+    with Children([Task("node", ("sleep", "99"))]) as children:
+        children.interrupt(signal.SIGINT)
+        keep(children, RESULT | {"faults": ["tracking RMS, mm: 7, at most 5"]})
+    text = capfd.readouterr().out
+    assert "  tracking RMS, mm: 7, at most 5" in text
+    assert "The robot stays up" in text
+
+
 def test_a_kept_robot_whose_node_dies_is_an_error(monkeypatch, capfd):
     monkeypatch.setenv("ROS_DOMAIN_ID", "5")
     with (
