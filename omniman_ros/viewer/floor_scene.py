@@ -138,16 +138,19 @@ class FloorScene:
         self._plan = LineOf(api, f"{root}/plan", PLAN, 4.0, 8)
         self._tool_path = LineOf(api, f"{root}/tool_path", TOOL, 3.0, 8)
 
+    def draw_motion(self, picture: Picture) -> None:
+        """Show what comes next: short lines that move with the robot."""
+        for line, what in ((self._reference, picture.reference), (self._plan, picture.plan)):
+            line.show(what.points, what.version)
+
     def draw(self, picture: Picture) -> None:
-        """Show the lines of a picture."""
+        """Show what lies still, or is long."""
         for line, what in (
             (self._route, picture.route),
             (self._path, picture.path),
             (self._truth_trail, picture.truth_trail),
             (self._odom_trail, picture.odom_trail),
-            (self._reference, picture.reference),
             (self._predicted, picture.predicted),
-            (self._plan, picture.plan),
             (self._tool_path, picture.tool_path),
         ):
             line.show(what.points, what.version)

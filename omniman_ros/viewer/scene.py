@@ -57,6 +57,7 @@ class Scene:
                 self._floor_at = floor
                 self._world.position = np.array([*floor, 0.0])
         self._robot.draw(picture)
+        self._floor.draw_motion(picture)
         self._things.draw(picture, self._clock())
 
     def draw_lines(self, picture: Picture) -> None:

@@ -420,6 +420,15 @@ def names(stage):
     return list(stage.server.scene._handle_from_node_name)
 
 
+def test_what_comes_next_moves_with_every_frame(stage):
+    stage.picture.hear_plan(np.array([[0.0, 0.0], [1.0, 0.5]]), 1.0)
+    stage.picture.hear_reference(np.array([[0.0, 0.0], [0.5, 0.0]]), 1.0)
+    stage.scene.draw(stage.picture, False)
+    for name in ("plan", "reference"):
+        handle = stage.server.scene.get_handle_by_name(f"/world/{name}")
+        assert handle.visible and len(handle.points) == 1
+
+
 def test_lines_are_broken_where_they_are_to_be(stage):
     stage.picture.predicted.set(
         outlines(np.array([[0.0, 0.0], [5.0, 0.0]]), np.full((2, 2), 0.3), np.zeros(2))
