@@ -73,7 +73,7 @@ def test_a_robot_in_the_users_domain_is_left_alone(own_domain, part, capfd):
 
 
 def test_the_demo_drives_is_measured_and_says_so_in_json(tmp_path):
-    """The main job, whole: a minute and a half, exit code 0, all figures within their limits."""
+    """The main job, whole: a hundred seconds, exit code 0, all figures within their limits."""
     env = environment()
     del env["ROS_DOMAIN_ID"]
     for _ in range(TRIES):
@@ -93,7 +93,7 @@ def test_the_demo_drives_is_measured_and_says_so_in_json(tmp_path):
     assert result == json.loads((tmp_path / "demo.json").read_text())
     assert result["ok"] is True
     assert result["faults"] == []
-    assert result["duration_s"] < 120.0
+    assert result["duration_s"] < 130.0
     assert result["tracking"]["rms_mm"] < 5.0
     assert result["tracking"]["samples"] > 900
     assert result["goal"]["position_mm"] < 40.0
