@@ -14,6 +14,7 @@ from rcl_interfaces.msg import Parameter as ParameterMessage
 from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.client import Client
+from rclpy.duration import Duration
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -150,7 +151,6 @@ class Show:
         ]
         self.recorder = Recorder(session.node)
         self.driven = Driven()
-        self._home: Array | None = None
         self._stopping = False
         self._checked = time.monotonic()
 
@@ -178,15 +178,17 @@ class Show:
         if not self.wait(lambda: self.recorder.active_source == "none", 5.0):
             raise CommandError(f"'{self.recorder.active_source}' still drives, expected none")
         origin = self._pose()
-        if self._with_arm:
-            self._home = np.array(self.recorder.recording.arm[-1][1:])
+        home = np.array(self.recorder.recording.arm[-1][1:]) if self._with_arm else None
         for i, movement in enumerate(movements()):
-            if self._home is not None:
-                self._move_arm(self._home + np.array(ARM_POSES[i % len(ARM_POSES)]))
+            if home is not None:
+                self._move_arm(home + np.array(ARM_POSES[i % len(ARM_POSES)]))
             self._follow(movement, poses_along(movement, origin))
 
-    def _send_arm(self, goal: Array) -> None:
+    def _send_arm(self, goal: Array, duration: float = 0.0) -> None:
+        """Send the arm somewhere, in a given time [s] or as fast as it may."""
         point = JointTrajectoryPoint(positions=goal.tolist())
+        if duration:
+            point.time_from_start = Duration(seconds=duration).to_msg()
         self._joints.publish(JointTrajectory(joint_names=list(UR_JOINTS), points=[point]))
 
     def _move_arm(self, goal: Array) -> None:
@@ -301,8 +303,9 @@ class Show:
         self._progress.begin(name)
         self.wait(lambda: self.recorder.active_source == "none", 5.0)
         forwards = twist_message((self._pace.twist, 0.0, 0.0))
-        if self._home is not None:
-            self._send_arm(self._home + np.array(ARM_POSES[0]))
+        if self._with_arm:
+            there = np.array(self.recorder.recording.arm[-1][1:]) + stop_leg.SWING
+            self._send_arm(there, stop_leg.SWINGING)
         for _ in self._ticks(stop_leg.DRIVEN, TWIST_PERIOD):
             self._twists.publish(forwards)
         pressed, self._stopping = self._now(), True

@@ -13,6 +13,8 @@ Array = NDArray[np.float64]
 
 DRIVEN, HELD, WATCHED = 1.2, 1.5, 1.0
 """How long it drives before, stays stopped, and is watched after the reset [s]."""
+SWING, SWINGING = np.array([0.9, 0.0, 0.0, 0.0, 0.0, 1.2]), 3.0
+"""What the arm is turned by meanwhile [rad], and how long that would take [s]."""
 RATE_AT_REST = 0.01
 """Speed below which platform and arm count as at rest [m/s, rad/s]."""
 ARM_STEP = 0.05
@@ -62,9 +64,10 @@ def figures(recording: Recording, driven: DrivenStop) -> dict[str, Any]:
 
 def _until_rest(times: Array, speeds: Array, driven: DrivenStop) -> tuple[float, float]:
     """Speed when it was pressed, and time from then to rest [s]; infinite if it never rested."""
-    during = (times >= driven.pressed) & (times <= driven.reset)
+    before, during = times < driven.pressed, (times >= driven.pressed) & (times <= driven.reset)
     stamps, falling = times[during], speeds[during]
-    if not len(stamps) or falling[-1] > RATE_AT_REST:
+    if not before.any() or not len(stamps) or falling[-1] > RATE_AT_REST:
         return math.nan, math.inf
     moving = np.flatnonzero(falling > RATE_AT_REST)
-    return float(falling[0]), float(stamps[moving[-1]] - driven.pressed) if len(moving) else 0.0
+    rest = float(stamps[moving[-1]] - driven.pressed) if len(moving) else 0.0
+    return float(speeds[before][-1]), rest
