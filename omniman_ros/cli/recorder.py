@@ -68,6 +68,7 @@ class Recorder:
         self.recording = Recording()
         self.active_source = ""
         self.progress = 0.0
+        self._underway = False
         self.health: dict[str, str] = {}
         self.planner: dict[str, str] = {}
         self.stopped: dict[str, str] = {}
@@ -159,8 +160,18 @@ class Recorder:
         count = message.layout.dim[0].size
         self.recording.arm_intervals.extend(message.data[:count])
 
+    def begin(self) -> None:
+        """Note that a motion begins."""
+        self.progress, self._underway = 0.0, False
+
+    @property
+    def arrived(self) -> bool:
+        """Whether what was begun last is at its end; the one before may still say so late."""
+        return self._underway and self.progress >= 1.0
+
     def _on_progress(self, message: Float64) -> None:
-        self.progress = message.data
+        self._underway = self._underway or message.data < 1.0
+        self.progress = message.data if self._underway else 0.0
 
     def _on_source(self, message: String) -> None:
         self.active_source = message.data

@@ -169,7 +169,8 @@ class Show:
         self._progress.end(f"nodes up and talking after {time.monotonic() - before:.1f} s")
 
     def drive_twists(self) -> None:
-        """Drive all parts that are twists."""
+        """Drive all parts that are twists; from here on it counts if the machine stands still."""
+        self._checked, self.recorder.recording.stall = time.monotonic(), 0.0
         for phase in twist_phases(self._pace):
             self._drive_twist(phase)
 
@@ -357,14 +358,14 @@ class Show:
             CommandError: It was not taken, or given up.
         """
         self._progress.begin(name)
-        self.recorder.progress = 0.0
+        self.recorder.begin()
         begin = self._now()
         publish()
         patience = LATE + length / SLOWEST
         for _ in self._ticks(patience, TWIST_PERIOD):
             self._progress.update(self.recorder.progress, self._note())
             each()
-            if self.recorder.progress >= 1.0:
+            if self.recorder.arrived:
                 break
         else:
             raise CommandError(
