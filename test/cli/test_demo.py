@@ -76,7 +76,6 @@ def test_the_demo_drives_is_measured_and_says_so_in_json(tmp_path):
     """The main job, whole: a hundred seconds, exit code 0, all figures within their limits."""
     env = environment()
     del env["ROS_DOMAIN_ID"]
-    excused = 0
     for _ in range(TRIES):
         ended = subprocess.run(
             command("demo", "--results", str(tmp_path)), env=env, capture_output=True,
@@ -85,9 +84,6 @@ def test_the_demo_drives_is_measured_and_says_so_in_json(tmp_path):
         # No controller follows a path while its machine has no processor for it.
         if ended.returncode == 0:
             break
-        excused += "this machine stood still" in ended.stdout + ended.stderr
-    if excused == TRIES:
-        pytest.skip(f"this machine stood still in each of {TRIES} shows: no verdict")
     assert ended.returncode == 0, ended.stdout + ended.stderr
     lines = ended.stdout.splitlines()
     for part in PARTS:
@@ -97,7 +93,7 @@ def test_the_demo_drives_is_measured_and_says_so_in_json(tmp_path):
     assert result == json.loads((tmp_path / "demo.json").read_text())
     assert result["ok"] is True
     assert result["faults"] == []
-    assert result["duration_s"] < 130.0
+    assert result["duration_s"] < 120.0
     assert result["tracking"]["rms_mm"] < 5.0
     assert result["tracking"]["samples"] > 900
     assert result["goal"]["position_mm"] < 40.0
