@@ -30,7 +30,7 @@ EXECUTABLES = {
     "path_interpolator": "omniman_ros.nodes.path_interpolator:main",
     "mpc_planner": "omniman_ros.nodes.mpc_planner:main",
     "joint_state_broadcaster": "omniman_ros.nodes.joint_state_broadcaster:main",
-    "viewer": "omniman_ros.nodes.viewer:main",
+    "viewer": "omniman_ros.viewer.node:main",
 }
 
 # Folder below share/omniman_ros -> files that go there.
@@ -91,19 +91,31 @@ setup(
     maintainer_email="omniman_ros@example.org",
     license="Apache-2.0",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    package_data={NAME: ["py.typed"], f"{NAME}.lab.reproduce": ["report.html.j2"]},
     data_files=data_files(),
     entry_points={"console_scripts": [f"{name} = {main}" for name, main in EXECUTABLES.items()]},
     cmdclass={"install_data": InstallDataAndStubs},
     zip_safe=True,
     python_requires=">=3.11",
-    # rclpy and the messages stay out: a ROS machine has its own.
-    install_requires=["canopen", "casadi", "msgpack", "numpy", "python-can", "PyYAML"],
+    # rclpy and the messages stay out: a ROS machine has its own. lark-parser is the name under
+    # which ROS's wheels ask for the parser generator: "lark" would overwrite its files.
+    install_requires=[
+        "canopen",
+        "casadi",
+        "lark-parser",
+        "msgpack",
+        "numpy",
+        "python-can",
+        "PyYAML",
+    ],
     extras_require={
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],
         # A linter's next version finds other things: its version is ours to raise.
         "test": [
             "catkin_pkg",
             "hypothesis",
+            # The arrows between the rooms are a contract in pyproject.toml.
+            "import-linter==2.*",
             "mcap",
             "mypy==2.4.*",
             "odrive-can",
@@ -117,10 +129,11 @@ setup(
         ],
         # A robot that records needs no pictures.
         "record": ["rosbags"],
-        "plot": ["matplotlib", "rosbags"],
+        "plot": ["jinja2", "matplotlib", "rosbags"],
         # The page relies on how viser marks up its buttons.
         "viewer": ["viser==1.1.*", "websockets"],
         "browser": ["playwright"],
+        "docs": ["furo", "myst-parser", "sphinx", "sphinx-copybutton"],
         "reference": ["pin"],
         "colcon": ["colcon-common-extensions"],
     },

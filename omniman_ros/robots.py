@@ -1,4 +1,4 @@
-"""Robots as files: reads config/NAME.yaml, which is a ROS parameter file at the same time."""
+"""Read robots from files: config/NAME.yaml, which is a ROS parameter file as well."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,29 +12,39 @@ from omniman_ros.share import share_path
 
 
 def robot_file(robot: str) -> Path:
-    """Path of a robot's file: a name of one in config/, or a path.
+    """Return the path of a robot's file.
+
+    Args:
+        robot: Name of a file in config/ without its suffix, or the path of a YAML file.
 
     Raises:
-        ParameterError: There is none; the message lists the names that there are.
+        ParameterError: There is no such file; the message lists the names in config/.
     """
     path = Path(robot).expanduser()
     if path.suffix in (".yaml", ".yml"):
         if path.is_file():
             return path
-        raise ParameterError("robot", robot, "no such file")
+        raise ParameterError("robot", robot, "there is no such file")
     folder = share_path("config")
     named = folder / f"{robot}.yaml"
     if robot and named.parent == folder and named.is_file():
         return named
     known = ", ".join(sorted(file.stem for file in folder.glob("*.yaml")))
-    raise ParameterError("robot", robot, f"expected one of {known}, or the path of a .yaml file")
+    raise ParameterError("robot", robot, f"must be one of {known}, or the path of a .yaml file")
 
 
 def load_robot(robot: str) -> Mapping[str, Any]:
-    """Read a robot's parameters: full names to values.
+    """Read a robot's parameters.
+
+    Args:
+        robot: As for :func:`robot_file`.
+
+    Returns:
+        Full parameter names to values.
 
     Raises:
-        ParameterError: No such robot, or the file is not a ROS parameter file for all nodes.
+        ParameterError: There is no such robot, or the file is not a ROS parameter file for all
+            nodes.
     """
     path = robot_file(robot)
     try:

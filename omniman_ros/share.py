@@ -1,4 +1,4 @@
-"""Where the files lie that are shared with users: robots, launch files, models, views."""
+"""Locate the files that are shared with users: robots, launch files, models, views."""
 
 import sys
 from collections.abc import Iterator
@@ -8,16 +8,16 @@ NAME = "omniman_ros"
 
 
 def share_path(*parts: str) -> Path:
-    """Path of a shared file or folder, wherever the package runs from.
+    """Return the path of a shared file or folder, for any kind of installation.
 
-    Looked for in the source tree (an editable installation has no other copy), then in the
+    It is searched in the source tree (an editable installation has no other copy), then in the
     prefix of this module and that of the interpreter (pip, colcon), then in the ament index.
 
     Args:
-        parts: Folder and names below `share/omniman_ros`, for example "config", "omniman.yaml".
+        parts: Folders and name below `share/omniman_ros`, for example "config", "omniman.yaml".
 
     Raises:
-        FileNotFoundError: It is in none of these places; the message lists them.
+        FileNotFoundError: It is in none of these places, which the message lists.
     """
     tried = []
     for path in _places(Path(__file__).resolve(), parts):
@@ -28,6 +28,7 @@ def share_path(*parts: str) -> Path:
 
 
 def _places(module: Path, parts: tuple[str, ...]) -> Iterator[Path]:
+    """Yield the places to search, in order."""
     root = module.parents[1]
     if (root / "package.xml").is_file():
         yield _in_source_tree(root, parts)
@@ -39,19 +40,19 @@ def _places(module: Path, parts: tuple[str, ...]) -> Iterator[Path]:
 
 
 def _in_source_tree(root: Path, parts: tuple[str, ...]) -> Path:
-    """Path in the repository, where config/ has launch/, urdf/ and rviz/ inside."""
+    """Return the path in the repository, whose config/ contains launch/, urdf/ and rviz/."""
     if parts[:1] == ("config",):
         return root.joinpath(*parts)
     return root.joinpath("config", *parts)
 
 
 def _ament_share() -> Iterator[Path]:
-    """The share folder that the ament index knows, if there is an index and it knows one."""
+    """Yield the share folder in the ament index, if there is an index that has one."""
     try:
         from ament_index_python.packages import get_package_share_directory
 
         share = get_package_share_directory(NAME)
     except (ImportError, OSError, LookupError):
-        # No ROS here; AMENT_PREFIX_PATH is not set; or an installation without a marker.
+        # ROS is not installed, AMENT_PREFIX_PATH is not set, or the installation has no marker.
         return
     yield Path(share)

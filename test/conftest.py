@@ -1,27 +1,56 @@
-"""Which tests may run side by side.
+"""Tiers of the tests, and what all of them share.
 
-Tests of the command and of nodes as processes of their own watch real time: they run one by one
-(`-m processes`). All others are spun on simulated time and run on all cores (`-n auto`).
+* Tests without a mark run on injected or simulated time, on all cores.
+* `processes` starts processes, sockets or threads, which run on real time.
+* `exhaustive` runs by hand only (`make test-all`): tours of every parameter, whole studies.
 """
 
+import gc
 import os
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
 
-from omniman_ros.cli import isolation
+from omniman_ros.processes import ros_domain
+from omniman_ros.processes.ros_domain import free_domain
 
-HERE = Path(__file__).parent
-PROCESSES = {HERE / "test_processes.py", HERE / "test_viewer_browser.py"}
+# Seeded, without a database or wall time: the same examples on every machine.
+settings.register_profile(
+    "seeded",
+    derandomize=True,
+    deadline=None,
+    database=None,
+    max_examples=60,
+    suppress_health_check=[HealthCheck.too_slow],
+)
+settings.load_profile("seeded")
+
+END_TO_END = Path(__file__).parent / "end_to_end"
 
 # Each worker has domains of its own; those of test/nodes/harness.py lie in between.
 WORKER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
 WORKERS = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
-isolation.SELDOM_USED = isolation.SELDOM_USED[WORKER::WORKERS]
-isolation.USUAL = range(1, 40)[WORKER::WORKERS]
+ros_domain.HIGH_DOMAINS = ros_domain.HIGH_DOMAINS[WORKER::WORKERS]
+ros_domain.LOW_DOMAINS = range(1, 40)[WORKER::WORKERS]
 
 
 def pytest_collection_modifyitems(items):
     for item in items:
-        if PROCESSES & {item.path, *item.path.parents}:
+        if END_TO_END in item.path.parents:
             item.add_marker(pytest.mark.processes)
+
+
+def pytest_collection_finish():
+    """Exempt thousands of test items from garbage collection, which they would slow down."""
+    gc.collect()
+    gc.freeze()
+
+
+@pytest.fixture
+def own_domain(monkeypatch):
+    """Put this process, and what it starts, into a ROS domain of the test's own."""
+    domain = free_domain()
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    return domain

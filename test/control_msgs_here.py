@@ -77,14 +77,24 @@ trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_error
 KINDS = ("rosidl_typesupport_fastrtps_c", "rosidl_typesupport_introspection_c")
 """Type supports, each a library of its own that is found by its name."""
 DEPENDENCIES = (
-    "action_msgs", "builtin_interfaces", "geometry_msgs", "service_msgs", "std_msgs",
-    "trajectory_msgs", "unique_identifier_msgs",
-)  # fmt: skip
+    "action_msgs",
+    "builtin_interfaces",
+    "geometry_msgs",
+    "service_msgs",
+    "std_msgs",
+    "trajectory_msgs",
+    "unique_identifier_msgs",
+)
 LIBRARIES = (
-    "rosidl_runtime_c", "rosidl_typesupport_c", "rosidl_typesupport_fastrtps_c",
-    "rosidl_typesupport_fastrtps_cpp", "rosidl_typesupport_introspection_c", "rcutils", "fastcdr",
+    "rosidl_runtime_c",
+    "rosidl_typesupport_c",
+    "rosidl_typesupport_fastrtps_c",
+    "rosidl_typesupport_fastrtps_cpp",
+    "rosidl_typesupport_introspection_c",
+    "rcutils",
+    "fastcdr",
     "rmw",
-)  # fmt: skip
+)
 BUILD_TIMEOUT = 300.0
 LOADER = """import ctypes
 import pathlib
@@ -186,8 +196,12 @@ def _compile(work: Path) -> None:
     nested = [d for d in (prefix / "include").iterdir() if (d / d.name).is_dir()]
     parts = [work / part for part in ("code", *KINDS, "dispatch", "python")]
     includes = [
-        *parts, sysconfig.get_paths()["include"], np.get_include(), prefix / "include", *nested
-    ]  # fmt: skip
+        *parts,
+        sysconfig.get_paths()["include"],
+        np.get_include(),
+        prefix / "include",
+        *nested,
+    ]
     kinds = ("rosidl_generator_c", "rosidl_generator_py", "rosidl_typesupport_c", *KINDS)
     names = [*LIBRARIES, *(f"{package}__{kind}" for package in DEPENDENCIES for kind in kinds)]
     others = [prefix / "lib" / f"lib{name}.so" for name in names]

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from omniman_ros.core.kinematics import PlatformKinematics
+from omniman_ros.control.kinematics import PlatformKinematics
+from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.core.parameters import build
-from omniman_ros.core.platform_parameters import PlatformParameters
 from omniman_ros.core.robot import Robot, Wheels
 from omniman_ros.robots import load_robot
 
@@ -87,16 +87,21 @@ def random_robot(rng: np.random.Generator, n: int) -> Robot:
         body=build(
             type(known.body),
             {
-                "mass": rng.uniform(5, 200), "inertia": rng.uniform(0.1, 30),
-                "com_x": rng.uniform(-0.2, 0.2), "com_y": rng.uniform(-0.2, 0.2),
-                "length": 1.0, "width": 0.8,
+                "mass": rng.uniform(5, 200),
+                "inertia": rng.uniform(0.1, 30),
+                "com_x": rng.uniform(-0.2, 0.2),
+                "com_y": rng.uniform(-0.2, 0.2),
+                "length": 1.0,
+                "width": 0.8,
             },
         ),
         arm=build(
             type(known.arm),
             {
-                "mass": rng.uniform(0, 30), "inertia": rng.uniform(0, 2),
-                "com_x": rng.uniform(-0.3, 0.3), "com_y": rng.uniform(-0.3, 0.3),
+                "mass": rng.uniform(0, 30),
+                "inertia": rng.uniform(0, 2),
+                "com_x": rng.uniform(-0.3, 0.3),
+                "com_y": rng.uniform(-0.3, 0.3),
             },
         ),
         motor=known.motor,
@@ -109,4 +114,4 @@ def random_robot(rng: np.random.Generator, n: int) -> Robot:
                 "mu": 0.6,
             },
         ),
-    )  # fmt: skip
+    )

@@ -1,4 +1,4 @@
-"""What is written twice must agree, and what is named must exist."""
+"""Agreement of the package's files: facts that are written twice, and names of what exists."""
 
 import ast
 import configparser
@@ -16,7 +16,7 @@ from catkin_pkg.package import parse_package
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES = sorted(ROOT.glob("omniman_ros/**/*.py"))
 
-# Python distribution -> its module and its rosdep key.
+# Module and rosdep key of each Python distribution.
 DISTRIBUTIONS = {
     "numpy": ("numpy", "python3-numpy"),
     "PyYAML": ("yaml", "python3-yaml"),
@@ -24,18 +24,20 @@ DISTRIBUTIONS = {
     "canopen": ("canopen", None),
     "msgpack": ("msgpack", "python3-msgpack"),
     "casadi": ("casadi", "python3-casadi-pip"),
+    "jinja2": ("jinja2", "python3-jinja2"),
+    "lark-parser": ("lark", "python3-lark-parser"),
     "matplotlib": ("matplotlib", "python3-matplotlib"),
     "rosbags": ("rosbags", None),
     "viser": ("viser", None),
     "websockets": ("websockets", "python3-websockets"),
 }
-# On a ROS machine, but not among the wheels.
+# Packages of a ROS machine that are not available as wheels.
 ROS_MACHINE_ONLY = {"control_msgs", "launch", "launch_ros", "ros2cli", "tf2_msgs"}
 
 
 @pytest.fixture
 def setup_py(monkeypatch):
-    """Globals of setup.py, and in "arguments" what it calls `setup` with."""
+    """Return the globals of setup.py, and under "arguments" those of its call of `setup`."""
     arguments = {}
     monkeypatch.chdir(ROOT)
     monkeypatch.setattr(setuptools, "setup", lambda **given: arguments.update(given))
@@ -48,7 +50,7 @@ def package_xml():
 
 
 def imports(statements):
-    """Top-level names that these statements import from outside this package."""
+    """Return the top-level modules that statements import, without this package and Python's."""
     names = set()
     for node in statements:
         if isinstance(node, ast.Import):
@@ -74,7 +76,7 @@ def test_colcon_sees_an_ament_python_package(package_xml):
     assert package_xml.get_build_type() == "ament_python"
 
 
-def test_changelog_has_the_version(setup_py):
+def test_the_changelog_has_the_version(setup_py):
     assert re.search(
         rf"^## .*\b{re.escape(setup_py['arguments']['version'])}\b",
         (ROOT / "CHANGELOG.md").read_text(),
@@ -89,12 +91,12 @@ def test_required_distributions_are_in_package_xml(package_xml, setup_py):
         assert key is None or key in keys
 
 
-def test_what_rosdep_does_not_know_is_named_with_its_debian_package():
+def test_the_readme_names_the_debian_package_that_rosdep_does_not_know():
     readme = (ROOT / "README.md").read_text()
     assert "`apt install python3-canopen`" in readme
 
 
-def test_rclpy_wheels_are_no_requirement(setup_py):
+def test_the_wheels_of_rclpy_are_not_required(setup_py):
     assert not [name for name in setup_py["arguments"]["install_requires"] if "ros" in name]
 
 
@@ -109,13 +111,13 @@ def test_every_import_is_a_declared_dependency(package_xml, setup_py):
         assert not undeclared, f"{source.relative_to(ROOT)} imports {undeclared}"
 
 
-def test_what_only_a_ros_machine_has_is_imported_at_run_time():
+def test_packages_of_ros_machines_only_are_imported_at_run_time():
     for source in SOURCES:
         at_start = imports(ast.parse(source.read_text()).body) & ROS_MACHINE_ONLY
         assert not at_start, f"{source.relative_to(ROOT)} needs {at_start} at its import"
 
 
-def test_every_executable_has_its_function(setup_py):
+def test_every_executable_has_an_existing_function(setup_py):
     assert setup_py["EXECUTABLES"]
     for target in setup_py["EXECUTABLES"].values():
         module, function = target.split(":")
@@ -141,21 +143,21 @@ def test_every_shared_file_is_installed_once(setup_py):
     assert sorted(installed) == sorted(str(path.relative_to(ROOT)) for path in shared)
 
 
-def test_marker_of_the_ament_index_is_installed(setup_py):
+def test_the_marker_of_the_ament_index_is_installed(setup_py):
     files = dict(setup_py["arguments"]["data_files"])
     assert files["share/ament_index/resource_index/packages"] == ["resource/omniman_ros"]
     assert (ROOT / "resource" / "omniman_ros").is_file()
     assert files["share/omniman_ros"] == ["package.xml"]
 
 
-def test_colcon_puts_executables_where_ros2_run_looks():
+def test_colcon_installs_executables_where_ros2_run_searches():
     config = configparser.ConfigParser()
     config.read(ROOT / "setup.cfg")
     assert config["develop"]["script_dir"] == "$base/lib/omniman_ros"
     assert config["install"]["install_scripts"] == "$base/lib/omniman_ros"
 
 
-def test_stub_runs_the_executable_of_its_own_prefix(tmp_path, setup_py):
+def test_a_stub_runs_the_executable_of_its_own_prefix(tmp_path, setup_py):
     (tmp_path / "bin").mkdir()
     (tmp_path / "lib" / "omniman_ros").mkdir(parents=True)
     real = tmp_path / "bin" / "omniman"
@@ -175,29 +177,29 @@ def test_stub_runs_the_executable_of_its_own_prefix(tmp_path, setup_py):
 
 
 def named_in_readme(command):
-    """Words that follow a command in the code of the README."""
+    """Return the words that follow a command in the code of the README."""
     readme = (ROOT / "README.md").read_text()
     code = re.findall(r"```.*?```|`[^`]+`", readme, re.DOTALL)
-    return set(re.findall(rf"\b{command} ([\w.]+)", "\n".join(code)))
+    return set(re.findall(rf"\b{command} ([\w.-]+)", "\n".join(code)))
 
 
 def test_every_make_command_of_the_readme_is_a_target():
     makefile = (ROOT / "Makefile").read_text()
-    targets = set(re.findall(r"^([a-z]+):", makefile, re.MULTILINE))
+    targets = set(re.findall(r"^([a-z-]+):", makefile, re.MULTILINE))
     assert {"demo", "test"} <= named_in_readme("make") <= targets
 
 
-def test_every_ros2_command_of_the_readme_names_what_is_installed(setup_py):
+def test_every_ros2_command_of_the_readme_names_an_installed_file(setup_py):
     assert named_in_readme("ros2 run omniman_ros") <= set(setup_py["EXECUTABLES"])
     launch_files = {file.name for file in ROOT.glob("config/launch/*")}
     assert named_in_readme("ros2 launch omniman_ros") <= launch_files
 
 
-def test_makefile_targets_are_phony_and_explained():
+def test_every_makefile_target_is_phony_and_explained():
     makefile = (ROOT / "Makefile").read_text()
     phony = set(re.search(r"^\.PHONY: (.*)", makefile, re.MULTILINE)[1].split())
-    assert phony == set(re.findall(r"^([a-z]+):", makefile, re.MULTILINE))
-    assert phony == set(re.findall(r"^([a-z]+):.*## ", makefile, re.MULTILINE))
+    assert phony == set(re.findall(r"^([a-z-]+):", makefile, re.MULTILINE))
+    assert phony == set(re.findall(r"^([a-z-]+):.*## ", makefile, re.MULTILINE))
 
 
 @pytest.mark.parametrize(

@@ -2,19 +2,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import robots
 import yaml
 
-from omniman_ros.core.body.model import Mount
+from omniman_ros.control.kinematics import PlatformKinematics
+from omniman_ros.control.platform import PlatformController
+from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.core.errors import ParameterError
-from omniman_ros.core.kinematics import PlatformKinematics
 from omniman_ros.core.parameters import build, specs
-from omniman_ros.core.platform import PlatformController
-from omniman_ros.core.platform_parameters import PlatformParameters
 from omniman_ros.core.robot import Robot
-from omniman_ros.drive.parameters import SimulationParameters
+from omniman_ros.motion.whole_body.model import Mount
 from omniman_ros.robots import load_robot, robot_file
 from omniman_ros.share import share_path
+from omniman_ros.simulation.plant.parameters import SimulationParameters
+from test import robots
 
 FILES = sorted(share_path("config").glob("*.yaml")) + sorted(robots.CONFIG.glob("*.yaml"))
 KNOWN = {
@@ -101,9 +101,17 @@ def test_a_name_is_no_way_out_of_the_folder(name):
 
 @pytest.mark.parametrize(
     "text",
-    ["", "a: 1", "/**: 1", "/**:\n  ros__parameters: 5", "/**:\n  ros__parameters:", "{", "[1]",
-     "/**:\n  other: {}"],
-)  # fmt: skip
+    [
+        "",
+        "a: 1",
+        "/**: 1",
+        "/**:\n  ros__parameters: 5",
+        "/**:\n  ros__parameters:",
+        "{",
+        "[1]",
+        "/**:\n  other: {}",
+    ],
+)
 def test_a_file_of_another_kind_is_refused(tmp_path: Path, text):
     path = tmp_path / "robot.yaml"
     path.write_text(text)

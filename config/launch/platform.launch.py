@@ -3,9 +3,10 @@
 ros2 launch omniman_ros platform.launch.py robot:=ig42 namespace:=robot1
 ros2 launch omniman_ros platform.launch.py arm:=simulated rviz:=true
 
-Transforms go to tf and tf_static in the namespace: frames have no prefix, and two robots would
-mix on one /tf. What all robots of a ROS domain share is /diagnostics, where each node has its
-whole name, and /clock: in simulated time there is one robot in a domain.
+Transforms are published on tf and tf_static in the namespace: frames have no prefix, so that the
+transforms of two robots would mix on one /tf. All robots of a ROS domain share /diagnostics, where
+each node appears with its full name, and /clock: in simulated time, a domain can hold only one
+robot.
 """
 
 from ament_index_python.packages import get_package_prefix
@@ -27,7 +28,7 @@ from launch_ros.substitutions import ExecutableInPackage, FindPackageShare
 
 
 def has_robot_state_publisher() -> bool:
-    """Whether robot_state_publisher is installed: it is not needed by the robot itself."""
+    """Return whether robot_state_publisher is installed, which the robot itself does not need."""
     try:
         get_package_prefix("robot_state_publisher")
     except LookupError:
@@ -36,12 +37,17 @@ def has_robot_state_publisher() -> bool:
 
 
 TF = [("/tf", "tf"), ("/tf_static", "tf_static")]
-"""Of every node that sends or hears transforms."""
+"""Remappings of every node that publishes or receives transforms."""
 BUS = ("239.74.163.2", 43113)
-"""Group and port of python-can's UDP bus of the first robot."""
-UR_PORTS = {"dashboard": 29999, "primary": 30001, "secondary": 30002, "realtime": 30003,
-            "rtde": 30004}  # fmt: skip
-"""Ports of every UR controller: those of the first robot's simulated one."""
+"""Multicast group and port of the first robot's bus, a UDP bus of python-can."""
+UR_PORTS = {
+    "dashboard": 29999,
+    "primary": 30001,
+    "secondary": 30002,
+    "realtime": 30003,
+    "rtde": 30004,
+}
+"""Ports of a UR controller, which the simulated controller of the first robot uses as well."""
 
 ARGUMENTS = [
     DeclareLaunchArgument(
@@ -74,7 +80,7 @@ ARGUMENTS = [
     DeclareLaunchArgument(
         "arm",
         default_value="none",
-        description="What moves the arm; ur: the controller of `controller`",
+        description="What moves the arm; ur: the controller that `controller` describes",
         choices=["none", "simulated", "ur"],
     ),
     DeclareLaunchArgument(
@@ -105,26 +111,26 @@ ARGUMENTS = [
     DeclareLaunchArgument(
         "number",
         default_value="0",
-        description="Of this robot among those that are simulated on this machine: each has a bus "
-        "(drive:=can) and ports of its arm's controller (arm:=simulated) of its own",
+        description="Number of this robot among those simulated on this machine, which gives it a "
+        "bus (drive:=can) and ports of its arm's controller (arm:=simulated) of its own",
         choices=[str(number) for number in range(10)],
     ),
     DeclareLaunchArgument(
         "description",
         default_value="true" if has_robot_state_publisher() else "false",
-        description="Whether to start robot_state_publisher with the URDF; if not, the URDF alone "
-        "is on robot_description",
+        description="Whether to start robot_state_publisher with the URDF; if not, only the URDF "
+        "is published, on robot_description",
         choices=["true", "false"],
     ),
 ]
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Describe the arguments and the nodes."""
+    """Return the arguments and the nodes."""
     robot = ParameterValue(LaunchConfiguration("robot"), value_type=str)
     sim_time = ParameterValue(LaunchConfiguration("use_sim_time"), value_type=bool)
 
-    # The simulated drive makes the time that the others run on.
+    # In simulated time, the drive publishes the clock that the other nodes run on.
     simulated_drive = Node(
         package="omniman_ros",
         executable="simulated_drive",
@@ -133,14 +139,20 @@ def generate_launch_description() -> LaunchDescription:
         output="screen",
         condition=IfCondition(EqualsSubstitution(LaunchConfiguration("drive"), "simulated")),
     )
-    # can: the bus is UDP multicast on this machine, and the drives on it are simulated.
+    # With drive:=can, simulated drives are on a bus of UDP multicast on this machine.
     installation = LaunchConfiguration("installation")
     group, port = BUS
     private_bus = {
-        "can.interface": "udp_multicast", "can.channel": group, "can.port": _numbered(port, 1000)
-    }  # fmt: skip
-    bridge = {"package": "omniman_ros", "executable": "can_bridge", "output": "screen",
-              "namespace": LaunchConfiguration("namespace")}  # fmt: skip
+        "can.interface": "udp_multicast",
+        "can.channel": group,
+        "can.port": _numbered(port, 1000),
+    }
+    bridge = {
+        "package": "omniman_ros",
+        "executable": "can_bridge",
+        "output": "screen",
+        "namespace": LaunchConfiguration("namespace"),
+    }
     can_bridge = Node(
         **bridge,
         parameters=[installation, {"robot": robot}],
@@ -168,8 +180,12 @@ def generate_launch_description() -> LaunchDescription:
         output="screen",
     )
     # The arm runs on real time, like drives on a bus.
-    streamer = {"package": "omniman_ros", "executable": "arm_streamer", "output": "screen",
-                "namespace": LaunchConfiguration("namespace")}  # fmt: skip
+    streamer = {
+        "package": "omniman_ros",
+        "executable": "arm_streamer",
+        "output": "screen",
+        "namespace": LaunchConfiguration("namespace"),
+    }
     arm_streamer = Node(
         **streamer,
         parameters=[LaunchConfiguration("controller")],
@@ -197,9 +213,13 @@ def generate_launch_description() -> LaunchDescription:
         output="screen",
         condition=IfCondition(EqualsSubstitution(LaunchConfiguration("arm"), "simulated")),
     )
-    # It plans within the limits that the controller's file has for the arm.
-    interpolator = {"package": "omniman_ros", "executable": "path_interpolator",
-                    "namespace": LaunchConfiguration("namespace"), "output": "screen"}  # fmt: skip
+    # The interpolator plans within the arm's limits, which the controller's file sets.
+    interpolator = {
+        "package": "omniman_ros",
+        "executable": "path_interpolator",
+        "namespace": LaunchConfiguration("namespace"),
+        "output": "screen",
+    }
     with_ur = EqualsSubstitution(LaunchConfiguration("arm"), "ur")
     path_interpolator = Node(
         **interpolator,
@@ -208,20 +228,22 @@ def generate_launch_description() -> LaunchDescription:
     )
     path_interpolator_with_ur = Node(
         **interpolator,
-        parameters=[
-            LaunchConfiguration("controller"), {"robot": robot, "use_sim_time": sim_time}
-        ],
+        parameters=[LaunchConfiguration("controller"), {"robot": robot, "use_sim_time": sim_time}],
         condition=IfCondition(with_ur),
-    )  # fmt: skip
-    # Who has the URDF puts it on robot_description: one of the two.
+    )
+    # Only one of the two nodes below publishes the URDF on robot_description.
     description = LaunchConfiguration("description")
     of_joints = {
         "robot": robot,
         "use_sim_time": sim_time,
         "publish_description": ParameterValue(NotSubstitution(description), value_type=bool),
     }
-    broadcaster = {"package": "omniman_ros", "executable": "joint_state_broadcaster",
-                   "namespace": LaunchConfiguration("namespace"), "output": "screen"}  # fmt: skip
+    broadcaster = {
+        "package": "omniman_ros",
+        "executable": "joint_state_broadcaster",
+        "namespace": LaunchConfiguration("namespace"),
+        "output": "screen",
+    }
     joint_state_broadcaster = Node(
         **broadcaster, parameters=[of_joints], condition=UnlessCondition(with_ur)
     )
@@ -230,14 +252,22 @@ def generate_launch_description() -> LaunchDescription:
         parameters=[LaunchConfiguration("controller"), of_joints],
         condition=IfCondition(with_ur),
     )
-    # Quotes: launch splits the line into words as a shell does.
+    # The quotes are needed because launch splits the line into words as a shell does.
     urdf = [
-        "'", ExecutableInPackage(executable="omniman", package="omniman_ros"), "'",
-        " urdf --robot '", LaunchConfiguration("robot"), "'",
-    ]  # fmt: skip
-    publisher = {"package": "robot_state_publisher", "executable": "robot_state_publisher",
-                 "namespace": LaunchConfiguration("namespace"), "output": "screen",
-                 "remappings": TF}  # fmt: skip
+        "'",
+        ExecutableInPackage(executable="omniman", package="omniman_ros"),
+        "'",
+        " urdf --robot '",
+        LaunchConfiguration("robot"),
+        "'",
+    ]
+    publisher = {
+        "package": "robot_state_publisher",
+        "executable": "robot_state_publisher",
+        "namespace": LaunchConfiguration("namespace"),
+        "output": "screen",
+        "remappings": TF,
+    }
     robot_state_publisher = Node(
         **publisher,
         parameters=[{"robot_description": _text_of(urdf), "use_sim_time": sim_time}],
@@ -270,12 +300,13 @@ def generate_launch_description() -> LaunchDescription:
         executable="rviz2",
         namespace=LaunchConfiguration("namespace"),
         arguments=[
-            "-d", PathJoinSubstitution([FindPackageShare("omniman_ros"), "rviz", "omniman.rviz"])
+            "-d",
+            PathJoinSubstitution([FindPackageShare("omniman_ros"), "rviz", "omniman.rviz"]),
         ],
         parameters=[{"use_sim_time": sim_time}],
         remappings=TF,
         condition=IfCondition(LaunchConfiguration("rviz")),
-    )  # fmt: skip
+    )
     return LaunchDescription(
         [
             *ARGUMENTS,
@@ -301,11 +332,11 @@ def generate_launch_description() -> LaunchDescription:
 
 
 def _numbered(first: int, step: int) -> ParameterValue:
-    """A number that each robot on this machine has of its own."""
+    """Return `first + step * number`, which is different for each robot on this machine."""
     number = PythonExpression([f"{first} + {step} * ", LaunchConfiguration("number")])
     return ParameterValue(number, value_type=int)
 
 
 def _text_of(command: list[object]) -> ParameterValue:
-    """What a command prints; without the type, launch would read a URDF as YAML."""
+    """Return the output of a command; without the type, launch would parse a URDF as YAML."""
     return ParameterValue(Command(command, on_stderr="warn"), value_type=str)

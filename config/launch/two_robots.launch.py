@@ -3,10 +3,10 @@
 ros2 launch omniman_ros two_robots.launch.py
 ros2 run teleop_twist_keyboard teleop_twist_keyboard --ros-args -r cmd_vel:=robot2/cmd_vel
 
-Each has all topics and transforms in its own namespace; see platform.launch.py for what they
-share. Each starts at the origin of its own odom, and neither knows of the other: who wants them to
-avoid each other publishes the one's place on the other's `obstacles`. There is no simulated time:
-both drives would make it.
+Each robot has all its topics and transforms in its own namespace; platform.launch.py says what
+they share. Each starts at the origin of its own odom, and neither knows of the other: to make them
+avoid each other, publish the position of one on the `obstacles` of the other. Simulated time is
+not available, since both drives would publish the clock.
 """
 
 from launch import LaunchDescription
@@ -25,7 +25,7 @@ BOTH = [
     DeclareLaunchArgument(
         "drive",
         default_value="simulated",
-        description="What turns the wheels; can: on a bus of each robot's own",
+        description="What turns the wheels; can: each robot has a bus of its own",
         choices=["simulated", "can"],
     ),
     DeclareLaunchArgument(
@@ -43,26 +43,26 @@ BOTH = [
     DeclareLaunchArgument(
         "viewer",
         default_value="false",
-        description="Whether to serve a page of each; the second takes the next free port",
+        description="Whether to serve a page for each robot; the second takes the next free port",
         choices=["true", "false"],
     ),
     DeclareLaunchArgument(
         "rviz",
         default_value="false",
-        description="Whether to start RViz for each",
+        description="Whether to start RViz for each robot",
         choices=["true", "false"],
     ),
 ]
-"""Arguments, which go to both robots."""
+"""Arguments that are passed on to both robots."""
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Describe the arguments and the two robots."""
+    """Return the arguments and the two robots."""
     return LaunchDescription([*BOTH, *map(_robot, range(len(NAMESPACES)))])
 
 
 def _robot(number: int) -> GroupAction:
-    """A robot; the group keeps its arguments from the other."""
+    """Return a robot; the group keeps its arguments from reaching the other one."""
     file = PathJoinSubstitution([FindPackageShare("omniman_ros"), "launch", "platform.launch.py"])
     arguments = {argument.name: LaunchConfiguration(argument.name) for argument in BOTH}
     arguments |= {"namespace": NAMESPACES[number], "number": str(number), "use_sim_time": "false"}

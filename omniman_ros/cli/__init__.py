@@ -1,1 +1,1 @@
-"""The command `omniman`: one module a subcommand, and what they share."""
+"""The command `omniman`: its commands, one module each, and their arguments."""

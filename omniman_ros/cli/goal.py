@@ -1,4 +1,4 @@
-"""`omniman goal`: send the planner a goal, say how far it is, cancel it on Ctrl-C."""
+"""`omniman goal`: send a goal to the planner, show the progress, cancel on Ctrl-C."""
 
 import argparse
 import math
@@ -11,26 +11,27 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from std_srvs.srv import Trigger
 
-from omniman_ros import conversions
-from omniman_ros.cli.driving import drive
-from omniman_ros.cli.errors import CommandError
-from omniman_ros.cli.progress import Progress
-from omniman_ros.cli.session import DISCOVERY, Session
+from omniman_ros.cli.cancellable_motion import run_motion
+from omniman_ros.console.errors import CommandError
+from omniman_ros.console.progress import Progress
+from omniman_ros.console.session import DISCOVERY_TIMEOUT, Session
+from omniman_ros.conversions.geometry import quaternion_from_yaw, yaw_from_quaternion
 from omniman_ros.core import se2
+from omniman_ros.core.planar import Triple
 
-ANSWER = 2.0
-"""How long the planner may take to say what it does with a goal [s]."""
-PATIENCE = 8.0
-"""How long a goal may wait for the robot to be driven [s]."""
+ANSWER_TIMEOUT = 2.0
+"""Time within which the planner has to answer a service or report on a goal [s]."""
+ACCEPTANCE_TIMEOUT = 8.0
+"""Time that a goal may wait until the robot is ready to be driven [s]."""
 
 
 class GoalDriver:
-    """Sends one goal and follows it.
+    """Sends one goal to the planner and follows it.
 
     Args:
-        session: The ROS node.
-        progress: Where progress is shown.
-        poll: Called many times a second; raises to end it early.
+        session: ROS session of the command.
+        progress: Display of the progress.
+        poll: Called many times a second; it raises to end the motion early.
     """
 
     def __init__(self, session: Session, progress: Progress, poll: Callable[[], None]) -> None:
@@ -39,7 +40,7 @@ class GoalDriver:
         self._progress = progress
         self._status: dict[str, str] = {}
         self._message = ""
-        self._pose: tuple[float, float, float] | None = None
+        self._pose: Triple | None = None
         node = session.node
         self._goals = node.create_publisher(PoseStamped, "goal_pose", 10)
         node.create_subscription(DiagnosticStatus, "mpc/status", self._on_status, 10)
@@ -51,71 +52,94 @@ class GoalDriver:
         self._message = message.message
 
     def _on_odom(self, message: Odometry) -> None:
-        place = message.pose.pose.position
-        self._pose = (place.x, place.y, conversions.yaw(message.pose.pose.orientation))
+        position = message.pose.pose.position
+        self._pose = (position.x, position.y, yaw_from_quaternion(message.pose.pose.orientation))
 
-    def drive(self, pose: tuple[float, float, float], relative: bool, timeout: float) -> None:
-        """Drive to a pose in odom, or seen from the robot [m, m, rad].
+    def drive(self, pose: Triple, relative: bool, timeout: float) -> None:
+        """Send a goal, and wait until the robot has reached it.
+
+        Args:
+            pose: Goal pose (x, y, heading) [m, m, rad].
+            relative: Whether the goal is given relative to the present pose of base_link, rather
+                than in odom.
+            timeout: Time after which the goal is cancelled [s].
 
         Raises:
-            CommandError: Nobody is there, the goal is refused or given up, or it takes too long.
+            CommandError: There is no planner, the goal is refused or abandoned, or the robot does
+                not reach it in time.
         """
-        if not self._session.wait(self._ready, DISCOVERY):
+        if not self._session.wait(self._is_ready, DISCOVERY_TIMEOUT):
             raise CommandError(
-                f"no mpc_planner with odom was found within {DISCOVERY:g} s: start `omniman up`, "
-                "or is ROS_DOMAIN_ID another?"
+                f"no mpc_planner with odom was found within {DISCOVERY_TIMEOUT:g} s: start "
+                "`omniman up`, or set ROS_DOMAIN_ID to the robot's"
             )
         assert self._pose is not None
         goal = pose
         if relative:
-            x, y, turn = (se2.to_world(self._pose[2], np.array(pose))).tolist()
-            goal = (self._pose[0] + x, self._pose[1] + y, self._pose[2] + turn)
+            x, y, rotation = (se2.to_world(self._pose[2], np.array(pose))).tolist()
+            goal = (self._pose[0] + x, self._pose[1] + y, self._pose[2] + rotation)
         self._progress.begin("goal")
         message = PoseStamped()
         message.header.frame_id = "odom"
         message.pose.position.x, message.pose.position.y = goal[0], goal[1]
-        message.pose.orientation = conversions.quaternion(goal[2])
+        message.pose.orientation = quaternion_from_yaw(goal[2])
         self._goals.publish(message)
         self._follow(math.hypot(goal[0] - self._pose[0], goal[1] - self._pose[1]), timeout)
 
-    def _ready(self) -> bool:
+    def _is_ready(self) -> bool:
         self._poll()
         return bool(self._status and self._pose and self._goals.get_subscription_count())
 
     def _follow(self, distance: float, timeout: float) -> None:
-        taken, refused = self._status.get("goals", ""), self._status.get("refused", "")
-        began, whole = time.monotonic(), max(distance, 0.1)
-        while time.monotonic() < began + timeout:
+        """Show the progress until the goal is reached, from this distance at the start [m]."""
+        goals, refused = self._status.get("goals", ""), self._status.get("refused", "")
+        start, initial_distance = time.monotonic(), max(distance, 0.1)
+        while time.monotonic() < start + timeout:
             self._session.spin(0.05)
             self._poll()
-            said = self._status.get("last", "")
+            last = self._status.get("last", "")
             if self._status.get("refused", "") != refused:
-                raise CommandError(said)
-            if self._status.get("goals", "") == taken:
-                if time.monotonic() > began + PATIENCE + ANSWER:
-                    raise CommandError(f"mpc_planner does not take the goal: {said}")
+                raise CommandError(last)
+            if self._status.get("goals", "") == goals:
+                if time.monotonic() > start + ACCEPTANCE_TIMEOUT + ANSWER_TIMEOUT:
+                    raise CommandError(f"mpc_planner does not accept the goal: {last}")
                 continue
             state = self._status.get("state", "")
-            left = float(self._status.get("distance_m", "nan"))
+            remaining = float(self._status.get("distance_m", "nan"))
             if state == "arrived":
-                self._progress.end(f"reached after {time.monotonic() - began:.1f} s")
+                self._progress.end(f"reached after {time.monotonic() - start:.1f} s")
                 return
             if state in ("idle", "paused"):
-                raise CommandError(said or state)
-            self._progress.update(1.0 - left / whole, f"{left:.2f} m left, {self._message}")
+                raise CommandError(last or state)
+            fraction = 1.0 - remaining / initial_distance
+            self._progress.update(fraction, f"{remaining:.2f} m left, {self._message}")
         self.cancel()
-        raise CommandError(f"not reached within {timeout:g} s: {self._message}; cancelled")
+        raise CommandError(
+            f"the goal was not reached within {timeout:g} s: {self._message}; cancelled"
+        )
 
     def cancel(self) -> None:
-        """Cancel the goal, and wait until the planner says so."""
+        """Cancel the goal, and wait until the planner confirms it."""
         answer = self._cancel.call_async(Trigger.Request())
-        self._session.wait(answer.done, ANSWER)
+        self._session.wait(answer.done, ANSWER_TIMEOUT)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman goal`; returns the exit code."""
-    place = (args.x, args.y, math.radians(args.heading))
-    return drive(
-        "omniman_goal", args.namespace, GoalDriver,
-        lambda driver: driver.drive(place, args.relative, args.timeout),
-    )  # fmt: skip
+    """Run `omniman goal`.
+
+    Args:
+        args: Command line.
+
+    Returns:
+        The exit code, 0.
+
+    Raises:
+        CommandError: The robot does not reach the goal.
+    """
+    pose = (args.x, args.y, math.radians(args.heading))
+    return run_motion(
+        "omniman_goal",
+        args.namespace,
+        GoalDriver,
+        lambda driver: driver.drive(pose, args.relative, args.timeout),
+    )

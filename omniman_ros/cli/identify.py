@@ -1,13 +1,23 @@
-"""`omniman identify SUBJECT`: find out from drives what a robot really is like."""
+"""`omniman identify SUBJECT`: measure properties of a robot by driving it."""
 
 import argparse
 import importlib
 
-SUBJECTS = {"odometry": "identify_odometry", "friction": "identify_friction"}
-"""Subject: module in omniman_ros.cli with `run(args) -> int`."""
+SUBJECTS = {
+    "odometry": "omniman_ros.identification.odometry.command",
+    "friction": "omniman_ros.identification.friction.command",
+}
+"""Module of each subject, with the function `run(args) -> int`."""
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman identify`; returns the exit code."""
-    module = importlib.import_module(f"omniman_ros.cli.{SUBJECTS[args.subject]}")
+    """Run `omniman identify`.
+
+    Args:
+        args: Command line.
+
+    Returns:
+        The exit code of the subject's own command.
+    """
+    module = importlib.import_module(SUBJECTS[args.subject])
     return int(module.run(args))

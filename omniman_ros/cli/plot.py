@@ -1,68 +1,86 @@
-"""`omniman plot`: the standard figures of a drive, from a recording."""
+"""`omniman plot`: draw the standard figures of a drive from a recording."""
 
 import argparse
 import webbrowser
 from importlib.util import find_spec
 from pathlib import Path
 
-from omniman_ros.bag import availability
-from omniman_ros.cli.errors import CommandError
-from omniman_ros.cli.terminal import say
+from omniman_ros.console.errors import CommandError
+from omniman_ros.console.terminal import say
 from omniman_ros.core.errors import InputError
+from omniman_ros.extras import RECORDING
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman plot`."""
-    if not availability.is_available():
-        raise CommandError(availability.HINT)
+    """Run `omniman plot`.
+
+    Args:
+        args: Command line.
+
+    Returns:
+        The exit code, 0.
+
+    Raises:
+        CommandError: A library is missing, the recording cannot be read, or it does not contain
+            the robot.
+    """
+    if not RECORDING.is_available:
+        raise CommandError(RECORDING.hint)
     if find_spec("matplotlib") is None:
-        raise CommandError("pictures need matplotlib: pip install 'omniman_ros[plot]'")
-    from omniman_ros.bag.reader import BagReader
-    from omniman_ros.bag.robot_log import read
-    from omniman_ros.cli.bag_picture import FIGURES, draw
+        raise CommandError("figures need matplotlib: pip install 'omniman_ros[plot]'")
+    from omniman_ros.recording.figures import FIGURES, draw_figures
+    from omniman_ros.recording.reader import BagReader
+    from omniman_ros.recording.robot_log import read_robot_log
 
     path = Path(args.bag)
     try:
         with BagReader(path) as bag:
-            namespace = chosen_namespace(bag.kinds, args.namespace.strip("/"))
-            say(f"{path}: {bag.duration:.1f} s, {len(bag.kinds)} topics")
-            log = read(bag, namespace)
-        log.span  # noqa: B018  (raises if there is nothing)
+            namespace = choose_namespace(bag.topic_types, args.namespace.strip("/"))
+            say(f"{path}: {bag.duration:.1f} s, {len(bag.topic_types)} topics")
+            log = read_robot_log(bag, namespace)
+        _ = log.span  # raises if the recording contains no data of the robot
     except InputError as error:
         raise CommandError(str(error)) from error
     name = path.stem if path.is_file() else path.resolve().name
     prefix = "_".join(part for part in (name, namespace.replace("/", "_")) if part)
-    drawn = draw(log, Path(args.results), prefix)
+    drawn = draw_figures(log, Path(args.results), prefix)
     for file in drawn.values():
-        say(f"Picture: {file}")
+        say(f"Figure: {file}")
         if args.show:
             webbrowser.open(file.resolve().as_uri())
-    left_out = [name for name, _, _ in FIGURES if name not in drawn]
-    if left_out:
-        say(f"Not in the recording: {', '.join(left_out)}")
+    missing = [figure.name for figure in FIGURES if figure.name not in drawn]
+    if missing:
+        say(f"Not in the recording: {', '.join(missing)}")
     return 0
 
 
-def chosen_namespace(topics: dict[str, str], wanted: str) -> str:
-    """Return the namespace of the robot to be drawn.
+def choose_namespace(topics: dict[str, str], requested: str) -> str:
+    """Return the namespace of the robot to plot.
 
     Args:
-        topics: Of the recording.
-        wanted: What the user said, or empty.
+        topics: Types of the recorded topics, by name.
+        requested: Namespace that the user has given; empty means that of the only robot.
 
     Raises:
-        CommandError: No robot, not this one, or several and none was named.
+        CommandError: The recording contains no robot, not the requested one, or several robots
+            while none was requested.
     """
-    from omniman_ros.bag.robot_log import namespaces
+    from omniman_ros.recording.robot_log import robot_namespaces
 
-    found = namespaces(topics)
-    if not found:
-        raise CommandError("no robot in it: no odom, wheel_states or arm/joint_states")
-    if wanted in found:
-        return wanted
-    known = ", ".join(name or "the one without a namespace" for name in found)
-    if wanted:
-        raise CommandError(f"no robot '{wanted}' in it; there are {known}", 2)
-    if len(found) > 1:
-        raise CommandError(f"several robots in it, choose by --namespace: {known}", 2)
-    return found[0]
+    namespaces = robot_namespaces(topics)
+    if not namespaces:
+        raise CommandError(
+            "there is no robot in the recording: no odom, wheel_states or arm/joint_states"
+        )
+    if requested in namespaces:
+        return requested
+    known = ", ".join(name or "the one without a namespace" for name in namespaces)
+    if requested:
+        raise CommandError(
+            f"there is no robot '{requested}' in the recording; there are {known}", 2
+        )
+    if len(namespaces) > 1:
+        raise CommandError(
+            f"there are several robots in the recording, choose by --namespace: {known}", 2
+        )
+    return namespaces[0]

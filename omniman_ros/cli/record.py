@@ -1,4 +1,4 @@
-"""`omniman record`: what the robot says into a rosbag2 recording (MCAP), until Ctrl-C."""
+"""`omniman record`: record the robot's topics as a rosbag2 recording (MCAP), until Ctrl-C."""
 
 import argparse
 import importlib
@@ -19,34 +19,41 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from omniman_ros.bag import availability
-from omniman_ros.bag.topic import Offer, Topic
-from omniman_ros.cli.children import signals_to
-from omniman_ros.cli.errors import CommandError
-from omniman_ros.cli.session import Session
-from omniman_ros.cli.terminal import YELLOW, paint, say, table
+from omniman_ros.console.errors import CommandError
+from omniman_ros.console.session import Session
+from omniman_ros.console.terminal import YELLOW, paint, say, table
 from omniman_ros.core.errors import InputError
+from omniman_ros.extras import RECORDING
+from omniman_ros.processes.process_group import redirect_signals
+from omniman_ros.recording.topic_metadata import OfferedQos, TopicMetadata
 
-LOOK = 0.25
-"""Time between two looks for new topics [s]."""
-LAST = 0.2
-"""Time for what has arrived when the end comes [s]."""
-DEPTH = 5000
-"""Messages of a topic that may wait for this process, 25 s at 200 Hz."""
-SHARED = ("/clock", "/diagnostics", "/tf", "/tf_static")
-"""Topics that robots in namespaces have together."""
+DISCOVERY_PERIOD = 0.25
+"""Time between two searches for new topics [s]."""
+FINAL_SPIN_TIME = 0.2
+"""Time for recording the messages that have arrived when the recording ends [s]."""
+QUEUE_DEPTH = 5000
+"""Messages of a topic that may wait for this process: 25 s at 200 Hz."""
+SHARED_TOPICS = ("/clock", "/diagnostics", "/tf", "/tf_static")
+"""Topics that robots in namespaces share."""
 
 
 def run(args: argparse.Namespace) -> int:
     """Run `omniman record`.
 
+    Args:
+        args: Command line.
+
     Returns:
-        0 if all that was heard has been written; 1 if some was lost, or nothing was heard.
+        The exit code: 0 if every message that was received has been written; 1 if messages were
+        lost, or none was received.
+
+    Raises:
+        CommandError: A library is missing, or an option is refused.
     """
-    if not availability.is_available():
-        raise CommandError(availability.HINT)
-    from omniman_ros.bag.definitions import Definitions
-    from omniman_ros.bag.writer import BagWriter
+    if not RECORDING.is_available:
+        raise CommandError(RECORDING.hint)
+    from omniman_ros.recording.definitions import MessageDefinitions
+    from omniman_ros.recording.writer import BagWriter
 
     if args.duration is not None and not (0.0 < args.duration < math.inf):
         raise CommandError(f"--duration must be above 0, got {args.duration:g}", 2)
@@ -57,142 +64,160 @@ def run(args: argparse.Namespace) -> int:
         writer = BagWriter(folder)
     except InputError as error:
         raise CommandError(str(error), 2) from error
-    wanted = [_absolute(topic, namespace) for topic in args.topics]
+    requested = [_full_name(topic, namespace) for topic in args.topics]
     signals: list[int] = []
     say(f"omniman record: writing to {folder}; Ctrl-C ends it")
-    started = time.monotonic()
-    with signals_to(signals.append), writer, Session("recorder") as session:
-        definitions = Definitions(prefixes())
-        ears = Ears(session.node, writer, definitions, wanted, namespace)
+    start = time.monotonic()
+    with redirect_signals(signals.append), writer, Session("recorder") as session:
+        recorder = TopicRecorder(
+            session.node, writer, MessageDefinitions(install_prefixes()), requested, namespace
+        )
         while not signals and not writer.failure:
-            ears.look()
-            left = math.inf
+            recorder.discover()
+            remaining = math.inf
             if args.duration is not None:
-                left = started + args.duration - time.monotonic()
-            if left <= 0.0:
+                remaining = start + args.duration - time.monotonic()
+            if remaining <= 0.0:
                 break
-            session.spin(min(LOOK, left))
-        session.spin(LAST)
-    return report(folder, writer, ears, time.monotonic() - started)
+            session.spin(min(DISCOVERY_PERIOD, remaining))
+        session.spin(FINAL_SPIN_TIME)
+    return report(folder, writer, recorder, time.monotonic() - start)
 
 
-def _absolute(topic: str, namespace: str) -> str:
+def _full_name(topic: str, namespace: str) -> str:
+    """Return the full name of a topic that is named in a namespace."""
     if topic.startswith("/"):
         return topic
     return "/" + "/".join(part for part in (namespace, topic) if part)
 
 
-def prefixes() -> list[Path]:
-    """Folders in which packages are installed: a ROS machine's, and this Python's."""
+def install_prefixes() -> list[Path]:
+    """Return the prefixes of installed packages: those of ROS, and this Python's."""
     given = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
     return [*(Path(prefix) for prefix in given if prefix), Path(sys.prefix)]
 
 
-# ---- what is heard --------------------------------------------------------------------------
-
-
 @dataclass
-class Ear:
-    """A subscription, and whether it asks for repetition and for what was said before."""
+class TopicSubscription:
+    """A subscription to a recorded topic, with its quality of service.
+
+    Attributes:
+        subscription: The subscription.
+        reliable: Whether it asks for lost messages to be repeated.
+        transient_local: Whether it asks for messages that were published before it existed.
+    """
 
     subscription: Subscription
     reliable: bool
-    latched: bool
+    transient_local: bool
 
 
-class Ears:
-    """Subscribes to topics as they appear, with the quality of service that they are offered with.
+class TopicRecorder:
+    """Subscribes to topics as they appear, and writes their messages.
+
+    Each subscription has the best quality of service that all publishers of its topic offer.
 
     Args:
-        node: That subscribes.
-        writer: Gets all that is heard.
-        definitions: Of message types.
-        wanted: Whole names of topics; empty: all of the robot.
-        namespace: Of the robot; empty: all robots.
+        node: Node that subscribes.
+        writer: Writes the messages.
+        definitions: Definitions of the message types.
+        requested: Full names of the topics to record; empty means all topics of the robot.
+        namespace: Namespace of the robot; empty means all robots.
 
     Attributes:
-        lost: Messages that did not reach this process, as the middleware tells, by topic.
-        left_out: Topics that cannot be recorded, with the reason.
+        lost: Number of messages that the middleware reports as lost in transport, by topic.
+        skipped: Topics that cannot be recorded, with the reason.
     """
 
     def __init__(
-        self, node: Node, writer: Any, definitions: Any, wanted: Sequence[str], namespace: str
+        self, node: Node, writer: Any, definitions: Any, requested: Sequence[str], namespace: str
     ) -> None:
         self._node, self._writer, self._definitions = node, writer, definitions
-        self._wanted, self._namespace = list(wanted), namespace
-        self._ears: dict[str, Ear] = {}
-        self._told_drops = 0
+        self._requested, self._namespace = list(requested), namespace
+        self._topics: dict[str, TopicSubscription] = {}
+        self._reported_drops = 0
         self.lost: Counter[str] = Counter()
-        self.left_out: dict[str, str] = {}
+        self.skipped: dict[str, str] = {}
 
     @property
     def missing(self) -> list[str]:
-        """Topics that were asked for and have no publisher yet."""
-        return [t for t in self._wanted if t not in self._ears and t not in self.left_out]
+        """Topics that were requested and have no publisher yet."""
+        return [t for t in self._requested if t not in self._topics and t not in self.skipped]
 
-    def look(self) -> None:
-        """Subscribe to what is new, tell of it, and tell of what was dropped."""
-        fresh = []
-        for name, kinds in self._node.get_topic_names_and_types():
-            if name in self.left_out or not self._is_wanted(name):
+    def discover(self) -> None:
+        """Subscribe to new topics, adapt to new publishers, and report dropped messages."""
+        added = []
+        for name, types in self._node.get_topic_names_and_types():
+            if name in self.skipped or not self._is_requested(name):
                 continue
             publishers = self._node.get_publishers_info_by_topic(name)
             if not publishers:
                 continue
-            if name not in self._ears:
-                fresh += [name] if self._begin(name, kinds, publishers) else []
-            else:
-                self._follow(name, publishers)
-        if fresh:
-            say(f"hearing {', '.join(fresh)}")
+            if name in self._topics:
+                self._adapt(name, publishers)
+            elif self._add(name, types, publishers):
+                added.append(name)
+        if added:
+            say(f"recording {', '.join(added)}")
+        self._report_drops()
+
+    def _report_drops(self) -> None:
+        """Warn if messages have been dropped since the last warning."""
         dropped = self._writer.dropped.total()
-        if dropped > self._told_drops:
-            why = self._writer.failure or "the disk is too slow"
-            warn(f"{why}: {dropped} messages dropped so far")
-            self._told_drops = dropped
+        if dropped > self._reported_drops:
+            reason = self._writer.failure or "the disk is too slow"
+            warn(f"{reason}: {dropped} messages dropped so far")
+            self._reported_drops = dropped
 
-    def _is_wanted(self, name: str) -> bool:
-        if self._wanted:
-            return name in self._wanted
+    def _is_requested(self, name: str) -> bool:
+        if self._requested:
+            return name in self._requested
         if any(part.startswith("_") for part in name.split("/")):
-            return False  # hidden: the topics of actions
-        inside = name.startswith(f"/{self._namespace}/")
-        return not self._namespace or inside or name in SHARED
+            return False  # hidden topics, such as those of actions
+        is_inside = name.startswith(f"/{self._namespace}/")
+        return not self._namespace or is_inside or name in SHARED_TOPICS
 
-    def _begin(
-        self, name: str, kinds: Sequence[str], publishers: Sequence[TopicEndpointInfo]
+    def _add(
+        self, name: str, types: Sequence[str], publishers: Sequence[TopicEndpointInfo]
     ) -> bool:
+        """Start to record a topic; return whether that is possible."""
         try:
-            if len(kinds) > 1:
-                raise InputError(f"it has several types: {', '.join(kinds)}")
-            message = message_type(kinds[0])
-            text, digest = self._definitions.of(kinds[0])
+            if len(types) > 1:
+                raise InputError(f"it has several types: {', '.join(types)}")
+            message = message_type(types[0])
+            definition, type_hash = self._definitions.lookup(types[0])
         except InputError as error:
-            self.left_out[name] = str(error)
+            self.skipped[name] = str(error)
             warn(f"without {name}: {error}")
             return False
-        offers = [offer(publisher) for publisher in publishers]
-        self._writer.add(Topic(name, kinds[0], text, digest, offers))
-        self._ears[name] = self._listen(name, message, publishers)
+        offers = [offered_qos(publisher) for publisher in publishers]
+        metadata = TopicMetadata(name, types[0], definition, type_hash, offers)
+        self._writer.add_topic(metadata)
+        self._topics[name] = self._subscribe(name, message, publishers)
         return True
 
-    def _listen(self, name: str, message: type, publishers: Sequence[TopicEndpointInfo]) -> Ear:
-        reliable, latched = common(publishers)
+    def _subscribe(
+        self, name: str, message: type, publishers: Sequence[TopicEndpointInfo]
+    ) -> TopicSubscription:
+        reliable, transient_local = common_qos(publishers)
+        durability = (
+            DurabilityPolicy.TRANSIENT_LOCAL if transient_local else DurabilityPolicy.VOLATILE
+        )
         qos = QoSProfile(
-            depth=DEPTH,
+            depth=QUEUE_DEPTH,
             reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-            durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+            durability=durability,
         )
         put = self._writer.put
 
-        def keep(data: bytes) -> None:
+        def write(data: bytes) -> None:
             put(name, time.time_ns(), data)
 
         events = SubscriptionEventCallbacks(message_lost=self._count_lost(name))
         subscription = self._node.create_subscription(
-            message, name, keep, qos, raw=True, event_callbacks=events
+            message, name, write, qos, raw=True, event_callbacks=events
         )
-        return Ear(subscription, reliable, latched)
+        return TopicSubscription(subscription, reliable, transient_local)
 
     def _count_lost(self, name: str) -> Callable[[Any], None]:
         def count(event: Any) -> None:
@@ -200,58 +225,68 @@ class Ears:
 
         return count
 
-    def _follow(self, name: str, publishers: Sequence[TopicEndpointInfo]) -> None:
-        """Ask for less where a new publisher offers less: it would not be heard else."""
-        ear = self._ears[name]
-        reliable, latched = common(publishers)
-        if (ear.reliable and not reliable) or (ear.latched and not latched):
-            message: Any = ear.subscription.msg_type
-            self._node.destroy_subscription(ear.subscription)
-            self._ears[name] = self._listen(name, message, publishers)
+    def _adapt(self, name: str, publishers: Sequence[TopicEndpointInfo]) -> None:
+        """Reduce the quality of service if a new publisher offers less, so that it is received."""
+        topic = self._topics[name]
+        reliable, transient_local = common_qos(publishers)
+        if (topic.reliable and not reliable) or (topic.transient_local and not transient_local):
+            message: Any = topic.subscription.msg_type
+            self._node.destroy_subscription(topic.subscription)
+            self._topics[name] = self._subscribe(name, message, publishers)
 
 
-def common(publishers: Sequence[TopicEndpointInfo]) -> tuple[bool, bool]:
-    """Whether all publishers are reliable, and whether all are latched (transient local)."""
-    offers = [offer(publisher) for publisher in publishers]
-    return all(o.reliable for o in offers), all(o.latched for o in offers)
+def common_qos(publishers: Sequence[TopicEndpointInfo]) -> tuple[bool, bool]:
+    """Return whether all publishers are reliable, and whether all are transient local."""
+    offers = [offered_qos(publisher) for publisher in publishers]
+    return all(o.reliable for o in offers), all(o.transient_local for o in offers)
 
 
-def offer(publisher: TopicEndpointInfo) -> Offer:
-    """What a publisher offers, as a recording has it."""
+def offered_qos(publisher: TopicEndpointInfo) -> OfferedQos:
+    """Return the quality of service that a publisher offers, as it is stored in a recording."""
     qos = publisher.qos_profile
-    return Offer(
+    return OfferedQos(
         qos.reliability is ReliabilityPolicy.RELIABLE,
         qos.durability is DurabilityPolicy.TRANSIENT_LOCAL,
         qos.depth,
     )
 
 
-def message_type(kind: str) -> type:
-    """Class of a message type, PACKAGE/msg/NAME.
+def message_type(name: str) -> type:
+    """Return the class of a message type.
+
+    Args:
+        name: Name of the type, PACKAGE/msg/NAME.
 
     Raises:
-        InputError: It is not installed.
+        InputError: The type is not installed.
     """
-    package, _, name = kind.split("/")
+    package, _, short_name = name.split("/")
     try:
-        found: type = getattr(importlib.import_module(f"{package}.msg"), name)
+        found: type = getattr(importlib.import_module(f"{package}.msg"), short_name)
     except (ImportError, AttributeError) as error:
-        raise InputError(f"{kind} is not installed here") from error
+        raise InputError(f"{name} is not installed here") from error
     return found
 
 
-# ---- what is told ---------------------------------------------------------------------------
+def report(folder: Path, writer: Any, recorder: TopicRecorder, seconds: float) -> int:
+    """Report the numbers of written and of lost messages.
 
+    Args:
+        folder: Folder of the recording.
+        writer: Writer of the recording.
+        recorder: Recorder of the topics.
+        seconds: Length of the recording [s].
 
-def report(folder: Path, writer: Any, ears: Ears, seconds: float) -> int:
-    """Say what was written and what not; returns the exit code."""
+    Returns:
+        The exit code; see :func:`run`.
+    """
     rows: list[tuple[str, ...]] = [("topic", "messages", "Hz")]
     rows += [
         (name, str(count), f"{count / seconds:.1f}")
         for name, count in sorted(writer.written.items())
     ]
     total = writer.written.total()
-    say("\n" + "\n".join(table(rows) if total else ["nothing was heard"]))
+    say("\n" + "\n".join(table(rows) if total else ["no message was received"]))
     say(
         f"omniman record: {total} messages in {seconds:.1f} s, {writer.size / 1e6:.1f} MB "
         f"in {folder}"
@@ -260,18 +295,17 @@ def report(folder: Path, writer: Any, ears: Ears, seconds: float) -> int:
     if writer.failure:
         warn(f"writing ended early: {writer.failure}")
         complete = False
-    why = "dropped" if writer.failure else "dropped: the disk was too slow"
-    for what, lost in ((why, writer.dropped),
-                       ("lost on the way here", ears.lost)):  # fmt: skip
+    dropped = "dropped" if writer.failure else "dropped: the disk was too slow"
+    for outcome, lost in ((dropped, writer.dropped), ("lost on the way here", recorder.lost)):
         if lost:
             worst = ", ".join(f"{name} {count}" for name, count in lost.most_common(5))
-            warn(f"{lost.total()} messages {what} ({worst})")
+            warn(f"{lost.total()} messages {outcome} ({worst})")
             complete = False
-    if ears.missing:
-        warn(f"nobody published {', '.join(ears.missing)}")
+    if recorder.missing:
+        warn(f"nobody published {', '.join(recorder.missing)}")
     return 0 if complete and total else 1
 
 
 def warn(text: str) -> None:
-    """Say what went wrong, on stderr."""
+    """Write a warning to stderr."""
     say(paint(f"omniman record: {text}", YELLOW, sys.stderr), sys.stderr)

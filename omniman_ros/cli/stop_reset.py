@@ -1,79 +1,101 @@
-"""`omniman stop`, `omniman reset`: call ~/stop or ~/reset of all nodes that move something."""
+"""`omniman stop` and `omniman reset`: call `~/stop` or `~/reset` of all stoppable nodes."""
 
 import argparse
 import time
 from collections.abc import Callable
 
-from omniman_ros.cli.session import ANNOUNCED, DISCOVERY, Session
-from omniman_ros.cli.terminal import say
-from omniman_ros.nodes import movers
+from omniman_ros.console.session import ANNOUNCEMENT_TIME, DISCOVERY_TIMEOUT, Session
+from omniman_ros.console.terminal import say
+from omniman_ros.nodes.stoppable_nodes import TriggerCalls
 
-ANSWER = 5.0
-"""How long a node may take to answer [s]."""
+ANSWER_TIMEOUT = 5.0
+"""Time within which a node must answer [s]."""
 
 
-class Calls(movers.Calls):
-    """Calls one service of each node that moves something, until no more turn up.
+class ExhaustiveTriggerCalls(TriggerCalls):
+    """Calls one service of each node that can be stopped, until no more nodes are discovered.
 
     Args:
-        session: The ROS node.
-        action: "stop" or "reset".
-        namespace: Only nodes in it.
-        on_answer: Called with the node's name, success and message as each answer comes.
+        session: ROS session of the command.
+        action: Name of the service: "stop" or "reset".
+        namespace: Namespace of the nodes to call; empty means all nodes.
+        on_answer: Called with node name, success and message as each answer comes.
     """
 
     def __init__(
-        self, session: Session, action: str, namespace: str = "",
-        on_answer: Callable[[str, bool, str], None] = lambda name, good, text: None,
-    ) -> None:  # fmt: skip
+        self,
+        session: Session,
+        action: str,
+        namespace: str = "",
+        on_answer: Callable[[str, bool, str], None] = lambda name, success, message: None,
+    ) -> None:
         super().__init__(session.node, action, namespace, on_answer)
         self._session = session
 
-    def run(self, patience: float) -> None:
-        """Find and call until no more turn up.
+    def run(self, timeout: float) -> None:
+        """Call the nodes as they are discovered, until no more have been for a while.
 
         Args:
-            patience: How long to wait for the first node [s].
+            timeout: Time to wait for the first node [s].
         """
         found, found_at = 0, time.monotonic()
 
-        def begun() -> bool:
-            self.look()
+        def has_begun() -> bool:
+            self.poll()
             return bool(self.answers)
 
-        def complete() -> bool:
+        def is_complete() -> bool:
             nonlocal found, found_at
-            done = self.look()
+            answered = self.poll()
             if len(self.answers) > found:
                 found, found_at = len(self.answers), time.monotonic()
-            return done and time.monotonic() - found_at > ANNOUNCED
+            return answered and time.monotonic() - found_at > ANNOUNCEMENT_TIME
 
-        self._session.wait(begun, patience)
-        self._session.wait(complete, ANNOUNCED + ANSWER)
+        self._session.wait(has_begun, timeout)
+        self._session.wait(is_complete, ANNOUNCEMENT_TIME + ANSWER_TIMEOUT)
 
 
 def call_all(
     session: Session, action: str, namespace: str = "", out: Callable[[str], None] = say
 ) -> int:
-    """Call all, print each answer; returns 0 if there were some and all agreed."""
+    """Call a service of all nodes that can be stopped, and write a line about each answer.
 
-    def tell(name: str, success: bool, message: str) -> None:
+    Args:
+        session: ROS session of the command.
+        action: Name of the service: "stop" or "reset".
+        namespace: Namespace of the nodes to call; empty means all nodes.
+        out: Writes a line.
+
+    Returns:
+        The exit code: 0 if there were such nodes and the call succeeded on each of them, else 1.
+    """
+
+    def report(name: str, success: bool, message: str) -> None:
         verdict = "done" if success else "REFUSED"
         out(f"{name}: {action} {verdict}" + (f" ({message})" if message else ""))
 
-    calls = Calls(session, action, namespace, tell)
-    calls.run(DISCOVERY)
+    calls = ExhaustiveTriggerCalls(session, action, namespace, report)
+    calls.run(DISCOVERY_TIMEOUT)
     if not calls.answers:
-        out(f"no node that moves something was found within {DISCOVERY:g} s; is ROS_DOMAIN_ID "
-            "the robot's?")  # fmt: skip
+        out(
+            f"no node that can be stopped was found within {DISCOVERY_TIMEOUT:g} s; check that "
+            "ROS_DOMAIN_ID is the robot's"
+        )
         return 1
     for name, answer in calls.answers.items():
         if answer is None:
-            out(f"{name}: no answer within {ANSWER:g} s")
+            out(f"{name}: no answer within {ANSWER_TIMEOUT:g} s")
     return 0 if all(answer is not None and answer[0] for answer in calls.answers.values()) else 1
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman stop` or `omniman reset`; returns the exit code."""
+    """Run `omniman stop` or `omniman reset`.
+
+    Args:
+        args: Command line.
+
+    Returns:
+        The exit code; see :func:`call_all`.
+    """
     with Session(f"omniman_{args.command}") as session:
         return call_all(session, args.command, args.namespace)

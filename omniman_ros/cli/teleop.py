@@ -1,4 +1,4 @@
-"""`omniman teleop`: drives with the keyboard of a plain terminal."""
+"""`omniman teleop`: drive with the keyboard of a plain terminal."""
 
 import argparse
 import shutil
@@ -15,23 +15,26 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from omniman_ros.cli.children import signals_to
-from omniman_ros.cli.errors import CommandError
-from omniman_ros.cli.keyboard import Keyboard
-from omniman_ros.cli.session import Session
-from omniman_ros.cli.show import pose_text, twist_message
-from omniman_ros.cli.teleop_keys import STEP, KeyTeleop, split_keys
-from omniman_ros.cli.terminal import say
-from omniman_ros.conversions import yaw
-from omniman_ros.core.framing import Framing, Twist
-from omniman_ros.nodes.movers import has_service, nodes_that_move
+from omniman_ros.cli.teleop_keys import SCALE_STEP, KeyTeleop, split_keys
+from omniman_ros.console.errors import CommandError
+from omniman_ros.console.formatting import pose_text
+from omniman_ros.console.keyboard import Keyboard
+from omniman_ros.console.preview_messages import twist_message
+from omniman_ros.console.session import Session
+from omniman_ros.console.terminal import say
+from omniman_ros.conversions.geometry import yaw_from_quaternion
+from omniman_ros.core.framing import CmdVelFraming, Twist
+from omniman_ros.nodes.stoppable_nodes import find_stoppable_nodes, has_service
+from omniman_ros.processes.process_group import redirect_signals
 
 PERIOD = 0.05
-"""Of cmd_vel [s]."""
+"""Period of `cmd_vel` [s]."""
 LATCHED = QoSProfile(depth=50, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+"""Quality of service of topics that repeat their last messages to late subscribers."""
 CONTROLLER = "platform_controller"
+"""Name of the node that stops the platform."""
 
-HELP = """\
+HELP_TEXT = """\
 Hold a key to drive, release it to stop.
       w         forward                    u  i  o
   a   s   d     left, back, right          j     l   all eight directions
@@ -39,17 +42,18 @@ Hold a key to drive, release it to stop.
   arrows        forward, back, turn
 Two keys pressed at once add up (w and e: a curve); a key pressed later replaces them.
   + -  faster, slower      space  stop until reset      r  reset      x, Ctrl-C  quit"""
+"""Help that is shown at the start."""
 
 
 class Teleop:
-    """The ROS half: publishes twists, calls services, and knows how the robot is.
+    """The ROS interface of teleoperation: publishes twists, calls services, tracks the robot.
 
     Args:
-        session: The ROS node.
-        stamped: Whether cmd_vel is a TwistStamped.
+        session: ROS session of the command.
+        stamped: Whether `cmd_vel` is a TwistStamped.
 
     Attributes:
-        note: What happened last, for the status line.
+        note: Latest event, for the status line.
     """
 
     def __init__(self, session: Session, stamped: bool) -> None:
@@ -63,16 +67,16 @@ class Teleop:
         self._clients: dict[str, Any] = {}
         self._source = "no robot yet"
         self._pose = ""
-        self._states: dict[str, str] = {}
+        self._stop_states: dict[str, tuple[bool, str]] = {}
         self.note = ""
         node.create_subscription(String, "active_source", self._on_source, LATCHED)
         node.create_subscription(Odometry, "odom", self._on_odom, 1)
         node.create_subscription(DiagnosticStatus, "stop_state", self._on_state, LATCHED)
         self._stop_service = f"{node.get_namespace().rstrip('/')}/{CONTROLLER}/stop"
-        self._client(self._stop_service)  # found by the time that it is needed
+        self._client(self._stop_service)  # early, so that the service is discovered in time
 
     def publish(self, twist: Twist) -> None:
-        """Publish a body twist."""
+        """Publish a body twist [m/s, m/s, rad/s]."""
         message: Any = twist_message(twist)
         if self._stamped:
             message = TwistStamped(twist=message)
@@ -81,21 +85,21 @@ class Teleop:
         self._publisher.publish(message)
 
     def finish(self) -> None:
-        """Send zeros and wait until they have arrived."""
+        """Publish zero twists, and wait until they have arrived."""
         for _ in range(3):
             self.publish((0.0, 0.0, 0.0))
         self._publisher.wait_for_all_acked(Duration(seconds=1))
 
     def stop(self) -> None:
-        """Latch a stop of the platform; its other nodes hold with it."""
+        """Stop the platform, which latches; the robot's other nodes hold with it."""
         if not self._client(self._stop_service).service_is_ready():
-            self.note = f"NO STOP: {self._stop_service} is not there"
+            self.note = f"NO STOP: {self._stop_service} is not available"
             return
         self._call(self._stop_service)
 
     def reset(self) -> None:
-        """Release every node of the robot."""
-        names = nodes_that_move(self._node, self._node.get_namespace())
+        """Reset every stopped node of the robot."""
+        names = find_stoppable_nodes(self._node, self._node.get_namespace())
         if not names:
             self.note = "no node to reset"
         for name in names:
@@ -111,8 +115,8 @@ class Teleop:
         self._futures[service] = self._client(service).call_async(Trigger.Request())
         self.note = f"{service} ..."
 
-    def collect(self) -> None:
-        """Take in the answers of services."""
+    def collect_answers(self) -> None:
+        """Put the answers of services that have arrived into `note`."""
         for service, future in list(self._futures.items()):
             if future.done():
                 del self._futures[service]
@@ -125,39 +129,61 @@ class Teleop:
 
     def _on_odom(self, message: Odometry) -> None:
         pose = message.pose.pose
-        self._pose = pose_text((pose.position.x, pose.position.y, yaw(pose.orientation)))
+        self._pose = pose_text(
+            (pose.position.x, pose.position.y, yaw_from_quaternion(pose.orientation))
+        )
 
     def _on_state(self, message: DiagnosticStatus) -> None:
-        self._states[message.name] = message.message
+        is_stopped = message.level == DiagnosticStatus.ERROR
+        self._stop_states[message.name] = (is_stopped, message.message)
 
-    def _held(self) -> str:
-        """What holds the robot: the nodes that are stopped, not those that hold with them."""
+    def _stop_text(self) -> str:
+        """Return the stopped nodes and the reasons; nodes that hold with them are left out."""
         stopped = [
-            f"{name.rpartition('/')[2]} {why}"
-            for name, why in sorted(self._states.items())
-            if why.startswith("stopped")
+            f"{name.rpartition('/')[2]} {reason}"
+            for name, (is_stopped, reason) in sorted(self._stop_states.items())
+            if is_stopped
         ]
         if stopped:
             return "; ".join(stopped) + " (r: reset)"
-        return "free" if self._states else "no stop_state"
+        return "free" if self._stop_states else "no stop_state"
 
     def status(self, twist: Twist | None, keys: KeyTeleop) -> str:
-        """One line: who drives, what is asked for, where it is, what holds it."""
-        x, y, turn = twist or (0.0, 0.0, 0.0)
+        """Return the status line.
+
+        Args:
+            twist: Commanded body twist [m/s, m/s, rad/s]; None if there is no command.
+            keys: The keys, for their speeds.
+
+        Returns:
+            The active source of commands, the commanded twist, the pose, the stopped nodes, the
+            speeds of the keys and the latest event.
+        """
+        x, y, yaw_rate = twist or (0.0, 0.0, 0.0)
         linear, angular = keys.speeds
         parts = [
             f"{self._source:<7}",
-            f"{x:+.2f} {y:+.2f} m/s {turn:+.2f} rad/s",
+            f"{x:+.2f} {y:+.2f} m/s {yaw_rate:+.2f} rad/s",
             self._pose or "no odom",
-            self._held(),
+            self._stop_text(),
             f"keys {linear:.2f} m/s {angular:.2f} rad/s",
             self.note,
         ]
         return " | ".join(part for part in parts if part)
 
 
-def handle(key: str, now: float, keys: KeyTeleop, teleop: Teleop) -> bool:
-    """Act on a key; returns False to quit."""
+def handle_key(key: str, now: float, keys: KeyTeleop, teleop: Teleop) -> bool:
+    """Execute the action of a key.
+
+    Args:
+        key: Name of the key.
+        now: Time at which it was sent [s].
+        keys: The keys that are held.
+        teleop: ROS interface.
+
+    Returns:
+        Whether to continue; False if the user quits.
+    """
     if key in ("x", "\x03"):
         return False
     if keys.press(key, now):
@@ -170,16 +196,25 @@ def handle(key: str, now: float, keys: KeyTeleop, teleop: Teleop) -> bool:
         keys.release()
         teleop.reset()
     elif key in ("+", "="):
-        keys.faster(STEP)
+        keys.change_speed(SCALE_STEP)
     elif key in ("-", "_"):
-        keys.faster(1.0 / STEP)
+        keys.change_speed(1.0 / SCALE_STEP)
     return True
 
 
-def drive(keyboard: Keyboard, keys: KeyTeleop, teleop: Teleop, session: Session,
-          signals: list[int]) -> None:  # fmt: skip
-    """Serve keys and ROS until the user quits, a signal comes or the terminal is gone."""
-    framing = Framing()
+def teleoperate(
+    keyboard: Keyboard, keys: KeyTeleop, teleop: Teleop, session: Session, signals: list[int]
+) -> None:
+    """Serve keys and ROS until the user quits, a signal is received or the terminal is gone.
+
+    Args:
+        keyboard: Source of the keys.
+        keys: The keys that are held.
+        teleop: ROS interface.
+        session: ROS session of the command.
+        signals: Numbers of the signals that were received so far.
+    """
+    framing = CmdVelFraming()
     due = time.monotonic()
     while not signals:
         text = keyboard.read()
@@ -187,12 +222,12 @@ def drive(keyboard: Keyboard, keys: KeyTeleop, teleop: Teleop, session: Session,
             return
         now = time.monotonic()
         for key in split_keys(text):
-            if not handle(key, now, keys, teleop):
+            if not handle_key(key, now, keys, teleop):
                 return
         twist = framing.next(keys.twist(now))
         if twist is not None:
             teleop.publish(twist)
-        teleop.collect()
+        teleop.collect_answers()
         line = teleop.status(twist, keys)[: shutil.get_terminal_size().columns - 1]
         try:
             sys.stdout.write(f"\r{line}\033[K")
@@ -204,21 +239,32 @@ def drive(keyboard: Keyboard, keys: KeyTeleop, teleop: Teleop, session: Session,
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman teleop`; returns the exit code."""
+    """Run `omniman teleop`.
+
+    Args:
+        args: Command line.
+
+    Returns:
+        The exit code, 0.
+
+    Raises:
+        CommandError: A speed is refused, or stdin is not a terminal.
+    """
     for name in ("linear", "angular"):
         if not 0.0 < getattr(args, name) < 100.0:
             raise CommandError(f"--{name} must be above 0, got {getattr(args, name):g}", 2)
     keys = KeyTeleop(args.linear, args.angular)
     signals: list[int] = []
     with (
-        Keyboard() as keyboard, signals_to(signals.append),
+        Keyboard() as keyboard,
+        redirect_signals(signals.append),
         Session("omniman_teleop", args.namespace) as session,
-    ):  # fmt: skip
+    ):
         teleop = Teleop(session, args.stamped)
-        say(HELP)
+        say(HELP_TEXT)
         try:
-            drive(keyboard, keys, teleop, session, signals)
+            teleoperate(keyboard, keys, teleop, session, signals)
         finally:
             teleop.finish()
-            say("\nzero sent, quit")
+            say("\nzero twist sent, quit")
     return 0

@@ -1,11 +1,11 @@
-"""From keys to a twist: hold to drive, release stops, in a terminal that reports no releases.
+"""Conversion of keys to a twist, for terminals, which do not report the release of a key.
 
 A terminal sends a key once when it is pressed, again after the keyboard's repeat delay (0.25 to
-0.6 s), and then 10 to 40 times a second, until it is released or another key is pressed: only the
-key pressed last repeats. So a key is held for HOLD_PRESS after a press and for HOLD_REPEAT after
-a fast repeat. Keys pressed at once (within TOGETHER) add up and live as long as the last of them;
-a key pressed later replaces what was held, so that a key whose release nobody can see never
-drives on beside a new one.
+0.6 s), and then 10 to 40 times a second until it is released or another key is pressed: only the
+key pressed last repeats. A key therefore counts as held for PRESS_HOLD_TIME after a press, and for
+REPEAT_HOLD_TIME after a fast repeat. Keys pressed within SIMULTANEITY_TIME of each other add up,
+and are held as long as the last of them. A key pressed later replaces those that are held, so
+that a key whose release cannot be detected never keeps the robot moving together with a new one.
 """
 
 from collections.abc import Iterator
@@ -13,36 +13,54 @@ from dataclasses import dataclass
 
 from omniman_ros.core.framing import Twist
 
-HOLD_PRESS = 0.6
-"""How long a key counts as held after a press: longer than the keyboard's repeat delay [s]."""
-HOLD_REPEAT = 0.2
-"""How long it counts as held after a fast repeat [s]."""
-FAST = 0.15
-"""Interval of a key up to which it repeats; the first repeat comes later, as does a tap [s]."""
-TOGETHER = 0.25
-"""Keys whose first presses are within this time add up [s]."""
-STEP = 1.1
-"""Factor on both speeds of one press of + or -."""
-SLOWEST, FASTEST = 0.1, 10.0
-"""Bounds of the product of those factors."""
+PRESS_HOLD_TIME = 0.6
+"""Time for which a key counts as held after a press, above the keyboard's repeat delay [s]."""
+REPEAT_HOLD_TIME = 0.2
+"""Time for which a key counts as held after a fast repeat [s]."""
+FAST_REPEAT_INTERVAL = 0.15
+"""Longest interval between two fast repeats of a key [s].
+
+The first repeat of a key, and a key that is tapped, come at longer intervals."""
+SIMULTANEITY_TIME = 0.25
+"""Longest time between the first presses of keys that add up [s]."""
+SCALE_STEP = 1.1
+"""Factor by which one press of + scales both speeds; a press of - divides by it."""
+MIN_SCALE = 0.1
+"""Smallest scale of both speeds."""
+MAX_SCALE = 10.0
+"""Largest scale of both speeds."""
 
 Direction = tuple[int, int, int]
+"""Signs of a motion forward, to the left, and counterclockwise."""
 
 MOTIONS: dict[str, Direction] = {
-    "w": (1, 0, 0), "s": (-1, 0, 0), "a": (0, 1, 0), "d": (0, -1, 0),
-    "q": (0, 0, 1), "e": (0, 0, -1),
-    "up": (1, 0, 0), "down": (-1, 0, 0), "left": (0, 0, 1), "right": (0, 0, -1),
-    "u": (1, 1, 0), "o": (1, -1, 0), "m": (-1, 1, 0), ".": (-1, -1, 0),
-    "i": (1, 0, 0), ",": (-1, 0, 0), "j": (0, 1, 0), "l": (0, -1, 0),
-}  # fmt: skip
-"""Key to direction: forward, left, counterclockwise."""
+    "w": (1, 0, 0),
+    "s": (-1, 0, 0),
+    "a": (0, 1, 0),
+    "d": (0, -1, 0),
+    "q": (0, 0, 1),
+    "e": (0, 0, -1),
+    "up": (1, 0, 0),
+    "down": (-1, 0, 0),
+    "left": (0, 0, 1),
+    "right": (0, 0, -1),
+    "u": (1, 1, 0),
+    "o": (1, -1, 0),
+    "m": (-1, 1, 0),
+    ".": (-1, -1, 0),
+    "i": (1, 0, 0),
+    ",": (-1, 0, 0),
+    "j": (0, 1, 0),
+    "l": (0, -1, 0),
+}
+"""Direction in which each key moves the robot."""
 
-ESCAPES = {"A": "up", "B": "down", "C": "right", "D": "left"}
-"""Last letter of an arrow's escape sequence."""
+ARROW_KEYS = {"A": "up", "B": "down", "C": "right", "D": "left"}
+"""Arrow keys by the last letter of their escape sequences."""
 
 
 def split_keys(text: str) -> Iterator[str]:
-    """Names of the keys in what a terminal sent; other escape sequences are passed over."""
+    """Yield the names of the keys in text from a terminal; other escape sequences are skipped."""
     at = 0
     while at < len(text):
         if text[at] != "\x1b":
@@ -54,80 +72,97 @@ def split_keys(text: str) -> Iterator[str]:
             end += 1
             while end < len(text) and not text[end].isalpha() and text[end] != "~":
                 end += 1
-            if end == at + 2 and text[end : end + 1] in ESCAPES:
-                yield ESCAPES[text[end]]
+            if end == at + 2 and text[end : end + 1] in ARROW_KEYS:
+                yield ARROW_KEYS[text[end]]
         at = end + 1
 
 
 @dataclass
-class _Held:
+class _HeldKey:
+    """A key that is held, with the times at which it was sent first and last [s]."""
+
     first: float
     last: float
 
 
 class KeyTeleop:
-    """Turns presses into a twist.
+    """Converts keys to a twist.
 
     Args:
         linear: Speed at scale 1 [m/s].
         angular: Yaw rate at scale 1 [rad/s].
 
     Attributes:
-        scale: Factor on both.
+        scale: Factor by which both speeds are multiplied.
     """
 
     def __init__(self, linear: float, angular: float) -> None:
         self._linear = linear
         self._angular = angular
-        self._held: dict[str, _Held] = {}
+        self._held: dict[str, _HeldKey] = {}
         self._until = 0.0
         self.scale = 1.0
 
     def press(self, key: str, now: float) -> bool:
-        """Take a key that the terminal sent at `now` [s]; False if it moves nothing."""
+        """Process a key that the terminal sent.
+
+        Args:
+            key: Name of the key.
+            now: Time at which it was sent [s].
+
+        Returns:
+            Whether it is a key that moves the robot.
+        """
         if key not in MOTIONS:
             return False
         if now >= self._until:
             self._held.clear()
         held = self._held.get(key)
         if held is not None:
-            window = HOLD_REPEAT if now - held.last <= FAST else HOLD_PRESS
+            is_fast = now - held.last <= FAST_REPEAT_INTERVAL
+            window = REPEAT_HOLD_TIME if is_fast else PRESS_HOLD_TIME
             held.last = now
         else:
-            window = HOLD_PRESS
-            if any(now - other.first > TOGETHER for other in self._held.values()):
+            window = PRESS_HOLD_TIME
+            if any(now - other.first > SIMULTANEITY_TIME for other in self._held.values()):
                 self._held.clear()
-            self._held[key] = _Held(now, now)
+            self._held[key] = _HeldKey(now, now)
         self._until = now + window
         return True
 
     def release(self) -> None:
-        """Forget what is held."""
+        """Release all keys."""
         self._held.clear()
         self._until = 0.0
 
-    def faster(self, factor: float) -> None:
-        """Multiply the scale, within its bounds."""
-        self.scale = min(max(self.scale * factor, SLOWEST), FASTEST)
+    def change_speed(self, factor: float) -> None:
+        """Multiply the scale by a factor, within its bounds."""
+        self.scale = min(max(self.scale * factor, MIN_SCALE), MAX_SCALE)
 
     @property
     def speeds(self) -> tuple[float, float]:
-        """Linear [m/s] and angular [rad/s] speed of a key at this scale."""
+        """Linear [m/s] and angular [rad/s] speed that a key commands at this scale."""
         return self._linear * self.scale, self._angular * self.scale
 
     def twist(self, now: float) -> Twist | None:
-        """Body twist [m/s, m/s, rad/s] while keys are held, else None.
+        """Return the commanded body twist.
 
-        Diagonals are as fast as the rest; opposite keys cancel.
+        Diagonal motions are as fast as the others; opposite keys cancel.
+
+        Args:
+            now: Present time [s].
+
+        Returns:
+            The twist [m/s, m/s, rad/s] while keys are held, else None.
         """
         if now >= self._until:
             self.release()
             return None
-        x, y, turn = (
+        x, y, yaw = (
             float(max(-1, min(1, sum(MOTIONS[key][axis] for key in self._held))))
             for axis in range(3)
         )
         linear, angular = self.speeds
         if x and y:
             linear *= 0.5**0.5
-        return x * linear, y * linear, turn * angular
+        return x * linear, y * linear, yaw * angular

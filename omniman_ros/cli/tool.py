@@ -1,4 +1,4 @@
-"""`omniman tool`: lead the tool straight to a place, platform and arm in step."""
+"""`omniman tool`: move the tool along a straight line, with platform and arm in step."""
 
 import argparse
 import math
@@ -11,33 +11,36 @@ from nav_msgs.msg import Odometry, Path
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
-from omniman_ros import conversions
-from omniman_ros.cli.driving import drive
-from omniman_ros.cli.errors import CommandError
-from omniman_ros.cli.progress import Progress
-from omniman_ros.cli.session import DISCOVERY, Session
+from omniman_ros.cli.cancellable_motion import run_motion
+from omniman_ros.console.errors import CommandError
+from omniman_ros.console.progress import Progress
+from omniman_ros.console.session import DISCOVERY_TIMEOUT, Session
+from omniman_ros.conversions.geometry import yaw_from_quaternion
+from omniman_ros.nodes.trajectory_interfaces.motion_status import MotionEvent
 
-ANSWER = 2.0
-"""How long the node may take to answer a service [s]."""
-NODE = "path_interpolator"
-Place = tuple[float, float, float]
+ANSWER_TIMEOUT = 2.0
+"""Time within which the node must answer a service [s]."""
+INTERPOLATOR = "path_interpolator"
+"""Name of the node that moves the tool."""
+Position = tuple[float, float, float]
+"""Position (x, y, z) of the tool [m]."""
 
 
 class ToolDriver:
     """Sends one path of the tool and follows it.
 
     Args:
-        session: The ROS node.
-        progress: Where progress is shown.
-        poll: Called many times a second; raises to end it early.
+        session: ROS session of the command.
+        progress: Display of the progress.
+        poll: Called many times a second; it raises to end the motion early.
     """
 
     def __init__(self, session: Session, progress: Progress, poll: Callable[[], None]) -> None:
         self._session, self._progress, self._poll = session, progress, poll
-        self._said: dict[str, str] = {}
-        self._reports = 0
-        self._done = 0.0
-        self._tool: Place | None = None
+        self._status: dict[str, str] = {}
+        self._status_count = 0
+        self._fraction = 0.0
+        self._tool: Position | None = None
         self._heading: float | None = None
         node = session.node
         self._paths = node.create_publisher(Path, "tool_path", 10)
@@ -45,97 +48,127 @@ class ToolDriver:
         node.create_subscription(Odometry, "odom", self._on_odom, 10)
         node.create_subscription(Float64, "path_progress", self._on_progress, 10)
         node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
-        self._cancel = node.create_client(Trigger, f"{NODE}/cancel")
-        self._name = f"{node.get_namespace().rstrip('/')}/{NODE}"
+        self._cancel = node.create_client(Trigger, f"{INTERPOLATOR}/cancel")
+        self._full_name = f"{node.get_namespace().rstrip('/')}/{INTERPOLATOR}"
 
     def _on_tool(self, message: PoseStamped) -> None:
-        place = message.pose.position
-        self._tool = (place.x, place.y, place.z)
+        position = message.pose.position
+        self._tool = (position.x, position.y, position.z)
 
     def _on_odom(self, message: Odometry) -> None:
-        self._heading = conversions.yaw(message.pose.pose.orientation)
+        self._heading = yaw_from_quaternion(message.pose.pose.orientation)
 
     def _on_progress(self, message: Float64) -> None:
-        self._done = message.data
+        self._fraction = message.data
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
-            if status.name == self._name:
-                self._said = {item.key: item.value for item in status.values}
-                self._reports += 1
+            if status.name == self._full_name:
+                self._status = {item.key: item.value for item in status.values}
+                self._status_count += 1
 
-    def drive(self, way: Place, relative: bool, timeout: float) -> None:
-        """Lead the tool to a place in odom, or by a way seen from the robot [m].
+    def drive(self, position: Position, relative: bool, timeout: float) -> None:
+        """Move the tool to a position, and wait until it has arrived.
+
+        Args:
+            position: Position (x, y, z) [m].
+            relative: Whether the position is given relative to the tool, with x ahead of the robot
+                and y to its left, rather than in odom.
+            timeout: Time after which the motion is cancelled [s].
 
         Raises:
-            CommandError: Nobody is there, the path is refused or given up, or it takes too long.
+            CommandError: There is no path_interpolator, the path is refused or abandoned, or the
+                tool does not arrive in time.
         """
-        if not self._session.wait(self._ready, DISCOVERY):
+        if not self._session.wait(self._is_ready, DISCOVERY_TIMEOUT):
             raise CommandError(
-                f"no {NODE} that knows where the tool is was found within {DISCOVERY:g} s: start "
-                "`omniman up`, or is ROS_DOMAIN_ID another?"
+                f"no {INTERPOLATOR} that knows the position of the tool was found within "
+                f"{DISCOVERY_TIMEOUT:g} s: start `omniman up`, or set ROS_DOMAIN_ID to the robot's"
             )
         assert self._tool is not None and self._heading is not None
-        goal = way
+        goal = position
         if relative:
             c, s = math.cos(self._heading), math.sin(self._heading)
-            x, y, z = way
+            x, y, z = position
             goal = (
-                self._tool[0] + c * x - s * y, self._tool[1] + s * x + c * y, self._tool[2] + z,
-            )  # fmt: skip
+                self._tool[0] + c * x - s * y,
+                self._tool[1] + s * x + c * y,
+                self._tool[2] + z,
+            )
         self._progress.begin("tool")
-        self._paths.publish(straight(self._tool, goal))
+        self._paths.publish(straight_path(self._tool, goal))
         self._follow(timeout)
 
-    def _ready(self) -> bool:
+    def _is_ready(self) -> bool:
         self._poll()
-        known = self._said and self._tool is not None and self._heading is not None
+        known = self._status and self._tool is not None and self._heading is not None
         return bool(known and self._paths.get_subscription_count())
 
     def _follow(self, timeout: float) -> None:
-        began, reports, moved = time.monotonic(), self._reports, False
-        while time.monotonic() < began + timeout:
+        """Show the progress until the tool has arrived."""
+        start, count, moved = time.monotonic(), self._status_count, False
+        while time.monotonic() < start + timeout:
             self._session.spin(0.05)
             self._poll()
-            if self._reports < reports + 2:  # the first may be from before it was taken
+            if self._status_count < count + 2:  # the first status may be older than the path
                 continue
-            said, state = self._said.get("tool_path_last", ""), self._said.get("body", "")
-            moved = moved or state != "idle" or " m of the tool in " in said
-            if "refused" in said:
-                raise CommandError(said)
+            last, state = self._status.get("tool_path_last", ""), self._status.get("body", "")
+            event = self._status.get("tool_path_event", "")
+            moved = moved or state != "idle" or event == MotionEvent.STARTED.value
+            if event == MotionEvent.REFUSED.value:
+                raise CommandError(last)
             if moved and state == "idle":
-                end = self._said.get("body_last", "")
-                if end != "arrived":
-                    raise CommandError(end)
-                self._progress.end(f"there after {time.monotonic() - began:.1f} s")
+                if self._status.get("body_event") != MotionEvent.ARRIVED.value:
+                    raise CommandError(self._status.get("body_last", ""))
+                self._progress.end(f"arrived after {time.monotonic() - start:.1f} s")
                 return
-            self._progress.update(self._done if moved else 0.0, said)
+            self._progress.update(self._fraction if moved else 0.0, last)
         self.cancel()
-        raise CommandError(f"not there within {timeout:g} s; cancelled")
+        raise CommandError(f"the tool has not arrived within {timeout:g} s; cancelled")
 
     def cancel(self) -> None:
-        """Cancel the path, and wait until the node says so."""
+        """Cancel the path, and wait until the node confirms it."""
         answer = self._cancel.call_async(Trigger.Request())
-        self._session.wait(answer.done, ANSWER)
+        self._session.wait(answer.done, ANSWER_TIMEOUT)
 
 
-def straight(start: Place, end: Place) -> Path:
-    """A straight path of the tool in odom [m], turned all the way as it is."""
+def straight_path(start: Position, end: Position) -> Path:
+    """Return a straight path of the tool, on which it keeps its orientation.
+
+    Args:
+        start: First position, in odom [m].
+        end: Last position, in odom [m].
+
+    Returns:
+        A path of two poses, whose quaternions are zero: the tool keeps its orientation.
+    """
     path = Path()
     path.header.frame_id = "odom"
-    for place in (start, end):
+    for x, y, z in (start, end):
         pose = PoseStamped()
-        position, turn = pose.pose.position, pose.pose.orientation
-        position.x, position.y, position.z = place
-        turn.x = turn.y = turn.z = turn.w = 0.0
+        position, orientation = pose.pose.position, pose.pose.orientation
+        position.x, position.y, position.z = x, y, z
+        orientation.x = orientation.y = orientation.z = orientation.w = 0.0
         path.poses.append(pose)
     return path
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman tool`; returns the exit code."""
-    place = (args.x, args.y, args.z)
-    return drive(
-        "omniman_tool", args.namespace, ToolDriver,
-        lambda driver: driver.drive(place, args.relative, args.timeout),
-    )  # fmt: skip
+    """Run `omniman tool`.
+
+    Args:
+        args: Command line.
+
+    Returns:
+        The exit code, 0.
+
+    Raises:
+        CommandError: The tool does not arrive.
+    """
+    position = (args.x, args.y, args.z)
+    return run_motion(
+        "omniman_tool",
+        args.namespace,
+        ToolDriver,
+        lambda driver: driver.drive(position, args.relative, args.timeout),
+    )

@@ -1,56 +1,78 @@
-"""`omniman up`: the nodes of a robot as processes, until Ctrl-C or until one of them dies."""
+"""`omniman up`: run the nodes of a robot as processes, until Ctrl-C or until one of them ends."""
 
 import argparse
 import os
 import signal
 import sys
 
-from omniman_ros.cli import terminal
-from omniman_ros.cli.children import Children, Exit, signals_to
-from omniman_ros.cli.fleet import Setup, tasks
-from omniman_ros.cli.output import PrefixedLines
-from omniman_ros.cli.terminal import paint, say
+from omniman_ros.console import terminal
+from omniman_ros.console.terminal import paint, say
+from omniman_ros.processes.node_output import PrefixedPrinter
+from omniman_ros.processes.process_group import ProcessExit, ProcessGroup, redirect_signals
+from omniman_ros.processes.robot_setup import RobotSetup, robot_processes
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman up`; returns the exit code."""
-    setup = Setup(
-        args.robot, args.only or (), args.sim_time, args.namespace, args.param, args.params_file,
-        args.drive, args.installation, args.arm, args.controller,
-    )  # fmt: skip
-    chosen = tasks(setup)
-    names = [task.name for task in chosen]
+    """Run `omniman up`.
+
+    Args:
+        args: Command line.
+
+    Returns:
+        The exit code; see :func:`supervise`.
+
+    Raises:
+        CommandError: The options cannot be used.
+    """
+    setup = RobotSetup(
+        robot=args.robot,
+        only=args.only or (),
+        sim_time=args.sim_time,
+        namespace=args.namespace,
+        params=args.param,
+        params_file=args.params_file,
+        drive=args.drive,
+        installation=args.installation,
+        arm=args.arm,
+        controller=args.controller,
+    )
+    specs = robot_processes(setup)
+    names = [spec.name for spec in specs]
     environment = dict(os.environ)
     if terminal.is_terminal(sys.stdout):
         environment.setdefault("RCUTILS_COLORIZED_OUTPUT", "1")
-    children = Children(
-        chosen, environment=environment, on_line=PrefixedLines(names), report=complain
+    nodes = ProcessGroup(
+        specs, environment=environment, on_line=PrefixedPrinter(names), report=report_failure
     )
-    with signals_to(children.interrupt), children:
+    with redirect_signals(nodes.interrupt), nodes:
         domain = environment.get("ROS_DOMAIN_ID", "0")
-        started = ", ".join(f"{name} (pid {children.pid(name)})" for name in names)
+        started = ", ".join(f"{name} (pid {nodes.pid(name)})" for name in names)
         say(f"omniman up: {started}; robot {setup.robot}, ROS_DOMAIN_ID {domain}; Ctrl-C stops")
-        return supervise(children)
+        return supervise(nodes)
 
 
-def supervise(children: Children) -> int:
-    """Wait for a signal or a death, then stop all in order; returns the exit code.
+def supervise(nodes: ProcessGroup) -> int:
+    """Wait for a signal or for the end of an essential node, then stop all nodes in order.
 
-    0 after a signal, if all came to rest; 1 if a child died, failed to come to rest, or was
-    killed.
+    Args:
+        nodes: The running nodes.
+
+    Returns:
+        The exit code: 0 after a signal, if all nodes came to rest; 1 if a node ended by itself,
+        did not come to rest, or was killed.
     """
-    event = children.next_event()
-    if isinstance(event, Exit):
-        complain(f"{event}: stopping the robot")
-        children.stop()
+    event = nodes.next_event()
+    if isinstance(event, ProcessExit):
+        report_failure(f"{event}: stopping the robot")
+        nodes.stop()
         return 1
     assert event is not None
-    say("\nomniman up: stopping, once more kills")
-    # Nodes know these two; a terminal that was closed is SIGTERM to them.
+    say("\nomniman up: stopping; repeat to kill the nodes")
+    # Nodes handle SIGINT and SIGTERM only, so that SIGHUP of a closed terminal becomes SIGTERM.
     number = signal.SIGINT if event.number == signal.SIGINT else signal.SIGTERM
-    return 0 if children.stop(number) else 1
+    return 0 if nodes.stop(number) else 1
 
 
-def complain(text: str) -> None:
-    """Say what went wrong, on stderr."""
+def report_failure(text: str) -> None:
+    """Write a line about a failure to stderr."""
     say(paint(f"omniman up: {text}", terminal.RED, sys.stderr), sys.stderr)

@@ -1,4 +1,4 @@
-"""Command `omniman urdf`: the URDF of a robot as it is configured."""
+"""`omniman urdf`: print the URDF of a robot as it is configured."""
 
 import argparse
 import re
@@ -8,19 +8,30 @@ from typing import Any
 
 import yaml
 
-from omniman_ros.cli.errors import CommandError
-from omniman_ros.cli.fleet import resolved
+from omniman_ros.console.errors import CommandError
+from omniman_ros.console.terminal import write_output
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import build, specs
 from omniman_ros.description.parameters import DescriptionParameters
+from omniman_ros.processes.robot_setup import resolve_robot
 from omniman_ros.robots import load_robot
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the URDF, or write it to a file."""
-    text = described(args.robot, args.param, args.params_file)
+    """Run `omniman urdf`.
+
+    Args:
+        args: Command line.
+
+    Returns:
+        The exit code, 0.
+
+    Raises:
+        CommandError: The options cannot be used, or the file cannot be written.
+    """
+    text = make_urdf(args.robot, args.param, args.params_file)
     if args.output is None:
-        print(text, end="")
+        write_output(text)
         return 0
     try:
         Path(args.output).write_text(text, encoding="utf-8")
@@ -29,41 +40,46 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def described(robot: str, params: Sequence[str] = (), file: str | None = None) -> str:
-    """The URDF of a robot.
+def make_urdf(robot: str, params: Sequence[str] = (), file: str | None = None) -> str:
+    """Return the URDF of a robot.
 
     Args:
-        robot: A name, or the path of a file.
-        params: NAME:=VALUE each; of parameters that a URDF is made from.
-        file: A ROS parameter file for all nodes; parameters of others are left alone.
+        robot: Name of a robot of the package, or path of a robot's file.
+        params: Parameters, each NAME:=VALUE, that the URDF depends on. They take precedence over
+            the file.
+        file: Path of a ROS parameter file for all nodes; parameters that the URDF does not depend
+            on are ignored.
 
     Raises:
-        CommandError: No such robot, file or parameter, or a value is refused.
+        CommandError: The robot, the file or a parameter does not exist, or a value is refused.
     """
-    values = dict(load_robot(resolved(robot)))
+    values = dict(load_robot(resolve_robot(robot)))
     if file is not None and not Path(file).is_file():
-        raise CommandError(f"no parameter file '{file}'", 2)
+        raise CommandError(f"there is no parameter file '{file}'", 2)
     try:
         values |= load_robot(file) if file is not None else {}
-        return build(DescriptionParameters, values | given(params)).urdf
+        return build(DescriptionParameters, values | parse_parameters(params)).urdf
     except ParameterError as error:
         raise CommandError(str(error), 2) from error
 
 
-def given(params: Sequence[str]) -> dict[str, Any]:
-    """Names and values of NAME:=VALUE; values are YAML.
+def parse_parameters(params: Sequence[str]) -> dict[str, Any]:
+    """Return the values of parameters by name.
+
+    Args:
+        params: Parameters, each NAME:=VALUE, where VALUE is YAML.
 
     Raises:
-        CommandError: One is something else, or not a parameter that a URDF is made from.
+        CommandError: A text is not of this form, or not a parameter that the URDF depends on.
     """
     known = {spec.name for spec in specs(DescriptionParameters)}
     values: dict[str, Any] = {}
     for text in params:
-        name, found, value = text.partition(":=")
-        if not found or not re.fullmatch(r"[^\s:=]+", name) or not value:
+        name, separator, value = text.partition(":=")
+        if not separator or not re.fullmatch(r"[^\s:=]+", name) or not value:
             raise CommandError(f"parameter '{text}' is not NAME:=VALUE", 2)
         if name not in known:
-            raise CommandError(f"parameter '{name}' changes nothing in a URDF", 2)
+            raise CommandError(f"parameter '{name}' does not affect the URDF", 2)
         try:
             values[name] = yaml.safe_load(value)
         except yaml.YAMLError as error:

@@ -1,7 +1,7 @@
-"""Who drives the platform: stop, then cmd_vel, then MPC, then path.
+"""Arbitration between the sources that can drive the platform: cmd_vel before MPC before path.
 
-A source that loses control is cancelled: it is heard again only after it has been silent for a
-while (or has sent a neutral setpoint), so that it never takes over by itself.
+A source that loses control is cancelled: its setpoints are used again only after it has been
+silent for a while (or has sent a neutral setpoint), so that it never takes over by itself.
 """
 
 from collections.abc import Mapping
@@ -9,10 +9,11 @@ from dataclasses import dataclass
 from enum import Enum
 
 NEVER = float("-inf")
+"""Time of an event that has not happened [s]."""
 
 
 class Source(Enum):
-    """Sources of motion, the first before the last; the values are those of `active_source`."""
+    """Sources of motion by descending priority; the values are those of `active_source`."""
 
     CMD_VEL = "cmd_vel"
     MPC = "mpc"
@@ -21,16 +22,29 @@ class Source(Enum):
 
 @dataclass
 class _Slot:
+    """State of one source.
+
+    Attributes:
+        fresh_until: Time until which its setpoint may drive [s].
+        received: Time of its last setpoint [s].
+        cancelled: Reason why it is cancelled; empty if it is not.
+    """
+
     fresh_until: float = NEVER
-    heard: float = NEVER
+    received: float = NEVER
     cancelled: str = ""
 
 
 class Arbiter:
-    """Chooses the source that drives; time [s] is the caller's steady clock.
+    """Selects the source that drives; all times are on the caller's steady clock.
 
     Args:
-        silence: How long each source, once cancelled, must be silent to be heard again [s].
+        silence: Time for which each source, once cancelled, must be silent before it is used
+            again [s].
+
+    Attributes:
+        silence: As above; may be changed at any time.
+        active: Source that drives, or None.
     """
 
     def __init__(self, silence: Mapping[Source, float]) -> None:
@@ -39,50 +53,54 @@ class Arbiter:
         self.active: Source | None = None
 
     def offer(self, source: Source, now: float, fresh_until: float, neutral: bool = False) -> str:
-        """Hear a valid setpoint of a source.
+        """Register a valid setpoint of a source.
 
         Args:
-            source: Where it came from.
+            source: Source of the setpoint.
             now: Time of arrival [s].
             fresh_until: Time until which it may drive [s].
             neutral: Whether it asks for rest, which ends a cancellation.
 
         Returns:
-            Why it is not used, or an empty string.
+            Reason why it is not used, or an empty string.
         """
         slot = self._slots[source]
-        above = self.active
-        if above is not None and above is not source and _before(above, source):
-            slot.cancelled = f"{above.value} drives"
-        elif slot.cancelled and (neutral or now - slot.heard > self.silence[source]):
+        active = self.active
+        if active is not None and active is not source and _precedes(active, source):
+            slot.cancelled = f"{active.value} drives"
+        elif slot.cancelled and (neutral or now - slot.received > self.silence[source]):
             slot.cancelled = ""
-        slot.heard = now
+        slot.received = now
         if slot.cancelled:
             return slot.cancelled
         slot.fresh_until = fresh_until
         return ""
 
     def refuse(self, source: Source, now: float, reason: str) -> str:
-        """Hear a setpoint that must not be used; returns the reason."""
-        self._slots[source].heard = now
+        """Cancel a source whose setpoint arrived at `now` [s] but must not be used.
+
+        Returns:
+            The reason.
+        """
+        self._slots[source].received = now
         self.cancel(source, reason)
         return reason
 
     def select(self, now: float) -> Source | None:
-        """Return who drives now; sources that lose control to another are cancelled."""
+        """Return the source that drives now; sources that lose control are cancelled."""
         chosen = None
         for source, slot in self._slots.items():
             fresh = not slot.cancelled and slot.fresh_until >= now
             if fresh and chosen is None:
                 chosen = source
             elif chosen is not None and (fresh or source is self.active):
-                # Else it would take over by itself when the other falls silent.
+                # Otherwise it would take over by itself once the other falls silent.
                 self.cancel(source, f"{chosen.value} took over")
         self.active = chosen
         return chosen
 
     def cancel(self, source: Source, reason: str) -> None:
-        """Take control from a source until it has been silent or neutral."""
+        """Withdraw control from a source until it has been silent or neutral."""
         slot = self._slots[source]
         slot.cancelled = slot.cancelled or reason
         slot.fresh_until = NEVER
@@ -90,22 +108,23 @@ class Arbiter:
             self.active = None
 
     def restart(self, now: float, reason: str) -> None:
-        """Cancel every source and count its silence from now: time has gone back."""
+        """Cancel every source and count its silence from `now` [s], after time has gone back."""
         self.cancel_all(reason)
         self.resume(now)
 
     def resume(self, now: float) -> None:
-        """Count silence from now: for a while it was the receiver that did not listen."""
+        """Count the silence of cancelled sources from `now` [s], after a gap in reception."""
         for slot in self._slots.values():
             if slot.cancelled:
-                slot.heard = now
+                slot.received = now
 
     def cancel_all(self, reason: str) -> None:
-        """Cancel every source: a stop."""
+        """Cancel every source, as a stop does."""
         for source in Source:
             self.cancel(source, reason)
 
 
-def _before(first: Source, second: Source) -> bool:
+def _precedes(first: Source, second: Source) -> bool:
+    """Return whether the first source has priority over the second."""
     order = list(Source)
     return order.index(first) < order.index(second)

@@ -1,41 +1,48 @@
 """Kinematics of arms like the UR5: forward, Jacobian, and all inverse solutions in closed form.
 
-Frames are those of the controller: base z up along the first joint's axis, `tool0` at the flange.
-Source: DH table of Universal Robots (UR5); K. P. Hawkins, "Analytic Inverse Kinematics for the
-Universal Robots UR-5/UR-10 Arms" (2013), for the order of the inverse.
+The frames are those of UR's controller: z of the base points up along the axis of the first joint,
+and `tool0` is at the flange.
+Sources: DH table of Universal Robots (UR5); K. P. Hawkins, "Analytic Inverse Kinematics for the
+Universal Robots UR-5/UR-10 Arms" (2013), for the order in which the joints are solved.
 """
 
 import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from omniman_ros.core.arrays import Array
 
-JOINTS, BRANCHES = 6, 8
-SIGNS = tuple(
+JOINTS = 6
+"""Number of joints."""
+BRANCHES = 8
+"""Number of branches, the solutions of the inverse kinematics up to whole revolutions."""
+BRANCH_SIGNS = tuple(
     (shoulder, wrist, elbow)
     for shoulder in (1.0, -1.0)
     for wrist in (1.0, -1.0)
     for elbow in (1.0, -1.0)
 )
-"""Of each branch: shoulder, wrist, elbow."""
-TWISTS = (math.pi / 2, 0.0, 0.0, math.pi / 2, -math.pi / 2, 0.0)
-"""alpha of each joint [rad]."""
-SINGULAR = 1e-3
-"""Sines, and distances over the arm's length, below it are a singularity."""
+"""Signs (shoulder, wrist, elbow) with which each branch of the inverse kinematics is solved."""
+DH_TWISTS = (math.pi / 2, 0.0, 0.0, math.pi / 2, -math.pi / 2, 0.0)
+"""Twist alpha of each joint in the DH table [rad]."""
+SINGULARITY_THRESHOLD = 1e-3
+"""Sine, or ratio of a distance to the arm's length, below which the arm counts as singular."""
 ROUNDING = 1e-9
-"""By which a cosine may be beyond +-1: a pose at the edge of the reach."""
+"""Tolerance for round-off of a cosine beyond +-1 at the limit of the reach, and of a zero sine."""
 
 
 @dataclass(frozen=True)
 class DhTable:
-    """Lengths of an arm of this kind [m].
+    """Lengths in the DH table of a six-joint arm like the UR5, whose values are the defaults.
 
     Attributes:
-        d1, d4, d5, d6: Offsets along the joints' axes.
-        a2, a3: Lengths of upper arm and forearm; negative, as the table has them.
+        d1: Offset along the axis of joint 1 [m].
+        a2: Length of the upper arm, negative as in the table [m].
+        a3: Length of the forearm, negative as in the table [m].
+        d4: Offset along the axis of joint 4 [m].
+        d5: Offset along the axis of joint 5 [m].
+        d6: Offset along the axis of joint 6 [m].
     """
 
     d1: float = 0.089159
@@ -47,23 +54,27 @@ class DhTable:
 
 
 UR5 = DhTable()
+"""DH table of the UR5."""
 
 
 class ArmModel:
-    """Kinematics of a six-joint arm with three parallel axes.
+    """Kinematics of a six-joint arm with three parallel axes, those of joints 2, 3 and 4.
 
     Args:
-        table: Its lengths.
+        table: Lengths of the arm.
+
+    Attributes:
+        table: Lengths of the arm.
     """
 
     def __init__(self, table: DhTable = UR5) -> None:
         self.table = t = table
         self._d: Array = np.array([t.d1, 0.0, 0.0, t.d4, t.d5, t.d6])
         self._a: Array = np.array([0.0, t.a2, t.a3, 0.0, 0.0, 0.0])
-        self._cos, self._sin = np.round(np.cos(TWISTS), 15), np.sin(TWISTS)
+        self._cos, self._sin = np.round(np.cos(DH_TWISTS), 15), np.sin(DH_TWISTS)
 
     def frames(self, q: Array) -> Array:
-        """Poses (..., 7, 4, 4) of the base and of the frame behind each joint, in the base.
+        """Return the poses (..., 7, 4, 4) of the base and of each DH frame in the base frame [m].
 
         Args:
             q: Joint angles (..., 6) [rad].
@@ -76,7 +87,7 @@ class ArmModel:
         return frames
 
     def forward(self, q: Array) -> Array:
-        """Pose (..., 4, 4) of `tool0` in the base.
+        """Return the pose (..., 4, 4) of `tool0` in the base frame [m].
 
         Args:
             q: Joint angles (..., 6) [rad].
@@ -85,75 +96,86 @@ class ArmModel:
         return result
 
     def jacobian(self, q: Array) -> Array:
-        """Geometric Jacobian (..., 6, 6): joint rates to velocity [m/s] and turn rate [rad/s].
+        """Return the geometric Jacobian (..., 6, 6): joint rates to linear and angular velocity.
 
-        Both are those of `tool0`, seen in the base.
+        Both are velocities of `tool0`, expressed in the base frame [m/s, rad/s].
 
         Args:
             q: Joint angles (..., 6) [rad].
         """
         frames = self.frames(q)
-        axes, places = frames[..., :-1, :3, 2], frames[..., :-1, :3, 3]
-        arms = frames[..., -1:, :3, 3] - places
-        rows = np.concatenate([np.cross(axes, arms), axes], axis=-1)
+        axes, origins = frames[..., :-1, :3, 2], frames[..., :-1, :3, 3]
+        levers = frames[..., -1:, :3, 3] - origins
+        rows = np.concatenate([np.cross(axes, levers), axes], axis=-1)
         return np.swapaxes(rows, -1, -2)
 
     def inverse(self, poses: Array) -> Array:
-        """All joint angles (..., 8, 6) that reach poses [rad], each in (-pi, pi]; NaN for none.
+        """Return the joint angles (..., 8, 6) [rad] that reach poses on each branch.
 
-        The branches are shoulder left and right, wrist either way, elbow up and down. With the
-        wrist stretched (sin q5 = 0) only q2 + q3 + q4 and q6 together are determined: q6 is 0.
+        The angles are in (-pi, pi]. The branches combine shoulder left or right, wrist either way,
+        and elbow up or down. A branch without a solution is NaN. With the wrist stretched
+        (sin q5 = 0), only a combination of q2 + q3 + q4 and q6 is determined: q6 is set to 0.
 
         Args:
-            poses: (..., 4, 4) of `tool0` in the base.
+            poses: Poses (..., 4, 4) of `tool0` in the base frame [m].
         """
         shape = poses.shape[:-2]
         pose = poses.reshape(-1, 4, 4)
-        branches = [self.inverse_on(pose, branch) for branch in range(BRANCHES)]
+        branches = [self.inverse_on_branch(pose, branch) for branch in range(BRANCHES)]
         solutions = np.stack(branches, axis=1)
         solutions = math.pi - np.remainder(math.pi - solutions, math.tau)
         return solutions.reshape(*shape, BRANCHES, JOINTS)
 
     def branch_of(self, q: Array) -> int:
-        """Index of the branch of :meth:`inverse` that joint angles (6,) [rad] are on."""
-        found = self.inverse(self.forward(q))
-        away = np.abs(np.remainder(found - q + math.pi, math.tau) - math.pi).max(axis=1)
-        return int(np.nanargmin(away))
+        """Return the index of the branch of `inverse` that contains joint angles (6,) [rad]."""
+        solutions = self.inverse(self.forward(q))
+        difference = np.abs(np.remainder(solutions - q + math.pi, math.tau) - math.pi).max(axis=1)
+        return int(np.nanargmin(difference))
 
     def nearest(self, pose: Array, q: Array, lower: Array, upper: Array) -> Array | None:
-        """Joint angles (6,) that reach a pose, nearest to others; None if none are in range.
+        """Return the joint angles (6,) [rad] that reach a pose and are nearest to `q`.
 
-        Whole turns are added where that is nearer.
+        The distance is the largest difference of a joint's angle. On each branch, the angles are
+        those nearest to `q` up to whole revolutions; an angle beyond its limit is moved back by
+        one revolution.
 
         Args:
-            pose: (4, 4) of `tool0` in the base.
-            q: Where the arm is (6,) [rad].
-            lower, upper: Limits (6,) [rad].
+            pose: Pose (4, 4) of `tool0` in the base frame [m].
+            q: Present joint angles (6,) [rad].
+            lower: Lower limits (6,) [rad].
+            upper: Upper limits (6,) [rad].
+
+        Returns:
+            The joint angles, or None if no solution is within the limits.
         """
-        found = self.inverse(pose)
-        found = found[np.isfinite(found).all(axis=1)]
-        found = q + np.remainder(found - q + math.pi, math.tau) - math.pi
-        found = np.where(found > upper, found - math.tau, found)
-        found = np.where(found < lower, found + math.tau, found)
-        found = found[((found >= lower) & (found <= upper)).all(axis=1)]
-        if not len(found):
+        solutions = self.inverse(pose)
+        solutions = solutions[np.isfinite(solutions).all(axis=1)]
+        solutions = q + np.remainder(solutions - q + math.pi, math.tau) - math.pi
+        solutions = np.where(solutions > upper, solutions - math.tau, solutions)
+        solutions = np.where(solutions < lower, solutions + math.tau, solutions)
+        solutions = solutions[((solutions >= lower) & (solutions <= upper)).all(axis=1)]
+        if not len(solutions):
             return None
-        best: Array = found[int(np.abs(found - q).max(axis=1).argmin())]
+        best: Array = solutions[int(np.abs(solutions - q).max(axis=1).argmin())]
         return best
 
     def singularity(self, q: Array) -> str:
-        """Name the singularity at joint angles (6,) [rad]: shoulder, elbow, wrist or nothing."""
-        if abs(math.sin(q[4])) < SINGULAR:
+        """Return the name of the singularity at joint angles (6,) [rad].
+
+        Returns:
+            "shoulder", "elbow" or "wrist", or an empty string if the arm is not singular.
+        """
+        if abs(math.sin(q[4])) < SINGULARITY_THRESHOLD:
             return "wrist"
-        if abs(math.sin(q[2])) < SINGULAR:
+        if abs(math.sin(q[2])) < SINGULARITY_THRESHOLD:
             return "elbow"
         t = self.table
-        fore = q[1] + q[2]
-        reach = t.a2 * math.cos(q[1]) + t.a3 * math.cos(fore) + t.d5 * math.sin(fore + q[3])
-        return "shoulder" if abs(reach) < SINGULAR * (abs(t.a2) + abs(t.a3)) else ""
+        forearm = q[1] + q[2]
+        reach = t.a2 * math.cos(q[1]) + t.a3 * math.cos(forearm) + t.d5 * math.sin(forearm + q[3])
+        return "shoulder" if abs(reach) < SINGULARITY_THRESHOLD * (abs(t.a2) + abs(t.a3)) else ""
 
     def _link(self, angle: Array, i: int) -> Array:
-        """Transform (..., 4, 4) of joint i at an angle (...)."""
+        """Return the transform (..., 4, 4) of DH frame i + 1 in frame i at angles (...) [rad]."""
         c, s, ca, sa = np.cos(angle), np.sin(angle), self._cos[i], self._sin[i]
         link = np.zeros((*np.shape(angle), 4, 4))
         link[..., 0, 0], link[..., 0, 1], link[..., 0, 2] = c, -s * ca, s * sa
@@ -167,48 +189,56 @@ class ArmModel:
         link[..., 3, 3] = 1.0
         return link
 
-    def inverse_on(self, pose: Array, branch: int) -> Array:
-        """Joint angles (k, 6) [rad] on one branch that reach poses (k, 4, 4); NaN for none.
+    def inverse_on_branch(self, pose: Array, branch: int) -> Array:
+        """Return the joint angles (k, 6) [rad] that reach poses on one branch.
 
-        They are known up to whole turns.
+        They are determined up to whole revolutions. For a pose without a solution they are NaN.
+
+        Args:
+            pose: Poses (k, 4, 4) of `tool0` in the base frame [m].
+            branch: Index of the branch, 0 to 7.
         """
-        t, (shoulder, wrist, elbow) = self.table, SIGNS[branch]
+        t, (shoulder, wrist, elbow) = self.table, BRANCH_SIGNS[branch]
         centre = pose[:, :3, 3] - t.d6 * pose[:, :3, 2]
-        away = np.hypot(centre[:, 0], centre[:, 1])
+        radius = np.hypot(centre[:, 0], centre[:, 1])
         with np.errstate(divide="ignore", invalid="ignore"):
-            turn = _arccos(t.d4 / away)
-        q1 = np.arctan2(centre[:, 1], centre[:, 0]) + shoulder * turn + math.pi / 2
+            offset = _arccos(t.d4 / radius)
+        q1 = np.arctan2(centre[:, 1], centre[:, 0]) + shoulder * offset + math.pi / 2
         c1, s1 = np.cos(q1), np.sin(q1)
-        aside = pose[:, 0, 3] * s1 - pose[:, 1, 3] * c1
-        q5 = wrist * _arccos((aside - t.d4) / t.d6)
+        # Offset of tool0 along the axes of joints 2 to 4, and the parts of its x and y axes there.
+        lateral = pose[:, 0, 3] * s1 - pose[:, 1, 3] * c1
+        q5 = wrist * _arccos((lateral - t.d4) / t.d6)
         s5 = np.sin(q5)
-        across = pose[:, 0, :2] * s1[:, None] - pose[:, 1, :2] * c1[:, None]
-        free = np.abs(s5) < ROUNDING
+        lateral_axes = pose[:, 0, :2] * s1[:, None] - pose[:, 1, :2] * c1[:, None]
+        is_stretched = np.abs(s5) < ROUNDING
         q6 = np.where(
-            free, 0.0, np.arctan2(-across[:, 1] * np.sign(s5), across[:, 0] * np.sign(s5))
+            is_stretched,
+            0.0,
+            np.arctan2(-lateral_axes[:, 1] * np.sign(s5), lateral_axes[:, 0] * np.sign(s5)),
         )
-        inner = _inverted(self._link(q1, 0)) @ pose
-        inner = inner @ _inverted(self._link(q6, 5)) @ _inverted(self._link(q5, 4))
-        x, y = inner[:, 0, 3], inner[:, 1, 3]
-        square = x * x + y * y
-        q3 = elbow * _arccos((square - t.a2**2 - t.a3**2) / (2.0 * t.a2 * t.a3))
+        # The pose of DH frame 4 in DH frame 1 depends on q2, q3 and q4 only: a planar arm.
+        planar = _inverted(self._link(q1, 0)) @ pose
+        planar = planar @ _inverted(self._link(q6, 5)) @ _inverted(self._link(q5, 4))
+        x, y = planar[:, 0, 3], planar[:, 1, 3]
+        squared_distance = x * x + y * y
+        q3 = elbow * _arccos((squared_distance - t.a2**2 - t.a3**2) / (2.0 * t.a2 * t.a3))
         q2 = np.arctan2(y, x) - np.arctan2(t.a3 * np.sin(q3), t.a2 + t.a3 * np.cos(q3))
-        whole = np.arctan2(inner[:, 1, 0], inner[:, 0, 0])
-        return np.stack([q1, q2, q3, whole - q2 - q3, q5, q6], axis=1)
+        q234 = np.arctan2(planar[:, 1, 0], planar[:, 0, 0])  # q2 + q3 + q4
+        return np.stack([q1, q2, q3, q234 - q2 - q3, q5, q6], axis=1)
 
 
 def _arccos(cosine: Array) -> Array:
-    """Angle (k,); NaN where there is none."""
-    held = np.clip(cosine, -1.0, 1.0)
-    angle: Array = np.where(np.abs(cosine - held) <= ROUNDING, np.arccos(held), np.nan)
+    """Return the arccosine (k,) [rad]; NaN where a cosine is beyond +-1 by more than round-off."""
+    clipped = np.clip(cosine, -1.0, 1.0)
+    angle: Array = np.where(np.abs(cosine - clipped) <= ROUNDING, np.arccos(clipped), np.nan)
     return angle
 
 
 def _inverted(pose: Array) -> Array:
-    """Inverse (k, 4, 4) of rigid transforms."""
+    """Return the inverses (k, 4, 4) of rigid transforms (k, 4, 4)."""
     result = np.zeros_like(pose)
-    turned = np.swapaxes(pose[:, :3, :3], 1, 2)
-    result[:, :3, :3] = turned
-    result[:, :3, 3] = -(turned @ pose[:, :3, 3:])[:, :, 0]
+    rotation = np.swapaxes(pose[:, :3, :3], 1, 2)
+    result[:, :3, :3] = rotation
+    result[:, :3, 3] = -(rotation @ pose[:, :3, 3:])[:, :, 0]
     result[:, 3, 3] = 1.0
     return result

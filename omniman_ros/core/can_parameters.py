@@ -1,4 +1,4 @@
-"""An installation of drives on a CAN bus: what is connected, how it counts, when it is lost."""
+"""Parameters of the wheel drives on a CAN bus: connection, units, limits and timeouts."""
 
 from dataclasses import dataclass
 
@@ -7,121 +7,200 @@ from omniman_ros.core.parameters import parameter
 from omniman_ros.core.robot import Robot
 
 Floats = tuple[float, ...]
+"""Value of a parameter of all wheels: one for all of them, or one per wheel."""
 
 NODE_IDS = {"cia402": (1, 126), "vesc": (0, 254), "odrive": (0, 63)}
-"""Possible ids of a drive; 127 is the host's in CANopen, 255 is all VESCs."""
+"""Smallest and largest node id of a drive, by protocol.
+
+In CANopen, 127 is the host's node id; 255 addresses all VESCs.
+"""
 HEADROOM = 1.2
-"""Largest wheel speed that is taken, over the robot's, where the installation names none."""
+"""Ratio of the largest accepted wheel speed to `motor.max_speed`, if `can.max_speed` is 0."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CanParameters:
-    """One installation; what is read-only is fixed once the node runs."""
+    """Parameters of the wheel drives on one CAN bus.
+
+    Four hexadecimal digits in a description are the index of a CiA 402 or CANopen object.
+    """
 
     interface: str = parameter(
-        "socketcan", "Interface of python-can: socketcan, udp_multicast, virtual, slcan, pcan ...",
+        "socketcan",
+        "Interface of python-can: socketcan, udp_multicast, virtual, slcan, pcan ...",
         read_only=True,
-    )  # fmt: skip
+    )
     channel: str = parameter(
-        "can0", "Channel of the interface; an address of a group with udp_multicast.",
+        "can0",
+        "Channel of the interface; with udp_multicast the address of the multicast group.",
         read_only=True,
-    )  # fmt: skip
+    )
     port: int = parameter(
-        43113, "UDP port of the group with udp_multicast.", low=1, high=65535, read_only=True
+        43113,
+        "UDP port of the multicast group with udp_multicast.",
+        low=1,
+        high=65535,
+        read_only=True,
     )
     bitrate: int = parameter(
-        1_000_000, "Bit rate; socketcan has it from the system.", unit="bit/s", low=10_000,
-        high=1_000_000, read_only=True,
-    )  # fmt: skip
+        1_000_000,
+        "Bit rate of the bus; socketcan ignores it, as the system sets it.",
+        unit="bit/s",
+        low=10_000,
+        high=1_000_000,
+        read_only=True,
+    )
     protocol: str = parameter(
-        "cia402", "What the drives speak.", choices=("cia402", "vesc", "odrive"), read_only=True
+        "cia402",
+        "Protocol of the drives.",
+        choices=("cia402", "vesc", "odrive"),
+        read_only=True,
     )
     nodes: tuple[int, ...] = parameter(
-        (), "Node id of each wheel's drive, in the order of wheels.names.", low=0, high=254,
+        (),
+        "Node id of each wheel's drive, in the order of wheels.names.",
+        low=0,
+        high=254,
         read_only=True,
-    )  # fmt: skip
+    )
     direction: Floats = parameter(
-        (1.0,), "1 where the motor turns the wheel forward by counting up, else -1.", low=-1,
-        high=1, read_only=True,
-    )  # fmt: skip
+        (1.0,),
+        "1 if a rising motor position turns the wheel forward, else -1; one value or one per "
+        "wheel.",
+        low=-1,
+        high=1,
+        read_only=True,
+    )
     gear_ratio: float = parameter(
-        0.0, "Turns of the motor per turn of the wheel; 0 takes motor.gear_ratio.", low=0,
-        high=10_000, read_only=True,
-    )  # fmt: skip
+        0.0,
+        "Motor revolutions per wheel revolution; 0 uses motor.gear_ratio.",
+        low=0,
+        high=10_000,
+        read_only=True,
+    )
     counts: float = parameter(
-        4096.0, "Position units of the drive per turn of the motor (6064; not for VESC, ODrive).",
-        low=1, high=1e9, read_only=True,
-    )  # fmt: skip
+        4096.0,
+        "Position units of a CiA 402 drive per motor revolution (6064).",
+        low=1,
+        high=1e9,
+        read_only=True,
+    )
     velocity_scale: float = parameter(
-        0.0, "Velocity units of the drive per turn of the motor per second (60FF); 0: counts.",
-        low=0, high=1e9, read_only=True,
-    )  # fmt: skip
+        0.0,
+        "Velocity units of a CiA 402 drive (60FF) per motor revolution per second; 0 uses counts.",
+        low=0,
+        high=1e9,
+        read_only=True,
+    )
     pole_pairs: int = parameter(
-        7, "Pole pairs of the motor (VESC counts electrical turns).", low=1, high=100,
+        7,
+        "Pole pairs of the motor; a VESC counts electrical revolutions.",
+        low=1,
+        high=100,
         read_only=True,
-    )  # fmt: skip
+    )
     rated_torque: float = parameter(
-        0.0, "Torque at the motor of which 6071 and 6077 are thousandths; 0 reads 6076.",
-        unit="N m", low=0, high=1e4, read_only=True,
-    )  # fmt: skip
-    mode: str = parameter(
-        "velocity", "What wheel commands may ask for besides velocities; the drives must have it.",
-        choices=("velocity", "torque", "voltage"), read_only=True,
-    )  # fmt: skip
-    feed_forward: bool = parameter(
-        False, "Whether feed-forward torques are sent with velocities (CiA 402: 60B2; not VESC).",
+        0.0,
+        "Rated motor torque, in thousandths of which 6071 and 6077 count; 0 reads it from 6076.",
+        unit="N m",
+        low=0,
+        high=1e4,
         read_only=True,
-    )  # fmt: skip
+    )
+    mode: str = parameter(
+        "velocity",
+        "Mode of wheel commands allowed besides velocity; the drives must support it.",
+        choices=("velocity", "torque", "voltage"),
+        read_only=True,
+    )
+    feed_forward: bool = parameter(
+        False,
+        "Whether feed-forward torques are sent with velocities (60B2); not with VESC.",
+        read_only=True,
+    )
     rate: float = parameter(
         200.0, "Rate of setpoints and of SYNC.", unit="Hz", low=10, high=1000, read_only=True
     )
     missed_periods: int = parameter(
-        3, "Missed reports of a wheel after which it is lost.", low=1, high=1000
+        3, "Number of missed reports after which a wheel counts as lost.", low=1, high=1000
     )
     feedback_period: float = parameter(
-        0.0, "Period of the drives' own reports (VESC, ODrive); 0 takes that of the setpoints.",
-        unit="s", low=0, high=1, read_only=True,
-    )  # fmt: skip
+        0.0,
+        "Period at which VESCs and ODrives send reports; 0 uses that of the setpoints.",
+        unit="s",
+        low=0,
+        high=1,
+        read_only=True,
+    )
     heartbeat_timeout: float = parameter(
-        0.1, "Silence of this host after which CiA 402 drives stop by themselves (1016).",
-        unit="s", low=0.01, high=5, read_only=True,
-    )  # fmt: skip
+        0.1,
+        "Time without a heartbeat of this host after which CiA 402 drives stop (1016).",
+        unit="s",
+        low=0.01,
+        high=5,
+        read_only=True,
+    )
     drive_heartbeat: float = parameter(
-        0.03, "Period of the drives' heartbeats (1017; others: as configured there).", unit="s",
-        low=0.005, high=1, read_only=True,
-    )  # fmt: skip
+        0.03,
+        "Period of the drives' heartbeats: written to CiA 402 drives (1017), on others as "
+        "configured in the drive.",
+        unit="s",
+        low=0.005,
+        high=1,
+        read_only=True,
+    )
     configure_timeout: float = parameter(
-        5.0, "How long the drives may take to be configured.", unit="s", low=0.1, high=60
+        5.0, "Longest time to configure the drives.", unit="s", low=0.1, high=60
     )
     enable_timeout: float = parameter(
-        2.0, "How long the drives may take to be enabled.", unit="s", low=0.1, high=60
+        2.0, "Longest time to enable the drives.", unit="s", low=0.1, high=60
     )
     command_timeout: float = parameter(
-        0.1, "Age of the last valid command at which the wheels are ramped to rest.", unit="s",
-        low=0.005, high=10,
-    )  # fmt: skip
+        0.1,
+        "Age of the last valid command from which the wheels are ramped down to rest.",
+        unit="s",
+        low=0.005,
+        high=10,
+    )
     deceleration: float = parameter(
-        9.0, "Ramp of the fastest wheel when the commands are stale.", unit="rad/s^2", low=0.01,
+        9.0,
+        "Deceleration of the fastest wheel once the last command is older than command_timeout.",
+        unit="rad/s^2",
+        low=0.01,
         high=10_000,
-    )  # fmt: skip
+    )
     acceleration: float = parameter(
-        30.0, "Ramp of the fastest wheel to the first command after the wheels were held.",
-        unit="rad/s^2", low=0.01, high=10_000,
-    )  # fmt: skip
+        30.0,
+        "Acceleration of the fastest wheel towards the first command after the wheels were held.",
+        unit="rad/s^2",
+        low=0.01,
+        high=10_000,
+    )
     quick_stop_deceleration: float = parameter(
-        9.0, "Ramp of each wheel in a quick stop (6085).", unit="rad/s^2", low=0.01, high=10_000,
+        9.0,
+        "Deceleration of each wheel in a quick stop (6085).",
+        unit="rad/s^2",
+        low=0.01,
+        high=10_000,
         read_only=True,
-    )  # fmt: skip
+    )
     max_speed: float = parameter(
-        0.0, "Largest wheel speed: commands beyond it are refused, wheels at 1.5 times it stop "
-        "all; 0 takes 1.2 times motor.max_speed.", unit="rad/s", low=0, high=1e4,
-    )  # fmt: skip
+        0.0,
+        "Largest wheel speed: commands above it are refused, and a wheel above 1.5 times it stops "
+        "all wheels; 0 uses 1.2 times motor.max_speed.",
+        unit="rad/s",
+        low=0,
+        high=1e4,
+    )
     max_torque: float = parameter(
-        0.0, "Largest torque at a wheel, others are clipped; 0 takes that of motor.max_current.",
-        unit="N m", low=0, high=1e5,
-    )  # fmt: skip
+        0.0,
+        "Largest wheel torque, to which commands are clipped; 0 uses that at motor.max_current.",
+        unit="N m",
+        low=0,
+        high=1e5,
+    )
     min_bus_voltage: float = parameter(
-        0.0, "Measured supply below which all stops.", unit="V", low=0, high=1000
+        0.0, "Measured supply voltage below which all wheels stop.", unit="V", low=0, high=1000
     )
 
     @property
@@ -131,29 +210,32 @@ class CanParameters:
 
     @property
     def feedback_timeout(self) -> float:
-        """Age of a wheel's feedback at which it is lost [s]."""
+        """Age of a wheel's feedback from which the wheel counts as lost [s]."""
         return self.missed_periods * (self.feedback_period or self.period)
 
     def check(self, robot: Robot) -> None:
-        """Compare the installation with the robot.
+        """Check the parameters against the robot.
 
         Raises:
-            ParameterError: There is not one drive a wheel, a node id is there twice or not
-                possible in the protocol, or a direction is neither 1 nor -1.
+            ParameterError: There is not one node id per wheel, a node id is repeated or outside
+                the protocol's range, a direction is neither 1 nor -1, or there is neither one
+                direction nor one per wheel.
         """
         n, nodes = robot.wheel_count, self.nodes
         if len(nodes) != n:
-            raise ParameterError("can.nodes", nodes, f"{len(nodes)} drives, {n} wheels")
+            reason = f"must have {n} node ids, one per wheel, has {len(nodes)}"
+            raise ParameterError("can.nodes", nodes, reason)
         if len(set(nodes)) != n:
-            raise ParameterError("can.nodes", nodes, "a node id is there twice")
+            raise ParameterError("can.nodes", nodes, "must not repeat a node id")
         low, high = NODE_IDS[self.protocol]
         for node in nodes:
             if not low <= node <= high:
-                reason = f"node ids of {self.protocol} are {low} to {high}"
+                reason = f"must have node ids from {low} to {high} with {self.protocol}"
                 raise ParameterError("can.nodes", nodes, reason)
         if len(self.direction) not in (1, n) or any(abs(d) != 1.0 for d in self.direction):
-            raise ParameterError("can.direction", self.direction, f"1 or -1, one or {n} of them")
+            reason = f"must be 1 or -1, one value or {n}, one per wheel"
+            raise ParameterError("can.direction", self.direction, reason)
 
     def directions(self, n: int) -> Floats:
-        """Direction of each of n wheels, 1 or -1."""
+        """Return the direction of each of n wheels, 1 or -1."""
         return self.direction if len(self.direction) == n else self.direction * n

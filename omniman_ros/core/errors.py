@@ -1,4 +1,4 @@
-"""Exceptions of the package: one base, subclasses that carry data."""
+"""Exceptions of the package: one base class, and subclasses that carry data."""
 
 
 class OmnimanError(Exception):
@@ -6,11 +6,12 @@ class OmnimanError(Exception):
 
 
 class ParameterError(OmnimanError, ValueError):
-    """A parameter has a value that is refused.
+    """The value of a parameter is refused.
 
     Attributes:
         name: Full name of the parameter, groups joined by dots.
-        value: The value that was refused.
+        value: Value that was refused.
+        reason: Why it was refused.
     """
 
     def __init__(self, name: str, value: object, reason: str) -> None:
@@ -24,7 +25,7 @@ class GeometryError(OmnimanError, ValueError):
     """The wheels do not make an omnidirectional platform.
 
     Attributes:
-        wheel: Name of the wheel at fault, or None if it is all of them together.
+        wheel: Name of the wheel at fault, or None if no single wheel is.
     """
 
     def __init__(self, message: str, wheel: str | None = None) -> None:
@@ -33,4 +34,4 @@ class GeometryError(OmnimanError, ValueError):
 
 
 class InputError(OmnimanError, ValueError):
-    """A message or measurement has content that cannot be used; it moves nothing."""
+    """The content of a message or a measurement cannot be used; it causes no motion."""

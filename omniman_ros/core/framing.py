@@ -1,32 +1,39 @@
-"""How a stream of `cmd_vel` begins and ends, for those who drive by hand."""
+"""Begin and end of a stream of `cmd_vel` messages from manual control."""
 
 Twist = tuple[float, float, float]
 """Body twist [m/s, m/s, rad/s]."""
 
 
-class Framing:
-    """Decides what to publish a tick: a zero, twists while keys are held, some zeros, nothing.
+class CmdVelFraming:
+    """Adds zero twists to a stream of twists: one before, some after, then silence.
 
-    The zero before says that this is a new motion, asked for after a stop and not left over from
-    before it: the controller does not hear a cancelled source again without. Silence in the end
-    lets other sources drive.
+    The zero before marks a new motion, which was demanded after a stop and is not left over from
+    before it: without it the controller does not use a cancelled source again. The silence after
+    the stream lets other sources drive.
 
     Args:
-        zeros: How many zeros follow.
+        zeros: Number of zeros that follow the twists.
     """
 
     def __init__(self, zeros: int = 5) -> None:
         self._zeros = zeros
-        self._left = 0
+        self._remaining = 0
 
     def next(self, twist: Twist | None) -> Twist | None:
-        """The twist to publish in this tick, or None for none."""
-        if twist is not None and self._left:
-            self._left = self._zeros
+        """Return the twist to publish in this tick.
+
+        Args:
+            twist: Demanded twist, or None if none is demanded (no key is held).
+
+        Returns:
+            The twist, or None if nothing is to be published.
+        """
+        if twist is not None and self._remaining:
+            self._remaining = self._zeros
             return twist
         if twist is not None:
-            self._left = 1
-        if self._left:
-            self._left -= twist is None
+            self._remaining = 1
+        if self._remaining:
+            self._remaining -= twist is None
             return 0.0, 0.0, 0.0
         return None

@@ -1,28 +1,28 @@
-"""Points in time joined by polynomials, in any number of dimensions."""
+"""Hermite interpolation between points at given times, in any number of dimensions."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from omniman_ros.core.arrays import Array
 
 
 class Hermite:
-    """Quintic polynomials where there are accelerations, cubic ones elsewhere.
+    """A curve through points: quintic polynomials if accelerations are given, else cubic ones.
 
-    Before its first point it waits there, after its last it stays there, both at rest.
+    Before its first point the curve rests at the first point, after its last point at the last.
 
     Args:
-        times: (k,) [s], strictly increasing, k >= 1.
-        positions: (k, d).
-        velocities: (k, d), per second.
-        accelerations: (k, d), per second squared, or None.
+        times: Times (k,) [s], strictly increasing, k >= 1.
+        positions: Positions (k, d) in any unit.
+        velocities: Velocities (k, d) in that unit per second.
+        accelerations: Accelerations (k, d) in that unit per second squared, or None.
     """
 
     def __init__(
         self, times: Array, positions: Array, velocities: Array, accelerations: Array | None
     ) -> None:
         self._times = times
-        self._list: list[float] = times.tolist()
+        self._time_list: list[float] = times.tolist()
         self._positions = positions
         self._velocities = velocities
         self._accelerations = accelerations
@@ -33,24 +33,24 @@ class Hermite:
     @property
     def start(self) -> float:
         """Time of the first point [s]."""
-        return self._list[0]
+        return self._time_list[0]
 
     @property
     def end(self) -> float:
         """Time of the last point [s]."""
-        return self._list[-1]
+        return self._time_list[-1]
 
     @property
     def end_speed(self) -> float:
-        """Largest entry of the last point's velocity: 0 if it ends at rest."""
+        """Largest component of the last velocity by magnitude; 0 if the curve ends at rest."""
         return float(np.abs(self._velocities[-1]).max())
 
     def sample(self, now: float) -> tuple[Array, Array, Array]:
-        """Position, velocity and acceleration (d,) at a time [s].
+        """Return position, velocity and acceleration (d,) at the time `now` [s].
 
-        The segment of the last call is tried first.
+        The segment of the previous call is tried first, so that calls at rising times are fast.
         """
-        times = self._list
+        times = self._time_list
         if now < times[0] or now >= times[-1]:
             return self._positions[0 if now < times[0] else -1], self._rest, self._rest
         i = self._segment
@@ -60,14 +60,14 @@ class Hermite:
         return self._polynomial(i, now - times[i], times[i + 1] - times[i])
 
     def positions_at(self, times: Array) -> Array:
-        """Positions (m, d) at times (m,) [s]."""
-        if len(self._list) == 1:
+        """Return the positions (m, d) at times (m,) [s]."""
+        if len(self._time_list) == 1:
             return np.repeat(self._positions, len(times), axis=0)
-        held = np.clip(times, self._list[0], self._list[-1])
-        i = np.searchsorted(self._times, held, side="right") - 1
-        i = np.minimum(i, len(self._list) - 2)
+        clipped = np.clip(times, self._time_list[0], self._time_list[-1])
+        i = np.searchsorted(self._times, clipped, side="right") - 1
+        i = np.minimum(i, len(self._time_list) - 2)
         span = (self._times[i + 1] - self._times[i])[:, None]
-        t = (held - self._times[i])[:, None]
+        t = (clipped - self._times[i])[:, None]
         u = t / span
         c2, c3, c4, c5 = self._coefficients(i, span)
         result: Array = self._positions[i] + self._velocities[i] * t
@@ -77,7 +77,15 @@ class Hermite:
     def _coefficients(
         self, i: int | NDArray[np.intp], span: float | Array
     ) -> tuple[Array, Array, Array, Array]:
-        """Of u^2 to u^5 in the segments i, u = 0 to 1 in each span."""
+        """Return the coefficients of u^2 to u^5 in segments, where u rises from 0 to 1.
+
+        Args:
+            i: Index of the segment, or indices (m,).
+            span: Duration of the segment [s], or durations (m, 1).
+
+        Returns:
+            Four coefficients, (d,) or (m, d) each.
+        """
         x0, x1 = self._positions[i], self._positions[i + 1]
         v0, v1 = self._velocities[i], self._velocities[i + 1]
         gap = x1 - x0 - v0 * span
@@ -94,7 +102,13 @@ class Hermite:
         return c2, c3, c4, c5
 
     def _polynomial(self, i: int, t: float, span: float) -> tuple[Array, Array, Array]:
-        """Hermite polynomial of segment i, t seconds into its span."""
+        """Return position, velocity and acceleration (d,) at a time in a segment.
+
+        Args:
+            i: Index of the segment.
+            t: Time since the start of the segment [s].
+            span: Duration of the segment [s].
+        """
         x0, v0, u = self._positions[i], self._velocities[i], t / span
         c2, c3, c4, c5 = self._coefficients(i, span)
         position = x0 + v0 * t + u * u * (c2 + u * (c3 + u * (c4 + u * c5)))

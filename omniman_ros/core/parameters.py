@@ -1,9 +1,9 @@
-"""Parameters declared once: a frozen dataclass whose fields carry unit, range and text.
+"""Parameters declared once: frozen dataclasses whose fields carry unit, range and text.
 
 A group is a frozen dataclass of :func:`parameter` fields; a set of parameters is a dataclass of
-groups (nested as deep as wanted). Names are the field names joined by dots. The same declaration
-gives validation (:func:`build`), the ROS descriptors (`nodes/parameters.py`), the README's tables
-and the check of YAML files against mistyped names.
+groups, nested to any depth. Names are the field names joined by dots. The same declaration gives
+the validation (:func:`build`), the ROS descriptors (`nodes/parameters.py`), the tables of the
+documentation and the check of YAML files for mistyped names.
 """
 
 import dataclasses
@@ -19,12 +19,12 @@ from omniman_ros.core.errors import ParameterError
 T = TypeVar("T")
 
 REQUIRED: Any = dataclasses.MISSING
-"""Default of a parameter that the robot's configuration file must give."""
+"""Default of a parameter whose value the robot's configuration file must give."""
 
 
 @dataclass(frozen=True)
 class Spec:
-    """What is known of one parameter.
+    """Declaration of one parameter.
 
     Attributes:
         name: Full name, groups joined by dots.
@@ -32,10 +32,11 @@ class Spec:
         item: Type of an array's items, else None.
         default: Default value, or REQUIRED.
         unit: Unit as text, empty for pure numbers and words.
-        low, high: Closed range of the value or of each item, or None.
+        low: Smallest value, or smallest item of an array; None if there is no bound.
+        high: Largest value, or largest item of an array; None if there is no bound.
         choices: Allowed words, or empty.
         read_only: Whether it is fixed once the node runs.
-        doc: One sentence for people.
+        doc: Description in one sentence.
     """
 
     name: str
@@ -58,7 +59,8 @@ class Spec:
         """Return the value in the parameter's own type.
 
         Raises:
-            ParameterError: Wrong type, not finite, out of range or not among the choices.
+            ParameterError: The value has the wrong type, is not finite, is out of range, or is
+                not among the choices.
         """
         if self.item is None:
             return self._check_scalar(value, self.kind)
@@ -67,6 +69,7 @@ class Spec:
         return tuple(self._check_scalar(item, self.item) for item in value)
 
     def _check_scalar(self, value: Any, kind: type) -> Any:
+        """Check a value, or one item of an array; see :meth:`check`."""
         if kind is float and isinstance(value, int) and not isinstance(value, bool):
             value = float(value)
         if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):
@@ -96,31 +99,36 @@ def parameter(
     choices: tuple[str, ...] = (),
     read_only: bool = False,
 ) -> Any:
-    """Declare a parameter as a dataclass field; see :class:`Spec` for the arguments."""
+    """Declare a parameter as a dataclass field; :class:`Spec` explains the arguments."""
     metadata = {
-        "doc": doc, "unit": unit, "low": low, "high": high,
-        "choices": choices, "read_only": read_only,
-    }  # fmt: skip
+        "doc": doc,
+        "unit": unit,
+        "low": low,
+        "high": high,
+        "choices": choices,
+        "read_only": read_only,
+    }
     return field(default=default, metadata=metadata)
 
 
 def inline() -> Any:
-    """Declare a group whose parameters are named without the group's own name."""
+    """Declare a group whose name is left out of its parameters' names."""
     return field(metadata={"inline": True})
 
 
-def _below(entry: "dataclasses.Field[Any]", prefix: str) -> str:
+def _group_prefix(entry: "dataclasses.Field[Any]", prefix: str) -> str:
+    """Return the prefix of the names in a group."""
     return prefix if entry.metadata.get("inline") else f"{prefix}{entry.name}."
 
 
 def specs(cls: type, prefix: str = "") -> list[Spec]:
-    """List the parameters of a dataclass and of the groups in it, in order of declaration."""
+    """Return the parameters of a dataclass and of its groups, in order of declaration."""
     found: list[Spec] = []
     hints = typing.get_type_hints(cls)
     for entry in dataclasses.fields(cls):
         hint = hints[entry.name]
         if dataclasses.is_dataclass(hint) and isinstance(hint, type):
-            found += specs(hint, _below(entry, prefix))
+            found += specs(hint, _group_prefix(entry, prefix))
             continue
         item = typing.get_args(hint)[0] if typing.get_origin(hint) is tuple else None
         found.append(
@@ -136,11 +144,12 @@ def specs(cls: type, prefix: str = "") -> list[Spec]:
 
 
 def build(cls: type[T], values: Mapping[str, Any], prefix: str = "") -> T:
-    """Make a parameter set from full names and values; what is absent takes its default.
+    """Build a parameter set from names and values; absent parameters get their defaults.
 
     Args:
-        cls: The dataclass to make.
-        values: Full parameter names to values; names of other sets are left alone.
+        cls: Dataclass of the set.
+        values: Full parameter names to values; names of other sets are ignored.
+        prefix: Prefix of the names, ending in a dot; empty at the top.
 
     Raises:
         ParameterError: A value is refused, a required one is absent, or the set's own
@@ -153,30 +162,30 @@ def build(cls: type[T], values: Mapping[str, Any], prefix: str = "") -> T:
         hint = hints[entry.name]
         name = prefix + entry.name
         if dataclasses.is_dataclass(hint) and isinstance(hint, type):
-            arguments[entry.name] = build(hint, values, _below(entry, prefix))
+            arguments[entry.name] = build(hint, values, _group_prefix(entry, prefix))
         elif name in values:
             arguments[entry.name] = known[name].check(values[name])
         elif known[name].required:
-            raise ParameterError(name, None, "it has no default: the robot's file must give it")
+            raise ParameterError(name, None, "has no default: the robot's file must give it")
         else:
             arguments[entry.name] = known[name].check(known[name].default)
     return cls(**arguments)
 
 
 def flatten(instance: Any, prefix: str = "") -> dict[str, Any]:
-    """Give the full names and values of a parameter set."""
+    """Return the full names and values of a parameter set."""
     values: dict[str, Any] = {}
     for entry in dataclasses.fields(instance):
         value = getattr(instance, entry.name)
         if dataclasses.is_dataclass(value):
-            values |= flatten(value, _below(entry, prefix))
+            values |= flatten(value, _group_prefix(entry, prefix))
         else:
             values[prefix + entry.name] = value
     return values
 
 
 def flatten_mapping(tree: Mapping[str, Any], prefix: str = "") -> Mapping[str, Any]:
-    """Flatten nested mappings, as a YAML file holds them, to full names and values."""
+    """Flatten nested mappings, such as a YAML file contains, to full names and values."""
     values: dict[str, Any] = {}
     for key, value in tree.items():
         if isinstance(value, Mapping):

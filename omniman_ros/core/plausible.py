@@ -1,38 +1,44 @@
-"""Bounds of what a message may say: NaN, infinity and huge numbers are no input."""
+"""Bounds of plausible input: NaN, infinity and huge numbers are refused."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 
 LENGTH = 1e6
-"""Largest coordinate [m]."""
+"""Largest plausible coordinate [m]."""
 ANGLE = 1e6
-"""Largest angle of a pose or a turn [rad]."""
+"""Largest plausible angle of a pose or a rotation [rad]."""
 SPEED = 1e3
-"""Largest speed of a platform [m/s, rad/s]."""
+"""Largest plausible speed of a platform [m/s, rad/s]."""
 ACCELERATION = 1e5
-"""Largest acceleration of a platform [m/s^2, rad/s^2]."""
+"""Largest plausible acceleration of a platform [m/s^2, rad/s^2]."""
 WHEEL_ANGLE = 1e12
-"""Largest unwrapped position of a wheel [rad]."""
+"""Largest plausible unwrapped position of a wheel [rad]."""
 WHEEL_SPEED = 1e5
-"""Largest speed of a wheel [rad/s]."""
+"""Largest plausible speed of a wheel [rad/s]."""
 COVARIANCE = 1e12
-"""Largest entry of a pose's covariance [m^2, rad^2]."""
+"""Largest plausible entry of a pose's covariance [m^2, rad^2]."""
 EFFORT = 1e6
-"""Largest torque or voltage [N m, V]."""
+"""Largest plausible torque or voltage [N m, V]."""
 
-FEW = 8
-"""So many numbers are shown in a message."""
+MAX_SHOWN = 8
+"""Number of values that an error message shows at most."""
 
 
-def demand(values: NDArray[np.float64], bound: float, label: str) -> None:
-    """Demand finite numbers within +-bound.
+def demand(values: Array, bound: float, label: str) -> None:
+    """Check that all numbers are finite and within +-`bound`.
+
+    Args:
+        values: Numbers of any shape.
+        bound: Largest plausible magnitude, in the unit of the values.
+        label: Name of the values in the error message.
 
     Raises:
-        InputError: One is NaN, infinite or beyond the bound; the message has label and values
-            (the bad ones among many).
+        InputError: A value is NaN, infinite or beyond the bound. The message has the label and
+            the values; of many values, only those at fault.
     """
     if values.size and not float(np.abs(values).max()) <= bound:
-        shown = values if values.size <= FEW else values[~(np.abs(values) <= bound)][:FEW]
-        raise InputError(f"{label} {shown.tolist()} not finite or beyond +-{bound:g}")
+        within = np.abs(values) <= bound
+        shown = values if values.size <= MAX_SHOWN else values[~within][:MAX_SHOWN]
+        raise InputError(f"{label} {shown.tolist()} are not finite or beyond +-{bound:g}")

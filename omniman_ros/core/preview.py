@@ -1,23 +1,27 @@
-"""A preview of the platform's motion: timed poses, twists and accelerations in odom."""
+"""Previews of the platform's motion: timed poses, velocities and accelerations in odom."""
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from omniman_ros.core import plausible
+from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.hermite import Hermite
 
-Array = NDArray[np.float64]
-
 MAX_POINTS = 5000
-"""Longest accepted preview."""
+"""Largest number of points in a preview."""
 
 
 @dataclass(frozen=True)
 class Setpoint:
-    """One instant of a reference, x, x', x'' of CCTA 2017 V.B, each (3,) in the world frame."""
+    """One instant of a reference: x, x', x'' of CCTA 2017 V.B in the world frame.
+
+    Attributes:
+        pose: Pose (3,) [m, m, rad].
+        velocity: Velocity (3,) [m/s, m/s, rad/s].
+        acceleration: Acceleration (3,) [m/s^2, m/s^2, rad/s^2].
+    """
 
     pose: Array
     velocity: Array
@@ -25,19 +29,19 @@ class Setpoint:
 
 
 class Preview:
-    """Points in time, joined by quintic (with accelerations) or cubic polynomials.
+    """A sampled future motion, interpolated by quintic (with accelerations) or cubic polynomials.
 
-    Before its first point a preview waits there, after its last it stays there, both at rest.
+    Before its first point a preview rests at that point, after its last point at the last one.
 
     Args:
-        times: (k,) [s] on the receiver's clock, strictly increasing.
-        poses: (k, 3) x, y, theta in odom [m, m, rad]; headings are unwrapped here.
-        velocities: (k, 3) world-frame velocities [m/s, m/s, rad/s].
-        accelerations: (k, 3) world-frame accelerations, or None.
+        times: Times (k,) on the receiver's clock [s], strictly increasing.
+        poses: Poses (k, 3) x, y, theta in odom [m, m, rad]; headings are unwrapped here.
+        velocities: World-frame velocities (k, 3) [m/s, m/s, rad/s].
+        accelerations: World-frame accelerations (k, 3) [m/s^2, m/s^2, rad/s^2], or None.
 
     Raises:
-        InputError: Empty, too long, wrong shapes, not finite, huge, or times that do not
-            increase.
+        InputError: There are no points or too many, a shape is wrong, a number is not plausible,
+            or the times do not increase.
     """
 
     def __init__(
@@ -48,9 +52,10 @@ class Preview:
             raise InputError(f"a preview has 1 to {MAX_POINTS} points, got {k}")
         for label, array in (("poses", poses), ("velocities", velocities)):
             if array.shape != (k, 3):
-                raise InputError(f"preview: {label} of shape {array.shape}, expected ({k}, 3)")
+                raise InputError(f"preview: {label} have shape {array.shape}, expected ({k}, 3)")
         if accelerations is not None and accelerations.shape != (k, 3):
-            raise InputError(f"preview: accelerations of shape {accelerations.shape}")
+            shape = accelerations.shape
+            raise InputError(f"preview: accelerations have shape {shape}, expected ({k}, 3)")
         plausible.demand(times, np.finfo(float).max, "preview: times")
         plausible.demand(poses[:, :2], plausible.LENGTH, "preview: positions")
         plausible.demand(poses[:, 2], plausible.ANGLE, "preview: headings")
@@ -74,9 +79,9 @@ class Preview:
 
     @property
     def end_speed(self) -> float:
-        """Largest entry of the last point's velocity [m/s or rad/s]: 0 if it ends at rest."""
+        """Largest magnitude in the last point's velocity [m/s or rad/s]; 0 if it ends at rest."""
         return self._curve.end_speed
 
     def sample(self, now: float) -> Setpoint:
-        """The setpoint at `now` [s]."""
+        """Return the setpoint at `now` [s]."""
         return Setpoint(*self._curve.sample(now))

@@ -7,42 +7,64 @@ from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import REQUIRED, flatten, parameter
 
 Floats = tuple[float, ...]
+"""Value of a parameter of all wheels: one for all of them, or one per wheel."""
 Group = TypeVar("Group", "Wheels", "Friction")
+"""Parameter group whose arrays have one value per wheel."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Wheels:
-    """Where each wheel stands and how its rollers lie (CCTA 2017 Fig. 3); arrays of length n.
+    """Position of each wheel and angle of its rollers (CCTA 2017 Fig. 3); arrays of length n.
 
-    `radius` and `inertia` may have one value for all wheels.
+    Every array except names, `x` and `y` may have one value for all wheels.
     """
 
     names: tuple[str, ...] = parameter(
         REQUIRED, "Names of the wheels, in the order of all arrays.", read_only=True
     )
     x: Floats = parameter(
-        REQUIRED, "Position of each wheel's contact in base_link, forward.",
-        unit="m", low=-10, high=10, read_only=True,
-    )  # fmt: skip
+        REQUIRED,
+        "Position of each wheel's contact in base_link, forward.",
+        unit="m",
+        low=-10,
+        high=10,
+        read_only=True,
+    )
     y: Floats = parameter(
-        REQUIRED, "Position of each wheel's contact in base_link, left.",
-        unit="m", low=-10, high=10, read_only=True,
-    )  # fmt: skip
+        REQUIRED,
+        "Position of each wheel's contact in base_link, left.",
+        unit="m",
+        low=-10,
+        high=10,
+        read_only=True,
+    )
     heading: Floats = parameter(
-        (0.0,), "Rolling direction of each wheel in base_link (delta).",
-        unit="rad", low=-6.3, high=6.3, read_only=True,
-    )  # fmt: skip
+        (0.0,),
+        "Rolling direction of each wheel in base_link (delta).",
+        unit="rad",
+        low=-6.3,
+        high=6.3,
+        read_only=True,
+    )
     roller_angle: Floats = parameter(
-        REQUIRED, "Angle from the wheel's to the roller's frame (gamma), 0 for Omni wheels.",
-        unit="rad", low=-1.5708, high=1.5708, read_only=True,
-    )  # fmt: skip
+        REQUIRED,
+        "Angle from the wheel's to the roller's frame (gamma), 0 for Omni wheels.",
+        unit="rad",
+        low=-1.5708,
+        high=1.5708,
+        read_only=True,
+    )
     radius: Floats = parameter(
         REQUIRED, "Wheel radius.", unit="m", low=0.005, high=2, read_only=True
     )
     inertia: Floats = parameter(
-        REQUIRED, "Inertia of wheel, gear and rotor about the wheel's axle.",
-        unit="kg m^2", low=1e-7, high=100, read_only=True,
-    )  # fmt: skip
+        REQUIRED,
+        "Inertia of wheel, gear and rotor about the wheel's axle.",
+        unit="kg m^2",
+        low=1e-7,
+        high=100,
+        read_only=True,
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,9 +73,12 @@ class Body:
 
     mass: float = parameter(REQUIRED, "Mass, wheels included.", unit="kg", low=0.1, high=1e5)
     inertia: float = parameter(
-        REQUIRED, "Inertia about the vertical through its centre of mass, the wheels as points.",
-        unit="kg m^2", low=1e-4, high=1e6,
-    )  # fmt: skip
+        REQUIRED,
+        "Inertia about the vertical through its centre of mass, the wheels as points.",
+        unit="kg m^2",
+        low=1e-4,
+        high=1e6,
+    )
     com_x: float = parameter(0.0, "Centre of mass, forward.", unit="m", low=-5, high=5)
     com_y: float = parameter(0.0, "Centre of mass, left.", unit="m", low=-5, high=5)
     length: float = parameter(
@@ -66,20 +91,23 @@ class Body:
 
 @dataclass(frozen=True, kw_only=True)
 class Arm:
-    """The arm, seen by the platform as a body at rest on it; mass 0 for none."""
+    """The arm as a body at rest on the platform; mass 0 means that there is none."""
 
     mass: float = parameter(0.0, "Mass, tool and load included.", unit="kg", low=0, high=1e4)
     inertia: float = parameter(
-        0.0, "Inertia about the vertical through its centre of mass.",
-        unit="kg m^2", low=0, high=1e5,
-    )  # fmt: skip
+        0.0,
+        "Inertia about the vertical through its centre of mass.",
+        unit="kg m^2",
+        low=0,
+        high=1e5,
+    )
     com_x: float = parameter(0.0, "Centre of mass, forward.", unit="m", low=-5, high=5)
     com_y: float = parameter(0.0, "Centre of mass, left.", unit="m", low=-5, high=5)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Motor:
-    """DC motors with gear; electrical values at the motor (CCTA 2017 (22), MPC 2021 (21))."""
+    """DC motors with gears; electrical values are at the motor (CCTA 2017 (22), MPC 2021 (21))."""
 
     resistance: float = parameter(
         REQUIRED, "Armature resistance R.", unit="ohm", low=1e-4, high=1e4
@@ -89,7 +117,7 @@ class Motor:
         REQUIRED, "Torque and back-EMF constant K.", unit="V s/rad", low=1e-5, high=100
     )
     gear_ratio: float = parameter(
-        REQUIRED, "Turns of the motor per turn of the wheel N.", low=0.01, high=1e4, read_only=True
+        REQUIRED, "Motor revolutions per wheel revolution, N.", low=0.01, high=1e4, read_only=True
     )
     gear_efficiency: float = parameter(
         1.0, "Efficiency eta of the gear when the motor drives.", low=0.05, high=1
@@ -101,12 +129,15 @@ class Motor:
         REQUIRED, "Largest armature current.", unit="A", low=0.01, high=5000
     )
     max_speed: float = parameter(
-        REQUIRED, "Largest wheel speed that is asked for.", unit="rad/s", low=0.01, high=1000
+        REQUIRED, "Largest wheel speed that is commanded.", unit="rad/s", low=0.01, high=1000
     )
     encoder_counts: int = parameter(
-        REQUIRED, "Encoder counts in one turn of the wheel.", low=1, high=1_000_000_000,
+        REQUIRED,
+        "Encoder counts per wheel revolution.",
+        low=1,
+        high=1_000_000_000,
         read_only=True,
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,18 +151,22 @@ class Friction:
         (0.0,), "Coulomb friction b at the wheel's axle.", unit="N m", low=0, high=1e4
     )
     roller: Floats = parameter(
-        (0.0,), "Drag of a turning roller along its free direction, over the wheel's load: "
-        "what makes sideways harder than forwards.", low=0, high=1,
-    )  # fmt: skip
+        (0.0,),
+        "Drag of a rolling roller along its free direction, over the wheel's load; it makes "
+        "sideways motion need more torque than forward motion.",
+        low=0,
+        high=1,
+    )
     mu: float = parameter(0.6, "Coefficient of friction, roller on floor.", low=0.01, high=5)
 
 
 @dataclass(frozen=True)
 class Robot:
-    """A whole platform; per-wheel arrays are broadcast to n.
+    """Configuration of a whole platform; arrays with one value are broadcast to the n wheels.
 
     Raises:
-        ParameterError: Arrays of different lengths, fewer than three wheels, a name twice.
+        ParameterError: Arrays differ in length, there are fewer than three wheels, or a name is
+            empty or repeated.
     """
 
     wheels: Wheels
@@ -146,18 +181,20 @@ class Robot:
             raise ParameterError("wheels.names", names, "a platform needs at least three wheels")
         for name in names:
             if not name or names.count(name) > 1:
-                raise ParameterError("wheels.names", names, f"'{name}' is empty or there twice")
+                raise ParameterError("wheels.names", names, f"'{name}' is empty or repeated")
         for group in ("wheels", "friction"):
             object.__setattr__(self, group, self._broadcast(group, getattr(self, group)))
 
     def _broadcast(self, prefix: str, group: Group) -> Group:
+        """Return a group with every array broadcast to n values."""
         n = len(self.wheels.names)
         arrays: dict[str, Any] = {}
         for key, value in flatten(group).items():
             if not isinstance(value, tuple):
                 continue
             if len(value) not in (1, n) or (len(value) == 1 and key in ("x", "y")):
-                raise ParameterError(f"{prefix}.{key}", value, f"{len(value)} values, {n} wheels")
+                reason = f"{len(value)} values, {n} wheels"
+                raise ParameterError(f"{prefix}.{key}", value, f"has {reason}")
             arrays[key] = value if len(value) == n else value * n
         return replace(group, **arrays)
 

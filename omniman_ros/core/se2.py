@@ -3,9 +3,8 @@
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from omniman_ros.core.arrays import Array
 
 
 def wrap(angle: float) -> float:
@@ -15,33 +14,33 @@ def wrap(angle: float) -> float:
 
 
 def rotation(theta: float) -> Array:
-    """R(theta) of CCTA 2017 (1), shape (3, 3): velocities from the world into the robot frame."""
+    """Return R(theta) of CCTA 2017 (1), (3, 3): velocities from the world to the robot frame."""
     c, s = math.cos(theta), math.sin(theta)
     return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def to_robot(theta: float, world: Array) -> Array:
-    """Turn a world-frame velocity or acceleration (3,) into the robot frame, CCTA 2017 (1)."""
+    """Rotate a world-frame velocity or acceleration (3,) to the robot frame, CCTA 2017 (1)."""
     c, s = math.cos(theta), math.sin(theta)
     x, y, w = world.tolist()
     return np.array([c * x + s * y, c * y - s * x, w])
 
 
 def to_world(theta: float, robot: Array) -> Array:
-    """Turn a robot-frame velocity or acceleration (3,) into the world frame, CCTA 2017 (1)."""
+    """Rotate a robot-frame velocity or acceleration (3,) to the world frame, CCTA 2017 (1)."""
     c, s = math.cos(theta), math.sin(theta)
     x, y, w = robot.tolist()
     return np.array([c * x - s * y, s * x + c * y, w])
 
 
 def arc(displacement: Array) -> tuple[float, float, float]:
-    """Exponential map: the pose after a constant twist, seen from the pose before.
+    """Return the pose after a constant twist, relative to the pose before (exponential map).
 
     Args:
-        displacement: (3,) twist times time [m, m, rad] in the moving body's frame.
+        displacement: Twist times time (3,) in the moving body's frame [m, m, rad].
 
     Returns:
-        dx, dy [m] in the frame at the start, dtheta [rad].
+        dx, dy [m] in the frame at the start, and dtheta [rad].
     """
     x, y, angle = displacement.tolist()
     if abs(angle) < 1e-4:  # the series is exact to round-off here

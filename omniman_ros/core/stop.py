@@ -1,4 +1,4 @@
-"""What holds a node that moves something: latched stops, the emergency stop, stopped peers."""
+"""The stop of a node that moves something: latched stops, the emergency stop, stopped peers."""
 
 from dataclasses import dataclass
 from enum import Enum
@@ -7,7 +7,7 @@ from omniman_ros.core.errors import OmnimanError
 
 
 class StopState(Enum):
-    """Published on `stop_state`."""
+    """State of a node that moves something, as published on `stop_state`."""
 
     RUNNING = "running"
     HOLDING = "holding"
@@ -15,21 +15,26 @@ class StopState(Enum):
 
 
 class ResetRefusedError(OmnimanError):
-    """A reset is refused; the message says why."""
+    """A reset was refused; the message says why."""
 
 
 @dataclass(frozen=True)
 class StopStatus:
-    """A state and the reason for it in words."""
+    """A state with its reason.
+
+    Attributes:
+        state: The state.
+        reason: Why the node is in that state; empty while it is running.
+    """
 
     state: StopState
     reason: str
 
 
 class StopLatch:
-    """Latches stops until a reset; holds while a peer is stopped.
+    """Latches stops until a reset, and holds while a peer is stopped.
 
-    A node is STOPPED by its own causes (a service call, the emergency stop, a fault): only
+    A node is STOPPED by causes of its own (a service call, the emergency stop, a fault): only
     :meth:`reset` clears that. It is HOLDING while a peer is STOPPED, without a latch of its own,
     so that two nodes never wait for each other's reset. In both states nothing may move.
     """
@@ -46,7 +51,7 @@ class StopLatch:
 
     @property
     def emergency(self) -> bool:
-        """Whether the emergency stop is true now."""
+        """Whether the emergency stop is active."""
         return self._emergency
 
     @property
@@ -55,23 +60,39 @@ class StopLatch:
         if self._cause:
             return StopStatus(StopState.STOPPED, self._cause)
         if self._peers:
-            reasons = "; ".join(f"{name}: {why}" for name, why in sorted(self._peers.items()))
+            reasons = "; ".join(
+                f"{name}: {reason}" for name, reason in sorted(self._peers.items())
+            )
             return StopStatus(StopState.HOLDING, f"stopped peer {reasons}")
         return StopStatus(StopState.RUNNING, "")
 
     def stop(self, cause: str) -> bool:
-        """Latch a stop; the first cause is kept. Returns whether it is new."""
+        """Latch a stop; the first cause is kept.
+
+        Returns:
+            Whether the node was not stopped before.
+        """
         new = not self._cause
         self._cause = self._cause or cause
         return new
 
     def set_emergency(self, active: bool) -> bool:
-        """Hear the emergency stop; false releases nothing. Returns whether a latch is new."""
+        """Set the state of the emergency stop; an inactive one releases nothing.
+
+        Returns:
+            Whether the call latched a stop.
+        """
         self._emergency = active
         return self.stop("emergency_stop") if active else False
 
     def set_peer(self, name: str, stopped: bool, reason: str = "") -> None:
-        """Hear a peer's state; unlatched, it holds for as long as the peer is stopped."""
+        """Set the state of a peer; this node holds for as long as the peer is stopped.
+
+        Args:
+            name: Full name of the peer.
+            stopped: Whether the peer is stopped.
+            reason: Why the peer is stopped.
+        """
         if stopped:
             self._peers[name] = reason
         else:
@@ -79,23 +100,24 @@ class StopLatch:
 
     @property
     def peers(self) -> tuple[str, ...]:
-        """Names of the stopped peers."""
+        """Full names of the stopped peers."""
         return tuple(self._peers)
 
     def reset(self, *, at_rest: bool, fault: str = "") -> None:
-        """Clear the latch; it moves nothing by itself.
+        """Clear the latch; this moves nothing by itself.
 
         Args:
             at_rest: Whether everything has come to rest.
-            fault: A cause that is still there, or empty.
+            fault: Fault that is still present, or empty.
 
         Raises:
-            ResetRefusedError: The emergency stop is true, a fault is still there, or it moves.
+            ResetRefusedError: The emergency stop is active, a fault is present, or something
+                moves.
         """
         if self._emergency:
             raise ResetRefusedError("emergency_stop is true: publish false first")
         if fault:
-            raise ResetRefusedError(f"still there: {fault}")
+            raise ResetRefusedError(f"the fault is still present: {fault}")
         if not at_rest:
             raise ResetRefusedError("still moving: wait for the stop to end")
         self._cause = ""

@@ -1,28 +1,33 @@
-"""Rate limit for warnings, one a subject."""
+"""Rate limit for warnings, separate for each subject."""
 
 
 class Throttle:
-    """Lets a subject through once a period and counts what it holds back.
+    """Allows one event of a subject per period, and counts those it suppresses.
 
     Args:
-        period: Shortest time between two of one subject [s].
+        period: Shortest time between two allowed events of one subject [s].
+
+    Attributes:
+        counts: Number of events of each subject, suppressed ones included.
     """
 
     def __init__(self, period: float) -> None:
         self._period = period
         self._last: dict[str, float] = {}
-        self._held: dict[str, int] = {}
+        self._suppressed: dict[str, int] = {}
         self.counts: dict[str, int] = {}
 
     def allow(self, subject: str, now: float) -> int | None:
-        """Return how many were held back since the last, or None if this one is held back too.
+        """Count an event at `now` [s], and decide whether it is allowed.
 
-        `counts` has the total of each subject.
+        Returns:
+            Number of events suppressed since the last allowed event; None if this event is
+            suppressed, too.
         """
         self.counts[subject] = self.counts.get(subject, 0) + 1
         last = self._last.get(subject)
         if last is not None and 0.0 <= now - last < self._period:
-            self._held[subject] = self._held.get(subject, 0) + 1
+            self._suppressed[subject] = self._suppressed.get(subject, 0) + 1
             return None
         self._last[subject] = now
-        return self._held.pop(subject, 0)
+        return self._suppressed.pop(subject, 0)

@@ -1,1 +1,1 @@
-"""The robot as others see it: its URDF, made from its configuration."""
+"""Description of the robot for other tools: its URDF, made from its configuration."""

@@ -1,4 +1,4 @@
-"""Masses and inertias of links: principal moments that a rigid body can have."""
+"""Masses and inertias of links, with physically possible principal moments."""
 
 import math
 from dataclasses import dataclass
@@ -6,9 +6,10 @@ from dataclasses import dataclass
 from omniman_ros.core.robot import Robot
 
 Vector = tuple[float, float, float]
+"""Three components x, y, z: a position [m], roll, pitch, yaw [rad], or moments [kg m^2]."""
 
-SHARE = 0.5
-"""Largest part of the body's mass, and of its inertia, that is given to the wheels."""
+MAX_WHEEL_FRACTION = 0.5
+"""Largest fraction of the body's mass, and of its inertia, that is assigned to the wheels."""
 
 
 @dataclass(frozen=True)
@@ -16,10 +17,10 @@ class Inertia:
     """Mass and principal moments of a link.
 
     Attributes:
-        mass: Its mass [kg].
-        moments: About axes through the centre of mass [kg m^2].
+        mass: Mass [kg].
+        moments: Moments of inertia about axes through the centre of mass [kg m^2].
         centre: Centre of mass in the link's frame [m].
-        rpy: Turn of the axes against the link's frame: roll, pitch, yaw [rad].
+        rpy: Rotation of the axes in the link's frame: roll, pitch, yaw [rad].
     """
 
     mass: float
@@ -29,58 +30,59 @@ class Inertia:
 
 
 def cylinder(mass: float, radius: float, length: float, centre: Vector, rpy: Vector) -> Inertia:
-    """A full cylinder along the z of its own axes [kg, m, m]."""
-    across = mass * (3.0 * radius**2 + length**2) / 12.0
-    return Inertia(mass, (across, across, 0.5 * mass * radius**2), centre, rpy)
+    """Return the inertia of a solid cylinder along z of its own axes [kg, m, m, m, rad]."""
+    transverse = mass * (3.0 * radius**2 + length**2) / 12.0
+    return Inertia(mass, (transverse, transverse, 0.5 * mass * radius**2), centre, rpy)
 
 
 def wheel_masses(robot: Robot) -> tuple[float, ...]:
-    """Mass of each wheel [kg], which is a part of the body's.
+    """Return the mass of each wheel [kg], which is part of the body's mass.
 
-    Each is that of a full cylinder with the wheel's inertia, 2 I / r^2. As I has gear and rotor
-    in it this can be too much: then all are made smaller by one factor, until wheels leave
-    :data:`SHARE` of the body's mass, and of its inertia about the vertical, to the rest.
+    Each is that of a solid cylinder with the wheel's inertia, 2 I / r^2. This can be too much, as
+    I contains gear and rotor. Then all masses are scaled down by one factor, so that the wheels
+    have at most :data:`MAX_WHEEL_FRACTION` of the body's mass and its inertia about the vertical.
     """
     wheels, body = robot.wheels, robot.body
-    full = [2.0 * i / r**2 for i, r in zip(wheels.inertia, wheels.radius, strict=True)]
-    total = sum(full)
-    away = [(x - body.com_x, y - body.com_y) for x, y in zip(wheels.x, wheels.y, strict=True)]
-    # The rest lies opposite to wheels that are not even: with a factor s, what it has less than
-    # the whole about the vertical is at most s a + s^2 b, as its mass is no less than the SHARE.
-    a = sum(m * (x * x + y * y) for m, (x, y) in zip(full, away, strict=True))
-    first = [sum(m * d[k] for m, d in zip(full, away, strict=True)) for k in (0, 1)]
-    b = (first[0] ** 2 + first[1] ** 2) / ((1.0 - SHARE) * body.mass)
-    turning = SHARE * body.inertia
-    by_inertia = 2.0 * turning / (a + math.sqrt(a * a + 4.0 * b * turning)) if a > 0.0 else 1.0
-    factor = min(1.0, SHARE * body.mass / total, by_inertia)
-    return tuple(factor * m for m in full)
+    masses = [2.0 * i / r**2 for i, r in zip(wheels.inertia, wheels.radius, strict=True)]
+    total = sum(masses)
+    offsets = [(x - body.com_x, y - body.com_y) for x, y in zip(wheels.x, wheels.y, strict=True)]
+    # The rest of the body balances asymmetric wheels: with a factor s, its inertia about the
+    # vertical is less than the whole by at most s a + s^2 b, as its mass is at least
+    # 1 - MAX_WHEEL_FRACTION of the body's.
+    a = sum(m * (x * x + y * y) for m, (x, y) in zip(masses, offsets, strict=True))
+    first = [sum(m * d[k] for m, d in zip(masses, offsets, strict=True)) for k in (0, 1)]
+    b = (first[0] ** 2 + first[1] ** 2) / ((1.0 - MAX_WHEEL_FRACTION) * body.mass)
+    limit = MAX_WHEEL_FRACTION * body.inertia
+    by_inertia = 2.0 * limit / (a + math.sqrt(a * a + 4.0 * b * limit)) if a > 0.0 else 1.0
+    factor = min(1.0, MAX_WHEEL_FRACTION * body.mass / total, by_inertia)
+    return tuple(factor * m for m in masses)
 
 
 def wheel(robot: Robot, i: int, mass: float, width: float) -> Inertia:
-    """A wheel about its axle y; about the axle it has all that turns: gear and rotor too.
+    """Return the inertia of a wheel with its axle along y, including gear and rotor.
 
     Args:
-        robot: Whose.
-        i: Which wheel.
-        mass: Of :func:`wheel_masses` [kg].
-        width: Of the wheel [m].
+        robot: Configuration of the robot.
+        i: Index of the wheel.
+        mass: Mass from :func:`wheel_masses` [kg].
+        width: Width of the wheel [m].
     """
     axle = robot.wheels.inertia[i]
-    across = 0.5 * axle + mass * width**2 / 12.0
-    return Inertia(mass, (across, axle, across))
+    transverse = 0.5 * axle + mass * width**2 / 12.0
+    return Inertia(mass, (transverse, axle, transverse))
 
 
 def rest_of_body(robot: Robot, masses: tuple[float, ...], bottom: float, top: float) -> Inertia:
-    """The platform without its wheels, in base_link.
+    """Return the inertia of the platform without its wheels, in base_link.
 
-    With the wheels as points it has the body's mass, centre of mass and inertia about the
-    vertical. In the other directions it is a box, which a body always can be: half the sum of the
-    moments is above each of them.
+    Together with the wheels as point masses it has the body's mass, centre of mass and inertia
+    about the vertical. In the other directions it is a box, which is always physically possible:
+    half the sum of the moments exceeds each of them.
 
     Args:
-        robot: Whose.
-        masses: Of the wheels [kg].
-        bottom, top: Heights of the box [m].
+        robot: Configuration of the robot.
+        masses: Masses of the wheels [kg].
+        bottom, top: Heights of the box above the floor [m].
     """
     wheels, body = robot.wheels, robot.body
     points = list(zip(masses, wheels.x, wheels.y, strict=True))

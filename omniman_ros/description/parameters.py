@@ -1,29 +1,29 @@
-"""What the description of a robot is made from, as parameters."""
+"""Parameters from which the description of a robot is made."""
 
 from dataclasses import dataclass
 
 from omniman_ros.core.arm_parameters import ArmParameters
-from omniman_ros.core.body.model import Mount
 from omniman_ros.core.parameters import inline
 from omniman_ros.core.robot import Robot
-from omniman_ros.description.urdf import demand_joints, urdf
+from omniman_ros.description.urdf import require_joint_names, urdf
+from omniman_ros.motion.whole_body.model import Mount
 
 
 @dataclass(frozen=True, kw_only=True)
 class DescriptionParameters:
-    """The platform, the arm's joints, and where the arm stands."""
+    """The platform, the arm's joints, and the pose of the arm on the platform."""
 
     robot: Robot = inline()
     arm: ArmParameters
     mount: Mount
 
     def __post_init__(self) -> None:
-        """Refuse what makes no URDF and no joint states.
+        """Check that the names of the joints are valid in a URDF and in joint states.
 
         Raises:
-            ParameterError: A joint's name is there twice, or cannot be written.
+            ParameterError: A joint's name is used twice, or cannot be written.
         """
-        demand_joints(self.robot, self.arm)
+        require_joint_names(self.robot, self.arm)
 
     @property
     def urdf(self) -> str:

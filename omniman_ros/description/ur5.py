@@ -1,7 +1,7 @@
-"""The UR5's links, in the frames that its public description gives them.
+"""Links of the UR5, in the frames of its public description.
 
-Joint angles turn each link about the z of its frame. Lengths are those of the DH table in
-`core.arm_model`; the shapes are ours.
+Joint angles rotate each link about z of its frame. Lengths are those of the DH table in
+`core.arm_model`; the shapes are our own.
 
 Sources: Universal Robots, "DH parameters for calculations of kinematics and dynamics" and "Max.
 joint torques", as they stand in ur_description, config/ur5 (physical_parameters.yaml,
@@ -14,20 +14,28 @@ from dataclasses import dataclass
 from omniman_ros.core.arm_model import UR5, DhTable
 from omniman_ros.description.inertia import Inertia, Vector, cylinder
 
-QUARTER = 0.5 * math.pi
+QUARTER_TURN = 0.5 * math.pi
+"""Angle of 90 degrees [rad]."""
 EFFORTS = (150.0, 150.0, 150.0, 28.0, 28.0, 28.0)
 """Largest torque of each joint [N m]."""
-SHOULDER_OFFSET, ELBOW_OFFSET = 0.13585, 0.0165
-"""Of upper arm and forearm from the first axis, along the axes of shoulder_lift and elbow [m]."""
+SHOULDER_OFFSET = 0.13585
+"""Offset of the upper arm from the first axis, along the axis of shoulder_lift [m]."""
+ELBOW_OFFSET = 0.0165
+"""Offset of the forearm from the first axis, along the axis of elbow [m]."""
 FLANGE = 0.03
 """Thickness of the last link [m]."""
 BASE_HEIGHT = 0.05
-"""Height of the part that is screwed down [m]."""
+"""Height of the part that is fixed to the platform [m]."""
 
 
 @dataclass(frozen=True)
 class Tube:
-    """A cylinder between two points of a link's frame [m]."""
+    """A cylinder in a link's frame.
+
+    Attributes:
+        start, end: Centres of the end faces [m].
+        radius: Radius [m].
+    """
 
     start: Vector
     end: Vector
@@ -35,18 +43,18 @@ class Tube:
 
     @property
     def length(self) -> float:
-        """Distance of the ends [m]."""
+        """Distance between the ends [m]."""
         return math.dist(self.start, self.end)
 
     @property
     def centre(self) -> Vector:
-        """Point in the middle [m]."""
+        """Centre of the cylinder [m]."""
         x, y, z = (0.5 * (a + b) for a, b in zip(self.start, self.end, strict=True))
         return x, y, z
 
     @property
     def rpy(self) -> Vector:
-        """Turn of the link's frame after which z points from start to end [rad]."""
+        """Rotation of the link's frame after which z points from start to end [rad]."""
         x, y, z = (b - a for a, b in zip(self.start, self.end, strict=True))
         return 0.0, math.atan2(math.hypot(x, y), z), math.atan2(y, x) if x or y else 0.0
 
@@ -56,12 +64,12 @@ class Link:
     """A link of the arm.
 
     Attributes:
-        name: Its public name.
-        place: Of its frame in the one before, with the joint at zero [m].
-        rpy: Turn of its frame likewise [rad].
-        mass: Its mass [kg].
-        centre: Its centre of mass [m].
-        tubes: Its shape; with the first one's proportions go its moments of inertia.
+        name: Public name.
+        place: Position of the frame in that of the previous link, with the joint at zero [m].
+        rpy: Rotation of the frame in that of the previous link, with the joint at zero [rad].
+        mass: Mass [kg].
+        centre: Centre of mass [m].
+        tubes: Shape; the first tube also determines the moments of inertia.
     """
 
     name: str
@@ -73,57 +81,90 @@ class Link:
 
     @property
     def inertia(self) -> Inertia:
-        """Mass and moments: of a cylinder like the first tube, about the centre of mass."""
+        """Inertia of a cylinder like the first tube, about the centre of mass."""
         first = self.tubes[0]
         return cylinder(self.mass, first.radius, first.length, self.centre, first.rpy)
 
 
 BASE = Link(
-    "arm_base_link_inertia", (0.0, 0.0, 0.0), (0.0, 0.0, math.pi), 4.0, (0.0, 0.0, 0.025),
+    "arm_base_link_inertia",
+    (0.0, 0.0, 0.0),
+    (0.0, 0.0, math.pi),
+    4.0,
+    (0.0, 0.0, 0.025),
     (Tube((0.0, 0.0, 0.0), (0.0, 0.0, BASE_HEIGHT), 0.075),),
-)  # fmt: skip
-"""What does not move, in `arm_base_link`; the frame is the base of the DH table."""
+)
+"""Fixed link of the arm, in `arm_base_link`; its frame is the base of the DH table."""
 
 
 def links(table: DhTable = UR5) -> tuple[Link, ...]:
-    """The six links that move, from the base on.
-
-    The frame of the last one is `tool0`.
+    """Return the six moving links, from the base on; the frame of the last one is `tool0`.
 
     Args:
-        table: Lengths of the arm.
+        table: DH table of the arm.
     """
     t, zero, still = table, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     elbow_to_wrist = ELBOW_OFFSET - t.d4
     return (
         Link(
-            "shoulder_link", (0.0, 0.0, t.d1), still, 3.7, (0.0, -0.00193, -0.02561),
-            (Tube((0.0, 0.0, BASE_HEIGHT - t.d1), (0.0, 0.0, 0.06), 0.06),
-             Tube(zero, (0.0, -SHOULDER_OFFSET, 0.0), 0.06)),
+            "shoulder_link",
+            (0.0, 0.0, t.d1),
+            still,
+            3.7,
+            (0.0, -0.00193, -0.02561),
+            (
+                Tube((0.0, 0.0, BASE_HEIGHT - t.d1), (0.0, 0.0, 0.06), 0.06),
+                Tube(zero, (0.0, -SHOULDER_OFFSET, 0.0), 0.06),
+            ),
         ),
         Link(
-            "upper_arm_link", zero, (QUARTER, 0.0, 0.0), 8.393, (0.5 * t.a2, 0.0, 0.11336),
-            (Tube((0.0, 0.0, SHOULDER_OFFSET), (t.a2, 0.0, SHOULDER_OFFSET), 0.054),
-             Tube((0.0, 0.0, SHOULDER_OFFSET - 0.06), (0.0, 0.0, SHOULDER_OFFSET + 0.06), 0.06),
-             Tube((t.a2, 0.0, ELBOW_OFFSET), (t.a2, 0.0, SHOULDER_OFFSET + 0.06), 0.06)),
+            "upper_arm_link",
+            zero,
+            (QUARTER_TURN, 0.0, 0.0),
+            8.393,
+            (0.5 * t.a2, 0.0, 0.11336),
+            (
+                Tube((0.0, 0.0, SHOULDER_OFFSET), (t.a2, 0.0, SHOULDER_OFFSET), 0.054),
+                Tube((0.0, 0.0, SHOULDER_OFFSET - 0.06), (0.0, 0.0, SHOULDER_OFFSET + 0.06), 0.06),
+                Tube((t.a2, 0.0, ELBOW_OFFSET), (t.a2, 0.0, SHOULDER_OFFSET + 0.06), 0.06),
+            ),
         ),
         Link(
-            "forearm_link", (t.a2, 0.0, 0.0), still, 2.33, (0.15 + t.a3, 0.0, 0.0265),
-            (Tube((0.0, 0.0, ELBOW_OFFSET), (t.a3, 0.0, ELBOW_OFFSET), 0.04),
-             Tube((t.a3, 0.0, ELBOW_OFFSET - 0.045), (t.a3, 0.0, ELBOW_OFFSET + 0.045), 0.045)),
+            "forearm_link",
+            (t.a2, 0.0, 0.0),
+            still,
+            2.33,
+            (0.15 + t.a3, 0.0, 0.0265),
+            (
+                Tube((0.0, 0.0, ELBOW_OFFSET), (t.a3, 0.0, ELBOW_OFFSET), 0.04),
+                Tube((t.a3, 0.0, ELBOW_OFFSET - 0.045), (t.a3, 0.0, ELBOW_OFFSET + 0.045), 0.045),
+            ),
         ),
         Link(
-            "wrist_1_link", (t.a3, 0.0, t.d4), still, 1.219, (0.0, -0.01634, -0.0018),
+            "wrist_1_link",
+            (t.a3, 0.0, t.d4),
+            still,
+            1.219,
+            (0.0, -0.01634, -0.0018),
             (Tube((0.0, 0.0, elbow_to_wrist + 0.045), (0.0, 0.0, 0.045), 0.045),),
         ),
         Link(
-            "wrist_2_link", (0.0, -t.d5, 0.0), (QUARTER, 0.0, 0.0), 1.219,
+            "wrist_2_link",
+            (0.0, -t.d5, 0.0),
+            (QUARTER_TURN, 0.0, 0.0),
+            1.219,
             (0.0, 0.01634, -0.0018),
-            (Tube((0.0, 0.0, 0.045 - t.d5), (0.0, 0.0, 0.045), 0.045),
-             Tube(zero, (0.0, t.d6 - FLANGE, 0.0), 0.0375)),
+            (
+                Tube((0.0, 0.0, 0.045 - t.d5), (0.0, 0.0, 0.045), 0.045),
+                Tube(zero, (0.0, t.d6 - FLANGE, 0.0), 0.0375),
+            ),
         ),
         Link(
-            "wrist_3_link", (0.0, t.d6, 0.0), (-QUARTER, 0.0, 0.0), 0.1879,
-            (0.0, 0.0, -0.001159), (Tube((0.0, 0.0, -FLANGE), zero, 0.0375),),
+            "wrist_3_link",
+            (0.0, t.d6, 0.0),
+            (-QUARTER_TURN, 0.0, 0.0),
+            0.1879,
+            (0.0, 0.0, -0.001159),
+            (Tube((0.0, 0.0, -FLANGE), zero, 0.0375),),
         ),
-    )  # fmt: skip
+    )

@@ -1,4 +1,4 @@
-"""URDF of the whole robot: platform, wheels, arm; simple shapes of ours.
+"""URDF of the whole robot: platform, wheels and arm, in simple shapes of our own.
 
 The tree is `base_link` (on the floor, REP 105), a link for each wheel, and the arm's links with
 their public names from `arm_base_link` to `tool0`. Joints are named as in `wheel_states` and
@@ -7,19 +7,20 @@ their public names from `arm_base_link` to `tool0`. Joints are named as in `whee
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from xml.etree import ElementTree as xml
+from xml.etree import ElementTree
 
 from omniman_ros.core.arm_parameters import ArmParameters
-from omniman_ros.core.body.model import Mount
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.robot import Robot
-from omniman_ros.description.body import WHEEL_WIDTH, Box, body_boxes
 from omniman_ros.description.inertia import Inertia, Vector, rest_of_body, wheel, wheel_masses
+from omniman_ros.description.platform_shape import WHEEL_WIDTH, Box, platform_boxes
 from omniman_ros.description.ur5 import BASE, EFFORTS, Link, Tube, links
+from omniman_ros.motion.whole_body.model import Mount
 
 ZERO = (0.0, 0.0, 0.0)
-ON_SIDE = (1.5707963267948966, 0.0, 0.0)
-"""Turn after which z is a wheel's axle [rad]."""
+"""Zero vector: no translation [m], or no rotation [rad]."""
+WHEEL_RPY = (1.5707963267948966, 0.0, 0.0)
+"""Rotation after which z is a wheel's axle [rad]."""
 COLOURS = {
     "body": "0.22 0.26 0.31 1",
     "tyre": "0.10 0.10 0.11 1",
@@ -27,33 +28,39 @@ COLOURS = {
     "metal": "0.72 0.75 0.78 1",
     "joint": "0.30 0.52 0.72 1",
 }
-"""Red, green, blue and opacity of what the robot is made of."""
-MARK = (1.5, 1.02, 0.25)
-"""Edges of the mark that shows a wheel turn: over its radius, its width, its radius."""
+"""Red, green, blue and opacity of the robot's materials."""
+WHEEL_MARK = (1.5, 1.02, 0.25)
+"""Edges of the mark that makes a wheel's rotation visible, over its radius, width and radius."""
 TOOL = "tool0"
+"""Name of the tool's link."""
 ARM_BASE = "arm_base_link"
+"""Name of the link of the arm's base."""
 
 
 def carries_arm(robot: Robot) -> bool:
-    """Whether the robot has an arm: whether `arm.mass` is more than 0."""
+    """Return whether the robot has an arm, that is, whether `arm.mass` is above 0."""
     return robot.arm.mass > 0.0
 
 
-def demand_joints(robot: Robot, arm: ArmParameters) -> None:
-    """Demand that the joints of wheels and arm have names of their own, which XML can have.
+def require_joint_names(robot: Robot, arm: ArmParameters) -> None:
+    """Require that the joints of wheels and arm have unique names that XML allows.
 
     Raises:
-        ParameterError: A name is there twice or not printable, or the arm has not six joints.
+        ParameterError: A name is used twice or not printable, or the arm has not six joints.
     """
     if len(arm.joints) != len(EFFORTS):
-        raise ParameterError("arm.joints", arm.joints, f"a UR5 has {len(EFFORTS)} joints")
-    both = set(robot.wheels.names) & set(arm.joints)
-    if both:
-        raise ParameterError("arm.joints", arm.joints, f"'{min(both)}' is also a wheel")
+        raise ParameterError(
+            "arm.joints", arm.joints, f"must be the {len(EFFORTS)} joints of a UR5"
+        )
+    shared = set(robot.wheels.names) & set(arm.joints)
+    if shared:
+        raise ParameterError("arm.joints", arm.joints, f"'{min(shared)}' is also a wheel")
     for label, names in (("wheels.names", robot.wheels.names), ("arm.joints", arm.joints)):
         for name in names:
             if not name.isprintable():
-                raise ParameterError(label, names, f"{name!r} has characters that no XML has")
+                raise ParameterError(
+                    label, names, f"{name!r} has characters that XML does not allow"
+                )
 
 
 def urdf(
@@ -63,54 +70,58 @@ def urdf(
     name: str = "omniman",
     with_arm: bool | None = None,
 ) -> str:
-    """The URDF of a robot as it is configured.
+    """Return the URDF of a robot as it is configured.
 
-    Wheels have their mass from the body's, see :func:`wheel_masses`. The arm has the public
-    masses of the UR5's links; `arm.mass` of the robot, which is the arm as the platform's control
-    sees it, with tool and load, only says whether there is one.
+    The mass of the wheels is part of the body's, see :func:`wheel_masses`. The arm has the public
+    masses of the UR5's links; `arm.mass` of the robot, which is the arm with tool and load as the
+    platform's control sees it, only determines whether there is an arm.
 
     Args:
-        robot: The platform, with any wheels.
+        robot: The platform, with any number of wheels.
         arm: Names and limits of the joints.
-        mount: Where the arm stands.
-        name: Of the robot.
-        with_arm: Whether to describe the arm; None: if the robot carries one.
+        mount: Pose of the arm on the platform.
+        name: Name of the robot.
+        with_arm: Whether to describe the arm; None means if the robot carries one.
 
     Raises:
-        ParameterError: Names of joints or links are there twice or cannot be written, or the arm
+        ParameterError: Names of joints or links are used twice or cannot be written, or the arm
             has not six joints.
     """
-    demand_joints(robot, arm)
+    require_joint_names(robot, arm)
     if not name.isprintable() or not name:
-        raise ParameterError("name", name, "needs printable characters")
+        raise ParameterError("name", name, "must have printable characters")
     armed = carries_arm(robot) if with_arm is None else with_arm
-    root = xml.Element("robot", name=name)
+    root = ElementTree.Element("robot", name=name)
     for colour, rgba in COLOURS.items():
-        xml.SubElement(xml.SubElement(root, "material", name=colour), "color", rgba=rgba)
+        ElementTree.SubElement(
+            ElementTree.SubElement(root, "material", name=colour), "color", rgba=rgba
+        )
     _add_platform(root, robot, mount.z if armed else None)
     if armed:
         _add_arm(root, arm, mount)
-    _demand_single(root)
-    xml.indent(root)
-    return '<?xml version="1.0"?>\n' + xml.tostring(root, encoding="unicode") + "\n"
+    _require_unique_names(root)
+    ElementTree.indent(root)
+    return '<?xml version="1.0"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
-def _demand_single(root: xml.Element) -> None:
+def _require_unique_names(root: ElementTree.Element) -> None:
+    """Require that no two links and no two joints have the same name."""
     for kind, parameter in (("link", "wheels.names"), ("joint", "arm.joints")):
         names = Counter(element.get("name") for element in root.findall(kind))
-        twice = [str(name) for name, count in names.items() if count > 1]
-        if twice:
-            raise ParameterError(parameter, tuple(twice), f"there would be two {kind}s of a name")
+        repeated = tuple(str(name) for name, count in names.items() if count > 1)
+        if repeated:
+            raise ParameterError(parameter, repeated, f"two {kind}s would have the same name")
 
 
 # ---- platform -----------------------------------------------------------------------------------
 
 
-def _add_platform(root: xml.Element, robot: Robot, mount: float | None) -> None:
-    masses, boxes = wheel_masses(robot), body_boxes(robot, mount)
+def _add_platform(root: ElementTree.Element, robot: Robot, mount: float | None) -> None:
+    """Add the platform's body, below an arm at a height `mount` [m], and its wheels."""
+    masses, boxes = wheel_masses(robot), platform_boxes(robot, mount)
     deck = boxes[0]
     bottom, top = (deck.centre[2] + side * 0.5 * deck.size[2] for side in (-1.0, 1.0))
-    base = xml.SubElement(root, "link", name="base_link")
+    base = ElementTree.SubElement(root, "link", name="base_link")
     _add_inertia(base, rest_of_body(robot, masses, bottom, top))
     for box in boxes:
         _add_shape(base, "body", "box", {"size": box.size}, box.centre)
@@ -118,20 +129,26 @@ def _add_platform(root: xml.Element, robot: Robot, mount: float | None) -> None:
         _add_wheel(root, robot, i, mass)
 
 
-def _add_wheel(root: xml.Element, robot: Robot, i: int, mass: float) -> None:
-    """A wheel that rolls to its x: it turns about its y, right-handed."""
+def _add_wheel(root: ElementTree.Element, robot: Robot, i: int, mass: float) -> None:
+    """Add a wheel that rolls towards its x: it rotates about its y, right-handed."""
     wheels, motor = robot.wheels, robot.motor
     name, radius = wheels.names[i], wheels.radius[i]
     width = WHEEL_WIDTH * radius
-    link = xml.SubElement(root, "link", name=f"{name}_wheel")
+    link = ElementTree.SubElement(root, "link", name=f"{name}_wheel")
     _add_inertia(link, wheel(robot, i, mass, width))
-    _add_shape(link, "tyre", "cylinder", {"radius": radius, "length": width}, rpy=ON_SIDE)
-    mark = Box(ZERO, (MARK[0] * radius, MARK[1] * width, MARK[2] * radius))
+    _add_shape(link, "tyre", "cylinder", {"radius": radius, "length": width}, rpy=WHEEL_RPY)
+    mark = Box(ZERO, (WHEEL_MARK[0] * radius, WHEEL_MARK[1] * width, WHEEL_MARK[2] * radius))
     _add_shape(link, "mark", "box", {"size": mark.size}, collides=False)
     joint = _add_joint(
-        root, name, "continuous", "base_link", f"{name}_wheel",
-        (wheels.x[i], wheels.y[i], radius), (0.0, 0.0, wheels.heading[i]), (0.0, 1.0, 0.0),
-    )  # fmt: skip
+        root,
+        name,
+        "continuous",
+        "base_link",
+        f"{name}_wheel",
+        (wheels.x[i], wheels.y[i], radius),
+        (0.0, 0.0, wheels.heading[i]),
+        (0.0, 1.0, 0.0),
+    )
     torque = motor.torque_constant * motor.max_current * motor.gear_ratio * motor.gear_efficiency
     _add(joint, "limit", effort=torque, velocity=motor.max_speed)
     friction = robot.friction
@@ -141,12 +158,18 @@ def _add_wheel(root: xml.Element, robot: Robot, i: int, mass: float) -> None:
 # ---- arm ----------------------------------------------------------------------------------------
 
 
-def _add_arm(root: xml.Element, arm: ArmParameters, mount: Mount) -> None:
-    xml.SubElement(root, "link", name=ARM_BASE)
+def _add_arm(root: ElementTree.Element, arm: ArmParameters, mount: Mount) -> None:
+    """Add the links and joints of the arm."""
+    ElementTree.SubElement(root, "link", name=ARM_BASE)
     _add_joint(
-        root, f"base_link-{ARM_BASE}", "fixed", "base_link", ARM_BASE,
-        (mount.x, mount.y, mount.z), (0.0, 0.0, mount.yaw),
-    )  # fmt: skip
+        root,
+        f"base_link-{ARM_BASE}",
+        "fixed",
+        "base_link",
+        ARM_BASE,
+        (mount.x, mount.y, mount.z),
+        (0.0, 0.0, mount.yaw),
+    )
     _add_arm_link(root, BASE)
     _add_joint(root, f"{ARM_BASE}-{BASE.name}", "fixed", ARM_BASE, BASE.name, BASE.place, BASE.rpy)
     limits = zip(*(arm.each(label) for label in ("lower", "upper", "velocity")), strict=True)
@@ -160,18 +183,20 @@ def _add_arm(root: xml.Element, arm: ArmParameters, mount: Mount) -> None:
         )
         _add(joint, "limit", lower=lower, upper=upper, effort=effort, velocity=velocity)
         parent = link.name
-    xml.SubElement(root, "link", name=TOOL)
+    ElementTree.SubElement(root, "link", name=TOOL)
     _add_joint(root, f"{parent}-{TOOL}", "fixed", parent, TOOL, ZERO, ZERO)
 
 
-def _add_arm_link(root: xml.Element, link: Link) -> None:
-    element = xml.SubElement(root, "link", name=link.name)
+def _add_arm_link(root: ElementTree.Element, link: Link) -> None:
+    """Add a link of the arm with its inertia and shape."""
+    element = ElementTree.SubElement(root, "link", name=link.name)
     _add_inertia(element, link.inertia)
     for i, tube in enumerate(link.tubes):
         _add_tube(element, "joint" if i else "metal", tube)
 
 
-def _add_tube(link: xml.Element, colour: str, tube: Tube) -> None:
+def _add_tube(link: ElementTree.Element, colour: str, tube: Tube) -> None:
+    """Add a cylinder to the shape of a link."""
     size = {"radius": tube.radius, "length": tube.length}
     _add_shape(link, colour, "cylinder", size, tube.centre, tube.rpy)
 
@@ -180,17 +205,23 @@ def _add_tube(link: xml.Element, colour: str, tube: Tube) -> None:
 
 
 def _text(value: float | Iterable[float]) -> str:
-    """Numbers in full: read again they are the same."""
+    """Format numbers so that reading them gives the same values."""
     values: Iterable[float] = [value] if isinstance(value, float | int) else value
     return " ".join(repr(float(number) + 0.0) for number in values)
 
 
-def _add(parent: xml.Element, tag: str, **values: float | Sequence[float]) -> xml.Element:
-    return xml.SubElement(parent, tag, {key: _text(value) for key, value in values.items()})
+def _add(
+    parent: ElementTree.Element, tag: str, **values: float | Sequence[float]
+) -> ElementTree.Element:
+    """Add an element whose attributes are numbers or lists of numbers."""
+    return ElementTree.SubElement(
+        parent, tag, {key: _text(value) for key, value in values.items()}
+    )
 
 
-def _add_inertia(link: xml.Element, inertia: Inertia) -> None:
-    element = xml.SubElement(link, "inertial")
+def _add_inertia(link: ElementTree.Element, inertia: Inertia) -> None:
+    """Add mass, centre of mass and moments of inertia to a link."""
+    element = ElementTree.SubElement(link, "inertial")
     _add(element, "origin", xyz=inertia.centre, rpy=inertia.rpy)
     _add(element, "mass", value=inertia.mass)
     x, y, z = inertia.moments
@@ -198,25 +229,39 @@ def _add_inertia(link: xml.Element, inertia: Inertia) -> None:
 
 
 def _add_shape(
-    link: xml.Element, colour: str, shape: str, size: Mapping[str, float | Vector],
-    xyz: Vector = ZERO, rpy: Vector = ZERO, *, collides: bool = True,
-) -> None:  # fmt: skip
+    link: ElementTree.Element,
+    colour: str,
+    shape: str,
+    size: Mapping[str, float | Vector],
+    xyz: Vector = ZERO,
+    rpy: Vector = ZERO,
+    *,
+    collides: bool = True,
+) -> None:
+    """Add a shape to a link, to be seen and, if `collides`, for collisions."""
     for tag in ("visual", "collision") if collides else ("visual",):
-        element = xml.SubElement(link, tag)
+        element = ElementTree.SubElement(link, tag)
         _add(element, "origin", xyz=xyz, rpy=rpy)
-        _add(xml.SubElement(element, "geometry"), shape, **size)
+        _add(ElementTree.SubElement(element, "geometry"), shape, **size)
         if tag == "visual":
-            xml.SubElement(element, "material", name=colour)
+            ElementTree.SubElement(element, "material", name=colour)
 
 
 def _add_joint(
-    root: xml.Element, name: str, kind: str, parent: str, child: str, xyz: Vector, rpy: Vector,
+    root: ElementTree.Element,
+    name: str,
+    kind: str,
+    parent: str,
+    child: str,
+    xyz: Vector,
+    rpy: Vector,
     axis: Vector | None = None,
-) -> xml.Element:  # fmt: skip
-    joint = xml.SubElement(root, "joint", name=name, type=kind)
+) -> ElementTree.Element:
+    """Add a joint between two links; a fixed joint has no axis."""
+    joint = ElementTree.SubElement(root, "joint", name=name, type=kind)
     _add(joint, "origin", xyz=xyz, rpy=rpy)
-    xml.SubElement(joint, "parent", link=parent)
-    xml.SubElement(joint, "child", link=child)
+    ElementTree.SubElement(joint, "parent", link=parent)
+    ElementTree.SubElement(joint, "child", link=child)
     if axis is not None:
         _add(joint, "axis", xyz=axis)
     return joint

@@ -1,58 +1,39 @@
 """Node `joint_state_broadcaster`: wheels and arm together on `joint_states`, and the URDF.
 
-What robot_state_publisher, RViz and MoveIt expect of a robot.
+These are the topics that robot_state_publisher, RViz and MoveIt expect of a robot.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import numpy as np
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
-from numpy.typing import NDArray
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from omniman_ros import conversions
+from omniman_ros.conversions.joints import joint_arrays, require_array
 from omniman_ros.core import plausible
+from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
-from omniman_ros.core.parameters import inline, parameter
-from omniman_ros.description.parameters import DescriptionParameters
+from omniman_ros.nodes.joint_state_broadcaster_parameters import JointStateBroadcasterParameters
+from omniman_ros.nodes.omniman_node import MAX_LEAD, OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
-from omniman_ros.nodes.runtime import FUTURE, OmnimanNode, run
-from omniman_ros.nodes.stopping import LATCHED
-
-Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, kw_only=True)
-class JointStateBroadcasterParameters:
-    """Parameters of the node: what the URDF is made from, its rate, and what is too old."""
-
-    description: DescriptionParameters = inline()
-    rate: float = parameter(
-        50.0, "Largest rate of joint_states.", unit="Hz", low=1, high=500, read_only=True
-    )
-    timeout: float = parameter(
-        0.5, "Age at which wheels or arm are left out of joint_states.", unit="s", low=0.02,
-        high=60,
-    )  # fmt: skip
-    publish_description: bool = parameter(
-        True, "Whether the URDF is on robot_description; not where robot_state_publisher has it.",
-        read_only=True,
-    )  # fmt: skip
+from omniman_ros.nodes.runtime import run
+from omniman_ros.nodes.stop_interface import LATCHED
 
 
 @dataclass(frozen=True)
-class Part:
-    """Joints as they were at a time.
+class JointSample:
+    """States of the n joints of a topic at one time.
 
     Attributes:
-        time: On the node's clock [s].
-        stamp: The same in ROS time.
-        position, velocity, effort: (n,) each; velocity and effort can be absent.
+        time: Time on the node's clock [s].
+        stamp: The same time in ROS time.
+        position: (n,) [rad].
+        velocity: (n,) [rad/s], or None if absent.
+        effort: (n,) [N m], or None if absent.
     """
 
     time: float
@@ -63,20 +44,20 @@ class Part:
 
     @property
     def order(self) -> tuple[int, int]:
-        """What the stamps of parts are compared by."""
+        """Sort key of the stamp: seconds and nanoseconds."""
         return self.stamp.sec, self.stamp.nanosec
 
 
 class JointStateBroadcasterNode(OmnimanNode):
-    """Message plumbing: two topics in, the joints of both that are known now out."""
+    """Merges the joint states of wheels and arm, and publishes the URDF."""
 
     def __init__(self, **options: object) -> None:
         super().__init__("joint_state_broadcaster", **options)
         self.settings = ParameterSet(self, JointStateBroadcasterParameters)
         p = self.settings.value
-        self._parts: dict[str, Part] = {}
-        self._waiting: dict[str, Callable[[], None]] = {}
-        self._told: Time | None = None
+        self._samples: dict[str, JointSample] = {}
+        self._unread: dict[str, Callable[[], None]] = {}
+        self._published_stamp: Time | None = None
         self._names = {
             "wheel_states": p.description.robot.wheels.names,
             "arm/joint_states": p.description.arm.joints,
@@ -86,13 +67,13 @@ class JointStateBroadcasterNode(OmnimanNode):
         if p.publish_description:
             self._description = self.create_publisher(String, "robot_description", LATCHED)
         self._urdf = ""
-        self._describe(p)
-        self.settings.on_change(self._describe)
+        self._publish_description(p)
+        self.settings.on_change(self._publish_description)
         for topic in self._names:
-            self._listen(topic)
+            self._subscribe(topic)
         self.every(1.0 / p.rate, self.tick)
 
-    def _describe(self, p: JointStateBroadcasterParameters) -> None:
+    def _publish_description(self, p: JointStateBroadcasterParameters) -> None:
         text = p.description.urdf
         if self._description is not None and text != self._urdf:
             self._description.publish(String(data=text))
@@ -100,83 +81,87 @@ class JointStateBroadcasterNode(OmnimanNode):
 
     # ---- inputs -------------------------------------------------------------------------------
 
-    def _listen(self, topic: str) -> None:
+    def _subscribe(self, topic: str) -> None:
         handler = self.guarded(topic, lambda data: self._on_states(topic, data))
 
         def keep(data: bytes) -> None:
-            """Only the last one a tick is read: they come faster than they are asked for."""
-            self._waiting[topic] = lambda: handler(data)
+            """Keep the last message for the next tick, as messages come more often."""
+            self._unread[topic] = lambda: handler(data)
 
         self.create_subscription(JointState, topic, keep, QoSProfile(depth=1), raw=True)
 
     def _on_states(self, topic: str, data: bytes) -> None:
         message = deserialize_message(data, JointState)
-        position, velocity, effort = conversions.joint_arrays(message, self._names[topic])
-        position = conversions.present(position, plausible.WHEEL_ANGLE, "position")
+        position, velocity, effort = joint_arrays(message, self._names[topic])
+        position = require_array(position, plausible.WHEEL_ANGLE, "position")
         for array, bound, label in (
-            (velocity, plausible.WHEEL_SPEED, "velocity"), (effort, plausible.EFFORT, "effort"),
-        ):  # fmt: skip
+            (velocity, plausible.WHEEL_SPEED, "velocity"),
+            (effort, plausible.EFFORT, "effort"),
+        ):
             if array is not None:
                 plausible.demand(array, bound, label)
         time, stamp = self.instant(message.header.stamp), message.header.stamp
         if stamp.sec == 0 and stamp.nanosec == 0:
             stamp = self.stamp(time)
-        part = Part(time, stamp, position, velocity, effort)
-        known = self._parts.get(topic)
-        # A time ahead is one from before simulated time went back.
-        if known is not None and part.order < known.order and known.time <= self.now() + FUTURE:
-            raise InputError(f"out of order, {known.time - time:.4f} s back")
-        self._parts[topic] = part
+        sample = JointSample(time, stamp, position, velocity, effort)
+        known = self._samples.get(topic)
+        # A known sample from the future was received before simulated time jumped back.
+        out_of_order = known is not None and sample.order < known.order
+        if known is not None and out_of_order and known.time <= self.now() + MAX_LEAD:
+            raise InputError(f"out of order, {known.time - time:.4f} s before the last message")
+        self._samples[topic] = sample
 
     # ---- output -------------------------------------------------------------------------------
 
     def tick(self) -> None:
-        """Publish the joints that are known now, unless all of that was published before."""
-        while self._waiting:
-            self._waiting.popitem()[1]()
-        living = self._living()
-        if not living:
+        """Publish the joints that are known now, unless the same states were published before."""
+        while self._unread:
+            self._unread.popitem()[1]()
+        fresh = self._fresh_topics()
+        if not fresh:
             return
-        parts = [self._parts[topic] for topic in living]
-        newest = max(parts, key=lambda part: part.order)
-        # tf2 complains of a stamp that it has had.
-        if newest.stamp == self._told:
+        samples = [self._samples[topic] for topic in fresh]
+        newest = max(samples, key=lambda sample: sample.order)
+        # A repeated stamp would make tf2 warn.
+        if newest.stamp == self._published_stamp:
             return
-        self._told = newest.stamp
-        message = JointState(name=[name for topic in living for name in self._names[topic]])
+        self._published_stamp = newest.stamp
+        message = JointState(name=[name for topic in fresh for name in self._names[topic]])
         message.header.stamp = newest.stamp
-        message.position = _together([part.position for part in parts])
-        message.velocity = _together([part.velocity for part in parts])
-        message.effort = _together([part.effort for part in parts])
+        message.position = _concatenated([sample.position for sample in samples])
+        message.velocity = _concatenated([sample.velocity for sample in samples])
+        message.effort = _concatenated([sample.effort for sample in samples])
         self._joint_states.publish(message)
 
-    def _living(self) -> list[str]:
-        """Topics whose last message is not too old."""
+    def _fresh_topics(self) -> list[str]:
+        """Return the topics whose last message is not too old."""
         now, timeout = self.now(), self.settings.value.timeout
         return [
             topic
             for topic in self._names
-            if topic in self._parts and -FUTURE <= now - self._parts[topic].time <= timeout
+            if topic in self._samples and -MAX_LEAD <= now - self._samples[topic].time <= timeout
         ]
 
     def status(self) -> tuple[bytes, str, list[tuple[str, object]]]:
-        """Level, message and values for the diagnostics."""
-        living = self._living()
-        silent = [topic for topic in self._parts if topic not in living]
-        values = [(topic, "heard" if topic in living else "silent") for topic in self._names]
-        if not self._parts:
+        """Return level, message and values of the diagnostics."""
+        fresh = self._fresh_topics()
+        silent = [topic for topic in self._samples if topic not in fresh]
+        values: list[tuple[str, object]] = [
+            (topic, "received" if topic in fresh else "silent") for topic in self._names
+        ]
+        if not self._samples:
             return DiagnosticStatus.WARN, "waiting for wheel_states or arm/joint_states", values
         if silent:
             return DiagnosticStatus.WARN, f"no {' and no '.join(silent)} any more", values
         return DiagnosticStatus.OK, "running", values
 
 
-def _together(parts: Sequence[Array | None]) -> list[float]:
-    """One list of all, or none where a part has none: a JointState has no gaps."""
+def _concatenated(parts: Sequence[Array | None]) -> list[float]:
+    """Return the arrays as one list; empty if one is absent, as a JointState cannot have gaps."""
     known = [part for part in parts if part is not None]
     return [value for part in known for value in part.tolist()] if len(known) == len(parts) else []
 
 
 def main(args: list[str] | None = None) -> int:
-    """Entry point of `ros2 run omniman_ros joint_state_broadcaster`."""
+    """Run the node: entry point of `ros2 run omniman_ros joint_state_broadcaster`."""
     return run(JointStateBroadcasterNode, args)

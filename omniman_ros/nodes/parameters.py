@@ -1,4 +1,4 @@
-"""Parameter sets of the core as ROS parameters: declared, described, validated, live."""
+"""Parameter dataclasses as ROS parameters: declared, described, validated and live."""
 
 import difflib
 from collections.abc import Callable, Iterable, Mapping
@@ -16,12 +16,13 @@ from rclpy.parameter import Parameter
 
 from omniman_ros.core.errors import OmnimanError, ParameterError
 from omniman_ros.core.parameters import Spec, build, specs
+from omniman_ros.nodes.rclpy_compat import parameter_overrides
 from omniman_ros.nodes.registry import known_names
 from omniman_ros.robots import load_robot
 
 T = TypeVar("T")
 
-_TYPES = {
+_PARAMETER_TYPES: dict[tuple[type, type | None], Parameter.Type] = {
     (bool, None): Parameter.Type.BOOL,
     (int, None): Parameter.Type.INTEGER,
     (float, None): Parameter.Type.DOUBLE,
@@ -30,11 +31,13 @@ _TYPES = {
     (tuple, str): Parameter.Type.STRING_ARRAY,
     (tuple, int): Parameter.Type.INTEGER_ARRAY,
 }
+"""Type of a ROS parameter by the Python type of its value and, for a tuple, of its items."""
 _UNBOUNDED = 1e300
+"""Bound of a range that is open on one side; descriptors need both."""
 
 
 def descriptor(spec: Spec) -> ParameterDescriptor:
-    """What `ros2 param describe` shows of a parameter."""
+    """Return the descriptor of a parameter, which `ros2 param describe` shows."""
     unit = f" [{spec.unit}]" if spec.unit else ""
     result = ParameterDescriptor(
         name=spec.name, description=spec.doc + unit, read_only=spec.read_only
@@ -57,16 +60,16 @@ def descriptor(spec: Spec) -> ParameterDescriptor:
 
 
 class ParameterSet(Generic[T]):
-    """A parameter dataclass of a node, kept in step with its ROS parameters.
+    """Keeps a parameter dataclass in step with the ROS parameters of a node.
 
     Args:
-        node: Where the parameters are declared.
+        node: Node to declare the parameters on.
         cls: The dataclass, see `core.parameters`.
-        robot: Whether the robot's file gives the defaults. It is named by the parameter `robot`,
+        robot: Whether the defaults come from the robot's file. The parameter `robot` names it,
             unless the given parameters describe a robot themselves (they have `wheels.names`).
 
     Attributes:
-        value: The current set.
+        value: The current parameters.
 
     Raises:
         ParameterError: A value is refused.
@@ -77,27 +80,27 @@ class ParameterSet(Generic[T]):
         self._cls = cls
         self._apply: Callable[[T], None] | None = None
         self._specs = {spec.name: spec for spec in specs(cls)}
-        # rclpy offers no public look at what was given on the command line and in files.
-        given: Mapping[str, Any] = node._parameter_overrides
-        defaults = self._robot_defaults(given) if robot else {}
+        self._overrides = parameter_overrides(node)
+        defaults = self._robot_defaults() if robot else {}
         for spec in self._specs.values():
             self._declare(spec, defaults.get(spec.name, spec.default))
         self.value: T = build(cls, self._current())
         node.add_on_set_parameters_callback(self._on_set)
-        for sentence in unknown_names(given, known_names()):
+        for sentence in unknown_names(self._overrides, known_names()):
             node.get_logger().warning(sentence)
 
     def on_change(self, apply: Callable[[T], None]) -> None:
-        """Call `apply` with the new set at each change; what it raises refuses the change."""
+        """Call `apply` with the new parameters at each change; its error refuses the change."""
         self._apply = apply
 
-    def _robot_defaults(self, given: Mapping[str, Any]) -> Mapping[str, Any]:
-        text = ParameterDescriptor(
-            description="The robot: a name in share/omniman_ros/config or the path of a YAML file",
+    def _robot_defaults(self) -> Mapping[str, Any]:
+        """Declare the parameter `robot`, and return the values of that robot's file."""
+        robot_descriptor = ParameterDescriptor(
+            description="Robot: a name in share/omniman_ros/config or the path of a YAML file",
             read_only=True,
         )
-        name = self._node.declare_parameter("robot", "omniman", text).value
-        if "wheels.names" in given:
+        name = self._node.declare_parameter("robot", "omniman", robot_descriptor).value
+        if "wheels.names" in self._overrides:
             return {}
         values = load_robot(name)
         for sentence in unknown_names(values, known_names()):
@@ -105,28 +108,36 @@ class ParameterSet(Generic[T]):
         return values
 
     def _declare(self, spec: Spec, default: Any) -> None:
-        kind = _TYPES[spec.kind, spec.item]
-        text = descriptor(spec)
+        """Declare a parameter.
+
+        Raises:
+            ParameterError: The given value has the wrong type or is out of range.
+        """
+        kind = _PARAMETER_TYPES[spec.kind, spec.item]
+        spec_descriptor = descriptor(spec)
         try:
-            if spec.required and default is spec.default or default == ():
-                self._node.declare_parameter(spec.name, kind, text)
+            if (spec.required and default is spec.default) or default == ():
+                self._node.declare_parameter(spec.name, kind, spec_descriptor)
                 return
             value = spec.check(default)
             value = list(value) if isinstance(value, tuple) else value
-            self._node.declare_parameter(spec.name, value, text)
+            self._node.declare_parameter(spec.name, value, spec_descriptor)
         except InvalidParameterTypeException as error:
             kind_name = kind.name.lower().replace("_", " ")
             raise ParameterError(
-                spec.name, self._node._parameter_overrides[spec.name].value,
+                spec.name,
+                self._overrides[spec.name].value,
                 f"expected a {kind_name} (write 1.0, not 1, for a double)",
-            ) from error  # fmt: skip
+            ) from error
         except InvalidParameterValueException as error:
-            value = self._node._parameter_overrides[spec.name].value
+            value = self._overrides[spec.name].value
             spec.check(tuple(value) if spec.item else value)
             raise ParameterError(spec.name, value, str(error)) from error
 
     def _current(self) -> dict[str, Any]:
-        parameters = self._node.get_parameters_by_prefix("")
+        """Return the values of the parameters that are set, by name."""
+        # rclpy's annotation says that it returns values, but it returns Parameter objects.
+        parameters: dict[str, Any] = self._node.get_parameters_by_prefix("")
         return {
             name: parameters[name].value
             for name in self._specs
@@ -134,11 +145,12 @@ class ParameterSet(Generic[T]):
         }
 
     def _on_set(self, changes: list[Parameter]) -> SetParametersResult:
-        ours = {change.name: change.value for change in changes if change.name in self._specs}
-        if not ours:
+        """Validate and apply changes, or refuse all of them."""
+        values = {change.name: change.value for change in changes if change.name in self._specs}
+        if not values:
             return SetParametersResult(successful=True)
         try:
-            value = build(self._cls, self._current() | ours)
+            value = build(self._cls, self._current() | values)
             if self._apply is not None:
                 self._apply(value)
         except OmnimanError as error:
@@ -148,9 +160,9 @@ class ParameterSet(Generic[T]):
 
 
 def unknown_names(given: Iterable[str], known: Iterable[str]) -> list[str]:
-    """Sentences about given parameter names that no node of the package has.
+    """Return a sentence about each given parameter name that no node of the package has.
 
-    rclpy ignores a mistyped name in a file without a word.
+    rclpy ignores a mistyped name in a file silently.
     """
     names = {*known, "robot"}
     sentences = []

@@ -1,4 +1,4 @@
-"""The nodes of the package and the parameters they have."""
+"""The nodes of the package, and tables of their parameters."""
 
 import importlib
 from collections.abc import Collection, Iterator
@@ -6,43 +6,54 @@ from collections.abc import Collection, Iterator
 from omniman_ros.core.parameters import Spec, specs
 
 NODES = {
-    "platform_controller": "PlatformControllerParameters",
-    "simulated_drive": "SimulatedDriveParameters",
-    "can_bridge": "CanBridgeParameters",
-    "simulated_can_drives": "SimulatedCanDrivesParameters",
-    "simulated_ur": "SimulatedUrParameters",
-    "arm_streamer": "ArmStreamerParameters",
-    "path_interpolator": "PathInterpolatorParameters",
-    "mpc_planner": "MpcPlannerParameters",
-    "joint_state_broadcaster": "JointStateBroadcasterParameters",
-    "viewer": "ViewerParameters",
+    "platform_controller": "nodes.platform_controller_parameters.PlatformControllerParameters",
+    "simulated_drive": "nodes.simulated_drive_parameters.SimulatedDriveParameters",
+    "can_bridge": "nodes.can_bridge_parameters.CanBridgeParameters",
+    "simulated_can_drives": "nodes.simulated_can_drives_parameters.SimulatedCanDrivesParameters",
+    "simulated_ur": "nodes.simulated_ur_parameters.SimulatedUrParameters",
+    "arm_streamer": "nodes.arm_streamer_parameters.ArmStreamerParameters",
+    "path_interpolator": "nodes.trajectory_interfaces.parameters.PathInterpolatorParameters",
+    "mpc_planner": "nodes.planner_interfaces.parameters.MpcPlannerParameters",
+    "joint_state_broadcaster": (
+        "nodes.joint_state_broadcaster_parameters.JointStateBroadcasterParameters"
+    ),
+    "viewer": "viewer.ros.parameters.ViewerParameters",
 }
-"""Executable, which is also its module here, and the dataclass of its parameters there."""
+"""Parameter dataclass of each executable, within the package.
+
+Each node looks up the parameters of all nodes when it starts, so the modules named here import
+nothing heavy; in particular, not the nodes themselves.
+"""
+
+
+def node_module(name: str) -> str:
+    """Return the module of an executable, which contains its `main()`."""
+    return "omniman_ros.viewer.node" if name == "viewer" else f"omniman_ros.nodes.{name}"
 
 
 def node_specs(node: str) -> list[Spec]:
-    """List a node's parameters; those of the robot come first."""
-    module = importlib.import_module(f"omniman_ros.nodes.{node}")
-    return specs(getattr(module, NODES[node]))
+    """Return the parameters of a node; those of the robot come first."""
+    module, _, name = NODES[node].rpartition(".")
+    return specs(getattr(importlib.import_module(f"omniman_ros.{module}"), name))
 
 
 def known_names() -> set[str]:
-    """Names of all parameters that any node of the package has."""
+    """Return the names of all parameters that any node of the package has."""
     return {spec.name for node in NODES for spec in node_specs(node)}
 
 
-def markdown(node: str, *, robot: bool, told: Collection[Spec] = ()) -> Iterator[str]:
-    """Lines of a table of a node's parameters.
+def markdown(node: str, *, robot: bool, listed: Collection[Spec] = ()) -> Iterator[str]:
+    """Yield the lines of a Markdown table of a node's parameters.
 
     Args:
         node: A name from NODES.
         robot: Whether to list the parameters of the robot, or the others.
-        told: Parameters that another table has; groups of them are only named.
+        listed: Parameters that another table lists; their groups are only named.
     """
     shared = _robot_names()
-    known = {spec for spec in told if "." in spec.name}
+    known = {spec for spec in listed if "." in spec.name}
     groups: dict[str, None] = {}
-    yield "| parameter | default | unit | range | |"
+    yield "| parameter | default | unit | range | meaning |"
     yield "|---|---|---|---|---|"
     for spec in node_specs(node):
         if (spec.name in shared) is not robot:
@@ -60,12 +71,13 @@ def markdown(node: str, *, robot: bool, told: Collection[Spec] = ()) -> Iterator
 
 
 def _robot_names() -> set[str]:
-    """Names that all nodes have which know the robot (a node may do without)."""
+    """Return the names that all nodes with a robot have in common."""
     names = [{spec.name for spec in node_specs(node)} for node in NODES]
     return set.intersection(*(known for known in names if "wheels.names" in known))
 
 
 def _default(spec: Spec) -> str:
+    """Return the default as a YAML file has it; "robot" if the robot's file must give it."""
     if spec.required:
         return "robot"
     value = spec.default
@@ -75,6 +87,7 @@ def _default(spec: Spec) -> str:
 
 
 def _range(spec: Spec) -> str:
+    """Return the range or the choices of a parameter; empty if it is unbounded."""
     if spec.choices:
         return ", ".join(spec.choices)
     if spec.low is None and spec.high is None:

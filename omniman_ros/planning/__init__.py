@@ -1,1 +1,1 @@
-"""Model predictive planning among obstacles, MPC 2021: core, and casadi in three files only."""
+"""Model predictive planning among obstacles, MPC 2021; only three of its files import casadi."""

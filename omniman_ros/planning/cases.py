@@ -1,10 +1,11 @@
-"""The three test cases of MPC 2021, section 4: where the robot begins, its goal, what is around.
+"""The three test cases of MPC 2021, section 4: start, goal and obstacles.
 
-The paper gives its cases as pictures only. Read here as:
+The paper shows its cases in figures only. They are interpreted as follows:
 
-* free: 6 m nearly sideways, the same heading at both ends, nothing in the way.
-* corridor: four circles, the gaps between neighbours wider than the robot and shorter than it.
-* moving: four circles that cross the way from both sides; the third changes its velocity.
+* free: 6 m nearly sideways, the same heading at both ends, no obstacles.
+* corridor: four circles; the gaps between neighbours are wider than the robot is wide, and
+  narrower than it is long.
+* moving: four circles that cross the path from both sides; the third changes its velocity.
 """
 
 import math
@@ -13,18 +14,20 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from omniman_ros.core.arrays import Array
+
 Pose = tuple[float, float, float]
-"""x, y [m], heading [rad] in `odom`."""
+"""Pose x, y, heading in `odom` [m, m, rad]."""
 
-LENGTH, WIDTH = 0.8, 0.5
-"""Of the robot that the cases are made for [m]."""
+LENGTH = 0.8
+"""Length of the robot that the cases are made for [m]."""
+WIDTH = 0.5
+"""Width of the robot that the cases are made for [m]."""
 RADIUS = 0.3
-"""Of all obstacles [m]."""
+"""Radius of all obstacles [m]."""
 GAP = 0.72
-"""Between neighbours of the corridor case: wider than the robot, shorter than it [m]."""
+"""Gap between neighbours in the corridor case [m]."""
 LEAN = 0.5
 """Angle of the corridor's row of circles from the y axis [rad]."""
 SIDEWAYS = math.radians(70.0)
@@ -32,13 +35,14 @@ SIDEWAYS = math.radians(70.0)
 
 
 @dataclass(frozen=True)
-class Turned:
-    """Where something is that goes at one velocity until a time, then at another.
+class TwoVelocityPath:
+    """Path of a point that moves at one velocity until a time, then at another one.
 
     Attributes:
-        place, velocity: (x, y) at time 0 [m], and per second.
-        time: When the velocity changes [s]; infinity for never.
-        then: The velocity from then on [m/s].
+        place: (x, y) at time 0 [m].
+        velocity: (x, y) velocity from time 0 on [m/s].
+        time: Time at which the velocity changes [s]; infinity if it never does.
+        then: (x, y) velocity from that time on [m/s].
     """
 
     place: tuple[float, float]
@@ -47,7 +51,7 @@ class Turned:
     then: tuple[float, float] = (0.0, 0.0)
 
     def __call__(self, now: float) -> Array:
-        """Its centre (2,) at a time [s]."""
+        """Return the position (2,) [m] at a time [s]."""
         before = min(now, self.time)
         after = max(now - self.time, 0.0) if math.isfinite(self.time) else 0.0
         result: Array = (
@@ -56,7 +60,7 @@ class Turned:
         return result
 
     def speed(self, now: float) -> tuple[float, float]:
-        """Its velocity (x, y) at a time [m/s]."""
+        """Return the velocity (x, y) [m/s] at a time [s]."""
         return self.velocity if now < self.time else self.then
 
 
@@ -65,49 +69,56 @@ class Case:
     """A test case.
 
     Attributes:
-        name: Of the case.
-        start, goal: Poses in odom [m, m, rad].
-        ways: Where the obstacles, circles, are and go.
-        radius: Of the circles [m].
+        name: Name of the case.
+        start: Pose of the robot at the start, in odom [m, m, rad].
+        goal: Goal of the robot, in odom [m, m, rad].
+        ways: Paths of the obstacles, which are circles.
+        radius: Radius of the obstacles [m].
     """
 
     name: str
     start: Pose
     goal: Pose
-    ways: tuple[Turned, ...] = ()
+    ways: tuple[TwoVelocityPath, ...] = ()
     radius: float = RADIUS
 
     def fitting(self, length: float, width: float) -> "Case":
-        """The case for a robot of another size [m]: all lengths and speeds grow with it."""
+        """Return the case for a robot of another size [m]: lengths and speeds scale with it."""
         factor = max(length / LENGTH, width / WIDTH)
         ways = tuple(
-            Turned(_times(way.place, factor), _times(way.velocity, factor), way.time,
-                   _times(way.then, factor))
+            TwoVelocityPath(
+                _times(way.place, factor),
+                _times(way.velocity, factor),
+                way.time,
+                _times(way.then, factor),
+            )
             for way in self.ways
-        )  # fmt: skip
+        )
         start, goal = ((*_times(pose[:2], factor), pose[2]) for pose in (self.start, self.goal))
         return Case(self.name, start, goal, ways, factor * self.radius)
 
 
 def _times(pair: tuple[float, float], factor: float) -> tuple[float, float]:
+    """Return a pair of numbers multiplied by a factor."""
     return pair[0] * factor, pair[1] * factor
 
 
-def _row() -> tuple[Turned, ...]:
-    """A leaning row of four circles across the way: the robot fits through lengthwise only."""
+def _row() -> tuple[TwoVelocityPath, ...]:
+    """Return an oblique row of four circles across the path: the robot fits through lengthwise."""
     along = np.array([math.sin(LEAN), math.cos(LEAN)])
     first = np.array([2.0, 0.1]) - 1.5 * (GAP + 2.0 * RADIUS) * along
-    places = [first + k * (GAP + 2.0 * RADIUS) * along for k in range(4)]
-    return tuple(Turned((float(x), float(y))) for x, y in places)
+    centres = [first + k * (GAP + 2.0 * RADIUS) * along for k in range(4)]
+    return tuple(TwoVelocityPath((float(x), float(y))) for x, y in centres)
 
 
 _CROSSING = (
-    Turned((1.8, 1.6), (0.0, -0.45)),
-    Turned((3.0, -2.2), (0.0, 0.45)),
-    # This one darts down where the robot would pass.
-    Turned((4.4, 1.7), (0.0, -0.15), 4.5, (0.0, -0.9)),
-    Turned((5.4, -3.4), (0.0, 0.5)),
+    TwoVelocityPath((1.8, 1.6), (0.0, -0.45)),
+    TwoVelocityPath((3.0, -2.2), (0.0, 0.45)),
+    # This obstacle suddenly moves into the robot's path.
+    TwoVelocityPath((4.4, 1.7), (0.0, -0.15), 4.5, (0.0, -0.9)),
+    TwoVelocityPath((5.4, -3.4), (0.0, 0.5)),
 )
+"""Paths of the obstacles of the moving case."""
 
 CASES: Mapping[str, Case] = MappingProxyType(
     {
@@ -120,4 +131,4 @@ CASES: Mapping[str, Case] = MappingProxyType(
         )
     }
 )
-"""By name."""
+"""Test cases by name."""

@@ -1,20 +1,19 @@
-"""What goes into a cycle of the planner, and what is said of it; without the solver's library."""
+"""Inputs and results of a planning cycle, without the solver's library."""
 
 import math
 from dataclasses import dataclass
 from enum import Enum
 
-import numpy as np
-from numpy.typing import NDArray
-
 from omniman_ros.core import plausible
+from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 
-Array = NDArray[np.float64]
+AT_REST = 0.02
+"""Speed below which the robot, or an obstacle, counts as standing [m/s, rad/s]."""
 
 
 class PlannerState(Enum):
-    """What the planner does."""
+    """State of the planner; its values are those of the key `state` of `mpc/status`."""
 
     IDLE = "idle"
     DRIVING = "driving"
@@ -23,17 +22,32 @@ class PlannerState(Enum):
     ARRIVED = "arrived"
 
 
+class GoalOutcome(Enum):
+    """Outcome of the latest goal; its values are those of the key `outcome` of `mpc/status`.
+
+    WAITING: the goal was received and waits until the robot can be driven.
+    """
+
+    NONE = "none"
+    WAITING = "waiting"
+    ACCEPTED = "accepted"
+    REFUSED = "refused"
+    GIVEN_UP = "given_up"
+    CANCELLED = "cancelled"
+    ARRIVED = "arrived"
+
+
 @dataclass(frozen=True)
-class Measured:
-    """The robot as odometry has it.
+class MeasuredState:
+    """State of the robot according to odometry.
 
     Attributes:
-        time: When that was [s].
-        pose: (3,) in odom [m, m, rad].
-        twist: (3,) in base_link [m/s, m/s, rad/s].
+        time: Time of the measurement [s].
+        pose: (3,) pose of base_link in odom [m, m, rad].
+        twist: (3,) twist in base_link [m/s, m/s, rad/s].
 
     Raises:
-        InputError: Wrong size, not finite or huge.
+        InputError: The shape is wrong, or a value is not finite or implausibly large.
     """
 
     time: float
@@ -42,32 +56,36 @@ class Measured:
 
     def __post_init__(self) -> None:
         if self.pose.shape != (3,) or self.twist.shape != (3,):
-            raise InputError("a measured state has a pose of three numbers and a twist of three")
+            raise InputError(
+                f"pose and twist of a measured state have shapes {self.pose.shape} and "
+                f"{self.twist.shape}, expected (3,)"
+            )
         plausible.demand(self.pose[:2], plausible.LENGTH, "position")
         plausible.demand(self.pose[2:], plausible.ANGLE, "heading")
         plausible.demand(self.twist, plausible.SPEED, "twist")
 
 
 @dataclass(frozen=True)
-class Report:
-    """What came of a cycle.
+class CycleReport:
+    """Result of a planning cycle.
 
     Attributes:
-        used: Whether the new plan is followed.
-        why: Why not, or empty.
-        braking: Whether the robot brakes because nothing else is free of contact.
-        slack: Largest slack of the answer [m].
-        cost: Of the answer [J].
-        clear: Whether what is followed keeps its distance all the way to rest.
-        contact: Where it does not: time until the robot is touched, if all goes on as now [s].
-        late: By how much the answer came after it was due [s]; below zero, that much before.
+        used: Whether the robot follows the new plan.
+        reason: Reason why it does not, or an empty string.
+        braking: Whether the robot brakes because no other motion is free of contact.
+        slack: Largest slack of the solution [m].
+        cost: Cost of the solution [J].
+        clear: Whether the motion that is followed keeps its clearance until it is at rest.
+        time_to_contact: Time until the first contact if robot and obstacles move as predicted
+            [s]; infinity if the motion is clear.
+        lateness: Time by which the plan was ready after it was due [s]; negative if it was early.
     """
 
     used: bool = False
-    why: str = ""
+    reason: str = ""
     braking: bool = False
     slack: float = math.nan
     cost: float = math.nan
     clear: bool = True
-    contact: float = math.inf
-    late: float = math.nan
+    time_to_contact: float = math.inf
+    lateness: float = math.nan

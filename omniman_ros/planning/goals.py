@@ -1,40 +1,39 @@
-"""Where the robot is to go: a pose, a pose at a velocity, or a goal that moves."""
+"""Goals of the robot: a pose, a pose to pass at a velocity, or a trajectory."""
 
 import math
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from omniman_ros.core import plausible, se2
+from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.preview import Preview
 
-Array = NDArray[np.float64]
-
 
 class Goal(Protocol):
-    """A goal: where the robot should be at which time."""
+    """Desired poses of the robot over time."""
 
     def targets(self, times: Array) -> tuple[Array, Array]:
-        """Poses (N, 3) and velocities (N, 3) in odom that are wanted at times (N,) [s]."""
+        """Return the desired poses (N, 3) and velocities (N, 3) in odom at times (N,) [s]."""
 
     @property
     def moves(self) -> bool:
-        """Whether its velocity counts."""
+        """Whether the desired velocities count."""
 
     @property
     def until(self) -> float:
-        """Time at which it has come to its end [s]; minus infinity if it only stands."""
+        """Time at which the goal ends [s]; minus infinity if it does not move."""
 
     def near(self, heading: float) -> "Goal":
-        """The same goal, with its heading on the branch nearest to a heading [rad]."""
+        """Return the same goal, its heading on the branch nearest to a heading [rad]."""
 
 
 def _pose(pose: Array) -> Array:
+    """Return a copy of a pose (3,) after a check of its shape and values."""
     if pose.shape != (3,):
-        raise InputError(f"goal: a pose of {pose.size} numbers, expected 3")
+        raise InputError(f"goal: the pose has {pose.size} numbers, expected 3")
     plausible.demand(pose[:2], plausible.LENGTH, "goal: position")
     plausible.demand(pose[2:], plausible.ANGLE, "goal: heading")
     return np.array(pose)
@@ -42,10 +41,13 @@ def _pose(pose: Array) -> Array:
 
 @dataclass(frozen=True)
 class PoseGoal:
-    """A pose (3,) in odom [m, m, rad], where the robot is to come to rest.
+    """Pose at which the robot comes to rest.
+
+    Attributes:
+        pose: (3,) pose in odom [m, m, rad].
 
     Raises:
-        InputError: Not finite or huge.
+        InputError: The pose is not finite or implausibly large.
     """
 
     pose: Array
@@ -74,9 +76,11 @@ class PoseGoal:
 
 @dataclass(frozen=True)
 class TrajectoryGoal:
-    """A goal that moves along a preview; after its end it stays there.
+    """Goal that moves along a preview, and rests at its end.
 
-    A pose that is to be passed at a velocity is a preview of one straight line.
+    Attributes:
+        preview: Future motion to follow.
+        turns: Angle that is added to its headings, a multiple of 2 pi [rad].
     """
 
     preview: Preview
@@ -107,13 +111,15 @@ class TrajectoryGoal:
 
 @dataclass(frozen=True)
 class StateGoal:
-    """A pose (3,) to be passed at a velocity (3,), both in odom; when is the robot's choice.
+    """Pose to pass at a velocity, at a time that the robot chooses.
 
     Attributes:
-        arrival: When the pose is to be passed [s]; None until the robot is near enough to say.
+        pose: (3,) pose in odom [m, m, rad].
+        velocity: (3,) velocity in odom [m/s, m/s, rad/s].
+        arrival: Time at which the pose is passed [s]; None until the robot is near enough.
 
     Raises:
-        InputError: Not finite or huge.
+        InputError: A value is not finite or implausibly large.
     """
 
     pose: Array
@@ -123,15 +129,15 @@ class StateGoal:
     def __post_init__(self) -> None:
         object.__setattr__(self, "pose", _pose(self.pose))
         if self.velocity.shape != (3,):
-            raise InputError(f"goal: a velocity of {self.velocity.size} numbers, expected 3")
+            raise InputError(f"goal: the velocity has {self.velocity.size} numbers, expected 3")
         plausible.demand(self.velocity, plausible.SPEED, "goal: velocity")
 
     def arriving(self, time: float) -> "StateGoal":
-        """The same goal, to be passed at a time [s]."""
+        """Return the same goal, to be passed at a time [s]."""
         return StateGoal(self.pose, self.velocity, time)
 
     def targets(self, times: Array) -> tuple[Array, Array]:
-        """See `Goal`: the line that passes the pose at its velocity."""
+        """See `Goal`: targets on the line that passes the pose at its velocity."""
         if self.arrival is None:
             return np.tile(self.pose, (len(times), 1)), np.zeros((len(times), 3))
         ahead = (times - self.arrival)[:, None]
@@ -154,5 +160,5 @@ class StateGoal:
 
 
 def _branch(angle: float, near: float) -> float:
-    """The angle, by whole turns as near as can be to another [rad]."""
+    """Return the angle shifted by whole revolutions to be nearest to another angle [rad]."""
     return near + se2.wrap(angle - near)

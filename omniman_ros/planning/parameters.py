@@ -1,64 +1,89 @@
-"""Everything the planner is set by, declared once; obstacles have theirs beside them."""
+"""Parameters of the planner; those of obstacles are declared with the obstacle set."""
 
 from dataclasses import dataclass
 
+from omniman_ros.control.limits import TwistLimits
 from omniman_ros.core.errors import ParameterError
-from omniman_ros.core.limits import TwistLimits
 from omniman_ros.core.parameters import inline, parameter
 from omniman_ros.core.robot import Robot
-from omniman_ros.planning.obstacles import ObstacleParameters
+from omniman_ros.planning.obstacles.obstacles import ObstacleParameters
 
 
 @dataclass(frozen=True)
 class Horizon:
-    """How far and how finely is planned."""
+    """Length and resolution of the planning horizon."""
 
     steps: int = parameter(20, "Steps N of the horizon.", low=2, high=100, read_only=True)
     step: float = parameter(
-        0.1, "Length of a step; controls are held over it.",
-        unit="s", low=0.02, high=0.5, read_only=True,
-    )  # fmt: skip
+        0.1,
+        "Length of a step; controls are held over it.",
+        unit="s",
+        low=0.02,
+        high=0.5,
+        read_only=True,
+    )
     slots: int = parameter(
-        6, "Obstacles in the optimisation, the nearest; the check of the plan knows all.",
-        low=0, high=40, read_only=True,
-    )  # fmt: skip
+        6,
+        "Number of nearest obstacles in the optimisation; plans are checked against all.",
+        low=0,
+        high=40,
+        read_only=True,
+    )
 
     @property
     def duration(self) -> float:
-        """How far is planned [s]."""
+        """Duration of the horizon [s]."""
         return self.steps * self.step
 
 
 @dataclass(frozen=True)
 class Weights:
-    """What the plan is judged by, MPC 2021 (25) and (31); energy counts as it is, in J."""
+    """Weights of the cost, MPC 2021 (25) and (31); energy counts in J."""
 
     position: float = parameter(
-        600.0, "Weight W_pos of the distance at the end of the plan.",
-        unit="J/m^2", low=0, high=1e6,
-    )  # fmt: skip
+        600.0,
+        "Weight W_pos of the distance at the end of the plan.",
+        unit="J/m^2",
+        low=0,
+        high=1e6,
+    )
     heading: float = parameter(
-        150.0, "Weight W_ang of the heading error at the end of the plan.",
-        unit="J/rad^2", low=0, high=1e6,
-    )  # fmt: skip
+        150.0,
+        "Weight W_ang of the heading error at the end of the plan.",
+        unit="J/rad^2",
+        low=0,
+        high=1e6,
+    )
     velocity: float = parameter(
-        60.0, "Weight W_vel of the velocity error at the end of the plan, where the goal has a "
-        "velocity.", unit="J s^2/m^2", low=0, high=1e6,
-    )  # fmt: skip
+        60.0,
+        "Weight W_vel of the velocity error at the end of the plan, where the goal has a "
+        "velocity.",
+        unit="J s^2/m^2",
+        low=0,
+        high=1e6,
+    )
     running: float = parameter(
-        1.0, "Share of W_pos and W_ang that counts in each second before the end; 0 is the "
-        "paper's cost.", unit="1/s", low=0, high=100,
-    )  # fmt: skip
+        1.0,
+        "Share of W_pos and W_ang that counts in each second before the end; 0 is the "
+        "paper's cost.",
+        unit="1/s",
+        low=0,
+        high=100,
+    )
     energy: float = parameter(1.0, "Weight of the energy.", low=1e-3, high=1e3)
     reach: float = parameter(
-        1.5, "A goal that is further beyond what can be driven within the horizon than this pulls "
-        "no harder.", unit="m", low=0.1, high=100,
-    )  # fmt: skip
+        1.5,
+        "Distance beyond the reach of the horizon from which a farther goal does not increase "
+        "the cost.",
+        unit="m",
+        low=0.1,
+        high=100,
+    )
 
 
 @dataclass(frozen=True)
 class Workspace:
-    """Where the whole bounding box must stay, in odom; MPC 2021 (29), (30)."""
+    """Region of odom in which the whole bounding box must stay, MPC 2021 (29), (30)."""
 
     x_min: float = parameter(-1e3, "Least x.", unit="m", low=-1e5, high=1e5)
     y_min: float = parameter(-1e3, "Least y.", unit="m", low=-1e5, high=1e5)
@@ -67,9 +92,9 @@ class Workspace:
 
     def __post_init__(self) -> None:
         if self.x_max <= self.x_min:
-            raise ParameterError("workspace.x_max", self.x_max, "not above workspace.x_min")
+            raise ParameterError("workspace.x_max", self.x_max, "must be above workspace.x_min")
         if self.y_max <= self.y_min:
-            raise ParameterError("workspace.y_max", self.y_max, "not above workspace.y_min")
+            raise ParameterError("workspace.y_max", self.y_max, "must be above workspace.y_min")
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:
@@ -79,40 +104,56 @@ class Workspace:
 
 @dataclass(frozen=True)
 class Safety:
-    """Room around the robot, and when an answer counts."""
+    """Clearances, and the deadline of plans."""
 
     clearance: float = parameter(
-        0.05, "Gap that plans keep to obstacles and to the workspace's edge.",
-        unit="m", low=0, high=2,
-    )  # fmt: skip
+        0.05,
+        "Gap that plans keep to obstacles and to the workspace's edge.",
+        unit="m",
+        low=0,
+        high=2,
+    )
     least_clearance: float = parameter(
-        0.02, "Gap below which a plan is not used; tracking errors come on top.",
-        unit="m", low=0, high=2,
-    )  # fmt: skip
+        0.02,
+        "Gap below which a plan is not used; the tracking error is added to it.",
+        unit="m",
+        low=0,
+        high=2,
+    )
     berth: float = parameter(
-        0.6, "Plans keep away from what moves by so much more of its way, up to 0.3 m: it may "
-        "turn.",
-        unit="s", low=0, high=5,
-    )  # fmt: skip
+        0.6,
+        "Additional gap to a moving obstacle per unit of its speed, at most 0.3 m.",
+        unit="s",
+        low=0,
+        high=5,
+    )
     deadline: float = parameter(
-        0.04, "Time after which an answer is late: each plan begins so far ahead.",
-        unit="s", low=0.001, high=0.5,
-    )  # fmt: skip
+        0.04,
+        "Time after which an answer is late; each plan begins by this time after its request.",
+        unit="s",
+        low=0.001,
+        high=0.5,
+    )
     slack: float = parameter(
-        0.02, "Overlap of a plan with what it must keep clear of, clearance included, from which "
-        "on evasions are tried beside it.", unit="m", low=0, high=10,
-    )  # fmt: skip
+        0.02,
+        "Violation of the clearance by a plan from which evasions are tried as well.",
+        unit="m",
+        low=0,
+        high=10,
+    )
 
     def __post_init__(self) -> None:
         if self.least_clearance > self.clearance:
             raise ParameterError(
-                "safety.least_clearance", self.least_clearance, "above safety.clearance"
+                "safety.least_clearance",
+                self.least_clearance,
+                "must not be above safety.clearance",
             )
 
 
 @dataclass(frozen=True)
 class Arrival:
-    """When a goal is reached."""
+    """Tolerances within which a goal is reached."""
 
     position: float = parameter(
         0.02, "Distance from the goal at which it is reached.", unit="m", low=1e-4, high=10
@@ -124,7 +165,7 @@ class Arrival:
 
 @dataclass(frozen=True, kw_only=True)
 class PlannerParameters:
-    """Everything the planner is set by, the robot included."""
+    """All parameters of the planner, including those of the robot."""
 
     robot: Robot = inline()
     limits: TwistLimits
@@ -135,11 +176,8 @@ class PlannerParameters:
     arrival: Arrival
     obstacles: ObstacleParameters
     reserve: float = parameter(
-        0.15, "Share of the limits that plans leave to the position controller.",
-        low=0, high=0.9,
-    )  # fmt: skip
-
-    def speeds(self, share: float = 1.0) -> tuple[float, float]:
-        """Largest linear [m/s] and angular speed [rad/s] of plans, with a share of the limits."""
-        room = (1.0 - self.reserve) * share
-        return room * self.limits.linear_velocity, room * self.limits.angular_velocity
+        0.15,
+        "Share of the limits that plans leave to the position controller.",
+        low=0,
+        high=0.9,
+    )

@@ -1,39 +1,43 @@
-"""The last word on every motion: whether it keeps clear of what is known, all the way to rest."""
+"""Final check of a motion: whether it keeps its gap to all obstacles until it is at rest."""
 
 import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from omniman_ros.planning.ellipses import Ellipses
+from omniman_ros.core.arrays import Array
 from omniman_ros.planning.motion import Motion
-from omniman_ros.planning.separation import Workspace, box_gap, outside_by, swept_gap, within_reach
-from omniman_ros.planning.walls import Walls
+from omniman_ros.planning.obstacles.ellipses import Ellipses
+from omniman_ros.planning.obstacles.separation import (
+    Workspace,
+    box_gap,
+    outside_by,
+    swept_gap,
+    within_reach,
+)
+from omniman_ros.planning.obstacles.walls import Walls
 
-Array = NDArray[np.float64]
-
-PARTS = 4
-"""Into so many parts each span of a motion is cut for the check."""
-CLOSER = 0.02
-"""So much of the margin may be used up where the robot is about as close as allowed [m]."""
-WALL_PARTS = 16
-"""The same next to walls, whose check is coarser in space."""
-SAME = 1e-6
-"""Gaps that differ by less are equal [m]."""
+SPAN_PARTS = 4
+"""Number of parts into which the check divides each span between two nodes of a motion."""
+WALL_SPAN_PARTS = 16
+"""Number of these parts in the check against walls, which is less exact in space."""
+MARGIN_TOLERANCE = 0.02
+"""Part of the margin that may be consumed if the robot is about as close as allowed [m]."""
+GAP_TOLERANCE = 1e-6
+"""Difference below which gaps count as equal [m]."""
 
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What a motion is checked against.
+    """Obstacles, workspace and map that a motion is checked against.
 
     Attributes:
         half: (2,) half length and half width of the robot's box [m].
-        ellipses: Obstacles, as they are known now.
+        ellipses: Obstacles as they are known now.
         workspace: (x_min, y_min, x_max, y_max) in odom [m].
-        margin: Gap that is kept to both [m].
-        until: A motion is looked at until then even where it is at rest before [s].
-        walls: What stands for good.
+        margin: Gap to keep to obstacles, workspace edge and walls [m].
+        until: Time up to which a motion is checked even if it is at rest before [s].
+        walls: Occupied cells of the map.
     """
 
     half: Array
@@ -44,11 +48,14 @@ class Surroundings:
     walls: Walls = field(default_factory=Walls.none)
 
     def outside(self, poses: Array) -> float:
-        """By how much the box at poses (K, 3) leaves the workspace, its margin included [m]."""
+        """Return the distance by which a box at poses (K, 3) leaves the workspace [m].
+
+        The margin is included.
+        """
         return float(outside_by(poses, self.half, self.workspace).max()) + self.margin
 
     def overlap(self, poses: Array) -> float:
-        """By how much the box at poses (K, 3) is too close to an obstacle as it is now [m]."""
+        """Return the depth by which a box at poses (K, 3) is too close to an obstacle now [m]."""
         e = self.ellipses
         into = self.margin - float(self.walls.gaps(poses, self.half).min())
         if not len(e):
@@ -59,12 +66,15 @@ class Surroundings:
         return max(-float(gaps.min()), into if len(self.walls) else -math.inf)
 
     def contact(self, motion: Motion, now: float) -> float:
-        """Time at which a motion comes too close to anything, from `now` on [s]; or infinity.
+        """Return the time from `now` on at which a motion comes too close to an obstacle [s].
 
-        Where the robot is too close already it may go on, but not closer, so that it gets away
-        from there; what is allowed beyond the margin does not add up over calls.
+        A robot that is too close already may move, but not closer, so that it can leave; the part
+        of the margin that may be consumed does not add up over calls.
+
+        Returns:
+            Start of the interval in which it comes too close [s]; infinity if it never does.
         """
-        times, poses, velocities = motion.fine(now, self.until, PARTS)
+        times, poses, velocities = motion.fine(now, self.until, SPAN_PARTS)
         first = math.inf
         out = outside_by(poses, self.half, self.workspace) + self.margin
         allowed = max(float(out[0]) + 1e-3, 0.0) if math.isfinite(out[0]) else -math.inf
@@ -77,11 +87,13 @@ class Surroundings:
             return first
         near = self.ellipses.select(reached)
         gaps = swept_gap(times, poses, velocities, self.half, near, self.margin)
-        allowed = np.minimum(np.maximum(gaps[0] - CLOSER, -min(CLOSER, self.margin)), 0.0)
+        allowed = np.minimum(
+            np.maximum(gaps[0] - MARGIN_TOLERANCE, -min(MARGIN_TOLERANCE, self.margin)), 0.0
+        )
         nodes = box_gap(
             poses, self.half, near.centers_at(times), near.axes_at(times, self.margin), near.angles
         )
-        leaves = (nodes[0] <= 0.0) & (nodes[1:] >= nodes[0] - SAME)
+        leaves = (nodes[0] <= 0.0) & (nodes[1:] >= nodes[0] - GAP_TOLERANCE)
         touched = ~((gaps > allowed) | leaves).all(axis=1)
         touched |= (gaps[0] == -math.inf).any()
         if touched.any():
@@ -89,29 +101,31 @@ class Surroundings:
         return first
 
     def _at_wall(self, motion: Motion, now: float, margin: float) -> float:
-        """Time at which a motion comes too close to a wall [s], or infinity; see `contact`."""
+        """Return the time at which a motion comes too close to a wall; see `contact`."""
         if not len(self.walls):
             return math.inf
-        times, poses, velocities = motion.fine(now, -math.inf, WALL_PARTS)
+        times, poses, velocities = motion.fine(now, -math.inf, WALL_SPAN_PARTS)
         nodes, gaps = self.walls.swept(times, poses, velocities, self.half)
-        allowed = margin + min(max(float(gaps[0]) - margin - CLOSER, -min(CLOSER, margin)), 0.0)
-        leaves = (-math.inf < nodes[0] <= margin) & (nodes[1:] >= nodes[0] - SAME)
+        allowed = margin + min(
+            max(float(gaps[0]) - margin - MARGIN_TOLERANCE, -min(MARGIN_TOLERANCE, margin)), 0.0
+        )
+        leaves = (-math.inf < nodes[0] <= margin) & (nodes[1:] >= nodes[0] - GAP_TOLERANCE)
         touched = ~((gaps > allowed) | leaves)
         return float(times[int(touched.argmax())]) if touched.any() else math.inf
 
     def threat(self, motion: Motion, now: float) -> tuple[float, float]:
-        """How bad a motion is that is not clear: of two, the greater is the better one.
+        """Rate a motion that is not clear: of two results, the greater one is better.
 
         Returns:
-            When the robot itself touches an obstacle where it is expected, without any margin [s];
-            and the least gap until then or to the end [m].
+            Time at which the robot itself touches an obstacle at its predicted position, without
+            any margin [s], and the smallest gap until then or until the end [m].
         """
         wall = self._at_wall(motion, now, 0.0)
-        times, poses, velocities = motion.fine(now, self.until, PARTS)
+        times, poses, velocities = motion.fine(now, self.until, SPAN_PARTS)
         certain = replace(self.ellipses, growth=np.zeros(len(self.ellipses)))
-        reached = within_reach(times, poses, velocities, self.half, certain, CLOSER)
+        reached = within_reach(times, poses, velocities, self.half, certain, MARGIN_TOLERANCE)
         if not reached.any():
-            return wall, CLOSER if wall == math.inf else 0.0
+            return wall, MARGIN_TOLERANCE if wall == math.inf else 0.0
         gaps = swept_gap(times, poses, velocities, self.half, certain.select(reached))
         least = gaps.min(axis=1)
         touched = ~(least > 0.0)
@@ -119,28 +133,28 @@ class Surroundings:
         contact = float(times[first]) if touched.any() else math.inf
         if wall < contact:
             return wall, 0.0
-        return contact, min(float(least[: first + 1].min()), CLOSER)
+        return contact, min(float(least[: first + 1].min()), MARGIN_TOLERANCE)
 
     def longest(
         self, motion: Motion, now: float, earliest: float, deceleration: tuple[float, float]
     ) -> Motion | None:
-        """As much of a motion as can be driven and then braked without contact.
+        """Return the longest part of a motion that can be driven and then braked without contact.
 
         Args:
-            motion: It need not end at rest.
-            now: From when on it is driven [s].
-            earliest: The braking begins no earlier than here [s].
-            deceleration: Linear and angular, of the braking [m/s^2, rad/s^2].
+            motion: Motion; it need not end at rest.
+            now: Time from which the motion is followed [s].
+            earliest: Earliest time at which the braking begins [s].
+            deceleration: Linear and angular deceleration of the braking [m/s^2, rad/s^2].
 
         Returns:
-            A motion that ends at rest, or None if there is none.
+            Motion that ends at rest, or None if there is none.
         """
         whole = motion.braked(motion.end, deceleration)
         contact = self.contact(whole, now)
         if contact == math.inf:
             return whole
         nodes = motion.times[(motion.times >= earliest) & (motion.times < contact)]
-        # One by one: an earlier braking need not be safer, where an obstacle comes along behind.
+        # All are tried: to brake earlier need not be safer if an obstacle comes from behind.
         for begin in nodes[::-1].tolist():
             shorter = motion.braked(begin, deceleration)
             if self.contact(shorter, now) == math.inf:

@@ -1,7 +1,7 @@
-"""The UR5 as cylinders: where each one is at given joint angles.
+"""The UR5 as cylinders: positions and rotations of all of them at given joint angles.
 
 Sizes and frames are those of the robot's description. All parts of a kind are instances of one
-mesh, so that a pose of the arm costs two arrays a kind, however many parts there are.
+mesh, so that a pose of the arm costs two arrays per kind, however many parts there are.
 """
 
 import math
@@ -12,19 +12,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omniman_ros.core.arm_model import JOINTS, UR5, DhTable
-from omniman_ros.core.body.model import Mount
+from omniman_ros.core.arrays import Array
 from omniman_ros.description.inertia import Vector
 from omniman_ros.description.ur5 import BASE, Link, Tube, links
+from omniman_ros.motion.whole_body.model import Mount
 
-Array = NDArray[np.float64]
-
-START, END = -1, 1
+START = -1
+"""Value of the field `end` in `CAPS` for the start of a tube."""
+END = 1
+"""Value of the field `end` in `CAPS` for the end of a tube."""
 CAPS = (
-    (1, 0, END), (2, 1, END), (2, 2, START), (2, 2, END), (3, 1, START), (4, 0, END), (5, 0, END),
-)  # fmt: skip
-"""Ends of tubes that a cap closes: link (0 is the base), tube, which end."""
-WIDER = 1.03
-"""Radius of a cap over that of its tube."""
+    (1, 0, END),
+    (2, 1, END),
+    (2, 2, START),
+    (2, 2, END),
+    (3, 1, START),
+    (4, 0, END),
+    (5, 0, END),
+)
+"""Ends of tubes that a cap closes: index of the link (0: base), index of its tube, and `end`."""
+CAP_RADIUS_RATIO = 1.03
+"""Ratio of a cap's radius to that of its tube."""
 
 
 @dataclass(frozen=True)
@@ -32,10 +40,10 @@ class Parts:
     """Instances of one mesh on the links.
 
     Attributes:
-        link: (N,) whose, 0 is the base.
-        positions: (N, 3) in the link's frame [m].
-        rotations: (N, 4) quaternions (w, x, y, z) likewise.
-        scales: (N, 3) along the mesh's own axes.
+        link: (N,) indices of the instances' links, 0 for the base.
+        positions: (N, 3) positions in the frames of the links [m].
+        rotations: (N, 4) quaternions (w, x, y, z) in the frames of the links.
+        scales: (N, 3) scale factors along the axes of the mesh.
     """
 
     link: NDArray[np.int64]
@@ -45,15 +53,15 @@ class Parts:
 
 
 class ArmShape:
-    """The arm on its platform.
+    """The arm on its platform, as instances of two meshes.
 
     Args:
-        mount: Where it stands.
-        table: Lengths of the arm.
+        mount: Mount of the arm on the platform.
+        table: Denavit-Hartenberg parameters of the arm.
 
     Attributes:
-        tubes: Of a cylinder about z of radius 1 and length 1.
-        caps: Of a dome upon z of radius 1.
+        tubes: Instances of a cylinder about z of radius 1 and length 1.
+        caps: Instances of a dome along z of radius 1.
     """
 
     def __init__(self, mount: Mount, table: DhTable = UR5) -> None:
@@ -65,38 +73,46 @@ class ArmShape:
         )
         self.caps = _parts(_cap(chain[k], k, tube, end) for k, tube, end in CAPS)
         self._root = np.array([mount.x, mount.y, mount.z]), quaternion((0.0, 0.0, mount.yaw))
-        self._steps = np.array([link.place for link in chain])
-        self._turns = np.array([quaternion(link.rpy) for link in chain])
+        self._link_offsets = np.array([link.place for link in chain])
+        self._link_rotations = np.array([quaternion(link.rpy) for link in chain])
 
     def frames(self, angles: Array) -> tuple[Array, Array]:
-        """Frames of base and links in base_link: positions (7, 3) [m], quaternions (7, 4).
+        """Return the frames of base and links in `base_link`.
 
         Args:
-            angles: Of the joints (6,) [rad].
+            angles: Joint angles (6,) [rad].
+
+        Returns:
+            Positions (7, 3) [m] and quaternions (7, 4), (w, x, y, z).
         """
         halves = 0.5 * np.concatenate([[0.0], angles])
         joints = np.zeros((JOINTS + 1, 4))
         joints[:, 0], joints[:, 3] = np.cos(halves), np.sin(halves)
-        by = _by(product(self._turns, joints))
+        factors = _right_factors(product(self._link_rotations, joints))
         rotations = np.empty((JOINTS + 2, 4))
         rotations[0] = self._root[1]
         for k in range(JOINTS + 1):
-            rotations[k + 1] = rotations[k] @ by[k]
-        positions = self._root[0] + np.cumsum(turned(rotations[:-1], self._steps), axis=0)
+            rotations[k + 1] = rotations[k] @ factors[k]
+        positions = self._root[0] + np.cumsum(rotated(rotations[:-1], self._link_offsets), axis=0)
         return positions, rotations[1:]
 
     @staticmethod
     def placed(parts: Parts, frames: tuple[Array, Array]) -> tuple[Array, Array]:
-        """Positions (N, 3) [m] and quaternions (N, 4) of parts on links with these frames."""
+        """Return positions (N, 3) [m] and quaternions (N, 4) of parts in `base_link`.
+
+        Args:
+            parts: Instances of a mesh.
+            frames: Frames of base and links, see :meth:`frames`.
+        """
         positions, rotations = frames[0][parts.link], frames[1][parts.link]
         return (
-            positions + turned(rotations, parts.positions),
+            positions + rotated(rotations, parts.positions),
             product(rotations, parts.rotations),
         )
 
 
 def quaternion(rpy: Vector) -> Array:
-    """Quaternion (w, x, y, z) of a turn about x, then y, then z, all of them fixed [rad]."""
+    """Return the quaternion (w, x, y, z) of rotations about fixed x, then y, then z [rad]."""
     roll, pitch, yaw = (0.5 * angle for angle in rpy)
     about_x = np.array([math.cos(roll), math.sin(roll), 0.0, 0.0])
     about_y = np.array([math.cos(pitch), 0.0, math.sin(pitch), 0.0])
@@ -105,37 +121,56 @@ def quaternion(rpy: Vector) -> Array:
 
 
 def product(first: Array, second: Array) -> Array:
-    """Products (..., 4) of quaternions (..., 4): the second turn in the frame of the first."""
-    result: Array = (first[..., None, :] @ _by(second))[..., 0, :]
+    """Return the products (..., 4) of quaternions: `second` rotates in the frame of `first`."""
+    result: Array = (first[..., None, :] @ _right_factors(second))[..., 0, :]
     return result
 
 
-def turned(rotations: Array, vectors: Array) -> Array:
-    """Vectors (..., 3) after turns by quaternions (..., 4)."""
+def rotated(rotations: Array, vectors: Array) -> Array:
+    """Return vectors (..., 3) rotated by quaternions (..., 4)."""
     pure = np.concatenate([np.zeros((*vectors.shape[:-1], 1)), vectors], axis=-1)
-    result: Array = product(product(rotations, pure), rotations * _BACK)[..., 1:]
+    result: Array = product(product(rotations, pure), rotations * _CONJUGATION)[..., 1:]
     return result
 
 
-_BACK = np.array([1.0, -1.0, -1.0, -1.0])
+_CONJUGATION = np.array([1.0, -1.0, -1.0, -1.0])
+"""Factors that turn a quaternion (w, x, y, z) into its conjugate."""
+
 _HAMILTON: Array = np.zeros((4, 16))
-"""Products of 1, i, j, k: row the second, column four times the first and their product."""
+"""Multiplication table of 1, i, j, k.
+
+The row is the index of the second factor, the column four times that of the first factor plus
+that of the product; the value is the sign.
+"""
 for _first, _second, _both, _sign in (
-    (0, 0, 0, 1), (0, 1, 1, 1), (0, 2, 2, 1), (0, 3, 3, 1),
-    (1, 0, 1, 1), (1, 1, 0, -1), (1, 2, 3, 1), (1, 3, 2, -1),
-    (2, 0, 2, 1), (2, 1, 3, -1), (2, 2, 0, -1), (2, 3, 1, 1),
-    (3, 0, 3, 1), (3, 1, 2, 1), (3, 2, 1, -1), (3, 3, 0, -1),
-):  # fmt: skip
+    (0, 0, 0, 1),
+    (0, 1, 1, 1),
+    (0, 2, 2, 1),
+    (0, 3, 3, 1),
+    (1, 0, 1, 1),
+    (1, 1, 0, -1),
+    (1, 2, 3, 1),
+    (1, 3, 2, -1),
+    (2, 0, 2, 1),
+    (2, 1, 3, -1),
+    (2, 2, 0, -1),
+    (2, 3, 1, 1),
+    (3, 0, 3, 1),
+    (3, 1, 2, 1),
+    (3, 2, 1, -1),
+    (3, 3, 0, -1),
+):
     _HAMILTON[_second, 4 * _first + _both] = _sign
 
 
-def _by(rotations: Array) -> Array:
-    """Matrices (..., 4, 4): a quaternion from the left times one of them is their product."""
+def _right_factors(rotations: Array) -> Array:
+    """Return the matrices (..., 4, 4) by which row quaternions are multiplied from the right."""
     result: Array = (rotations @ _HAMILTON).reshape(*rotations.shape[:-1], 4, 4)
     return result
 
 
 Part = tuple[int, Array, Array, Vector]
+"""Index of the link, position [m], quaternion and scales of an instance, as in `Parts`."""
 
 
 def _centre(tube: Tube) -> Array:
@@ -144,12 +179,12 @@ def _centre(tube: Tube) -> Array:
 
 def _cap(link: Link, k: int, index: int, end: int) -> Part:
     tube = link.tubes[index]
-    turn = quaternion(tube.rpy)
+    rotation = quaternion(tube.rpy)
     if end == START:
-        turn = product(turn, quaternion((math.pi, 0.0, 0.0)))
-    radius = WIDER * tube.radius
-    place = np.array(tube.end if end == END else tube.start)
-    return k, place, turn, (radius, radius, radius)
+        rotation = product(rotation, quaternion((math.pi, 0.0, 0.0)))
+    radius = CAP_RADIUS_RATIO * tube.radius
+    position = np.array(tube.end if end == END else tube.start)
+    return k, position, rotation, (radius, radius, radius)
 
 
 def _parts(parts: Iterable[Part]) -> Parts:

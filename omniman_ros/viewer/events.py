@@ -1,41 +1,50 @@
-"""What a page says: buttons held and pressed, things placed and dragged, values set."""
+"""Events that a page sends to the node: pressed buttons, dragged objects, entered numbers."""
 
+import queue
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
+
+from omniman_ros.core.errors import InputError
+
+MAX_EVENTS = 1000
+"""Largest number of events that are processed at once."""
 
 Pose = tuple[float, float, float]
 """x, y [m], heading [rad] in `odom`."""
 
 
 @dataclass(frozen=True)
-class Held:
-    """A page says, again and again, that a button is held."""
+class ButtonHeld:
+    """A page reports, repeatedly, that a motion button is held."""
 
     client: int
     motion: str
 
 
 @dataclass(frozen=True)
-class Released:
-    """A button was let go."""
+class ButtonReleased:
+    """A motion button was released."""
 
     client: int
     motion: str
 
 
 @dataclass(frozen=True)
-class Gone:
+class ClientDisconnected:
     """A page has lost its connection."""
 
     client: int
 
 
 @dataclass(frozen=True)
-class Pressed:
-    """Another button was pressed.
+class ButtonPressed:
+    """Any other button was clicked.
 
     Attributes:
-        action: stop, reset; pause, resume, cancel (path and planner alike); go (send the goal as
-            it lies); restart (everything back to the start); add (an obstacle); clear (trails).
+        action: stop, reset; pause, resume, cancel (path and planner alike); go (send the displayed
+            goal); restart (move robot and obstacles back to the start); add (an obstacle); clear
+            (trails).
     """
 
     action: str
@@ -43,7 +52,7 @@ class Pressed:
 
 @dataclass(frozen=True)
 class GoalDragged:
-    """The goal is dragged; `done` when it is let go."""
+    """The goal is being dragged; `done` is true once it is released."""
 
     pose: Pose
     done: bool
@@ -51,7 +60,7 @@ class GoalDragged:
 
 @dataclass(frozen=True)
 class StartDragged:
-    """The start is dragged; `done` when it is let go."""
+    """The start is being dragged; `done` is true once it is released."""
 
     pose: Pose
     done: bool
@@ -59,23 +68,23 @@ class StartDragged:
 
 @dataclass(frozen=True)
 class ObstacleDragged:
-    """An obstacle of the page is dragged to a place (x, y) in odom [m]."""
+    """An obstacle of the page is being dragged to a position (x, y) in `odom` [m]."""
 
     number: int
-    place: tuple[float, float]
+    position: tuple[float, float]
     done: bool
 
 
 @dataclass(frozen=True)
-class ObstacleSent:
-    """An obstacle of the page is given a velocity (x, y) in odom [m/s]."""
+class ObstacleVelocitySet:
+    """An obstacle of the page is given a velocity (x, y) in `odom` [m/s]."""
 
     number: int
     velocity: tuple[float, float]
 
 
 @dataclass(frozen=True)
-class ObstacleShaped:
+class ObstacleResized:
     """An obstacle of the page is given semi-axes [m] and a heading [rad]."""
 
     number: int
@@ -84,28 +93,28 @@ class ObstacleShaped:
 
 
 @dataclass(frozen=True)
-class ObstacleChosen:
-    """An obstacle of the page is chosen, to be shaped or deleted; None: none is."""
+class ObstacleSelected:
+    """An obstacle of the page is selected for editing; None deselects."""
 
     number: int | None
 
 
 @dataclass(frozen=True)
 class ObstacleDeleted:
-    """An obstacle of the page is deleted; None: all are."""
+    """An obstacle of the page is deleted; None deletes all."""
 
     number: int | None
 
 
 @dataclass(frozen=True)
-class CaseChosen:
-    """A case of the paper is asked for by name."""
+class CaseSelected:
+    """A test case of MPC 2021 is requested by name."""
 
     name: str
 
 
 @dataclass(frozen=True)
-class Tuned:
+class ParameterChanged:
     """A parameter of the planner is set."""
 
     name: str
@@ -113,6 +122,58 @@ class Tuned:
 
 
 Event = (
-    Held | Released | Gone | Pressed | GoalDragged | StartDragged | ObstacleDragged
-    | ObstacleSent | ObstacleShaped | ObstacleChosen | ObstacleDeleted | CaseChosen | Tuned
-)  # fmt: skip
+    ButtonHeld
+    | ButtonReleased
+    | ClientDisconnected
+    | ButtonPressed
+    | GoalDragged
+    | StartDragged
+    | ObstacleDragged
+    | ObstacleVelocitySet
+    | ObstacleResized
+    | ObstacleSelected
+    | ObstacleDeleted
+    | CaseSelected
+    | ParameterChanged
+)
+"""Any event."""
+
+
+class EventQueue:
+    """Passes events from the threads of the page to the thread of the node."""
+
+    def __init__(self) -> None:
+        self._queue: queue.SimpleQueue[Event] = queue.SimpleQueue()
+        self._closed = False
+
+    def post(self, event: Event) -> None:
+        """Append an event; may be called from any thread and never blocks."""
+        if not self._closed:
+            self._queue.put(event)
+
+    def process(
+        self, handlers: Mapping[type, Callable[[Any, float], None]], now: float
+    ) -> Iterator[InputError]:
+        """Pass the queued events to the handlers of their types.
+
+        Args:
+            handlers: Handler of each type of event; its arguments are the event and `now`.
+            now: Time of the node's clock [s].
+
+        Yields:
+            The errors of the handlers that refused an event, as they occur.
+        """
+        for _ in range(MAX_EVENTS):
+            try:
+                event = self._queue.get_nowait()
+            except queue.Empty:
+                return
+            try:
+                handlers[type(event)](event, now)
+            except InputError as error:
+                yield error
+
+    def close(self) -> None:
+        """Discard all events, queued and future ones."""
+        self._closed = True
+        self._queue = queue.SimpleQueue()

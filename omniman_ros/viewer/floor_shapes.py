@@ -1,34 +1,35 @@
-"""Shapes of what stands on the floor beside the robot: start and goal, obstacles, arrows."""
+"""Shapes on the floor beside the robot: markers of start and goal, obstacles, arrows."""
 
 import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from omniman_ros.core.arrays import Array
 from omniman_ros.core.robot import Body
-from omniman_ros.viewer.meshes import Array, Mesh, joined, prism, revolved, rounded
+from omniman_ros.viewer.meshes import Mesh, joined, prism, revolved, rounded
 
-HEIGHT = 0.6
-"""Of an obstacle [m]."""
-ROUND = 32
-"""Corners of what is round."""
-BORDER = 0.05
-"""Width of a marker's border over the platform's width."""
-AHEAD = 0.4
-"""How far the tip of a marker's arrow is ahead of the platform's front, over its width."""
-KNOB = 0.16
-"""Radius of a marker's knob over the platform's width."""
-THIN = 0.004
-"""Height of a marker's layers [m]."""
+OBSTACLE_HEIGHT = 0.6
+"""Height of an obstacle [m]."""
+CIRCLE_POINTS = 32
+"""Number of corners of the polygon that approximates a circle."""
+BORDER_WIDTH = 0.05
+"""Ratio of the width of a marker's border to the platform's width."""
+ARROW_REACH = 0.4
+"""Ratio of the distance of a marker's arrow tip from the platform's front to its width."""
+KNOB_RADIUS = 0.16
+"""Ratio of the radius of a marker's knob to the platform's width."""
+LAYER_HEIGHT = 0.004
+"""Thickness of each layer of a marker [m]."""
 
 
 @dataclass(frozen=True)
 class MarkerShape:
-    """A pose on the floor: footprint, its border and arrow, and a knob at the arrow's tip.
+    """Marker of a pose on the floor: footprint with border, arrow, and a knob at the arrow's tip.
 
     Attributes:
-        plate, border, arrow, knob: In the frame of the platform.
-        tip: Distance of the knob from the middle [m].
+        plate, border, arrow, knob: Meshes in the frame of the platform.
+        tip: Distance of the knob from the origin [m].
     """
 
     plate: Mesh
@@ -39,18 +40,22 @@ class MarkerShape:
 
 
 def marker(body: Body) -> MarkerShape:
-    """The marker of a platform's pose."""
+    """Return the marker of a platform's pose.
+
+    Args:
+        body: Bounding box of the platform.
+    """
     length, width = body.length, body.width
-    corner, edge = 0.12 * min(length, width), BORDER * width
+    corner, edge = 0.12 * min(length, width), BORDER_WIDTH * width
     outer = rounded(length, width, corner)
     inner = rounded(length - 2.0 * edge, width - 2.0 * edge, corner)
-    tip, head, radius = 0.5 * length + AHEAD * width, 0.3 * width, KNOB * width
+    tip, head, radius = 0.5 * length + ARROW_REACH * width, 0.3 * width, KNOB_RADIUS * width
     base = tip - radius - head
     shaft = np.array([[0.0, -edge], [base, -edge], [base, edge], [0.0, edge]])
     point = np.array([[base, -0.6 * head], [tip - radius, 0.0], [base, 0.6 * head]])
-    low, high = 2.0 * THIN, 3.0 * THIN
+    low, high = 2.0 * LAYER_HEIGHT, 3.0 * LAYER_HEIGHT
     return MarkerShape(
-        prism(outer, THIN, low),
+        prism(outer, LAYER_HEIGHT, low),
         band(outer, inner, high),
         joined(prism(shaft, low, high), prism(point, low, high)),
         disc(radius, 0.1 * width).moved(tip, 0.0, 0.05 * width),
@@ -59,7 +64,12 @@ def marker(body: Body) -> MarkerShape:
 
 
 def band(outer: Array, inner: Array, height: float) -> Mesh:
-    """A flat band between two outlines (k, 2) [m] of as many points, seen from above."""
+    """Return a flat band between two outlines, visible from above.
+
+    Args:
+        outer, inner: Outlines (k, 2) with equal numbers of points [m].
+        height: Height above the floor [m].
+    """
     k = len(outer)
     flat = np.column_stack([np.concatenate([outer, inner]), np.full(2 * k, height)])
     i = np.arange(k)
@@ -68,12 +78,18 @@ def band(outer: Array, inner: Array, height: float) -> Mesh:
     return Mesh(flat, np.concatenate([near, far]))
 
 
-def disc(radius: float, height: float, around: int = ROUND) -> Mesh:
-    """An upright cylinder about the origin [m], smooth around and with a sharp edge."""
+def disc(radius: float, height: float, around: int = CIRCLE_POINTS) -> Mesh:
+    """Return an upright cylinder about the origin, with a smooth wall and sharp edges.
+
+    Args:
+        radius: Radius [m].
+        height: Height [m].
+        around: Number of corners of its circles.
+    """
     half = 0.5 * height
     side = revolved(np.array([-half, half]), np.full(2, radius), around)
-    # Only its wall: the vertices of the ends are others, so that light breaks at the edge.
-    wall = Mesh(side.vertices, side.triangles[: 2 * around]).turned(_UPRIGHT)
+    # Only the wall is used: the ends have vertices of their own, which makes the edges sharp.
+    wall = Mesh(side.vertices, side.triangles[: 2 * around]).rotated(_UPRIGHT)
     angles = 2.0 * math.pi * np.arange(around) / around
     circle = radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     i = np.arange(1, around - 1)
@@ -86,29 +102,34 @@ def disc(radius: float, height: float, around: int = ROUND) -> Mesh:
 
 
 def dome(flat: float = 0.45, height: float = 0.7) -> Mesh:
-    """A cap of radius 1 upon the origin, with a round edge.
+    """Return a cap of radius 1 that stands on the origin, with a round edge.
 
     Args:
-        flat: Height of its wall.
-        height: Its whole height.
+        flat: Height of its cylindrical wall, over its radius.
+        height: Total height, over its radius.
     """
-    turn = np.linspace(0.0, 0.5 * math.pi, 6)
+    angles = np.linspace(0.0, 0.5 * math.pi, 6)
     edge = height - flat
-    stations = np.concatenate([[0.0], flat + edge * np.sin(turn)])
-    radii = np.concatenate([[1.0], 1.0 - edge * (1.0 - np.cos(turn))])
-    return revolved(stations, radii, ROUND).turned(_UPRIGHT)
+    stations = np.concatenate([[0.0], flat + edge * np.sin(angles)])
+    radii = np.concatenate([[1.0], 1.0 - edge * (1.0 - np.cos(angles))])
+    return revolved(stations, radii, CIRCLE_POINTS).rotated(_UPRIGHT)
 
 
 def obstacle() -> Mesh:
-    """A cylinder of radius 1 and an obstacle's height that stands on the floor."""
-    return disc(1.0, HEIGHT).moved(0.0, 0.0, 0.5 * HEIGHT)
+    """Return an upright cylinder on the floor, of radius 1 and height `OBSTACLE_HEIGHT` [m]."""
+    return disc(1.0, OBSTACLE_HEIGHT).moved(0.0, 0.0, 0.5 * OBSTACLE_HEIGHT)
 
 
-def dart(length: float, thickness: float) -> Mesh:
-    """The head of an arrow along x about the origin [m]."""
+def arrow_head(length: float, thickness: float) -> Mesh:
+    """Return the head of an arrow along x about the origin.
+
+    Args:
+        length: Length [m].
+        thickness: Thickness along z [m].
+    """
     x, y = 0.5 * length, 0.45 * length
     return prism(np.array([[-x, -y], [x, 0.0], [-x, y]]), -0.5 * thickness, 0.5 * thickness)
 
 
 _UPRIGHT = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
-"""Turns x upwards."""
+"""Rotation matrix that maps x to z (upwards)."""

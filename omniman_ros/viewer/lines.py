@@ -1,33 +1,32 @@
-"""Lines that are drawn: trails, paths, outlines; of bounded size."""
+"""Polylines to draw: trails, paths and outlines, all of bounded size."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from omniman_ros.core.arrays import Array
 
-SPACING = 0.02
+TRAIL_SPACING = 0.02
 """Shortest distance between two points of a trail [m]."""
 TRAIL_POINTS = 1500
-"""Longest trail: 30 m at the shortest distance."""
+"""Largest number of points of a trail: 30 m at the shortest spacing."""
 JUMP = 0.5
-"""A trail is broken where it jumps further than this, as when odometry is set [m]."""
+"""Distance between two points beyond which a trail is broken, as when odometry is set [m]."""
 LINE_POINTS = 1000
-"""Points of a path that are drawn; of a longer one, every second, third, ..."""
-CORNERS = 24
-"""Of an obstacle's outline."""
+"""Largest number of points drawn of a path; a longer one is thinned evenly."""
+OUTLINE_POINTS = 24
+"""Number of corners of the outline of an obstacle."""
 
 
 class Trail:
-    """Where something has been.
+    """Past positions of a moving object.
 
     Attributes:
-        version: Changes with the points.
+        version: Changes whenever the points change.
     """
 
-    def __init__(self, spacing: float = SPACING, limit: int = TRAIL_POINTS) -> None:
+    def __init__(self, spacing: float = TRAIL_SPACING, limit: int = TRAIL_POINTS) -> None:
         self._spacing = spacing
         self._limit = limit
         self._points = np.empty((2 * limit, 2))
@@ -35,7 +34,7 @@ class Trail:
         self.version = 0
 
     def add(self, x: float, y: float) -> None:
-        """Add a position [m], if it is far enough from the last."""
+        """Add a position [m] unless it is too close to the previous one."""
         if self._end:
             last = self._points[self._end - 1]
             if np.hypot(x - last[0], y - last[1]) < self._spacing:
@@ -48,7 +47,7 @@ class Trail:
         self.version += 1
 
     def clear(self) -> None:
-        """Forget it."""
+        """Discard all positions."""
         self._end = 0
         self.version += 1
 
@@ -60,7 +59,12 @@ class Trail:
 
 @dataclass
 class Line:
-    """A line: points (k, 2) on the floor or (k, 3) in space [m]; `version` changes with them."""
+    """A polyline.
+
+    Attributes:
+        points: (k, 2) on the floor or (k, 3) in space [m].
+        version: Changes whenever the points change.
+    """
 
     points: Array = field(default_factory=lambda: np.empty((0, 2)))
     version: int = 0
@@ -72,17 +76,23 @@ class Line:
 
 
 def segments(points: Array, jump: float = np.inf) -> Array:
-    """Pieces (k - 1, 2, 2) between neighbours of a line (k, 2), without those that are longer."""
+    """Return the segments (s, 2, 2) of a polyline (k, 2), without those longer than `jump` [m]."""
     pieces = np.stack([points[:-1], points[1:]], axis=1)
-    near: Array = pieces[np.hypot(*(pieces[:, 1] - pieces[:, 0]).T) <= jump]
-    return near
+    short: Array = pieces[np.hypot(*(pieces[:, 1] - pieces[:, 0]).T) <= jump]
+    return short
 
 
 def outlines(centers: Array, semi_axes: Array, angles: Array) -> Array:
-    """Points (k, 2) around M ellipses: (M, 2) [m], (M, 2) [m], (M,) [rad]; NaN between two."""
-    turn = np.append(np.linspace(0.0, 2.0 * np.pi, CORNERS + 1), np.nan)
-    x = semi_axes[:, :1] * np.cos(turn)
-    y = semi_axes[:, 1:] * np.sin(turn)
+    """Return the outlines (k, 2) of M ellipses [m], separated by rows of NaN.
+
+    Args:
+        centers: Centers (M, 2) [m].
+        semi_axes: Semi-axes (M, 2) [m].
+        angles: Directions (M,) of the first semi-axes [rad].
+    """
+    parameter = np.append(np.linspace(0.0, 2.0 * np.pi, OUTLINE_POINTS + 1), np.nan)
+    x = semi_axes[:, :1] * np.cos(parameter)
+    y = semi_axes[:, 1:] * np.sin(parameter)
     c, s = np.cos(angles)[:, None], np.sin(angles)[:, None]
     around = np.stack([c * x - s * y, s * x + c * y], axis=2) + centers[:, None, :]
     flat: Array = around.reshape(-1, 2)
@@ -90,7 +100,7 @@ def outlines(centers: Array, semi_axes: Array, angles: Array) -> Array:
 
 
 def thinned(count: int, limit: int = LINE_POINTS) -> Iterable[int]:
-    """Indices of at most `limit` of `count` points, evenly, the first and the last among them."""
+    """Return at most `limit` evenly spaced indices of `count` points, including first and last."""
     if count <= limit:
         return range(count)
     return map(int, np.linspace(0, count - 1, limit).round())

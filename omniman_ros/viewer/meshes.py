@@ -1,6 +1,6 @@
-"""Shapes of the platform: vertices [m] and triangles, without a library.
+"""Meshes of the platform: vertices [m] and triangles, built with numpy alone.
 
-A wheel's frame is at its centre: x where it rolls to, y along its axle, z up.
+The frame of a wheel is at its centre: x in its rolling direction, y along its axle, z up.
 """
 
 import math
@@ -9,43 +9,52 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from omniman_ros.core.arrays import Array
 from omniman_ros.core.robot import Robot
 
-Array = NDArray[np.float64]
 Triangles = NDArray[np.int64]
+"""Indices (t, 3) of the vertices of triangles."""
+
 
 ROLLERS = 9
-"""Rollers of a wheel."""
-CORE = 0.82
-"""Distance of the rollers' axes from the axle, over the wheel's radius."""
+"""Number of rollers of a wheel."""
+CORE_RADIUS = 0.82
+"""Ratio of the distance between roller axes and axle to the wheel's radius."""
 OVERLAP = 1.2
-"""How far the rollers' ends reach past each other, so that the wheel runs smoothly."""
-AROUND, ALONG = 12, 7
-"""Vertices of a roller around its axis and along it."""
-NARROWEST = 0.35
-"""Width of a wheel over its radius, at least: rollers of an Omni wheel have none along y."""
-CLEARANCE = 0.5
-"""Height of the chassis above the floor, over the largest wheel's radius."""
+"""Ratio of a roller's length to the length at which neighbouring rollers just meet."""
+ROLLER_POINTS_AROUND = 12
+"""Number of vertices of a roller around its axis."""
+ROLLER_POINTS_ALONG = 7
+"""Number of vertices of a roller along its axis."""
+MIN_WIDTH = 0.35
+"""Smallest ratio of a wheel's width to its radius: Omni rollers have no extent along y."""
+GROUND_CLEARANCE = 0.5
+"""Ratio of the chassis' height above the floor to the largest wheel's radius."""
 
 
 @dataclass(frozen=True)
 class Mesh:
-    """Vertices (v, 3) [m] and triangles (t, 3), counter-clockwise from outside."""
+    """A triangle mesh.
+
+    Attributes:
+        vertices: (v, 3) [m].
+        triangles: (t, 3) indices of vertices, counter-clockwise as seen from outside.
+    """
 
     vertices: Array
     triangles: Triangles
 
-    def turned(self, rotation: Array) -> "Mesh":
-        """The mesh after a rotation (3, 3)."""
+    def rotated(self, rotation: Array) -> "Mesh":
+        """Return the mesh rotated by a matrix (3, 3)."""
         return Mesh(self.vertices @ rotation.T, self.triangles)
 
     def moved(self, x: float, y: float, z: float) -> "Mesh":
-        """The mesh after a translation [m]."""
+        """Return the mesh translated [m]."""
         return Mesh(self.vertices + np.array([x, y, z]), self.triangles)
 
 
 def joined(*meshes: Mesh) -> Mesh:
-    """All as one."""
+    """Join meshes into one."""
     offsets = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
     return Mesh(
         np.concatenate([mesh.vertices for mesh in meshes]),
@@ -56,30 +65,35 @@ def joined(*meshes: Mesh) -> Mesh:
 
 
 def about_y(angle: float) -> Array:
-    """Rotation (3, 3) about y [rad]."""
+    """Return the rotation matrix (3, 3) about y by an angle [rad]."""
     c, s = math.cos(angle), math.sin(angle)
     return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
 
 
 def rotation(theta: float) -> Array:
-    """Quaternion (w, x, y, z) of a turn about the vertical [rad]."""
+    """Return the quaternion (w, x, y, z) of a rotation about z by an angle [rad]."""
     return np.array([math.cos(0.5 * theta), 0.0, 0.0, math.sin(0.5 * theta)])
 
 
 def wheel_rotations(headings: Array, angles: Array) -> Array:
-    """Quaternions (n, 4) of wheels with headings (n,) that have rolled by angles (n,) [rad]."""
+    """Return the quaternions (n, 4) of wheels.
+
+    Args:
+        headings: Directions (n,) of the wheels [rad].
+        angles: Angles (n,) by which the wheels have rolled [rad].
+    """
     ch, sh = np.cos(0.5 * headings), np.sin(0.5 * headings)
     ca, sa = np.cos(0.5 * angles), np.sin(0.5 * angles)
     return np.stack([ch * ca, -sh * sa, ch * sa, sh * ca], axis=1)
 
 
 def revolved(stations: Array, radii: Array, around: int) -> Mesh:
-    """A body of revolution about x, closed at both ends.
+    """Return a solid of revolution about x, closed at both ends.
 
     Args:
         stations: Positions (k,) along x [m], increasing.
-        radii: Radii (k,) there [m].
-        around: Vertices around the axis.
+        radii: Radii (k,) at these positions [m].
+        around: Number of vertices around the axis.
     """
     k = len(stations)
     angles = 2.0 * math.pi * np.arange(around) / around
@@ -101,7 +115,12 @@ def revolved(stations: Array, radii: Array, around: int) -> Mesh:
 
 
 def prism(outline: Array, bottom: float, top: float) -> Mesh:
-    """An upright prism over a convex outline (k, 2) [m], counter-clockwise, with hard edges."""
+    """Return an upright prism with sharp edges.
+
+    Args:
+        outline: Convex outline (k, 2), counter-clockwise [m].
+        bottom, top: Heights of its ends [m].
+    """
     k = len(outline)
     low = np.column_stack([outline, np.full(k, bottom)])
     high = np.column_stack([outline, np.full(k, top)])
@@ -115,20 +134,20 @@ def prism(outline: Array, bottom: float, top: float) -> Mesh:
 
 
 def rounded(length: float, width: float, corner: float) -> Array:
-    """Outline (k, 2) of a rectangle about the origin with round corners [m]."""
+    """Return the outline (k, 2) of a rectangle about the origin with rounded corners [m]."""
     corner = min(corner, 0.5 * length, 0.5 * width)
     angles = np.linspace(0.0, 0.5 * math.pi, 5)
     parts = []
     for quarter, (sx, sy) in enumerate([(1, 1), (-1, 1), (-1, -1), (1, -1)]):
         centre = np.array([sx * (0.5 * length - corner), sy * (0.5 * width - corner)])
-        turned = angles + quarter * 0.5 * math.pi
-        parts.append(centre + corner * np.stack([np.cos(turned), np.sin(turned)], axis=1))
+        directions = angles + quarter * 0.5 * math.pi
+        parts.append(centre + corner * np.stack([np.cos(directions), np.sin(directions)], axis=1))
     return np.concatenate(parts)
 
 
 @dataclass(frozen=True)
 class WheelShape:
-    """A wheel: its rollers, the plates that hold them, and a mark on these to see it turn."""
+    """Meshes of a wheel: rollers, the plates that hold them, and a mark that shows rotation."""
 
     rollers: Mesh
     plates: Mesh
@@ -136,24 +155,24 @@ class WheelShape:
 
 
 def wheel(radius: float, roller_angle: float) -> WheelShape:
-    """A wheel whose rollers make a cylinder of its radius.
+    """Return the meshes of a wheel whose rollers form a cylinder of its radius.
 
-    The axis of the roller on the floor points along (cos gamma, sin gamma): what the wheel
-    drives is the motion along it (CCTA 2017 (8)).
+    The axis of the roller on the floor points along (cos gamma, sin gamma): the wheel drives the
+    motion along this axis (CCTA 2017 (8)).
 
     Args:
-        radius: r [m].
-        roller_angle: gamma [rad], 0 for an Omni wheel.
+        radius: Radius r [m].
+        roller_angle: Angle gamma [rad], 0 for an Omni wheel.
     """
-    core = CORE * radius
+    core = CORE_RADIUS * radius
     reach = core * math.sin(math.pi / ROLLERS) * OVERLAP
-    # A roller that lies across would be as long as the wheel is wide.
+    # Without the bound, a roller along the axle would be infinitely long.
     half = min(reach / max(math.cos(roller_angle), 1e-3), radius)
-    stations = np.linspace(-half, half, ALONG)
+    stations = np.linspace(-half, half, ROLLER_POINTS_ALONG)
     radii = radius - np.hypot(core, stations * math.cos(roller_angle))
-    roller = revolved(stations, np.maximum(radii, 0.02 * radius), AROUND)
+    roller = revolved(stations, np.maximum(radii, 0.02 * radius), ROLLER_POINTS_AROUND)
     c, s = math.cos(roller_angle), math.sin(roller_angle)
-    on_floor = roller.turned(np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])).moved(
+    on_floor = roller.rotated(np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])).moved(
         0.0, 0.0, -core
     )
     steps = 2.0 * math.pi * np.arange(ROLLERS) / ROLLERS
@@ -161,28 +180,35 @@ def wheel(radius: float, roller_angle: float) -> WheelShape:
     rim = radius - float(radii.max()) * 1.1
     thin = 0.06 * radius
     along_y = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    plate = revolved(np.array([-thin, thin]), np.full(2, rim), 24).turned(along_y)
-    drum = revolved(np.array([-0.5 * width, 0.5 * width]), np.full(2, 0.35 * radius), 16).turned(
+    plate = revolved(np.array([-thin, thin]), np.full(2, rim), 24).rotated(along_y)
+    drum = revolved(np.array([-0.5 * width, 0.5 * width]), np.full(2, 0.35 * radius), 16).rotated(
         along_y
     )
     spoke = prism(rounded(0.16 * radius, width + 4.4 * thin, 0.0), 0.15 * rim, 0.98 * rim)
     return WheelShape(
-        joined(*(on_floor.turned(about_y(step)) for step in steps)),
+        joined(*(on_floor.rotated(about_y(step)) for step in steps)),
         joined(drum, *(plate.moved(0.0, side * (0.5 * width + thin), 0.0) for side in (-1, 1))),
         spoke,
     )
 
 
 def wheel_width(radius: float, roller_angle: float) -> float:
-    """Width between the plates of a wheel [m]."""
-    reach = CORE * radius * math.sin(math.pi / ROLLERS) * OVERLAP
+    """Return the distance between the plates of a wheel [m]."""
+    reach = CORE_RADIUS * radius * math.sin(math.pi / ROLLERS) * OVERLAP
     along_axle = 2.0 * min(abs(math.tan(roller_angle)) * reach, radius)
-    return max(0.8 * along_axle, NARROWEST * radius)
+    return max(0.8 * along_axle, MIN_WIDTH * radius)
 
 
 @dataclass(frozen=True)
 class BodyShape:
-    """A platform without wheels: chassis between them, deck above, arrow that shows its front."""
+    """Meshes of a platform without wheels.
+
+    Attributes:
+        chassis: Body between the wheels.
+        deck: Plate above the wheels.
+        arrow: Arrow on the deck that points to the front.
+        height: Height of the deck's upper side [m].
+    """
 
     chassis: Mesh
     deck: Mesh
@@ -191,7 +217,7 @@ class BodyShape:
 
 
 def body(robot: Robot) -> BodyShape:
-    """The body as its bounding box says; heights follow the wheels, as nothing is said of them."""
+    """Return the platform's meshes in its bounding box; heights are derived from the wheels."""
     wheels, box = robot.wheels, robot.body
     radius = max(wheels.radius)
     inner = 2.0 * min(
@@ -205,7 +231,7 @@ def body(robot: Robot) -> BodyShape:
     front = 0.5 * box.length - 0.7 * size
     arrow = np.array([[front, 0.0], [front - size, size], [front - size, -size]])
     return BodyShape(
-        prism(rounded(0.92 * box.length, width, corner), CLEARANCE * radius, low),
+        prism(rounded(0.92 * box.length, width, corner), GROUND_CLEARANCE * radius, low),
         prism(rounded(box.length, box.width, corner), low, high),
         prism(arrow, high, high + 0.01 * box.length),
         high,

@@ -3,11 +3,10 @@ import sys
 
 import pytest
 
-from omniman_ros.cli import fleet
 from omniman_ros.cli.main import COMMANDS, main, make_parser
 from omniman_ros.nodes.registry import NODES
-
-from .support import command
+from omniman_ros.processes import robot_setup
+from test.running import command
 
 pytestmark = pytest.mark.processes
 
@@ -15,7 +14,7 @@ HEAVY = {"rclpy", "numpy", "yaml", "asyncio", "subprocess"}
 
 
 @pytest.mark.parametrize("arguments", [["--help"], *[[name, "--help"] for name in COMMANDS]])
-def test_help_imports_nothing_heavy_and_takes_little_time(arguments):
+def test_help_takes_little_time_and_imports_nothing_heavy(arguments):
     code = (
         "import sys, time\n"
         "from omniman_ros.cli.main import main\n"
@@ -42,11 +41,16 @@ def test_version_is_printed(capsys):
 @pytest.mark.parametrize(
     "arguments",
     [
-        [], ["fly"], ["up", "--only"], ["bench", "nothing"], ["teleop", "--linear", "fast"],
-        ["parameters", "no_node"], ["up", "--rob", "ig42"],
+        [],
+        ["fly"],
+        ["up", "--only"],
+        ["bench", "nothing"],
+        ["teleop", "--linear", "fast"],
+        ["parameters", "no_node"],
+        ["up", "--rob", "ig42"],
     ],
-)  # fmt: skip
-def test_a_wrong_command_line_is_exit_code_2(arguments, capsys):
+)
+def test_an_invalid_command_line_gives_exit_code_2(arguments, capsys):
     with pytest.raises(SystemExit) as end:
         main(arguments)
     assert end.value.code == 2
@@ -56,7 +60,7 @@ def test_a_wrong_command_line_is_exit_code_2(arguments, capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["up", "--robot", "nobody"], "robot 'nobody': expected one of ig42, omniman"),
+        (["up", "--robot", "nobody"], "robot 'nobody': must be one of ig42, omniman"),
         (["demo", "--robot", "/nowhere/robot.yaml"], "no such file"),
         (["bench", "--robot", "nobody"], "robot 'nobody'"),
         (["up", "--only", "nothing"], "no node 'nothing'; there are platform_controller"),
@@ -65,7 +69,7 @@ def test_a_wrong_command_line_is_exit_code_2(arguments, capsys):
         (["teleop", "--linear", "0"], "--linear must be above 0, got 0"),
     ],
 )
-def test_what_cannot_be_started_is_said_in_one_line(arguments, message, capsys):
+def test_what_prevents_a_start_is_reported_in_one_line(arguments, message, capsys):
     assert main(arguments) == 2
     error = capsys.readouterr().err
     assert error.startswith("error: ")
@@ -73,7 +77,7 @@ def test_what_cannot_be_started_is_said_in_one_line(arguments, message, capsys):
     assert error.count("\n") == 1
 
 
-def test_without_rclpy_it_says_how_to_get_it():
+def test_without_rclpy_the_error_says_how_to_get_it():
     code = (
         "import sys\n"
         "sys.modules['rclpy'] = None\n"
@@ -82,7 +86,7 @@ def test_without_rclpy_it_says_how_to_get_it():
     )
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert ended.returncode == 1
-    assert "no Python module 'rclpy" in ended.stderr
+    assert "Python module 'rclpy" in ended.stderr
     assert "source /opt/ros" in ended.stderr
 
 
@@ -95,7 +99,7 @@ def test_teleop_without_a_terminal_is_refused():
 
 
 def test_up_can_start_every_node_of_the_package():
-    assert {kind.name for kind in fleet.NODES} == set(NODES)
+    assert {kind.name for kind in robot_setup.ROBOT_NODES} == set(NODES)
 
 
 def test_defaults_are_those_of_the_nodes():

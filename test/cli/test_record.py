@@ -1,4 +1,4 @@
-"""`omniman record` beside publishers of the test's own."""
+"""`omniman record` of topics that the tests publish."""
 
 import signal
 from collections import Counter
@@ -11,13 +11,12 @@ pytest.importorskip("rosbags", reason="rosbags is not installed (extra 'record')
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Int32, String
 
-from omniman_ros.bag.definitions import Definitions
-from omniman_ros.bag.reader import BagReader
 from omniman_ros.cli.main import main
-from omniman_ros.cli.record import Ears, report
-from omniman_ros.cli.session import Session
-
-from .support import PATIENCE, Running, command, environment
+from omniman_ros.cli.record import TopicRecorder, report
+from omniman_ros.console.session import Session
+from omniman_ros.recording.definitions import MessageDefinitions
+from omniman_ros.recording.reader import BagReader
+from test.running import PATIENCE, Running, command, environment
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 UNRELIABLE = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -26,12 +25,12 @@ COUNT = 1500
 
 
 @pytest.mark.processes
-def test_what_a_robot_says_is_recorded_until_ctrl_c(own_domain, tmp_path):
+def test_the_topics_of_a_robot_are_recorded_until_ctrl_c(own_domain, tmp_path):
     folder = tmp_path / "bag"
     with Session("talker") as session:
         node = session.node
         latched = node.create_publisher(String, "robot1/active_source", LATCHED)
-        latched.publish(String(data="said before"))
+        latched.publish(String(data="published before"))
         counted = node.create_publisher(Int32, "robot1/count", MANY)
         unreliable = node.create_publisher(Int32, "robot1/unreliable", UNRELIABLE)
         node.create_publisher(Int32, "robot1/x/_action/hidden", 10)
@@ -43,7 +42,7 @@ def test_what_a_robot_says_is_recorded_until_ctrl_c(own_domain, tmp_path):
             assert session.wait(
                 lambda: all(p.get_subscription_count() for p in publishers), PATIENCE
             )
-            session.spin(0.5)  # matched on this side; the other side is not told of
+            session.spin(0.5)  # discovered on this side; the other side cannot be observed
             for number in range(COUNT):
                 counted.publish(Int32(data=number))
             for _ in range(10):
@@ -56,14 +55,14 @@ def test_what_a_robot_says_is_recorded_until_ctrl_c(own_domain, tmp_path):
             recorder.process.send_signal(signal.SIGINT)
             assert recorder.finish() == 0, recorder.output
     with BagReader(folder) as bag:
-        heard = list(bag.messages(bag.kinds))
-    assert f"{len(heard)} messages" in recorder.output
-    said = {}
-    for topic, _, message in heard:
-        said.setdefault(topic, []).append(message.data)
-    assert set(said.pop("/robot1/unreliable")) == {7}
-    assert said == {
-        "/robot1/active_source": ["said before"],
+        messages = list(bag.messages(bag.topic_types))
+    assert f"{len(messages)} messages" in recorder.output
+    data = {}
+    for topic, _, message in messages:
+        data.setdefault(topic, []).append(message.data)
+    assert set(data.pop("/robot1/unreliable")) == {7}
+    assert data == {
+        "/robot1/active_source": ["published before"],
         "/robot1/count": list(range(COUNT)),
     }
     metadata = (folder / "metadata.yaml").read_text()
@@ -73,11 +72,11 @@ def test_what_a_robot_says_is_recorded_until_ctrl_c(own_domain, tmp_path):
 
 
 @pytest.mark.processes
-def test_it_ends_by_itself_and_tells_what_nobody_said(own_domain, tmp_path):
+def test_it_ends_after_its_duration_and_reports_topics_without_publishers(own_domain, tmp_path):
     arguments = ("record", "odom", "--duration", "0.6", "--output", str(tmp_path / "bag"))
     with Running(command(*arguments), environment(own_domain)) as recorder:
         assert recorder.finish() == 1
-    assert "nothing was heard" in recorder.output
+    assert "no message was received" in recorder.output
     assert "nobody published /odom" in recorder.output
 
 
@@ -85,18 +84,18 @@ def test_it_ends_by_itself_and_tells_what_nobody_said(own_domain, tmp_path):
     ("arguments", "message"),
     [(["--output", "."], "exists"), (["--duration", "0"], "--duration must be above 0, got 0")],
 )
-def test_what_cannot_be_recorded_is_refused_before_anything_is_heard(arguments, message, capsys):
+def test_invalid_options_are_refused_before_recording(arguments, message, capsys):
     assert main(["record", *arguments]) == 2
     assert message in capsys.readouterr().err
 
 
-class Graph:
-    """A node that sees topics and hears nothing."""
+class FakeNode:
+    """A node that sees topics, and notes its subscriptions."""
 
     def __init__(self, **topics):
         self.topics = topics
-        self.asked = []
-        self.gone = []
+        self.subscribed = []
+        self.destroyed = []
 
     def get_topic_names_and_types(self):
         return [(f"/{name}", [kind]) for name, (kind, _) in self.topics.items()]
@@ -106,29 +105,29 @@ class Graph:
         return [SimpleNamespace(qos_profile=profile) for profile in offers]
 
     def create_subscription(self, kind, name, callback, qos, **options):
-        self.asked.append((name, qos.reliability, qos.durability))
+        self.subscribed.append((name, qos.reliability, qos.durability))
         return SimpleNamespace(msg_type=kind, name=name)
 
     def destroy_subscription(self, subscription):
-        self.gone.append(subscription.name)
+        self.destroyed.append(subscription.name)
 
 
-class Paper:
-    """A writer that keeps names."""
+class FakeWriter:
+    """A writer that notes the names of the topics."""
 
     def __init__(self):
         self.topics = []
         self.dropped = Counter()
 
-    def add(self, topic):
+    def add_topic(self, topic):
         self.topics.append(topic.name)
 
     def put(self, *_):
         return True
 
 
-def ears(graph, paper, wanted=(), namespace=""):
-    return Ears(graph, paper, Definitions(), wanted, namespace)
+def make_recorder(node, writer, wanted=(), namespace=""):
+    return TopicRecorder(node, writer, MessageDefinitions(), wanted, namespace)
 
 
 RELIABLE, BEST_EFFORT = ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT
@@ -136,74 +135,85 @@ VOLATILE, TRANSIENT = DurabilityPolicy.VOLATILE, DurabilityPolicy.TRANSIENT_LOCA
 STRING = "std_msgs/msg/String"
 
 
-def test_a_topic_is_asked_for_as_all_of_its_publishers_offer_it():
-    graph = Graph(
-        a=(STRING, [LATCHED, LATCHED]), b=(STRING, [LATCHED, QoSProfile(depth=1)]),
+def test_a_subscription_has_the_best_quality_of_service_that_all_publishers_offer():
+    node = FakeNode(
+        a=(STRING, [LATCHED, LATCHED]),
+        b=(STRING, [LATCHED, QoSProfile(depth=1)]),
         c=(STRING, [UNRELIABLE, QoSProfile(depth=1)]),
-    )  # fmt: skip
-    ears(graph, Paper()).look()
-    assert graph.asked == [
-        ("/a", RELIABLE, TRANSIENT), ("/b", RELIABLE, VOLATILE), ("/c", BEST_EFFORT, VOLATILE)
-    ]  # fmt: skip
+    )
+    make_recorder(node, FakeWriter()).discover()
+    assert node.subscribed == [
+        ("/a", RELIABLE, TRANSIENT),
+        ("/b", RELIABLE, VOLATILE),
+        ("/c", BEST_EFFORT, VOLATILE),
+    ]
 
 
-def test_a_publisher_that_comes_later_and_offers_less_is_heard_too():
-    graph, paper = Graph(a=(STRING, [LATCHED])), Paper()
-    hearing = ears(graph, paper)
-    hearing.look()
-    graph.topics["a"][1].append(UNRELIABLE)
-    hearing.look()
-    hearing.look()
-    assert graph.asked == [("/a", RELIABLE, TRANSIENT), ("/a", BEST_EFFORT, VOLATILE)]
-    assert graph.gone == ["/a"]
-    assert paper.topics == ["/a"]
+def test_a_later_publisher_that_offers_less_is_recorded_too():
+    node, writer = FakeNode(a=(STRING, [LATCHED])), FakeWriter()
+    recorder = make_recorder(node, writer)
+    recorder.discover()
+    node.topics["a"][1].append(UNRELIABLE)
+    recorder.discover()
+    recorder.discover()
+    assert node.subscribed == [("/a", RELIABLE, TRANSIENT), ("/a", BEST_EFFORT, VOLATILE)]
+    assert node.destroyed == ["/a"]
+    assert writer.topics == ["/a"]
 
 
-def test_a_type_that_is_not_here_is_left_out_with_a_word_and_once(capsys):
-    graph, paper = Graph(a=("nowhere_msgs/msg/X", [LATCHED]), b=(STRING, [LATCHED])), Paper()
-    hearing = ears(graph, paper)
-    hearing.look()
-    hearing.look()
-    assert paper.topics == ["/b"]
+def test_a_topic_whose_type_is_not_installed_is_skipped_with_one_warning(capsys):
+    node = FakeNode(a=("nowhere_msgs/msg/X", [LATCHED]), b=(STRING, [LATCHED]))
+    writer = FakeWriter()
+    recorder = make_recorder(node, writer)
+    recorder.discover()
+    recorder.discover()
+    assert writer.topics == ["/b"]
     assert capsys.readouterr().err.count("without /a: nowhere_msgs/msg/X is not installed") == 1
 
 
-def test_a_robot_has_its_own_topics_and_those_that_robots_share():
+def test_a_namespace_selects_its_topics_and_those_that_robots_share():
     offers = (STRING, [LATCHED])
-    graph = Graph(**{
-        "robot1/odom": offers, "robot10/odom": offers, "odom": offers, "tf": offers,
-        "diagnostics": offers, "robot1/follow/_action/status": offers,
-    })  # fmt: skip
-    paper = Paper()
-    ears(graph, paper, namespace="robot1").look()
-    assert paper.topics == ["/robot1/odom", "/tf", "/diagnostics"]
+    node = FakeNode(
+        **{
+            "robot1/odom": offers,
+            "robot10/odom": offers,
+            "odom": offers,
+            "tf": offers,
+            "diagnostics": offers,
+            "robot1/follow/_action/status": offers,
+        }
+    )
+    writer = FakeWriter()
+    make_recorder(node, writer, namespace="robot1").discover()
+    assert writer.topics == ["/robot1/odom", "/tf", "/diagnostics"]
 
 
-def test_a_topic_without_a_publisher_is_waited_for():
-    graph, paper = Graph(a=(STRING, []), b=(STRING, [LATCHED])), Paper()
-    hearing = ears(graph, paper, wanted=["/a"])
-    hearing.look()
-    assert (hearing.missing, paper.topics) == (["/a"], [])
-    graph.topics["a"][1].append(LATCHED)
-    hearing.look()
-    assert (hearing.missing, paper.topics) == ([], ["/a"])
+def test_a_topic_without_a_publisher_is_missing_until_it_has_one():
+    node, writer = FakeNode(a=(STRING, []), b=(STRING, [LATCHED])), FakeWriter()
+    recorder = make_recorder(node, writer, wanted=["/a"])
+    recorder.discover()
+    assert (recorder.missing, writer.topics) == (["/a"], [])
+    node.topics["a"][1].append(LATCHED)
+    recorder.discover()
+    assert (recorder.missing, writer.topics) == ([], ["/a"])
 
 
-def test_what_was_lost_or_dropped_is_told_and_no_success(tmp_path, capsys):
-    def told(**given):
-        writer = SimpleNamespace(written=Counter({"/a": 5}), dropped=Counter(), failure="",
-                                 size=10)  # fmt: skip
-        hearing = SimpleNamespace(lost=Counter(), missing=[])
+def test_lost_or_dropped_messages_are_reported_and_fail_the_command(tmp_path, capsys):
+    def outcome(**given):
+        writer = SimpleNamespace(
+            written=Counter({"/a": 5}), dropped=Counter(), failure="", size=10
+        )
+        recorder = SimpleNamespace(lost=Counter(), missing=[])
         for name, value in given.items():
-            setattr(writer if hasattr(writer, name) else hearing, name, value)
-        code = report(tmp_path, writer, hearing, 1.0)
+            setattr(writer if hasattr(writer, name) else recorder, name, value)
+        code = report(tmp_path, writer, recorder, 1.0)
         return code, capsys.readouterr().err
 
-    assert told() == (0, "")
-    for given, word in (
+    assert outcome() == (0, "")
+    for given, text in (
         ({"dropped": Counter({"/a": 2})}, "2 messages dropped"),
         ({"lost": Counter({"/a": 3})}, "3 messages lost on the way"),
         ({"failure": "disk full"}, "disk full"),
     ):
-        code, text = told(**given)
-        assert code == 1 and word in text
+        code, warning = outcome(**given)
+        assert code == 1 and text in warning

@@ -3,12 +3,12 @@ import math
 import pytest
 
 from omniman_ros.cli.teleop_keys import (
-    FASTEST,
-    HOLD_PRESS,
-    HOLD_REPEAT,
+    MAX_SCALE,
+    MIN_SCALE,
     MOTIONS,
-    SLOWEST,
-    STEP,
+    PRESS_HOLD_TIME,
+    REPEAT_HOLD_TIME,
+    SCALE_STEP,
     KeyTeleop,
     split_keys,
 )
@@ -22,7 +22,7 @@ def keys():
 
 
 def hold(keys, key, start, delay, rate, until):
-    """Send what a terminal sends while a key is held; returns the time of the last one."""
+    """Press a key as a terminal repeats it while it is held; return the time of the last press."""
     keys.press(key, start)
     now = start + delay
     last = start
@@ -49,23 +49,23 @@ def test_a_held_key_drives_without_a_gap(keys, delay, rate):
 
 def test_a_released_key_stops_soon(keys):
     last = hold(keys, "w", 10.0, 0.5, 30.0, 12.0)
-    assert keys.twist(last + HOLD_REPEAT - 0.01) == (0.3, 0.0, 0.0)
-    assert keys.twist(last + HOLD_REPEAT) is None
+    assert keys.twist(last + REPEAT_HOLD_TIME - 0.01) == (0.3, 0.0, 0.0)
+    assert keys.twist(last + REPEAT_HOLD_TIME) is None
 
 
 def test_a_tap_ends_after_the_time_that_bridges_the_repeat_delay(keys):
     keys.press("w", 5.0)
-    assert keys.twist(5.0 + HOLD_PRESS - 0.01) is not None
-    assert keys.twist(5.0 + HOLD_PRESS) is None
+    assert keys.twist(5.0 + PRESS_HOLD_TIME - 0.01) is not None
+    assert keys.twist(5.0 + PRESS_HOLD_TIME) is None
 
 
 def test_a_second_tap_bridges_the_repeat_delay_again(keys):
     keys.press("w", 0.0)
     keys.press("w", 0.3)
-    assert keys.twist(0.3 + HOLD_PRESS - 0.01) is not None
+    assert keys.twist(0.3 + PRESS_HOLD_TIME - 0.01) is not None
 
 
-def test_nothing_is_asked_for_before_the_first_key(keys):
+def test_there_is_no_twist_before_the_first_key(keys):
     assert keys.twist(0.0) is None
     assert keys.twist(1e6) is None
 
@@ -98,7 +98,7 @@ def test_keys_pressed_at_once_add_up_while_the_last_one_repeats(keys, first, sec
     keys.press(first, 0.0)
     last = hold(keys, second, 0.05, 0.5, 30.0, 3.0)
     assert keys.twist(last) == pytest.approx(sum_of_both)
-    assert keys.twist(last + HOLD_REPEAT) is None
+    assert keys.twist(last + REPEAT_HOLD_TIME) is None
 
 
 def test_a_key_pressed_later_replaces_the_one_whose_release_nobody_sees(keys):
@@ -140,15 +140,15 @@ def test_other_keys_move_nothing(keys, key):
 
 
 def test_the_scale_changes_both_speeds_within_bounds(keys):
-    keys.faster(STEP)
+    keys.change_speed(SCALE_STEP)
     keys.press("w", 0.0)
     assert keys.twist(0.0) == pytest.approx((0.33, 0.0, 0.0))
     for _ in range(100):
-        keys.faster(STEP)
-    assert keys.speeds == pytest.approx((0.3 * FASTEST, 0.6 * FASTEST))
+        keys.change_speed(SCALE_STEP)
+    assert keys.speeds == pytest.approx((0.3 * MAX_SCALE, 0.6 * MAX_SCALE))
     for _ in range(200):
-        keys.faster(1 / STEP)
-    assert keys.speeds == pytest.approx((0.3 * SLOWEST, 0.6 * SLOWEST))
+        keys.change_speed(1 / SCALE_STEP)
+    assert keys.speeds == pytest.approx((0.3 * MIN_SCALE, 0.6 * MIN_SCALE))
 
 
 @pytest.mark.parametrize(

@@ -1,58 +1,77 @@
-"""`omniman tool` with real nodes, and without any."""
+"""`omniman tool` without a robot, and on one robot that the tests share."""
 
-import os
-import re
 import signal
 
 import pytest
+from geometry_msgs.msg import PoseStamped
 
 from omniman_ros.cli import tool
 from omniman_ros.cli.main import main
-
-from .support import PATIENT, Running, command, environment
-
-ARM = ("-p", "joint_trajectory.states_timeout:=1.0", "-p", "scaling_timeout:=2.0")
-WITHOUT = ("platform_controller", "simulated_drive", "path_interpolator", "arm_streamer",
-           "simulated_ur")  # fmt: skip
+from omniman_ros.nodes.trajectory_interfaces.motion_status import MotionEvent
+from test.cli.stepped_robot import SteppedRobot
+from test.nodes.test_path_interpolator_tool import ToolWorld
 
 
-def test_without_an_interpolator_it_says_so(own_domain, monkeypatch, capfd):
-    monkeypatch.setattr(tool, "DISCOVERY", 0.2)
+@pytest.fixture(scope="module")
+def robot():
+    with ToolWorld() as world:
+        yield SteppedRobot(world)
+
+
+def tool_position(robot):
+    """Return the last position of the tool (x, y, z) [m] in odom."""
+    position = robot.world.received["tool_pose"][-1].pose.position
+    return [position.x, position.y, position.z]
+
+
+@pytest.mark.processes
+def test_without_an_interpolator_it_fails_and_names_the_node(own_domain, monkeypatch, capfd):
+    monkeypatch.setattr(tool, "DISCOVERY_TIMEOUT", 0.2)
     assert main(["tool", "1", "0", "0.5"]) == 1
     assert "no path_interpolator" in capfd.readouterr().err
 
 
-@pytest.mark.parametrize("wrong", [["tool"], ["tool", "1", "2"], ["tool", "a", "b", "c"]])
-def test_a_place_needs_numbers(wrong, capfd):
+@pytest.mark.parametrize("arguments", [["tool"], ["tool", "1", "2"], ["tool", "a", "b", "c"]])
+def test_a_position_needs_three_numbers(arguments, capfd):
     with pytest.raises(SystemExit) as ended:
-        main(wrong)
+        main(arguments)
     assert ended.value.code == 2
 
 
-def test_a_straight_path_keeps_the_tool_turned_as_it_is():
-    path = tool.straight((1.0, 2.0, 3.0), (4.0, 5.0, 6.0))
+def test_on_a_straight_path_the_tool_keeps_its_orientation():
+    path = tool.straight_path((1.0, 2.0, 3.0), (4.0, 5.0, 6.0))
     assert path.header.frame_id == "odom" and len(path.poses) == 2
     end = path.poses[1].pose
     assert [end.position.x, end.position.y, end.position.z] == [4.0, 5.0, 6.0]
-    turn = end.orientation
-    assert [turn.x, turn.y, turn.z, turn.w] == [0.0] * 4
+    quaternion = end.orientation
+    assert [quaternion.x, quaternion.y, quaternion.z, quaternion.w] == [0.0] * 4
 
 
 @pytest.mark.processes
-def test_the_tool_is_led_refused_and_called_back():
-    env = environment()
-    with Running(command("up", *PATIENT, *ARM, "--only", *WITHOUT), env) as up:
-        up.wait_for("Ctrl-C stops")
-        with Running(command("tool", "1.2", "0.2", "0.05", "--relative"), env) as there:
-            assert there.finish() == 0, there.output
-            assert re.search("there after", there.output)
-        with Running(command("tool", "0", "0", "3", "--relative"), env) as high:
-            assert high.finish() == 1
-            assert "reach" in high.output, high.output
-        with Running(command("tool", "5", "0", "0", "--relative"), env) as far:
-            up.wait_for("5.00 m of the tool")
-            far.process.send_signal(signal.SIGINT)
-            assert far.finish() == 130
-        up.wait_for("trajectory: cancelled")
-        os.kill(up.process.pid, signal.SIGINT)
-        assert up.finish() == 0, up.output
+def test_tool_succeeds_when_the_tool_has_arrived(robot):
+    robot.world.listen(PoseStamped, "tool_pose")
+    robot.wait(lambda: robot.world.received["tool_pose"])
+    x, y, z = tool_position(robot)
+    with robot.start("tool", "1.2", "0.2", "0.05", "--relative") as moved:
+        assert robot.finish(moved) == 0, moved.output
+    assert "arrived after" in moved.output
+    assert tool_position(robot) == pytest.approx([x + 1.2, y + 0.2, z + 0.05], abs=2e-3)
+
+
+@pytest.mark.processes
+def test_tool_fails_when_a_position_out_of_reach_is_refused(robot):
+    with robot.start("tool", "0", "0", "3", "--relative") as refused:
+        assert robot.finish(refused) == 1
+    assert "reach" in refused.output
+
+
+@pytest.mark.processes
+def test_ctrl_c_cancels_the_path_of_the_tool(robot):
+    motions = robot.world.node.motions
+    with robot.start("tool", "5", "0", "0", "--relative") as far:
+        assert robot.wait(lambda: not motions.whole_body.idle), far.output
+        far.process.send_signal(signal.SIGINT)
+        assert robot.finish(far) == 130
+    assert robot.wait(lambda: motions.whole_body.idle)
+    values = {item.key: item.value for item in robot.world.status().values}
+    assert values["body_event"] == MotionEvent.CANCELLED.value

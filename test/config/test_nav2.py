@@ -8,10 +8,9 @@ import rclpy
 import yaml
 from rclpy.node import Node
 
-from omniman_ros.nodes.platform_controller import PlatformControllerParameters
+from omniman_ros.nodes.platform_controller_parameters import PlatformControllerParameters
 from omniman_ros.robots import load_robot
-
-from .documented import ROOT
+from test.config.documented import ROOT
 
 FILE = ROOT / "config" / "nav2" / "omniman.yaml"
 
@@ -48,8 +47,12 @@ def test_rcl_reads_it(nav2):
     rclpy.init(args=["--ros-args", "--params-file", str(FILE)], context=context)
     try:
         options = {"context": context, "start_parameter_services": False}
-        node = Node("local_costmap", namespace="local_costmap",
-                    automatically_declare_parameters_from_overrides=True, **options)  # fmt: skip
+        node = Node(
+            "local_costmap",
+            namespace="local_costmap",
+            automatically_declare_parameters_from_overrides=True,
+            **options,
+        )
         expected = parameters(nav2, "local_costmap", "local_costmap")["footprint"]
         assert node.get_parameter("footprint").value == expected
         node.destroy_node()
@@ -132,7 +135,13 @@ def test_frames_and_topics_are_ours(nav2):
 
 def test_all_that_drives_sends_the_twist_that_the_platform_takes(nav2):
     assert PlatformControllerParameters.__dataclass_fields__["cmd_vel_stamped"].default is False
-    drivers = {"bt_navigator", "controller_server", "behavior_server", "velocity_smoother",
-               "collision_monitor", "docking_server"}  # fmt: skip
+    drivers = {
+        "bt_navigator",
+        "controller_server",
+        "behavior_server",
+        "velocity_smoother",
+        "collision_monitor",
+        "docking_server",
+    }
     for name in drivers:
         assert parameters(nav2, name)["enable_stamped_cmd_vel"] is False

@@ -1,6 +1,6 @@
 """The PlotJuggler layout: no PlotJuggler here, so its series are held against what is said."""
 
-import xml.etree.ElementTree as xml
+from xml.etree import ElementTree
 
 import pytest
 
@@ -8,8 +8,7 @@ from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
 from omniman_ros.robots import load_robot
-
-from .documented import ROOT, documented_topics
+from test.config.documented import ROOT, documented_topics
 
 WHEELS = build(Robot, load_robot("omniman")).wheels.names
 JOINTS = ArmParameters().joints
@@ -18,7 +17,7 @@ STATUS = ("solve_ms", "slack_m", "distance_m")
 
 @pytest.fixture(scope="module")
 def layout():
-    return xml.parse(ROOT / "config" / "plotjuggler" / "omniman.xml").getroot()
+    return ElementTree.parse(ROOT / "config" / "plotjuggler" / "omniman.xml").getroot()
 
 
 def series_of(topic, kind):
@@ -26,8 +25,9 @@ def series_of(topic, kind):
     if kind == "sensor_msgs/JointState":
         names = JOINTS if topic.startswith("arm") else WHEELS
         names = ("constraint_1",) if topic == "coupling_error" else names
-        return {f"/{topic}/{n}/{part}" for n in names for part in ("position", "velocity",
-                                                                   "effort")}  # fmt: skip
+        return {
+            f"/{topic}/{n}/{part}" for n in names for part in ("position", "velocity", "effort")
+        }
     if kind == "nav_msgs/Odometry":
         twist = {f"/{topic}/twist/twist/{part}" for part in ("linear/x", "linear/y", "angular/z")}
         return twist | {f"/{topic}/pose/pose/position/{axis}" for axis in "xy"}

@@ -1,13 +1,12 @@
 """The RViz configuration: no RViz here, so names and topics are held against what is known."""
 
-import xml.etree.ElementTree as xml
+from xml.etree import ElementTree
 
 import pytest
 import yaml
 
 from omniman_ros.cli.main import main
-
-from .documented import ROOT, documented_topics
+from test.config.documented import ROOT, documented_topics
 
 FILE = ROOT / "config" / "rviz" / "omniman.rviz"
 
@@ -90,7 +89,8 @@ def test_what_is_latched_is_asked_for_as_latched_and_nothing_else(manager):
 def test_it_stands_in_odom_and_names_frames_that_there_are(manager, capsys):
     assert manager["Global Options"]["Fixed Frame"] == "odom"
     assert main(["urdf"]) == 0
-    links = {link.get("name") for link in xml.fromstring(capsys.readouterr().out).iter("link")}
+    robot = ElementTree.fromstring(capsys.readouterr().out)
+    links = {link.get("name") for link in robot.iter("link")}
     (tf,) = (entry for entry in manager["Displays"] if plugin(entry) == "TF")
     frames = {name for name, frame in tf["Frames"].items() if isinstance(frame, dict)}
     assert frames - links == {"map", "odom"}

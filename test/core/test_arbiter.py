@@ -10,10 +10,10 @@ NAMES = {"cmd_vel": C, "mpc": M, "path": P}
 
 
 def play(script):
-    """Run lines of (time, what, argument) and return who drives after each.
+    """Run lines of (time, event, argument) and return the driving source after each.
 
-    what: a source's name, its setpoint fresh for `argument` s; "zero": a neutral cmd_vel;
-    "refuse" or "cancel": the source named; "stop": cancel all; "-": nothing.
+    event: a source's name, its setpoint fresh for `argument` s; "zero": a neutral cmd_vel;
+    "refuse" or "cancel": the named source; "stop": cancel all; "-": nothing.
     """
     arbiter, drivers = Arbiter(SILENCE), []
     for now, what, *rest in script:
@@ -35,67 +35,94 @@ def play(script):
 SCRIPTS = {
     "nobody drives at first": [((0, "-"), "none")],
     "each alone drives": [
-        ((0, "path", 0.1), "path"), ((1, "mpc", 0.1), "mpc"), ((2, "cmd_vel", 0.1), "cmd_vel"),
+        ((0, "path", 0.1), "path"),
+        ((1, "mpc", 0.1), "mpc"),
+        ((2, "cmd_vel", 0.1), "cmd_vel"),
     ],
     "the order is cmd_vel, mpc, path": [
-        ((0, "path", 5), "path"), ((1, "mpc", 5), "mpc"), ((2, "cmd_vel", 5), "cmd_vel"),
+        ((0, "path", 5), "path"),
+        ((1, "mpc", 5), "mpc"),
+        ((2, "cmd_vel", 5), "cmd_vel"),
     ],
     "a lower source takes nothing from a higher one": [
-        ((0, "cmd_vel", 5), "cmd_vel"), ((1, "mpc", 5), "cmd_vel"), ((2, "path", 5), "cmd_vel"),
+        ((0, "cmd_vel", 5), "cmd_vel"),
+        ((1, "mpc", 5), "cmd_vel"),
+        ((2, "path", 5), "cmd_vel"),
     ],
     "a source that lost control does not come back by itself": [
-        ((0, "path", 9), "path"), ((1, "cmd_vel", 0.5), "cmd_vel"), ((1.5, "-"), "cmd_vel"),
-        ((1.6, "-"), "none"), ((5, "-"), "none"),
+        ((0, "path", 9), "path"),
+        ((1, "cmd_vel", 0.5), "cmd_vel"),
+        ((1.5, "-"), "cmd_vel"),
+        ((1.6, "-"), "none"),
+        ((5, "-"), "none"),
     ],
     "nor by streaming on": [
-        ((0, "path", 9), "path"), ((1, "cmd_vel", 0.1), "cmd_vel"),
+        ((0, "path", 9), "path"),
+        ((1, "cmd_vel", 0.1), "cmd_vel"),
         *[((1.2 + 0.1 * i, "path", 9), "none") for i in range(30)],
     ],
     "one that was outbid before it ever drove does not start later by itself": [
-        ((0, "cmd_vel", 0.5), "cmd_vel"), ((0.1, "path", 9), "cmd_vel"), ((0.7, "-"), "none"),
+        ((0, "cmd_vel", 0.5), "cmd_vel"),
+        ((0.1, "path", 9), "cmd_vel"),
+        ((0.7, "-"), "none"),
     ],
     "silent for long enough, it is heard again": [
-        ((0, "path", 9), "path"), ((1, "cmd_vel", 0.1), "cmd_vel"), ((1.15, "path", 9), "none"),
-        ((1.34, "path", 9), "none"), ((1.55, "path", 9), "path"),
+        ((0, "path", 9), "path"),
+        ((1, "cmd_vel", 0.1), "cmd_vel"),
+        ((1.15, "path", 9), "none"),
+        ((1.34, "path", 9), "none"),
+        ((1.55, "path", 9), "path"),
     ],
     "a stale source is not latched": [
-        ((0, "cmd_vel", 0.5), "cmd_vel"), ((0.5, "-"), "cmd_vel"), ((0.51, "-"), "none"),
+        ((0, "cmd_vel", 0.5), "cmd_vel"),
+        ((0.5, "-"), "cmd_vel"),
+        ((0.51, "-"), "none"),
         ((0.52, "cmd_vel", 0.5), "cmd_vel"),
     ],
     "after a stop a stream is not heard": [
-        ((0, "cmd_vel", 0.5), "cmd_vel"), ((0.1, "stop"), "none"),
+        ((0, "cmd_vel", 0.5), "cmd_vel"),
+        ((0.1, "stop"), "none"),
         *[((0.2 + 0.1 * i, "cmd_vel", 0.5), "none") for i in range(30)],
     ],
     "after a stop a pause makes it heard": [
-        ((0, "cmd_vel", 0.5), "cmd_vel"), ((0.1, "stop"), "none"),
-        ((0.2, "cmd_vel", 0.5), "none"), ((0.71, "cmd_vel", 0.5), "cmd_vel"),
+        ((0, "cmd_vel", 0.5), "cmd_vel"),
+        ((0.1, "stop"), "none"),
+        ((0.2, "cmd_vel", 0.5), "none"),
+        ((0.71, "cmd_vel", 0.5), "cmd_vel"),
     ],
     "after a stop a neutral setpoint makes it heard": [
-        ((0, "cmd_vel", 0.5), "cmd_vel"), ((0.1, "stop"), "none"), ((0.2, "zero"), "cmd_vel"),
+        ((0, "cmd_vel", 0.5), "cmd_vel"),
+        ((0.1, "stop"), "none"),
+        ((0.2, "zero"), "cmd_vel"),
         ((0.3, "cmd_vel", 0.5), "cmd_vel"),
     ],
     "a refused setpoint cancels its source": [
-        ((0, "path", 9), "path"), ((0.1, "refuse", "path"), "none"),
-        ((0.2, "path", 9), "none"), ((0.5, "path", 9), "path"),
+        ((0, "path", 9), "path"),
+        ((0.1, "refuse", "path"), "none"),
+        ((0.2, "path", 9), "none"),
+        ((0.5, "path", 9), "path"),
     ],
     "a refused setpoint keeps the source from being silent": [
-        ((0, "stop"), "none"), *[((0.1 * i, "refuse", "path"), "none") for i in range(1, 20)],
+        ((0, "stop"), "none"),
+        *[((0.1 * i, "refuse", "path"), "none") for i in range(1, 20)],
         ((2.0, "path", 9), "none"),
     ],
     "a cancelled driver hands over to nobody": [
-        ((0, "path", 9), "path"), ((1, "mpc", 9), "mpc"), ((2, "cancel", "mpc"), "none"),
+        ((0, "path", 9), "path"),
+        ((1, "mpc", 9), "mpc"),
+        ((2, "cancel", "mpc"), "none"),
     ],
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("rule", SCRIPTS)
-def test_who_drives(rule):
+def test_driving_source_follows_the_arbitration_rules(rule):
     script = [line for line, _ in SCRIPTS[rule]]
     assert play(script) == [driver for _, driver in SCRIPTS[rule]]
 
 
 @pytest.mark.parametrize(("first", "second"), [(C, P), (P, C), (C, M), (M, P), (P, M)])
-def test_of_two_that_come_in_one_tick_the_loser_does_not_follow_later(first, second):
+def test_losing_setpoint_of_the_same_tick_does_not_drive_later(first, second):
     arbiter = Arbiter(SILENCE)
     arbiter.offer(first, 0.0, 0.5 if first is C else 9.0)
     arbiter.offer(second, 0.0, 0.5 if second is C else 9.0)
@@ -106,7 +133,7 @@ def test_of_two_that_come_in_one_tick_the_loser_does_not_follow_later(first, sec
     assert arbiter.select(5.0) is None
 
 
-def test_reasons_are_told():
+def test_refused_setpoints_return_the_reason():
     arbiter = Arbiter(SILENCE)
     assert arbiter.offer(P, 0.0, 9.0) == ""
     arbiter.select(0.0)
@@ -118,7 +145,7 @@ def test_reasons_are_told():
     assert arbiter.refuse(M, 0.3, "why") == "why"
 
 
-def test_a_new_silence_holds_from_then_on():
+def test_new_silence_time_applies_from_then_on():
     arbiter = Arbiter(SILENCE)
     arbiter.cancel_all("stop")
     arbiter.offer(C, 0.0, 0.5)
@@ -139,8 +166,8 @@ EVENTS = st.lists(
 
 
 @given(EVENTS)
-def test_a_source_starts_to_drive_only_with_a_setpoint_of_that_moment(events):
-    """Nobody ever takes over on an old setpoint, whatever came before."""
+def test_source_starts_to_drive_only_with_a_current_setpoint(events):
+    """No source ever takes over with an old setpoint, whatever happened before."""
     arbiter, now, active = Arbiter(SILENCE), 0.0, None
     for pause, what, fresh in events:
         now += pause

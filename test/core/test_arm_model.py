@@ -1,11 +1,11 @@
-"""Kinematics of the UR5, against its known poses, itself, and a library of others."""
+"""Kinematics of the UR5 against known poses, its own inverse and an independent library."""
 
 import math
 
 import numpy as np
 import pytest
 
-from omniman_ros.core.arm_model import JOINTS, TWISTS, UR5, ArmModel
+from omniman_ros.core.arm_model import DH_TWISTS, JOINTS, UR5, ArmModel
 
 MODEL = ArmModel()
 LOWER, UPPER = np.full(JOINTS, -math.tau), np.full(JOINTS, math.tau)
@@ -13,7 +13,7 @@ LOWER, UPPER = np.full(JOINTS, -math.tau), np.full(JOINTS, math.tau)
 
 @pytest.fixture(scope="module")
 def many():
-    """Joint angles (10000, 6) [rad] and their poses."""
+    """Return joint angles (10000, 6) [rad] and their poses."""
     q = np.random.default_rng(5).uniform(-math.pi, math.pi, (10_000, JOINTS))
     return q, MODEL.forward(q)
 
@@ -22,7 +22,7 @@ def wrapped(angle):
     return np.remainder(angle + math.pi, math.tau) - math.pi
 
 
-def test_the_stretched_arm_is_as_long_as_its_table():
+def test_stretched_arm_has_the_length_of_its_dh_table():
     pose = MODEL.forward(np.zeros(JOINTS))
     t = UR5
     assert pose[:3, 3] == pytest.approx([t.a2 + t.a3, -t.d4 - t.d6, t.d1 - t.d5])
@@ -30,13 +30,13 @@ def test_the_stretched_arm_is_as_long_as_its_table():
     assert upright[2, 3] == pytest.approx(t.d1 - t.a2 - t.a3 + t.d5)
 
 
-def test_poses_are_rigid(many):
+def test_poses_are_rigid_transforms(many):
     turned = many[1][:, :3, :3]
     assert np.allclose(turned @ np.swapaxes(turned, 1, 2), np.eye(3), atol=1e-12)
     assert np.linalg.det(turned) == pytest.approx(1.0)
 
 
-def test_every_solution_reaches_the_pose_and_one_is_where_it_came_from(many):
+def test_every_solution_reaches_the_pose_and_one_equals_the_original_angles(many):
     q, poses = many
     found = MODEL.inverse(poses)
     there = np.isfinite(found).all(axis=2)
@@ -48,7 +48,7 @@ def test_every_solution_reaches_the_pose_and_one_is_where_it_came_from(many):
     assert np.nanmin(apart, axis=1).max() < 1e-8
 
 
-def test_the_eight_solutions_differ():
+def test_eight_solutions_differ():
     q = np.array([0.3, -1.1, 1.4, -0.9, 0.8, 0.2])
     found = MODEL.inverse(MODEL.forward(q))
     assert np.isfinite(found).all()
@@ -58,14 +58,14 @@ def test_the_eight_solutions_differ():
 
 
 @pytest.mark.parametrize("place", [[1.2, 0.0, 0.3], [0.0, 0.05, 0.3], [0.0, 0.0, 1.3]])
-def test_out_of_reach_is_said(place):
+def test_poses_out_of_reach_are_nan(place):
     pose = np.eye(4)
     pose[:3, 3] = place
     assert np.isnan(MODEL.inverse(pose)).any(axis=1).all()
     assert MODEL.nearest(pose, np.zeros(JOINTS), LOWER, UPPER) is None
 
 
-def test_a_stretched_wrist_has_solutions_all_the_same():
+def test_stretched_wrist_still_has_solutions():
     q = np.array([0.3, -1.1, 1.4, -0.9, 0.0, 0.4])
     found = MODEL.inverse(MODEL.forward(q))
     there = np.isfinite(found).all(axis=1)
@@ -73,7 +73,7 @@ def test_a_stretched_wrist_has_solutions_all_the_same():
     assert np.abs(MODEL.forward(found[there]) - MODEL.forward(q)).max() < 1e-6
 
 
-def test_the_nearest_solution_is_on_the_same_branch_and_turn(many):
+def test_nearest_solution_is_on_the_same_branch_and_turn(many):
     rng = np.random.default_rng(6)
     for q in many[0][:200]:
         if np.linalg.svd(MODEL.jacobian(q), compute_uv=False)[-1] < 0.02:
@@ -86,7 +86,7 @@ def test_the_nearest_solution_is_on_the_same_branch_and_turn(many):
         )
 
 
-def test_what_is_nearest_keeps_the_limits():
+def test_nearest_solution_stays_within_the_limits():
     q = np.array([0.3, -1.1, 1.4, -0.9, 0.8, 3.1])
     pose = MODEL.forward(q + np.array([0, 0, 0, 0, 0, 0.2]))
     upper = UPPER.copy()
@@ -99,7 +99,7 @@ def test_what_is_nearest_keeps_the_limits():
     assert MODEL.nearest(pose, q, lower, upper) is None
 
 
-def test_the_jacobian_is_the_derivative(many):
+def test_jacobian_is_the_derivative_of_the_pose(many):
     q, step = many[0][:300], 1e-6
     jacobian = MODEL.jacobian(q)
     for i in range(JOINTS):
@@ -114,7 +114,7 @@ def test_the_jacobian_is_the_derivative(many):
 
 
 def at_shoulder():
-    """Angles (6,) whose wrist is above the first joint."""
+    """Return angles (6,) for which the wrist is above the first joint."""
     t, q = UR5, np.array([0.4, 0.0, 1.2, -0.7, 0.9, 0.1])
     lifts = np.linspace(-math.pi, math.pi, 200_001)
     fore = lifts + q[2]
@@ -133,24 +133,22 @@ def at_shoulder():
         (np.array([0.3, -1.1, 1.4, -0.9, 0.8, 0.2]), ""),
     ],
 )
-def test_singularities_are_named_where_the_jacobian_loses_rank(q, name):
+def test_singularities_are_reported_where_the_jacobian_loses_rank(q, name):
     assert MODEL.singularity(q) == name
     least = np.linalg.svd(MODEL.jacobian(q), compute_uv=False)[-1]
     assert least < 1e-3 if name else least > 0.02
 
 
-def test_an_independent_library_agrees(many):
+def test_forward_kinematics_agree_with_an_independent_library(many):
     pinocchio = pytest.importorskip("pinocchio")
     model = pinocchio.Model()
     place = pinocchio.SE3.Identity()
     joint = 0
     for i, (d, a) in enumerate(zip(MODEL._d, MODEL._a, strict=True)):
         joint = model.addJoint(joint, pinocchio.JointModelRZ(), place, f"joint_{i}")
-        turned = pinocchio.utils.rotate("x", TWISTS[i])
+        turned = pinocchio.utils.rotate("x", DH_TWISTS[i])
         place = pinocchio.SE3(turned, np.array([a, 0.0, d]))
-    tool = model.addFrame(
-        pinocchio.Frame("tool0", joint, place, pinocchio.FrameType.OP_FRAME)
-    )  # fmt: skip
+    tool = model.addFrame(pinocchio.Frame("tool0", joint, place, pinocchio.FrameType.OP_FRAME))
     data = model.createData()
     q, poses = many
     jacobians = MODEL.jacobian(q)

@@ -1,4 +1,4 @@
-"""Polynomials through points, in any number of dimensions."""
+"""Hermite interpolation in any number of dimensions."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from omniman_ros.core.hermite import Hermite
 
 
 def polynomial(degree, dimensions, seed):
-    """Coefficients (degree + 1, d), lowest first, and the first two derivatives'."""
+    """Return coefficients (degree + 1, d), lowest first, and those of two derivatives."""
     rows = [np.random.default_rng(seed).normal(size=(degree + 1, dimensions))]
     for _ in range(2):
         last = rows[-1]
@@ -22,7 +22,7 @@ def at(coefficients, times):
 
 @pytest.mark.parametrize("dimensions", [1, 3, 6, 9])
 @pytest.mark.parametrize(("degree", "with_accelerations"), [(5, True), (3, False)])
-def test_a_polynomial_of_its_degree_is_met_everywhere(dimensions, degree, with_accelerations):
+def test_polynomial_of_matching_degree_is_reproduced(dimensions, degree, with_accelerations):
     x, v, a = polynomial(degree, dimensions, seed=dimensions)
     times = np.array([-1.0, -0.3, 0.4, 0.5, 1.2])
     accelerations = at(a, times) if with_accelerations else None
@@ -33,7 +33,7 @@ def test_a_polynomial_of_its_degree_is_met_everywhere(dimensions, degree, with_a
             assert sampled == pytest.approx(at(expected, now)[0], abs=1e-9)
 
 
-def test_before_and_after_it_rests_at_its_ends():
+def test_curve_rests_at_its_ends_before_and_after():
     curve = Hermite(
         np.array([1.0, 2.0]), np.array([[0.0, 5.0], [1.0, 7.0]]), np.ones((2, 2)), None
     )
@@ -45,13 +45,13 @@ def test_before_and_after_it_rests_at_its_ends():
     assert (curve.start, curve.end, curve.end_speed) == (1.0, 2.0, 1.0)
 
 
-def test_one_point_is_a_place_to_be():
+def test_single_point_gives_a_constant_position():
     curve = Hermite(np.array([1.0]), np.array([[3.0]]), np.array([[0.0]]), None)
     assert [curve.sample(now)[0].tolist() for now in (0.0, 1.0, 2.0)] == [[3.0]] * 3
 
 
 @pytest.mark.parametrize("with_accelerations", [True, False])
-def test_many_positions_at_once_are_those_one_by_one(with_accelerations):
+def test_vectorised_evaluation_equals_evaluation_one_by_one(with_accelerations):
     rng = np.random.default_rng(4)
     times = np.cumsum(rng.uniform(0.1, 1.0, 5))
     rows = [rng.normal(size=(5, 6)) for _ in range(3)]
@@ -61,6 +61,6 @@ def test_many_positions_at_once_are_those_one_by_one(with_accelerations):
     assert np.allclose(curve.positions_at(asked), expected, rtol=0, atol=1e-12)
 
 
-def test_a_single_point_is_everywhere():
+def test_single_point_is_constant_over_all_times():
     curve = Hermite(np.array([1.0]), np.array([[3.0, 4.0]]), np.zeros((1, 2)), None)
     assert curve.positions_at(np.array([0.0, 1.0, 2.0])).tolist() == [[3.0, 4.0]] * 3

@@ -2,8 +2,8 @@ import math
 from dataclasses import dataclass
 
 import pytest
-from robots import ALL, parameters, robot
 
+from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.core.errors import OmnimanError, ParameterError
 from omniman_ros.core.parameters import (
     REQUIRED,
@@ -14,7 +14,7 @@ from omniman_ros.core.parameters import (
     parameter,
     specs,
 )
-from omniman_ros.core.platform_parameters import PlatformParameters
+from test.robots import ALL, parameters, robot
 
 
 @dataclass(frozen=True)
@@ -33,11 +33,18 @@ class Outer:
     on: bool = parameter(True, "A switch.")
 
 
-def test_specs_list_all_parameters_by_full_name_in_order():
+def test_specs_list_all_parameters_by_full_name_in_declaration_order():
     found = {spec.name: spec for spec in specs(Outer)}
     assert list(found) == [
-        "first.gain", "first.mode", "gain", "mode", "count", "names", "sizes", "on"
-    ]  # fmt: skip
+        "first.gain",
+        "first.mode",
+        "gain",
+        "mode",
+        "count",
+        "names",
+        "sizes",
+        "on",
+    ]
     gain = found["first.gain"]
     assert (gain.kind, gain.item, gain.default, gain.unit) == (float, None, 2.0, "1/s")
     assert (gain.low, gain.high, gain.read_only, gain.required) == (0, 10, False, False)
@@ -48,7 +55,7 @@ def test_specs_list_all_parameters_by_full_name_in_order():
     assert (found["sizes"].kind, found["sizes"].item) == (tuple, float)
 
 
-def test_build_takes_defaults_and_leaves_other_names_alone():
+def test_build_uses_defaults_and_ignores_other_names():
     made = build(Outer, {"count": 3, "gain": 5, "first.mode": "fast", "elsewhere": object()})
     assert made == Outer(first=Inner(2.0, "fast"), second=Inner(5.0), count=3)
     assert isinstance(made.second.gain, float)
@@ -63,7 +70,7 @@ def test_flatten_is_the_inverse_of_build():
 
 
 @pytest.mark.parametrize("name", ALL)
-def test_the_platforms_parameters_come_round(name):
+def test_platform_parameters_survive_a_round_trip(name):
     made = parameters(name)
     flat = flatten(made)
     assert set(flat) == {spec.name for spec in specs(PlatformParameters)}
@@ -94,7 +101,7 @@ def test_the_platforms_parameters_come_round(name):
         ("sizes", [math.nan], "not a finite number"),
     ],
 )
-def test_a_bad_value_is_refused_by_name_value_unit_and_limit(name, value, why):
+def test_invalid_value_is_rejected_with_name_value_unit_and_limit(name, value, why):
     with pytest.raises(ParameterError) as caught:
         build(Outer, {"count": 1, name: value})
     assert caught.value.name == name
@@ -103,13 +110,13 @@ def test_a_bad_value_is_refused_by_name_value_unit_and_limit(name, value, why):
     assert isinstance(caught.value, (OmnimanError, ValueError))
 
 
-def test_limits_themselves_are_allowed():
+def test_values_at_the_limits_are_allowed():
     made = build(Outer, {"count": 8, "gain": 0, "first.gain": 10})
     assert (made.second.gain, made.first.gain) == (0.0, 10.0)
 
 
-def test_what_has_no_default_must_be_given():
-    with pytest.raises(ParameterError, match="'count'.*no default"):
+def test_parameters_without_default_are_required():
+    with pytest.raises(ParameterError, match=r"'count'.*no default"):
         build(Outer, {})
     with pytest.raises(ParameterError, match="no default"):
         build(PlatformParameters, {})
@@ -120,7 +127,7 @@ def test_nested_mappings_are_flattened():
     assert flatten_mapping(tree) == {"wheels.x": [1, 2], "wheels.more.deep": 1, "mu": 0.5}
 
 
-def test_every_parameter_has_a_sentence_of_its_own():
+def test_every_parameter_has_a_description_of_its_own():
     found = specs(PlatformParameters)
     assert len(found) > 60
     for spec in found:
@@ -128,7 +135,7 @@ def test_every_parameter_has_a_sentence_of_its_own():
         assert spec.doc.endswith("."), spec.name
 
 
-def test_defaults_keep_their_own_limits():
+def test_defaults_are_within_their_limits():
     for spec in specs(PlatformParameters):
         if not spec.required:
             assert spec.check(spec.default) == spec.default
@@ -150,13 +157,13 @@ def test_defaults_keep_their_own_limits():
         ({"limits.linear_jerk": 0.0}, "limits.linear_jerk"),
     ],
 )
-def test_values_that_do_not_fit_together_are_refused(changes, name):
+def test_inconsistent_values_are_rejected(changes, name):
     with pytest.raises(ParameterError) as caught:
         parameters("omniman", changes)
     assert caught.value.name == name
 
 
-def test_one_value_serves_all_wheels():
+def test_single_value_applies_to_all_wheels():
     made = robot("omniman", {"friction.coulomb": [0.1, 0.2, 0.3, 0.4]})
     assert made.wheels.radius == (0.127,) * 4
     assert made.friction.coulomb == (0.1, 0.2, 0.3, 0.4)

@@ -12,7 +12,7 @@ SPEED = st.floats(-3, 3)
 
 
 def exponential(x: float, y: float, angle: float) -> np.ndarray:
-    """Matrix exponential of a planar displacement by its series."""
+    """Return the matrix exponential of a planar displacement by its series."""
     generator = np.array([[0, -angle, x], [angle, 0, y], [0, 0, 0.0]])
     term = total = np.eye(3)
     for i in range(1, 40):
@@ -28,7 +28,7 @@ def matrix(pose: tuple[float, float, float]) -> np.ndarray:
 
 
 @given(ANGLE)
-def test_wrap_gives_the_same_direction_within_half_a_turn(angle):
+def test_wrap_keeps_the_direction_and_returns_at_most_half_a_turn(angle):
     wrapped = se2.wrap(angle)
     assert -math.pi < wrapped <= math.pi
     assert math.cos(wrapped) == pytest.approx(math.cos(angle), abs=1e-12)
@@ -39,12 +39,12 @@ def test_wrap_gives_the_same_direction_within_half_a_turn(angle):
     ("angle", "wrapped"),
     [(0, 0), (math.pi, math.pi), (-math.pi, math.pi), (3 * math.pi, math.pi), (1.5, 1.5)],
 )
-def test_wrap_of_known_angles(angle, wrapped):
+def test_wrap_returns_known_angles(angle, wrapped):
     assert se2.wrap(angle) == wrapped
 
 
 @given(ANGLE, SPEED, SPEED, SPEED)
-def test_to_robot_and_to_world_are_ccta_1_and_its_inverse(theta, x, y, w):
+def test_to_robot_and_to_world_equal_ccta_2017_equation_1_and_its_inverse(theta, x, y, w):
     vector = np.array([x, y, w])
     assert se2.rotation(theta).shape == (3, 3)
     np.testing.assert_allclose(se2.to_robot(theta, vector), se2.rotation(theta) @ vector)
@@ -54,25 +54,25 @@ def test_to_robot_and_to_world_are_ccta_1_and_its_inverse(theta, x, y, w):
     )
 
 
-def test_a_robot_that_heads_left_sees_the_worlds_left_ahead():
+def test_robot_heading_left_has_the_left_of_the_world_ahead():
     left = math.pi / 2
     np.testing.assert_allclose(se2.to_robot(left, np.array([0.0, 1, 0])), [1, 0, 0], atol=1e-15)
     np.testing.assert_allclose(se2.to_world(left, np.array([1.0, 0, 0])), [0, 1, 0], atol=1e-15)
 
 
 @given(SPEED, SPEED, st.one_of(SPEED, st.floats(-1e-3, 1e-3)))
-def test_arc_is_the_matrix_exponential(x, y, angle):
+def test_arc_equals_the_matrix_exponential(x, y, angle):
     expected = exponential(x, y, angle)
     np.testing.assert_allclose(matrix(se2.arc(np.array([x, y, angle]))), expected, atol=1e-13)
 
 
-def test_arc_has_no_step_where_the_series_takes_over():
+def test_arc_is_continuous_where_the_series_takes_over():
     below = np.array(se2.arc(np.array([1.0, 1, 1e-4 * (1 - 1e-12)])))
     above = np.array(se2.arc(np.array([1.0, 1, 1e-4 * (1 + 1e-12)])))
     np.testing.assert_allclose(below, above, atol=1e-12)
 
 
-def test_arc_of_a_full_circle_comes_home():
+def test_arc_of_a_full_circle_returns_to_the_start():
     x, y, angle = se2.arc(np.array([math.tau * 0.7, 0, math.tau]))
     assert (x, y) == pytest.approx((0, 0), abs=1e-12)
     assert angle == math.tau

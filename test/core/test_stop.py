@@ -8,7 +8,7 @@ RUNNING, HOLDING, STOPPED = StopState.RUNNING, StopState.HOLDING, StopState.STOP
 
 
 def apply(latch, event):
-    """One event by name; a reset that is refused returns its reason."""
+    """Apply an event by name; a refused reset returns its reason."""
     what, _, argument = event.partition(" ")
     try:
         {
@@ -28,54 +28,70 @@ def apply(latch, event):
 TABLE = {
     "it starts released": [("peer_runs x", RUNNING, "")],
     "a stop is latched": [
-        ("stop button", STOPPED, "button"), ("peer_runs x", STOPPED, "button"),
+        ("stop button", STOPPED, "button"),
+        ("peer_runs x", STOPPED, "button"),
         ("reset", RUNNING, ""),
     ],
     "the first cause is kept": [
-        ("stop button", STOPPED, "button"), ("stop bus off", STOPPED, "button"),
+        ("stop button", STOPPED, "button"),
+        ("stop bus off", STOPPED, "button"),
     ],
     "emergency false releases nothing": [
         ("emergency true", STOPPED, "emergency_stop"),
-        ("emergency false", STOPPED, "emergency_stop"), ("reset", RUNNING, ""),
+        ("emergency false", STOPPED, "emergency_stop"),
+        ("reset", RUNNING, ""),
     ],
     "emergency false stops nothing": [("emergency false", RUNNING, "")],
     "reset is refused while emergency is true": [
-        ("emergency true", STOPPED, "emergency_stop"), ("reset", STOPPED, "emergency_stop"),
-        ("emergency false", STOPPED, "emergency_stop"), ("reset", RUNNING, ""),
+        ("emergency true", STOPPED, "emergency_stop"),
+        ("reset", STOPPED, "emergency_stop"),
+        ("emergency false", STOPPED, "emergency_stop"),
+        ("reset", RUNNING, ""),
     ],
     "reset is refused while it moves": [
-        ("stop button", STOPPED, "button"), ("reset moving", STOPPED, "button"),
+        ("stop button", STOPPED, "button"),
+        ("reset moving", STOPPED, "button"),
         ("reset", RUNNING, ""),
     ],
     "reset is refused while the fault is there": [
-        ("stop bus off", STOPPED, "bus off"), ("reset fault", STOPPED, "bus off"),
+        ("stop bus off", STOPPED, "bus off"),
+        ("reset fault", STOPPED, "bus off"),
         ("reset", RUNNING, ""),
     ],
     "a peer holds and releases": [
-        ("peer_stops arm", HOLDING, "stopped peer arm: why"), ("peer_runs arm", RUNNING, ""),
+        ("peer_stops arm", HOLDING, "stopped peer arm: why"),
+        ("peer_runs arm", RUNNING, ""),
     ],
     "two peers both have to run again": [
-        ("peer_stops arm", HOLDING, "arm"), ("peer_stops base", HOLDING, "base"),
-        ("peer_runs arm", HOLDING, "base"), ("peer_runs base", RUNNING, ""),
+        ("peer_stops arm", HOLDING, "arm"),
+        ("peer_stops base", HOLDING, "base"),
+        ("peer_runs arm", HOLDING, "base"),
+        ("peer_runs base", RUNNING, ""),
     ],
     "a reset does not release a peer's hold": [
-        ("peer_stops arm", HOLDING, "arm"), ("stop button", STOPPED, "button"),
-        ("reset", HOLDING, "arm"), ("peer_runs arm", RUNNING, ""),
+        ("peer_stops arm", HOLDING, "arm"),
+        ("stop button", STOPPED, "button"),
+        ("reset", HOLDING, "arm"),
+        ("peer_runs arm", RUNNING, ""),
     ],
     "a peer that runs again does not clear a stop": [
-        ("peer_stops arm", HOLDING, "arm"), ("stop button", STOPPED, "button"),
-        ("peer_runs arm", STOPPED, "button"), ("reset", RUNNING, ""),
-    ],
-    "a stop under a true emergency keeps its cause": [
-        ("stop button", STOPPED, "button"), ("emergency true", STOPPED, "button"),
-        ("reset", STOPPED, "button"), ("emergency false", STOPPED, "button"),
+        ("peer_stops arm", HOLDING, "arm"),
+        ("stop button", STOPPED, "button"),
+        ("peer_runs arm", STOPPED, "button"),
         ("reset", RUNNING, ""),
     ],
-}  # fmt: skip
+    "a stop under a true emergency keeps its cause": [
+        ("stop button", STOPPED, "button"),
+        ("emergency true", STOPPED, "button"),
+        ("reset", STOPPED, "button"),
+        ("emergency false", STOPPED, "button"),
+        ("reset", RUNNING, ""),
+    ],
+}
 
 
 @pytest.mark.parametrize("rule", TABLE)
-def test_states(rule):
+def test_events_lead_to_the_expected_states(rule):
     latch = StopLatch()
     assert latch.released
     for event, state, reason in TABLE[rule]:
@@ -89,16 +105,16 @@ def test_states(rule):
     ("events", "why"),
     [
         (["emergency true", "reset"], "emergency_stop is true"),
-        (["stop x", "reset fault"], "still there: bus off"),
+        (["stop x", "reset fault"], "the fault is still present: bus off"),
         (["stop x", "reset moving"], "still moving"),
     ],
 )
-def test_a_refused_reset_says_why(events, why):
+def test_refused_reset_returns_the_reason(events, why):
     latch = StopLatch()
     assert why in [apply(latch, event) for event in events][-1]
 
 
-def test_new_latches_are_told_from_old_ones():
+def test_new_latches_are_distinguished_from_old_ones():
     latch = StopLatch()
     assert latch.stop("a") is True
     assert latch.stop("b") is False
@@ -110,7 +126,7 @@ def test_new_latches_are_told_from_old_ones():
     assert latch.set_emergency(True) is False
 
 
-def test_peers_are_listed():
+def test_stopped_peers_are_listed():
     latch = StopLatch()
     latch.set_peer("arm", True)
     latch.set_peer("path", True)
@@ -125,8 +141,8 @@ EVENTS = ("stop0", "stop1", "stop2", "reset0", "reset1", "reset2", "deliver")
 
 
 @pytest.mark.parametrize("count", [2, 3])
-def test_nodes_that_stop_each_other_are_freed_by_one_reset_each(count):
-    """After any history of stops and resets, in any order of delivery, no deadlock is left."""
+def test_nodes_that_stop_each_other_are_released_by_one_reset_each(count):
+    """No history of stops and resets, in any order of delivery, leaves a deadlock."""
     for history in itertools.product(
         EVENTS[:count] + EVENTS[3 : 3 + count] + EVENTS[6:], repeat=4
     ):

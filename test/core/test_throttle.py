@@ -1,7 +1,7 @@
 from omniman_ros.core.throttle import Throttle
 
 
-def test_one_passes_a_period_and_the_others_are_counted():
+def test_one_message_per_period_passes_and_the_others_are_counted():
     throttle = Throttle(1.0)
     assert throttle.allow("a", 10.0) == 0
     assert throttle.allow("a", 10.1) is None
@@ -11,7 +11,7 @@ def test_one_passes_a_period_and_the_others_are_counted():
     assert throttle.counts == {"a": 5}
 
 
-def test_subjects_do_not_hold_each_other_back():
+def test_subjects_are_throttled_independently():
     throttle = Throttle(1.0)
     assert throttle.allow("a", 0.0) == 0
     assert throttle.allow("b", 0.1) == 0
@@ -19,7 +19,7 @@ def test_subjects_do_not_hold_each_other_back():
     assert throttle.counts == {"a": 2, "b": 1}
 
 
-def test_a_clock_that_jumps_back_silences_nothing():
+def test_backward_clock_jump_suppresses_no_message():
     throttle = Throttle(1.0)
     throttle.allow("a", 1000.0)
     assert throttle.allow("a", 3.0) == 0

@@ -1,4 +1,4 @@
-"""The platform controller with an ideal drive: wheels do at once what they are told."""
+"""The platform controller with an ideal drive: wheels follow their commands at once."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -10,21 +10,20 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from omniman_ros.nodes.platform_controller import PlatformControllerNode
-
-from .harness import PERIOD, World
+from test.nodes.harness import PERIOD, World
 
 TIMEOUT = {"cmd_vel": 0.5, "wheel_states": 0.1, "reference": 0.2}
 
 
 class Rig(World):
-    """Node, ideal drive and probe, in motion on simulated time.
+    """A controller node with an ideal drive and a probe on simulated time.
 
     Attributes:
         node: The node under test.
         commands: All messages of `wheel_commands`.
         odom: All messages of `odom`.
-        drive_alive: Whether the drive reports.
-        stuck: (n,) which wheels stand still, whatever they are told.
+        drive_alive: Whether the drive sends reports.
+        stuck: (n,) flags of the wheels that stand still whatever the command.
     """
 
     def __init__(self, parameters: dict[str, Any] | None = None) -> None:
@@ -50,7 +49,7 @@ class Rig(World):
             self._states.publish(self.wheel_state(self.position, speeds))
 
     def wheel_state(self, position: Sequence[float], velocity: Sequence[float]) -> JointState:
-        """A report of the drive, stamped now."""
+        """Return a report of the drive with the current stamp."""
         message = JointState(
             name=self.names, position=[*map(float, position)], velocity=[*map(float, velocity)]
         )
@@ -58,36 +57,36 @@ class Rig(World):
         return message
 
     def speeds(self, since: int = 0) -> np.ndarray:
-        """Commanded wheel speeds (k, n) from the command number `since` on; torque mode is NaN."""
+        """Return the commanded wheel speeds (k, n) from command `since` on; NaN in torque mode."""
         nothing = [float("nan")] * len(self.names)
         return np.array([list(c.velocity) or nothing for c in self.commands[since:]])
 
     def drive(self, x: float, y: float = 0.0, turn: float = 0.0, seconds: float = 1.0) -> None:
-        """Publish a twist at the tick's rate for a while."""
+        """Publish a twist at the tick rate for a duration."""
         self.run(seconds, lambda: self.cmd_vel.publish(twist(x, y, turn)))
 
     def assert_stops(self, since: int, within: float) -> None:
-        """Every wheel ramps to exactly zero within the deceleration limits, and stays there."""
+        """Assert that every wheel ramps to exactly zero within its deceleration and stays."""
         self.run(within)
         speeds = self.speeds(since)
         assert np.isfinite(speeds).all()
         limits = self.core.parameters.limits
         bound = self.wheel_deceleration(limits.linear_deceleration, limits.angular_deceleration)
         steps = np.diff(speeds, axis=0)
-        assert (np.abs(steps) <= bound * PERIOD + 1e-9).all(), "a wheel is stopped too hard"
-        assert not speeds[-1].any(), f"wheels still asked to turn: {speeds[-1]}"
+        assert (np.abs(steps) <= bound * PERIOD + 1e-9).all(), "a wheel decelerates too fast"
+        assert not speeds[-1].any(), f"wheels still commanded to turn: {speeds[-1]}"
         moved = len(self.commands)
         self.run(0.2)
-        assert not self.speeds(moved).any(), "wheels moved again by themselves"
+        assert not self.speeds(moved).any(), "wheels moved again without a command"
 
     def wheel_deceleration(self, linear: float, angular: float) -> np.ndarray:
-        """Largest deceleration (n,) of each wheel that the twist's limits allow [rad/s^2]."""
+        """Return the largest wheel decelerations (n,) that the twist limits allow [rad/s^2]."""
         jacobian = self.core.cascade.kinematics.J
         return np.hypot(jacobian[:, 0], jacobian[:, 1]) * linear + abs(jacobian[:, 2]) * angular
 
 
 def twist(x: float, y: float = 0.0, turn: float = 0.0) -> Twist:
-    """A twist message."""
+    """Return a twist message."""
     message = Twist()
     message.linear.x, message.linear.y, message.angular.z = float(x), float(y), float(turn)
     return message
@@ -100,7 +99,7 @@ def reference(
     stamp: Any,
     frame: str = "odom",
 ) -> MultiDOFJointTrajectory:
-    """A preview: poses (x, y, theta) and world-frame velocities at times from the stamp [s]."""
+    """Return a preview: poses (x, y, theta) and world velocities at times from the stamp [s]."""
     from builtin_interfaces.msg import Duration
     from geometry_msgs.msg import Transform
     from trajectory_msgs.msg import MultiDOFJointTrajectoryPoint
@@ -114,8 +113,9 @@ def reference(
         transform.rotation.w = float(np.cos(pose[2] / 2))
         message.points.append(
             MultiDOFJointTrajectoryPoint(
-                transforms=[transform], velocities=[twist(*velocity)],
+                transforms=[transform],
+                velocities=[twist(*velocity)],
                 time_from_start=Duration(sec=int(t), nanosec=int(t % 1 * 1e9)),
             )
-        )  # fmt: skip
+        )
     return message

@@ -1,7 +1,7 @@
-"""The arm streamer's topics and life cycle, on real time, with a simulated controller.
+"""Topics and life cycle of the arm streamer, in real time with a simulated controller.
 
-Reactions in time are tested on the policy, in injected time (test/arm); here all waits are for
-conditions. The controller shares this process with node and test, so it is patient.
+Timing is tested on the policy with injected time (test/arm); here all waits are for
+conditions. The controller shares this process with node and test, so its timeouts are long.
 """
 
 import math
@@ -30,33 +30,34 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from omniman_ros.core.arm_parameters import UR_JOINTS
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.nodes.arm_streamer import ArmStreamerNode
-from omniman_ros.nodes.stopping import ALL_LATCHED, LATCHED
-from omniman_ros.simulated_ur.arm import UrArmParameters
-from omniman_ros.simulated_ur.modes import RobotMode, Runtime, SafetyMode
-from omniman_ros.simulated_ur.ports import UrPortParameters
-from omniman_ros.simulated_ur.server import Server
+from omniman_ros.nodes.stop_interface import ALL_LATCHED, LATCHED
+from omniman_ros.simulation.ur.arm import UrArmParameters
+from omniman_ros.simulation.ur.controller_server import ControllerServer
+from omniman_ros.simulation.ur.modes import RobotMode, RuntimeState, SafetyMode
+from omniman_ros.simulation.ur.tcp_ports import UrPortParameters
+from test.nodes.harness import free_domain
 
-from .harness import free_domain
-
-pytestmark = pytest.mark.processes  # watches real time
+pytestmark = pytest.mark.processes  # checks real time
 
 PATIENCE = 30.0
 FREE = UrPortParameters(dashboard=0, primary=0, secondary=0, realtime=0, rtde=0)
 PATIENT = {
-    "ur.reverse_port": 0, "ur.read_timeout": 0.2, "ur.feedback_timeout": 1.0,
+    "ur.reverse_port": 0,
+    "ur.read_timeout": 0.2,
+    "ur.feedback_timeout": 1.0,
     "ur.following_error": 1.0,
-}  # fmt: skip
+}
 NODE = "/arm_streamer"
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 REST, STILL = 0.01, 0.005
-"""Speed of an arm at rest [rad/s], and how far it may swing on [rad]."""
+"""Speed below which the arm counts as standing [rad/s] and its allowed further travel [rad]."""
 
 
 class Controller:
     """A simulated controller in a thread."""
 
     def __init__(self):
-        self.server = Server(UrArmParameters(), FREE)
+        self.server = ControllerServer(UrArmParameters(), FREE)
         self.server.start()
         self.inner = self.server.controller
 
@@ -64,15 +65,18 @@ class Controller:
     def ports(self):
         numbers = self.server.ports.numbers
         return {
-            "ur.rtde_port": numbers["rtde"], "ur.script_port": numbers["secondary"],
+            "ur.rtde_port": numbers["rtde"],
+            "ur.script_port": numbers["secondary"],
             "ur.dashboard_port": numbers["dashboard"],
-        }  # fmt: skip
+        }
 
     def fault(self, **changes):
         self.inner.faults = replace(self.inner.faults, **changes)
 
     def power_on(self):
-        if self.inner.modes.wanted is not RobotMode.RUNNING:  # its thread may have missed it
+        if (
+            self.inner.modes.wanted is not RobotMode.RUNNING
+        ):  # its thread may have missed the command
             self.inner.power(RobotMode.RUNNING)
         return self.inner.robot_mode is RobotMode.RUNNING
 
@@ -88,11 +92,11 @@ class Controller:
         return self.speed < REST
 
     def plays(self):
-        return self.inner.runtime is Runtime.PLAYING
+        return self.inner.runtime is RuntimeState.PLAYING
 
 
 class Bench:
-    """A streamer and a probe, in one executor that the test spins."""
+    """A streamer and a probe in one executor that the test spins."""
 
     def __init__(self, context, ports, **parameters):
         self.executor = SingleThreadedExecutor(context=context)
@@ -170,7 +174,7 @@ class Bench:
         self.home = np.array(self.states[-1].position)
 
     def message(self, place, times=(0.0, 0.4), names=UR_JOINTS, ago=0.0):
-        """A preview: `place` gives angles and speeds at a time from its stamp on."""
+        """Return a preview; `place` maps a time since the stamp to angles and speeds."""
         message = JointTrajectory(joint_names=list(names))
         stamp = self.probe.get_clock().now() - rclpy.duration.Duration(seconds=ago)
         message.header.stamp = stamp.to_msg()
@@ -178,14 +182,15 @@ class Bench:
             angles, speeds = place(t)
             message.points.append(
                 JointTrajectoryPoint(
-                    positions=[*map(float, angles)], velocities=[*map(float, speeds)],
+                    positions=[*map(float, angles)],
+                    velocities=[*map(float, speeds)],
                     time_from_start=Duration(sec=int(t), nanosec=int(t % 1 * 1e9)),
                 )
-            )  # fmt: skip
+            )
         return message
 
     def swing(self, controller, amplitude=0.3, rate=1.5):
-        """Publish a motion from now on, to and fro in turns, and wait until the arm moves."""
+        """Publish a motion in alternating directions from now on and wait until the arm moves."""
         begin, home = time.monotonic(), controller.place
         self.way = -self.way
         amplitude *= self.way
@@ -193,7 +198,7 @@ class Bench:
         def send():
             nonlocal begin
             if controller.rests():
-                begin = time.monotonic()  # not yet followed
+                begin = time.monotonic()  # the preview is not yet followed
             now = time.monotonic() - begin
 
             def place(t):
@@ -234,7 +239,7 @@ def arm():
 
 @pytest.fixture(scope="module")
 def streaming():
-    """A bench for tests that leave it as it was: the arm is held."""
+    """Return a bench for tests that leave the arm holding, as before."""
     controller = Controller()
     with bench(controller.ports) as it:
         it.ready()
@@ -243,7 +248,7 @@ def streaming():
 
 
 def assert_stands(it, controller, reason):
-    """It is stopped for a reason, and goes on standing though previews come."""
+    """Assert that the arm is stopped for a reason and stays at rest despite new previews."""
     it.until(controller.rests, "rest")
     it.until(lambda: it.stops.get(NODE, "").startswith("stopped: "), "the stop")
     place = controller.place
@@ -255,17 +260,17 @@ def assert_stands(it, controller, reason):
 
 
 def assert_goes_on(it, controller):
-    """After a reset it holds where the arm is."""
+    """Assert that the streamer holds the arm at its position after a reset."""
     it.source = None
     controller.fault(pause_program=False)
     it.until(lambda: it.ask("reset").success, "a reset")
     it.until(it.streams, "streaming")
     place = controller.place
     it.spin(0.2)
-    assert np.abs(controller.place - place).max() < STILL, "a reset moves nothing"
+    assert np.abs(controller.place - place).max() < STILL, "a reset starts no motion"
 
 
-def test_it_starts_itself_moves_and_reports(arm):
+def test_streamer_starts_itself_moves_the_arm_and_reports(arm):
     with bench(arm.ports) as it:
         it.ready()
         it.swing(arm)
@@ -289,21 +294,21 @@ def test_it_starts_itself_moves_and_reports(arm):
         it.until(lambda: it.scaling[-1] == 0.0, "an arm that does not move is told as 0")
 
 
-def test_the_life_cycle_connects_holds_brings_to_rest_and_ends(arm):
+def test_life_cycle_connects_holds_stops_and_disconnects(arm):
     with bench(arm.ports, autostart=False) as it:
         assert it.state == State.PRIMARY_STATE_UNCONFIGURED
         assert it.change(Transition.TRANSITION_CONFIGURE)
         assert not arm.plays()
         it.until(lambda: it.states, "joint states before it is active")
         it.previews.publish(it.message(lambda t: (arm.place, np.zeros(6))))
-        it.until(lambda: it.node._throttle.counts, "a warning")
+        it.until(lambda: it.node.warning_counts, "a warning")
         assert not it.scaling
         assert it.change(Transition.TRANSITION_ACTIVATE)
         assert it.state == State.PRIMARY_STATE_ACTIVE and arm.plays()
         it.swing(arm)
         assert it.change(Transition.TRANSITION_DEACTIVATE)
         it.until(lambda: not arm.plays() and arm.rests(), "rest, and the program's end")
-        process = it.node.process._process
+        process = it.node.streaming.process._process
         assert process.poll() is None
         assert it.change(Transition.TRANSITION_CLEANUP)
         assert process.poll() == 0
@@ -311,19 +316,21 @@ def test_the_life_cycle_connects_holds_brings_to_rest_and_ends(arm):
         assert it.change(Transition.TRANSITION_CONFIGURE)
         assert it.change(Transition.TRANSITION_ACTIVATE)
         for wrong in (
-            Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE,
-            Transition.TRANSITION_CLEANUP, 200,
-        ):  # fmt: skip
+            Transition.TRANSITION_CONFIGURE,
+            Transition.TRANSITION_ACTIVATE,
+            Transition.TRANSITION_CLEANUP,
+            200,
+        ):
             assert not it.change(wrong)
         assert it.state == State.PRIMARY_STATE_ACTIVE and it.streams()
 
 
-def test_a_stop_that_was_reset_while_inactive_does_not_come_back(streaming):
-    it, arm = streaming
+def test_stop_reset_while_inactive_does_not_return(streaming):
+    it, _ = streaming
     it.ask("stop")
-    it.until(lambda: it.node.process.report.stop_reason, "the stop")
+    it.until(lambda: it.node.streaming.report.stop_reason, "the stop")
     assert it.change(Transition.TRANSITION_DEACTIVATE)
-    assert not it.change(Transition.TRANSITION_ACTIVATE), "it is stopped"
+    assert not it.change(Transition.TRANSITION_ACTIVATE), "the streamer is stopped"
     assert it.ask("reset").success
     it.spin(0.2)
     assert it.node.latch.released
@@ -331,27 +338,27 @@ def test_a_stop_that_was_reset_while_inactive_does_not_come_back(streaming):
     assert it.streams()
 
 
-def test_an_activation_that_failed_can_be_tried_again_at_once(arm):
+def test_failed_activation_can_be_retried_at_once(arm):
     with bench(arm.ports, autostart=False) as it:
         assert it.change(Transition.TRANSITION_CONFIGURE)
         arm.inner.power(RobotMode.POWER_OFF)
-        it.until(lambda: "power off" in it.node.process.report.trouble, "power off")
+        it.until(lambda: "power off" in it.node.streaming.report.blocking_reason, "power off")
         assert not it.change(Transition.TRANSITION_ACTIVATE)
         it.until(arm.power_on, "power")
-        it.until(lambda: not it.node.process.report.trouble, "the news of it")
+        it.until(lambda: not it.node.streaming.report.blocking_reason, "the news of it")
         assert it.change(Transition.TRANSITION_ACTIVATE)
 
 
-def test_it_waits_for_a_controller_that_is_switched_on_later(arm):
+def test_streamer_waits_for_a_controller_that_is_switched_on_later(arm):
     arm.fault(refuse_connections=True)
     with bench(arm.ports, **{"ur.connect_timeout": 0.1}) as it:
-        it.until(lambda: it.node._throttle.counts.get("configure"), "an attempt")
+        it.until(lambda: it.node.warning_counts.get("configure"), "an attempt")
         assert it.node.status()[:2] == (WARN, "unconfigured")
         arm.fault(refuse_connections=False)
         it.until(it.streams, "streaming")
 
 
-def test_a_controller_that_refuses_is_named_at_configure(arm, capfd):
+def test_configure_reports_a_controller_that_refuses(arm, capfd):
     why = "output 'output_int_register_24': NOT_FOUND; parameter ur.register chooses it"
     arm.fault(outputs_not_found=("output_int_register_24",))
     with bench(arm.ports, autostart=False, **{"ur.connect_timeout": 0.2}) as it:
@@ -360,16 +367,16 @@ def test_a_controller_that_refuses_is_named_at_configure(arm, capfd):
     assert why in capfd.readouterr().err
 
 
-def test_a_reverse_port_that_is_taken_is_named(capfd):
+def test_occupied_reverse_port_is_reported(capfd):
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         with bench({}, autostart=False, **{"ur.reverse_port": port}) as it:
             assert not it.change(Transition.TRANSITION_CONFIGURE)
-    assert f"ur.reverse_port = {port} cannot be had" in capfd.readouterr().err
+    assert f"ur.reverse_port = {port} is not available" in capfd.readouterr().err
 
 
 @pytest.mark.parametrize("how", ["service", "topic"])
-def test_a_stop_is_latched_until_the_reset_which_moves_nothing(streaming, how):
+def test_stop_is_latched_until_a_reset_that_starts_no_motion(streaming, how):
     it, arm = streaming
     it.swing(arm)
     if how == "service":
@@ -390,7 +397,7 @@ def test_a_stop_is_latched_until_the_reset_which_moves_nothing(streaming, how):
     it.until(arm.rests, "rest")
 
 
-def test_an_emergency_stop_from_before_keeps_it_inactive(arm):
+def test_earlier_emergency_stop_keeps_the_streamer_inactive(arm):
     with bench(arm.ports, autostart=False) as it:
         it.emergency.publish(Bool(data=True))
         it.until(lambda: it.node.latch.emergency, "the emergency stop")
@@ -399,7 +406,7 @@ def test_an_emergency_stop_from_before_keeps_it_inactive(arm):
         assert not arm.inner.counts.programs
 
 
-def test_a_stopped_peer_holds_the_arm_with_the_program_running(streaming):
+def test_stopped_peer_holds_the_arm_with_the_program_running(streaming):
     it, arm = streaming
     programs = arm.inner.counts.programs
     it.swing(arm)
@@ -417,14 +424,14 @@ def test_a_stopped_peer_holds_the_arm_with_the_program_running(streaming):
     it.until(lambda: it.stops[NODE] == "running", "the release")
     place = arm.place
     it.spin(0.2)
-    assert np.abs(arm.place - place).max() < STILL, "a release moves nothing"
+    assert np.abs(arm.place - place).max() < STILL, "a release starts no motion"
     assert arm.inner.counts.programs == programs
     it.swing(arm)
     it.source = None
     it.until(arm.rests, "rest")
 
 
-def test_a_protective_stop_is_unlocked_by_a_reset_only_where_that_is_allowed(streaming):
+def test_reset_unlocks_a_protective_stop_only_where_allowed(streaming):
     it, arm = streaming
     it.swing(arm)
     arm.fault(protective_stop=True)
@@ -435,7 +442,7 @@ def test_a_protective_stop_is_unlocked_by_a_reset_only_where_that_is_allowed(str
     arm.fault(protective_stop=False)
     answer = it.ask("reset")
     assert not answer.success
-    assert "the controller says: Cannot unlock protective stop until 5s" in answer.message
+    assert "the controller reports: Cannot unlock protective stop until 5s" in answer.message
     arm.inner.modes = replace(arm.inner.modes, stopped=-10.0)  # long ago
     assert_goes_on(it, arm)
 
@@ -448,13 +455,13 @@ def test_a_protective_stop_is_unlocked_by_a_reset_only_where_that_is_allowed(str
     ],
     ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
 )
-def test_a_fault_of_the_controller_is_named_and_latched(streaming, fault, why):
+def test_controller_fault_is_reported_and_latched(streaming, fault, why):
     it, arm = streaming
     it.swing(arm)
     arm.fault(**fault)
     assert_stands(it, arm, why)
     if "emergency_stop" in fault:
-        assert "still there: safety mode" in it.ask("reset").message
+        assert "still present: safety mode" in it.ask("reset").message
         arm.fault(emergency_stop=False)
         it.until(lambda: arm.inner.safety_mode is SafetyMode.NORMAL, "the release")
         it.until(arm.power_on, "power")
@@ -485,16 +492,16 @@ BAD = {
 
 
 @pytest.mark.parametrize("bad", BAD)
-def test_a_bad_preview_moves_nothing_and_is_warned_of(streaming, bad):
+def test_invalid_preview_causes_a_warning_and_no_motion(streaming, bad):
     it, controller = streaming
     it.home = controller.place
-    counts = it.node._throttle.counts
+    counts = it.node.warning_counts
     before = sum(counts.values())
     it.previews.publish(BAD[bad](it))
     it.until(lambda: sum(counts.values()) > before, "a warning")
-    assert it.node.process.report.at_rest and it.streams()
+    assert it.node.streaming.report.at_rest and it.streams()
     it.spin(0.05)
-    assert it.node.process.report.at_rest
+    assert it.node.streaming.report.at_rest
     assert np.abs(controller.place - it.home).max() < STILL
 
 
@@ -509,44 +516,44 @@ def test_a_bad_preview_moves_nothing_and_is_warned_of(streaming, bad):
         ({"ur.register": 48}, "ur.register"),
     ],
 )
-def test_a_bad_parameter_is_refused_with_its_name(parameters, name):
+def test_invalid_parameter_is_rejected_naming_the_parameter(parameters, name):
     with pytest.raises(ParameterError, match=name), bench({}, autostart=False, **parameters):
         pass
 
 
-def test_what_is_fixed_and_what_is_live(streaming):
-    it, arm = streaming
+def test_fixed_parameters_are_read_only_and_live_ones_change_at_runtime(streaming):
+    it, _ = streaming
     fixed, bad, live = it.set(ur__read_timeout=0.1, arm__velocity=[-1.0], arm__upper=[6.0])
     assert not fixed.successful and not bad.successful
     assert "arm.velocity" in bad.reason
     assert live.successful
 
 
-def test_a_streaming_process_that_hangs_is_named_and_not_reset(streaming):
+def test_hanging_streaming_process_is_reported_and_a_reset_refused(streaming):
     it, arm = streaming
-    process = it.node.process._process
+    process = it.node.streaming.process._process
     os.kill(process.pid, signal.SIGSTOP)
     try:
-        it.until(lambda: "says nothing" in it.stops.get(NODE, ""), "the stop")
-        assert "still there: the streaming process says nothing" in it.ask("reset").message
+        it.until(lambda: "has not reported" in it.stops.get(NODE, ""), "the stop")
+        assert "still present: the streaming process has not reported" in it.ask("reset").message
     finally:
         os.kill(process.pid, signal.SIGCONT)
     assert_goes_on(it, arm)
 
 
-def test_a_streaming_process_that_ended_is_replaced_by_a_reset_that_is_granted(arm):
+def test_granted_reset_replaces_an_ended_streaming_process(arm):
     with bench(arm.ports, **{"ur.connect_timeout": 0.3}) as it:
         it.ready()
         it.swing(arm)
         arm.fault(refuse_connections=True)
-        os.kill(it.node.process._process.pid, signal.SIGKILL)
+        os.kill(it.node.streaming.process._process.pid, signal.SIGKILL)
         assert_stands(it, arm, "the streaming process has ended")
         assert not it.ask("reset").success, "there is no controller"
         arm.fault(refuse_connections=False)
         assert_goes_on(it, arm)
 
 
-def test_its_end_brings_the_arm_to_rest_and_ends_the_program(arm):
+def test_shutdown_brings_the_arm_to_rest_and_ends_the_program(arm):
     with bench(arm.ports) as it:
         it.ready()
         it.swing(arm)
@@ -555,5 +562,5 @@ def test_its_end_brings_the_arm_to_rest_and_ends_the_program(arm):
         assert not it.node.finished
         it.until(lambda: it.node.finished, "the end")
         it.until(lambda: arm.rests() and not arm.plays(), "rest")
-        process = it.node.process._process
+        process = it.node.streaming.process._process
     assert process.poll() == 0

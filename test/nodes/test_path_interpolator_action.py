@@ -1,41 +1,40 @@
-"""`follow_joint_trajectory` of the real node: goals move arm and body, and hear of their ends."""
+"""Tests of the node's `follow_joint_trajectory` actions."""
 
 from collections.abc import Iterator
 from typing import Any
 
-import control_msgs_here
 import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
 from rclpy.action import ActionClient
 
 from omniman_ros.core.arm_parameters import UR_JOINTS
-from omniman_ros.core.path.trajectory_goal import ErrorCode
-
-from .test_path_interpolator import BENT
-from .test_path_interpolator_arm import FAR, HOME, trajectory
-from .test_path_interpolator_body import BODY, GOAL, Body
+from omniman_ros.motion.path.trajectory_goal import ErrorCode
+from test import control_msgs_here
+from test.nodes.test_path_interpolator import BENT
+from test.nodes.test_path_interpolator_arm import FAR, HOME, trajectory
+from test.nodes.test_path_interpolator_whole_body import BODY, GOAL, WholeBodyWorld
 
 ARM_ACTION, BODY_ACTION = (
     f"{name}_controller/follow_joint_trajectory" for name in ("arm", "body")
-)  # fmt: skip
+)
 
 
 @pytest.fixture(scope="module")
-def kind() -> Iterator[Any]:
+def action_type() -> Iterator[Any]:
     with control_msgs_here.installed() as found:
         yield found
 
 
-class Client(Body):
-    """As the body, with clients of both actions."""
+class ActionClientWorld(WholeBodyWorld):
+    """A whole-body world with clients of both actions."""
 
-    def __init__(self, kind: Any) -> None:
+    def __init__(self, action_type: Any) -> None:
         super().__init__()
-        self.kind = kind
+        self.action_type = action_type
         self.feedback: list[Any] = []
         self.clients = {
-            name: ActionClient(self.probe, kind, name) for name in (ARM_ACTION, BODY_ACTION)
+            name: ActionClient(self.probe, action_type, name) for name in (ARM_ACTION, BODY_ACTION)
         }
         for name, client in self.clients.items():
             self._await(client.server_is_ready, f"action {name}")
@@ -47,9 +46,9 @@ class Client(Body):
             action.destroy()
         super().close()
 
-    def begin(self, name: str, message: Any, **fields: Any) -> tuple[Any, Any]:
-        """Send a goal that is accepted; its handle and the future of its result."""
-        goal = self.kind.Goal(trajectory=message, **fields)
+    def send_goal(self, name: str, message: Any, **fields: Any) -> tuple[Any, Any]:
+        """Send a goal that is accepted; return its handle and the future of its result."""
+        goal = self.action_type.Goal(trajectory=message, **fields)
         future = self.clients[name].send_goal_async(goal, feedback_callback=self.feedback.append)
         self._await(future.done, "an answer to a goal")
         handle = future.result()
@@ -57,7 +56,7 @@ class Client(Body):
         return handle, handle.get_result_async()
 
     def result(self, future: Any, seconds: float = 20.0) -> tuple[int, int, str]:
-        """Status, code and text of a result."""
+        """Return the status, code and text of a result."""
         self.run_until(lambda: all(action.idle for action in self.node.actions), seconds, "an end")
         self._await(future.done, "a result")
         got = future.result()
@@ -65,13 +64,13 @@ class Client(Body):
 
 
 @pytest.fixture
-def world(kind):
-    with Client(kind) as made:
+def world(action_type):
+    with ActionClientWorld(action_type) as made:
         yield made
 
 
-def test_a_goal_of_the_arm_is_reached(world):
-    _, future = world.begin(ARM_ACTION, trajectory([FAR]))
+def test_an_arm_goal_is_reached(world):
+    _, future = world.send_goal(ARM_ACTION, trajectory([FAR]))
     assert world.result(future) == (GoalStatus.STATUS_SUCCEEDED, ErrorCode.SUCCESSFUL, "")
     assert world.joints == pytest.approx(FAR, abs=1e-6)
     errors = [np.abs(message.feedback.error.positions).max() for message in world.feedback]
@@ -79,28 +78,28 @@ def test_a_goal_of_the_arm_is_reached(world):
     assert list(world.feedback[0].feedback.joint_names) == list(UR_JOINTS)
 
 
-def test_a_goal_of_the_whole_body_is_reached(world):
-    _, future = world.begin(BODY_ACTION, trajectory([GOAL], names=BODY))
+def test_a_whole_body_goal_is_reached(world):
+    _, future = world.send_goal(BODY_ACTION, trajectory([GOAL], names=BODY))
     assert world.result(future)[:2] == (GoalStatus.STATUS_SUCCEEDED, ErrorCode.SUCCESSFUL)
-    assert world.whole()[1][-1] == pytest.approx(GOAL, abs=1e-6)
+    assert world.received_axes()[1][-1] == pytest.approx(GOAL, abs=1e-6)
     errors = [np.abs(message.feedback.error.positions).max() for message in world.feedback]
     assert len(errors) > 30 and max(errors) < 0.01
 
 
-def test_cancel_brings_the_body_to_rest_on_its_way(world):
-    handle, future = world.begin(BODY_ACTION, trajectory([GOAL], names=BODY))
+def test_a_cancel_brings_the_whole_body_to_rest_on_the_path(world):
+    handle, future = world.send_goal(BODY_ACTION, trajectory([GOAL], names=BODY))
     world.run(1.0)
     cancelled = handle.cancel_goal_async()
     world._await(cancelled.done, "an answer")
     assert world.result(future, 3.0)[0] == GoalStatus.STATUS_CANCELED
-    assert 0.02 < world.whole()[1][-1, 0] < 0.58
+    assert 0.02 < world.received_axes()[1][-1, 0] < 0.58
     world.assert_both_smooth()
 
 
-def test_a_new_goal_takes_the_place_of_the_last(world):
-    _, first = world.begin(ARM_ACTION, trajectory([FAR]))
+def test_a_new_goal_replaces_the_active_one(world):
+    _, first = world.send_goal(ARM_ACTION, trajectory([FAR]))
     world.run(0.5)
-    _, second = world.begin(ARM_ACTION, trajectory([HOME + 0.2]))
+    _, second = world.send_goal(ARM_ACTION, trajectory([HOME + 0.2]))
     world._await(first.done, "the first's result")
     assert first.result().status == GoalStatus.STATUS_ABORTED
     assert world.result(second)[0] == GoalStatus.STATUS_SUCCEEDED
@@ -108,29 +107,29 @@ def test_a_new_goal_takes_the_place_of_the_last(world):
     world.assert_arm_smooth()
 
 
-def test_what_the_limits_cannot_hold_is_aborted_with_the_reason(world):
-    _, future = world.begin(BODY_ACTION, trajectory([GOAL], [0.2], BODY))
+def test_a_goal_that_violates_limits_is_aborted_with_the_reason(world):
+    _, future = world.send_goal(BODY_ACTION, trajectory([GOAL], [0.2], BODY))
     status, code, text = world.result(future)
     assert (status, code) == (GoalStatus.STATUS_ABORTED, ErrorCode.INVALID_GOAL)
     assert "odom_x: velocity" in text and not world.references
 
 
-def test_a_goal_that_waits_for_the_platform_is_reached_later(world):
-    world.takes = False
+def test_a_goal_that_waits_for_the_platform_is_reached(world):
+    world.follows_stream = False
     world.send(BENT)
     world.run(0.6)
-    world.takes = True
-    _, future = world.begin(BODY_ACTION, trajectory([[0.2]], names=["odom_x"]))
-    assert "waits" in world.node.body.last
+    world.follows_stream = True
+    _, future = world.send_goal(BODY_ACTION, trajectory([[0.2]], names=["odom_x"]))
+    assert "is waiting" in world.node.motions.whole_body.status.text
     assert world.result(future)[0] == GoalStatus.STATUS_SUCCEEDED
 
 
-def test_a_goal_that_waits_can_be_cancelled(world):
-    world.takes = False
+def test_a_waiting_goal_can_be_cancelled(world):
+    world.follows_stream = False
     world.send(BENT)
     world.run(0.6)
-    world.takes = True
-    handle, future = world.begin(BODY_ACTION, trajectory([[0.2]], names=["odom_x"]))
+    world.follows_stream = True
+    handle, future = world.send_goal(BODY_ACTION, trajectory([[0.2]], names=["odom_x"]))
     cancelled = handle.cancel_goal_async()
     world._await(cancelled.done, "an answer")
     assert world.result(future, 1.0)[0] == GoalStatus.STATUS_CANCELED
@@ -140,24 +139,24 @@ def test_a_goal_that_waits_can_be_cancelled(world):
 
 
 def test_a_stop_aborts_the_goal_with_the_reason(world):
-    _, future = world.begin(BODY_ACTION, trajectory([GOAL], names=BODY))
+    _, future = world.send_goal(BODY_ACTION, trajectory([GOAL], names=BODY))
     world.run(1.0)
-    world.takes = False
-    world.say("stop")
+    world.follows_stream = False
+    world.publish_source("stop")
     status, _, text = world.result(future, 1.0)
     assert status == GoalStatus.STATUS_ABORTED and "stopped" in text
 
 
-def test_an_arm_that_does_not_arrive_fails_its_goal(world):
-    _, future = world.begin(ARM_ACTION, trajectory([FAR]))
-    world.pushed[2] = 0.05
+def test_a_goal_is_aborted_when_the_arm_does_not_arrive(world):
+    _, future = world.send_goal(ARM_ACTION, trajectory([FAR]))
+    world.joint_offset[2] = 0.05
     status, code, text = world.result(future, 30.0)
     assert status == GoalStatus.STATUS_ABORTED and "elbow_joint" in text
     assert code == ErrorCode.GOAL_TOLERANCE_VIOLATED
 
 
-def test_the_end_of_the_node_waits_until_the_client_knows(world):
-    _, future = world.begin(BODY_ACTION, trajectory([GOAL], names=BODY))
+def test_a_shutdown_waits_until_the_client_has_the_result(world):
+    _, future = world.send_goal(BODY_ACTION, trajectory([GOAL], names=BODY))
     world.run(1.0)
     world.node.begin_shutdown("SIGINT")
     world.run_until(lambda: world.node.finished, 3.0, "the end")

@@ -12,15 +12,14 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from omniman_ros import conversions
+from omniman_ros.conversions.headers import time_seconds
 from omniman_ros.core.arm_parameters import UR_JOINTS
 from omniman_ros.core.hermite import Hermite
-from omniman_ros.core.path.interpolator import PathState
-from omniman_ros.core.path.parameters import TICK
-from omniman_ros.nodes.stopping import ALL_LATCHED
-
-from .harness import PERIOD
-from .test_path_interpolator import BENT, Alone
+from omniman_ros.motion.path.interpolator import PathState
+from omniman_ros.motion.path.parameters import TICK
+from omniman_ros.nodes.stop_interface import ALL_LATCHED
+from test.nodes.harness import PERIOD
+from test.nodes.test_path_interpolator import BENT, FakeControllerWorld
 
 NAN = math.nan
 HOME = np.array([0.3, -1.2, 1.4, -0.5, 0.2, 0.1])
@@ -30,7 +29,7 @@ STEP = 0.004
 
 
 def trajectory(rows: Any, times: Any = None, names: Any = UR_JOINTS, **more: Any) -> Any:
-    """A message; rows (k, d), times in s, more rows as velocities or accelerations."""
+    """Return a message of rows (k, d), times [s], and optional velocities or accelerations."""
     message = JointTrajectory(joint_names=list(names))
     for i, row in enumerate(np.atleast_2d(rows)):
         point = JointTrajectoryPoint(positions=[float(x) for x in row])
@@ -44,24 +43,24 @@ def trajectory(rows: Any, times: Any = None, names: Any = UR_JOINTS, **more: Any
     return message
 
 
-class WithArm(Alone):
-    """The interpolator, a fake controller, and an arm that follows its reference at once.
+class ArmWorld(FakeControllerWorld):
+    """The interpolator with a fake controller and an arm that follows without delay.
 
     Attributes:
-        arm_alive: Whether it reports.
-        pushed: (6,) how far it is from where it was led [rad].
-        scaling: What it says each 50 ms, or None.
+        arm_reports: Whether the arm publishes its joint states.
+        joint_offset: (6,) measured joints less their reference [rad].
+        scaling: Speed scaling published every 50 ms, or None.
     """
 
     def __init__(self, parameters: dict[str, Any] | None = None) -> None:
         super().__init__(parameters)
-        self.arm_alive, self.scaling = True, None
-        self.joints, self.pushed = HOME.copy(), np.zeros(6)
+        self.arm_reports, self.scaling = True, None
+        self.joints, self.joint_offset = HOME.copy(), np.zeros(6)
         self.joint_previews: list[tuple[float, float, Any]] = []
         self.probe.create_subscription(
-            JointTrajectory, "arm/joint_reference", self._hear_joints, 100, raw=True
+            JointTrajectory, "arm/joint_reference", self._on_joint_reference, 100, raw=True
         )
-        publisher = self.node.arm_previews.publisher
+        publisher = self.node.motions.context.arm_previews.publisher
         self._await(lambda: publisher.get_subscription_count() > 0, "arm/joint_reference")
         self._states = self.publisher(JointState, "arm/joint_states")
         self._scalings = self.publisher(Float64, "arm/speed_scaling")
@@ -72,13 +71,13 @@ class WithArm(Alone):
 
     @property
     def arm(self) -> Any:
-        return self.node.arm.core
+        return self.node.motions.arm.core
 
-    def _hear_joints(self, data: bytes) -> None:
+    def _on_joint_reference(self, data: bytes) -> None:
         message = deserialize_message(data, JointTrajectory)
         assert list(message.joint_names) == list(UR_JOINTS)
-        start = conversions.time_seconds(message.header.stamp)
-        times = [start + conversions.time_seconds(p.time_from_start) for p in message.points]
+        start = time_seconds(message.header.stamp)
+        times = [start + time_seconds(p.time_from_start) for p in message.points]
         arrays = (
             np.array([getattr(point, label) for point in message.points])
             for label in ("positions", "velocities", "accelerations")
@@ -89,9 +88,9 @@ class WithArm(Alone):
         self._count += 1
         if self.joint_previews:
             self.joints = self.joint_previews[-1][2].sample(self.time + 1e-9)[0]
-        if self.arm_alive:
+        if self.arm_reports:
             message = JointState(
-                name=[*UR_JOINTS], position=[*map(float, self.joints + self.pushed)]
+                name=[*UR_JOINTS], position=[*map(float, self.joints + self.joint_offset)]
             )
             message.velocity = [0.0] * 6
             message.header.stamp = self.stamp()
@@ -106,11 +105,11 @@ class WithArm(Alone):
         self.trajectories.publish(trajectory(*args, **more))
         self.run(2 * PERIOD)
 
-    def arm_arrives(self, seconds: float = 20.0) -> float:
+    def run_to_arm_end(self, seconds: float = 20.0) -> float:
         return self.run_until(lambda: self.arm.state is PathState.IDLE, seconds, "the arm's end")
 
-    def driven(self, since: int = 0) -> tuple[np.ndarray, ...]:
-        """Times (k,), x, x', x'' (k, 6) each 4 ms as a receiver of the stream has them."""
+    def received_joint_motion(self, since: int = 0) -> tuple[np.ndarray, ...]:
+        """Return times (k,) and x, x', x'' (k, 6), sampled by a receiver every 4 ms."""
         previews = self.joint_previews[since:]
         arrivals = np.array([arrival for arrival, _, _ in previews])
         end = max(previews[-1][0], previews[-1][2].end) + 0.05
@@ -121,10 +120,10 @@ class WithArm(Alone):
         return times, x, v, a
 
     def assert_arm_smooth(self, since: int = 0) -> tuple[np.ndarray, ...]:
-        """Speeds and accelerations within limits, and nothing jumps: as a guard would see it."""
-        times, x, v, a = self.driven(since)
+        """Assert limits and continuity as a guard would check them."""
+        times, x, v, a = self.received_joint_motion(since)
         assert np.abs(v).max() <= math.pi and np.abs(a).max() <= 5.0 * (1 + 1e-6)
-        step = round(TICK / STEP)  # the guard's
+        step = round(TICK / STEP)  # the step of the guard
         second = (x[2 * step :] - 2 * x[step:-step] + x[: -2 * step]) / TICK**2
         assert np.abs(second).max() <= 5.0 * (1 + 1e-6)
         assert np.abs(np.diff(x, axis=0) / STEP - 0.5 * (v[1:] + v[:-1])).max() < 2e-3
@@ -133,17 +132,17 @@ class WithArm(Alone):
 
 @pytest.fixture
 def world():
-    with WithArm() as made:
+    with ArmWorld() as made:
         yield made
 
 
 # ---- trajectories -----------------------------------------------------------------------------
 
 
-def test_a_trajectory_without_times_is_planned_and_arrives_together(world):
+def test_a_trajectory_without_times_moves_all_joints_synchronously(world):
     world.move(FAR)
     assert world.arm.state is PathState.FOLLOWING
-    world.arm_arrives()
+    world.run_to_arm_end()
     times, x, v, a = world.assert_arm_smooth()
     assert x[0] == pytest.approx(HOME, abs=1e-12) and x[-1] == pytest.approx(FAR, abs=1e-12)
     jerk = np.abs(np.diff(a, axis=0)).max() / STEP
@@ -152,7 +151,7 @@ def test_a_trajectory_without_times_is_planned_and_arrives_together(world):
     used = np.flatnonzero(np.abs(FAR - HOME) > 0)
     ends = [times[np.flatnonzero(moving[:, k])[[0, -1]]] for k in used]
     assert np.ptp(np.array(ends), axis=0).max() < 0.02, "all joints begin and end together"
-    arrival, start, curve = world.joint_previews[1]
+    _arrival, start, curve = world.joint_previews[1]
     assert curve.end - start == pytest.approx(0.4, abs=1e-9)
     assert np.diff([t for t, _, _ in world.joint_previews[2:]]) == pytest.approx(0.04)
     assert world.warnings == []
@@ -168,7 +167,7 @@ def test_given_times_are_kept_with_and_without_velocities(world):
         since = len(world.joint_previews)
         world.move(rows, times, **more)
         begin = world.arm._motion.start
-        world.arm_arrives()
+        world.run_to_arm_end()
         at, x, v, _ = world.assert_arm_smooth(since)
         for k, t in enumerate(times):
             i = int(np.argmin(np.abs(at - begin - t)))
@@ -179,9 +178,9 @@ def test_given_times_are_kept_with_and_without_velocities(world):
     assert world.warnings == []
 
 
-def test_joints_that_are_not_named_hold_their_place(world):
+def test_omitted_joints_hold_their_position(world):
     world.move([[0.1, 0.6]], names=[UR_JOINTS[5], UR_JOINTS[0]])
-    world.arm_arrives()
+    world.run_to_arm_end()
     _, x, _, _ = world.assert_arm_smooth()
     assert x[-1] == pytest.approx([0.6, *HOME[1:5], 0.1], abs=1e-12)
     assert (x[:, 1:5] == HOME[1:5]).all()
@@ -194,16 +193,16 @@ def test_a_stamp_ahead_delays_the_start(world):
     world.trajectories.publish(message)
     world.run(0.6)
     assert world.arm.state is PathState.FOLLOWING and (world.joints == HOME).all()
-    world.arm_arrives()
-    at, x, v, _ = world.assert_arm_smooth()
+    world.run_to_arm_end()
+    at, _x, v, _ = world.assert_arm_smooth()
     moving = at[np.abs(v).max(axis=1) > 1e-9]
     assert moving[0] == pytest.approx(due, abs=0.015)
     assert moving[-1] == pytest.approx(due + 1.5, abs=0.015)
 
 
-BAD: dict[str, Any] = {
+INVALID_TRAJECTORIES: dict[str, Any] = {
     "unknown name": ({"names": [*UR_JOINTS[:5], "elbow"]}, "no joint elbow"),
-    "a name twice": ({"names": [*UR_JOINTS[:5], UR_JOINTS[0]]}, "one twice"),
+    "a name twice": ({"names": [*UR_JOINTS[:5], UR_JOINTS[0]]}, "without repeats"),
     "too few positions": ({"rows": FAR[:5]}, "point 0: 5 positions for 6 joints"),
     "NaN": ({"rows": FAR * NAN}, "positions .* not finite"),
     "infinity": ({"rows": FAR * math.inf}, "positions .* not finite"),
@@ -214,16 +213,16 @@ BAD: dict[str, Any] = {
     "too sudden": ({"rows": FAR, "times": [0.98]}, "shoulder_pan_joint: jerk .* limit is 50"),
     "times back": ({"rows": [FAR, HOME], "times": [2.0, 1.0]}, "do not increase: point 0 at 2 s"),
     "some times": ({"rows": [FAR, HOME, FAR], "times": [0, 0, 2.0]}, "do not increase"),
-    "elsewhere": ({"rows": [FAR, HOME], "times": [0, 2.0]}, "0.8 rad from where it is"),
+    "elsewhere": ({"rows": [FAR, HOME], "times": [0, 2.0]}, "0.8 rad from its present position"),
     "end in motion": ({"times": [2.0], "velocities": [0.1 + 0 * FAR]}, "not at rest"),
     "accelerations alone": ({"times": [2.0], "accelerations": [0 * FAR]}, "without velocities"),
     "too many": ({"rows": np.tile(HOME, (2001, 1))}, "2001 points, at most 2000"),
-    "nowhere": ({"rows": HOME}, "is there already"),
+    "nowhere": ({"rows": HOME}, "is already there"),
 }
 
 
-def test_what_cannot_be_driven_is_refused_by_name_and_nothing_moves(world):
-    for what, (given, words) in BAD.items():
+def test_an_infeasible_trajectory_is_refused_by_name_and_nothing_moves(world):
+    for what, (given, words) in INVALID_TRAJECTORIES.items():
         options = {"rows": FAR} | given
         world.move(options.pop("rows"), options.pop("times", None), **options)
         with pytest.raises(AssertionError, match=words):
@@ -243,13 +242,13 @@ def test_what_cannot_be_driven_is_refused_by_name_and_nothing_moves(world):
 
 @pytest.mark.parametrize("after", [0.1, 0.45, 0.8])
 @pytest.mark.parametrize("times", [None, [2.5]])
-def test_a_new_trajectory_on_the_move_replaces_the_old_without_a_jump(world, times, after):
+def test_a_new_trajectory_replaces_an_active_one_without_a_jump(world, times, after):
     world.move(FAR)
     world.run(after)
     goal = HOME + [0, 0.2, 0.3, 0, 0.5, 0]
     world.move(goal, times)
     assert world.warnings == []
-    world.arm_arrives()
+    world.run_to_arm_end()
     _, x, _, _ = world.assert_arm_smooth()
     assert x[-1] == pytest.approx(goal, abs=1e-9)
 
@@ -258,7 +257,7 @@ def test_a_trajectory_without_points_stops_on_the_path(world):
     world.move(FAR)
     world.run(0.5)
     world.trajectories.publish(JointTrajectory())
-    assert world.arm_arrives() < 0.8
+    assert world.run_to_arm_end() < 0.8
     _, x, v, _ = world.assert_arm_smooth()
     share = (x - HOME)[:, [0, 1, 2, 3, 5]] / (FAR - HOME)[[0, 1, 2, 3, 5]]
     assert 0.1 < share[-1].max() < 0.9 and np.ptp(share, axis=1).max() < 1e-9
@@ -268,15 +267,15 @@ def test_a_trajectory_without_points_stops_on_the_path(world):
     world.run(0.3)
     assert len(world.joint_previews) == before
     world.move(FAR)
-    world.arm_arrives()
+    world.run_to_arm_end()
     assert world.assert_arm_smooth(before)[1][-1] == pytest.approx(FAR, abs=1e-9)
 
 
-def test_pause_resume_and_cancel_act_on_platform_and_arm_alike(world):
+def test_pause_resume_and_cancel_act_on_both_platform_and_arm(world):
     world.send(LONG)
     world.move(FAR, [4.0])
     world.run(1.0)
-    assert world.ask("pause").message == "pausing"
+    assert world.call_service("pause").message == "pausing"
     world.run(1.5)
     assert world.core.state is PathState.PAUSED and world.arm.state is PathState.PAUSED
     place, joints = world.setpoint.pose.copy(), world.joints.copy()
@@ -284,54 +283,54 @@ def test_pause_resume_and_cancel_act_on_platform_and_arm_alike(world):
     assert (world.joints == joints).all() and world.setpoint.pose == pytest.approx(
         place, abs=1e-12
     )
-    assert world.ask("resume").success
+    assert world.call_service("resume").success
     world.run(0.5)
-    assert world.ask("cancel").success
-    world.arm_arrives(2.0)
-    world.arrive(2.0)
+    assert world.call_service("cancel").success
+    world.run_to_arm_end(2.0)
+    world.run_to_end(2.0)
     world.assert_arm_smooth()
     world.assert_smooth()
-    assert not world.ask("resume").success
+    assert not world.call_service("resume").success
 
 
-def test_progress_is_that_of_the_part_that_has_most_before_it(world):
+def test_progress_is_that_of_the_motion_with_the_most_left(world):
     world.send(BENT)
     world.move(FAR, [6.0])
-    world.arrive()
-    world.arm_arrives()
+    world.run_to_end()
+    world.run_to_arm_end()
     seen = [message.data for message in world.progress]
     assert seen[-1] == 1.0 and (np.diff(seen[2:]) >= 0.0).all()
     assert 0.2 < np.interp(3.0, 0.04 * np.arange(len(seen)), seen) < 0.6
 
 
-# ---- who gives up what ------------------------------------------------------------------------
+# ---- loss of control --------------------------------------------------------------------------
 
 
-def test_twists_that_take_the_platform_leave_the_arm_alone(world):
+def test_twists_that_take_over_the_platform_do_not_affect_the_arm(world):
     world.send(LONG)
     world.move(FAR, [3.0])
     world.run(0.5)
-    world.takes = False
-    world.say("cmd_vel")
+    world.follows_stream = False
+    world.publish_source("cmd_vel")
     world.run(2 * PERIOD)
     assert world.core.state is PathState.IDLE and world.arm.state is PathState.FOLLOWING
-    world.arm_arrives()
+    world.run_to_arm_end()
     assert world.assert_arm_smooth()[1][-1] == pytest.approx(FAR, abs=1e-9)
 
 
-def emergency(world: WithArm) -> None:
+def publish_emergency_stop(world: ArmWorld) -> None:
     world.publisher(Bool, "emergency_stop").publish(Bool(data=True))
 
 
-def stopped_peer(world: WithArm) -> None:
+def publish_stopped_peer(world: ArmWorld) -> None:
     world.probe.create_publisher(DiagnosticStatus, "stop_state", ALL_LATCHED).publish(
         DiagnosticStatus(level=DiagnosticStatus.ERROR, name="/platform", message="stopped: ~/stop")
     )
     world.run(0.1)
 
 
-@pytest.mark.parametrize("stop", [emergency, stopped_peer])
-def test_a_stop_gives_both_up_and_refuses_new_ones(world, stop):
+@pytest.mark.parametrize("stop", [publish_emergency_stop, publish_stopped_peer])
+def test_a_stop_ends_both_motions_and_refuses_new_ones(world, stop):
     world.send(LONG)
     world.move(FAR, [3.0])
     world.run(0.5)
@@ -347,47 +346,47 @@ def test_a_stop_gives_both_up_and_refuses_new_ones(world, stop):
 
 
 @pytest.mark.parametrize(
-    ("way", "why"), [("silent", "no arm/joint_states"), ("pushed", "rad from")]
+    ("fault", "why"), [("silent", "no arm/joint_states"), ("displaced", "rad from")]
 )
-def test_an_arm_that_is_silent_or_elsewhere_is_led_to_rest_and_given_up(world, way, why):
+def test_a_silent_or_displaced_arm_is_brought_to_rest_and_given_up(world, fault, why):
     world.send(LONG)
     world.move(FAR, [3.0])
     world.run(1.0)
-    if way == "silent":
-        world.arm_alive = False
+    if fault == "silent":
+        world.arm_reports = False
     else:
-        world.pushed[3] = 0.3
+        world.joint_offset[3] = 0.3
     took = world.run_until(lambda: world.arm.state is PathState.IDLE, 1.0, "the end")
     assert took <= 0.26 and why in world.warnings[-1]
     world.run(1.0)
-    _, x, v, _ = world.assert_arm_smooth()
+    _, x, _v, _ = world.assert_arm_smooth()
     assert world.joint_previews[-1][2].end_speed == 0.0
     assert np.abs(world.joint_previews[-1][2].sample(1e9)[0] - x[-1]).max() < 0.6
-    assert world.core.state is PathState.FOLLOWING, "the platform goes on"
+    assert world.core.state is PathState.FOLLOWING, "the platform continues"
     world.move(FAR)
-    assert "joint_trajectory" in world.warnings[-1] if way == "silent" else True
+    assert "joint_trajectory" in world.warnings[-1] if fault == "silent" else True
 
 
 @pytest.mark.parametrize("late", [0.0, 3.0])
-def test_without_joint_states_nothing_begins(late):
-    with WithArm() as world:
-        world.arm_alive = late > 0.0
+def test_no_trajectory_begins_without_joint_states(late):
+    with ArmWorld() as world:
+        world.arm_reports = late > 0.0
         if late == 0.0:
-            world.node.arm_feed.forget_place()
+            world.node.motions.context.arm_feed.forget()
         world.run(late)
-        world.arm_alive = False
+        world.arm_reports = False
         world.run(0.3)
         world.move(FAR)
         words = "no arm/joint_states" if late == 0.0 else "arm/joint_states are 0.3"
         assert words in world.warnings[-1] and not world.joint_previews
 
 
-def test_an_end_of_the_node_comes_to_rest_on_both_paths(world):
+def test_a_shutdown_comes_to_rest_on_both_paths(world):
     world.send(LONG)
     world.move(FAR, [4.0])
     world.run(1.0)
     world.node.begin_shutdown("SIGINT")
-    patience = world.node.patience
+    patience = world.node.stop_timeout
     took = world.run_until(lambda: world.node.finished, 5.0, "the end")
     assert took < patience
     assert not world.assert_arm_smooth()[2][-1].any()
@@ -397,32 +396,32 @@ def test_an_end_of_the_node_comes_to_rest_on_both_paths(world):
 # ---- speed scaling ----------------------------------------------------------------------------
 
 
-def begin_of_change(times: np.ndarray, speed: np.ndarray, since: float) -> float:
-    """How long after a time the speed begins to differ from what it was [s]."""
+def reaction_time(times: np.ndarray, speed: np.ndarray, since: float) -> float:
+    """Return the delay from `since` until the speed changes [s]."""
     before = speed[times <= since][-1]
     return float(times[(times > since) & (np.abs(speed - before) > 1e-6)][0] - since)
 
 
-def test_speed_scaling_slows_platform_and_arm_together_on_their_paths(world):
+def test_speed_scaling_slows_platform_and_arm_together(world):
     world.scaling = 1.0
     away = HOME + [1.5, 0, 0, 0, 0, 0]
     world.send(LONG)
     world.move(away, [5.0])
     world.run(2.0)
-    world.run(3 * PERIOD)  # not together with a tick
+    world.run(3 * PERIOD)  # between two ticks
     world.scaling = 0.5
     world.scale(0.5)
-    heard = world.time
+    scaling_time = world.time
     world.run(1.5)
     slow = world.time
     world.scaling = 1.0
-    world.arrive()
-    world.arm_arrives()
+    world.run_to_end()
+    world.run_to_arm_end()
     times, x, v, _ = world.assert_arm_smooth()
-    at, place, speed, rate = world.followed()
+    at, place, speed, rate = world.received_motion()
     groups = world.core.parameters.groups()
     assert groups[0].norm(rate).max() <= groups[0].acceleration * (1 + 1e-3)
-    assert begin_of_change(at, speed[:, 0], heard) <= 0.05
+    assert reaction_time(at, speed[:, 0], scaling_time) <= 0.05
     assert speed[(at > slow - 0.2) & (at < slow), 0] == pytest.approx(0.25, abs=1e-4)
     assert place[-1] == pytest.approx(LONG[-1], abs=1e-9) and (place[:, 1] == 0.0).all()
     assert x[-1] == pytest.approx(away, abs=1e-9)
@@ -431,7 +430,7 @@ def test_speed_scaling_slows_platform_and_arm_together_on_their_paths(world):
     assert world.warnings == []
 
 
-def test_at_zero_both_hold_still_and_go_on_by_themselves(world):
+def test_a_speed_scaling_of_zero_holds_both_until_the_scaling_rises(world):
     world.scaling = 1.0
     world.send(LONG)
     world.move(FAR, [3.0])
@@ -443,48 +442,48 @@ def test_at_zero_both_hold_still_and_go_on_by_themselves(world):
     assert (world.joints == joints).all() and (world.setpoint.pose == pose).all()
     assert world.arm.state is PathState.FOLLOWING
     world.scaling = 1.0
-    world.arm_arrives()
-    world.arrive()
+    world.run_to_arm_end()
+    world.run_to_end()
     assert world.assert_arm_smooth()[1][-1] == pytest.approx(FAR, abs=1e-9)
     assert world.warnings == []
 
 
-def test_a_pause_at_zero_lasts_until_the_resume_and_a_cancel_ends_at_once(world):
+def test_a_pause_at_zero_scaling_lasts_until_resumed_and_a_cancel_ends_at_once(world):
     world.scaling = 1.0
     world.send(LONG)
     world.move(FAR, [3.0])
     world.run(1.0)
     world.scaling = 0.0
     world.run(1.5)
-    assert world.ask("pause").success
+    assert world.call_service("pause").success
     world.scaling = 1.0
     joints = world.joints.copy()
     world.run(1.0)
-    assert (world.joints == joints).all(), "what stands does not move for a pause"
-    assert world.ask("resume").success
+    assert (world.joints == joints).all(), "an arm at rest does not move in order to pause"
+    assert world.call_service("resume").success
     world.run(0.5)
     assert np.abs(world.joints - joints).max() > 0.01
     world.scaling = 0.0
     world.run(1.5)
-    assert world.ask("cancel").success
+    assert world.call_service("cancel").success
     world.run(0.05)
     assert world.core.state is PathState.IDLE and world.arm.state is PathState.IDLE
     world.assert_arm_smooth()
 
 
 @pytest.mark.parametrize("value", [NAN, math.inf, -0.2, 1.2])
-def test_scaling_that_cannot_be_is_ignored_loudly(world, value):
+def test_an_invalid_speed_scaling_is_ignored_with_a_warning(world, value):
     world.send(BENT)
     world.run(0.5)
     world.scale(value)
     world.run(0.1)
     assert world.warnings and "arm/speed_scaling ignored" in world.warnings[0]
-    world.arrive()
+    world.run_to_end()
     world.assert_smooth()
-    assert world.node.together.pace.plain
+    assert world.node.motions.context.time_base.pace.plain
 
 
-def test_when_the_scaling_falls_silent_the_arm_is_given_up_and_later_paths_are_fast(world):
+def test_a_lost_speed_scaling_ends_the_arm_motion_and_later_paths_run_at_full_speed(world):
     world.scaling = 0.5
     world.run(0.1)
     world.send(LONG)
@@ -495,23 +494,23 @@ def test_when_the_scaling_falls_silent_the_arm_is_given_up_and_later_paths_are_f
     assert world.arm.state is PathState.IDLE and "no arm/speed_scaling" in world.warnings[-1]
     assert world.core.state is PathState.FOLLOWING
     assert world.setpoint.velocity[0] == pytest.approx(0.25, abs=1e-6), "the last value is kept"
-    world.ask("cancel")
-    world.arrive()
+    world.call_service("cancel")
+    world.run_to_end()
     since = len(world.references)
     world.send([world.setpoint.pose, (2.5, 0, 0)])
-    world.arrive()
-    assert np.abs(world.followed(since)[2][:, 0]).max() == pytest.approx(0.5, abs=1e-6)
+    world.run_to_end()
+    assert np.abs(world.received_motion(since)[2][:, 0]).max() == pytest.approx(0.5, abs=1e-6)
 
 
-def test_with_a_scaling_of_one_the_stream_is_bit_for_bit_that_without():
+def test_a_speed_scaling_of_one_leaves_the_stream_bit_identical():
     streams = []
     for scaling in (None, 1.0):
-        with WithArm() as world:
+        with ArmWorld() as world:
             world.scaling = scaling
             world.run(0.1)
             world.send(BENT)
             world.run(1.2)
-            assert world.node.together.pace.plain
+            assert world.node.motions.context.time_base.pace.plain
             streams.append(
                 [
                     [p.transforms[0].translation, p.velocities, p.accelerations]
@@ -522,14 +521,17 @@ def test_with_a_scaling_of_one_the_stream_is_bit_for_bit_that_without():
     assert streams[0] == streams[1]
 
 
-def test_reports_that_cannot_be_used_do_not_count_as_fresh(world):
-    """What says where the tool is looks at them first: they must not vouch for an older place."""
+def test_invalid_joint_states_do_not_count_as_fresh(world):
+    """The tool pose publisher reads them first, which must not make an older position fresh."""
     world.run(0.2)
     good, world.joints = world.joints, np.full(6, NAN)
     world.run(0.5)
-    world.arm_alive, world.joints = False, good
+    world.arm_reports, world.joints = False, good
     world.run(0.15)
     world.move([FAR])
     world.run(0.2)
     assert not world.joint_previews
-    assert "arm/joint_states" in world.node.arm.last and " old" in world.node.arm.last
+    assert (
+        "arm/joint_states" in world.node.motions.arm.status.text
+        and " old" in world.node.motions.arm.status.text
+    )

@@ -1,4 +1,4 @@
-"""Paths of the tool over real topics, on simulated time: planned, corrected, refused."""
+"""Tests of tool paths over real topics in simulated time: planning, correction, refusal."""
 
 import math
 import re
@@ -10,25 +10,26 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry, Path
 
-from omniman_ros import arm_conversions, conversions
-from omniman_ros.core.body.model import BodyModel, Mount
-from omniman_ros.core.body.tool_planner import ToolPlanner
+from omniman_ros.conversions import arm as arm_conversions
+from omniman_ros.conversions.geometry import quaternion_from_yaw
+from omniman_ros.conversions.headers import time_seconds
 from omniman_ros.core.errors import InputError
-from omniman_ros.core.path.interpolator import PathState
 from omniman_ros.core.preview import Setpoint
-
-from .harness import PERIOD
-from .test_path_interpolator import BENT
-from .test_path_interpolator_body import Body, trajectory
+from omniman_ros.motion.path.interpolator import PathState
+from omniman_ros.motion.whole_body.model import Mount, WholeBodyModel
+from omniman_ros.motion.whole_body.tool_planner import ToolPlanner
+from test.nodes.harness import PERIOD
+from test.nodes.test_path_interpolator import BENT
+from test.nodes.test_path_interpolator_whole_body import WholeBodyWorld, trajectory
 
 READY = np.array([0.0, -1.9, 2.0, -1.7, -1.57, 0.0])
-MODEL = BodyModel(Mount())
+MODEL = WholeBodyModel(Mount())
 START = MODEL.forward(np.concatenate([np.zeros(3), READY]))
 CORNERS = [(0.0, 0.0, 0.0), (0.8, 0.0, 0.0), (1.2, 0.5, 0.05)]
 
 
 def tool_path(offsets: Any, frame: str = "odom", orientation: bool = True) -> Path:
-    """A path of poses with the first orientation, offsets from the first place."""
+    """Return a path at the given offsets from the first pose, with its orientation."""
     message = Path()
     message.header.frame_id = frame
     for offset in offsets:
@@ -43,8 +44,8 @@ def tool_path(offsets: Any, frame: str = "odom", orientation: bool = True) -> Pa
     return message
 
 
-def turned_path(offsets: Any) -> Path:
-    """A path for a robot that looks back."""
+def path_facing_backwards(offsets: Any) -> Path:
+    """Return a path for a robot that faces backwards."""
     message = tool_path(offsets, orientation=False)
     for stamped in message.poses:
         place = stamped.pose.position
@@ -52,16 +53,16 @@ def turned_path(offsets: Any) -> Path:
     return message
 
 
-class Tool(Body):
-    """As with the body; the platform may be off its reference.
+class ToolWorld(WholeBodyWorld):
+    """A whole-body world whose platform may deviate from its reference.
 
     Attributes:
-        off: (3,) platform measured less reference [m, m, rad], a function of time.
-        poses: Of each odom message: time, x, y, theta.
+        platform_error: Measured platform pose less reference (3,) [m, m, rad] over time.
+        poses: Time, x, y and theta of each odom message.
     """
 
     def __init__(self, parameters: dict[str, Any] | None = None) -> None:
-        self.off = lambda time: np.zeros(3)
+        self.platform_error = lambda time: np.zeros(3)
         self.poses: list[tuple[float, ...]] = []
         super().__init__(parameters)
         self.joints = READY.copy()
@@ -71,11 +72,11 @@ class Tool(Body):
 
     def odom_message(self) -> Odometry:
         message = super().odom_message()
-        off = self.off(self.time)
+        off = self.platform_error(self.time)
         place = message.pose.pose.position
         place.x, place.y = place.x + float(off[0]), place.y + float(off[1])
         theta = float(self.setpoint.pose[2] + off[2])
-        message.pose.pose.orientation = conversions.quaternion(theta)
+        message.pose.pose.orientation = quaternion_from_yaw(theta)
         self.poses.append((self.time, place.x, place.y, theta))
         return message
 
@@ -83,22 +84,22 @@ class Tool(Body):
         self.tool_paths.publish(tool_path(offsets, **options))
         self.run(2 * PERIOD)
 
-    def planned(self) -> None:
-        """Wait, in real time, for the thread that plans: a loop that never rests starves it."""
-        self._await(lambda: not self.node.tool.planning, "the plan")
+    def wait_for_plan(self) -> None:
+        """Wait in real time for the planning thread, which a loop without pauses would starve."""
+        self._await(lambda: not self.node.motions.tool.is_planning, "the plan")
         self.run(0.1)
 
-    def begins(self) -> None:
-        self.planned()
-        self.run_until(lambda: not self.node.body.idle, 1.0, "the begin")
+    def run_to_motion_start(self) -> None:
+        self.wait_for_plan()
+        self.run_until(lambda: not self.node.motions.whole_body.idle, 1.0, "the begin")
 
-    def ends(self, seconds: float = 60.0) -> None:
-        self.run_until(lambda: self.node.body.idle, seconds, "the end")
+    def run_to_motion_end(self, seconds: float = 60.0) -> None:
+        self.run_until(lambda: self.node.motions.whole_body.idle, seconds, "the end")
 
-    def errors(self) -> np.ndarray:
-        """Distance (k,) [m] of the tool, from arm and odom, from the timed point of its path."""
+    def tool_errors(self) -> np.ndarray:
+        """Return the distance (k,) [m] of the tool, from arm and odom, to its timed reference."""
         poses = np.array(self.poses)
-        stamps = [conversions.time_seconds(m.header.stamp) for m in self.tool_references]
+        stamps = [time_seconds(m.header.stamp) for m in self.tool_references]
         times, keep = np.unique(np.round(stamps, 6), return_index=True)
         wanted = np.array(
             [
@@ -108,8 +109,10 @@ class Tool(Body):
         )
         arrivals = np.array([arrival for arrival, _, _ in self.joint_previews])
         latest = np.searchsorted(arrivals, times, side="right") - 1
-        arm = [self.joint_previews[max(i, 0)][2].sample(t)[0] for i, t in
-               zip(latest, times, strict=True)]  # fmt: skip
+        arm = [
+            self.joint_previews[max(i, 0)][2].sample(t)[0]
+            for i, t in zip(latest, times, strict=True)
+        ]
         platform = np.column_stack([np.interp(times, poses[:, 0], poses[:, k]) for k in (1, 2, 3)])
         tool = MODEL.forward(np.column_stack([platform, np.array(arm)]))[:, :3, 3]
         assert len(times) > 100
@@ -118,156 +121,165 @@ class Tool(Body):
 
 @pytest.fixture
 def world():
-    with Tool() as made:
+    with ToolWorld() as made:
         yield made
 
 
-def test_the_tool_goes_along_its_path_and_further_than_the_arm_reaches(world):
+def test_the_tool_follows_a_path_beyond_the_reach_of_the_arm(world):
     world.send_tool(CORNERS)
-    world.begins()
-    world.ends()
+    world.run_to_motion_start()
+    world.run_to_motion_end()
     end = world.tool_references[-1].pose.position
     expected = START[:3, 3] + CORNERS[-1]
     assert [end.x, end.y, end.z] == pytest.approx(expected, abs=1e-6)
-    assert world.errors().max() < 1e-4
-    assert math.hypot(*world.whole()[1][-1, :2]) > 0.8
+    assert world.tool_errors().max() < 1e-4
+    assert math.hypot(*world.received_axes()[1][-1, :2]) > 0.8
     world.assert_both_smooth()
     assert not world.warnings and world.status().level == DiagnosticStatus.OK
 
 
-def test_the_arm_takes_the_error_of_the_platform_out(world):
-    def off(time: float) -> np.ndarray:
+def test_the_arm_compensates_the_platform_error(world):
+    def platform_error(time: float) -> np.ndarray:
         return np.array([0.004, 0.003, 0.004]) * math.sin(2.0 * time)
 
     world.send_tool(CORNERS)
-    world.begins()
+    world.run_to_motion_start()
     began = world.time
-    world.off = lambda time: off(time - began)
-    world.ends()
-    errors = world.errors()
+    world.platform_error = lambda time: platform_error(time - began)
+    world.run_to_motion_end()
+    errors = world.tool_errors()
     assert np.sqrt(np.mean(errors**2)) < 5e-4 and errors.max() < 2e-3
 
 
-def test_without_correction_the_error_stays():
-    with Tool({"tool_path.correction": False}) as world:
+def test_the_platform_error_remains_without_correction():
+    with ToolWorld({"tool_path.correction": False}) as world:
         world.send_tool(CORNERS)
-        world.begins()
+        world.run_to_motion_start()
         began = world.time
-        world.off = lambda time: np.array([0.0, 0.005, 0.0]) * min(time - began, 1.0)
-        world.ends()
-        assert world.errors().max() == pytest.approx(0.005, abs=5e-4)
+        world.platform_error = lambda time: np.array([0.0, 0.005, 0.0]) * min(time - began, 1.0)
+        world.run_to_motion_end()
+        assert world.tool_errors().max() == pytest.approx(0.005, abs=5e-4)
 
 
-def test_it_is_slowed_where_the_error_is_large_and_given_up_beyond(world):
+def test_a_large_error_slows_the_motion_and_a_larger_one_ends_it(world):
     world.send_tool(CORNERS)
-    world.begins()
+    world.run_to_motion_start()
     began = world.time
-    world.off = lambda time: np.array([0.0, min(0.04, 0.02 * (time - began)), 0.0])
+    world.platform_error = lambda time: np.array([0.0, min(0.04, 0.02 * (time - began)), 0.0])
     world.run(3.0)
-    assert world.node.together.pace.rate(world.time) == pytest.approx(0.4, abs=0.06)
-    world.off = lambda time: np.array([0.0, 0.06, 0.0])
-    world.run_until(lambda: world.node.body.idle, 2.0, "giving up")
+    assert world.node.motions.context.time_base.pace.rate(world.time) == pytest.approx(
+        0.4, abs=0.06
+    )
+    world.platform_error = lambda time: np.array([0.0, 0.06, 0.0])
+    world.run_until(lambda: world.node.motions.whole_body.idle, 2.0, "giving up")
     assert any("off its path" in text for text in world.warnings)
     world.run(0.5)
     assert world.preview(-1).end_speed == 0.0
     assert world.joint_previews[-1][2].end_speed == 0.0
 
 
-def test_what_is_given_up_keeps_the_correction(world):
+def test_a_motion_that_is_given_up_keeps_the_correction(world):
     world.send_tool(CORNERS)
-    world.begins()
+    world.run_to_motion_start()
     began = world.time
-    world.off = lambda time: np.array([0.0, min(0.02, 0.01 * (time - began)), 0.0])
+    world.platform_error = lambda time: np.array([0.0, min(0.02, 0.01 * (time - began)), 0.0])
     world.run(4.0)
     led = world.joint_previews[-1][2].sample(world.time + 1e-9)[0]
-    world.takes = False
-    world.say("cmd_vel")
-    world.run_until(lambda: world.node.body.idle, 1.0, "giving up")
+    world.follows_stream = False
+    world.publish_source("cmd_vel")
+    world.run_until(lambda: world.node.motions.whole_body.idle, 1.0, "giving up")
     world.run(0.1)
     stop = world.joint_previews[-1][2]
     assert np.abs(stop.sample(stop.start)[0] - led).max() < 0.01
     assert stop.end_speed == 0.0
 
 
-def test_an_error_that_stays_large_does_not_hold_it_for_ever(world):
+def test_a_persistent_large_error_does_not_hold_the_motion_forever(world):
     world.send_tool(CORNERS)
-    world.begins()
+    world.run_to_motion_start()
     began = world.time
-    world.off = lambda time: np.array([0.0, min(0.0495, 0.02 * (time - began)), 0.0])
+    world.platform_error = lambda time: np.array([0.0, min(0.0495, 0.02 * (time - began)), 0.0])
     world.run(5.0)
     here = world.tool_references[-1].pose.position.x
     world.run(3.0)
-    assert not world.node.body.idle
+    assert not world.node.motions.whole_body.idle
     assert world.tool_references[-1].pose.position.x > here + 0.01
 
 
-def test_a_tool_that_cannot_follow_on_the_way_is_told(world, monkeypatch):
+def test_a_tool_that_becomes_unreachable_is_reported(world, monkeypatch):
     world.send_tool(CORNERS)
-    world.begins()
+    world.run_to_motion_start()
     world.run(1.0)
 
     def unreachable(*_: Any) -> Any:
         raise InputError("out of the arm's reach")
 
-    monkeypatch.setattr(world.node.body._tool, "window", unreachable)
+    monkeypatch.setattr(world.node.motions.whole_body._tool, "window", unreachable)
     world.run(0.2)
-    assert world.node.body.idle and "given up: out of the arm's reach" in world.node.body.last
+    assert (
+        world.node.motions.whole_body.idle
+        and "given up: out of the arm's reach" in world.node.motions.whole_body.status.text
+    )
     assert world.status().level == DiagnosticStatus.WARN
 
 
-def test_a_path_that_is_planned_is_dropped_by_a_stop(world):
+def test_a_stop_discards_a_path_that_is_being_planned(world):
     world.tool_paths.publish(tool_path(CORNERS))
-    world.run_until(lambda: world.node.tool.planning or not world.node.body.idle, 1.0, "planning")
-    assert world.node.body.idle, "it was planned before it could be stopped"
-    world.takes = False
-    world.say("stop")
+    world.run_until(
+        lambda: world.node.motions.tool.is_planning or not world.node.motions.whole_body.idle,
+        1.0,
+        "planning",
+    )
+    assert world.node.motions.whole_body.idle, "planning ended before the stop"
+    world.follows_stream = False
+    world.publish_source("stop")
     world.run(4 * PERIOD)
-    world.say("none")
-    world.takes = True
-    world.planned()
+    world.publish_source("none")
+    world.follows_stream = True
+    world.wait_for_plan()
     world.run(3.0)
-    assert world.node.body.idle and not world.references
+    assert world.node.motions.whole_body.idle and not world.references
     assert any("not used: the platform is stopped" in text for text in world.warnings)
 
 
-@pytest.mark.parametrize("way", [1e-9, 1e-7, 1e-6, 1e-5])
-def test_a_way_that_is_none_is_refused(world, way):
-    world.send_tool([(0, 0, 0), (way, 0, 0)])
-    world.planned()
+@pytest.mark.parametrize("displacement", [1e-9, 1e-7, 1e-6, 1e-5])
+def test_a_negligible_path_is_refused(world, displacement):
+    world.send_tool([(0, 0, 0), (displacement, 0, 0)])
+    world.wait_for_plan()
     assert "nothing to do" in world.warnings[0]
 
 
-def test_an_error_of_the_planner_is_told_and_the_node_lives(world, monkeypatch):
+def test_an_exception_in_the_planner_is_reported_and_the_node_continues(world, monkeypatch):
     def broken(*_: Any) -> Any:
-        raise ZeroDivisionError("nobody thought of that")
+        raise ZeroDivisionError("injected failure")
 
     monkeypatch.setattr(ToolPlanner, "plan", broken)
     world.send_tool(CORNERS)
-    world.planned()
-    assert "ZeroDivisionError: nobody thought of that" in world.warnings[0]
+    world.wait_for_plan()
+    assert "ZeroDivisionError: injected failure" in world.warnings[0]
     monkeypatch.undo()
     world.send_tool(CORNERS)
-    world.begins()
+    world.run_to_motion_start()
 
 
-def test_a_heading_that_wraps_while_it_is_planned_is_no_motion(world):
+def test_a_heading_that_wraps_during_planning_is_not_a_motion(world):
     def stand(theta: float) -> None:
         world.setpoint = Setpoint(np.array([0.0, 0.0, theta]), np.zeros(3), np.zeros(3))
 
     stand(math.pi - 1e-7)
     world.run(0.1)
-    world.tool_paths.publish(turned_path([(0, 0, 0), (0.3, 0, 0)]))
-    world.run_until(lambda: world.node.tool.planning, 1.0, "planning")
+    world.tool_paths.publish(path_facing_backwards([(0, 0, 0), (0.3, 0, 0)]))
+    world.run_until(lambda: world.node.motions.tool.is_planning, 1.0, "planning")
     stand(math.pi + 1e-7)
-    world.begins()
-    world.ends()
-    assert not world.warnings and world.errors().max() < 1e-4
+    world.run_to_motion_start()
+    world.run_to_motion_end()
+    assert not world.warnings and world.tool_errors().max() < 1e-4
 
 
-def test_poses_without_orientation_keep_the_tool_as_it_is(world):
+def test_poses_without_orientation_keep_that_of_the_tool(world):
     world.send_tool(CORNERS, orientation=False)
-    world.begins()
-    world.ends()
+    world.run_to_motion_start()
+    world.run_to_motion_end()
     q = world.tool_references[-1].pose.orientation
     turned = arm_conversions.rotations(np.array([[q.x, q.y, q.z, q.w]]))[0]
     assert turned == pytest.approx(START[:3, :3], abs=1e-6)
@@ -283,20 +295,20 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_what_cannot_be_driven_is_refused_before_anything_moves(world, case):
+def test_an_infeasible_path_is_refused_before_anything_moves(world, case):
     offsets, options, words = REFUSED[case]
     world.send_tool(offsets, **options)
-    world.planned()
+    world.wait_for_plan()
     assert any(words in text for text in world.warnings), world.warnings
     world.run(0.5)
-    assert not world.references and not world.joint_previews and world.node.body.idle
+    assert not world.references and not world.joint_previews and world.node.motions.whole_body.idle
     status = world.status()
     assert status.level == DiagnosticStatus.WARN and words in status.message
 
 
-def test_the_place_that_cannot_be_reached_is_named(world):
+def test_the_unreachable_position_is_reported(world):
     world.send_tool([(0.1, 0, 0), (0.2, 0, 0), (0.2, 0, 1.5)])
-    world.planned()
+    world.wait_for_plan()
     found = re.search(r"pose (\d) .*at \(([-.\d]+), ([-.\d]+), ([-.\d]+)\) m", world.warnings[0])
     assert found is not None, world.warnings
     x, y, z = START[:3, 3]
@@ -307,33 +319,33 @@ def test_the_place_that_cannot_be_reached_is_named(world):
 
 def test_pause_resume_and_cancel_keep_the_tool_on_its_path(world):
     world.send_tool(CORNERS)
-    world.begins()
+    world.run_to_motion_start()
     world.run(2.0)
-    assert world.ask("pause").success
+    assert world.call_service("pause").success
     world.run_until(lambda: world.body.state is PathState.PAUSED, 3.0, "the pause")
     here = world.tool_references[-1].pose.position.x
     world.run(1.0)
     assert world.tool_references[-1].pose.position.x == pytest.approx(here, abs=1e-9)
-    assert world.ask("resume").success
+    assert world.call_service("resume").success
     world.run(1.0)
     assert world.tool_references[-1].pose.position.x > here + 0.05
-    assert world.ask("cancel").success
-    world.ends(3.0)
-    assert world.errors().max() < 1e-4
+    assert world.call_service("cancel").success
+    world.run_to_motion_end(3.0)
+    assert world.tool_errors().max() < 1e-4
     world.assert_both_smooth()
 
 
-def test_cancel_ends_planning_too(world):
+def test_a_cancel_also_ends_planning(world):
     world.send_tool(CORNERS)
-    assert world.ask("cancel").success
-    world.planned()
+    assert world.call_service("cancel").success
+    world.wait_for_plan()
     world.run(1.0)
-    assert world.node.body.idle and not world.references
+    assert world.node.motions.whole_body.idle and not world.references
 
 
-def test_nothing_else_is_taken_while_the_tool_is_led(world):
+def test_other_motions_are_refused_during_a_tool_path(world):
     world.send_tool(CORNERS)
-    world.begins()
+    world.run_to_motion_start()
     world.run(1.0)
     world.send(BENT)
     world.trajectories.publish(trajectory([READY]))
@@ -342,24 +354,24 @@ def test_nothing_else_is_taken_while_the_tool_is_led(world):
     world.send_tool(CORNERS)
     world.run(0.1)
     assert sum("is under way" in text for text in world.warnings) == 3
-    world.ends()
-    assert world.errors().max() < 1e-4
+    world.run_to_motion_end()
+    assert world.tool_errors().max() < 1e-4
 
 
-def test_it_says_where_the_tool_is(world):
+def test_the_tool_pose_is_published(world):
     poses = world.listen(PoseStamped, "tool_pose")
     world.run(0.5)
     assert len(poses) == 5 and poses[-1].header.frame_id == "odom"
     place = poses[-1].pose.position
     assert [place.x, place.y, place.z] == pytest.approx(START[:3, 3], abs=1e-9)
-    world.arm_alive = False
+    world.arm_reports = False
     world.run(0.8)
     before = len(poses)
     world.run(0.5)
     assert len(poses) == before
 
 
-def test_reports_of_the_arm_that_cannot_be_used_end_what_is_said_of_the_tool(world):
+def test_invalid_joint_states_end_the_tool_pose(world):
     poses = world.listen(PoseStamped, "tool_pose")
     world.joints = np.full(6, math.nan)
     world.run(0.8)
@@ -369,9 +381,9 @@ def test_reports_of_the_arm_that_cannot_be_used_end_what_is_said_of_the_tool(wor
     assert any("arm/joint_states ignored" in text for text in world.warnings)
 
 
-def test_previews_of_the_arm_come_at_twice_the_rate_of_the_platforms(world):
+def test_arm_previews_are_published_at_twice_the_rate_of_platform_previews(world):
     world.send_tool(CORNERS)
-    world.begins()
+    world.run_to_motion_start()
     world.run(2.0)
     before, count = len(world.joint_previews), len(world.references)
     world.run(1.0)
@@ -379,13 +391,13 @@ def test_previews_of_the_arm_come_at_twice_the_rate_of_the_platforms(world):
     assert min(p.end - start for _, start, p in world.joint_previews) >= 0.39
 
 
-def test_the_diagnostics_tell_what_happened_last(world):
+def test_the_diagnostics_report_the_latest_event(world):
     world.trajectories.publish(trajectory([[1.0]], names=["nobody"]))
     world.run(0.1)
     assert "nobody" in world.status().message
     world.send_tool([(0, 0, 0), (0.1, 0, 0)])
-    world.begins()
-    world.ends()
+    world.run_to_motion_start()
+    world.run_to_motion_end()
     status = world.status()
     assert status.level == DiagnosticStatus.OK and status.message == "idle"
     world.send([(9.0, 9.0, 0.0)])
@@ -395,16 +407,16 @@ def test_the_diagnostics_tell_what_happened_last(world):
     assert world.status().level == DiagnosticStatus.OK
 
 
-def test_one_false_pose_of_the_platform_does_not_lead_the_arm_astray(world):
+def test_a_single_platform_outlier_does_not_disturb_the_arm(world):
     world.send_tool(CORNERS)
-    world.begins()
+    world.run_to_motion_start()
     world.run(2.0)
-    count, world.off = len(world.joint_previews), lambda time: np.array([0.1, 0.0, 0.0])
+    count, world.platform_error = len(world.joint_previews), lambda time: np.array([0.1, 0.0, 0.0])
     world.run(PERIOD)
-    world.off = lambda time: np.zeros(3)
+    world.platform_error = lambda time: np.zeros(3)
     world.run(0.5)
     assert any("odom ignored: the platform would be 0.100 m" in t for t in world.warnings)
-    assert not world.node.body.idle and len(world.joint_previews) > count + 10
-    _, _, v, a = world.driven(count - 5)
+    assert not world.node.motions.whole_body.idle and len(world.joint_previews) > count + 10
+    _, _, v, a = world.received_joint_motion(count - 5)
     assert np.abs(v).max() < 0.3 and np.abs(a).max() < 1.0
-    world.ends()
+    world.run_to_motion_end()

@@ -20,12 +20,11 @@ from omniman_ros.nodes.platform_controller import (
     PlatformControllerNode,
     PlatformControllerParameters,
 )
-from omniman_ros.nodes.stopping import LATCHED
+from omniman_ros.nodes.stop_interface import LATCHED
+from test.nodes.harness import PERIOD, World, last
+from test.nodes.rig import Rig, reference, twist
 
-from .harness import PERIOD, World, last
-from .rig import Rig, reference, twist
-
-STOP_TIME = 1.2  # 0.5 m/s at 1.2 m/s^2 and 0.6 rad/s at 2 rad/s^2, and margin
+STOP_TIME = 1.2  # 0.5 m/s at 1.2 m/s^2 and 0.6 rad/s at 2 rad/s^2, plus a margin
 
 
 @pytest.fixture
@@ -40,7 +39,7 @@ def heading(message) -> float:
 
 
 def straight(rig: Rig, speed: float = 0.4, seconds: float = 0.5) -> MultiDOFJointTrajectory:
-    """A preview along x from where the robot is, at a speed from the first moment on."""
+    """Return a preview along x from the robot's pose, at constant speed from its start."""
     x, y, theta = rig.core.odometry.pose
     times = [0.0, seconds]
     poses = [(x + speed * t, y, theta) for t in times]
@@ -50,7 +49,7 @@ def straight(rig: Rig, speed: float = 0.4, seconds: float = 0.5) -> MultiDOFJoin
 # ---- driving ----------------------------------------------------------------------------------
 
 
-def test_cmd_vel_drives_the_twist_it_names(rig):
+def test_cmd_vel_drives_the_commanded_twist(rig):
     rig.drive(0.3, -0.2, 0.4, seconds=1.5)
     speeds = rig.speeds()[-1]
     assert rig.core.cascade.kinematics.J_pinv @ speeds == pytest.approx([0.3, -0.2, 0.4], abs=1e-6)
@@ -61,7 +60,7 @@ def test_cmd_vel_drives_the_twist_it_names(rig):
     assert message.twist.twist.angular.z == pytest.approx(0.4, abs=1e-6)
 
 
-def test_rates_are_200_100_and_50_hz(rig):
+def test_topics_are_published_at_200_100_and_50_hz(rig):
     coupling = rig.listen(JointState, "coupling_error")
     before = len(rig.commands), len(rig.odom), len(coupling)
     rig.run(1.0)
@@ -78,7 +77,7 @@ def test_twist_is_limited_and_keeps_its_direction(rig):
     assert x == pytest.approx(y, rel=1e-9) and turn == pytest.approx(0.0, abs=1e-9)
 
 
-def test_stamped_cmd_vel_by_parameter():
+def test_stamped_cmd_vel_is_selected_by_parameter():
     with World(PlatformControllerNode, parameters={"cmd_vel_stamped": True}) as world:
         publisher = world.publisher(TwistStamped, "cmd_vel")
         states = world.publisher(JointState, "wheel_states")
@@ -95,7 +94,7 @@ def test_stamped_cmd_vel_by_parameter():
 
         for frame, age in (("map", 0.0), ("base_link", 0.7), ("base_link", -0.2)):
             world.run(0.2, lambda frame=frame, age=age: feed(frame, age))
-            assert core.at_rest, f"frame {frame}, age {age} must move nothing"
+            assert core.at_rest, f"frame {frame}, age {age} must cause no motion"
         world.run(0.2, lambda: feed("base_link", 0.1))
         assert not core.at_rest
 
@@ -116,10 +115,10 @@ def test_path_reference_is_followed(rig):
     assert not rig.speeds()[-1].any()
 
 
-# ---- who drives -------------------------------------------------------------------------------
+# ---- arbitration ------------------------------------------------------------------------------
 
 
-def test_cmd_vel_goes_before_path_and_path_does_not_come_back(rig):
+def test_cmd_vel_has_priority_over_path_and_path_does_not_resume(rig):
     active = rig.listen(String, "active_source", LATCHED)
     publisher = rig.publisher(MultiDOFJointTrajectory, "path/reference")
     rig.run(0.3, lambda: publisher.publish(straight(rig)))
@@ -128,12 +127,12 @@ def test_cmd_vel_goes_before_path_and_path_does_not_come_back(rig):
     rig.run(1.5, lambda: publisher.publish(straight(rig)))
     assert not rig.speeds(since)[-1].any(), "a cancelled path took over again"
     assert [m.data for m in active] == ["none", "path", "cmd_vel", "none"]
-    rig.run(1.1)  # it falls silent, and a new goal may start
+    rig.run(1.1)  # the stream falls silent, and a new goal may start
     rig.run(0.3, lambda: publisher.publish(straight(rig)))
     assert last(active).data == "path"
 
 
-def test_mpc_goes_before_path(rig):
+def test_mpc_has_priority_over_path(rig):
     active = rig.listen(String, "active_source", LATCHED)
     path = rig.publisher(MultiDOFJointTrajectory, "path/reference")
     mpc = rig.publisher(MultiDOFJointTrajectory, "mpc/reference")
@@ -142,7 +141,7 @@ def test_mpc_goes_before_path(rig):
     assert [m.data for m in active] == ["none", "path", "mpc"]
 
 
-def test_mpc_voltages_pass_and_stop_in_velocity_mode(rig):
+def test_mpc_voltages_pass_and_a_stop_uses_velocity_mode(rig):
     publisher = rig.publisher(JointState, "mpc/voltages")
 
     def send() -> None:
@@ -159,7 +158,7 @@ def test_mpc_voltages_pass_and_stop_in_velocity_mode(rig):
 
 
 @pytest.mark.parametrize("mode", ["velocity", "torque", "voltage"])
-def test_output_mode(mode):
+def test_output_mode_selects_the_drive_command(mode):
     with Rig({"drive.mode": mode}) as rig:
         count = len(rig.commands), len(rig.volts)
         rig.drive(0.3, seconds=0.3)
@@ -173,7 +172,7 @@ def test_output_mode(mode):
         rig.assert_stops(len(rig.commands) + 110, within=STOP_TIME)
 
 
-# ---- every way to stop --------------------------------------------------------------------------
+# ---- stops ------------------------------------------------------------------------------------
 
 
 def stale(rig: Rig) -> float:
@@ -213,13 +212,19 @@ def shutdown(rig: Rig) -> float:
 
 
 WAYS = [
-    stale, stop_service, emergency, emergency_latched, dead_wheel_states, peer_stopped, shutdown,
-]  # fmt: skip
+    stale,
+    stop_service,
+    emergency,
+    emergency_latched,
+    dead_wheel_states,
+    peer_stopped,
+    shutdown,
+]
 
 
 @pytest.mark.parametrize("way", WAYS, ids=lambda way: way.__name__)
 @pytest.mark.parametrize("direction", [(0.5, 0.0, 0.0), (-0.2, 0.4, -0.6)], ids=["x", "mixed"])
-def test_every_way_to_stop_ramps_every_wheel_to_zero(rig, way, direction):
+def test_every_cause_of_a_stop_ramps_every_wheel_to_zero(rig, way, direction):
     rig.drive(*direction, seconds=1.5)
     assert np.abs(rig.speeds()[-1]).min() > 0.1
     since = len(rig.commands) - 1
@@ -230,7 +235,7 @@ LATCHING = [way for way in WAYS if way not in (stale, shutdown)]
 
 
 @pytest.mark.parametrize("way", LATCHING, ids=lambda way: way.__name__)
-def test_a_latched_stop_ignores_a_stream_that_goes_on(rig, way):
+def test_latched_stop_ignores_a_continuing_stream(rig, way):
     rig.drive(0.3, seconds=0.5)
     way(rig)
     rig.drive(0.3, seconds=0.2 + STOP_TIME)
@@ -239,14 +244,14 @@ def test_a_latched_stop_ignores_a_stream_that_goes_on(rig, way):
     assert not rig.speeds(since).any()
 
 
-def test_a_stale_source_is_not_latched(rig):
+def test_stale_source_latches_no_stop(rig):
     rig.drive(0.3, seconds=0.5)
     rig.run(1.5)
     rig.drive(0.3, seconds=0.3)
     assert rig.speeds()[-1].all()
 
 
-def test_reset_moves_nothing_and_needs_a_fresh_start(rig):
+def test_reset_starts_no_motion_and_needs_a_fresh_setpoint(rig):
     rig.drive(0.3, seconds=0.5)
     assert rig.call(Trigger, "platform_controller/stop").success
     assert not rig.call(Trigger, "platform_controller/reset").success, "reset in motion"
@@ -268,7 +273,7 @@ def test_reset_is_refused_while_the_emergency_stop_is_true(rig):
     button.publish(Bool(data=False))
     rig.run(0.1)
     rig.drive(0.3, seconds=0.2)
-    assert rig.core.at_rest, "emergency_stop false must release nothing"
+    assert rig.core.at_rest, "emergency_stop false must not release the stop"
     assert rig.call(Trigger, "platform_controller/reset").success
 
 
@@ -283,7 +288,7 @@ def test_reset_is_refused_while_the_drive_is_dead(rig):
     assert rig.call(Trigger, "platform_controller/reset").success
 
 
-def test_a_peer_holds_and_releases_without_a_reset(rig):
+def test_stopped_peer_holds_the_robot_and_releases_without_a_reset(rig):
     publisher = rig.publisher(DiagnosticStatus, "stop_state", LATCHED)
     states = rig.listen(DiagnosticStatus, "stop_state", LATCHED)
     publisher.publish(DiagnosticStatus(level=DiagnosticStatus.ERROR, name="/arm", message="x"))
@@ -297,7 +302,7 @@ def test_a_peer_holds_and_releases_without_a_reset(rig):
     assert not rig.core.at_rest
 
 
-def test_a_wheel_that_does_not_follow_stops_the_robot(rig):
+def test_wheel_that_does_not_follow_stops_the_robot(rig):
     rig.run(0.2)
     rig.stuck[2] = True
     rig.drive(0.5, seconds=2.5)
@@ -305,14 +310,14 @@ def test_a_wheel_that_does_not_follow_stops_the_robot(rig):
     assert not rig.speeds()[-1].any()
 
 
-# ---- bad input ----------------------------------------------------------------------------------
+# ---- invalid input ----------------------------------------------------------------------------
 
 NAN, INF = float("nan"), float("inf")
 
 
 @pytest.mark.parametrize("bad", [NAN, INF, -INF, 1e308])
 @pytest.mark.parametrize("field", ["linear.x", "linear.y", "angular.z", "linear.z", "angular.x"])
-def test_cmd_vel_that_is_not_finite_moves_nothing(rig, field, bad):
+def test_non_finite_cmd_vel_causes_no_motion(rig, field, bad):
     message = Twist()
     message.linear.x = 0.3
     part, name = field.split(".")
@@ -322,7 +327,7 @@ def test_cmd_vel_that_is_not_finite_moves_nothing(rig, field, bad):
     assert not rig.speeds(since).any()
 
 
-def test_a_rejected_cmd_vel_does_not_count_as_fresh(rig):
+def test_rejected_cmd_vel_does_not_count_as_fresh(rig):
     rig.drive(0.3, seconds=0.5)
     since = len(rig.commands)
     rig.run(1.5, lambda: rig.cmd_vel.publish(twist(NAN)))
@@ -348,9 +353,10 @@ def bad_states(rig: Rig) -> dict[str, JointState]:
     return cases
 
 
-@pytest.mark.parametrize("case", ["nan", "infinite speed", "short", "empty", "wrong name",
-                                  "name twice", "old", "ahead"])  # fmt: skip
-def test_bad_wheel_states_never_count_as_fresh(rig, case):
+@pytest.mark.parametrize(
+    "case", ["nan", "infinite speed", "short", "empty", "wrong name", "name twice", "old", "ahead"]
+)
+def test_invalid_wheel_states_never_count_as_fresh(rig, case):
     rig.drive(0.3, seconds=0.5)
     rig.drive_alive = False
     since = len(rig.commands) - 1
@@ -361,9 +367,10 @@ def test_bad_wheel_states_never_count_as_fresh(rig, case):
     assert rig.core.odometry.pose == pytest.approx(pose, abs=0.01)
 
 
-@pytest.mark.parametrize("case", ["frame", "joint", "nan", "backwards", "empty", "past", "tilted",
-                                  "ahead"])  # fmt: skip
-def test_bad_previews_move_nothing(rig, case):
+@pytest.mark.parametrize(
+    "case", ["frame", "joint", "nan", "backwards", "empty", "past", "tilted", "ahead"]
+)
+def test_invalid_previews_cause_no_motion(rig, case):
     publisher = rig.publisher(MultiDOFJointTrajectory, "path/reference")
 
     def send() -> None:
@@ -392,7 +399,7 @@ def test_bad_previews_move_nothing(rig, case):
     assert not rig.speeds(since).any()
 
 
-def test_a_preview_that_starts_elsewhere_moves_nothing(rig):
+def test_preview_that_starts_elsewhere_causes_no_motion(rig):
     publisher = rig.publisher(MultiDOFJointTrajectory, "path/reference")
     since = len(rig.commands)
     far = reference([0, 1], [(5, 0, 0), (5.5, 0, 0)], [(0.5, 0, 0)] * 2, rig.stamp())
@@ -400,14 +407,14 @@ def test_a_preview_that_starts_elsewhere_moves_nothing(rig):
     assert not rig.speeds(since).any()
 
 
-def test_a_preview_that_runs_out_in_motion_ramps_to_rest(rig):
+def test_preview_that_ends_in_motion_ramps_to_rest(rig):
     publisher = rig.publisher(MultiDOFJointTrajectory, "path/reference")
     rig.run(0.5, lambda: publisher.publish(straight(rig, seconds=0.3)))
     assert rig.speeds()[-1].all()
     rig.assert_stops(len(rig.commands) - 1, within=0.3 + STOP_TIME)
 
 
-def test_fuzzed_messages_never_crash_and_never_move():
+def test_fuzzed_messages_cause_no_crash_and_no_motion():
     rng = np.random.default_rng(7)
     pool = [NAN, INF, -INF, 1e308, -1e308, 5e-324, 0.0, 1.0]
     with Rig() as rig:
@@ -445,7 +452,7 @@ def test_fuzzed_messages_never_crash_and_never_move():
         assert rig.core.odometry.pose == (0.0, 0.0, 0.0)
 
 
-def test_garbage_on_the_wire_never_crashes(rig):
+def test_garbage_on_the_wire_causes_no_crash(rig):
     from rclpy.serialization import serialize_message
 
     rng = np.random.default_rng(3)
@@ -467,18 +474,18 @@ def test_garbage_on_the_wire_never_crashes(rig):
 
 def test_warnings_are_rate_limited(rig):
     rig.run(3.0, lambda: rig.cmd_vel.publish(twist(NAN)))
-    throttle = rig.node._throttle
-    assert throttle.counts["cmd_vel"] >= 590
+    counts = rig.node.warning_counts
+    assert counts["cmd_vel"] >= 590
     report = rig.listen(DiagnosticArray, "/diagnostics")
     rig.run(1.1)
     values = {v.key: v.value for v in last(report).status[0].values}
     assert int(values["warned: cmd_vel"]) >= 590
 
 
-# ---- odometry -----------------------------------------------------------------------------------
+# ---- odometry ---------------------------------------------------------------------------------
 
 
-def test_set_pose_and_reset_odometry(rig):
+def test_set_pose_and_reset_odometry_set_the_pose(rig):
     publisher = rig.publisher(PoseWithCovarianceStamped, "set_pose")
     message = PoseWithCovarianceStamped()
     message.header.frame_id = "odom"
@@ -494,13 +501,13 @@ def test_set_pose_and_reset_odometry(rig):
     message.pose.pose.position.x = 5.0
     publisher.publish(message)
     rig.run(0.1)
-    assert last(rig.odom).pose.pose.position.x == pytest.approx(2.0), "map is not odom here"
+    assert last(rig.odom).pose.pose.position.x == pytest.approx(2.0), "map differs from odom here"
     assert rig.call(Trigger, "platform_controller/reset_odometry").success
     rig.run(0.1)
     assert last(rig.odom).pose.pose.position.x == 0.0
 
 
-def test_odom_says_what_is_not_measured(rig):
+def test_odom_marks_unmeasured_directions_in_its_covariance(rig):
     rig.drive(0.3, 0.0, 0.2, seconds=1.0)
     message = last(rig.odom)
     for covariance in (message.pose.covariance, message.twist.covariance):
@@ -509,7 +516,7 @@ def test_odom_says_what_is_not_measured(rig):
         assert (diagonal[[0, 1, 5]] > 0.0).all() and (diagonal[[0, 1, 5]] < 0.01).all()
 
 
-def test_map_is_odom_by_parameter():
+def test_map_frame_equals_odom_by_parameter():
     with Rig({"map_is_odom": True}) as rig:
         publisher = rig.publisher(PoseWithCovarianceStamped, "set_pose")
         message = PoseWithCovarianceStamped()
@@ -520,7 +527,7 @@ def test_map_is_odom_by_parameter():
         assert rig.core.odometry.pose == (0.0, 3.0, 0.0)
 
 
-def test_wheels_in_another_order_are_sorted_by_name(rig):
+def test_wheel_states_in_another_order_are_sorted_by_name(rig):
     rig.run(0.1)
     rig.drive_alive = False
     rig.position = rig.position + [0.1, 0.2, 0.3, 0.4]
@@ -533,7 +540,7 @@ def test_wheels_in_another_order_are_sorted_by_name(rig):
     assert rig.core.feedback.speeds.tolist() == [1.0, 2.0, 3.0, 4.0]
 
 
-# ---- parameters ---------------------------------------------------------------------------------
+# ---- parameters -------------------------------------------------------------------------------
 
 
 def set_parameter(rig: Rig, name: str, value: object) -> object:
@@ -554,7 +561,7 @@ def set_parameter(rig: Rig, name: str, value: object) -> object:
         ("timeouts.cmd_vel", 0.0, "range"),
     ],
 )
-def test_nonsense_is_refused_at_run_time_with_a_reason(rig, name, value, word):
+def test_invalid_values_are_rejected_at_runtime_with_a_reason(rig, name, value, word):
     before = rig.node.settings.value
     result = set_parameter(rig, name, value)
     assert not result.successful
@@ -562,19 +569,24 @@ def test_nonsense_is_refused_at_run_time_with_a_reason(rig, name, value, word):
     assert rig.node.settings.value == before
 
 
-def test_limits_are_live(rig):
+def test_limits_change_at_runtime(rig):
     assert set_parameter(rig, "limits.linear_velocity", 0.2).successful
     rig.drive(0.9, seconds=2.0)
     assert (rig.core.cascade.kinematics.J_pinv @ rig.speeds()[-1])[0] == pytest.approx(0.2)
 
 
 @pytest.mark.parametrize(
-    "given", [{"limits.linear_velocity": -2.0}, {"wheels.radius": [0.1, 0.1]}, {"robot": "nobody"},
-              {"coupling.k_epsilon": 2},
-              {"wheels.roller_angle": [math.pi / 2, 0.785, 0.785, -0.785]}],
+    "given",
+    [
+        {"limits.linear_velocity": -2.0},
+        {"wheels.radius": [0.1, 0.1]},
+        {"robot": "nobody"},
+        {"coupling.k_epsilon": 2},
+        {"wheels.roller_angle": [math.pi / 2, 0.785, 0.785, -0.785]},
+    ],
     ids=lambda given: next(iter(given)),
-)  # fmt: skip
-def test_nonsense_is_refused_at_start_with_a_message_that_names_it(given):
+)
+def test_invalid_value_at_start_is_rejected_naming_the_parameter(given):
     from omniman_ros.core.errors import OmnimanError
 
     with pytest.raises(OmnimanError) as caught:
@@ -586,9 +598,10 @@ def test_nonsense_is_refused_at_start_with_a_message_that_names_it(given):
 def test_every_parameter_is_declared_with_description_and_range(rig):
     names = [spec.name for spec in specs(PlatformControllerParameters)]
     answer = rig.call(
-        DescribeParameters, "platform_controller/describe_parameters",
+        DescribeParameters,
+        "platform_controller/describe_parameters",
         DescribeParameters.Request(names=names),
-    )  # fmt: skip
+    )
     by_name = {d.name: d for d in answer.descriptors}
     for spec in specs(PlatformControllerParameters):
         told = by_name[spec.name]
@@ -600,7 +613,7 @@ def test_every_parameter_is_declared_with_description_and_range(rig):
             assert bounds.to_value == spec.high or spec.high is None
 
 
-def test_a_robot_given_as_parameters_takes_nothing_from_a_file():
+def test_robot_given_as_parameters_uses_no_file():
     seen = {}
 
     def make(**options):
@@ -610,27 +623,29 @@ def test_a_robot_given_as_parameters_takes_nothing_from_a_file():
 
     from omniman_ros.robots import load_robot
 
-    given = {name: list(v) if isinstance(v, (list, tuple)) else v
-             for name, v in load_robot("ig42").items()}  # fmt: skip
+    given = {
+        name: list(v) if isinstance(v, (list, tuple)) else v
+        for name, v in load_robot("ig42").items()
+    }
     with World(make, parameters=given):
         robot = seen["set"].value.platform.robot
         assert robot.body.mass == 25.0 and robot.arm.inertia == 0.0
     assert isinstance(seen["set"], ParameterSet)
 
 
-def test_simulated_time_that_goes_back_stops_and_starts_anew(rig):
+def test_backward_jump_of_simulated_time_stops_and_allows_a_new_start(rig):
     rig.drive(0.3, seconds=1.0)
     rig.time -= 900.0
     since = len(rig.commands)
     rig.drive(0.3, seconds=1.0)
-    assert not rig.speeds(since)[-1].any(), "the stream from before went on driving"
+    assert not rig.speeds(since)[-1].any(), "the earlier stream continued to drive"
     rig.run(1.1)
     assert not rig.speeds(since)[-1].any()
     rig.drive(0.3, seconds=0.3)
     assert rig.speeds()[-1].all(), "a new start after time went back"
 
 
-# ---- what a reviewer broke ----------------------------------------------------------------------
+# ---- extreme inputs ---------------------------------------------------------------------------
 
 
 def test_negative_stamps_are_stale(rig):
@@ -649,7 +664,7 @@ def test_negative_stamps_are_stale(rig):
     assert not rig.speeds(since).any()
 
 
-def test_a_huge_covariance_is_refused(rig):
+def test_huge_covariance_is_rejected(rig):
     publisher = rig.publisher(PoseWithCovarianceStamped, "set_pose")
     message = PoseWithCovarianceStamped()
     message.header.frame_id = "odom"
@@ -661,7 +676,7 @@ def test_a_huge_covariance_is_refused(rig):
 
 
 @pytest.mark.parametrize("mode", ["velocity", "torque", "voltage"])
-def test_an_absurd_acceleration_stays_within_the_limits(mode):
+def test_absurd_acceleration_in_a_preview_stays_within_the_limits(mode):
     from geometry_msgs.msg import Twist as Acceleration
 
     with Rig({"drive.mode": mode}) as rig:
@@ -678,10 +693,10 @@ def test_an_absurd_acceleration_stays_within_the_limits(mode):
         assert max(efforts) <= limit + 1e-9
 
 
-def test_after_a_stall_motion_goes_on_from_what_the_wheels_do(rig):
+def test_motion_after_a_stall_continues_from_the_measured_speeds(rig):
     rig.drive(0.5, seconds=1.0)
     stopped = rig.hooks.pop()
-    rig.time += 1.0  # nobody is served; the drives' watchdog brings the wheels to rest
+    rig.time += 1.0  # no callback is served; the drives' watchdog brings the wheels to rest
     standing = rig.position.copy()
     resumed = int(rig.time)
 
@@ -697,10 +712,10 @@ def test_after_a_stall_motion_goes_on_from_what_the_wheels_do(rig):
     bound = rig.wheel_deceleration(1.2, 2.0) * PERIOD
     assert np.abs(speeds[0]).max() <= bound.max(), "the setpoint from before the stall"
     assert (np.abs(np.diff(speeds, axis=0)) <= bound + 1e-9).all()
-    assert speeds[-1].min() > 0.2, "and on it goes"
+    assert speeds[-1].min() > 0.2, "the motion continues"
 
 
-def test_a_slow_stream_does_not_take_over_by_itself(rig):
+def test_slow_stream_does_not_take_over_by_itself(rig):
     path = rig.publisher(MultiDOFJointTrajectory, "mpc/reference")
     tick = iter(range(10**6))
 
@@ -715,7 +730,7 @@ def test_a_slow_stream_does_not_take_over_by_itself(rig):
     assert rig.core.arbiter.active is None and rig.core.at_rest
 
 
-def test_a_preview_of_the_far_future_moves_nothing(rig):
+def test_preview_of_the_far_future_causes_no_motion(rig):
     path = rig.publisher(MultiDOFJointTrajectory, "path/reference")
     since = len(rig.commands)
     late = reference([2e9], [(0.4, 0, 0)], [(0, 0, 0)], rig.stamp())
@@ -723,14 +738,14 @@ def test_a_preview_of_the_far_future_moves_nothing(rig):
     assert not rig.speeds(since).any()
 
 
-def test_a_flood_of_previews_does_not_hold_up_the_tick(rig):
+def test_flood_of_previews_does_not_delay_the_tick(rig):
     path = rig.publisher(MultiDOFJointTrajectory, "path/reference")
     before = len(rig.commands)
     rig.run(0.5, lambda: [path.publish(straight(rig)) for _ in range(5)])
     assert len(rig.commands) - before == pytest.approx(100, abs=1)
 
 
-def test_a_preview_of_too_many_points_is_refused_unread(rig):
+def test_preview_with_too_many_points_is_rejected_unread(rig):
     path = rig.publisher(MultiDOFJointTrajectory, "path/reference")
     message = straight(rig)
     message.points = message.points[:1] * 6000
@@ -743,7 +758,7 @@ def test_a_preview_of_too_many_points_is_refused_unread(rig):
 @pytest.mark.parametrize(
     ("name", "value"), [("motor.max_speed", 0.5), ("limits.linear_velocity", 0.05)]
 )
-def test_limits_that_are_lowered_in_motion_are_ramped_to(rig, name, value):
+def test_speed_ramps_down_to_limits_lowered_in_motion(rig, name, value):
     rig.drive(0.5, seconds=1.0)
     since = len(rig.commands)
     assert set_parameter(rig, name, value).successful
@@ -753,7 +768,7 @@ def test_limits_that_are_lowered_in_motion_are_ramped_to(rig, name, value):
     assert np.abs(rig.speeds()[-1]).max() < 0.6
 
 
-def test_wheels_are_calibrated_at_rest_only(rig):
+def test_wheel_calibration_changes_only_at_rest(rig):
     rig.drive(0.5, seconds=0.5)
     refused = set_parameter(rig, "odometry.wheel_scale", [0.9])
     assert not refused.successful and "odometry.wheel_scale" in refused.reason
@@ -770,7 +785,7 @@ def test_reset_is_refused_while_the_wheels_turn(rig):
 
 
 def test_voltages_that_drive_too_fast_are_cancelled(rig):
-    """The ideal drive reports what the test says: 1.3 m/s, above 1.0 m/s."""
+    """The ideal drive reports the 1.3 m/s set by the test, above the limit of 1.0 m/s."""
     publisher = rig.publisher(JointState, "mpc/voltages")
     rig.hooks.clear()
     turned = rig.position

@@ -1,4 +1,4 @@
-"""The node over real topics, on simulated time."""
+"""The simulated drive's node over real topics, on simulated time."""
 
 import math
 
@@ -13,15 +13,14 @@ from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import Trigger
 
 from omniman_ros.nodes.simulated_drive import SimulatedDriveNode
-
-from .harness import World, last
+from test.nodes.harness import World, last
 
 NAMES = ["front_left", "front_right", "rear_left", "rear_right"]
 NAN, INF = float("nan"), float("inf")
 
 
 class Drive(World):
-    """The node alone, commanded by the test."""
+    """The node on its own, commanded by the test."""
 
     def __init__(self, parameters: dict | None = None) -> None:
         super().__init__(SimulatedDriveNode, parameters=parameters)
@@ -52,7 +51,7 @@ class Drive(World):
 
     @property
     def speeds(self) -> np.ndarray:
-        """True wheel speeds (n,)."""
+        """Return the true wheel speeds (n,)."""
         return np.array([wheel.speed for wheel in self.node.drives._plant.wheels])
 
 
@@ -72,7 +71,7 @@ def test_velocity_mode_turns_the_wheels_and_moves_the_robot(drive):
     assert truth.header.frame_id == "map"
 
 
-def test_torque_and_voltage_modes_move_it_too(drive):
+def test_torque_and_voltage_modes_move_the_robot(drive):
     drive.command(0.5, effort=[2.0, 2.0, 2.0, 2.0])
     speed = last(drive.truth).twist.twist.linear.x
     assert speed > 0.05
@@ -80,8 +79,8 @@ def test_torque_and_voltage_modes_move_it_too(drive):
     assert last(drive.truth).twist.twist.linear.x > speed
 
 
-def test_wheels_against_each_other_leave_the_robot_where_it_is():
-    """With its weight in the middle: with more weight in front, the front wheels win."""
+def test_opposed_wheels_do_not_move_the_robot():
+    """The weight is centred: with more weight in front, the front wheels would prevail."""
     with Drive({"robot": "ig42"}) as drive:
         drive.command(1.5, [4.0, 4.0, -4.0, -4.0])
         assert min(np.abs(last(drive.states).velocity)) > 3.0
@@ -89,7 +88,7 @@ def test_wheels_against_each_other_leave_the_robot_where_it_is():
         assert math.hypot(pose.x, pose.y) < 0.01
 
 
-def test_rates_and_electrical_layout(drive):
+def test_topics_have_their_rates_and_the_electrical_layout(drive):
     electrical = drive.listen(Float64MultiArray, "wheel_electrical")
     before = len(drive.states), len(drive.truth), len(electrical)
     drive.command(1.0, [3.0] * 4)
@@ -98,8 +97,9 @@ def test_rates_and_electrical_layout(drive):
     assert len(electrical) - before[2] == pytest.approx(50, abs=1)
     message = last(electrical)
     assert [(d.label, d.size) for d in message.layout.dim] == [
-        ("wheel", 4), ("voltage,current,energy", 3),
-    ]  # fmt: skip
+        ("wheel", 4),
+        ("voltage,current,energy", 3),
+    ]
     voltage, current, energy = np.array(message.data).reshape(4, 3).T
     assert (voltage > 0).all() and (current > 0).all() and (energy > 0).all()
 
@@ -124,10 +124,11 @@ def nan_commands(drive: Drive) -> None:
     drive.command(0.1, [NAN] * 4)
 
 
-@pytest.mark.parametrize("way", [silence, service, emergency, shutdown, nan_commands],
-                         ids=lambda way: way.__name__)  # fmt: skip
+@pytest.mark.parametrize(
+    "way", [silence, service, emergency, shutdown, nan_commands], ids=lambda way: way.__name__
+)
 @pytest.mark.parametrize("mode", ["velocity", "torque", "voltage"])
-def test_every_way_to_stop_stops_every_wheel(drive, way, mode):
+def test_every_cause_of_a_stop_stops_every_wheel(drive, way, mode):
     speeds = [4.0, 3.0, 3.0, 4.0]
     drive.command(1.0, speeds)
     if mode == "torque":
@@ -140,11 +141,11 @@ def test_every_way_to_stop_stops_every_wheel(drive, way, mode):
     drive.run(1.0, lambda: fastest.append(np.abs(drive.speeds).max()))
     assert fastest[-1] < 0.02
     steps = -np.diff(fastest)
-    assert steps.max() < 16.0 * 0.005 + 0.05, "harder than the quick stop allows"
+    assert steps.max() < 16.0 * 0.005 + 0.05, "faster than the quick stop allows"
 
 
 @pytest.mark.parametrize("way", [service, emergency])
-def test_a_latched_stop_hears_nothing_until_a_reset(drive, way):
+def test_latched_stop_ignores_commands_until_a_reset(drive, way):
     drive.command(0.5, [3.0] * 4)
     way(drive)
     assert not drive.call(Trigger, "simulated_drive/reset").success
@@ -156,7 +157,7 @@ def test_a_latched_stop_hears_nothing_until_a_reset(drive, way):
         drive.run(0.1)
     assert drive.call(Trigger, "simulated_drive/reset").success
     drive.run(0.5)
-    assert np.abs(drive.speeds).max() < 0.02, "the reset moved it"
+    assert np.abs(drive.speeds).max() < 0.02, "the reset started a motion"
     drive.command(0.5, [3.0] * 4)
     assert drive.speeds.min() > 1.0
 
@@ -176,7 +177,7 @@ def test_a_latched_stop_hears_nothing_until_a_reset(drive, way):
     ],
     ids=["nan", "inf", "short", "nan effort", "names", "twice", "stale", "ahead", "empty"],
 )
-def test_bad_commands_move_nothing(drive, options):
+def test_invalid_commands_cause_no_motion(drive, options):
     drive.command(0.5, **options)
     assert not drive.speeds.any()
 
@@ -184,13 +185,13 @@ def test_bad_commands_move_nothing(drive, options):
 def test_huge_commands_stay_within_the_motors_limits(drive):
     drive.command(0.5, [1e300] * 4, [-1e300] * 4)
     drive.volts(0.5, [1e300, -1e300, 1e300, -1e300])
-    assert not drive.speeds.any(), "these are no input"
+    assert not drive.speeds.any(), "these fields are not inputs"
     drive.command(1.0, [9e4] * 4, [-9e5] * 4)
     drive.volts(0.5, [9e5, -9e5, 9e5, -9e5])
     assert np.isfinite(drive.speeds).all() and np.abs(drive.speeds).max() < 30.0
 
 
-def test_initialpose_moves_the_true_robot(drive):
+def test_initialpose_sets_the_true_pose(drive):
     message = PoseWithCovarianceStamped()
     message.header.frame_id = "map"
     message.pose.pose.position.x = 3.0
@@ -208,10 +209,13 @@ def test_initialpose_moves_the_true_robot(drive):
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("faults.dead_motor", ["rear_left"]), ("faults.stuck_wheel", ["rear_left"]),
-     ("faults.frozen_encoder", ["rear_left"])],
-)  # fmt: skip
-def test_faults_are_live(drive, name, value):
+    [
+        ("faults.dead_motor", ["rear_left"]),
+        ("faults.stuck_wheel", ["rear_left"]),
+        ("faults.frozen_encoder", ["rear_left"]),
+    ],
+)
+def test_faults_change_at_runtime(drive, name, value):
     drive.command(0.5, [3.0] * 4)
     assert drive.set(name, value).successful
     drive.command(0.5, [2.0] * 4)
@@ -225,7 +229,7 @@ def test_faults_are_live(drive, name, value):
     assert not drive.set(name, ["no_such_wheel"]).successful
 
 
-def test_lost_and_late_messages_are_live(drive):
+def test_message_loss_and_delay_change_at_runtime(drive):
     assert drive.set("faults.lost_messages", 1.0).successful
     drive.run(0.1)
     count = len(drive.states)
@@ -247,17 +251,21 @@ def test_lifted_wheels_turn_and_the_robot_stays(drive):
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("plant.slip_velocity", -1.0), ("mismatch.friction", [1.0, 2.0]),
-     ("firmware.watchdog", NAN), ("wheels.x", [0.0] * 4)],
-)  # fmt: skip
-def test_nonsense_is_refused(drive, name, value):
+    [
+        ("plant.slip_velocity", -1.0),
+        ("mismatch.friction", [1.0, 2.0]),
+        ("firmware.watchdog", NAN),
+        ("wheels.x", [0.0] * 4),
+    ],
+)
+def test_invalid_parameters_are_rejected(drive, name, value):
     before = drive.node.settings.value
     assert not drive.set(name, value).successful
     assert drive.node.settings.value == before
 
 
-def test_publishes_the_clock_it_makes():
-    """At ten times real time; the only test here on the steady clock, bounded by messages."""
+def test_simulated_clock_is_published():
+    """This runs at ten times real time and is the only test here on the steady clock."""
     from rosgraph_msgs.msg import Clock
 
     given = {"use_sim_time": False, "publish_clock": True, "real_time_factor": 10.0}
@@ -266,16 +274,16 @@ def test_publishes_the_clock_it_makes():
         states = world.listen(JointState, "wheel_states")
         world._await(lambda: len(clocks) > 100 and len(states) > 100, "a hundred clocks")
         times = [c.clock.sec + 1e-9 * c.clock.nanosec for c in clocks]
-        steps = np.diff(times) / 0.005  # a busy listener may miss some
+        steps = np.diff(times) / 0.005  # a busy subscriber may miss some messages
         assert (steps > 0.5).all() and steps == pytest.approx(np.round(steps), abs=1e-3)
         stamp = states[50].header.stamp
-        assert stamp.sec + 1e-9 * stamp.nanosec < 100.0, "stamps are simulated time"
+        assert stamp.sec + 1e-9 * stamp.nanosec < 100.0, "stamps are in simulated time"
 
 
-def test_a_fault_of_the_drives_latches_the_node_and_is_published(drive):
+def test_drive_fault_latches_a_stop_and_is_published(drive):
     from diagnostic_msgs.msg import DiagnosticStatus
 
-    from omniman_ros.nodes.stopping import LATCHED
+    from omniman_ros.nodes.stop_interface import LATCHED
 
     states = drive.listen(DiagnosticStatus, "stop_state", LATCHED)
     assert drive.set("firmware.encoder_tolerance", 0.1).successful
@@ -285,7 +293,7 @@ def test_a_fault_of_the_drives_latches_the_node_and_is_published(drive):
     assert not drive.call(Trigger, "simulated_drive/reset").success or drive.speeds.max() < 0.1
 
 
-def test_a_ramp_of_the_drives_keeps_the_robot_on_its_curve(drive):
+def test_ramp_of_the_drives_keeps_the_robot_on_its_curve(drive):
     """All wheels come to rest in the same time, so the motion constraint holds."""
     drive.command(1.5, [1.0, 4.0, 3.0, 2.0])
     errors = []
@@ -299,12 +307,12 @@ def test_a_ramp_of_the_drives_keeps_the_robot_on_its_curve(drive):
     assert np.abs(drive.speeds).max() < 0.02
 
 
-def test_a_stopped_drive_complains_of_commands_to_move_only(drive):
+def test_stopped_drive_warns_only_of_commands_to_move(drive):
     service(drive)
     drive.command(0.2, [0.0] * 4)
-    assert "wheel_commands refused" not in drive.node._throttle.counts
+    assert "wheel_commands refused" not in drive.node.warning_counts
     drive.command(0.2, [1.0] * 4)
-    assert drive.node._throttle.counts["wheel_commands refused"] > 30
+    assert drive.node.warning_counts["wheel_commands refused"] > 30
 
 
 def test_negative_stamps_are_stale(drive):

@@ -1,4 +1,4 @@
-"""The node of the simulated UR controller: cycles by hand, so that no time passes."""
+"""The node of the simulated UR controller, with cycles stepped by the test."""
 
 import os
 
@@ -8,11 +8,10 @@ from rclpy.parameter import Parameter
 
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.nodes.simulated_ur import SimulatedUrNode
-from omniman_ros.simulated_ur.controller import CYCLE
-from omniman_ros.simulated_ur.modes import RobotMode
-from omniman_ros.simulated_ur.server import Server
-
-from .harness import free_domain
+from omniman_ros.simulation.ur.arm import CYCLE
+from omniman_ros.simulation.ur.controller_server import ControllerServer
+from omniman_ros.simulation.ur.modes import RobotMode
+from test.nodes.harness import free_domain
 
 FREE = {f"ports.{name}": 0 for name in ("dashboard", "primary", "secondary", "realtime", "rtde")}
 
@@ -54,7 +53,7 @@ class Rig:
 
 @pytest.fixture
 def make(monkeypatch):
-    monkeypatch.setattr(Server, "start", lambda self: None)
+    monkeypatch.setattr(ControllerServer, "start", lambda self: None)
     rigs = []
 
     def maker(**changes):
@@ -70,7 +69,7 @@ def program(rig, line):
     assert rig.node.controller.start(f"def f():\n{line}\nend\n")
 
 
-def test_the_truth_is_told_with_the_joints_names(make):
+def test_ground_truth_is_published_with_the_joint_names(make):
     names = [f"left_{k}" for k in range(6)]
     rig = make(**{"arm.joints": names, "simulated_arm.initial": [0.1] * 6})
     truth = []
@@ -84,7 +83,7 @@ def test_the_truth_is_told_with_the_joints_names(make):
     assert velocity == pytest.approx([0.5, 0, 0, 0, 0, 0], abs=1e-3)
 
 
-def test_diagnostics_tell_modes_program_and_ports(make):
+def test_diagnostics_contain_modes_program_and_ports(make):
     rig = make()
     rig.run(0.1)
     level, text, _ = rig.node.status()
@@ -92,12 +91,12 @@ def test_diagnostics_tell_modes_program_and_ports(make):
     program(rig, "  servoj(get_actual_joint_positions(), t=0.008)\n  sync()")
     rig.run(0.1)
     values = rig.values()
-    assert values["program_end_reason"] == "ended" and values["servo_calls"] == 1
+    assert values["program_end_reason"] == "completed" and values["servo_calls"] == 1
     assert values["program_state"] == "STOPPED" and values["programs"] == 1
     assert values["port rtde"] > 0 and values["clients of rtde"] == 0
 
 
-def test_faults_and_slider_are_live_and_told(make):
+def test_faults_and_slider_change_at_runtime_and_are_reported(make):
     rig = make()
     assert rig.set(faults__protective_stop=True, pendant__speed_slider=0.5).successful
     rig.run(0.1)
@@ -105,7 +104,7 @@ def test_faults_and_slider_are_live_and_told(make):
     assert (level, text) == (b"\x01", "faults: protective_stop")
     assert rig.values()["safety_mode"] == "PROTECTIVE_STOP"
     assert rig.node.controller.slider == 0.5
-    # A client moves the slider; other parameters do not move it back.
+    # A client moves the slider; setting other parameters does not move the slider back.
     rig.node.controller.slider = 0.3
     assert rig.set(faults__protective_stop=False).successful
     assert rig.node.controller.slider == 0.3
@@ -113,7 +112,7 @@ def test_faults_and_slider_are_live_and_told(make):
     assert not rig.set(simulated_arm__speed=1.0).successful
 
 
-def test_what_the_controller_says_is_logged(make):
+def test_messages_of_the_controller_are_logged(make):
     rig = make()
     program(rig, '  textmsg("hello")')
     rig.run(0.1)
@@ -121,35 +120,38 @@ def test_what_the_controller_says_is_logged(make):
     rig.node.get_logger = lambda: type(
         "Logger", (), {"info": lambda _, line: lines.append(line)}
     )()
-    rig.node._tell()
-    assert lines == ["program says: hello", "program ended: ended"]
+    rig.node._write_log()
+    assert lines == ["program says: hello", "program ended: completed"]
 
 
-def test_a_simulation_that_fails_is_told(make):
+def test_simulation_failure_is_reported(make):
     rig = make()
     rig.node.server.error = ZeroDivisionError("x")
     level, text, _ = rig.node.status()
     assert level == b"\x02" and "ZeroDivisionError" in text
 
 
-def test_shutdown_brakes_the_arm_and_takes_the_power(make):
+def test_shutdown_brakes_the_arm_and_switches_the_power_off(make):
     rig = make()
     program(rig, "  speedj([2, 0, 0, 0, 0, 0], 10, 10)")
     rig.run(1.0)
     rig.node.begin_shutdown("test")
     rig.run(CYCLE)
     assert not rig.node.finished
-    rig.run(rig.node.patience)
+    rig.run(rig.node.stop_timeout)
     assert rig.node.finished
     assert rig.node.controller.modes.robot is RobotMode.POWER_OFF
 
 
 @pytest.mark.parametrize(
     ("changes", "name"),
-    [({"use_sim_time": True}, "use_sim_time"), ({"arm.joints": ["a", "b"]}, "arm.joints"),
-     ({"ports.address": "256.0.0.1"}, "ports.dashboard"),
-     ({"simulated_arm.initial": [0.0]}, "simulated_arm.initial")],
-)  # fmt: skip
-def test_what_cannot_run_does_not_start(make, changes, name):
+    [
+        ({"use_sim_time": True}, "use_sim_time"),
+        ({"arm.joints": ["a", "b"]}, "arm.joints"),
+        ({"ports.address": "256.0.0.1"}, "ports.dashboard"),
+        ({"simulated_arm.initial": [0.0]}, "simulated_arm.initial"),
+    ],
+)
+def test_node_with_an_invalid_configuration_does_not_start(make, changes, name):
     with pytest.raises(ParameterError, match=name):
         make(**changes)

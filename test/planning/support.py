@@ -1,25 +1,24 @@
-"""Planners, obstacles and a robot that does as it is told, for the tests of the planner."""
+"""Planners, obstacles and an ideal robot for the tests of the planner."""
 
-import copy
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from typing import Any
 
 import numpy as np
-import robots
-from numpy.typing import NDArray
 
 from omniman_ros.core import se2
+from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import build
-from omniman_ros.planning.cycle import Measured, PlannerState
-from omniman_ros.planning.ellipses import Ellipses
+from omniman_ros.planning.cycle import MeasuredState, PlannerState
 from omniman_ros.planning.goals import Goal
-from omniman_ros.planning.model import PlanningModel
+from omniman_ros.planning.motion_selection import REPLAN_HEADING_ERROR, REPLAN_POSITION_ERROR
+from omniman_ros.planning.mpc.model import PlanningModel
+from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.parameters import PlannerParameters
-from omniman_ros.planning.planner import ASTRAY, Planner
-
-Array = NDArray[np.float64]
+from omniman_ros.planning.plan_optimizer import SolverPool
+from omniman_ros.planning.planner import Planner
+from test import robots
 
 CYCLE = 0.05
 """Period of the planner [s]."""
@@ -30,49 +29,53 @@ TICK = 0.005
 
 
 def parameters(name: str = "ig42", **changes: Any) -> PlannerParameters:
-    """Of the planner; changes by name with `__` for the dot."""
+    """Return planner parameters; changes are given by name with `__` for the dot."""
     dotted = {key.replace("__", "."): value for key, value in changes.items()}
     return build(PlannerParameters, robots.values(name, dotted))
 
 
 def planner(name: str = "ig42", **changes: Any) -> Planner:
-    """A planner with an anchor; changes as in `parameters`."""
-    built = _planner(name, tuple(sorted(changes.items())))
-    result = copy.copy(built)  # its solvers are dear, and keep nothing from one call to the next
-    result._problem = copy.copy(built._problem)
-    return result
+    """Return a planner with an anchor; changes as in `parameters`."""
+    given = parameters(name, **changes)
+    # Solvers take long to build and keep no state between calls.
+    return Planner(given, solvers=_solvers(name, tuple(sorted(changes.items()))))
 
 
 @cache
-def _planner(name: str, changes: tuple[tuple[str, Any], ...]) -> Planner:
-    return Planner(parameters(name, **dict(changes)))
+def _solvers(name: str, changes: tuple[tuple[str, Any], ...]) -> SolverPool:
+    given = parameters(name, **dict(changes))
+    return SolverPool(PlanningModel.of(given.robot), given.horizon)
 
 
 def model(name: str) -> PlanningModel:
-    """Of one of the shared robots."""
+    """Return the model of one of the shared robots."""
     return PlanningModel.of(robots.robot(name))
 
 
 def ellipses(
     *rows: tuple[float, ...], time: float = 0.0, velocities: Any = None, growth: float = 0.0
 ) -> Ellipses:
-    """Obstacles of rows (x, y, a, b, angle), or (x, y, radius)."""
+    """Return obstacles from rows (x, y, a, b, angle) or (x, y, radius)."""
     full = np.array([row if len(row) == 5 else (*row, row[2], 0.0) for row in rows], float)
     full = full.reshape(-1, 5)
     speeds = np.zeros((len(full), 2)) if velocities is None else np.array(velocities, float)
     return Ellipses(
-        time, full[:, :2], speeds.reshape(-1, 2), full[:, 2:4], full[:, 4],
+        time,
+        full[:, :2],
+        speeds.reshape(-1, 2),
+        full[:, 2:4],
+        full[:, 4],
         np.full(len(full), growth),
-    )  # fmt: skip
+    )
 
 
 def observed(known: Ellipses, now: float) -> Ellipses:
-    """The same obstacles, as they are seen at a time [s]."""
+    """Return the obstacles as observed at a time [s]."""
     return replace(known, time=now, centers=known.centers_at(np.array([now]))[0])
 
 
 def true_gaps(times: Array, poses: Array, half: Array, around: Ellipses) -> Array:
-    """Gaps (K, M) [m] between box and ellipses without margin, from points on the ellipses.
+    """Return gaps (K, M) [m] between box and ellipses without margin, from sampled points.
 
     Zero where they overlap; too large by no more than the distance of two points allows.
     """
@@ -89,15 +92,15 @@ def true_gaps(times: Array, poses: Array, half: Array, around: Ellipses) -> Arra
     beyond_x = np.maximum(np.abs(c_box * px + s_box * py) - half[0], 0.0)
     beyond_y = np.maximum(np.abs(c_box * py - s_box * px) - half[1], 0.0)
     gaps: Array = np.sqrt((beyond_x**2 + beyond_y**2).min(axis=-1))
-    # A box in the ellipse has no point of the ellipse's edge within: its centre tells.
+    # A box inside the ellipse contains no point of its boundary: test the box centre.
     c, s = np.cos(around.angles), np.sin(around.angles)
     u = (c * seen[..., 0] + s * seen[..., 1]) / around.semi_axes[:, 0]
     v = (c * seen[..., 1] - s * seen[..., 0]) / around.semi_axes[:, 1]
     return np.where(u * u + v * v <= 1.0, 0.0, gaps)
 
 
-class Ride:
-    """A planner and a robot that is always where the motion has it.
+class SimulatedRun:
+    """A planner with a robot that follows the planned motion exactly.
 
     Args:
         planner: The planner.
@@ -131,50 +134,51 @@ class Ride:
         self.states: list[PlannerState] = []
 
     def pose(self) -> Array:
-        """Where the robot is, its heading not wrapped."""
+        """Pose of the robot, its heading not wrapped."""
         if self._followed:
             self._last = self.planner.motion.sample(self.now)[0]
         return self._last + self.offset
 
-    def measured(self) -> Measured:
-        """The robot as odometry has it."""
+    def measured(self) -> MeasuredState:
+        """State of the robot as odometry reports."""
         pose = self.pose()
         velocity = self.planner.motion.sample(self.now)[1] if self._followed else np.zeros(3)
         twist = se2.to_robot(float(pose[2]), velocity)
         if self._wrapped:
             pose = np.append(pose[:2], se2.wrap(float(pose[2])))
-        return Measured(self.now, pose, twist)
+        return MeasuredState(self.now, pose, twist)
 
     def drive(self, goal: Goal) -> None:
         self.planner.drive(goal, self.measured(), self.seen(self.now))
 
     def cycle(self, solving: float = SOLVING) -> None:
-        """One cycle; nothing is asked of a planner that is not active."""
+        """Run one cycle; a planner that is not active is not called."""
         end = self.now + CYCLE
         planner = self.planner
-        astray = np.hypot(*self.offset[:2]) > ASTRAY[0] or abs(self.offset[2]) > ASTRAY[1]
+        off = np.hypot(*self.offset[:2]) > REPLAN_POSITION_ERROR
+        off = off or abs(self.offset[2]) > REPLAN_HEADING_ERROR
         if planner.active:
             proposal = planner.propose(self.now, self.measured(), self.seen(self.now))
             self._move(self.now + solving)
             there = self.pose()
             planner.take(proposal, self.now, self.measured(), self.seen(self.now))
-            planner.look(self.now, self.seen(self.now))
+            planner.update_route(self.now, self.seen(self.now))
             if planner.report.used:
                 self._followed = True
-                if astray:  # the plan begins where the robot is, not where the last one was
+                if off:  # the plan begins at the robot, not at the last plan
                     self.offset = there - planner.motion.sample(self.now)[0]
         self.states.append(planner.state)
         self._move(end)
 
     def run(self, seconds: float, until: Callable[[], bool] | None = None) -> None:
-        """Cycle for so long, or until it is so, or until the goal is reached."""
+        """Run cycles for a time, until a condition holds or until the goal is reached."""
         done = until or (lambda: self.planner.state is PlannerState.ARRIVED)
         end = self.now + seconds
         while self.now < end - 1e-6 and not done():
             self.cycle()
 
     def gaps(self, truth: Callable[[float], Ellipses] | Ellipses) -> Array:
-        """True gaps (K, M) [m] of what the robot did."""
+        """Return the true gaps (K, M) [m] along the driven motion."""
         known = truth if isinstance(truth, Ellipses) else truth(self.times[0])
         return true_gaps(
             np.array(self.times), np.array(self.poses), self.planner.model.half, known

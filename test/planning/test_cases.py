@@ -1,4 +1,4 @@
-"""The paper's test cases are what they are said to be."""
+"""Test cases of the paper: number, geometry and speeds."""
 
 import math
 
@@ -7,27 +7,30 @@ import pytest
 
 from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
-from omniman_ros.planning.cases import CASES, RADIUS, Turned
-from omniman_ros.planning.separation import box_gap
+from omniman_ros.planning.cases import CASES, RADIUS, TwoVelocityPath
+from omniman_ros.planning.obstacles.separation import box_gap
 from omniman_ros.robots import load_robot
 
 
 @pytest.fixture(scope="module")
 def body():
-    """Of the paper's robot."""
+    """Return half the dimensions of the paper's robot."""
     return build(Robot, load_robot("ig42")).body
 
 
 def gaps(pose, case, body, time=0.0):
-    """Between the robot at a pose and each obstacle at a time (M,) [m]."""
+    """Return gaps between the robot at a pose and each obstacle at a time (M,) [m]."""
     centers = np.array([way(time) for way in case.ways]).reshape(1, -1, 2)
     return box_gap(
-        np.array([pose]), np.array([body.length, body.width]) / 2.0, centers,
-        np.full_like(centers, case.radius), np.zeros(centers.shape[1]),
-    )[0]  # fmt: skip
+        np.array([pose]),
+        np.array([body.length, body.width]) / 2.0,
+        centers,
+        np.full_like(centers, case.radius),
+        np.zeros(centers.shape[1]),
+    )[0]
 
 
-def test_there_are_the_papers_three():
+def test_there_are_three_cases_as_in_the_paper():
     assert list(CASES) == ["free", "corridor", "moving"]
     assert all(case.name == name for name, case in CASES.items())
 
@@ -40,7 +43,7 @@ def test_start_and_goal_are_clear(name, body):
         assert (gaps(case.goal, case, body) > 0.3).all()
 
 
-def test_the_free_goal_is_nearly_sideways_and_keeps_the_heading():
+def test_free_goal_is_nearly_sideways_and_keeps_the_heading():
     case = CASES["free"]
     x, y, theta = case.start
     direction = math.atan2(case.goal[1] - y, case.goal[0] - x) - theta
@@ -58,13 +61,13 @@ def test_gaps_of_the_corridor_are_wider_than_the_robot_and_shorter_than_it(body)
     assert all(not np.any(way.speed(1.0)) for way in CASES["corridor"].ways)
 
 
-def test_the_corridors_row_closes_the_straight_way(body):
+def test_row_of_the_corridor_blocks_the_straight_line(body):
     case = CASES["corridor"]
     way = np.linspace(case.start, case.goal, 200)
     assert min(gaps(pose, case, body).min() for pose in way) < 0.0
 
 
-def test_four_cross_the_way_from_both_sides_and_the_third_changes():
+def test_four_obstacles_cross_from_both_sides_and_the_third_changes_course():
     case = CASES["moving"]
     begin, end = np.array([[way(time)[1] for way in case.ways] for time in (0.0, 8.0)])
     assert len(case.ways) == 4
@@ -75,9 +78,9 @@ def test_four_cross_the_way_from_both_sides_and_the_third_changes():
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_the_speed_is_the_rate_of_the_place(seed):
+def test_speed_is_the_rate_of_the_position(seed):
     rng = np.random.default_rng(seed)
-    way = Turned(
+    way = TwoVelocityPath(
         tuple(rng.normal(size=2)), tuple(rng.normal(size=2)), 2.0, tuple(rng.normal(size=2))
     )
     for time in (*rng.uniform(0.0, 1.9, 5), *rng.uniform(2.1, 9.0, 5)):
@@ -86,15 +89,15 @@ def test_the_speed_is_the_rate_of_the_place(seed):
     assert way(2.0 - 1e-9) == pytest.approx(way(2.0 + 1e-9), abs=1e-6), "it does not jump"
 
 
-def test_one_that_never_turns_goes_straight_on():
-    way = Turned((1.0, 2.0), (0.5, -1.0))
+def test_obstacle_that_never_turns_moves_straight():
+    way = TwoVelocityPath((1.0, 2.0), (0.5, -1.0))
     assert way(1e6).tolist() == [500001.0, -999998.0]
     assert way.speed(1e6) == (0.5, -1.0)
 
 
 @pytest.mark.parametrize("robot", ["ig42", "omniman"])
 @pytest.mark.parametrize("name", CASES)
-def test_a_case_fits_robots_of_other_sizes(name, robot):
+def test_case_scales_to_robots_of_other_sizes(name, robot):
     body = build(Robot, load_robot(robot)).body
     case, plain = CASES[name].fitting(body.length, body.width), CASES[name]
     assert case.name == name and case.goal[2] == plain.goal[2]

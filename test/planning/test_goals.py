@@ -17,7 +17,7 @@ def a_trajectory(headings=(0.0, 0.5, 1.0)):
     return TrajectoryGoal(Preview(times, poses, velocities))
 
 
-def test_a_pose_stands_at_all_times():
+def test_pose_goal_is_constant_in_time():
     goal = PoseGoal(np.array([1.0, 2.0, 0.3]))
     poses, velocities = goal.targets(TIMES)
     np.testing.assert_array_equal(poses, np.tile([1.0, 2.0, 0.3], (4, 1)))
@@ -25,7 +25,7 @@ def test_a_pose_stands_at_all_times():
     assert not goal.moves and goal.until == -math.inf
 
 
-def test_a_goal_is_a_copy():
+def test_goal_copies_its_arrays():
     pose = np.array([1.0, 2.0, 0.3])
     goal = PoseGoal(pose)
     pose[0] = 9.0
@@ -33,7 +33,7 @@ def test_a_goal_is_a_copy():
     assert goal.targets(TIMES)[0][0, 0] == 1.0
 
 
-def test_a_pose_to_be_passed_lies_on_the_line_of_its_velocity():
+def test_pose_with_velocity_moves_along_the_line_of_that_velocity():
     goal = StateGoal(np.array([1.0, 2.0, 0.3]), np.array([0.5, -0.2, 0.1]))
     poses, velocities = goal.targets(TIMES)
     np.testing.assert_array_equal(poses, np.tile([1.0, 2.0, 0.3], (4, 1)))
@@ -47,7 +47,7 @@ def test_a_pose_to_be_passed_lies_on_the_line_of_its_velocity():
     assert goal.moves and goal.until == 2.0
 
 
-def test_a_trajectory_is_followed_and_stands_at_its_end():
+def test_trajectory_is_followed_and_rests_at_its_end():
     goal = a_trajectory()
     poses, velocities = goal.targets(TIMES)
     np.testing.assert_allclose(poses[:, 0], [0.0, 1.0, 1.5, 2.0])
@@ -59,7 +59,7 @@ def test_a_trajectory_is_followed_and_stands_at_its_end():
 
 @pytest.mark.parametrize("heading", [0.0, 3.1, -3.1, 6.0, -20.0, 50.0])
 @pytest.mark.parametrize("wanted", [0.0, 3.1, -3.1, 1.0])
-def test_the_heading_is_on_the_branch_nearest_to_the_robot(heading, wanted):
+def test_heading_is_on_the_branch_nearest_to_the_robot(heading, wanted):
     for goal in (
         PoseGoal(np.array([1.0, 2.0, wanted])),
         StateGoal(np.array([1.0, 2.0, wanted]), np.array([0.1, 0.2, 0.0]), 1.0),
@@ -75,7 +75,7 @@ def test_the_heading_is_on_the_branch_nearest_to_the_robot(heading, wanted):
         assert near.until == goal.until and near.moves == goal.moves
 
 
-def test_a_trajectory_that_turns_keeps_its_turns():
+def test_trajectory_of_several_turns_keeps_its_turns():
     goal = a_trajectory((3.0, 6.0, 9.0)).near(-3.2)
     poses, _ = goal.targets(np.array([1.0, 2.0, 3.0]))
     np.testing.assert_allclose(np.diff(poses[:, 2]), 3.0)
@@ -84,12 +84,12 @@ def test_a_trajectory_that_turns_keeps_its_turns():
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e7])
 @pytest.mark.parametrize("index", [0, 1, 2])
-def test_poses_that_are_none_are_refused(bad, index):
+def test_invalid_poses_are_refused(bad, index):
     pose = np.zeros(3)
     pose[index] = bad
-    with pytest.raises(InputError, match="goal: (position|heading)"):
+    with pytest.raises(InputError, match=r"goal: (position|heading)"):
         PoseGoal(pose)
-    with pytest.raises(InputError, match="goal: (position|heading)"):
+    with pytest.raises(InputError, match=r"goal: (position|heading)"):
         StateGoal(pose, np.zeros(3))
     velocity = np.zeros(3)
     velocity[index] = bad
@@ -98,7 +98,7 @@ def test_poses_that_are_none_are_refused(bad, index):
 
 
 def test_wrong_sizes_are_refused():
-    with pytest.raises(InputError, match="pose of 2 numbers"):
+    with pytest.raises(InputError, match="pose has 2 numbers"):
         PoseGoal(np.zeros(2))
-    with pytest.raises(InputError, match="velocity of 4 numbers"):
+    with pytest.raises(InputError, match="velocity has 4 numbers"):
         StateGoal(np.zeros(3), np.zeros(4))

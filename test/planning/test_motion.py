@@ -1,13 +1,13 @@
 import numpy as np
 import pytest
 
-from omniman_ros.planning.motion import BRAKE_TICK, Motion
+from omniman_ros.planning.motion import BRAKING_STEP, Motion
 
 DECELERATION = (1.5, 4.0)
 
 
 def a_motion(seed=0, count=9, step=0.1, start=5.0, wheels=4):
-    """Nodes of a motion with constant acceleration between two of them."""
+    """Return a motion with constant acceleration between its nodes."""
     random = np.random.default_rng(seed)
     acceleration = random.uniform(-1, 1, (count - 1, 3)) * [1, 1, 2]
     velocities = np.vstack([random.uniform(-0.7, 0.7, 3), np.zeros((count - 1, 3))])
@@ -25,7 +25,7 @@ def dense(motion, first=None, last=None, count=2001):
 
 
 def assert_continuous(motion, first, last, speed=3.0, acceleration=6.0):
-    """No jump of the pose, and none of the velocity within the motion."""
+    """Assert that pose and velocity are continuous within the motion."""
     times, poses, velocities = dense(motion, first, last)
     tick = times[1] - times[0]
     assert np.abs(np.diff(poses, axis=0)).max() < speed * tick
@@ -36,7 +36,7 @@ def assert_continuous(motion, first, last, speed=3.0, acceleration=6.0):
 # ---- interpolation ----------------------------------------------------------------------------
 
 
-def test_nodes_are_met_and_constant_acceleration_is_exact_between_them():
+def test_motion_meets_its_nodes_and_constant_acceleration_between_them():
     motion = a_motion()
     poses, velocities = motion.at(motion.times)
     np.testing.assert_allclose(poses, motion.poses, atol=1e-12)
@@ -58,7 +58,7 @@ def test_velocity_is_the_derivative_of_the_pose():
     np.testing.assert_allclose(bent.at(times)[1], slopes, atol=1e-5)
 
 
-def test_before_and_after_it_rests():
+def test_motion_rests_before_its_start_and_after_its_end():
     motion = a_motion()
     for time, node in ((motion.start - 3.0, 0), (motion.end + 3.0, -1)):
         pose, velocity = motion.sample(time)
@@ -67,14 +67,14 @@ def test_before_and_after_it_rests():
         assert np.isnan(motion.currents_at(time)).all()
 
 
-def test_currents_are_held_from_a_node_to_the_next():
+def test_currents_are_constant_between_nodes():
     motion = a_motion()
     np.testing.assert_array_equal(motion.currents_at(motion.times[2]), motion.currents[2])
     np.testing.assert_array_equal(motion.currents_at(motion.times[3] - 1e-9), motion.currents[2])
     assert motion.currents_at(motion.end).shape == (4,)
 
 
-def test_states_turn_into_odom():
+def test_states_are_transformed_to_odom():
     states = np.array([[1.0, 2.0, 0.5, 0.6, -0.2, 0.3], [1.1, 2.1, np.pi / 2, 0.5, 0.1, 0.0]])
     motion = Motion.of_states(3.0, 0.1, states, np.zeros((1, 4)))
     np.testing.assert_allclose(motion.times, [3.0, 3.1])
@@ -88,7 +88,7 @@ def test_states_turn_into_odom():
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_braking_keeps_to_its_deceleration_and_ends_at_rest(seed):
+def test_braking_keeps_the_deceleration_and_ends_at_rest(seed):
     motion = a_motion(seed)
     time = motion.start + 0.33
     braked = motion.braked(time, DECELERATION)
@@ -104,7 +104,7 @@ def test_braking_keeps_to_its_deceleration_and_ends_at_rest(seed):
     assert slowed.max() < 1.5 * 1.001 and slowed.min() > -1e-6
     turned = -np.diff(np.abs(velocities[:, 2])) / np.diff(times)
     assert turned.max() < 4.0 * 1.001 and turned.min() > -1e-6
-    # On a straight line, by v^2 / 2a; it turns in the sense of before, by w^2 / 2a.
+    # On a straight line by v^2 / 2a, turning in the same sense by w^2 / 2a.
     way = velocity[:2] / speed * speed**2 / 3.0
     np.testing.assert_allclose(poses[-1, :2] - pose[:2], way, atol=1e-9)
     assert poses[-1, 2] - pose[2] == pytest.approx(velocity[2] * turning / 8.0)
@@ -117,7 +117,7 @@ def test_braking_keeps_to_its_deceleration_and_ends_at_rest(seed):
 @pytest.mark.parametrize(
     "velocity", [(0.9, 0, 0), (0, 0, 1.0), (0, 1e-8, 0), (0, 0, 0), (3, 4, 9)]
 )
-def test_braking_from_any_velocity(velocity):
+def test_braking_is_bounded_from_any_velocity(velocity):
     v = np.array(velocity, float)
     times = np.array([0.0, 0.1])
     motion = Motion(times, np.array([0 * v, 0.1 * v]), np.tile(v, (2, 1)), np.zeros((1, 4)))
@@ -131,20 +131,20 @@ def test_braking_from_any_velocity(velocity):
     assert stop == pytest.approx(way, abs=1e-6)
 
 
-def test_braking_before_the_start_and_after_the_end():
+def test_braking_is_defined_before_the_start_and_after_the_end():
     motion = a_motion(2)
     at_once = motion.braked(motion.start, DECELERATION)
     assert at_once.start == motion.start
     np.testing.assert_allclose(at_once.poses[0], motion.poses[0])
     rests = motion.braked(motion.end + 1.0, DECELERATION)
     np.testing.assert_allclose(rests.poses[-1], motion.poses[-1])
-    assert rests.end == pytest.approx(motion.end + 1.0 + BRAKE_TICK)
+    assert rests.end == pytest.approx(motion.end + 1.0 + BRAKING_STEP)
 
 
 # ---- parts ------------------------------------------------------------------------------------
 
 
-def test_a_part_is_the_same_motion():
+def test_part_of_a_motion_equals_the_motion():
     motion = a_motion(3)
     part = motion.between(5.13, 5.58)
     assert part.start == 5.13 and part.end == 5.58
@@ -156,7 +156,7 @@ def test_a_part_is_the_same_motion():
     assert len(part.currents) == len(part.times) - 1
 
 
-def test_a_part_beyond_the_end_rests_there():
+def test_part_beyond_the_end_rests_at_the_end():
     motion = a_motion(4).braked(5.8, DECELERATION)
     part = motion.between(5.5, motion.end + 1.0)
     pose, velocity = part.sample(motion.end + 0.5)
@@ -165,12 +165,12 @@ def test_a_part_beyond_the_end_rests_there():
     assert np.isnan(part.currents_at(motion.end + 0.5)).all()
 
 
-def test_a_part_of_no_length_is_still_a_motion():
+def test_part_of_zero_length_is_a_motion():
     part = a_motion().between(5.2, 5.2)
     assert part.end > part.start
 
 
-def test_one_motion_after_another():
+def test_motions_are_concatenated():
     motion = a_motion(5)
     first, second = motion.between(5.0, 5.37), motion.between(5.37, 5.8)
     both = first.then(second)
@@ -182,7 +182,7 @@ def test_one_motion_after_another():
         np.testing.assert_array_equal(both.currents_at(time), motion.currents_at(time))
 
 
-def test_fine_samples_hold_the_nodes_and_the_begin():
+def test_fine_samples_include_the_nodes_and_the_start():
     motion = a_motion()
     times, poses, velocities = motion.fine(5.25, -np.inf, 4)
     assert times[0] == 5.25 and times[-1] == motion.end
@@ -194,7 +194,7 @@ def test_fine_samples_hold_the_nodes_and_the_begin():
 
 
 @pytest.mark.parametrize("last", [-np.inf, 0.0, 7.77])
-def test_fine_samples_go_on_at_rest(last):
+def test_fine_samples_continue_at_rest(last):
     motion = a_motion().braked(5.8, DECELERATION)
     for first in (motion.end - 0.1, motion.end + 0.2):
         times, poses, velocities = motion.fine(first, last, 4)

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from omniman_ros.planning.motion import Motion
-from omniman_ros.planning.safety import CLOSER, Surroundings
-from omniman_ros.planning.separation import outside_by
-
-from .support import ellipses, true_gaps
+from omniman_ros.planning.obstacles.separation import outside_by
+from omniman_ros.planning.safety import MARGIN_TOLERANCE, Surroundings
+from test.planning.support import ellipses, true_gaps
 
 HALF = np.array([0.4, 0.25])
 WIDE = (-9.0, -9.0, 9.0, 9.0)
@@ -20,7 +19,7 @@ def around(known=None, margin=0.02, workspace=WIDE):
 
 
 def a_motion(random, count=21, step=0.1):
-    """Constant accelerations, each for half a second."""
+    """Return a motion of constant accelerations, each for half a second."""
     acceleration = np.repeat(random.uniform(-1, 1, (5, 3)) * [1, 1, 2], 5, axis=0)
     velocities, poses = np.zeros((count, 3)), np.zeros((count, 3))
     velocities[0] = random.uniform(-0.8, 0.8, 3)
@@ -31,7 +30,7 @@ def a_motion(random, count=21, step=0.1):
 
 
 def a_line(*velocity, start=(0.0, 0.0, 0.0), seconds=2.0):
-    """At a constant velocity."""
+    """Return a motion at a constant velocity."""
     times = np.arange(0.0, seconds + 1e-9, 0.1)
     poses = np.array(start) + times[:, None] * np.array(velocity, float)
     velocities = np.tile(np.array(velocity, float), (len(times), 1))
@@ -47,7 +46,7 @@ def some_obstacles(random, count=6):
 
 
 def closest(motion, known, first=NOW):
-    """Least true gap of a motion, sampled finely."""
+    """Return the minimum true gap of a finely sampled motion."""
     times = np.arange(first, max(motion.end, first + 0.1), 0.01)
     return true_gaps(times, motion.at(times)[0], HALF, known)
 
@@ -55,7 +54,7 @@ def closest(motion, known, first=NOW):
 # ---- contact ----------------------------------------------------------------------------------
 
 
-def test_the_time_of_contact_is_that_of_dense_samples():
+def test_time_of_contact_matches_dense_samples():
     random = np.random.default_rng(1)
     touched = free = early = 0
     for _ in range(90):
@@ -73,11 +72,11 @@ def test_the_time_of_contact_is_that_of_dense_samples():
             free += contact == math.inf
             early += contact < math.inf
     assert touched > 15 and free > 15
-    assert early <= 3  # it may be careful, but not about much
+    assert early <= 3  # the bound is conservative, but only slightly
 
 
-def test_a_thin_obstacle_is_not_stepped_over():
-    # At 10 m/s the box is 25 cm further each time it is looked at.
+def test_thin_obstacle_between_two_samples_is_found():
+    # At 10 m/s the box moves 25 cm between two samples.
     motion = a_line(10.0, 0.0, 0.0, seconds=1.0)
     for x in np.linspace(1.0, 8.0, 29):
         contact = around(ellipses((x, 0.0, 0.005))).contact(motion, NOW)
@@ -85,7 +84,7 @@ def test_a_thin_obstacle_is_not_stepped_over():
         assert contact > NOW + (x - 0.405) / 10.0 - 0.1
 
 
-def test_a_fast_small_obstacle_is_not_stepped_over():
+def test_fast_small_obstacle_between_two_samples_is_found():
     motion = a_line(0.5, 0.0, 0.0)
     for speed in (5.0, 20.0, 60.0):
         for meets in np.linspace(0.2, 1.7, 16):
@@ -97,8 +96,8 @@ def test_a_fast_small_obstacle_is_not_stepped_over():
             assert around(passes).contact(motion, NOW) == math.inf
 
 
-def test_corners_that_turn_into_an_obstacle_are_seen():
-    # At both ends of a quarter turn the box is clear; on the way its corner is not.
+def test_corner_that_rotates_into_an_obstacle_is_found():
+    # The box is clear at both ends of a quarter turn, but its corner is not in between.
     times = np.array([0.0, 1.0])
     turn = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.5 * math.pi]])
     motion = Motion(NOW + times, turn, np.tile([0, 0, 0.5 * math.pi], (2, 1)), np.zeros((1, 4)))
@@ -117,7 +116,7 @@ def test_margins_grow_with_the_time_ahead():
     assert around(growing).contact(motion, NOW) < math.inf
 
 
-def test_the_time_at_which_the_box_leaves_the_workspace():
+def test_leaving_the_workspace_is_a_contact_at_that_time():
     motion = a_line(0.5, 0.0, 0.0)
     contact = around(workspace=(-9, -9, 1.0, 9), margin=0.02).contact(motion, NOW)
     assert contact == pytest.approx(NOW + (1.0 - 0.42) / 0.5, abs=0.026)
@@ -129,7 +128,7 @@ def test_the_time_at_which_the_box_leaves_the_workspace():
     assert contact == pytest.approx(sampled, abs=0.026)
 
 
-def test_what_is_not_finite_is_a_contact():
+def test_input_that_is_not_finite_is_a_contact():
     motion = a_line(0.5, 0.0, 0.0)
     poses = motion.poses.copy()
     poses[5, 1] = math.nan
@@ -140,7 +139,7 @@ def test_what_is_not_finite_is_a_contact():
 
 
 @pytest.mark.parametrize("until", [-math.inf, NOW + 4.0])
-def test_a_robot_at_rest_is_hit_by_what_comes(until):
+def test_approaching_obstacle_hits_a_robot_at_rest(until):
     motion = Motion.rest(NOW - 1.0, np.zeros(3), 4)
     known = ellipses((2.7, 0.0, 0.3), time=NOW, velocities=[(-1.0, 0.0)])
     stands = Surroundings(HALF, known, WIDE, 0.0, until)
@@ -151,8 +150,8 @@ def test_a_robot_at_rest_is_hit_by_what_comes(until):
 # ---- too close already ------------------------------------------------------------------------
 
 
-def test_a_robot_too_close_may_leave_but_not_come_closer():
-    for x in (0.71, 0.6, 0.45):  # clear of it by 1 cm, or in it
+def test_robot_too_close_may_leave_but_not_come_closer():
+    for x in (0.71, 0.6, 0.45):  # clear by 1 cm, or inside
         known = ellipses((x, 0.0, 0.3))
         assert around(known).contact(a_line(-0.5, 0.0, 0.0), NOW) == math.inf
         stays = Motion.rest(NOW, np.zeros(3), 4)
@@ -161,31 +160,31 @@ def test_a_robot_too_close_may_leave_but_not_come_closer():
         assert around(known).contact(closer, NOW) <= NOW + 0.2
 
 
-def test_small_steps_closer_do_not_add_up():
+def test_small_approaches_do_not_add_up():
     known, x = ellipses((1.0, 0.0, 0.3)), 0.0
     for _ in range(300):
         step = a_line(0.05, 0.0, 0.0, start=(x, 0.0, 0.0), seconds=0.2)
         if around(known).contact(step, NOW) < math.inf:
             break
         x = step.poses[-1, 0]
-    assert 0.3 - 0.02 - 0.02 < x <= 0.3  # touching would be 0.3
-    # Nor do the smallest ones of a robot that is deep in it.
+    assert 0.3 - 0.02 - 0.02 < x <= 0.3  # contact is at 0.3
+    # Nor do the smallest approaches of a robot deep inside an obstacle.
     x = 0.35
     step = a_line(0.001, 0.0, 0.0, start=(x, 0.0, 0.0), seconds=0.2)
     assert around(known).contact(step, NOW) < math.inf
 
 
-def test_a_robot_outside_of_the_workspace_may_come_back():
+def test_robot_outside_the_workspace_may_return():
     out = around(workspace=(-9, -9, 0.3, 9))
     assert out.contact(a_line(-0.5, 0.0, 0.0), NOW) == math.inf
     assert out.contact(a_line(0.5, 0.0, 0.0), NOW) < NOW + 0.2
 
 
-# ---- as much of a motion as can be driven -----------------------------------------------------
+# ---- longest clear part -----------------------------------------------------------------------
 
 
 def by_brute_force(surroundings, motion, earliest):
-    """The latest braking at a node that is clear."""
+    """Return the latest node at which braking is clear."""
     whole = motion.braked(motion.end, DECELERATION)
     if surroundings.contact(whole, NOW) == math.inf:
         return whole
@@ -196,7 +195,7 @@ def by_brute_force(surroundings, motion, earliest):
     return None
 
 
-def test_the_latest_braking_that_is_clear_is_found():
+def test_latest_braking_that_is_clear_is_found():
     random = np.random.default_rng(2)
     shortened = none = 0
     for _ in range(60):
@@ -217,8 +216,8 @@ def test_the_latest_braking_that_is_clear_is_found():
     assert shortened > 8 and none > 2
 
 
-def test_braking_early_may_be_the_worse():
-    # Something crosses behind the robot, where an early braking would leave it; a wall is ahead.
+def test_earlier_braking_may_lead_to_contact():
+    # An obstacle crosses where early braking would leave the robot; a wall is ahead.
     motion = a_line(0.8, 0.0, 0.0)
     known = ellipses(
         (0.5, 3.5, 0.35), (2.4, 0.0, 0.2, 3.0, 0.0), time=NOW, velocities=[(0, -1.6), (0, 0)]
@@ -232,25 +231,25 @@ def test_braking_early_may_be_the_worse():
     assert closest(found, known).min() > 0.0
 
 
-def test_nothing_is_found_where_nothing_is_clear():
+def test_no_part_is_found_where_none_is_clear():
     ahead = around(ellipses((0.75, 0.0, 0.3)))
     assert ahead.longest(a_line(0.9, 0.0, 0.0), NOW, NOW + 0.05, DECELERATION) is None
 
 
-def test_a_free_motion_is_kept_and_braked_at_its_end():
+def test_free_motion_is_kept_and_braked_at_its_end():
     motion = a_line(0.6, 0.1, 0.2)
     found = around().longest(motion, NOW, NOW + 0.05, DECELERATION)
     assert found is not None and found.end == pytest.approx(motion.end + np.hypot(0.6, 0.1) / 1.5)
 
 
-# ---- as it is now -----------------------------------------------------------------------------
+# ---- current pose -----------------------------------------------------------------------------
 
 
-def test_overlap_and_outside_are_by_how_much():
+def test_overlap_and_outside_are_depths():
     poses = np.zeros((1, 3))
     assert around(ellipses((1.0, 0.0, 0.3))).overlap(poses) == pytest.approx(-0.28)
     assert around(ellipses((0.5, 0.0, 0.3))).overlap(poses) > 0.1
     assert around().overlap(poses) == -math.inf
     assert around(workspace=(-1, -1, 1, 1)).outside(poses) == pytest.approx(-0.6 + 0.02)
     assert around(workspace=(-1, -1, 0.3, 1)).outside(poses) == pytest.approx(0.12)
-    assert CLOSER <= 0.02
+    assert MARGIN_TOLERANCE <= 0.02

@@ -1,4 +1,4 @@
-"""Where in a browser's window a point of the scene is seen, for tests that use the mouse."""
+"""Pixels of points of the scene in a browser's window, for tests that use the mouse."""
 
 import math
 from types import SimpleNamespace
@@ -8,7 +8,7 @@ import numpy as np
 
 
 def pixel(point, position, look_at, up, fov, width, height):
-    """Pixel (x, y) of a point (3,) in a picture of a size, from its upper left corner.
+    """Return the pixel (x, y) of a point (3,) in an image, from its upper left corner.
 
     The camera is at `position`, looks at `look_at`, and sees an angle `fov` [rad] from the lower
     edge to the upper one.
@@ -30,7 +30,7 @@ def pixel(point, position, look_at, up, fov, width, height):
 
 
 def of_client(camera, point, width, height):
-    """Pixel of a point of viser's world in the canvas of a client, which is shown at a size.
+    """Return the pixel of a point of viser's world in the canvas of a client.
 
     The size is that of the page: the camera's own counts pixels of the screen.
     """
@@ -40,13 +40,15 @@ def of_client(camera, point, width, height):
 
 
 def first_camera(robot):
-    """The camera of a browser that nobody has turned yet; the robot is in the origin."""
-    from omniman_ros.viewer.scene import Scene
+    """Return the initial camera of a browser; the robot is at the origin."""
+    from omniman_ros.viewer.page.scene import Scene
 
     server = MagicMock()
     Scene(server, robot, None, lambda event: None)
     camera = server.initial_camera
     return SimpleNamespace(
-        position=np.array(camera.position), look_at=np.array(camera.look_at), fov=camera.fov,
+        position=np.array(camera.position),
+        look_at=np.array(camera.look_at),
+        fov=camera.fov,
         up_direction=np.array([0.0, 0.0, 1.0]),
-    )  # fmt: skip
+    )

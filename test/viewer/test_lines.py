@@ -3,10 +3,18 @@ import math
 import numpy as np
 import pytest
 
-from omniman_ros.viewer.lines import CORNERS, SPACING, Line, Trail, outlines, segments, thinned
+from omniman_ros.viewer.lines import (
+    OUTLINE_POINTS,
+    TRAIL_SPACING,
+    Line,
+    Trail,
+    outlines,
+    segments,
+    thinned,
+)
 
 
-def test_a_trail_takes_points_that_are_far_enough_apart():
+def test_a_trail_keeps_points_that_are_far_enough_apart():
     trail = Trail(spacing=0.1)
     for x in np.arange(0.0, 1.0, 0.03):
         trail.add(x, 0.0)
@@ -27,9 +35,9 @@ def test_the_version_of_a_trail_changes_with_its_points():
     trail = Trail()
     trail.add(0.0, 0.0)
     version = trail.version
-    trail.add(0.5 * SPACING, 0.0)
+    trail.add(0.5 * TRAIL_SPACING, 0.0)
     assert trail.version == version
-    trail.add(2.0 * SPACING, 0.0)
+    trail.add(2.0 * TRAIL_SPACING, 0.0)
     assert trail.version != version
     version = trail.version
     trail.clear()
@@ -44,21 +52,21 @@ def test_a_line_is_broken_where_it_jumps():
 
 
 @pytest.mark.parametrize("count", [0, 1])
-def test_a_line_of_too_few_points_has_no_pieces(count):
+def test_a_line_of_too_few_points_has_no_segments(count):
     assert segments(np.zeros((count, 2)), 0.5).shape == (0, 2, 2)
 
 
 @pytest.mark.parametrize("count", [0, 1, 7, 10, 11, 1000, 10**6])
 def test_a_long_path_is_thinned_evenly_to_its_ends(count):
-    chosen = list(thinned(count, 10))
-    assert len(chosen) == min(count, 10)
+    selected = list(thinned(count, 10))
+    assert len(selected) == min(count, 10)
     if count:
-        assert (chosen[0], chosen[-1]) == (0, count - 1)
-    gaps = np.diff(chosen)
+        assert (selected[0], selected[-1]) == (0, count - 1)
+    gaps = np.diff(selected)
     assert gaps.size == 0 or gaps.max() - gaps.min() <= 1
 
 
-def test_a_line_that_is_set_is_new():
+def test_setting_a_line_changes_its_version():
     line = Line()
     line.set(np.zeros((2, 2)))
     assert line.version == 1 and line.points.shape == (2, 2)
@@ -68,8 +76,8 @@ def test_outlines_go_around_each_obstacle_with_a_gap_between_two():
     centers, axes = np.array([[1.0, 2.0], [4.0, 0.0]]), np.array([[0.5, 0.2], [1.0, 1.0]])
     points = outlines(centers, axes, np.array([math.pi / 2, 0.0]))
     pieces = segments(points)
-    assert len(pieces) == 2 * CORNERS
-    first, second = pieces[:CORNERS].reshape(-1, 2), pieces[CORNERS:].reshape(-1, 2)
-    around = (first - centers[0]) / [0.2, 0.5]  # it is turned by 90 degrees
+    assert len(pieces) == 2 * OUTLINE_POINTS
+    first, second = pieces[:OUTLINE_POINTS].reshape(-1, 2), pieces[OUTLINE_POINTS:].reshape(-1, 2)
+    around = (first - centers[0]) / [0.2, 0.5]  # the obstacle is turned by 90 degrees
     assert np.hypot(*around.T) == pytest.approx(1.0)
     assert np.hypot(*(second - centers[1]).T) == pytest.approx(1.0)

@@ -11,13 +11,13 @@ ANGLES = [-0.7854, 0.7854, 0.5, 0.0]
 
 
 def signed_volume(mesh):
-    """Volume [m^3] inside a closed surface; negative if its triangles look inwards."""
+    """Return the volume inside a closed surface [m^3], negative if its triangles face inwards."""
     a, b, c = (mesh.vertices[mesh.triangles[:, i]] for i in range(3))
     return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0)
 
 
 def is_closed(mesh):
-    """Whether each edge is there once in both directions (vertices at one place are one)."""
+    """Return whether each edge occurs once in both directions, with coincident vertices merged."""
     _, same = np.unique(mesh.vertices.round(9), axis=0, return_inverse=True)
     triangles = same.reshape(-1)[mesh.triangles]
     edges = [(t[i], t[(i + 1) % 3]) for t in triangles.tolist() for i in range(3)]
@@ -35,13 +35,13 @@ def quaternion_matrix(q):
     )
 
 
-def test_a_cylinder_is_closed_looks_outwards_and_has_its_volume():
+def test_a_cylinder_is_closed_faces_outwards_and_has_its_volume():
     mesh = meshes.revolved(np.array([-0.5, 0.0, 0.5]), np.full(3, 0.2), 200)
     assert is_closed(mesh)
     assert signed_volume(mesh) == pytest.approx(math.pi * 0.2**2, rel=1e-3)
 
 
-def test_a_prism_is_closed_looks_outwards_and_has_its_volume():
+def test_a_prism_is_closed_faces_outwards_and_has_its_volume():
     mesh = meshes.prism(meshes.rounded(2.0, 1.0, 0.0), 0.5, 1.5)
     assert signed_volume(mesh) == pytest.approx(2.0)
     round_one = meshes.prism(meshes.rounded(2.0, 1.0, 0.1), 0.5, 1.5)
@@ -50,7 +50,7 @@ def test_a_prism_is_closed_looks_outwards_and_has_its_volume():
 
 
 @pytest.mark.parametrize("gamma", ANGLES)
-def test_rollers_make_a_wheel_of_its_radius(gamma):
+def test_the_rollers_form_a_wheel_of_its_radius(gamma):
     shape = meshes.wheel(0.1, gamma)
     distances = np.hypot(shape.rollers.vertices[:, 0], shape.rollers.vertices[:, 2])
     assert distances.max() == pytest.approx(0.1, rel=0.02)
@@ -74,10 +74,10 @@ def test_the_roller_on_the_floor_lies_along_gamma(gamma):
 
 @pytest.mark.parametrize("gamma", ANGLES)
 def test_the_rollers_leave_no_gap(gamma):
-    """At every angle of the wheel some roller is near the floor: it would rattle else."""
+    """At every angle of the wheel some roller is near the floor."""
     shape = meshes.wheel(0.1, gamma)
     for step in np.linspace(0.0, 2.0 * math.pi / meshes.ROLLERS, 9):
-        lowest = shape.rollers.turned(meshes.about_y(step)).vertices[:, 2].min()
+        lowest = shape.rollers.rotated(meshes.about_y(step)).vertices[:, 2].min()
         assert -lowest == pytest.approx(0.1, rel=0.03)
 
 
@@ -95,7 +95,7 @@ def test_every_robot_has_a_body_above_the_floor_and_within_its_box(name):
 
 
 def test_a_wheel_rolls_forward_about_its_own_axle():
-    """Positive angles move the top of the wheel to where the wheel rolls."""
+    """Positive angles move the top of the wheel in its rolling direction."""
     heading, angle = 0.3, 0.4
     (q,) = wheel_rotations(np.array([heading]), np.array([angle]))
     turn = quaternion_matrix(q)

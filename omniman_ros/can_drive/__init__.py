@@ -1,1 +1,0 @@
-"""Motor drives on a CAN bus: protocols and policy, pure; python-can only in `bus`."""

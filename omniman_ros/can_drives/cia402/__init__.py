@@ -1,0 +1,1 @@
+"""The CiA 402 drive profile over CANopen."""

@@ -1,0 +1,153 @@
+"""Measurements of all drives, converted to the wheels."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from omniman_ros.can_drives.axis import Axis
+from omniman_ros.can_drives.monitor import WheelMonitor
+from omniman_ros.can_drives.transmission import Transmission, max_wheel_speed, transmissions
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.can_parameters import CanParameters
+from omniman_ros.core.robot import Robot
+
+MIN_STAMP_STEP = 0.25
+"""Smallest step between the stamps of two wheel states, in periods.
+
+Of several reports that arrive late in a bunch only one is used.
+"""
+
+
+@dataclass(frozen=True)
+class WheelStates:
+    """Feedback of all wheels, arrays (n,), wheels in the robot's order.
+
+    Attributes:
+        at: Time of the measurement [s]: that of a SYNC, or else that at which the oldest of the
+            reports was received. It always increases.
+        position: Unwrapped angles [rad].
+        velocity: Velocities [rad/s].
+        effort: Torques at the wheels [N m]; NaN if the drive does not report them.
+    """
+
+    at: float
+    position: Array
+    velocity: Array
+    effort: Array
+
+
+class WheelFeedback:
+    """Converts the feedback of the axes into measurements of the wheels.
+
+    Args:
+        axes: One axis per wheel, in the robot's order.
+        robot: The robot.
+        parameters: The installation.
+        samples_at_sync: Whether the drives measure at the SYNC of a period.
+    """
+
+    def __init__(
+        self,
+        axes: Sequence[Axis],
+        robot: Robot,
+        parameters: CanParameters,
+        samples_at_sync: bool,
+    ) -> None:
+        self._axes = axes
+        self._samples_at_sync = samples_at_sync
+        self._monitors = tuple(WheelMonitor() for _ in axes)
+        self._checked = [0] * len(axes)
+        self._taken = [0] * len(axes)
+        self._stamp = -math.inf
+        self._energy: Array = np.zeros(len(axes))
+        self._max_believed_speed = 0.0
+        self.update_parameters(robot, parameters)
+
+    def update_parameters(self, robot: Robot, parameters: CanParameters) -> None:
+        """Replace the limits."""
+        self._parameters = parameters
+        self._gears: tuple[Transmission, ...] = transmissions(robot, parameters)
+        self._max_speed = max_wheel_speed(robot, parameters)
+        # The wheels may still rotate as fast as an earlier, larger limit allowed.
+        self._max_believed_speed = max(self._max_believed_speed, self._max_speed)
+
+    @property
+    def max_believed_speed(self) -> float:
+        """Largest wheel speed that is believed: the largest limit so far [rad/s]."""
+        return self._max_believed_speed
+
+    def restart_monitors(self) -> None:
+        """Restart the plausibility checks."""
+        for monitor in self._monitors:
+            monitor.restart()
+
+    def check(self, k: int) -> str:
+        """Return why the newest report of wheel `k` is implausible, or an empty string."""
+        feedback = self._axes[k].feedback
+        if feedback.count == self._checked[k]:
+            return ""
+        self._checked[k] = feedback.count
+        min_supply = self._parameters.min_bus_voltage
+        ratio = self._gears[k].ratio
+        return self._monitors[k].check(feedback, ratio, self._max_speed, min_supply)
+
+    def velocity(self) -> Array:
+        """Return the wheel speeds (n,) [rad/s]; zero where none was received."""
+        speeds = [
+            axis.feedback.velocity / gear.ratio
+            for axis, gear in zip(self._axes, self._gears, strict=True)
+        ]
+        return np.array([speed if math.isfinite(speed) else 0.0 for speed in speeds])
+
+    def believed_velocity(self) -> Array:
+        """Return the wheel speeds (n,) [rad/s], clipped to the largest speed.
+
+        A ramp keeps the ratios of all speeds: a wheel that runs away or reports invalid values
+        must not delay the others.
+        """
+        return np.clip(self.velocity(), -self._max_believed_speed, self._max_believed_speed)
+
+    def take_states(self, last_tick: float, tick_before: float) -> WheelStates | None:
+        """Return the states of all wheels whenever all have reported again, else None.
+
+        Args:
+            last_tick: Time of the last period [s].
+            tick_before: Time of the period before [s].
+        """
+        feedback = [axis.feedback for axis in self._axes]
+        counts = [report.count for report in feedback]
+        if any(count == taken for count, taken in zip(counts, self._taken, strict=True)):
+            return None
+        self._taken = counts
+        at = min(report.at for report in feedback)
+        if self._samples_at_sync:
+            at = last_tick if at >= last_tick else min(at, tick_before)
+        if at < self._stamp + MIN_STAMP_STEP * self._parameters.period:
+            return None
+        self._stamp = at
+        rows = []
+        for report, gear in zip(feedback, self._gears, strict=True):
+            velocity = report.velocity / gear.ratio
+            effort = gear.to_wheel(report.torque, velocity)
+            rows.append((report.position / gear.ratio, velocity, effort))
+        table = np.array(rows).T
+        table.flags.writeable = False
+        return WheelStates(at, *table)
+
+    def electrical(self, dt: float) -> Array:
+        """Return voltage [V], current [A] and energy [J] of each motor, (n, 3).
+
+        Args:
+            dt: Time since the last call, by which the energy grows [s].
+        """
+        rows = np.array(
+            [
+                gear.electrical(axis.feedback)
+                for gear, axis in zip(self._gears, self._axes, strict=True)
+            ]
+        )
+        power = rows[:, 0] * rows[:, 1]
+        self._energy = self._energy + np.where(np.isfinite(power), power, 0.0) * dt
+        return np.column_stack([rows, self._energy])

@@ -1,0 +1,94 @@
+"""Arguments that several commands share."""
+
+import argparse
+from collections.abc import Sequence
+
+from omniman_ros.processes.arm_options import ARMS
+from omniman_ros.processes.drive_options import DRIVES
+
+ROBOT_HELP = "a robot of the package (omniman, ig42) or the path of its .yaml file"
+"""Help text of `--robot`, to which each command adds its default."""
+PARAMETER_HELP = "a parameter, set on every node; may be repeated"
+"""Help text of `--param` of commands that start nodes."""
+
+
+def add_robot(parser: argparse.ArgumentParser) -> None:
+    """Add `--robot`, with omniman as the default."""
+    parser.add_argument("--robot", default="omniman", help=f"{ROBOT_HELP}; default: omniman")
+
+
+def add_namespace(parser: argparse.ArgumentParser, text: str) -> None:
+    """Add `--namespace`.
+
+    Args:
+        parser: Parser of the command.
+        text: Help text.
+    """
+    parser.add_argument("--namespace", default="", metavar="NS", help=text)
+
+
+def add_parameters(parser: argparse._ActionsContainer, text: str = PARAMETER_HELP) -> None:
+    """Add `--param`, which may be repeated.
+
+    Args:
+        parser: Parser of the command, or a group of its arguments.
+        text: Help text.
+    """
+    parser.add_argument(
+        "-p", "--param", action="append", default=[], metavar="NAME:=VALUE", help=text
+    )
+
+
+def add_results(parser: argparse.ArgumentParser, content: str = "JSON file") -> None:
+    """Add `--results`, the folder of the results.
+
+    Args:
+        parser: Parser of the command.
+        content: Content of the folder that the command writes, for the help text.
+    """
+    parser.add_argument(
+        "--results",
+        default="results",
+        metavar="FOLDER",
+        help=f"folder of the {content}; default: %(default)s",
+    )
+
+
+def add_arm(parser: argparse.ArgumentParser, arms: Sequence[str]) -> None:
+    """Add `--arm`.
+
+    Args:
+        parser: Parser of the command.
+        arms: Choices, names in `ARMS`.
+    """
+    kinds = "; ".join(f"{name}: {ARMS[name]}" for name in arms)
+    parser.add_argument(
+        "--arm",
+        choices=arms,
+        help=f"hardware or simulation of the arm; {kinds}; default: simulated, or none with real "
+        "drives and "
+        "in simulated time",
+    )
+
+
+def add_drive(parser: argparse.ArgumentParser, drives: Sequence[str]) -> None:
+    """Add `--drive` and `--installation`.
+
+    Args:
+        parser: Parser of the command.
+        drives: Choices of `--drive`, names in `DRIVES`.
+    """
+    kinds = "; ".join(f"{name}: {DRIVES[name]}" for name in drives)
+    parser.add_argument(
+        "--drive",
+        choices=drives,
+        default="simulated",
+        help=f"drives of the wheels; {kinds}; default: %(default)s",
+    )
+    parser.add_argument(
+        "--installation",
+        default="cia402",
+        metavar="NAME",
+        help="drives on the bus: cia402, vesc, odrive or the path of a .yaml file; "
+        "default: %(default)s",
+    )

@@ -1,0 +1,28 @@
+"""Arguments of the commands that print the description of a robot and the nodes' parameters."""
+
+import argparse
+
+from omniman_ros.cli.arguments.common import add_parameters, add_robot
+from omniman_ros.nodes.registry import NODES
+
+
+def add_urdf(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `omniman urdf`."""
+    add_robot(parser)
+    add_parameters(parser, "a parameter of the robot, its arm or the mount; may be repeated")
+    parser.add_argument(
+        "--params-file",
+        metavar="FILE",
+        help="a ROS parameter file, such as that of the arm's controller",
+    )
+    parser.add_argument("--output", metavar="FILE", help="file to write; default: stdout")
+
+
+def add_node_parameters(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `omniman parameters`."""
+    parser.add_argument(
+        "node",
+        nargs="?",
+        choices=sorted(NODES),
+        help="node to list; default: all nodes, each in a section of its own",
+    )

@@ -1,0 +1,106 @@
+"""Arguments of the commands of the laboratory: `omniman bench` and `omniman reproduce`."""
+
+import argparse
+
+from omniman_ros.cli.arguments.common import ROBOT_HELP, add_parameters, add_results, add_robot
+
+BENCHMARKS = {
+    "control": "time of a control tick, CPU of the nodes, latency (default)",
+    "path": "time of planning, distance from the least time, CPU of the stream",
+    "mpc": "CPU and cost of the planner's solver next to IPOPT and fatrop",
+    "can": "round trips over a CAN bus of UDP next to a bare echo, CPU, bus load",
+    "arm": "setpoints at 125 Hz in the whole running robot next to a bare loop",
+    "whole_body": "time of planning tool paths, CPU of their stream, inverse kinematics",
+}
+"""Measured quantities of each benchmark, for the help text."""
+
+EXPERIMENTS = {
+    "coupling": "CCTA 2017 Fig. 7, coupling control on and off (default)",
+    "tool_path": "platform and arm in step, with and without the arm's correction",
+    "free": "the free case of MPC 2021",
+    "corridor": "the corridor case of MPC 2021",
+    "moving": "the case of MPC 2021 with moving obstacles",
+    "workshop": "rooms and doors, with a map",
+    "scenes": "random scenes",
+    "all": "all experiments in turn, and a page that compares measured with published figures",
+}
+"""Description of each experiment, for the help text."""
+
+
+def add_bench(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `omniman bench`."""
+    parser.add_argument(
+        "name",
+        nargs="?",
+        default="control",
+        choices=list(BENCHMARKS),
+        help=_describe(BENCHMARKS),
+    )
+    effort = parser.add_mutually_exclusive_group()
+    effort.add_argument(
+        "--quick", action="store_true", help="take a few samples only, to see that it runs"
+    )
+    effort.add_argument("--full", action="store_true", help="mpc: more steps, scenes and horizons")
+    add_robot(parser)
+    add_results(parser)
+    arm = parser.add_argument_group("arm only")
+    arm.add_argument("--pairs", type=int, metavar="N", help="pairs of blocks; default: 5")
+    arm.add_argument("--seconds", type=float, metavar="S", help="length of each block; default: 8")
+    arm.add_argument(
+        "--priority",
+        type=int,
+        default=50,
+        metavar="N",
+        help="priority of both loops, SCHED_FIFO where it is permitted; 0: none (a busy machine "
+        "may then need -p ur.read_timeout:=0.2); default: %(default)s",
+    )
+    add_parameters(arm)
+
+
+def add_reproduce(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `omniman reproduce`."""
+    parser.add_argument(
+        "name",
+        nargs="?",
+        default="coupling",
+        choices=list(EXPERIMENTS),
+        help=_describe(EXPERIMENTS),
+    )
+    effort = parser.add_mutually_exclusive_group()
+    effort.add_argument(
+        "--quick", action="store_true", help="drive a few times only, to see that it runs"
+    )
+    effort.add_argument("--full", action="store_true", help="drive more often")
+    parser.add_argument(
+        "--seed",
+        type=int,
+        default=0,
+        help="seed of random wheels and of noisy observations; default: %(default)s",
+    )
+    parser.add_argument(
+        "--robot", help=f"{ROBOT_HELP}; default: omniman for coupling and tool_path, else ig42"
+    )
+    parser.add_argument(
+        "--reuse",
+        action="store_true",
+        help="with all: do not repeat an experiment whose JSON file is in the folder",
+    )
+    add_results(parser)
+    scenes = parser.add_argument_group("scenes only, also as part of all")
+    scenes.add_argument("--count", type=int, help="number of scenes, from seed 0 on; default: 240")
+    scenes.add_argument("--seeds", metavar="A:B", help="seeds A to B - 1, or a single seed")
+    scenes.add_argument(
+        "--jobs", type=int, help="number of processes; default: the number of CPUs"
+    )
+    scenes.add_argument(
+        "--solve-time",
+        type=float,
+        metavar="SECONDS",
+        help="time assumed for each answer of the solver, in place of the measured time, so that "
+        "a run repeats exactly",
+    )
+
+
+def _describe(choices: dict[str, str]) -> str:
+    """Return the choices of an argument, each with its description, as one help text."""
+    return ". ".join(f"{name}: {text}" for name, text in choices.items())

@@ -1,0 +1,54 @@
+"""Arguments of the commands that start a robot: `omniman up` and `omniman demo`."""
+
+import argparse
+
+from omniman_ros.cli.arguments.common import (
+    add_arm,
+    add_drive,
+    add_namespace,
+    add_parameters,
+    add_results,
+    add_robot,
+)
+from omniman_ros.processes.arm_options import ARMS
+from omniman_ros.processes.drive_options import DRIVES
+
+
+def add_up(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `omniman up`."""
+    add_robot(parser)
+    add_namespace(parser, "namespace of all nodes and topics")
+    parser.add_argument(
+        "--only", nargs="+", metavar="NODE", help="start only these nodes; default: all"
+    )
+    parser.add_argument(
+        "--sim-time",
+        action="store_true",
+        help="run on /clock, which the simulated drive then publishes",
+    )
+    add_parameters(parser)
+    parser.add_argument("--params-file", metavar="FILE", help="a ROS parameter file for all nodes")
+    add_drive(parser, tuple(DRIVES))
+    add_arm(parser, tuple(ARMS))
+    parser.add_argument(
+        "--controller",
+        default="ur5",
+        metavar="NAME",
+        help="with --arm ur: ur5 or the path of a .yaml file; default: %(default)s",
+    )
+
+
+def add_demo(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `omniman demo`."""
+    add_robot(parser)
+    parser.add_argument(
+        "--keep",
+        action="store_true",
+        help="keep the robot running after the show, in your own ROS domain, for example for "
+        "omniman teleop; Ctrl-C ends it",
+    )
+    parser.add_argument("--verbose", action="store_true", help="show the output of the nodes")
+    add_drive(parser, ("simulated", "can"))
+    add_arm(parser, ("simulated", "none"))
+    add_parameters(parser)
+    add_results(parser)

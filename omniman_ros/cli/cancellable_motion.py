@@ -1,0 +1,65 @@
+"""Motions that a command sends to the robot and follows, and cancels on Ctrl-C."""
+
+from collections.abc import Callable
+from typing import Protocol, TypeVar
+
+from omniman_ros.console.errors import CommandError
+from omniman_ros.console.progress import Progress
+from omniman_ros.console.session import Session
+from omniman_ros.processes.process_group import redirect_signals
+
+
+class Driver(Protocol):
+    """Sends a motion to a node of the robot."""
+
+    def cancel(self) -> None:
+        """Cancel the motion, and wait until the node confirms it."""
+        ...
+
+
+DriverT = TypeVar("DriverT", bound=Driver)
+DriverFactory = Callable[[Session, Progress, Callable[[], None]], DriverT]
+"""Creates a driver from the ROS session, the progress display and a function to poll.
+
+The driver must call that function many times a second; it raises to end the motion early."""
+
+
+def run_motion(
+    name: str, namespace: str, make: DriverFactory[DriverT], move: Callable[[DriverT], None]
+) -> int:
+    """Run a motion of the robot; cancel it when a signal is received.
+
+    Args:
+        name: Name of the ROS node.
+        namespace: Namespace of the robot.
+        make: Makes the driver.
+        move: Sends the motion through the driver, and follows it to its end.
+
+    Returns:
+        The exit code, 0.
+
+    Raises:
+        CommandError: The motion failed.
+        KeyboardInterrupt: The motion was cancelled by a signal.
+    """
+    progress = Progress()
+    # Signals are recorded rather than raised: a KeyboardInterrupt is lost if it is raised within a
+    # callback of the executor.
+    signals: list[int] = []
+
+    def poll() -> None:
+        if signals:
+            raise KeyboardInterrupt
+
+    with redirect_signals(signals.append), Session(name, namespace) as session:
+        driver = make(session, progress, poll)
+        try:
+            move(driver)
+        except KeyboardInterrupt:
+            driver.cancel()
+            progress.abandon()
+            raise
+        except CommandError:
+            progress.abandon()
+            raise
+    return 0

@@ -1,0 +1,86 @@
+"""The commands of `omniman`: module, help text and arguments of each."""
+
+import argparse
+from collections.abc import Callable
+from typing import NamedTuple
+
+from omniman_ros.cli.arguments.description import add_node_parameters, add_urdf
+from omniman_ros.cli.arguments.identification import add_identify
+from omniman_ros.cli.arguments.lab import add_bench, add_reproduce
+from omniman_ros.cli.arguments.motion import add_goal, add_stop, add_teleop, add_tool
+from omniman_ros.cli.arguments.recording import add_plot, add_record
+from omniman_ros.cli.arguments.robot import add_demo, add_up
+
+
+class Command(NamedTuple):
+    """A command of `omniman`.
+
+    Attributes:
+        module: Module with the function `run(args) -> int` that returns the exit code; it is
+            imported only when the command runs.
+        help: Help text, without a capital and a full stop.
+        add_arguments: Adds the command's arguments to its parser.
+    """
+
+    module: str
+    help: str
+    add_arguments: Callable[[argparse.ArgumentParser], None]
+
+
+COMMANDS = {
+    "up": Command(
+        "omniman_ros.cli.up", "start the nodes; Ctrl-C stops the robot and ends them", add_up
+    ),
+    "teleop": Command(
+        "omniman_ros.cli.teleop",
+        "drive with the keyboard: hold a key to drive, release it to stop",
+        add_teleop,
+    ),
+    "goal": Command(
+        "omniman_ros.cli.goal",
+        "send the robot to a goal among obstacles; Ctrl-C cancels",
+        add_goal,
+    ),
+    "tool": Command(
+        "omniman_ros.cli.tool",
+        "move the tool along a straight line to a position; Ctrl-C cancels",
+        add_tool,
+    ),
+    "stop": Command(
+        "omniman_ros.cli.stop_reset",
+        "stop every node that moves something, until it is reset",
+        add_stop,
+    ),
+    "reset": Command(
+        "omniman_ros.cli.stop_reset", "release stopped nodes; moves nothing by itself", add_stop
+    ),
+    "record": Command(
+        "omniman_ros.cli.record", "record the robot's topics as a rosbag2 recording", add_record
+    ),
+    "plot": Command(
+        "omniman_ros.cli.plot", "draw the standard figures from a recording", add_plot
+    ),
+    "demo": Command(
+        "omniman_ros.demo.command",
+        "drive a simulated robot and measure it, in a minute and a half",
+        add_demo,
+    ),
+    "identify": Command(
+        "omniman_ros.cli.identify", "measure properties of the robot by driving it", add_identify
+    ),
+    "parameters": Command(
+        "omniman_ros.cli.parameters", "list the parameters of the nodes", add_node_parameters
+    ),
+    "urdf": Command(
+        "omniman_ros.cli.urdf", "print the robot's description for RViz and MoveIt", add_urdf
+    ),
+    "reproduce": Command(
+        "omniman_ros.lab.reproduce.command",
+        "repeat a paper's experiment in simulation",
+        add_reproduce,
+    ),
+    "bench": Command(
+        "omniman_ros.lab.bench.command", "measure the performance of the control", add_bench
+    ),
+}
+"""Commands by name, in the order in which the help lists them."""

@@ -1,0 +1,1 @@
+"""Parts that commands share: terminal output, progress, results, errors and a ROS session."""

@@ -1,0 +1,60 @@
+"""Results of demo and benchmarks: a JSON file, and the same JSON as the last line printed."""
+
+import json
+import math
+import os
+import platform
+import tempfile
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from omniman_ros.console.terminal import say
+
+
+def rounded(value: Any, digits: int = 4) -> Any:
+    """Return a value with floats rounded to significant digits; non-finite ones become None."""
+    if isinstance(value, Mapping):
+        return {str(key): rounded(item, digits) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [rounded(item, digits) for item in value]
+    if isinstance(value, float):
+        return float(f"{value:.{digits}g}") if math.isfinite(value) else None
+    return value
+
+
+def run_metadata() -> dict[str, Any]:
+    """Return the time at which, and the machine on which, a result was produced."""
+    return {
+        "time": datetime.now(UTC).isoformat(timespec="seconds"),
+        "python": platform.python_version(),
+        "machine": platform.machine(),
+        "cores": os.cpu_count(),
+    }
+
+
+def publish(name: str, result: Mapping[str, Any], folder: str | Path = "results") -> Path:
+    """Write a result atomically to FOLDER/NAME.json, and print it as the last line.
+
+    Args:
+        name: Name of the result.
+        result: Values of the result; its floats are rounded to four significant digits.
+        folder: Folder of the file, created if it does not exist.
+
+    Returns:
+        The path of the file.
+
+    Raises:
+        OSError: The folder cannot be written.
+    """
+    text = json.dumps(rounded({"name": name, **result, "about": run_metadata()}), allow_nan=False)
+    path = Path(folder) / f"{name}.json"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.NamedTemporaryFile("w", dir=path.parent, suffix=".tmp", delete=False) as file:
+        file.write(json.dumps(json.loads(text), indent=2) + "\n")
+    Path(file.name).chmod(0o644)
+    os.replace(file.name, path)
+    say(f"Written to {path}:")
+    say(text)
+    return path

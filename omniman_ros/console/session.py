@@ -1,0 +1,135 @@
+"""A command's own ROS node, which the command spins without threads."""
+
+import time
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any, Self
+
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+DISCOVERY_TIMEOUT = 15.0
+"""Time within which another process has to be discovered [s]; it usually takes 0.1 s."""
+ANNOUNCEMENT_TIME = 3.5
+"""Time after which all participants of a domain are known [s]: DDS announces them every 3 s."""
+MAX_SPIN_TIME = 0.05
+"""Longest time in the executor between two checks of a condition [s]."""
+
+
+class Session:
+    """A ROS node with a context and an executor of its own, as a context manager.
+
+    Signals are left to the command: rclpy's handlers would shut the context down before a last
+    message could be sent.
+
+    Args:
+        name: Name of the node.
+        namespace: Namespace of the node, relative or absolute.
+        events: Whether to use the events executor, which is leaner and more punctual.
+
+    Attributes:
+        context: Context of the node, set within the `with` block.
+        node: The node, set within the `with` block.
+    """
+
+    def __init__(self, name: str, namespace: str = "", events: bool = True) -> None:
+        self._name = name
+        self._namespace = namespace
+        self._events = events
+
+    def __enter__(self) -> Self:
+        self.context = rclpy.Context()
+        rclpy.init(args=[], context=self.context, signal_handler_options=SignalHandlerOptions.NO)
+        self.node = Node(
+            self._name,
+            namespace=self._namespace,
+            context=self.context,
+            start_parameter_services=False,
+        )
+        self._executor = self._make_executor()
+        self._executor.add_node(self.node)
+        return self
+
+    def _make_executor(self) -> Any:
+        if self._events:
+            from rclpy.experimental import EventsExecutor
+
+            return EventsExecutor(context=self.context)
+        return SingleThreadedExecutor(context=self.context)
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._executor.remove_node(self.node)
+        # An executor that lives keeps the node's participant in the domain until it is collected.
+        self._executor.shutdown()
+        self.node.destroy_node()
+        rclpy.try_shutdown(context=self.context)
+
+    def spin(self, seconds: float) -> None:
+        """Serve callbacks for some time [s]; those that are ready are served in any case."""
+        # EventsExecutor.spin_once() serves a single event; this call serves all that are ready.
+        future = rclpy.Future(executor=None)
+        self._executor.spin_until_future_complete(future, timeout_sec=max(seconds, 0.0))
+
+    def wait(self, condition: Callable[[], bool], timeout: float) -> bool:
+        """Serve callbacks until a condition holds.
+
+        Args:
+            condition: Checked after each callback, at least every `MAX_SPIN_TIME`.
+            timeout: Longest time to wait [s].
+
+        Returns:
+            Whether the condition holds.
+        """
+        end = time.monotonic() + timeout
+        while not condition():
+            remaining = end - time.monotonic()
+            if remaining <= 0.0:
+                return False
+            self._spin_once(min(remaining, MAX_SPIN_TIME))
+        return True
+
+    def _spin_once(self, timeout: float) -> None:
+        self._executor.spin_once(timeout_sec=timeout)
+
+
+class PeriodicTicks:
+    """Iterates at a fixed period for a duration, and serves callbacks meanwhile.
+
+    Each iteration yields the time since the start [s]. Ticks that are missed by more than a period
+    are skipped.
+
+    Args:
+        session: ROS session whose callbacks are served.
+        duration: Time after which the iteration ends [s].
+        period: Time between two ticks [s].
+        check: Called before each tick; it raises to end the iteration early.
+    """
+
+    def __init__(
+        self, session: Session, duration: float, period: float, check: Callable[[], None]
+    ) -> None:
+        self._session = session
+        self._period = period
+        self._check = check
+        self._start = time.monotonic()
+        self._end = self._start + duration
+        self._next = self._start
+
+    def __iter__(self) -> Self:
+        return self
+
+    def __next__(self) -> float:
+        self._session.spin(self._next - time.monotonic())
+        self._check()
+        now = time.monotonic()
+        if now >= self._end:
+            raise StopIteration
+        self._next = max(self._next + self._period, now)
+        return now - self._start

@@ -1,0 +1,1 @@
+"""Control of the platform: odometry, kinematics, dynamics and the controllers of CCTA 2017."""

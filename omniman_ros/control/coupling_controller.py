@@ -1,0 +1,76 @@
+"""Coupling controller: it keeps the wheels within the platform's motion constraints.
+
+Source: CCTA 2017 (12), (24), (25), with J_a corrected (its last columns are T+).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from omniman_ros.control.kinematics import PlatformKinematics
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.parameters import parameter
+
+
+@dataclass(frozen=True)
+class CouplingParameters:
+    """Gain and authority of the coupling controller."""
+
+    k_epsilon: float = parameter(
+        15.0,
+        "Gain k_epsilon of the coupling error, 0 for off; the paper's value is 2.",
+        unit="1/s",
+        low=0,
+        high=50,
+    )
+    authority: float = parameter(
+        0.2,
+        "Largest correction of a wheel over the fastest wheel's reference speed.",
+        low=0,
+        high=1,
+    )
+
+
+class CouplingController:
+    """Reduces the coupling error: epsilon'_c = -k_epsilon epsilon, fed to the wheels through J_a.
+
+    The default gain was chosen by `omniman reproduce coupling`: it removes nine tenths of the
+    error, and with wheels off the floor (where nothing else damps) the loop settles although
+    commands come 50 ms late; a gain of 30 oscillates. There is deliberately no integral part:
+    drives have one, and with two epsilon oscillates against the floor and slips more. Epsilon is
+    reset at rest: wheels that have slipped stay where they are, as to rotate them back would be
+    slip again.
+
+    Attributes:
+        error: Coupling error epsilon (m,) since the last stop, integrated from the encoders
+            [rad].
+    """
+
+    def __init__(self, kinematics: PlatformKinematics, parameters: CouplingParameters) -> None:
+        self.error: Array = np.zeros(kinematics.constraint_count)
+        self.configure(kinematics, parameters)
+
+    def configure(self, kinematics: PlatformKinematics, parameters: CouplingParameters) -> None:
+        """Set kinematics of the same wheels and new parameters; the error is kept."""
+        self._spread = kinematics.T_pinv
+        self._parameters = parameters
+
+    def add(self, step: Array) -> None:
+        """Integrate a step (m,) of the coupling error [rad], CCTA (24)."""
+        self.error = self.error + step
+
+    def reset(self) -> None:
+        """Set the error to zero: at rest, the wheels have settled where they are."""
+        self.error = np.zeros_like(self.error)
+
+    def correction(self, wheel_speeds: Array) -> Array:
+        """Return the correction (n,) of wheel speeds (n,) [rad/s], CCTA (25) through J_a (14).
+
+        The authority bounds it with one factor for all wheels, so that it fades with the speed,
+        never moves a platform at rest, and never adds a motion of the platform.
+        """
+        rate = -self._parameters.k_epsilon * self.error
+        change: Array = self._spread @ rate
+        largest = float(np.abs(change).max())
+        bound = self._parameters.authority * float(np.abs(wheel_speeds).max())
+        return change * (bound / largest) if largest > bound else change

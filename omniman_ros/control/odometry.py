@@ -1,0 +1,232 @@
+"""Odometry: wheel motion to pose on SE(2), with a covariance that grows with the wheels' slip.
+
+Source: CCTA 2017 (13) and (17) for the displacement; the pose is composed on SE(2) exactly, so a
+constant twist gives the same pose for any step.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from omniman_ros.control.kinematics import PlatformKinematics
+from omniman_ros.core import plausible, se2
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.errors import InputError, ParameterError
+from omniman_ros.core.parameters import parameter
+
+MIN_DETERMINANT = 0.05
+"""Smallest determinant of the calibration matrix; below it, directions would be mixed up."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class OdometryParameters:
+    """Calibration and noise of the odometry.
+
+    The calibration is a matrix that multiplies the measured twist: scales are on its diagonal,
+    cross terms from one direction to another beside it. Wheels mounted at a small offset or angle
+    need all nine entries; wrong radii alone are better corrected by `wheel_scale`, which the
+    kinematics follow, too.
+
+    Raises:
+        ParameterError: The calibration matrix is (nearly) singular.
+    """
+
+    scale_x: float = parameter(1.0, "True over measured travel, forward.", low=0.5, high=2)
+    scale_y: float = parameter(1.0, "True over measured travel, sideways.", low=0.5, high=2)
+    scale_yaw: float = parameter(1.0, "True over measured rotation.", low=0.5, high=2)
+    x_per_y: float = parameter(
+        0.0, "True travel forward per measured travel sideways.", low=-0.5, high=0.5
+    )
+    x_per_yaw: float = parameter(
+        0.0, "True travel forward per measured rotation.", unit="m/rad", low=-0.5, high=0.5
+    )
+    y_per_x: float = parameter(
+        0.0, "True travel sideways per measured travel forward.", low=-0.5, high=0.5
+    )
+    y_per_yaw: float = parameter(
+        0.0, "True travel sideways per measured rotation.", unit="m/rad", low=-0.5, high=0.5
+    )
+    yaw_per_x: float = parameter(
+        0.0, "True rotation per measured travel forward.", unit="rad/m", low=-0.5, high=0.5
+    )
+    yaw_per_y: float = parameter(
+        0.0, "True rotation per measured travel sideways.", unit="rad/m", low=-0.5, high=0.5
+    )
+    wheel_scale: tuple[float, ...] = parameter(
+        (1.0,),
+        "True over configured radius of each wheel; one value or one per wheel.",
+        low=0.5,
+        high=2,
+    )
+    encoder_span: float = parameter(
+        0.0,
+        "Range after which wheel_states positions wrap; 0 if they do not.",
+        unit="rad",
+        low=0,
+        read_only=True,
+    )
+    noise_translation: float = parameter(
+        1e-4, "Variance of the position gained per metre.", unit="m^2/m", low=0, high=10
+    )
+    noise_rotation: float = parameter(
+        1e-3, "Variance of the heading gained per radian.", unit="rad^2/rad", low=0, high=10
+    )
+    noise_drift: float = parameter(
+        1e-4, "Variance of the heading gained per metre.", unit="rad^2/m", low=0, high=10
+    )
+    noise_slip: float = parameter(
+        0.1,
+        "Variance of position [m^2] and heading [rad^2] gained per metre of coupling "
+        "residual at the rim.",
+        unit="m^2/m",
+        low=0,
+        high=100,
+    )
+    slip_threshold: float = parameter(
+        0.05,
+        "Coupling residual at the rim above which the wheels count as slipping.",
+        unit="m/s",
+        low=1e-4,
+        high=10,
+    )
+    slip_filter: float = parameter(
+        0.1, "Time constant of the coupling residual's filter.", unit="s", low=0.005, high=10
+    )
+
+    def __post_init__(self) -> None:
+        determinant = float(np.linalg.det(self.correction))
+        if determinant < MIN_DETERMINANT:
+            raise ParameterError(
+                "odometry.scale_x",
+                self.scale_x,
+                f"with the other scales and cross terms the calibration matrix has the "
+                f"determinant {determinant:.3g}, below {MIN_DETERMINANT:g}",
+            )
+
+    @property
+    def correction(self) -> Array:
+        """Calibration matrix (3, 3): measured to true twist in base_link [m, m, rad]."""
+        return np.array(
+            [
+                [self.scale_x, self.x_per_y, self.x_per_yaw],
+                [self.y_per_x, self.scale_y, self.y_per_yaw],
+                [self.yaw_per_x, self.yaw_per_y, self.scale_yaw],
+            ]
+        )
+
+
+class Odometry:
+    """Integrates the motion of the wheels to the pose of base_link in odom.
+
+    Attributes:
+        pose: Pose (x, y, theta) in odom [m, m, rad]; theta is not wrapped.
+        twist: Twist (3,) in base_link [m/s, m/s, rad/s].
+        constraint_rate: Rate (m,) of the coupling error, epsilon' of CCTA 2017 (12) [rad/s].
+        slipping: Whether the filtered coupling residual is above its threshold.
+    """
+
+    def __init__(self, kinematics: PlatformKinematics, parameters: OdometryParameters) -> None:
+        self.pose = (0.0, 0.0, 0.0)
+        self.twist: Array = np.zeros(3)
+        self.slipping = False
+        self._covariance = [0.0] * 6
+        self.configure(kinematics, parameters)
+
+    def configure(self, kinematics: PlatformKinematics, parameters: OdometryParameters) -> None:
+        """Set new kinematics and parameters; the pose is kept."""
+        m = kinematics.constraint_count
+        self._forward = np.vstack([parameters.correction @ kinematics.J_pinv, kinematics.T])
+        # Travel at the rim per radian of each constraint.
+        self._rim = 1.0 / np.linalg.norm(kinematics.J[:, :2], axis=1).max()
+        self._parameters = parameters
+        self.constraint_rate: Array = np.zeros(m)
+        self._residual = np.zeros(m)
+
+    def reset(
+        self,
+        pose: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        covariance: Array | None = None,
+    ) -> None:
+        """Set the pose; the twist is kept.
+
+        Args:
+            pose: Pose x, y, theta in odom [m, m, rad].
+            covariance: Covariance (3, 3) of the pose; None means zero.
+
+        Raises:
+            InputError: A number is not finite, or the covariance is not (3, 3).
+        """
+        plausible.demand(np.array(pose[:2]), plausible.LENGTH, "position")
+        plausible.demand(np.array(pose[2:]), plausible.ANGLE, "heading")
+        if covariance is None:
+            covariance = np.zeros((3, 3))
+        if covariance.shape != (3, 3):
+            raise InputError(f"covariance has shape {covariance.shape}, expected (3, 3)")
+        plausible.demand(covariance, plausible.COVARIANCE, "covariance")
+        covariance = (covariance + covariance.T) / 2
+        if np.linalg.eigvalsh(covariance).min() < -1e-9:
+            raise InputError("the pose's covariance has a negative variance")
+        self.pose = (float(pose[0]), float(pose[1]), float(pose[2]))
+        rows, columns = (0, 0, 1, 0, 1, 2), (0, 1, 1, 2, 2, 2)
+        self._covariance = covariance[rows, columns].tolist()
+
+    @property
+    def covariance(self) -> Array:
+        """Covariance (3, 3) of (x, y, theta) in odom [m^2, m rad, rad^2]."""
+        xx, xy, yy, xt, yt, tt = self._covariance
+        return np.array([[xx, xy, xt], [xy, yy, yt], [xt, yt, tt]])
+
+    def update(self, wheel_steps: Array, wheel_speeds: Array, dt: float) -> Array:
+        """Add the motion of the wheels during `dt`.
+
+        Args:
+            wheel_steps: Rotation (n,) of each wheel since the last update [rad].
+            wheel_speeds: Speed (n,) of each wheel now [rad/s], for the twist.
+            dt: Time since the last update [s], above 0.
+
+        Returns:
+            Step (m,) of the coupling error epsilon [rad], CCTA 2017 (12).
+        """
+        steps = self._forward @ wheel_steps
+        rates = self._forward @ wheel_speeds
+        self.twist = rates[:3]
+        self.constraint_rate = rates[3:]
+        x, y, theta = self.pose
+        dx, dy, dtheta = se2.arc(steps[:3])
+        c, s = math.cos(theta), math.sin(theta)
+        east, north = c * dx - s * dy, s * dx + c * dy
+        self.pose = (x + east, y + north, theta + dtheta)
+        step = steps[3:]
+        slip = 0.0
+        if step.size:
+            gain = 1.0 - math.exp(-dt / self._parameters.slip_filter)
+            self._residual += gain * (step / dt - self._residual)
+            slip = self._rim * float(np.abs(self._residual).max())
+            self.slipping = slip > self._parameters.slip_threshold
+        self._grow(east, north, dtheta, slip * dt)
+        return step
+
+    def _grow(self, east: float, north: float, dtheta: float, slip: float) -> None:
+        """Update the covariance, F P F' + Q of the composition, written out for the six entries.
+
+        Args:
+            east: Travel along odom's x [m].
+            north: Travel along odom's y [m].
+            dtheta: Rotation [rad].
+            slip: Coupling residual at the rim times the time [m].
+        """
+        p = self._parameters
+        xx, xy, yy, xt, yt, tt = self._covariance
+        a, b = -north, east
+        travel = math.hypot(east, north)
+        q = p.noise_translation * travel + p.noise_slip * slip
+        q_yaw = p.noise_rotation * abs(dtheta) + p.noise_drift * travel + p.noise_slip * slip
+        self._covariance = [
+            xx + 2 * a * xt + a * a * tt + q,
+            xy + a * yt + b * xt + a * b * tt,
+            yy + 2 * b * yt + b * b * tt + q,
+            xt + a * tt,
+            yt + b * tt,
+            tt + q_yaw,
+        ]

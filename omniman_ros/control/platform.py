@@ -1,0 +1,426 @@
+"""The platform controller without ROS: odometry, arbitration, and the cascade of CCTA 2017 Fig. 6.
+
+Inputs may come at any time (`update_wheels`, `set_*`); the output is computed once a tick
+(`tick`). Time is always an argument, on one steady clock of the caller's.
+"""
+
+import numpy as np
+
+from omniman_ros.control.follower import FollowingError, PreviewFollower
+from omniman_ros.control.limits import TwistLimiter, ramp_down, ratio
+from omniman_ros.control.odometry import Odometry
+from omniman_ros.control.platform_parameters import PlatformParameters
+from omniman_ros.control.wheel_cascade import DriveMode, WheelCascade, WheelCommand
+from omniman_ros.control.wheel_feedback import WheelFeedback
+from omniman_ros.control.wheel_health import WheelHealthMonitor, dead_wheel_indices
+from omniman_ros.core import plausible
+from omniman_ros.core.arbiter import Arbiter, Source
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.errors import InputError, ParameterError
+from omniman_ros.core.preview import Preview
+from omniman_ros.core.stop import StopLatch
+
+MAX_TICK = 0.1
+"""Longest time between two ticks that counts; after a longer one the caller has stalled [s]."""
+OVERSPEED = 1.1
+"""Ratio of a wheel's or the platform's speed to its limit above which voltages are not passed
+on."""
+MAX_LEAD = 1.0
+"""Longest time from now to the beginning of a preview that is accepted [s]."""
+RESET_REST_SPEED = 0.1
+"""Wheel speed above which the robot does not count as at rest, so that a reset is refused
+[rad/s]."""
+PREVIEW_REST_SPEED = 1e-6
+"""Speed at the end of a preview up to which it ends at rest [m/s, rad/s]: then the platform has
+arrived; otherwise the preview has run out."""
+
+
+class PlatformController:
+    """Follows cmd_vel, previews or voltages within limits, and stops on every fault.
+
+    Attributes:
+        parameters: Current parameters.
+        odometry: Pose, twist and covariance.
+        cascade: Kinematics, dynamics, coupling controller and wheel controllers.
+        feedback: Last feedback of the wheels.
+        wheel_health: Faults of wheels, wheels that do not drive, and the limits that remain.
+        latch: Latch that stops the platform.
+        arbiter: Decides which source drives.
+        setpoint: Twist (3,) of the last tick in base_link [m/s, m/s, rad/s].
+        cancelled: Reason why a source lost control in the last tick, or empty.
+    """
+
+    def __init__(self, parameters: PlatformParameters) -> None:
+        robot = parameters.robot
+        self.parameters = parameters
+        self.latch = StopLatch()
+        self.arbiter = Arbiter(_silences(parameters))
+        self.cascade = WheelCascade(parameters, dead_wheel_indices(parameters))
+        self.wheel_health = WheelHealthMonitor(parameters, self.cascade)
+        self.odometry = Odometry(self.cascade.kinematics, parameters.odometry)
+        self.feedback = WheelFeedback(
+            robot.wheel_count, parameters.odometry.encoder_span, robot.motor.max_speed
+        )
+        self.setpoint: Array = np.zeros(3)
+        self.cancelled = ""
+        self._limiter = TwistLimiter(self.wheel_health.limits)
+        self._follower = PreviewFollower(parameters.position)
+        self._target: Array = np.zeros(3)
+        self._volts: Array | None = None
+        self._previews: dict[Source, Preview] = {}
+        self._last_tick: float | None = None
+        self._stalled_at: float | None = None
+
+    def configure(self, parameters: PlatformParameters) -> None:
+        """Set new limits and gains while running; a motion continues without a jump.
+
+        Raises:
+            GeometryError: The wheels would not make a platform; nothing is changed.
+            ParameterError: Wheels are calibrated or excluded in motion, or too few remain.
+        """
+        before = self.parameters
+        for name, new, old in (
+            ("odometry.wheel_scale", parameters.odometry.wheel_scale, before.odometry.wheel_scale),
+            ("drive.dead", parameters.drive.dead, before.drive.dead),
+        ):
+            if new != old and not self.at_rest:
+                raise ParameterError(name, new, "the platform moves: stop it first")
+        self.cascade.configure(parameters, self.wheel_health.idle_wheels(parameters))
+        self.parameters = parameters
+        self.arbiter.silence = _silences(parameters)
+        self.feedback.max_speed = parameters.robot.motor.max_speed
+        self._follower.gains = parameters.position
+        self._adopt_models()
+
+    def _adopt_models(self) -> None:
+        """Pass on the models of the cascade after they have changed."""
+        self.wheel_health.configure(self.parameters, self.cascade)
+        self.odometry.configure(self.cascade.kinematics, self.parameters.odometry)
+        self._limiter.limits = self.wheel_health.limits
+
+    # ---- inputs: each returns the reason why it is not used, a warning, or an empty string --
+
+    def update_wheels(
+        self,
+        time: float,
+        now: float,
+        position: Array | None,
+        velocity: Array | None,
+        effort: Array | None = None,
+    ) -> str:
+        """Process the state of the wheels; position or velocity must be present.
+
+        Args:
+            time: Time of the measurement [s]; odometry runs on it.
+            now: Time of arrival [s]; the timeout runs on the older of the two.
+            position: Positions (n,) [rad], or None.
+            velocity: Speeds (n,) [rad/s], or None.
+            effort: Torques (n,) [N m], or None. Without them, or if one is not finite, a dead
+                wheel is not found.
+
+        Returns:
+            Warning to log, or an empty string.
+
+        Raises:
+            InputError: A size is wrong, a number is not finite, there is no content, or the state
+                is not newer than the last one.
+        """
+        self.wheel_health.update_torques(time, effort)
+        step = self.feedback.update(time, now, position, velocity)
+        if step is None:
+            return ""
+        self.cascade.coupling.add(self.odometry.update(step.moved, step.speeds, step.dt))
+        return step.warning
+
+    def set_twist(self, twist: Array, now: float, age: float = 0.0) -> str:
+        """Set the target of `cmd_vel`.
+
+        Args:
+            twist: Body twist (3,) [m/s, m/s, rad/s].
+            now: Time of arrival [s].
+            age: Age at that time [s].
+
+        Returns:
+            Why it is not used, or an empty string.
+
+        Raises:
+            InputError: The size is wrong, a number is not finite, or the twist is stale.
+        """
+        if twist.shape != (3,):
+            raise InputError(f"cmd_vel: has {twist.size} numbers, expected 3")
+        plausible.demand(twist, plausible.SPEED, "cmd_vel: twist")
+        until = _fresh_until("cmd_vel", now, age, self.parameters.timeouts.cmd_vel)
+        refusal = self._offer(Source.CMD_VEL, now, until, neutral=not twist.any())
+        if not refusal:
+            self._target = np.array(twist)
+        return refusal
+
+    def set_preview(self, source: Source, preview: Preview, now: float) -> str:
+        """Set the preview of a source; it is valid until it ends.
+
+        Args:
+            source: Source of the preview.
+            preview: Motion of the platform in odom.
+            now: Time of arrival [s].
+
+        Returns:
+            Why it is not used, or an empty string.
+
+        Raises:
+            InputError: The preview has ended already, or begins too late to be followed now.
+        """
+        if preview.start > now + MAX_LEAD:
+            raise InputError(f"{source.value}/reference: begins in {preview.start - now:.3g} s")
+        if preview.end < now:
+            age = now - preview.end
+            raise InputError(f"{source.value}/reference: stale, it ended {age:.3f} s ago")
+        ends_at_rest = preview.end_speed <= PREVIEW_REST_SPEED
+        hold_time = self.parameters.timeouts.reference if ends_at_rest else 0.0
+        refusal = self._offer(source, now, preview.end + hold_time)
+        if not refusal:
+            self._previews[source] = preview
+            self._volts = None if source is Source.MPC else self._volts
+        return refusal
+
+    def set_voltages(self, volts: Array, now: float, age: float = 0.0) -> str:
+        """Set the motor voltages of the MPC.
+
+        Args:
+            volts: Voltages (n,) [V].
+            now: Time of arrival [s].
+            age: Age at that time [s].
+
+        Returns:
+            Why they are not used, or an empty string.
+
+        Raises:
+            InputError: The size is wrong, a number is not finite, the voltages are stale, the
+                drives have no voltage mode, or a wheel is dead.
+        """
+        n = self.parameters.robot.wheel_count
+        if volts.shape != (n,):
+            raise InputError(f"mpc/voltages: {volts.size} voltages for {n} wheels")
+        plausible.demand(volts, plausible.EFFORT, "mpc/voltages: volts")
+        if DriveMode.VOLTAGE.value not in self.parameters.drive.offered:
+            raise InputError("mpc/voltages: the drives have no voltage mode")
+        if self.wheel_health.idle:
+            raise InputError("mpc/voltages: are computed for all wheels, but one is dead")
+        until = _fresh_until("mpc/voltages", now, age, self.parameters.timeouts.voltages)
+        refusal = self._offer(Source.MPC, now, until)
+        if not refusal:
+            limit = self.parameters.robot.motor.max_voltage
+            self._volts = np.clip(volts, -limit, limit)
+        return refusal
+
+    def _offer(self, source: Source, now: float, fresh_until: float, neutral: bool = False) -> str:
+        """Offer a setpoint to the arbiter; return why it is not used, or an empty string."""
+        if not self.latch.released:
+            status = self.latch.status
+            return self.arbiter.refuse(source, now, f"{status.state.value}: {status.reason}")
+        if not self.feedback.received:
+            return "no wheel_states yet"
+        return self.arbiter.offer(source, now, fresh_until, neutral)
+
+    @property
+    def tracking_error(self) -> Array:
+        """Error (3,) of the last tick that followed a preview [m, m, rad]."""
+        return self._follower.error
+
+    # ---- stops ------------------------------------------------------------------------------
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the setpoint of the wheels is zero."""
+        return not self.setpoint.any()
+
+    def fault(self, now: float) -> str:
+        """Return the present fault, which keeps a stop latched; empty if there is none."""
+        age = self.feedback.age(now)
+        if self.feedback.received and age > self.parameters.timeouts.wheel_states:
+            return f"wheel_states silent for {age:.2f} s"
+        return ""
+
+    def reset(self, now: float) -> None:
+        """Clear a latched stop; nothing moves until a source sends a new setpoint.
+
+        Raises:
+            ResetRefusedError: See StopLatch.reset.
+        """
+        rotating = float(np.abs(self.feedback.speeds).max()) > RESET_REST_SPEED
+        self.latch.reset(at_rest=self.at_rest and not rotating, fault=self.fault(now))
+        self.arbiter.cancel_all("reset")
+        self.wheel_health.reset()
+        self._adopt_idle_wheels()
+
+    def set_pose(self, pose: tuple[float, float, float], covariance: Array | None = None) -> None:
+        """Set the pose of the odometry, and cancel the sources that send previews.
+
+        Args:
+            pose: Pose x, y, theta in odom [m, m, rad].
+            covariance: Covariance (3, 3) of the pose; None means zero.
+
+        Raises:
+            InputError: See Odometry.reset.
+        """
+        self.odometry.reset(pose, covariance)
+        for source in (Source.MPC, Source.PATH):
+            self.arbiter.cancel(source, "the pose was set")
+
+    def _check(self, now: float, dt: float) -> None:
+        """Latch a stop for each fault; a stop cancels every source."""
+        fault = self.fault(now)
+        if fault and (self.arbiter.active is not None or not self.at_rest):
+            self.latch.stop(fault)
+        elif fault and self.latch.released:
+            self.feedback.forget()
+        driven = self.arbiter.active is not None
+        wheel_fault = self.wheel_health.check(self.cascade, self.feedback, driven, now, dt)
+        if wheel_fault and self.latch.released:
+            self.latch.stop(wheel_fault)
+        self._adopt_idle_wheels()
+        if not self.latch.released:
+            self.arbiter.cancel_all(self.latch.status.reason)
+
+    def _adopt_idle_wheels(self) -> None:
+        """Update the models if wheels have become idle, or are driven again."""
+        if self.wheel_health.idle == self.cascade.kinematics.idle:
+            return
+        self.cascade.configure(self.parameters, self.wheel_health.idle)
+        self._adopt_models()
+        if self._volts is not None and self.wheel_health.idle:
+            self._volts = None
+            self._cancel(Source.MPC, "mpc/voltages are computed for all wheels, but one is dead")
+
+    # ---- output -----------------------------------------------------------------------------
+
+    def tick(self, now: float) -> WheelCommand | None:
+        """Return the command for the tick at `now` [s], or None if there is none.
+
+        If simulated time goes back, every source is cancelled and feedback starts anew. After the
+        caller has stalled there is no command until the wheels have reported again: the drives
+        have begun to ramp down by themselves, and the motion continues from their speeds.
+        """
+        elapsed = 0.0 if self._last_tick is None else now - self._last_tick
+        dt = min(max(elapsed, 0.0), MAX_TICK)
+        self._last_tick = now
+        self.cancelled = ""
+        if elapsed < -MAX_TICK:
+            self.arbiter.restart(now, "time went back")
+            self.feedback.forget()
+        elif elapsed > MAX_TICK:
+            self.arbiter.resume(now)
+            self._stalled_at = now
+            return None  # messages that came meanwhile are handled before the next tick
+        self._check(now, dt)
+        if self._stalled_at is not None and not self._recovered(self._stalled_at, dt):
+            return None
+        source = self.arbiter.select(now)
+        measured, before = self.feedback.speeds, self.setpoint
+        if source is Source.MPC and self._volts is not None:
+            self.setpoint = self.cascade.kinematics.J_pinv @ measured
+            self._limiter.restart()
+            if not self._too_fast(measured):
+                return self.cascade.voltage_command(
+                    self._volts, measured, self.wheel_health.probe(now)
+                )
+            self._cancel(
+                source, "mpc/voltages drove a wheel or the platform above its speed limit"
+            )
+            source, before = None, self.setpoint
+        twist, rate = self._motion(source, now, dt)
+        reachable = self._reachable(twist, before, dt)
+        if self.cascade.saturated or rate is None:
+            rate = (reachable - before) / dt if dt > 0.0 else np.zeros(3)
+        self.setpoint = reachable
+        driven = self.arbiter.active is not None
+        if not driven and not reachable.any():
+            return self.cascade.rest_command(measured)
+        mode = DriveMode(self.parameters.drive.mode) if driven else DriveMode.VELOCITY
+        probe = self.wheel_health.probe(now) if driven else None
+        return self.cascade.command(reachable, rate, measured, mode, dt, probe)
+
+    def _recovered(self, stalled_at: float, dt: float) -> bool:
+        """Continue from the measured motion once the wheels have reported after a stall.
+
+        Args:
+            stalled_at: Time at which the stall was noticed [s].
+            dt: Time since the last tick [s].
+
+        Returns:
+            Whether commands can be sent again.
+        """
+        if not self.feedback.received and self.at_rest:
+            self._stalled_at = None
+            return True
+        if self.feedback.time < stalled_at:
+            self.setpoint = ramp_down(self.setpoint, self.wheel_health.limits.deceleration, dt)
+            return False
+        self.setpoint = self.cascade.kinematics.J_pinv @ self.feedback.speeds
+        if not self.feedback.speeds.any():
+            self.setpoint = np.zeros(3)
+        self._limiter.restart()
+        self._stalled_at = None
+        return True
+
+    def _too_fast(self, measured: Array) -> bool:
+        """Return whether wheels or platform exceed their limits, which voltages do not respect."""
+        limits, motor = self.wheel_health.limits, self.parameters.robot.motor
+        wheels = float(np.abs(measured).max()) > OVERSPEED * motor.max_speed
+        return wheels or ratio(self.setpoint, limits.velocity) > OVERSPEED
+
+    def _reachable(self, twist: Array, before: Array, dt: float) -> Array:
+        """Return the twist within the wheels' speed; a limit lowered in motion is ramped to."""
+        reachable = self.cascade.reachable(twist)
+        if self.cascade.saturated:
+            deceleration = self.wheel_health.limits.deceleration
+            slowest = ramp_down(before, deceleration, dt)
+            if ratio(slowest, deceleration) > ratio(reachable, deceleration):
+                return slowest
+        return reachable
+
+    def _motion(self, source: Source | None, now: float, dt: float) -> tuple[Array, Array | None]:
+        """Return the twist (3,) in base_link for this tick; its rate if the source knows it."""
+        if source is Source.CMD_VEL:
+            return self._limiter.step(self.setpoint, self._target, dt), None
+        self._limiter.restart()
+        followed = None if source is None else self._follow(source, now, dt)
+        if followed is None:
+            return ramp_down(self.setpoint, self.wheel_health.limits.deceleration, dt), None
+        return followed
+
+    def _follow(self, source: Source, now: float, dt: float) -> tuple[Array, Array] | None:
+        """Return twist and rate in base_link that follow a preview; None if it was cancelled."""
+        try:
+            return self._follower.step(
+                self._previews[source],
+                self.odometry,
+                self.feedback.time,
+                self.setpoint,
+                self.wheel_health.limits,
+                now,
+                dt,
+            )
+        except FollowingError as error:
+            self._cancel(source, str(error))
+            return None
+
+    def _cancel(self, source: Source, reason: str) -> None:
+        """Cancel a source, and record the reason in `cancelled`."""
+        self.arbiter.cancel(source, reason)
+        self.cancelled = f"{source.value} cancelled: {reason}"
+
+
+def _silences(parameters: PlatformParameters) -> dict[Source, float]:
+    """Return how long each source must be silent after it was cancelled [s]."""
+    return dict.fromkeys(Source, parameters.timeouts.cancelled)
+
+
+def _fresh_until(label: str, now: float, age: float, timeout: float) -> float:
+    """Return the time until which an input is fresh [s].
+
+    Raises:
+        InputError: The input is stale already.
+    """
+    if age > timeout:
+        raise InputError(f"{label}: stale, {age:.3f} s old")
+    return now + timeout - max(age, 0.0)

@@ -1,0 +1,203 @@
+"""Cascade from a twist to a command for the drives (right-hand half of CCTA 2017 Fig. 6)."""
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+from enum import Enum
+
+import numpy as np
+
+from omniman_ros.control.coupling_controller import CouplingController
+from omniman_ros.control.dynamics import PlatformDynamics
+from omniman_ros.control.kinematics import MIN_REMAINING_SHARE, PlatformKinematics
+from omniman_ros.control.limits import saturation
+from omniman_ros.control.platform_parameters import PlatformParameters
+from omniman_ros.control.wheel_controller import WheelController
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.errors import ParameterError
+from omniman_ros.core.robot import Robot
+
+REST_SPEED = 0.02
+"""Largest wheel speed at which a platform without a setpoint counts as at rest [rad/s]."""
+
+
+class DriveMode(Enum):
+    """Quantity that the drives of the wheels follow."""
+
+    VELOCITY = "velocity"
+    TORQUE = "torque"
+    VOLTAGE = "voltage"
+
+
+@dataclass(frozen=True)
+class WheelCommand:
+    """A command to the drives of the n wheels, in the robot's order.
+
+    Attributes:
+        mode: Quantity that the drives follow.
+        effort: Torque feed-forward [N m] in VELOCITY mode, torque [N m] in TORQUE mode, motor
+            voltage [V] in VOLTAGE mode (n,).
+        velocity: Wheel speeds (n,) [rad/s] in VELOCITY mode, else None.
+    """
+
+    mode: DriveMode
+    effort: Array
+    velocity: Array | None = None
+
+
+class WheelCascade:
+    """Converts twists to commands for the drives of the n wheels.
+
+    The cascade consists of inverse kinematics, saturation, coupling controller, computed torque
+    and wheel controllers.
+
+    Args:
+        parameters: Parameters of the platform.
+        idle: Indices of the wheels that roll without drive and get no torque.
+
+    Raises:
+        GeometryError: The wheels do not make a platform.
+        ParameterError: The wheels that are not idle do not determine the twist.
+
+    Attributes:
+        kinematics: Kinematics with calibrated wheel radii.
+        dynamics: Dynamics with calibrated wheel radii; idle wheels get no torque.
+        coupling: Controller of the coupling error epsilon.
+        reference: Wheel speeds (n,) that the last command demands [rad/s].
+        demanded_torque: Wheel torques (n,) that it demands [N m]; in velocity mode those that the
+            model computes.
+        saturated: Whether the last twist was scaled down to the largest wheel speed.
+    """
+
+    def __init__(self, parameters: PlatformParameters, idle: Collection[int] = ()) -> None:
+        n = parameters.robot.wheel_count
+        self._set_models(parameters, idle)
+        self.coupling = CouplingController(self.kinematics, parameters.coupling)
+        self._wheels = WheelController(
+            self.dynamics.wheel_inertia, self.dynamics.torque_limit, parameters.wheel
+        )
+        self.reference: Array = np.zeros(n)
+        self.demanded_torque: Array = np.zeros(n)
+        self.saturated = False
+
+    def _set_models(self, parameters: PlatformParameters, idle: Collection[int]) -> None:
+        """Build the models; raises the errors of :meth:`configure`."""
+        robot = _calibrated(parameters.robot, parameters.odometry.wheel_scale)
+        whole = PlatformKinematics(robot.wheels)
+        if idle and whole.remaining_share(idle) < MIN_REMAINING_SHARE:
+            reason = "must leave wheels that determine the twist"
+            raise ParameterError("drive.dead", parameters.drive.dead, reason)
+        self.kinematics = PlatformKinematics(robot.wheels, idle) if idle else whole
+        self.dynamics = PlatformDynamics(robot, self.kinematics)
+        self._parameters = parameters
+
+    def configure(self, parameters: PlatformParameters, idle: Collection[int] = ()) -> None:
+        """Set new gains, limits, model values and idle wheels while running.
+
+        Raises:
+            GeometryError: The wheels do not make a platform; nothing is changed.
+            ParameterError: The wheels that are not idle do not determine the twist; nothing is
+                changed.
+        """
+        before = self.kinematics.idle
+        self._set_models(parameters, idle)
+        if self.kinematics.idle != before:
+            self.coupling.reset()  # Its errors belong to other constraints.
+        self.coupling.configure(self.kinematics, parameters.coupling)
+        self._wheels.configure(
+            self.dynamics.wheel_inertia, self.dynamics.torque_limit, parameters.wheel
+        )
+
+    def reachable(self, twist: Array) -> Array:
+        """Return a twist (3,) scaled down so that no wheel exceeds its largest speed.
+
+        Sets `saturated`.
+
+        Args:
+            twist: Twist (3,) in base_link [m/s, m/s, rad/s].
+        """
+        scale = saturation(self.kinematics.J @ twist, self._parameters.robot.motor.max_speed)
+        self.saturated = scale < 1.0
+        return twist * scale
+
+    def rest_command(self, measured: Array) -> WheelCommand:
+        """Return a command of zero speeds; reset the coupling error once the wheels are at rest.
+
+        Args:
+            measured: Measured wheel speeds (n,) [rad/s].
+        """
+        self.reference = np.zeros_like(self.reference)
+        self.demanded_torque = np.zeros_like(self.demanded_torque)
+        self._wheels.reset()
+        if not max(map(abs, measured.tolist())) > REST_SPEED:
+            self.coupling.reset()
+        return WheelCommand(DriveMode.VELOCITY, np.zeros_like(measured), self.reference)
+
+    def voltage_command(
+        self, volts: Array, measured: Array, probe: Array | None = None
+    ) -> WheelCommand:
+        """Return a command of motor voltages that were computed outside the cascade.
+
+        The cascade follows the wheels meanwhile, so that it can take over at any time.
+
+        Args:
+            volts: Motor voltages (n,) [V].
+            measured: Measured wheel speeds (n,) [rad/s].
+            probe: Test torques (n,) to add [N m], or None.
+        """
+        self.reference = measured
+        self.demanded_torque = self.dynamics.torque_of(volts, measured)
+        self._wheels.reset()
+        if probe is not None:
+            volts = self.dynamics.voltage(self.demanded_torque + probe, measured)
+        return WheelCommand(DriveMode.VOLTAGE, volts)
+
+    def command(
+        self,
+        twist: Array,
+        rate: Array,
+        measured: Array,
+        mode: DriveMode,
+        dt: float,
+        probe: Array | None = None,
+    ) -> WheelCommand:
+        """Return the command for a reachable twist.
+
+        Args:
+            twist: Twist (3,) in base_link [m/s, m/s, rad/s], as returned by :meth:`reachable`.
+            rate: Derivative (3,) of its components in base_link [m/s^2, m/s^2, rad/s^2].
+            measured: Measured wheel speeds (n,) [rad/s].
+            mode: Quantity that the drives follow.
+            dt: Time since the last command [s].
+            probe: Test torques (n,) to add [N m], even if feed-forward is off, or None.
+        """
+        wheel_speeds = self.kinematics.J @ twist
+        reference = wheel_speeds + self.coupling.correction(wheel_speeds)
+        fastest = max(self._parameters.robot.motor.max_speed, *map(abs, wheel_speeds.tolist()))
+        reference = reference * saturation(reference, fastest)
+        self.reference = reference
+        effort = self.dynamics.platform_torque(twist, rate)
+        effort += self.dynamics.friction_torque(twist, wheel_speeds)
+        limit = self.dynamics.torque_limit
+        effort = np.minimum(np.maximum(effort, -limit), limit)  # np.clip takes four times as long
+        self.demanded_torque = effort
+        if not self._parameters.drive.feed_forward:
+            effort = np.zeros_like(wheel_speeds)
+        if mode is DriveMode.VELOCITY:
+            self._wheels.reset()
+            return WheelCommand(mode, effort if probe is None else effort + probe, reference)
+        torque_range = None
+        if mode is DriveMode.VOLTAGE:
+            torque_range = self.dynamics.voltage_torques(reference)
+        torque = self._wheels.torque(reference, measured, effort, dt, torque_range)
+        self.demanded_torque = torque
+        if probe is not None:
+            torque = torque + probe
+        if mode is DriveMode.TORQUE:
+            return WheelCommand(mode, torque)
+        return WheelCommand(mode, self.dynamics.voltage(torque, reference))
+
+
+def _calibrated(robot: Robot, scale: tuple[float, ...]) -> Robot:
+    """Return the robot with its wheel radii multiplied by their calibrated scale."""
+    radius = tuple((np.array(robot.wheels.radius) * scale).tolist())
+    return replace(robot, wheels=replace(robot.wheels, radius=radius))

@@ -1,0 +1,201 @@
+"""Validation of wheel feedback, and its conversion to wheel rotations for the odometry."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from omniman_ros.control.encoder import Unwrapper, VelocityObserver
+from omniman_ros.core import plausible
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.errors import InputError
+
+OBSERVER_BANDWIDTH = 60.0
+"""Bandwidth of the observer that estimates wheel speeds if the drives report none [rad/s]."""
+DISAGREEMENT_TIME = 0.5
+"""Time constant with which disagreement of reported speeds and positions is forgotten [s]."""
+MAX_DISAGREEMENT = 0.3
+"""Constant part of the disagreement that is allowed [rad]."""
+MAX_DISAGREEMENT_SHARE = 0.2
+"""Part of the allowed disagreement that grows with the speed.
+
+It is a share of the rotation at the reported speed in `DISAGREEMENT_TIME`.
+"""
+MAX_GAP = 0.5
+"""Longest time between two reports over which the motion is integrated [s]."""
+MAX_JUMP = 0.3
+"""Rotation in excess of twice that at the largest speed above which positions jumped [rad]."""
+
+
+@dataclass(frozen=True)
+class WheelStep:
+    """Motion of the wheels between two reports.
+
+    Attributes:
+        moved: Rotation of each wheel (n,) [rad].
+        speeds: Speed of each wheel (n,) at the second report [rad/s].
+        dt: Time between the reports [s].
+        warning: Reason why the rotation is unknown and given as zero, or empty.
+    """
+
+    moved: Array
+    speeds: Array
+    dt: float
+    warning: str
+
+
+class WheelFeedback:
+    """Converts reports of the drives to steps for the odometry.
+
+    Args:
+        count: Number of wheels n.
+        span: Range after which positions wrap around [rad]; 0 if they do not.
+        max_speed: Largest speed of a wheel [rad/s]; positions that change much faster count as
+            reset by the drive.
+
+    Attributes:
+        max_speed: As above; may be changed at any time.
+        speeds: Last wheel speeds (n,) [rad/s].
+        time: Time of their measurement [s].
+        received: Whether a report was received since the start or the last `forget`.
+        suspect: Index of a wheel whose reported speed disagrees with its position (a frozen
+            encoder), or None.
+    """
+
+    def __init__(self, count: int, span: float, max_speed: float) -> None:
+        self._count = count
+        self._span = span
+        self.max_speed = max_speed
+        self._observer = VelocityObserver(OBSERVER_BANDWIDTH)
+        self.speeds: Array = np.zeros(count)
+        self.time = -math.inf
+        self.forget()
+
+    def forget(self) -> None:
+        """Discard all reports: the next one counts as the first."""
+        self.received = False
+        self.suspect: int | None = None
+        self._drift: Array = np.zeros(self._count)
+        self._uncertainty: Array = np.zeros(self._count)
+        self._arrival = -math.inf
+        self._unwrapper = Unwrapper(self._span) if self._span > 0.0 else None
+        self._position: Array | None = None
+        self._observer.reset()
+        self.speeds = np.zeros(self._count)
+
+    def age(self, now: float) -> float:
+        """Return the age of the last report at `now` [s], by its older time: arrival or stamp."""
+        return now - min(self._arrival, self.time)
+
+    def update(
+        self, time: float, now: float, position: Array | None, velocity: Array | None
+    ) -> WheelStep | None:
+        """Process a report of the drives.
+
+        Args:
+            time: Time of the measurement [s].
+            now: Time of arrival [s].
+            position: Wheel positions (n,) [rad], or None if they are not reported.
+            velocity: Wheel speeds (n,) [rad/s], or None if they are not reported.
+
+        Returns:
+            The step since the previous report; None if this is the first report.
+
+        Raises:
+            InputError: An array has the wrong size or values that are not finite or implausibly
+                large, both arrays are missing, or the report is not newer than the last one.
+        """
+        self._validate(time, position, velocity)
+        dt = time - self.time if self.received else 0.0
+        moved = self._moved(position)
+        fault = self._discontinuity(moved, dt)
+        if fault:
+            self._observer.reset()
+        if velocity is None:
+            assert self._position is not None
+            velocity = self._observer.update(self._position, dt)
+        first = not self.received
+        last_speeds, self.speeds = self.speeds, np.array(velocity, dtype=float)
+        self.time, self._arrival, self.received = time, now, True
+        if first:
+            return None
+        if fault:
+            warning = f"wheel_states: {fault}, the motion since the last report is ignored"
+            return WheelStep(np.zeros(self._count), self.speeds, dt, warning)
+        integrated = (0.5 * dt) * (last_speeds + self.speeds)
+        if moved is None:
+            moved = integrated
+        else:
+            largest = dt * np.maximum(np.abs(last_speeds), np.abs(self.speeds))
+            self._compare(integrated - moved, largest, dt)
+        return WheelStep(moved, self.speeds, dt, "")
+
+    def _validate(self, time: float, position: Array | None, velocity: Array | None) -> None:
+        """Check the content of a report, and that it is newer than the last one.
+
+        Raises:
+            InputError: See :meth:`update`.
+        """
+        if position is None and velocity is None:
+            raise InputError("wheel_states: has neither positions nor velocities")
+        for label, array, bound in (
+            ("positions", position, plausible.WHEEL_ANGLE),
+            ("velocities", velocity, plausible.WHEEL_SPEED),
+        ):
+            if array is None:
+                continue
+            if array.shape != (self._count,):
+                raise InputError(
+                    f"wheel_states: has {array.size} {label} for {self._count} wheels"
+                )
+            plausible.demand(array, bound, f"wheel_states: {label}")
+        if self.received and time <= self.time:
+            lag = f"{self.time - time:.4f} s before the last report"
+            raise InputError(f"wheel_states: out of order, {lag}")
+
+    def _moved(self, position: Array | None) -> Array | None:
+        """Unwrap and store positions (n,) [rad].
+
+        Returns:
+            Rotation (n,) since the last report [rad]; None if either report has no positions.
+        """
+        if position is not None and self._unwrapper is not None:
+            position = self._unwrapper.update(position)
+        before = self._position
+        self._position = None if position is None else np.array(position, dtype=float)
+        return None if self._position is None or before is None else self._position - before
+
+    def _compare(self, difference: Array, largest: Array, dt: float) -> None:
+        """Set `suspect` to the wheel whose reported speed and position disagree most, if any.
+
+        A report may have been delayed by any time up to that since the previous report, and
+        delayed reports arrive together: the rotation at the reported speed is uncertain by the
+        largest rotation in a step.
+
+        Args:
+            difference: Rotation by the speeds minus that by the positions in this step (n,) [rad].
+            largest: Largest possible rotation in this step (n,) [rad].
+            dt: Duration of this step [s].
+        """
+        decay = math.exp(-dt / DISAGREEMENT_TIME)
+        self._drift = self._drift * decay + difference
+        self._uncertainty = np.maximum(self._uncertainty * decay, largest)
+        allowed = MAX_DISAGREEMENT + MAX_DISAGREEMENT_SHARE * DISAGREEMENT_TIME * np.abs(
+            self.speeds
+        )
+        excess = np.abs(self._drift) - allowed - self._uncertainty
+        worst = int(excess.argmax())
+        self.suspect = worst if excess[worst] > 0.0 else None
+
+    def _discontinuity(self, moved: Array | None, dt: float) -> str:
+        """Return why the motion in a step is unknown, or an empty string if it is known.
+
+        Args:
+            moved: Rotation (n,) [rad], or None if no positions are reported.
+            dt: Duration of the step [s].
+        """
+        if dt > MAX_GAP:
+            return f"no report for {dt:.2f} s"
+        if moved is not None and float(np.abs(moved).max()) > 2.0 * self.max_speed * dt + MAX_JUMP:
+            return "positions jumped"
+        return ""

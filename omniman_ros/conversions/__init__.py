@@ -1,0 +1,1 @@
+"""Pure conversions between ROS messages and the types of the cores."""

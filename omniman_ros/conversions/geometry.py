@@ -1,0 +1,69 @@
+"""Convert planar rotations and twists."""
+
+import math
+
+import numpy as np
+from geometry_msgs.msg import Quaternion, Twist, TwistStamped
+
+from omniman_ros.conversions.headers import check_frame
+from omniman_ros.core import plausible, se2
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.errors import InputError
+
+UNIT_TOLERANCE = 0.01
+"""Largest deviation of a quaternion's length from 1 that is accepted."""
+TILT_TOLERANCE = 0.02
+"""Largest tilt of a planar pose that is accepted [rad, approximately]."""
+
+
+def yaw_from_quaternion(quaternion: Quaternion) -> float:
+    """Return the heading of a rotation in the plane [rad], in (-pi, pi].
+
+    Raises:
+        InputError: The quaternion is not finite, not of unit length, or not about the vertical.
+    """
+    x, y, z, w = quaternion.x, quaternion.y, quaternion.z, quaternion.w
+    length = math.sqrt(x * x + y * y + z * z + w * w)
+    if not abs(length - 1.0) <= UNIT_TOLERANCE:
+        raise InputError(f"it has a quaternion of length {length:.4g}, expected 1")
+    if 2.0 * math.hypot(x, y) > TILT_TOLERANCE:
+        raise InputError("it has a rotation that is not about the vertical")
+    return se2.wrap(2.0 * math.atan2(z, w))
+
+
+def quaternion_from_yaw(theta: float) -> Quaternion:
+    """Return the rotation about the vertical by `theta` [rad]."""
+    return Quaternion(x=0.0, y=0.0, z=math.sin(0.5 * theta), w=math.cos(0.5 * theta))
+
+
+def twist_array(message: Twist, bound: float = plausible.SPEED) -> Array:
+    """Return the planar part (3,) of a twist or of an acceleration.
+
+    Args:
+        message: Twist [m/s, rad/s] or acceleration [m/s^2, rad/s^2].
+        bound: Largest plausible magnitude of each of its six numbers.
+
+    Returns:
+        x, y and rotation about z, in the unit of the message.
+
+    Raises:
+        InputError: One of the six numbers is not finite or beyond +-`bound`.
+    """
+    linear, angular = message.linear, message.angular
+    numbers = [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z]
+    plausible.demand(np.array(numbers), bound, "linear and angular")
+    return np.array([linear.x, linear.y, angular.z])
+
+
+def stamped_twist_array(message: TwistStamped, base_frame: str) -> Array:
+    """Return the body twist (3,) of a stamped message [m/s, m/s, rad/s].
+
+    Args:
+        message: Twist in the base frame; an empty frame counts as the base frame.
+        base_frame: Name of the base frame.
+
+    Raises:
+        InputError: The frame is another one, or a number is not finite.
+    """
+    check_frame(message.header.frame_id, base_frame, "")
+    return twist_array(message.twist)

@@ -1,0 +1,27 @@
+"""Convert stamps and durations, and check the frames of message headers."""
+
+from builtin_interfaces.msg import Duration, Time
+
+from omniman_ros.core.errors import InputError
+
+
+def time_seconds(stamp: Time | Duration) -> float:
+    """Convert a stamp or a duration to seconds."""
+    return float(stamp.sec) + 1e-9 * float(stamp.nanosec)
+
+
+def duration_message(seconds: float) -> Duration:
+    """Convert a non-negative time [s] to a duration."""
+    nanoseconds = round(seconds * 1e9)
+    return Duration(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
+
+
+def check_frame(frame: str, *allowed: str) -> None:
+    """Check that a frame is one of those allowed; a leading slash does not count.
+
+    Raises:
+        InputError: The frame is not allowed.
+    """
+    if frame.lstrip("/") not in allowed:
+        names = " or ".join(repr(name) for name in allowed)
+        raise InputError(f"it has frame '{frame[:40]}', expected {names}")

@@ -1,0 +1,87 @@
+"""Convert commands to the wheels, their electrical state and their reported health."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticStatus
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension
+
+from omniman_ros.control.wheel_cascade import DriveMode, WheelCommand
+from omniman_ros.conversions.joints import joint_arrays, require_array
+from omniman_ros.core import plausible
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.errors import InputError
+
+LIMIT_SCALE_KEY = "limits"
+"""Key in `wheel_health` of the share of the limits that remains if a wheel is dead."""
+
+
+def reported_limit_scale(message: DiagnosticStatus) -> float:
+    """Return the share of the limits that `wheel_health` reports as left.
+
+    Returns:
+        The share, above 0 and up to 1; 1 if the message does not report it.
+
+    Raises:
+        InputError: The value is not a number above 0 and up to 1.
+    """
+    for item in message.values:
+        if item.key == LIMIT_SCALE_KEY:
+            try:
+                limit_scale = float(item.value)
+            except ValueError:
+                limit_scale = math.nan
+            if not 0.0 < limit_scale <= 1.0:
+                raise InputError(
+                    f"{LIMIT_SCALE_KEY} '{item.value[:40]}' must be above 0 and up to 1"
+                )
+            return limit_scale
+    return 1.0
+
+
+def fill_wheel_command(message: JointState, command: WheelCommand, stamp: Time) -> None:
+    """Write a command into a joint state: velocity and effort, or effort alone [N m or V]."""
+    message.header.stamp = stamp
+    message.effort = command.effort.tolist()
+    message.velocity = [] if command.velocity is None else command.velocity.tolist()
+
+
+def wheel_command_from_message(
+    message: JointState, names: Sequence[str], voltage: bool
+) -> WheelCommand:
+    """Return the command in a message from `wheel_voltages` or `wheel_commands`.
+
+    Args:
+        message: Command with efforts [V or N m], velocities [rad/s], or both.
+        names: Names of the n wheels, in the order of the result.
+        voltage: Whether the message comes from `wheel_voltages`.
+
+    Raises:
+        InputError: Names, sizes or content are wrong, or velocity and effort are both missing.
+    """
+    _, velocity, effort = joint_arrays(message, names)
+    if voltage:
+        volts = require_array(effort, plausible.EFFORT, "effort (volts)")
+        return WheelCommand(DriveMode.VOLTAGE, volts)
+    if velocity is None:
+        torque = require_array(effort, plausible.EFFORT, "velocity or effort")
+        return WheelCommand(DriveMode.TORQUE, torque)
+    speeds = require_array(velocity, plausible.WHEEL_SPEED, "velocity")
+    if effort is None:
+        return WheelCommand(DriveMode.VELOCITY, np.zeros(len(names)), speeds)
+    torque = require_array(effort, plausible.EFFORT, "effort")
+    return WheelCommand(DriveMode.VELOCITY, torque, speeds)
+
+
+def electrical_message(values: Array) -> Float64MultiArray:
+    """Return the message for the voltage [V], current [A] and energy [J] (n, 3) of n wheels."""
+    rows, columns = values.shape
+    message = Float64MultiArray(data=values.ravel().tolist())
+    message.layout.dim = [
+        MultiArrayDimension(label="wheel", size=rows, stride=rows * columns),
+        MultiArrayDimension(label="voltage,current,energy", size=columns, stride=columns),
+    ]
+    return message

@@ -1,0 +1,7 @@
+"""The type of the arrays that the cores compute with."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+"""An array of 64-bit floats; docstrings give its shape, units and frame."""

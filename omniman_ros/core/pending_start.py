@@ -1,0 +1,104 @@
+"""A motion that was accepted and waits until the robot is ready for it."""
+
+import enum
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from omniman_ros.core.errors import InputError
+from omniman_ros.core.stream_monitor import StreamMonitor
+
+WAIT_TIMEOUT = 5.0
+"""Longest time for which a motion waits until the robot can start it [s]."""
+
+
+class StartState(enum.Enum):
+    """Outcome of an attempt to start a pending motion."""
+
+    NOTHING_PENDING = "nothing pending"
+    WAITING = "waiting"
+    REFUSED = "refused"
+    STARTED = "started"
+
+
+@dataclass(frozen=True)
+class StartAttempt:
+    """Result of :meth:`PendingStart.attempt`.
+
+    Attributes:
+        state: Outcome of the attempt.
+        reason: Reason why the motion waits or was refused; empty in the other states.
+    """
+
+    state: StartState
+    reason: str = ""
+
+    @property
+    def refusal(self) -> str:
+        """Reason for which the motion was refused, or an empty string."""
+        return self.reason if self.state is StartState.REFUSED else ""
+
+
+class PendingStart:
+    """Slot for at most one motion that waits to be started.
+
+    Args:
+        clock: Returns the current time [s].
+        stream_monitor: Provides the time that a new stream must wait until it is accepted [s].
+    """
+
+    def __init__(self, clock: Callable[[], float], stream_monitor: StreamMonitor) -> None:
+        self._clock, self._stream_monitor = clock, stream_monitor
+        self._start: Callable[[], None] | None = None
+        self._deadline = 0.0
+
+    def __bool__(self) -> bool:
+        return self._start is not None
+
+    def put(self, start: Callable[[], None]) -> None:
+        """Store a motion in place of the one that is pending, if any.
+
+        Args:
+            start: Starts the motion; it may raise InputError to refuse it.
+        """
+        self._start = start
+        self.restart_timeout()
+
+    def restart_timeout(self) -> None:
+        """Let the pending motion wait for the whole timeout from now on."""
+        now = self._clock()
+        self._deadline = now + WAIT_TIMEOUT + self._stream_monitor.waiting_time(now)
+
+    def discard(self) -> bool:
+        """Discard the pending motion, and return whether there was one."""
+        pending, self._start = self._start is not None, None
+        return pending
+
+    def attempt(self, refusal: str, blocking_reason: Callable[[], str]) -> StartAttempt:
+        """Start the pending motion if the robot is ready for it.
+
+        The motion is refused at once for a reason in `refusal`, and after the timeout for one
+        that `blocking_reason` returns.
+
+        Args:
+            refusal: Reason for which the motion can never start, or an empty string.
+            blocking_reason: Returns why the motion cannot start yet, or an empty string.
+
+        Returns:
+            Outcome of the attempt. The motion is no longer pending unless it is still waiting.
+        """
+        if self._start is None:
+            return StartAttempt(StartState.NOTHING_PENDING)
+        now, reason = self._clock(), refusal
+        if not reason:
+            reason = blocking_reason()
+            if reason and now < self._deadline:
+                return StartAttempt(StartState.WAITING, reason)
+        start, self._start = self._start, None
+        if not reason:
+            try:
+                start()
+            except InputError as error:
+                reason = str(error)
+        if reason:
+            return StartAttempt(StartState.REFUSED, reason)
+        return StartAttempt(StartState.STARTED)

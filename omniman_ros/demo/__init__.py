@@ -1,0 +1,1 @@
+"""The demonstration behind `omniman demo`: its legs, and how they are measured."""

@@ -1,0 +1,260 @@
+"""`omniman demo`: drive and measure a simulated robot; keep it running for teleop if asked."""
+
+import argparse
+import os
+import re
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from omniman_ros.console import results
+from omniman_ros.console.errors import CommandError
+from omniman_ros.console.progress import Progress
+from omniman_ros.console.session import Session
+from omniman_ros.console.terminal import GREEN, paint, say
+from omniman_ros.core.parameters import build
+from omniman_ros.core.robot import Robot
+from omniman_ros.demo.demo import Demo, judge
+from omniman_ros.demo.driver import Driver
+from omniman_ros.demo.recorder import Recording
+from omniman_ros.demo.report import fault_lines, report_lines
+from omniman_ros.processes.node_output import NodeOutputLog
+from omniman_ros.processes.other_robots import refuse_other_robots
+from omniman_ros.processes.process_group import ProcessExit, ProcessGroup, redirect_signals
+from omniman_ros.processes.robot_setup import RobotSetup, resolve_robot, robot_processes
+from omniman_ros.processes.ros_domain import isolate_ros_domain
+from omniman_ros.robots import load_robot
+
+DRIVE_ON = "drive.dead_wheel:=drive_on"
+"""Parameter value with which the robot continues when a wheel is dead."""
+RELAXED_TIMEOUTS = (
+    "timeouts.wheel_states:=0.5",
+    "firmware.watchdog:=0.5",
+    "safety.deadline:=0.05",
+    "odom_timeout:=1.0",
+    "can.missed_periods:=100",
+    "can.drive_heartbeat:=0.2",
+    "can.heartbeat_timeout:=0.5",
+    "can.command_timeout:=0.5",
+    "joint_trajectory.states_timeout:=1.0",
+    "scaling_timeout:=2.0",
+    "ur.following_error:=0.5",
+)
+"""Parameters that relax timeouts for a busy machine: no real robot moves while a process waits."""
+WHEEL_DIFFERENCES = {
+    "mismatch.friction": (1.3, 0.8, 1.1, 0.9),
+    "mismatch.torque_constant": (0.97, 1.03, 1.0, 0.98),
+    "mismatch.amplifier_gain": (1.02, 0.98, 1.01, 0.97),
+}
+"""Parameters by which the simulated wheels differ: a factor for each wheel, in turn."""
+PAGE_PATTERN = re.compile(r"the page is at (http\S+)")
+"""Log line of the viewer that gives the address of its page."""
+PAGE_TIMEOUT = 10.0
+"""Time to wait for the viewer's page [s]."""
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run `omniman demo`.
+
+    Args:
+        args: Parsed arguments of the command.
+
+    Returns:
+        The exit code: 0 if all figures are within their limits, else 1.
+
+    Raises:
+        CommandError: The demo could not be completed.
+    """
+    params = [
+        *RELAXED_TIMEOUTS,
+        DRIVE_ON,
+        *wheel_differences(resolve_robot(args.robot)),
+        *args.param,
+    ]
+    # The domain is chosen before the processes, because the port of their CAN bus depends on it.
+    is_private = choose_domain(args.keep)
+    processes = robot_processes(
+        RobotSetup(
+            robot=args.robot,
+            params=params,
+            drive=args.drive,
+            installation=args.installation,
+            arm=args.arm,
+        )
+    )
+    log = NodeOutputLog(args.verbose)
+    complaints: list[str] = []
+    group = ProcessGroup(processes, on_line=log, report=complaints.append)
+    progress = Progress()
+    progress.headline(
+        f"omniman demo: robot '{args.robot}' in simulation, with unequal wheels, "
+        + (f"{args.installation} drives on a CAN bus, " if args.drive == "can" else "")
+        + ("" if args.arm == "none" else "a UR5 behind TCP, ")
+        + f"ROS_DOMAIN_ID={os.environ['ROS_DOMAIN_ID']}"
+    )
+    started = time.monotonic()
+    with redirect_signals(group.interrupt):
+        try:
+            if not is_private:
+                refuse_other_robots(group.check)
+            with group:
+                viewer = log if any(process.name == "viewer" for process in processes) else None
+                result = perform(args, group, progress, viewer)
+                result["duration_s"] = time.monotonic() - started
+                if args.keep:
+                    keep(group, result)
+                group.stop()
+        except (CommandError, KeyboardInterrupt) as error:
+            progress.abandon()
+            for complaint in complaints:
+                say(complaint, sys.stderr)
+            if isinstance(error, CommandError):
+                log.show()
+            raise
+    result["faults"] += complaints
+    return conclude(result, log, args)
+
+
+def choose_domain(keep: bool) -> bool:
+    """Set the ROS domain of this process, which the nodes inherit.
+
+    By default the demo uses a domain of its own, so that it meets no other robot. With --keep it
+    uses the domain that the user's next terminal will use. In both cases it is invisible to other
+    machines unless the user has chosen otherwise: no robot elsewhere receives its `cmd_vel`.
+
+    Args:
+        keep: Whether the robot is kept for the user.
+
+    Returns:
+        Whether the domain is private to this demo.
+    """
+    if keep:
+        os.environ.setdefault("ROS_DOMAIN_ID", "0")
+    is_private = "ROS_DOMAIN_ID" not in os.environ
+    isolate_ros_domain(os.environ)
+    return is_private
+
+
+def perform(
+    args: argparse.Namespace, group: ProcessGroup, progress: Progress, viewer: NodeOutputLog | None
+) -> dict[str, Any]:
+    """Drive all legs of the demo, evaluate and draw them.
+
+    Args:
+        args: Parsed arguments of the command.
+        group: Processes of the nodes, which must stay alive.
+        progress: Display of the progress.
+        viewer: Log in which the viewer announces its page, for which the robot waits; None if no
+            viewer is started.
+
+    Returns:
+        The figures, with the path of the picture and the address of the page.
+
+    Raises:
+        CommandError: The robot did not complete the demo.
+    """
+    has_arm = args.arm != "none"
+    demo = Demo(args.robot, has_arm)
+    with Session("omniman_demo") as session:
+        driver = Driver(session, progress, group.check, args.drive, has_arm)
+        try:
+            driver.wait_until_ready()
+            page = ""
+            if viewer is not None:
+                driver.wait(lambda: bool(viewer.find("viewer", PAGE_PATTERN)), PAGE_TIMEOUT)
+                page = viewer.find("viewer", PAGE_PATTERN)
+                progress.headline(page_hint(page))
+            demo.drive(driver)
+        finally:
+            driver.halt()
+        recording = driver.recorder.recording
+        result = judge(recording, demo.legs, driver.arm_moves)
+    picture = draw(demo, recording, Path(args.results))
+    return {"robot": args.robot, **result, "picture": picture and str(picture), "page": page}
+
+
+def page_hint(page: str) -> str:
+    """Return where to watch the robot.
+
+    Args:
+        page: Address of the viewer's page; empty if there is none.
+    """
+    return f"watch it at {page}" if page else "the viewer has no page (see --verbose)"
+
+
+def draw(demo: Demo, recording: Recording, folder: Path) -> Path | None:
+    """Draw the demo into a PNG file.
+
+    Returns:
+        The path of the file; None if matplotlib is not installed.
+    """
+    try:
+        from omniman_ros.demo.figure import draw_demo
+    except ImportError:
+        return None
+    return draw_demo(demo, recording, folder / "demo.png")
+
+
+def wheel_differences(robot: str) -> list[str]:
+    """Return parameters that make the simulated wheels differ, like real ones (CCTA 2017, V.C).
+
+    Args:
+        robot: Name of the robot, or path of its file.
+    """
+    n = build(Robot, load_robot(robot)).wheel_count
+    return [
+        f"{name}:=[{', '.join(str(values[i % len(values)]) for i in range(n))}]"
+        for name, values in WHEEL_DIFFERENCES.items()
+    ]
+
+
+def keep(group: ProcessGroup, result: dict[str, Any]) -> None:
+    """Print the result, and leave the nodes running until Ctrl-C.
+
+    Raises:
+        CommandError: One of the nodes ended.
+    """
+    say("\n".join(report_lines(result)))
+    if result["faults"]:
+        say("\n" + fault_lines(result["faults"]))
+    page = result["page"]
+    executable = Path(sys.executable).with_name("omniman")
+    domain = os.environ["ROS_DOMAIN_ID"]
+    setting = "" if domain == "0" else f"ROS_DOMAIN_ID={domain} "
+    say(f"""
+The robot stays up{f": {page_hint(page)}" if page else ""}. In another terminal on this machine:
+  {setting}{executable} teleop
+  {setting}{executable} stop       (and: reset)
+or with ROS 2:
+  {setting}ros2 run teleop_twist_keyboard teleop_twist_keyboard
+Ctrl-C here ends it.""")
+    event = group.next_event()
+    if isinstance(event, ProcessExit):
+        raise CommandError(str(event))
+
+
+def conclude(result: dict[str, Any], log: NodeOutputLog, args: argparse.Namespace) -> int:
+    """Print the result unless `keep` has done so, and publish it as JSON.
+
+    Args:
+        result: The figures of the demo.
+        log: Output of the nodes, printed if a figure is beyond its limit.
+        args: Parsed arguments of the command.
+
+    Returns:
+        The exit code: 0 if all figures are within their limits, else 1.
+    """
+    ok = not result["faults"]
+    if not args.keep:
+        say("\n".join(report_lines(result)))
+    if result["picture"]:
+        say(f"\nPicture: {result['picture']}")
+    if ok:
+        verdict = paint("The robot did what it should.", GREEN, sys.stdout)
+        say(f"\n{verdict} {result['duration_s']:.0f} s")
+    else:
+        log.show()
+        say("\n" + fault_lines(result["faults"]))
+    results.publish("demo", {"ok": ok, **result}, args.results)
+    return 0 if ok else 1

@@ -1,0 +1,277 @@
+"""Execution of the demo's motions: sending, waiting, and watching the robot meanwhile."""
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from rclpy.client import Client
+
+from omniman_ros.console.errors import CommandError
+from omniman_ros.console.formatting import pose_text
+from omniman_ros.console.progress import Progress
+from omniman_ros.console.session import DISCOVERY_TIMEOUT, PeriodicTicks, Session
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.planar import Triple
+from omniman_ros.demo.arm_moves import ArmMove
+from omniman_ros.demo.leg import Interval
+from omniman_ros.demo.recorder import Recorder
+from omniman_ros.demo.robot_interface import RobotInterface
+from omniman_ros.nodes.stoppable_nodes import TriggerCalls
+
+PERIOD = 0.02
+"""Period at which the demo sends twists and checks the progress [s]."""
+PAUSE = 0.7
+"""Shortest pause between two parts of the demo [s]."""
+IDLE_TIMEOUT = 5.0
+"""Time within which no source drives the platform any more after the end of a motion [s]."""
+SERVICE_TIMEOUT = 5.0
+"""Time within which a service must answer [s]."""
+RESET_TIMEOUT = 10.0
+"""Time for the reset of all nodes, in which the arm's controller releases its brakes [s]."""
+SLOWEST_SPEED = 0.1
+"""Mean speed below which a motion is given up [m/s]."""
+EXTRA_TIME = 20.0
+"""Time that a motion may take beyond its length at `SLOWEST_SPEED` [s]."""
+STANDSTILL: Triple = (0.0, 0.0, 0.0)
+"""Body twist of a platform at rest [m/s, m/s, rad/s]."""
+
+
+class Driver:
+    """Executes motions one after the other, shows their progress, and ends the demo on a stop.
+
+    Args:
+        session: Session whose node talks to the robot.
+        progress: Display of the progress.
+        poll: Called many times per second; raises an exception to end the demo early.
+        drive: Kind of drive: "simulated", or "can" for simulated drives on a CAN bus.
+        has_arm: Whether the robot has an arm.
+
+    Attributes:
+        robot: Commands to the robot.
+        recorder: Recorder of the robot's topics.
+        progress: Display of the progress.
+        has_arm: Whether the robot has an arm.
+        arm_moves: Moves of the arm that are measured.
+        expects_stop: Whether nodes are meant to be stopped at the moment.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        progress: Progress,
+        poll: Callable[[], None],
+        drive: str = "simulated",
+        has_arm: bool = True,
+    ) -> None:
+        self._session = session
+        self._poll = poll
+        self.robot = RobotInterface(session.node, drive)
+        self.recorder = Recorder(session.node)
+        self.progress = progress
+        self.has_arm = has_arm
+        self.arm_moves: list[ArmMove] = []
+        self.expects_stop = False
+        self._last_check = time.monotonic()
+
+    # ---- state ------------------------------------------------------------------------------
+
+    @property
+    def now(self) -> float:
+        """ROS time [s]."""
+        return float(self._session.node.get_clock().now().nanoseconds * 1e-9)
+
+    @property
+    def pose(self) -> Triple:
+        """Last pose of the platform in odom [m, m, rad]."""
+        x, y, theta = self.recorder.recording.odom[-1][1:4]
+        return x, y, theta
+
+    @property
+    def arm_angles(self) -> Array:
+        """Last measured joint angles (6,) [rad]."""
+        return np.array(self.recorder.recording.arm[-1][1:])
+
+    @property
+    def note(self) -> str:
+        """Note beside the progress: the pose of the platform."""
+        return pose_text(self.pose)
+
+    # ---- waiting ----------------------------------------------------------------------------
+
+    def wait_until_ready(self) -> None:
+        """Wait until all topics that the demo needs are published and subscribed to.
+
+        Raises:
+            CommandError: A topic is still missing after `DISCOVERY_TIMEOUT`.
+        """
+        self.progress.begin("starting")
+        start = time.monotonic()
+        if not self.wait(lambda: not self._missing(), DISCOVERY_TIMEOUT):
+            raise CommandError(f"not ready within {DISCOVERY_TIMEOUT:g} s: {self._missing()}")
+        self.progress.end(f"all nodes connected after {time.monotonic() - start:.1f} s")
+
+    def restart_stall_watch(self) -> None:
+        """Restart the measurement of the longest time for which this process was not served."""
+        self._last_check, self.recorder.recording.stall = time.monotonic(), 0.0
+
+    def wait(self, condition: Callable[[], bool], timeout: float) -> bool:
+        """Serve ROS and watch the robot until a condition holds.
+
+        Args:
+            condition: Condition, evaluated many times per second.
+            timeout: Longest time to wait [s].
+
+        Returns:
+            Whether the condition held in time.
+
+        Raises:
+            CommandError: A node stopped, or a process ended.
+        """
+
+        def watch() -> bool:
+            self._check()
+            return condition()
+
+        return self._session.wait(watch, timeout)
+
+    def pause(self, duration: float) -> None:
+        """Serve ROS and watch the robot for some time [s]."""
+        self.wait(lambda: False, duration)
+
+    def ticks(self, duration: float, period: float = PERIOD) -> PeriodicTicks:
+        """Return an iterator over the elapsed time [s] that serves ROS and watches the robot.
+
+        Args:
+            duration: Time after which the iteration ends [s].
+            period: Time between two items [s].
+        """
+        return PeriodicTicks(self._session, duration, period, self._check)
+
+    def wait_until_idle(self) -> bool:
+        """Wait until no source drives the platform; return whether that was within the timeout."""
+        return self.wait(lambda: self.recorder.active_source == "none", IDLE_TIMEOUT)
+
+    def rest(self) -> None:
+        """Pause between two parts of the demo, at least until no source drives the platform."""
+        for _ in self.ticks(PAUSE):
+            pass
+        self.wait_until_idle()
+
+    def _check(self) -> None:
+        """Measure the time since the last check; raise an error if a node or process has ended."""
+        now = time.monotonic()
+        recording = self.recorder.recording
+        recording.stall = max(recording.stall, now - self._last_check)
+        self._last_check = now
+        self._poll()
+        for name, reason in self.recorder.stopped.items() if not self.expects_stop else ():
+            raise CommandError(f"the robot stopped: {name} is {reason}{recording.stall_note}")
+
+    def _missing(self) -> str:
+        """Return the missing topics as text; empty if none is missing."""
+        unconnected = [f"a subscriber of {topic}" for topic in self.robot.unconnected_topics]
+        arm = ["arm/joint_states"] if self.has_arm and not self.recorder.has_arm_states else []
+        return ", ".join(self.recorder.missing_topics + arm + unconnected)
+
+    # ---- motions ----------------------------------------------------------------------------
+
+    def follow_path(
+        self,
+        name: str,
+        poses: Array,
+        length: float,
+        on_tick: Callable[[], None] = lambda: None,
+    ) -> Interval:
+        """Send a path of the platform and wait for its end; see `follow`.
+
+        Args:
+            name: Name of the part, displayed with the progress.
+            poses: Poses (k, 3) in odom [m, m, rad].
+            length: Path length [m].
+            on_tick: Called every `PERIOD` while the robot is moving.
+        """
+        return self.follow(name, lambda: self.robot.send_path(poses), length, on_tick)
+
+    def follow(
+        self,
+        name: str,
+        send: Callable[[], None],
+        length: float,
+        on_tick: Callable[[], None] = lambda: None,
+    ) -> Interval:
+        """Send a motion that reports its progress, and wait for its end.
+
+        Args:
+            name: Name of the part, displayed with the progress.
+            send: Sends the motion.
+            length: Path length, which determines the timeout [m].
+            on_tick: Called every `PERIOD` while the robot is moving.
+
+        Returns:
+            The interval from sending until arrival.
+
+        Raises:
+            CommandError: The motion was not accepted, or did not reach its end in time.
+        """
+        self.progress.begin(name)
+        self.recorder.begin_motion()
+        start = self.now
+        send()
+        for _ in self.ticks(EXTRA_TIME + length / SLOWEST_SPEED):
+            self.progress.update(self.recorder.progress, self.note)
+            on_tick()
+            if self.recorder.has_arrived:
+                break
+        else:
+            raise CommandError(
+                f"{name} did not reach its end, only {self.recorder.progress:.0%}"
+                f"{self.recorder.recording.stall_note}"
+            )
+        interval = Interval(name, start, self.now)
+        self.rest()
+        self.progress.end(self.note)
+        return interval
+
+    def begin_arm_move(self, goal: Array) -> None:
+        """Start a measured move of the arm to joint angles (6,) [rad]; do not wait for its end."""
+        self.robot.send_arm_goal(goal)
+        self.arm_moves.append(ArmMove(tuple(goal.tolist()), self.now))
+
+    def end_arm_move(self, end: float) -> None:
+        """Set the ROS time [s] until which the last move of the arm is measured."""
+        self.arm_moves[-1] = replace(self.arm_moves[-1], end=end)
+
+    def halt(self) -> None:
+        """Send a twist of zero."""
+        self.robot.send_twist(STANDSTILL)
+
+    # ---- services ---------------------------------------------------------------------------
+
+    def call(self, client: Client, request: Any) -> None:
+        """Call a service and wait for its answer.
+
+        Raises:
+            CommandError: The service did not answer in time.
+        """
+        future = client.call_async(request)
+        if not self.wait(future.done, SERVICE_TIMEOUT):
+            raise CommandError(f"{client.srv_name} does not answer")
+
+    def reset_all(self) -> None:
+        """Reset all nodes of the robot.
+
+        Raises:
+            CommandError: A node is still stopped.
+        """
+        node = self._session.node
+        calls = TriggerCalls(node, "reset", node.get_namespace())
+        try:
+            calls.poll()
+            self.wait(lambda: calls.poll() and not self.recorder.stopped, RESET_TIMEOUT)
+        finally:
+            calls.close()
+        if self.recorder.stopped:
+            refused = [answer[1] for answer in calls.answers.values() if answer and not answer[0]]
+            raise CommandError(f"the reset failed: {', '.join(refused) or self.recorder.stopped}")

@@ -1,0 +1,274 @@
+"""Figure of the demo: the path of the robot from above, and its errors over time.
+
+Importing this module raises ImportError if matplotlib is not installed.
+"""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib import pyplot as plt
+from matplotlib.patches import Circle, Polygon
+
+from omniman_ros.console.figure_style import (
+    BLUE,
+    BROWN,
+    CYAN,
+    FAINT,
+    GREEN,
+    GREY,
+    INK,
+    MAGENTA,
+    ORANGE,
+    figure_style,
+    save_figure,
+)
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.robot import Robot
+from omniman_ros.demo.demo import Demo
+from omniman_ros.demo.goal_leg import DrivenGoal
+from omniman_ros.demo.leg import Interval
+from omniman_ros.demo.recorder import Recording
+from omniman_ros.demo.tool_leg import ToolTrack
+from omniman_ros.demo.tracking import Reference, pose_errors
+
+TWISTS = BLUE
+"""Colour of the part that is driven through `cmd_vel`."""
+PATH = ORANGE
+"""Colour of the part that follows paths."""
+TRUTH = GREEN
+"""Colour of the ground truth."""
+GOAL = MAGENTA
+"""Colour of the part that drives to the goal."""
+OBSTACLE = BROWN
+"""Colour of the obstacles."""
+TOOL = CYAN
+"""Colour of the tool's path."""
+WHEEL = "#9aa5b1"
+"""Colour of the robot's wheels."""
+BAND = "#eef2f7"
+"""Colour of the bands behind the intervals in which the robot was driven."""
+DASHED = (0, (4, 4))
+"""Line style of the ground truth."""
+TOOL_LINES = 16
+"""Number of instants for which a line is drawn from the platform to the tool."""
+OUTLINES = 10
+"""Number of poses along the path, with the first and the last, at which the robot is outlined."""
+CORNERS = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]])
+"""Corners (4, 2) of a square with sides of length 2 about the origin, in clockwise order."""
+
+
+def draw_demo(demo: Demo, recording: Recording, path: Path) -> Path:
+    """Draw the demo into a file.
+
+    Args:
+        demo: The demo, driven and measured.
+        recording: What the robot published.
+        path: Path of the file.
+
+    Returns:
+        The path.
+    """
+    odom = np.array(recording.odom)
+    tool = demo.tool.track if demo.tool else None
+    start = demo.twists.driven[0].start
+    with figure_style(axes_titlesize=10, legend_fontsize=9, lines_linewidth=1.2):
+        count = 3 + bool(recording.arm) + (tool is not None)
+        figure = plt.figure(figsize=(11, 2.0 * count), layout="constrained")
+        grid = figure.add_gridspec(count, 2, width_ratios=(1.15, 1))
+        _draw_top_view(figure.add_subplot(grid[:, 0]), demo, recording)
+        panels = [figure.add_subplot(grid[i, 1]) for i in range(count)]
+        _draw_twist(panels[0], odom, start)
+        _draw_coupling(panels[1], np.array(recording.coupling), start)
+        _draw_tracking(panels[2], odom, Reference(recording.reference), _path_legs(demo), start)
+        if recording.arm:
+            _draw_arm(panels[3], np.array(recording.arm), start)
+        if tool is not None:
+            _draw_tool(panels[-1], tool, start)
+        for axes in panels:
+            _draw_bands(axes, demo, start)
+            axes.set_xlim(0.0, odom[-1, 0] - start)
+        for axes in panels[:-1]:
+            axes.tick_params(labelbottom=False)
+        panels[-1].set_xlabel("time [s]")
+        return save_figure(figure, path)
+
+
+def _path_legs(demo: Demo) -> list[Interval]:
+    """Return the intervals in which the platform followed a path."""
+    return demo.path.movements + ([demo.dead_wheel.interval] if demo.dead_wheel else [])
+
+
+# ---- top view -------------------------------------------------------------------------------
+
+
+def _draw_top_view(axes: Any, demo: Demo, recording: Recording) -> None:
+    """Draw the path of platform and tool: x points up, y to the left."""
+    odom, truth = np.array(recording.odom), np.array(recording.truth)
+    if demo.goal.driven is not None:
+        _draw_goal(axes, odom, demo.goal.driven)
+    on_path = odom[:, 0] >= demo.path.movements[0].start
+    for rows, colour, name in (
+        (odom[~on_path], TWISTS, "cmd_vel"),
+        (odom[on_path], PATH, "path"),
+    ):
+        axes.plot(-rows[:, 2], rows[:, 1], color=colour, lw=2.0, zorder=4, label=name)
+    axes.plot(
+        -truth[:, 2],
+        truth[:, 1],
+        color=TRUTH,
+        lw=1.0,
+        ls=DASHED,
+        zorder=5,
+        label="ground truth",
+    )
+    if demo.tool and demo.tool.track:
+        _draw_tool_path(axes, demo.tool.track)
+    for i in np.linspace(0, len(odom) - 1, OUTLINES).astype(int)[1:-1]:
+        _draw_outline(axes, demo.robot, odom[i, 1:4], alpha=0.5)
+    _draw_robot(axes, demo.robot, odom[-1, 1:4])
+    axes.set_aspect("equal")
+    axes.set_title("Path of the platform in odom")
+    axes.set_xlabel("← y [m]")
+    axes.set_ylabel("x [m] →")
+    axes.xaxis.set_major_formatter(lambda value, _: f"{-value + 0.0:g}")
+    axes.grid(color=FAINT, lw=0.4)
+    axes.legend(loc="best")
+
+
+def _draw_tool_path(axes: Any, tool: ToolTrack) -> None:
+    """Draw the path of the tool, and lines to it from the platform."""
+    x, y = tool.measured[:, 0, 3], tool.measured[:, 1, 3]
+    axes.plot(-y, x, color=TOOL, lw=1.6, zorder=5.5, label="tool")
+    for k in np.linspace(0, len(x) - 1, TOOL_LINES).astype(int):
+        base = tool.platform[k]
+        axes.plot([-base[1], -y[k]], [base[0], x[k]], color=TOOL, lw=0.6, alpha=0.5, zorder=5)
+
+
+def _draw_goal(axes: Any, odom: Array, driven: DrivenGoal) -> None:
+    """Draw the path to the goal, and each obstacle where it was nearest to the robot."""
+    during = odom[driven.interval.contains(odom[:, 0])]
+    axes.plot(-during[:, 2], during[:, 1], color=GOAL, lw=2.0, zorder=4.5, label="goal")
+    axes.plot(-driven.goal[1], driven.goal[0], "*", color=GOAL, ms=11, zorder=6)
+    obstacles = driven.obstacles
+    nearest = obstacles.gaps(during[:, :4], (0.0, 0.0)).argmin(axis=0)
+    start, end = obstacles.at(driven.interval.start), obstacles.at(driven.interval.end)
+    for k, radius in enumerate(obstacles.radii.tolist()):
+        x, y = obstacles.at(float(during[nearest[k], 0]))[k]
+        axes.add_patch(Circle((-y, x), radius, facecolor=OBSTACLE, edgecolor="none", alpha=0.45))
+        axes.plot(
+            [-start[k, 1], -end[k, 1]], [start[k, 0], end[k, 0]], color=OBSTACLE, lw=1.0, ls=":"
+        )
+
+
+def _draw_outline(axes: Any, robot: Robot, pose: Array, **options: Any) -> None:
+    """Draw the bounding box of the robot with a mark at its front."""
+    corners = CORNERS * [robot.body.length / 2, robot.body.width / 2]
+    nose = np.array([[0.5, 0.0], [0.42, 0.06], [0.42, -0.06]]) * robot.body.length
+    axes.add_patch(_polygon(corners, pose, facecolor="none", edgecolor=FAINT, **options))
+    axes.add_patch(_polygon(nose, pose, facecolor=FAINT, edgecolor="none", **options))
+
+
+def _draw_robot(axes: Any, robot: Robot, pose: Array) -> None:
+    """Draw the robot with its wheels, each with the axis of the roller on the floor."""
+    _draw_outline(axes, robot, pose)
+    wheels = robot.wheels
+    for x, y, heading, roller, radius in zip(
+        wheels.x, wheels.y, wheels.heading, wheels.roller_angle, wheels.radius, strict=True
+    ):
+        tread = _rotate(CORNERS * [radius, 0.4 * radius], heading) + [x, y]
+        axes.add_patch(_polygon(tread, pose, facecolor=WHEEL, edgecolor=GREY, lw=0.5))
+        axis = _rotate(np.array([[-0.6 * radius, 0.0], [0.6 * radius, 0.0]]), heading + roller)
+        line = _to_axes(axis + [x, y], pose)
+        axes.plot(*line.T, color="white", lw=1.2, zorder=1.5)
+
+
+def _rotate(points: Array, angle: float) -> Array:
+    """Rotate points (k, 2) about the origin."""
+    cosine, sine = math.cos(angle), math.sin(angle)
+    result: Array = points @ np.array([[cosine, sine], [-sine, cosine]])
+    return result
+
+
+def _to_axes(points: Array, pose: Array) -> Array:
+    """Transform points (k, 2) of a robot at a pose to the axes of the top view, (-y, x)."""
+    x, y = (_rotate(points, pose[2]) + pose[:2]).T
+    return np.column_stack([-y, x])
+
+
+def _polygon(points: Array, pose: Array, **options: Any) -> Polygon:
+    """Return a polygon of points (k, 2) of a robot at a pose."""
+    return Polygon(_to_axes(points, pose), closed=True, zorder=1, **options)
+
+
+# ---- panels over time -----------------------------------------------------------------------
+
+
+def _draw_twist(axes: Any, odom: Array, start: float) -> None:
+    """Draw the measured twist."""
+    time = odom[:, 0] - start
+    for column, name, colour in (
+        (4, "x' [m/s]", TWISTS),
+        (5, "y' [m/s]", PATH),
+        (6, "θ' [rad/s]", TRUTH),
+    ):
+        axes.plot(time, odom[:, column], color=colour, label=name)
+    axes.set_title("Twist in base_link, from the encoders")
+    axes.legend(ncols=3, loc="lower left")
+
+
+def _draw_coupling(axes: Any, coupling: Array, start: float) -> None:
+    """Draw the coupling error of each constraint."""
+    axes.set_title("Coupling error ε [rad]")
+    if coupling.shape[1] < 2:
+        axes.text(
+            0.5, 0.5, "three wheels have no constraint", transform=axes.transAxes, ha="center"
+        )
+        return
+    for column in range(1, coupling.shape[1]):
+        axes.plot(coupling[:, 0] - start, coupling[:, column], color=INK)
+
+
+def _draw_tracking(
+    axes: Any, odom: Array, reference: Reference, legs: list[Interval], start: float
+) -> None:
+    """Draw the distance from the reference while the platform followed a path."""
+    for leg in legs:
+        during = odom[reference.during(odom[:, 0], [leg])]
+        error = 1e3 * pose_errors(during, reference)[0]
+        axes.plot(during[:, 0] - start, error, color=PATH)
+    axes.set_title("Tracking error on the path [mm]")
+    axes.set_ylim(bottom=0.0)
+
+
+def _draw_arm(axes: Any, arm: Array, start: float) -> None:
+    """Draw the joint angles relative to those at the start."""
+    for column in range(1, arm.shape[1]):
+        axes.plot(arm[:, 0] - start, arm[:, column] - arm[0, column], label=str(column))
+    axes.set_title("Measured joint angles, relative to the start [rad]")
+    axes.legend(ncols=6, loc="lower left")
+
+
+def _draw_tool(axes: Any, tool: ToolTrack, start: float) -> None:
+    """Draw the distance of the tool from its reference."""
+    times = tool.times - start
+    axes.plot(times, 1e3 * tool.errors, color=TOOL, lw=1.0, label="in odom")
+    axes.plot(times, 1e3 * tool.true_errors, color=TRUTH, lw=1.0, ls=DASHED, label="ground truth")
+    axes.set_title("Tracking error of the tool [mm]")
+    axes.set_ylim(bottom=0.0)
+    axes.legend(loc="upper left")
+
+
+def _draw_bands(axes: Any, demo: Demo, start: float) -> None:
+    """Draw bands behind the intervals in which the robot was driven."""
+    spans = [(driven.start, driven.phase.duration) for driven in demo.twists.driven]
+    legs = _path_legs(demo)
+    if demo.goal.driven is not None:
+        legs = [*legs, demo.goal.driven.interval]
+    if demo.tool and demo.tool.track:
+        times = demo.tool.track.times
+        legs = [*legs, Interval("tool", times[0], times[-1])]
+    spans += [(leg.start, leg.end - leg.start) for leg in legs]
+    for begin, duration in spans:
+        axes.axvspan(begin - start, begin - start + duration, color=BAND, zorder=0, lw=0)

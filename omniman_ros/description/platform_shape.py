@@ -1,0 +1,74 @@
+"""Boxes that represent the platform's body: a deck, and a box below it between the wheels."""
+
+import math
+from dataclasses import dataclass
+
+from omniman_ros.core.robot import Robot
+from omniman_ros.description.inertia import Vector
+
+WHEEL_WIDTH = 0.5
+"""Width of a wheel over its radius, as configurations have no width."""
+CLEARANCE = 0.5
+"""Ground clearance of the body, over the largest wheel's radius."""
+DECK_BOTTOM = 2.1
+"""Height of the deck's bottom above the floor, over the largest wheel's radius."""
+DECK_THICKNESS = 0.4
+"""Thickness of the deck without an arm, over the largest wheel's radius."""
+MIN_DECK_THICKNESS = 0.1
+"""Smallest thickness of a deck above the wheels, over the largest wheel's radius."""
+WHEEL_GAP = 0.05
+"""Gap between the wheels and the box between them, over the largest wheel's radius."""
+
+
+@dataclass(frozen=True)
+class Box:
+    """A box along the axes of base_link.
+
+    Attributes:
+        centre: Centre of the box [m].
+        size: Lengths of the edges [m].
+    """
+
+    centre: Vector
+    size: Vector
+
+
+def platform_boxes(robot: Robot, mount: float | None) -> tuple[Box, ...]:
+    """Return the deck with the body's length and width, and a box between the wheels below it.
+
+    Configurations have no heights. The deck extends from above the wheels to the base of the arm;
+    if that is too low, the deck starts between the wheels.
+
+    Args:
+        robot: Configuration of the robot.
+        mount: Height of the arm's base above the floor [m]; None if there is no arm.
+    """
+    radius = max(robot.wheels.radius)
+    bottom = DECK_BOTTOM * radius
+    top = bottom + DECK_THICKNESS * radius if mount is None or mount <= 0.0 else mount
+    if top < bottom + MIN_DECK_THICKNESS * radius:
+        bottom = min(CLEARANCE * radius, 0.5 * top)
+        return (_box(robot.body.length, robot.body.width, bottom, top),)
+    deck = _box(robot.body.length, robot.body.width, bottom, top)
+    length, width = _between_wheels(robot, WHEEL_GAP * radius)
+    if length <= 0.0 or width <= 0.0:
+        return (deck,)
+    return deck, _box(length, width, CLEARANCE * radius, bottom)
+
+
+def _box(length: float, width: float, bottom: float, top: float) -> Box:
+    """Return a centred box of a length and a width [m] between two heights [m]."""
+    return Box((0.0, 0.0, 0.5 * (bottom + top)), (length, width, top - bottom))
+
+
+def _between_wheels(robot: Robot, gap: float) -> tuple[float, float]:
+    """Return length and width of the larger box that fits between the wheels: along or across."""
+    wheels, body = robot.wheels, robot.body
+    half_length, half_width = 0.5 * body.length, 0.5 * body.width
+    for x, y, heading, r in zip(wheels.x, wheels.y, wheels.heading, wheels.radius, strict=True):
+        c, s, half = abs(math.cos(heading)), abs(math.sin(heading)), 0.5 * WHEEL_WIDTH * r
+        half_length = min(half_length, abs(x) - r * c - half * s - gap)
+        half_width = min(half_width, abs(y) - r * s - half * c - gap)
+    if max(half_width, 0.0) * body.length >= max(half_length, 0.0) * body.width:
+        return body.length, 2.0 * half_width
+    return 2.0 * half_length, body.width

@@ -1,1 +1,0 @@
-"""The simulated robot: plant, drive units and encoders, sharing no model with the controller."""

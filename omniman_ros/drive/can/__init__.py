@@ -1,1 +1,0 @@
-"""Simulated drives on a CAN bus: each protocol written from its public documents alone."""

@@ -1,0 +1,1 @@
+"""Identification of a real robot: odometry and friction."""

@@ -1,0 +1,1 @@
+"""Identification of the friction of the wheels with the wheels off the floor."""

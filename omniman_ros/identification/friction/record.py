@@ -1,0 +1,93 @@
+"""Steady runs of wheels off the floor, as a file that can be fitted again."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from omniman_ros.console.errors import CommandError
+from omniman_ros.core.errors import OmnimanError
+from omniman_ros.core.parameters import build, flatten
+from omniman_ros.core.robot import Robot
+from omniman_ros.identification.files import write_atomically
+from omniman_ros.identification.friction.friction_fit import SteadyRun
+
+FORMAT = "omniman friction runs 1"
+"""Name and version of the file format."""
+RUN_ARRAYS = ("voltage", "current", "speed", "error", "steady", "spikes")
+"""Names of a run's arrays in the file, which are those of `SteadyRun`."""
+
+
+@dataclass(frozen=True)
+class Truth:
+    """True friction of a simulated robot, to compare the result with.
+
+    Attributes:
+        viscous: (n,) viscous friction of each wheel [N m s/rad].
+        coulomb: (n,) Coulomb friction of each wheel [N m].
+    """
+
+    viscous: tuple[float, ...]
+    coulomb: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class FrictionRecord:
+    """Input of a fit.
+
+    Attributes:
+        robot: The robot as configured.
+        runs: Steady runs in the order in which they were measured.
+        truth: True friction, in simulation only.
+    """
+
+    robot: Robot
+    runs: tuple[SteadyRun, ...] = ()
+    truth: Truth | None = None
+
+
+def save(record: FrictionRecord, path: Path) -> None:
+    """Write a record completely or not at all.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+    tree: dict[str, Any] = {
+        "format": FORMAT,
+        "units": "V, A, rad/s; error: standard error of the mean current, A",
+        "robot": flatten(record.robot),
+        "runs": [
+            {name: getattr(run, name).tolist() for name in RUN_ARRAYS} | {"samples": run.samples}
+            for run in record.runs
+        ],
+        "truth": record.truth and flatten(record.truth),
+    }
+    write_atomically(path, json.dumps(tree, allow_nan=False) + "\n")
+
+
+def load(path: Path) -> FrictionRecord:
+    """Read a record.
+
+    Raises:
+        CommandError: The file does not exist, or is not such a record.
+    """
+    try:
+        tree = json.loads(path.read_text(encoding="utf-8"))
+        if tree["format"] != FORMAT:
+            raise ValueError(f"its format is '{tree['format']}', expected '{FORMAT}'")
+        truth = tree["truth"]
+        return FrictionRecord(
+            robot=build(Robot, tree["robot"]),
+            runs=tuple(
+                SteadyRun(**{name: run[name] for name in RUN_ARRAYS}, samples=int(run["samples"]))
+                for run in tree["runs"]
+            ),
+            truth=None
+            if truth is None
+            else Truth(
+                tuple(map(float, truth["viscous"])),
+                tuple(map(float, truth["coulomb"])),
+            ),
+        )
+    except (OSError, ValueError, KeyError, TypeError, OmnimanError) as error:
+        raise CommandError(f"'{path}' contains no recorded runs: {error!r}", 2) from error

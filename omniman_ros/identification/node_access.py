@@ -1,0 +1,53 @@
+"""Access to the nodes of a robot: their parameters, and QoS profiles for their topics."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from rcl_interfaces.msg import ParameterType
+from rcl_interfaces.srv import GetParameters
+from rclpy.parameter import parameter_value_to_python
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+from omniman_ros.console.errors import CommandError
+from omniman_ros.console.session import Session
+
+SIM_TIME = "use_sim_time"
+"""Parameter of every node: whether it runs on simulated time."""
+LATCHED = QoSProfile(depth=50, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+"""QoS profile of topics whose last message reaches late subscribers, too."""
+LOSSLESS = QoSProfile(depth=400)
+"""QoS profile that queues two seconds of wheel_states, so that none is lost while this process
+waits for the processor."""
+RESPONSE_TIMEOUT = 5.0
+"""Longest time to wait for a node's response [s]."""
+
+
+def read_parameters(
+    session: Session, client: Any, node_name: str, names: Sequence[str]
+) -> dict[str, Any]:
+    """Read parameters of a node.
+
+    Args:
+        session: Session of the command.
+        client: Client of the node's service `get_parameters`, which is ready.
+        node_name: Name of the node, for messages.
+        names: Full names of the parameters.
+
+    Returns:
+        The values by name; parameters that the node does not have are absent.
+
+    Raises:
+        CommandError: The node does not answer.
+    """
+    # Each request has one name: one parameter without a value would make the whole response empty.
+    values = {}
+    for name in names:
+        future = client.call_async(GetParameters.Request(names=[name]))
+        if not session.wait(future.done, RESPONSE_TIMEOUT):
+            raise CommandError(
+                f"{node_name} does not report '{name}' within {RESPONSE_TIMEOUT:g} s"
+            )
+        for answer in future.result().values:
+            if answer.type != ParameterType.PARAMETER_NOT_SET:
+                values[name] = parameter_value_to_python(answer)
+    return values

@@ -1,0 +1,1 @@
+"""Calibration of the odometry from drives whose ends are measured."""

@@ -1,0 +1,167 @@
+"""Recorded runs and measured poses, as a file that can be fitted again."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from omniman_ros.console.errors import CommandError
+from omniman_ros.control.odometry import OdometryParameters
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.errors import OmnimanError
+from omniman_ros.core.parameters import build, flatten
+from omniman_ros.core.robot import Wheels
+from omniman_ros.identification.files import write_atomically
+from omniman_ros.identification.odometry.campaign import Accuracy, Campaign, Pose, Run
+
+FORMAT = "omniman odometry runs 1"
+"""Name and version of the file format."""
+DIGITS = 7
+"""Number of decimals of positions and poses; the rounding error is far below an encoder count."""
+
+
+@dataclass(frozen=True)
+class CheckDrive:
+    """A drive along the check path, to which no factor is fitted.
+
+    Attributes:
+        times: (k,) times of the wheel positions [s].
+        positions: (k, n) wheel positions [rad].
+        start: Measured pose before the drive [m, m, rad].
+        end: Measured pose after it [m, m, rad]; None if it was not measured.
+        truth: (m, 4) times [s] and poses [m, m, rad] measured during the drive, or (0, 4).
+    """
+
+    times: Array
+    positions: Array
+    start: Pose
+    end: Pose | None
+    truth: Array
+
+
+@dataclass(frozen=True)
+class OdometryRecord:
+    """Input of a calibration.
+
+    Attributes:
+        wheels: The wheels as configured, without calibration.
+        odometry: Parameters in force while the runs were driven.
+        accuracy: Accuracy of the measured poses.
+        runs: Runs, see :class:`Campaign`.
+        poses: Measured poses, see :class:`Campaign`.
+        check: The drive along the check path, if there was one.
+    """
+
+    wheels: Wheels
+    odometry: OdometryParameters
+    accuracy: Accuracy
+    runs: tuple[Run, ...] = ()
+    poses: tuple[Pose | None, ...] = ()
+    check: CheckDrive | None = None
+
+    @property
+    def campaign(self) -> Campaign:
+        """The runs to fit.
+
+        Raises:
+            InputError: Too few poses were measured.
+        """
+        return Campaign(self.wheels, self.runs, self.poses, self.accuracy)
+
+    def with_run(self, run: Run, pose: Pose | None) -> "OdometryRecord":
+        """Return the record with one more run and the measured pose after it."""
+        return replace(self, runs=(*self.runs, run), poses=(*self.poses, pose))
+
+
+def without_standstill(times: Array, positions: Array) -> tuple[Array, Array]:
+    """Remove rows in which no wheel has moved since the row before; the last row stays.
+
+    Args:
+        times: (k,) times [s].
+        positions: (k, n) wheel positions [rad].
+    """
+    keep = np.ones(len(positions), dtype=bool)
+    keep[1:] = (np.diff(positions, axis=0) != 0.0).any(axis=1)
+    keep[-1] = True
+    return times[keep], positions[keep]
+
+
+def save(record: OdometryRecord, path: Path) -> None:
+    """Write a record completely or not at all.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+    tree: dict[str, Any] = {
+        "format": FORMAT,
+        "units": "m, rad, s; poses (x, y, heading) of base_link on the floor",
+        "wheels": flatten(record.wheels),
+        "odometry": flatten(record.odometry),
+        "accuracy": [record.accuracy.position, record.accuracy.heading],
+        "start": record.poses[0] if record.poses else None,
+        "runs": [
+            {"name": run.name, "pose": pose, "positions": np.round(run.positions, DIGITS).tolist()}
+            for run, pose in zip(record.runs, record.poses[1:], strict=True)
+        ],
+        "check": None,
+    }
+    if record.check is not None:
+        check = record.check
+        tree["check"] = {
+            "start": check.start,
+            "end": check.end,
+            "times": np.round(check.times, 6).tolist(),
+            "positions": np.round(check.positions, DIGITS).tolist(),
+            "truth": np.round(check.truth, DIGITS).tolist(),
+        }
+    write_atomically(path, json.dumps(tree, allow_nan=False) + "\n")
+
+
+def load(path: Path) -> OdometryRecord:
+    """Read a record.
+
+    Raises:
+        CommandError: The file does not exist, or is not such a record.
+    """
+    try:
+        tree = json.loads(path.read_text(encoding="utf-8"))
+        if tree["format"] != FORMAT:
+            raise ValueError(f"its format is '{tree['format']}', expected '{FORMAT}'")
+        check = tree["check"]
+        return OdometryRecord(
+            wheels=build(Wheels, tree["wheels"]),
+            odometry=build(OdometryParameters, tree["odometry"]),
+            accuracy=Accuracy(*map(float, tree["accuracy"])),
+            runs=tuple(Run(str(run["name"]), _matrix(run["positions"])) for run in tree["runs"]),
+            poses=(_pose(tree["start"]), *(_pose(run["pose"]) for run in tree["runs"])),
+            check=None if check is None else _check_drive(check),
+        )
+    except (OSError, ValueError, KeyError, TypeError, OmnimanError) as error:
+        raise CommandError(f"'{path}' contains no recorded runs: {error!r}", 2) from error
+
+
+def _check_drive(tree: Mapping[str, Any]) -> CheckDrive:
+    start = _pose(tree["start"])
+    if start is None:
+        raise ValueError("the check has no start")
+    return CheckDrive(
+        np.array(tree["times"], dtype=float),
+        _matrix(tree["positions"]),
+        start,
+        _pose(tree["end"]),
+        _matrix(tree["truth"]).reshape(-1, 4),
+    )
+
+
+def _matrix(rows: Any) -> Array:
+    return np.array(rows, dtype=float)
+
+
+def _pose(values: Any) -> Pose | None:
+    if values is None:
+        return None
+    x, y, theta = map(float, values)
+    return x, y, theta

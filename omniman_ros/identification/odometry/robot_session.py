@@ -1,0 +1,341 @@
+"""Drives the robot over ROS, and records its wheels and measured poses."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import Twist, TwistStamped
+from nav_msgs.msg import Odometry
+from rcl_interfaces.srv import GetParameters
+from rclpy.duration import Duration
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from trajectory_msgs.msg import MultiDOFJointTrajectory
+
+from omniman_ros.console.errors import CommandError
+from omniman_ros.console.preview_messages import PREVIEW_PERIOD, preview_message
+from omniman_ros.console.progress import Progress
+from omniman_ros.console.session import DISCOVERY_TIMEOUT, PeriodicTicks, Session
+from omniman_ros.control.encoder import Unwrapper
+from omniman_ros.control.platform_parameters import PlatformParameters
+from omniman_ros.conversions.geometry import yaw_from_quaternion
+from omniman_ros.conversions.headers import time_seconds
+from omniman_ros.conversions.joints import joint_arrays
+from omniman_ros.core import plausible
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.errors import InputError
+from omniman_ros.core.parameters import build, specs
+from omniman_ros.core.planar import Triple
+from omniman_ros.identification.node_access import (
+    LATCHED,
+    LOSSLESS,
+    RESPONSE_TIMEOUT,
+    SIM_TIME,
+    read_parameters,
+)
+from omniman_ros.identification.odometry.drive_plan import Motion
+
+CONTROLLER = "platform_controller"
+"""Name of the node that drives the robot."""
+USES_STAMPED_TWISTS = "cmd_vel_stamped"
+"""Parameter of this node: whether it subscribes to a TwistStamped."""
+LEAD_TIME = 0.3
+"""Time from the first preview to the start of a motion [s]."""
+SETTLING_TIME = 0.8
+"""Time at rest after a motion before it counts as ended [s]."""
+AVERAGING_TIME = 0.5
+"""Time over which a pose at rest is averaged [s]."""
+AT_REST_SPEED = 0.02
+"""Speed below which a wheel counts as standing [rad/s]."""
+MAX_END_ERROR = 0.1
+"""Distance from the reference at the end of a motion up to which it was driven to its end
+[m, rad]."""
+CANCELLATION_TIME = 1.5
+"""Silence after which another path may follow a cancelled one; longer than timeouts.cancelled
+[s]."""
+SPEED_SAMPLES = 21
+"""Number of positions over which the speed is differenced."""
+
+
+@dataclass(frozen=True)
+class Controller:
+    """The configuration of the platform controller.
+
+    Attributes:
+        parameters: Its parameters, those of the robot included.
+        is_stamped: Whether it subscribes to a TwistStamped.
+    """
+
+    parameters: PlatformParameters
+    is_stamped: bool
+
+
+def read_controller(session: Session, namespace: str, check: Callable[[], None]) -> Controller:
+    """Read the parameters of the platform controller.
+
+    Args:
+        session: Session of the command.
+        namespace: Namespace of the robot.
+        check: Called many times a second; raises to end early.
+
+    Raises:
+        CommandError: The controller does not answer, or runs on simulated time.
+    """
+    name = f"/{namespace.strip('/')}/{CONTROLLER}".replace("//", "/")
+    client = session.node.create_client(GetParameters, f"{name}/get_parameters")
+
+    def is_ready() -> bool:
+        check()
+        return bool(client.service_is_ready())
+
+    if not session.wait(is_ready, DISCOVERY_TIMEOUT):
+        raise CommandError(
+            f"no {name} within {DISCOVERY_TIMEOUT:g} s: start the robot (omniman up) or use "
+            "--simulate; is ROS_DOMAIN_ID the robot's?"
+        )
+    names = [spec.name for spec in specs(PlatformParameters)]
+    values = read_parameters(session, client, name, [*names, SIM_TIME, USES_STAMPED_TWISTS])
+    if values.get(SIM_TIME):
+        raise CommandError(f"{name} runs on simulated time (use_sim_time): start it without")
+    return Controller(build(PlatformParameters, values), bool(values.get(USES_STAMPED_TWISTS)))
+
+
+@dataclass
+class Recording:
+    """Feedback that was received since :meth:`RobotSession.start_recording`.
+
+    Attributes:
+        times: Stamps of wheel_states, ROS time [s].
+        positions: Positions of the wheels (n,), not wrapped [rad].
+        truth: Stamps (ROS time) and measured poses (x, y, heading) [s, m, m, rad].
+    """
+
+    times: list[float] = field(default_factory=list)
+    positions: list[Array] = field(default_factory=list)
+    truth: list[tuple[float, float, float, float]] = field(default_factory=list)
+
+    def differenced_speed(self) -> float:
+        """Return the speed of the fastest wheel by the latest positions [rad/s]."""
+        span = slice(-SPEED_SAMPLES, None)
+        times, positions = self.times[span], self.positions[span]
+        moved = float(np.abs(positions[-1] - positions[0]).max())
+        return moved / max(times[-1] - times[0], 1e-3)
+
+
+class RobotSession:
+    """Drives motions and records the wheels.
+
+    Args:
+        session: Session of the command.
+        controller: Configuration of the platform controller.
+        truth: Topic of a measured pose, or None.
+        progress: Display of the progress.
+        poll: Called many times a second; raises to end early.
+
+    Attributes:
+        recording: The current recording.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        controller: Controller,
+        truth: str | None,
+        progress: Progress,
+        poll: Callable[[], None],
+    ) -> None:
+        self._session = session
+        parameters = controller.parameters
+        self._names = parameters.robot.wheels.names
+        span = parameters.odometry.encoder_span
+        self._unwrap = Unwrapper(span).update if span else np.array
+        self._truth_topic = truth
+        self._progress = progress
+        self._poll = poll
+        self._pose: Triple | None = None
+        self._speed = math.inf
+        self._source = ""
+        self._stop_reasons: dict[str, str] = {}
+        self._received: set[str] = set()
+        self.recording = Recording()
+        node = session.node
+        self._is_stamped = controller.is_stamped
+        self._twists = node.create_publisher(
+            TwistStamped if self._is_stamped else Twist, "cmd_vel", 1
+        )
+        self._previews = node.create_publisher(MultiDOFJointTrajectory, "path/reference", 1)
+        node.create_subscription(JointState, "wheel_states", self._on_wheels, LOSSLESS)
+        node.create_subscription(Odometry, "odom", self._on_odom, 10)
+        node.create_subscription(String, "active_source", self._on_source, LATCHED)
+        node.create_subscription(DiagnosticStatus, "stop_state", self._on_stop_state, LATCHED)
+        if truth is not None:
+            node.create_subscription(Odometry, truth, self._on_truth, LOSSLESS)
+
+    # ---- topics -------------------------------------------------------------------------------
+
+    def _on_wheels(self, message: JointState) -> None:
+        position, velocity, _ = joint_arrays(message, self._names)
+        if position is None:
+            raise InputError("wheel_states without positions")
+        plausible.demand(position, plausible.WHEEL_ANGLE, "wheel_states: positions")
+        self.recording.times.append(time_seconds(message.header.stamp))
+        self.recording.positions.append(self._unwrap(position))
+        if velocity is not None:
+            self._speed = float(np.abs(velocity).max())
+        elif len(self.recording.positions) > 1:
+            self._speed = self.recording.differenced_speed()
+        self._received.add("wheel_states")
+
+    def _on_odom(self, message: Odometry) -> None:
+        self._pose = _pose(message)
+        self._received.add("odom")
+
+    def _on_truth(self, message: Odometry) -> None:
+        stamp = time_seconds(message.header.stamp)
+        self.recording.truth.append((stamp, *_pose(message)))
+        assert self._truth_topic is not None
+        self._received.add(self._truth_topic)
+
+    def _on_source(self, message: String) -> None:
+        self._source = message.data
+
+    def _on_stop_state(self, message: DiagnosticStatus) -> None:
+        if message.level == DiagnosticStatus.ERROR:
+            self._stop_reasons[message.name] = message.message
+        else:
+            self._stop_reasons.pop(message.name, None)
+
+    # ---- waiting ------------------------------------------------------------------------------
+
+    @property
+    def pose(self) -> Triple:
+        """Pose by the odometry, in odom [m, m, rad]; the heading is wrapped."""
+        assert self._pose is not None
+        return self._pose
+
+    def wait(self) -> None:
+        """Serve ROS for a moment.
+
+        Raises:
+            CommandError: The robot has stopped, or a node has died.
+            KeyboardInterrupt: A signal was received.
+        """
+        self._session.spin(0.05)
+        self._check()
+
+    def _check(self) -> None:
+        self._poll()
+        for name, reason in self._stop_reasons.items():
+            raise CommandError(f"the robot stopped: {name} is {reason}")
+
+    def _wait_until(self, condition: Callable[[], bool], timeout: float) -> bool:
+        def checked() -> bool:
+            self._check()
+            return condition()
+
+        return self._session.wait(checked, timeout)
+
+    def connect(self) -> None:
+        """Wait until all topics that are needed arrive, and nobody drives the robot.
+
+        Raises:
+            CommandError: This takes too long.
+        """
+        needed = ["odom", "wheel_states", *([self._truth_topic] if self._truth_topic else [])]
+
+        def missing() -> list[str]:
+            names = [f"'{topic}'" for topic in needed if topic not in self._received]
+            if not self._previews.get_subscription_count():
+                names.append("a subscriber of 'path/reference'")
+            return names
+
+        if not self._wait_until(lambda: not missing(), DISCOVERY_TIMEOUT):
+            raise CommandError(f"missing after {DISCOVERY_TIMEOUT:g} s: {', '.join(missing())}")
+        if not self._wait_until(lambda: self._source == "none", RESPONSE_TIMEOUT):
+            raise CommandError(f"'{self._source}' drives the robot: end that first")
+
+    # ---- driving ------------------------------------------------------------------------------
+
+    def start_recording(self) -> None:
+        """Begin a new recording, with the current wheel positions as its first.
+
+        Raises:
+            CommandError: No wheel_states are received.
+        """
+        self.recording = Recording()
+        if not self._wait_until(lambda: bool(self.recording.positions), RESPONSE_TIMEOUT):
+            raise CommandError(f"no wheel_states for {RESPONSE_TIMEOUT:g} s")
+
+    def drive(
+        self, name: str, motion: Motion, progress_range: tuple[float, float] = (0.0, 1.0)
+    ) -> bool:
+        """Drive a motion and wait for rest.
+
+        Args:
+            name: Name of the run that it belongs to, for messages.
+            motion: Motion in odom.
+            progress_range: Progress of the run at the motion's start and end.
+
+        Returns:
+            Whether the robot arrived at the end; if not, the path was cancelled on the way.
+
+        Raises:
+            CommandError: Another source drives, or the robot does not come to rest.
+        """
+        clock = self._session.node.get_clock()
+        start = clock.now() + Duration(nanoseconds=round(LEAD_TIME * 1e9))
+        has_driven = False
+        duration = LEAD_TIME + motion.duration + SETTLING_TIME
+        first, last = progress_range
+        for elapsed in PeriodicTicks(self._session, duration, PREVIEW_PERIOD, self._check):
+            if elapsed < LEAD_TIME + motion.duration:
+                self._previews.publish(preview_message(motion, clock.now(), start))
+            has_driven |= self._source == "path"
+            self._progress.update(first + (last - first) * elapsed / duration, "")
+        if not has_driven:
+            raise CommandError(f"run '{name}': '{self._source}' drives, not this path")
+        if not self._wait_until(self._is_at_rest, RESPONSE_TIMEOUT):
+            raise CommandError(f"run '{name}': the robot does not come to rest")
+        end, (x, y, theta) = motion.sample(motion.duration).pose, self.pose
+        error = max(
+            math.hypot(x - end[0], y - end[1]), abs(math.remainder(theta - end[2], math.tau))
+        )
+        if error <= MAX_END_ERROR:
+            return True
+        self._wait_until(lambda: False, CANCELLATION_TIME)
+        return False
+
+    def _is_at_rest(self) -> bool:
+        return self._source == "none" and self._speed < AT_REST_SPEED
+
+    def halt(self) -> None:
+        """Bring the robot to rest with a zero twist, which takes precedence over any path."""
+        for _ in range(3):
+            message = TwistStamped() if self._is_stamped else Twist()
+            if self._is_stamped:
+                message.header.stamp = self._session.node.get_clock().now().to_msg()
+                message.header.frame_id = "base_link"
+            self._twists.publish(message)
+        self._twists.wait_for_all_acked(Duration(seconds=1))
+
+    def pose_at_rest(self) -> Triple | None:
+        """Return the mean of the measured poses over `AVERAGING_TIME`; None without any.
+
+        Returns:
+            The pose in the frame of the topic [m, m, rad].
+        """
+        before = len(self.recording.truth)
+        self._wait_until(lambda: False, AVERAGING_TIME)
+        rows = np.array(self.recording.truth[before:])
+        if not len(rows):
+            return None
+        angle = math.atan2(np.sin(rows[:, 3]).mean(), np.cos(rows[:, 3]).mean())
+        return float(rows[:, 1].mean()), float(rows[:, 2].mean()), angle
+
+
+def _pose(message: Odometry) -> Triple:
+    position = message.pose.pose.position
+    plausible.demand(np.array([position.x, position.y]), plausible.LENGTH, "measured position")
+    return position.x, position.y, yaw_from_quaternion(message.pose.pose.orientation)

@@ -1,0 +1,1 @@
+"""The laboratory: benchmarks, reproductions of the papers, studies and their figures."""

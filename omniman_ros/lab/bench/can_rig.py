@@ -1,0 +1,384 @@
+"""The rig of `omniman bench can`: bridge and drives as processes, and the bus between them.
+
+The simulated robot stands on the floor: on blocks, its platform would always be at rest.
+"""
+
+import contextlib
+import math
+import os
+import signal
+import struct
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple, Self
+
+import can
+import yaml
+from diagnostic_msgs.msg import DiagnosticStatus
+from nav_msgs.msg import Odometry
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool
+from std_srvs.srv import Trigger
+
+from omniman_ros.console.errors import CommandError
+from omniman_ros.console.session import Session
+from omniman_ros.core.can_parameters import CanParameters
+from omniman_ros.core.parameters import build, flatten_mapping
+from omniman_ros.nodes.stop_interface import ALL_LATCHED, LATCHED
+from omniman_ros.processes.drive_options import MULTICAST_GROUP, find_installation_file
+from omniman_ros.processes.process_group import ProcessGroup, ProcessSpec
+from omniman_ros.processes.robot_setup import node_command
+from omniman_ros.robots import load_robot
+
+ROBOT = "omniman"
+SPEED = 2.0
+"""Speed of the wheels [rad/s]."""
+PERIOD = 0.01
+"""Period of wheel_commands [s]."""
+STEADY_TIME = 0.05
+"""Time for which all setpoints must have been constant before a fault [s]."""
+REST_SPEED = 0.01
+"""Speed below which the platform counts as at rest [m/s]."""
+REST_YAW_RATE = 0.03
+"""Yaw rate below which the platform counts as at rest [rad/s]."""
+TIMEOUT = 20.0
+"""Longest time to wait for anything [s]."""
+RETRY_PERIOD = 0.1
+"""Time between two resets while they are refused [s]."""
+
+
+class BusFrame(NamedTuple):
+    """A frame on the bus.
+
+    Attributes:
+        at: Time of arrival on the system's clock [s].
+        id: Identifier.
+        data: Data.
+    """
+
+    at: float
+    id: int
+    data: bytes
+
+
+class BusRecorder:
+    """Records all frames on a bus, in a thread of its own.
+
+    Args:
+        port: UDP port of the bus.
+
+    Attributes:
+        frames: Frames since the last :meth:`clear`.
+        last: Last data, by identifier.
+        since: Time since which that data has been the same, by identifier [s].
+    """
+
+    def __init__(self, port: int) -> None:
+        self._bus = can.Bus(
+            interface="udp_multicast", channel=MULTICAST_GROUP, port=port, hop_limit=0
+        )
+        self.frames: list[BusFrame] = []
+        self.last: dict[int, bytes] = {}
+        self.since: dict[int, float] = {}
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._record, daemon=True)
+        self._thread.start()
+
+    def _record(self) -> None:
+        while not self._closing.is_set():
+            try:
+                message = self._bus.recv(0.1)
+            except can.CanError:
+                continue
+            if message is None or message.is_remote_frame:
+                continue
+            frame = BusFrame(message.timestamp, message.arbitration_id, bytes(message.data))
+            self.frames.append(frame)
+            if self.last.get(frame.id) != frame.data:
+                self.last[frame.id], self.since[frame.id] = frame.data, frame.at
+
+    def clear(self) -> None:
+        """Begin a new record."""
+        self.frames = []
+
+    def send(self, id: int, data: bytes) -> None:
+        """Send a frame."""
+        self._bus.send(can.Message(arbitration_id=id, data=data, is_extended_id=False))
+
+    def close(self) -> None:
+        """Close the bus."""
+        self._closing.set()
+        self._thread.join()
+        self._bus.shutdown()
+
+
+Kind = Callable[[BusFrame, int], bool]
+"""A kind of frame: whether a frame is of it, for the drive with a node id."""
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """The frames of a protocol that this benchmark distinguishes.
+
+    Attributes:
+        setpoint: Identifiers of the frames that may contain a drive's setpoint, by node id.
+        stop: First bytes of a stop command; None if any setpoint that differs from the previous
+            one is a stop.
+        kinds: Kinds of frames in which faults become visible.
+    """
+
+    setpoint: Callable[[int], tuple[int, ...]]
+    stop: bytes | None
+    kinds: Mapping[str, Kind]
+
+
+def _emergency(frame: BusFrame, node: int, code: int = 0) -> bool:
+    error = struct.unpack_from("<H", frame.data)[0] if len(frame.data) >= 2 else 0
+    return frame.id == 0x080 + node and bool(error) and code in (0, error)
+
+
+DIALECTS = {
+    # Controlword 0x0002: quick stop, little-endian (IEC 61800-7-201).
+    "cia402": Dialect(
+        lambda node: (0x200 + node,),
+        b"\x02\x00",
+        {
+            "EMCY": _emergency,
+            "boot-up": lambda f, node: f.id == 0x700 + node and f.data == b"\x00",
+            "report": lambda f, node: f.id == 0x280 + node,
+            "whole report": lambda f, node: f.id == 0x280 + node and len(f.data) == 8,
+            "heartbeat": lambda f, node: f.id == 0x700 + node,
+            "other mode": lambda f, node: f.id == 0x180 + node and f.data[2:3] != b"\x09",
+            "setpoint": lambda f, node: f.id == 0x080,
+            "watchdog": lambda f, node: _emergency(f, node, 0x8130),
+        },
+    ),
+    "vesc": Dialect(
+        lambda node: tuple(packet << 8 | node for packet in range(4)),
+        None,
+        {
+            "report": lambda f, node: f.id in (9 << 8 | node, 27 << 8 | node),
+            "setpoint": lambda f, node: f.id == 3 << 8 | node,
+        },
+    ),
+    "odrive": Dialect(
+        lambda node: (node << 5 | 0x0D,),
+        None,
+        {
+            "error": lambda f, node: f.id == node << 5 | 1 and f.data[:4] != bytes(4),
+            "report": lambda f, node: f.id == node << 5 | 9,
+            "heartbeat": lambda f, node: f.id == node << 5 | 1,
+            "setpoint": lambda f, node: f.id == node << 5 | 0x0D,
+            "watchdog": lambda f, node: f.id == node << 5 | 1 and f.data[3:4] == b"\x01",
+        },
+    ),
+}
+
+
+def installation(name: str) -> CanParameters:
+    """Load the installation of a protocol from config/can/."""
+    tree = yaml.safe_load(Path(find_installation_file(name)).read_text(encoding="utf-8"))
+    return build(CanParameters, flatten_mapping(tree["/**"]["ros__parameters"]), "can.")
+
+
+class Rig:
+    """Bridge and drives as processes on a bus, driven by this process.
+
+    Args:
+        session: ROS session of this process.
+        protocol: Protocol of the drives.
+        port: UDP port of the bus.
+        log: Called with name and line of the processes' output.
+
+    Attributes:
+        recorder: Recorder of the bus.
+        commanding: Whether wheel_commands are published.
+        published: Time of the last one on the system's clock [s].
+        truth: Times [s] and speeds of the platform, as multiples of the threshold of rest.
+        state: Level of the bridge's last stop_state.
+        reason: Reason in the bridge's last stop_state.
+    """
+
+    def __init__(
+        self, session: Session, protocol: str, port: int, log: Callable[[str, str], None]
+    ) -> None:
+        self.session, self.protocol, self.log = session, protocol, log
+        self.parameters, self.dialect = installation(protocol), DIALECTS[protocol]
+        self.names = list(load_robot(ROBOT)["wheels.names"])
+        self.nodes = self.parameters.nodes
+        self._arguments = (
+            "--ros-args",
+            "-p",
+            f"robot:={ROBOT}",
+            "--params-file",
+            find_installation_file(protocol),
+            "-p",
+            "can.interface:=udp_multicast",
+            "-p",
+            f"can.channel:='{MULTICAST_GROUP}'",
+            "-p",
+            f"can.port:={port}",
+        )
+        self._top = SPEED * load_robot(ROBOT)["wheels.radius"][0]
+        self.commanding, self.published = True, 0.0
+        self.truth: list[tuple[float, float]] = []
+        self._forward, self.state, self.reason = 0.0, b"", ""
+        self._drives = self._children("simulated_can_drives")
+        self._bridge = self._children("can_bridge")
+        self.recorder = BusRecorder(port)
+        self._make_topics()
+
+    def _children(self, node: str) -> ProcessGroup:
+        task = ProcessSpec(node, node_command(node, self._arguments))
+        return ProcessGroup([task], on_line=self.log, report=lambda text: None)
+
+    def _make_topics(self) -> None:
+        node = self.session.node
+        self._commands = node.create_publisher(JointState, "wheel_commands", QoSProfile(depth=1))
+        self._emergency = node.create_publisher(Bool, "emergency_stop", LATCHED)
+        node.create_subscription(Odometry, "ground_truth/odom", self._on_truth, 100)
+        node.create_subscription(DiagnosticStatus, "stop_state", self._on_state, ALL_LATCHED)
+        self._timer = node.create_timer(PERIOD, self._command)
+        self._set = node.create_client(SetParameters, "simulated_can_drives/set_parameters")
+        self._services = {
+            name: node.create_client(Trigger, f"can_bridge/{name}") for name in ("stop", "reset")
+        }
+        self._message = JointState(name=self.names, velocity=[SPEED] * len(self.names))
+
+    def _command(self) -> None:
+        if self.commanding:
+            self.published = time.time()
+            self._commands.publish(self._message)
+
+    def _on_truth(self, message: Odometry) -> None:
+        stamp, twist = message.header.stamp, message.twist.twist
+        self._forward = twist.linear.x
+        speed = math.hypot(twist.linear.x, twist.linear.y) / REST_SPEED
+        turn = abs(twist.angular.z) / REST_YAW_RATE
+        self.truth.append((stamp.sec + 1e-9 * stamp.nanosec, max(speed, turn)))
+
+    def _on_state(self, message: DiagnosticStatus) -> None:
+        self.state, self.reason = message.level, message.message
+
+    # ---- processes ------------------------------------------------------------------------------
+
+    def __enter__(self) -> Self:
+        self._drives.__enter__()
+        self._bridge.__enter__()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        node = self.session.node
+        node.destroy_timer(self._timer)
+        with contextlib.suppress(ProcessLookupError):
+            self.signal(signal.SIGCONT)
+        for children in (self._bridge, self._drives):
+            children.__exit__(None, None, None)
+        self.recorder.close()
+
+    def interrupt(self, number: int) -> None:
+        """Pass on a signal to the processes; safe in a signal handler."""
+        self._drives.interrupt(number)
+
+    def signal(self, number: int) -> None:
+        """Send a signal to the bridge."""
+        os.kill(self._bridge.pid("can_bridge"), number)
+
+    def restart(self) -> None:
+        """Start another bridge in place of one that was killed."""
+        self._bridge.__exit__(None, None, None)
+        self._bridge = self._children("can_bridge")
+        self._bridge.__enter__()
+
+    def wait(self, condition: Callable[[], bool], what: str) -> None:
+        """Serve callbacks until a condition holds.
+
+        Args:
+            condition: The condition.
+            what: What is waited for, for the error.
+
+        Raises:
+            CommandError: The condition does not hold within `TIMEOUT`, or the drives have ended.
+        """
+
+        def done() -> bool:
+            self._drives.check()
+            return condition()
+
+        if not self.session.wait(done, TIMEOUT):
+            raise CommandError(f"{self.protocol}: no {what} within {TIMEOUT:g} s ({self.reason})")
+
+    def call(self, client: Any, request: Any) -> Any:
+        """Call a service and return its response."""
+        self.wait(client.service_is_ready, client.srv_name)
+        future = client.call_async(request)
+        self.wait(future.done, client.srv_name)
+        return future.result()
+
+    # ---- faults and commands --------------------------------------------------------------------
+
+    def switch(self, fault: str, value: Sequence[str] | float) -> None:
+        """Set a parameter `can_faults.*` of the simulated drives."""
+        if isinstance(value, float):
+            given = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value)
+        else:
+            kind = ParameterType.PARAMETER_STRING_ARRAY
+            given = ParameterValue(type=kind, string_array_value=list(value))
+        parameter = Parameter(name=f"can_faults.{fault}", value=given)
+        answer = self.call(self._set, SetParameters.Request(parameters=[parameter]))
+        if not answer.results[0].successful:
+            raise CommandError(f"can_faults.{fault}: {answer.results[0].reason}")
+
+    def emergency(self, pressed: bool) -> float:
+        """Publish emergency_stop; return the time on the system's clock [s]."""
+        at = time.time()
+        self._emergency.publish(Bool(data=pressed))
+        return at
+
+    def stop(self) -> float:
+        """Call ~/stop of the bridge; return the time on the system's clock [s]."""
+        at = time.time()
+        self.call(self._services["stop"], Trigger.Request())
+        return at
+
+    def settle(self) -> None:
+        """Reset the bridge where it is stopped, and drive until the speed is steady."""
+        self.commanding, asked = True, 0.0
+
+        def steady() -> bool:
+            nonlocal asked
+            now = time.time()
+            if self.state == DiagnosticStatus.ERROR and now - asked > RETRY_PERIOD:
+                reset = self._services["reset"]
+                if reset.service_is_ready():
+                    asked = now
+                    reset.call_async(Trigger.Request())
+            return self._is_steady(now)
+
+        self.wait(steady, "a steady speed")
+
+    def _is_steady(self, now: float) -> bool:
+        since = self.recorder.since
+        constant_since = [
+            max(since.get(i, 0.0) for i in self.dialect.setpoint(n)) for n in self.nodes
+        ]
+        return (
+            self.state == DiagnosticStatus.OK
+            and self._forward > 0.95 * self._top
+            and all(0.0 < at < now - STEADY_TIME for at in constant_since)
+        )
+
+    def changed_setpoint(self) -> Kind:
+        """Return the kind of frames whose setpoint differs from the drive's present one."""
+        driving = dict(self.recorder.last)
+
+        def is_changed(frame: BusFrame, node: int) -> bool:
+            return frame.id in self.dialect.setpoint(node) and frame.data != driving.get(frame.id)
+
+        return is_changed

@@ -1,0 +1,137 @@
+"""Latency from cmd_vel to wheel_commands across processes, compared with a bare relay's."""
+
+import random
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from geometry_msgs.msg import Twist
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import JointState
+
+from omniman_ros.console.errors import CommandError
+from omniman_ros.console.preview_messages import twist_message
+from omniman_ros.console.session import DISCOVERY_TIMEOUT, Session
+from omniman_ros.core.planar import Triple
+
+SETPOINT = QoSProfile(depth=1)
+SPEED = 0.002
+"""Step of the forward velocity, small so that the robot is soon at rest again [m/s]."""
+REST: Triple = (0.0, 0.0, 0.0)
+"""Twist of a robot at rest [m/s, m/s, rad/s]."""
+STEP_TIMEOUT = 2.0
+"""Time after which a step counts as lost [s]."""
+WARM_UP_PERIOD = 0.1
+"""Time between two steps until the node reacts for the first time [s]."""
+
+
+@dataclass
+class Path:
+    """A path from a twist to wheel commands through a node, whose latency is measured.
+
+    Attributes:
+        session: ROS session that publishes and subscribes.
+        name: Name of the node, for tables and errors.
+        cmd_vel: Topic of the twists.
+        wheel_commands: Topic of the wheel commands.
+        latencies: Samples so far [s].
+    """
+
+    session: Session
+    name: str
+    cmd_vel: str
+    wheel_commands: str
+    latencies: list[float] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self._moving = False
+        self._received = 0
+        self._changed_at = 0.0
+        node = self.session.node
+        self._publisher = node.create_publisher(Twist, self.cmd_vel, SETPOINT)
+        node.create_subscription(JointState, self.wheel_commands, self._on_command, SETPOINT)
+
+    def _on_command(self, message: JointState) -> None:
+        moving = any(message.velocity)
+        if moving != self._moving:
+            self._changed_at = time.monotonic()
+            self._moving = moving
+        self._received += 1
+
+    @property
+    def ready(self) -> bool:
+        """Whether both directions are connected."""
+        return self._received > 0 and self._publisher.get_subscription_count() > 0
+
+    def send(self, twist: Triple) -> None:
+        """Publish a twist."""
+        self._publisher.publish(twist_message(twist))
+
+    def measure(self, pause: float) -> None:
+        """Measure one sample: the time from a step at rest to the first non-zero wheel command.
+
+        Args:
+            pause: Time before the step [s].
+
+        Raises:
+            CommandError: The node does not react, or does not come to rest again.
+        """
+        self.session.spin(pause)
+        before = time.monotonic()
+        self.send((SPEED, 0.0, 0.0))
+        self._await(lambda: self._moving, "moves")
+        self.latencies.append(self._changed_at - before)
+        self.send(REST)
+        self._await(lambda: not self._moving, "comes to rest")
+
+    def _await(self, condition: Callable[[], bool], what: str) -> None:
+        if not self.session.wait(condition, STEP_TIMEOUT):
+            raise CommandError(f"{self.name}: no wheel {what} within {STEP_TIMEOUT:g} s of a step")
+
+    def warm_up(self) -> None:
+        """Wait until the node reacts for the first time: it may lack wheel_states before.
+
+        Raises:
+            CommandError: The node does not react.
+        """
+        end = time.monotonic() + DISCOVERY_TIMEOUT
+        while not (self.ready and self._moving):
+            if time.monotonic() > end:
+                raise CommandError(f"{self.name}: no connection within {DISCOVERY_TIMEOUT:g} s")
+            self.send((SPEED, 0.0, 0.0))
+            self.session.wait(lambda: self.ready and self._moving, WARM_UP_PERIOD)
+        self.send(REST)
+        self._await(lambda: not self._moving, "comes to rest")
+
+    def summary(self) -> dict[str, float]:
+        """Return the number of samples, their median, 90th and 99th percentile."""
+        cuts = statistics.quantiles(self.latencies, n=100, method="inclusive")
+        return {
+            "samples": len(self.latencies),
+            "median_ms": 1e3 * statistics.median(self.latencies),
+            "p90_ms": 1e3 * cuts[89],
+            "p99_ms": 1e3 * cuts[98],
+        }
+
+
+def measure_paths(paths: list[Path], samples: int, block: int, poll: Callable[[], None]) -> None:
+    """Measure all paths in alternating blocks, at random phases of the nodes' timers.
+
+    Args:
+        paths: Paths to measure.
+        samples: Number of samples of each path, rounded up to whole blocks.
+        block: Samples of one path before it is the next one's turn.
+        poll: Called between samples; raises to end early.
+
+    Raises:
+        CommandError: A node does not react.
+    """
+    draw = random.Random(1)
+    for path in paths:
+        path.warm_up()
+    for _ in range(-(-samples // block)):
+        for path in paths:
+            for _ in range(block):
+                poll()
+                path.measure(draw.uniform(0.02, 0.04))

@@ -1,0 +1,91 @@
+"""Measurement of CPU time, and statistics of what was measured."""
+
+import math
+import os
+import statistics
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from omniman_ros.console.errors import CommandError
+
+SINGLE_THREADED = {
+    f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMEXPR", "VECLIB_MAXIMUM")
+}
+"""Environment in which numerical libraries use one thread: helper threads that spin would add to
+the CPU time. Libraries read it when they are loaded."""
+
+
+def cpu_time(pid: int) -> float:
+    """Return the CPU time of a process and its threads since its start, user and system [s].
+
+    Raises:
+        CommandError: There is no /proc, or no such process.
+    """
+    try:
+        text = Path(f"/proc/{pid}/stat").read_text()
+    except OSError as error:
+        raise CommandError(f"CPU time of process {pid}: {error} (this needs Linux)") from error
+    # The second field, the name in brackets, may itself contain blanks and brackets.
+    fields = text.rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def cpu_shares(pids: Mapping[str, int], serve: Callable[[], None]) -> dict[str, float]:
+    """Measure the share of one core that processes use while a function runs.
+
+    Args:
+        pids: Names to process ids.
+        serve: Function that runs for as long as is to be measured.
+
+    Returns:
+        Share of one core by name, in 1.
+    """
+    start = time.monotonic()
+    before = {name: cpu_time(pid) for name, pid in pids.items()}
+    serve()
+    after = {name: cpu_time(pid) for name, pid in pids.items()}
+    elapsed = time.monotonic() - start
+    return {name: (after[name] - before[name]) / elapsed for name in pids}
+
+
+def median_cpu(work: Callable[[], object], repeats: int) -> float:
+    """Return the median CPU time of a call in this process [s].
+
+    Args:
+        work: The call.
+        repeats: Number of calls.
+    """
+    times = []
+    for _ in range(repeats):
+        before = time.process_time()
+        work()
+        times.append(time.process_time() - before)
+    return statistics.median(times)
+
+
+def best_cpu(work: Callable[[], object], least: float) -> float:
+    """Return the CPU time of a call in this process: the best of three blocks of calls [s].
+
+    Args:
+        work: The call.
+        least: Least CPU time of a block [s].
+    """
+    best = math.inf
+    for _ in range(3):
+        calls, begin = 0, time.process_time()
+        while (taken := time.process_time() - begin) < least or not calls:
+            work()
+            calls += 1
+        best = min(best, taken / calls)
+    return best
+
+
+def percentiles_ms(seconds: Sequence[float]) -> tuple[float, float, float]:
+    """Return the median, the 99th percentile (interpolated) and the maximum of times [ms]."""
+    median, p99, largest = 1e3 * np.percentile(
+        np.asarray(seconds, dtype=float), (50.0, 99.0, 100.0)
+    )
+    return float(median), float(p99), float(largest)

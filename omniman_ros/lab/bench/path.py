@@ -1,0 +1,182 @@
+"""`omniman bench path`: planning time, duration over the optimum, CPU time of the stream."""
+
+import argparse
+import os
+from functools import partial
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from nav_msgs.msg import Path
+from std_msgs.msg import Float64
+
+from omniman_ros.console.session import DISCOVERY_TIMEOUT
+from omniman_ros.console.terminal import say
+from omniman_ros.conversions.poses import path_message
+from omniman_ros.conversions.trajectories import fill_reference, reference_message
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.parameters import build
+from omniman_ros.lab.bench.harness import (
+    Rows,
+    RunningNodes,
+    conclude,
+    cpu_share_rows,
+    running_nodes,
+    tables,
+)
+from omniman_ros.lab.bench.measurement import median_cpu
+from omniman_ros.motion.path.interpolator import PathInterpolator
+from omniman_ros.motion.path.parameters import TICK, PathParameters
+from omniman_ros.processes.robot_setup import RobotSetup, robot_processes
+from omniman_ros.processes.ros_domain import isolate_ros_domain
+from omniman_ros.robots import load_robot
+
+NODES = ("path_interpolator", "platform_controller", "simulated_drive")
+"""Nodes whose CPU time is measured."""
+COUNTS = (2, 100, 10_000)
+"""Numbers of poses of the planned paths."""
+LAPS = 10
+"""Number of turns of the spiral that the poses are on."""
+DISCOVERY_AMONG_NODES = 2.0
+"""Time in which the nodes find each other [s]."""
+
+
+def spiral(count: int) -> Array:
+    """Return poses (count, 3) that turn along a spiral of some 120 m; two are 2 m apart."""
+    if count == 2:
+        return np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
+    phase = np.linspace(0.0, LAPS * 2.0 * np.pi, count)
+    radius = 0.4 + 0.05 * phase
+    x, y = radius * np.cos(phase) - radius[0], radius * np.sin(phase)
+    return np.column_stack([x, y, 0.3 * phase])
+
+
+def resampled(poses: Array, speed: float) -> Array:
+    """Interpolate poses in the plainest way: constant speed on straights, with velocity jumps.
+
+    Args:
+        poses: (n, 3) poses [m, m, rad].
+        speed: Speed along the straights [m/s].
+
+    Returns:
+        (k, 3) poses at 125 Hz.
+    """
+    length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
+    at = np.arange(0.0, length[-1], speed * TICK)
+    return np.column_stack([np.interp(at, length, column) for column in poses.T])
+
+
+def planning(parameters: PathParameters, repeats: int) -> dict[str, Any]:
+    """Measure the CPU time of planning by number of poses, and the durations of the plans."""
+    figures: dict[str, Any] = {}
+    speed = parameters.groups()[0].velocity
+    for count in COUNTS:
+        poses = spiral(count)
+        interpolator = PathInterpolator(parameters)
+
+        def plan(poses: Array = poses, core: PathInterpolator = interpolator) -> Any:
+            return core.propose(poses, (0.0, 0.0, 0.0), 0.0)
+
+        made = plan().plan
+        cpu_time = median_cpu(plan, repeats)
+        plain = median_cpu(partial(resampled, poses, speed), 5 * repeats)
+        figures[str(count)] = {
+            "planning_ms": 1e3 * cpu_time,
+            "plain_resampling_ms": 1e3 * plain,
+            "duration_s": made.duration,
+            "bound_s": made.bound,
+            "duration_ratio": made.duration / made.bound,
+        }
+    return figures
+
+
+def core_stream(parameters: PathParameters, repeats: int) -> dict[str, float]:
+    """Measure the CPU time of a preview of 0.4 s, computed and written into its message [us]."""
+    core = PathInterpolator(parameters)
+    assert core.take(core.propose(spiral(100), (0.0, 0.0, 0.0), 0.0), 0.0)
+    message = reference_message("odom", 51, TICK)
+    stamp = Time()
+
+    def compute() -> None:
+        for k in range(200):
+            core.window(0.04 * k, 0.4)
+
+    def compute_and_fill() -> None:
+        for k in range(200):
+            window = core.window(0.04 * k, 0.4)
+            assert window is not None
+            fill_reference(message, stamp, window)
+
+    return {
+        "compute": 1e6 * median_cpu(compute, repeats) / 200,
+        "compute_and_fill": 1e6 * median_cpu(compute_and_fill, repeats) / 200,
+    }
+
+
+def stream(args: argparse.Namespace, seconds: float) -> dict[str, Any]:
+    """Measure the share of a core of the running nodes, idle and while a path is driven."""
+    with running_nodes(robot_processes(RobotSetup(robot=args.robot, only=NODES))) as nodes:
+        return _streamed(nodes, seconds)
+
+
+def _streamed(nodes: RunningNodes, seconds: float) -> dict[str, Any]:
+    progress: list[float] = []
+    node = nodes.session.node
+
+    def on_progress(message: Any) -> None:
+        progress.append(message.data)
+
+    node.create_subscription(Float64, "path_progress", on_progress, 10)
+    publisher = node.create_publisher(Path, "path", 10)
+    nodes.wait(
+        lambda: publisher.get_subscription_count() > 0, DISCOVERY_TIMEOUT, "no path_interpolator"
+    )
+    nodes.session.spin(DISCOVERY_AMONG_NODES)
+    idle = nodes.cpu_shares(NODES, seconds)
+    publisher.publish(path_message(spiral(1000), "odom"))
+    nodes.wait(
+        lambda: bool(progress) and max(progress) > 0.0, DISCOVERY_TIMEOUT, "no path_progress"
+    )
+    driving = nodes.cpu_shares(NODES, seconds)
+    ours = driving["path_interpolator"]
+    return {"idle": idle, "driving": driving, "cpu_per_tick_us": 1e6 * TICK * ours}
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run `omniman bench path`; return 0 if it could be measured, whatever the figures."""
+    parameters = build(PathParameters, load_robot(args.robot))
+    say("planning ...")
+    result: dict[str, Any] = {"robot": args.robot, "quick": args.quick}
+    result["planning"] = planning(parameters, 1 if args.quick else 9)
+    result["preview_us"] = core_stream(parameters, 2 if args.quick else 15)
+    isolate_ros_domain(os.environ)
+    seconds = 2.0 if args.quick else 15.0
+    say(f"CPU of the nodes, twice {seconds:g} s ...")
+    result["cpu_share"] = stream(args, seconds)
+    return conclude("path", result, report, args.results)
+
+
+def report(result: dict[str, Any]) -> list[str]:
+    """Return the lines of the table."""
+    rows: Rows = [("", "value", "compared with")]
+    for count, row in result["planning"].items():
+        rows.append(
+            (
+                f"planning {int(count):,} poses, CPU",
+                f"{row['planning_ms']:.1f} ms",
+                f"{row['plain_resampling_ms']:.2f} ms: plain resampling, which jumps in velocity",
+            )
+        )
+        rows.append(
+            (
+                "  duration",
+                f"{row['duration_s']:.2f} s",
+                f"{row['duration_ratio']:.3f} of the optimum without jerk limits",
+            )
+        )
+    preview, share = result["preview_us"], result["cpu_share"]
+    rows.append(("a preview of 0.4 s, core", f"{preview['compute']:.0f} us", ""))
+    rows.append(("  and its message", f"{preview['compute_and_fill']:.0f} us", ""))
+    rows += cpu_share_rows(share, "idle")
+    rows.append(("CPU time of a streamed tick of 8 ms", f"{share['cpu_per_tick_us']:.0f} us", ""))
+    return tables(rows)

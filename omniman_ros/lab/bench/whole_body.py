@@ -1,0 +1,323 @@
+"""`omniman bench whole_body`: planning of tool paths, CPU of their stream, inverse kinematics.
+
+All times are CPU times, of this process and of the running nodes: the machine may be busy with
+other things.
+"""
+
+import argparse
+import os
+import statistics
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from omniman_ros.console.terminal import say
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.parameters import build
+from omniman_ros.lab.bench import whole_body_inverse as inverse
+from omniman_ros.lab.bench import whole_body_stream as stream
+from omniman_ros.lab.bench.harness import Rows, conclude, cpu_share_rows, tables
+from omniman_ros.lab.bench.measurement import median_cpu
+from omniman_ros.lab.studies.tool_courses import COURSES, POSTURE, start
+from omniman_ros.motion.path.parameters import TICK
+from omniman_ros.motion.whole_body.limits import WholeBodyLimits
+from omniman_ros.motion.whole_body.model import PLATFORM_AXES, WholeBodyModel, planar_transform
+from omniman_ros.motion.whole_body.posture import PostureResolver
+from omniman_ros.motion.whole_body.tool_curve import ToolCurve
+from omniman_ros.motion.whole_body.tool_planner import ToolPlan, ToolPlanner
+from omniman_ros.motion.whole_body.tool_timing import ToolTimer
+from omniman_ros.motion.whole_body.whole_body_path import WholeBodyPath
+from omniman_ros.nodes.trajectory_interfaces.parameters import PathInterpolatorParameters
+from omniman_ros.processes.robot_setup import resolve_robot
+from omniman_ros.processes.ros_domain import isolate_ros_domain
+from omniman_ros.robots import load_robot
+
+SIZES = {100: 4.0, 10_000: 12.0}
+"""Lengths of the paths, by their number of poses [m]."""
+STREAMED = ("circle", 10_000)
+"""Course and number of poses of the plan whose previews are measured."""
+
+
+@dataclass(frozen=True)
+class Effort:
+    """Extent of the measurement.
+
+    Attributes:
+        courses: Courses of the paths.
+        plans: Number of plans of each path.
+        blocks: Number of blocks of previews.
+        tries: Number of poses that each iterative solver solves.
+        least: Least CPU time of a measurement of the closed form [s].
+        seconds: Time for which the nodes are measured, at rest and driving each [s].
+    """
+
+    courses: tuple[str, ...]
+    plans: int
+    blocks: int
+    tries: int
+    least: float
+    seconds: float
+
+
+FULL = Effort(tuple(COURSES), plans=7, blocks=9, tries=300, least=0.3, seconds=12.0)
+QUICK = Effort(("circle",), plans=1, blocks=2, tries=10, least=0.01, seconds=2.0)
+
+
+class Bench:
+    """Plans tool paths of a robot and measures the plans.
+
+    Args:
+        parameters: Parameters of the node `path_interpolator`.
+
+    Attributes:
+        model: Kinematics of platform and arm.
+        limits: Limits of the nine axes.
+    """
+
+    def __init__(self, parameters: PathInterpolatorParameters) -> None:
+        p = parameters
+        self._options = p.tool_path
+        self.model = WholeBodyModel(p.mount)
+        self.limits = WholeBodyLimits.of_whole_body(p.core, p.arm)
+        self._planner = ToolPlanner(self.model, self.limits, p.tool_path)
+        self._resolver = PostureResolver(self.model, self.limits, p.tool_path)
+        self._timer = ToolTimer(self.limits, p.tool_path)
+
+    def plan(self, poses: Array) -> ToolPlan:
+        """Return the plan of a path (k, 4, 4) from the study's start."""
+        return self._planner.plan(poses, start())
+
+    def figures(self, poses: Array, repeats: int) -> dict[str, Any]:
+        """Measure the planning of a path (k, 4, 4), in total and by parts, and the plan itself."""
+        plan = self.plan(poses)
+        cpu_time = median_cpu(lambda: self.plan(poses), repeats)
+        speed = self._options.linear_velocity
+        parts = self._parts(poses, repeats)
+        parts["checks"] = max(1e3 * cpu_time - sum(parts.values()), 0.0)
+        plain = median_cpu(lambda: carried(self.model, poses, speed), repeats)
+        alone = plan.length / speed
+        return {
+            "planning_ms": 1e3 * cpu_time,
+            "parts_ms": parts,
+            "plain_resampling_ms": 1e3 * plain,
+            "ratio": cpu_time / plain,
+            "length_m": plan.length,
+            "duration_s": plan.curve.duration,
+            "duration_ratio": plan.curve.duration / alone,
+            "limits_used": used(plan, self.limits),
+            **quality(plan, self.model),
+        }
+
+    def _parts(self, poses: Array, repeats: int) -> dict[str, float]:
+        """Measure the median CPU time of each part of planning but the checks [ms]."""
+        times: dict[str, list[float]] = {"curve": [], "postures": [], "timing": []}
+        here = start()
+        frame = planar_transform(here[:3])
+        all_poses = np.linalg.inv(frame) @ np.concatenate([self.model.forward(here)[None], poses])
+        branch = self.model.arm.branch_of(here[3:])
+        for _ in range(repeats):
+            marks = [time.process_time()]
+            path = ToolCurve(all_poses, self._options, frame)
+            marks.append(time.process_time())
+            local = np.concatenate([np.zeros(len(PLATFORM_AXES)), here[3:]])
+            postures = self._resolver.resolve(path, local)
+            marks.append(time.process_time())
+            self._timer.timed(WholeBodyPath(self.model, path, postures, branch))
+            marks.append(time.process_time())
+            for name, cpu_time in zip(times, np.diff(marks).tolist(), strict=True):
+                times[name].append(1e3 * cpu_time)
+        return {name: statistics.median(values) for name, values in times.items()}
+
+
+def course_poses(model: WholeBodyModel, name: str, length: float, count: int) -> Array:
+    """Return equidistant poses (count, 4, 4) of the tool along a course of the study.
+
+    Args:
+        model: Kinematics of the robot.
+        name: One of COURSES.
+        length: Length of the way in the plane [m].
+        count: Number of poses.
+    """
+    course = COURSES[name](np.linspace(0.0, length, count), length)
+    poses = np.tile(model.forward(start()), (count, 1, 1))
+    poses[:, :3, 3] += course[:, :3]
+    turn = planar_transform(np.column_stack([np.zeros((count, 2)), course[:, 3]]))[:, :3, :3]
+    poses[:, :3, :3] = turn @ poses[:, :3, :3]
+    return poses
+
+
+def carried(model: WholeBodyModel, poses: Array, speed: float) -> Array:
+    """Resample a tool path in the plainest way, which jumps in velocity and keeps no limit.
+
+    The tool moves straight from pose to pose at constant speed, the platform moves along with it
+    without turning, and the arm's angles are found in closed form.
+
+    Args:
+        model: Kinematics of the robot.
+        poses: (n, 4, 4) poses of the tool in odom.
+        speed: Speed of the tool [m/s].
+
+    Returns:
+        (k, 9) positions of all axes at the ticks.
+    """
+    here = start()
+    steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
+    way = np.concatenate([[0.0], np.cumsum(steps)])
+    at = np.arange(0.0, way[-1], speed * TICK)
+    tool = poses[np.searchsorted(way, at, side="right") - 1]
+    tool[:, :3, 3] = np.column_stack([np.interp(at, way, column) for column in poses[:, :3, 3].T])
+    platform = np.tile(here[:3], (len(at), 1))
+    platform[:, :2] += tool[:, :2, 3] - tool[0, :2, 3]
+    branch = model.arm.branch_of(here[3:])
+    return np.hstack([platform, model.arm_angles(platform, tool, branch, here[3:])])
+
+
+def used(plan: ToolPlan, limits: WholeBodyLimits) -> dict[str, Any]:
+    """Return the largest share of each kind of limit that a plan uses, and the axis that does.
+
+    The limits of odom_x and odom_y hold for both as a vector.
+    """
+    curve, most = plan.curve, {}
+    jerks = np.diff(curve.accelerations, axis=0) / TICK
+    for name, values, bounds in (
+        ("velocity", curve.velocities, limits.velocity),
+        ("acceleration", curve.accelerations, limits.acceleration),
+        ("jerk", jerks, limits.jerk),
+    ):
+        sizes = np.abs(values)
+        sizes[:, :2] = np.hypot(values[:, 0], values[:, 1])[:, None]
+        shares = (sizes / bounds).max(axis=0)
+        k = int(shares.argmax())
+        most[name] = {"share": float(shares[k]), "axis": "odom_xy" if k < 2 else limits.names[k]}
+    return most
+
+
+def quality(plan: ToolPlan, model: WholeBodyModel) -> dict[str, float]:
+    """Return how well a plan uses the redundancy: manipulability, and reach of the arm.
+
+    Manipulability is |det J| of the arm alone, T. Yoshikawa, "Manipulability of Robotic
+    Mechanisms" (1985), with lengths in metres.
+    """
+    q = plan.curve.positions
+    manipulability = np.abs(np.linalg.det(model.arm.jacobian(q[:, 3:])))
+    reach = np.linalg.norm(model.arm.forward(q[:, 3:])[:, :3, 3], axis=1)
+    return {
+        "least_manipulability": float(manipulability.min()),
+        "first_manipulability": float(manipulability[0]),
+        "largest_reach_m": float(reach.max()),
+        "first_reach_m": float(reach[0]),
+    }
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run `omniman bench whole_body`; return 0 if it could be measured, whatever the figures."""
+    effort = QUICK if args.quick else FULL
+    robot = resolve_robot(args.robot)
+    parameters = build(PathInterpolatorParameters, load_robot(robot))
+    isolate_ros_domain(os.environ)
+    bench = Bench(parameters)
+    result: dict[str, Any] = {"robot": args.robot, "quick": args.quick, "planning": {}}
+    say("planning ...")
+    for name in effort.courses:
+        for count, length in SIZES.items():
+            poses = course_poses(bench.model, name, length, count)
+            result["planning"][f"{name} {count}"] = bench.figures(poses, effort.plans)
+    say("previews ...")
+    name, count = STREAMED
+    poses = course_poses(bench.model, name, SIZES[count], count)
+    plan = bench.plan(poses)
+    result["preview_us"] = stream.previews(parameters, robot, plan, effort.blocks)
+    say("inverse kinematics ...")
+    result["inverse"] = inverse.measured(
+        parameters.core.robot, parameters.arm, parameters.mount, effort.tries, effort.least
+    )
+    say(f"CPU of the nodes, twice {effort.seconds:g} s ...")
+    result["cpu_share"] = stream.shares(robot, POSTURE, poses, effort.seconds)
+    return conclude("whole_body", result, report, args.results)
+
+
+def report(result: dict[str, Any]) -> list[str]:
+    """Return the lines of the table."""
+    rows: Rows = [("", "value", "compared with")]
+    for label, row in result["planning"].items():
+        rows += _plan_rows(label, row)
+    rows += _stream_rows(result["preview_us"], result["cpu_share"])
+    rows += inverse.rows(result["inverse"])
+    return tables(rows)
+
+
+def _plan_rows(label: str, row: dict[str, Any]) -> Rows:
+    name, count = label.split()
+    parts = ", ".join(f"{part} {cpu_time:.0f}" for part, cpu_time in row["parts_ms"].items())
+    limits = ", ".join(
+        f"{kind} {100.0 * most['share']:.0f} % ({most['axis']})"
+        for kind, most in row["limits_used"].items()
+    )
+    return [
+        (
+            f"planning, {name} of {row['length_m']:.1f} m, {int(count):,} poses, CPU",
+            f"{row['planning_ms']:.0f} ms",
+            f"{parts} ms",
+        ),
+        (
+            "  plain resampling, which jumps in velocity",
+            f"{row['plain_resampling_ms']:.1f} ms",
+            f"planning takes {row['ratio']:.0f} times as long",
+        ),
+        (
+            "  duration",
+            f"{row['duration_s']:.2f} s",
+            f"{row['duration_ratio']:.3f} of length / linear_velocity",
+        ),
+        ("  of the axes' limits used at most", "", limits),
+        (
+            "  least manipulability of the arm",
+            f"{row['least_manipulability']:.4f}",
+            f"{row['first_manipulability']:.4f} at the start",
+        ),
+        (
+            "  tool from the arm's base at most",
+            f"{row['largest_reach_m']:.3f} m",
+            f"{row['first_reach_m']:.3f} m at the start",
+        ),
+    ]
+
+
+def _stream_rows(preview: dict[str, Any], share: dict[str, Any]) -> Rows:
+    rows: Rows = []
+    for name, text in (("arm", "preview of the arm"), ("both", "preview of platform and arm")):
+        row = preview[name]
+        rows.append(
+            (
+                f"{text}, corrected",
+                f"{row['corrected']:.0f} us",
+                f"{row['planned']:.0f} us as planned, not corrected",
+            )
+        )
+        rows.append(
+            (
+                "  and in its messages; published by the node",
+                f"{row['and_filled']:.0f}; {row['and_published']:.0f} us",
+                "",
+            )
+        )
+    rows.append(("a pose of odom, processed", f"{preview['hear_odom']:.0f} us", ""))
+    tick = preview["tick"]
+    rows.append(
+        (
+            f"CPU time of a streamed tick of {1e3 * TICK:g} ms, computed from these",
+            f"{tick['and_published']:.0f} us",
+            f"{tick['corrected']:.0f} without messages; arm at {stream.ARM_RATE:g} Hz",
+        )
+    )
+    rows += cpu_share_rows(share, "at rest")
+    rows.append(
+        (
+            "CPU time of a streamed tick, all of path_interpolator",
+            f"{share['cpu_per_tick_us']:.0f} us",
+            f"{share['previews_per_s']:.0f} previews a second",
+        )
+    )
+    return rows

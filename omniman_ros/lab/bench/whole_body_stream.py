@@ -1,0 +1,311 @@
+"""CPU time of streaming along a tool path: of a preview, and of the whole node."""
+
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+import rclpy
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Pose, PoseStamped
+from nav_msgs.msg import Path
+from rclpy.logging import LoggingSeverity
+from rclpy.parameter import Parameter
+from std_msgs.msg import Float64
+
+from omniman_ros.console.errors import CommandError
+from omniman_ros.console.session import DISCOVERY_TIMEOUT
+from omniman_ros.conversions import arm as arm_conversions
+from omniman_ros.conversions.trajectories import fill_reference, reference_message
+from omniman_ros.core.arrays import Array
+from omniman_ros.lab.bench.harness import RunningNodes, running_nodes
+from omniman_ros.motion.path.joint_interpolator import JointInterpolator, JointProposal
+from omniman_ros.motion.path.pace import Demand, Pace
+from omniman_ros.motion.path.parameters import TICK
+from omniman_ros.motion.path.window import Window
+from omniman_ros.motion.whole_body.limits import WholeBodyLimits
+from omniman_ros.motion.whole_body.model import (
+    JOINT_COLUMNS,
+    PLATFORM_AXES,
+    PLATFORM_COLUMNS,
+    WholeBodyModel,
+)
+from omniman_ros.motion.whole_body.tool_planner import ToolPlan
+from omniman_ros.nodes.path_interpolator import PathInterpolatorNode
+from omniman_ros.nodes.trajectory_interfaces.parameters import PathInterpolatorParameters
+from omniman_ros.nodes.trajectory_interfaces.tool_stream import ToolStream
+from omniman_ros.nodes.trajectory_interfaces.whole_body_interface import MIN_CORRECTION_PERIOD
+from omniman_ros.processes.robot_setup import RobotSetup, robot_processes
+
+NODES = (
+    "path_interpolator",
+    "platform_controller",
+    "simulated_drive",
+    "arm_streamer",
+    "simulated_ur",
+)
+"""Nodes whose CPU time is measured."""
+PLATFORM_ERROR = np.array([0.004, -0.003, 0.005])
+"""Error of the platform from its reference, so that there is something to correct [m, m, rad]."""
+ARM_RATE = 50.0
+"""Highest rate of the arm's previews, those with the platform included [1/s]."""
+ODOM_RATE = 100.0
+"""Rate of poses on odom [1/s]."""
+PREVIEWS = 100
+"""Number of previews of each kind in a block."""
+SETTLING_TIME = 2.0
+"""Time for the nodes to find each other, and for the begin of a path [s]."""
+START_TIMEOUT = 30.0
+"""Longest time until a planned path begins [s]."""
+LENIENT = (
+    "timeouts.wheel_states:=2.0",
+    "firmware.watchdog:=2.0",
+    "odom_timeout:=2.0",
+    "joint_trajectory.states_timeout:=2.0",
+    "joint_trajectory.following_error:=1.0",
+    "scaling_timeout:=2.0",
+    "ur.feedback_timeout:=1.0",
+    "ur.following_error:=1.0",
+    "ur.read_timeout:=0.2",
+    "safety.deadline:=0.05",
+    "drive.dead_wheel:=drive_on",
+)
+"""Parameters with long time-outs: nodes may wait for their turn on a busy machine, as it is CPU
+time that is measured."""
+
+
+class BareStream:
+    """Computes previews as the node does, without the node.
+
+    Args:
+        parameters: Parameters of the node `path_interpolator`.
+        plan: Plan that is driven from time 0 on.
+    """
+
+    def __init__(self, parameters: PathInterpolatorParameters, plan: ToolPlan) -> None:
+        p = parameters
+        limits = WholeBodyLimits.of_whole_body(p.core, p.arm)
+        self._core = JointInterpolator(limits, p.joint_trajectory)
+        self._pace = Pace(lambda times: Demand.none(len(times)), TICK)
+        assert self._core.take(JointProposal(plan.curve, None, None), 0.0)
+        self._tool = ToolStream(WholeBodyModel(p.mount), plan, p.tool_path, p.arm.each("velocity"))
+        self._arm = arm_conversions.joint_reference_message(
+            p.arm.joints, round(MIN_CORRECTION_PERIOD / TICK) + 1, TICK
+        )
+        self._both = arm_conversions.joint_reference_message(
+            p.arm.joints, int(p.horizon / TICK) + 1, TICK
+        )
+        self._platform = reference_message(p.odom_frame, int(p.horizon / TICK) + 1, TICK)
+        self._pose, self._stamp = Pose(), Time()
+        self._odom_time = 0.0
+
+    def update_odom(self) -> None:
+        """Process the next pose of odom."""
+        self._odom_time += 1.0 / ODOM_RATE
+        reference = self._core.sample(np.array([self._pace.motion(self._odom_time)]))[0][0, :3]
+        self._tool.correction.update(self._odom_time, reference + PLATFORM_ERROR, reference)
+
+    def planned(self, time: float, horizon: float) -> Array:
+        """Return all axes (k, 9) as planned from a time [s] over a horizon [s], not corrected."""
+        return self._core.sample(_ticks(time, horizon))[0]
+
+    def window(self, time: float, horizon: float) -> tuple[Window, Array]:
+        """Return all axes as they are sent, and the tool's pose (4, 4)."""
+        times = _ticks(time, horizon)
+        stretch = self._tool.corrected(times, self._pace, self._core)
+        return stretch.window, stretch.tool
+
+    def filled(self, time: float, horizon: float, platform: bool) -> None:
+        """Write the same into its messages, with the platform's or without."""
+        window, tool = self.window(time, horizon)
+        arm_conversions.fill_pose(self._pose, tool)
+        message = self._both if platform else self._arm
+        arm_conversions.fill_joint_reference(message, self._stamp, window.columns(JOINT_COLUMNS))
+        if platform:
+            fill_reference(self._platform, self._stamp, window.columns(PLATFORM_COLUMNS))
+
+
+def previews(
+    parameters: PathInterpolatorParameters, robot: str, plan: ToolPlan, blocks: int
+) -> dict[str, Any]:
+    """Measure the CPU time of previews of the arm alone and of both, and of a tick of 8 ms.
+
+    Args:
+        parameters: Parameters of the node `path_interpolator`.
+        robot: Name of the robot, or the path of its file.
+        plan: Plan that is driven.
+        blocks: Number of blocks of previews, of which the best counts.
+
+    Returns:
+        CPU times [us].
+    """
+    bare, horizon = BareStream(parameters, plan), parameters.horizon
+    spread = plan.curve.duration / PREVIEWS
+
+    def each(work: Callable[[float], object]) -> float:
+        """Return the best CPU time of a call [us], at instants all along the plan."""
+        times = []
+        for _ in range(blocks):
+            begin = time.process_time()
+            for k in range(PREVIEWS):
+                work(spread * k)
+            times.append(time.process_time() - begin)
+        return 1e6 * min(times) / PREVIEWS
+
+    figures: dict[str, Any] = {"hear_odom": each(lambda _: bare.update_odom())}
+    for name, reach, platform in (("arm", MIN_CORRECTION_PERIOD, False), ("both", horizon, True)):
+        figures[name] = {
+            "planned": each(partial(bare.planned, horizon=reach)),
+            "corrected": each(partial(bare.window, horizon=reach)),
+            "and_filled": each(partial(bare.filled, horizon=reach, platform=platform)),
+        }
+    published = _published(robot, parameters, plan, each)
+    for name, value in published.items():
+        figures[name]["and_published"] = value
+    alone = ARM_RATE - 1.0 / parameters.period
+    figures["tick"] = {
+        kind: TICK
+        * (
+            figures["both"][kind] / parameters.period
+            + alone * figures["arm"][kind]
+            + ODOM_RATE * figures["hear_odom"]
+        )
+        for kind in ("corrected", "and_filled", "and_published")
+    }
+    return figures
+
+
+def _published(
+    robot: str,
+    parameters: PathInterpolatorParameters,
+    plan: ToolPlan,
+    each: Callable[[Callable[[float], object]], float],
+) -> dict[str, float]:
+    """Measure the CPU time of previews by the node itself, which has no subscribers [us]."""
+    context = rclpy.Context()
+    rclpy.init(args=[], context=context)
+    try:
+        node = PathInterpolatorNode(
+            context=context, parameter_overrides=[Parameter("robot", value=robot)]
+        )
+        try:
+            return _published_by(node, parameters, plan, each)
+        finally:
+            node.begin_shutdown("measured")
+            node.destroy_node()
+    finally:
+        rclpy.try_shutdown(context=context)
+
+
+def _published_by(
+    node: PathInterpolatorNode,
+    parameters: PathInterpolatorParameters,
+    plan: ToolPlan,
+    each: Callable[[Callable[[float], object]], float],
+) -> dict[str, float]:
+    p, body = parameters, node.motions.whole_body
+    node.get_logger().set_level(LoggingSeverity.WARN)
+    node.motions.context.stream_monitor.update_source("path")  # as if the controller were there
+    tool = ToolStream(WholeBodyModel(p.mount), plan, p.tool_path, p.arm.each("velocity"))
+    body.follow_tool_path(tool)
+    tool.correction.update(node.now(), PLATFORM_ERROR, np.zeros(len(PLATFORM_AXES)))
+    result = {
+        "arm": each(lambda _: body.publish(MIN_CORRECTION_PERIOD, platform=False)),
+        "both": each(lambda _: body.publish(p.horizon)),
+    }
+    if body.idle:
+        raise CommandError(f"the node gave up: {body.status.text}")
+    return result
+
+
+def path_message(poses: Array) -> Path:
+    """Make a path of poses (k, 4, 4) of the tool in odom."""
+    path = Path()
+    path.header.frame_id = "odom"
+    for pose in poses:
+        stamped = PoseStamped()
+        arm_conversions.fill_pose(stamped.pose, pose)
+        path.poses.append(stamped)
+    return path
+
+
+def _ticks(time: float, horizon: float) -> Array:
+    first = np.floor(time / TICK + 1e-6)
+    ticks: Array = TICK * (first + np.arange(int(horizon / TICK) + 1, dtype=float))
+    return ticks
+
+
+def shares(robot: str, angles: Sequence[float], poses: Array, seconds: float) -> dict[str, Any]:
+    """Measure the share of a core of the running nodes, at rest and along a tool path.
+
+    Args:
+        robot: Name of the robot, or the path of its file.
+        angles: (6,) joint angles of the arm at rest [rad].
+        poses: (k, 4, 4) poses of the tool in odom, beginning at the tool's pose at rest; the path
+            must take longer than is measured.
+        seconds: Duration of each of the two measurements [s].
+
+    Raises:
+        CommandError: The nodes do not come up, or the path is not driven.
+    """
+    initial = f"simulated_arm.initial:={[float(angle) for angle in angles]}"
+    setup = RobotSetup(robot=robot, only=NODES, params=(initial, *LENIENT))
+    with running_nodes(robot_processes(setup)) as nodes:
+        return _ToolPathRun(nodes).measure(path_message(poses), seconds)
+
+
+class _ToolPathRun:
+    """Commands a tool path to the running robot and counts its previews.
+
+    Args:
+        nodes: The running robot.
+    """
+
+    def __init__(self, nodes: RunningNodes) -> None:
+        self._nodes = nodes
+        self._progress = 0.0
+        self._tool_is_known = False
+        self._previews = 0
+        node = nodes.session.node
+        node.create_subscription(Float64, "path_progress", self._on_progress, 10)
+        node.create_subscription(PoseStamped, "tool_pose", self._on_tool, 10)
+        node.create_subscription(PoseStamped, "tool_reference", self._on_reference, 50)
+        self._paths = node.create_publisher(Path, "tool_path", 10)
+
+    def _on_progress(self, message: Float64) -> None:
+        self._progress = message.data
+
+    def _on_tool(self, message: PoseStamped) -> None:
+        self._tool_is_known = True
+
+    def _on_reference(self, message: PoseStamped) -> None:
+        self._previews += 1
+
+    def measure(self, path: Path, seconds: float) -> dict[str, Any]:
+        """Measure the shares at rest and along a path; see :func:`shares`."""
+        nodes = self._nodes
+        nodes.wait(lambda: self._tool_is_known, DISCOVERY_TIMEOUT, "no tool_pose")
+        nodes.wait(
+            lambda: self._paths.get_subscription_count() > 0,
+            DISCOVERY_TIMEOUT,
+            "no subscriber of tool_path",
+        )
+        nodes.serve(SETTLING_TIME)
+        idle = nodes.cpu_shares(NODES, seconds)
+        self._paths.publish(path)
+        nodes.wait(lambda: self._progress > 0.0, START_TIMEOUT, "the path does not begin")
+        nodes.serve(min(SETTLING_TIME, seconds))
+        before, begin = self._previews, time.monotonic()
+        driving = nodes.cpu_shares(NODES, seconds)
+        rate = (self._previews - before) / (time.monotonic() - begin)
+        if not rate > 0.0 or self._progress >= 1.0:
+            raise CommandError(
+                f"the path was not driven during the whole measurement: {self._progress:.0%} of it"
+            )
+        return {
+            "idle": idle,
+            "driving": driving,
+            "previews_per_s": rate,
+            "cpu_per_tick_us": 1e6 * TICK * driving["path_interpolator"],
+        }

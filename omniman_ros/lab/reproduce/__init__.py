@@ -1,0 +1,1 @@
+"""Experiments behind `omniman reproduce` and their report."""

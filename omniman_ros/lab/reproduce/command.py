@@ -1,0 +1,41 @@
+"""`omniman reproduce NAME`: the papers' experiments on the simulated robot, one or all of them."""
+
+import argparse
+import importlib
+
+from omniman_ros.console.errors import CommandError
+from omniman_ros.lab.reproduce.experiments import EXPERIMENTS, SCENES_OPTIONS
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run `omniman reproduce`.
+
+    Args:
+        args: Command line.
+
+    Returns:
+        0 if the experiment passed. Otherwise 1: of an MPC case, a drive did not reach its goal or
+        touched an obstacle; of the scenes and the tool paths, an aim was missed; of all, one of
+        them did not return 0.
+
+    Raises:
+        CommandError: An option is refused, or the experiment cannot run.
+    """
+    if args.seed < 0:
+        raise CommandError(f"--seed must be 0 or more, got {args.seed}", code=2)
+    if args.name == "all":
+        return _run("omniman_ros.lab.reproduce.all_experiments", args)
+    if getattr(args, "reuse", False):
+        raise CommandError("--reuse is an option of all only", code=2)
+    given = [name for name in SCENES_OPTIONS if getattr(args, name, None) is not None]
+    if given and args.name != "scenes":
+        option = given[0].replace("_", "-")
+        raise CommandError(f"--{option} is an option of scenes only", code=2)
+    experiment = EXPERIMENTS[args.name]
+    args.robot = args.robot or experiment.robot
+    return _run(experiment.module, args)
+
+
+def _run(module: str, args: argparse.Namespace) -> int:
+    code: int = importlib.import_module(module).run(args)
+    return code

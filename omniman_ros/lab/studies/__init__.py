@@ -1,0 +1,1 @@
+"""Closed-loop studies without ROS: controllers, planners and the plant in one process."""

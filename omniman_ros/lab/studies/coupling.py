@@ -1,0 +1,281 @@
+"""The experiment of CCTA 2017, V.C: one drive along the path of Fig. 7, and its figures."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from omniman_ros.control.kinematics import PlatformKinematics
+from omniman_ros.control.platform_parameters import PlatformParameters
+from omniman_ros.core.arbiter import Source
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.errors import OmnimanError, ParameterError
+from omniman_ros.core.parameters import build
+from omniman_ros.core.robot import Robot
+from omniman_ros.lab.studies.closed_loop import PERIOD, ClosedLoop
+from omniman_ros.motion.figure7 import Figure7
+from omniman_ros.simulation.plant.parameters import MismatchParameters, SimulationParameters
+
+NO_INTEGRAL = 100.0
+"""Integral time that makes a loop a P loop: too long to matter in a movement of 10 s [s]."""
+SPREAD = 0.2
+"""Largest relative error of friction, torque constant and amplifier gain of a wheel."""
+LEAD = 0.05
+"""Time before its begin at which a movement is sent to the controller [s]."""
+SMOOTHING = 0.105
+"""Window of the mean that is subtracted from wheel speeds to obtain their noise [s]."""
+TRACE_STRIDE = 4
+"""Number of ticks between two recorded samples, which makes 50 Hz."""
+
+
+class StudyError(OmnimanError):
+    """A drive did not come to its end: its figures would mean nothing."""
+
+
+@dataclass(frozen=True)
+class Group:
+    """A group of drives of the study with common parameters.
+
+    Attributes:
+        about: Description in the tables.
+        changes: Changed parameters of controller and simulation, full names to values.
+        radius_spread: Largest relative error of the wheel radii, which is unknown to the
+            controller.
+    """
+
+    about: str
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    radius_spread: float = 0.0
+
+
+UNWATCHED = {"drive.following_error": 100.0}
+"""Parameters that prevent a stop by the following error: P loops of unequal wheels can lag by more
+than is allowed on a healthy robot."""
+P_LOOPS = {"firmware.integral_time": NO_INTEGRAL}
+"""Parameters of P velocity loops."""
+ICE = {
+    "drive.mode": "torque",
+    "plant.patch_x_min": 0.4,
+    "plant.patch_x_max": 0.7,
+    "plant.patch_y_min": 0.1,
+    "plant.patch_y_max": 2.0,
+    "plant.patch_mu": 0.02,
+}
+"""Parameters of torque mode and a patch of ice on the path."""
+GROUPS: Mapping[str, Group] = {
+    "P": Group("P velocity loops", P_LOOPS),
+    "PI": Group("PI velocity loops"),
+    "radii": Group("P velocity loops, wheel radii off by up to 0.5 %", P_LOOPS, 0.005),
+    "ice": Group("torque mode, across a patch of ice", ICE),
+}
+
+
+@dataclass(frozen=True)
+class Case:
+    """One drive of the study.
+
+    Attributes:
+        group: One of GROUPS.
+        sample: Number of the set of random wheels.
+        gain: k_epsilon, 0 for no coupling control [1/s].
+        mismatch: Errors of the wheels.
+    """
+
+    group: str
+    sample: int
+    gain: float
+    mismatch: MismatchParameters
+
+
+@dataclass(frozen=True)
+class Setup:
+    """The robot and the path of all drives of a study.
+
+    Attributes:
+        robot: Parameters of the robot, full names to values.
+        figure: The path in time.
+
+    Raises:
+        ParameterError: The robot has three wheels, and thus no coupling error.
+    """
+
+    robot: Mapping[str, Any]
+    figure: Figure7
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "robot", dict(self.robot))  # so that it can be pickled
+        if build(Robot, self.robot).wheel_count == 3:
+            raise ParameterError("robot", "3 wheels", "three wheels have no motion constraint")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The figures of a drive.
+
+    Attributes:
+        epsilon_max: Largest |epsilon| since the start, from the encoders [rad].
+        epsilon_rms: RMS of |epsilon| since the start, from the encoders [rad].
+        slip: Energy lost by slip of the rollers on the floor [J].
+        copper: Energy lost in the windings of the motors [J].
+        losses: All losses, including these two [J].
+        energy: Work of the amplifiers [J].
+        imbalance: Residual of the plant's energy balance [J].
+        speed_noise: RMS of the measured wheel speeds less their mean over `SMOOTHING` [rad/s].
+        command_noise: RMS of the commanded wheel speeds less their mean over `SMOOTHING` [rad/s].
+        odometry_end: Position error of odometry at the end [m].
+        odometry_max: Largest position error of odometry [m].
+        heading_end: Magnitude of the heading error of odometry at the end [rad].
+        heading_max: Largest magnitude of the heading error of odometry [rad].
+        tracking_max: Largest distance of odometry from the reference, in odom [m].
+        duration: Time from the first to the last tick [s].
+    """
+
+    epsilon_max: float
+    epsilon_rms: float
+    slip: float
+    copper: float
+    losses: float
+    energy: float
+    imbalance: float
+    speed_noise: float
+    command_noise: float
+    odometry_end: float
+    odometry_max: float
+    heading_end: float
+    heading_max: float
+    tracking_max: float
+    duration: float
+
+
+@dataclass(frozen=True)
+class Run:
+    """A completed drive.
+
+    Attributes:
+        case: The case.
+        outcome: Its figures.
+        time: (k,) times at 50 Hz [s].
+        epsilon: (k, m) coupling errors [rad].
+    """
+
+    case: Case
+    outcome: Outcome
+    time: Array
+    epsilon: Array
+
+
+def draw_mismatch(group: str, seed: int, sample: int, wheels: int) -> MismatchParameters:
+    """Draw random wheels, which are the same in all groups but for their radii.
+
+    Args:
+        group: One of GROUPS.
+        seed: Seed of the study.
+        sample: Number of the set of wheels.
+        wheels: Number of wheels.
+
+    Returns:
+        Factors with a uniform distribution in 1 +- `SPREAD`.
+    """
+    draw = np.random.default_rng([seed, sample]).uniform(-1.0, 1.0, (4, wheels))
+    friction, constant, gain = (tuple((1.0 + SPREAD * row).tolist()) for row in draw[:3])
+    radius = tuple((1.0 + GROUPS[group].radius_spread * draw[3]).tolist())
+    return MismatchParameters(friction, constant, gain, radius)
+
+
+def coupling_error(kinematics: PlatformKinematics, positions: Array) -> Array:
+    """Compute the coupling error since the first sample, which is never reset.
+
+    By CCTA 2017, (12) and (24), epsilon' = T phi', so epsilon = T (phi - phi_0).
+
+    Args:
+        kinematics: Kinematics of the platform.
+        positions: (k, n) positions of the wheels [rad].
+
+    Returns:
+        (k, m) coupling errors [rad].
+    """
+    epsilon: Array = (positions - positions[0]) @ kinematics.T.T
+    return epsilon
+
+
+def noise(speeds: Array) -> float:
+    """Return the RMS of wheel speeds (k, n) less their mean over `SMOOTHING`, in their unit."""
+    half = round(SMOOTHING / PERIOD) // 2
+    window = np.full(2 * half + 1, 1.0 / (2 * half + 1))
+    smooth = [np.convolve(column, window, "valid") for column in speeds.T]
+    return float(np.sqrt(np.mean((speeds[half:-half] - np.column_stack(smooth)) ** 2)))
+
+
+def drive(setup: Setup, case: Case) -> Run:
+    """Drive along the path once.
+
+    Raises:
+        StudyError: The controller or the drives stopped, or refused the path.
+        ParameterError: Robot, gain or mismatch are refused.
+    """
+    # Without torques, the detection of dead wheels takes no part in the experiment.
+    loop = ClosedLoop(*_parameters(setup, case), torques=False)
+    core, drives = loop.controller, loop.drives
+    waiting = list(setup.figure.legs(loop.now))
+    ticks = round(setup.figure.duration / PERIOD)
+    rows: list[tuple[Array, ...]] = []
+    tracking = 0.0
+    for _ in range(ticks):
+        if waiting and loop.now >= waiting[0].begin - LEAD:
+            refusal = core.set_preview(Source.PATH, waiting.pop(0).preview, loop.now)
+            if refusal:
+                raise StudyError(f"path/reference was refused: {refusal}")
+        loop.step()
+        stopped = core.cancelled or core.latch.status.reason or drives.stop_reason
+        if stopped:
+            raise StudyError(
+                f"group {case.group}, sample {case.sample}, k = {case.gain:g}: {stopped}"
+            )
+        if core.arbiter.active is not None:
+            tracking = max(tracking, float(np.hypot(*core.tracking_error[:2])))
+        states = loop.states
+        errors = np.array(core.odometry.pose) - loop.truth
+        rows.append((states.position, states.velocity, core.cascade.reference, errors))
+    position, speed, command, errors = (np.array(column) for column in zip(*rows, strict=True))
+    epsilon = coupling_error(core.cascade.kinematics, position)
+    outcome = _judge(loop, epsilon, speed, command, errors, tracking)
+    time: Array = PERIOD * np.arange(ticks, dtype=np.float64)
+    return Run(case, outcome, time[::TRACE_STRIDE], epsilon[::TRACE_STRIDE])
+
+
+def _parameters(setup: Setup, case: Case) -> tuple[PlatformParameters, SimulationParameters]:
+    values = {
+        **setup.robot,
+        **GROUPS[case.group].changes,
+        **UNWATCHED,
+        "coupling.k_epsilon": case.gain,
+    }
+    simulation = build(SimulationParameters, values)
+    return build(PlatformParameters, values), replace(simulation, mismatch=case.mismatch)
+
+
+def _judge(
+    loop: ClosedLoop, epsilon: Array, speed: Array, command: Array, errors: Array, tracking: float
+) -> Outcome:
+    size = np.linalg.norm(epsilon, axis=1)
+    distance, turn = np.hypot(errors[:, 0], errors[:, 1]), np.abs(errors[:, 2])
+    energy = loop.drives.energy
+    losses = energy.losses
+    return Outcome(
+        epsilon_max=float(size.max()),
+        epsilon_rms=float(np.sqrt(np.mean(size**2))),
+        slip=losses["slip"],
+        copper=losses["copper"],
+        losses=sum(losses.values()),
+        energy=energy.electrical,
+        imbalance=energy.residual,
+        speed_noise=noise(speed),
+        command_noise=noise(command),
+        odometry_end=float(distance[-1]),
+        odometry_max=float(distance.max()),
+        heading_end=float(turn[-1]),
+        heading_max=float(turn.max()),
+        tracking_max=tracking,
+        duration=PERIOD * len(epsilon),
+    )

@@ -1,0 +1,132 @@
+"""The test cases of MPC 2021, section 4, and the variants in which they are driven.
+
+The scenes are those of `planning.cases`.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from omniman_ros.core.arrays import Array
+from omniman_ros.lab.studies.mpc_loop import MovingObstacle
+from omniman_ros.lab.studies.scene_geometry import Wall
+from omniman_ros.planning.cases import CASES, RADIUS, Case, Pose
+from omniman_ros.planning.obstacles.grid_map import GridMap
+
+PAPER: Mapping[str, Any] = {"horizon.steps": 10, "horizon.step": 0.1, "weights.running": 0.0}
+"""Parameters of the paper's horizon and cost: n = 10 stages of 0.1 s, and no running cost, so
+that (31) counts at the end only."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A test case: start, goal, and the fixed and moving obstacles between them.
+
+    Attributes:
+        name: Name of the case.
+        goal: Pose of the goal in odom [m, m, rad].
+        start: Pose of the start in odom [m, m, rad].
+        obstacles: Obstacles as they truly are.
+        snapshots: Times that figures show, since the robot was sent off [s].
+        changes: Parameters of the planner that differ from the defaults, full names to values.
+        noise: Standard deviation of the observed positions of obstacles [m].
+        time_limit: Time within which the goal must be reached [s].
+        walls: Walls.
+        grid: Map of the walls that the planner gets, or None if there is no map.
+    """
+
+    name: str
+    goal: Pose
+    start: Pose = (0.0, 0.0, 0.0)
+    obstacles: tuple[MovingObstacle, ...] = ()
+    snapshots: tuple[float, ...] = ()
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    noise: float = 0.0
+    time_limit: float = 30.0
+    walls: tuple[Wall, ...] = ()
+    grid: GridMap | None = None
+
+
+def circle(radius: float, place: Callable[[float], Array]) -> MovingObstacle:
+    """Make a circular obstacle.
+
+    Args:
+        radius: Radius [m].
+        place: Position of its centre (2,) in odom [m] at a time [s].
+    """
+    return MovingObstacle((radius, radius), place)
+
+
+def _scene(case: Case, **more: Any) -> Scene:
+    circles = tuple(circle(RADIUS, path) for path in case.ways)
+    return Scene(case.name, case.goal, case.start, circles, **more)
+
+
+def free() -> Scene:
+    """Make the free case, which has no obstacles (MPC 2021, 4.1)."""
+    return _scene(CASES["free"], snapshots=(2.0, 3.5, 7.0))
+
+
+def corridor() -> Scene:
+    """Make the corridor: four circles through which the robot fits lengthwise only (4.2)."""
+    return _scene(CASES["corridor"], snapshots=(0.8, 1.9, 2.7, 3.4, 4.8))
+
+
+def moving() -> Scene:
+    """Make the case of circles that cross the path from both sides, observed with noise (4.3)."""
+    return _scene(CASES["moving"], noise=0.01)
+
+
+SCENES: Mapping[str, Callable[[], Scene]] = {"free": free, "corridor": corridor, "moving": moving}
+"""The cases, by name."""
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A setting in which a case is driven.
+
+    Attributes:
+        about: Short description, which names the drive in the results.
+        robot: Changed parameters of robot and plant, full names to values.
+        planner: Changed parameters of the planner, full names to values.
+        voltages: Whether the planner's motor voltages are applied.
+    """
+
+    about: str
+    robot: Mapping[str, Any] = field(default_factory=dict)
+    planner: Mapping[str, Any] = field(default_factory=dict)
+    voltages: bool = False
+
+
+def variants(robot: Mapping[str, Any]) -> list[Variant]:
+    """Return the variants of the free case, of which the first is the case itself.
+
+    They show what decides whether the robot turns to travel along a diagonal.
+
+    Args:
+        robot: Parameters of the robot, full names to values.
+    """
+    coulomb = [2.0 * value for value in robot["friction.coulomb"]]
+    return [
+        Variant("defaults"),
+        Variant("voltages put out", voltages=True),
+        Variant("the paper's horizon and cost", planner=PAPER),
+        Variant("W_ang 1/10", planner={"weights.heading": 15.0}),
+        Variant("W_ang 1/100", planner={"weights.heading": 1.5}),
+        Variant("no running cost, N = 20", planner={"weights.running": 0.0}),
+        Variant("Coulomb friction x 2", robot={"friction.coulomb": coulomb}),
+        Variant("rollers without drag", robot={"friction.roller": [0.0]}),
+    ]
+
+
+def goals(full: bool) -> Iterable[tuple[float, float]]:
+    """Yield distances [m] and bearings [rad] of the goals in the table of energies.
+
+    Args:
+        full: Whether all five bearings are yielded, or three.
+    """
+    bearings = (0.0, 22.5, 45.0, 67.5, 90.0) if full else (0.0, 45.0, 90.0)
+    for distance in (1.0, 2.0, 4.0):
+        for bearing in bearings:
+            yield distance, math.radians(bearing)

@@ -1,0 +1,281 @@
+"""Planner, controller and slipping plant in one loop, in simulated time, among obstacles."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from omniman_ros.control.platform_parameters import PlatformParameters
+from omniman_ros.core.arbiter import Source
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.preview import Preview
+from omniman_ros.lab.studies.closed_loop import LATENCY, PERIOD, ClosedLoop
+from omniman_ros.planning.cycle import CycleReport, MeasuredState, PlannerState
+from omniman_ros.planning.goals import Goal
+from omniman_ros.planning.obstacles.ellipses import Ellipses
+from omniman_ros.planning.obstacles.obstacles import Observation, ObstacleSet
+from omniman_ros.planning.parameters import PlannerParameters
+from omniman_ros.planning.planner import Planner
+from omniman_ros.simulation.plant.parameters import SimulationParameters
+
+CYCLE = 0.05
+"""Period of the planner [s]."""
+OBSERVATION_PERIOD = 0.05
+"""Period of the observations of obstacles [s]."""
+WARM_UP = 12
+"""Number of ticks before the first goal: a planner keeps its first motion, at the origin, for
+50 ms."""
+
+
+@dataclass(frozen=True)
+class MovingObstacle:
+    """An obstacle as it truly moves.
+
+    Attributes:
+        semi_axes: Semi-axes [m].
+        place: Position of its centre (2,) in odom [m] at a time [s].
+        angle: Angle of its first axis in odom [rad].
+    """
+
+    semi_axes: tuple[float, float]
+    place: Callable[[float], Array]
+    angle: float = 0.0
+
+
+@dataclass
+class Trace:
+    """The record of a drive, with a row for each cycle of the planner.
+
+    Attributes:
+        times: Times of the cycles [s].
+        poses: True poses (3,) of the robot in odom [m, m, rad].
+        references: Reference poses (3,) in odom [m, m, rad].
+        plans: Planned poses (k, 3) in odom [m, m, rad].
+        obstacles: True positions (M, 2) of the obstacles in odom [m].
+        reports: Reports of the planner.
+        energy: Electric energy consumed so far [J].
+        states: States of the planner.
+        plan_times: Times (k,) of the planned poses [s].
+        known: Obstacles as the planner knows them.
+        spent: Duration of planning on the timer of the loop [s]; 0 where nothing was planned.
+    """
+
+    times: list[float] = field(default_factory=list)
+    poses: list[Array] = field(default_factory=list)
+    references: list[Array] = field(default_factory=list)
+    plans: list[Array] = field(default_factory=list)
+    obstacles: list[Array] = field(default_factory=list)
+    reports: list[CycleReport] = field(default_factory=list)
+    energy: list[float] = field(default_factory=list)
+    states: list[PlannerState] = field(default_factory=list)
+    plan_times: list[Array] = field(default_factory=list)
+    known: list[Ellipses] = field(default_factory=list)
+    spent: list[float] = field(default_factory=list)
+
+
+@dataclass
+class Course:
+    """The true motion of the robot, with a row for each tick of the controller.
+
+    Attributes:
+        times: Times of the ticks [s].
+        poses: True poses (3,) in odom [m, m, rad].
+        odometry: Poses (3,) by odometry [m, m, rad].
+        twists: Twists (3,) in base_link, from the encoders [m/s, m/s, rad/s].
+        energy: Electric energy consumed so far [J].
+    """
+
+    times: list[float] = field(default_factory=list)
+    poses: list[Array] = field(default_factory=list)
+    odometry: list[Array] = field(default_factory=list)
+    twists: list[Array] = field(default_factory=list)
+    energy: list[float] = field(default_factory=list)
+
+    def add(self, loop: ClosedLoop) -> None:
+        """Record the last tick of a loop."""
+        odometry = loop.controller.odometry
+        self.times.append(loop.now - PERIOD)
+        self.poses.append(loop.truth.copy())
+        self.odometry.append(np.array(odometry.pose))
+        self.twists.append(np.array(odometry.twist))
+        self.energy.append(float(loop.drives.electrical()[:, 2].sum()))
+
+
+@dataclass(frozen=True)
+class LoopOptions:
+    """The circumstances of a drive.
+
+    Attributes:
+        start: (3,) pose at the start in odom [m, m, rad].
+        obstacles: Obstacles.
+        voltages: Whether the planner's motor voltages are applied, instead of its reference being
+            followed.
+        solve_time: Duration of a solution, a multiple of the tick of 5 ms [s].
+        noise: Standard deviation of the observed positions of obstacles [m].
+        seed: Seed of the noise.
+        timer: Clock by which planning is measured [s]; None if it is not measured.
+    """
+
+    start: Sequence[float] = (0.0, 0.0, 0.0)
+    obstacles: Sequence[MovingObstacle] = ()
+    voltages: bool = False
+    solve_time: float = 0.01
+    noise: float = 0.0
+    seed: int = 0
+    timer: Callable[[], float] | None = None
+
+
+class MpcLoop:
+    """Drives a robot to goals, one cycle of the planner at a time.
+
+    Args:
+        planner: Parameters of the planner.
+        platform: Parameters of the controller, of the same robot.
+        simulation: Parameters of the drives.
+        options: Circumstances of the drive.
+
+    Attributes:
+        loop: Controller and plant.
+        planner: The planner.
+        seen: Obstacles as they were observed.
+        obstacles: Obstacles as they truly move.
+        trace: Record of the planner's cycles.
+        course: True motion of the robot.
+    """
+
+    def __init__(
+        self,
+        planner: PlannerParameters,
+        platform: PlatformParameters,
+        simulation: SimulationParameters,
+        options: LoopOptions | None = None,
+    ) -> None:
+        options = options or LoopOptions()
+        self.loop = ClosedLoop(platform, simulation)
+        x, y, theta = map(float, options.start)
+        self.loop.drives.set_pose((x, y, theta))
+        self.loop.controller.set_pose((x, y, theta))
+        for _ in range(WARM_UP):
+            self.loop.step()
+        self.planner = Planner(planner, anchored=not options.voltages)
+        self.seen = ObstacleSet(planner.obstacles)
+        self.obstacles = list(options.obstacles)
+        self.trace, self.course = Trace(), Course()
+        self._timer = options.timer or (lambda: 0.0)
+        self._spent = 0.0
+        self._voltages, self._noise = options.voltages, options.noise
+        self._solving = round(options.solve_time / PERIOD)
+        self._random = np.random.default_rng(options.seed)
+        self._observed = -np.inf
+        self._previewed = False
+
+    @property
+    def now(self) -> float:
+        """Time [s]."""
+        return self.loop.now
+
+    def measured(self) -> MeasuredState:
+        """Return the robot's motion by odometry."""
+        odometry = self.loop.controller.odometry
+        return MeasuredState(
+            self.loop.now - PERIOD, np.array(odometry.pose), np.array(odometry.twist)
+        )
+
+    def drive(self, goal: Goal) -> None:
+        """Drive to a goal."""
+        self._observe()
+        self.planner.drive(goal, self.measured(), self.seen.ellipses(self.now))
+
+    def run(self, seconds: float, until: Callable[[], bool] | None = None) -> None:
+        """Drive for a time, or until a condition holds.
+
+        Args:
+            seconds: The time [s].
+            until: The condition; None means that the goal is reached.
+        """
+        end = self.now + seconds
+        while self.now < end - 1e-9:
+            self.cycle()
+            if self.planner.state is PlannerState.ARRIVED and until is None:
+                return
+            if until is not None and until():
+                return
+
+    def cycle(self) -> None:
+        """Run one cycle of the planner."""
+        self._observe()
+        now, planner = self.now, self.planner
+        ticks = round(CYCLE / PERIOD)
+        self._spent = 0.0
+        if planner.active:
+            begun = self._timer()
+            proposal = planner.propose(now, self.measured(), self.seen.ellipses(now))
+            self._spent = self._timer() - begun
+            for _ in range(self._solving):
+                self._step()
+            begun = self._timer()
+            planner.take(proposal, self.now, self.measured(), self.seen.ellipses(self.now))
+            self._spent += self._timer() - begun
+            planner.update_route(self.now, self.seen.ellipses(self.now))
+            ticks -= self._solving
+            self._publish()
+        self._record()
+        for _ in range(ticks):
+            self._step()
+
+    def _step(self) -> None:
+        if self._voltages and self.loop.tick % 2 == 0:
+            self._apply()
+        self.loop.step()
+        self.course.add(self.loop)
+
+    def _publish(self) -> None:
+        """Pass the motion to the controller as a preview."""
+        motion, now = self.planner.motion, self.now
+        braking = motion.currents_at(now)
+        if self._voltages and np.isfinite(braking).all():
+            return
+        if motion.end <= now + 1e-3:
+            return
+        sent = self.planner.preview
+        part = sent.between(now, max(sent.end, now + 1e-3))
+        preview = Preview(part.times, part.poses, part.velocities)
+        self.loop.controller.set_preview(Source.MPC, preview, now)
+
+    def _apply(self) -> None:
+        """Pass the present voltages to the controller."""
+        volts = self.planner.voltages(self.now + 0.5 * 2 * PERIOD)
+        if volts is not None:
+            self.loop.controller.set_voltages(volts, self.now + LATENCY)
+
+    def _observe(self) -> None:
+        if self.now - self._observed < OBSERVATION_PERIOD - 1e-9 or not self.obstacles:
+            return
+        self._observed = self.now
+        self.seen.note_message(self.now)
+        for k, obstacle in enumerate(self.obstacles):
+            x, y = obstacle.place(self.now) + self._noise * self._random.standard_normal(2)
+            seen = Observation(
+                key=("obstacle", k),
+                time=self.now,
+                x=float(x),
+                y=float(y),
+                angle=obstacle.angle,
+                semi_axes=obstacle.semi_axes,
+                lifetime=0.0,
+            )
+            self.seen.add(seen, self.now)
+
+    def _record(self) -> None:
+        trace, now = self.trace, self.now
+        trace.times.append(now)
+        trace.poses.append(self.loop.truth.copy())
+        trace.references.append(self.planner.motion.sample(now)[0])
+        trace.plans.append(self.planner.motion.poses.copy())
+        trace.obstacles.append(np.array([o.place(now) for o in self.obstacles]).reshape(-1, 2))
+        trace.reports.append(self.planner.report)
+        trace.energy.append(float(self.loop.drives.electrical()[:, 2].sum()))
+        trace.states.append(self.planner.state)
+        trace.plan_times.append(self.planner.motion.times.copy())
+        trace.known.append(self.seen.ellipses(now))
+        trace.spent.append(self._spent)

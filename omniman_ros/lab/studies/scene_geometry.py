@@ -1,0 +1,209 @@
+"""True shapes of a scene: the robot's box, moving and fixed ellipses, walls and the allowed area.
+
+Drives are judged by these shapes, which therefore share no code with the planner.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.errors import InputError
+
+Point = tuple[float, float]
+"""A pair along x and y: a position [m] or a velocity [m/s]."""
+Area = tuple[float, float, float, float]
+"""x_min, y_min, x_max, y_max in odom [m]."""
+
+
+@dataclass(frozen=True)
+class Box:
+    """The robot's outline: a rectangle centred at its pose, with its length along its heading.
+
+    Attributes:
+        length: Length [m], above zero.
+        width: Width [m], above zero.
+
+    Raises:
+        InputError: A size is not above zero and finite.
+    """
+
+    length: float
+    width: float
+
+    def __post_init__(self) -> None:
+        _above_zero("length of the box", self.length)
+        _above_zero("width of the box", self.width)
+
+    @property
+    def half(self) -> tuple[float, float]:
+        """Half length and half width [m]."""
+        return 0.5 * self.length, 0.5 * self.width
+
+    @property
+    def radius(self) -> float:
+        """Distance of the corners from the centre [m]."""
+        return math.hypot(*self.half)
+
+
+@dataclass(frozen=True)
+class Route:
+    """The motion of a point along a polyline, with constant velocity between two corners.
+
+    The point stands at the first corner before the first time, and moves on with a given velocity
+    after the last.
+
+    Attributes:
+        times: Times at which the corners are reached [s], increasing, one or more.
+        places: Corners (x, y) in odom [m], one for each time.
+        velocity: Velocity (x', y') in odom after the last time [m/s].
+
+    Raises:
+        InputError: There are no times, they do not increase, their number differs from that of the
+            corners, or a value is not finite.
+    """
+
+    times: tuple[float, ...]
+    places: tuple[Point, ...]
+    velocity: Point = (0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if not self.times or len(self.times) != len(self.places):
+            raise InputError(
+                f"a route needs a time for each place, got {len(self.times)} times "
+                f"and {len(self.places)} places"
+            )
+        values = np.array([*self.times, *np.ravel(self.places), *self.velocity])
+        if not (np.isfinite(values).all() and (np.diff(self.times) > 0.0).all()):
+            raise InputError(f"a route needs finite values and increasing times, got {self}")
+
+    @staticmethod
+    def still(x: float, y: float) -> "Route":
+        """Return a route at rest at (x, y) in odom [m]."""
+        return Route((0.0,), ((x, y),))
+
+    @staticmethod
+    def straight(place: Point, velocity: Point, since: float = 0.0) -> "Route":
+        """Return a route of constant velocity.
+
+        Args:
+            place: Start (x, y) in odom [m].
+            velocity: Velocity (x', y') in odom [m/s].
+            since: Time at which the motion starts [s].
+        """
+        return Route((since,), (place,), velocity)
+
+    def __call__(self, now: float) -> Array:
+        """Return the position (2,) in odom [m] at the time `now` [s]."""
+        result: Array = self.at(np.array([now]))[0]
+        return result
+
+    def at(self, times: Array) -> Array:
+        """Return the positions (K, 2) in odom [m] at times (K,) [s]."""
+        places = np.array(self.places)
+        x, y = (np.interp(times, self.times, places[:, i]) for i in (0, 1))
+        beyond = np.maximum(times - self.times[-1], 0.0)
+        result: Array = np.stack((x + beyond * self.velocity[0], y + beyond * self.velocity[1]), 1)
+        return result
+
+    @property
+    def speed(self) -> float:
+        """Largest speed at any time [m/s]."""
+        steps = np.diff(np.array(self.places), axis=0) / np.diff(self.times)[:, None]
+        speeds = np.hypot(steps[:, 0], steps[:, 1])
+        return float(max(speeds.max(initial=0.0), math.hypot(*self.velocity)))
+
+
+@dataclass(frozen=True)
+class Ellipse:
+    """An elliptic obstacle, a disc if its semi-axes are equal; it moves but never turns.
+
+    Attributes:
+        semi_axes: Semi-axes [m], above zero.
+        place: Motion of its centre: calling it gives the position at a time.
+        angle: Angle of its first semi-axis in odom [rad].
+
+    Raises:
+        InputError: A semi-axis is not above zero and finite, or the angle is not finite.
+    """
+
+    semi_axes: tuple[float, float]
+    place: Route
+    angle: float = 0.0
+
+    def __post_init__(self) -> None:
+        for axis in self.semi_axes:
+            _above_zero("semi-axis", axis)
+        _finite("angle of the ellipse", self.angle)
+
+    @property
+    def fixed(self) -> bool:
+        """Whether the obstacle never moves."""
+        return self.place.speed == 0.0
+
+
+@dataclass(frozen=True)
+class Wall:
+    """A wall: a fixed rectangle.
+
+    Attributes:
+        x: x of its centre in odom [m].
+        y: y of its centre in odom [m].
+        heading: Direction of its length in odom [rad].
+        length: Size along its heading [m], above zero.
+        width: Size across its heading [m], above zero.
+
+    Raises:
+        InputError: A size is not above zero and finite, or another value is not finite.
+    """
+
+    x: float
+    y: float
+    heading: float
+    length: float
+    width: float
+
+    def __post_init__(self) -> None:
+        for name in ("x", "y", "heading"):
+            _finite(f"{name} of the wall", getattr(self, name))
+        _above_zero("length of the wall", self.length)
+        _above_zero("width of the wall", self.width)
+
+
+@dataclass(frozen=True)
+class World:
+    """Obstacles and walls, and the area that the robot should not leave.
+
+    Attributes:
+        obstacles: Fixed and moving ellipses.
+        walls: Walls.
+        area: Area in which the robot's whole outline should stay, or None if there is no such
+            area. Leaving it does not count as a contact.
+
+    Raises:
+        InputError: The area is empty or not finite.
+    """
+
+    obstacles: tuple[Ellipse, ...] = ()
+    walls: tuple[Wall, ...] = ()
+    area: Area | None = None
+
+    def __post_init__(self) -> None:
+        if self.area is not None:
+            low, high = np.array(self.area[:2]), np.array(self.area[2:])
+            if not (np.isfinite(self.area).all() and (low < high).all()):
+                raise InputError(
+                    "the area must be finite with x_min < x_max and y_min < y_max, "
+                    f"got {self.area}"
+                )
+
+
+def _above_zero(name: str, value: float) -> None:
+    if not 0.0 < value < math.inf:
+        raise InputError(f"{name} must be above zero and finite, got {value} m")
+
+
+def _finite(name: str, value: float) -> None:
+    if not math.isfinite(value):
+        raise InputError(f"{name} must be finite, got {value}")

@@ -1,0 +1,81 @@
+"""The paths of the tool that the study of tool paths drives."""
+
+import math
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from omniman_ros.core.arrays import Array
+from omniman_ros.motion.whole_body.model import PLATFORM_AXES, WholeBodyModel
+
+POSTURE = (0.0, -1.9, 2.0, -1.7, -1.57, 0.0)
+"""Joint angles of the arm at the start, where the platform is at the origin [rad]."""
+SPACING = 0.02
+"""Distance along the path between two poses [m]."""
+RADIUS = 1.2
+"""Radius of the circle [m]."""
+SWING = 0.8
+"""Largest heading of the S [rad]."""
+LIFT = 0.1
+"""Amplitude of the S in height [m]."""
+
+Course = Callable[[Array, float], Array]
+"""A course: maps distances along it (k,) [m] and its length [m] to positions and headings (k, 4)
+[m, m, m, rad]."""
+
+
+def straight(distance: Array, length: float) -> Array:
+    """Return positions and headings (k, 4) on a straight line; see `Course`."""
+    zero = np.zeros_like(distance)
+    return np.column_stack([distance, zero, zero, zero])
+
+
+def circle(distance: Array, length: float) -> Array:
+    """Return positions and headings (k, 4) on a circle, with headings along it; see `Course`."""
+    angle = distance / RADIUS
+    return np.column_stack(
+        [RADIUS * np.sin(angle), RADIUS * (1.0 - np.cos(angle)), np.zeros_like(distance), angle]
+    )
+
+
+def s_curve(distance: Array, length: float) -> Array:
+    """Return positions and headings (k, 4) on an S that rises and falls; see `Course`.
+
+    The heading is a sine of the distance.
+    """
+    fine = np.linspace(0.0, length, math.ceil(length / 0.001) + 1)
+    step = fine[1] - fine[0]
+    between = SWING * np.sin(math.tau * (fine[:-1] + 0.5 * step) / length)
+    steps = step * np.column_stack([np.cos(between), np.sin(between)])
+    positions = np.vstack([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+    x, y = (np.interp(distance, fine, column) for column in positions.T)
+    share = math.tau * distance / length
+    return np.column_stack([x, y, LIFT * np.sin(share), SWING * np.sin(share)])
+
+
+COURSES: Mapping[str, Course] = {"straight": straight, "S": s_curve, "circle": circle}
+
+
+def start() -> Array:
+    """Return the positions (9,) of all axes at the start."""
+    return np.array([0.0] * len(PLATFORM_AXES) + list(POSTURE))
+
+
+def tool_poses(model: WholeBodyModel, name: str, length: float) -> Array:
+    """Return poses (k, 4, 4) of `tool0` in odom along a course that begins at the start.
+
+    Args:
+        model: Kinematics of the robot.
+        name: One of COURSES.
+        length: Length of the path in the plane [m].
+    """
+    distance = np.linspace(0.0, length, math.ceil(length / SPACING) + 1)
+    course = COURSES[name](distance, length)
+    poses = np.tile(model.forward(start()), (len(distance), 1, 1))
+    poses[:, :3, 3] += course[:, :3]
+    c, s = np.cos(course[:, 3]), np.sin(course[:, 3])
+    turn = np.zeros((len(distance), 3, 3))
+    turn[:, 0, 0] = turn[:, 1, 1] = c
+    turn[:, 0, 1], turn[:, 1, 0], turn[:, 2, 2] = -s, s, 1.0
+    poses[:, :3, :3] = turn @ poses[:, :3, :3]
+    return poses

@@ -1,0 +1,356 @@
+"""A tool path by platform and arm in step, in simulated time: the tool's error and its causes.
+
+The platform's controller and its drives run as they do on the robot; its poses come to the
+interpolator late, previews of the arm come to the streamer later still. What follows the arm's
+previews is given: the study knows no arm.
+"""
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol
+
+import numpy as np
+
+from omniman_ros.control.platform_parameters import PlatformParameters
+from omniman_ros.core.arbiter import Source
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.errors import InputError, OmnimanError
+from omniman_ros.core.parameters import build
+from omniman_ros.core.preview import Preview
+from omniman_ros.lab.studies.closed_loop import LATENCY, PERIOD, ClosedLoop
+from omniman_ros.motion.path.parameters import TICK
+from omniman_ros.motion.path.timed_curve import TimedCurve
+from omniman_ros.motion.whole_body.correction import PlatformCorrection, corrected_arm_motion
+from omniman_ros.motion.whole_body.model import WholeBodyModel
+from omniman_ros.motion.whole_body.parameters import ToolPathOptions
+from omniman_ros.simulation.plant.parameters import MismatchParameters, SimulationParameters
+
+STEP = 0.001
+"""Period of the study's clock [s]."""
+ODOM_EVERY = 0.01
+"""Period of the measured poses [s]."""
+ODOM_LATE = (0.005, 0.02)
+"""Range of the latency from a measurement to the interpolator [s]."""
+PREVIEW_LATE = (0.002, 0.006)
+"""Range of the latency from the interpolator to the streamer [s]."""
+PLATFORM_EVERY = 0.04
+"""Period of the platform's previews [s]."""
+PLATFORM_HORIZON = 0.4
+"""Length of the platform's previews [s]."""
+START = 0.5
+"""Time at which the motion begins [s]."""
+ANNOUNCED = 0.024
+"""Time before the motion at which the first previews are sent [s]."""
+AFTER = 0.5
+"""Time after the motion that is recorded [s]."""
+
+
+class StudyError(OmnimanError):
+    """A drive did not come to its end."""
+
+
+class Motion(Protocol):
+    """The planned motion of all axes, and of the tool."""
+
+    @property
+    def curve(self) -> TimedCurve:
+        """Motion of all nine axes."""
+        ...
+
+    @property
+    def branch(self) -> int:
+        """Branch of the arm's inverse kinematics."""
+        ...
+
+    def tool(self, times: Array) -> Array:
+        """Return the poses (k, 4, 4) of `tool0` in odom at times (k,) [s]."""
+        ...
+
+
+class FollowingArm(Protocol):
+    """An arm that follows previews of its joints."""
+
+    period: float
+    """Period of its cycle [s]."""
+
+    def preview(
+        self, times: Array, positions: Array, velocities: Array, accelerations: Array, now: float
+    ) -> None:
+        """Update the preview: times (k,) [s], the others (k, 6).
+
+        Raises:
+            InputError: The preview is refused.
+        """
+        ...
+
+    def cycle(self, now: float) -> Array:
+        """Run a cycle at a time [s]; return the measured joint angles (6,) [rad]."""
+        ...
+
+
+@dataclass(frozen=True)
+class Case:
+    """One drive of the study.
+
+    Attributes:
+        about: Description in the tables.
+        changes: Changed parameters of controller and simulation, full names to values.
+        mismatch: Errors of the wheels.
+        period: Period of the arm's previews, that of odom or more [s].
+        horizon: Length of the arm's previews [s].
+        options: Options of tool paths, such as the correction.
+        seed: Seed of the latencies.
+    """
+
+    about: str
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    mismatch: Mapping[str, Any] = field(default_factory=dict)
+    period: float = 0.02
+    horizon: float = 0.2
+    options: ToolPathOptions = field(default_factory=ToolPathOptions)
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Wheels:
+    """Drives and wheels of a robot, and their errors.
+
+    Attributes:
+        about: Description in the tables.
+        changes: Changed parameters of controller and simulation, full names to values.
+        mismatch: Errors of the wheels.
+    """
+
+    about: str
+    changes: Mapping[str, Any]
+    mismatch: Mapping[str, Any]
+
+    def case(self, options: ToolPathOptions, seed: int) -> Case:
+        """Return a drive with these wheels."""
+        return Case(self.about, self.changes, self.mismatch, options=options, seed=seed)
+
+
+UNLIKE = {
+    "friction": [1.3, 0.8, 1.1, 0.9],
+    "torque_constant": [0.97, 1.03, 1.0, 0.98],
+    "amplifier_gain": [1.02, 0.98, 1.01, 0.97],
+}
+"""Errors of the wheels in the demo, as factors by wheel."""
+UNLIKER = {
+    "friction": [1.8, 0.5, 1.4, 0.7],
+    "torque_constant": [0.9, 1.1, 1.0, 0.93],
+    "amplifier_gain": [1.05, 0.93, 1.02, 0.92],
+}
+"""Larger errors of the wheels, as factors by wheel."""
+P_LOOPS = {"firmware.integral_time": 100.0, "drive.following_error": 100.0}
+"""Parameters of velocity loops without an integral part, and without a stop by the following
+error, which is larger than a healthy robot's."""
+SOFT = {
+    **P_LOOPS,
+    "drive.feed_forward": False,
+    "position.k_xy": 2.0,
+    "position.k_theta": 2.0,
+}
+"""Parameters of a loose position control without feed-forward."""
+HARSHEST = "soft"
+"""Name of the wheels with the largest errors."""
+WHEELS: Mapping[str, Wheels] = {
+    "PI": Wheels("wheels of the demo", {}, UNLIKE),
+    "P": Wheels("less alike, P loops", P_LOOPS, UNLIKER),
+    HARSHEST: Wheels("the same, loosely led", SOFT, UNLIKER),
+}
+
+
+@dataclass(frozen=True)
+class Run:
+    """A completed drive, at k times of the tool's motion.
+
+    Attributes:
+        case: The case.
+        course: Name of the path.
+        times: (k,) times of the motion [s].
+        reference: (k, 3) reference positions of the tool in odom [m].
+        odom: (k, 3) positions of the tool in odom, by the arm's true angles and the measured pose
+            [m].
+        truth: (k, 3) true positions of the tool in the world [m].
+        base: (k, 3) measured poses of base_link in odom [m, m, rad].
+        platform: (k, 3) errors of these poses from the reference [m, m, rad].
+        turned: (k,) angles between the orientation of the tool in odom and its reference [rad].
+    """
+
+    case: Case
+    course: str
+    times: Array
+    reference: Array
+    odom: Array
+    truth: Array
+    base: Array
+    platform: Array
+    turned: Array
+
+    @property
+    def error(self) -> Array:
+        """(k,) distances of the tool from the timed point of its path, in odom [m]."""
+        distance: Array = np.linalg.norm(self.odom - self.reference, axis=1)
+        return distance
+
+    @property
+    def true_error(self) -> Array:
+        """(k,) distances of the tool from the timed point of its path, in the world [m]."""
+        distance: Array = np.linalg.norm(self.truth - self.reference, axis=1)
+        return distance
+
+
+class ToolPathLoop:
+    """Runs platform, arm and interpolator along one planned motion.
+
+    Args:
+        robot: Parameters of the robot, full names to values.
+        case: The case.
+        course: Name of the path.
+        motion: Planned motion.
+        model: Kinematics of platform and arm.
+        arm: The arm, at rest where the motion begins.
+    """
+
+    def __init__(
+        self,
+        robot: Mapping[str, Any],
+        case: Case,
+        course: str,
+        motion: Motion,
+        model: WholeBodyModel,
+        arm: FollowingArm,
+    ) -> None:
+        values = {**robot, **case.changes}
+        simulation = build(SimulationParameters, values)
+        simulation = replace(simulation, mismatch=build(MismatchParameters, case.mismatch))
+        # Without torques: what watches over dead wheels takes no part.
+        self._platform = ClosedLoop(build(PlatformParameters, values), simulation, torques=False)
+        self._case, self._course = case, course
+        self._motion, self._model, self._arm = motion, model, arm
+        self._correction = PlatformCorrection(case.options)
+        self._random = np.random.default_rng(case.seed)
+        self._poses: deque[tuple[float, float, Array]] = deque()
+        self._previews: deque[tuple[float, tuple[Array, Array, Array, Array]]] = deque()
+        self._sent = self._announced = -np.inf
+        self._arm_rows: list[Array] = []
+        self._platform_rows: list[Array] = []
+
+    def run(self) -> Run:
+        """Drive it.
+
+        Raises:
+            StudyError: Platform or arm gave up.
+        """
+        end = START + self._motion.curve.duration + AFTER
+        arm_due = self._arm.period
+        for k in range(round(end / STEP)):
+            now = k * STEP
+            if now >= self._platform.now:
+                self._drive(now)
+            self._interpolate(now)
+            while self._previews and self._previews[0][0] <= now:
+                self._follow(self._previews.popleft()[1], now)
+            if now >= arm_due:
+                self._arm_rows.append(np.array([arm_due, *self._arm.cycle(arm_due)]))
+                arm_due += self._arm.period
+        return self._judged()
+
+    def _drive(self, now: float) -> None:
+        """One tick of the platform."""
+        loop, last = self._platform, START + self._motion.curve.duration
+        if START - ANNOUNCED <= now < last + AFTER and now >= self._announced + PLATFORM_EVERY:
+            self._announced = now
+            times = _grid(now, PLATFORM_HORIZON)
+            x, v, a = (part[:, :3] for part in self._motion.curve.sample(times - START))
+            refusal = loop.controller.set_preview(Source.PATH, Preview(times, x, v, a), now)
+            if refusal:
+                raise StudyError(f"path/reference was refused: {refusal}")
+        measured = loop.now
+        loop.step()
+        core = loop.controller
+        stopped = core.cancelled or core.latch.status.reason or loop.drives.stop_reason
+        if stopped:
+            raise StudyError(f"{self._case.about}: {stopped}")
+        pose = np.array(core.odometry.pose)
+        self._platform_rows.append(np.array([measured, *pose, *loop.truth]))
+        if round(measured / PERIOD) % round(ODOM_EVERY / PERIOD) == 0:
+            arrival = measured + LATENCY + self._random.uniform(*ODOM_LATE)
+            if self._poses:
+                arrival = max(arrival, self._poses[-1][0])  # in the order of their sending
+            self._poses.append((arrival, measured, pose))
+
+    def _interpolate(self, now: float) -> None:
+        """Process the odometry that has arrived, and send the arm's preview."""
+        has_arrived = False
+        while self._poses and self._poses[0][0] <= now:
+            _, time, pose = self._poses.popleft()
+            reference = self._motion.curve.sample(np.array([time - START]))[0][0, :3]
+            self._correction.update(time, pose, reference)
+            has_arrived = True
+        last = START + self._motion.curve.duration + AFTER
+        if not has_arrived or not START - ANNOUNCED <= now < last:
+            return
+        if now < self._sent + self._case.period - 0.5 * STEP:
+            return
+        self._sent = now
+        times = _grid(now, self._case.horizon)
+        longer = np.concatenate([[times[0] - TICK], times, [times[-1] + TICK]])
+        planned = self._motion.curve.sample(longer - START)[0]
+        platform = self._correction.platform_at(planned[:, :3], longer)
+        parts = corrected_arm_motion(
+            self._model,
+            platform,
+            self._motion.tool(longer - START),
+            self._motion.branch,
+            planned[:, 3:],
+            TICK,
+        )
+        arrival = now + self._random.uniform(*PREVIEW_LATE)
+        self._previews.append((arrival, (times, *parts)))
+
+    def _follow(self, preview: tuple[Array, Array, Array, Array], now: float) -> None:
+        try:
+            self._arm.preview(*preview, now)
+        except InputError as error:
+            raise StudyError(f"{self._case.about}: arm/joint_reference: {error}") from error
+
+    def _judged(self) -> Run:
+        arm, platform = np.array(self._arm_rows), np.array(self._platform_rows)
+        times = arm[:, 0]
+        moving = (times >= START) & (times <= START + self._motion.curve.duration)
+        times, joints = times[moving], arm[moving, 1:]
+        poses = np.column_stack(
+            [np.interp(times, platform[:, 0], column) for column in platform[:, 1:].T]
+        )
+        reference = self._motion.tool(times - START)
+        measured = self._model.forward(np.hstack([poses[:, :3], joints]))
+        true = self._model.forward(np.hstack([poses[:, 3:], joints]))
+        errors = poses[:, :3] - self._motion.curve.sample(times - START)[0][:, :3]
+        errors[:, 2] = np.remainder(errors[:, 2] + np.pi, 2.0 * np.pi) - np.pi
+        trace = np.einsum("kij,kij->k", measured[:, :3, :3], reference[:, :3, :3])
+        return Run(
+            self._case,
+            self._course,
+            times - START,
+            reference[:, :3, 3],
+            measured[:, :3, 3],
+            true[:, :3, 3],
+            poses[:, :3],
+            errors,
+            np.arccos(np.clip(0.5 * (trace - 1.0), -1.0, 1.0)),
+        )
+
+
+def _grid(now: float, horizon: float) -> Array:
+    """Ticks (k,) from the last one on [s]."""
+    first = np.floor(now / TICK + 1e-6)
+    times: Array = TICK * (first + np.arange(int(horizon / TICK) + 1))
+    return times
+
+
+def rms(values: Array) -> float:
+    """Root of the mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))

@@ -1,0 +1,133 @@
+"""Limits of single axes, and checks that a motion keeps them."""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from omniman_ros.core.arm_parameters import ArmParameters
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.errors import InputError, ParameterError
+from omniman_ros.motion.path.axis_group import AxisGroup
+from omniman_ros.motion.path.time_profile import SpeedCap
+from omniman_ros.motion.path.timed_curve import TimedCurve
+
+ROUND_OFF = 1e-6
+"""Relative excess over a limit that counts as round-off."""
+QUANTITIES = (("position", ""), ("velocity", "/s"), ("acceleration", "/s^2"), ("jerk", "/s^3"))
+"""Name of each derivative, and the suffix of its unit after that of the position."""
+
+
+@dataclass(frozen=True)
+class AxisLimits:
+    """Names and limits of d axes; the limits are read-only arrays (d,).
+
+    Attributes:
+        names: Names of the axes.
+        lower, upper: Range of the positions [rad or m].
+        velocity, acceleration, jerk: Limits of the absolute values [the same per s, s^2, s^3].
+        units: Units of the positions, for messages.
+
+    Raises:
+        ParameterError: A limit has not one finite number for each axis, or is not positive.
+    """
+
+    names: tuple[str, ...]
+    lower: Array
+    upper: Array
+    velocity: Array
+    acceleration: Array
+    jerk: Array
+    units: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        for label in ("lower", "upper", "velocity", "acceleration", "jerk"):
+            array = np.array(getattr(self, label), dtype=float)
+            if array.shape != (len(self.names),) or not np.isfinite(array).all():
+                reason = f"must have one finite number for each of {self.names}"
+                raise ParameterError(label, array.tolist(), reason)
+            if label not in ("lower", "upper") and not (array > 0.0).all():
+                raise ParameterError(label, array.tolist(), "must be positive")
+            array.flags.writeable = False
+            object.__setattr__(self, label, array)
+
+    @classmethod
+    def of_arm(cls, arm: ArmParameters) -> Self:
+        """Create the limits of the arm's joints."""
+        lower, upper, velocity, acceleration, jerk = (
+            np.array(arm.each(label))
+            for label in ("lower", "upper", "velocity", "acceleration", "jerk")
+        )
+        units = ("rad",) * len(arm.joints)
+        return cls(arm.joints, lower, upper, velocity, acceleration, jerk, units)
+
+    def groups(self, scale: float, tolerance: float) -> tuple[AxisGroup, ...]:
+        """Return each axis as a group of its own.
+
+        Args:
+            scale: Fraction of the limits on velocity, acceleration and jerk.
+            tolerance: Tolerance at corners [rad or m].
+        """
+        rows = zip(*(scale * np.stack([self.velocity, self.acceleration, self.jerk])), strict=True)
+        return tuple(AxisGroup((i,), *row, tolerance) for i, row in enumerate(map(_floats, rows)))
+
+    def speed_cap(self, scale: float) -> SpeedCap | None:
+        """Return a bound on u' beside those of the groups, for scaled limits; here none."""
+        return None
+
+    def require_within(self, positions: Array) -> None:
+        """Require that positions (k, d) are within the limits.
+
+        Raises:
+            InputError: A position is beyond a limit; the message names the axis, the point and the
+                limit.
+        """
+        for i, row in enumerate(positions):
+            low, high = self._bounds(0, 1.0)
+            for k in np.flatnonzero(~((row >= low) & (row <= high))):
+                limit = high[k] if row[k] > high[k] else low[k]
+                raise InputError(
+                    f"{self.names[k]}: position {row[k]:.6g} {self.units[k]} of point {i}, "
+                    f"the limit is {limit:g} {self.units[k]}"
+                )
+
+    def require_kept(self, curve: TimedCurve, jerk_scale: float) -> None:
+        """Require that a motion keeps all limits at every instant.
+
+        Args:
+            curve: Motion of all axes.
+            jerk_scale: Factor on the jerk limits.
+
+        Raises:
+            InputError: The motion violates a limit; the message names the axis, the time, the
+                value and the limit.
+        """
+        for order, (times, values) in enumerate(curve.extremes()):
+            low, high = self._bounds(order, jerk_scale if order == 3 else 1.0)
+            slack = ROUND_OFF * (high - low)
+            within = (values >= low - slack) & (values <= high + slack)
+            if within.all():
+                continue
+            # Report the value that is furthest beyond its limit.
+            excess = np.maximum(values - high, low - values) / (high - low)
+            excess[np.isnan(excess)] = np.inf
+            row, piece, k = np.unravel_index(int(excess.argmax()), excess.shape)
+            value, word, unit = values[row, piece, k], *QUANTITIES[order]
+            limit = high[k] if value > high[k] else low[k]
+            raise InputError(
+                f"{self.names[k]}: {word} {value:.4g} {self.units[k]}{unit} at "
+                f"{times[row, piece, k]:.3f} s, the limit is {limit:.4g} {self.units[k]}{unit}"
+            )
+
+    def _bounds(self, order: int, scale: float) -> tuple[Array, Array]:
+        """Return the range (d,) of the derivative of an order, whose limits are scaled."""
+        if order == 0:
+            return self.lower - ROUND_OFF, self.upper + ROUND_OFF
+        high = scale * (self.velocity, self.acceleration, self.jerk)[order - 1]
+        return -high, high
+
+
+def _floats(row: tuple[float, ...]) -> tuple[float, float, float]:
+    """Return limits of velocity, acceleration and jerk as Python floats."""
+    velocity, acceleration, jerk = row
+    return float(velocity), float(acceleration), float(jerk)

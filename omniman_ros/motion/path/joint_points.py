@@ -1,0 +1,230 @@
+"""Trajectory points of some axes, as in a message, and the planning of motions through them."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from omniman_ros.core import plausible
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.errors import InputError
+from omniman_ros.motion.path import spline_derivatives
+from omniman_ros.motion.path.axis_limits import AxisLimits
+from omniman_ros.motion.path.joint_parameters import JointTrajectoryOptions
+from omniman_ros.motion.path.planner import MAX_DURATION, PathPlanner
+from omniman_ros.motion.path.timed_curve import TimedCurve
+from omniman_ros.motion.path.trajectory import Trajectory
+
+MIN_POINT_SPACING = 1e-6
+"""Shortest time between two points [s]."""
+MAX_START_SPEED_ERROR = 0.05
+"""Largest difference between the velocity of a first point with time 0 and the present one
+[rad/s]."""
+
+
+@dataclass(frozen=True)
+class JointPoints:
+    """Points of a trajectory of some axes.
+
+    Attributes:
+        columns: (m,) indices of the axes.
+        times: (k,) from the start of the trajectory [s], 0 or later and increasing; None if the
+            points are to be reached as soon as the limits allow.
+        positions: (k, m) [rad or m].
+        velocities, accelerations: (k, m), or None if they are not given.
+
+    Raises:
+        InputError: Shapes do not match, values are not finite or implausibly large, times do not
+            increase, or there are accelerations without velocities or velocities without times.
+    """
+
+    columns: tuple[int, ...]
+    times: Array | None
+    positions: Array
+    velocities: Array | None = None
+    accelerations: Array | None = None
+
+    def __post_init__(self) -> None:
+        shape = (len(self.positions), len(self.columns))
+        if min(shape) == 0 or len(set(self.columns)) != len(self.columns):
+            raise InputError(
+                f"there are {shape[0]} points of axes {self.columns}: at least one point of at "
+                "least one axis is needed, and no axis may be repeated"
+            )
+        for label, array, bound in (
+            ("positions", self.positions, plausible.ANGLE),
+            ("velocities", self.velocities, plausible.SPEED),
+            ("accelerations", self.accelerations, plausible.ACCELERATION),
+        ):
+            if array is not None and array.shape != shape:
+                raise InputError(f"{label} have shape {array.shape}, expected {shape}")
+            if array is not None:
+                plausible.demand(array, bound, label)
+        if self.velocities is None and self.accelerations is not None:
+            raise InputError("accelerations without velocities are not accepted")
+        if self.times is None:
+            if self.velocities is not None and self.velocities.any():
+                raise InputError("velocities without times are not accepted")
+            return
+        plausible.demand(self.times, MAX_DURATION, "times")
+        if self.times.shape != shape[:1] or self.times[0] < 0.0:
+            raise InputError(
+                f"times {self.times[:3].tolist()} must be at or after 0 s, one for each of "
+                f"{shape[0]} points"
+            )
+        late = np.flatnonzero(~(np.diff(self.times) >= MIN_POINT_SPACING))
+        if len(late):
+            i = int(late[0])
+            raise InputError(
+                f"the times do not increase: point {i} at {self.times[i]:g} s, point {i + 1} at "
+                f"{self.times[i + 1]:g} s (if all are zero, they are computed)"
+            )
+
+    def turned_near(self, column: int, angle: float) -> "JointPoints":
+        """Shift an axis by whole revolutions so that its first position is nearest to an angle.
+
+        Args:
+            column: Index of the axis; points that do not name it are returned as they are.
+            angle: Present position of the axis [rad].
+        """
+        if column not in self.columns:
+            return self
+        i = self.columns.index(column)
+        revolutions = round((angle - self.positions[0, i]) / math.tau)
+        positions = self.positions.copy()
+        positions[:, i] += revolutions * math.tau
+        return replace(self, positions=positions)
+
+
+@dataclass(frozen=True)
+class State:
+    """Position, velocity and acceleration (d,) of all axes at an instant."""
+
+    position: Array
+    velocity: Array
+    acceleration: Array
+
+    @classmethod
+    def rest(cls, position: Array) -> "State":
+        """Create a state of rest at a position (d,)."""
+        return cls(np.array(position, dtype=float), *np.zeros((2, len(position))))
+
+
+class JointPlanner:
+    """Plans motions of all axes through points of some; the other axes keep their positions.
+
+    Args:
+        limits: Names and limits of all axes.
+        options: Options of the trajectories.
+        dt: Tick of the time base [s].
+
+    Attributes:
+        limits, options: As above.
+    """
+
+    def __init__(self, limits: AxisLimits, options: JointTrajectoryOptions, dt: float) -> None:
+        self.limits, self.options, self._dt = limits, options, dt
+        scale = 1.0 - options.reserve
+        groups = limits.groups(scale, options.corner_tolerance)
+        self._planner = PathPlanner(groups, dt, limits.speed_cap(scale))
+
+    def timed(self, points: JointPoints, state: State) -> TimedCurve:
+        """Plan the motion that keeps the times of the points, from a state on.
+
+        From positions only, the motion minimises the jerk; with velocities, its third derivative
+        is continuous; given accelerations are kept, too. A first point with time 0 must be the
+        present state. The motion ends at rest.
+
+        Args:
+            points: Points with times.
+            state: State of all axes at time 0.
+
+        Raises:
+            InputError: The motion starts somewhere else, ends in motion or violates the limits.
+        """
+        points = self._started(points, state)
+        assert points.times is not None
+        self._ends_at_rest(points)
+        columns = list(points.columns)
+        times = np.concatenate([[0.0], points.times])
+        shape = (len(times), len(self.limits.names))
+        x, v, a = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+        # The other axes come to rest during the first piece, and stay there.
+        span = times[1]
+        x[:] = state.position + span * (0.5 * state.velocity + span / 12.0 * state.acceleration)
+        x[0], v[0], a[0] = state.position, state.velocity, state.acceleration
+        x[1:, columns] = points.positions
+        first_v, first_a = state.velocity[columns], state.acceleration[columns]
+        if points.velocities is None:
+            v[:, columns], a[:, columns] = spline_derivatives.minimum_jerk(
+                times, x[:, columns], first_v, first_a
+            )
+        else:
+            v[1:, columns] = points.velocities
+            v[-1] = 0.0
+            if points.accelerations is None:
+                a[:, columns] = spline_derivatives.accelerations(
+                    times, x[:, columns], v[:, columns], first_a
+                )
+            else:
+                a[1:, columns] = points.accelerations
+                a[-1, columns] = 0.0  # the acceleration of the following rest
+        curve = TimedCurve(times, x, v, a)
+        self.limits.require_kept(curve, self.options.jerk_scale)
+        return curve
+
+    def fastest(self, points: JointPoints, position: Array) -> TimedCurve:
+        """Plan the fastest motion within the limits from rest through points without times.
+
+        Args:
+            points: Points without times.
+            position: (d,) position at which all axes are at rest.
+
+        Raises:
+            InputError: There is nothing to do, a position is beyond its limit, or the motion
+                would take too long.
+        """
+        places = np.tile(position, (len(points.positions), 1))
+        places[:, list(points.columns)] = points.positions
+        self.limits.require_within(places)
+        plan = self._planner.plan(np.vstack([position, places]))
+        motion = Trajectory(0.0, self._dt, plan.ticks, self._planner.smoother)
+        times: Array = self._dt * np.arange(len(motion.positions), dtype=float)
+        return TimedCurve(times, motion.positions, motion.velocities, motion.accelerations)
+
+    def _started(self, points: JointPoints, state: State) -> JointPoints:
+        """Return the points after the state; a first point with time 0 must be the state."""
+        assert points.times is not None
+        if points.times[0] > 0.0:
+            return points
+        columns = list(points.columns)
+        distance = np.abs(points.positions[0] - state.position[columns])
+        k = int(distance.argmax())
+        if distance[k] > self.options.start_tolerance:
+            name, unit = self.limits.names[columns[k]], self.limits.units[columns[k]]
+            raise InputError(
+                f"{name}: it starts {distance[k]:.3g} {unit} from its present position, at most "
+                f"{self.options.start_tolerance:g} {unit} are allowed with a first time of 0"
+            )
+        if points.velocities is not None:
+            change = np.abs(points.velocities[0] - state.velocity[columns])
+            k = int(change.argmax())
+            if change[k] > MAX_START_SPEED_ERROR:
+                name, unit = self.limits.names[columns[k]], self.limits.units[columns[k]]
+                raise InputError(
+                    f"{name}: it starts with {points.velocities[0][k]:.3g} {unit}/s, its present "
+                    f"velocity is {state.velocity[columns[k]]:.3g} {unit}/s"
+                )
+        arrays = (points.positions, points.velocities, points.accelerations)
+        later = (None if array is None else array[1:] for array in arrays)
+        return JointPoints(points.columns, points.times[1:], *later)  # type: ignore[arg-type]
+
+    def _ends_at_rest(self, points: JointPoints) -> None:
+        """Check that the last velocities, if given, are zero."""
+        if points.velocities is not None and (np.abs(points.velocities[-1]) > 1e-6).any():
+            k = int(np.abs(points.velocities[-1]).argmax())
+            i = points.columns[k]
+            raise InputError(
+                f"{self.limits.names[i]}: it ends with {points.velocities[-1][k]:.3g} "
+                f"{self.limits.units[i]}/s, not at rest"
+            )

@@ -1,0 +1,1 @@
+"""Motions of platform and arm together: postures, tool paths and their correction."""

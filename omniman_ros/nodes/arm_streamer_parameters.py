@@ -1,0 +1,21 @@
+"""Parameters of the node `arm_streamer`."""
+
+from dataclasses import dataclass
+
+from omniman_ros.core.arm_parameters import ArmParameters
+from omniman_ros.core.parameters import parameter
+from omniman_ros.ur.parameters import UrParameters
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArmStreamerParameters:
+    """Parameters of the node: the arm, its controller, and how the node starts."""
+
+    arm: ArmParameters
+    ur: UrParameters
+    autostart: bool = parameter(
+        True,
+        "Whether the node configures and activates itself, and retries until the controller "
+        "is there.",
+        read_only=True,
+    )

@@ -1,0 +1,184 @@
+"""Life cycle shared by the nodes at real hardware, which can also bring themselves up."""
+
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from lifecycle_msgs.srv import ChangeState
+from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
+
+from omniman_ros.core.errors import ParameterError
+from omniman_ros.core.stop import StopLatch, StopState
+from omniman_ros.nodes.hardware_hooks import HardwareError, HardwareHooks, HardwareLostError
+from omniman_ros.nodes.omniman_node import OmnimanNode
+from omniman_ros.nodes.rclpy_compat import RCLError, log_exceptions
+from omniman_ros.nodes.stop_interface import StopInterface
+
+RETRY_PERIOD = 2.0
+"""Time between two automatic attempts to start, until the first success [s]."""
+
+
+class HardwareNode(OmnimanNode, LifecycleNodeMixin, HardwareHooks):
+    """Lifecycle node that moves real hardware, with its stop and its orderly end.
+
+    A subclass implements the hooks of :class:`HardwareHooks`. configure opens the hardware,
+    activate enables it, deactivate brings it to rest and disables it, cleanup closes it. A stopped
+    node is not activated, and the first successful activation ends the automatic start. The
+    constructor of a subclass ends with :meth:`begin`.
+
+    Args:
+        name: Name of the node.
+        allow_sim_time: Accept `use_sim_time`, for hardware that is simulated in stepped time.
+        options: Options of `rclpy.node.Node`.
+
+    Attributes:
+        latch: Latch of the node's stops.
+        is_active: Whether the node is active: only then may the hardware move.
+        stop_interface: Stop services and topics of the node.
+
+    Raises:
+        ParameterError: `use_sim_time` is set and not allowed.
+    """
+
+    def __init__(self, name: str, *, allow_sim_time: bool = False, **options: Any) -> None:
+        OmnimanNode.__init__(self, name, **options)
+        LifecycleNodeMixin.__init__(self)
+        # rclpy lets a transition that the current state does not have end the node.
+        self._change_state = self._service_change_state.callback
+        self._service_change_state.callback = self._on_change_state
+        if self.get_parameter("use_sim_time").value and not allow_sim_time:
+            raise ParameterError("use_sim_time", True, "real drives run on real time")
+        self.latch = StopLatch()
+        self.is_active = False
+        self._next_attempt: float | None = None
+
+    def begin(self, autostart: bool) -> None:
+        """Open the stop interface; a subclass calls this at the end of its constructor.
+
+        Args:
+            autostart: Configure and activate the node automatically, and retry until the first
+                success.
+        """
+        self.stop_interface = StopInterface(
+            self, self.latch, self.reset_hardware, self.follow_latch
+        )
+        if autostart:
+            self._next_attempt = self.now()
+            self.every(0.1, self._start)
+
+    # ---- transitions --------------------------------------------------------------------------
+
+    @log_exceptions
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Open the hardware."""
+        try:
+            self.get_logger().info(f"configured: {self.open_hardware()}")
+        except HardwareError as error:
+            self.warn("configure", f"not configured: {error}")
+            self.close_hardware()
+            return TransitionCallbackReturn.FAILURE
+        return TransitionCallbackReturn.SUCCESS
+
+    @log_exceptions
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Enable the hardware, unless the node is stopped."""
+        try:
+            if self.latch.status.state is StopState.STOPPED:
+                raise HardwareError(f"stopped: {self.latch.status.reason}")
+            text = self.enable_hardware()
+        except HardwareError as error:
+            self.warn("activate", f"not activated: {error}")
+            lost = isinstance(error, HardwareLostError)
+            return TransitionCallbackReturn.ERROR if lost else TransitionCallbackReturn.FAILURE
+        self.is_active = True
+        self.cancel_autostart()
+        self.get_logger().info(f"active: {text}")
+        return TransitionCallbackReturn.SUCCESS
+
+    @log_exceptions
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Bring the hardware to rest and disable it."""
+        self.is_active = False
+        self.disable_hardware()
+        return TransitionCallbackReturn.SUCCESS
+
+    @log_exceptions
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Close the hardware."""
+        self.cancel_autostart()
+        self.close_hardware()
+        return TransitionCallbackReturn.SUCCESS
+
+    @log_exceptions
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Bring the hardware to rest, disable it, and close it."""
+        self.cancel_autostart()
+        return self.on_error(state)
+
+    @log_exceptions
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Take the hardware down after an error in a transition: the node is unconfigured."""
+        self.is_active = False
+        self.disable_hardware()
+        self.close_hardware()
+        return TransitionCallbackReturn.SUCCESS
+
+    def _on_change_state(
+        self, request: ChangeState.Request, response: ChangeState.Response
+    ) -> ChangeState.Response:
+        """Refuse a requested transition that the current state does not have."""
+        try:
+            return self._change_state(request, response)
+        except RCLError:
+            requested = request.transition.label or request.transition.id
+            state = self._state_machine.current_state[1]
+            self.warn("transition", f"transition {requested} refused: the node is {state}")
+            response.success = False
+            return response
+
+    # ---- automatic start ----------------------------------------------------------------------
+
+    def cancel_autostart(self) -> None:
+        """End the automatic start: the node was active once, or was taken down by hand."""
+        self._next_attempt = None
+
+    def _start(self) -> None:
+        if self._next_attempt is None or self.now() < self._next_attempt:
+            return
+        if not self.is_configured:
+            self.trigger_configure()
+        if self.is_configured:
+            self.trigger_activate()
+        if self._next_attempt is not None:
+            self._next_attempt = self.now() + RETRY_PERIOD
+
+    # ---- running ------------------------------------------------------------------------------
+
+    def wake(self) -> None:
+        """Have the executor call :meth:`receive`; to be called from another thread."""
+        if self.executor is not None:
+            self.executor.create_task(self.receive)
+
+    def stop_diagnostics(self) -> tuple[bytes, str] | None:
+        """Level and message for the diagnostics while the latch forbids motion, else None."""
+        status = self.latch.status
+        if status.state is StopState.STOPPED:
+            return DiagnosticStatus.ERROR, status.reason
+        return None if self.latch.released else (DiagnosticStatus.WARN, status.reason)
+
+    def begin_shutdown(self, reason: str) -> None:
+        """Latch a stop, which brings the hardware to its end."""
+        self.cancel_autostart()
+        self.latch.stop(f"shutting down: {reason}")
+        self.stop_interface.publish()
+        self.follow_latch()
+
+    @property
+    def finished(self) -> bool:
+        """Whether the hardware is off or closed."""
+        self.receive()
+        return not self.is_configured or self.is_hardware_off
+
+    def destroy_node(self) -> None:
+        """Close the hardware, then destroy the node."""
+        self.close_hardware()
+        super().destroy_node()

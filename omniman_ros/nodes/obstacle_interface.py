@@ -1,0 +1,49 @@
+"""Update of a set of obstacles from markers, for every node that keeps obstacles."""
+
+from collections.abc import Sequence
+
+from visualization_msgs.msg import MarkerArray
+
+from omniman_ros.conversions.obstacles import marker_changes
+from omniman_ros.core.errors import InputError
+from omniman_ros.nodes.omniman_node import OmnimanNode
+from omniman_ros.planning.obstacles.obstacles import Observation, ObstacleSet
+
+
+def update_obstacles(
+    node: OmnimanNode, message: MarkerArray, obstacles: ObstacleSet, frames: Sequence[str]
+) -> list[str]:
+    """Apply the valid changes of a message in their order.
+
+    A message without any valid change does not count as a sign of life of its source; an empty
+    message does: it reports that there are no obstacles.
+
+    Args:
+        node: Node whose clock is used.
+        message: Markers to add, change or delete.
+        obstacles: Obstacles to update.
+        frames: Frames that the markers may be in.
+
+    Returns:
+        Why each of the invalid changes was ignored.
+    """
+    now = node.now()
+    changes, faults = marker_changes(
+        message, frames, lambda stamp: now - max(node.age(stamp), 0.0)
+    )
+    is_alive = not message.markers
+    for change in changes:
+        if isinstance(change, Observation):
+            try:
+                obstacles.add(change, now)
+            except InputError as error:
+                faults.append(str(error))
+                continue
+        elif change.number is None:
+            obstacles.delete_all(change.namespace)
+        else:
+            obstacles.delete((change.namespace, change.number))
+        is_alive = True
+    if is_alive:
+        obstacles.note_message(now)
+    return faults

@@ -1,0 +1,181 @@
+"""Base of all nodes: one clock, rate-limited warnings, and diagnostics."""
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+from builtin_interfaces.msg import Time as TimeMsg
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.time import Time
+
+from omniman_ros.core.errors import InputError
+from omniman_ros.core.throttle import Throttle
+
+MAX_LEAD = 0.05
+"""Largest time that a stamp may be ahead of ROS time [s]."""
+WARNING_PERIOD = 1.0
+"""Shortest time between two warnings on one subject [s]."""
+CLOCK_READING_TIME = 1e-4
+"""Time within which two clocks count as read simultaneously [s]."""
+CLOCK_READING_ATTEMPTS = 5
+"""Number of attempts to read two clocks simultaneously: other threads may run in between."""
+
+
+class OmnimanNode(Node):
+    """A node with one clock for its timers and timeouts: steady, or ROS time in simulation.
+
+    Attributes:
+        clock: That clock.
+    """
+
+    def __init__(self, name: str, **options: Any) -> None:
+        super().__init__(name, **options)
+        simulated = self.get_parameter("use_sim_time").value
+        self.clock = self.get_clock() if simulated else Clock(clock_type=ClockType.STEADY_TIME)
+        self._throttle = Throttle(WARNING_PERIOD)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._status = (b"", "")
+        self.every(1.0, self.report)
+        self.every(0.1, self.report_changes)
+
+    def now(self) -> float:
+        """Return the time of the node's clock [s]."""
+        return self.clock.now().nanoseconds * 1e-9
+
+    def every(self, period: float, callback: Callable[[], None]) -> None:
+        """Call `callback` every `period` seconds of the node's clock."""
+        self.create_timer(period, callback, clock=self.clock)
+
+    def age(self, stamp: TimeMsg, max_lead: float = MAX_LEAD) -> float:
+        """Return the age of a stamp in ROS time [s]; 0 for a zero stamp, which means now.
+
+        Args:
+            stamp: Stamp of a message.
+            max_lead: Largest time that it may be ahead of now [s].
+
+        Raises:
+            InputError: The stamp is further ahead.
+        """
+        if stamp.sec == 0 and stamp.nanosec == 0:
+            return 0.0
+        # Time.from_msg raises on negative seconds; a stamp that old is merely stale.
+        sent = stamp.sec * 1_000_000_000 + stamp.nanosec
+        age: float = (self.get_clock().now().nanoseconds - sent) * 1e-9
+        if age < -max_lead:
+            raise InputError(f"the stamp is {-age:.3f} s ahead")
+        return age
+
+    def stamp(self, instant: float | None = None) -> TimeMsg:
+        """Return the ROS time of an instant of the node's clock [s]; now if it is None."""
+        if instant is None or not math.isfinite(instant):
+            return self.get_clock().now().to_msg()
+        nanoseconds = round(self._ros_time_lead() + instant * 1e9)
+        return Time(nanoseconds=max(nanoseconds, 0)).to_msg()
+
+    def instant(self, stamp: TimeMsg, max_lead: float = MAX_LEAD) -> float:
+        """Return the instant of the node's clock that a stamp means [s]; now for a zero stamp.
+
+        Args:
+            stamp: Stamp of a message.
+            max_lead: Largest time that it may be ahead of now [s].
+
+        Raises:
+            InputError: The stamp is further ahead.
+        """
+        if stamp.sec == 0 and stamp.nanosec == 0:
+            return self.now()
+        self.age(stamp, max_lead)
+        instant: float = stamp.sec * 1_000_000_000 + stamp.nanosec - self._ros_time_lead()
+        return instant * 1e-9
+
+    def _ros_time_lead(self) -> float:
+        """Return how far ROS time is ahead of the node's clock [ns]."""
+        shortest, offset = math.inf, 0.0
+        for _ in range(CLOCK_READING_ATTEMPTS):
+            before, ros, after = self.now(), self.get_clock().now(), self.now()
+            if after - before < shortest:
+                shortest, offset = after - before, ros.nanoseconds - 0.5e9 * (before + after)
+            if shortest < CLOCK_READING_TIME:
+                break
+        return offset
+
+    def warn(self, subject: str, text: str) -> None:
+        """Log a warning, at most once a second per subject, and count it for the diagnostics."""
+        suppressed = self._throttle.allow(subject, self.now())
+        if suppressed is not None:
+            more = f" (and {suppressed} more like it)" if suppressed else ""
+            self.get_logger().warning(text + more)
+
+    @property
+    def warning_counts(self) -> Mapping[str, int]:
+        """Number of warnings per subject since the start."""
+        return self._throttle.counts
+
+    def guarded(self, subject: str, handler: Callable[[Any], str | None]) -> Callable[[Any], None]:
+        """Wrap a handler of messages so that a message that is not used leads to a warning.
+
+        Args:
+            subject: What the warning calls the messages, such as their topic.
+            handler: Handles a message. It returns why the message is not used, or nothing; or it
+                raises an InputError about the message's content.
+
+        Returns:
+            The callback for a subscription.
+        """
+
+        def callback(message: Any) -> None:
+            try:
+                refusal = handler(message)
+            except InputError as error:
+                self.warn(subject, f"{subject} ignored: {error}")
+            else:
+                if refusal:
+                    self.warn(f"{subject} refused", f"{subject} not used: {refusal}")
+
+        return callback
+
+    def status(self) -> tuple[bytes, str, Iterable[tuple[str, object]]]:
+        """Return level, message and values for the diagnostics; nodes override this."""
+        return DiagnosticStatus.OK, "running", ()
+
+    def report(self) -> None:
+        """Publish the diagnostics."""
+        level, message, values = self.status()
+        self._status = (level, message)
+        counts = [(f"warned: {name}", count) for name, count in self.warning_counts.items()]
+        status = DiagnosticStatus(
+            level=level,
+            name=self.get_fully_qualified_name(),
+            message=message,
+            values=[KeyValue(key=key, value=str(value)) for key, value in [*values, *counts]],
+        )
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self.stamp()
+        self._diagnostics.publish(array)
+
+    def report_changes(self) -> None:
+        """Publish the diagnostics if level or message have changed since the last report."""
+        level, message, _ = self.status()
+        if (level, message) != self._status:
+            self.report()
+
+    def begin_shutdown(self, reason: str) -> None:
+        """Begin to come to rest; a node that moves something overrides this."""
+
+    @property
+    def finished(self) -> bool:
+        """Whether the node has come to rest after :meth:`begin_shutdown`."""
+        return True
+
+    @property
+    def stop_timeout(self) -> float:
+        """How long coming to rest may take [s]."""
+        return 0.0
+
+    @property
+    def final_publishers(self) -> tuple[Publisher, ...]:
+        """Publishers whose last message must be delivered before the node ends."""
+        return ()

@@ -1,0 +1,1 @@
+"""Topics of the node `mpc_planner`, part by part."""

@@ -1,0 +1,237 @@
+"""Planning cycle of the node, from the acceptance of a goal until the robot is at rest."""
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from omniman_ros.core.errors import InputError
+from omniman_ros.core.pending_start import PendingStart, StartState
+from omniman_ros.core.stream_monitor import StreamMonitor
+from omniman_ros.nodes.omniman_node import OmnimanNode
+from omniman_ros.nodes.planner_interfaces.goal_log import GoalLog
+from omniman_ros.nodes.planner_interfaces.motion_publisher import MotionPublisher
+from omniman_ros.nodes.planner_interfaces.plan_publisher import PlanPublisher
+from omniman_ros.nodes.planner_interfaces.sensor_interface import SensorInterface
+from omniman_ros.planning.cycle import MeasuredState, PlannerState
+from omniman_ros.planning.goals import Goal
+
+if TYPE_CHECKING:
+    from omniman_ros.planning.planner import Planner
+
+TIME_JUMP = 0.1
+"""Jump of simulated time into the past above which a motion ends [s]."""
+
+
+class PlannerLoop:
+    """Runs one cycle per tick: plan, check, send.
+
+    Args:
+        node: Node whose clock is used.
+        planner: Planner that is run.
+        sensors: State of the robot, and obstacles.
+        publisher: Streams that move the robot.
+        plans: Topics that show plans.
+        monitor: Monitor of the stream.
+
+    Attributes:
+        goals: Outcome of the latest goal.
+        silence: Why the obstacles are not known, while the robot waits for them, or empty.
+        solve_time: Duration of the last planning [s]; NaN before the first.
+    """
+
+    def __init__(
+        self,
+        node: OmnimanNode,
+        planner: "Planner",
+        sensors: SensorInterface,
+        publisher: MotionPublisher,
+        plans: PlanPublisher,
+        monitor: StreamMonitor,
+    ) -> None:
+        self._node, self._planner, self._sensors = node, planner, sensors
+        self._publisher, self._plans, self._monitor = publisher, plans, monitor
+        self.goals = GoalLog()
+        self.silence = ""
+        self.solve_time = math.nan
+        self._pending = PendingStart(node.now, monitor)
+        self._is_ending = False
+        self._last_tick = node.now()
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether there is a goal to drive to, or the motion is not over."""
+        return self._planner.active or self._planner.motion.end > self._node.now()
+
+    # ---- requests -----------------------------------------------------------------------------
+
+    def submit(self, make_goal: Callable[[], Goal]) -> str:
+        """Drive to a goal as soon as possible; return why it is refused, or an empty string.
+
+        Raises:
+            InputError: The goal is invalid, or the node is shutting down.
+        """
+        try:
+            if self._is_ending:
+                raise InputError("the node is shutting down")
+            goal = make_goal()
+        except InputError as error:
+            self.goals.refuse(str(error))
+            raise
+        self._sensors.dismiss_silent_source()
+        self._pending.put(lambda: self._start(goal))
+        return self._attempt_start()
+
+    def pause(self) -> str:
+        """Bring the robot to rest and keep the goal; return any reason for refusal, or ""."""
+        if not self._planner.active:
+            return f"nothing to pause: {self._planner.state.value}"
+        self.silence = ""
+        now = self._node.now()
+        self._planner.pause(now)
+        self._publisher.send(now)
+        return ""
+
+    def resume(self) -> str:
+        """Drive on after a pause; return any reason for refusal, or ""."""
+        measured = self._sensors.measured
+        if measured is None or not self._planner.resume(measured):
+            return f"nothing to resume: {self._planner.state.value}"
+        return ""
+
+    def cancel(self) -> str:
+        """Bring the robot to rest and discard the goal; return any reason for refusal, or ""."""
+        if not self._pending and self._planner.goal is None:
+            return f"nothing to cancel: {self._planner.state.value}"
+        self._pending.discard()
+        self._brake_for_good()
+        self.goals.cancel()
+        return ""
+
+    def begin_shutdown(self) -> None:
+        """Bring the robot to rest, and accept no other goal."""
+        self._is_ending = True
+        self._pending.discard()
+        if self._planner.goal is not None:
+            self._brake_for_good()
+
+    # ---- start and end of a drive -------------------------------------------------------------
+
+    def _attempt_start(self) -> str:
+        """Start the pending goal if possible; return why it is refused, or an empty string."""
+        attempt = self._pending.attempt(self._monitor.blocking_reason, self._blocking_reason)
+        if attempt.state is StartState.WAITING:
+            self.goals.wait(attempt.reason)
+        elif attempt.state is StartState.REFUSED:
+            self.goals.refuse(attempt.reason)
+        elif attempt.state is StartState.STARTED:
+            self.silence = ""
+            self.goals.accept()
+            self._node.get_logger().info("goal accepted")
+        return attempt.refusal
+
+    def _blocking_reason(self) -> str:
+        """Return why no goal can be driven to yet, or an empty string."""
+        now = self._node.now()
+        fault = self._sensors.odom_fault(now)
+        if fault:
+            return fault
+        if self._monitor.waiting_time(now) > 0.0:
+            return "control was lost a moment ago"
+        return self._sensors.obstacles.silence_reason(now)
+
+    def _start(self, goal: Goal) -> None:
+        measured = self._sensors.measured
+        assert measured is not None
+        obstacles = self._sensors.obstacles.ellipses(self._node.now())
+        self._planner.drive(goal, measured, obstacles)
+
+    def give_up_if_lost(self) -> None:
+        """Give the goal up if the robot does not follow this planner any more."""
+        reason = self._monitor.loss_reason(self._node.now())
+        if not reason and self._planner.goal is not None:  # without a goal nothing is followed
+            reason = self._monitor.blocking_reason
+        if reason:
+            self._give_up(reason)
+
+    def _give_up(self, reason: str) -> None:
+        """Discard goal and motion: nothing more is sent."""
+        self._log_given_up(reason)
+        self._planner.abort(self._node.now() - 1.0, self._sensors.measured)  # ended 1 s ago
+        self._publisher.stop()
+        self._monitor.end(lost=True)
+
+    def _log_given_up(self, reason: str) -> None:
+        self.silence = ""
+        if self._planner.goal is not None:
+            self.goals.give_up(reason)
+            self._node.warn("given up", self.goals.text)
+
+    def _brake_for_good(self) -> None:
+        self.silence = ""
+        now = self._node.now()
+        self._planner.cancel(now)
+        self._publisher.send(now)
+
+    # ---- a cycle ------------------------------------------------------------------------------
+
+    def tick(self) -> None:
+        """Run one cycle: plan, check, send."""
+        now = self._node.now()
+        elapsed, self._last_tick = now - self._last_tick, now
+        if elapsed < -TIME_JUMP:
+            self._restart(now)
+        self.give_up_if_lost()
+        refusal = self._attempt_start()
+        if refusal:
+            self._node.warn("goal refused", f"goal not used: {refusal}")
+        measured, fault = self._sensors.measured, self._sensors.odom_fault(now)
+        if not self._planner.active or measured is None:
+            self._coast(now)
+        elif fault:
+            self._log_given_up(fault)
+            self._brake_for_good()
+        else:
+            self._cycle(now, measured)
+
+    def _restart(self, now: float) -> None:
+        """Discard everything that was received, because time went back."""
+        self._give_up("time went back")
+        self._monitor.restart(now)
+        self._sensors.measured = None
+        self._pending.restart_timeout()
+
+    def _cycle(self, now: float, measured: MeasuredState) -> None:
+        planner = self._planner
+        silence = self._sensors.obstacles.silence_reason(now)
+        obstacles = self._sensors.obstacles.ellipses(now)
+        if silence:
+            if not self.silence:
+                planner.brake(now)
+            self.silence = silence
+            self._node.warn("obstacles silent", f"the robot stops: {silence}")
+            self._publisher.send(now)
+            return
+        self.silence = ""
+        proposal = planner.propose(now, measured, obstacles)
+        done = self._node.now()
+        self.solve_time = done - now
+        planner.take(proposal, done, measured, obstacles)
+        if planner.report.reason:
+            self.goals.reject_plan(planner.report.reason)
+            self._node.warn("plan", self.goals.text)
+        if planner.state is PlannerState.ARRIVED:
+            self.goals.arrive()
+            self._node.get_logger().info("goal reached")
+        self._publisher.send(done)
+        self._plans.publish(done, obstacles)
+        planner.update_route(done, obstacles)
+
+    def _coast(self, now: float) -> None:
+        """Finish a motion without a goal, still watching the obstacles."""
+        measured, obstacles = self._sensors.measured, self._sensors.obstacles
+        if self._planner.motion.end > now and measured is not None:
+            if obstacles.silence_reason(now):
+                self._planner.brake(now)
+            else:
+                self._planner.coast(now, measured, obstacles.ellipses(now))
+        self._publisher.send(now)

@@ -1,0 +1,25 @@
+"""Parameters of the node `simulated_can_drives`."""
+
+from dataclasses import dataclass
+
+from omniman_ros.core.can_parameters import CanParameters
+from omniman_ros.core.parameters import inline, parameter
+from omniman_ros.core.robot import Robot
+from omniman_ros.simulation.can_drives.parameters import CanFaultParameters
+from omniman_ros.simulation.plant.parameters import SimulationParameters
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulatedCanDrivesParameters:
+    """Parameters of the node: robot, simulation, installation and faults."""
+
+    robot: Robot = inline()
+    simulation: SimulationParameters = inline()
+    can: CanParameters
+    can_faults: CanFaultParameters
+    truth_rate: float = parameter(
+        100.0, "Rate of ground_truth/odom.", unit="Hz", low=1, high=1000, read_only=True
+    )
+    world_frame: str = parameter("map", "Frame of the ground truth.", read_only=True)
+    base_frame: str = parameter("base_link", "Frame of its twist.", read_only=True)
+    seed: int = parameter(0, "Seed of noise and losses.", low=0, high=2**31, read_only=True)

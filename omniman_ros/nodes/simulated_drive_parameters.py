@@ -1,0 +1,52 @@
+"""Parameters of the node `simulated_drive`."""
+
+from dataclasses import dataclass
+
+from omniman_ros.core.parameters import inline, parameter
+from omniman_ros.core.robot import Robot
+from omniman_ros.simulation.plant.parameters import SimulationParameters
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulatedDriveParameters:
+    """Parameters of the node: robot, simulation, rates and time."""
+
+    robot: Robot = inline()
+    simulation: SimulationParameters = inline()
+    state_rate: float = parameter(
+        200.0, "Rate of wheel_states.", unit="Hz", low=10, high=1000, read_only=True
+    )
+    truth_rate: float = parameter(
+        100.0,
+        "Rate of ground_truth/odom, at most the state rate.",
+        unit="Hz",
+        low=1,
+        high=1000,
+        read_only=True,
+    )
+    electrical_rate: float = parameter(
+        50.0,
+        "Rate of wheel_electrical, at most the state rate.",
+        unit="Hz",
+        low=1,
+        high=1000,
+        read_only=True,
+    )
+    command_timeout: float = parameter(
+        0.1, "Age at which a stamped command is refused.", unit="s", low=0.005, high=10
+    )
+    publish_clock: bool = parameter(
+        False,
+        "Whether the node publishes simulated time on /clock, for nodes with use_sim_time.",
+        read_only=True,
+    )
+    real_time_factor: float = parameter(
+        1.0, "Speed of /clock over real time.", low=0.01, high=100, read_only=True
+    )
+    world_frame: str = parameter("map", "Frame of the ground truth.", read_only=True)
+    base_frame: str = parameter(
+        "base_link", "Frame of the twist of the ground truth.", read_only=True
+    )
+    seed: int = parameter(
+        0, "Seed of the noise and of lost messages.", low=0, high=2**31, read_only=True
+    )

@@ -1,0 +1,139 @@
+"""The ROS interface of a stop latch: services, topics and peers."""
+
+from collections.abc import Callable
+
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from std_msgs.msg import Bool
+from std_srvs.srv import Trigger
+
+from omniman_ros.core.stop import ResetRefusedError, StopLatch, StopState, StopStatus
+from omniman_ros.nodes.omniman_node import OmnimanNode
+
+STOP_STATE = "stop_state"
+"""Topic on which each node that moves something publishes its stop state."""
+LATCHED = QoSProfile(
+    depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
+)
+"""Quality of service of a topic whose last message reaches late subscribers."""
+ALL_LATCHED = QoSProfile(
+    depth=50, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
+)
+"""Quality of service of a subscription to the last messages of many latched publishers."""
+_LEVELS = {
+    StopState.RUNNING: DiagnosticStatus.OK,
+    StopState.HOLDING: DiagnosticStatus.WARN,
+    StopState.STOPPED: DiagnosticStatus.ERROR,
+}
+
+
+def publisher_nodes(node: Node, topic: str) -> set[str]:
+    """Return the full names of the nodes that publish a topic, as `node` sees the graph now."""
+    return {
+        f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+        for info in node.get_publishers_info_by_topic(topic)
+    }
+
+
+class StopInterface:
+    """Connects a stop latch to `~/stop`, `~/reset`, `emergency_stop` and `stop_state`.
+
+    Args:
+        node: Node that moves something.
+        latch: Latch that stops it.
+        reset: Clears the latch, or raises ResetRefusedError.
+        on_stop: Called when the latch no longer allows motion; may be called again.
+    """
+
+    def __init__(
+        self,
+        node: OmnimanNode,
+        latch: StopLatch,
+        reset: Callable[[], None],
+        on_stop: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._node = node
+        self._latch = latch
+        self._reset = reset
+        self._on_stop = on_stop
+        self._name = node.get_fully_qualified_name()
+        self._published: StopStatus | None = None
+        node.create_service(Trigger, "~/stop", self._on_stop_service)
+        node.create_service(Trigger, "~/reset", self._on_reset_service)
+        # A transient-local subscription alone does not match volatile publishers.
+        for qos in (LATCHED, QoSProfile(depth=10)):
+            node.create_subscription(Bool, "emergency_stop", self._on_emergency, qos)
+        node.create_subscription(DiagnosticStatus, STOP_STATE, self._on_peer, ALL_LATCHED)
+        self._publisher = node.create_publisher(DiagnosticStatus, STOP_STATE, LATCHED)
+        node.every(1.0, self._check_peers)
+        self.publish()
+
+    def publish(self) -> None:
+        """Publish and log the stop state if it has changed; call this once a tick."""
+        status = self._latch.status
+        if status == self._published:
+            return
+        previous, self._published = self._published, status
+        text = f"{status.state.value}: {status.reason}" if status.reason else status.state.value
+        message = DiagnosticStatus(
+            level=_LEVELS[status.state],
+            name=self._name,
+            message=text,
+            values=[
+                KeyValue(key="state", value=status.state.value),
+                KeyValue(key="reason", value=status.reason),
+            ],
+        )
+        self._publisher.publish(message)
+        log = self._node.get_logger()
+        if status.state is not StopState.RUNNING:
+            log.warning(text)
+            self._on_stop()
+        elif previous is not None:
+            log.info("released: motion is possible again")
+        self._node.report_changes()
+
+    def _on_stop_service(
+        self, request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        self._latch.stop("~/stop")
+        self.publish()
+        response.success = True
+        response.message = self._latch.status.reason
+        return response
+
+    def _on_reset_service(
+        self, request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        try:
+            self._reset()
+        except ResetRefusedError as error:
+            response.success = False
+            response.message = str(error)
+        else:
+            response.success = True
+            response.message = self._latch.status.state.value
+        self.publish()
+        return response
+
+    def _on_emergency(self, message: Bool) -> None:
+        self._latch.set_emergency(message.data)
+        self.publish()
+
+    def _on_peer(self, message: DiagnosticStatus) -> None:
+        if message.name != self._name:
+            stopped = message.level == DiagnosticStatus.ERROR
+            self._latch.set_peer(message.name, stopped, message.message)
+            self.publish()
+
+    def _check_peers(self) -> None:
+        """Latch a stop if a peer vanished while it was stopped: nobody can reset that peer."""
+        if not self._latch.peers:
+            return
+        present = publisher_nodes(self._node, STOP_STATE)
+        for name in self._latch.peers:
+            if name not in present:
+                self._latch.stop(f"peer {name} vanished while it was stopped")
+                self._latch.set_peer(name, False)
+        self.publish()

@@ -1,0 +1,1 @@
+"""The inputs of the path interpolator, and the streams that it sends."""

@@ -1,0 +1,177 @@
+"""Measured joint states of the arm, and their comparison with its recent reference."""
+
+from collections import deque
+from collections.abc import Callable
+
+import numpy as np
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import JointState
+
+from omniman_ros.conversions.joints import joint_arrays, require_array
+from omniman_ros.core import plausible
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.errors import InputError
+from omniman_ros.motion.path.parameters import TICK
+from omniman_ros.nodes.omniman_node import OmnimanNode
+from omniman_ros.nodes.trajectory_interfaces.odom_feed import AT_REST
+
+MAX_LAG = 0.2
+"""Longest time by which the arm may lag behind its reference [s]."""
+
+
+class ArmFeed:
+    """Subscribes to `arm/joint_states`, and remembers the recent reference of the arm.
+
+    Args:
+        node: Node that subscribes to the topic.
+        names: Names of the joints.
+        is_moving: Returns whether the arm follows a motion of this node; then each message is
+            read at once.
+        on_states: Called after each message that was read at once.
+
+    Attributes:
+        position: (6,) joint angles [rad]; None before the first message.
+        velocity: (6,) joint rates [rad/s]; zeros where the message has none.
+        time: Time of the measurement on the node's clock [s].
+        silence: Age of the states on arrival plus the node's own time since then [s].
+        rest_position: (6,) joint angles at which the last motion came to rest [rad]; None if it
+            was given up, or there was none.
+    """
+
+    def __init__(
+        self,
+        node: OmnimanNode,
+        names: tuple[str, ...],
+        is_moving: Callable[[], bool],
+        on_states: Callable[[], None],
+    ) -> None:
+        self._node, self._names = node, names
+        self._is_moving, self._on_states = is_moving, on_states
+        self.position: Array | None = None
+        self.velocity: Array = np.zeros(len(names))
+        self.silence, self.time = 0.0, float("-inf")
+        self.rest_position: Array | None = None
+        self._received = float("-inf")
+        self._data: bytes | None = None
+        self._references: deque[tuple[float, Array]] = deque()
+        # Messages stay serialized: at rest, states are needed only now and then.
+        on_data = node.guarded("arm/joint_states", self._on_data)
+        node.create_subscription(JointState, "arm/joint_states", on_data, 1, raw=True)
+
+    def _on_data(self, data: bytes) -> None:
+        self._data, self._received = data, self._node.now()
+        if self._is_moving():
+            self.measure()
+            self._on_states()
+
+    def measure(self) -> None:
+        """Read the message that was received last, unless it has been read already.
+
+        Raises:
+            InputError: The message cannot be used.
+        """
+        data, self._data = self._data, None
+        if data is None:
+            return
+        message = deserialize_message(data, JointState)
+        position, velocity, _ = joint_arrays(message, self._names)
+        self.position = require_array(position, plausible.ANGLE, "position")
+        if velocity is None:
+            self.velocity = np.zeros(len(self._names))
+        else:
+            plausible.demand(velocity, plausible.SPEED, "velocity")
+            self.velocity = velocity
+        self.silence = max(self._node.age(message.header.stamp), 0.0)
+        self.time = min(self._node.now() - self.silence, self._received)
+
+    def state(self) -> tuple[Array, Array] | None:
+        """Return the last usable joint angles [rad] and rates [rad/s], (6,) each, if any."""
+        try:
+            self.measure()
+        except InputError as error:
+            self._node.warn("arm/joint_states", f"arm/joint_states ignored: {error}")
+        return None if self.position is None else (self.position, self.velocity)
+
+    @property
+    def age(self) -> float:
+        """Age of the last usable joint states [s]."""
+        return self._node.now() - self.time
+
+    def pass_time(self, elapsed: float) -> None:
+        """Advance the silence by the node's own time [s].
+
+        Time during which the node itself is held up must not be counted in full, because the arm
+        is not silent then.
+        """
+        self.silence += elapsed
+
+    def start_motion(self) -> None:
+        """Note that a motion starts from rest."""
+        self.silence = 0.0
+        self._references.clear()
+
+    def record_reference(self, position: Array) -> None:
+        """Record the present reference (6,) of the arm [rad]."""
+        now = self._node.now()
+        self._references.append((now, position))
+        while self._references[0][0] < now - MAX_LAG - 2.0 * TICK:
+            self._references.popleft()
+
+    def following_error(self, max_error: float) -> str:
+        """Return which joint is too far from its recent reference, or an empty string.
+
+        Args:
+            max_error: Largest distance of a joint from its reference of the last 0.2 s [rad].
+        """
+        if self.position is None or not self._references:
+            return ""
+        recent = np.array([reference for _, reference in self._references])
+        error = np.maximum(self.position - recent.max(axis=0), recent.min(axis=0) - self.position)
+        k = int(error.argmax())
+        if error[k] <= max_error:
+            return ""
+        return f"{self._names[k]} is {error[k]:.3f} rad from its reference"
+
+    def start_position(self, tolerance: float) -> Array | None:
+        """Return the joint angles (6,) at which a motion from rest starts [rad].
+
+        They are None if nothing is measured.
+
+        The motion starts exactly where the last one came to rest if the arm is near there.
+
+        Args:
+            tolerance: Largest distance of a joint from there [rad].
+        """
+        rest, measured = self.rest_position, self.position
+        if rest is None or measured is None:
+            return measured
+        return rest if np.abs(rest - measured).max() <= tolerance else measured
+
+    def blocking_reason(self, timeout: float, tolerance: float, *, idle: bool) -> str:
+        """Return why no motion of the arm can start, or an empty string.
+
+        It is such a reason that the last message cannot be used. This method may be called outside
+        of message callbacks.
+
+        Args:
+            timeout: Age at which the joint states are too old [s].
+            tolerance: Distance from the last motion's end up to which the arm rests there [rad].
+            idle: Whether the arm follows no motion of the caller.
+        """
+        try:
+            self.measure()
+        except InputError as error:
+            return f"arm/joint_states: {error}"
+        if self.position is None:
+            return "no arm/joint_states"
+        age = max(self.age, self.silence) if idle else self.silence
+        if age > timeout:
+            return f"arm/joint_states are {age:.2f} s old"
+        if not idle or self.start_position(tolerance) is self.rest_position:
+            return ""
+        return "" if float(np.abs(self.velocity).max()) <= AT_REST else "the arm moves"
+
+    def forget(self) -> None:
+        """Forget all measurements, because time went back."""
+        self.position = self._data = None
+        self.time = self._received = float("-inf")

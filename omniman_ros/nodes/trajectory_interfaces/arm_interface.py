@@ -1,0 +1,59 @@
+"""Trajectories of the arm alone: `joint_trajectory` in, `arm/joint_reference` out."""
+
+from trajectory_msgs.msg import JointTrajectory
+
+from omniman_ros.core.arm_parameters import ArmParameters
+from omniman_ros.core.arrays import Array
+from omniman_ros.motion.path.axis_limits import AxisLimits
+from omniman_ros.motion.path.joint_parameters import JointTrajectoryOptions
+from omniman_ros.motion.path.joint_points import JointPlanner
+from omniman_ros.motion.path.parameters import TICK
+from omniman_ros.motion.path.window import Window
+from omniman_ros.nodes.trajectory_interfaces.joint_interface import JointInterface
+
+
+class ArmInterface(JointInterface):
+    """Trajectories of the arm, which may run beside paths of the platform."""
+
+    def configure(self, arm: ArmParameters, options: JointTrajectoryOptions) -> None:
+        """Set new parameters, which apply from the next trajectory on."""
+        self.core.planner = JointPlanner(AxisLimits.of_arm(arm), options, TICK)
+
+    def trajectory(self, message: JointTrajectory) -> str:
+        """Start a trajectory; see the base class."""
+        points, delay = self.points(message), self.start_delay(message.header.stamp)
+        why = self._blocking_reason()
+        if not why:
+            self._ledger.accept()
+            self.start(points, delay)
+        return why
+
+    def _blocking_reason(self) -> str:
+        options, context = self._context.options.joint_trajectory, self._context
+        why = context.stream_monitor.stop_reason or context.conflict(self)
+        return why or context.arm_feed.blocking_reason(
+            options.states_timeout, options.start_tolerance, idle=self.idle
+        )
+
+    def actual(self) -> tuple[Array, Array] | None:
+        """Return measured joint angles and rates (6,); see the base class."""
+        return self._context.arm_feed.state()
+
+    def rest_position(self) -> Array:
+        """Return the joint angles (6,) at which the arm is at rest [rad]."""
+        tolerance = self._context.options.joint_trajectory.start_tolerance
+        position = self._context.arm_feed.start_position(tolerance)
+        assert position is not None
+        return position
+
+    def _on_start(self, *, from_rest: bool) -> None:
+        if from_rest:
+            self._context.arm_feed.start_motion()
+            self._context.arm_previews.covered_until = float("inf")
+
+    def _on_rest(self) -> None:
+        self._context.arm_feed.rest_position = self.core.held
+
+    def _send(self, window: Window) -> None:
+        self._context.arm_feed.record_reference(window.positions[0])
+        self._context.arm_previews.send(window)

@@ -1,0 +1,275 @@
+"""Common part of the interfaces for trajectories of the arm and of the whole body."""
+
+from collections.abc import Callable
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from trajectory_msgs.msg import JointTrajectory
+
+from omniman_ros.conversions import arm as arm_conversions
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.errors import InputError
+from omniman_ros.motion.path.interpolator import PathState
+from omniman_ros.motion.path.joint_interpolator import JointInterpolator, JointProposal
+from omniman_ros.motion.path.joint_points import JointPoints
+from omniman_ros.motion.path.window import Window, paced_window
+from omniman_ros.nodes.trajectory_interfaces.motion_context import MIN_PLANNING_TIME, MotionContext
+from omniman_ros.nodes.trajectory_interfaces.motion_ledger import MotionLedger
+from omniman_ros.nodes.trajectory_interfaces.motion_status import MotionEvent, MotionStatus
+
+PLANNING_TIME_PER_POINT = 1e-3
+"""Planning time that is expected for each point of a trajectory [s]."""
+MAX_STAMP_AGE = 0.5
+"""Age of a stamp up to which a trajectory is accepted, and starts at once [s]."""
+
+
+class JointInterface:
+    """Connects a `JointInterpolator` to the messages of the node.
+
+    Motions have numbers, by which an action asks for the outcome that its client waits for.
+
+    Args:
+        context: Services of the node.
+        core: Interpolator of the axes.
+
+    Attributes:
+        core: Interpolator of the axes.
+        status: Latest event.
+    """
+
+    def __init__(self, context: MotionContext, core: JointInterpolator) -> None:
+        self._context, self._node = context, context.node
+        self.core = core
+        self.status = MotionStatus("no trajectory yet")
+        self._ledger = MotionLedger()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the axes."""
+        return self.core.planner.limits.names
+
+    @property
+    def idle(self) -> bool:
+        """Whether no motion is under way."""
+        return self.core.state is PathState.IDLE
+
+    # ---- to be implemented by each interface--------------------------------------------------
+
+    def trajectory(self, message: JointTrajectory) -> str:
+        """Start a trajectory, or let it wait; return why it is refused, or an empty string.
+
+        Raises:
+            InputError: The trajectory cannot be used.
+        """
+        raise NotImplementedError
+
+    def rest_position(self) -> Array:
+        """Return the positions (d,) at which the axes are at rest."""
+        raise NotImplementedError
+
+    def actual(self) -> tuple[Array, Array] | None:
+        """Return measured positions and velocities (d,) of the axes; None if they are unknown."""
+        raise NotImplementedError
+
+    def _send(self, window: Window) -> None:
+        """Publish a stretch of the stream."""
+        raise NotImplementedError
+
+    def _on_start(self, *, from_rest: bool) -> None:
+        """React to the start of a motion."""
+        raise NotImplementedError
+
+    def _on_rest(self) -> None:
+        """React to a motion that came to rest by itself."""
+        raise NotImplementedError
+
+    def _is_pending(self) -> bool:
+        """Return whether the motion that was accepted last still waits to be started."""
+        return False
+
+    # ---- for actions --------------------------------------------------------------------------
+
+    def send(self, message: JointTrajectory) -> int:
+        """Accept a trajectory; return the number of its motion.
+
+        Raises:
+            InputError: The trajectory is refused; the motion under way goes on.
+        """
+        if self._context.is_ending():
+            raise self.refuse("the node is shutting down")
+        why = self.trajectory(message)
+        if why:
+            raise self.refuse(why)
+        return self._ledger.accepted
+
+    def outcome(self, motion: int) -> str | None:
+        """Return why a motion ended: empty if it arrived; None while it waits or goes on."""
+        ledger = self._ledger
+        under_way = motion == ledger.started and not self.idle
+        waits = motion == ledger.accepted != ledger.started and self._is_pending()
+        return None if under_way or waits else ledger.outcome(motion)
+
+    def cancel(self, motion: int) -> None:
+        """Bring a motion to rest on its path, unless it has ended already."""
+        if motion == self._ledger.started and not self.idle:
+            self.stop()
+            self._context.on_started()
+
+    def desired(self) -> tuple[Array, Array, Array] | None:
+        """Return the references of the instant at which :meth:`actual` was measured.
+
+        Returns:
+            Positions, velocities and accelerations (d,); None while no motion is under way.
+        """
+        return None if self.idle else self._desired_at(self._context.arm_feed.time)
+
+    def _desired_at(self, time: float) -> tuple[Array, Array, Array]:
+        pace = self._context.time_base.pace
+        window = paced_window(pace, self.core.sample, np.array([time]))
+        return window.positions[0], window.velocities[0], window.accelerations[0]
+
+    # ---- requests -----------------------------------------------------------------------------
+
+    def points(self, message: JointTrajectory) -> JointPoints:
+        """Convert the points of a trajectory of these axes.
+
+        Raises:
+            InputError: The points cannot be used.
+        """
+        max_points = self._context.options.joint_trajectory.max_points
+        return arm_conversions.joint_points(message, self.names, max_points)
+
+    def refuse(self, why: str) -> InputError:
+        """Report a refusal; return the error for it."""
+        self.status.report(MotionEvent.REFUSED, f"a trajectory was refused: {why}")
+        return InputError(why)
+
+    def stop(self) -> None:
+        """Bring the motion to rest on its path, as a trajectory without points asks for."""
+        if not self.idle:
+            self.core.cancel(self._context.time_base.now())
+
+    def start_delay(self, stamp: Time) -> float | None:
+        """Return the time until a stamp [s]; None for a zero stamp, which means now.
+
+        Raises:
+            InputError: The stamp is too old, or too far ahead.
+        """
+        if stamp.sec == 0 and stamp.nanosec == 0:
+            return None
+        now = self._node.get_clock().now().nanoseconds
+        delay = float((stamp.sec * 1_000_000_000 + stamp.nanosec - now) * 1e-9)
+        max_delay = self._context.options.joint_trajectory.max_delay
+        if delay < -MAX_STAMP_AGE:
+            raise InputError(f"the stamp is {-delay:.2f} s old")
+        if delay > max_delay:
+            raise InputError(f"the stamp is {delay:.2f} s ahead, at most {max_delay:g} s")
+        return max(delay, 0.0)
+
+    def start(self, points: JointPoints, delay: float | None) -> None:
+        """Plan a trajectory and start it after a delay [s], or at once if it is None.
+
+        Raises:
+            InputError: The trajectory cannot be driven from here.
+        """
+        begin, time_base = self._node.now(), self._context.time_base
+
+        def propose(lead: float) -> JointProposal:
+            now = time_base.now()
+            start = None if delay is None else max(time_base.pace.motion(begin + delay), now)
+            return self.core.propose(points, self.rest_position(), now, lead, start)
+
+        count = len(points.positions)
+        proposal = self._take(propose, MIN_PLANNING_TIME + PLANNING_TIME_PER_POINT * count)
+        times = "given" if points.times is not None else "computed"
+        self._announce(f"{count} points in {proposal.curve.duration:.2f} s, times {times}")
+
+    def _take(
+        self, propose: Callable[[float], JointProposal], planning_time: float
+    ) -> JointProposal:
+        from_rest = self.idle
+        proposal = self._context.propose_in_time(propose, self.core.take, planning_time)
+        if not from_rest:
+            self._ledger.close("replaced", self._ledger.started)
+        self._ledger.start()
+        self._on_start(from_rest=from_rest)
+        return proposal
+
+    def _announce(self, text: str) -> None:
+        self.status.report(MotionEvent.STARTED, text)
+        self._node.get_logger().info(f"trajectory: {text}")
+        self._context.on_started()
+
+    # ---- supervision --------------------------------------------------------------------------
+
+    def give_up(self, why: str, *, brake: bool) -> None:
+        """End the motion under way; the axes come to rest.
+
+        Args:
+            why: Reason, in words.
+            brake: Whether to send a last preview that leads to rest on the path. Receivers that
+                are stopped come to rest by themselves.
+        """
+        if self.idle:
+            return
+        text = f"the trajectory was given up: {why}"
+        self.status.report(MotionEvent.GIVEN_UP, text)
+        self._node.warn("trajectory given up", text)
+        window = self._stop_window(self._node.now()) if brake else None
+        self.core.abort()
+        self._ledger.close(text, self._ledger.started)
+        self._context.arm_feed.rest_position = None
+        if window is not None:
+            self._send(window)
+
+    def _stop_window(self, now: float) -> Window | None:
+        return self.core.paced_stop_window(now, self._context.time_base.pace)
+
+    def check_arm(self) -> None:
+        """Give the motion up if the arm cannot follow it."""
+        if self.idle:
+            return
+        context, silence = self._context, self._context.arm_feed.silence
+        if context.stream_monitor.stop_reason:
+            self.give_up(context.stream_monitor.stop_reason, brake=False)
+        elif self._node.now() > context.arm_previews.covered_until:
+            self.give_up("no preview was sent in time", brake=False)
+        elif silence > context.options.joint_trajectory.states_timeout:
+            self.give_up(f"no arm/joint_states for {silence:.2f} s", brake=True)
+
+    def check_following(self) -> None:
+        """Give the motion up if the arm is too far from its reference."""
+        if not self.idle:
+            max_error = self._context.options.joint_trajectory.following_error
+            error = self._context.arm_feed.following_error(max_error)
+            if error:
+                self.give_up(error, brake=True)
+
+    # ---- output -------------------------------------------------------------------------------
+
+    def tick(self) -> None:
+        """Publish the next preview, and report the end of the motion."""
+        before, time_base = self.core.state, self._context.time_base
+        if before is PathState.IDLE:
+            return
+        self.publish(self._context.options.horizon)
+        if self.idle:
+            return  # given up, which has been reported
+        motion_time = time_base.now()
+        self.core.update(motion_time)
+        if self.core.state is PathState.CANCELLING and time_base.pace.stands(self._node.now()):
+            self.core.finish(motion_time)
+        if self.idle:
+            cancelled = before is PathState.CANCELLING
+            event = MotionEvent.CANCELLED if cancelled else MotionEvent.ARRIVED
+            self.status.report(event, event.value)
+            self._ledger.close(event.value if cancelled else "", self._ledger.started)
+            self._on_rest()
+            self._node.get_logger().info(f"trajectory: {event.value}")
+
+    def publish(self, horizon: float) -> None:
+        """Publish a preview of the motion under way that is `horizon` long [s]."""
+        if not self.idle:
+            time_base = self._context.time_base
+            times = time_base.sample_times(horizon)
+            self._send(paced_window(time_base.pace, self.core.sample, times))

@@ -1,0 +1,92 @@
+"""Services that the node provides to its interfaces."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeVar
+
+from omniman_ros.core.errors import InputError
+from omniman_ros.core.stream_monitor import StreamMonitor
+from omniman_ros.nodes.omniman_node import OmnimanNode
+from omniman_ros.nodes.parameters import ParameterSet
+from omniman_ros.nodes.trajectory_interfaces.arm_feed import ArmFeed
+from omniman_ros.nodes.trajectory_interfaces.motion_time_base import MotionTimeBase
+from omniman_ros.nodes.trajectory_interfaces.odom_feed import OdomFeed
+from omniman_ros.nodes.trajectory_interfaces.parameters import PathInterpolatorParameters
+from omniman_ros.nodes.trajectory_interfaces.previews import Previews
+
+PLANNING_ATTEMPTS = 3
+"""Number of attempts to plan from a motion under way, each with twice the time of the last."""
+MIN_PLANNING_TIME = 0.03
+"""Shortest planning time that is expected of a motion [s]."""
+
+Proposal = TypeVar("Proposal")
+
+
+@dataclass(frozen=True)
+class MotionContext:
+    """Services and state that the interfaces share; the node builds it once.
+
+    Attributes:
+        node: ROS node that owns topics, timers and the clock.
+        settings: Parameters of the node.
+        stream_monitor: Monitor of the source that drives the platform, and of stopped nodes.
+        odom: Measured pose and velocity of the platform.
+        arm_feed: Measured joint states of the arm.
+        time_base: Time base that all motions share.
+        platform_previews: Output `path/reference`.
+        arm_previews: Output `arm/joint_reference`.
+        publish_all: Publishes previews of the given length [s] of all motions under way.
+        on_started: Called after a motion has started; publishes its first preview.
+        conflict: Returns why a motion of the given interface cannot start beside those of the
+            others, or an empty string.
+        is_ending: Returns whether the node is shutting down.
+    """
+
+    node: OmnimanNode
+    settings: ParameterSet[PathInterpolatorParameters]
+    stream_monitor: StreamMonitor
+    odom: OdomFeed
+    arm_feed: ArmFeed
+    time_base: MotionTimeBase
+    platform_previews: Previews
+    arm_previews: Previews
+    publish_all: Callable[[float], None]
+    on_started: Callable[[], None]
+    conflict: Callable[[object], str]
+    is_ending: Callable[[], bool]
+
+    @property
+    def options(self) -> PathInterpolatorParameters:
+        """Current parameters of the node."""
+        return self.settings.value
+
+    def control_wait_reason(self) -> str:
+        """Return why a new stream must wait for the platform controller, or an empty string."""
+        waits = self.stream_monitor.waiting_time(self.node.now()) > 0.0
+        return "control was lost a moment ago" if waits else ""
+
+    def propose_in_time(
+        self,
+        propose: Callable[[float], Proposal],
+        take: Callable[[Proposal, float], bool],
+        planning_time: float,
+    ) -> Proposal:
+        """Plan a motion while the one under way goes on, and start it.
+
+        Before each attempt, previews are published that last longer than the planning.
+
+        Args:
+            propose: Plans the motion for a planning time [s].
+            take: Starts the motion at a motion time [s]; returns False if it comes too late.
+            planning_time: Expected duration of the first attempt [s].
+
+        Raises:
+            InputError: The motion cannot be driven, or cannot be planned in time.
+        """
+        for _ in range(PLANNING_ATTEMPTS):
+            self.publish_all(2.0 * planning_time + self.options.horizon)
+            proposal = propose(planning_time)
+            if take(proposal, self.time_base.now()):
+                return proposal
+            planning_time *= 2.0
+        raise InputError("the motion could not be planned in time; pause first")

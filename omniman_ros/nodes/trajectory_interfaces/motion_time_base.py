@@ -1,0 +1,185 @@
+"""The time base that all motions share, which can be slowed down for all of them together."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Protocol
+
+import numpy as np
+
+from omniman_ros.core.arrays import Array
+from omniman_ros.motion.path.interpolator import PathState, RefusedError
+from omniman_ros.motion.path.pace import Demand, Pace
+from omniman_ros.motion.path.parameters import TICK
+from omniman_ros.nodes.trajectory_interfaces.scaling_interface import ScalingInterface
+
+SLOWEST_SHUTDOWN_PACE = 0.1
+"""Lowest pace for which the end of the node waits until its motions are at rest."""
+
+
+class Interpolator(Protocol):
+    """Common interface of the interpolators of the platform, the arm and the whole body."""
+
+    state: PathState
+
+    def demand(self, times: Array) -> Demand | None:
+        """Return what the motion uses of its limits at motion times (k,) [s]; None if idle."""
+        ...
+
+    def progress(self, now: float) -> float:
+        """Return the completed fraction of the motion, 0 to 1."""
+        ...
+
+    def remaining(self, now: float) -> float:
+        """Return the time to the end of the motion [s]."""
+        ...
+
+    def pause(self, now: float) -> None:
+        """Come to rest on the path, and keep the rest of it."""
+        ...
+
+    def resume(self, now: float) -> None:
+        """Continue after a pause."""
+        ...
+
+    def cancel(self, now: float) -> None:
+        """Come to rest on the path, and forget the rest of it."""
+        ...
+
+
+class MotionTimeBase:
+    """Motion time of several interpolators, and requests that concern all of them.
+
+    Args:
+        interpolators: Interpolators, in the order in which their states are reported.
+        clock: Returns the current time [s].
+        scaling: Speed scaling of the arm's controller.
+        scaling_timeout: Returns the silence after which the scaling is forgotten while nothing
+            moves [s].
+
+    Attributes:
+        pace: Motion time as a function of time.
+    """
+
+    def __init__(
+        self,
+        interpolators: Sequence[Interpolator],
+        clock: Callable[[], float],
+        scaling: ScalingInterface,
+        scaling_timeout: Callable[[], float],
+    ) -> None:
+        self._interpolators = tuple(interpolators)
+        self._clock, self._scaling_timeout = clock, scaling_timeout
+        self._scaling = scaling
+        self.pace = Pace(self._demand, TICK)
+        self._paused_at_rest = False
+
+    @property
+    def moving(self) -> tuple[Interpolator, ...]:
+        """Interpolators that are not idle."""
+        return tuple(i for i in self._interpolators if i.state is not PathState.IDLE)
+
+    @property
+    def idle(self) -> bool:
+        """Whether no motion is under way."""
+        return not self.moving
+
+    @property
+    def state(self) -> PathState:
+        """State of the first interpolator that is not idle."""
+        return next((interpolator.state for interpolator in self.moving), PathState.IDLE)
+
+    def now(self) -> float:
+        """Return the current motion time [s]: the clock's time while nothing is slowed down."""
+        now = self._clock()
+        if self.idle:
+            if self._scaling.silence > self._scaling_timeout():
+                self._scaling.forget()
+            self._paused_at_rest = False
+            self.pace.reset(now, self._scaling.value)
+        return self.pace.motion(now)
+
+    def limit_pace(self, max_pace: float) -> None:
+        """Aim for the highest pace that is allowed by the arm's controller and by the motions.
+
+        Args:
+            max_pace: Highest pace that the motions allow, 0 to 1.
+        """
+        now = self._clock()
+        self.pace.refresh(now)  # the motions may have changed since
+        target = 0.0 if self._paused_at_rest else min(self._scaling.value, max_pace)
+        self.pace.aim(target, now)
+
+    def sample_times(self, horizon: float) -> Array:
+        """Return the times (k,) of the ticks from the last one to `horizon` later [s]."""
+        first = np.floor(self._clock() / TICK + 1e-6)
+        count = max(int(horizon / TICK), 1) + 1
+        times: Array = TICK * (first + np.arange(count, dtype=float))
+        return times
+
+    def release(self) -> None:
+        """Let motion time advance again after a pause, because a new motion starts."""
+        self._paused_at_rest = False
+
+    def pause(self) -> None:
+        """Bring all motions to rest on their paths.
+
+        Raises:
+            RefusedError: No motion can be paused.
+        """
+        now = self.now()
+        self._request([partial(motion.pause, now) for motion in self._addressed()])
+        self._paused_at_rest = self.pace.stands(self._clock())
+
+    def resume(self) -> None:
+        """Continue all paused motions.
+
+        Raises:
+            RefusedError: No motion is paused.
+        """
+        now = self.now()
+        self._request([partial(motion.resume, now) for motion in self._addressed()])
+        self._paused_at_rest = False
+
+    def cancel(self) -> None:
+        """Bring all motions to rest on their paths, and forget them.
+
+        Raises:
+            RefusedError: No motion is under way.
+        """
+        now = self.now()
+        self._request([partial(motion.cancel, now) for motion in self._addressed()])
+
+    def _addressed(self) -> tuple[Interpolator, ...]:
+        return self.moving or self._interpolators[:1]
+
+    def _request(self, requests: Sequence[Callable[[], None]]) -> None:
+        """Make all requests, and refuse only if each of them is refused."""
+        refusals = []
+        for request in requests:
+            try:
+                request()
+            except RefusedError as error:
+                refusals.append(error)
+        if len(refusals) == len(requests):
+            raise refusals[-1]
+
+    def progress(self) -> float:
+        """Return the completed fraction, 0 to 1, of the motion that has completed least."""
+        now = self.now()
+        return min(interpolator.progress(now) for interpolator in self.moving)
+
+    def remaining(self) -> float:
+        """Return the time to the end of all motions or stops [s], at the present pace."""
+        now = self.now()
+        pace = max(min(self.pace.rate(self._clock()), self._scaling.value), SLOWEST_SHUTDOWN_PACE)
+        return max((i.remaining(now) for i in self._interpolators), default=0.0) / pace
+
+    def _demand(self, times: Array) -> Demand:
+        demands = [interpolator.demand(times) for interpolator in self._interpolators]
+        parts = [demand for demand in demands if demand]
+        if not parts:
+            return Demand.none(len(times))
+        total, *others = parts
+        for part in others:
+            total = total.beside(part)
+        return total

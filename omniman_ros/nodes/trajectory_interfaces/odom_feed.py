@@ -1,0 +1,85 @@
+"""Measured pose and velocity of the platform."""
+
+from collections.abc import Callable
+
+import numpy as np
+from nav_msgs.msg import Odometry
+
+from omniman_ros.conversions.geometry import twist_array, yaw_from_quaternion
+from omniman_ros.conversions.headers import check_frame
+from omniman_ros.core import plausible, se2
+from omniman_ros.core.arrays import Array
+from omniman_ros.nodes.omniman_node import OmnimanNode
+
+AT_REST = 0.02
+"""Speed of the platform [m/s, rad/s] and of joints [rad/s] up to which they are at rest."""
+
+
+class OdomFeed:
+    """Subscribes to `odom`, and keeps the latest pose and velocity.
+
+    Args:
+        node: Node that subscribes to the topic.
+        frame: Frame that the poses must be given in.
+        on_pose: Called with each pose (3,) [m, m, rad] and its time on the node's clock [s].
+
+    Attributes:
+        pose: Pose (x, y, theta) of base_link in odom [m, m, rad]; None before the first message.
+        velocity: (3,) rate of the pose, in odom [m/s, m/s, rad/s].
+        time: Time of the measurement on the node's clock [s].
+        silence: Age of the pose on arrival plus the node's own time since then [s].
+    """
+
+    def __init__(
+        self, node: OmnimanNode, frame: str, on_pose: Callable[[Array, float], None]
+    ) -> None:
+        self._node, self._frame, self._on_pose = node, frame, on_pose
+        self.pose: tuple[float, float, float] | None = None
+        self.silence = 0.0
+        self.velocity: Array = np.zeros(3)
+        self.time = float("-inf")
+        node.create_subscription(Odometry, "odom", node.guarded("odom", self._on_odom), 1)
+
+    def _on_odom(self, message: Odometry) -> None:
+        check_frame(message.header.frame_id, self._frame)
+        twist = twist_array(message.twist.twist)
+        position, theta = (
+            message.pose.pose.position,
+            yaw_from_quaternion(message.pose.pose.orientation),
+        )
+        plausible.demand(np.array([position.x, position.y]), plausible.LENGTH, "position")
+        self.silence = max(self._node.age(message.header.stamp), 0.0)
+        self.time = self._node.now() - self.silence
+        self.pose = (position.x, position.y, theta)
+        self.velocity = se2.to_world(theta, twist)
+        self._on_pose(np.array(self.pose), self.time)
+
+    @property
+    def age(self) -> float:
+        """Age of the pose [s]."""
+        return self._node.now() - self.time
+
+    def pass_time(self, elapsed: float) -> None:
+        """Advance the silence by the node's own time [s].
+
+        Time during which the node itself is held up must not be counted in full, because odom is
+        not silent then.
+        """
+        self.silence += elapsed
+
+    def forget(self) -> None:
+        """Treat the last pose as too old, because time went back."""
+        self.time = float("-inf")
+
+    def blocking_reason(self, timeout: float) -> str:
+        """Return why no motion of the platform can start from rest yet, or an empty string.
+
+        Args:
+            timeout: Age at which odom is too old [s].
+        """
+        age = self.age
+        if self.pose is None:
+            return "no odom"
+        if age > timeout:
+            return f"odom is {age:.2f} s old"
+        return "the robot moves" if np.abs(self.velocity).max() > AT_REST else ""

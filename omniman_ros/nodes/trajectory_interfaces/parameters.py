@@ -1,0 +1,71 @@
+"""Parameters of the node `path_interpolator`."""
+
+from dataclasses import dataclass
+
+from omniman_ros.core.arm_parameters import ArmParameters
+from omniman_ros.core.parameters import inline, parameter
+from omniman_ros.motion.path.joint_parameters import JointTrajectoryOptions
+from omniman_ros.motion.path.parameters import PathParameters
+from omniman_ros.motion.path.trajectory_goal import TrajectoryActionOptions
+from omniman_ros.motion.whole_body.model import Mount
+from omniman_ros.motion.whole_body.parameters import ToolPathOptions
+
+
+@dataclass(frozen=True, kw_only=True)
+class PathInterpolatorParameters:
+    """Parameters of the node: those of its cores, of its streams and of its frames."""
+
+    core: PathParameters = inline()
+    arm: ArmParameters
+    mount: Mount
+    joint_trajectory: JointTrajectoryOptions
+    tool_path: ToolPathOptions
+    trajectory_action: TrajectoryActionOptions
+    arm_action: str = parameter(
+        "arm_controller/follow_joint_trajectory", "Name of the arm's action.", read_only=True
+    )
+    body_action: str = parameter(
+        "body_controller/follow_joint_trajectory",
+        "Name of the whole body's action.",
+        read_only=True,
+    )
+    horizon: float = parameter(
+        0.4,
+        "Length of each preview; at its end the robot ramps to rest.",
+        unit="s",
+        low=0.1,
+        high=5,
+        read_only=True,
+    )
+    period: float = parameter(
+        0.04, "Period of the previews.", unit="s", low=0.008, high=1, read_only=True
+    )
+    restart: float = parameter(
+        1.2,
+        "Silence after control was lost; longer than the controller's timeouts.cancelled.",
+        unit="s",
+        low=0.05,
+        high=60,
+    )
+    odom_timeout: float = parameter(
+        0.5,
+        "Age at which odom is too old to start a path or to continue one.",
+        unit="s",
+        low=0.02,
+        high=10,
+    )
+    scaling_timeout: float = parameter(
+        0.5,
+        "Silence of arm/speed_scaling, once received, after which a trajectory of the arm is "
+        "given up and new motions are not slowed down.",
+        unit="s",
+        low=0.05,
+        high=60,
+    )
+    odom_frame: str = parameter("odom", "Frame of odometry and references.", read_only=True)
+    map_is_odom: bool = parameter(False, "Whether the frame `map` is treated as odom.")
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """Frames that are treated as odom."""
+        return (self.odom_frame, "map") if self.map_is_odom else (self.odom_frame,)

@@ -1,0 +1,178 @@
+"""Paths of the platform: `path` in, `path/reference` out."""
+
+from nav_msgs.msg import Path
+from rclpy.serialization import deserialize_message
+
+from omniman_ros.conversions.poses import path_poses
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.errors import InputError
+from omniman_ros.core.pending_start import PendingStart, StartState
+from omniman_ros.motion.path.interpolator import PathInterpolator, PathState, Proposal
+from omniman_ros.motion.path.window import Window, paced_window
+from omniman_ros.nodes.trajectory_interfaces.motion_context import MIN_PLANNING_TIME, MotionContext
+from omniman_ros.nodes.trajectory_interfaces.motion_status import MotionEvent, MotionStatus
+
+POSE_BYTES = 160
+"""Upper bound of the size of a pose in a serialized path [bytes]."""
+PLANNING_TIME_PER_POSE = 1e-4
+"""Planning time that is expected for each pose of a path [s]."""
+
+
+class PathInterface:
+    """Connects a `PathInterpolator` to the messages of the node.
+
+    Args:
+        context: Services of the node.
+        core: Interpolator of the platform's paths.
+
+    Attributes:
+        core: Interpolator of the platform's paths.
+        status: Latest event.
+        pending: Path that waits for the robot.
+    """
+
+    def __init__(self, context: MotionContext, core: PathInterpolator) -> None:
+        self._context, self._node = context, context.node
+        self.core = core
+        self.pending = PendingStart(self._node.now, context.stream_monitor)
+        self.status = MotionStatus("no path yet")
+        # The message stays serialized, so that a path of a million poses is refused unread.
+        on_path = self._node.guarded("path", self._on_path)
+        self._node.create_subscription(Path, "path", on_path, 10, raw=True)
+
+    @property
+    def idle(self) -> bool:
+        """Whether no path is under way."""
+        return self.core.state is PathState.IDLE
+
+    # ---- paths --------------------------------------------------------------------------------
+
+    def _on_path(self, data: bytes) -> str:
+        p = self._context.options
+        max_poses = p.core.path.max_poses
+        if len(data) > POSE_BYTES * (max_poses + 100):
+            raise self._refuse(f"{len(data) / 1e6:.0f} MB, at most {max_poses} poses are accepted")
+        try:
+            message = deserialize_message(data, Path)
+            poses = path_poses(message, p.frames, p.core.path.heading == "poses")
+        except InputError as error:
+            raise self._refuse(str(error)) from error
+        if self._context.is_ending():
+            raise self._refuse("the node is shutting down")
+        self.pending.put(lambda: self._start(poses))
+        return self.start_pending()
+
+    def _refuse(self, why: str) -> InputError:
+        self.status.report(MotionEvent.REFUSED, f"a path was refused: {why}")
+        return InputError(why)
+
+    def start_pending(self) -> str:
+        """Start the path that waits if possible; return why it is refused, or an empty string."""
+        refusal = self._context.stream_monitor.blocking_reason or self._context.conflict(self)
+        attempt = self.pending.attempt(refusal, self._blocking_reason)
+        if attempt.state is StartState.WAITING:
+            self.status.report(MotionEvent.WAITING, f"a path is waiting: {attempt.reason}")
+        if attempt.refusal:
+            self._refuse(attempt.refusal)
+        return attempt.refusal
+
+    def _blocking_reason(self) -> str:
+        if not self.idle:
+            return ""
+        why = self._context.odom.blocking_reason(self._context.options.odom_timeout)
+        return why or self._context.control_wait_reason()
+
+    def _start(self, poses: Array) -> None:
+        context = self._context
+        pose = context.odom.pose
+        assert pose is not None
+
+        def propose(lead: float) -> Proposal:
+            return self.core.propose(poses, pose, context.time_base.now(), lead)
+
+        planning_time = MIN_PLANNING_TIME + PLANNING_TIME_PER_POSE * len(poses)
+        proposal = context.propose_in_time(propose, self.core.take, planning_time)
+        plan = proposal.plan
+        if proposal.since is None:
+            context.odom.silence = 0.0
+            context.platform_previews.covered_until = float("inf")
+        context.stream_monitor.begin(self._node.now())
+        text = (
+            f"{len(poses)} poses in {plan.duration:.2f} s, {plan.duration / plan.bound:.3f} times "
+            "the shortest duration without jerk limits"
+        )
+        self.status.report(MotionEvent.STARTED, text)
+        self._node.get_logger().info(f"path: {text}")
+        context.on_started()
+
+    # ---- supervision --------------------------------------------------------------------------
+
+    def give_up(self, why: str) -> None:
+        """Discard the path, because the platform no longer follows it."""
+        if not self.idle:
+            text = f"the path was given up: {why}"
+            self.status.report(MotionEvent.GIVEN_UP, text)
+            self._node.warn("given up", text)
+            self.core.abort()
+            self._context.stream_monitor.end(lost=True)
+
+    def check_control(self) -> None:
+        """Give the path up if the platform no longer follows it."""
+        if not self.idle:
+            why = self._context.stream_monitor.loss_reason(self._node.now())
+            if why:
+                self.give_up(why)
+
+    def check_time(self, held_up: float) -> None:
+        """Give the path up if it cannot be followed any more.
+
+        Args:
+            held_up: Time since the last tick of the node [s].
+        """
+        odom = self._context.odom
+        if self._node.now() > self._context.platform_previews.covered_until:
+            self.give_up(f"no preview for {held_up:.2f} s")
+        elif odom.silence > self._context.options.odom_timeout:
+            self.give_up(f"no odom for {odom.silence:.2f} s")
+
+    # ---- output -------------------------------------------------------------------------------
+
+    def tick(self) -> None:
+        """Publish the next preview, and report the end of the path."""
+        time_base, before = self._context.time_base, self.core.state
+        motion_time = time_base.now()
+        if before is PathState.IDLE:
+            return
+        horizon = self._context.options.horizon
+        self.publish(horizon)
+        try:
+            self.core.update(motion_time)
+        except InputError as error:
+            text = f"a path was paused: {error}"
+            self.status.report(MotionEvent.PAUSED, text)
+            self._node.warn("path paused", text)
+        if before is PathState.SLOWING and self.core.state is PathState.FOLLOWING:
+            self.publish(horizon)  # the path continues before the next tick
+        if before is PathState.CANCELLING and time_base.pace.stands(self._node.now()):
+            self.core.abort()
+        if self.idle:
+            self._context.stream_monitor.end(lost=False)
+            cancelled = before is PathState.CANCELLING
+            event = MotionEvent.CANCELLED if cancelled else MotionEvent.ARRIVED
+            self.status.report(event, event.value)
+            self._node.get_logger().info(f"path: {event.value}")
+
+    def publish(self, horizon: float) -> None:
+        """Publish a preview of the path under way that is `horizon` long [s]."""
+        window = self._window(horizon)
+        if window is not None:
+            self._context.platform_previews.send(window)
+            self._context.stream_monitor.sent(self._node.now())
+
+    def _window(self, horizon: float) -> Window | None:
+        """Return the stream from now on; None while the platform rests."""
+        time_base = self._context.time_base
+        if time_base.pace.plain or self.idle:
+            return self.core.window(self._node.now(), horizon)
+        times = time_base.sample_times(horizon)
+        return paced_window(time_base.pace, self.core.sample, times)

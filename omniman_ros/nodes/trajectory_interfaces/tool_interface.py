@@ -1,0 +1,186 @@
+"""Paths of the tool: `tool_path` in, planned in the background, driven by the whole body."""
+
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future
+
+import numpy as np
+from nav_msgs.msg import Path
+from rclpy.serialization import deserialize_message
+
+from omniman_ros.conversions import arm as arm_conversions
+from omniman_ros.core import se2
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.errors import InputError
+from omniman_ros.core.pending_start import PendingStart, StartState
+from omniman_ros.motion.whole_body.limits import WholeBodyLimits
+from omniman_ros.motion.whole_body.model import WholeBodyModel
+from omniman_ros.motion.whole_body.tool_planner import ToolPlan, ToolPlanner
+from omniman_ros.nodes.trajectory_interfaces.motion_context import MotionContext
+from omniman_ros.nodes.trajectory_interfaces.motion_status import MotionEvent, MotionStatus
+from omniman_ros.nodes.trajectory_interfaces.path_interface import POSE_BYTES
+from omniman_ros.nodes.trajectory_interfaces.tool_stream import ToolPosePublisher, ToolStream
+from omniman_ros.nodes.trajectory_interfaces.whole_body_interface import WholeBodyInterface
+
+TOOL_POSE_PERIOD = 0.1
+"""Period of `tool_pose` [s]."""
+MAX_START_DRIFT = 0.005
+"""Largest movement of the robot while a path is being planned [m, rad]."""
+
+
+class ToolInterface:
+    """Accepts paths of the tool, one at a time and from rest.
+
+    Args:
+        context: Services of the node.
+        whole_body: Interface that drives the planned motions.
+
+    Attributes:
+        pending: Path that waits for the robot.
+        status: Latest event.
+    """
+
+    def __init__(self, context: MotionContext, whole_body: WholeBodyInterface) -> None:
+        self._context, self._node, self._whole_body = context, context.node, whole_body
+        self._model = WholeBodyModel(context.options.mount)
+        self.pending = PendingStart(self._node.now, context.stream_monitor)
+        self.status = MotionStatus("no path of the tool yet")
+        self._plan: Future[ToolPlan] | None = None
+        self._running: Future[ToolPlan] | None = None
+        self._start_position: Array = np.zeros(0)
+        self._tool_pose = ToolPosePublisher(self._node, "tool_pose", context.options.odom_frame)
+        self._node.every(TOOL_POSE_PERIOD, self._publish_tool_pose)
+        # The message stays serialized, so that a path of a million poses is refused unread.
+        on_path = self._node.guarded("tool_path", self._on_path)
+        self._node.create_subscription(Path, "tool_path", on_path, 10, raw=True)
+
+    def _publish_tool_pose(self) -> None:
+        """Publish the pose of the tool if platform and arm are measured."""
+        measured, context = self._whole_body.actual(), self._context
+        timeout = context.options.odom_timeout
+        measured_at = min(context.odom.time, context.arm_feed.time)
+        if measured is not None and self._node.now() - measured_at < timeout:
+            self._tool_pose.send(measured_at, self._model.forward(measured[0]))
+
+    def _on_path(self, data: bytes) -> str:
+        p = self._context.options
+        max_poses = p.tool_path.max_poses
+        if len(data) > POSE_BYTES * (max_poses + 100):
+            raise self._refuse(f"{len(data) / 1e6:.0f} MB, at most {max_poses} poses are accepted")
+        why = self._refusal()
+        if why:  # before unpacking, which would hold up the motion under way
+            raise self._refuse(why)
+        message = deserialize_message(data, Path)
+        try:
+            arm_conversions.tool_poses(message, p.frames, np.eye(3))
+            if len(message.poses) > max_poses:
+                raise InputError(f"{len(message.poses)} poses, at most {max_poses} are accepted")
+            if self._context.is_ending():
+                raise InputError("the node is shutting down")
+        except InputError as error:
+            raise self._refuse(str(error)) from error
+        self.discard_pending()
+        self.pending.put(lambda: self._start_planning(message))
+        return self.start_pending()
+
+    @property
+    def idle(self) -> bool:
+        """Whether no path of the tool is under way."""
+        return self._whole_body.idle
+
+    @property
+    def is_planning(self) -> bool:
+        """Whether a path is being planned."""
+        return self._plan is not None and not self._plan.done()
+
+    def _refuse(self, why: str) -> InputError:
+        self.status.report(MotionEvent.REFUSED, f"a tool path was refused: {why}")
+        return InputError(why)
+
+    def discard_pending(self) -> bool:
+        """Discard the path that waits or is being planned, and return whether there was one."""
+        plan, self._plan = self._plan, None
+        return self.pending.discard() or plan is not None
+
+    def start_pending(self) -> str:
+        """Plan the path that waits, or start the planned one, if possible.
+
+        Returns:
+            Why the path is refused, or an empty string.
+        """
+        refusal = self._refusal()
+        if self._plan is not None and refusal:  # a reset must not start the path
+            self.discard_pending()
+            self._refuse(refusal)
+            return refusal
+        attempt = self.pending.attempt(refusal, self._blocking_reason)
+        if attempt.state is StartState.WAITING:
+            self.status.report(MotionEvent.WAITING, f"a tool path is waiting: {attempt.reason}")
+        why = attempt.refusal
+        if self._plan is not None and self._plan.done():
+            plan, self._plan = self._plan, None
+            why = self._refusal() or self._whole_body.blocking_reason() or self._start(plan)
+        if why:
+            self._refuse(why)
+        return why
+
+    def _refusal(self) -> str:
+        if not self._whole_body.idle:
+            return "a motion of the whole body is under way; ~/cancel ends it"
+        return self._context.stream_monitor.blocking_reason or self._context.conflict(
+            self._whole_body
+        )
+
+    def _blocking_reason(self) -> str:
+        if self._running is not None and not self._running.done():
+            return "a discarded path is still being planned"
+        return self._whole_body.blocking_reason()
+
+    def _start_planning(self, message: Path) -> None:
+        p, start = self._context.options, self._whole_body.rest_position()
+        rotation = self._model.forward(start)[:3, :3]
+        poses = arm_conversions.tool_poses(message, p.frames, rotation)
+        limits = WholeBodyLimits.of_whole_body(p.core, p.arm)
+        planner = ToolPlanner(self._model, limits, p.tool_path)
+        self._plan, self._start_position = in_background(lambda: planner.plan(poses, start)), start
+        self._running = self._plan
+        self.status.report(MotionEvent.PLANNING, f"planning a tool path of {len(poses)} poses")
+
+    def _start(self, future: Future[ToolPlan]) -> str:
+        """Start a planned path; return why that is impossible, or an empty string."""
+        try:
+            plan = future.result()
+        except InputError as error:
+            return str(error)
+        except Exception as error:  # raised in the thread; it must not end the node
+            why = f"it could not be planned: {type(error).__name__}: {error}"
+            self._node.get_logger().error(why)
+            return why
+        offset = self._whole_body.rest_position() - self._start_position
+        offset[2] = se2.wrap(float(offset[2]))
+        drift = float(np.abs(offset).max())
+        if drift > MAX_START_DRIFT:
+            return f"the robot has moved by {drift:.3f} (m or rad) while it was planned"
+        p = self._context.options
+        stream = ToolStream(self._model, plan, p.tool_path, p.arm.each("velocity"))
+        self._whole_body.follow_tool_path(stream)
+        self.status.report(MotionEvent.STARTED, self._whole_body.status.text)
+        return ""
+
+
+def in_background(plan: Callable[[], ToolPlan]) -> Future[ToolPlan]:
+    """Plan in a thread, because planning takes up to seconds and must not delay stops.
+
+    The thread does not delay the end of the process either: it is a daemon, which runs on if its
+    plan is discarded.
+    """
+    future: Future[ToolPlan] = Future()
+
+    def work() -> None:
+        try:
+            future.set_result(plan())
+        except BaseException as error:  # raised again by `result()`
+            future.set_exception(error)
+
+    threading.Thread(target=work, name="tool_path", daemon=True).start()
+    return future

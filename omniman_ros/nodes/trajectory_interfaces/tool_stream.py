@@ -1,0 +1,139 @@
+"""A tool path under way, whose joint angles are corrected for the platform's measured pose."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from geometry_msgs.msg import PoseStamped
+
+from omniman_ros.conversions import arm as arm_conversions
+from omniman_ros.core.arrays import Array
+from omniman_ros.motion.path.joint_interpolator import JointInterpolator
+from omniman_ros.motion.path.pace import Pace
+from omniman_ros.motion.path.parameters import TICK
+from omniman_ros.motion.path.window import Window, paced_window
+from omniman_ros.motion.whole_body.correction import (
+    PlatformCorrection,
+    corrected_arm_motion,
+    joint_speed_pace,
+)
+from omniman_ros.motion.whole_body.model import JOINT_COLUMNS, PLATFORM_COLUMNS, WholeBodyModel
+from omniman_ros.motion.whole_body.parameters import ToolPathOptions
+from omniman_ros.motion.whole_body.tool_planner import ToolPlan
+from omniman_ros.nodes.omniman_node import OmnimanNode
+
+PACE_STEPS = 20
+"""Number of steps between a pace of 0 and 1; fewer changes of the pace disturb the motion less."""
+
+
+@dataclass(frozen=True)
+class CorrectedStretch:
+    """A stretch of a tool path, corrected for the platform's error.
+
+    Attributes:
+        window: All axes (k, 9) at the times of the stretch.
+        tool: (4, 4) planned pose of `tool0` in odom at the first time.
+        correction: (6,) corrected minus planned joint angles at the first time [rad].
+    """
+
+    window: Window
+    tool: Array
+    correction: Array
+
+
+class ToolStream:
+    """A planned tool path whose joint angles are corrected for the platform's error.
+
+    Args:
+        model: Kinematics of the robot.
+        plan: Planned motion.
+        options: Options of the correction; live parameters may be replaced later.
+        velocity: (6,) limits of the joint speeds [rad/s].
+
+    Attributes:
+        plan: Planned motion.
+        correction: Filter of the platform's error.
+    """
+
+    def __init__(
+        self,
+        model: WholeBodyModel,
+        plan: ToolPlan,
+        options: ToolPathOptions,
+        velocity: tuple[float, ...],
+    ) -> None:
+        self._model, self.plan, self._velocity = model, plan, np.array(velocity)
+        self.correction = PlatformCorrection(options)
+        self._joint_pace = 1.0
+
+    @property
+    def max_pace(self) -> float:
+        """Highest pace at which the path may be driven, 0 to 1."""
+        steps = np.floor(PACE_STEPS * min(self.correction.max_pace(), self._joint_pace))
+        return max(float(steps), 1.0) / PACE_STEPS  # a pace of 0 would remain 0
+
+    def corrected(self, times: Array, pace: Pace, core: JointInterpolator) -> CorrectedStretch:
+        """Correct a stretch of the planned motion.
+
+        Args:
+            times: (k,) equally spaced by a tick [s].
+            pace: Pace at which the motion is driven.
+            core: Interpolator that follows the plan.
+
+        Raises:
+            InputError: The tool cannot be reached from where the platform is.
+        """
+        # The times are padded by one tick on either side, for central differences.
+        padded = np.concatenate([times[:1] - TICK, times, times[-1:] + TICK])
+        paced = pace.sample(padded)
+        plan_times = core.plan_times(paced.motion)
+        planned = paced_window(pace, core.sample, padded)
+        window = self.window(planned, plan_times, float(paced.rate[0]))
+        correction = window.positions[0, JOINT_COLUMNS] - planned.positions[1, JOINT_COLUMNS]
+        return CorrectedStretch(window, self.plan.tool(plan_times[1:2])[0], correction)
+
+    def window(self, planned: Window, plan_times: Array, rate: float) -> Window:
+        """Replace the arm's part of a planned motion by the corrected one.
+
+        Args:
+            planned: All axes (k + 2, 9), from a tick before the result to a tick after it.
+            plan_times: (k + 2,) times of the plan [s].
+            rate: Present pace, 0 to 1.
+
+        Returns:
+            The corrected motion (k, 9).
+
+        Raises:
+            InputError: The tool cannot be reached from where the platform is.
+        """
+        platform = self.correction.platform_at(
+            planned.positions[:, PLATFORM_COLUMNS], planned.times
+        )
+        tool, near = self.plan.tool(plan_times), planned.positions[:, JOINT_COLUMNS]
+        arm = corrected_arm_motion(self._model, platform, tool, self.plan.branch, near, TICK)
+        self._joint_pace = joint_speed_pace(arm[1], self._velocity, rate)
+        whole = (planned.positions, planned.velocities, planned.accelerations)
+        parts = zip(whole, arm, strict=True)
+        joined = (np.hstack([rows[1:-1, PLATFORM_COLUMNS], joints]) for rows, joints in parts)
+        return Window(planned.times[1:-1], *joined)
+
+
+class ToolPosePublisher:
+    """Publisher of poses of the tool in odom.
+
+    Args:
+        node: Node that owns the publisher.
+        topic: Name of the topic.
+        frame: Frame of the poses.
+    """
+
+    def __init__(self, node: OmnimanNode, topic: str, frame: str) -> None:
+        self._node = node
+        self._message = PoseStamped()
+        self._message.header.frame_id = frame
+        self._publisher = node.create_publisher(PoseStamped, topic, 10)
+
+    def send(self, time: float, pose: Array) -> None:
+        """Publish a pose (4, 4) at a time of the node's clock [s]."""
+        arm_conversions.fill_pose(self._message.pose, pose)
+        self._message.header.stamp = self._node.stamp(time)
+        self._publisher.publish(self._message)

@@ -1,0 +1,255 @@
+"""Action `follow_joint_trajectory` of an interface that accepts trajectories.
+
+control_msgs is imported here only, and only when an action is to be served, so that the package
+works without it.
+"""
+
+from array import array
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action.server import ServerGoalHandle
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.errors import InputError
+from omniman_ros.motion.path.trajectory_goal import (
+    Ending,
+    ErrorCode,
+    GoalMonitor,
+    TrajectoryActionOptions,
+    Verdict,
+)
+from omniman_ros.nodes.omniman_node import OmnimanNode
+from omniman_ros.nodes.trajectory_interfaces.action_goal import goal_monitor
+
+RESULT_TIMEOUT = 60
+"""Time for which a client can fetch a result [s]."""
+
+
+class TrajectoryExecutor(Protocol):
+    """An interface that drives trajectories, whose motions are identified by numbers."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Return the names of the n axes."""
+        ...
+
+    def send(self, message: JointTrajectory) -> int:
+        """Accept a trajectory, and return the number of its motion.
+
+        Raises:
+            InputError: The trajectory is refused; the motion under way goes on.
+        """
+        ...
+
+    def outcome(self, motion: int) -> str | None:
+        """Return why a motion ended: empty if it arrived; None while it goes on."""
+        ...
+
+    def cancel(self, motion: int) -> None:
+        """Bring a motion to rest on its path, unless it has ended already."""
+        ...
+
+    def desired(self) -> tuple[Array, Array, Array] | None:
+        """Return the reference positions, velocities and accelerations (n,), if there are any."""
+        ...
+
+    def actual(self) -> tuple[Array, Array] | None:
+        """Return measured positions and velocities (n,), if they are known."""
+        ...
+
+
+class _Server(ActionServer):
+    """An action server whose goals end by a call: no callback or coroutine waits for the end.
+
+    rclpy's executors call a coroutine that waits again and again.
+    """
+
+    def notify_execute(self, goal_handle: Any, execute_callback: Any) -> None:
+        """Do nothing, as the motion has started already."""
+
+    def finish(self, handle: ServerGoalHandle, result: Any) -> None:
+        """Send the result of a goal that has reached a terminal state."""
+        super().notify_execute(handle, lambda _: result)
+
+
+@dataclass
+class _Goal:
+    """A goal under way.
+
+    Attributes:
+        handle: Handle of the goal.
+        motion: Number of its motion.
+        monitor: Monitor of its tolerances.
+    """
+
+    handle: ServerGoalHandle
+    motion: int
+    monitor: GoalMonitor
+
+
+def action_type() -> Any:
+    """Return control_msgs/action/FollowJointTrajectory, or None without control_msgs."""
+    try:
+        from control_msgs.action import FollowJointTrajectory
+    except ImportError:
+        return None
+    return FollowJointTrajectory
+
+
+def serve_actions(
+    node: OmnimanNode,
+    executors: Mapping[str, TrajectoryExecutor],
+    options: TrajectoryActionOptions,
+) -> tuple["TrajectoryAction", ...]:
+    """Serve an action for each executor, by action names; none without control_msgs."""
+    kind = action_type()
+    if kind is None:
+        node.get_logger().info("no follow_joint_trajectory action: control_msgs is not installed")
+        return ()
+    return tuple(
+        TrajectoryAction(node, kind, name, executor, options)
+        for name, executor in executors.items()
+    )
+
+
+class TrajectoryAction:
+    """Action `follow_joint_trajectory` of one executor.
+
+    An invalid goal is rejected, with the reason in the log. A valid goal that the executor refuses
+    is aborted with the reason as its result, and the motion under way goes on. An accepted goal
+    replaces the last one, which is aborted. A goal that is cancelled, or violates a path
+    tolerance, ends when the axes have come to rest on its path.
+
+    Args:
+        node: Node that owns the action server.
+        kind: Type of the action, see :func:`action_type`.
+        name: Name of the action.
+        executor: Interface that drives the trajectories.
+        options: Tolerances of goals that have none.
+
+    Attributes:
+        options: Tolerances of goals that have none; may be replaced.
+    """
+
+    def __init__(
+        self,
+        node: OmnimanNode,
+        kind: Any,
+        name: str,
+        executor: TrajectoryExecutor,
+        options: TrajectoryActionOptions,
+    ) -> None:
+        self._node, self._kind, self._name, self._executor = node, kind, name, executor
+        self.options = options
+        self._goal: _Goal | None = None
+        self._feedback = kind.Feedback(joint_names=list(executor.names))
+        self._server = _Server(
+            node,
+            kind,
+            name,
+            lambda _: None,
+            goal_callback=self._on_goal,
+            handle_accepted_callback=self._on_accepted,
+            cancel_callback=self._on_cancel,
+            result_timeout=RESULT_TIMEOUT,
+        )
+        self._timer = node.create_timer(options.period, self.update, clock=node.clock)
+
+    @property
+    def idle(self) -> bool:
+        """Whether no goal is under way."""
+        return self._goal is None
+
+    def destroy(self) -> None:
+        """Destroy the action server, which must happen before its node is destroyed."""
+        self._node.destroy_timer(self._timer)
+        self._server.destroy()
+
+    # ---- goals --------------------------------------------------------------------------------
+
+    def _on_goal(self, goal: Any) -> GoalResponse:
+        try:
+            self._monitor(goal)
+        except InputError as error:
+            self._node.warn(self._name, f"{self._name}: a goal was rejected: {error}")
+            return GoalResponse.REJECT
+        return GoalResponse.ACCEPT
+
+    def _monitor(self, goal: Any) -> GoalMonitor:
+        now = self._node.get_clock().now().nanoseconds * 1e-9
+        return goal_monitor(goal, self._executor.names, self.options, now)
+
+    def _on_accepted(self, handle: ServerGoalHandle) -> None:
+        handle.execute()
+        try:
+            monitor = self._monitor(handle.request)
+            motion = self._executor.send(handle.request.trajectory)
+        except InputError as error:
+            self._finish(handle, Verdict(Ending.ABORTED, ErrorCode.INVALID_GOAL, str(error)))
+            return
+        last, self._goal = self._goal, _Goal(handle, motion, monitor)
+        if last is not None:
+            verdict = last.monitor.update(self._node.now(), None, None, "replaced by a new goal")
+            assert verdict is not None
+            self._finish(last.handle, verdict)
+        self._timer.reset()
+
+    def _on_cancel(self, handle: ServerGoalHandle) -> CancelResponse:
+        goal = self._goal
+        if goal is None or goal.handle != handle:
+            return CancelResponse.REJECT
+        goal.monitor.cancel()
+        self._executor.cancel(goal.motion)
+        return CancelResponse.ACCEPT
+
+    # ---- goal under way -----------------------------------------------------------------------
+
+    def update(self) -> None:
+        """Check the goal under way; publish its feedback, or its result if it has ended."""
+        goal = self._goal
+        if goal is None:
+            self._timer.cancel()  # until the next goal
+            return
+        desired, actual = self._executor.desired(), self._executor.actual()
+        outcome, stopping = self._executor.outcome(goal.motion), goal.monitor.stop
+        verdict = goal.monitor.update(self._node.now(), desired, actual, outcome)
+        if desired is not None and actual is not None:
+            self._publish(goal, desired, actual)
+        if verdict is not None:
+            self._goal = None
+            self._finish(goal.handle, verdict)
+        elif goal.monitor.stop and not stopping:
+            self._executor.cancel(goal.motion)
+
+    def _publish(self, goal: _Goal, desired: tuple[Array, ...], actual: tuple[Array, ...]) -> None:
+        feedback = self._feedback
+        feedback.header.stamp = self._node.stamp()
+        errors = goal.monitor.error(desired[0], actual[0]), desired[1] - actual[1]
+        _fill(feedback.desired, desired)
+        _fill(feedback.actual, actual)
+        _fill(feedback.error, errors)
+        goal.handle.publish_feedback(feedback)
+
+    def _finish(self, handle: ServerGoalHandle, verdict: Verdict) -> None:
+        end = {
+            Ending.SUCCEEDED: handle.succeed,
+            Ending.ABORTED: handle.abort,
+            Ending.CANCELED: handle.canceled,
+        }
+        end[verdict.ending]()
+        text = f"{self._name}: a goal is {verdict.ending.value}"
+        if verdict.ending is Ending.ABORTED:
+            self._node.warn(self._name, f"{text}: {verdict.text}")
+        else:
+            self._node.get_logger().info(text)
+        result = self._kind.Result(error_code=int(verdict.code), error_string=verdict.text)
+        self._server.finish(handle, result)
+
+
+def _fill(point: JointTrajectoryPoint, arrays: tuple[Array, ...]) -> None:
+    for label, values in zip(("positions", "velocities", "accelerations"), arrays, strict=False):
+        setattr(point, label, array("d", values.tobytes()))

@@ -1,0 +1,64 @@
+"""Topic `joint_trajectory`, for the interface of the arm and that of the whole body."""
+
+from rclpy.serialization import deserialize_message
+from trajectory_msgs.msg import JointTrajectory
+
+from omniman_ros.core.errors import InputError
+from omniman_ros.motion.whole_body.model import AXES, PLATFORM_AXES
+from omniman_ros.nodes.trajectory_interfaces.arm_interface import ArmInterface
+from omniman_ros.nodes.trajectory_interfaces.motion_context import MotionContext
+from omniman_ros.nodes.trajectory_interfaces.whole_body_interface import WholeBodyInterface
+
+POINT_BYTES = 64
+"""Upper bound of the size of a serialized point without its numbers [bytes]."""
+
+
+class TrajectoryInput:
+    """Passes each received trajectory to the interface that it concerns.
+
+    Args:
+        context: Services of the node.
+        arm: Interface of the arm.
+        whole_body: Interface of the whole body.
+    """
+
+    def __init__(
+        self, context: MotionContext, arm: ArmInterface, whole_body: WholeBodyInterface
+    ) -> None:
+        self._context, self._arm, self._whole_body = context, arm, whole_body
+        # The message stays serialized, so that a huge trajectory is refused unread.
+        on_trajectory = context.node.guarded("joint_trajectory", self._on_data)
+        context.node.create_subscription(
+            JointTrajectory, "joint_trajectory", on_trajectory, 10, raw=True
+        )
+
+    def _on_data(self, data: bytes) -> str:
+        max_points = self._context.options.joint_trajectory.max_points
+        if len(data) > (POINT_BYTES + 32 * AXES) * (max_points + 100):
+            raise self._arm.refuse(
+                f"{len(data) / 1e6:.0f} MB, at most {max_points} points are accepted"
+            )
+        message = deserialize_message(data, JointTrajectory)
+        if not message.points:
+            self._arm.stop()
+            self._whole_body.discard_pending()
+            self._whole_body.stop()
+            return ""
+        return self._start(message)
+
+    def _start(self, message: JointTrajectory) -> str:
+        interface = self._interface_of(message)
+        try:
+            if self._context.is_ending():
+                raise InputError("the node is shutting down")
+            why = interface.trajectory(message)
+        except InputError as error:
+            raise interface.refuse(str(error)) from error
+        if why:
+            interface.refuse(why)
+        return why
+
+    def _interface_of(self, message: JointTrajectory) -> ArmInterface | WholeBodyInterface:
+        """Return the interface for a trajectory; the whole body's while the whole body moves."""
+        has_platform = any(name in PLATFORM_AXES for name in message.joint_names)
+        return self._whole_body if has_platform or not self._whole_body.idle else self._arm

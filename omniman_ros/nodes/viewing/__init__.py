@@ -1,1 +1,0 @@
-"""The parts of the node `viewer`: what it hears, and what the page has it do."""

@@ -1,0 +1,52 @@
+"""Limits that plans keep to: those of the parameters, scaled and without the reserve."""
+
+from dataclasses import dataclass
+
+from omniman_ros.planning.parameters import PlannerParameters
+
+MIN_LIMIT_SCALE = 0.01
+"""Smallest scale of the limits [-]: without any speed there would be nothing to plan with."""
+
+
+@dataclass(frozen=True)
+class EffectiveLimits:
+    """Planner parameters with the scale of the motion limits resolved.
+
+    Plans use `(1 - reserve) * limit_scale` of the velocity and acceleration limits. Braking is
+    not scaled: it always uses `1 - reserve` of the deceleration limits.
+
+    Attributes:
+        parameters: Parameters of the planner.
+        limit_scale: Factor on velocity and acceleration limits [-]; 1 unless a wheel is dead.
+            Values below MIN_LIMIT_SCALE are raised to it.
+    """
+
+    parameters: PlannerParameters
+    limit_scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "limit_scale", max(self.limit_scale, MIN_LIMIT_SCALE))
+
+    @property
+    def factor(self) -> float:
+        """Part of the velocity and acceleration limits that plans may use [-]."""
+        return (1.0 - self.parameters.reserve) * self.limit_scale
+
+    @property
+    def speeds(self) -> tuple[float, float]:
+        """Largest linear [m/s] and angular speed [rad/s] of plans."""
+        factor, limits = self.factor, self.parameters.limits
+        return factor * limits.linear_velocity, factor * limits.angular_velocity
+
+    @property
+    def accelerations(self) -> tuple[float, float]:
+        """Largest linear [m/s^2] and angular acceleration [rad/s^2] of plans."""
+        factor, limits = self.factor, self.parameters.limits
+        return factor * limits.linear_acceleration, factor * limits.angular_acceleration
+
+    @property
+    def decelerations(self) -> tuple[float, float]:
+        """Linear [m/s^2] and angular deceleration [rad/s^2] of braking, not scaled."""
+        unreserved = 1.0 - self.parameters.reserve
+        linear, angular = self.parameters.limits.deceleration
+        return unreserved * linear, unreserved * angular

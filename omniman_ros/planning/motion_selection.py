@@ -1,0 +1,303 @@
+"""Selection of the motion to follow: the new plan, the rest of the last motion, or braking."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from omniman_ros.core import se2
+from omniman_ros.core.arrays import Array
+from omniman_ros.planning.cycle import AT_REST, CycleReport, MeasuredState
+from omniman_ros.planning.effective_limits import EffectiveLimits
+from omniman_ros.planning.motion import Motion
+from omniman_ros.planning.mpc.model import PlanningModel
+from omniman_ros.planning.mpc.solver import Solution
+from omniman_ros.planning.safety import Surroundings
+
+CONTACT_DELAY = 0.1
+"""Time by which contact must come later for another motion to be better than braking now [s]."""
+GAP_GAIN = 0.005
+"""Increase of the smallest gap that makes a motion better if contact does not come sooner [m]."""
+PREVIEW_DURATION = 0.4
+"""Time for which a motion is sent ahead before the preview brakes [s]."""
+KEPT_PAST = 0.5
+"""Length of the past part of a motion that is kept [s]."""
+REPLAN_POSITION_ERROR = 0.15
+"""Distance from the motion above which plans begin at the measured pose of the robot [m]."""
+REPLAN_HEADING_ERROR = 0.2
+"""Heading error above which plans begin at the measured pose of the robot [rad]."""
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """Plans that may be used until they are due.
+
+    Attributes:
+        due: Time at which the plans begin [s]; if they are ready after that, they are late.
+        solutions: Solutions of the solver: the improved last plan and, if that is unsatisfactory,
+            an evasion.
+        fault: Reason why there is no plan, or an empty string.
+    """
+
+    due: float
+    solutions: tuple[Solution, ...] = ()
+    fault: str = ""
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """A motion to choose from, with its solution if it is a new plan."""
+
+    motion: Motion
+    solution: Solution | None = None
+
+
+class MotionSelector:
+    """Holds the motion that the robot follows, and replaces it by the best one available.
+
+    Args:
+        model: Model of the robot.
+        limits: Parameters of the planner and the limits in effect.
+
+    Attributes:
+        model: Model of the robot.
+        limits: Limits in effect; may be replaced at any time.
+        motion: Motion to follow: it ends at rest and was checked up to its end.
+        report: Result of the last cycle.
+    """
+
+    def __init__(self, model: PlanningModel, limits: EffectiveLimits) -> None:
+        self.model, self.limits = model, limits
+        long_ago = -KEPT_PAST
+        self.motion = Motion.rest(long_ago, np.zeros(3), model.wheel_count)
+        self.report = CycleReport()
+        self._shortened: tuple[Motion, Motion] | None = None
+
+    # ---- the present motion -----------------------------------------------------------------
+
+    @property
+    def preview(self) -> Motion:
+        """Motion to send: the beginning of the motion, then braking if that is clear, too.
+
+        If the sender dies, the motion is no longer checked, and the robot should not continue to
+        the end of a plan.
+        """
+        if self._shortened is not None and self._shortened[0] is self.motion:
+            return self._shortened[1]
+        return self.motion
+
+    @property
+    def is_troubled(self) -> bool:
+        """Whether the last plan was not used, not clear, or overlaps what it must avoid."""
+        report = self.report
+        overlaps = report.slack > self.limits.parameters.safety.slack
+        return not (report.used and report.clear) or overlaps
+
+    def continuous_pose(self, measured: MeasuredState) -> Array:
+        """Return the measured pose (3,), its heading on the branch of the motion.
+
+        Odometry may wrap the heading.
+        """
+        heading = float(self.motion.sample(measured.time)[0][2])
+        difference = se2.wrap(float(measured.pose[2]) - heading)
+        return np.append(measured.pose[:2], heading + difference)
+
+    def deviation(self, measured: MeasuredState) -> float:
+        """Return the largest distance of a corner of the robot from its planned position [m]."""
+        pose, _ = self.motion.sample(measured.time)
+        error = measured.pose - pose
+        heading_error = abs(se2.wrap(float(error[2])))
+        return math.hypot(error[0], error[1]) + heading_error * math.hypot(*self.model.half)
+
+    def state_at(self, due: float, measured: MeasuredState, anchored: bool) -> Array:
+        """Predict the state (6,) at which a plan begins.
+
+        Args:
+            due: Time at which it begins [s].
+            measured: State of the robot.
+            anchored: Whether the plan begins on the motion unless the robot is too far from it;
+                otherwise it always begins at the measured pose of the robot.
+
+        Returns:
+            Pose in odom [m, m, rad] and body twist [m/s, m/s, rad/s].
+        """
+        pose, velocity = self.motion.sample(due)
+        planned_pose, planned_velocity = self.motion.sample(measured.time)
+        error = measured.pose - planned_pose
+        error[2] = se2.wrap(error[2])
+        too_far = (
+            math.hypot(error[0], error[1]) > REPLAN_POSITION_ERROR
+            or abs(error[2]) > REPLAN_HEADING_ERROR
+        )
+        if too_far or not anchored:
+            pose = pose + error
+            change = velocity - planned_velocity
+            velocity = se2.to_world(float(measured.pose[2]), measured.twist) + change
+        twist = se2.to_robot(float(pose[2]), velocity)
+        return np.concatenate([pose, twist])
+
+    # ---- without a plan ---------------------------------------------------------------------
+
+    def begin(self, measured: MeasuredState) -> None:
+        """Begin a motion at the pose and the velocity of the robot; it brakes at once."""
+        velocity = se2.to_world(float(measured.pose[2]), measured.twist)
+        slow = float(np.abs(velocity).max()) < AT_REST
+        moving = Motion.coasting(
+            measured.time,
+            self.continuous_pose(measured),
+            velocity * (not slow),
+            self.model.wheel_count,
+        )
+        self.motion = moving.braked(measured.time, self.limits.decelerations)
+
+    def brake(self, now: float) -> None:
+        """Brake along the motion from a time [s] on."""
+        if self.motion.end > now:
+            self.motion = self._braked(now)
+
+    def discard(self, now: float, measured: MeasuredState | None) -> None:
+        """Replace the motion by rest at the measured pose, or else at the motion's end."""
+        pose = self.motion.poses[-1] if measured is None else measured.pose
+        self.motion = Motion.rest(now, pose, self.model.wheel_count)
+
+    def _rest_of_motion(self, now: float) -> Motion:
+        """Return the motion from KEPT_PAST before now [s] to its end."""
+        begins = max(self.motion.start, now - KEPT_PAST)
+        return self.motion.between(begins, max(self.motion.end, now + 1e-3))
+
+    def _braked(self, now: float) -> Motion:
+        """Return the motion, braked from now [s] on."""
+        rest = self._rest_of_motion(now)
+        return rest.braked(max(now, rest.start), self.limits.decelerations)
+
+    # ---- selection --------------------------------------------------------------------------
+
+    def select(
+        self, proposal: Proposal, now: float, surroundings: Surroundings, active: bool
+    ) -> Solution | None:
+        """Set the motion to the best one available, and report on it.
+
+        The order of preference is: the longest part of a plan that is clear together with its
+        braking, the last motion, the longest clear part of the last motion. If no motion is clear
+        over the whole horizon, the motion that is clear longest is followed: the obstacles may
+        still turn away, and an evasion may still be found.
+
+        Args:
+            proposal: Plans that were made for this cycle.
+            now: Time [s].
+            surroundings: Obstacles and workspace that the motion is checked against.
+            active: Whether there is a goal to drive to; plans are not used otherwise.
+
+        Returns:
+            Solution to warm-start the next optimisation from; None if the warm start is kept.
+        """
+        report = CycleReport(lateness=now - proposal.due, reason=proposal.fault)
+        if proposal.solutions:
+            first = proposal.solutions[0]
+            report = replace(report, slack=float(first.slack.max()), cost=first.cost)
+        plans, refusal = self._plans(proposal, report.lateness, now, active)
+        chosen = self._take_clear_plan(plans, proposal.due, now, surroundings)
+        if chosen is not None:
+            self.report = replace(report, used=True)
+        else:
+            report = replace(report, reason=proposal.fault or refusal)
+            chosen = self._go_on(plans, report, now, surroundings)
+        self._shorten(now, surroundings)
+        return chosen
+
+    def _plans(
+        self, proposal: Proposal, lateness: float, now: float, active: bool
+    ) -> tuple[list[_Candidate], str]:
+        """Return the plans that may be used, and the reason to report if none of them is clear."""
+        if not active:
+            return [], "there is no goal any more"
+        if not proposal.solutions:
+            return [], ""
+        if lateness > 0.0:
+            return [], f"the answer came {1e3 * lateness:.0f} ms late"
+        plans = [
+            _Candidate(self._joined(proposal.due, solution, now), solution)
+            for solution in proposal.solutions
+        ]
+        return plans, "the plan is not clear of contact"
+
+    def _take_clear_plan(
+        self, plans: Sequence[_Candidate], due: float, now: float, surroundings: Surroundings
+    ) -> Solution | None:
+        """Follow the first plan of which a part is clear; None if there is none."""
+        earliest = due + 0.5 * self.limits.parameters.horizon.step
+        for plan in plans:
+            clear = surroundings.longest(plan.motion, now, earliest, self.limits.decelerations)
+            if clear is not None:
+                self.motion = clear
+                return plan.solution
+        return None
+
+    def _go_on(
+        self,
+        plans: Sequence[_Candidate],
+        report: CycleReport,
+        now: float,
+        surroundings: Surroundings,
+    ) -> Solution | None:
+        """Follow the last motion, its longest clear part, or the motion that is clear longest."""
+        if surroundings.contact(self.motion, now) == math.inf:
+            self.report = report
+            return None
+        rest = self._rest_of_motion(now)
+        clear = surroundings.longest(rest, now, now, self.limits.decelerations)
+        if clear is not None:
+            self.motion = clear
+            self.report = replace(report, braking=True)
+            return None
+        return self._take_latest_contact([*plans, _Candidate(rest)], report, now, surroundings)
+
+    def _take_latest_contact(
+        self,
+        candidates: Sequence[_Candidate],
+        report: CycleReport,
+        now: float,
+        surroundings: Surroundings,
+    ) -> Solution | None:
+        """Brake, or follow a candidate on which contact comes later or the gap stays wider."""
+        # A robot that evades continues to do so: to alternate between motions makes no progress.
+        evades = not self.report.clear and not self.report.braking
+        required_delay = -CONTACT_DELAY if evades else CONTACT_DELAY
+        self.motion = self._braked(now)
+        contact, gap = surroundings.threat(self.motion, now)
+        result, chosen = replace(report, braking=True), None
+        for candidate in candidates:
+            motion = candidate.motion.braked(candidate.motion.end, self.limits.decelerations)
+            new_contact, new_gap = surroundings.threat(motion, now)
+            if new_contact > contact + required_delay or (
+                new_contact >= contact and new_gap > gap + GAP_GAIN
+            ):
+                self.motion, contact, gap, required_delay = motion, new_contact, new_gap, 0.0
+                result = report
+                if candidate.solution is not None:
+                    chosen = candidate.solution
+                    result = replace(report, used=True, reason="")
+        self.report = replace(result, time_to_contact=contact - now, clear=False)
+        return chosen
+
+    def _joined(self, due: float, solution: Solution, now: float) -> Motion:
+        """Join the plan to the last motion, which is followed until the plan is due [s]."""
+        step = self.limits.parameters.horizon.step
+        plan = Motion.of_states(due, step, solution.states, solution.currents)
+        begins = max(min(now, due) - KEPT_PAST, self.motion.start)
+        if begins > due - 1e-3:
+            return plan
+        before = self.motion.between(begins, due)
+        offset = plan.poses[0] - before.poses[-1]  # zero unless it begins at the measured pose
+        return replace(before, poses=before.poses + offset).then(plan)
+
+    def _shorten(self, now: float, surroundings: Surroundings) -> None:
+        """Prepare a preview that brakes after PREVIEW_DURATION, if that is clear."""
+        self._shortened, soon = None, now + PREVIEW_DURATION
+        if self.motion.end > soon:
+            begins = max(self.motion.start, now - KEPT_PAST)
+            whole = self.motion.between(begins, self.motion.end)
+            short = whole.braked(soon, self.limits.decelerations)
+            if surroundings.contact(short, now) == math.inf:
+                self._shortened = self.motion, short

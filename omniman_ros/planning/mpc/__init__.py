@@ -1,0 +1,1 @@
+"""The optimal control problem of MPC 2021 and its solver."""

@@ -1,0 +1,281 @@
+"""Parameters of an optimal control problem from goal, obstacles and limits."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omniman_ros.core.arrays import Array
+from omniman_ros.planning.effective_limits import EffectiveLimits
+from omniman_ros.planning.goals import Goal
+from omniman_ros.planning.motion import Motion
+from omniman_ros.planning.mpc.model import PlanningModel
+from omniman_ros.planning.mpc.transcription import OBSTACLE, SIDES, Stage
+from omniman_ros.planning.obstacles.ellipses import Ellipses, inflated
+from omniman_ros.planning.obstacles.separation import box_gap, within_reach
+
+FAR_AWAY = 1e3
+"""Coordinates of the obstacle in an empty slot [m]."""
+SLACK_FACTOR = 3.0
+"""Ratio of the slack's weight to the largest gradient of the goal's cost [-]; above 1, slack is
+used only as a last resort."""
+MAX_BERTH = 0.3
+"""Largest additional gap to moving obstacles [m]."""
+REACTION_TIME = 0.4
+"""Time from a change of an obstacle's direction until the robot brakes [s]."""
+STANDING_SPEED = 0.05
+"""Speed below which an obstacle counts as being at rest [m/s]."""
+CAUTIOUS_SPEED = 0.2
+"""Speed that is always allowed, however close a moving obstacle is [m/s]."""
+DETAILED_OBSTACLES = 48
+"""Number of obstacles, the nearest by their centres, whose gaps are computed at each step."""
+VOLTAGE_HEADROOM = 0.02
+"""Part by which the voltage limit exceeds the back-EMF of the start [-]."""
+
+
+class Problem:
+    """Builds the parameters of optimal control problems.
+
+    Attributes:
+        model: Model of the robot.
+        limits: Parameters and limits in effect; they may be replaced at any time.
+    """
+
+    def __init__(self, model: PlanningModel, limits: EffectiveLimits) -> None:
+        self.model = model
+        self.limits = limits
+
+    def stage(
+        self,
+        start: Array,
+        guess: Motion,
+        goal: Goal,
+        ellipses: Ellipses,
+        slots: int,
+        clearance: float | None = None,
+    ) -> Stage:
+        """Return the parameters of one problem.
+
+        Args:
+            start: (6,) state at which the plan begins: pose in odom, body twist.
+            guess: Motion of N + 1 nodes around which gaps are linearised; the plan begins at
+                the first.
+            goal: Goal of the plan.
+            ellipses: Obstacles.
+            slots: Number of obstacles in the problem.
+            clearance: Gap to keep [m]; None means that of the parameters.
+        """
+        p = self.limits.parameters
+        times = guess.times[1:]
+        targets, gradient = self._targets(start, times, goal)
+        ahead = targets[-1, :2] - start[:2]
+        direction = math.atan2(ahead[1], ahead[0])
+        gap = p.safety.clearance if clearance is None else clearance
+        x_min, y_min, x_max, y_max = p.workspace.bounds
+        return Stage(
+            limits=self._limits(start, direction, self._caution(guess, ellipses)),
+            workspace=np.array([x_min + gap, y_min + gap, x_max - gap, y_max - gap]),
+            target=targets,
+            weights=self._weights(goal.moves, len(times)),
+            energy=p.weights.energy,
+            slack=(SLACK_FACTOR * gradient, SLACK_FACTOR * gradient / 0.1),
+            obstacles=self._obstacles(guess, ellipses, slots, gap),
+            direction=direction,
+        )
+
+    def evasion(self, start: Array, direction: float) -> Array:
+        """Return currents (N, n) [A] that drive off in a direction of odom [rad], then coast.
+
+        From this guess the solver finds paths that it would not find from the last plan.
+        """
+        p, model = self.limits.parameters, self.model
+        steps, step = p.horizon.steps, p.horizon.step
+        angle = direction - start[2]
+        speed, rate = self.limits.speeds[0], self.limits.accelerations[0]
+        change = speed * np.array([math.cos(angle), math.sin(angle), 0.0]) - start[3:]
+        momentum = model.inertia @ change
+        duration = float(np.clip(math.hypot(change[0], change[1]) / rate, step, steps * step))
+        torque = np.linalg.pinv(model.J.T) @ (momentum / duration)
+        currents = np.clip(
+            torque / (model.efficiency * model.emf), -model.max_current, model.max_current
+        )
+        driven = np.arange(steps) * step < duration - 0.5 * step
+        result: Array = driven[:, None] * currents
+        return result
+
+    def _targets(self, start: Array, times: Array, goal: Goal) -> tuple[Array, float]:
+        """Return the targets (N, 6), and the largest gradient of the goal's cost [J/m]."""
+        w, p = self.limits.parameters.weights, self.limits.parameters
+        poses, velocities = goal.targets(times)
+        reach = w.reach + p.limits.linear_velocity * p.horizon.duration
+        ahead = poses[:, :2] - start[:2]
+        distance = np.hypot(ahead[:, 0], ahead[:, 1])
+        poses[:, :2] = start[:2] + ahead * (reach / np.maximum(distance, reach))[:, None]
+        strength = w.position * (1.0 + w.running * p.horizon.duration)
+        return np.hstack([poses, velocities]), 2.0 * max(strength, 1.0) * reach
+
+    def _weights(self, moves: bool, steps: int) -> Array:
+        """Return the weights (N, 5) at the ends of the steps."""
+        w, model = self.limits.parameters.weights, self.model
+        size = math.hypot(*model.half)
+        velocity = w.velocity if moves else 0.0
+        last = np.array([w.position, w.heading, velocity, velocity * size**2, 0.0])
+        weights = np.tile(last * w.running * self.limits.parameters.horizon.step, (steps, 1))
+        weights[-1] += last
+        weights[-1, 4] = w.energy / model.efficiency
+        return weights
+
+    def _limits(self, start: Array, direction: float, caution: Array) -> Array:
+        """Return the limits (N, 6); a speed above its limit may be reduced gradually."""
+        p, model, twist = self.limits.parameters, self.model, start[3:]
+        linear, angular = self.limits.speeds
+        wheels = float(np.abs(model.J @ twist).max())
+        # Factor from this speed to its measure in the polygon that replaces the limit's circle.
+        along = math.atan2(twist[1], twist[0]) + start[2] - direction
+        normals = (np.arange(SIDES) + 0.5) * (2.0 * math.pi / SIDES)
+        share = float(np.cos(along - normals).max()) / math.cos(math.pi / SIDES)
+        linear_now = math.hypot(twist[0], twist[1]) * share
+        now = np.array([linear_now, abs(twist[2]), wheels])
+        steps = len(caution)
+        largest = np.tile([linear, angular, model.max_speed], (steps, 1))
+        largest[:, 0] = np.minimum(largest[:, 0], caution)
+        a, b = self.limits.accelerations
+        rates = 0.5 * np.array([a, b, a / model.half.min()])
+        elapsed = p.horizon.step * np.arange(1, steps + 1)[:, None]
+        # There is no headroom here: over the cycles it would add up to ever higher speeds.
+        limits = np.maximum(largest, now - rates * elapsed)
+        volts = max(model.max_voltage, model.emf * wheels * (1.0 + VOLTAGE_HEADROOM))
+        return np.hstack([limits, np.tile([volts, a, b], (steps, 1))])
+
+    def _obstacles(self, guess: Motion, ellipses: Ellipses, slots: int, clearance: float) -> Array:
+        """Return the nearest obstacles (N, M, 7) along a guess, with their margins."""
+        times = guess.times[1:]
+        table = np.zeros((len(times), slots, OBSTACLE))
+        table[..., :2] = FAR_AWAY
+        table[..., 2], table[..., 5], table[..., 6] = 1.0, 1.0, 1.0
+        if not slots or not len(ellipses):
+            return table
+        reachable = self._reachable(guess, ellipses)
+        if not reachable.any():
+            return table
+        near = ellipses.select(reachable)
+        centers, axes = near.centers_at(times), near.axes_at(times, clearance + self._berth(near))
+        angles = np.broadcast_to(near.angles, centers.shape[:2])
+        velocities = np.broadcast_to(near.velocities, centers.shape)
+        if len(near) > slots:
+            chosen = self._beside(guess.poses[1:], near, centers, axes, slots)
+            centers, axes, velocities = (
+                np.take_along_axis(values, chosen[..., None], axis=1)
+                for values in (centers, axes, velocities)
+            )
+            angles = np.take_along_axis(angles, chosen, axis=1)
+        axes = inflated(axes, self._sag(guess, velocities, axes))
+        cos, sin = np.cos(angles), np.sin(angles)
+        m = centers.shape[1]
+        table[:, :m, :2] = centers
+        table[:, :m, 2], table[:, :m, 3] = cos / axes[..., 0], sin / axes[..., 0]
+        table[:, :m, 4], table[:, :m, 5] = -sin / axes[..., 1], cos / axes[..., 1]
+        table[:, :m, 6] = axes.min(axis=-1)
+        return table
+
+    def _caution(self, guess: Motion, ellipses: Ellipses) -> Array:
+        """Return speeds (N,) [m/s] from which the robot can avoid an obstacle that approaches it.
+
+        The robot approaches the obstacle at the speed c along the line between them. If the
+        obstacle turns towards the robot at its speed u, the robot reacts after the time t and
+        accelerates away at a. The gap must suffice until both have the same velocity:
+        c t + c^2 / (2 a) + u (t + c / a) + u^2 / (2 a) = gap.
+        """
+        result = np.full(len(guess.times) - 1, math.inf)
+        speeds = np.hypot(ellipses.velocities[:, 0], ellipses.velocities[:, 1])
+        moving = speeds > STANDING_SPEED
+        if not moving.any():
+            return result
+        near, u = ellipses.select(moving), speeds[moving]
+        times, poses, velocities = guess.times[1:], guess.poses[1:], guess.velocities[1:]
+        centers = near.centers_at(times)
+        gaps = box_gap(poses, self.model.half, centers, near.axes_at(times), near.angles)
+        offset = centers - poses[:, None, :2]
+        distance = np.maximum(np.hypot(offset[..., 0], offset[..., 1]), 1e-6)
+        closing = (offset * velocities[:, None, :2]).sum(axis=-1) / distance
+        a = self.limits.decelerations[0]
+        delay = REACTION_TIME + u / a
+        remaining_gap = np.maximum(gaps - u * REACTION_TIME - 0.5 * u * u / a, 0.0)
+        allowed = a * (np.sqrt(delay * delay + 2.0 * remaining_gap / a) - delay)
+        speed = np.hypot(velocities[:, 0], velocities[:, 1])[:, None]
+        slower = speed * allowed / np.maximum(closing, STANDING_SPEED)
+        slower[closing <= STANDING_SPEED] = math.inf
+        result[:] = np.maximum(slower.min(axis=1), CAUTIOUS_SPEED)
+        return result
+
+    def _berth(self, ellipses: Ellipses) -> Array:
+        """Return the gaps (M,) to moving obstacles in addition to the clearance [m]."""
+        speeds = np.hypot(ellipses.velocities[:, 0], ellipses.velocities[:, 1])
+        return np.minimum(self.limits.parameters.safety.berth * speeds, MAX_BERTH)
+
+    def _beside(
+        self, poses: Array, ellipses: Ellipses, centers: Array, axes: Array, slots: int
+    ) -> NDArray[np.intp]:
+        """Return indices (N, slots) of the most relevant obstacles at each pose.
+
+        The nearest obstacle in each of `slots` sectors around the robot comes first, then the
+        nearest of the others: a wall consists of many discs, which must not displace the obstacles
+        on the other side.
+        """
+        size = axes.max(axis=-1)
+        offset = centers - poses[:, None, :2]
+        rough_gaps = np.hypot(offset[..., 0], offset[..., 1]) - size
+        if len(ellipses) > DETAILED_OBSTACLES:
+            near = np.argpartition(rough_gaps, DETAILED_OBSTACLES, axis=1)[:, :DETAILED_OBSTACLES]
+        else:
+            near = np.broadcast_to(np.arange(len(ellipses)), rough_gaps.shape)
+        offset, near_centers, near_axes = (
+            np.take_along_axis(values, near[..., None], axis=1)
+            for values in (offset, centers, axes)
+        )
+        gaps = box_gap(poses, self.model.half, near_centers, near_axes, ellipses.angles[near])
+        cos, sin = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])
+        a, b = self.model.half
+        forward = (cos * offset[..., 0] + sin * offset[..., 1]) / a
+        left = (cos * offset[..., 1] - sin * offset[..., 0]) / b
+        sector = np.floor(np.arctan2(left, forward) * (slots / math.tau)).astype(int) % slots
+        order = np.argsort(gaps, axis=1, kind="stable")
+        sorted_sector = np.take_along_axis(sector, order, axis=1)
+        rank = np.zeros(order.shape, dtype=int)  # among the obstacles of the same sector
+        for k in range(slots):
+            inside = sorted_sector == k
+            rank[inside] = (np.cumsum(inside, axis=1) - 1)[inside]
+        best = np.argsort(rank, axis=1, kind="stable")[:, :slots]
+        chosen = np.take_along_axis(order, best, axis=1)
+        result: NDArray[np.intp] = np.take_along_axis(near, chosen, axis=1)
+        return result
+
+    def _reachable(self, guess: Motion, ellipses: Ellipses) -> NDArray[np.bool_]:
+        """Return (M,) bool: obstacles that can come near, whatever the plan is."""
+        p = self.limits.parameters
+        fastest = max(p.limits.linear_velocity, float(np.abs(guess.velocities).max()))
+        # A motion there and back at twice the speed reaches as far as one that does not return.
+        there_and_back = np.tile([2.0 * fastest, 0.0, 0.0], (2, 1))
+        return within_reach(
+            guess.times[[0, -1]],
+            np.tile(guess.poses[0], (2, 1)),
+            there_and_back,
+            self.model.half,
+            ellipses,
+            p.safety.clearance,
+        )
+
+    def _sag(self, guess: Motion, velocities: Array, axes: Array) -> Array:
+        """Return the depth (N, M) [m] to which the robot could enter an obstacle between nodes.
+
+        The smallest distance of a chord of length L from the centre of its circle of radius r is
+        sqrt(r^2 - L^2 / 4). On the circle of radius sqrt(c^2 + L^2 / 4) this is c, the smallest
+        radius of curvature of the ellipse: the difference of these two radii is added.
+        """
+        span = np.diff(guess.times)[:, None]
+        relative = guess.velocities[1:, None, :2] - velocities
+        corner_speed = math.hypot(*self.model.half) * np.abs(guess.velocities[1:, 2:])
+        travel = span * (np.hypot(relative[..., 0], relative[..., 1]) + corner_speed)
+        radius = axes.min(axis=-1) ** 2 / axes.max(axis=-1)
+        result: Array = np.sqrt(radius**2 + 0.25 * travel**2) - radius
+        return result

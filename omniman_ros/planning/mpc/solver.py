@@ -1,0 +1,152 @@
+"""Real-time iterations on the optimal control problem: each iteration improves a guess."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.errors import OmnimanError
+from omniman_ros.planning.mpc.transcription import Stage, Transcription
+
+TOLERANCES: dict[str, float] = {
+    "res_g_max": 1e-3,
+    "res_b_max": 1e-6,
+    "res_d_max": 1e-6,
+    "res_m_max": 1e-4,
+}
+"""Residuals below which a quadratic program counts as solved; the next iteration refines it."""
+MODES: dict[str, dict[str, Any]] = {
+    "speed": {"mode": "speed", "iter_max": 40},
+    "balance": {"mode": "balance", "iter_max": 60},
+}
+"""Options of HPIPM by mode; the second mode is used if the first fails."""
+TRUST_RADIUS = 0.3
+"""Largest change of a position in one iteration [m]: the linearised gaps hold nearby only."""
+INFINITY = 1e4
+"""Value that represents infinity in the QP solver: a larger value degrades its scaling."""
+
+
+class SolverError(OmnimanError):
+    """The solver found no usable solution; the message gives the reason."""
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Solution of an optimal control problem.
+
+    Attributes:
+        currents: (N, n) motor currents over each step [A].
+        states: (N + 1, 6) states that result from them, the first being the start.
+        cost: Cost of the last iterate that was evaluated [J].
+        slack: (N,) slack of obstacles and workspace at the steps' ends [m].
+        step: Largest change of a current in the last iteration [A].
+        iterations: Number of iterations.
+    """
+
+    currents: Array
+    states: Array
+    cost: float
+    slack: Array
+    step: float
+    iterations: int
+
+
+class Solver:
+    """Sequential quadratic programming with Gauss-Newton Hessians, one program per iteration.
+
+    Args:
+        transcription: Problem to solve.
+
+    Raises:
+        SolverError: casadi has no HPIPM.
+    """
+
+    def __init__(self, transcription: Transcription) -> None:
+        self.transcription = transcription
+        program = transcription.program
+        shape = {"h": program.sparsity_out(0), "a": program.sparsity_out(2)}
+        more: dict[str, Any] = {
+            **transcription.sizes,
+            "inf": INFINITY,
+            "error_on_fail": False,
+            "print_time": False,
+        }
+        try:
+            self._qps = [
+                ca.conic(mode, "hpipm", shape, more | {"hpipm": {**TOLERANCES, **options}})
+                for mode, options in MODES.items()
+            ]
+        except RuntimeError as error:
+            raise SolverError(f"casadi has no QP solver 'hpipm': {error}") from error
+
+    def cold(self) -> Array:
+        """Return the guess (N, n) [A] for a cold start: zero currents."""
+        return np.zeros((self.transcription.steps, self.transcription.controls))
+
+    def shifted(self, currents: Array, time: float) -> Array:
+        """Return currents (N, n) [A] shifted by a time [s]; the last ones are held."""
+        ahead = np.arange(len(currents)) + time / self.transcription.step
+        whole = np.floor(ahead).astype(int)
+        part = (ahead - whole)[:, None]
+        last = len(currents) - 1
+        first, second = np.minimum(whole, last), np.minimum(whole + 1, last)
+        result: Array = (1.0 - part) * currents[first] + part * currents[second]
+        return result
+
+    def states(self, start: Array, currents: Array) -> Array:
+        """Return the states (N + 1, 6) that result from a start (6,) and currents (N, n) [A]."""
+        return np.vstack([start, np.asarray(self.transcription.rollout(start, currents.T)).T])
+
+    def solve(self, start: Array, guess: Array, stage: Stage, iterations: int = 1) -> Solution:
+        """Improve a guess.
+
+        Args:
+            start: (6,) state: pose in odom [m, m, rad], body twist [m/s, m/s, rad/s].
+            guess: (N, n) currents [A].
+            stage: Parameters of the problem.
+            iterations: Largest number of iterations; they end early if they change little.
+
+        Raises:
+            SolverError: The solution is not finite, or no program was solved.
+        """
+        t = self.transcription
+        table = stage.table().T
+        if not (np.isfinite(start).all() and np.isfinite(guess).all()):
+            raise SolverError("the start or the guess is not finite")
+        currents, cost, slack, step, count = guess.T, np.nan, np.zeros(t.steps), np.inf, 0
+        limit = t.model.max_current[:, None]
+        for _ in range(iterations):
+            *program, value, _ = t.program(start, currents, table)
+            try:
+                change = self._step(program)
+            except SolverError:
+                if not count:
+                    raise
+                break  # the iterate before is still a solution
+            positions = change[:, t.controls + 1 : t.controls + 3]
+            scale = min(1.0, TRUST_RADIUS / max(float(np.abs(positions).max()), TRUST_RADIUS))
+            current_change = scale * change[:, : t.controls].T
+            currents = np.clip(currents + current_change, -limit, limit)
+            cost, slack = float(value), change[:, t.controls]
+            step, count = float(np.abs(current_change).max()), count + 1
+            if step < 0.01 * float(limit.max()):
+                break
+        states = self.states(start, currents.T)
+        if not np.isfinite(states).all():
+            raise SolverError("the plan is not finite")
+        return Solution(np.ascontiguousarray(currents.T), states, cost, slack, step, count)
+
+    def _step(self, program: list[ca.DM]) -> Array:
+        """Solve a quadratic program; return a row (delta u, s, delta x) for each step."""
+        h, g, a, low, high, lower, upper = program
+        status = ""
+        for qp in self._qps:
+            solution = qp(h=h, g=g, a=a, lba=low, uba=high, lbx=lower, ubx=upper)["x"]
+            change: Array = np.asarray(solution).reshape(self.transcription.steps, -1)
+            stats = qp.stats()
+            if stats["success"] and np.isfinite(change).all():
+                return change
+            status = str(stats["return_status"])
+        raise SolverError(f"the quadratic program was not solved ({status})")

@@ -1,0 +1,1 @@
+"""Obstacles: geometry, tracking, maps and the distances to them."""

@@ -1,0 +1,97 @@
+"""Obstacles as moving ellipses, and prediction of their positions."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omniman_ros.core.arrays import Array
+
+
+@dataclass(frozen=True)
+class Ellipses:
+    """M obstacles, each bounded by an ellipse that moves at constant velocity (MPC 2021, 4.3).
+
+    Attributes:
+        time: Time at which the obstacles are at their centres [s].
+        centers: (M, 2) centres in odom [m].
+        velocities: (M, 2) velocities in odom [m/s].
+        semi_axes: (M, 2) semi-axes along the ellipses' own x and y axes [m], above zero.
+        angles: (M,) angles of the ellipses' x axes in odom [rad].
+        growth: (M,) rates at which the margin around each grows with predicted time [m/s].
+    """
+
+    time: float
+    centers: Array
+    velocities: Array
+    semi_axes: Array
+    angles: Array
+    growth: Array
+
+    def __len__(self) -> int:
+        return len(self.centers)
+
+    @staticmethod
+    def none(time: float = 0.0) -> "Ellipses":
+        """Return an empty set of obstacles at a time [s]."""
+        empty, flat = np.zeros((0, 2)), np.zeros(0)
+        return Ellipses(time, empty, empty, empty, flat, flat)
+
+    def select(self, indices: NDArray[Any]) -> "Ellipses":
+        """Return the obstacles with these indices, in their order, or those of a mask."""
+        return Ellipses(
+            self.time,
+            self.centers[indices],
+            self.velocities[indices],
+            self.semi_axes[indices],
+            self.angles[indices],
+            self.growth[indices],
+        )
+
+    def joined(self, others: "Ellipses") -> "Ellipses":
+        """Return these obstacles followed by others of the same time."""
+        return Ellipses(
+            self.time,
+            np.concatenate([self.centers, others.centers]),
+            np.concatenate([self.velocities, others.velocities]),
+            np.concatenate([self.semi_axes, others.semi_axes]),
+            np.concatenate([self.angles, others.angles]),
+            np.concatenate([self.growth, others.growth]),
+        )
+
+    def centers_at(self, times: Array) -> Array:
+        """Return the predicted centres (K, M, 2) [m] at times (K,) [s]."""
+        ahead = (times - self.time)[:, None, None]
+        result: Array = self.centers + ahead * self.velocities
+        return result
+
+    def axes_at(self, times: Array, margin: Array | float = 0.0) -> Array:
+        """Return the semi-axes (K, M, 2) [m] at times (K,) [s], with a margin and the growth.
+
+        The margin [m] is a single value for all obstacles, or (M,) with one value for each.
+        """
+        ahead = np.maximum(times - self.time, 0.0)[:, None]
+        return inflated(self.semi_axes, margin + ahead * self.growth)
+
+
+def inflated(semi_axes: Array, margin: Array | float) -> Array:
+    """Return the semi-axes of a tight ellipse that contains an ellipse and a margin around it.
+
+    The ellipse with the semi-axes a + m and b + m does not. An ellipse of the matrix P, widened by
+    a disc of radius m, lies in (1 + 1/s) P + (1 + s) m^2 I for every s > 0; the trace is smallest
+    for s = sqrt(tr P / (2 m^2)).
+
+    Args:
+        semi_axes: (..., 2) semi-axes [m].
+        margin: (...) margins [m], not negative.
+
+    Returns:
+        (..., 2) semi-axes [m]; a circle of radius a becomes one of radius a + m.
+    """
+    squares = semi_axes * semi_axes
+    size = np.sqrt(0.5 * squares.sum(axis=-1))[..., None]
+    m = np.asarray(margin)[..., None]
+    # s = size / m gives (1 + m / size) P + (1 + size / m) m^2, without dividing by a zero margin.
+    result: Array = np.sqrt((1.0 + m / size) * squares + m * (m + size))
+    return result

@@ -1,0 +1,168 @@
+"""Occupancy grid, and discs that cover the boundary of its occupied cells."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omniman_ros.core import plausible
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.errors import InputError
+from omniman_ros.planning.obstacles.ellipses import Ellipses
+
+Mask = NDArray[np.bool_]
+"""Array of flags, in the shape of the cells or of the points."""
+
+MAX_CELLS = 4_000_000
+"""Largest number of cells of a map: 100 x 100 m at 5 cm."""
+MIN_RESOLUTION = 0.005
+"""Smallest edge of a cell [m]."""
+MAX_RESOLUTION = 1.0
+"""Largest edge of a cell [m]."""
+UNKNOWN = -1
+"""Value of a cell of unknown occupancy."""
+CERTAIN = 100
+"""Value of a cell that is occupied for certain [%]."""
+
+
+@dataclass(frozen=True)
+class GridMap:
+    """Occupancy grid as in `nav_msgs/OccupancyGrid`; the area outside of it is free.
+
+    Attributes:
+        occupied: (rows, columns) occupied cells; rows along y, columns along x of the map.
+        resolution: Edge of a cell [m].
+        origin: (3,) x, y, yaw in odom of the lower left corner of cell (0, 0) [m, m, rad].
+
+    Raises:
+        InputError: The grid does not have two axes, or no or too many cells; the resolution is
+            out of range; the origin is not finite or implausibly large.
+    """
+
+    occupied: Mask
+    resolution: float
+    origin: Array
+
+    def __post_init__(self) -> None:
+        cells = np.array(self.occupied, dtype=bool)
+        if cells.ndim != 2 or not 0 < cells.size <= MAX_CELLS:
+            raise InputError(
+                f"map: the cells have shape {cells.shape}, expected rows and columns of 1 to "
+                f"{MAX_CELLS} cells"
+            )
+        if not MIN_RESOLUTION <= self.resolution <= MAX_RESOLUTION:
+            raise InputError(
+                f"map: the resolution is {self.resolution} m, expected {MIN_RESOLUTION:g} to "
+                f"{MAX_RESOLUTION:g}"
+            )
+        origin = np.array(self.origin, dtype=np.float64)
+        if origin.shape != (3,):
+            raise InputError(f"map: the origin has shape {origin.shape}, expected (3,)")
+        plausible.demand(origin[:2], plausible.LENGTH, "map: origin")
+        plausible.demand(origin[2:], plausible.ANGLE, "map: yaw of the origin")
+        cells.setflags(write=False)
+        origin.setflags(write=False)
+        object.__setattr__(self, "occupied", cells)
+        object.__setattr__(self, "origin", origin)
+
+    @staticmethod
+    def of_occupancy(
+        data: NDArray[np.int8],
+        width: int,
+        height: int,
+        resolution: float,
+        origin: Array,
+        threshold: int = 50,
+        unknown_is_free: bool = False,
+    ) -> "GridMap":
+        """Create a map from the fields of a message.
+
+        Args:
+            data: (width * height,) cells, row by row from the smallest y on; -1 is unknown, 0 to
+                100 is the occupancy [%].
+            width: Number of cells in a row.
+            height: Number of rows.
+            resolution: Edge of a cell [m].
+            origin: (3,) pose in odom of the corner of cell (0, 0) [m, m, rad].
+            threshold: Occupancy from which a cell counts as occupied, 1 to 100 [%].
+            unknown_is_free: Whether cells of unknown occupancy are free.
+
+        Raises:
+            InputError: The sizes do not fit, or a value or the threshold is out of range; see also
+                the class.
+        """
+        values = np.asarray(data)
+        # A product of the message's 32-bit integers could overflow, that of Python's cannot.
+        if int(width) < 1 or int(height) < 1 or values.size != int(width) * int(height):
+            raise InputError(f"map: there are {values.size} cells, expected {width} x {height}")
+        if not 1 <= threshold <= CERTAIN:
+            raise InputError(f"map: the threshold is {threshold} percent, expected 1 to {CERTAIN}")
+        low, high = int(values.min()), int(values.max())
+        if low < UNKNOWN or high > CERTAIN:
+            value = low if low < UNKNOWN else high
+            raise InputError(f"map: a cell has the value {value}, expected {UNKNOWN} to {CERTAIN}")
+        occupied = values >= threshold
+        if not unknown_is_free:
+            occupied = occupied | (values == UNKNOWN)
+        return GridMap(occupied.reshape(int(height), int(width)), resolution, origin)
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Extents along the map's own x and y [m]."""
+        rows, columns = self.occupied.shape
+        return columns * self.resolution, rows * self.resolution
+
+    @property
+    def radius(self) -> float:
+        """Radius of the disc that just covers a cell [m]."""
+        return self.resolution / math.sqrt(2.0)
+
+    def obstacles(self) -> tuple[Array, float]:
+        """Return discs that cover the occupied cells at the boundary of occupied areas.
+
+        A cell at the boundary has a free one among its eight neighbours; the area outside of the
+        map is free. The robot cannot reach the cells behind the boundary without touching it.
+
+        Returns:
+            Centres (M, 2) in odom [m], row by row, and the radius of all of them [m].
+        """
+        return self._discs, self.radius
+
+    @cached_property
+    def _discs(self) -> Array:
+        """Centres of the discs, computed once, as this is slow for a large map."""
+        rows, columns = np.nonzero(self.occupied & ~self._within())
+        in_map = self.resolution * (np.column_stack([columns, rows]) + 0.5)
+        cos, sin = math.cos(self.origin[2]), math.sin(self.origin[2])
+        centers: Array = self.origin[:2] + in_map @ np.array([[cos, sin], [-sin, cos]])
+        centers.setflags(write=False)
+        return centers
+
+    def ellipses(self, time: float = 0.0) -> Ellipses:
+        """Return the discs of `obstacles` as standing obstacles at a time [s]."""
+        centers, radius = self.obstacles()
+        count = len(centers)
+        axes = np.full((count, 2), radius)
+        none = np.zeros(count)
+        return Ellipses(time, centers, np.zeros((count, 2)), axes, none, none)
+
+    def occupied_at(self, points: Array) -> Mask:
+        """Return whether points (N, 2) in odom [m] lie in occupied cells, (N,)."""
+        offset = points - self.origin[:2]
+        cos, sin = math.cos(self.origin[2]), math.sin(self.origin[2])
+        cells = np.floor(offset @ np.array([[cos, -sin], [sin, cos]]) / self.resolution)
+        rows, columns = self.occupied.shape
+        x, y = cells[:, 0], cells[:, 1]
+        on_map = (x >= 0) & (x < columns) & (y >= 0) & (y < rows)
+        result = np.zeros(len(points), dtype=bool)
+        result[on_map] = self.occupied[y[on_map].astype(np.intp), x[on_map].astype(np.intp)]
+        return result
+
+    def _within(self) -> Mask:
+        """Return the cells whose eight neighbours are all occupied."""
+        padded = np.pad(self.occupied, 1)
+        rows = padded[:-2] & padded[1:-1] & padded[2:]
+        result: Mask = rows[:, :-2] & rows[:, 1:-1] & rows[:, 2:]
+        return result

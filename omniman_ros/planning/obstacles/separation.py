@@ -1,0 +1,297 @@
+"""Distance of the robot's box from moving ellipses, at poses and in the motion between them."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.errors import InputError
+from omniman_ros.planning.obstacles.ellipses import Ellipses
+
+Mask = NDArray[np.bool_]
+"""Array of flags, one per obstacle."""
+Workspace = tuple[float, float, float, float]
+"""Bounds x_min, y_min, x_max, y_max in odom [m]."""
+
+
+def box_gap(poses: Array, half: Array, centers: Array, semi_axes: Array, angles: Array) -> Array:
+    """Return a lower bound of the distance from the box to each ellipse, both filled.
+
+    Whitened by the ellipse, this is a unit disc and the box a parallelogram; d is the signed
+    distance from the disc's centre to the parallelogram's boundary, negative inside. Proof: the
+    unit vector n to the nearest point has n.y >= d on the parallelogram and n.y <= 1 on the disc,
+    and the two lines n.y = d and n.y = 1 of the whitened plane are (d - 1) / |W^T n| apart in the
+    plane itself, W being the whitening. This is at least the smaller semi-axis times (d - 1),
+    which is returned where d <= 1: there the two touch or overlap.
+
+    Args:
+        poses: (K, 3) x, y, theta of the box's centre in odom [m, m, rad].
+        half: (2,) half length and half width of the box [m], above zero.
+        centers: (K, M, 2) of the ellipses in odom [m].
+        semi_axes: (K, M, 2) [m], above zero.
+        angles: (M,) or (K, M) of the ellipses' x axes in odom [rad].
+
+    Returns:
+        (K, M) [m]: exact for circles outside of the box and wherever the shortest connection is
+        along an axis of the ellipse; zero or less where the two touch or overlap, also if one
+        contains the other; -inf where an input is not finite, so that every comparison fails.
+    """
+    with np.errstate(invalid="ignore", over="ignore"):
+        return _finite(_nearest(_placed(poses, half, centers, angles), semi_axes).gap)
+
+
+def swept_gap(
+    times: Array,
+    poses: Array,
+    velocities: Array,
+    half: Array,
+    ellipses: Ellipses,
+    margin: float = 0.0,
+) -> Array:
+    """Return a lower bound of the distance of `box_gap` over each interval between two samples.
+
+    The box's linear and angular acceleration are assumed to be constant between two samples. Its
+    speeds relative to an obstacle then are convex in time: none exceeds the larger of its values
+    at the two ends. Two bounds hold; the larger is returned, but no more than the gap at an end:
+
+    * (g0 + g1 - L) / 2, where g0 and g1 are the gaps at the ends and L is the largest travel of
+      any point of the box relative to the obstacle plus the growth of the obstacle, as the
+      distance changes by no more than L. Only the bounds on the speeds are needed.
+    * The separation along one fixed direction, that of the gap at either end: each point of the
+      box leaves the chord of its motion by at most a dt^2 / 8, a = |x''| + radius (w^2 + |w'|).
+      This lets the box drive close along an obstacle.
+
+    Args:
+        times: (K,) increasing [s], two or more.
+        poses: (K, 3) x, y, theta of the box's centre in odom [m, m, rad].
+        velocities: (K, 3) of the box's centre in odom [m/s, m/s, rad/s].
+        half: (2,) half length and half width of the box [m], above zero.
+        ellipses: M obstacles.
+        margin: Margin around each obstacle in addition to its growth [m].
+
+    Returns:
+        (K - 1, M) [m]; not above zero where the two may touch, and there a lower bound of
+        `box_gap` within the interval; -inf where an input is not finite.
+
+    Raises:
+        InputError: The times do not increase, or there are fewer than two.
+    """
+    dt = _intervals(times)[:, None]
+    with np.errstate(invalid="ignore", over="ignore"):
+        axes = ellipses.axes_at(times, margin)
+        box = _placed(poses, half, ellipses.centers_at(times), ellipses.angles)
+        near = _nearest(box, axes)
+        start, end, before, after = near.gap[:-1], near.gap[1:], box[:-1], box[1:]
+        # An ellipse whose axes grow by this stays within this distance of the original one.
+        growth = np.abs(np.diff(axes, axis=0)).max(axis=-1, initial=0.0)
+
+        radius = math.hypot(*half)
+        relative = velocities[:, None, :2] - ellipses.velocities
+        speed = np.hypot(relative[..., 0], relative[..., 1])
+        yaw_rate = np.abs(velocities[:, 2:])
+        spin = np.maximum(yaw_rate[:-1], yaw_rate[1:])
+        travel = dt * (np.maximum(speed[:-1], speed[1:]) + radius * spin) + growth
+        by_travel = 0.5 * (start + end - travel)
+
+        change = np.abs(np.diff(velocities, axis=0))
+        bend = np.hypot(change[:, :1], change[:, 1:2]) + radius * change[:, 2:]
+        sagitta = 0.125 * dt * (bend + dt * radius * spin * spin)
+        forward = np.minimum(start - growth, _separation(near[:-1], after, axes[1:]))
+        backward = np.minimum(end, _separation(near[1:], before, axes[1:]))
+        # Where the two overlap there is no direction.
+        forward = np.where(start > 0.0, forward, -np.inf)
+        backward = np.where(end > 0.0, backward, -np.inf)
+        by_direction = np.maximum(forward, backward) - sagitta
+
+        ends = np.minimum(start, end)
+        return _finite(np.minimum(ends, np.maximum(by_travel, by_direction)))
+
+
+def within_reach(
+    times: Array,
+    poses: Array,
+    velocities: Array,
+    half: Array,
+    ellipses: Ellipses,
+    margin: float = 0.0,
+) -> Mask:
+    """Return the mask of obstacles that the box may come near to; the others cannot touch it.
+
+    One circle contains the box throughout its motion, and one circle contains each obstacle, whose
+    centre moves on a straight line. Assumptions and arguments are those of `swept_gap`.
+
+    Returns:
+        (M,) mask; all true where an input of the box is not finite.
+
+    Raises:
+        InputError: The times do not increase, or there are fewer than two.
+    """
+    dt = _intervals(times)
+    if not (np.isfinite(poses).all() and np.isfinite(velocities).all()):
+        return np.ones(len(ellipses), dtype=bool)
+    positions = poses[:, :2]
+    middle = 0.5 * (positions.min(axis=0) + positions.max(axis=0))
+    # The box is never farther than half an interval's travel from the nearer end of the interval.
+    speed = np.hypot(velocities[:, 0], velocities[:, 1])
+    detour = 0.5 * float((dt * np.maximum(speed[:-1], speed[1:])).max())
+    offset = positions - middle
+    radius = float(np.hypot(offset[:, 0], offset[:, 1]).max()) + math.hypot(*half) + detour
+    ends = times[[0, -1]]
+    first, last = ellipses.centers_at(ends) - middle
+    travel = last - first
+    squared_length = np.maximum((travel * travel).sum(axis=1), np.finfo(float).tiny)
+    share = np.clip(-(first * travel).sum(axis=1) / squared_length, 0.0, 1.0)
+    closest = first + share[:, None] * travel
+    reach = radius + ellipses.axes_at(ends, margin).max(axis=(0, 2), initial=0.0)
+    result: Mask = ~(np.hypot(closest[:, 0], closest[:, 1]) > reach)  # NaN stays
+    return result
+
+
+def first_contact(
+    times: Array,
+    poses: Array,
+    velocities: Array,
+    half: Array,
+    ellipses: Ellipses,
+    margin: float = 0.0,
+) -> float:
+    """Return the start of the first interval in which the box may touch an obstacle.
+
+    Arguments are those of `swept_gap`.
+
+    Returns:
+        Time [s]; inf if it touches none. A pose or velocity that is not finite counts as a
+        contact in the interval that leads to it, with or without obstacles.
+
+    Raises:
+        InputError: The times do not increase, or there are fewer than two.
+    """
+    _intervals(times)
+    fit = np.isfinite(poses).all(axis=1) & np.isfinite(velocities).all(axis=1)
+    count = len(times) if fit.all() else int(np.argmin(fit))
+    if count >= 2:
+        known = times[:count], poses[:count], velocities[:count], half
+        close = ellipses.select(within_reach(*known, ellipses, margin))
+        contact = ~(swept_gap(*known, close, margin) > 0.0).all(axis=1)
+        if contact.any():
+            return float(times[np.argmax(contact)])
+    return math.inf if count == len(times) else float(times[max(count - 1, 0)])
+
+
+def outside_by(poses: Array, half: Array, workspace: Workspace) -> Array:
+    """Return the distance by which the box leaves the workspace.
+
+    MPC 2021 (29) and (30), the latter corrected.
+
+    Args:
+        poses: (K, 3) x, y, theta of the box's centre in odom [m, m, rad].
+        half: (2,) half length and half width of the box [m].
+        workspace: x_min, y_min, x_max, y_max in odom [m].
+
+    Returns:
+        (K,) [m]: distance of the farthest corner beyond a side or, negative, distance of all
+        corners from the nearest side inside; inf for a pose that is not finite.
+    """
+    with np.errstate(invalid="ignore"):
+        c, s = np.abs(np.cos(poses[:, 2])), np.abs(np.sin(poses[:, 2]))
+        extent = np.stack((half[0] * c + half[1] * s, half[0] * s + half[1] * c), axis=1)
+        low, high = np.array(workspace[:2]), np.array(workspace[2:])
+        beyond = np.maximum(low - poses[:, :2], poses[:, :2] - high) + extent
+    result: Array = beyond.max(axis=1)
+    return np.where(np.isfinite(result), result, np.inf)
+
+
+@dataclass(frozen=True)
+class _Placed:
+    """Centre and half edges of the box along the axes of each ellipse, (K, M) each."""
+
+    x: Array
+    y: Array
+    length: tuple[Array, Array]
+    width: tuple[Array, Array]
+
+    def __getitem__(self, rows: slice) -> "_Placed":
+        (a, b), (c, d) = self.length, self.width
+        return _Placed(self.x[rows], self.y[rows], (a[rows], b[rows]), (c[rows], d[rows]))
+
+
+@dataclass(frozen=True)
+class _Nearest:
+    """Gap [m] and its direction, along the ellipse's axes and away from it, (K, M) each.
+
+    The direction has length 1 where the gap is above zero, and is undefined elsewhere.
+    """
+
+    gap: Array
+    x: Array
+    y: Array
+
+    def __getitem__(self, rows: slice) -> "_Nearest":
+        return _Nearest(self.gap[rows], self.x[rows], self.y[rows])
+
+
+def _placed(poses: Array, half: Array, centers: Array, angles: Array) -> _Placed:
+    """Express the box in the axes of the ellipses: rotated by their angles, not scaled yet."""
+    dx, dy = poses[:, :1] - centers[..., 0], poses[:, 1:2] - centers[..., 1]
+    c, s = np.cos(angles), np.sin(angles)
+    heading = poses[:, 2:] - angles
+    ch, sh = np.cos(heading), np.sin(heading)
+    length = half[0] * ch, half[0] * sh
+    return _Placed(c * dx + s * dy, c * dy - s * dx, length, (-half[1] * sh, half[1] * ch))
+
+
+def _nearest(box: _Placed, semi_axes: Array) -> _Nearest:
+    """Find the point of the whitened box's boundary that is nearest to the disc's centre."""
+    a, b = semi_axes[..., 0], semi_axes[..., 1]
+    x, y = box.x / a, box.y / b
+    ux, uy = box.length[0] / a, box.length[1] / b
+    vx, vy = box.width[0] / a, box.width[1] / b
+    area = ux * vy - uy * vx
+    # The disc's centre is (x, y) + along u + across v. Of two opposite edges only the one on its
+    # side can be the nearest, whether it is inside or not: two edges are left.
+    along, across = (y * vx - x * vy) / area, (x * uy - y * ux) / area
+    side, edge = np.copysign(1.0, along), np.copysign(1.0, across)
+    x1, y1 = _on_edge(x + side * ux, y + side * uy, vx, vy)
+    x2, y2 = _on_edge(x + edge * vx, y + edge * vy, ux, uy)
+    square1, square2 = x1 * x1 + y1 * y1, x2 * x2 + y2 * y2
+    first = square1 < square2
+    x, y = np.where(first, x1, x2), np.where(first, y1, y2)
+    distance = np.sqrt(np.minimum(square1, square2))
+    inside = np.maximum(np.abs(along), np.abs(across)) < 1.0
+    apart = (distance > 1.0) & ~inside
+    x, y = x / a, y / b
+    scale = np.where(apart, np.hypot(x, y), 1.0)
+    depth = np.where(inside, -distance, distance) - 1.0
+    gap = depth * np.where(apart, distance / scale, np.minimum(a, b))
+    return _Nearest(gap, x / scale, y / scale)
+
+
+def _on_edge(x: Array, y: Array, ex: Array, ey: Array) -> tuple[Array, Array]:
+    """Return the point of the edge (x, y) -+ (ex, ey) that is nearest to the origin."""
+    share = np.clip(-(x * ex + y * ey) / (ex * ex + ey * ey), -1.0, 1.0)
+    return x + share * ex, y + share * ey
+
+
+def _separation(near: _Nearest, box: _Placed, semi_axes: Array) -> Array:
+    """Return the width (K, M) [m] of the strip between box and ellipse across a direction."""
+    x, y = near.x, near.y
+    length = np.abs(x * box.length[0] + y * box.length[1])
+    width = np.abs(x * box.width[0] + y * box.width[1])
+    ellipse = np.hypot(x * semi_axes[..., 0], y * semi_axes[..., 1])
+    result: Array = x * box.x + y * box.y - length - width - ellipse
+    return result
+
+
+def _finite(gap: Array) -> Array:
+    """Replace gaps that are not finite by -inf, so that an unknown gap does not count as free."""
+    return np.where(np.isfinite(gap), gap, -np.inf)
+
+
+def _intervals(times: Array) -> Array:
+    """Return the lengths (K - 1,) [s] of the intervals between times, which must increase."""
+    dt = np.diff(times)
+    if len(dt) == 0 or not (np.isfinite(times).all() and (dt > 0.0).all()):
+        raise InputError(f"two or more times that increase are needed, got {times.tolist()}")
+    return dt

@@ -1,0 +1,121 @@
+"""Occupied cells of a map as discs of one radius, with a fast clearance of a box from them."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from omniman_ros.core.arrays import Array
+from omniman_ros.planning.obstacles.ellipses import Ellipses
+
+REACH = 0.3
+"""Largest gap to walls that is computed [m]; larger gaps are returned as this value."""
+CHUNK = 24
+"""Number of poses that are checked together, against all discs near any of them."""
+
+
+@dataclass(frozen=True)
+class Walls:
+    """Discs of one radius that cover the boundary of the occupied area.
+
+    Attributes:
+        centers: (M, 2) centres in odom [m], sorted by x to find those near a pose quickly.
+        radius: Radius of the discs [m].
+    """
+
+    centers: Array
+    radius: float
+
+    def __post_init__(self) -> None:
+        x = self.centers[:, 0]
+        if (x[1:] < x[:-1]).any():
+            object.__setattr__(self, "centers", self.centers[np.argsort(x)])
+
+    def __len__(self) -> int:
+        return len(self.centers)
+
+    @staticmethod
+    def none() -> "Walls":
+        """Return an empty set of walls."""
+        return Walls(np.zeros((0, 2)), 1.0)
+
+    def near(self, place: Array, reach: float) -> "Walls":
+        """Return the discs with centres in a square around a point (2,), half edge `reach` [m]."""
+        return self._beside(place[None, :2], reach)
+
+    def ellipses(self, time: float) -> Ellipses:
+        """Return the discs as standing obstacles at a time [s]."""
+        count = len(self)
+        none = np.zeros(count)
+        axes = np.full((count, 2), self.radius)
+        return Ellipses(time, self.centers, np.zeros((count, 2)), axes, none, none)
+
+    def gaps(self, poses: Array, half: Array) -> Array:
+        """Return the distance from a box to the nearest disc, pose by pose.
+
+        Args:
+            poses: (K, 3) poses of the box's centre in odom [m, m, rad].
+            half: (2,) half length and half width of the box [m].
+
+        Returns:
+            (K,) distances [m], at most REACH; negative by the depth to which a disc enters the
+            box; -inf where a pose is not finite.
+        """
+        finite = np.isfinite(poses).all(axis=1)
+        result = np.where(finite, REACH, -math.inf)
+        if len(self) and finite.any():
+            result[finite] = self._gaps(poses[finite], half)
+        return result
+
+    def _gaps(self, poses: Array, half: Array) -> Array:
+        """Return the distances of :meth:`gaps` for one or more poses, all finite."""
+        result = np.full(len(poses), REACH)
+        cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        size = math.hypot(*half) + self.radius + REACH
+        around = self._beside(poses[:, :2], size)
+        for first in range(0, len(poses), CHUNK):
+            part = slice(first, first + CHUNK)
+            positions = poses[part, :2]
+            offset = around._beside(positions, size).centers - positions[:, None]
+            if not offset.size:
+                continue
+            c, s = cos[part, None], sin[part, None]
+            x = np.abs(c * offset[..., 0] + s * offset[..., 1]) - half[0]
+            y = np.abs(c * offset[..., 1] - s * offset[..., 0]) - half[1]
+            distance = np.hypot(np.maximum(x, 0.0), np.maximum(y, 0.0))
+            depth = np.minimum(np.maximum(x, y), 0.0)
+            result[part] = np.minimum((distance + depth).min(axis=1) - self.radius, REACH)
+        return result
+
+    def _beside(self, places: Array, size: float) -> "Walls":
+        """Return the discs that may be within `size` [m] of any of the points (K, 2)."""
+        (x_min, y_min), (x_max, y_max) = places.min(axis=0) - size, places.max(axis=0) + size
+        first = int(np.searchsorted(self.centers[:, 0], x_min, side="left"))
+        last = int(np.searchsorted(self.centers[:, 0], x_max, side="right"))
+        strip = self.centers[first:last]
+        beside = (strip[:, 1] >= y_min) & (strip[:, 1] <= y_max)
+        return Walls(strip[beside], self.radius)
+
+    def swept(
+        self, times: Array, poses: Array, velocities: Array, half: Array
+    ) -> tuple[Array, Array]:
+        """Return gaps at samples of a motion, and lower bounds over the intervals between them.
+
+        The distance changes by no more than L, the largest travel of any point of the box: between
+        two samples it is (g0 + g1 - L) / 2 or more.
+
+        Args:
+            times: (K,) increasing times [s].
+            poses: (K, 3) poses in odom [m, m, rad].
+            velocities: (K, 3) velocities in odom [m/s, m/s, rad/s]; between two samples no speed
+                is above those at both of them.
+            half: (2,) half length and half width of the box [m].
+
+        Returns:
+            Gaps (K,) at the samples, and lower bounds (K - 1,) between them [m].
+        """
+        gaps = self.gaps(poses, half)
+        speed = np.hypot(velocities[:, 0], velocities[:, 1])
+        speed = speed + math.hypot(*half) * np.abs(velocities[:, 2])
+        travel = np.diff(times) * np.maximum(speed[:-1], speed[1:])
+        return gaps, 0.5 * (gaps[:-1] + gaps[1:] - travel)

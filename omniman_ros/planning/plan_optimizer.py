@@ -1,0 +1,172 @@
+"""Optimisation of plans: the improved last plan and, if that is unsatisfactory, an evasion."""
+
+import math
+from dataclasses import dataclass
+
+from omniman_ros.core.arrays import Array
+from omniman_ros.planning.effective_limits import EffectiveLimits
+from omniman_ros.planning.evasion import EvasionGuesses
+from omniman_ros.planning.goals import Goal
+from omniman_ros.planning.motion import Motion
+from omniman_ros.planning.mpc.model import PlanningModel
+from omniman_ros.planning.mpc.problem import Problem
+from omniman_ros.planning.mpc.solver import Solution, Solver, SolverError
+from omniman_ros.planning.mpc.transcription import Transcription
+from omniman_ros.planning.obstacles.ellipses import Ellipses
+from omniman_ros.planning.obstacles.walls import REACH, Walls
+from omniman_ros.planning.parameters import Horizon
+
+WALL_SLOTS = 8
+"""Number of additional obstacles in the optimisation where there are walls."""
+COLD_ITERATIONS = 5
+"""Solver iterations on a problem without a warm start; with a warm start there is only one."""
+EVASION_ITERATIONS = 4
+"""Solver iterations on an evasion."""
+EVASION_ITERATIONS_AT_WALLS = 2
+"""Solver iterations on an evasion near walls, which make each iteration slower."""
+
+
+class SolverPool:
+    """Solvers for different numbers of obstacles, as empty slots cost computing time, too.
+
+    Args:
+        model: Model of the robot.
+        horizon: Steps of the horizon, and slots for obstacles.
+    """
+
+    def __init__(self, model: PlanningModel, horizon: Horizon) -> None:
+        self._slots = horizon.slots
+        self._solvers = {
+            count: Solver(Transcription(model, horizon.steps, horizon.step, count))
+            for count in sorted({0, horizon.slots, horizon.slots + WALL_SLOTS})
+        }
+
+    def select(self, obstacles: bool, walls: bool) -> Solver:
+        """Return the smallest solver with room for obstacles, for walls, or for neither."""
+        return self._solvers[max(self._solvers) if walls else self._slots if obstacles else 0]
+
+
+@dataclass(frozen=True)
+class PlanRequest:
+    """One planning problem.
+
+    Attributes:
+        start: (6,) state at which the plan begins: pose in odom, body twist.
+        due: Time at which the plan begins [s].
+        goal: Goal of the plan.
+        obstacles: Obstacles as they are known now.
+        walls: Occupied cells of the map.
+        clearance: Gap to keep [m]; None means that of the parameters.
+    """
+
+    start: Array
+    due: float
+    goal: Goal
+    obstacles: Ellipses
+    walls: Walls
+    clearance: float | None = None
+
+
+class PlanOptimizer:
+    """Solves planning problems, each with a warm start from the plan before.
+
+    Args:
+        model: Model of the robot.
+        limits: Parameters of the planner and the limits in effect.
+        solvers: Solvers of this model and horizon; they are built if it is None.
+    """
+
+    def __init__(
+        self, model: PlanningModel, limits: EffectiveLimits, solvers: SolverPool | None = None
+    ) -> None:
+        self._solvers = solvers or SolverPool(model, limits.parameters.horizon)
+        self._problem = Problem(model, limits)
+        self._evasions = EvasionGuesses()
+        self._warm_start: tuple[float, Array] | None = None
+        self._failed = False
+
+    def configure(self, model: PlanningModel, limits: EffectiveLimits) -> None:
+        """Use other limits; another model discards the warm start."""
+        if model is not self._problem.model:
+            self._solvers = SolverPool(model, limits.parameters.horizon)
+            self._problem = Problem(model, limits)
+            self.discard_warm_start()
+        self._problem.limits = limits
+
+    def discard_warm_start(self) -> None:
+        """Begin the next optimisation without a warm start."""
+        self._warm_start = None
+
+    def keep(self, due: float, solution: Solution) -> None:
+        """Use a solution that begins at `due` [s] as the next warm start."""
+        self._warm_start = due, solution.currents
+
+    def note_failure(self) -> None:
+        """Record a failed cycle: the warm start is used once more, and then discarded."""
+        if self._failed:
+            self.discard_warm_start()
+        self._failed = True
+
+    def note_success(self) -> None:
+        """Record a cycle that did not fail."""
+        self._failed = False
+
+    def solve(self, request: PlanRequest, evade: bool) -> tuple[Solution, ...]:
+        """Improve the last plan, and try an evasion as an alternative.
+
+        Args:
+            request: Planning problem.
+            evade: Whether to try an evasion; it is only tried where there are obstacles.
+
+        Returns:
+            The improved plan and, if one was found, an evasion.
+
+        Raises:
+            SolverError: The last plan could not be improved.
+        """
+        start, due = request.start, request.due
+        walls = self._walls_near(request.walls, start)
+        obstacles = request.obstacles
+        solver = self._solvers.select(len(obstacles) > 0, len(walls) > 0)
+        if len(walls):
+            obstacles = obstacles.joined(walls.ellipses(obstacles.time))
+        if self._warm_start is None:
+            guess, iterations = solver.cold(), COLD_ITERATIONS
+        else:
+            since, currents = self._warm_start
+            guess, iterations = solver.shifted(currents, due - since), 1
+        solution = self._improved(solver, request, obstacles, guess, iterations)
+        self.keep(due, solution)
+        if not len(obstacles) or not evade:
+            return (solution,)
+        guess = self._evasions.next(self._problem, solver, start, due, obstacles)
+        iterations = EVASION_ITERATIONS_AT_WALLS if len(walls) else EVASION_ITERATIONS
+        try:
+            return solution, self._improved(solver, request, obstacles, guess, iterations)
+        except SolverError:
+            return (solution,)
+
+    def _improved(
+        self,
+        solver: Solver,
+        request: PlanRequest,
+        obstacles: Ellipses,
+        guess: Array,
+        iterations: int,
+    ) -> Solution:
+        """Improve a guess (N, n) [A] by solver iterations."""
+        start, step = request.start, self._problem.limits.parameters.horizon.step
+        motion = Motion.of_states(request.due, step, solver.states(start, guess), guess)
+        slots = solver.transcription.slots
+        stage = self._problem.stage(
+            start, motion, request.goal, obstacles, slots, request.clearance
+        )
+        return solver.solve(start, guess, stage, iterations)
+
+    def _walls_near(self, walls: Walls, start: Array) -> Walls:
+        """Select the walls that a plan from a state (6,) can reach."""
+        if not len(walls):
+            return walls
+        p = self._problem.limits.parameters
+        reach = p.limits.linear_velocity * p.horizon.duration
+        return walls.near(start, reach + math.hypot(*self._problem.model.half) + REACH)

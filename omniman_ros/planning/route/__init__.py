@@ -1,0 +1,1 @@
+"""Routes over (x, y, heading) that guide the optimisation among obstacles."""

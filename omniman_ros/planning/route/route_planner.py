@@ -1,0 +1,312 @@
+"""Planning of the route to a pose around static obstacles, updated while the robot drives."""
+
+import math
+from collections.abc import Iterator
+from enum import Enum
+
+import numpy as np
+
+from omniman_ros.core import se2
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.errors import InputError
+from omniman_ros.planning.effective_limits import EffectiveLimits
+from omniman_ros.planning.mpc.model import PlanningModel
+from omniman_ros.planning.obstacles.environment import Environment
+from omniman_ros.planning.route import energy_saving
+from omniman_ros.planning.route.problem import RouteProblem
+from omniman_ros.planning.route.route import LEVER, Route
+from omniman_ros.planning.route.route_goal import RouteGoal
+from omniman_ros.planning.route.search import RouteSearch
+
+PACE_RATE_FACTOR = 0.9
+"""Factor on the acceleration limits at which the targets accelerate and decelerate [-]."""
+SHORT_ROUTE_PACE = 0.65
+"""Ratio of the largest pace on a short route to the pace of the shortest time [-].
+
+The route then needs a tenth more time, and a third less energy in addition to that of friction.
+"""
+STATIC_SPEED = 0.1
+"""Speed below which a route leads around an obstacle [m/s]."""
+SEARCH_WORK = 4000
+"""Work of a search in one planning cycle [expansions]: about 8 ms."""
+FIRST_SEARCH_FACTOR = 3
+"""Factor on the work of a search while the robot waits for its first route [-]."""
+CHECK_PERIOD = 0.5
+"""Period at which the rest of the route is checked [s]."""
+RETRY_DELAY = 2.0
+"""Time from a search without a result to the next search [s]."""
+STUCK_TIME = 1.5
+"""Time without progress after which the robot counts as stuck [s]."""
+STUCK_PROGRESS = 0.1
+"""Progress along the route that counts as progress [s of the route]."""
+CLEARANCES = 3
+"""Number of clearances with which routes are searched, from the usual one down to the smallest."""
+SECOND_TRY_PACE = 0.25
+"""Largest pace of a robot that was stuck twice [-]."""
+LATER_TRY_PACE = 0.1
+"""Largest pace of a robot that was stuck more often [-]."""
+SLOW_DISTANCE = 1.0
+"""Position on the new route from which the robot drives at the usual pace again [s]."""
+SLOWEST_DISTANCE = 0.3
+"""Position on the new route up to which LATER_TRY_PACE holds; then SECOND_TRY_PACE does [s]."""
+GAP_RESERVE = 0.01
+"""Difference between the gap of the route and the smaller one that plans keep [m]."""
+GAP_WINDOW = 0.3
+"""Extent of the window, before the robot and after the plan, in which gaps count [s]."""
+WIDE_GAP = 0.2
+"""Gap above which gaps of the route are not distinguished [m]."""
+MIN_KEPT_GAP = 0.01
+"""Gap at which the rest of a route still counts as clear [m]."""
+PACE_SPAN = 0.05
+"""Part of the route over which the pace of the robot is measured [s]."""
+
+
+class RouteSource(Enum):
+    """Source of the plans' targets; the values are those of `led_by` in `mpc/status`."""
+
+    GOAL = "the goal"
+    SEARCH = "searches"
+    STRAIGHT_LINE = "a straight line"
+    ROUTE = "a route"
+
+
+class RoutePlanner:
+    """Plans a route to a pose, and another one when it is no longer clear.
+
+    On free ground the route is the straight line, driven in the heading that requires the least
+    energy. If that is not clear, it is the straight line without the rotation to that heading;
+    otherwise it is the result of a search.
+
+    Args:
+        model: Model of the robot.
+        goal: (3,) pose in odom [m, m, rad].
+
+    Attributes:
+        goal: Pose that the route leads to.
+        route: The route, or None before the first update.
+        failure: Reason why the last search found no route, or an empty string.
+    """
+
+    def __init__(self, model: PlanningModel, goal: Array) -> None:
+        self._model = model
+        self.goal = goal
+        self.route: Route | None = None
+        self.failure = ""
+        self._is_direct = True
+        self._gaps = np.array([[0.0], [math.inf]])
+        self._position = 0.0
+        self._search: RouteSearch | None = None
+        self._searches: Iterator[RouteSearch] = iter(())
+        self._searched_clearance = math.nan
+        self._next_check = -math.inf
+        self._updated = -math.inf
+        self._progress = math.inf, 0.0
+        self._tries = 0
+
+    @property
+    def source(self) -> RouteSource:
+        """Source of the route."""
+        if self._search is not None:
+            return RouteSource.SEARCH
+        return RouteSource.STRAIGHT_LINE if self._is_direct else RouteSource.ROUTE
+
+    @property
+    def remaining(self) -> float:
+        """Duration of the rest of the route at its speeds [s]; 0 without a route."""
+        return 0.0 if self.route is None else self.route.duration - self._position
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether the first search is not finished, so that no route is known yet."""
+        return self.route is None and self._search is not None
+
+    @property
+    def was_stuck(self) -> bool:
+        """Whether the robot was stuck shortly before on its route."""
+        return self._tries > 0
+
+    def is_stuck(self, now: float) -> bool:
+        """Return whether the robot has made no progress for STUCK_TIME."""
+        return now > self._progress[0] + STUCK_TIME
+
+    # ---- for the next plan --------------------------------------------------------------------
+
+    def goal_from(self, start: Array, due: float, limits: EffectiveLimits) -> RouteGoal:
+        """Return the goal of the plan that begins at a state (6,) at the time `due` [s]."""
+        if self.route is None:  # there was no update
+            self._adopt(self._straight(start[:3], limits), None, is_direct=True)
+        route = self._timed(limits.speeds)
+        self._position = max(self._position, route.project(start[:3], self._position))
+        full = limits.parameters.limits
+        rate = PACE_RATE_FACTOR * min(
+            min(full.linear_acceleration, full.linear_deceleration) / full.linear_velocity,
+            min(full.angular_acceleration, full.angular_deceleration) / full.angular_velocity,
+        )
+        if self._tries > 1:
+            max_pace = SECOND_TRY_PACE if self._tries == 2 else LATER_TRY_PACE
+        else:
+            max_pace = min(SHORT_ROUTE_PACE * math.sqrt(rate * route.duration), 1.0)
+        return RouteGoal(route, due, self._position, self._pace(route, start), rate, max_pace)
+
+    def clearance(self, limits: EffectiveLimits) -> float:
+        """Return the clearance of the next plan [m], reduced where the route's gap is small."""
+        p = limits.parameters
+        positions, gaps = self._gaps
+        ahead = (positions >= self._position - GAP_WINDOW) & (
+            positions <= self._position + p.horizon.duration + GAP_WINDOW
+        )
+        gap = float(gaps[ahead].min(initial=math.inf)) - GAP_RESERVE
+        return max(min(p.safety.clearance, gap), p.safety.least_clearance)
+
+    def _timed(self, speeds: tuple[float, float]) -> Route:
+        """Return the route at other speeds [m/s, rad/s], as limits may change at any time."""
+        assert self.route is not None
+        if self.route.speeds != speeds:
+            old, new = self.route, Route(self.route.poses, speeds)
+            here = np.array([self._position, self._progress[1]])
+            position, reached = np.interp(here, old.times, new.times).tolist()
+            self._position, self._progress = position, (self._progress[0], reached)
+            self._gaps[0] = np.interp(self._gaps[0], old.times, new.times)
+            self.route = new
+        return self.route
+
+    def _pace(self, route: Route, start: Array) -> float:
+        """Return the pace of a state (6,) along the route [s of the route per s]."""
+        here, there = route.at(np.array([self._position, self._position + PACE_SPAN]))
+        size = np.array([1.0, 1.0, LEVER])
+        along = size * (there - here) / PACE_SPAN
+        velocity = size * se2.to_world(float(start[2]), start[3:])
+        return float(velocity @ along) / max(float(along @ along), 1e-6)
+
+    # ---- the route ----------------------------------------------------------------------------
+
+    def update(
+        self,
+        now: float,
+        pose: Array,
+        environment: Environment,
+        limits: EffectiveLimits,
+        work: int,
+    ) -> None:
+        """Check the rest of the route periodically, and search for another if it is not clear.
+
+        Args:
+            now: Time [s].
+            pose: (3,) pose of the robot, its heading on the branch of the motion [m, m, rad].
+            environment: Static obstacles, workspace and map.
+            limits: Parameters of the planner and the limits in effect.
+            work: Largest work of a search in this call [expansions].
+        """
+        progresses = self._position > self._progress[1] + STUCK_PROGRESS
+        if progresses or now > self._updated + CHECK_PERIOD:
+            self._progress = now, self._position
+            self.failure = "" if progresses else self.failure
+            if self._position > SLOWEST_DISTANCE:
+                self._tries = 0 if self._position > SLOW_DISTANCE else min(self._tries, 2)
+        self._updated = now
+        try:
+            self._advance(now, pose, environment, limits, work)
+        except InputError as error:  # a pose is not finite: no search is possible
+            self.failure, self._search, self._next_check = str(error), None, now + RETRY_DELAY
+
+    def _advance(
+        self,
+        now: float,
+        pose: Array,
+        environment: Environment,
+        limits: EffectiveLimits,
+        work: int,
+    ) -> None:
+        """Continue the search, begin one if the robot is stuck, or check the route if due."""
+        if self._search is not None:
+            work = FIRST_SEARCH_FACTOR * work if self.is_waiting else work
+            self._continue_search(now, environment, work)
+            if self._search is None and self.route is None:  # approach the goal without a route
+                self._adopt(self._straight(pose, limits), None, is_direct=True)
+        elif self.is_stuck(now):
+            self._tries += not self.failure  # a slower try does not help if there is no route
+            self._begin_search(pose, environment, limits)
+        elif now >= self._next_check:
+            self._next_check = now + CHECK_PERIOD
+            self._check(pose, environment, limits)
+
+    def _check(self, pose: Array, environment: Environment, limits: EffectiveLimits) -> None:
+        """Keep the route if it is clear; else use a clear straight line, or begin a search."""
+        half, safety = self._model.half, limits.parameters.safety
+
+        def is_clear(route: Route, margin: float, first: float = 0.0) -> bool:
+            _, poses = route.samples(half, first)
+            return bool(environment.gaps(poses, half, margin + GAP_RESERVE).min() > margin)
+
+        same = self._is_direct or self._searched_clearance == safety.clearance
+        kept = (
+            self.route is not None and same and is_clear(self.route, MIN_KEPT_GAP, self._position)
+        )
+        if kept and self._is_direct:
+            self.failure = ""  # the failure was that of a line that was blocked until now
+            return
+        economical = self._straight(pose, limits)
+        for line in (economical, Route(economical.poses[[0, -1]], economical.speeds)):
+            if is_clear(line, safety.clearance):
+                self.failure = ""
+                self._adopt(line, None, is_direct=True)
+                return
+        if not kept:
+            self._begin_search(pose, environment, limits)
+
+    def _begin_search(
+        self, pose: Array, environment: Environment, limits: EffectiveLimits
+    ) -> None:
+        """Begin a search with the usual clearance; smaller ones follow if it finds no route."""
+        p = limits.parameters
+        least, self._searched_clearance = p.safety.least_clearance, p.safety.clearance
+
+        def search(margin: float) -> RouteSearch:
+            return RouteSearch(
+                RouteProblem(
+                    pose,
+                    self.goal,
+                    self._model.half,
+                    margin,
+                    limits.speeds,
+                    environment.ellipses,
+                    environment.grid,
+                    p.workspace.bounds,
+                )
+            )
+
+        margins = np.linspace(self._searched_clearance, least, CLEARANCES).tolist()
+        self._searches = map(search, margins)
+        self._search = next(self._searches)
+
+    def _continue_search(self, now: float, environment: Environment, work: int) -> None:
+        """Continue the search, and use its route or begin the next search once it is finished."""
+        assert self._search is not None
+        if not self._search.advance(work):
+            return
+        route, reason = self._search.route, self._search.reason
+        self._search = None if route is not None else next(self._searches, None)
+        if self._search is not None:
+            return
+        self.failure = reason
+        self._next_check = now + (CHECK_PERIOD if route is not None else RETRY_DELAY)
+        self._progress = now, self._position
+        if route is not None:
+            self._adopt(route, environment, is_direct=False)
+
+    def _straight(self, pose: Array, limits: EffectiveLimits) -> Route:
+        """Return the line from a pose (3,), in the heading that requires the least energy."""
+        speeds = limits.speeds
+        goal = np.append(self.goal[:2], pose[2] + se2.wrap(float(self.goal[2] - pose[2])))
+        return Route(energy_saving.straight(self._model, pose, goal, speeds), speeds)
+
+    def _adopt(self, route: Route, environment: Environment | None, is_direct: bool) -> None:
+        """Use a route from its start on; its gaps are computed if an environment is given."""
+        # The progress along the last route is kept.
+        self._progress = self._progress[0], self._progress[1] - self._position
+        self.route, self._is_direct, self._position = route, is_direct, 0.0
+        self._gaps = np.array([[0.0], [math.inf]])
+        if environment is not None:
+            half = self._model.half
+            positions, poses = route.samples(half)
+            self._gaps = np.stack([positions, environment.gaps(poses, half, WIDE_GAP)])

@@ -1,0 +1,1 @@
+"""Starting, supervising and stopping the nodes of a robot as child processes."""

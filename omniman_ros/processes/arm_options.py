@@ -1,0 +1,103 @@
+"""Choice of the arm's controller: a simulated one on this machine, a real one, or none."""
+
+import socket
+from collections.abc import Iterable
+from contextlib import ExitStack
+
+from omniman_ros.console.errors import CommandError
+
+ARMS = {
+    "simulated": "a simulated UR5 controller on this machine",
+    "ur": "the controller of --controller",
+    "none": "there is no arm",
+}
+"""Descriptions of the values of `--arm`."""
+
+UR_PORTS = {
+    "dashboard": 29999,
+    "primary": 30001,
+    "secondary": 30002,
+    "realtime": 30003,
+    "rtde": 30004,
+}
+"""TCP ports of every UR controller, by interface."""
+
+SIMULATED_CONTROLLER_TIMEOUTS = ("ur.read_timeout:=0.2", "ur.feedback_timeout:=0.5")
+"""Parameters that lengthen the client's timeouts for a simulated controller.
+
+Unlike a real one, it is a process that may have to wait on a busy machine."""
+
+
+def resolve_arm(arm: str | None, drive: str, sim_time: bool) -> str:
+    """Return the kind of arm to start.
+
+    Args:
+        arm: Value of `--arm`. None selects a simulated arm, but no arm with real drives or with
+            simulated time.
+        drive: Value of `--drive`.
+        sim_time: Whether the robot runs on simulated time.
+
+    Returns:
+        A name in `ARMS`.
+
+    Raises:
+        CommandError: An arm was requested together with simulated time, on which it cannot run.
+    """
+    if arm is None:
+        return "none" if drive == "real" or sim_time else "simulated"
+    if sim_time and arm != "none":
+        raise CommandError(f"--sim-time: the arm '{arm}' runs on real time", 2)
+    return arm
+
+
+def private_controller_arguments() -> list[str]:
+    """Return the arguments of a simulated controller on this machine and of its client.
+
+    They communicate on the ports of a UR controller, or on other free ones if any of these is in
+    use.
+    """
+    ports = UR_PORTS
+    if not _are_free(UR_PORTS.values()):
+        ports = dict(zip(UR_PORTS, _find_free_ports(len(UR_PORTS)), strict=True))
+    parameters = [
+        *(f"ports.{name}:={port}" for name, port in ports.items()),
+        f"ur.dashboard_port:={ports['dashboard']}",
+        f"ur.script_port:={ports['secondary']}",
+        f"ur.rtde_port:={ports['rtde']}",
+        "ur.reverse_port:=0",
+        "ur.host:=127.0.0.1",
+        "ur.unlock:=true",
+        *SIMULATED_CONTROLLER_TIMEOUTS,
+    ]
+    return [argument for parameter in parameters for argument in ("-p", parameter)]
+
+
+def _are_free(ports: Iterable[int]) -> bool:
+    """Return whether no process on this machine listens on any of the ports."""
+    try:
+        with ExitStack() as stack:
+            for port in ports:
+                stack.enter_context(_listen(port))
+    except OSError:
+        return False
+    return True
+
+
+def _find_free_ports(count: int) -> list[int]:
+    """Return different ports on which no process on this machine listens."""
+    with ExitStack() as stack:
+        listeners = [stack.enter_context(_listen(0)) for _ in range(count)]
+        return [listener.getsockname()[1] for listener in listeners]
+
+
+def _listen(port: int) -> socket.socket:
+    """Return a socket that listens on a port of this machine, or on any free one if it is 0."""
+    listener = socket.socket()
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind(("127.0.0.1", port))
+        listener.listen()
+    except OSError:
+        listener.close()
+        raise
+    return listener

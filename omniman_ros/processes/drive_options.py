@@ -1,0 +1,74 @@
+"""Choice of the wheel drives: simulated without a bus, simulated on a CAN bus, or real."""
+
+import os
+import zlib
+from pathlib import Path
+
+from omniman_ros.console.errors import CommandError
+from omniman_ros.share import share_path
+
+DRIVES = {
+    "simulated": "simulated drives without a bus",
+    "can": "simulated drives on a bus of UDP multicast",
+    "real": "the drives on the bus of the installation",
+}
+"""Descriptions of the values of `--drive`."""
+
+MULTICAST_GROUP = "239.74.163.2"
+"""Multicast group of python-can's UDP bus."""
+FIRST_PORT = 43113
+"""UDP port of the bus in ROS domain 0, without a namespace."""
+PORTS_PER_NAMESPACE = 240
+"""Number of ports reserved for each namespace slot: more than there are ROS domains."""
+NAMESPACE_SLOTS = 80
+"""Number of slots over which the namespaces of one ROS domain are distributed."""
+
+
+def find_settings_file(kind: str, folder: str, name: str) -> str:
+    """Return the path of a file with parameters.
+
+    Args:
+        kind: What the file describes, for the error message.
+        folder: Folder in `config/` to which a name without suffix refers.
+        name: Name of the file without `.yaml`, or its path.
+
+    Raises:
+        CommandError: There is no such file.
+    """
+    path = Path(name).expanduser()
+    if path.suffix in (".yaml", ".yml"):
+        if path.is_file():
+            return str(path.resolve())
+        raise CommandError(f"no {kind} '{name}'", 2)
+    settings = share_path("config", folder)
+    if (settings / f"{name}.yaml").is_file():
+        return str(settings / f"{name}.yaml")
+    known = ", ".join(sorted(file.stem for file in settings.glob("*.yaml")))
+    raise CommandError(f"no {kind} '{name}'; there are {known}, or give a .yaml file", 2)
+
+
+def find_installation_file(name: str) -> str:
+    """Return the path of an installation's file; see :func:`find_settings_file`."""
+    return find_settings_file("installation", "can", name)
+
+
+def private_bus_arguments(namespace: str = "") -> list[str]:
+    """Return the arguments of a CAN bus on this machine.
+
+    Each ROS domain has a bus of its own, and so has each namespace in it, unless two of them fall
+    into the same of `NAMESPACE_SLOTS` slots.
+
+    Args:
+        namespace: Namespace of the robot, with or without slashes at its ends.
+    """
+    domain = int(os.environ.get("ROS_DOMAIN_ID", "0"))
+    name = namespace.strip("/").encode()
+    slot = 1 + zlib.crc32(name) % NAMESPACE_SLOTS if name else 0
+    return [
+        "-p",
+        "can.interface:=udp_multicast",
+        "-p",
+        f"can.channel:='{MULTICAST_GROUP}'",
+        "-p",
+        f"can.port:={FIRST_PORT + domain + PORTS_PER_NAMESPACE * slot}",
+    ]

@@ -1,0 +1,220 @@
+"""The nodes of a robot as child processes: their selection, command lines and order."""
+
+import os
+import re
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from omniman_ros.console.errors import CommandError
+from omniman_ros.core.errors import ParameterError
+from omniman_ros.extras import PLANNING, VIEWER
+from omniman_ros.processes.arm_options import private_controller_arguments, resolve_arm
+from omniman_ros.processes.drive_options import (
+    find_installation_file,
+    find_settings_file,
+    private_bus_arguments,
+)
+from omniman_ros.processes.process_group import ProcessSpec
+from omniman_ros.robots import robot_file
+
+
+@dataclass(frozen=True)
+class NodeKind:
+    """A node of the package, and the conditions under which it is started and stopped.
+
+    Attributes:
+        name: Name of the executable and of the node.
+        stage: Stage in which the node is stopped: a drive runs until the nodes that command it
+            have come to rest and ended.
+        sim_time: Parameter that `--sim-time` sets to true.
+        is_available: Returns whether the libraries that the node needs are installed. If not, the
+            node is started only if it is requested by name, and then reports what is missing.
+        essential: Whether the robot is stopped when the node ends.
+        drives: Values of `--drive` with which the node is started; if empty, all.
+        arms: Values of `--arm` with which the node is started; if empty, all.
+    """
+
+    name: str
+    stage: int
+    sim_time: str = "use_sim_time"
+    is_available: Callable[[], bool] = lambda: True
+    essential: bool = True
+    drives: tuple[str, ...] = ()
+    arms: tuple[str, ...] = ()
+
+
+ROBOT_NODES = (
+    NodeKind("platform_controller", stage=0),
+    NodeKind("path_interpolator", stage=0),
+    NodeKind("mpc_planner", stage=0, is_available=lambda: PLANNING.is_available),
+    NodeKind("joint_state_broadcaster", stage=0, essential=False),
+    NodeKind("simulated_drive", stage=1, sim_time="publish_clock", drives=("simulated",)),
+    NodeKind("can_bridge", stage=1, drives=("can", "real")),
+    NodeKind("simulated_can_drives", stage=2, drives=("can",)),
+    NodeKind("arm_streamer", stage=1, arms=("simulated", "ur")),
+    NodeKind("simulated_ur", stage=2, arms=("simulated",)),
+    NodeKind("viewer", stage=0, is_available=lambda: VIEWER.is_available, essential=False),
+)
+"""All nodes that a robot may consist of."""
+
+ARM_AWARE_NODES = ("path_interpolator", "joint_state_broadcaster")
+"""Nodes that plan within the arm's limits or publish them.
+
+Like the nodes of the arm, they get the parameters in the file of the arm's controller."""
+
+TRANSFORM_REMAPPING = ("-r", "/tf:=tf", "-r", "/tf_static:=tf_static")
+"""Arguments that move the transforms of a robot into its namespace.
+
+The frames of other robots have the same names.
+"""
+
+SIMULATED_BUS_TIMEOUTS = (
+    "-p",
+    "can.missed_periods:=40",
+    "-p",
+    "can.drive_heartbeat:=0.1",
+    "-p",
+    "can.heartbeat_timeout:=0.3",
+)
+"""Arguments that lengthen the timeouts of the bus for simulated drives.
+
+Unlike real drives, they are processes that may have to wait on a busy machine."""
+
+
+@dataclass(frozen=True)
+class RobotSetup:
+    """Options with which `omniman up` starts a robot.
+
+    Attributes:
+        robot: Name of a robot of the package, or path of a robot's file.
+        only: Names of the nodes to start; if empty, all that fit the other options.
+        sim_time: Whether the nodes run on `/clock`.
+        namespace: Namespace of all nodes, with or without slashes at its ends.
+        params: Parameters for every node, each NAME:=VALUE.
+        params_file: Path of a ROS parameter file for every node.
+        drive: Kind of wheel drives, a key of `DRIVES`.
+        installation: Name of an installation of drives, or path of its file.
+        arm: Kind of arm, a key of `ARMS`; None selects the one that fits drive and time.
+        controller: Name of an arm's controller, or path of its file.
+    """
+
+    robot: str = "omniman"
+    only: Sequence[str] = ()
+    sim_time: bool = False
+    namespace: str = ""
+    params: Sequence[str] = ()
+    params_file: str | None = None
+    drive: str = "simulated"
+    installation: str = "cia402"
+    arm: str | None = None
+    controller: str = "ur5"
+
+
+def robot_processes(setup: RobotSetup) -> list[ProcessSpec]:
+    """Return the processes of a robot's nodes.
+
+    Args:
+        setup: Options of the robot.
+
+    Returns:
+        A process for each chosen node. A node that was requested by name is essential.
+
+    Raises:
+        CommandError: The robot, a node, the installation, the controller or a file does not
+            exist; a parameter is not NAME:=VALUE; or simulated time is combined with drives or an
+            arm that run on real time.
+    """
+    _check_options(setup)
+    robot = resolve_robot(setup.robot)
+    arm = resolve_arm(setup.arm, setup.drive, setup.sim_time)
+    chosen = [kind for kind in ROBOT_NODES if _is_chosen(kind, setup, arm)]
+    arm_arguments = _arm_arguments(arm, setup) if any(kind.arms for kind in chosen) else []
+    return [
+        ProcessSpec(
+            kind.name,
+            node_command(kind.name, _ros_arguments(kind, robot, setup, arm_arguments)),
+            kind.stage,
+            kind.essential or bool(setup.only),
+        )
+        for kind in chosen
+    ]
+
+
+def _check_options(setup: RobotSetup) -> None:
+    """Raise CommandError if an option of a robot cannot be used."""
+    known = [kind.name for kind in ROBOT_NODES]
+    unknown = [name for name in setup.only if name not in known]
+    if unknown:
+        raise CommandError(f"no node '{unknown[0]}'; there are {', '.join(known)}", 2)
+    for text in setup.params:
+        if not re.fullmatch(r"[^\s:=]+:=.+", text):
+            raise CommandError(f"parameter '{text}' is not NAME:=VALUE", 2)
+    if setup.params_file is not None and not Path(setup.params_file).is_file():
+        raise CommandError(f"no parameter file '{setup.params_file}'", 2)
+    if setup.sim_time and setup.drive != "simulated":
+        raise CommandError(f"--sim-time: drives '{setup.drive}' run on real time", 2)
+
+
+def _is_chosen(kind: NodeKind, setup: RobotSetup, arm: str) -> bool:
+    if setup.only:
+        return kind.name in setup.only
+    fits = (not kind.drives or setup.drive in kind.drives) and (not kind.arms or arm in kind.arms)
+    return kind.is_available() and fits
+
+
+def _arm_arguments(arm: str, setup: RobotSetup) -> list[str]:
+    """Return the arguments of the nodes that use the arm's parameters."""
+    if arm == "ur":
+        return ["--params-file", find_settings_file("controller", "ur", setup.controller)]
+    return private_controller_arguments() if arm == "simulated" else []
+
+
+def resolve_robot(robot: str) -> str:
+    """Return a robot's name unchanged, or the absolute path of its file.
+
+    Args:
+        robot: Name of a robot of the package, or path of a robot's file.
+
+    Raises:
+        CommandError: There is no such robot.
+    """
+    try:
+        path = robot_file(robot)
+    except ParameterError as error:
+        raise CommandError(f"robot '{robot}': {error.reason}", 2) from error
+    return str(path.resolve()) if Path(robot).suffix else robot
+
+
+def node_command(node: str, arguments: Sequence[str]) -> tuple[str, ...]:
+    """Return the command line of a node that ends when this process does.
+
+    Args:
+        node: Name of an executable of the package, or of a module with `main(args)`.
+        arguments: Arguments of the node.
+    """
+    runner = "omniman_ros.processes.run_node"
+    return (sys.executable, "-m", runner, str(os.getpid()), node, *arguments)
+
+
+def _ros_arguments(
+    kind: NodeKind, robot: str, setup: RobotSetup, arm_arguments: Sequence[str]
+) -> list[str]:
+    """Return the ROS arguments of a node; a later value of a parameter overrides earlier ones."""
+    arguments = ["--ros-args", "-p", f"robot:={robot}"]
+    if set(kind.drives) & {"can", "real"}:
+        arguments += ["--params-file", find_installation_file(setup.installation)]
+        if setup.drive == "can":
+            arguments += [*private_bus_arguments(setup.namespace), *SIMULATED_BUS_TIMEOUTS]
+    if kind.arms or kind.name in ARM_AWARE_NODES:
+        arguments += arm_arguments
+    if setup.params_file is not None:
+        arguments += ["--params-file", setup.params_file]
+    for text in setup.params:
+        arguments += ["-p", text]
+    if setup.sim_time:
+        arguments += ["-p", f"{kind.sim_time}:=true"]
+    if setup.namespace:
+        arguments += ["-r", f"__ns:=/{setup.namespace.strip('/')}", *TRANSFORM_REMAPPING]
+    return arguments

@@ -1,0 +1,1 @@
+"""Writing, reading and drawing of recordings of a robot."""

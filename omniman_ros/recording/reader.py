@@ -1,0 +1,92 @@
+"""Reading of rosbag2 recordings, MCAP or SQLite, with the definitions that they contain."""
+
+import struct
+from collections.abc import Collection, Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from rosbags.highlevel import AnyReader, AnyReaderError
+from rosbags.rosbag2 import ReaderError
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, get_typestore
+
+from omniman_ros.core.errors import InputError
+
+_DAMAGE_ERRORS = (
+    AnyReaderError,
+    ReaderError,
+    SerdeError,
+    LookupError,
+    ValueError,
+    OverflowError,
+    MemoryError,
+    struct.error,
+)
+"""Exceptions of the library for a damaged file; it trusts any length that it reads."""
+
+
+class BagReader:
+    """Reader of a recording, as a context manager.
+
+    Args:
+        path: Folder of the recording, or its only file.
+
+    Attributes:
+        topic_types: Message type of each topic that has messages.
+
+    Raises:
+        InputError: There is no recording at the path, or it cannot be read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        try:
+            # SQLite recordings of older releases contain no definitions.
+            self._reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY))
+        except (AnyReaderError, FileNotFoundError) as error:
+            raise InputError(f"{path} is not a recording: {error}") from error
+        self.topic_types: dict[str, str] = {}
+
+    def __enter__(self) -> Self:
+        try:
+            self._reader.open()
+        except _DAMAGE_ERRORS as error:
+            raise InputError(f"{self._path} cannot be read: {error}") from error
+        self.topic_types = {c.topic: c.msgtype for c in self._reader.connections if c.msgcount}
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._reader.close()
+
+    @property
+    def duration(self) -> float:
+        """Time from the first message to the last [s]."""
+        return self._reader.duration * 1e-9
+
+    def messages(self, topics: Collection[str]) -> Iterator[tuple[str, float, Any]]:
+        """Yield the messages of some topics in the order of their arrival.
+
+        Args:
+            topics: Absolute names of the topics.
+
+        Yields:
+            Topic, time of arrival [s] and message.
+
+        Raises:
+            InputError: The recording is damaged.
+        """
+        chosen = [c for c in self._reader.connections if c.topic in topics and c.msgcount]
+        if not chosen:
+            return
+        try:
+            for connection, stamp, data in self._reader.messages(chosen):
+                message = self._reader.deserialize(data, connection.msgtype)
+                yield connection.topic, stamp * 1e-9, message
+        except _DAMAGE_ERRORS as error:
+            raise InputError(f"{self._path} is damaged: {error}") from error

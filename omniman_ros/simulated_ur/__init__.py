@@ -1,1 +1,0 @@
-"""A simulated UR controller: its own protocols, program runner, servo and safety."""

@@ -1,1 +1,0 @@
-"""URScript: read and run as a controller does, one cycle at a time."""

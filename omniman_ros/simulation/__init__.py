@@ -1,0 +1,1 @@
+"""Simulated counterparts of the hardware, which share no models with the code they test."""

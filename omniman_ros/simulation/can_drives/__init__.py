@@ -1,0 +1,1 @@
+"""Simulated motor drives on a CAN bus."""

@@ -1,0 +1,1 @@
+"""Simulated motor drive that speaks CiA 402 over CANopen."""

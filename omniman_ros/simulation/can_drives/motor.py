@@ -1,0 +1,96 @@
+"""Interface of a simulated drive to its motor's shaft, and its faults."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+
+class Motor(Protocol):
+    """Motor of one drive, as its firmware sees it; quantities at the motor's shaft.
+
+    A motor whose encoder is detected to be wrong brakes by itself until it is released.
+    """
+
+    @property
+    def position(self) -> float:
+        """Unwrapped angle, measured by the encoder [rad]."""
+
+    @property
+    def velocity(self) -> float:
+        """Speed, measured by the encoder [rad/s]."""
+
+    @property
+    def torque(self) -> float:
+        """Torque, derived from the current [N m]."""
+
+    @property
+    def current(self) -> float:
+        """Current [A]."""
+
+    @property
+    def voltage(self) -> float:
+        """Voltage at the motor [V]."""
+
+    @property
+    def supply(self) -> float:
+        """Supply voltage of the drive [V]."""
+
+    @property
+    def lost(self) -> bool:
+        """Whether the encoder is detected to be wrong."""
+
+    def follow_velocity(self, velocity: float, torque: float = 0.0) -> None:
+        """Close the velocity loop at a speed [rad/s], with a feed-forward torque [N m]."""
+
+    def follow_torque(self, torque: float) -> None:
+        """Close the current loop at a torque [N m]."""
+
+    def follow_voltage(self, voltage: float) -> None:
+        """Apply a voltage [V]."""
+
+    def halt(self, deceleration: float) -> None:
+        """Ramp to rest at a deceleration [rad/s^2], and hold."""
+
+    def release(self) -> None:
+        """Switch the power off: the motor rotates freely."""
+
+
+@dataclass(frozen=True)
+class DriveFaults:
+    """Simulated faults of one drive; a protocol ignores faults that it cannot have.
+
+    Attributes:
+        silent: The drive sends nothing, but still receives commands.
+        deaf: The drive receives nothing.
+        frozen_reports: Position and velocity reports stop, but the heartbeat continues.
+        frozen_encoder: Reports continue with an unchanging position and velocity.
+        no_heartbeat: The heartbeat stops, but reports continue.
+        fault: The drive has an error: it stops and reports it, until this fault ends and the host
+            resets the drive.
+        refuse_enable: The drive does not switch the motor on.
+        wrong_mode: The drive reports another mode than the one that was set.
+        stuck_status: The status no longer changes.
+        configuration_refused: Each write of the configuration is answered with an error.
+        configuration_unanswered: Reads and writes of the configuration are not answered.
+        short_reports: Reports lack their last byte.
+        duplicated_reports: Each report is sent twice.
+        reordered_reports: Of each pair of reports, the later one is sent first.
+        supply: Supply voltage [V]; 0 selects that of the motor.
+        reboots: Number of requested restarts: the drive restarts whenever it increases.
+    """
+
+    silent: bool = False
+    deaf: bool = False
+    frozen_reports: bool = False
+    frozen_encoder: bool = False
+    no_heartbeat: bool = False
+    fault: bool = False
+    refuse_enable: bool = False
+    wrong_mode: bool = False
+    stuck_status: bool = False
+    configuration_refused: bool = False
+    configuration_unanswered: bool = False
+    short_reports: bool = False
+    duplicated_reports: bool = False
+    reordered_reports: bool = False
+    supply: float = 0.0
+    reboots: int = 0

@@ -1,0 +1,1 @@
+"""The plant: motors, gears, friction, wheels, platform dynamics and encoders."""

@@ -1,0 +1,46 @@
+"""Energy balance of the plant, in which each entry is integrated independently."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class EnergyLedger:
+    """Energies since the start [J]. No entry is computed as the remainder of the others.
+
+    Attributes:
+        electrical: Work of the amplifiers, the integral of v i.
+        external: Work done on the robot from outside, when it is lifted or its mass is changed in
+            motion.
+        copper: Loss in the windings, the integral of R i^2.
+        gear: Loss in the gears.
+        shaft: Loss by viscous and Coulomb friction at the axles.
+        roller: Loss by the drag of the rotating rollers.
+        slip: Loss by slip along the rollers' axes.
+        kinetic: Change of the kinetic energy of body and wheels.
+        inductive: Change of the energy L i^2 / 2 in the motors.
+        turnover: Integral of the sum of the magnitudes of all powers, the scale of `residual`.
+    """
+
+    electrical: float
+    external: float
+    copper: float
+    gear: float
+    shaft: float
+    roller: float
+    slip: float
+    kinetic: float
+    inductive: float
+    turnover: float
+
+    @property
+    def losses(self) -> dict[str, float]:
+        """Losses by name [J]."""
+        return {
+            name: getattr(self, name) for name in ("copper", "gear", "shaft", "roller", "slip")
+        }
+
+    @property
+    def residual(self) -> float:
+        """Input work minus losses and stored energy, which is zero up to rounding [J]."""
+        stored = self.kinetic + self.inductive
+        return self.electrical + self.external - sum(self.losses.values()) - stored

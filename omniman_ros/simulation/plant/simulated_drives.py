@@ -1,0 +1,243 @@
+"""Simulated drives: wheels on the plant that are commanded together."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.errors import InputError
+from omniman_ros.core.robot import Robot
+from omniman_ros.simulation.plant.drive_unit import DriveUnitMode
+from omniman_ros.simulation.plant.driven_wheels import DrivenWheels
+from omniman_ros.simulation.plant.energy_ledger import EnergyLedger
+from omniman_ros.simulation.plant.parameters import SimulationParameters
+
+MIN_RAMP_FRACTION = 0.05
+"""Smallest fraction of the deceleration with which a wheel ramps to rest."""
+
+
+@dataclass(frozen=True)
+class WheelStates:
+    """Feedback of all wheels; read-only arrays, shape (n,).
+
+    Attributes:
+        position: Wheel angles in whole encoder steps [rad]; not wrapped.
+        velocity: Wheel speeds from the encoders [rad/s].
+        effort: Torques at the wheels [N m], from the currents by nominal motor values.
+    """
+
+    position: Array
+    velocity: Array
+    effort: Array
+
+
+class SimulatedDrives:
+    """Wheel drives of a simulated robot. Time is an argument; nothing here reads a clock.
+
+    The substeps are on a fixed grid that begins at the first `now`; feedback is at most one
+    substep old. A time before the latest one has no effect.
+
+    Args:
+        robot: The robot.
+        parameters: Parameters of the simulation.
+        seed: Seed of the sensor noise.
+
+    Raises:
+        ParameterError: The robot or the parameters are not valid.
+    """
+
+    def __init__(self, robot: Robot, parameters: SimulationParameters, seed: int = 0) -> None:
+        self._robot = robot
+        self._parameters = parameters
+        self._wheels = DrivenWheels(robot, parameters, seed)
+        self._plant = self._wheels.plant
+        self._last_command = -math.inf
+        self._is_holding = True
+        self._stop_reason: str | None = None
+
+    # commands
+
+    def command_velocity(
+        self,
+        velocity: Sequence[float] | Array,
+        effort: Sequence[float] | Array | None,
+        now: float,
+    ) -> None:
+        """Close the velocity loops in the drives.
+
+        Args:
+            velocity: Wheel speeds (n,) [rad/s].
+            effort: Feed-forward torques (n,) at the wheels [N m]; None for zero.
+            now: Time [s].
+
+        Raises:
+            InputError: The values are not n finite numbers; the command then has no effect.
+        """
+        speeds = self._checked("velocity", velocity)
+        torques = [0.0] * len(speeds) if effort is None else self._checked("effort", effort)
+        if self._accept(now):
+            for k, (speed, torque) in enumerate(zip(speeds, torques, strict=True)):
+                self._wheels.command_velocity(k, speed, torque)
+
+    def command_torque(self, effort: Sequence[float] | Array, now: float) -> None:
+        """Close the current loops only, with torques (n,) at the wheels [N m].
+
+        Raises:
+            InputError: The values are not n finite numbers; the command then has no effect.
+        """
+        torques = self._checked("effort", effort)
+        if self._accept(now):
+            for k, torque in enumerate(torques):
+                self._wheels.command_torque(k, torque)
+
+    def command_voltage(self, volts: Sequence[float] | Array, now: float) -> None:
+        """Apply voltages (n,) to the motors [V], clipped to the amplifier's limit.
+
+        Raises:
+            InputError: The values are not n finite numbers; the command then has no effect.
+        """
+        voltages = self._checked("voltage", volts)
+        if self._accept(now):
+            for k, voltage in enumerate(voltages):
+                self._wheels.command_voltage(k, voltage)
+
+    def stop(self, reason: str) -> None:
+        """Stop quickly, and ignore commands until :meth:`reset`."""
+        if self._stop_reason is None:
+            self._stop_reason = reason
+            self._halt(self._parameters.firmware.quick_stop_deceleration)
+
+    def reset(self) -> None:
+        """Accept commands again; the drives stay at rest until the next command."""
+        self._stop_reason = None
+        self._last_command = -math.inf
+        for k in range(len(self._wheels)):
+            self._wheels.reset(k)
+
+    @property
+    def stop_reason(self) -> str | None:
+        """Why the drives are stopped, or None."""
+        return self._stop_reason
+
+    @property
+    def holding(self) -> bool:
+        """Whether the drives rest, or ramp to rest, without commands: timed out or stopped."""
+        return self._is_holding
+
+    @property
+    def mode(self) -> DriveUnitMode:
+        """Mode of the drives, the same for all."""
+        return self._wheels.units[0].mode
+
+    def _checked(self, name: str, values: Sequence[float] | Array) -> list[float]:
+        numbers = [float(value) for value in values]
+        if len(numbers) != len(self._wheels):
+            raise InputError(
+                f"{name} must have {len(self._wheels)} values, one per wheel, not {len(numbers)}"
+            )
+        if not all(map(math.isfinite, numbers)):
+            raise InputError(f"{name} must be finite, not {numbers}")
+        return numbers
+
+    def _accept(self, now: float) -> bool:
+        self.advance(now)
+        if self._stop_reason is not None:
+            return False
+        self._last_command = self._wheels.elapsed(now)
+        self._is_holding = False
+        return True
+
+    def _halt(self, deceleration: float) -> None:
+        """Ramp all wheels to rest in the same time, so that the robot keeps its path."""
+        self._is_holding = True
+        speeds = [abs(self._wheels.velocity(k)) for k in range(len(self._wheels))]
+        fastest = max(speeds)
+        for k, speed in enumerate(speeds):
+            fraction = speed / fastest if fastest else 1.0
+            self._wheels.halt(k, max(fraction, MIN_RAMP_FRACTION) * deceleration)
+
+    # time
+
+    def advance(self, now: float) -> None:
+        """Integrate up to time `now` [s]; the first call sets the origin.
+
+        Raises:
+            InputError: The time is not finite.
+        """
+        wheels = self._wheels
+        for time in wheels.due(now):
+            firmware = self._parameters.firmware
+            if not self._is_holding and time - self._last_command >= firmware.watchdog:
+                self._halt(firmware.deceleration)
+            wheels.step()
+            if self._stop_reason is None and any(unit.lost for unit in wheels.units):
+                names = self._robot.wheels.names
+                lost = [name for k, name in enumerate(names) if wheels.lost(k)]
+                self.stop(f"encoder or motor lost: {', '.join(lost)}")
+
+    # feedback
+
+    def wheel_states(self, now: float) -> WheelStates:
+        """Integrate up to time `now` [s], and return the measurements of the drives."""
+        self.advance(now)
+        wheels = self._wheels
+        rows = [
+            (wheels.position(k), wheels.velocity(k), wheels.torque(k)) for k in range(len(wheels))
+        ]
+        table = np.array(rows).T
+        table.flags.writeable = False
+        return WheelStates(*table)
+
+    def electrical(self) -> Array:
+        """Return voltage [V], measured current [A] and consumed energy [J] per wheel, (n, 3)."""
+        return self._wheels.electrical()
+
+    def ground_truth(self) -> tuple[Array, Array]:
+        """Return pose (x, y, heading) of base_link in the world, and twist in its own frame.
+
+        Returns:
+            Pose (3,) [m], [m], [rad] (not wrapped), and twist (3,) [m/s], [m/s], [rad/s].
+        """
+        return self._wheels.ground_truth()
+
+    def set_pose(self, pose: Sequence[float] | Array) -> None:
+        """Set the pose in the world; the robot's motion in its own frame continues.
+
+        Args:
+            pose: Pose (x, y, heading) of base_link [m], [rad], shape (3,).
+
+        Raises:
+            InputError: The pose is not three finite numbers.
+        """
+        self._wheels.set_pose(pose)
+
+    @property
+    def energy(self) -> EnergyLedger:
+        """Energy balance since the start."""
+        return self._wheels.energy
+
+    # parameters
+
+    @property
+    def parameters(self) -> SimulationParameters:
+        """The parameters in use."""
+        return self._parameters
+
+    def set_parameters(self, parameters: SimulationParameters) -> None:
+        """Replace the parameters, also in motion.
+
+        Raises:
+            ParameterError: They are not valid; nothing is changed then.
+        """
+        self.configure(self._robot, parameters)
+
+    def configure(self, robot: Robot, parameters: SimulationParameters) -> None:
+        """Replace robot data and parameters together.
+
+        Raises:
+            ParameterError: One of them is not valid; nothing is changed then.
+        """
+        self._wheels.configure(robot, parameters)
+        self._robot, self._parameters = robot, parameters

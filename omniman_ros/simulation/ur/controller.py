@@ -1,0 +1,412 @@
+"""Simulated controller: modes, programs, trajectory and joints, in cycles of 8 ms."""
+
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from omniman_ros.core.arrays import Array
+from omniman_ros.simulation.ur import rtde_outputs
+from omniman_ros.simulation.ur.arm import CYCLE, JOINTS, SimulatedArm, UrArmParameters
+from omniman_ros.simulation.ur.faults import UrFaultParameters
+from omniman_ros.simulation.ur.modes import MOVING, Modes, RobotMode, RuntimeState, SafetyMode
+from omniman_ros.simulation.ur.motion import Motion, MoveJ, ServoJ, Stop, Target
+from omniman_ros.simulation.ur.program_host import ProgramHost
+from omniman_ros.simulation.ur.program_sockets import ProgramSockets
+from omniman_ros.simulation.ur.registers import Registers
+from omniman_ros.simulation.ur.rtde_fields import Value
+from omniman_ros.simulation.ur.urscript.errors import ScriptError, ScriptRuntimeError
+from omniman_ros.simulation.ur.urscript.host import Done, Host
+
+SCALING_RATE = 2.0
+"""Rate at which the speed slider and a pause take effect [1/s]."""
+RESUMING_TIME = 0.1
+"""Time for which the controller resumes a program before the program runs [s]."""
+UNCOMMANDED_DECELERATION = 20.0
+"""Deceleration while a program gives no command [rad/s^2]."""
+END_DECELERATION = 4.0
+"""Deceleration when a program ends [rad/s^2]."""
+STEADY_TIME = 0.1
+"""Time for which the arm must be at rest to count as steady [s]."""
+MIN_SLIDER = 0.01
+"""Lowest position of the speed slider."""
+LOG_LENGTH = 100
+"""Largest number of log lines; older ones are deleted."""
+
+
+class RunningProgram(Protocol):
+    """A program in execution."""
+
+    def step(self) -> None:
+        """Run all threads until each waits; called once per cycle."""
+        ...
+
+    def stop(self, reason: str) -> None:
+        """End the program; do nothing if it has ended."""
+        ...
+
+    def close_popups(self) -> None:
+        """Close all messages on the pendant."""
+        ...
+
+    @property
+    def running(self) -> bool:
+        """Whether the program has not ended."""
+        ...
+
+    @property
+    def end_reason(self) -> str:
+        """Why the program has ended, or an empty string."""
+        ...
+
+
+Launch = Callable[[str, Host], RunningProgram]
+"""Parses the text of a program and starts it, or raises ScriptError."""
+
+
+@dataclass
+class Counts:
+    """Numbers of events since the start.
+
+    Attributes:
+        servo_calls: Calls of servoj.
+        servo_repeats: Calls of servoj with the same angles as the call before.
+        servo_gaps: Cycles in which a servoing program gave no command.
+        programs: Programs that were started.
+        refused: Programs that were refused.
+        protective_stops: Protective stops.
+    """
+
+    servo_calls: int = 0
+    servo_repeats: int = 0
+    servo_gaps: int = 0
+    programs: int = 0
+    refused: int = 0
+    protective_stops: int = 0
+
+
+class Controller:
+    """A UR5 with a CB3 controller, without its ports.
+
+    Args:
+        parameters: Parameters of the arm.
+        launch: Parses and starts programs.
+        network: Connections of the programs.
+
+    Attributes:
+        faults: Faults that are simulated; may be replaced at any time.
+        slider: Position of the speed slider, 0.01 to 1; may be set at any time.
+        arm: The joints.
+        target: Point of the trajectory that the joints follow.
+        target_qdd: Acceleration of the target (6,) [rad/s^2].
+        modes: Modes of robot and safety.
+        runtime: State of the program.
+        registers: Registers shared by programs and RTDE clients.
+        log: Messages of programs, and events.
+        end_reason: Why the last program ended; empty while one runs.
+        counts: Numbers of events.
+        fraction: Speed slider as it is in effect, 0 to 1.
+        limiter: Speed limit of a pause as it is in effect, 0 to 1.
+    """
+
+    def __init__(
+        self, parameters: UrArmParameters, launch: Launch, network: ProgramSockets
+    ) -> None:
+        self.faults = UrFaultParameters()
+        self.slider = 1.0
+        self.arm = SimulatedArm(parameters)
+        self.target = Target(self.arm.q.copy())
+        self.target_qdd: Array = np.zeros(JOINTS)
+        self.modes, self.runtime = Modes(), RuntimeState.STOPPED
+        self.registers = Registers()
+        self.log: deque[str] = deque(maxlen=LOG_LENGTH)
+        self.end_reason = ""
+        self.counts = Counts()
+        self.fraction, self.limiter = 1.0, 1.0
+        self._launch, self._network = launch, network
+        self._last_faults = self.faults
+        self._begin_time: float | None = None
+        self._now = 0.0
+        self._program: RunningProgram | None = None
+        self._secondary: list[RunningProgram] = []
+        self._motion: Motion = Stop(UNCOMMANDED_DECELERATION)
+        self._suspended: MoveJ | None = None
+        self._commanded = False
+        self._resumed = 0.0
+        self._still_since = 0.0
+
+    # ---- cycle --------------------------------------------------------------------------------
+
+    def cycle(self, now: float) -> None:
+        """Run one cycle at time `now` [s], which is CYCLE after the last one."""
+        if self._begin_time is None:
+            self._begin_time = now
+        self._now = now
+        self._apply_faults()
+        if self.faults.freeze_all:
+            self.arm.brake(CYCLE)
+            return
+        self.modes = self.modes.advance(self._now, self.arm.still)
+        self._ramp()
+        self._run_programs()
+        self._advance()
+        if not self.arm.still:
+            self._still_since = now
+
+    def _apply_faults(self) -> None:
+        last, self._last_faults = self._last_faults, self.faults
+        new = self._last_faults
+        if new.protective_stop and not last.protective_stop:
+            self.protective_stop("triggered by a fault parameter")
+        if new.pause_program and not last.pause_program:
+            self.pause()
+        if new.emergency_stop != last.emergency_stop:
+            self.modes = self.modes.emergency_stop(new.emergency_stop)
+            self._log(f"emergency stop {'pressed' if new.emergency_stop else 'released'}")
+            if new.emergency_stop:
+                self._halt()
+                self.stop("emergency stop")
+
+    def _ramp(self) -> None:
+        """Move the effective slider and speed limit gradually to their set values."""
+        if self.runtime is RuntimeState.RESUMING and self._now - self._resumed >= RESUMING_TIME:
+            self.runtime = RuntimeState.PLAYING
+        paused = self.runtime in (RuntimeState.PAUSING, RuntimeState.PAUSED, RuntimeState.RESUMING)
+        self.fraction = _towards(self.fraction, self.slider)
+        self.limiter = _towards(self.limiter, 0.0 if paused else 1.0)
+        if self.runtime is RuntimeState.PAUSING and self.limiter == 0.0 and self.arm.still:
+            self.runtime = RuntimeState.PAUSED
+
+    def _run_programs(self) -> None:
+        self._commanded = False
+        if self.faults.freeze_program:
+            return
+        for secondary in self._secondary:
+            secondary.step()
+        self._secondary = [secondary for secondary in self._secondary if secondary.running]
+        program = self._program
+        if program is None or self.runtime is not RuntimeState.PLAYING:
+            return
+        program.step()
+        if self._program is program and not program.running:
+            self.stop(program.end_reason)
+
+    def _advance(self) -> None:
+        """Move target and joints by one cycle, or stop them."""
+        if not self.modes.powered:
+            self.target = Target(self.arm.q.copy())
+            self.arm.brake(CYCLE)
+            self.target_qdd = np.zeros(JOINTS)
+            return
+        if self._motion.over and not self._commanded and self.runtime in MOVING:
+            if isinstance(self._motion, ServoJ):
+                self.counts.servo_gaps += 1
+            if not isinstance(self._motion, Stop):
+                self._begin(Stop(UNCOMMANDED_DECELERATION))
+        last_qd = self.target_qd
+        self._motion.advance(self.target, CYCLE * self._stretch)
+        self.target_qdd = (self.target_qd - last_qd) / CYCLE
+        self.arm.follow(self.target.q, CYCLE)
+        violation = self.arm.violation(self.target.q)
+        if violation and self.modes.safety is SafetyMode.NORMAL:
+            self.protective_stop(violation)
+
+    @property
+    def pace(self) -> float:
+        """Fraction of full speed at which the program's motion runs: slider and pause, 0 to 1."""
+        return self.fraction * self.limiter
+
+    @property
+    def _stretch(self) -> float:
+        return self.pace if self._motion.stretched else 1.0
+
+    @property
+    def target_qd(self) -> Array:
+        """Velocity of the target in real time (6,) [rad/s]."""
+        return self.target.w * self._stretch
+
+    def _begin(self, motion: Motion) -> None:
+        """Begin a motion at the velocity of the last one."""
+        real = self.target_qd
+        self._motion = motion
+        stretch = self._stretch
+        self.target.w = real / stretch if stretch >= MIN_SLIDER else np.zeros(JOINTS)
+        self._commanded = True
+
+    def _halt(self) -> None:
+        """Stop hard from the position and velocity of the joints."""
+        # This is the target that joints with this motion would follow.
+        ahead = self.arm.q + self.arm.parameters.lag * self.arm.qd
+        self.target = Target(ahead, self.arm.qd.copy())
+        self._suspended = self._motion if isinstance(self._motion, MoveJ) else None
+        self._motion = Stop(self.arm.parameters.protective_deceleration)
+
+    # ---- stops, pauses, programs --------------------------------------------------------------
+
+    def protective_stop(self, reason: str) -> None:
+        """Trigger a protective stop, which pauses the program."""
+        stopped = self.modes.protective_stop(self._now)
+        if stopped is self.modes:
+            return
+        self.modes = stopped
+        self.counts.protective_stops += 1
+        self._log(f"protective stop: {reason}")
+        self._halt()
+        self.limiter = 0.0
+        if self.runtime in MOVING:
+            self.runtime = RuntimeState.PAUSING
+
+    def start(self, text: str) -> bool:
+        """Start a program, which ends a running one; return whether it could be started."""
+        try:
+            if not self.modes.ready:
+                safety, robot = self.modes.safety.name, self.modes.robot.name
+                raise ScriptRuntimeError(
+                    f"the robot must be NORMAL and RUNNING, not {safety} and {robot}"
+                )
+            program = self._launch(text, ProgramHost(self, self._network))
+        except (ScriptError, ScriptRuntimeError) as error:
+            self.counts.refused += 1
+            self._log(f"program refused: {error}")
+            return False
+        if text.lstrip().startswith("sec"):
+            self._secondary.append(program)
+            return True
+        self.stop("another program was started")
+        self.counts.programs += 1
+        self.end_reason = ""
+        self._program = program
+        self.runtime, self.limiter = RuntimeState.PLAYING, 1.0
+        return True
+
+    def stop(self, reason: str) -> bool:
+        """End the program; return False if there is none."""
+        program, self._program = self._program, None
+        if program is None:
+            return False
+        program.stop(reason)
+        self.end_reason, self._suspended = program.end_reason, None
+        self._log(f"program ended: {self.end_reason}")
+        if self.modes.safety is SafetyMode.NORMAL and not isinstance(self._motion, Stop):
+            self._begin(Stop(END_DECELERATION))
+        self.runtime = RuntimeState.STOPPED
+        return True
+
+    def pause(self) -> bool:
+        """Pause the program; return False if none is playing."""
+        if self.runtime not in MOVING:
+            return False
+        self.runtime = RuntimeState.PAUSING
+        return True
+
+    def play(self) -> bool:
+        """Resume a paused program; return False if there is none, or the arm must not move."""
+        if self.runtime is not RuntimeState.PAUSED or not self.modes.ready:
+            return False
+        self.runtime, self._resumed = RuntimeState.RESUMING, self._now
+        self.limiter = 0.0
+        if self._suspended is not None:
+            # The motion was interrupted, and continues from where the arm is.
+            self._suspended.restart()
+            self._motion, self._suspended = self._suspended, None
+        return True
+
+    def unlock(self) -> bool:
+        """Unlock the protective stop; the program stays paused."""
+        unlocked = self.modes.unlock(self._now)
+        if unlocked is None:
+            return False
+        self.modes = unlocked
+        self.target = Target(self.arm.q.copy())
+        return True
+
+    def close_popups(self) -> None:
+        """Close the popups that a program shows and waits for."""
+        if self._program is not None:
+            self._program.close_popups()
+
+    def power(self, wanted: RobotMode) -> bool:
+        """Switch power and brakes; switching off ends the program.
+
+        Args:
+            wanted: POWER_OFF, IDLE or RUNNING.
+
+        Returns:
+            False if that is not possible now.
+        """
+        modes = self.modes.power(wanted, self._now)
+        if modes is None:
+            return False
+        self.modes = modes
+        if wanted is RobotMode.POWER_OFF:
+            self._halt()
+            self.stop("power off")
+        return True
+
+    @property
+    def robot_mode(self) -> RobotMode:
+        """Mode of the arm."""
+        return self.modes.robot
+
+    @property
+    def safety_mode(self) -> SafetyMode:
+        """Mode of the safety system."""
+        return self.modes.safety
+
+    # ---- RTDE ---------------------------------------------------------------------------------
+
+    def output(self, name: str) -> Value:
+        """Return the present value of an RTDE output."""
+        return rtde_outputs.value(self, name)
+
+    def write_inputs(self, values: Mapping[str, Value]) -> None:
+        """Apply RTDE inputs that arrived in one package."""
+        self.registers.write_inputs(values)
+        fraction = values.get("speed_slider_fraction", 1.0)
+        if values.get("speed_slider_mask") and isinstance(fraction, (int, float)):
+            self.slider = min(max(fraction, MIN_SLIDER), 1.0)
+
+    @property
+    def timestamp(self) -> float:
+        """Time since the start as RTDE reports it [s]."""
+        return self.time + self.faults.timestamp_offset
+
+    # ---- for the program ----------------------------------------------------------------------
+
+    @property
+    def time(self) -> float:
+        """Time since the start, the same throughout a cycle [s]."""
+        return self._now - (self._now if self._begin_time is None else self._begin_time)
+
+    @property
+    def motion(self) -> Motion:
+        """Motion that is being executed."""
+        return self._motion
+
+    def command(self, motion: Motion) -> Done:
+        """Begin a motion; the returned function tells whether it has ended or was replaced."""
+        self._begin(motion)
+        return lambda: motion.over or motion not in (self._motion, self._suspended)
+
+    @property
+    def is_steady(self) -> bool:
+        """Whether the arm has been at rest for a moment."""
+        return self._now - self._still_since >= STEADY_TIME
+
+    def textmsg(self, text: str) -> None:
+        """Write a message of the program into the log."""
+        self._log(f"program says: {text}")
+
+    def popup(self, text: str) -> None:
+        """Show a message on the pendant."""
+        self._log(f"popup: {text}")
+
+    def _log(self, line: str) -> None:
+        self.log.append(line)
+
+
+def _towards(value: float, goal: float) -> float:
+    step = SCALING_RATE * CYCLE
+    return value + min(max(goal - value, -step), step)

@@ -1,0 +1,101 @@
+"""Controller with its ports, run by a thread on absolute deadlines."""
+
+import re
+import threading
+import time
+
+from omniman_ros.simulation.ur.arm import CYCLE, UrArmParameters
+from omniman_ros.simulation.ur.controller import Controller, RunningProgram
+from omniman_ros.simulation.ur.modes import RobotMode
+from omniman_ros.simulation.ur.program_sockets import ProgramSockets
+from omniman_ros.simulation.ur.tcp_ports import ControllerPorts, UrPortParameters
+from omniman_ros.simulation.ur.urscript.compiler import Program as Text
+from omniman_ros.simulation.ur.urscript.host import Host
+from omniman_ros.simulation.ur.urscript.machine import Machine
+
+CATCH_UP_PERIOD = 0.002
+"""Period of cycles that are late [s]; a client that was delayed as well can then catch up."""
+MAX_DELAY = 1.0
+"""Delay above which missed cycles are skipped, so that the controller's time stops [s]."""
+NEXT_LINE = re.compile(r"=[ \t]*(?:#[^\n]*)?\n[ \t]*(-?[0-9.]+)[ \t]*")
+"""Matches a number on the line after its "=", before anything else on that line."""
+
+
+def launch(text: str, host: Host) -> RunningProgram:
+    """Parse a program and start it.
+
+    A controller reads the end of a line as a blank. The program of ur_rtde relies on that where
+    it inserts the numbers of its registers.
+
+    Raises:
+        ScriptError: The text is not a program.
+    """
+    return Machine(Text(NEXT_LINE.sub(r"= \1\n", text)), host)
+
+
+class ControllerServer:
+    """A simulated UR controller on TCP.
+
+    Args:
+        arm: Parameters of the arm.
+        ports: Address and numbers of the ports.
+
+    Attributes:
+        controller: The controller; other threads may set its `faults` and `slider`, and read
+            the rest.
+        network: Connections of the program.
+        ports: Ports of the controller.
+        late: Number of cycles that began more than a cycle late.
+        lost: Total time of the skipped cycles [s].
+        error: Exception that ended the thread, or None.
+
+    Raises:
+        ParameterError: A port is not available.
+    """
+
+    def __init__(self, arm: UrArmParameters, ports: UrPortParameters) -> None:
+        self.network = ProgramSockets()
+        self.controller = Controller(arm, launch, self.network)
+        self.ports = ControllerPorts(self.controller, self.network, ports)
+        self.late, self.lost = 0, 0.0
+        self.error: Exception | None = None
+        self._closing, self._power_off = threading.Event(), threading.Event()
+        self._thread = threading.Thread(target=self._run, name="simulated_ur", daemon=True)
+
+    def start(self) -> None:
+        """Start the thread."""
+        self._thread.start()
+
+    def cycle(self, now: float) -> None:
+        """Run one cycle at time `now` [s]; tests call it instead of starting the thread."""
+        if self._power_off.is_set():
+            self._power_off.clear()
+            self.controller.power(RobotMode.POWER_OFF)
+        self.ports.cycle(now)
+
+    def _run(self) -> None:
+        due = time.monotonic()
+        while not self._closing.is_set():
+            try:
+                self.cycle(due - self.lost)
+            except Exception as error:
+                self.error = error
+                return
+            due += CYCLE
+            now = time.monotonic()
+            if now - due > MAX_DELAY:
+                self.lost += now - due
+                due = now
+            self.late += now - due > CYCLE
+            time.sleep(max(due - now, CATCH_UP_PERIOD if now > due + CYCLE else 0.0))
+
+    def shut_down(self) -> None:
+        """Switch the power off in the next cycle: the arm brakes, and the program ends."""
+        self._power_off.set()
+
+    def close(self) -> None:
+        """End the thread, and close all ports."""
+        self._closing.set()
+        if self._thread.is_alive():
+            self._thread.join()
+        self.ports.close()

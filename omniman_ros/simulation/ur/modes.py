@@ -1,0 +1,160 @@
+"""Modes of robot, safety and program, as RTDE and the dashboard report them.
+
+Numbers and names: Universal Robots, "Real-Time Data Exchange (RTDE) Guide", "Robot mode", "Safety
+mode", "robot_status_bits", "safety_status_bits"; "Dashboard Server CB-Series, port 29999".
+runtime_state is not documented; its numbers are those that users found on real robots
+(forum.universal-robots.com, "RTDE runtime_state enumeration").
+"""
+
+from dataclasses import dataclass, replace
+from enum import IntEnum
+
+
+class RobotMode(IntEnum):
+    """State of the arm's power and brakes."""
+
+    NO_CONTROLLER = -1
+    DISCONNECTED = 0
+    CONFIRM_SAFETY = 1
+    BOOTING = 2
+    POWER_OFF = 3
+    POWER_ON = 4
+    IDLE = 5
+    BACKDRIVE = 6
+    RUNNING = 7
+
+
+class SafetyMode(IntEnum):
+    """State of the safety system, which lets the arm move or not."""
+
+    NORMAL = 1
+    REDUCED = 2
+    PROTECTIVE_STOP = 3
+    RECOVERY = 4
+    SAFEGUARD_STOP = 5
+    SYSTEM_EMERGENCY_STOP = 6
+    ROBOT_EMERGENCY_STOP = 7
+    VIOLATION = 8
+    FAULT = 9
+
+
+class RuntimeState(IntEnum):
+    """State of the program."""
+
+    STOPPING = 0
+    STOPPED = 1
+    PLAYING = 2
+    PAUSING = 3
+    PAUSED = 4
+    RESUMING = 5
+
+
+SAFETY_BITS = {
+    SafetyMode.NORMAL: 1 << 0,
+    SafetyMode.PROTECTIVE_STOP: 1 << 2 | 1 << 10,
+    SafetyMode.SYSTEM_EMERGENCY_STOP: 1 << 5 | 1 << 7 | 1 << 10,
+    SafetyMode.ROBOT_EMERGENCY_STOP: 1 << 6 | 1 << 7 | 1 << 10,
+}
+"""safety_status_bits: 0 normal, 2 protective stopped, 5 system and 6 robot emergency stopped,
+7 emergency stopped, 10 stopped due to safety."""
+POWERED = (RobotMode.POWER_ON, RobotMode.IDLE, RobotMode.BACKDRIVE, RobotMode.RUNNING)
+"""Modes in which the joints have power."""
+MOVING = (RuntimeState.PLAYING, RuntimeState.RESUMING)
+"""States in which the program runs."""
+JOINT_RUNNING = 253
+"""joint_mode of a joint that runs (RTDE guide, "Joint modes")."""
+JOINT_IDLE = 255
+"""joint_mode of a joint with its brake on."""
+JOINT_POWER_OFF = 239
+"""joint_mode of a joint without power."""
+
+UNLOCK_DELAY = 5.0
+"""Time after a protective stop during which it cannot be unlocked [s] (Dashboard Server)."""
+SWITCHING_TIME = 0.5
+"""Duration of each step of switching power and brakes [s]; some seconds on a real arm."""
+
+
+@dataclass(frozen=True)
+class Modes:
+    """All modes together.
+
+    Attributes:
+        robot: Mode of the arm.
+        safety: Mode of the safety system.
+        wanted: Mode to which the arm is being switched.
+        due: Time at which the next step of switching is complete [s].
+        stopped: Time of the last protective stop [s].
+    """
+
+    robot: RobotMode = RobotMode.RUNNING
+    safety: SafetyMode = SafetyMode.NORMAL
+    wanted: RobotMode = RobotMode.RUNNING
+    due: float = 0.0
+    stopped: float = 0.0
+
+    @property
+    def ready(self) -> bool:
+        """Whether a program may move the arm."""
+        return self.robot is RobotMode.RUNNING and self.safety is SafetyMode.NORMAL
+
+    @property
+    def powered(self) -> bool:
+        """Whether the joints have power."""
+        return self.robot in POWERED
+
+    @property
+    def safety_bits(self) -> int:
+        """Value of safety_status_bits."""
+        return SAFETY_BITS[self.safety]
+
+    @property
+    def joint_mode(self) -> int:
+        """Value of joint_mode, the same for each joint."""
+        if not self.powered:
+            return JOINT_POWER_OFF
+        return JOINT_RUNNING if self.robot is RobotMode.RUNNING else JOINT_IDLE
+
+    def protective_stop(self, now: float) -> "Modes":
+        """Return the modes after a protective stop at time `now` [s]; emergency stops prevail."""
+        if self.safety is not SafetyMode.NORMAL or not self.powered:
+            return self
+        return replace(self, safety=SafetyMode.PROTECTIVE_STOP, stopped=now)
+
+    def unlock(self, now: float) -> "Modes | None":
+        """Return the modes after unlocking; None within 5 s of the stop, or without one."""
+        if self.safety is not SafetyMode.PROTECTIVE_STOP or now - self.stopped < UNLOCK_DELAY:
+            return None
+        return replace(self, safety=SafetyMode.NORMAL)
+
+    def emergency_stop(self, pressed: bool) -> "Modes":
+        """Return the modes after the button is pressed or released; the power stays off."""
+        if pressed:
+            return replace(
+                self, safety=SafetyMode.ROBOT_EMERGENCY_STOP, wanted=RobotMode.POWER_OFF
+            )
+        if self.safety is SafetyMode.ROBOT_EMERGENCY_STOP:
+            return replace(self, safety=SafetyMode.NORMAL)
+        return self
+
+    def power(self, wanted: RobotMode, now: float) -> "Modes | None":
+        """Begin to switch to a mode; None if it needs power and the emergency stop is pressed."""
+        if wanted in POWERED and self.safety is SafetyMode.ROBOT_EMERGENCY_STOP:
+            return None
+        if wanted is RobotMode.IDLE and self.robot is RobotMode.RUNNING:
+            return self
+        return replace(self, wanted=wanted, due=now + SWITCHING_TIME)
+
+    def advance(self, now: float, at_rest: bool) -> "Modes":
+        """Return the modes at time `now` [s]; power goes off only with the arm at rest."""
+        if self.robot is self.wanted:
+            return self
+        if self.wanted is RobotMode.POWER_OFF:
+            return replace(self, robot=RobotMode.POWER_OFF) if at_rest else self
+        if now < self.due:
+            return self
+        following = {
+            RobotMode.POWER_OFF: RobotMode.POWER_ON,
+            RobotMode.POWER_ON: RobotMode.IDLE,
+            RobotMode.IDLE: RobotMode.RUNNING,
+        }
+        return replace(self, robot=following[self.robot], due=now + SWITCHING_TIME)

@@ -1,0 +1,162 @@
+"""Protocol of the ports that accept programs (30001, 30002, 30003), without sockets.
+
+Source: Universal Robots, "Remote control via TCP/IP" and "Client interfaces", package "Robot
+state" and "Version message"; Universal_Robots_Client_Library, test_primary_parser.cpp.
+"""
+
+import re
+import struct
+from dataclasses import dataclass
+
+from omniman_ros.core.errors import InputError
+
+MAX_PROGRAM_LENGTH = 1 << 20
+"""Length of the longest program that is accepted [bytes]."""
+ROBOT_STATE, ROBOT_MESSAGE, VERSION_MESSAGE = 16, 20, 3
+"""Types of packages, and type of the robot message that reports the version."""
+MODE_DATA, JOINT_DATA, CARTESIAN_INFO = 0, 1, 4
+"""Types of the parts of a robot state."""
+SOURCE = 254
+"""Source of messages from the controller itself: -2 as an unsigned byte."""
+PROJECT, BUILT = b"URControl", b"20-06-2022, 00:00:00"
+"""Name and build date of the controller's software."""
+REMOTE_CONTROL, SPEED_LIMIT = 1, 1.0
+"""Control mode, and largest speed fraction, of the robot state."""
+
+_TOKENS = re.compile(
+    r"""(?P<skip>\#[^\n]*|"(?:[^"\\\n]|\\.)*"|'(?:[^'\\\n]|\\.)*')"""
+    r"""|\b(?P<word>def|sec|thread|if|while|switch|case|end)\b|\b(?P<default>default)\s*:"""
+)
+_BEGINS = re.compile(r"\s*(?:def|sec|thread)\b")
+
+
+class ProgramReader:
+    """Splits a stream of bytes into programs.
+
+    A program ends with the line of its outermost `end`; a line outside of any block is a program
+    of its own.
+    """
+
+    def __init__(self) -> None:
+        self._rest = b""
+        self._lines: list[str] = []
+        self._depth = 0
+        self._length = 0
+
+    def receive(self, data: bytes) -> list[str]:
+        """Process received bytes, and return the programs that they complete.
+
+        Raises:
+            InputError: A program is longer than 1 MiB.
+        """
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        programs = []
+        for raw in lines:
+            line = raw.decode("utf-8", errors="replace").rstrip("\r")
+            program = self._append(line)
+            if program:
+                programs.append(program)
+        if self._length + len(self._rest) > MAX_PROGRAM_LENGTH:
+            raise InputError(f"a program must be at most {MAX_PROGRAM_LENGTH} bytes long")
+        return programs
+
+    def _append(self, line: str) -> str:
+        if not self._lines and not _BEGINS.match(line):
+            # Comments and blank lines between programs are ignored.
+            text = "" if line.lstrip().startswith("#") else line.strip()
+            return f"{text}\n" if text else ""
+        self._lines.append(line)
+        self._length += len(line) + 1
+        self._depth += depth(line)
+        if self._depth > 0:
+            return ""
+        program = "\n".join(self._lines) + "\n"
+        self._lines, self._depth, self._length = [], 0, 0
+        return program
+
+
+def depth(line: str) -> int:
+    """Return by how many levels a line of URScript deepens the nesting of blocks."""
+    change = 0
+    for token in _TOKENS.finditer(line):
+        word = token["word"] or token["default"]
+        if word is not None:
+            change += -1 if word == "end" else 1
+    return change
+
+
+def version_message(version: tuple[int, int, int, int]) -> bytes:
+    """Return the version message, which a client of 30001 and 30002 receives first."""
+    major, minor, bugfix, build = version
+    body = bytes([len(PROJECT)]) + PROJECT + struct.pack(">BBii", major, minor, bugfix, build)
+    head = struct.pack(">QBB", 0, SOURCE, VERSION_MESSAGE)
+    return _framed(ROBOT_MESSAGE, head + body + BUILT)
+
+
+@dataclass(frozen=True)
+class RobotState:
+    """Content of the robot state message.
+
+    Attributes:
+        time: Time since the start of the controller [s].
+        powered: Whether the joints have power.
+        emergency_stopped, protective_stopped: Whether there is a stop of this kind.
+        playing, paused: Whether the program runs, or is paused.
+        robot_mode: Value of a `RobotMode`.
+        slider, scaling: Fraction of full speed that is set, and in effect, 0 to 1.
+        actual_q, target_q: Joint angles, actual and of the target [rad].
+        actual_qd: Joint speeds [rad/s].
+        current: Motor currents [A].
+        joint_mode: Value of joint_mode, the same for each joint.
+        pose: Position [m] and rotation vector [rad] of the tool flange in the base.
+    """
+
+    time: float
+    powered: bool
+    emergency_stopped: bool
+    protective_stopped: bool
+    playing: bool
+    paused: bool
+    robot_mode: int
+    slider: float
+    scaling: float
+    actual_q: tuple[float, ...]
+    target_q: tuple[float, ...]
+    actual_qd: tuple[float, ...]
+    current: tuple[float, ...]
+    joint_mode: int
+    pose: tuple[float, ...]
+
+
+def robot_state(s: RobotState) -> bytes:
+    """Return the robot state message: mode data, joint data and Cartesian info."""
+    mode = struct.pack(
+        ">Q7?BBdddB",
+        round(s.time * 1e6),
+        True,
+        True,
+        s.powered,
+        s.emergency_stopped,
+        s.protective_stopped,
+        s.playing,
+        s.paused,
+        s.robot_mode,
+        REMOTE_CONTROL,
+        s.slider,
+        s.scaling,
+        SPEED_LIMIT,
+        0,
+    )
+    joints = b"".join(
+        struct.pack(">dddffffB", actual, target, speed, current, 48.0, 30.0, 0.0, s.joint_mode)
+        for actual, target, speed, current in zip(
+            s.actual_q, s.target_q, s.actual_qd, s.current, strict=True
+        )
+    )
+    cartesian = struct.pack(">12d", *s.pose, *([0.0] * 6))
+    parts = ((MODE_DATA, mode), (JOINT_DATA, joints), (CARTESIAN_INFO, cartesian))
+    return _framed(ROBOT_STATE, b"".join(_framed(kind, body) for kind, body in parts))
+
+
+def _framed(kind: int, body: bytes) -> bytes:
+    return struct.pack(">iB", 5 + len(body), kind) + body

@@ -1,0 +1,190 @@
+"""State that compiled code uses, and requests that it makes to the machine.
+
+A compiled part of a program is either `plain`, a Python function of the frame, or `suspending`,
+a generator function of the frame. A generator yields requests to the machine (call a function,
+wait for a motion, start a thread) and receives the answer as the value of its `yield`. A thread
+can thus stop in the middle of an expression and continue in a later cycle of the controller.
+"""
+
+from collections.abc import Callable, Generator
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any, Generic, TypeAlias, TypeVar
+
+from omniman_ros.simulation.ur.urscript.context import Context, Wait
+from omniman_ros.simulation.ur.urscript.errors import ScriptRuntimeError
+from omniman_ros.simulation.ur.urscript.values import Value
+
+T = TypeVar("T")
+"""Type of the value of compiled code."""
+
+
+@dataclass(frozen=True)
+class Call:
+    """Request to call a function of the program; answered by its value."""
+
+    function: "Function"
+    arguments: dict[str, Value]
+
+
+@dataclass(frozen=True)
+class Start:
+    """Request to start a thread; answered by its handle."""
+
+    function: "Function"
+
+
+@dataclass(frozen=True)
+class Kill:
+    """Request to end a thread; it has no effect if the thread has ended."""
+
+    handle: int
+
+
+@dataclass(frozen=True)
+class Join:
+    """Request to wait until a thread has ended."""
+
+    handle: int
+
+
+@dataclass(frozen=True)
+class Halt:
+    """Request to end the program."""
+
+
+Request: TypeAlias = Call | Start | Kill | Join | Halt | Wait
+"""Request of compiled code to the machine."""
+Suspending: TypeAlias = Generator[Request, Any, T]
+"""Generator that yields requests, receives their answers, and returns a value."""
+
+
+class LoopControl(Enum):
+    """How a statement leaves the round of its loop."""
+
+    BREAK = "break"
+    CONTINUE = "continue"
+
+
+@dataclass(frozen=True)
+class Return:
+    """How a statement leaves its function: with a value."""
+
+    value: Value
+
+
+Outcome: TypeAlias = LoopControl | Return | None
+"""Result of a statement; None if the next statement is to be executed."""
+
+
+@dataclass(slots=True)
+class Thread:
+    """A thread of a program.
+
+    Attributes:
+        handle: What `run` returned; 0 for the main thread.
+        calls: Generators of the calls that are under way, the innermost last.
+        wait: What it waits for.
+        answer: Answer to its last request.
+        line: Line of the last request or error.
+        budget: Statements and calls that it may still execute in this cycle.
+    """
+
+    handle: int
+    calls: list[Suspending[Value]] = field(default_factory=list)
+    wait: Wait | None = None
+    answer: Any = None
+    line: int = 0
+    budget: int = 0
+
+
+@dataclass(slots=True)
+class Frame:
+    """Variables of a call, and its surroundings.
+
+    Attributes:
+        variables: The function's own variables.
+        globals: Variables of the program.
+        thread: Thread that executes the call.
+        context: What the functions of the controller work on.
+    """
+
+    variables: dict[str, Value]
+    globals: dict[str, Value]
+    thread: Thread
+    context: Context
+
+    def charge(self, line: int) -> None:
+        """Count a statement or a call against the thread's budget for the cycle.
+
+        Raises:
+            ScriptRuntimeError: The budget is used up.
+        """
+        thread = self.thread
+        thread.budget -= 1
+        if thread.budget < 0:
+            thread.line = line
+            raise ScriptRuntimeError("infinite loop")
+
+
+@dataclass(frozen=True, slots=True)
+class Code(Generic[T]):
+    """A compiled part of a program, in one of its two forms.
+
+    Attributes:
+        plain: Function of the frame, or None where the part may suspend its thread.
+        suspending: Generator function of the frame otherwise.
+    """
+
+    plain: Callable[[Frame], T] | None = None
+    suspending: Callable[[Frame], Suspending[T]] | None = None
+
+    def execute(self, frame: Frame) -> Suspending[T]:
+        """Execute the part as a generator, whatever its form."""
+        if self.plain is not None:
+            return self.plain(frame)
+        assert self.suspending is not None
+        return (yield from self.suspending(frame))
+
+
+Expression: TypeAlias = Code[Value]
+"""Code of an expression."""
+Statement: TypeAlias = Code[Outcome]
+"""Code of a statement, or of several that follow each other."""
+
+
+@dataclass
+class Function:
+    """A function, thread or program.
+
+    Attributes:
+        name: Its name.
+        is_thread: Whether it is run rather than called.
+        parameters: Names of its parameters, in order.
+        optional: Names of those that have a default.
+        defaults: Code of the defaults by name; evaluated in the frame of the call.
+        body: Its statements.
+    """
+
+    name: str
+    is_thread: bool = False
+    parameters: tuple[str, ...] = ()
+    optional: frozenset[str] = frozenset()
+    defaults: dict[str, Code[Value]] = field(default_factory=dict)
+    body: Code[Outcome] = field(default_factory=lambda: Code(lambda frame: None))
+
+    def execute(self, frame: Frame) -> Suspending[Value]:
+        """Evaluate the defaults of what was not given, then run the body; return the value.
+
+        The call itself is charged, too: calls can follow each other without end, or multiply, in
+        defaults and expressions alone.
+
+        Raises:
+            ScriptRuntimeError: A part cannot be executed, or the budget is used up.
+        """
+        frame.charge(frame.thread.line)
+        for name, default in self.defaults.items():
+            if name not in frame.variables:
+                frame.variables[name] = yield from default.execute(frame)
+        outcome = yield from self.body.execute(frame)
+        return outcome.value if isinstance(outcome, Return) else None

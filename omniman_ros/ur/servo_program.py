@@ -1,0 +1,119 @@
+"""URScript program that the controller runs to servo along the setpoints of this host.
+
+Source: Universal Robots, "URScript Programming Language" for CB3: threads, sockets, servoj.
+
+The program connects to the host, reads one setpoint at a time (see `reverse_interface`), and
+servos to it in each cycle. In a cycle without a new setpoint it repeats the last step: setpoints
+and cycles run on two clocks, so occasionally two setpoints arrive in one cycle and none in the
+next. The program brings the arm to rest and ends when a message asks for it, when nothing arrives
+for the read timeout, when the connection is closed, and when a setpoint is further from the last
+one than the arm can move in a cycle.
+"""
+
+from omniman_ros.ur.parameters import PERIOD, UrParameters
+from omniman_ros.ur.reverse_interface import JOINTS, SCALE, ProgramMode
+
+STOP_DECELERATION = 4.0
+"""Deceleration of stopj at the end of the program [rad/s^2]."""
+MAX_STEP = 0.04
+"""Largest step between two setpoints that the program accepts [rad]; pi rad/s gives 0.025 rad."""
+
+TEMPLATE = """\
+def omniman():
+  global setpoint = get_actual_joint_positions()
+  global step = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+  global missed = 0
+  global servoing = True
+  thread servo():
+    while servoing:
+      enter_critical
+      q = setpoint
+      if missed > 0:
+        i = 0
+        while i < {joints}:
+          q[i] = q[i] + missed * step[i]
+          i = i + 1
+        end
+      end
+      missed = missed + 1
+      exit_critical
+      servoj(q, t={period}, lookahead_time={lookahead}, gain={gain})
+    end
+    stopj({deceleration})
+    return False
+  end
+
+  if not socket_open("{host}", {port}, "omniman"):
+    textmsg("omniman: no connection to {host}")
+    halt
+  end
+  read = 0
+  write_output_integer_register({register}, 0)
+  data = socket_read_binary_integer({numbers}, "omniman", 0)
+  going = data[0] == {numbers}
+  while going:
+    if data[{numbers}] != {servo}:
+      going = False
+    else:
+      next = setpoint
+      change = setpoint
+      i = 0
+      while i < {joints}:
+        next[i] = data[i + 2] / {scale}
+        change[i] = next[i] - setpoint[i]
+        if change[i] > {step} or change[i] < -{step}:
+          going = False
+        end
+        i = i + 1
+      end
+      if not going:
+        textmsg("omniman: a setpoint jumps")
+      else:
+        enter_critical
+        setpoint = next
+        if read > 0:
+          step = change
+        end
+        missed = 0
+        exit_critical
+        if read == 0:
+          servo_thread = run servo()
+        end
+        read = read + 1
+        write_output_integer_register({register}, read)
+        data = socket_read_binary_integer({numbers}, "omniman", data[1] / 1000.0)
+        going = data[0] == {numbers}
+      end
+    end
+  end
+  if read > 0:
+    servoing = False
+    join servo_thread
+  end
+  socket_close("omniman")
+end
+"""
+
+
+def servo_program(parameters: UrParameters, host: str, port: int) -> str:
+    """Return the text of the program.
+
+    Args:
+        parameters: Parameters of servoj, and the register in which the program counts setpoints.
+        host: Address of this host, to which the program connects.
+        port: TCP port to which the program connects.
+    """
+    return TEMPLATE.format(
+        host=host,
+        port=port,
+        register=parameters.register,
+        period=PERIOD,
+        lookahead=parameters.lookahead_time,
+        gain=parameters.gain,
+        deceleration=STOP_DECELERATION,
+        joints=JOINTS,
+        numbers=JOINTS + 2,
+        servo=int(ProgramMode.SERVO),
+        scale=SCALE,
+        step=MAX_STEP,
+    )

@@ -1,0 +1,203 @@
+"""Node `viewer`: a page in the browser that displays the robot and commands it."""
+
+import sys
+from collections.abc import Callable
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.publisher import Publisher
+
+from omniman_ros.core.errors import InputError
+from omniman_ros.description.urdf import carries_arm
+from omniman_ros.extras import VIEWER
+from omniman_ros.nodes.omniman_node import OmnimanNode
+from omniman_ros.nodes.parameters import ParameterSet
+from omniman_ros.nodes.runtime import run
+from omniman_ros.viewer import events
+from omniman_ros.viewer.ros.lazy_subscriptions import LazySubscriptions
+from omniman_ros.viewer.ros.manual_drive import ManualDrive
+from omniman_ros.viewer.ros.obstacle_interface import ObstacleInterface
+from omniman_ros.viewer.ros.parameters import ViewerParameters
+from omniman_ros.viewer.ros.planner_parameters import PlannerParameterClient
+from omniman_ros.viewer.ros.planner_topics import PlannerTopics
+from omniman_ros.viewer.ros.pose_commands import PoseCommands
+from omniman_ros.viewer.ros.robot_topics import RobotTopics
+from omniman_ros.viewer.ros.service_calls import ServiceCalls
+from omniman_ros.viewer.view_state import ViewState
+
+PERIOD = 0.05
+"""Period of `cmd_vel`, and of processing the events of the page [s]."""
+TIME_JUMP = 0.1
+"""Jump of simulated time into the past from which it counts as a new simulation [s]."""
+
+
+class ViewerNode(OmnimanNode):
+    """Connects topics, services and parameters to the page.
+
+    The page has threads of its own, which put events into a queue; a timer of this node empties
+    it. Nothing here waits for a browser.
+
+    Args:
+        make_page: Creates the page, see `viewer.page.page.Page`.
+        options: Options of `rclpy.node.Node`.
+    """
+
+    def __init__(self, make_page: Callable[..., Any] | None = None, **options: object) -> None:
+        super().__init__("viewer", **options)
+        self.settings = ParameterSet(self, ViewerParameters)
+        p = self.settings.value
+        constraints = p.robot.wheel_count - 3
+        self.state = ViewState(p.robot.wheel_count, constraints)
+        self._events = events.EventQueue()
+        self._topics = LazySubscriptions(self)
+        self._drive = ManualDrive(self, p)
+        self._robot = RobotTopics(self, self._topics, self.state, p)
+        self._obstacles = ObstacleInterface(self, self.state, p.odom_frame)
+        self._planner = PlannerTopics(
+            self, self._topics, self.state, p.frames, self._obstacles.owns
+        )
+        self._calls = ServiceCalls(self, self.state)
+        self._planner_parameters = PlannerParameterClient(self, self.state)
+        self._poses = PoseCommands(self, p, self.state, self._obstacles, self._calls)
+        self._handlers = self._event_handlers()
+        self._actions = self._button_actions()
+        self._served_at = self.now()
+        if make_page is None:
+            from omniman_ros.viewer.page.page import Page
+
+            make_page = Page
+        limits = (p.limits.linear_velocity, p.limits.angular_velocity)
+        mount = p.mount if carries_arm(p.robot) else None
+        self.page = make_page(
+            p.robot, mount, constraints, limits, p.host, p.port, self._events.post
+        )
+        self.get_logger().info(f"the page is at {self.page.address}")
+        self.every(PERIOD, self.serve)
+        self.every(1.0 / p.frame_rate, self.draw)
+        self.every(1.0, self.survey)
+
+    def _event_handlers(self) -> dict[type, Callable[[Any, float], None]]:
+        """Return the handler of each type of event, called with the event and the time [s]."""
+        return {
+            events.ButtonHeld: self._drive.buttons.update,
+            events.ButtonReleased: self._drive.buttons.update,
+            events.ClientDisconnected: self._drive.buttons.update,
+            events.ButtonPressed: self._on_button,
+            events.GoalDragged: self._poses.drag_goal,
+            events.StartDragged: self._poses.drag_start,
+            events.CaseSelected: self._poses.load,
+            events.ObstacleDragged: self._obstacles.drag,
+            events.ObstacleVelocitySet: self._obstacles.set_velocity,
+            events.ObstacleResized: self._obstacles.resize,
+            events.ObstacleSelected: self._obstacles.select,
+            events.ObstacleDeleted: self._obstacles.delete,
+            events.ParameterChanged: self._planner_parameters.set,
+        }
+
+    def _button_actions(self) -> dict[str, Callable[[float], None]]:
+        """Return the function for each button that is clicked, called with the time [s]."""
+        return {
+            "stop": lambda now: self._stop_or_reset("stop", now),
+            "reset": lambda now: self._stop_or_reset("reset", now),
+            "pause": self._poses.pause,
+            "resume": self._poses.resume,
+            "cancel": self._poses.cancel,
+            "go": self._poses.go,
+            "restart": self._poses.restart,
+            "add": self._obstacles.add,
+            "clear": lambda now: self.state.clear_trails(),
+        }
+
+    def serve(self) -> None:
+        """Process the events of the page, drive while a button is held, publish the obstacles."""
+        now = self.now()
+        if now < self._served_at - TIME_JUMP:
+            self._reset_time(now)
+        self._served_at = now
+        for error in self._events.process(self._handlers, now):
+            self.state.note = str(error)
+        self._drive.step(self.page.speeds, now)
+        self._calls.collect(now)
+        self._planner_parameters.collect(now)
+        self._topics.process_latest()
+        self._poses.step(now)
+        self._obstacles.publish(now)
+        for source in (self._robot, self._planner, self.state):
+            source.sample(now)
+
+    def _reset_time(self, now: float) -> None:
+        """Discard held buttons and pending requests: they belong to another simulation."""
+        self._drive.buttons.release_all()
+        self._poses.reset_time()
+        self._obstacles.reset_time(now)
+        self.state.reset_time()
+        self._calls.reset_time(now)
+
+    def _on_button(self, event: events.ButtonPressed, now: float) -> None:
+        if event.action not in self._actions:
+            raise InputError(f"there is no button '{event.action[:40]}'")
+        self._actions[event.action](now)
+
+    def _stop_or_reset(self, action: str, now: float) -> None:
+        self._drive.buttons.release_all()
+        self._poses.abort()
+        self._calls.stop_or_reset(action, now)
+
+    def draw(self) -> None:
+        """Draw a frame if a browser is connected."""
+        watched = self.page.watched
+        self._topics.set_watched(watched)
+        if watched:
+            now = self.now()
+            self._topics.process_latest()
+            self._planner.update_state(now)
+            self._obstacles.update_state(now)
+            self.page.draw(self.state, now)
+
+    def survey(self) -> None:
+        """Check which other nodes are running."""
+        self._calls.survey()
+        self._obstacles.survey()
+        self._planner_parameters.survey(self.now())
+
+    def status(self) -> tuple[bytes, str, list[tuple[str, object]]]:
+        """Return level, message and values for the diagnostics."""
+        return DiagnosticStatus.OK, "running", [("page", self.page.address)]
+
+    def begin_shutdown(self, reason: str) -> None:
+        """Release the held buttons for good, and delete the page's obstacles.
+
+        Zero twists follow from `serve`.
+        """
+        self._events.close()
+        self._drive.buttons.release_all()
+        self._poses.abort()
+        self._obstacles.end()
+
+    @property
+    def finished(self) -> bool:
+        """Whether the final zero twists are sent."""
+        return self._drive.silent
+
+    @property
+    def stop_timeout(self) -> float:
+        """Time within which the final zero twists are sent [s]."""
+        return 1.0
+
+    @property
+    def final_publishers(self) -> tuple[Publisher, ...]:
+        """Publishers whose last message deletes the obstacles."""
+        return self._obstacles.publishers
+
+    def destroy_node(self) -> None:
+        """Close the page, then destroy the node."""
+        self.page.close()
+        super().destroy_node()
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node: entry point of `ros2 run omniman_ros viewer`."""
+    if not VIEWER.is_available:
+        sys.stderr.write(f"cannot start: {VIEWER.hint}\n")
+        return 1
+    return run(ViewerNode, args)

@@ -1,0 +1,1 @@
+"""The page that viser draws; it knows no ROS."""

@@ -1,0 +1,147 @@
+"""The page: a server on this machine with the scene, the controls and the plots."""
+
+import contextlib
+import errno
+import io
+import socket
+from math import isfinite
+
+import viser
+
+from omniman_ros.core.errors import ParameterError
+from omniman_ros.core.robot import Robot
+from omniman_ros.motion.whole_body.model import Mount
+from omniman_ros.viewer.events import ClientDisconnected
+from omniman_ros.viewer.page.inputs import Post
+from omniman_ros.viewer.page.panel import Controls, StatusPanel
+from omniman_ros.viewer.page.plots import Plots
+from omniman_ros.viewer.page.scene import Scene
+from omniman_ros.viewer.page.viser_compat import LocalServer, guarded_server, restrict_to_values
+from omniman_ros.viewer.style import PANEL_WIDTH
+from omniman_ros.viewer.view_state import ViewState
+
+MAX_PORTS = 20
+"""Number of ports that are tried, starting with the requested one."""
+LINES_INTERVAL = 5
+"""Number of frames between two updates of the lines on the floor."""
+PLOTS_INTERVAL = 4
+"""Number of frames between two updates of plots and texts."""
+_FOREIGN_HOST_ERRORS = (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT, errno.EINVAL)
+"""Errors of binding to an address that is not one of this machine."""
+
+
+def free_port(host: str, port: int) -> int:
+    """Return the requested port, or the next one that is free.
+
+    Args:
+        host: Address to serve on.
+        port: Requested port.
+
+    Raises:
+        ParameterError: `host` is not an address of this machine, or all ports are in use.
+    """
+    for candidate in range(port, min(port + MAX_PORTS, 65536)):
+        with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind((host, candidate))
+            except socket.gaierror as error:
+                raise ParameterError("host", host, f"has no address: {error.strerror}") from error
+            except OverflowError as error:
+                raise ParameterError("port", port, str(error)) from error
+            except OSError as error:
+                if error.errno in _FOREIGN_HOST_ERRORS:
+                    raise ParameterError("host", host, error.strerror or "") from error
+                continue
+            return int(probe.getsockname()[1])
+    raise ParameterError("port", port, f"this port and the next {MAX_PORTS - 1} are in use")
+
+
+class Page:
+    """The page, for any number of browsers.
+
+    Its server runs in a thread of its own. Drawing writes to a buffer that keeps only the latest
+    values, so that a slow browser delays nobody. The server's thread passes the events of the
+    browsers to `post`.
+
+    Args:
+        robot: The robot's geometry.
+        mount: Mount of its arm; None if the robot has no arm.
+        constraints: Number of coupling errors.
+        limits: Largest speed [m/s] and yaw rate [rad/s] of the motion buttons.
+        host: Address to serve on.
+        port: Port to serve on; if it is in use, the following ones are tried.
+        post: Accepts events; must not block.
+
+    Raises:
+        ParameterError: The host or the port cannot be used.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        mount: Mount | None,
+        constraints: int,
+        limits: tuple[float, float],
+        host: str,
+        port: int,
+        post: Post,
+    ) -> None:
+        port = free_port(host, port)
+        # viser would print a box on stdout; the node logs the address.
+        with guarded_server(host), contextlib.redirect_stdout(io.StringIO()):
+            self._server = LocalServer(host=host, port=port, label="omniman", verbose=False)
+        restrict_to_values(self._server)
+        self._limits = limits
+        self._frames = 0
+        self._server.gui.configure_theme(
+            show_logo=False, show_share_button=False, control_width="medium"
+        )
+        self._scene = Scene(self._server, robot, mount, post)
+        self._controls = Controls(self._server, limits, post)
+        self._plots = Plots(self._server, robot.wheels.names, constraints, robot.motor.max_voltage)
+        self._status = StatusPanel(self._server, self._plots.panel)
+        self._plots.panel.set_width(PANEL_WIDTH)
+
+        @self._server.on_client_disconnect
+        async def _(client: viser.ClientHandle) -> None:
+            post(ClientDisconnected(client.client_id))
+
+    @property
+    def address(self) -> str:
+        """URL of the page."""
+        host = self._server.get_host()
+        name = {"0.0.0.0": "localhost", "::": "localhost"}.get(host, host)
+        name = f"[{name}]" if ":" in name else name
+        return f"http://{name}:{self._server.get_port()}"
+
+    @property
+    def watched(self) -> bool:
+        """Whether a browser is connected."""
+        return bool(self._server.get_clients())
+
+    @property
+    def speeds(self) -> tuple[float, float]:
+        """Speed [m/s] and yaw rate [rad/s] of the motion buttons, within the limits."""
+        speed, yaw_rate = (
+            min(max(value, 0.0), limit) if isfinite(value) else 0.0
+            for value, limit in zip(self._controls.speeds, self._limits, strict=True)
+        )
+        return speed, yaw_rate
+
+    def draw(self, state: ViewState, now: float) -> None:
+        """Draw the next frame, at a time on the clock of `state` [s]."""
+        with self._server.atomic():
+            self._scene.draw(state, self._controls.follow)
+            if self._frames % LINES_INTERVAL == 0:
+                self._scene.draw_lines(state)
+            if self._frames % PLOTS_INTERVAL == 0:
+                self._controls.draw(state, now)
+                self._status.draw(state, now)
+                self._plots.draw(state, now)
+        self._frames += 1
+
+    def close(self) -> None:
+        """Stop the server."""
+        with contextlib.redirect_stdout(io.StringIO()):
+            self._server.stop()

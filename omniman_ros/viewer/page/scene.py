@@ -1,0 +1,79 @@
+"""3D scene of the viewer's page."""
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+import viser
+
+from omniman_ros.core.robot import Robot
+from omniman_ros.motion.whole_body.model import Mount
+from omniman_ros.viewer.page.draggable_markers import DraggableMarkers
+from omniman_ros.viewer.page.dragging import FloorDragging
+from omniman_ros.viewer.page.floor_scene import FloorScene
+from omniman_ros.viewer.page.inputs import Post
+from omniman_ros.viewer.page.robot_scene import RobotScene
+from omniman_ros.viewer.view_state import ViewState
+
+ROOT = "/world"
+"""Name of the frame of `odom`, the parent of all objects in the scene.
+
+To follow the robot, this frame is moved rather than the camera, so that every browser keeps its
+own view.
+"""
+
+
+class Scene:
+    """Draws the floor, the lines, the robot, its ghost and the draggable markers.
+
+    Args:
+        server: Server of the page.
+        robot: Parameters of the robot, for its geometry.
+        mount: Mount of its arm, or None for a robot without an arm.
+        post: Function that receives the events of dragging; it must not block.
+        clock: Function that returns the time of a monotonic clock [s].
+    """
+
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        robot: Robot,
+        mount: Mount | None,
+        post: Post,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        api = server.scene
+        self._clock = clock
+        self._floor_origin = (0.0, 0.0)
+        api.configure_default_lights(enabled=True, cast_shadow=False)
+        self._world = api.add_frame(ROOT, show_axes=False)
+        self._floor = FloorScene(api, ROOT)
+        self._robot = RobotScene(api, ROOT, robot, mount)
+        dragging = FloorDragging(server, lambda: self._floor_origin, post)
+        self._markers = DraggableMarkers(api, ROOT, robot, dragging)
+        size = max(robot.body.length, robot.body.width)
+        server.initial_camera.position = (-4.3 * size, 2.5 * size, 3.7 * size)
+        server.initial_camera.look_at = (1.2 * size, -0.4 * size, 0.0)
+        # A field of view [rad] below viser's default, with which objects near the edges appear to
+        # lean.
+        server.initial_camera.fov = 0.8
+
+    def draw(self, state: ViewState, follow: bool) -> None:
+        """Draw the moving objects.
+
+        Args:
+            state: Data to draw.
+            follow: Whether the scene is moved so that the robot stays in its middle.
+        """
+        if follow and state.odom is not None:
+            origin = (-state.odom[0], -state.odom[1])
+            if origin != self._floor_origin:
+                self._floor_origin = origin
+                self._world.position = np.array([*origin, 0.0])
+        self._robot.draw(state)
+        self._floor.draw_motion(state)
+        self._markers.draw(state, self._clock())
+
+    def draw_lines(self, state: ViewState) -> None:
+        """Draw the lines on the floor; call this less often, as a changed line is sent whole."""
+        self._floor.draw(state)

@@ -1,0 +1,1 @@
+"""Topics, services and parameters behind the page."""

@@ -1,0 +1,69 @@
+"""Subscriptions that process only the latest message of a stream, some only while watched."""
+
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.qos import QoSProfile
+
+from omniman_ros.nodes.omniman_node import OmnimanNode
+
+LATEST = QoSProfile(depth=1)
+"""QoS of a stream: only its latest message since the last call of `process_latest` is used."""
+
+Handler = Callable[[Any], str | None]
+"""Processes a message; returns why it is refused, for the log, or nothing."""
+
+
+class LazySubscriptions:
+    """The node's subscriptions.
+
+    Args:
+        node: Node that owns the subscriptions.
+    """
+
+    def __init__(self, node: OmnimanNode) -> None:
+        self._node = node
+        self._pending: dict[str, Callable[[], None]] = {}
+        self._while_watched: list[tuple[type, str, Handler, QoSProfile | int]] = []
+        self._open: list[Any] = []
+
+    def subscribe(
+        self, message_type: type, topic: str, handler: Handler, qos: QoSProfile | int = LATEST
+    ) -> None:
+        """Subscribe to a topic permanently."""
+        self._subscribe(message_type, topic, handler, qos)
+
+    def subscribe_while_watched(
+        self, message_type: type, topic: str, handler: Handler, qos: QoSProfile | int = LATEST
+    ) -> None:
+        """Subscribe to a topic only while a browser is connected.
+
+        This is for topics that are fast, or that their sender computes only for subscribers.
+        """
+        self._while_watched.append((message_type, topic, handler, qos))
+
+    def set_watched(self, watched: bool) -> None:
+        """Open or close the subscriptions that depend on a connected browser."""
+        if watched and not self._open:
+            self._open = [self._subscribe(*arguments) for arguments in self._while_watched]
+        elif not watched:
+            while self._open:
+                self._node.destroy_subscription(self._open.pop())
+
+    def process_latest(self) -> None:
+        """Process the latest message of each stream."""
+        while self._pending:
+            self._pending.popitem()[1]()
+
+    def _subscribe(
+        self, message_type: type, topic: str, handler: Handler, qos: QoSProfile | int
+    ) -> Any:
+        process = self._node.guarded(topic, handler)
+        if qos is not LATEST:
+            return self._node.create_subscription(message_type, topic, process, qos)
+
+        # A stream may be faster than the frames of the page: only its latest message is kept.
+        def keep(message: Any) -> None:
+            self._pending[topic] = lambda: process(message)
+
+        return self._node.create_subscription(message_type, topic, keep, qos)

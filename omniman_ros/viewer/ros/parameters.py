@@ -1,0 +1,73 @@
+"""Parameters of the node `viewer`."""
+
+from dataclasses import dataclass
+
+from omniman_ros.core.arm_parameters import ArmParameters
+from omniman_ros.core.parameters import REQUIRED, inline, parameter
+from omniman_ros.core.robot import Robot
+from omniman_ros.motion.whole_body.model import Mount
+
+
+@dataclass(frozen=True)
+class DrivingLimits:
+    """Bounds of the speed sliders; the platform controller enforces the robot's limits."""
+
+    linear_velocity: float = parameter(
+        REQUIRED,
+        "Largest linear speed of the buttons.",
+        unit="m/s",
+        low=1e-3,
+        high=20,
+        read_only=True,
+    )
+    angular_velocity: float = parameter(
+        REQUIRED,
+        "Largest yaw rate of the buttons.",
+        unit="rad/s",
+        low=1e-3,
+        high=50,
+        read_only=True,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewerParameters:
+    """Parameters of the viewer: robot to draw, address of the page, frame rate and frames."""
+
+    robot: Robot = inline()
+    arm: ArmParameters
+    mount: Mount
+    limits: DrivingLimits
+    host: str = parameter(
+        "127.0.0.1",
+        "Address to serve the page on; everybody who can reach it can drive the robot.",
+        read_only=True,
+    )
+    port: int = parameter(
+        8080,
+        "Port of the page; if it is in use, the next free one is used.",
+        low=1,
+        high=65535,
+        read_only=True,
+    )
+    frame_rate: float = parameter(
+        25.0,
+        "Frame rate of the page while a browser is connected.",
+        unit="Hz",
+        low=1,
+        high=60,
+        read_only=True,
+    )
+    odom_frame: str = parameter("odom", "Frame of paths, references and goals.", read_only=True)
+    map_is_odom: bool = parameter(
+        False,
+        "Whether paths, goals and obstacles in `map` are treated as in odom.",
+        read_only=True,
+    )
+    base_frame: str = parameter("base_link", "Frame of twists.", read_only=True)
+    cmd_vel_stamped: bool = parameter(False, "Whether cmd_vel is a TwistStamped.", read_only=True)
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """Names of the frames that are treated as `odom`, that of the goals first."""
+        return (self.odom_frame, "map") if self.map_is_odom else (self.odom_frame,)

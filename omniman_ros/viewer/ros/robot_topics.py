@@ -1,0 +1,233 @@
+"""Subscriptions to the robot's topics, which update the `ViewState`."""
+
+from collections import deque
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from nav_msgs.msg import Odometry, Path
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64, Float64MultiArray, String
+from trajectory_msgs.msg import MultiDOFJointTrajectory
+
+from omniman_ros.conversions.geometry import twist_array, yaw_from_quaternion
+from omniman_ros.conversions.headers import check_frame
+from omniman_ros.conversions.joints import joint_arrays, require_array
+from omniman_ros.core import plausible
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.errors import InputError
+from omniman_ros.nodes.omniman_node import OmnimanNode
+from omniman_ros.nodes.stop_interface import ALL_LATCHED, LATCHED
+from omniman_ros.viewer.lines import thinned
+from omniman_ros.viewer.ros.lazy_subscriptions import LazySubscriptions
+from omniman_ros.viewer.ros.parameters import ViewerParameters
+from omniman_ros.viewer.view_state import Condition, Pose, ViewState
+
+_COLUMNS = "voltage,current,energy"
+"""Label of the columns of `wheel_electrical`."""
+MAX_INTERVALS = 1000
+"""Largest number of intervals between setpoints of the arm in one sample of the plots."""
+MAX_ENERGY = 1e15
+"""Largest plausible value of an energy counter [J]."""
+_MOTION_KEYS = ("state", "arm", "body")
+"""Keys of the states of the motions in the diagnostics of path_interpolator."""
+
+
+class RobotTopics:
+    """Receives the topics of platform, arm, paths and stops.
+
+    Args:
+        node: Node whose clock is used.
+        subscriptions: The node's subscriptions.
+        state: View state into which the values are written.
+        parameters: Parameters of the node.
+    """
+
+    def __init__(
+        self,
+        node: OmnimanNode,
+        subscriptions: LazySubscriptions,
+        state: ViewState,
+        parameters: ViewerParameters,
+    ) -> None:
+        self._node = node
+        self._state = state
+        self._names = parameters.robot.wheels.names
+        self._joints = parameters.arm.joints
+        self._frames = parameters.frames
+        self._path_interpolator = f"{node.get_namespace().rstrip('/')}/path_interpolator"
+        self._last_count: float | None = None
+        self._energy = 0.0
+        self._intervals: deque[float] = deque(maxlen=MAX_INTERVALS)
+        subscriptions.subscribe(Odometry, "odom", self._on_odom)
+        subscriptions.subscribe(Odometry, "ground_truth/odom", self._on_truth)
+        subscriptions.subscribe(Path, "path", self._on_path, 10)
+        subscriptions.subscribe(Path, "tool_path", self._on_tool_path, 10)
+        subscriptions.subscribe(MultiDOFJointTrajectory, "path/reference", self._on_reference)
+        subscriptions.subscribe(Float64, "path_progress", self._on_progress)
+        subscriptions.subscribe(Float64MultiArray, "wheel_electrical", self._on_electrical)
+        subscriptions.subscribe(String, "active_source", self._on_source, LATCHED)
+        subscriptions.subscribe(DiagnosticStatus, "stop_state", self._on_stop_state, ALL_LATCHED)
+        subscriptions.subscribe(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
+        subscriptions.subscribe_while_watched(JointState, "wheel_states", self._on_wheels)
+        subscriptions.subscribe_while_watched(JointState, "wheel_commands", self._on_commands)
+        subscriptions.subscribe_while_watched(JointState, "coupling_error", self._on_coupling)
+        subscriptions.subscribe_while_watched(JointState, "arm/joint_states", self._on_arm)
+        # Every message matters, not just the latest: the plot shows the longest interval of all.
+        subscriptions.subscribe_while_watched(Float64MultiArray, "arm/timing", self._on_timing, 50)
+
+    def sample(self, now: float) -> None:
+        """Write what was collected since the previous sample of the plots into the state."""
+        if self._intervals:
+            intervals = 1e3 * np.array(self._intervals)
+            self._intervals.clear()
+            self._state.update_signal(
+                "sending", np.array([intervals.mean(), intervals.max()]), now
+            )
+
+    # ---- platform -----------------------------------------------------------------------------
+
+    def _on_wheels(self, message: JointState) -> None:
+        position, velocity, _ = joint_arrays(message, self._names)
+        for values, bound, label in (
+            (position, plausible.WHEEL_ANGLE, "position"),
+            (velocity, plausible.WHEEL_SPEED, "velocity"),
+        ):
+            if values is not None:
+                plausible.demand(values, bound, label)
+        self._state.update_wheels(position, velocity, self._node.now())
+
+    def _on_commands(self, message: JointState) -> None:
+        _, velocity, _ = joint_arrays(message, self._names)
+        if velocity is not None:
+            plausible.demand(velocity, plausible.WHEEL_SPEED, "velocity")
+        self._state.update_commands(velocity, self._node.now())
+
+    def _on_coupling(self, message: JointState) -> None:
+        errors = np.array(message.position, dtype=float)
+        plausible.demand(errors, plausible.WHEEL_ANGLE, "position")
+        self._state.update_signal("coupling", errors, self._node.now())
+
+    def _on_electrical(self, message: Float64MultiArray) -> None:
+        labels, n = [dimension.label for dimension in message.layout.dim], len(self._names)
+        if labels[1:] != [_COLUMNS] or len(message.data) != 3 * n:
+            raise InputError(
+                f"must be {_COLUMNS} of {n} wheels, got {len(message.data)} numbers of {labels}"
+            )
+        rows, now = np.array(message.data, dtype=float).reshape(n, 3), self._node.now()
+        volts = np.where(np.abs(rows[:, 0]) <= plausible.EFFORT, rows[:, 0], np.nan)
+        self._state.update_signal("voltages", volts, now)
+        total = float(rows[:, 2].sum())
+        if abs(total) <= MAX_ENERGY:
+            # A counter that was silent may have restarted: the displayed energy is kept.
+            if self._last_count is not None and self._state.is_fresh("energy", now):
+                self._energy += total - self._last_count
+            self._last_count = total
+            self._state.update_signal("energy", np.array([self._energy]), now)
+
+    def _on_odom(self, message: Odometry) -> None:
+        self._state.update_odom(_pose(message), self._node.now())
+        self._state.speeds["odom"] = _speed(message)
+
+    def _on_truth(self, message: Odometry) -> None:
+        self._state.update_truth(_pose(message), self._node.now())
+        self._state.speeds["truth"] = _speed(message)
+        self._state.truth_frame = message.header.frame_id
+
+    # ---- arm ----------------------------------------------------------------------------------
+
+    def _on_arm(self, message: JointState) -> None:
+        position, _, _ = joint_arrays(message, self._joints)
+        angles = require_array(position, plausible.ANGLE, "position")
+        self._state.update_arm(angles, self._node.now())
+
+    def _on_timing(self, message: Float64MultiArray) -> None:
+        start = 0
+        for dimension in message.layout.dim:
+            part = message.data[start : start + dimension.size]
+            start += dimension.size
+            if dimension.label == "intervals":
+                intervals = np.array(part, dtype=float)
+                plausible.demand(intervals, plausible.LENGTH, "intervals")
+                self._intervals.extend(intervals.tolist())
+
+    # ---- paths --------------------------------------------------------------------------------
+
+    def _on_path(self, message: Path) -> None:
+        self._state.path.set(path_points(message, self._frames)[:, :2])
+
+    def _on_tool_path(self, message: Path) -> None:
+        self._state.tool_path.set(path_points(message, self._frames))
+
+    def _on_reference(self, message: MultiDOFJointTrajectory) -> None:
+        check_frame(message.header.frame_id, *self._frames)
+        points = message.points
+        positions = [
+            transform.translation
+            for i in thinned(len(points))
+            for transform in points[i].transforms[:1]
+        ]
+        self._state.update_reference(_positions(positions)[:, :2], self._node.now())
+
+    def _on_progress(self, message: Float64) -> None:
+        if not 0.0 <= message.data <= 1.0:
+            raise InputError(f"{message.data} must be within 0 to 1")
+        self._state.update_progress(message.data, self._node.now())
+
+    # ---- sources, stops and diagnostics ---------------------------------------------------------
+
+    def _on_source(self, message: String) -> None:
+        self._state.active_source = message.data
+
+    def _on_stop_state(self, message: DiagnosticStatus) -> None:
+        self._state.stops[message.name] = Condition(level(message), message.message)
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        node = self._node
+        prefix = node.get_namespace().rstrip("/") + "/"
+        for status in message.status:
+            if status.name.startswith(prefix) and status.name != node.get_fully_qualified_name():
+                self._state.update_diagnostics(
+                    status.name, level(status), status.message, node.now()
+                )
+            if status.name == self._path_interpolator:
+                self._state.path_states = frozenset(
+                    item.value for item in status.values if item.key in _MOTION_KEYS
+                )
+
+
+def path_points(message: Path, frames: tuple[str, ...]) -> Array:
+    """Return the positions (k, 3) of a path [m], thinned.
+
+    Args:
+        message: The path.
+        frames: Names of the frames that are accepted.
+
+    Raises:
+        InputError: The frame is not accepted, or a position is not finite or implausibly large.
+    """
+    check_frame(message.header.frame_id, *frames)
+    poses = message.poses
+    return _positions([poses[i].pose.position for i in thinned(len(poses))])
+
+
+def level(status: DiagnosticStatus) -> int:
+    """Return 0 for ok, 1 for a warning, 2 for an error; stale counts as an error."""
+    return min(int.from_bytes(status.level, "little"), 2)
+
+
+def _positions(vectors: list[Any]) -> Array:
+    points = np.array([(vector.x, vector.y, vector.z) for vector in vectors], dtype=float)
+    points = points.reshape(-1, 3)
+    plausible.demand(points, plausible.LENGTH, "positions")
+    return points
+
+
+def _pose(message: Odometry) -> Pose:
+    position = message.pose.pose.position
+    plausible.demand(np.array([position.x, position.y]), plausible.LENGTH, "position")
+    return position.x, position.y, yaw_from_quaternion(message.pose.pose.orientation)
+
+
+def _speed(message: Odometry) -> float:
+    return float(np.abs(twist_array(message.twist.twist)).max())

@@ -1,0 +1,301 @@
+"""Data of one robot that the viewer shows: the latest values, trails and plots."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from omniman_ros.core.arrays import Array
+from omniman_ros.motion.path.interpolator import PathState
+from omniman_ros.planning.cycle import PlannerState
+from omniman_ros.planning.obstacles.ellipses import Ellipses
+from omniman_ros.viewer.lines import Line, Trail
+from omniman_ros.viewer.placed_obstacles import ObstacleArrays
+from omniman_ros.viewer.signal_window import SignalWindow
+
+Pose = tuple[float, float, float]
+"""x, y [m], heading [rad] in `odom`."""
+
+DIAGNOSTICS_TIMEOUT = 3.0
+"""Age at which a node's warning or error is discarded unless the node repeats it [s]."""
+FRESHNESS_TIMEOUT = 1.0
+"""Age from which a value no longer counts as current [s]."""
+PAUSABLE_NODES = ("path_interpolator", "mpc_planner")
+"""Nodes that can be paused, resumed and cancelled."""
+_DRIVING_STATES = (PlannerState.DRIVING.value, PlannerState.BLOCKED.value)
+"""Values of `state` in `mpc/status` while the planner has a goal to drive to."""
+_STATES_OF_ACTION = {
+    "pause": {*_DRIVING_STATES, PathState.FOLLOWING.value, PathState.SLOWING.value},
+    "resume": {PlannerState.PAUSED.value, PathState.PAUSING.value, PathState.PAUSED.value},
+    "cancel": {state.value for state in (*PlannerState, *PathState)}
+    - {PlannerState.IDLE.value, PlannerState.ARRIVED.value, PathState.IDLE.value},
+}
+"""States of planner and path interpolator to which each action applies."""
+
+
+@dataclass(frozen=True)
+class Condition:
+    """State that a node reports about itself.
+
+    Attributes:
+        level: 0 ok, 1 warning, 2 error.
+        text: The state in words.
+        received_at: Time at which it was received [s].
+    """
+
+    level: int
+    text: str
+    received_at: float = 0.0
+
+
+@dataclass(frozen=True)
+class TunableParameter:
+    """A parameter of the planner that the page can set.
+
+    Attributes:
+        value: The node's present value.
+        low, high: Smallest and largest values that the node accepts.
+        text: Description of the parameter.
+    """
+
+    value: float
+    low: float
+    high: float
+    text: str
+
+
+class ViewState:
+    """Everything that the page displays.
+
+    Args:
+        wheels: Number of wheels n.
+        constraints: Number of motion constraints m of the wheels; each has a coupling error.
+
+    Attributes:
+        odom, truth: Poses by odometry and by the simulation's ground truth; None until received.
+        odom_trail, truth_trail: Past positions of both, at most as many as a trail holds.
+        speeds: Largest absolute component of the twist of `odom` and of `truth` [m/s, rad/s].
+        truth_frame: Frame of the ground truth, empty until received.
+        path, reference: The platform's path as sent, and the part of it to be driven next.
+        tool_path: Path of the tool (k, 3) [m].
+        plan, route: The planner's planned motion, and the route that guides it.
+        predicted: Outlines of the obstacles as the planner predicts them.
+        wheel_angles: Measured wheel angles (n,) [rad].
+        arm: Measured joint angles (6,) [rad]; None until received.
+        windows: Curves of the plots by name: `speeds`, n measured and n commanded wheel speeds
+            [rad/s]; `coupling`, m coupling errors [rad]; `voltages`, n motor voltages [V];
+            `energy`, energy of all wheels since it was first received [J]; `solving`, the
+            planner's solution time [ms] and slack [mm]; `sending`, mean and longest interval
+            between two setpoints of the arm [ms].
+        goal, start: Poses of the planner's goal and of the start; None until there is one.
+        obstacles: Obstacles that were placed on the page.
+        selected_obstacle: Number of the obstacle selected for editing, or None.
+        obstacles_paused: Whether the obstacles of the page stand still until Go or Resume.
+        other_obstacles: Obstacles that were not placed on the page, at their present positions.
+        workspace: The planner's x_min, y_min, x_max, y_max in `odom` [m]; None while unknown.
+        planner_parameters: The planner's tunable parameters by name, in the order of the page.
+        planner: Values of `mpc/status` by key.
+        path_states: States of the motions of path_interpolator (platform, arm, whole body).
+        case: Name of the case (start, goal, obstacles) that is loaded, empty for none.
+        active_source: Command source that drives the robot, empty until received.
+        progress: Progress on the path, 0 to 1; valid while it is fresh.
+        stops: Stop state of each node by its name.
+        diagnostics: Current warnings and errors from the diagnostics by name of the node.
+        services: Names of the available services, such as `path_interpolator/pause`.
+        note: Outcome of the last action on the page.
+    """
+
+    def __init__(self, wheels: int, constraints: int) -> None:
+        self.odom: Pose | None = None
+        self.truth: Pose | None = None
+        self.odom_trail, self.truth_trail = Trail(), Trail()
+        self.speeds: dict[str, float] = {}
+        self.truth_frame = ""
+        self.path, self.reference, self.tool_path = Line(), Line(), Line()
+        self.plan, self.route, self.predicted = Line(), Line(), Line()
+        self.wheel_angles = np.zeros(wheels)
+        self.arm: Array | None = None
+        self._counts = {
+            "measured": wheels,
+            "commanded": wheels,
+            "coupling": constraints,
+            "voltages": wheels,
+            "energy": 1,
+            "solving": 2,
+            "sending": 2,
+        }
+        self._values = {name: np.full(count, np.nan) for name, count in self._counts.items()}
+        self.windows = {
+            "speeds": SignalWindow(2 * wheels),
+            **{
+                name: SignalWindow(self._counts[name])
+                for name in ("coupling", "voltages", "energy", "solving", "sending")
+            },
+        }
+        self.goal: Pose | None = None
+        self.start: Pose | None = None
+        self.obstacles = ObstacleArrays.empty()
+        self.selected_obstacle: int | None = None
+        self.obstacles_paused = False
+        self.other_obstacles = Ellipses.none()
+        self.workspace: tuple[float, float, float, float] | None = None
+        self.planner_parameters: dict[str, TunableParameter] = {}
+        self.planner: dict[str, str] = {}
+        self.path_states: frozenset[str] = frozenset()
+        self.case = ""
+        self.active_source = ""
+        self.progress = 0.0
+        self.stops: dict[str, Condition] = {}
+        self.diagnostics: dict[str, Condition] = {}
+        self.services: frozenset[str] = frozenset()
+        self.note = ""
+        self._received_at: dict[str, float] = {}
+
+    def update_odom(self, pose: Pose, now: float) -> None:
+        """Store a pose by odometry, received at `now` [s]."""
+        self.odom = pose
+        self.odom_trail.add(*pose[:2])
+        self._received_at["odom"] = now
+
+    def update_truth(self, pose: Pose, now: float) -> None:
+        """Store the true pose of a simulated robot, received at `now` [s]."""
+        self.truth = pose
+        self.truth_trail.add(*pose[:2])
+        self._received_at["truth"] = now
+
+    def update_wheels(self, angles: Array | None, speeds: Array | None, now: float) -> None:
+        """Store measured angles (n,) [rad] and speeds (n,) [rad/s]; None keeps the last ones."""
+        if angles is not None:
+            self.wheel_angles = angles
+        if speeds is not None:
+            self.update_signal("measured", speeds, now)
+
+    def update_commands(self, speeds: Array | None, now: float) -> None:
+        """Store commanded wheel speeds (n,) [rad/s]; None if torques or voltages are commanded."""
+        unknown = np.full_like(self._values["commanded"], np.nan)
+        self.update_signal("commanded", unknown if speeds is None else speeds, now)
+
+    def update_arm(self, angles: Array, now: float) -> None:
+        """Store measured joint angles (6,) [rad]."""
+        self.arm = angles
+        self._received_at["arm"] = now
+
+    def update_signal(self, name: str, values: Array, now: float) -> None:
+        """Store the latest values of a signal for the plots.
+
+        Args:
+            name: `measured`, `commanded`, `coupling`, `voltages`, `energy`, `solving` or
+                `sending`; units as in the attribute `windows`.
+            values: Values of the signal; surplus ones are dropped, missing ones become NaN.
+            now: Time of reception [s].
+        """
+        kept = self._values[name] = np.full(self._counts[name], np.nan)
+        count = min(len(values), len(kept))
+        kept[:count] = values[:count]
+        self._received_at[name] = now
+
+    def update_reference(self, points: Array, now: float) -> None:
+        """Store the part of the path to be driven next as points (k, 2) in `odom` [m]."""
+        self.reference.set(points)
+        self._received_at["reference"] = now
+
+    def update_plan(self, points: Array, now: float) -> None:
+        """Store the motion that the planner has planned as points (k, 2) in `odom` [m]."""
+        self.plan.set(points)
+        self._received_at["plan"] = now
+
+    def update_predicted(self, outlines: Array, now: float) -> None:
+        """Store the outlines (k, 2) of the predicted obstacles in `odom` [m]."""
+        self.predicted.set(outlines)
+        self._received_at["predicted"] = now
+
+    def update_planner(self, values: dict[str, str], now: float) -> None:
+        """Store the planner's status, the values of `mpc/status` by key."""
+        self.planner = values
+        self._received_at["planner"] = now
+
+    def update_progress(self, progress: float, now: float) -> None:
+        """Store the progress on the path, 0 to 1."""
+        self.progress = progress
+        self._received_at["progress"] = now
+
+    def update_diagnostics(self, name: str, level: int, text: str, now: float) -> None:
+        """Store a node's warning or error; level 0 clears it."""
+        if level == 0:
+            self.diagnostics.pop(name, None)
+        else:
+            self.diagnostics[name] = Condition(level, text, now)
+
+    def sample(self, now: float) -> None:
+        """Add the values at `now` [s] to the plots, and discard values that are out of date."""
+        known = {
+            name: values if self.is_fresh(name, now) else np.full_like(values, np.nan)
+            for name, values in self._values.items()
+        }
+        known["speeds"] = np.concatenate([known["measured"], known["commanded"]])
+        for name, window in self.windows.items():
+            window.sample(now, known[name])
+        for line, name in (
+            (self.reference, "reference"),
+            (self.plan, "plan"),
+            (self.predicted, "predicted"),
+        ):
+            if len(line.points) and not self.is_fresh(name, now):
+                line.set(line.points[:0])
+        self.diagnostics = {
+            name: condition
+            for name, condition in self.diagnostics.items()
+            if now - condition.received_at < DIAGNOSTICS_TIMEOUT
+        }
+
+    def clear_trails(self) -> None:
+        """Discard the past positions."""
+        self.odom_trail.clear()
+        self.truth_trail.clear()
+
+    def reset_time(self) -> None:
+        """Clear plots and diagnostics, and mark all values as old, after the clock jumped back."""
+        self._received_at.clear()
+        self.diagnostics.clear()
+        for window in self.windows.values():
+            window.clear()
+
+    def is_fresh(self, name: str, now: float) -> bool:
+        """Return whether a value was received less than `FRESHNESS_TIMEOUT` before `now` [s].
+
+        Args:
+            name: `odom`, `truth`, `arm`, `reference`, `plan`, `predicted`, `planner`, `progress`
+                or a signal of :meth:`update_signal`.
+            now: Time [s].
+        """
+        return now - self._received_at.get(name, -np.inf) < FRESHNESS_TIMEOUT
+
+    def planner_is_driving(self, now: float) -> bool:
+        """Return whether the planner reports that it has a goal to drive to."""
+        return self.is_fresh("planner", now) and self.planner.get("state") in _DRIVING_STATES
+
+    def planner_is_paused(self, now: float) -> bool:
+        """Return whether the planner reports that it is paused on the way to a goal."""
+        is_paused = self.planner.get("state") == PlannerState.PAUSED.value
+        return self.is_fresh("planner", now) and is_paused
+
+    def reports_nothing_to(self, action: str, node: str) -> bool:
+        """Return whether an action does not apply to the state that a node last reported.
+
+        Args:
+            action: `pause`, `resume` or `cancel`.
+            node: `mpc_planner` or `path_interpolator`.
+        """
+        if node == "mpc_planner":
+            state = self.planner.get("state")
+            states = frozenset() if state is None else frozenset({state})
+        else:
+            states = self.path_states
+        return bool(states) and not states & _STATES_OF_ACTION[action]
+
+    def mark_gone(self, present: Iterable[str]) -> None:
+        """Set the stop state of each node that is not among those present to the error "gone"."""
+        present = set(present)
+        for name, condition in self.stops.items():
+            if name not in present and condition.text != "gone":
+                self.stops[name] = Condition(2, "gone")

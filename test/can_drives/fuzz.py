@@ -1,0 +1,55 @@
+"""Random frames by a seed, many of them with ids of the codec under test."""
+
+import os
+import random
+
+from omniman_ros.can_drives.axis import AxisSettings
+from omniman_ros.can_drives.frame import Frame
+from omniman_ros.control.wheel_cascade import DriveMode
+
+COUNT = int(os.environ.get("OMNIMAN_FUZZ", "10000"))
+"""Number of frames for each codec; `make fuzz` runs a million."""
+
+EDGES = (b"\x00", b"\xff", b"\x7f", b"\x80", b"\x01")
+
+
+def frames(seed, count, ids, ids_extended=()):
+    """Yield frames of random or extreme bytes; three of four have one of the ids."""
+    chance = random.Random(seed)
+    known = [(i, False) for i in ids] + [(i, True) for i in ids_extended]
+    for _ in range(count):
+        if known and chance.random() < 0.75:
+            id, extended = chance.choice(known)
+            extended ^= chance.random() < 0.02
+        else:
+            extended = chance.random() < 0.5
+            id = chance.getrandbits(29 if extended else 11)
+        length = 8 if chance.random() < 0.6 else chance.randrange(9)
+        if chance.random() < 0.2:
+            data = b"".join(chance.choice(EDGES) for _ in range(length))
+        else:
+            data = chance.randbytes(length)
+        yield Frame(id, data, extended, chance.random() < 0.02)
+
+
+def settings(**changes):
+    """Return settings: node 5, 200 Hz, 4096 counts per turn, heartbeat timeout 0.1 s."""
+    values = {
+        "name": "front_left",
+        "node": 5,
+        "period": 0.005,
+        "counts": 4096.0,
+        "velocity_scale": 4096.0,
+        "pole_pairs": 7,
+        "torque_constant": 0.05,
+        "rated_torque": 1.0,
+        "mode": DriveMode.VELOCITY,
+        "feed_forward": False,
+        "max_speed": 500.0,
+        "max_torque": 2.0,
+        "quick_stop_deceleration": 200.0,
+        "heartbeat_timeout": 0.1,
+        "drive_heartbeat": 0.03,
+        "feedback_timeout": 0.015,
+    }
+    return AxisSettings(**(values | changes))

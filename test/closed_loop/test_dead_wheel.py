@@ -1,0 +1,289 @@
+"""Dead motors and stuck wheels on the plant: detection, report, driving on and stopping.
+
+The detector is independent of the plant; times are simulated.
+"""
+
+import numpy as np
+import pytest
+
+from omniman_ros.core.parameters import build
+from omniman_ros.core.robot import Robot
+from omniman_ros.lab.studies.closed_loop import PERIOD
+from omniman_ros.simulation.plant.parameters import SimulationParameters
+from test import robots
+from test.closed_loop.test_closed_loop import MODES, Loop, fastest, figure_of_eight, follow, rms
+from test.tiers import representative
+
+ON = {"drive.dead_wheel": "drive_on"}
+FORWARD, SIDEWAYS, TURN = (0.3, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.0, 0.4)
+
+
+class Course:
+    """A loop driven by cmd_vel that records detected faults."""
+
+    def __init__(self, robot="omniman", changes=None, simulation=None):
+        self.loop = Loop(robot, changes, simulation)
+        self.simulation = simulation or {}
+        self.core, self.drives = self.loop.controller, self.loop.drives
+        self.names = self.core.parameters.robot.wheels.names
+
+    def fault(self, **faults):
+        """Set faults of the simulation by name."""
+        named = {f"faults.{name}": wheels for name, wheels in faults.items()}
+        self.drives.set_parameters(build(SimulationParameters, {**self.simulation, **named}))
+
+    def go(self, twist, seconds):
+        """Drive and return the time of the first dead wheel or latched stop [s], or None."""
+        start, found = self.loop.now, None
+        for _ in range(round(seconds / PERIOD)):
+            self.core.set_twist(np.array(twist), self.loop.now)
+            self.loop.step()
+            if found is None and (self.core.wheel_health.dead or not self.core.latch.released):
+                found = self.loop.now - start
+        return found
+
+    @property
+    def twist(self):
+        """Return the true twist."""
+        return self.drives.ground_truth()[1]
+
+
+def check_drives_on(course, wheel, twist, found, within):
+    assert course.core.wheel_health.dead == course.core.wheel_health.idle == (wheel,)
+    assert course.core.latch.released, course.core.latch.status
+    assert course.drives.stop_reason is None
+    assert found < within
+    np.testing.assert_allclose(course.twist, twist, atol=0.02)
+    assert "dead: driving on without" in course.core.wheel_health.notice
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize(
+    "twist",
+    representative([FORWARD, SIDEWAYS, TURN], every=2),
+    ids=["forward", "sideways", "turn"],
+)
+@pytest.mark.parametrize("robot", ["omniman", "ig42"])
+def test_robot_drives_on_without_a_motor_that_dies_in_motion(robot, twist, mode):
+    course = Course(robot, ON | {"drive.mode": mode})
+    assert course.go(twist, 1.5) is None
+    course.fault(dead_motor=(course.names[0],))
+    found = course.go(twist, 2.0)
+    check_drives_on(course, 0, twist, found, within=0.7)
+
+
+@pytest.mark.parametrize(
+    "robot", representative(["mecanum6", "omniman", "skewed4", "mecanum8"], every=4)
+)
+def test_every_dead_wheel_is_distinguished_from_its_neighbours(robot):
+    """The neighbour of a dead wheel may also give no torque."""
+    for wheel in range(robots.robot(robot).wheel_count):
+        course = Course(robot, ON)
+        course.go(FORWARD, 1.0)
+        course.fault(dead_motor=(course.names[wheel],))
+        found = course.go(FORWARD, 1.4)
+        check_drives_on(course, wheel, FORWARD, found, within=1.0)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_motor_dead_from_the_start_is_detected_within_the_first_metre(mode):
+    course = Course("ig42", ON | {"drive.mode": mode}, {"faults.dead_motor": ("rear_left",)})
+    found = course.go(FORWARD, 2.5)
+    check_drives_on(course, 2, FORWARD, found, within=0.7)
+    assert np.hypot(*(course.drives.ground_truth()[0] - course.core.odometry.pose)[:2]) < 0.03
+
+
+def test_dead_motor_by_default_stops_the_robot_within_its_limits():
+    course = Course()
+    course.go((0.6, 0.0, 0.2), 2.0)
+    course.fault(dead_motor=("rear_right",))
+    assert course.go((0.6, 0.0, 0.2), 0.7) is not None
+    assert course.core.latch.status.reason == "wheel 'rear_right' is dead: no torque"
+    before = course.twist
+    limits, start = course.core.parameters.limits, course.loop.now
+    while np.abs(course.twist).max() > 1e-3:
+        course.go((0.6, 0.0, 0.2), PERIOD)
+        assert abs(course.twist[0] - before[0]) / PERIOD < 1.5 * limits.linear_deceleration
+        before = course.twist
+        assert course.loop.now - start < 1.5
+    assert abs(course.drives.wheel_states(course.loop.now).velocity).max() < 0.05
+
+
+def test_dead_motor_stops_a_three_wheel_robot():
+    course = Course("omni3", ON)
+    course.go(FORWARD, 1.5)
+    course.fault(dead_motor=("front_left",))
+    assert course.go(FORWARD, 2.5) < 0.7
+    assert "front_left" in course.core.latch.status.reason
+    assert np.abs(course.twist).max() < 1e-3
+
+
+def test_without_torques_only_a_configured_dead_wheel_is_excluded():
+    loop = Loop("omniman", ON, {"faults.dead_motor": ("front_left",)})
+    loop._torques = False
+    for _ in range(600):
+        loop.controller.set_twist(np.array(FORWARD), loop.now)
+        loop.step()
+    assert (
+        loop.controller.wheel_health.idle == ()
+        and not loop.controller.wheel_health.torque_reported
+    )
+    course = Course(
+        "omniman", {"drive.dead": ("front_left",)}, {"faults.dead_motor": ("front_left",)}
+    )
+    course.loop._torques = False
+    course.go(SIDEWAYS, 3.0)
+    np.testing.assert_allclose(course.twist, SIDEWAYS, atol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("robot", "mode"),
+    [
+        pytest.param("omniman", "velocity", marks=pytest.mark.exhaustive),
+        ("ig42", "torque"),
+    ],
+)
+def test_path_is_tracked_with_three_wheels(robot, mode):
+    """One motor dies during the path; speeds up to 0.46 m/s are within the reduced limits."""
+    loop = Loop(robot, ON | {"drive.mode": mode})
+    preview = figure_of_eight(0.1, 40.0)
+    assert fastest(preview) < 0.5
+    done = []
+
+    def die():
+        if not done and loop.now > 10.0:
+            done.append(True)
+            dead = {"faults.dead_motor": ("front_left",)}
+            loop.drives.set_parameters(build(SimulationParameters, dead))
+
+    step = loop.step
+
+    def stepping():
+        die()
+        step()
+
+    loop.step = stepping
+    odometry, truth = follow(loop, preview)
+    assert loop.controller.wheel_health.idle == (0,)
+    assert rms(odometry) < 0.02, f"{1e3 * rms(odometry):.2f} mm"
+    assert np.hypot(*(truth - odometry)[:, :2].T).max() < 0.05
+    assert np.abs(np.diff(odometry, axis=0)[:, :2]).max() < 0.01, "a jump"
+
+
+def test_second_dead_motor_stops_the_robot():
+    course = Course("mecanum6", ON)
+    course.go(FORWARD, 1.0)
+    course.fault(dead_motor=course.names[:1])
+    course.go(FORWARD, 1.5)
+    assert course.core.wheel_health.idle == (0,)
+    course.fault(dead_motor=course.names[:2])
+    course.go(FORWARD, 4.0)
+    assert "it is not the only one" in course.core.latch.status.reason
+    assert course.names[1] in course.core.latch.status.reason
+
+
+def test_after_a_repair_and_a_reset_all_wheels_drive_again():
+    course = Course("omniman", ON)
+    course.go(FORWARD, 1.0)
+    course.fault(dead_motor=("front_right",))
+    course.go(FORWARD, 1.5)
+    course.fault()
+    course.go((0.0, 0.0, 0.0), 2.0)
+    assert course.core.wheel_health.idle == (1,), "the wheel must not return to service by itself"
+    course.drives.reset()
+    course.core.reset(course.loop.now)
+    course.go((0.0, 0.0, 0.0), 0.1)
+    assert course.go(FORWARD, 3.0) is None
+    assert course.core.wheel_health.idle == ()
+    assert course.drives.wheel_states(course.loop.now).effort[1] > 0.5
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("robot", ["omniman", "ig42", "omni3"])
+def test_stuck_wheel_stops_the_robot_soon_even_under_drive_on(robot, mode):
+    course = Course(robot, ON | {"drive.mode": mode})
+    course.go(FORWARD, 1.5)
+    course.fault(stuck_wheel=(course.names[0],))
+    assert course.go(FORWARD, 2.0) < 0.6
+    reason = course.core.latch.status.reason
+    assert f"'{course.names[0]}'" in reason and "dead" not in reason
+    assert course.core.wheel_health.idle == ()
+    assert np.abs(course.twist).max() < 1e-3
+
+
+# ---- no false alarm ---------------------------------------------------------------------------
+
+
+def ride(seed, robot, mode, seconds, trouble):
+    """Drive randomly with 20 % part mismatch; return the stop reason and number of probes."""
+    rng = np.random.default_rng(seed)
+    n = robots.robot(robot).wheel_count
+
+    def spread(share=0.2):
+        return tuple((1.0 + rng.uniform(-share, share, n)).tolist())
+
+    simulation = {
+        "mismatch.friction": spread(),
+        "mismatch.torque_constant": spread(),
+        "mismatch.amplifier_gain": spread(),
+        "firmware.encoder_tolerance": 1e6,
+    }
+    if trouble == "noise":
+        simulation["faults.current_noise"] = 0.2
+    if trouble == "ice":
+        simulation |= {
+            "plant.patch_x_min": 0.2,
+            "plant.patch_x_max": 1.2,
+            "plant.patch_y_min": -5.0,
+            "plant.patch_y_max": 5.0,
+            "plant.patch_mu": 0.05,
+        }
+    loop = Loop(robot, {"drive.mode": mode, "drive.following_error": 1000.0}, simulation)
+    core, limits = loop.controller, loop.controller.parameters.limits
+    if trouble == "load":
+        heavy = {
+            k: v * 1.5
+            for k, v in robots.values(robot).items()
+            if k in ("body.mass", "body.inertia")
+        }
+        heavy_robot = build(Robot, {**robots.values(robot), **heavy})
+        loop.drives.configure(heavy_robot, build(SimulationParameters, simulation))
+    asked, left = 0, 0
+    for _ in range(round(seconds / PERIOD)):
+        if left == 0:
+            left = int(rng.integers(60, 500))
+            scale = rng.uniform(0.03, 1.0) * (rng.uniform(size=3) < 0.6)
+            twist = scale * rng.uniform(-1.0, 1.0, 3)
+            twist *= [*[limits.linear_velocity] * 2, limits.angular_velocity]
+        left -= 1
+        if trouble == "ice" and not -0.5 < loop.truth[0] < 2.0:
+            loop.drives.set_pose([0.0, 0.0, rng.uniform(-3, 3)])
+        core.set_twist(twist, loop.now)
+        probing = core.wheel_health.probe(loop.now) is not None
+        loop.step()
+        asked += core.wheel_health.probe(loop.now) is not None and not probing
+        if not core.latch.released:
+            break
+    return core.latch.status.reason, asked
+
+
+TROUBLES = ("none", "noise", "ice", "load")
+
+
+@pytest.mark.parametrize(
+    ("seed", "robot", "mode", "trouble"),
+    [
+        (
+            k,
+            ("omniman", "ig42", "omni3", "mecanum6", "mecanum8")[k % 5],
+            MODES[k % 3],
+            TROUBLES[k % 4],
+        )
+        for k in range(8)
+    ],
+)
+def test_no_healthy_wheel_is_reported_as_dead(seed, robot, mode, trouble):
+    seconds = 6
+    reason, asked = ride(seed, robot, mode, seconds, trouble)
+    assert reason == ""
+    assert asked <= seconds

@@ -1,0 +1,85 @@
+"""Recordings of robots that follow their references, made without a robot."""
+
+import math
+
+import numpy as np
+
+from omniman_ros.demo.arm_moves import ArmMove
+from omniman_ros.demo.leg import Interval
+from omniman_ros.demo.path_leg import PathLeg
+from omniman_ros.demo.recorder import Recording
+from omniman_ros.demo.twist_leg import DrivenPhase, Pace, TwistLeg, TwistPhase
+
+START = 1000.0
+DURATION = 8.0
+MOVEMENTS = [
+    Interval("there", START, START + 5.0),
+    Interval("back", START + 6.0, START + DURATION),
+]
+
+
+def reference_poses(times):
+    """Poses (k, 3) of a curve that is driven with a turning heading."""
+    return np.column_stack([0.5 + 0.4 * times, 0.2 * np.sin(times), 0.3 + 0.9 * times])
+
+
+def reference_rows():
+    """Rows of `Recording.reference`: previews that overlap, with wrapped headings."""
+    rows = []
+    for begin in np.arange(0.0, DURATION, 0.04):
+        times = begin + 0.008 * np.arange(6)
+        poses = reference_poses(times)
+        poses[:, 2] = np.remainder(poses[:, 2] + math.pi, math.tau) - math.pi
+        rows += [(START + t, *pose) for t, pose in zip(times, poses, strict=True)]
+    return rows
+
+
+def odometry_rows(error=(0.0, 0.0, 0.0), delay=0.0):
+    """Rows of `Recording.odom` of a robot that follows with a constant error or a delay [s]."""
+    times = np.arange(0.0, DURATION, 0.01)
+    poses = reference_poses(times - delay) + error
+    return np.column_stack([START + times, poses, np.zeros((len(times), 3))])
+
+
+def perfect_run():
+    """A recording whose figures are all within their limits, and its legs."""
+    odom = odometry_rows()
+    recording = Recording(
+        odom=[tuple(row) for row in odom],
+        truth=[tuple(row[:4]) for row in odom],
+        coupling=[(START, 0.001), (START + 5.5, 0.1), (START + 7.0, -0.003)],
+        reference=reference_rows(),
+        energy=[(1.0, 2.0), (4.0, 2.5)],
+        odom_arrivals=(np.arange(1000) * 0.01).tolist(),
+        command_arrivals=(np.arange(2000) * 0.005).tolist(),
+    )
+    twists, path = TwistLeg(Pace()), PathLeg()
+    twists.driven = [DrivenPhase(TwistPhase("rest", 3.0, lambda t: (0.0, 0.0, 0.0)), START)]
+    path.movements = list(MOVEMENTS)
+    return recording, [twists, path]
+
+
+def arm_run(lag=0.04, offset=0.0):
+    """A recording of an arm that moves there and back behind its reference, and its moves.
+
+    Args:
+        lag: Delay of the arm behind its reference [s].
+        offset: Constant error of all joints [rad].
+    """
+
+    def joints(times):
+        return np.column_stack([1.0 - np.cos(np.pi * times / 2.0), 0.5 * np.sin(np.pi * times)])
+
+    times = np.arange(0.0, 4.0, 0.008)
+    delayed = np.clip(times - lag, 0.0, 4.0)
+    recording, legs = perfect_run()
+    recording.arm = [(START + t, *q) for t, q in zip(times, joints(delayed) + offset, strict=True)]
+    recording.arm_reference = [
+        (START + t, *q) for t, q in zip(times, joints(times), strict=True) for _ in range(2)
+    ]
+    recording.arm_intervals = [0.008] * 500
+    moves = [
+        ArmMove(tuple(joints(np.array([2.0 - lag]))[0]), START, START + 2.0),
+        ArmMove(tuple(joints(np.array([3.9 - lag]))[0]), START + 2.0, START + 3.9),
+    ]
+    return recording, legs, moves

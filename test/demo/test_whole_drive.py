@@ -1,0 +1,27 @@
+"""Figures of the whole demo: odometry's drift and the timing of topics."""
+
+import math
+
+import numpy as np
+import pytest
+
+from omniman_ros.demo.whole_drive import drift_figures, interval_figures
+
+
+def test_drift_compares_motions_whatever_the_frames():
+    t = np.linspace(0.0, 1.0, 50)
+    truth = np.column_stack([t, 2.0 * t, np.zeros(50), np.zeros(50)])
+    c, s = math.cos(1.0), math.sin(1.0)
+    odom = np.column_stack([t, 5 + c * 2.1 * t, 7 + s * 2.1 * t, 1.0 + 0.1 * t])
+    result = drift_figures(odom, truth)
+    assert result["position_mm"] == pytest.approx(100.0)
+    assert result["heading_deg"] == pytest.approx(math.degrees(0.1))
+    assert result["travel_m"] == pytest.approx(2.0)
+    assert result["turn_rad"] == pytest.approx(0.0)
+
+
+def test_the_longest_interval_shows_a_gap():
+    result = interval_figures([0.0, 0.01, 0.02, 0.08, 0.09])
+    assert result["max_ms"] == pytest.approx(60.0)
+    assert result["p50_ms"] == pytest.approx(10.0)
+    assert result["rate_hz"] == pytest.approx(4 / 0.09)

@@ -1,0 +1,54 @@
+import json
+import subprocess
+
+import numpy as np
+import pytest
+
+from omniman_ros.core.parameters import build
+from omniman_ros.lab.bench import path as bench_path
+from omniman_ros.motion.path.parameters import PathParameters
+from omniman_ros.robots import load_robot
+from test.running import command, environment
+
+
+def test_plain_resampling_is_at_constant_speed():
+    steps = np.diff(bench_path.resampled(bench_path.spiral(1000), 0.5), axis=0)
+    # Chords at the corners are slightly shorter than the path.
+    assert np.hypot(*steps.T[:2]) == pytest.approx(0.004, rel=0.01)
+
+
+@pytest.mark.parametrize("count", bench_path.COUNTS)
+def test_paths_have_the_stated_number_of_poses_and_begin_at_the_robot(count):
+    poses = bench_path.spiral(count)
+    assert poses.shape == (count, 3) and poses[0] == pytest.approx([0, 0, 0])
+    assert np.abs(np.diff(poses, axis=0)).max(axis=1).min() > 0
+
+
+def test_planning_is_compared_with_plain_resampling(monkeypatch):
+    monkeypatch.setattr(bench_path, "COUNTS", (2, 20))
+    figures = bench_path.planning(build(PathParameters, load_robot("omniman")), 1)
+    assert set(figures) == {"2", "20"}
+    for row in figures.values():
+        assert row["planning_ms"] > row["plain_resampling_ms"] > 0.0
+        assert 1.0 < row["duration_ratio"] == row["duration_s"] / row["bound_s"] < 1.2
+
+
+@pytest.mark.exhaustive
+@pytest.mark.processes
+def test_benchmark_runs_end_to_end_and_publishes_its_json(tmp_path):
+    ended = subprocess.run(
+        command("bench", "path", "--quick", "--results", str(tmp_path)),
+        env=environment(),
+        capture_output=True,
+        text=True,
+        timeout=180,
+    )
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    result = json.loads(ended.stdout.splitlines()[-1])
+    assert result == json.loads((tmp_path / "bench_path.json").read_text())
+    assert set(result["planning"]) == {"2", "100", "10000"}
+    share = result["cpu_share"]
+    assert share["driving"]["path_interpolator"] > 0.0
+    assert share["cpu_per_tick_us"] == pytest.approx(
+        8000 * share["driving"]["path_interpolator"], rel=1e-3
+    )

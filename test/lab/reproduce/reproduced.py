@@ -1,0 +1,130 @@
+"""Synthetic results of experiments with every field that the page of `all` reads."""
+
+ABOUT = {"time": "2026-01-02T03:04:05+00:00", "python": "3", "machine": "m", "cores": 2}
+
+
+def spread(value):
+    return {"mean": value, "worst": value}
+
+
+def wheels(group, gain, ratio, slip=20.0, odometry=0.005):
+    return {
+        "group": group,
+        "k": gain,
+        "epsilon_max": spread(1.5 * ratio),
+        "slip": spread(slip),
+        "epsilon_ratio": spread(ratio),
+        "odometry_max": spread(odometry),
+        "epsilon_max_samples": [1.5 * ratio] * 2,
+    }
+
+
+def ride(about="defaults", **changes):
+    return {
+        "about": about,
+        "reached": True,
+        "collided": False,
+        "time_s": 8.5,
+        "energy_j": 150.0,
+        "clearance_m": 0.06,
+        "cycles": 170,
+        "plans_used": 170,
+        "cpu_median_ms": 4.0,
+        "cpu_p99_ms": 9.0,
+        "along_diagonal": True,
+        "share": 0.86,
+        "peak_turn_rad": 0.5,
+        "backwards_share": 0.0,
+    } | changes
+
+
+def case(**changes):
+    drives = [ride(**changes), ride("voltages put out"), ride("the paper's horizon and cost")]
+    return {
+        "robot": "ig42",
+        "quick": False,
+        "full": False,
+        "seed": 0,
+        "passed": True,
+        "drives": drives,
+        "took_s": 10.0,
+        "about": ABOUT,
+    }
+
+
+def group(**changes):
+    return {
+        "drives": 8,
+        "reached": 8,
+        "solvable": 8,
+        "own_collisions": 0,
+        "other_collisions": 0,
+        "answer_median_ms": 5.0,
+        "answer_p99_ms": 20.0,
+    } | changes
+
+
+EVERYTHING = {
+    "coupling": {
+        "robot": "omniman",
+        "quick": False,
+        "full": False,
+        "seed": 0,
+        "samples": 10,
+        "chosen_gain": 15.0,
+        "aim": {"met": True},
+        "took_s": 300.0,
+        "about": ABOUT,
+        "uncontrolled_rad": dict.fromkeys("abcde", 0.1),
+        "table": [
+            wheels("P", 0.0, 1.0),
+            wheels("P", 2.0, 0.45, 8.0, 0.003),
+            wheels("P", 15.0, 0.09, 2.0, 0.002),
+            wheels("PI", 0.0, 1.0),
+            wheels("PI", 2.0, 0.7, 3.0, 0.004),
+        ],
+    },
+    "tool_path": {
+        "robot": "omniman",
+        "quick": False,
+        "seed": 0,
+        "passed": True,
+        "took_s": 60.0,
+        "about": ABOUT,
+        "bounds": {"rms_mm": 2.0, "max_mm": 5.0},
+        "drives": [
+            {"correction": True, "rms_mm": 0.3, "max_mm": 2.0},
+            {"correction": False, "rms_mm": 9.0, "max_mm": 10.0},
+        ],
+    },
+    "free": case(clearance_m=None) | {"energy": [{"ratio": 0.9}, {"ratio": 1.1}]},
+    "corridor": case(),
+    "moving": case(),
+    "workshop": case(),
+    "scenes": {
+        "robot": "ig42",
+        "seed": 0,
+        "passed": True,
+        "took_s": 400.0,
+        "about": ABOUT,
+        "drives": [{}] * 8,
+        "groups": {"all": group(), "model off by up to 20 %": group()},
+    },
+    "demo": {
+        "ok": True,
+        "about": ABOUT,
+        "tracking": {"rms_mm": 0.35, "max_mm": 1.3},
+        "arm": {"setpoints": {"p50_ms": 8.0, "p99_ms": 8.4}},
+    },
+    "bench_mpc": {
+        "about": ABOUT,
+        "alone": {"N=20 M=4": {"cycle": {"median_ms": 3.1, "p99_ms": 3.9}}},
+        "ratios": {"ipopt_over_cycle": {"median": 10.8, "p99": 20.0}},
+    },
+    "bench_arm": {"about": ABOUT, "ratio": 0.9, "streamer": {"p50_ms": 8.0, "p99_ms": 8.4}},
+    "identify_friction": {
+        "about": ABOUT,
+        "wheels": [{"viscous": {"value": 0.05}, "coulomb": {"value": 0.6}}],
+    },
+}
+"""By the name of the experiment; whoever changes one puts it back."""

@@ -1,0 +1,180 @@
+"""Agreement of measured results with the claims of the papers."""
+
+import copy
+
+import pytest
+
+from omniman_ros.lab.reproduce.findings import Verdict
+from omniman_ros.lab.reproduce.own import FIGURES
+from omniman_ros.lab.reproduce.published import CLAIMS
+from test.lab.reproduce.reproduced import EVERYTHING, group, ride, wheels
+
+BY_NAME = {claim.quantity: claim for claim in CLAIMS}
+
+
+@pytest.fixture
+def results():
+    return copy.deepcopy(EVERYTHING)
+
+
+def verdict(results, quantity):
+    return BY_NAME[quantity].find(results).verdict.value
+
+
+def put(results, *row):
+    """Replace a row of the coupling study."""
+    new = wheels(*row)
+    table = results["coupling"]["table"]
+    table[:] = [old for old in table if (old["group"], old["k"]) != row[:2]] + [new]
+
+
+def test_every_claim_cites_its_source_and_is_printable():
+    assert len(BY_NAME) == len(CLAIMS)
+    for claim in CLAIMS:
+        assert claim.source.startswith(("CCTA 2017, ", "MPC 2021, "))
+        assert claim.published
+        assert claim.needs
+        assert claim.quantity.isascii()
+
+
+def test_with_all_results_every_claim_is_measured(results):
+    found = {claim.quantity: claim.find(results) for claim in CLAIMS}
+    assert [name for name, finding in found.items() if finding.verdict is Verdict.MISSING] == []
+    for name, finding in found.items():
+        # Claims with a rule are judged; claims without a rule are shown.
+        assert (finding.verdict is Verdict.SHOWN) == (not BY_NAME[name].rule), name
+        assert finding.text and finding.values
+
+
+@pytest.mark.parametrize("claim", CLAIMS, ids=lambda claim: claim.quantity)
+def test_claim_without_its_results_is_not_measured(results, claim):
+    for name in claim.needs:
+        rest = {key: value for key, value in results.items() if key != name}
+        finding = claim.find(rest)
+        assert finding.verdict is Verdict.MISSING
+        assert name in finding.text
+
+
+@pytest.mark.parametrize("claim", [*CLAIMS, *FIGURES], ids=lambda claim: claim.quantity)
+def test_missing_figure_in_results_is_not_an_error(claim):
+    empty = {name: {"drives": [], "table": [], "energy": []} for name in claim.needs}
+    assert claim.find(empty).verdict is Verdict.MISSING
+
+
+@pytest.mark.parametrize(("ratio", "said"), [(0.1, "agrees"), (0.101, "differs")])
+@pytest.mark.parametrize(
+    ("quantity", "wheels_and_gain"),
+    [
+        ("Coupling error at k = 2, P loops", ("P", 2.0)),
+        ("The same, PI loops at k = 2", ("PI", 2.0)),
+        ("The same, P loops at this robot's gain", ("P", 15.0)),
+    ],
+)
+def test_nearly_zero_means_at_most_a_tenth(results, quantity, wheels_and_gain, ratio, said):
+    put(results, *wheels_and_gain, ratio)
+    assert verdict(results, quantity) == said
+
+
+@pytest.mark.parametrize(
+    ("peaks", "said"), [([0.01, 0.5], "agrees"), ([0.009, 0.5], "partly"), ([0.0, 0.0], "differs")]
+)
+def test_each_movement_must_stand_out(results, peaks, said):
+    results["coupling"]["uncontrolled_rad"] = dict(enumerate(peaks))
+    assert verdict(results, "Coupling error without control") == said
+
+
+@pytest.mark.parametrize(("slip", "said"), [(19.9, "agrees"), (20.0, "differs")])
+def test_control_must_reduce_slip(results, slip, said):
+    put(results, "P", 2.0, 0.45, slip)
+    assert verdict(results, "Wheel slip") == said
+
+
+@pytest.mark.parametrize(
+    ("p", "pi", "said"),
+    [(0.004, 0.004, "agrees"), (0.004, 0.006, "partly"), (0.006, 0.005, "differs")],
+)
+def test_odometry_must_gain_with_all_wheels(results, p, pi, said):
+    put(results, "P", 2.0, 0.45, 8.0, p)
+    put(results, "PI", 2.0, 0.45, 8.0, pi)
+    assert verdict(results, "Odometry") == said
+
+
+@pytest.mark.parametrize(("p50", "said"), [(8.1, "agrees"), (8.2, "differs"), (7.8, "differs")])
+def test_setpoints_must_come_every_8_ms(results, p50, said):
+    results["demo"]["arm"]["setpoints"]["p50_ms"] = p50
+    results["bench_arm"]["streamer"]["p50_ms"] = p50
+    assert verdict(results, "Setpoints of the arm, demo") == said
+    assert verdict(results, "Setpoints of the arm, under load") == said
+
+
+@pytest.mark.parametrize(("p99", "said"), [(99.0, "agrees"), (100.0, "differs")])
+def test_slowest_of_three_cases_must_be_in_time(results, p99, said):
+    results["moving"]["drives"] = [
+        ride(cpu_p99_ms=p99),
+        ride("the paper's horizon and cost", cpu_p99_ms=p99),
+    ]
+    assert verdict(results, "Real time, defaults") == said
+    assert verdict(results, "Real time, n = 10 steps of 0.1 s") == said
+
+
+@pytest.mark.parametrize("fault", [{"reached": False, "time_s": None}, {"collided": True}])
+def test_failed_drive_agrees_with_no_claim(results, fault):
+    for name in ("corridor", "moving"):
+        results[name]["drives"][0] = ride(**fault)
+    assert verdict(results, "Three cases, defaults") == "partly"
+    assert "corridor FAILED" in BY_NAME["Three cases, defaults"].find(results).text
+    assert verdict(results, "Three cases with n = 10 and its cost") == "agrees"
+    assert verdict(results, "Three cases, motor voltages put out") == "agrees"
+    assert verdict(results, "Narrow corridor") == "differs"
+    assert verdict(results, "Moving obstacles") == "differs"
+
+
+@pytest.mark.parametrize(
+    ("turned", "along", "said"),
+    [
+        (0.2, True, "agrees"),
+        (0.2, False, "partly"),
+        (0.1, True, "partly"),
+        (0.1, False, "differs"),
+    ],
+)
+def test_robot_must_turn_and_travel_along_a_diagonal_on_free_floor(results, turned, along, said):
+    changes = {"peak_turn_rad": turned, "along_diagonal": along}
+    results["free"]["drives"] = [ride(**changes), ride("the paper's horizon and cost", **changes)]
+    assert verdict(results, "Free movement: heading, defaults") == said
+    assert verdict(results, "Free movement: the same, n = 10 and its cost") == said
+
+
+@pytest.mark.parametrize(
+    ("ratios", "said"),
+    [([0.9, 0.99, None], "agrees"), ([0.9, 1.1], "partly"), ([1.0, 1.1], "differs")],
+)
+def test_energy_must_be_saved_to_every_goal(results, ratios, said):
+    results["free"]["energy"] = [{"ratio": ratio} for ratio in ratios]
+    assert verdict(results, "Free movement: energy") == said
+
+
+@pytest.mark.parametrize(("turned", "said"), [(0.2, "agrees"), (0.1, "partly")])
+def test_corridor_must_be_passed_turned(results, turned, said):
+    results["corridor"]["drives"][0] = ride(peak_turn_rad=turned)
+    assert verdict(results, "Narrow corridor") == said
+
+
+@pytest.mark.parametrize(("share", "said"), [(0.0, "differs"), (0.1, "agrees")])
+def test_backward_travel_is_recognised(results, share, said):
+    results["corridor"]["drives"][0] = ride(backwards_share=share)
+    assert verdict(results, "Narrow corridor: backwards") == said
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"other_collisions": 1}, "agrees"),
+        ({"own_collisions": 1}, "differs"),
+        ({"reached": 7}, "differs"),
+        ({"reached": 7, "solvable": 7}, "agrees"),
+    ],
+)
+def test_scenes_with_a_mismatched_robot_must_end_well(results, changes, said):
+    results["scenes"]["groups"]["model off by up to 20 %"] = group(**changes)
+    assert verdict(results, "Model not exact") == said

@@ -1,0 +1,410 @@
+"""Scenes: callbacks of the node in simulated time, and the report of the command."""
+
+import argparse
+import importlib.util
+import json
+import math
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from omniman_ros.cli.main import main
+from omniman_ros.console.errors import CommandError
+from omniman_ros.core.errors import InputError
+from omniman_ros.lab.reproduce import scene_runs, scenes
+from omniman_ros.lab.reproduce.scene_runs import (
+    EPOCH,
+    MARKER_DELAY,
+    MARKER_NOISE,
+    ODOM_NOISE,
+    NodeLoop,
+    Request,
+    drive_scene,
+)
+from omniman_ros.lab.studies.closed_loop import PERIOD
+from omniman_ros.lab.studies.scene_generator import Mismatch, RandomScene, SceneError, scene
+from omniman_ros.lab.studies.scene_geometry import Box, Ellipse, Route
+from omniman_ros.lab.studies.scenes import Agility, SceneDrive, judged
+from omniman_ros.lab.studies.space_time_grid import Mover
+from omniman_ros.planning.cycle import PlannerState
+from test.tiers import exhaustive, representative
+
+DRAWS = importlib.util.find_spec("matplotlib") is not None
+CYCLE, DEADLINE = 0.05, 0.04
+MOVING = Ellipse((0.2, 0.3), Route.straight((2.0, 2.5), (0.3, 0.0)), 0.4)
+STANDING = Ellipse((0.2, 0.2), Route.still(1.5, 1.2))
+
+
+def made(*obstacles, **changes):
+    scene = RandomScene(5, (0.0, 0.0, 0.0), (2.0, 0.0, 0.5), obstacles, None, False, Mismatch())
+    return replace(scene, **changes)
+
+
+@pytest.fixture
+def loop_in():
+    """Yield a maker of loops whose nodes are destroyed at the end."""
+    loops = []
+
+    def make(there, **options):
+        loops.append(NodeLoop("ig42", there, **options))
+        return loops[-1]
+
+    yield make
+    for loop in loops:
+        loop.close()
+
+
+# ---- the node in its loop -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", representative([4, 8, 27, 31]))
+def test_node_drives_through_a_random_scene(seed):
+    outcome = drive_scene(Request(solve_time=0.01), seed)
+    assert outcome.reached
+    assert not outcome.verdict.collided
+    assert not outcome.failed
+    assert outcome.verdict.gap > 0.02
+    assert outcome.drive.late == 0
+    assert outcome.drive.answers.tolist() == [0.01] * len(outcome.drive.answers)
+
+
+def test_scenes_cover_every_kind_of_difficulty():
+    these = [scene(seed) for seed in (4, 8, 27, 31)]
+    assert sum(there.blocked for there in these) >= 2
+    assert sum(there.mismatch != Mismatch() for there in these) >= 2
+    assert any(there.workspace for there in these)
+    assert any(not obstacle.fixed for there in these for obstacle in there.obstacles)
+
+
+@pytest.mark.parametrize(("seed", "solve_time"), [(20, 0.005), exhaustive(97, 0.01)])
+def test_robot_flees_from_an_obstacle_that_turns_towards_the_robot(seed, solve_time):
+    """If braking and fleeing alternated, the robot would stay and be hit."""
+    outcome = drive_scene(Request(solve_time=solve_time), seed)
+    assert not outcome.verdict.collided and outcome.reached
+
+
+def test_with_a_fixed_solve_time_a_drive_repeats_exactly(loop_in):
+    there = made(MOVING, STANDING)
+    one, two, other = (loop_in(there, seed=seed, solve_time=0.01).run(1.5) for seed in (3, 3, 4))
+    assert np.array_equal(one.poses, two.poses)
+    assert one.energy == two.energy
+    assert not np.array_equal(one.poses, other.poses)
+
+
+@pytest.mark.parametrize("solve_time", [0.01, 0.02])
+def test_solution_reaches_the_controller_after_its_solve_time(loop_in, solve_time):
+    loop = loop_in(made(), solve_time=solve_time)
+    heard, ticks = [], []
+    controller, tick = loop.loop.controller, loop.node.tick
+    hear = controller.set_preview
+    loop.node.tick = lambda: (ticks.append(loop.now), tick())
+    controller.set_preview = lambda s, p, now: (heard.append(now), hear(s, p, now))[1]
+    loop.run(1.0)
+    planned = [at for at in ticks if at > 0.26]
+    assert len(heard) > 15
+    assert heard == pytest.approx([at + solve_time for at in planned[: len(heard)]], abs=1e-9)
+    assert np.diff(planned) == pytest.approx(CYCLE, abs=1e-9)
+
+
+def test_measured_solve_time_is_rounded_up_to_the_tick_of_the_plant(loop_in, monkeypatch):
+    clock = [0.0]
+    monkeypatch.setattr(scene_runs.time, "thread_time", lambda: clock[0])
+    loop = loop_in(made())
+    propose = loop._propose
+
+    def slow(*args):
+        clock[0] += 0.0123
+        return propose(*args)
+
+    loop._propose = slow
+    heard = []
+    hear = loop.loop.controller.set_preview
+    loop.loop.controller.set_preview = lambda s, p, now: (heard.append(now), hear(s, p, now))[1]
+    drive = loop.run(0.5)
+    assert drive.answers == pytest.approx(0.0123)
+    assert drive.late == 0
+    late = np.array(heard) % CYCLE
+    assert late == pytest.approx(3 * PERIOD, abs=1e-9)
+
+
+def test_solutions_after_the_deadline_are_discarded(loop_in):
+    drive = loop_in(made(), solve_time=DEADLINE + 0.005).run(1.0)
+    assert drive.late == len(drive.answers) > 10
+    assert not drive.arrived
+    assert np.abs(drive.poses[-1] - drive.poses[0]).max() < 1e-3
+    assert any("late" in why for why in drive.whys)
+    assert loop_in(made(), solve_time=DEADLINE - 0.005).run(1.0).late == 0
+
+
+def test_cycle_longer_than_the_period_skips_ticks_and_delays_messages(loop_in):
+    loop = loop_in(made(MOVING), solve_time=0.07)
+    ticks, told = [], []
+    tick, odom = loop.node.tick, loop._callbacks["odom"]
+    loop.node.tick = lambda: (ticks.append(loop.now), tick())
+    loop._callbacks["odom"] = lambda message: (told.append(loop.now), odom(message))
+    loop.run(1.0)
+    busy = [at for at in ticks if at >= 0.3]
+    assert np.diff(busy).min() >= 0.07 - 1e-9
+    for at in busy:
+        assert not any(at + 1e-9 < when < at + 0.07 - 1e-9 for when in told)
+    loop._solve_time = 0.01
+    since = len(ticks)
+    for _ in range(80):
+        loop.step()
+    # One tick that was due comes late; other missed ticks are skipped.
+    assert np.diff(ticks[since + 1 :]) == pytest.approx(CYCLE, abs=1e-9)
+
+
+def test_messages_to_the_node_are_noisy_delayed_and_irregular(loop_in):
+    loop = loop_in(made(MOVING, STANDING), solve_time=0.01)
+    seen, odom = [], []
+    for topic, kept in (("obstacles", seen), ("odom", odom)):
+        callback = loop._callbacks[topic]
+        loop._callbacks[topic] = lambda message, kept=kept, callback=callback: (
+            kept.append((loop.now, message)),
+            callback(message),
+        )
+    for _ in range(600):
+        loop.step()
+    stamps = np.array([stamp(m.markers[0]) for _, m in seen])
+    arrived = np.array([now for now, _ in seen])
+    assert np.diff(stamps).std() > 0.01
+    assert np.diff(stamps).max() < 0.13
+    delays = arrived - stamps
+    assert delays.min() >= MARKER_DELAY[0] - 1e-9
+    assert delays.max() <= MARKER_DELAY[1] + 0.01 + PERIOD + 1e-9
+    off = [
+        np.array([m.markers[k].pose.position.x, m.markers[k].pose.position.y]) - o.place(t)
+        for (_, m), t in zip(seen, stamps.tolist(), strict=True)
+        for k, o in enumerate((MOVING, STANDING))
+    ]
+    assert np.std(off) == pytest.approx(MARKER_NOISE, rel=0.2)
+    assert np.abs(np.mean(off, axis=0)).max() < 0.004
+    standing = [m.pose.pose.position.x for _, m in odom]
+    assert np.std(standing) == pytest.approx(ODOM_NOISE[0], rel=0.2)
+    turning = [m.twist.twist.angular.z for _, m in odom]
+    assert np.std(turning) == pytest.approx(ODOM_NOISE[5], rel=0.2)
+    shape = seen[0][1].markers[0].scale
+    assert (shape.x, shape.y) == pytest.approx((0.4, 0.6))
+
+
+def stamp(message):
+    return message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec - EPOCH
+
+
+def test_robot_has_the_properties_of_the_scene_and_not_of_the_model(loop_in):
+    there = made(mismatch=Mismatch(1.2, 1.0, 1.0))
+    light, heavy = (loop_in(m, solve_time=0.01).run(1.0) for m in (made(), there))
+    assert heavy.energy > 1.05 * light.energy
+    stiff = loop_in(made(mismatch=Mismatch(1.0, 1.2, 1.0)), solve_time=0.01).run(1.0)
+    assert stiff.energy > 1.02 * light.energy
+
+
+def test_planner_receives_the_workspace(loop_in):
+    area = (-1.0, -2.0, 3.0, 4.0)
+    loop = loop_in(made(workspace=area))
+    assert loop.node.settings.value.core.workspace.bounds == area
+    assert loop_in(made()).node.settings.value.core.workspace.x_max > 100.0
+
+
+def test_refused_goal_ends_the_drive(loop_in):
+    there = made(workspace=(-1.0, -1.0, 1.5, 1.0))
+    drive = loop_in(there, solve_time=0.01).run(30.0)
+    assert drive.times[-1] - drive.times[0] < 2.0
+    assert not drive.arrived
+    assert "not within the workspace" in drive.last
+
+
+def test_arrival_ends_the_drive(loop_in):
+    loop = loop_in(made(goal=(0.3, 0.0, 0.0)), solve_time=0.01)
+    states, tick = [], loop.node.tick
+    loop.node.tick = lambda: (tick(), states.append(loop.node.core.state))
+    drive = loop.run(10.0)
+    assert states.count(PlannerState.ARRIVED) == 1
+    assert drive.arrived
+    assert loop.node.core.state is PlannerState.ARRIVED
+    assert drive.times[0] == pytest.approx(0.25)
+    assert 0.3 < drive.times[-1] < 4.0
+    assert np.hypot(*(drive.poses[-1] - (0.3, 0.0, 0.0))[:2]) < 0.03
+
+
+@pytest.mark.parametrize("value", [-0.01, math.nan, math.inf])
+def test_invalid_solve_time_is_refused(value):
+    with pytest.raises(InputError, match="solve time"):
+        Request(solve_time=value)
+
+
+# ---- the command --------------------------------------------------------------------------------
+
+
+def args(tmp_path=None, **given):
+    values = {
+        "name": "scenes",
+        "robot": "ig42",
+        "seed": 0,
+        "quick": False,
+        "full": False,
+        "count": None,
+        "seeds": None,
+        "jobs": 1,
+        "solve_time": None,
+        "results": str(tmp_path),
+    }
+    return argparse.Namespace(**(values | given))
+
+
+@pytest.mark.parametrize(
+    ("given", "seeds"),
+    [
+        ({}, range(240)),
+        ({"quick": True}, range(8)),
+        ({"full": True}, range(1000)),
+        ({"count": 3, "quick": True}, range(3)),
+        ({"seeds": "17"}, range(17, 18)),
+        ({"seeds": "5:9"}, range(5, 9)),
+    ],
+)
+def test_seeds_are_selected_by_options(given, seeds):
+    assert scenes.seeds_of(args(**given)) == seeds
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"count": -1}, "--count"),
+        ({"count": 0}, "--count"),
+        ({"seeds": "9:5"}, "9:5"),
+        ({"seeds": "-3:5"}, "-3:5"),
+        ({"seeds": "a"}, "'a'"),
+        ({"jobs": 0}, "--jobs"),
+        ({"solve_time": 2.0}, "--solve-time"),
+        ({"solve_time": math.nan}, "--solve-time"),
+    ],
+)
+def test_usage_error_is_reported(monkeypatch, given, said):
+    monkeypatch.setattr(scenes, "driven", lambda *_: pytest.fail("drives"))
+    with pytest.raises(CommandError, match=said) as error:
+        scenes.run(args(**given))
+    assert error.value.code == 2
+
+
+def outcome(seed, end=(2.0, 0.0, 0.5), obstacles=(), arrived=True):
+    """Return the outcome of a synthetic straight drive."""
+    there = made(*obstacles, seed=seed, blocked=bool(seed % 2))
+    share = np.linspace(0.0, 1.0, 81)
+    drive = SceneDrive(
+        0.25 + 4.0 * share,
+        share[:, None] * np.array(end),
+        60.0,
+        arrived,
+        np.full(80, 0.006),
+        0,
+        0.001,
+        "arrived" if arrived else "blocked",
+        "arrived" if arrived else "blocked: no way",
+    )
+    return judged(there, drive, Mover(Box(0.8, 0.5), 1.0, 2.0), Agility(1.5, 0.15))
+
+
+def command(monkeypatch, tmp_path, outcomes, **given):
+    asked = []
+
+    def driven(request, seeds, jobs):
+        asked.append((request, list(seeds), jobs))
+        yield from outcomes
+
+    monkeypatch.setattr(scenes, "driven", driven)
+    code = scenes.run(args(tmp_path, count=len(outcomes), **given))
+    return code, json.loads((tmp_path / "reproduce_scenes.json").read_text()), asked
+
+
+def test_met_aims_are_reported(monkeypatch, tmp_path, capsys):
+    there = (MOVING, Ellipse((0.3, 0.3), Route.still(-2.0, 2.0)))
+    outcomes = [outcome(k, obstacles=there[k % 2 :]) for k in range(4)]
+    code, result, asked = command(monkeypatch, tmp_path, outcomes, seed=7, solve_time=0.02)
+    assert code == 0
+    assert asked == [(Request("ig42", 7, 0.02), [0, 1, 2, 3], 1)]
+    assert result["passed"] is True
+    assert result["failed"] == []
+    assert [row["seed"] for row in result["drives"]] == [0, 1, 2, 3]
+    assert result["groups"]["line blocked"]["drives"] == 2
+    text = capsys.readouterr().out
+    assert text.count("  met\n") == 3
+    assert "MISSED" not in text
+    assert json.loads(text.splitlines()[-1]) == result
+    assert (tmp_path / "reproduce_scenes.png").exists() is DRAWS
+
+
+def test_missed_aims_are_reported_with_the_failed_seeds(monkeypatch, tmp_path, capsys):
+    wall = Ellipse((0.2, 0.2), Route.still(1.0, 0.1))
+    outcomes = [outcome(0), outcome(1, obstacles=(wall,)), outcome(2, (1.0, 0.0, 0.0), (), False)]
+    code, result, _ = command(monkeypatch, tmp_path, outcomes)
+    assert code == 1
+    assert result["aims"] == {"own_collisions": False, "left_workspace": True, "reached": False}
+    assert result["failed"] == [1, 2]
+    text = capsys.readouterr().out
+    assert "MISSED" in text
+    assert "seed 1: touched obstacle 1 after" in text
+    assert "seed 2: 1.00 m from the goal after 4.0 s, blocked: no way" in text
+    assert "seed 0:" not in text
+
+
+def test_without_matplotlib_there_is_no_picture(monkeypatch, tmp_path):
+    monkeypatch.delattr("omniman_ros.lab.figures.scenes", raising=False)
+    monkeypatch.setitem(sys.modules, "omniman_ros.lab.figures.scenes", None)
+    _, result, _ = command(monkeypatch, tmp_path, [outcome(0)])
+    assert result["picture"] is None
+    assert [path.name for path in tmp_path.iterdir()] == ["reproduce_scenes.json"]
+
+
+def test_failed_drives_are_shown_first():
+    wall = Ellipse((0.2, 0.2), Route.still(1.0, 0.1))
+    near, far = (Ellipse((0.2, 0.2), Route.still(1.0, y)) for y in (0.9, 2.0))
+    outcomes = [
+        outcome(0, obstacles=(far,)),
+        outcome(1, obstacles=(near,)),
+        outcome(2, (1.0, 0.0, 0.0), (), False),
+        outcome(3, obstacles=(wall,)),
+    ]
+    assert [o.scene.seed for o in scenes.chosen(outcomes, 3)] == [3, 2, 1]
+
+
+def test_seed_without_a_scene_is_reported(monkeypatch, tmp_path):
+    def driven(*_):
+        raise SceneError("no scene was found for seed 9")
+        yield
+
+    monkeypatch.setattr(scenes, "driven", driven)
+    with pytest.raises(CommandError, match="seed 9"):
+        scenes.run(args(tmp_path, count=1))
+
+
+@pytest.mark.parametrize("option", [("--count", "3"), ("--solve-time", "0.01")])
+def test_scene_options_are_refused_for_other_experiments(option, capsys):
+    assert main(["reproduce", "corridor", *option]) == 2
+    assert f"{option[0]} is an option of scenes only" in capsys.readouterr().err
+
+
+def test_drives_are_spread_over_processes_in_the_order_of_seeds(monkeypatch):
+    class Pool:
+        def __init__(self, count, mp_context):
+            self.count, self.map = count, map
+            pools.append((count, mp_context.get_start_method()))
+
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *_):
+            pass
+
+    pools = []
+    monkeypatch.setattr(scenes, "ProcessPoolExecutor", Pool)
+    monkeypatch.setattr(scene_runs, "driver", lambda request: lambda seed: (request, seed))
+    monkeypatch.setattr(scenes.os, "environ", {})
+    request = Request()
+    for jobs, made_pools in ((1, []), (2, [(2, "spawn")])):
+        pools.clear()
+        assert list(scenes.driven(request, range(3), jobs)) == [(request, k) for k in range(3)]
+        assert pools == made_pools

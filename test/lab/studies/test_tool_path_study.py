@@ -1,0 +1,160 @@
+"""Study of tool paths: its measurements and the effect of the correction."""
+
+from collections import deque
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from omniman_ros.core.arm_parameters import ArmParameters
+from omniman_ros.core.errors import InputError
+from omniman_ros.core.hermite import Hermite
+from omniman_ros.core.parameters import build
+from omniman_ros.lab.studies.tool_courses import COURSES, start, tool_poses
+from omniman_ros.lab.studies.tool_path import (
+    HARSHEST,
+    UNLIKE,
+    WHEELS,
+    Case,
+    StudyError,
+    ToolPathLoop,
+    rms,
+)
+from omniman_ros.motion.path.parameters import PathParameters
+from omniman_ros.motion.whole_body.limits import WholeBodyLimits
+from omniman_ros.motion.whole_body.model import Mount, WholeBodyModel
+from omniman_ros.motion.whole_body.parameters import ToolPathOptions
+from omniman_ros.motion.whole_body.tool_planner import ToolPlanner
+from omniman_ros.robots import load_robot
+
+MODEL = WholeBodyModel(Mount())
+LENGTH = 0.4
+ON, OFF = (build(ToolPathOptions, {"correction": on}) for on in (True, False))
+
+
+class Arm:
+    """Arm that follows its previews with a delay of some cycles."""
+
+    period = 0.008
+
+    def __init__(self, angles, late=0):
+        self.angles = deque([angles] * (late + 1), maxlen=late + 1)
+        self.curve, self.previews = None, []
+
+    def preview(self, times, positions, velocities, accelerations, now):
+        self.curve = Hermite(times, positions, velocities, accelerations)
+        self.previews.append((now, times[0], times[-1]))
+
+    def cycle(self, now):
+        if self.curve is not None:
+            self.angles.append(self.curve.sample(now)[0])
+        return self.angles[0]
+
+
+@cache
+def planned(course):
+    robot = load_robot("omniman")
+    limits = WholeBodyLimits.of_whole_body(build(PathParameters, robot), ArmParameters())
+    return ToolPlanner(MODEL, limits, ON).plan(tool_poses(MODEL, course, LENGTH), start())
+
+
+def drive(case, course="S", arm=None):
+    motion = planned(course)
+    arm = arm or Arm(motion.curve.positions[0, 3:])
+    return ToolPathLoop(load_robot("omniman"), case, course, motion, MODEL, arm).run()
+
+
+@cache
+def harsh(on):
+    return drive(WHEELS[HARSHEST].case(ON if on else OFF, 0))
+
+
+@pytest.mark.parametrize("name", COURSES)
+def test_course_begins_at_the_tool_and_has_the_given_length(name):
+    poses = tool_poses(MODEL, name, 2.0)
+    assert np.array_equal(poses[0], MODEL.forward(start()))
+    steps = np.diff(poses[:, :3, 3], axis=0)
+    assert np.hypot(steps[:, 0], steps[:, 1]).sum() == pytest.approx(2.0, rel=1e-3)
+    turned = np.swapaxes(poses[:, :3, :3], 1, 2) @ poses[:, :3, :3]
+    assert np.allclose(turned, np.eye(3))
+
+
+def test_correction_removes_most_of_the_error_of_the_platform():
+    with_it, without = harsh(True), harsh(False)
+    assert rms(without.error) > 0.0025
+    assert rms(with_it.error) < 0.15 * rms(without.error)
+    assert with_it.error.max() < 0.003
+    assert rms(with_it.turned) < 0.15 * rms(without.turned)
+    # The platform itself is not helped by it.
+    assert with_it.platform == pytest.approx(without.platform, abs=1e-9)
+
+
+def test_errors_are_those_of_platform_and_arm_on_one_time():
+    run, motion = harsh(False), planned("S")
+    # The arm is as planned: the tool is where the plan has it from where the platform is.
+    joints = motion.curve.sample(run.times)[0][:, 3:]
+    expected = MODEL.forward(np.hstack([run.base, joints]))[:, :3, 3]
+    moving = (run.times > 0.1) & (run.times < motion.curve.duration - 0.1)
+    assert np.abs(run.odom - expected)[moving].max() < 2e-4
+    assert run.reference == pytest.approx(motion.tool(run.times)[:, :3, 3])
+    assert run.times[[0, -1]] == pytest.approx([0.0, motion.curve.duration], abs=0.008)
+
+
+def test_timed_point_counts_and_not_the_nearest():
+    case = Case("demo", mismatch=UNLIKE, options=OFF)
+    motion = planned("straight")
+    late = drive(case, "straight", Arm(motion.curve.positions[0, 3:], late=10))
+    on_time = drive(case, "straight")
+    shift = (
+        motion.tool(on_time.times)[:, :3, 3]
+        - MODEL.forward(
+            np.hstack(
+                [
+                    motion.curve.sample(on_time.times)[0][:, :3],
+                    motion.curve.sample(on_time.times - 0.08)[0][:, 3:],
+                ]
+            )
+        )[:, :3, 3]
+    )
+    assert rms(on_time.error) < 5e-4
+    assert rms(late.error) == pytest.approx(rms(np.linalg.norm(shift, axis=1)), rel=0.1)
+    assert rms(late.error) > 2e-3
+
+
+@pytest.mark.parametrize("period", [0.01, 0.04])
+def test_previews_come_with_the_poses_and_no_more_often_than_asked(period):
+    motion = planned("S")
+    arm = Arm(motion.curve.positions[0, 3:])
+    case = replace(WHEELS[HARSHEST].case(ON, 0), period=period, horizon=0.15)
+    run = drive(case, arm=arm)
+    sent, begin, end = np.array(arm.previews).T
+    gaps = np.diff(sent)
+    assert gaps.min() > period - 0.005  # on their way they come nearer to each other
+    assert period - 1e-3 < gaps.mean() < period + 0.011
+    assert (end - begin == pytest.approx(0.144)) and (begin <= sent).all()
+    assert rms(run.error) < 0.002
+    assert run.error.max() < 0.005
+
+
+@pytest.mark.exhaustive
+def test_same_seed_is_the_same_drive():
+    once, again = harsh(True), drive(WHEELS[HARSHEST].case(ON, 0))
+    other = drive(WHEELS[HARSHEST].case(ON, 1))
+    assert np.array_equal(once.odom, again.odom)
+    assert not np.array_equal(once.odom, other.odom)
+
+
+def test_arm_that_takes_no_preview_ends_the_drive():
+    class Refusing(Arm):
+        def preview(self, *_):
+            raise InputError("too far")
+
+    with pytest.raises(StudyError, match=r"demo: arm/joint_reference: too far"):
+        drive(WHEELS["PI"].case(ON, 0), arm=Refusing(start()[3:]))
+
+
+def test_platform_that_is_lost_ends_the_drive():
+    case = Case("gone", changes={"position.max_linear_error": 0.001}, mismatch={"friction": [6.0]})
+    with pytest.raises(StudyError, match=r"gone: .*following error"):
+        drive(replace(case, changes={**case.changes, **WHEELS[HARSHEST].changes}))

@@ -1,0 +1,94 @@
+"""Topics and services of each node against the tables of its page."""
+
+import importlib
+
+import pytest
+from rclpy.node import Node
+
+from omniman_ros.nodes.registry import NODES, node_module
+from test.config.documented import ROOT, documented_interface
+from test.nodes.harness import World
+
+# Not of the page: what every node of ROS has, what all nodes here have, and simulated time.
+COMMON = {"/parameter_events", "/rosout", "/diagnostics", "/clock", "/tf"}
+REAL_TIME = {"can_bridge", "simulated_can_drives", "arm_streamer", "simulated_ur"}
+LIFECYCLE = {"change_state", "get_state", "get_available_states", "get_available_transitions"}
+LIFECYCLE |= {"get_transition_graph"}
+
+# Documented, but there only later: while a browser is connected, or while the page has obstacles.
+LATER = {
+    "viewer": {
+        "wheel_states",
+        "wheel_commands",
+        "coupling_error",
+        "arm/joint_states",
+        "arm/timing",
+        "mpc/plan",
+        "mpc/route",
+        "mpc/predicted_obstacles",
+        "obstacles",
+    }
+}
+
+
+def parameters_of(name):
+    parameters = {"robot": "omniman", "use_sim_time": name not in REAL_TIME}
+    if name in ("can_bridge", "arm_streamer"):
+        parameters["autostart"] = False
+    if name in ("can_bridge", "simulated_can_drives"):
+        parameters |= {"can.interface": "virtual", "can.nodes": [1, 2, 3, 4]}
+    if name == "simulated_ur":
+        parameters |= {"number": 7}
+    return parameters
+
+
+def relative(name):
+    return name if name in COMMON else name.lstrip("/")
+
+
+def types(entities, name_of):
+    found = {}
+    for entity in entities:
+        kind = f"{entity.msg_type.__module__.partition('.')[0]}/{entity.msg_type.__name__}"
+        found[relative(name_of(entity))] = kind
+    return {name: kind for name, kind in found.items() if name not in COMMON}
+
+
+@pytest.fixture(scope="module", params=list(NODES))
+def node(request):
+    """A running node and its name."""
+    module = importlib.import_module(node_module(request.param))
+    (make,) = (
+        kind
+        for kind in vars(module).values()
+        if isinstance(kind, type) and issubclass(kind, Node) and kind.__module__ == module.__name__
+    )
+    with World(make, parameters=parameters_of(request.param)) as world:
+        yield request.param, world.nodes[0]
+
+
+@pytest.mark.parametrize(
+    ("heading", "entities"),
+    [("Published topics", "publishers"), ("Subscribed topics", "subscriptions")],
+)
+def test_topics_are_those_of_the_page(node, heading, entities):
+    name, running = node
+    documented = documented_interface(name, heading)
+    documented = {topic: kind for topic, kind in documented.items() if topic not in COMMON}
+    actual = types(getattr(running, entities), lambda entity: entity.topic_name)
+    assert actual.items() <= documented.items()
+    assert set(documented) - set(actual) <= LATER.get(name, set())
+
+
+def test_services_are_those_of_the_page(node):
+    name, running = node
+    own = {
+        service.srv_name: service.srv_type.__module__.partition(".")[0]
+        + f"/{service.srv_type.__name__}"
+        for service in running.services
+        if service.srv_name.startswith("~/")
+    }
+    assert own == documented_interface(name, "Services")
+    lifecycle = {service.srv_name.rpartition("/")[2] for service in running.services} & LIFECYCLE
+    page = (ROOT / "docs" / "nodes" / f"{name}.md").read_text(encoding="utf-8")
+    assert bool(lifecycle) == ("services of a lifecycle node" in page)

@@ -1,0 +1,91 @@
+import math
+
+import numpy as np
+import pytest
+
+from omniman_ros.planning.obstacles.ellipses import Ellipses
+from omniman_ros.planning.obstacles.grid_map import GridMap
+from omniman_ros.planning.route.lattice import Frame, Lattice, Region
+from omniman_ros.planning.route.occupancy import HeadingOccupancy
+from omniman_ros.planning.route.problem import RouteProblem
+from omniman_ros.planning.route.route import Clearance
+from test.planning.support import ellipses
+
+HALF = np.array([0.4, 0.25])
+EDGE = (-1.5, -1.2, 3.4, 2.6)
+HEADINGS = 24
+
+
+def filled(obstacles, grid, yaw, room=(1.0, 1.0)):
+    start, goal = np.array([-0.5, 0.3, 0.1]), np.array([2.5, 0.2, 1.0])
+    known = Ellipses.none() if obstacles is None else obstacles
+    problem = RouteProblem(start, goal, HALF, 0.1, (1.0, 1.0), known, grid, EDGE)
+    frame = Frame.of(start, grid, 0.05) if grid else Frame(start[:2], yaw, 0.05)
+    region = Region.around(frame.own(problem.ends), 2.0, frame.extent(problem), frame.edge)
+    lattice = Lattice(frame, region, HEADINGS, problem.ends)
+    marks = HeadingOccupancy(problem, lattice, np.array(room))
+    assert sum(marks.fill()) > 0
+    return problem, lattice, marks
+
+
+def inner_states(lattice, count=4000):
+    """Return the states whose nodes are not in the outermost rows or columns."""
+    rng = np.random.default_rng(2)
+    x = rng.integers(1, lattice.region.columns - 1, count)
+    y = rng.integers(1, lattice.region.rows - 1, count)
+    return y * lattice.region.columns + x, rng.integers(HEADINGS, size=count)
+
+
+CELLS = np.zeros((40, 50), dtype=bool)
+CELLS[18:20, 10:30] = True
+KNOWN = ellipses((1.0, 0.6, 0.4), (0.2, -0.5, 0.6, 0.15, 0.8))
+
+
+@pytest.mark.parametrize(
+    ("obstacles", "grid", "yaw"),
+    [
+        (KNOWN, None, 0.0),
+        (KNOWN, None, 0.7),
+        (None, GridMap(CELLS, 0.05, np.array([-0.3, -0.4, 0.5])), 0.5),
+    ],
+)
+def test_bit_is_set_exactly_where_the_gap_is_below_the_level(obstacles, grid, yaw):
+    problem, lattice, marks = filled(obstacles, grid, yaw)
+    nodes, headings = inner_states(lattice)
+    poses = lattice.frame.odom(lattice.poses(nodes, headings))
+    gaps = Clearance(HALF, problem.around, EDGE).gaps(poses)
+    for level, threshold in enumerate(problem.rooms.levels):
+        bit = marks.words[level, nodes] >> (headings % lattice.bits).astype(np.uint64)
+        sure = np.abs(gaps - threshold) > 1e-9
+        taken = (bit & np.uint64(1)).astype(bool)
+        np.testing.assert_array_equal(taken[sure], gaps[sure] < threshold)
+        assert 0.05 < taken.mean() < 0.95
+
+
+def test_heading_and_its_opposite_are_forbidden_together():
+    _, lattice, marks = filled(KNOWN, None, 0.0)
+    nodes, headings = inner_states(lattice)
+    taken = marks.taken(nodes, headings)
+    np.testing.assert_array_equal(taken, marks.taken(nodes, headings + lattice.bits))
+    free = np.flatnonzero(~taken)[:5]
+    marks.forbid(nodes[free], headings[free])
+    assert marks.taken(nodes[free], headings[free] + lattice.bits).all()
+
+
+def test_margin_is_reduced_around_a_tight_start_only():
+    problem, lattice, marks = filled(KNOWN, None, 0.0, room=(0.01, 1.0))
+    _, _, usual = filled(KNOWN, None, 0.0)
+    nodes, headings = inner_states(lattice)
+    poses = lattice.poses(nodes, headings)
+    near = np.hypot(*(poses[:, :2] - lattice.ends[0, :2]).T) < 3 * math.hypot(*HALF)
+    eased = usual.taken(nodes, headings) & ~marks.taken(nodes, headings)
+    assert eased[near].any() and not eased[~near].any()
+    assert marks.floor(poses)[near].max() == pytest.approx(0.0025)
+    assert marks.floor(poses)[~near].min() == problem.rooms.floor
+
+
+def test_outermost_nodes_are_never_free():
+    _, lattice, marks = filled(None, None, 0.3)
+    rows = marks.words[0].reshape(lattice.region.rows, -1)
+    for edge in (rows[0], rows[-1], rows[:, 0], rows[:, -1]):
+        assert (edge == marks.full).all()

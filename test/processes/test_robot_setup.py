@@ -1,0 +1,77 @@
+import os
+import sys
+
+import pytest
+
+from omniman_ros import extras
+from omniman_ros.console.errors import CommandError
+from omniman_ros.processes.robot_setup import RobotSetup, resolve_robot, robot_processes
+from test import robots
+
+
+def specs_by_name(setup):
+    return {spec.name: spec for spec in robot_processes(setup)}
+
+
+def arguments(setup, node):
+    return " ".join(specs_by_name(setup)[node].command)
+
+
+def test_the_controller_is_stopped_before_the_drive():
+    started = specs_by_name(RobotSetup())
+    assert started["platform_controller"].stage < started["simulated_drive"].stage
+
+
+def test_nodes_run_in_this_python_and_end_with_this_process():
+    for spec in robot_processes(RobotSetup()):
+        assert spec.command[:4] == (
+            sys.executable,
+            "-m",
+            "omniman_ros.processes.run_node",
+            str(os.getpid()),
+        )
+
+
+def test_only_the_nodes_asked_for_are_started():
+    assert set(specs_by_name(RobotSetup(only=["simulated_drive"]))) == {"simulated_drive"}
+
+
+def test_the_viewer_is_left_out_if_its_library_is_not_installed(monkeypatch):
+    monkeypatch.setattr(extras, "find_spec", lambda name: None)
+    assert "viewer" not in specs_by_name(RobotSetup())
+    assert set(specs_by_name(RobotSetup(only=["viewer"]))) == {"viewer"}, (
+        "the viewer itself says what is missing"
+    )
+    monkeypatch.setattr(extras, "find_spec", lambda name: object())
+    assert "viewer" in specs_by_name(RobotSetup())
+
+
+def test_the_drive_publishes_the_clock_that_the_other_nodes_follow():
+    setup = RobotSetup(sim_time=True)
+    assert "-p publish_clock:=true" in arguments(setup, "simulated_drive")
+    assert "use_sim_time" not in arguments(setup, "simulated_drive")
+    assert "-p use_sim_time:=true" in arguments(setup, "platform_controller")
+
+
+@pytest.mark.parametrize("namespace", ["robot1", "/robot1", "/robot1/"])
+def test_namespace_parameters_and_parameter_file_reach_every_node(namespace, tmp_path):
+    file = tmp_path / "more.yaml"
+    file.write_text("")
+    setup = RobotSetup(
+        robot="ig42", namespace=namespace, params=["drive.mode:=torque"], params_file=str(file)
+    )
+    for node in specs_by_name(setup):
+        text = arguments(setup, node)
+        assert "-p robot:=ig42" in text
+        assert "-r __ns:=/robot1 -r /tf:=tf" in text
+        assert "-p drive.mode:=torque" in text
+        assert f"--params-file {file}" in text
+
+
+def test_a_robot_is_a_name_or_the_path_of_a_file(monkeypatch):
+    assert resolve_robot("ig42") == "ig42"
+    path = robots.path("omni3")
+    monkeypatch.chdir(os.path.dirname(path))
+    assert resolve_robot("omni3.yaml") == path
+    with pytest.raises(CommandError, match="must be one of"):
+        resolve_robot("nobody")

@@ -1,0 +1,120 @@
+import re
+
+import numpy as np
+
+from omniman_ros.viewer.status_text import BAD, FIRST_STEPS, GOOD, MAX_LENGTH, hint, legend, status
+from omniman_ros.viewer.view_state import FRESHNESS_TIMEOUT, Condition, ViewState
+
+
+def words(html):
+    return re.sub(r"\s+", " ", re.sub(r"<[^>]*>", " ", html)).strip()
+
+
+def state(**attributes):
+    made = ViewState(4, 1)
+    for name, value in attributes.items():
+        setattr(made, name, value)
+    return made
+
+
+def test_a_page_without_a_robot_displays_the_awaited_topics():
+    text = words(status(state(), 10.0))
+    assert "waiting for platform_controller" in text
+    assert "odom not received yet" in text
+
+
+def test_the_status_contains_source_stops_and_pose():
+    shown = state(
+        active_source="path",
+        stops={"/r/simulated_drive": Condition(0, "running")},
+    )
+    shown.update_progress(0.424, 10.0)
+    shown.update_odom((1.0, -2.0, 4.5 * np.pi), 10.0)
+    shown.update_truth((1.003, -2.004, np.pi / 2), 10.0)
+    text = words(status(shown, 10.0))
+    for part in (
+        "driven by path",
+        "simulated_drive running",
+        "odom +1.00 -2.00 m +90°",
+        "odometry error 5.0 mm",
+        "path 42 %",
+    ):
+        assert part in text
+
+
+def test_progress_is_omitted_without_a_path():
+    shown = state()
+    assert "path" not in words(status(shown, 10.0)).split()
+    shown.update_progress(0.5, 10.0)
+    assert "path 50 %" in words(status(shown, 10.0))
+    assert "path" not in words(status(shown, 10.0 + FRESHNESS_TIMEOUT)).split()
+
+
+def test_ground_truth_is_omitted_if_there_is_none():
+    shown = state()
+    shown.update_odom((0.0, 0.0, 0.0), 10.0)
+    assert "odometry error" not in status(shown, 10.0)
+    shown.update_truth((0.0, 0.0, 0.0), 10.0)
+    assert "odometry error" not in status(shown, 10.0 + FRESHNESS_TIMEOUT)
+
+
+def test_a_stop_and_its_diagnostics_are_displayed_once():
+    shown = state(
+        stops={"/a": Condition(2, "stopped: a wheel does not follow")},
+        diagnostics={"/a": Condition(2, "a wheel does not follow"), "/b": Condition(1, "slips")},
+    )
+    text = words(status(shown, 10.0))
+    assert text.count("does not follow") == 1
+    assert "b slips" in text
+
+
+def test_text_of_nodes_is_escaped():
+    evil = "<img src=x onerror=alert(1)>"
+    shown = state(
+        active_source=evil,
+        note=evil,
+        stops={f"/{evil}": Condition(2, evil)},
+        diagnostics={f"/x{evil}": Condition(1, evil + "!")},
+    )
+    html = status(shown, 10.0) + legend((evil,), ("#000",))
+    assert "<img" not in html
+    assert html.count("&lt;img") >= 6
+
+
+def test_a_long_message_is_cut():
+    assert len(words(status(state(note="x" * 10_000), 10.0))) < MAX_LENGTH + 200
+
+
+def planning(**values):
+    shown = state(active_source="mpc")
+    shown.update_planner(values, 10.0)
+    return shown
+
+
+def test_the_status_contains_the_planners_state_and_reason():
+    html = status(planning(state="driving", distance_m="2.31", why=""), 10.0)
+    assert "planner driving, 2.31 m to go" in words(html)
+    assert f'color:{GOOD}">driving' in html
+    html = status(planning(state="blocked", distance_m="2.31", why="no clear way found"), 10.0)
+    assert "planner blocked, 2.31 m to go: no clear way found" in words(html)
+    assert f'color:{BAD}">blocked' in html
+    assert "to go" not in status(planning(state="idle", distance_m="0.0"), 10.0)
+
+
+def test_a_silent_planner_is_omitted():
+    assert "planner" not in status(state(), 10.0)
+    assert "planner" not in status(planning(state="idle"), 10.0 + FRESHNESS_TIMEOUT)
+
+
+def test_a_first_time_user_is_advised():
+    assert FIRST_STEPS in status(state(active_source="none"), 10.0)
+    for done in ({"note": "stop: done"}, {"active_source": "path"}, {"active_source": ""}):
+        assert FIRST_STEPS not in status(state(**{"active_source": "none", **done}), 10.0)
+    for line in ("path", "plan"):
+        shown = state(active_source="none")
+        getattr(shown, line).set(np.zeros((2, 2)))
+        assert FIRST_STEPS not in status(shown, 10.0)
+
+
+def test_a_hint_is_escaped():
+    assert "&lt;b&gt;" in hint("<b>")
