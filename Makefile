@@ -12,22 +12,25 @@ OMNIMAN := $(BIN)/omniman
 EMPTY := $(VENV)/empty.stamp
 RUNTIME := $(VENV)/runtime.stamp
 TESTING := $(VENV)/testing.stamp
+DOCUMENTING := $(VENV)/documenting.stamp
 
 # A .venv that was moved, or whose Python is gone, is made anew.
 ifneq ($(shell cat $(EMPTY) 2>&1 && $(BIN)/python -E -c '' 2>&1),$(CURDIR))
-$(shell rm -f $(EMPTY) $(RUNTIME) $(TESTING))
+$(shell rm -f $(EMPTY) $(RUNTIME) $(TESTING) $(DOCUMENTING))
 endif
 
 export PYTHON
 # A ROS in this shell must not mix with the wheels in .venv.
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_PATH
 unexport CMAKE_PREFIX_PATH RMW_IMPLEMENTATION ROS_DISTRO ROS_VERSION ROS_PYTHON_VERSION
+# Without cached bytecode, every node compiles the package anew when it starts.
+unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help venv demo test lint types tests fuzz bench clean
+.PHONY: help venv demo test lint types tests test-all fuzz bench docs clean
 .NOTPARALLEL:
 
 help: ## Show this list
-	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "make %-6s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 demo: $(RUNTIME) ## Run the demo
 	$(OMNIMAN) demo $(ARGS)
@@ -37,6 +40,7 @@ test: lint types tests ## Check style and types and run all tests
 lint: $(TESTING) ## Check the style
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
+	$(BIN)/lint-imports --no-cache
 
 types: $(TESTING) ## Check the types
 	$(BIN)/mypy
@@ -44,16 +48,23 @@ types: $(TESTING) ## Check the types
 tests: $(TESTING) ## Run the tests
 	.ci/tests $(BIN)/python $(ARGS)
 
+test-all: $(TESTING) ## Run the exhaustive tests, too
+	.ci/tests $(BIN)/python
+	time .ci/tests $(BIN)/python -m exhaustive --durations=20
+
 fuzz: $(TESTING) ## Give each codec of CAN drives a million frames of any content
-	OMNIMAN_FUZZ=1000000 .ci/tests $(BIN)/python test/can_drive -n auto -k 'no_frame and raises' $(ARGS)
+	OMNIMAN_FUZZ=1000000 .ci/tests $(BIN)/python test/can_drives -n auto -k 'no_frame and raises' $(ARGS)
 
 bench: $(RUNTIME) ## Measure how long the control cycle takes
 	$(OMNIMAN) bench $(ARGS)
 
+docs: $(DOCUMENTING) ## Build the documentation in docs/_build/html
+	$(BIN)/python -m sphinx -b html -W --keep-going -q -j auto docs docs/_build/html
+
 venv: $(TESTING) ## Make .venv with all that is needed
 
 clean: ## Remove .venv and what the tools leave behind
-	rm -rf $(VENV) build *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) build docs/_build docs/api docs/changelog.md *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -prune -exec rm -rf {} +
 
 $(EMPTY):
@@ -65,5 +76,9 @@ $(RUNTIME): setup.py | $(EMPTY)
 	touch $@
 
 $(TESTING): $(RUNTIME)
-	$(PIP) install --quiet --editable '.[ros,plot,viewer,browser,test]'
+	$(PIP) install --quiet --editable '.[ros,plot,viewer,browser,docs,test]'
+	touch $@
+
+$(DOCUMENTING): $(RUNTIME)
+	$(PIP) install --quiet --editable '.[ros,plot,viewer,docs]'
 	touch $@
