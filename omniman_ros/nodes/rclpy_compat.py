@@ -70,8 +70,8 @@ def log_exceptions(callback: TransitionCallback) -> TransitionCallback:
 
 
 TAKE_DOWN_TIMEOUT = 5
-"""Time after which the kernel ends a process that does not take its node down [s].
+"""Time after which a process is ended that does not take its node down [s].
 
 Taking rclpy 7.1's EventsExecutor down while a message arrives can deadlock in the middleware,
-with Python's interpreter lock held: only a signal whose default action ends the process helps.
+with Python's interpreter lock held: no Python code runs any more, whether handler or thread.
 """

@@ -1,5 +1,6 @@
 """Run a node as a process: its executor, signals and an orderly shutdown."""
 
+import faulthandler
 import gc
 import signal
 import sys
@@ -41,7 +42,10 @@ def run(make: Callable[[], OmnimanNode], args: list[str] | None = None) -> int:
         args: Command line; None for that of the process.
 
     Returns:
-        Exit code: 0, or 1 if the node could not start or did not come to rest.
+        Exit code: 0, or 1 if the node could not start or did not come to rest. Where the
+        middleware does not shut down, this function does not return: after `TAKE_DOWN_TIMEOUT`
+        the process is ended by SIGALRM if the node had come to rest, and with exit code 1 if it
+        had not.
     """
     signals: list[int] = []
 
@@ -58,6 +62,7 @@ def run(make: Callable[[], OmnimanNode], args: list[str] | None = None) -> int:
         return 1
     executor = make_executor(node.clock)
     executor.add_node(node)
+    exit_code = 1
     try:
         while not signals:
             spin_for(executor, SPIN_TIME)
@@ -66,18 +71,23 @@ def run(make: Callable[[], OmnimanNode], args: list[str] | None = None) -> int:
         while not node.finished and time.monotonic() < deadline and len(signals) < 2:
             spin_for(executor, SPIN_TIME)
         _deliver(node.final_publishers)
-        return 0 if node.finished else 1
+        exit_code = 0 if node.finished else 1
     finally:
         previous[signal.SIGALRM] = signal.signal(signal.SIGALRM, signal.SIG_DFL)
-        signal.alarm(TAKE_DOWN_TIMEOUT)
+        if exit_code == 0:
+            signal.alarm(TAKE_DOWN_TIMEOUT)
+        else:
+            faulthandler.dump_traceback_later(TAKE_DOWN_TIMEOUT, exit=True)
         executor.remove_node(node)
         node.destroy_node()
         rclpy.try_shutdown()
         del executor, node
         gc.collect()
         signal.alarm(0)
+        faulthandler.cancel_dump_traceback_later()
         for number, handler in previous.items():
             signal.signal(number, handler)
+    return exit_code
 
 
 def _deliver(publishers: Iterable[Publisher]) -> None:

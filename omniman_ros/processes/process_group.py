@@ -50,6 +50,9 @@ class ProcessSpec:
 class ProcessExit:
     """The end of a process in a group.
 
+    A node that has come to rest, but whose middleware does not shut down, is ended by SIGALRM (see
+    `nodes.runtime.run`).
+
     Attributes:
         name: Name of the process.
         code: Exit code, or minus the number of the signal that killed the process.
@@ -58,8 +61,15 @@ class ProcessExit:
     name: str
     code: int
 
+    @property
+    def is_success(self) -> bool:
+        """Whether the process ended by itself after it had done all that it was to do."""
+        return self.code in (0, -signal.SIGALRM)
+
     def __str__(self) -> str:
         """Return a clause that says how the process ended."""
+        if self.code == -signal.SIGALRM:
+            return f"{self.name} came to rest, but its middleware did not shut down (SIGALRM)"
         if self.code >= 0:
             return f"{self.name} ended with exit code {self.code}"
         return f"{self.name} was killed by {signal.Signals(-self.code).name}"
@@ -248,7 +258,7 @@ class ProcessGroup:
             number: Signal to send.
 
         Returns:
-            Whether every process that was running ended by itself, with exit code 0.
+            Whether every process that was running ended by itself, successfully.
         """
         all_succeeded = True
         for stage in sorted({child.spec.stage for child in self._children.values()}):
@@ -270,7 +280,7 @@ class ProcessGroup:
         """Wait until processes have ended, and kill them after the timeout.
 
         Returns:
-            Whether all processes that ended meanwhile did so by themselves, with exit code 0.
+            Whether all processes that ended meanwhile did so by themselves, successfully.
         """
         all_succeeded = True
         deadline = time.monotonic() + self._stop_timeout
@@ -279,7 +289,7 @@ class ProcessGroup:
             if isinstance(event, ProcessExit):
                 if event.code != 0:
                     self._report(str(event))
-                    all_succeeded = False
+                all_succeeded &= event.is_success
                 continue
             running = [child.spec.name for child in members if child.code is None]
             if event is None:

@@ -56,9 +56,21 @@ class Probe:
             and self.truth.twist.twist.linear.x > 0.9 * SPEED
         )
 
+    def await_end(self, process):
+        """Receive commands and motion until a process has ended."""
+        assert self.session.wait(lambda: process.poll() is not None, PATIENCE)
+
     def await_zero_command(self):
         """Receive what is still queued until the last command is zero, or time is up."""
         self.session.wait(lambda: not any(self.commands[-1]), PATIENCE)
+
+    def await_rest(self):
+        """Receive what is still queued until the truth is at rest, or time is up."""
+        self.session.wait(lambda: self.speed < 0.02, PATIENCE)
+
+    @property
+    def speed(self):
+        return abs(self.truth.twist.twist.linear.x)
 
     def drive(self, up):
         if not self.session.wait(self.is_fast, PATIENCE):
@@ -106,20 +118,21 @@ def test_a_signal_brings_the_moving_robot_to_rest_and_ends_up_with_code_0(
     with moving_robot("--robot", "ig42", *options) as (up, probe, pids):
         assert len(pids) == 2
         up.process.send_signal(number)
-        wait_until(lambda: not is_alive(pids["platform_controller"]), "the controller's end")
+        probe.await_end(up.process)
         assert up.finish() == 0, up.output
         probe.await_zero_command()
+        probe.await_rest()
     assert not any(probe.commands[-1])
     speeds = [max(map(abs, command)) for command in probe.commands]
     assert max(speeds) > 1.0
     # The truth was published until the controller had ended: the drive outlived it.
-    assert abs(probe.truth.twist.twist.linear.x) < 0.02
+    assert probe.speed < 0.02
 
 
 def test_a_killed_drive_is_reported_and_the_robot_is_stopped(own_domain):
     with moving_robot(*ONLY_NODES) as (up, probe, pids):
         os.kill(pids["simulated_drive"], signal.SIGKILL)
-        assert probe.session.wait(lambda: up.process.poll() is not None, PATIENCE)
+        probe.await_end(up.process)
         assert up.finish() == 1
         probe.await_zero_command()
     assert "simulated_drive was killed by SIGKILL: stopping the robot" in up.output
@@ -133,10 +146,11 @@ def test_a_killed_drive_is_reported_and_the_robot_is_stopped(own_domain):
 def test_a_killed_controller_is_reported_and_the_drive_stops_by_itself(own_domain):
     with moving_robot(*ONLY_NODES) as (up, probe, pids):
         os.kill(pids["platform_controller"], signal.SIGKILL)
+        probe.await_end(up.process)
         assert up.finish() == 1
-        probe.session.spin(0.5)
+        probe.await_rest()
     assert "platform_controller was killed by SIGKILL: stopping the robot" in up.output
-    assert abs(probe.truth.twist.twist.linear.x) < 0.02
+    assert probe.speed < 0.02
 
 
 def test_nodes_do_not_outlive_a_killed_up(own_domain):

@@ -145,6 +145,9 @@ class Node(omniman_node.OmnimanNode):
     def destroy_node(self):
         ctypes.PyDLL(None).pause()  # blocks while holding Python's lock, as the middleware may
 
+    finished = {finished}
+    stop_timeout = 0.1
+
 def make():
     signal.raise_signal(signal.SIGINT)
     return Node("blocked")
@@ -154,9 +157,13 @@ runtime.run(make)
 """
 
 
-def test_a_node_that_blocks_in_the_middleware_is_ended_nevertheless():
+@pytest.mark.parametrize(("finished", "code"), [(True, -signal.SIGALRM), (False, 1)])
+def test_a_node_that_blocks_in_the_middleware_is_ended_nevertheless(finished, code):
     domain = {"ROS_DOMAIN_ID": str(free_domain()), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     ended = subprocess.run(
-        [sys.executable, "-c", BLOCKED_NODE], env=os.environ | domain, timeout=60, check=False
+        [sys.executable, "-c", BLOCKED_NODE.format(finished=finished)],
+        env=os.environ | domain,
+        timeout=60,
+        check=False,
     )
-    assert ended.returncode == -signal.SIGALRM
+    assert ended.returncode == code

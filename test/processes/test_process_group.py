@@ -168,6 +168,13 @@ def test_up_fails_if_a_node_does_not_come_to_rest(start, reports):
     assert reports == ["controller ended with exit code 1"]
 
 
+def test_up_succeeds_though_the_middleware_of_a_node_at_rest_does_not_shut_down(start, reports):
+    group = start(fake_process("controller", then="signal.raise_signal(signal.SIGALRM)"))
+    group.interrupt(signal.SIGINT)
+    assert supervise(group) == 0
+    assert reports == ["controller came to rest, but its middleware did not shut down (SIGALRM)"]
+
+
 def test_a_second_signal_kills_all_processes(start, log, reports):
     group = start(fake_process("controller", 0, NEVER_ENDS), fake_process("drive", 1))
     group.interrupt(signal.SIGINT)
