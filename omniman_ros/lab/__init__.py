@@ -1,1 +1,1 @@
-"""The laboratory: benchmarks, reproductions of the papers, studies and their figures."""
+"""The laboratory: benchmarks, reproductions of the papers' experiments, studies and figures."""

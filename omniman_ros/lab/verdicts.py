@@ -1,4 +1,4 @@
-"""Verdicts in the tables of benchmarks and experiments, as coloured words."""
+"""Coloured verdicts for the reports of benchmarks and experiments."""
 
 import sys
 
@@ -6,12 +6,15 @@ from omniman_ros.console.terminal import GREEN, RED, paint
 
 
 def verdict(good: bool | None, met: str = "met", missed: str = "MISSED") -> str:
-    """Return the word for a judgement, green or red on a terminal.
+    """Return the text of a verdict, in green or red if the standard output is a terminal.
 
     Args:
-        good: Whether the aim was met; None if too little was measured to decide.
-        met: Word if the aim was met.
-        missed: Word if the aim was missed.
+        good: Whether the aim was met; None if there are not enough measurements to decide.
+        met: Text if the aim was met.
+        missed: Text if the aim was missed.
+
+    Returns:
+        One of the two texts, or "not measured".
     """
     if good is None:
         return "not measured"

@@ -1,1 +1,1 @@
-"""Benchmarks behind `omniman bench`."""
+"""Benchmarks of the command `omniman bench`."""

@@ -1,8 +1,9 @@
-"""`omniman bench arm`: setpoints at 125 Hz in the whole running robot, against a bare loop.
+"""`omniman bench arm`: timing of the arm's setpoints at 125 Hz, compared with a bare loop.
 
-All nodes run under load, in a ROS domain of their own, in all blocks. In every second block a bare
-loop runs as well: a process that sleeps until absolute deadlines and sends, in the same scheduling
-class as the streaming process. The order of the two blocks changes from pair to pair.
+The measurement consists of pairs of blocks. In both blocks, all nodes of the robot run under load,
+in a ROS domain of their own. In one of the two, a bare loop runs beside them: a process that
+only sleeps until absolute deadlines and sends, in the same scheduling class as the streaming
+process of `arm_streamer`. The order of the two blocks changes from pair to pair.
 """
 
 import argparse
@@ -17,7 +18,14 @@ from typing import Any
 from omniman_ros.console.errors import CommandError
 from omniman_ros.console.session import DISCOVERY_TIMEOUT
 from omniman_ros.console.terminal import say
-from omniman_ros.lab.bench.arm_figures import Block, Pair, aims, figures, of_controller, report
+from omniman_ros.lab.bench.arm_figures import (
+    Block,
+    Pair,
+    aims,
+    controller_figures,
+    figures,
+    report,
+)
 from omniman_ros.lab.bench.arm_load import Load
 from omniman_ros.lab.bench.harness import conclude, free_ports, running_nodes
 from omniman_ros.lab.bench.measurement import cpu_time
@@ -28,15 +36,18 @@ from omniman_ros.processes.ros_domain import isolate_ros_domain
 from omniman_ros.ur.parameters import PERIOD
 
 PAUSE = 0.5
-"""Time between two blocks, in which the reports on the block before arrive [s]."""
-COMPLETE = 0.5
-"""Least share of a block's intervals that must have been reported; the last ones arrive later."""
-SHORTEST = 1.0
-"""Least length of a block [s]."""
-LONGEST = 600.0
-"""Largest length of a block [s]."""
-ANSWER_TIMEOUT = 5.0
-"""Longest time until a last report arrives [s]."""
+"""Time between two blocks, in which the last reports on the previous block arrive [s]."""
+MIN_REPORTED_SHARE = 0.5
+"""Smallest share of a block's intervals that must be reported within the block.
+
+The last ones are reported after its end.
+"""
+MIN_BLOCK = 1.0
+"""Shortest permitted duration of a block [s]."""
+MAX_BLOCK = 600.0
+"""Longest permitted duration of a block [s]."""
+REPORT_TIMEOUT = 5.0
+"""Longest time until the reports on a block arrive [s]."""
 LENIENT = (
     "timeouts.wheel_states:=2.0",
     "firmware.watchdog:=2.0",
@@ -50,20 +61,25 @@ LENIENT = (
     "ur.read_timeout:=0.04",
     "drive.dead_wheel:=drive_on",
 )
-"""Parameters with long time-outs, as simulated hardware has to wait for its turn on the CPU; the
-read time-out is short, as it is under test."""
-EXTRA = ("joint_state_broadcaster", "viewer")
-"""Nodes that are not needed to drive a robot."""
-HARDWARE = ("simulated_drive", "simulated_ur")
-"""Simulated hardware; the hardware of a real robot has CPUs of its own."""
+"""Arguments that set long time-outs and wide tolerances of the nodes.
+
+Simulated hardware has to share the CPU with the nodes, and must not stop the robot when it is
+late. The read time-out of the UR program is short, as its expiry is what the benchmark counts.
+"""
+UNNEEDED_NODES = ("joint_state_broadcaster", "viewer")
+"""Nodes that are left out, as a robot moves without them."""
+HARDWARE_NODES = ("simulated_drive", "simulated_ur")
+"""Nodes that simulate hardware; the hardware of a real robot has CPUs of its own."""
 HARDWARE_NICENESS = -10
-"""Niceness of the simulated hardware, where it is permitted."""
-STREAMING = "omniman_ros.ur.streaming_loop"
+"""Niceness of the simulated hardware, if the system permits it."""
+STREAMING_MODULE = "omniman_ros.ur.streaming_loop"
+"""Module that the streaming process of `arm_streamer` runs, a word of its command line."""
 POLICIES = {
     os.SCHED_OTHER: "SCHED_OTHER",
     os.SCHED_FIFO: "SCHED_FIFO",
     os.SCHED_RR: "SCHED_RR",
 }
+"""Names of the scheduling classes."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +88,7 @@ class Effort:
 
     Attributes:
         pairs: Number of pairs of blocks.
-        seconds: Length of a block [s].
+        seconds: Duration of a block [s].
     """
 
     pairs: int
@@ -80,11 +96,16 @@ class Effort:
 
 
 FULL = Effort(pairs=5, seconds=8.0)
+"""Extent without options."""
 QUICK = Effort(pairs=2, seconds=2.0)
+"""Extent with `--quick`."""
 
 
 def effort_of(args: argparse.Namespace) -> Effort:
-    """Return how much is to be measured.
+    """Return the extent of the measurement that the command line requests.
+
+    Args:
+        args: Parsed command line.
 
     Raises:
         CommandError: An option is out of its range.
@@ -93,18 +114,24 @@ def effort_of(args: argparse.Namespace) -> Effort:
     pairs = usual.pairs if args.pairs is None else args.pairs
     seconds = usual.seconds if args.seconds is None else args.seconds
     if pairs < 1:
-        raise CommandError(f"--pairs {pairs}: at least 1", 2)
-    if not SHORTEST <= seconds <= LONGEST:
-        raise CommandError(f"--seconds {seconds:g}: {SHORTEST:g} to {LONGEST:g} s", 2)
+        raise CommandError(f"--pairs {pairs}: must be at least 1", 2)
+    if not MIN_BLOCK <= seconds <= MAX_BLOCK:
+        raise CommandError(
+            f"--seconds {seconds:g}: must be from {MIN_BLOCK:g} to {MAX_BLOCK:g} s", 2
+        )
     if not 0 <= args.priority <= 99:
-        raise CommandError(f"--priority {args.priority}: 0 to 99", 2)
+        raise CommandError(f"--priority {args.priority}: must be from 0 to 99", 2)
     return Effort(pairs, seconds)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman bench arm`; return 0 if it could be measured, whatever the figures."""
+    """Run `omniman bench arm`; return 0, the exit code of a successful measurement.
+
+    Raises:
+        CommandError: An option is out of its range, or the measurement failed.
+    """
     effort = effort_of(args)
-    os.environ.pop("ROS_DOMAIN_ID", None)  # the commands must reach no other robot
+    os.environ.pop("ROS_DOMAIN_ID", None)  # the commands must not reach another robot
     isolate_ros_domain(os.environ)
     result: dict[str, Any] = {
         "robot": args.robot,
@@ -121,13 +148,16 @@ def run(args: argparse.Namespace) -> int:
 
 
 def robot(args: argparse.Namespace) -> list[ProcessSpec]:
-    """Return all nodes of the robot, with free ports for its simulated UR controller.
+    """Return the processes of the robot's nodes; its simulated UR controller uses free ports.
+
+    Args:
+        args: Parsed command line.
 
     Raises:
         CommandError: The planner cannot run on this machine.
     """
     ports = dict(zip(UR_PORTS, free_ports(len(UR_PORTS)), strict=True))
-    private = [
+    port_arguments = [
         *(f"ports.{name}:={port}" for name, port in ports.items()),
         f"ur.dashboard_port:={ports['dashboard']}",
         f"ur.script_port:={ports['secondary']}",
@@ -136,15 +166,21 @@ def robot(args: argparse.Namespace) -> list[ProcessSpec]:
         "ur.host:=127.0.0.1",
         f"ur.priority:={args.priority}",
     ]
-    setup = RobotSetup(robot=args.robot, params=[*LENIENT, *private, *args.param], arm="simulated")
-    chosen = [task for task in robot_processes(setup) if task.name not in EXTRA]
-    if not any(task.name == "mpc_planner" for task in chosen):
-        raise CommandError("mpc_planner cannot run here (no casadi): the robot is not complete")
-    return chosen
+    setup = RobotSetup(
+        robot=args.robot, params=[*LENIENT, *port_arguments, *args.param], arm="simulated"
+    )
+    tasks = [task for task in robot_processes(setup) if task.name not in UNNEEDED_NODES]
+    if not any(task.name == "mpc_planner" for task in tasks):
+        raise CommandError("mpc_planner cannot run on this machine, as casadi is not installed")
+    return tasks
 
 
 def child_of(pid: int, word: str) -> int:
-    """Return the id of a process' child whose command line contains a word.
+    """Return the process id of a child process, identified by its command line.
+
+    Args:
+        pid: Process id of the parent.
+        word: Word that is one argument of the child's command line.
 
     Raises:
         CommandError: There is no such child, or no /proc.
@@ -153,25 +189,29 @@ def child_of(pid: int, word: str) -> int:
         try:
             parent = (folder / "stat").read_text().rpartition(")")[2].split()[1]
             words = (folder / "cmdline").read_text().split("\0")
-        except OSError:  # it has ended meanwhile
+        except OSError:  # the process has ended meanwhile
             continue
         if int(parent) == pid and word in words:
             return int(folder.name)
-    raise CommandError(f"process {pid} has no child {word} (this needs Linux)")
+    raise CommandError(f"process {pid} has no child {word} (the search needs Linux)")
 
 
 def scheduling(pid: int) -> str:
-    """Return scheduling class and priority of a process' first thread."""
+    """Return the scheduling class and priority of a process's main thread, as text.
+
+    Raises:
+        CommandError: There is no such process.
+    """
     try:
-        policy, given = os.sched_getscheduler(pid), os.sched_getparam(pid).sched_priority
+        policy, priority = os.sched_getscheduler(pid), os.sched_getparam(pid).sched_priority
     except OSError as error:
         raise CommandError(f"scheduling of process {pid}: {error}") from error
     name = POLICIES.get(policy, f"policy {policy}")
-    return f"{name} {given}" if given else name
+    return f"{name} {priority}" if priority else name
 
 
 def set_niceness(pid: int, niceness: int) -> bool:
-    """Set the niceness of all threads of a process; return whether it was permitted."""
+    """Set the niceness of all threads of a process; return whether the system permitted it."""
     try:
         for thread in os.listdir(f"/proc/{pid}/task"):
             os.setpriority(os.PRIO_PROCESS, int(thread), niceness)
@@ -181,9 +221,9 @@ def set_niceness(pid: int, niceness: int) -> bool:
 
 
 class BareLoop:
-    """Controls the bare loop, which runs as a process beside its sink.
+    """Controls the bare loop, which runs in a process and sends to a sink in another process.
 
-    As a context manager it closes its connection to the loop.
+    Used as a context manager, it closes its connection to the loop at the end.
     """
 
     def __init__(self) -> None:
@@ -201,10 +241,10 @@ class BareLoop:
             self._orders.close()
 
     def tasks(self, priority: int) -> list[ProcessSpec]:
-        """Return the processes of loop and sink.
+        """Return the processes of the loop and of its sink.
 
         Args:
-            priority: SCHED_FIFO priority of the loop; 0: the normal scheduling class.
+            priority: SCHED_FIFO priority of the loop; 0 for the normal scheduling class.
         """
         (port,) = free_ports(1)
         control = self._listener.getsockname()[1]
@@ -217,7 +257,7 @@ class BareLoop:
         ]
 
     def is_connected(self) -> bool:
-        """Return whether the loop has connected."""
+        """Accept the connection of the loop if it is pending; return whether it is connected."""
         if self._orders is None:
             try:
                 self._orders, _ = self._listener.accept()
@@ -227,13 +267,13 @@ class BareLoop:
         return True
 
     def begin(self, seconds: float) -> None:
-        """Start a block of a length [s]."""
+        """Start a block of the given duration [s]; the loop must be connected."""
         assert self._orders is not None
         self._received = b""
         self._orders.sendall(f"{seconds}\n".encode())
 
     def intervals(self) -> list[float]:
-        """Return the intervals of the block [s]; none before its end.
+        """Return the intervals between the sends of the last block [s]; empty until it has ended.
 
         Raises:
             CommandError: The loop has ended.
@@ -251,12 +291,12 @@ class BareLoop:
 
 
 class ArmBench:
-    """Measures streamer and bare loop in alternating blocks.
+    """Measures the streaming process and the bare loop in alternating blocks.
 
     Args:
-        load: Keeps the robot working.
-        bare: The bare loop.
-        children: The processes.
+        load: Load that keeps the robot moving and collects the timing of its setpoints.
+        bare: Connection to the bare loop.
+        children: Processes of the robot and of the bare loop.
     """
 
     def __init__(self, load: Load, bare: BareLoop, children: ProcessGroup) -> None:
@@ -268,17 +308,25 @@ class ArmBench:
     def measure(self, effort: Effort) -> dict[str, Any]:
         """Measure all blocks.
 
+        Args:
+            effort: Extent of the measurement.
+
+        Returns:
+            Figures of the measurement.
+
         Raises:
-            CommandError: The robot stopped, or the two loops cannot be compared.
+            CommandError: The robot stopped, or the two loops differ in their scheduling class.
         """
         load = self._load
         say("starting ...")
         load.begin()
-        favoured = [set_niceness(self._children.pid(name), HARDWARE_NICENESS) for name in HARDWARE]
-        self._until(self._bare.is_connected, DISCOVERY_TIMEOUT, "the bare loop does not connect")
+        permitted = [
+            set_niceness(self._children.pid(name), HARDWARE_NICENESS) for name in HARDWARE_NODES
+        ]
+        self._until(self._bare.is_connected, DISCOVERY_TIMEOUT, "the bare loop did not connect")
         node = self._children.pid("arm_streamer")
         self._pids = {
-            "streaming": child_of(node, STREAMING),
+            "streaming": child_of(node, STREAMING_MODULE),
             "node": node,
             "bare": self._children.pid("bare"),
         }
@@ -294,15 +342,15 @@ class ArmBench:
         reports = load.controller_reports
         self._until(
             lambda: load.controller_reports > reports,
-            ANSWER_TIMEOUT,
-            "no diagnostics of the simulated controller",
+            REPORT_TIMEOUT,
+            "the simulated controller published no diagnostics",
         )
         return {
             "scheduling": classes,
-            "hardware_niceness": HARDWARE_NICENESS if all(favoured) else 0,
+            "hardware_niceness": HARDWARE_NICENESS if all(permitted) else 0,
             **figures(pairs),
             "cpu_share": {name: self._cpu[name] / self._wall[name] for name in self._cpu},
-            "controller": of_controller(before, load.controller),
+            "controller": controller_figures(before, load.controller),
             "load": {
                 "goals": load.goals,
                 "driving_share": load.driving / load.statuses,
@@ -327,25 +375,25 @@ class ArmBench:
 
     def _bare_block(self, seconds: float) -> tuple[Block, Block]:
         self._load.run(PAUSE)
-        found: list[float] = []
+        intervals: list[float] = []
 
-        def answered() -> bool:
-            found.extend(self._bare.intervals())
-            return bool(found)
+        def has_reported() -> bool:
+            intervals.extend(self._bare.intervals())
+            return bool(intervals)
 
-        def both() -> Block:
+        def measure_both() -> Block:
             self._bare.begin(seconds)
             beside = self._measure(seconds)
-            self._until(answered, ANSWER_TIMEOUT, "the bare loop does not answer")
+            self._until(has_reported, REPORT_TIMEOUT, "the bare loop did not report its intervals")
             return beside
 
-        beside = self._timed(("bare",), both)
-        return Block(tuple(found)), beside
+        beside = self._timed(("bare",), measure_both)
+        return Block(tuple(intervals)), beside
 
     def _measure(self, seconds: float) -> Block:
         block = self._load.measure(seconds)
         expected = seconds / PERIOD
-        if len(block.intervals) < COMPLETE * expected:
+        if len(block.intervals) < MIN_REPORTED_SHARE * expected:
             raise CommandError(
                 f"only {len(block.intervals)} of about {expected:.0f} send intervals were "
                 f"reported in {seconds:g} s"
@@ -353,7 +401,7 @@ class ArmBench:
         return block
 
     def _timed(self, names: Sequence[str], work: Callable[[], Block]) -> Block:
-        """Measure a block, and add up the CPU time that processes use in it."""
+        """Measure a block; add the CPU time of the named processes in it to their totals."""
         start, before = time.monotonic(), {name: cpu_time(self._pids[name]) for name in names}
         block = work()
         for name in names:
@@ -361,9 +409,10 @@ class ArmBench:
             self._wall[name] += time.monotonic() - start
         return block
 
-    def _until(self, done: Callable[[], bool], timeout: float, what: str) -> None:
+    def _until(self, done: Callable[[], bool], timeout: float, failure: str) -> None:
+        """Run the load until a condition holds; raise CommandError after `timeout` [s]."""
         end = time.monotonic() + timeout
         while not done():
             if time.monotonic() > end:
-                raise CommandError(f"{what} within {timeout:g} s")
+                raise CommandError(f"{failure} within {timeout:g} s")
             self._load.run(0.02)

@@ -1,8 +1,9 @@
-"""The baseline of `omniman bench arm`: a bare loop of 8 ms, and the sink that it sends to.
+"""The baseline of `omniman bench arm`: a bare loop with a period of 8 ms, and its sink.
 
-Usage: arm_bare sink PORT, or arm_bare loop PORT CONTROL PRIORITY. The loop gets the length of each
-block from the benchmark at the port CONTROL, and answers with the intervals in it. It does nothing
-but sleep until absolute deadlines and send as many bytes as a setpoint has.
+Usage: `arm_bare sink PORT`, or `arm_bare loop PORT CONTROL PRIORITY`. The sink receives what the
+loop sends. The loop connects to the benchmark at the port CONTROL, receives the duration of each
+block from it, and replies with the intervals between its sends. It does nothing but sleep until
+absolute deadlines and send as many bytes as a setpoint has.
 """
 
 import gc
@@ -16,13 +17,20 @@ from omniman_ros.console.terminal import say
 from omniman_ros.ur.parameters import PERIOD
 
 SIZE = 32
-"""Size of a message [byte]: a time-out, six joints and a mode."""
+"""Size of a setpoint: a time-out, six joints and a mode, four bytes each [byte]."""
 CONNECT_TIMEOUT = 20.0
-"""Longest time until the other end listens [s]."""
+"""Longest time until a server listens on the port to connect to [s]."""
 
 
 def main(args: list[str] | None = None) -> int:
-    """Serve until SIGINT, or until the other end closes the connection."""
+    """Run the sink or the loop until SIGINT, or until the other end closes the connection.
+
+    Args:
+        args: Name of the program and its arguments; see the module.
+
+    Returns:
+        0, the exit code.
+    """
     _, kind, *numbers = args or []
     try:
         if kind == "sink":
@@ -35,25 +43,31 @@ def main(args: list[str] | None = None) -> int:
 
 
 def sink(port: int) -> None:
-    """Receive from one sender and discard what it sends."""
+    """Accept one connection on a port, and discard the data until the sender closes it."""
     with socket.create_server(("127.0.0.1", port)) as listener, listener.accept()[0] as peer:
         while peer.recv(4096):
             pass
 
 
 def loop(port: int, control: int, priority: int) -> None:
-    """Run a block for each line with its length [s]."""
+    """Run a block for each line with a duration [s] that the benchmark sends.
+
+    Args:
+        port: Port of the sink.
+        control: Port of the benchmark.
+        priority: SCHED_FIFO priority; 0 for the normal scheduling class.
+    """
     gc.disable()
     if priority:
         request_priority(priority)
-    with connected(port) as out, connected(control) as orders, orders.makefile("rw") as lines:
+    with connected(port) as out, connected(control) as bench, bench.makefile("rw") as lines:
         for line in lines:
             lines.write(json.dumps(block(out, float(line))) + "\n")
             lines.flush()
 
 
 def request_priority(priority: int) -> None:
-    """Request SCHED_FIFO, as the streaming process does; the benchmark checks the result."""
+    """Request a SCHED_FIFO priority if permitted; the benchmark checks the scheduling class."""
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except OSError as error:
@@ -61,10 +75,10 @@ def request_priority(priority: int) -> None:
 
 
 def connected(port: int) -> socket.socket:
-    """Connect to a port of this machine as soon as it is listened on.
+    """Connect to a port of this machine as soon as a server listens on it.
 
     Raises:
-        OSError: Nobody listens within `CONNECT_TIMEOUT`.
+        OSError: No server listens within `CONNECT_TIMEOUT`.
     """
     end = time.monotonic() + CONNECT_TIMEOUT
     while True:
@@ -79,7 +93,15 @@ def connected(port: int) -> socket.socket:
 
 
 def block(out: socket.socket, seconds: float) -> list[float]:
-    """Send on absolute deadlines for a time [s]; return the intervals between the sends [s]."""
+    """Send at absolute deadlines, one per period.
+
+    Args:
+        out: Connection to the sink.
+        seconds: Duration of the block [s].
+
+    Returns:
+        Intervals between the sends [s].
+    """
     message, sent = bytes(SIZE), []
     due = time.monotonic()
     for _ in range(round(seconds / PERIOD) + 1):

@@ -1,4 +1,4 @@
-"""Figures of `omniman bench arm`: statistics of blocks, aims and table, without processes."""
+"""Evaluation of `omniman bench arm`: statistics of the blocks, aims and table."""
 
 import statistics
 from collections.abc import Mapping, Sequence
@@ -12,13 +12,13 @@ from omniman_ros.lab.bench.measurement import percentiles_ms
 from omniman_ros.lab.verdicts import verdict
 
 AIM_RATIO = 1.5
-"""Aim: largest median, over pairs of blocks, of the p99 send interval over the bare loop's."""
+"""Aim: largest median of all pairs' ratios of the streamer's p99 send interval to the loop's."""
 LATE = 0.012
-"""Interval above which a send counts as late [s]."""
+"""Interval between two sends above which the second one counts as late [s]."""
 VERY_LATE = 0.020
-"""Interval above which a send counts as very late [s]."""
+"""Interval between two sends above which the second one counts as very late [s]."""
 MS = 1e3
-"""Milliseconds in a second."""
+"""Milliseconds per second [ms/s]."""
 
 
 @dataclass(frozen=True)
@@ -26,8 +26,9 @@ class Block:
     """The measurements of one block.
 
     Attributes:
-        intervals: Intervals between two sends, of the bare loop or of the streamer [s].
-        ages: Ages of setpoints by the robot's feedback [s]; empty for the bare loop.
+        intervals: Intervals between consecutive sends, of the bare loop or of the streamer [s].
+        ages: Ages of the newest setpoint that the controller's program has read, by its feedback
+            [s]; empty for the bare loop.
     """
 
     intervals: Sequence[float]
@@ -36,12 +37,12 @@ class Block:
 
 @dataclass(frozen=True)
 class Pair:
-    """Two blocks, one after the other.
+    """Two consecutive blocks: one without and one with the bare loop.
 
     Attributes:
-        streamer: Measurements of the streamer in its block.
+        streamer: Measurements of the streamer in the block without the bare loop.
         bare: Measurements of the bare loop in its block.
-        beside: Measurements of the streamer in the block of the bare loop, which runs beside it.
+        beside: Measurements of the streamer in the block of the bare loop.
     """
 
     streamer: Block
@@ -50,22 +51,27 @@ class Pair:
 
     @property
     def ratio(self) -> float:
-        """Ratio of the p99 of the streamer's intervals to the bare loop's."""
+        """Ratio of the streamer's p99 interval to the bare loop's, each in its own block."""
         return p99(self.streamer.intervals) / p99(self.bare.intervals)
 
     @property
     def ratio_beside(self) -> float:
-        """Ratio of the p99 of the intervals of streamer and bare loop in the same seconds."""
+        """Ratio of the streamer's p99 interval to the bare loop's, both in the latter's block."""
         return p99(self.beside.intervals) / p99(self.bare.intervals)
 
 
 def p99(values: Sequence[float]) -> float:
-    """Return the 99th percentile, interpolated."""
+    """Return the 99th percentile of at least one value, interpolated."""
     return float(np.percentile(np.asarray(values, dtype=float), 99))
 
 
 def spread(values: Sequence[float], prefix: str = "") -> dict[str, float | int]:
-    """Return number, median, p99 and largest of times [s]; of no times, only the number."""
+    """Return statistics of times: their number, median, 99th percentile and maximum.
+
+    Args:
+        values: Times [s]; without any, only their number is returned.
+        prefix: Beginning of each key.
+    """
     if not len(values):
         return {f"{prefix}count": 0}
     p50, high, top = percentiles_ms(values)
@@ -78,7 +84,7 @@ def spread(values: Sequence[float], prefix: str = "") -> dict[str, float | int]:
 
 
 def summary(blocks: Sequence[Block]) -> dict[str, float | int]:
-    """Return the figures of all blocks together."""
+    """Return statistics of the intervals and ages of all blocks together."""
     intervals = [value for block in blocks for value in block.intervals]
     ages = [value for block in blocks for value in block.ages]
     return {
@@ -90,7 +96,7 @@ def summary(blocks: Sequence[Block]) -> dict[str, float | int]:
 
 
 def figures(pairs: Sequence[Pair]) -> dict[str, Any]:
-    """Return all figures of the blocks."""
+    """Return the figures of all pairs of blocks."""
     ratios = [pair.ratio for pair in pairs]
     return {
         "streamer": summary([pair.streamer for pair in pairs]),
@@ -108,14 +114,24 @@ def figures(pairs: Sequence[Pair]) -> dict[str, Any]:
 def ended_programs(values: Mapping[str, str]) -> int:
     """Return the number of programs that have ended, from the diagnostics of `simulated_ur`.
 
-    The streamer's program ends by itself only if no setpoint arrives for the read time-out, or if
-    the connection is lost.
+    The streamer's program on the controller ends by itself only if no setpoint arrives within the
+    read time-out, or if the connection is lost.
+
+    Args:
+        values: Values of the diagnostics by key.
     """
     return int(values["programs"]) - (values["program_state"] == "PLAYING")
 
 
-def of_controller(before: Mapping[str, str], after: Mapping[str, str]) -> dict[str, float | int]:
-    """Return what has happened on the UR side between two diagnostics of `simulated_ur`."""
+def controller_figures(
+    before: Mapping[str, str], after: Mapping[str, str]
+) -> dict[str, float | int]:
+    """Return the events on the simulated UR controller between two of its diagnostics.
+
+    Args:
+        before: Values of the earlier diagnostics by key.
+        after: Values of the later diagnostics by key.
+    """
     counts = ("servo_calls", "servo_gaps", "protective_stops", "late_cycles")
     return {
         "read_timeouts": ended_programs(after) - ended_programs(before),
@@ -125,7 +141,7 @@ def of_controller(before: Mapping[str, str], after: Mapping[str, str]) -> dict[s
 
 
 def aims(result: Mapping[str, Any]) -> dict[str, bool]:
-    """Return which aims were met."""
+    """Return whether each aim was met."""
     return {
         "p99_ratio": result["ratio"] <= AIM_RATIO,
         "read_timeouts": result["controller"]["read_timeouts"] == 0,
@@ -133,7 +149,7 @@ def aims(result: Mapping[str, Any]) -> dict[str, bool]:
 
 
 def report(result: Mapping[str, Any]) -> list[str]:
-    """Return the lines of the table."""
+    """Return the lines of the report on a result."""
     met = {key: verdict(good) for key, good in result["aims"].items()}
     ours, bare, share = result["streamer"], result["bare"], result["cpu_share"]
     sides = (ours, bare)
@@ -148,14 +164,14 @@ def report(result: Mapping[str, Any]) -> list[str]:
     ratios = result["pair_ratios"]
     rows.append(
         (
-            f"ratio of the p99, median of {len(ratios)} pairs",
+            f"ratio of the p99 intervals, median of {len(ratios)} pairs",
             f"{result['ratio']:.3f}",
             f"({min(ratios):.2f} to {max(ratios):.2f})",
             f"<= {AIM_RATIO:g}",
             met["p99_ratio"],
         )
     )
-    rows.append(("  of both in the same seconds", f"{result['ratio_beside']:.3f}", "", "", ""))
+    rows.append(("  both measured in the same block", f"{result['ratio_beside']:.3f}", "", "", ""))
     for label, key in (("p50", "age_p50_ms"), ("p99", "age_p99_ms"), ("max", "age_max_ms")):
         rows.append((f"setpoint age at the feedback, {label}", f"{ours[key]:.2f} ms", "", "", ""))
     rows.append(
@@ -171,5 +187,7 @@ def report(result: Mapping[str, Any]) -> list[str]:
     scheduling = result["scheduling"]
     rows.append(("scheduling", scheduling["streamer"], scheduling["bare"], "", ""))
     timeouts = result["controller"]["read_timeouts"]
-    rows.append(("read time-outs on the UR side", f"{timeouts}", "", "0", met["read_timeouts"]))
+    rows.append(
+        ("read time-outs on the UR controller", f"{timeouts}", "", "0", met["read_timeouts"])
+    )
     return tables(rows)

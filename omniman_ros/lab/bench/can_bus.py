@@ -1,7 +1,8 @@
 """`omniman bench can`: round trips of the bridge over a bus, compared with bare python-can.
 
-Bare python-can does two things: it sends as many frames to an echo, and it repeats the bridge's
-own frames of the last period to the same drives. Then faults are injected, see `can_faults`.
+A round trip begins with the frames of a period and ends when all drives have answered. There are
+two baselines with python-can alone: it exchanges as many frames with an echo, and it sends the
+bridge's own frames to the same drives. Afterwards, faults are injected; see `can_faults`.
 """
 
 import argparse
@@ -36,17 +37,17 @@ from omniman_ros.processes.ros_domain import isolate_ros_domain
 from omniman_ros.robots import load_robot
 
 AIM_RATIO = 2.0
-"""Aim: largest ratio of the median round trip to that of the bare echo."""
+"""Aim: largest ratio of the bridge's median round-trip time to that with the echo."""
 RATES = (100.0, 250.0, 500.0)
-"""Rates of the bridge [Hz]."""
+"""Rates at which the bridge is measured [Hz]."""
 WHEELS = (4, 8)
-"""Numbers of drives."""
+"""Numbers of drives with which the bridge is measured."""
 BITRATES = (500_000, 1_000_000)
-"""Bit rates for which the load of the bus is computed [bit/s]."""
+"""Bit rates for which the bus load is computed [bit/s]."""
 TRIP_TIMEOUT = 0.05
-"""Time after which a round trip counts as lost [s]."""
+"""Longest duration of a round trip, after which it counts as lost [s]."""
 START_TIMEOUT = 20.0
-"""Longest time until the far end is ready [s]."""
+"""Longest time until the drives or the echo are ready [s]."""
 
 
 @dataclass(frozen=True)
@@ -54,8 +55,8 @@ class Effort:
     """Extent of the measurement.
 
     Attributes:
-        blocks: Number of blocks of each side, which alternate.
-        periods: Periods in a block.
+        blocks: Number of blocks of each side; the sides alternate.
+        periods: Number of periods in a block.
     """
 
     blocks: int
@@ -63,19 +64,21 @@ class Effort:
 
 
 FULL = Effort(blocks=10, periods=100)
+"""Extent without options."""
 QUICK = Effort(blocks=2, periods=20)
+"""Extent with `--quick`."""
 
 
 @dataclass
 class Side:
-    """The measurements of one side: the bridge, or bare python-can.
+    """The measurements of one of the sides that are compared, the bridge or a baseline.
 
     Attributes:
-        trips: Round-trip times [s].
-        lost: Number of periods in which not all answers arrived before the next period.
+        trips: Times of the completed round trips [s].
+        lost: Number of periods whose round trip was not completed in time.
         periods: Number of all periods.
         cpu: CPU time of this process in the side's blocks [s].
-        wall: Duration of the side's blocks [s].
+        wall: Total duration of the side's blocks [s].
     """
 
     trips: list[float] = field(default_factory=list)
@@ -85,7 +88,7 @@ class Side:
     wall: float = 0.0
 
     def summary(self) -> dict[str, float]:
-        """Return the figures of the side."""
+        """Return the figures of the side; times are NaN if no round trip was completed."""
         trips = 1e3 * np.array(self.trips or [np.nan])
         return {
             "median_ms": float(np.median(trips)),
@@ -96,11 +99,15 @@ class Side:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman bench can`; return 0 if it could be measured, whatever the figures."""
+    """Run `omniman bench can`; return 0, the exit code of a successful measurement.
+
+    Raises:
+        CommandError: The measurement failed.
+    """
     effort = QUICK if args.quick else FULL
     cases = [measure(wheels, rate, effort) for wheels in WHEELS for rate in RATES]
     result: dict[str, Any] = {"quick": args.quick, "cases": cases}
-    os.environ.pop("ROS_DOMAIN_ID", None)  # wheel_commands must reach no other robot
+    os.environ.pop("ROS_DOMAIN_ID", None)  # wheel_commands must not reach another robot
     isolate_ros_domain(os.environ)
     (port,) = free_ports(1, socket.SOCK_DGRAM)
     result["faults"] = can_faults.measure(args.quick, port)
@@ -108,7 +115,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def aims(result: dict[str, Any]) -> dict[str, bool]:
-    """Return which aims were met."""
+    """Return whether each aim was met."""
     return {
         "latency_ratio": all(case["ratio"] <= AIM_RATIO for case in result["cases"]),
         "reactions": can_faults.aim(result["faults"]),
@@ -116,7 +123,11 @@ def aims(result: dict[str, Any]) -> dict[str, bool]:
 
 
 def robot_of(wheels: int) -> Robot:
-    """Make a robot with a multiple of four wheels: rows of omniman's wheels."""
+    """Make a robot that repeats the four wheels of `omniman` at growing distances.
+
+    Args:
+        wheels: Number of wheels, a multiple of four.
+    """
     values = dict(load_robot("omniman"))
     rows = wheels // 4
     for name in ("wheels.y", "wheels.heading", "wheels.roller_angle"):
@@ -128,12 +139,18 @@ def robot_of(wheels: int) -> Robot:
 
 
 def measure(wheels: int, rate: float, effort: Effort) -> dict[str, Any]:
-    """Measure all sides in turn.
+    """Measure the bridge and both baselines in alternating blocks.
 
     Args:
         wheels: Number of drives.
-        rate: Rate of the bridge [Hz].
+        rate: Rate of the periods [Hz].
         effort: Extent of the measurement.
+
+    Returns:
+        Figures of the case.
+
+    Raises:
+        CommandError: The drives or the echo are not ready in time, or the drives stopped.
     """
     say(f"{wheels} drives at {rate:g} Hz ...")
     ports = free_ports(2, socket.SOCK_DGRAM)
@@ -182,15 +199,15 @@ def _sleep_until(due: float) -> None:
 
 
 class _RecordingDrives(CanDrives):
-    """The drives' policy, which records all its frames on demand.
+    """The policy over the drives, which also records the frames that it sends and receives.
 
     Args:
-        robot: The robot.
+        robot: Robot.
         parameters: Parameters of the bus.
-        frames: List that the frames are added to.
+        frames: List to which recorded frames are appended.
 
     Attributes:
-        recording: Whether frames are recorded.
+        recording: Whether frames are recorded; initially not.
     """
 
     def __init__(self, robot: Robot, parameters: CanParameters, frames: list[Frame]) -> None:
@@ -211,16 +228,19 @@ class _RecordingDrives(CanDrives):
 
 
 class Bridge:
-    """The bridge without ROS: link, policy and codec, in this process.
+    """The bridge without ROS, in this process; its drives are ready after construction.
 
     Args:
         wheels: Number of drives.
         rate: Rate of its periods [Hz].
         port: UDP port of the bus.
-        check: Raises if the far end has ended.
+        check: Function that raises CommandError if the process of the drives has ended.
 
     Attributes:
-        frames: Frames of all measured periods.
+        frames: Frames of all measured periods, both sent and received.
+
+    Raises:
+        CommandError: The drives are not ready in time, or have ended.
     """
 
     def __init__(self, wheels: int, rate: float, port: int, check: Callable[[], None]) -> None:
@@ -267,9 +287,17 @@ class Bridge:
             self._link.run_until(lambda: drives.phase is not Phase.ENABLING, 1.0)
 
     def block(self, periods: int, measured: Side) -> None:
-        """Run periods: one command each, until all drives have answered."""
+        """Run a block of periods of the bridge: one command each, until all drives have answered.
+
+        Args:
+            periods: Number of periods.
+            measured: Measurements to which those of the block are added.
+
+        Raises:
+            CommandError: The drives stopped.
+        """
         link = self._link
-        link.run_until(lambda: False, 0.1)  # frames from the other side's turn
+        link.run_until(lambda: False, 0.1)  # process frames that arrived during other blocks
         due = time.monotonic() + self._period
         self._recorder.recording = True
         for _ in range(periods):
@@ -294,17 +322,22 @@ class Bridge:
             raise CommandError(f"the drives stopped: {link.drives.stop_reason}")
 
     def repeat(self, periods: int, measured: Side) -> None:
-        """Repeat the frames of one period with python-can alone, as the drives expect them."""
+        """Run a block with python-can alone, which sends the bridge's frames to the same drives.
+
+        Args:
+            periods: Number of periods.
+            measured: Measurements to which those of the block are added.
+        """
         frames = [
             can.Message(arbitration_id=frame.id, data=frame.data, is_extended_id=False)
             for frame in self._link.drives.tick(time.monotonic())
         ]
         _bare_block(self._bare, frames, 2 * self._wheels, self._period, periods, measured)
         while any(True for _ in self._link.bus.take()):
-            pass  # to the bridge these were frames of a second host, at which it would stop
+            pass  # discarded: the bridge would stop, as the frames seem to be of a second host
 
     def close(self) -> None:
-        """Close the bus."""
+        """Close both connections to the bus."""
         self._bare.shutdown()
         self._link.close()
 
@@ -312,16 +345,16 @@ class Bridge:
 def _bare_trip(
     bus: can.BusABC, frames: list[can.Message], answers: int, due: float
 ) -> float | None:
-    """Send frames and wait for the reports.
+    """Send frames and wait for the answers, the transmit PDOs 1 and 2 of the drives.
 
     Args:
-        bus: The bus.
+        bus: Bus.
         frames: Frames to send.
-        answers: Number of reports to wait for.
+        answers: Number of answers to wait for.
         due: Deadline on the monotonic clock [s].
 
     Returns:
-        The round-trip time [s]; None if the reports have not arrived by the deadline.
+        The round-trip time [s]; None if not all answers have arrived by the deadline.
     """
     start = time.monotonic()
     for frame in frames:
@@ -342,12 +375,21 @@ def _bare_block(
     periods: int,
     measured: Side,
 ) -> None:
-    """Run periods with python-can alone."""
+    """Run a block of periods with python-can alone.
+
+    Args:
+        bus: Bus.
+        frames: Frames to send in each period.
+        answers: Number of answers to wait for in each period.
+        period: Length of a period [s].
+        periods: Number of periods.
+        measured: Measurements to which those of the block are added.
+    """
     due = time.monotonic() + period
     for _ in range(periods):
         _sleep_until(due)
         while bus.recv(0.0) is not None:
-            pass  # late frames
+            pass  # late answers to the previous period are discarded
         due += period
         trip = _bare_trip(bus, frames, answers, min(due, time.monotonic() + TRIP_TIMEOUT))
         measured.periods += 1
@@ -358,13 +400,16 @@ def _bare_block(
 
 
 class Echo:
-    """Exchanges as many frames as the bridge with an echo, with python-can alone.
+    """Exchanges as many frames as the bridge, but with an echo and by python-can alone.
 
     Args:
-        wheels: Number of drives that the echo stands for.
+        wheels: Number of drives in whose place the echo answers.
         rate: Rate of the periods [Hz].
         port: UDP port of the echo's bus.
-        check: Raises if the echo has ended.
+        check: Function that raises CommandError if the process of the echo has ended.
+
+    Raises:
+        CommandError: The echo is not ready in time, or has ended.
     """
 
     def __init__(self, wheels: int, rate: float, port: int, check: Callable[[], None]) -> None:
@@ -391,7 +436,12 @@ class Echo:
         return _bare_trip(self._bus, self._frames, self._answers, due)
 
     def block(self, periods: int, measured: Side) -> None:
-        """Run periods."""
+        """Run a block of periods.
+
+        Args:
+            periods: Number of periods.
+            measured: Measurements to which those of the block are added.
+        """
         _bare_block(self._bus, self._frames, self._answers, self._period, periods, measured)
 
     def close(self) -> None:
@@ -400,13 +450,13 @@ class Echo:
 
 
 def report(result: dict[str, Any]) -> list[str]:
-    """Return the lines of the tables."""
+    """Return the lines of the report on a result."""
     rows: Rows = [
         (
             "drives, rate",
             "bridge p50 / p99",
-            "bare, same drives",
-            "echo",
+            "python-can, same drives",
+            "python-can, echo",
             "ratios",
             "lost",
             "CPU (echo)",
@@ -430,5 +480,5 @@ def report(result: dict[str, Any]) -> list[str]:
                 " / ".join(loads),
             )
         )
-    aim = f"  aim: median at most {AIM_RATIO:g} times the echo's"
+    aim = f"  aim: median round trip at most {AIM_RATIO:g} times that with the echo"
     return ["", *table(rows), aim, *can_faults.report(result["faults"])]

@@ -1,8 +1,9 @@
-"""Faults of `omniman bench can`: how soon all drives get a stop command, and come to rest.
+"""Reaction to faults in `omniman bench can`: times until all drives get a stop command, and rest.
 
-Bridge and simulated drives run as they do on a robot, each in a process of its own, with the
-time-outs of the installations in config/can/. Faults are injected at a steady speed; the kernel
-stamps the arrival of each frame.
+Bridge and simulated drives run in processes of their own, with the time-outs of the installations
+in config/can/. Faults are injected at a steady speed, and the kernel stamps the arrival of each
+frame. Times are measured from the evidence, the moment at which the fault becomes visible to the
+bridge or, where the bridge itself fails, to the drives.
 """
 
 import random
@@ -21,46 +22,54 @@ from omniman_ros.console.errors import CommandError
 from omniman_ros.console.session import Session
 from omniman_ros.console.terminal import GREEN, RED, paint, say, table
 from omniman_ros.core.can_parameters import CanParameters
-from omniman_ros.lab.bench.can_rig import BusFrame, Kind, Rig
+from omniman_ros.lab.bench.can_rig import BusFrame, FrameKind, Rig
 from omniman_ros.lab.bench.harness import Rows
 from omniman_ros.processes.node_output import NodeOutputLog
 from omniman_ros.processes.process_group import redirect_signals
 
 MARGIN = 2e-3
-"""Time that a reaction may take in addition to the periods that it may wait for [s]."""
-FIRMWARE = 1e-3
-"""Period of the drives' own watchdogs [s]."""
+"""Permitted time of a reaction beyond the time-outs and periods that it waits for [s]."""
+WATCHDOG_PERIOD = 1e-3
+"""Period at which the drives check their watchdogs [s]."""
 MODE_TIMEOUT = 0.1
-"""Longest time for which a drive may display another mode than the commanded one [s]."""
+"""Time for which a drive may display another mode than the commanded one [s]."""
 REST_TIME = 0.1
-"""Time for which the platform must be at rest to count as resting [s]."""
+"""Time without motion after which the platform counts as having come to rest [s]."""
 RECORDED_BEFORE = 0.05
-"""Time before a fault in which frames are recorded: it contains the last frame of a drive that
-falls silent [s]."""
+"""Time before a fault from which on frames are recorded [s].
+
+It contains the last frame of a drive that falls silent.
+"""
 RUNS = 5
 """Number of runs of each fault."""
 SLOW_RUNS = 2
-"""Number of runs of a fault that takes seconds."""
+"""Number of runs of each fault whose runs take seconds."""
 ATTEMPTS = 4
-"""Largest number of attempts at one run: a busy machine may stop the drives by itself."""
-FOREIGN = (0x201, b"\x0f" + bytes(5) + b"\x07")
-"""Frame (id, data) of a second host, which the bridge never sends: operation enabled, at a
-standstill, to node 1."""
+"""Largest number of attempts at one run.
+
+A run is repeated if the drives stop for another reason, such as delays on a busy machine.
+"""
+FOREIGN_FRAME = (0x201, b"\x0f" + bytes(5) + b"\x07")
+"""Identifier and data of a frame to node 1 that the bridge never sends, as if from a second host.
+
+It is receive PDO 1 with the controlword for an enabled operation, a zero setpoint and the mode of
+operation 7 (interpolated position).
+"""
 
 
-def reaction(
-    frames: Sequence[BusFrame], after: float, nodes: Sequence[int], is_reaction: Kind
+def time_of_reaction(
+    frames: Sequence[BusFrame], after: float, nodes: Sequence[int], is_reaction: FrameKind
 ) -> float | None:
-    """Find the time at which the last drive got the reaction to a fault.
+    """Return the time at which the reaction to a fault is complete, for the last of all drives.
 
     Args:
         frames: Frames on the bus.
         after: Time before which frames do not count [s].
         nodes: Node ids of the drives.
-        is_reaction: Kind of frame that is the reaction; of each drive, the first one counts.
+        is_reaction: Kind of frame that is the reaction; the first such frame of each drive counts.
 
     Returns:
-        The time [s]; None if a drive got none.
+        The time by the system clock [s]; None if there is no such frame of some drive.
     """
     first: dict[int, float] = {}
     for frame in frames:
@@ -72,24 +81,24 @@ def reaction(
     return max(first.values()) if len(first) == len(nodes) else None
 
 
-def evidence(
+def time_of_evidence(
     frames: Sequence[BusFrame],
-    kind: Kind,
+    kind: FrameKind,
     nodes: Sequence[int],
     first: bool,
     span: tuple[float, float],
 ) -> float | None:
-    """Find the time at which a fault became visible on the bus.
+    """Return the time at which a fault became visible on the bus.
 
     Args:
         frames: Frames on the bus.
         kind: Kind of frame that shows the fault.
         nodes: Node ids of the faulty drives.
-        first: Whether the first such frame shows it, instead of the last.
-        span: Begin and end of the time in which frames count [s].
+        first: Whether the first such frame shows the fault; otherwise the last one does.
+        span: Start and end of the time in which frames count [s].
 
     Returns:
-        The time [s]; None if there is no such frame.
+        The time by the system clock [s]; None if there is no such frame.
     """
     times = [f.at for f in frames if span[0] <= f.at <= span[1] and any(kind(f, n) for n in nodes)]
     if not times:
@@ -97,21 +106,23 @@ def evidence(
     return times[0] if first else times[-1]
 
 
-def rest(truth: Sequence[tuple[float, float]], after: float) -> float | None:
-    """Find the time at which the platform came to rest and stayed at rest.
+def time_of_rest(truth: Sequence[tuple[float, float]], after: float) -> float | None:
+    """Return the time at which the platform came to rest and since which it has been at rest.
 
     Args:
-        truth: Times [s] and speeds of the platform, as multiples of the threshold of rest.
-        after: Time of the evidence [s].
+        truth: Times [s] and speeds of the platform, as multiples of the largest speed that counts
+            as rest.
+        after: Time before which rest does not count, such as that of the evidence [s].
 
     Returns:
-        The time [s]; None if the platform has not been at rest for `REST_TIME` yet.
+        The time by the system clock [s]; None if the platform has not been at rest for
+        `REST_TIME` yet.
     """
-    stood: float | None = None
+    since: float | None = None
     for at, speed in truth:
         if at >= after:
-            stood = None if speed > 1.0 else at if stood is None else stood
-    return stood if stood is not None and truth[-1][0] - stood >= REST_TIME else None
+            since = None if speed > 1.0 else at if since is None else since
+    return since if since is not None and truth[-1][0] - since >= REST_TIME else None
 
 
 @dataclass(frozen=True)
@@ -120,61 +131,64 @@ class Fault:
 
     Attributes:
         name: Name in the table.
-        begin: Injects the fault into wheels; returns the time of the evidence where that is not
-            on the bus [s].
-        bound: Longest time from the evidence to the reaction [s].
-        reason: Pattern of the reason that the bridge must give, `{}` being the wheel; empty: the
-            bridge does not latch a stop.
-        evidence: Kind of frame that shows the fault.
-        first: Whether the first such frame shows it, instead of the last before a silence.
+        inject: Function that injects the fault into the named wheels; returns the time of the
+            evidence by the system clock [s], or None if the evidence is a frame on the bus.
+        bound: Function that returns the longest permitted time from the evidence to the reaction
+            [s] from the parameters of the installation.
+        reason: Regular expression of the reason for the stop that the bridge must publish, with
+            `{}` in place of the wheel's name; empty if the bridge need not publish any.
+        evidence: Name of the kind of frame that shows the fault.
+        first: Whether the first such frame shows the fault; otherwise the last one before a
+            silence does.
         all_wheels: Whether all wheels have the fault.
-        reaction: Kind of frame that is the reaction: "stop", "change", or a kind of the protocol;
-            where the protocol lacks that kind, only the time until rest is measured.
-        end: Removes the fault.
+        reaction: Name of the kind of frame that is the reaction: "stop", "change" (of a setpoint)
+            or "watchdog". If the protocol has no frame that shows a watchdog, only the time until
+            rest is measured.
+        remove: Function that removes the fault.
         latches: Whether nothing may move afterwards until a reset.
         slow: Whether a run takes seconds, so that there are fewer runs.
     """
 
     name: str
-    begin: Callable[[Rig, Sequence[str]], float | None]
+    inject: Callable[[Rig, Sequence[str]], float | None]
     bound: Callable[[CanParameters], float]
     reason: str
     evidence: str = ""
     first: bool = True
     all_wheels: bool = False
     reaction: str = "stop"
-    end: Callable[[Rig], object] = lambda rig: None
+    remove: Callable[[Rig], object] = lambda rig: None
     latches: bool = True
     slow: bool = False
 
 
-def _at_reception(p: CanParameters) -> float:
+def _bound_after_frame(p: CanParameters) -> float:
     return p.period + MARGIN
 
 
-def _at_silence(p: CanParameters) -> float:
+def _bound_after_silence(p: CanParameters) -> float:
     return p.feedback_timeout + p.period + MARGIN
 
 
-def _at_lost_heartbeat(p: CanParameters) -> float:
+def _bound_after_lost_heartbeat(p: CanParameters) -> float:
     return 3 * p.drive_heartbeat + 2 * p.period + MARGIN
 
 
-def _at_other_mode(p: CanParameters) -> float:
+def _bound_after_other_mode(p: CanParameters) -> float:
     return MODE_TIMEOUT + 2 * p.period + MARGIN
 
 
-def _at_stale_command(p: CanParameters) -> float:
+def _bound_after_last_command(p: CanParameters) -> float:
     return p.command_timeout + p.period + MARGIN
 
 
-def _at_watchdog(p: CanParameters) -> float:
-    # An ODrive reports it in its next heartbeat.
-    reported = p.drive_heartbeat if p.protocol == "odrive" else 0.0
-    return p.heartbeat_timeout + reported + FIRMWARE + MARGIN
+def _bound_of_watchdog(p: CanParameters) -> float:
+    # An ODrive reports the stop in its next heartbeat.
+    report_delay = p.drive_heartbeat if p.protocol == "odrive" else 0.0
+    return p.heartbeat_timeout + report_delay + WATCHDOG_PERIOD + MARGIN
 
 
-def _switched(
+def _parameter_fault(
     name: str,
     flag: str,
     bound: Callable[[CanParameters], float],
@@ -182,34 +196,45 @@ def _switched(
     evidence: str,
     **options: bool,
 ) -> Fault:
-    """Make a fault that is a parameter of the simulated drives."""
+    """Make a fault of the simulated drives that a parameter `can_faults.*` sets.
 
-    def begin(rig: Rig, wheels: Sequence[str]) -> None:
-        rig.switch(flag, wheels)
+    Args:
+        name: Name in the table.
+        flag: Last part of the parameter's name; its value is the names of the faulty wheels.
+        bound: See `Fault`.
+        reason: See `Fault`.
+        evidence: See `Fault`.
+        options: Further attributes of the fault.
+    """
 
-    def end(rig: Rig) -> None:
-        rig.switch(flag, ())
+    def inject(rig: Rig, wheels: Sequence[str]) -> None:
+        rig.set_fault(flag, wheels)
 
-    return Fault(name, begin, bound, reason, evidence, end=end, **options)  # type: ignore[arg-type]
+    def remove(rig: Rig) -> None:
+        rig.set_fault(flag, ())
+
+    return Fault(name, inject, bound, reason, evidence, remove=remove, **options)  # type: ignore[arg-type]
 
 
-def _silenced(name: str, flag: str, **options: bool) -> Fault:
-    """Make a fault after which drives report nothing any more."""
+def _silent_fault(name: str, flag: str, **options: bool) -> Fault:
+    """Make a fault after which the bridge receives no more reports; see `_parameter_fault`."""
     reason = "no feedback" if "all_wheels" in options else "{}: no feedback"
-    return _switched(name, flag, _at_silence, reason, "report", first=False, **options)
+    return _parameter_fault(
+        name, flag, _bound_after_silence, reason, "report", first=False, **options
+    )
 
 
-def _signalled(number: int) -> Callable[[Rig, Sequence[str]], None]:
-    return lambda rig, wheels: rig.signal(number)
+def _bridge_signal(number: int) -> Callable[[Rig, Sequence[str]], None]:
+    return lambda rig, wheels: rig.signal_bridge(number)
 
 
-def _boot_up(rig: Rig, wheels: Sequence[str]) -> None:
-    # A drive that really restarts is silent first.
+def _send_boot_up(rig: Rig, wheels: Sequence[str]) -> None:
+    # The message is forged, as a drive that restarts is silent before it sends one.
     rig.recorder.send(0x700 + rig.nodes[0], b"\x00")
 
 
-def _command_too(rig: Rig, wheels: Sequence[str]) -> None:
-    rig.recorder.send(*FOREIGN)
+def _send_foreign_frame(rig: Rig, wheels: Sequence[str]) -> None:
+    rig.recorder.send(*FOREIGN_FRAME)
 
 
 def _end_commands(rig: Rig, wheels: Sequence[str]) -> float:
@@ -217,99 +242,121 @@ def _end_commands(rig: Rig, wheels: Sequence[str]) -> float:
     return rig.published
 
 
-EMERGENCY = Fault(
+EMERGENCY_STOP = Fault(
     "emergency_stop",
-    lambda rig, wheels: rig.emergency(True),
-    _at_reception,
+    lambda rig, wheels: rig.set_emergency_stop(True),
+    _bound_after_frame,
     "emergency",
-    end=lambda rig: rig.emergency(False),
+    remove=lambda rig: rig.set_emergency_stop(False),
 )
-STALE = Fault(
-    "commands end", _end_commands, _at_stale_command, "", reaction="change", latches=False
+"""The emergency stop is pressed."""
+COMMANDS_END = Fault(
+    "commands end", _end_commands, _bound_after_last_command, "", reaction="change", latches=False
 )
-STOPPED = Fault(
+"""The publisher of `wheel_commands` falls silent."""
+BRIDGE_SUSPENDED = Fault(
     "bridge SIGSTOP",
-    _signalled(signal.SIGSTOP),
-    _at_watchdog,
+    _bridge_signal(signal.SIGSTOP),
+    _bound_of_watchdog,
     "held up|EMCY|error|closed loop",
     "setpoint",
     first=False,
     reaction="watchdog",
-    end=lambda rig: rig.signal(signal.SIGCONT),
+    remove=lambda rig: rig.signal_bridge(signal.SIGCONT),
 )
-KILLED = Fault(
+"""The process of the bridge is suspended."""
+BRIDGE_KILLED = Fault(
     "bridge SIGKILL",
-    _signalled(signal.SIGKILL),
-    _at_watchdog,
+    _bridge_signal(signal.SIGKILL),
+    _bound_of_watchdog,
     "",
     "setpoint",
     first=False,
     reaction="watchdog",
-    end=lambda rig: rig.restart(),
+    remove=lambda rig: rig.restart_bridge(),
     latches=False,
     slow=True,
 )
+"""The process of the bridge is killed."""
 
 FAULTS: dict[str, list[Fault]] = {
     "cia402": [
-        _switched("drive fault (EMCY)", "fault", _at_reception, "{}: EMCY", "EMCY"),
+        _parameter_fault("drive fault (EMCY)", "fault", _bound_after_frame, "{}: EMCY", "EMCY"),
         Fault(
-            "boot-up, as of a drive",
-            _boot_up,
-            _at_reception,
+            "boot-up message of a drive",
+            _send_boot_up,
+            _bound_after_frame,
             "boot-up",
             "boot-up",
             all_wheels=True,
         ),
         Fault(
-            "supply gone (EMCY)",
-            lambda rig, wheels: rig.switch("supply", 5.0),
-            _at_reception,
+            "supply voltage fails (EMCY)",
+            lambda rig, wheels: rig.set_fault("supply", 5.0),
+            _bound_after_frame,
             "EMCY",
             "EMCY",
             all_wheels=True,
-            end=lambda rig: rig.switch("supply", 0.0),
+            remove=lambda rig: rig.set_fault("supply", 0.0),
         ),
-        Fault("second host (RPDO)", _command_too, _at_reception, "another host", "foreign"),
-        _switched(
-            "other mode shown", "wrong_mode", _at_other_mode, "{}: .*shows mode", "other mode"
+        Fault(
+            "second host (RPDO)",
+            _send_foreign_frame,
+            _bound_after_frame,
+            "another host",
+            "foreign",
         ),
-        _silenced("drive silent", "silent"),
-        _silenced("drive starts anew", "reboot", slow=True),
-        _silenced("all drives silent", "silent", all_wheels=True, slow=True),
-        _silenced("drive deaf", "deaf"),
-        _silenced("reports frozen, heartbeat alive", "frozen_reports"),
-        _switched(
+        _parameter_fault(
+            "other mode displayed",
+            "wrong_mode",
+            _bound_after_other_mode,
+            "{}: .*shows mode",
+            "other mode",
+        ),
+        _silent_fault("drive silent", "silent"),
+        _silent_fault("drive restarts", "reboot", slow=True),
+        _silent_fault("all drives silent", "silent", all_wheels=True, slow=True),
+        _silent_fault("drive deaf", "deaf"),
+        _silent_fault("reports stop, heartbeat continues", "frozen_reports"),
+        _parameter_fault(
             "reports too short",
             "short_reports",
-            _at_silence,
+            _bound_after_silence,
             "{}: no feedback",
             "whole report",
             first=False,
         ),
-        _switched(
+        _parameter_fault(
             "heartbeat lost",
             "no_heartbeat",
-            _at_lost_heartbeat,
+            _bound_after_lost_heartbeat,
             "{}: .*heartbeat lost",
             "heartbeat",
             first=False,
         ),
-        EMERGENCY,
-        Fault("~/stop", lambda rig, wheels: rig.stop(), _at_reception, "~/stop"),
-        STALE,
-        STOPPED,
-        KILLED,
+        EMERGENCY_STOP,
+        Fault("~/stop", lambda rig, wheels: rig.call_stop(), _bound_after_frame, "~/stop"),
+        COMMANDS_END,
+        BRIDGE_SUSPENDED,
+        BRIDGE_KILLED,
     ],
-    "vesc": [_silenced("drive silent", "silent"), EMERGENCY, STALE, STOPPED],
+    "vesc": [
+        _silent_fault("drive silent", "silent"),
+        EMERGENCY_STOP,
+        COMMANDS_END,
+        BRIDGE_SUSPENDED,
+    ],
     "odrive": [
-        _switched("drive fault (error)", "fault", _at_reception, "{}: axis error", "error"),
-        _silenced("drive silent", "silent"),
-        EMERGENCY,
-        STALE,
-        replace(STOPPED, slow=True),  # its drives let the wheels coast
+        _parameter_fault(
+            "drive fault (error)", "fault", _bound_after_frame, "{}: axis error", "error"
+        ),
+        _silent_fault("drive silent", "silent"),
+        EMERGENCY_STOP,
+        COMMANDS_END,
+        replace(BRIDGE_SUSPENDED, slow=True),  # ODrives let the wheels coast
     ],
 }
+"""Faults that are injected, by protocol; the name of each fault is unique in its protocol."""
 
 
 @dataclass
@@ -317,10 +364,10 @@ class Record:
     """The measurements of one fault.
 
     Attributes:
-        reactions: Times from the evidence to the reaction [s].
-        rests: Times from the evidence until rest [s].
-        repeated: Number of runs in which something else stopped the platform.
-        moved: Number of runs in which the platform moved again before a reset.
+        reactions: Times from the evidence to the reaction, one per valid run [s].
+        rests: Times from the evidence until rest, one per valid run [s].
+        repeated: Number of runs that do not count, as something else stopped the platform.
+        moved: Number of valid runs in which the platform moved again before a reset.
     """
 
     reactions: list[float] = field(default_factory=list)
@@ -329,12 +376,12 @@ class Record:
     moved: int = 0
 
     def summary(self, fault: Fault, bound: float, reacts: bool) -> dict[str, Any]:
-        """Return the figures of the fault; figures of times are left out where there are none.
+        """Return the figures of the fault; those of times that were not measured are left out.
 
         Args:
-            fault: The fault.
-            bound: Longest time from the evidence to the reaction [s].
-            reacts: Whether the protocol shows the reaction.
+            fault: Fault that was injected.
+            bound: Longest permitted time from the evidence to the reaction [s].
+            reacts: Whether a frame of the protocol shows the reaction.
         """
         figures: dict[str, Any] = {"fault": fault.name, "runs": len(self.rests)}
         if reacts and self.reactions:
@@ -354,12 +401,16 @@ def measure(quick: bool, port: int) -> dict[str, list[dict[str, Any]]]:
     """Measure all faults of all protocols.
 
     Args:
-        quick: Whether there is one run of each fault, no slow fault, and only one fault of each
-            protocol but the first.
+        quick: Whether to measure one run of each fault, no slow faults, and only one fault of each
+            protocol other than the first.
         port: UDP port of the bus.
 
     Returns:
         Figures of each fault by protocol; see `Record.summary`.
+
+    Raises:
+        CommandError: The robot does not reach a steady speed, does not come to rest after a
+            fault, or the drives have ended.
     """
     result: dict[str, Any] = {}
     for protocol, known in FAULTS.items():
@@ -372,15 +423,27 @@ def measure(quick: bool, port: int) -> dict[str, list[dict[str, Any]]]:
             with Session("omniman_bench_can") as session:
                 rig = Rig(session, protocol, port, log)
                 with redirect_signals(rig.interrupt), rig:
-                    result[protocol] = [inject(rig, fault, quick) for fault in faults]
+                    result[protocol] = [measure_fault(rig, fault, quick) for fault in faults]
         except CommandError:
             log.show()
             raise
     return result
 
 
-def inject(rig: Rig, fault: Fault, quick: bool) -> dict[str, Any]:
-    """Inject a fault several times, into one wheel after the other; return its figures."""
+def measure_fault(rig: Rig, fault: Fault, quick: bool) -> dict[str, Any]:
+    """Inject a fault several times, into one wheel after the other.
+
+    Args:
+        rig: Running bridge and drives.
+        fault: Fault to inject.
+        quick: Whether to measure one run only.
+
+    Returns:
+        Figures of the fault; see `Record.summary`.
+
+    Raises:
+        CommandError: See `measure`.
+    """
     record = Record()
     reacts = fault.reaction != "watchdog" or "watchdog" in rig.dialect.kinds
     bound = fault.bound(rig.parameters)
@@ -399,49 +462,56 @@ def run_once(rig: Rig, fault: Fault, wheel: int, record: Record, reacts: bool) -
 
     Args:
         rig: Bridge and drives, driving at a steady speed.
-        fault: The fault.
-        wheel: Index of the wheel that has it, unless all have.
-        record: Record that the reaction is added to.
-        reacts: Whether the protocol shows the reaction.
+        fault: Fault to inject.
+        wheel: Index of the faulty wheel, ignored if the fault is one of all wheels.
+        record: Record to which the measured times are added.
+        reacts: Whether a frame of the protocol shows the reaction.
 
     Returns:
-        False if something else stopped the wheels; nothing is recorded then.
+        Whether the run is valid; if not, something else stopped the wheels, and nothing is
+        recorded.
+
+    Raises:
+        CommandError: See `measure`.
     """
-    everything = range(len(rig.names)) if fault.all_wheels else (wheel,)
+    faulty = range(len(rig.names)) if fault.all_wheels else (wheel,)
     rig.recorder.clear()
     rig.truth.clear()
-    rig.session.spin(RECORDED_BEFORE + random.uniform(0.0, rig.parameters.period))  # any phase
+    # The fault begins at a random phase of the bridge's period.
+    rig.session.spin(RECORDED_BEFORE + random.uniform(0.0, rig.parameters.period))
     kinds = _kinds(rig)
     start = time.time()
-    at = fault.begin(rig, [rig.names[i] for i in everything])
-    rig.wait(lambda: rest(rig.truth, start) is not None, f"rest after '{fault.name}'")
+    shown = fault.inject(rig, [rig.names[i] for i in faulty])
+    rig.wait(lambda: time_of_rest(rig.truth, start) is not None, f"rest after '{fault.name}'")
     frames, end = list(rig.recorder.frames), time.time()
     reacted = None
     if reacts:
-        reacted = reaction(frames, start if at is None else at, rig.nodes, kinds[fault.reaction])
-    if at is None:
+        after = start if shown is None else shown
+        reacted = time_of_reaction(frames, after, rig.nodes, kinds[fault.reaction])
+    if shown is None:
         span = (start - RECORDED_BEFORE, end if reacted is None else reacted)
-        nodes = [rig.nodes[i] for i in everything]
-        at = evidence(frames, kinds[fault.evidence], nodes, fault.first, span)
-    at_rest = time.time()
-    fault.end(rig)
+        nodes = [rig.nodes[i] for i in faulty]
+        shown = time_of_evidence(frames, kinds[fault.evidence], nodes, fault.first, span)
+    removed = time.time()
+    fault.remove(rig)
     if fault.latches:
         rig.session.spin(REST_TIME)
-        rig.wait(lambda: rig.state == DiagnosticStatus.ERROR, "the reason of the stop")
-    stood = None if at is None else rest([(t, v) for t, v in rig.truth if t <= at_rest], at)
-    if at is None or stood is None or not _is_reason(rig, fault, wheel):
+        rig.wait(lambda: rig.state == DiagnosticStatus.ERROR, "latched stop of the bridge")
+    before = [(t, v) for t, v in rig.truth if t <= removed]
+    rested = None if shown is None else time_of_rest(before, shown)
+    if shown is None or rested is None or not _is_expected_reason(rig, fault, wheel):
         return False
-    if reacts and (reacted is None or reacted < at):
+    if reacts and (reacted is None or reacted < shown):
         return False
     if reacted is not None:
-        record.reactions.append(reacted - at)
-    record.rests.append(stood - at)
-    record.moved += fault.latches and any(v > 1.0 for t, v in rig.truth if t > at_rest)
+        record.reactions.append(reacted - shown)
+    record.rests.append(rested - shown)
+    record.moved += fault.latches and any(v > 1.0 for t, v in rig.truth if t > removed)
     return True
 
 
-def _kinds(rig: Rig) -> dict[str, Kind]:
-    """Return the kinds of frames of the protocol, with those relative to the present setpoints."""
+def _kinds(rig: Rig) -> dict[str, FrameKind]:
+    """Return all kinds of frames by name; "change" is relative to the present setpoints."""
     dialect, stop, changed = rig.dialect, rig.dialect.stop, rig.changed_setpoint()
 
     def is_stop(frame: BusFrame, node: int) -> bool:
@@ -449,19 +519,26 @@ def _kinds(rig: Rig) -> dict[str, Kind]:
 
     return {
         **dialect.kinds,
-        "foreign": lambda frame, node: (frame.id, frame.data) == FOREIGN,
+        "foreign": lambda frame, node: (frame.id, frame.data) == FOREIGN_FRAME,
         "change": changed,
         "stop": changed if stop is None else is_stop,
     }
 
 
-def _is_reason(rig: Rig, fault: Fault, wheel: int) -> bool:
-    """Return whether the bridge gives the reason that a fault must have."""
+def _is_expected_reason(rig: Rig, fault: Fault, wheel: int) -> bool:
+    """Return whether the bridge has published the reason that a fault must cause."""
     return not fault.reason or bool(re.search(fault.reason.format(rig.names[wheel]), rig.reason))
 
 
 def aim(result: Mapping[str, Any]) -> bool:
-    """Return whether all faults were measured, all reactions in time, and nothing moved again."""
+    """Return whether the aim was met.
+
+    All faults must have been measured, no reaction may be late, and no platform may move again
+    before a reset.
+
+    Args:
+        result: Figures of each fault by protocol; see `measure`.
+    """
     rows = [row for rows in result.values() for row in rows]
     return all(
         row["runs"] > 0 and row.get("late", 0) == 0 and row["moved_before_reset"] == 0
@@ -470,7 +547,7 @@ def aim(result: Mapping[str, Any]) -> bool:
 
 
 def report(result: Mapping[str, Any]) -> list[str]:
-    """Return the lines of the table."""
+    """Return the lines of the report on the figures that `measure` returns."""
     rows: Rows = [
         ("fault, while driving", "reaction p50", "max", "bound", "rest p50", "max", "runs")
     ]
@@ -479,8 +556,8 @@ def report(result: Mapping[str, Any]) -> list[str]:
     return [
         "",
         *table(rows),
-        "  reaction: from the evidence to the last drive's stop frame; where the bridge is "
-        "stopped or killed, to the last drive's own report",
+        "  reaction: from the first sign of the fault to the stop frame of the last drive; where "
+        "the bridge is suspended or killed, to the last drive's report of its own stop",
         "",
     ]
 

@@ -1,7 +1,8 @@
-"""The far end of `omniman bench can`: CiA 402 drives without a plant, or a bare echo.
+"""The far end of the bus in `omniman bench can`: CiA 402 drives without a plant, or an echo.
 
-Usage: can_peer KIND PORT WHEELS RATE. The drives' motors follow at once, so that only the bus and
-the bridge are measured; the echo answers a SYNC with as many frames as the drives would.
+Usage: `can_peer KIND PORT WHEELS RATE`, where KIND is `drives` or `echo`. The motors of the drives
+reach their setpoints at once, so that only the bus and the bridge are measured. The echo answers
+each SYNC frame with as many frames as the drives would send.
 """
 
 import time
@@ -15,7 +16,7 @@ from omniman_ros.simulation.can_drives.cia402.drive import Cia402Drive, Cia402Se
 from omniman_ros.simulation.can_drives.network import EchoFilter
 
 COUNTS = 4096.0
-"""Encoder counts per turn of a wheel."""
+"""Encoder counts per revolution of a wheel."""
 SYNC = 0x080
 """Identifier of the SYNC frame (CiA 301)."""
 TORQUE_CONSTANT = 0.05
@@ -23,7 +24,17 @@ TORQUE_CONSTANT = 0.05
 
 
 class FreeMotor:
-    """A motor without inertia, which follows its setpoint at once."""
+    """A motor without inertia and load, which reaches its setpoint at once.
+
+    Attributes:
+        torque: Torque [N m].
+        current: Current [A].
+        voltage: Voltage [V].
+        supply: Supply voltage [V].
+        lost: Whether the encoder is detected to be wrong.
+        position: Angle [rad].
+        velocity: Angular velocity [rad/s].
+    """
 
     torque = current = voltage = 0.0
     supply, lost = 48.0, False
@@ -32,26 +43,33 @@ class FreeMotor:
         self.position = self.velocity = 0.0
 
     def turn(self, dt: float) -> None:
-        """Turn on for a time [s]."""
+        """Advance by a time step [s] at the present velocity."""
         self.position += self.velocity * dt
 
     def follow_velocity(self, velocity: float, torque: float = 0.0) -> None:
-        """Turn at a speed [rad/s]."""
+        """Set the velocity [rad/s]; the feed-forward torque has no effect."""
         self.velocity = velocity
 
     def follow_torque(self, torque: float) -> None:
-        """Stand still: a torque moves nothing where nothing has a mass."""
+        """Stand still, as a torque determines no velocity of a motor without inertia."""
         self.velocity = 0.0
 
     follow_voltage = halt = follow_torque
 
     def release(self) -> None:
-        """Stand still."""
+        """Stand still, as no torque acts."""
         self.velocity = 0.0
 
 
 def main(args: list[str] | None = None) -> int:
-    """Serve until SIGINT."""
+    """Run the drives or the echo until SIGINT.
+
+    Args:
+        args: Name of the program and its arguments; see the module.
+
+    Returns:
+        0, the exit code.
+    """
     _, kind, port, wheels, rate = args or []
     options: dict[str, Any] = {
         "interface": "udp_multicast",
@@ -70,7 +88,12 @@ def main(args: list[str] | None = None) -> int:
 
 
 def echo(bus: can.BusABC, wheels: int) -> None:
-    """Answer each SYNC with two frames of eight bytes per wheel."""
+    """Answer each SYNC frame with two frames of eight bytes per wheel.
+
+    Args:
+        bus: Bus.
+        wheels: Number of wheels.
+    """
     answers = [
         can.Message(arbitration_id=base + node, data=bytes(8), is_extended_id=False)
         for node in range(1, wheels + 1)
@@ -84,7 +107,13 @@ def echo(bus: can.BusABC, wheels: int) -> None:
 
 
 def drive(bus: can.BusABC, wheels: int, rate: float) -> None:
-    """Simulate drives on the bus."""
+    """Simulate one CiA 402 drive per wheel, with the node ids 1, 2 and so on.
+
+    Args:
+        bus: Bus.
+        wheels: Number of wheels.
+        rate: Rate of the bridge, and lowest rate at which the drives advance [Hz].
+    """
     motors = [FreeMotor() for _ in range(wheels)]
     settings = Cia402Settings(
         counts=COUNTS, velocity_scale=COUNTS, rated_torque=1.0, rated_current=1.0 / TORQUE_CONSTANT

@@ -1,6 +1,7 @@
-"""The rig of `omniman bench can`: bridge and drives as processes, and the bus between them.
+"""Test rig of the faults in `omniman bench can`: bridge and drives in processes, on one bus.
 
-The simulated robot stands on the floor: on blocks, its platform would always be at rest.
+The simulated robot stands on the floor, as its platform would always be at rest if the wheels were
+lifted.
 """
 
 import contextlib
@@ -37,18 +38,19 @@ from omniman_ros.processes.robot_setup import node_command
 from omniman_ros.robots import load_robot
 
 ROBOT = "omniman"
-SPEED = 2.0
-"""Speed of the wheels [rad/s]."""
+"""Name of the simulated robot."""
+WHEEL_SPEED = 2.0
+"""Commanded speed of all wheels [rad/s]."""
 PERIOD = 0.01
-"""Period of wheel_commands [s]."""
+"""Period of `wheel_commands` [s]."""
 STEADY_TIME = 0.05
-"""Time for which all setpoints must have been constant before a fault [s]."""
+"""Time for which all setpoints must have been constant before a fault is injected [s]."""
 REST_SPEED = 0.01
-"""Speed below which the platform counts as at rest [m/s]."""
+"""Speed up to which the platform counts as at rest [m/s]."""
 REST_YAW_RATE = 0.03
-"""Yaw rate below which the platform counts as at rest [rad/s]."""
+"""Yaw rate up to which the platform counts as at rest [rad/s]."""
 TIMEOUT = 20.0
-"""Longest time to wait for anything [s]."""
+"""Longest time to wait for a condition or a service [s]."""
 RETRY_PERIOD = 0.1
 """Time between two resets while they are refused [s]."""
 
@@ -57,9 +59,9 @@ class BusFrame(NamedTuple):
     """A frame on the bus.
 
     Attributes:
-        at: Time of arrival on the system's clock [s].
+        at: Time of arrival by the system clock [s].
         id: Identifier.
-        data: Data.
+        data: Data, at most 8 bytes.
     """
 
     at: float
@@ -68,15 +70,15 @@ class BusFrame(NamedTuple):
 
 
 class BusRecorder:
-    """Records all frames on a bus, in a thread of its own.
+    """Records all data frames on a bus, in a thread of its own.
 
     Args:
         port: UDP port of the bus.
 
     Attributes:
         frames: Frames since the last :meth:`clear`.
-        last: Last data, by identifier.
-        since: Time since which that data has been the same, by identifier [s].
+        last: Data of the last frame, by identifier.
+        since: Arrival of the first of the consecutive frames with that data, by identifier [s].
     """
 
     def __init__(self, port: int) -> None:
@@ -104,59 +106,62 @@ class BusRecorder:
                 self.last[frame.id], self.since[frame.id] = frame.data, frame.at
 
     def clear(self) -> None:
-        """Begin a new record."""
+        """Discard the recorded frames."""
         self.frames = []
 
     def send(self, id: int, data: bytes) -> None:
-        """Send a frame."""
+        """Send a frame with an 11-bit identifier."""
         self._bus.send(can.Message(arbitration_id=id, data=data, is_extended_id=False))
 
     def close(self) -> None:
-        """Close the bus."""
+        """End the recording and close the bus."""
         self._closing.set()
         self._thread.join()
         self._bus.shutdown()
 
 
-Kind = Callable[[BusFrame, int], bool]
-"""A kind of frame: whether a frame is of it, for the drive with a node id."""
+FrameKind = Callable[[BusFrame, int], bool]
+"""A kind of frame: a function that returns whether a frame is of this kind and belongs to the
+drive with the given node id."""
 
 
 @dataclass(frozen=True)
 class Dialect:
-    """The frames of a protocol that this benchmark distinguishes.
+    """The frames of a drive protocol that this benchmark distinguishes.
 
     Attributes:
-        setpoint: Identifiers of the frames that may contain a drive's setpoint, by node id.
-        stop: First bytes of a stop command; None if any setpoint that differs from the previous
-            one is a stop.
-        kinds: Kinds of frames in which faults become visible.
+        setpoint: Function from a node id to the identifiers of the frames that can carry the
+            setpoint of that drive.
+        stop: First two bytes of a stop command; None if the protocol has none, so that any
+            setpoint that differs from the previous one counts as a stop.
+        kinds: Kinds of frames that show faults or the drives' reaction to them, by name.
     """
 
     setpoint: Callable[[int], tuple[int, ...]]
     stop: bytes | None
-    kinds: Mapping[str, Kind]
+    kinds: Mapping[str, FrameKind]
 
 
-def _emergency(frame: BusFrame, node: int, code: int = 0) -> bool:
+def _is_emergency(frame: BusFrame, node: int, code: int = 0) -> bool:
+    """Return whether a frame is an EMCY message of a node, with a given error code or with any."""
     error = struct.unpack_from("<H", frame.data)[0] if len(frame.data) >= 2 else 0
     return frame.id == 0x080 + node and bool(error) and code in (0, error)
 
 
 DIALECTS = {
-    # Controlword 0x0002: quick stop, little-endian (IEC 61800-7-201).
+    # The stop command is the controlword 0x0002, quick stop, little-endian (IEC 61800-7-201).
     "cia402": Dialect(
         lambda node: (0x200 + node,),
         b"\x02\x00",
         {
-            "EMCY": _emergency,
+            "EMCY": _is_emergency,
             "boot-up": lambda f, node: f.id == 0x700 + node and f.data == b"\x00",
             "report": lambda f, node: f.id == 0x280 + node,
             "whole report": lambda f, node: f.id == 0x280 + node and len(f.data) == 8,
             "heartbeat": lambda f, node: f.id == 0x700 + node,
             "other mode": lambda f, node: f.id == 0x180 + node and f.data[2:3] != b"\x09",
             "setpoint": lambda f, node: f.id == 0x080,
-            "watchdog": lambda f, node: _emergency(f, node, 0x8130),
+            "watchdog": lambda f, node: _is_emergency(f, node, 0x8130),
         },
     ),
     "vesc": Dialect(
@@ -179,37 +184,47 @@ DIALECTS = {
         },
     ),
 }
+"""Frames of each drive protocol."""
 
 
-def installation(name: str) -> CanParameters:
-    """Load the installation of a protocol from config/can/."""
-    tree = yaml.safe_load(Path(find_installation_file(name)).read_text(encoding="utf-8"))
+def load_installation(protocol: str) -> CanParameters:
+    """Return the parameters of a protocol's installation file in config/can/."""
+    tree = yaml.safe_load(Path(find_installation_file(protocol)).read_text(encoding="utf-8"))
     return build(CanParameters, flatten_mapping(tree["/**"]["ros__parameters"]), "can.")
 
 
 class Rig:
-    """Bridge and drives as processes on a bus, driven by this process.
+    """Bridge and simulated drives, which run in processes on one bus and are driven from here.
+
+    The processes run while the rig is used as a context manager.
 
     Args:
         session: ROS session of this process.
         protocol: Protocol of the drives.
         port: UDP port of the bus.
-        log: Called with name and line of the processes' output.
+        log: Function that is called with the name of a process and a line of its output.
 
     Attributes:
+        session: ROS session of this process.
+        protocol: Protocol of the drives.
+        parameters: Parameters of the installation.
+        dialect: Frames of the protocol.
+        names: Names of the wheels.
+        nodes: Node ids of the drives, in the order of the wheels.
         recorder: Recorder of the bus.
-        commanding: Whether wheel_commands are published.
-        published: Time of the last one on the system's clock [s].
-        truth: Times [s] and speeds of the platform, as multiples of the threshold of rest.
-        state: Level of the bridge's last stop_state.
-        reason: Reason in the bridge's last stop_state.
+        commanding: Whether `wheel_commands` are published.
+        published: Time of the last `wheel_commands` by the system clock [s].
+        truth: Times by the system clock [s] and speeds of the platform (ground truth), as
+            multiples of the largest speed that counts as rest.
+        state: Level of the bridge's last `stop_state`.
+        reason: Reason in the bridge's last `stop_state`.
     """
 
     def __init__(
         self, session: Session, protocol: str, port: int, log: Callable[[str, str], None]
     ) -> None:
         self.session, self.protocol, self.log = session, protocol, log
-        self.parameters, self.dialect = installation(protocol), DIALECTS[protocol]
+        self.parameters, self.dialect = load_installation(protocol), DIALECTS[protocol]
         self.names = list(load_robot(ROBOT)["wheels.names"])
         self.nodes = self.parameters.nodes
         self._arguments = (
@@ -225,7 +240,7 @@ class Rig:
             "-p",
             f"can.port:={port}",
         )
-        self._top = SPEED * load_robot(ROBOT)["wheels.radius"][0]
+        self._top_speed = WHEEL_SPEED * load_robot(ROBOT)["wheels.radius"][0]
         self.commanding, self.published = True, 0.0
         self.truth: list[tuple[float, float]] = []
         self._forward, self.state, self.reason = 0.0, b"", ""
@@ -249,7 +264,7 @@ class Rig:
         self._services = {
             name: node.create_client(Trigger, f"can_bridge/{name}") for name in ("stop", "reset")
         }
-        self._message = JointState(name=self.names, velocity=[SPEED] * len(self.names))
+        self._message = JointState(name=self.names, velocity=[WHEEL_SPEED] * len(self.names))
 
     def _command(self) -> None:
         if self.commanding:
@@ -277,31 +292,31 @@ class Rig:
         node = self.session.node
         node.destroy_timer(self._timer)
         with contextlib.suppress(ProcessLookupError):
-            self.signal(signal.SIGCONT)
+            self.signal_bridge(signal.SIGCONT)
         for children in (self._bridge, self._drives):
             children.__exit__(None, None, None)
         self.recorder.close()
 
     def interrupt(self, number: int) -> None:
-        """Pass on a signal to the processes; safe in a signal handler."""
+        """Interrupt the drives with a signal; this is safe in a signal handler."""
         self._drives.interrupt(number)
 
-    def signal(self, number: int) -> None:
-        """Send a signal to the bridge."""
+    def signal_bridge(self, number: int) -> None:
+        """Send a signal to the process of the bridge."""
         os.kill(self._bridge.pid("can_bridge"), number)
 
-    def restart(self) -> None:
-        """Start another bridge in place of one that was killed."""
+    def restart_bridge(self) -> None:
+        """Start a new bridge in place of one that was killed."""
         self._bridge.__exit__(None, None, None)
         self._bridge = self._children("can_bridge")
         self._bridge.__enter__()
 
-    def wait(self, condition: Callable[[], bool], what: str) -> None:
+    def wait(self, condition: Callable[[], bool], goal: str) -> None:
         """Serve callbacks until a condition holds.
 
         Args:
-            condition: The condition.
-            what: What is waited for, for the error.
+            condition: Function that returns whether the condition holds.
+            goal: Name of the awaited event or state in the error message.
 
         Raises:
             CommandError: The condition does not hold within `TIMEOUT`, or the drives have ended.
@@ -312,10 +327,18 @@ class Rig:
             return condition()
 
         if not self.session.wait(done, TIMEOUT):
-            raise CommandError(f"{self.protocol}: no {what} within {TIMEOUT:g} s ({self.reason})")
+            raise CommandError(f"{self.protocol}: no {goal} within {TIMEOUT:g} s ({self.reason})")
 
     def call(self, client: Any, request: Any) -> Any:
-        """Call a service and return its response."""
+        """Call a service and return its response.
+
+        Args:
+            client: Client of the service.
+            request: Request.
+
+        Raises:
+            CommandError: The service does not respond in time, or the drives have ended.
+        """
         self.wait(client.service_is_ready, client.srv_name)
         future = client.call_async(request)
         self.wait(future.done, client.srv_name)
@@ -323,45 +346,59 @@ class Rig:
 
     # ---- faults and commands --------------------------------------------------------------------
 
-    def switch(self, fault: str, value: Sequence[str] | float) -> None:
-        """Set a parameter `can_faults.*` of the simulated drives."""
+    def set_fault(self, fault: str, value: Sequence[str] | float) -> None:
+        """Set a parameter `can_faults.*` of the simulated drives.
+
+        Args:
+            fault: Last part of the parameter's name.
+            value: Names of the faulty wheels, or a number.
+
+        Raises:
+            CommandError: The drives refuse the value or do not respond.
+        """
         if isinstance(value, float):
-            given = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value)
+            parameter_value = ParameterValue(
+                type=ParameterType.PARAMETER_DOUBLE, double_value=value
+            )
         else:
             kind = ParameterType.PARAMETER_STRING_ARRAY
-            given = ParameterValue(type=kind, string_array_value=list(value))
-        parameter = Parameter(name=f"can_faults.{fault}", value=given)
+            parameter_value = ParameterValue(type=kind, string_array_value=list(value))
+        parameter = Parameter(name=f"can_faults.{fault}", value=parameter_value)
         answer = self.call(self._set, SetParameters.Request(parameters=[parameter]))
         if not answer.results[0].successful:
             raise CommandError(f"can_faults.{fault}: {answer.results[0].reason}")
 
-    def emergency(self, pressed: bool) -> float:
-        """Publish emergency_stop; return the time on the system's clock [s]."""
+    def set_emergency_stop(self, pressed: bool) -> float:
+        """Publish `emergency_stop`; return the time of publication by the system clock [s]."""
         at = time.time()
         self._emergency.publish(Bool(data=pressed))
         return at
 
-    def stop(self) -> float:
-        """Call ~/stop of the bridge; return the time on the system's clock [s]."""
+    def call_stop(self) -> float:
+        """Call `~/stop` of the bridge; return the time of the call by the system clock [s]."""
         at = time.time()
         self.call(self._services["stop"], Trigger.Request())
         return at
 
     def settle(self) -> None:
-        """Reset the bridge where it is stopped, and drive until the speed is steady."""
-        self.commanding, asked = True, 0.0
+        """Reset the bridge if it is stopped, and drive until the speed is steady.
 
-        def steady() -> bool:
-            nonlocal asked
+        Raises:
+            CommandError: The speed does not become steady in time, or the drives have ended.
+        """
+        self.commanding, reset_at = True, 0.0
+
+        def is_steady() -> bool:
+            nonlocal reset_at
             now = time.time()
-            if self.state == DiagnosticStatus.ERROR and now - asked > RETRY_PERIOD:
+            if self.state == DiagnosticStatus.ERROR and now - reset_at > RETRY_PERIOD:
                 reset = self._services["reset"]
                 if reset.service_is_ready():
-                    asked = now
+                    reset_at = now
                     reset.call_async(Trigger.Request())
             return self._is_steady(now)
 
-        self.wait(steady, "a steady speed")
+        self.wait(is_steady, "steady speed")
 
     def _is_steady(self, now: float) -> bool:
         since = self.recorder.since
@@ -370,12 +407,12 @@ class Rig:
         ]
         return (
             self.state == DiagnosticStatus.OK
-            and self._forward > 0.95 * self._top
+            and self._forward > 0.95 * self._top_speed
             and all(0.0 < at < now - STEADY_TIME for at in constant_since)
         )
 
-    def changed_setpoint(self) -> Kind:
-        """Return the kind of frames whose setpoint differs from the drive's present one."""
+    def changed_setpoint(self) -> FrameKind:
+        """Return the kind of frames whose setpoint differs from that at the time of this call."""
         driving = dict(self.recorder.last)
 
         def is_changed(frame: BusFrame, node: int) -> bool:

@@ -1,4 +1,4 @@
-"""`omniman bench NAME`: the benchmarks, by name."""
+"""`omniman bench NAME`: runs the benchmark of that name."""
 
 import argparse
 import importlib
@@ -11,20 +11,20 @@ BENCHMARKS = {
     "arm": "omniman_ros.lab.bench.arm",
     "whole_body": "omniman_ros.lab.bench.whole_body",
 }
-"""Module of each benchmark, which is imported when it runs; its `run(args)` is the benchmark."""
+"""Module of each benchmark, by name; it has a function `run(args)` and is imported on demand."""
 
 
 def run(args: argparse.Namespace) -> int:
     """Run a benchmark.
 
     Args:
-        args: Command line, with the benchmark's name.
+        args: Parsed command line; `name` is the name of the benchmark.
 
     Returns:
-        0 if it could be measured, whatever the figures.
+        0 if the measurement succeeded, independent of the figures.
 
     Raises:
-        CommandError: It could not be measured.
+        CommandError: The measurement failed.
     """
     code: int = importlib.import_module(BENCHMARKS[args.name]).run(args)
     return code

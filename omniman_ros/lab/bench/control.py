@@ -1,4 +1,4 @@
-"""`omniman bench control`: time of a tick, CPU of the nodes, latency over that of a bare relay."""
+"""`omniman bench control`: CPU time of a tick and of the nodes, latency compared with a relay."""
 
 import argparse
 import math
@@ -9,7 +9,7 @@ from typing import Any
 from omniman_ros.console.terminal import say
 from omniman_ros.lab.bench.control_tick import core_ticks
 from omniman_ros.lab.bench.harness import Rows, RunningNodes, conclude, running_nodes, tables
-from omniman_ros.lab.bench.latency import Path, measure_paths
+from omniman_ros.lab.bench.latency import CommandPath, measure_paths
 from omniman_ros.lab.bench.relay import RATE
 from omniman_ros.lab.verdicts import verdict
 from omniman_ros.processes.process_group import ProcessSpec
@@ -18,11 +18,11 @@ from omniman_ros.processes.ros_domain import isolate_ros_domain
 from omniman_ros.robots import load_robot
 
 AIM_TICK = 100.0
-"""Aim: longest core tick of four wheels [us]."""
+"""Aim: largest CPU time of a tick of the controller's core, with four wheels [us]."""
 AIM_RATIO = 1.3
-"""Aim: largest ratio of the median latency to the relay's."""
+"""Aim: largest ratio of the controller's median latency to the relay's."""
 AIM_SHARE = 1.0 / 3.0
-"""Aim: largest share of one core of a 200 Hz node."""
+"""Aim: largest share of one core that platform_controller uses at 200 Hz."""
 
 
 @dataclass(frozen=True)
@@ -33,8 +33,8 @@ class Effort:
         blocks: Number of blocks of core ticks.
         ticks: Ticks in a block.
         cpu_seconds: Time for which the nodes' CPU time is measured [s].
-        samples: Latencies of each path.
-        block: Latencies of one path before it is the other one's turn.
+        samples: Number of latencies measured of each node.
+        block: Number of latencies measured of one node before the other node's turn.
     """
 
     blocks: int
@@ -45,11 +45,17 @@ class Effort:
 
 
 FULL = Effort(blocks=21, ticks=1000, cpu_seconds=15.0, samples=300, block=25)
+"""Extent without options."""
 QUICK = Effort(blocks=3, ticks=200, cpu_seconds=2.0, samples=20, block=10)
+"""Extent with `--quick`."""
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman bench control`; return 0 if it could be measured, whatever the figures."""
+    """Run `omniman bench control`; return 0, the exit code of a successful measurement.
+
+    Raises:
+        CommandError: The measurement failed.
+    """
     effort = QUICK if args.quick else FULL
     robot = robot_processes(RobotSetup(robot=args.robot, arm="none"))
     relay = ProcessSpec("relay", node_command("omniman_ros.lab.bench.relay", ()))
@@ -63,9 +69,17 @@ def run(args: argparse.Namespace) -> int:
 
 
 def measure(nodes: RunningNodes, effort: Effort) -> dict[str, Any]:
-    """Measure CPU shares and latencies of the running nodes."""
-    ours = Path(nodes.session, "platform_controller", "cmd_vel", "wheel_commands")
-    relay = Path(nodes.session, "relay", "relay/cmd_vel", "relay/wheel_commands")
+    """Measure CPU shares and latencies of the running nodes.
+
+    Args:
+        nodes: Running robot and relay.
+        effort: Extent of the measurement.
+
+    Raises:
+        CommandError: A node does not react, or a process has ended.
+    """
+    ours = CommandPath(nodes.session, "platform_controller", "cmd_vel", "wheel_commands")
+    relay = CommandPath(nodes.session, "relay", "relay/cmd_vel", "relay/wheel_commands")
     say(f"latency, {effort.samples} samples each ...")
     measure_paths([ours, relay], effort.samples, effort.block, nodes.children.check)
     say(f"CPU of the nodes, {effort.cpu_seconds:g} s ...")
@@ -86,7 +100,7 @@ def measure(nodes: RunningNodes, effort: Effort) -> dict[str, Any]:
 
 
 def aims(result: dict[str, Any]) -> dict[str, bool]:
-    """Return which aims were met."""
+    """Return whether each aim was met."""
     return {
         "core_tick": max(result["core_tick_us"].values()) < AIM_TICK,
         "latency_ratio": result["latency_ratio"] <= AIM_RATIO,
@@ -95,7 +109,7 @@ def aims(result: dict[str, Any]) -> dict[str, bool]:
 
 
 def report(result: dict[str, Any]) -> list[str]:
-    """Return the lines of the table."""
+    """Return the lines of the report on a result."""
     met = {key: verdict(good) for key, good in result["aims"].items()}
     rows: Rows = [("", "median", "p99", "aim", "")]
     for mode, micros in result["core_tick_us"].items():
@@ -115,7 +129,7 @@ def report(result: dict[str, Any]) -> list[str]:
         )
     rows.append(
         (
-            "ratio of the two",
+            "ratio of the median latencies",
             f"{result['latency_ratio']:.3f}",
             "",
             f"<= {AIM_RATIO:g}",

@@ -1,4 +1,4 @@
-"""CPU time of a tick of the platform controller's core, without ROS."""
+"""Measurement of the CPU time of a tick of the platform controller's core, without ROS."""
 
 import math
 import statistics
@@ -18,13 +18,14 @@ from omniman_ros.core.parameters import build
 PERIOD = 0.005
 """Period of the controller [s]."""
 WARM_UP = 200
-"""Number of ticks before the first that counts."""
+"""Number of ticks that run before the measurement."""
 
 
 def tick_time(parameters: PlatformParameters, blocks: int, block: int) -> float:
-    """CPU time of update_wheels, set_twist and tick together [s]: the median of some blocks.
+    """Return the CPU time of `update_wheels`, `set_twist` and `tick` together [s].
 
-    The twist changes in every tick; the wheels turn as they were commanded in the tick before.
+    It is the mean over a block of ticks, the median of all blocks. The twist changes at every
+    tick; the wheels turn as commanded at the previous tick.
 
     Args:
         parameters: Parameters of the controller.
@@ -32,7 +33,7 @@ def tick_time(parameters: PlatformParameters, blocks: int, block: int) -> float:
         block: Number of ticks in a block.
 
     Raises:
-        RuntimeError: The controller stopped, or another source drove.
+        RuntimeError: The controller stopped, or `cmd_vel` was not the active source at the end.
     """
     core = PlatformController(parameters)
     position = np.zeros(parameters.robot.wheel_count)
@@ -62,12 +63,15 @@ def core_ticks(robot: Mapping[str, Any], blocks: int, block: int) -> dict[str, f
     """Measure the CPU time of a tick in each drive mode that the robot offers.
 
     Args:
-        robot: Parameters of the robot, full names to values.
+        robot: Parameters of the robot by full name.
         blocks: Number of blocks.
         block: Number of ticks in a block.
 
     Returns:
         CPU times by drive mode [us].
+
+    Raises:
+        RuntimeError: The controller did not drive.
     """
     base = build(PlatformParameters, robot)
     return {

@@ -1,7 +1,7 @@
-"""Common parts of all benchmarks: nodes that run during a measurement, and the final results.
+"""Common parts of all benchmarks: nodes that run during a measurement, and the final report.
 
-A benchmark measures, judges its figures by its aims, prints a table and publishes its JSON. Its
-exit code states whether it could measure, whatever the figures.
+A benchmark measures, compares its figures with its aims, prints a table and publishes its JSON.
+Its exit code states whether the measurement succeeded, independent of the figures.
 """
 
 import contextlib
@@ -19,33 +19,33 @@ from omniman_ros.processes.node_output import NodeOutputLog
 from omniman_ros.processes.process_group import ProcessGroup, ProcessSpec, redirect_signals
 
 POLL_PERIOD = 0.05
-"""Time for which callbacks are served between two checks of the processes [s]."""
+"""Period at which the processes are checked while callbacks are served [s]."""
 Rows = list[tuple[str, ...]]
-"""Rows of a table, of which the first is its head."""
+"""Rows of a table as tuples of cells; the first row of a table is its header."""
 
 
 class RunningNodes:
-    """The nodes under measurement as processes, and a ROS session beside them.
+    """The measured nodes, each in a process of its own, and a ROS session in this process.
 
     Attributes:
-        session: The session.
-        children: The processes.
+        session: ROS session of this process.
+        children: Processes of the nodes.
     """
 
     def __init__(self, session: Session, children: ProcessGroup) -> None:
         self.session, self.children = session, children
 
     def pids(self, names: Sequence[str]) -> dict[str, int]:
-        """Return the process ids of nodes, by name."""
+        """Return the process ids of the named nodes, by name."""
         return {name: self.children.pid(name) for name in names}
 
     def wait(self, condition: Callable[[], bool], timeout: float, missing: str) -> None:
         """Serve callbacks until a condition holds.
 
         Args:
-            condition: The condition.
+            condition: Function that returns whether the condition holds.
             timeout: Longest time to wait [s].
-            missing: What is missing if it does not hold, for the error.
+            missing: Beginning of the error message, such as "no path_progress".
 
         Raises:
             CommandError: The condition does not hold in time, or a process has ended.
@@ -59,11 +59,11 @@ class RunningNodes:
             raise CommandError(f"{missing} within {timeout:g} s")
 
     def serve(self, seconds: float, feed: Callable[[float], None] | None = None) -> None:
-        """Serve callbacks for a time.
+        """Serve callbacks for a given time.
 
         Args:
-            seconds: The time [s].
-            feed: Called every `POLL_PERIOD` with the time since the begin [s].
+            seconds: Time for which callbacks are served [s].
+            feed: Called every `POLL_PERIOD` with the time since the start [s].
 
         Raises:
             CommandError: A process has ended.
@@ -81,19 +81,31 @@ class RunningNodes:
         seconds: float,
         feed: Callable[[float], None] | None = None,
     ) -> dict[str, float]:
-        """Measure the share of one core that nodes use; see :meth:`serve`."""
+        """Measure the share of one core that each node uses while callbacks are served.
+
+        Args:
+            names: Names of the nodes.
+            seconds: Duration of the measurement [s].
+            feed: Called every `POLL_PERIOD` with the time since the start [s].
+
+        Returns:
+            CPU time over elapsed time, by node.
+
+        Raises:
+            CommandError: A process has ended.
+        """
         return cpu_shares(self.pids(names), lambda: self.serve(seconds, feed))
 
 
 @contextlib.contextmanager
 def running_nodes(tasks: Sequence[ProcessSpec]) -> Iterator[RunningNodes]:
-    """Run processes and a ROS session; show the processes' last output if the measurement fails.
+    """Run nodes and a ROS session as a context; print the nodes' last output on failure.
 
     Args:
-        tasks: The processes.
+        tasks: Processes of the nodes.
 
     Raises:
-        CommandError: A process has ended, or the measurement raised it.
+        CommandError: A process has ended, or the measurement in the context has failed.
     """
     log = NodeOutputLog()
     children = ProcessGroup(tasks, on_line=log)
@@ -107,11 +119,11 @@ def running_nodes(tasks: Sequence[ProcessSpec]) -> Iterator[RunningNodes]:
 
 
 def free_ports(count: int, kind: socket.SocketKind = socket.SOCK_STREAM) -> list[int]:
-    """Return ports of this machine that nobody uses.
+    """Return port numbers that are free on this machine.
 
     Args:
         count: Number of ports.
-        kind: SOCK_STREAM for TCP, SOCK_DGRAM for UDP.
+        kind: SOCK_STREAM for TCP ports, SOCK_DGRAM for UDP ports.
     """
     host = "127.0.0.1" if kind == socket.SOCK_STREAM else ""
     with contextlib.ExitStack() as stack:
@@ -121,25 +133,29 @@ def free_ports(count: int, kind: socket.SocketKind = socket.SOCK_STREAM) -> list
         return [item.getsockname()[1] for item in sockets]
 
 
-def cpu_share_rows(share: Mapping[str, Any], at_rest: str) -> Rows:
-    """Return rows of a table with the share of a core of each node.
+def cpu_share_rows(share: Mapping[str, Any], idle_label: str) -> Rows:
+    """Return one table row per node, with the share of a core that it uses.
 
     Args:
-        share: Shares by node under `driving` and `idle`.
-        at_rest: What the second share is called.
+        share: Under each of the keys `driving` and `idle`, the share of each node by its name.
+        idle_label: Word printed after the share while idle.
     """
     return [
         (
             f"share of a core, {name}",
             f"{100 * driving:.1f} %",
-            f"{100 * share['idle'][name]:.1f} % {at_rest}",
+            f"{100 * share['idle'][name]:.1f} % {idle_label}",
         )
         for name, driving in share["driving"].items()
     ]
 
 
 def tables(*each: Rows) -> list[str]:
-    """Return the lines of a report: tables with a blank line around each."""
+    """Return the lines of a report that contains tables, with blank lines around each table.
+
+    Args:
+        each: Rows of each table.
+    """
     lines = [""]
     for rows in each:
         lines += [*table(rows), ""]
@@ -153,17 +169,18 @@ def conclude(
     folder: str,
     aims: Callable[[dict[str, Any]], Mapping[str, bool | None]] | None = None,
 ) -> int:
-    """Judge a result by the aims, print its report, and publish it as JSON.
+    """Compare a result with its aims, print its report, and publish it as JSON.
 
     Args:
         name: Name of the benchmark.
-        result: What was measured; `aims` is added where there are aims.
-        report: Makes the lines of the report from the result.
-        folder: Folder of the results.
-        aims: Judges the result: which aims were met, None where too little was measured.
+        result: Measured figures; the key `aims` is added if the benchmark has aims.
+        report: Function that returns the lines of the report on the result.
+        folder: Folder of the JSON file.
+        aims: Function that returns whether the result meets each aim, or None for an aim that
+            the measured figures cannot decide.
 
     Returns:
-        0, the exit code of a benchmark that could measure.
+        0, the exit code of a benchmark whose measurement succeeded.
 
     Raises:
         OSError: The folder cannot be written.

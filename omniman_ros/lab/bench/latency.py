@@ -1,4 +1,4 @@
-"""Latency from cmd_vel to wheel_commands across processes, compared with a bare relay's."""
+"""Measurement of the latency from a twist to the wheel commands of a node in another process."""
 
 import random
 import statistics
@@ -16,26 +16,27 @@ from omniman_ros.console.session import DISCOVERY_TIMEOUT, Session
 from omniman_ros.core.planar import Triple
 
 SETPOINT = QoSProfile(depth=1)
-SPEED = 0.002
+"""Quality of service of topics of which only the last message counts."""
+SPEED_STEP = 0.002
 """Step of the forward velocity, small so that the robot is soon at rest again [m/s]."""
 REST: Triple = (0.0, 0.0, 0.0)
-"""Twist of a robot at rest [m/s, m/s, rad/s]."""
+"""Twist (v_x, v_y, omega) that commands rest [m/s, m/s, rad/s]."""
 STEP_TIMEOUT = 2.0
-"""Time after which a step counts as lost [s]."""
+"""Longest time until the wheels react to a step [s]."""
 WARM_UP_PERIOD = 0.1
-"""Time between two steps until the node reacts for the first time [s]."""
+"""Period at which twists are sent until the node reacts for the first time [s]."""
 
 
 @dataclass
-class Path:
-    """A path from a twist to wheel commands through a node, whose latency is measured.
+class CommandPath:
+    """The path of a command through a node, from a twist to wheel commands.
 
     Attributes:
-        session: ROS session that publishes and subscribes.
-        name: Name of the node, for tables and errors.
+        session: ROS session that publishes the twists and receives the wheel commands.
+        name: Name of the node in tables and errors.
         cmd_vel: Topic of the twists.
         wheel_commands: Topic of the wheel commands.
-        latencies: Samples so far [s].
+        latencies: Latencies measured so far [s].
     """
 
     session: Session
@@ -61,51 +62,57 @@ class Path:
 
     @property
     def ready(self) -> bool:
-        """Whether both directions are connected."""
+        """Whether the node receives the twists, and its wheel commands arrive."""
         return self._received > 0 and self._publisher.get_subscription_count() > 0
 
     def send(self, twist: Triple) -> None:
-        """Publish a twist."""
+        """Publish a twist (v_x, v_y, omega) [m/s, m/s, rad/s]."""
         self._publisher.publish(twist_message(twist))
 
     def measure(self, pause: float) -> None:
-        """Measure one sample: the time from a step at rest to the first non-zero wheel command.
+        """Measure the time from a step of the velocity to the first non-zero wheel command.
+
+        The robot is at rest before the step, and again at the end.
 
         Args:
             pause: Time before the step [s].
 
         Raises:
-            CommandError: The node does not react, or does not come to rest again.
+            CommandError: The wheels do not move, or do not come to rest again.
         """
         self.session.spin(pause)
         before = time.monotonic()
-        self.send((SPEED, 0.0, 0.0))
-        self._await(lambda: self._moving, "moves")
+        self.send((SPEED_STEP, 0.0, 0.0))
+        self._await(lambda: self._moving, "move")
         self.latencies.append(self._changed_at - before)
         self.send(REST)
-        self._await(lambda: not self._moving, "comes to rest")
+        self._await(lambda: not self._moving, "come to rest")
 
-    def _await(self, condition: Callable[[], bool], what: str) -> None:
+    def _await(self, condition: Callable[[], bool], action: str) -> None:
         if not self.session.wait(condition, STEP_TIMEOUT):
-            raise CommandError(f"{self.name}: no wheel {what} within {STEP_TIMEOUT:g} s of a step")
+            raise CommandError(
+                f"{self.name}: the wheels do not {action} within {STEP_TIMEOUT:g} s of a step"
+            )
 
     def warm_up(self) -> None:
-        """Wait until the node reacts for the first time: it may lack wheel_states before.
+        """Send twists until the node reacts for the first time, then wait for rest.
+
+        A platform controller ignores twists until it receives wheel states.
 
         Raises:
-            CommandError: The node does not react.
+            CommandError: The node does not react, or its wheels do not come to rest.
         """
         end = time.monotonic() + DISCOVERY_TIMEOUT
         while not (self.ready and self._moving):
             if time.monotonic() > end:
                 raise CommandError(f"{self.name}: no connection within {DISCOVERY_TIMEOUT:g} s")
-            self.send((SPEED, 0.0, 0.0))
+            self.send((SPEED_STEP, 0.0, 0.0))
             self.session.wait(lambda: self.ready and self._moving, WARM_UP_PERIOD)
         self.send(REST)
-        self._await(lambda: not self._moving, "comes to rest")
+        self._await(lambda: not self._moving, "come to rest")
 
     def summary(self) -> dict[str, float]:
-        """Return the number of samples, their median, 90th and 99th percentile."""
+        """Return the number of latencies, their median, 90th and 99th percentile [ms]."""
         cuts = statistics.quantiles(self.latencies, n=100, method="inclusive")
         return {
             "samples": len(self.latencies),
@@ -115,14 +122,18 @@ class Path:
         }
 
 
-def measure_paths(paths: list[Path], samples: int, block: int, poll: Callable[[], None]) -> None:
-    """Measure all paths in alternating blocks, at random phases of the nodes' timers.
+def measure_paths(
+    paths: list[CommandPath], samples: int, block: int, poll: Callable[[], None]
+) -> None:
+    """Measure the latencies of all paths in alternating blocks.
+
+    Random pauses make the steps fall on random phases of the nodes' timers.
 
     Args:
         paths: Paths to measure.
-        samples: Number of samples of each path, rounded up to whole blocks.
-        block: Samples of one path before it is the next one's turn.
-        poll: Called between samples; raises to end early.
+        samples: Number of latencies of each path, rounded up to whole blocks.
+        block: Number of latencies of one path before the next path's turn.
+        poll: Called before each step; may raise an exception to end the measurement.
 
     Raises:
         CommandError: A node does not react.

@@ -1,4 +1,4 @@
-"""Measurement of CPU time, and statistics of what was measured."""
+"""Measurement of CPU time, and statistics of measured times."""
 
 import math
 import os
@@ -14,12 +14,18 @@ from omniman_ros.console.errors import CommandError
 SINGLE_THREADED = {
     f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMEXPR", "VECLIB_MAXIMUM")
 }
-"""Environment in which numerical libraries use one thread: helper threads that spin would add to
-the CPU time. Libraries read it when they are loaded."""
+"""Environment variables that restrict numerical libraries to one thread.
+
+Helper threads that spin would add to the CPU time. The libraries read the variables when they are
+loaded.
+"""
 
 
 def cpu_time(pid: int) -> float:
-    """Return the CPU time of a process and its threads since its start, user and system [s].
+    """Return the CPU time, user and system, that all threads of a process have used so far [s].
+
+    Args:
+        pid: Process id.
 
     Raises:
         CommandError: There is no /proc, or no such process.
@@ -28,7 +34,7 @@ def cpu_time(pid: int) -> float:
         text = Path(f"/proc/{pid}/stat").read_text()
     except OSError as error:
         raise CommandError(f"CPU time of process {pid}: {error} (this needs Linux)") from error
-    # The second field, the name in brackets, may itself contain blanks and brackets.
+    # The second field, the name in parentheses, may itself contain blanks and parentheses.
     fields = text.rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
@@ -37,11 +43,14 @@ def cpu_shares(pids: Mapping[str, int], serve: Callable[[], None]) -> dict[str, 
     """Measure the share of one core that processes use while a function runs.
 
     Args:
-        pids: Names to process ids.
-        serve: Function that runs for as long as is to be measured.
+        pids: Process ids by name.
+        serve: Function during whose call the CPU time is measured.
 
     Returns:
-        Share of one core by name, in 1.
+        CPU time over elapsed time, by name; 1 is one core.
+
+    Raises:
+        CommandError: There is no /proc, or a process has ended.
     """
     start = time.monotonic()
     before = {name: cpu_time(pid) for name, pid in pids.items()}
@@ -52,10 +61,10 @@ def cpu_shares(pids: Mapping[str, int], serve: Callable[[], None]) -> dict[str, 
 
 
 def median_cpu(work: Callable[[], object], repeats: int) -> float:
-    """Return the median CPU time of a call in this process [s].
+    """Return the median CPU time of a function call in this process [s].
 
     Args:
-        work: The call.
+        work: Function that is measured.
         repeats: Number of calls.
     """
     times = []
@@ -66,17 +75,19 @@ def median_cpu(work: Callable[[], object], repeats: int) -> float:
     return statistics.median(times)
 
 
-def best_cpu(work: Callable[[], object], least: float) -> float:
-    """Return the CPU time of a call in this process: the best of three blocks of calls [s].
+def best_cpu(work: Callable[[], object], min_block_time: float) -> float:
+    """Return the CPU time of a function call in this process [s].
+
+    It is the mean over a block of calls, the smallest of three blocks.
 
     Args:
-        work: The call.
-        least: Least CPU time of a block [s].
+        work: Function that is measured.
+        min_block_time: CPU time after which a block ends [s]; a block has at least one call.
     """
     best = math.inf
     for _ in range(3):
         calls, begin = 0, time.process_time()
-        while (taken := time.process_time() - begin) < least or not calls:
+        while (taken := time.process_time() - begin) < min_block_time or not calls:
             work()
             calls += 1
         best = min(best, taken / calls)
@@ -84,7 +95,11 @@ def best_cpu(work: Callable[[], object], least: float) -> float:
 
 
 def percentiles_ms(seconds: Sequence[float]) -> tuple[float, float, float]:
-    """Return the median, the 99th percentile (interpolated) and the maximum of times [ms]."""
+    """Return the median, the 99th percentile (interpolated) and the maximum of times [ms].
+
+    Args:
+        seconds: At least one time [s].
+    """
     median, p99, largest = 1e3 * np.percentile(
         np.asarray(seconds, dtype=float), (50.0, 99.0, 100.0)
     )

@@ -1,4 +1,4 @@
-"""`omniman bench path`: planning time, duration over the optimum, CPU time of the stream."""
+"""`omniman bench path`: planning time, duration relative to the optimum, CPU time of previews."""
 
 import argparse
 import os
@@ -36,13 +36,20 @@ NODES = ("path_interpolator", "platform_controller", "simulated_drive")
 COUNTS = (2, 100, 10_000)
 """Numbers of poses of the planned paths."""
 LAPS = 10
-"""Number of turns of the spiral that the poses are on."""
+"""Number of revolutions of the spiral on which the poses lie."""
 DISCOVERY_AMONG_NODES = 2.0
-"""Time in which the nodes find each other [s]."""
+"""Time allowed for the nodes to discover each other [s]."""
 
 
 def spiral(count: int) -> Array:
-    """Return poses (count, 3) that turn along a spiral of some 120 m; two are 2 m apart."""
+    """Return poses of the platform along a spiral of about 120 m, with a turning heading.
+
+    Args:
+        count: Number of poses; two poses are 2 m apart on a straight line instead.
+
+    Returns:
+        (count, 3) poses in odom [m, m, rad]; the first is the origin.
+    """
     if count == 2:
         return np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
     phase = np.linspace(0.0, LAPS * 2.0 * np.pi, count)
@@ -52,14 +59,16 @@ def spiral(count: int) -> Array:
 
 
 def resampled(poses: Array, speed: float) -> Array:
-    """Interpolate poses in the plainest way: constant speed on straights, with velocity jumps.
+    """Interpolate poses linearly at constant speed; the velocity jumps at each pose.
+
+    This is the plainest interpolation possible, the baseline of the planning time.
 
     Args:
         poses: (n, 3) poses [m, m, rad].
-        speed: Speed along the straights [m/s].
+        speed: Speed along the straight lines between the poses [m/s].
 
     Returns:
-        (k, 3) poses at 125 Hz.
+        (k, 3) poses at 125 Hz [m, m, rad].
     """
     length = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
     at = np.arange(0.0, length[-1], speed * TICK)
@@ -67,7 +76,15 @@ def resampled(poses: Array, speed: float) -> Array:
 
 
 def planning(parameters: PathParameters, repeats: int) -> dict[str, Any]:
-    """Measure the CPU time of planning by number of poses, and the durations of the plans."""
+    """Measure the CPU time of planning, and the durations of the plans.
+
+    Args:
+        parameters: Parameters of the path interpolator.
+        repeats: Number of plans of each path.
+
+    Returns:
+        Figures of each path by its number of poses.
+    """
     figures: dict[str, Any] = {}
     speed = parameters.groups()[0].velocity
     for count in COUNTS:
@@ -91,7 +108,16 @@ def planning(parameters: PathParameters, repeats: int) -> dict[str, Any]:
 
 
 def core_stream(parameters: PathParameters, repeats: int) -> dict[str, float]:
-    """Measure the CPU time of a preview of 0.4 s, computed and written into its message [us]."""
+    """Measure the CPU time of a preview of 0.4 s, with and without its ROS message.
+
+    Args:
+        parameters: Parameters of the path interpolator.
+        repeats: Number of blocks of 200 previews, of which the median counts.
+
+    Returns:
+        CPU time of a preview under `compute`, that of preview and message under
+        `compute_and_fill` [us].
+    """
     core = PathInterpolator(parameters)
     assert core.take(core.propose(spiral(100), (0.0, 0.0, 0.0), 0.0), 0.0)
     message = reference_message("odom", 51, TICK)
@@ -114,7 +140,15 @@ def core_stream(parameters: PathParameters, repeats: int) -> dict[str, float]:
 
 
 def stream(args: argparse.Namespace, seconds: float) -> dict[str, Any]:
-    """Measure the share of a core of the running nodes, idle and while a path is driven."""
+    """Measure the share of a core that the running nodes use, idle and while following a path.
+
+    Args:
+        args: Parsed command line; `robot` is the name of the robot.
+        seconds: Duration of each of the two measurements [s].
+
+    Raises:
+        CommandError: The nodes do not start, or do not follow the path.
+    """
     with running_nodes(robot_processes(RobotSetup(robot=args.robot, only=NODES))) as nodes:
         return _streamed(nodes, seconds)
 
@@ -143,7 +177,11 @@ def _streamed(nodes: RunningNodes, seconds: float) -> dict[str, Any]:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman bench path`; return 0 if it could be measured, whatever the figures."""
+    """Run `omniman bench path`; return 0, the exit code of a successful measurement.
+
+    Raises:
+        CommandError: The measurement failed.
+    """
     parameters = build(PathParameters, load_robot(args.robot))
     say("planning ...")
     result: dict[str, Any] = {"robot": args.robot, "quick": args.quick}
@@ -157,7 +195,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def report(result: dict[str, Any]) -> list[str]:
-    """Return the lines of the table."""
+    """Return the lines of the report on a result."""
     rows: Rows = [("", "value", "compared with")]
     for count, row in result["planning"].items():
         rows.append(
@@ -175,8 +213,8 @@ def report(result: dict[str, Any]) -> list[str]:
             )
         )
     preview, share = result["preview_us"], result["cpu_share"]
-    rows.append(("a preview of 0.4 s, core", f"{preview['compute']:.0f} us", ""))
-    rows.append(("  and its message", f"{preview['compute_and_fill']:.0f} us", ""))
+    rows.append(("CPU time of a preview of 0.4 s", f"{preview['compute']:.0f} us", ""))
+    rows.append(("  including its message", f"{preview['compute_and_fill']:.0f} us", ""))
     rows += cpu_share_rows(share, "idle")
-    rows.append(("CPU time of a streamed tick of 8 ms", f"{share['cpu_per_tick_us']:.0f} us", ""))
+    rows.append(("CPU time per streamed tick of 8 ms", f"{share['cpu_per_tick_us']:.0f} us", ""))
     return tables(rows)

@@ -1,8 +1,7 @@
-"""The baseline of the latency: a node that does the minimum between cmd_vel and wheel_commands.
+"""Baseline of the latency: a node that relays `cmd_vel` to `wheel_commands` without any control.
 
-The relay has the same life cycle, executor, timer and messages as platform_controller. It
-subscribes to relay/cmd_vel and publishes four wheel speeds on relay/wheel_commands at 200 Hz,
-without any control.
+The relay has the same life cycle, executor, timer and messages as `platform_controller`. It
+subscribes to `relay/cmd_vel` and publishes four wheel speeds on `relay/wheel_commands` at 200 Hz.
 """
 
 from geometry_msgs.msg import Twist
@@ -15,11 +14,19 @@ from omniman_ros.nodes.runtime import run
 RATE = 200.0
 """Rate of the wheel commands [Hz]."""
 SETPOINT = QoSProfile(depth=1)
+"""Quality of service of topics of which only the last message counts."""
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
+"""Names of the wheels in the commands."""
 
 
 class RelayNode(OmnimanNode):
-    """Publishes the forward velocity of the last twist as the speed of four wheels."""
+    """Publishes the forward velocity of the last twist as the speed of each of four wheels.
+
+    The number is copied: the node does not convert m/s to rad/s.
+
+    Args:
+        options: Options of `OmnimanNode`.
+    """
 
     def __init__(self, **options: object) -> None:
         super().__init__("relay", **options)
@@ -39,5 +46,5 @@ class RelayNode(OmnimanNode):
 
 
 def main(args: list[str] | None = None) -> int:
-    """Run the relay."""
+    """Run the relay until it is shut down; return its exit code."""
     return run(RelayNode, args)

@@ -1,7 +1,7 @@
-"""`omniman bench whole_body`: planning of tool paths, CPU of their stream, inverse kinematics.
+"""`omniman bench whole_body`: planning and streaming of tool paths, inverse kinematics.
 
-All times are CPU times, of this process and of the running nodes: the machine may be busy with
-other things.
+All times are CPU times of this process or of the running nodes, as the machine may be busy with
+other work.
 """
 
 import argparse
@@ -34,10 +34,10 @@ from omniman_ros.processes.robot_setup import resolve_robot
 from omniman_ros.processes.ros_domain import isolate_ros_domain
 from omniman_ros.robots import load_robot
 
-SIZES = {100: 4.0, 10_000: 12.0}
-"""Lengths of the paths, by their number of poses [m]."""
+PATH_LENGTHS = {100: 4.0, 10_000: 12.0}
+"""Lengths of the paths in the plane, by their number of poses [m]."""
 STREAMED = ("circle", 10_000)
-"""Course and number of poses of the plan whose previews are measured."""
+"""Name of the course, and number of poses, of the path whose previews are measured."""
 
 
 @dataclass(frozen=True)
@@ -45,28 +45,30 @@ class Effort:
     """Extent of the measurement.
 
     Attributes:
-        courses: Courses of the paths.
+        courses: Names of the courses of the paths.
         plans: Number of plans of each path.
         blocks: Number of blocks of previews.
-        tries: Number of poses that each iterative solver solves.
-        least: Least CPU time of a measurement of the closed form [s].
-        seconds: Time for which the nodes are measured, at rest and driving each [s].
+        tries: Number of poses for which each iterative solver solves.
+        min_block_time: Shortest CPU time of a block of calls of the closed form [s].
+        seconds: Time for which the nodes are measured, once at rest and once driving [s].
     """
 
     courses: tuple[str, ...]
     plans: int
     blocks: int
     tries: int
-    least: float
+    min_block_time: float
     seconds: float
 
 
-FULL = Effort(tuple(COURSES), plans=7, blocks=9, tries=300, least=0.3, seconds=12.0)
-QUICK = Effort(("circle",), plans=1, blocks=2, tries=10, least=0.01, seconds=2.0)
+FULL = Effort(tuple(COURSES), plans=7, blocks=9, tries=300, min_block_time=0.3, seconds=12.0)
+"""Extent without options."""
+QUICK = Effort(("circle",), plans=1, blocks=2, tries=10, min_block_time=0.01, seconds=2.0)
+"""Extent with `--quick`."""
 
 
-class Bench:
-    """Plans tool paths of a robot and measures the plans.
+class PlanningBench:
+    """Plans tool paths of a robot and measures the planning.
 
     Args:
         parameters: Parameters of the node `path_interpolator`.
@@ -86,18 +88,30 @@ class Bench:
         self._timer = ToolTimer(self.limits, p.tool_path)
 
     def plan(self, poses: Array) -> ToolPlan:
-        """Return the plan of a path (k, 4, 4) from the study's start."""
+        """Return the plan of a tool path from the start of the courses.
+
+        Args:
+            poses: (k, 4, 4) poses of the tool in odom, lengths in metres.
+        """
         return self._planner.plan(poses, start())
 
     def figures(self, poses: Array, repeats: int) -> dict[str, Any]:
-        """Measure the planning of a path (k, 4, 4), in total and by parts, and the plan itself."""
+        """Measure the CPU time of planning a tool path, and the quality of the plan.
+
+        Args:
+            poses: (k, 4, 4) poses of the tool in odom, lengths in metres.
+            repeats: Number of plans.
+
+        Returns:
+            CPU times of planning, in total and by parts, and figures of the plan.
+        """
         plan = self.plan(poses)
         cpu_time = median_cpu(lambda: self.plan(poses), repeats)
         speed = self._options.linear_velocity
         parts = self._parts(poses, repeats)
         parts["checks"] = max(1e3 * cpu_time - sum(parts.values()), 0.0)
-        plain = median_cpu(lambda: carried(self.model, poses, speed), repeats)
-        alone = plan.length / speed
+        plain = median_cpu(lambda: resampled(self.model, poses, speed), repeats)
+        shortest = plan.length / speed
         return {
             "planning_ms": 1e3 * cpu_time,
             "parts_ms": parts,
@@ -105,13 +119,13 @@ class Bench:
             "ratio": cpu_time / plain,
             "length_m": plan.length,
             "duration_s": plan.curve.duration,
-            "duration_ratio": plan.curve.duration / alone,
-            "limits_used": used(plan, self.limits),
+            "duration_ratio": plan.curve.duration / shortest,
+            "limits_used": limits_used(plan, self.limits),
             **quality(plan, self.model),
         }
 
     def _parts(self, poses: Array, repeats: int) -> dict[str, float]:
-        """Measure the median CPU time of each part of planning but the checks [ms]."""
+        """Return the median CPU time of each part of planning except the checks [ms]."""
         times: dict[str, list[float]] = {"curve": [], "postures": [], "timing": []}
         here = start()
         frame = planar_transform(here[:3])
@@ -132,13 +146,16 @@ class Bench:
 
 
 def course_poses(model: WholeBodyModel, name: str, length: float, count: int) -> Array:
-    """Return equidistant poses (count, 4, 4) of the tool along a course of the study.
+    """Return equidistant poses of the tool along a course, from the start of the courses.
 
     Args:
         model: Kinematics of the robot.
-        name: One of COURSES.
-        length: Length of the way in the plane [m].
+        name: Name of the course, a key of `COURSES`.
+        length: Length of the path in the plane [m].
         count: Number of poses.
+
+    Returns:
+        (count, 4, 4) poses of the tool in odom, lengths in metres.
     """
     course = COURSES[name](np.linspace(0.0, length, count), length)
     poses = np.tile(model.forward(start()), (count, 1, 1))
@@ -148,38 +165,48 @@ def course_poses(model: WholeBodyModel, name: str, length: float, count: int) ->
     return poses
 
 
-def carried(model: WholeBodyModel, poses: Array, speed: float) -> Array:
-    """Resample a tool path in the plainest way, which jumps in velocity and keeps no limit.
+def resampled(model: WholeBodyModel, poses: Array, speed: float) -> Array:
+    """Resample a tool path at constant speed, with jumps in velocity and without any limits.
 
-    The tool moves straight from pose to pose at constant speed, the platform moves along with it
-    without turning, and the arm's angles are found in closed form.
+    This is the plainest interpolation possible, the baseline of the planning time. The tool moves
+    straight from pose to pose, the platform moves with it without turning, and the joint angles
+    follow from the inverse kinematics in closed form.
 
     Args:
         model: Kinematics of the robot.
-        poses: (n, 4, 4) poses of the tool in odom.
+        poses: (n, 4, 4) poses of the tool in odom, lengths in metres.
         speed: Speed of the tool [m/s].
 
     Returns:
-        (k, 9) positions of all axes at the ticks.
+        (k, 9) positions of all axes at 125 Hz: platform [m, m, rad], joints [rad].
     """
     here = start()
     steps = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)
-    way = np.concatenate([[0.0], np.cumsum(steps)])
-    at = np.arange(0.0, way[-1], speed * TICK)
-    tool = poses[np.searchsorted(way, at, side="right") - 1]
-    tool[:, :3, 3] = np.column_stack([np.interp(at, way, column) for column in poses[:, :3, 3].T])
+    distance = np.concatenate([[0.0], np.cumsum(steps)])
+    at = np.arange(0.0, distance[-1], speed * TICK)
+    tool = poses[np.searchsorted(distance, at, side="right") - 1]
+    tool[:, :3, 3] = np.column_stack(
+        [np.interp(at, distance, column) for column in poses[:, :3, 3].T]
+    )
     platform = np.tile(here[:3], (len(at), 1))
     platform[:, :2] += tool[:, :2, 3] - tool[0, :2, 3]
     branch = model.arm.branch_of(here[3:])
     return np.hstack([platform, model.arm_angles(platform, tool, branch, here[3:])])
 
 
-def used(plan: ToolPlan, limits: WholeBodyLimits) -> dict[str, Any]:
-    """Return the largest share of each kind of limit that a plan uses, and the axis that does.
+def limits_used(plan: ToolPlan, limits: WholeBodyLimits) -> dict[str, Any]:
+    """Return the largest share of the limits that a plan uses, and the axis that uses it.
 
-    The limits of odom_x and odom_y hold for both as a vector.
+    The limits of odom_x and odom_y hold for the magnitude of both as a vector.
+
+    Args:
+        plan: Plan of a tool path.
+        limits: Limits of all axes.
+
+    Returns:
+        Share and axis for each of velocity, acceleration and jerk.
     """
-    curve, most = plan.curve, {}
+    curve, largest = plan.curve, {}
     jerks = np.diff(curve.accelerations, axis=0) / TICK
     for name, values, bounds in (
         ("velocity", curve.velocities, limits.velocity),
@@ -190,15 +217,23 @@ def used(plan: ToolPlan, limits: WholeBodyLimits) -> dict[str, Any]:
         sizes[:, :2] = np.hypot(values[:, 0], values[:, 1])[:, None]
         shares = (sizes / bounds).max(axis=0)
         k = int(shares.argmax())
-        most[name] = {"share": float(shares[k]), "axis": "odom_xy" if k < 2 else limits.names[k]}
-    return most
+        largest[name] = {
+            "share": float(shares[k]),
+            "axis": "odom_xy" if k < 2 else limits.names[k],
+        }
+    return largest
 
 
 def quality(plan: ToolPlan, model: WholeBodyModel) -> dict[str, float]:
-    """Return how well a plan uses the redundancy: manipulability, and reach of the arm.
+    """Return figures of how well a plan uses the redundancy: the arm's manipulability and reach.
 
-    Manipulability is |det J| of the arm alone, T. Yoshikawa, "Manipulability of Robotic
-    Mechanisms" (1985), with lengths in metres.
+    Manipulability is |det J| of the arm alone with lengths in metres, after T. Yoshikawa,
+    "Manipulability of Robotic Mechanisms" (1985). The reach is the distance of the tool from the
+    arm's base.
+
+    Args:
+        plan: Plan of a tool path.
+        model: Kinematics of the robot.
     """
     q = plan.curve.positions
     manipulability = np.abs(np.linalg.det(model.arm.jacobian(q[:, 3:])))
@@ -212,34 +247,42 @@ def quality(plan: ToolPlan, model: WholeBodyModel) -> dict[str, float]:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman bench whole_body`; return 0 if it could be measured, whatever the figures."""
+    """Run `omniman bench whole_body`; return 0, the exit code of a successful measurement.
+
+    Raises:
+        CommandError: The measurement failed.
+    """
     effort = QUICK if args.quick else FULL
     robot = resolve_robot(args.robot)
     parameters = build(PathInterpolatorParameters, load_robot(robot))
     isolate_ros_domain(os.environ)
-    bench = Bench(parameters)
+    bench = PlanningBench(parameters)
     result: dict[str, Any] = {"robot": args.robot, "quick": args.quick, "planning": {}}
     say("planning ...")
     for name in effort.courses:
-        for count, length in SIZES.items():
+        for count, length in PATH_LENGTHS.items():
             poses = course_poses(bench.model, name, length, count)
             result["planning"][f"{name} {count}"] = bench.figures(poses, effort.plans)
     say("previews ...")
     name, count = STREAMED
-    poses = course_poses(bench.model, name, SIZES[count], count)
+    poses = course_poses(bench.model, name, PATH_LENGTHS[count], count)
     plan = bench.plan(poses)
-    result["preview_us"] = stream.previews(parameters, robot, plan, effort.blocks)
+    result["preview_us"] = stream.measure_previews(parameters, robot, plan, effort.blocks)
     say("inverse kinematics ...")
-    result["inverse"] = inverse.measured(
-        parameters.core.robot, parameters.arm, parameters.mount, effort.tries, effort.least
+    result["inverse"] = inverse.measure(
+        parameters.core.robot,
+        parameters.arm,
+        parameters.mount,
+        effort.tries,
+        effort.min_block_time,
     )
     say(f"CPU of the nodes, twice {effort.seconds:g} s ...")
-    result["cpu_share"] = stream.shares(robot, POSTURE, poses, effort.seconds)
+    result["cpu_share"] = stream.measure_shares(robot, POSTURE, poses, effort.seconds)
     return conclude("whole_body", result, report, args.results)
 
 
 def report(result: dict[str, Any]) -> list[str]:
-    """Return the lines of the table."""
+    """Return the lines of the report on a result."""
     rows: Rows = [("", "value", "compared with")]
     for label, row in result["planning"].items():
         rows += _plan_rows(label, row)
@@ -252,8 +295,8 @@ def _plan_rows(label: str, row: dict[str, Any]) -> Rows:
     name, count = label.split()
     parts = ", ".join(f"{part} {cpu_time:.0f}" for part, cpu_time in row["parts_ms"].items())
     limits = ", ".join(
-        f"{kind} {100.0 * most['share']:.0f} % ({most['axis']})"
-        for kind, most in row["limits_used"].items()
+        f"{kind} {100.0 * usage['share']:.0f} % ({usage['axis']})"
+        for kind, usage in row["limits_used"].items()
     )
     return [
         (
@@ -271,14 +314,14 @@ def _plan_rows(label: str, row: dict[str, Any]) -> Rows:
             f"{row['duration_s']:.2f} s",
             f"{row['duration_ratio']:.3f} of length / linear_velocity",
         ),
-        ("  of the axes' limits used at most", "", limits),
+        ("  largest share of a limit that is used", "", limits),
         (
-            "  least manipulability of the arm",
+            "  smallest manipulability of the arm",
             f"{row['least_manipulability']:.4f}",
             f"{row['first_manipulability']:.4f} at the start",
         ),
         (
-            "  tool from the arm's base at most",
+            "  largest distance of the tool from the arm's base",
             f"{row['largest_reach_m']:.3f} m",
             f"{row['first_reach_m']:.3f} m at the start",
         ),
@@ -291,33 +334,33 @@ def _stream_rows(preview: dict[str, Any], share: dict[str, Any]) -> Rows:
         row = preview[name]
         rows.append(
             (
-                f"{text}, corrected",
+                f"CPU time of a {text}, corrected",
                 f"{row['corrected']:.0f} us",
-                f"{row['planned']:.0f} us as planned, not corrected",
+                f"{row['planned']:.0f} us without correction",
             )
         )
         rows.append(
             (
-                "  and in its messages; published by the node",
+                "  including its messages; published by the node",
                 f"{row['and_filled']:.0f}; {row['and_published']:.0f} us",
                 "",
             )
         )
-    rows.append(("a pose of odom, processed", f"{preview['hear_odom']:.0f} us", ""))
+    rows.append(("CPU time of processing a message on odom", f"{preview['hear_odom']:.0f} us", ""))
     tick = preview["tick"]
     rows.append(
         (
-            f"CPU time of a streamed tick of {1e3 * TICK:g} ms, computed from these",
+            f"CPU time per streamed tick of {1e3 * TICK:g} ms, computed from the above",
             f"{tick['and_published']:.0f} us",
-            f"{tick['corrected']:.0f} without messages; arm at {stream.ARM_RATE:g} Hz",
+            f"{tick['corrected']:.0f} us without messages; arm at {stream.ARM_RATE:g} Hz",
         )
     )
     rows += cpu_share_rows(share, "at rest")
     rows.append(
         (
-            "CPU time of a streamed tick, all of path_interpolator",
+            "CPU time per streamed tick, path_interpolator as a whole",
             f"{share['cpu_per_tick_us']:.0f} us",
-            f"{share['previews_per_s']:.0f} previews a second",
+            f"{share['previews_per_s']:.0f} previews per second",
         )
     )
     return rows

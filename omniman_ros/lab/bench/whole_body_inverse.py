@@ -1,7 +1,8 @@
 """Inverse kinematics per second: the closed form, compared with iterations in numpy and `pin`.
 
-All solve for one pose after the other in Python, as a program that calls them would. `pin` loads
-the robot's own URDF and is measured only where it is installed.
+The iterative solvers are called from Python for one pose after the other, as an application would
+call them. `pin`, the Python package of Pinocchio, loads the robot's own URDF and is measured only
+if it is installed.
 """
 
 import importlib
@@ -23,37 +24,38 @@ from omniman_ros.lab.bench.measurement import best_cpu
 from omniman_ros.motion.whole_body.model import PLATFORM_AXES, Mount, WholeBodyModel
 
 Solution = tuple[Array, int]
-"""Joint angles (6,) [rad], and the number of iterations; -1 where there was no convergence."""
+"""Joint angles (6,) [rad], and the number of iterations or -1 without convergence."""
 Solve = Callable[[Array, Array, float], Solution]
-"""A solver: its arguments are a pose (4, 4) in the base of the DH table, initial joint angles (6,)
-[rad] and a tolerance."""
+"""An iterative solver: a function of the tool's pose (4, 4) in the base frame of the DH table,
+initial joint angles (6,) [rad], and the norm of the pose error at which it ends."""
 
 SEED = 8
 """Seed of the random joint angles."""
 BATCHES = (1, 100, 10_000)
-"""Numbers of poses that the closed form solves at once."""
-AT_ONCE = ", ".join(f"{batch:,}" for batch in BATCHES)
+"""Numbers of poses for which one call of the closed form solves."""
+BATCHES_TEXT = ", ".join(f"{batch:,}" for batch in BATCHES)
+"""`BATCHES` as printed in the table."""
 INITIAL_OFFSET = 0.1
-"""Distance of each joint's initial angle from the solution [rad]."""
+"""Absolute difference of each joint's initial angle from the solution [rad]."""
 TOLERANCES = (1e-4, 1e-9)
-"""Norms of the pose error at which an iteration ends, metres and radians alike."""
+"""Norms of the pose error (translation [m], rotation [rad]) at which an iteration ends."""
 DAMPING = 1e-12
-"""Damping of the least-squares steps."""
+"""Damping of the least-squares steps, added to the diagonal of J J^T."""
 STEPS = {"step 0.1, as documented": 0.1, "step 1": 1.0}
-"""Shares of a Newton step that the iteration with `pin` takes."""
+"""Fractions of a Newton step that the iterations with `pin` take, by name in the table."""
 PIN_ITERATIONS = 1000
-"""Most iterations of `pin`'s example."""
+"""Largest number of iterations with `pin`, that of its example."""
 NEWTON_ITERATIONS = 100
-"""Most iterations of Newton's method with whole steps."""
+"""Largest number of iterations of Newton's method with full steps."""
 
 
 @dataclass(frozen=True)
 class Sample:
-    """Random poses to solve for.
+    """Random poses for which the solvers solve.
 
     Attributes:
-        angles: (n, 6) joint angles of a solution [rad].
-        poses: (n, 4, 4) poses of the tool in the base of the DH table.
+        angles: (n, 6) joint angles of one solution [rad].
+        poses: (n, 4, 4) poses of the tool in the base frame of the DH table, lengths in metres.
         near: (n, 6) initial joint angles near the solution [rad].
     """
 
@@ -62,8 +64,13 @@ class Sample:
     near: Array
 
     @classmethod
-    def of(cls, model: ArmModel, count: int) -> "Sample":
-        """Draw poses: every joint within +-pi, singular configurations included."""
+    def draw(cls, model: ArmModel, count: int) -> "Sample":
+        """Draw poses from uniform joint angles within +-pi, singular configurations included.
+
+        Args:
+            model: Kinematics of the arm.
+            count: Number of poses.
+        """
         rng = np.random.default_rng(SEED)
         angles = rng.uniform(-math.pi, math.pi, (count, JOINTS))
         near = angles + INITIAL_OFFSET * rng.choice([-1.0, 1.0], angles.shape)
@@ -71,7 +78,7 @@ class Sample:
 
 
 class Newton:
-    """Solves by whole Newton steps on the arm's own forward kinematics and Jacobian, in numpy.
+    """Solves by damped Newton steps in numpy, with forward kinematics and Jacobian of `ArmModel`.
 
     Args:
         model: Kinematics of the arm.
@@ -81,26 +88,33 @@ class Newton:
         self._model = model
 
     def __call__(self, pose: Array, start: Array, tolerance: float) -> Solution:
-        """Solve for a pose; see Solve."""
+        """Solve for a pose; see `Solve`."""
         q = start
         for k in range(NEWTON_ITERATIONS + 1):
-            left = pose_error(self._model.forward(q), pose)
-            if math.sqrt(float(left @ left)) < tolerance:
+            error = pose_error(self._model.forward(q), pose)
+            if math.sqrt(float(error @ error)) < tolerance:
                 return q, k
             jacobian = self._model.jacobian(q)
             square = jacobian @ jacobian.T + DAMPING * np.eye(JOINTS)
-            q = q + jacobian.T @ np.linalg.solve(square, left)
+            q = q + jacobian.T @ np.linalg.solve(square, error)
         return q, -1
 
 
 class PinArm:
-    """The arm in `pin`, from the URDF without the wheels.
+    """The arm as a model of `pin`, made from the robot's URDF with all other joints locked.
 
     Args:
         pin: The module `pinocchio`.
-        robot: The robot.
+        robot: Robot.
         arm: Parameters of the arm.
         mount: Mount of the arm on the platform.
+
+    Attributes:
+        pin: The module `pinocchio`.
+        model: Model of the arm.
+        data: Data of the model.
+        frame: Index of the tool's frame.
+        joint: Index of the last joint.
     """
 
     def __init__(self, pin: Any, robot: Robot, arm: ArmParameters, mount: Mount) -> None:
@@ -116,15 +130,19 @@ class PinArm:
         self._base = pin.SE3(WholeBodyModel(mount).base(np.zeros(len(PLATFORM_AXES))))
 
     def goal(self, pose: Array) -> Any:
-        """Return the pose of the last joint for the tool's pose (4, 4) in the DH table's base."""
+        """Return the pose of the last joint as a `pin.SE3`, in the base frame of the URDF.
+
+        Args:
+            pose: (4, 4) pose of the tool in the base frame of the DH table.
+        """
         return self._base * self.pin.SE3(pose) * self._after
 
     def difference(self, angles: Array, body: WholeBodyModel) -> dict[str, float]:
-        """Return the largest differences of poses and Jacobians between `pin` and a model.
+        """Return the largest differences of poses and Jacobians between `pin` and this package.
 
         Args:
             angles: (n, 6) joint angles [rad].
-            body: The model.
+            body: Kinematics of the robot.
         """
         q = np.hstack([np.zeros((len(angles), len(PLATFORM_AXES))), angles])
         poses = body.forward(q)
@@ -141,38 +159,48 @@ class PinArm:
 
 
 class PinIteration:
-    """Solves by closed-loop inverse kinematics, the example of `pin`'s documentation.
+    """Solves by closed-loop inverse kinematics with `pin`, after the example of its documentation.
 
-    It takes damped least-squares steps on the logarithm of the pose's error (pinocchio's
-    inverse-kinematics.py).
+    It takes damped least-squares steps on the logarithm of the pose error (inverse-kinematics.py
+    of Pinocchio).
 
     Args:
-        arm: The arm in `pin`.
-        step: Share of a Newton step.
+        arm: Arm as a model of `pin`.
+        step: Fraction of a Newton step that each iteration takes.
     """
 
     def __init__(self, arm: PinArm, step: float) -> None:
         self._arm, self._step, self._damping = arm, step, DAMPING * np.eye(JOINTS)
 
     def __call__(self, pose: Array, start: Array, tolerance: float) -> Solution:
-        """Solve for a pose; see Solve."""
+        """Solve for a pose; see `Solve`."""
         arm = self._arm
         pin, model, data, joint = arm.pin, arm.model, arm.data, arm.joint
         goal, q = arm.goal(pose), start
         for k in range(PIN_ITERATIONS + 1):
             pin.forwardKinematics(model, data, q)
             to_goal = data.oMi[joint].actInv(goal)
-            left = pin.log6(to_goal).vector
-            if math.sqrt(float(left @ left)) < tolerance:
+            error = pin.log6(to_goal).vector
+            if math.sqrt(float(error @ error)) < tolerance:
                 return q, k
-            moved = pin.Jlog6(to_goal.inverse()) @ pin.computeJointJacobian(model, data, q, joint)
-            rate = moved.T @ np.linalg.solve(moved @ moved.T + self._damping, left)
-            q = pin.integrate(model, q, self._step * rate)
+            local = pin.computeJointJacobian(model, data, q, joint)
+            jacobian = pin.Jlog6(to_goal.inverse()) @ local
+            square = jacobian @ jacobian.T + self._damping
+            step = jacobian.T @ np.linalg.solve(square, error)
+            q = pin.integrate(model, q, self._step * step)
         return q, -1
 
 
 def pose_error(here: Array, goal: Array) -> Array:
-    """Return the error (6,) between two poses (4, 4): translation [m], rotation vector [rad]."""
+    """Return the error of a pose: translation [m] and rotation vector [rad], in the base frame.
+
+    Args:
+        here: (4, 4) present pose.
+        goal: (4, 4) desired pose.
+
+    Returns:
+        (6,) error.
+    """
     turn = goal[:3, :3] @ here[:3, :3].T
     axis = 0.5 * np.array(
         [turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]
@@ -182,13 +210,16 @@ def pose_error(here: Array, goal: Array) -> Array:
     return np.concatenate([goal[:3, 3] - here[:3, 3], axis * (angle / sine if sine else 1.0)])
 
 
-def closed_form(model: ArmModel, sample: Sample, least: float) -> dict[str, Any]:
-    """Measure poses per second of the closed form, one and many at once, and its accuracy.
+def measure_closed_form(model: ArmModel, sample: Sample, min_block_time: float) -> dict[str, Any]:
+    """Measure poses per second of the closed form, for one or more poses per call.
 
     Args:
         model: Kinematics of the arm.
-        sample: Poses to solve for.
-        least: Least CPU time of each measurement [s].
+        sample: Poses for which to solve.
+        min_block_time: Shortest CPU time of a block of calls [s].
+
+    Returns:
+        Poses per second, share of the poses with a solution, and largest errors.
     """
     figures: dict[str, Any] = {"all_eight": {}, "one_branch": {}}
     for batch in BATCHES:
@@ -197,29 +228,32 @@ def closed_form(model: ArmModel, sample: Sample, least: float) -> dict[str, Any]
             ("all_eight", lambda poses=poses: model.inverse(poses)),
             ("one_branch", lambda poses=poses: model.inverse_on_branch(poses, 0)),
         ):
-            figures[name][str(batch)] = len(poses) / best_cpu(work, least)
+            figures[name][str(batch)] = len(poses) / best_cpu(work, min_block_time)
     limit = np.full(JOINTS, math.tau)
     pose, near = sample.poses[0], sample.near[0]
-    nearest = best_cpu(lambda: model.nearest(pose, near, -limit, limit), least)
+    nearest = best_cpu(lambda: model.nearest(pose, near, -limit, limit), min_block_time)
     figures["nearest_of_eight"] = 1.0 / nearest
     found = model.inverse(sample.poses)
-    there = np.asarray(np.isfinite(found).all(axis=2), dtype=bool)
-    back = np.abs(model.forward(np.where(there[..., None], found, 0.0)) - sample.poses[:, None])
+    exists = np.asarray(np.isfinite(found).all(axis=2), dtype=bool)
+    errors = np.abs(model.forward(np.where(exists[..., None], found, 0.0)) - sample.poses[:, None])
     turned = np.remainder(found - sample.angles[:, None] + math.pi, math.tau) - math.pi
     figures["poses"] = len(sample.poses)
-    figures["success"] = float(np.mean(there.any(axis=1)))
-    figures["worst_pose_error"] = float(back[there].max())
+    figures["success"] = float(np.mean(exists.any(axis=1)))
+    figures["worst_pose_error"] = float(errors[exists].max())
     figures["worst_angle_error"] = float(np.nanmin(np.abs(turned).max(axis=2), axis=1).max())
     return figures
 
 
-def iterated(solve: Solve, sample: Sample, count: int) -> dict[str, Any]:
-    """Measure solutions per second of an iterative solver, by initial angles and tolerance.
+def measure_iteration(solve: Solve, sample: Sample, count: int) -> dict[str, Any]:
+    """Measure solutions per second of an iterative solver; the time of failures also counts.
 
     Args:
-        solve: The solver.
-        sample: Poses to solve for.
-        count: Number of poses; the time of failures counts, too.
+        solve: Solver.
+        sample: Poses for which to solve.
+        count: Number of poses, the first ones of the sample.
+
+    Returns:
+        Figures by initial angles ("near" the solution, or "neutral": zero) and tolerance.
     """
     figures: dict[str, Any] = {}
     for name, starts in (("near", sample.near), ("neutral", np.zeros_like(sample.near))):
@@ -228,82 +262,89 @@ def iterated(solve: Solve, sample: Sample, count: int) -> dict[str, Any]:
             for pose, start in zip(sample.poses[:count], starts[:count], strict=True):
                 rounds.append(solve(pose, start, tolerance)[1])
             cpu_time = time.process_time() - begin
-            good = [k for k in rounds if k >= 0]
+            converged = [k for k in rounds if k >= 0]
             figures[f"{name} {tolerance:g}"] = {
-                "per_second": len(good) / cpu_time,
-                "success": len(good) / len(rounds),
-                "iterations": float(np.median(good)) if good else None,
+                "per_second": len(converged) / cpu_time,
+                "success": len(converged) / len(rounds),
+                "iterations": float(np.median(converged)) if converged else None,
             }
     return figures
 
 
-def measured(
-    robot: Robot, arm: ArmParameters, mount: Mount, tries: int, least: float
+def measure(
+    robot: Robot, arm: ArmParameters, mount: Mount, tries: int, min_block_time: float
 ) -> dict[str, Any]:
     """Measure the closed form and all iterative solvers.
 
     Args:
-        robot: The robot.
+        robot: Robot.
         arm: Parameters of the arm.
         mount: Mount of the arm on the platform.
-        tries: Number of poses that each iterative solver solves.
-        least: Least CPU time of each measurement of the closed form [s].
+        tries: Number of poses for which each iterative solver solves.
+        min_block_time: Shortest CPU time of a block of calls of the closed form [s].
+
+    Returns:
+        Figures of all solvers, and ratios of their speeds.
     """
     body = WholeBodyModel(mount)
-    sample = Sample.of(body.arm, max(BATCHES))
-    result: dict[str, Any] = {"closed_form": closed_form(body.arm, sample, least)}
-    others = {"Newton in numpy": iterated(Newton(body.arm), sample, tries)}
+    sample = Sample.draw(body.arm, max(BATCHES))
+    result: dict[str, Any] = {"closed_form": measure_closed_form(body.arm, sample, min_block_time)}
+    iterations = {"Newton in numpy": measure_iteration(Newton(body.arm), sample, tries)}
     try:
         pin = importlib.import_module("pinocchio")
     except ImportError:
         result["pin"] = None
     else:
-        theirs = PinArm(pin, robot, arm, mount)
+        pin_arm = PinArm(pin, robot, arm, mount)
         result["pin"] = {
             "version": pin.__version__,
-            "difference": theirs.difference(sample.angles, body),
+            "difference": pin_arm.difference(sample.angles, body),
         }
         for name, step in STEPS.items():
-            others[f"pin, {name}"] = iterated(PinIteration(theirs, step), sample, tries)
-    result["iterations"] = others
+            iterations[f"pin, {name}"] = measure_iteration(
+                PinIteration(pin_arm, step), sample, tries
+            )
+    result["iterations"] = iterations
     ours = result["closed_form"]["one_branch"]
     result["ratios"] = {
         name: {kind: ratios(ours, row["per_second"]) for kind, row in kinds.items()}
-        for name, kinds in others.items()
+        for name, kinds in iterations.items()
     }
     return result
 
 
 def ratios(ours: dict[str, float], theirs: float) -> dict[str, float | None]:
-    """Return the ratios of the closed form's solutions on one branch to a solver's.
+    """Return the ratios of the speed of the closed form on one branch to that of another solver.
 
     Args:
-        ours: Solutions per second of the closed form, by number of poses at once.
-        theirs: Solutions per second of the solver.
+        ours: Solutions per second of the closed form, by number of poses per call.
+        theirs: Solutions per second of the other solver.
 
     Returns:
-        Ratios by number of poses at once; None where the solver found none.
+        Ratios by number of poses per call; None if the other solver found no solution.
     """
     return {batch: rate / theirs if theirs else None for batch, rate in ours.items()}
 
 
-def times(ratio: float) -> str:
+def format_ratio(ratio: float) -> str:
     """Format a ratio with at least two significant digits."""
     return f"{ratio:,.0f}" if ratio >= 10.0 else f"{ratio:.2g}"
 
 
 def rows(result: dict[str, Any]) -> Rows:
-    """Return the rows of the table."""
+    """Return the rows of the table for the figures that `measure` returns."""
     ours = result["closed_form"]
     lines: list[tuple[str, ...]] = []
     for name, text in (("all_eight", "all eight solutions"), ("one_branch", "one branch")):
         each = ", ".join(f"{ours[name][str(batch)]:,.0f}" for batch in BATCHES)
-        lines.append((f"inverse kinematics, {text}", f"{each} /s", f"{AT_ONCE} poses at once"))
+        lines.append(
+            (f"inverse kinematics, {text}", f"{each} /s", f"{BATCHES_TEXT} poses per call")
+        )
     lines.append(
         (
-            "  the nearest of eight, one pose",
+            "  nearest of the eight solutions, one pose per call",
             f"{ours['nearest_of_eight']:,.0f} /s",
-            f"{100.0 * ours['success']:g} % of {ours['poses']:,} poses, off by at most "
+            f"{100.0 * ours['success']:g} % of {ours['poses']:,} poses, largest pose error "
             f"{ours['worst_pose_error']:.1e}",
         )
     )
@@ -311,10 +352,11 @@ def rows(result: dict[str, Any]) -> Rows:
         for kind, row in kinds.items():
             start, tolerance = kind.split()
             place = f"{INITIAL_OFFSET:g} rad away" if start == "near" else "from zero"
-            found = f"{100.0 * row['success']:.1f} % found"
+            found = f"{100.0 * row['success']:.1f} % solved"
             ratio = result["ratios"][name][kind]
             if all(ratio.values()):
-                found += f"; one branch over it: {', '.join(map(times, ratio.values()))}"
+                each = ", ".join(map(format_ratio, ratio.values()))
+                found += f"; speed of one branch over this: {each}"
             lines.append(
                 (f"  {name}, {place}, to {tolerance}", f"{row['per_second']:,.0f} /s", found)
             )
@@ -323,7 +365,7 @@ def rows(result: dict[str, Any]) -> Rows:
         ("pin", "not installed", "pip install pin")
         if pin is None
         else (
-            f"pin {pin['version']}: poses, Jacobians differ by at most",
+            f"pin {pin['version']}: largest difference of poses, Jacobians",
             f"{pin['difference']['pose']:.1e}, {pin['difference']['jacobian']:.1e}",
             f"{ours['poses']:,} poses",
         )

@@ -1,4 +1,4 @@
-"""CPU time of streaming along a tool path: of a preview, and of the whole node."""
+"""Measurement of the CPU time of streaming a tool path: of one preview, and of the whole node."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -47,17 +47,17 @@ NODES = (
 )
 """Nodes whose CPU time is measured."""
 PLATFORM_ERROR = np.array([0.004, -0.003, 0.005])
-"""Error of the platform from its reference, so that there is something to correct [m, m, rad]."""
+"""Deviation of the platform from its reference, which the arm has to correct [m, m, rad]."""
 ARM_RATE = 50.0
-"""Highest rate of the arm's previews, those with the platform included [1/s]."""
+"""Highest rate of the arm's previews, including those together with the platform's [Hz]."""
 ODOM_RATE = 100.0
-"""Rate of poses on odom [1/s]."""
+"""Rate of messages on `odom` [Hz]."""
 PREVIEWS = 100
 """Number of previews of each kind in a block."""
 SETTLING_TIME = 2.0
-"""Time for the nodes to find each other, and for the begin of a path [s]."""
+"""Time allowed for the nodes to discover each other, and for the start of a path [s]."""
 START_TIMEOUT = 30.0
-"""Longest time until a planned path begins [s]."""
+"""Longest time until the robot starts to follow a path, planning included [s]."""
 LENIENT = (
     "timeouts.wheel_states:=2.0",
     "firmware.watchdog:=2.0",
@@ -71,16 +71,18 @@ LENIENT = (
     "safety.deadline:=0.05",
     "drive.dead_wheel:=drive_on",
 )
-"""Parameters with long time-outs: nodes may wait for their turn on a busy machine, as it is CPU
-time that is measured."""
+"""Arguments that set long time-outs and wide tolerances of the nodes.
+
+On a busy machine, nodes may be late without harm, as CPU time is measured.
+"""
 
 
 class BareStream:
-    """Computes previews as the node does, without the node.
+    """Computes the previews of the node `path_interpolator` without a ROS node.
 
     Args:
         parameters: Parameters of the node `path_interpolator`.
-        plan: Plan that is driven from time 0 on.
+        plan: Plan of a tool path that starts at time 0.
     """
 
     def __init__(self, parameters: PathInterpolatorParameters, plan: ToolPlan) -> None:
@@ -101,23 +103,45 @@ class BareStream:
         self._odom_time = 0.0
 
     def update_odom(self) -> None:
-        """Process the next pose of odom."""
+        """Process the next pose of the platform, which deviates from its reference."""
         self._odom_time += 1.0 / ODOM_RATE
         reference = self._core.sample(np.array([self._pace.motion(self._odom_time)]))[0][0, :3]
         self._tool.correction.update(self._odom_time, reference + PLATFORM_ERROR, reference)
 
     def planned(self, time: float, horizon: float) -> Array:
-        """Return all axes (k, 9) as planned from a time [s] over a horizon [s], not corrected."""
+        """Return the planned positions of a preview, without the arm's correction.
+
+        Args:
+            time: Start of the preview [s].
+            horizon: Duration of the preview [s].
+
+        Returns:
+            (k, 9) positions of all axes: platform [m, m, rad], joints [rad].
+        """
         return self._core.sample(_ticks(time, horizon))[0]
 
     def window(self, time: float, horizon: float) -> tuple[Window, Array]:
-        """Return all axes as they are sent, and the tool's pose (4, 4)."""
+        """Return a preview with the arm's correction.
+
+        Args:
+            time: Start of the preview [s].
+            horizon: Duration of the preview [s].
+
+        Returns:
+            Preview of all axes, and (4, 4) pose of the tool in odom.
+        """
         times = _ticks(time, horizon)
         stretch = self._tool.corrected(times, self._pace, self._core)
         return stretch.window, stretch.tool
 
-    def filled(self, time: float, horizon: float, platform: bool) -> None:
-        """Write the same into its messages, with the platform's or without."""
+    def fill_messages(self, time: float, horizon: float, platform: bool) -> None:
+        """Compute a preview with the arm's correction, and write it into its ROS messages.
+
+        Args:
+            time: Start of the preview [s].
+            horizon: Duration of the preview [s].
+            platform: Whether to fill the platform's message, too.
+        """
         window, tool = self.window(time, horizon)
         arm_conversions.fill_pose(self._pose, tool)
         message = self._both if platform else self._arm
@@ -126,25 +150,29 @@ class BareStream:
             fill_reference(self._platform, self._stamp, window.columns(PLATFORM_COLUMNS))
 
 
-def previews(
+def measure_previews(
     parameters: PathInterpolatorParameters, robot: str, plan: ToolPlan, blocks: int
 ) -> dict[str, Any]:
-    """Measure the CPU time of previews of the arm alone and of both, and of a tick of 8 ms.
+    """Measure the CPU time of previews, and compute from it that of a streamed tick of 8 ms.
 
     Args:
         parameters: Parameters of the node `path_interpolator`.
         robot: Name of the robot, or the path of its file.
-        plan: Plan that is driven.
-        blocks: Number of blocks of previews, of which the best counts.
+        plan: Plan of a tool path.
+        blocks: Number of blocks of previews, of which the fastest counts.
 
     Returns:
-        CPU times [us].
+        CPU times [us] of a preview of the arm (`arm`) and of platform and arm (`both`), of a
+        message on `odom` (`hear_odom`) and of a tick (`tick`).
+
+    Raises:
+        CommandError: The node aborted the path.
     """
     bare, horizon = BareStream(parameters, plan), parameters.horizon
     spread = plan.curve.duration / PREVIEWS
 
     def each(work: Callable[[float], object]) -> float:
-        """Return the best CPU time of a call [us], at instants all along the plan."""
+        """Return the CPU time of a call [us], averaged over instants along the whole plan."""
         times = []
         for _ in range(blocks):
             begin = time.process_time()
@@ -154,21 +182,21 @@ def previews(
         return 1e6 * min(times) / PREVIEWS
 
     figures: dict[str, Any] = {"hear_odom": each(lambda _: bare.update_odom())}
-    for name, reach, platform in (("arm", MIN_CORRECTION_PERIOD, False), ("both", horizon, True)):
+    for name, span, platform in (("arm", MIN_CORRECTION_PERIOD, False), ("both", horizon, True)):
         figures[name] = {
-            "planned": each(partial(bare.planned, horizon=reach)),
-            "corrected": each(partial(bare.window, horizon=reach)),
-            "and_filled": each(partial(bare.filled, horizon=reach, platform=platform)),
+            "planned": each(partial(bare.planned, horizon=span)),
+            "corrected": each(partial(bare.window, horizon=span)),
+            "and_filled": each(partial(bare.fill_messages, horizon=span, platform=platform)),
         }
-    published = _published(robot, parameters, plan, each)
+    published = _measure_published(robot, parameters, plan, each)
     for name, value in published.items():
         figures[name]["and_published"] = value
-    alone = ARM_RATE - 1.0 / parameters.period
+    arm_only_rate = ARM_RATE - 1.0 / parameters.period
     figures["tick"] = {
         kind: TICK
         * (
             figures["both"][kind] / parameters.period
-            + alone * figures["arm"][kind]
+            + arm_only_rate * figures["arm"][kind]
             + ODOM_RATE * figures["hear_odom"]
         )
         for kind in ("corrected", "and_filled", "and_published")
@@ -176,13 +204,20 @@ def previews(
     return figures
 
 
-def _published(
+def _measure_published(
     robot: str,
     parameters: PathInterpolatorParameters,
     plan: ToolPlan,
     each: Callable[[Callable[[float], object]], float],
 ) -> dict[str, float]:
-    """Measure the CPU time of previews by the node itself, which has no subscribers [us]."""
+    """Return the CPU time of a preview that the node itself publishes, without subscribers [us].
+
+    Args:
+        robot: Name of the robot, or the path of its file.
+        parameters: Parameters of the node.
+        plan: Plan of a tool path.
+        each: Function that measures the CPU time of a call at instants along the plan [us].
+    """
     context = rclpy.Context()
     rclpy.init(args=[], context=context)
     try:
@@ -190,7 +225,7 @@ def _published(
             context=context, parameter_overrides=[Parameter("robot", value=robot)]
         )
         try:
-            return _published_by(node, parameters, plan, each)
+            return _measure_published_by(node, parameters, plan, each)
         finally:
             node.begin_shutdown("measured")
             node.destroy_node()
@@ -198,7 +233,7 @@ def _published(
         rclpy.try_shutdown(context=context)
 
 
-def _published_by(
+def _measure_published_by(
     node: PathInterpolatorNode,
     parameters: PathInterpolatorParameters,
     plan: ToolPlan,
@@ -206,7 +241,7 @@ def _published_by(
 ) -> dict[str, float]:
     p, body = parameters, node.motions.whole_body
     node.get_logger().set_level(LoggingSeverity.WARN)
-    node.motions.context.stream_monitor.update_source("path")  # as if the controller were there
+    node.motions.context.stream_monitor.update_source("path")  # in place of a platform controller
     tool = ToolStream(WholeBodyModel(p.mount), plan, p.tool_path, p.arm.each("velocity"))
     body.follow_tool_path(tool)
     tool.correction.update(node.now(), PLATFORM_ERROR, np.zeros(len(PLATFORM_AXES)))
@@ -215,12 +250,12 @@ def _published_by(
         "both": each(lambda _: body.publish(p.horizon)),
     }
     if body.idle:
-        raise CommandError(f"the node gave up: {body.status.text}")
+        raise CommandError(f"the node aborted the path: {body.status.text}")
     return result
 
 
 def path_message(poses: Array) -> Path:
-    """Make a path of poses (k, 4, 4) of the tool in odom."""
+    """Return the message of a path of poses (k, 4, 4) of the tool in odom."""
     path = Path()
     path.header.frame_id = "odom"
     for pose in poses:
@@ -231,23 +266,27 @@ def path_message(poses: Array) -> Path:
 
 
 def _ticks(time: float, horizon: float) -> Array:
+    """Return the times (k,) of the ticks [s] from that at or just before `time` on."""
     first = np.floor(time / TICK + 1e-6)
     ticks: Array = TICK * (first + np.arange(int(horizon / TICK) + 1, dtype=float))
     return ticks
 
 
-def shares(robot: str, angles: Sequence[float], poses: Array, seconds: float) -> dict[str, Any]:
-    """Measure the share of a core of the running nodes, at rest and along a tool path.
+def measure_shares(
+    robot: str, angles: Sequence[float], poses: Array, seconds: float
+) -> dict[str, Any]:
+    """Measure the share of a core that the running nodes use, at rest and along a tool path.
 
     Args:
         robot: Name of the robot, or the path of its file.
         angles: (6,) joint angles of the arm at rest [rad].
-        poses: (k, 4, 4) poses of the tool in odom, beginning at the tool's pose at rest; the path
-            must take longer than is measured.
+        poses: (k, 4, 4) poses of the tool in odom, lengths in metres, starting with the tool's
+            pose at rest; following the path must take longer than the measurement.
         seconds: Duration of each of the two measurements [s].
 
     Raises:
-        CommandError: The nodes do not come up, or the path is not driven.
+        CommandError: The nodes do not start, or do not follow the path during the whole
+            measurement.
     """
     initial = f"simulated_arm.initial:={[float(angle) for angle in angles]}"
     setup = RobotSetup(robot=robot, only=NODES, params=(initial, *LENIENT))
@@ -256,10 +295,10 @@ def shares(robot: str, angles: Sequence[float], poses: Array, seconds: float) ->
 
 
 class _ToolPathRun:
-    """Commands a tool path to the running robot and counts its previews.
+    """Commands a tool path to the running nodes and counts their previews.
 
     Args:
-        nodes: The running robot.
+        nodes: Running nodes of the robot.
     """
 
     def __init__(self, nodes: RunningNodes) -> None:
@@ -283,7 +322,7 @@ class _ToolPathRun:
         self._previews += 1
 
     def measure(self, path: Path, seconds: float) -> dict[str, Any]:
-        """Measure the shares at rest and along a path; see :func:`shares`."""
+        """Measure the shares at rest and along a path; see :func:`measure_shares`."""
         nodes = self._nodes
         nodes.wait(lambda: self._tool_is_known, DISCOVERY_TIMEOUT, "no tool_pose")
         nodes.wait(
@@ -294,14 +333,19 @@ class _ToolPathRun:
         nodes.serve(SETTLING_TIME)
         idle = nodes.cpu_shares(NODES, seconds)
         self._paths.publish(path)
-        nodes.wait(lambda: self._progress > 0.0, START_TIMEOUT, "the path does not begin")
+        nodes.wait(
+            lambda: self._progress > 0.0,
+            START_TIMEOUT,
+            "the robot did not start to follow the path",
+        )
         nodes.serve(min(SETTLING_TIME, seconds))
         before, begin = self._previews, time.monotonic()
         driving = nodes.cpu_shares(NODES, seconds)
         rate = (self._previews - before) / (time.monotonic() - begin)
         if not rate > 0.0 or self._progress >= 1.0:
             raise CommandError(
-                f"the path was not driven during the whole measurement: {self._progress:.0%} of it"
+                f"the robot did not follow the path during the whole measurement: progress "
+                f"{self._progress:.0%}"
             )
         return {
             "idle": idle,

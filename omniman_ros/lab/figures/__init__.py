@@ -1,1 +1,1 @@
-"""Figures of the reproduced experiments."""
+"""Pictures of the reproduced experiments, drawn with matplotlib."""

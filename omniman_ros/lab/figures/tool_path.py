@@ -1,4 +1,4 @@
-"""The picture of the study of tool paths: the paths, and the tool's error over time."""
+"""Picture of the study of tool paths: the paths, and the error of the tool over time."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,25 +18,25 @@ from omniman_ros.console.figure_style import (
 )
 from omniman_ros.lab.studies.tool_path import Run
 
-CORRECTED = GREEN
+CORRECTED_COLOUR = GREEN
 """Colour of drives with the arm's correction."""
-UNCORRECTED = RED
-"""Colour of drives without it."""
+UNCORRECTED_COLOUR = RED
+"""Colour of drives without the arm's correction."""
 
 
 def draw(runs: Sequence[Run], rms_bound: float, max_bound: float, path: Path) -> None:
-    """Draw the study into a PNG file.
+    """Draw the study as a PNG file: a row for each course, a column for each kind of wheels.
 
     Args:
-        runs: Every drive.
+        runs: All drives.
         rms_bound: Bound of the RMS error [m].
         max_bound: Bound of the largest error [m].
-        path: Path of the file.
+        path: Path of the PNG file.
     """
     courses = list(dict.fromkeys(run.course for run in runs))
     wheels = list(dict.fromkeys(run.case.about for run in runs))
     with figure_style():
-        sheet, axes = plt.subplots(
+        figure, axes = plt.subplots(
             len(courses),
             1 + len(wheels),
             squeeze=False,
@@ -50,35 +50,35 @@ def draw(runs: Sequence[Run], rms_bound: float, max_bound: float, path: Path) ->
                 driven = [run for run in runs if (run.course, run.case.about) == (course, name)]
                 _errors(cell, driven, rms_bound, max_bound)
                 if course == courses[0]:
-                    cell.set_title(f"Tool off its path [mm]: {name}")
+                    cell.set_title(f"Tracking error of the tool [mm]: {name}")
                 if course == courses[-1]:
                     cell.set_xlabel("time [s]")
         axes[0][1].legend(loc="center", frameon=False)
-        save_figure(sheet, path)
+        save_figure(figure, path)
 
 
 def _path(axes: Any, run: Run) -> None:
-    """Draw the paths from above: x (forward) points up, y (left) to the left."""
-    for places, colour, label in (
+    """Draw the paths of tool and platform from above: x (forward) points up, y to the left."""
+    for positions, colour, label in (
         (run.base, GREY, "base_link"),
         (run.reference, INK, "tool0"),
     ):
-        axes.plot(-places[:, 1], places[:, 0], color=colour, lw=1.2, label=label)
-    axes.plot(-run.reference[0, 1], run.reference[0, 0], "o", color=CORRECTED)
+        axes.plot(-positions[:, 1], positions[:, 0], color=colour, lw=1.2, label=label)
+    axes.plot(-run.reference[0, 1], run.reference[0, 0], "o", color=CORRECTED_COLOUR)
     axes.set_aspect("equal", adjustable="datalim")
     axes.set_axis_off()
     axes.set_title(f"{run.course}: tool0, and base_link in grey")
 
 
 def _errors(axes: Any, runs: Sequence[Run], rms_bound: float, max_bound: float) -> None:
+    """Draw the errors of the drives over time, their RMS (dotted) and the bounds [m] (dashed)."""
     for run in sorted(runs, key=lambda run: run.case.options.correction):
-        on = run.case.options.correction
-        size = 1e3 * float(np.sqrt(np.mean(run.error**2)))
-        label = f"{'with' if on else 'without'} correction"
-        axes.plot(
-            run.times, 1e3 * run.error, color=CORRECTED if on else UNCORRECTED, lw=1.0, label=label
-        )
-        axes.axhline(size, color=CORRECTED if on else UNCORRECTED, lw=0.6, ls=":")
+        has_correction = run.case.options.correction
+        colour = CORRECTED_COLOUR if has_correction else UNCORRECTED_COLOUR
+        rms = 1e3 * float(np.sqrt(np.mean(run.error**2)))
+        label = f"{'with' if has_correction else 'without'} correction"
+        axes.plot(run.times, 1e3 * run.error, color=colour, lw=1.0, label=label)
+        axes.axhline(rms, color=colour, lw=0.6, ls=":")
     for bound, text in ((rms_bound, "RMS"), (max_bound, "max")):
         axes.axhline(1e3 * bound, color=GREY, lw=0.8, ls="--")
         axes.text(

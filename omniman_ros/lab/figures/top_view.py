@@ -1,4 +1,4 @@
-"""Drives from above: the robot, obstacles and walls, and what is driven and planned."""
+"""Drives from above: the robot, obstacles and walls, the driven path and the planned motion."""
 
 import math
 from collections.abc import Sequence
@@ -26,48 +26,60 @@ from omniman_ros.lab.studies.mpc_cases import Scene
 from omniman_ros.lab.studies.planned_drives import PlannedDrive
 from omniman_ros.lab.studies.scene_geometry import Wall
 
-START = RED
-GOAL = BLUE
-ROBOT = NEUTRAL
-PLAN = PINK
-OBSTACLE = SAND
-PREDICTION = BRONZE
+START_COLOUR = RED
+"""Colour of the robot's outline at the start."""
+GOAL_COLOUR = BLUE
+"""Colour of the robot's outline at the goal."""
+ROBOT_COLOUR = NEUTRAL
+"""Colour of the robot while it drives."""
+PLAN_COLOUR = PINK
+"""Colour of the planned motion."""
+OBSTACLE_COLOUR = SAND
+"""Colour of the area of obstacles."""
+PREDICTION_COLOUR = BRONZE
 """Colour of the outline of obstacles and of their predicted positions."""
-WALL = GREY
+WALL_COLOUR = GREY
+"""Colour of walls."""
 BOX_MARKER: dict[str, Any] = {"marker": "s", "ls": "", "ms": 7}
-"""Style of a robot in a legend."""
+"""Legend marker of a robot: keyword arguments of `Line2D`."""
 DISC_MARKER: dict[str, Any] = {"marker": "o", "ls": "", "ms": 8}
-"""Style of an obstacle in a legend."""
+"""Legend marker of an obstacle: keyword arguments of `Line2D`."""
 
 
-NOSE = np.array([[1.0, 0.0], [0.72, 0.3], [0.72, -0.3]])
-"""Corners of the mark in front of the robot, in half lengths and half widths."""
+FRONT_MARK = np.array([[1.0, 0.0], [0.72, 0.3], [0.72, -0.3]])
+"""Corners (3, 2) of the triangle that marks the robot's front, in half lengths and half widths."""
 MOVING_SPEED = 0.05
 """Speed above which an obstacle is shown with its predicted positions [m/s]."""
-CORNERS = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]])
-"""Corners of a box, in half lengths and half widths."""
+BOX_CORNERS = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]])
+"""Corners (4, 2) of a box, in half lengths and half widths."""
 MARGIN = 0.25
-"""Margin around everything that is drawn [m]."""
+"""Margin between the drawn objects and the frame of the axes [m]."""
 PREDICTION_STEP = 0.5
 """Time between two predicted positions of an obstacle [s]."""
 
 
 class TopView:
-    """A drive from above, at any of its times.
+    """View of a drive from above, at a single time or as a trail.
 
     Args:
         robot: The robot, for its outline and wheels.
-        scene: Start, goal and obstacles.
-        ride: The drive.
+        scene: The scene, for start, goal, obstacles and walls.
+        planned: The drive.
+
+    Attributes:
+        robot: The robot.
+        scene: The scene.
+        planned: The drive.
+        half: (2,) half length and half width of the robot [m].
     """
 
-    def __init__(self, robot: Robot, scene: Scene, ride: PlannedDrive) -> None:
-        self.robot, self.scene, self.ride = robot, scene, ride
+    def __init__(self, robot: Robot, scene: Scene, planned: PlannedDrive) -> None:
+        self.robot, self.scene, self.planned = robot, scene, planned
         self.half = 0.5 * np.array([robot.body.length, robot.body.width])
 
     @property
     def moving(self) -> NDArray[np.bool_]:
-        """(M,) whether each obstacle moves within the first second."""
+        """(m,) Whether each obstacle moves within the first second."""
         if not self.scene.obstacles:
             return np.zeros(0, dtype=bool)
         return np.array(
@@ -75,10 +87,17 @@ class TopView:
         )
 
     def bounds(self, times: Sequence[float]) -> tuple[float, float, float, float]:
-        """Return x_min, x_max, y_min, y_max of all that is drawn at any of these times [m]."""
+        """Return the bounds of everything that is drawn at the given times.
+
+        Args:
+            times: Times since the robot was sent off [s].
+
+        Returns:
+            x_min, x_max, y_min, y_max in odom [m].
+        """
         radius = math.hypot(*self.half)
         poses = np.vstack(
-            [self.ride.drive.poses[:, :2], [self.scene.start[:2]], [self.scene.goal[:2]]]
+            [self.planned.drive.poses[:, :2], [self.scene.start[:2]], [self.scene.goal[:2]]]
         )
         low, high = poses.min(axis=0) - radius, poses.max(axis=0) + radius
         for wall in self.scene.walls:
@@ -94,44 +113,68 @@ class TopView:
     @property
     def _since(self) -> float:
         """Time on the clock of the obstacles at which the robot was sent off [s]."""
-        return self.ride.since
+        return self.planned.since
 
     def draw(self, axes: Any, time: float) -> None:
-        """Draw the drive at a time [s] since the robot was sent off."""
-        drive, trace = self.ride.drive, self.ride.trace
+        """Draw the drive at one time.
+
+        Args:
+            axes: Axes to draw on.
+            time: Time since the robot was sent off [s].
+        """
+        drive, trace = self.planned.drive, self.planned.trace
         row = min(int(np.searchsorted(drive.times, time)), len(drive.times) - 1)
         cycle = max(int(np.searchsorted(trace.times, time + 1e-9)) - 1, 0)
-        self._obstacles(axes, time, cycle)
-        for pose, colour in ((self.scene.start, START), (self.scene.goal, GOAL)):
-            self._robot(axes, np.array(pose), colour, filled=False)
-        self._robot(axes, drive.poses[row], ROBOT)
+        self._draw_obstacles(axes, time, cycle)
+        for pose, colour in ((self.scene.start, START_COLOUR), (self.scene.goal, GOAL_COLOUR)):
+            self._draw_robot(axes, np.array(pose), colour, filled=False)
+        self._draw_robot(axes, drive.poses[row], ROBOT_COLOUR)
         axes.plot(*drive.poses[: row + 1, :2].T, color=INK, lw=1.0, zorder=5)
-        if cycle in self.ride.planning:
+        if cycle in self.planned.planning:
             axes.plot(
-                *self._plan(cycle, time).T, color=PLAN, lw=2.0, zorder=6, solid_capstyle="round"
+                *self._plan(cycle, time).T,
+                color=PLAN_COLOUR,
+                lw=2.0,
+                zorder=6,
+                solid_capstyle="round",
             )
         axes.plot(*drive.poses[row, :2], "o", color=INK, ms=2.5, zorder=7)
 
     def _plan(self, cycle: int, time: float) -> Array:
-        """Return the positions (k, 2) that the followed motion has still ahead."""
-        trace = self.ride.trace
+        """Return the positions (k, 2) of the rest of the motion that the robot follows [m].
+
+        Args:
+            cycle: Number of the planner's cycle.
+            time: Time since the robot was sent off [s], at which the rest begins.
+        """
+        trace = self.planned.trace
         times, places = trace.plan_times[cycle], trace.plans[cycle][:, :2]
         now = time + self._since
         fine = np.linspace(now, max(float(times[-1]), now), 40)
         return np.column_stack([np.interp(fine, times, places[:, k]) for k in (0, 1)])
 
-    def _obstacles(self, axes: Any, time: float, cycle: int) -> None:
+    def _draw_obstacles(self, axes: Any, time: float, cycle: int) -> None:
+        """Draw walls, true obstacles and the predictions that the planner made in a cycle."""
         for wall in self.scene.walls:
             axes.add_patch(
-                Polygon(wall_corners(wall), closed=True, zorder=2, fc=WALL, ec=WALL, lw=0.3)
+                Polygon(
+                    wall_corners(wall),
+                    closed=True,
+                    zorder=2,
+                    fc=WALL_COLOUR,
+                    ec=WALL_COLOUR,
+                    lw=0.3,
+                )
             )
-        known, now = self.ride.trace.known[cycle], time + self._since
-        moves = np.hypot(*known.velocities.T) > MOVING_SPEED if len(known) else np.zeros(0, bool)
-        reach = float(self.ride.trace.plan_times[cycle][-1]) - now
-        outline: dict[str, Any] = {"fc": "none", "ec": PREDICTION, "lw": 0.6, "alpha": 0.55}
+        known, now = self.planned.trace.known[cycle], time + self._since
+        is_moving = (
+            np.hypot(*known.velocities.T) > MOVING_SPEED if len(known) else np.zeros(0, bool)
+        )
+        reach = float(self.planned.trace.plan_times[cycle][-1]) - now
+        outline: dict[str, Any] = {"fc": "none", "ec": PREDICTION_COLOUR, "lw": 0.6, "alpha": 0.55}
         for ahead in np.arange(PREDICTION_STEP, max(reach, 0.0) + 1e-9, PREDICTION_STEP):
             centers = known.centers_at(np.array([now + ahead]))[0]
-            for row in np.flatnonzero(moves).tolist():
+            for row in np.flatnonzero(is_moving).tolist():
                 a, b = known.semi_axes[row]
                 draw_ellipse(axes, centers[row], a, b, known.angles[row], zorder=1, **outline)
         for k, obstacle in enumerate(self.scene.obstacles):
@@ -147,42 +190,59 @@ class TopView:
             )
             a, b = obstacle.semi_axes
             draw_ellipse(
-                axes, position, a, b, obstacle.angle, zorder=2, fc=OBSTACLE, ec=PREDICTION, lw=0.8
+                axes,
+                position,
+                a,
+                b,
+                obstacle.angle,
+                zorder=2,
+                fc=OBSTACLE_COLOUR,
+                ec=PREDICTION_COLOUR,
+                lw=0.8,
             )
 
-    def trail(self, axes: Any, every: float) -> None:
-        """Draw the whole drive, with the robot at intervals [s]."""
-        drive = self.ride.drive
-        self._obstacles(axes, 0.0, 0)
-        for pose, colour in ((self.scene.start, START), (self.scene.goal, GOAL)):
-            self._robot(axes, np.array(pose), colour, filled=False)
-        for time in np.arange(every, end_of(self.ride), every):
+    def draw_trail(self, axes: Any, interval: float) -> None:
+        """Draw the whole drive, with the robot at regular intervals.
+
+        Args:
+            axes: Axes to draw on.
+            interval: Time between two drawings of the robot [s].
+        """
+        drive = self.planned.drive
+        self._draw_obstacles(axes, 0.0, 0)
+        for pose, colour in ((self.scene.start, START_COLOUR), (self.scene.goal, GOAL_COLOUR)):
+            self._draw_robot(axes, np.array(pose), colour, filled=False)
+        for time in np.arange(interval, end_of(self.planned), interval):
             row = min(int(np.searchsorted(drive.times, time)), len(drive.times) - 1)
-            box = place(CORNERS * self.half, drive.poses[row])
-            nose = place(NOSE * self.half, drive.poses[row])
+            box = to_odom(BOX_CORNERS * self.half, drive.poses[row])
+            nose = to_odom(FRONT_MARK * self.half, drive.poses[row])
             for points, alpha in ((box, 0.12), (nose, 0.6)):
-                axes.add_patch(Polygon(points, closed=True, zorder=4, fc=ROBOT, lw=0, alpha=alpha))
-            axes.add_patch(Polygon(box, closed=True, zorder=4, fc="none", ec=ROBOT, lw=0.7))
+                axes.add_patch(
+                    Polygon(points, closed=True, zorder=4, fc=ROBOT_COLOUR, lw=0, alpha=alpha)
+                )
+            axes.add_patch(Polygon(box, closed=True, zorder=4, fc="none", ec=ROBOT_COLOUR, lw=0.7))
         axes.plot(*drive.poses[:, :2].T, color=INK, lw=1.0, zorder=5)
 
-    def _robot(self, axes: Any, pose: Array, colour: str, filled: bool = True) -> None:
-        """Draw outline and wheels of the robot, and a mark in front."""
+    def _draw_robot(self, axes: Any, pose: Array, colour: str, filled: bool = True) -> None:
+        """Draw the robot at a pose (3,) in odom: its outline, its wheels and the front mark."""
         fill: dict[str, Any] = {"fc": colour, "alpha": 0.35} if filled else {"fc": "none"}
-        box = place(CORNERS * self.half, pose)
+        box = to_odom(BOX_CORNERS * self.half, pose)
         order = 4 if filled else 3
         axes.add_patch(Polygon(box, closed=True, zorder=order, lw=0, **fill))
         axes.add_patch(Polygon(box, closed=True, zorder=order, fc="none", ec=colour, lw=1.2))
         axes.add_patch(
-            Polygon(place(NOSE * self.half, pose), closed=True, zorder=order, fc=colour, lw=0)
+            Polygon(
+                to_odom(FRONT_MARK * self.half, pose), closed=True, zorder=order, fc=colour, lw=0
+            )
         )
         wheels = self.robot.wheels
         for x, y, heading, radius in zip(
             wheels.x, wheels.y, wheels.heading, wheels.radius, strict=True
         ):
-            tread = place(CORNERS * [radius, 0.35 * radius], np.array([x, y, heading]))
+            tread = to_odom(BOX_CORNERS * [radius, 0.35 * radius], np.array([x, y, heading]))
             axes.add_patch(
                 Polygon(
-                    place(tread, pose),
+                    to_odom(tread, pose),
                     closed=True,
                     zorder=order,
                     fc=colour,
@@ -195,26 +255,41 @@ class TopView:
 def draw_ellipse(
     axes: Any, center: Array, a: float, b: float, angle: float, **options: Any
 ) -> None:
-    """Draw an ellipse with its centre (2,) and semi-axes in odom [m] and its angle [rad]."""
+    """Draw an ellipse.
+
+    Args:
+        axes: Axes to draw on.
+        center: (2,) centre in odom [m].
+        a: First semi-axis [m].
+        b: Second semi-axis [m].
+        angle: Angle of the first semi-axis in odom [rad].
+        options: Style, as keyword arguments of matplotlib's `Ellipse`.
+    """
     x, y = center.tolist()
     axes.add_patch(Ellipse((x, y), 2 * a, 2 * b, angle=math.degrees(angle), **options))
 
 
 def wall_corners(wall: Wall) -> Array:
-    """Return the corners (4, 2) of a wall in odom."""
+    """Return the corners (4, 2) of a wall in odom [m]."""
     size = 0.5 * np.array([wall.length, wall.width])
-    return place(CORNERS * size, np.array([wall.x, wall.y, wall.heading]))
+    return to_odom(BOX_CORNERS * size, np.array([wall.x, wall.y, wall.heading]))
 
 
-def place(points: Array, pose: Array) -> Array:
-    """Transform points (k, 2) of base_link into odom."""
+def to_odom(points: Array, pose: Array) -> Array:
+    """Transform points (k, 2) [m] from base_link to odom, given the pose (3,) of base_link."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
     result: Array = points @ np.array([[c, s], [-s, c]]) + pose[:2]
     return result
 
 
 def frame_axes(axes: Any, bounds: tuple[float, float, float, float], labels: bool = True) -> None:
-    """Set limits, grid and labels of axes that show odom from above."""
+    """Set limits, grid and labels of axes that show the plane of odom.
+
+    Args:
+        axes: The axes.
+        bounds: x_min, x_max, y_min, y_max [m].
+        labels: Whether the x axis is labelled.
+    """
     axes.set_xlim(*bounds[:2])
     axes.set_ylim(*bounds[2:])
     axes.set_aspect("equal")
@@ -225,25 +300,38 @@ def frame_axes(axes: Any, bounds: tuple[float, float, float, float], labels: boo
     axes.set_ylabel("y [m]")
 
 
-def draw_legend(sheet: Any, scene: Scene, moves: bool = False) -> None:
-    """Draw the legend of a figure of a scene, whose obstacles may move."""
-    marks = [
-        Line2D([], [], color=START, mfc="none", label="start", **BOX_MARKER),
-        Line2D([], [], color=GOAL, mfc="none", label="goal", **BOX_MARKER),
-        Line2D([], [], color=ROBOT, alpha=0.7, label="robot", **BOX_MARKER),
+def draw_legend(figure: Any, scene: Scene, has_moving: bool = False) -> None:
+    """Draw the legend of a figure of a scene.
+
+    Args:
+        figure: The figure.
+        scene: The scene.
+        has_moving: Whether there are moving obstacles, whose predicted positions are shown.
+    """
+    handles = [
+        Line2D([], [], color=START_COLOUR, mfc="none", label="start", **BOX_MARKER),
+        Line2D([], [], color=GOAL_COLOUR, mfc="none", label="goal", **BOX_MARKER),
+        Line2D([], [], color=ROBOT_COLOUR, alpha=0.7, label="robot", **BOX_MARKER),
         Line2D([], [], color=INK, lw=1.0, label="driven"),
-        Line2D([], [], color=PLAN, lw=2.0, label="planned"),
+        Line2D([], [], color=PLAN_COLOUR, lw=2.0, label="planned"),
     ]
     if scene.obstacles:
-        marks.append(
-            Line2D([], [], color=OBSTACLE, mec=PREDICTION, label="obstacle", **DISC_MARKER)
-        )
-    if moves:
-        marks.append(
+        handles.append(
             Line2D(
                 [],
                 [],
-                color=PREDICTION,
+                color=OBSTACLE_COLOUR,
+                mec=PREDICTION_COLOUR,
+                label="obstacle",
+                **DISC_MARKER,
+            )
+        )
+    if has_moving:
+        handles.append(
+            Line2D(
+                [],
+                [],
+                color=PREDICTION_COLOUR,
                 mfc="none",
                 mew=0.6,
                 alpha=0.7,
@@ -251,10 +339,10 @@ def draw_legend(sheet: Any, scene: Scene, moves: bool = False) -> None:
                 **DISC_MARKER,
             )
         )
-    sheet.legend(handles=marks, loc="outside lower left", ncols=len(marks))
+    figure.legend(handles=handles, loc="outside lower left", ncols=len(handles))
 
 
-def end_of(ride: PlannedDrive) -> float:
-    """Return the time at which a drive ends [s]."""
-    arrival = ride.drive.arrival
-    return arrival if math.isfinite(arrival) else float(ride.drive.times[-1])
+def end_of(planned: PlannedDrive) -> float:
+    """Return the time of arrival, or of the last sample if the robot did not arrive [s]."""
+    arrival = planned.drive.arrival
+    return arrival if math.isfinite(arrival) else float(planned.drive.times[-1])

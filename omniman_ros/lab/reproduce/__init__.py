@@ -1,1 +1,1 @@
-"""Experiments behind `omniman reproduce` and their report."""
+"""The experiments of `omniman reproduce`, and the report that compares them with the papers."""

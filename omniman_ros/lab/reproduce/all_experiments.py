@@ -1,4 +1,4 @@
-"""`omniman reproduce all`: one experiment after the other, and the page that summarizes them."""
+"""`omniman reproduce all`: runs all experiments in turn and writes a page that sums them up."""
 
 import argparse
 import contextlib
@@ -20,29 +20,30 @@ from omniman_ros.lab.verdicts import verdict
 from omniman_ros.processes.process_group import redirect_signals
 
 NAME = "reproduce_all"
+"""Name of the results, without a suffix."""
 JSON_LINE = '{"name": '
-"""Begin of the line in which an experiment prints its JSON."""
+"""Start of the line on which an experiment prints its result as JSON."""
 STOP_TIMEOUT = 5.0
-"""Longest time until an interrupted experiment ends [s]."""
+"""Time that an interrupted experiment is given to end before it is killed [s]."""
 
 Launch = Callable[[Sequence[str]], int]
-"""Runs `omniman` with arguments and returns its exit code."""
+"""Function that runs `omniman` with the given arguments and returns its exit code."""
 
 
 def run(args: argparse.Namespace, launch: Launch | None = None) -> int:
     """Run `omniman reproduce all`.
 
-    If an experiment fails, the others are run nevertheless, and the page reports the failure.
+    If an experiment fails, the others still run, and the page reports the failure.
 
     Args:
-        args: Command line.
-        launch: Runs one experiment; None means that each runs in a separate process.
+        args: Parsed command line.
+        launch: Function that runs one experiment; None runs each in a subprocess.
 
     Returns:
-        1 if an experiment failed, else 0, whatever the comparison says.
+        1 if an experiment failed, else 0, regardless of the agreement with the papers.
 
     Raises:
-        CommandError: The folder cannot be written.
+        CommandError: The folder of the results cannot be created.
     """
     folder = Path(args.results)
     try:
@@ -50,61 +51,83 @@ def run(args: argparse.Namespace, launch: Launch | None = None) -> int:
     except OSError as error:
         raise CommandError(f"--results {folder}: {error.strerror}") from error
     started = time.monotonic()
-    done = [
-        run_one(args, experiment, folder, launch or in_process)
+    finished = [
+        run_one(args, experiment, folder, launch or run_subprocess)
         for experiment in EXPERIMENTS.values()
     ]
-    result, page = summarize(done, folder, time.monotonic() - started)
-    say("\n".join(report(done, result, page)))
+    result, page = summarize(finished, folder, time.monotonic() - started)
+    say("\n".join(report(finished, result, page)))
     results.publish(NAME, result, folder)
-    return 0 if all(experiment.passed for experiment in done) else 1
+    return 0 if all(experiment.passed for experiment in finished) else 1
 
 
 def run_one(
     args: argparse.Namespace, experiment: Experiment, folder: Path, launch: Launch
 ) -> ExperimentResult:
-    """Run one experiment, or reuse its result.
+    """Run one experiment, or reuse its existing result if `--reuse` was given.
 
-    A result that is older than the run does not count as the result of the run.
+    After a run, the result file is read only if the run has written it: a file left by an earlier
+    run is not mistaken for the result of this one.
+
+    Args:
+        args: Parsed command line.
+        experiment: The experiment.
+        folder: Folder of the results.
+        launch: Function that runs `omniman`.
     """
     name = experiment.name
     path = folder / f"{experiment.result_name}.json"
-    head = f"{list(EXPERIMENTS).index(name) + 1} of {len(EXPERIMENTS)}: {name}"
-    if args.reuse and (found := load(path)) is not None:
-        say(paint(f"\n{head}, as it is in {path}", BOLD, sys.stdout))
-        return ExperimentResult(name, None, found)
+    heading = f"{list(EXPERIMENTS).index(name) + 1} of {len(EXPERIMENTS)}: {name}"
+    if args.reuse and (existing := load(path)) is not None:
+        say(paint(f"\n{heading}, result reused from {path}", BOLD, sys.stdout))
+        return ExperimentResult(name, None, existing)
     is_long = experiment.minutes > 1 and not (args.quick or args.full)
-    expected = f", some {experiment.minutes} minutes" if is_long else ""
-    say(paint(f"\n{head}{expected}", BOLD, sys.stdout))
-    before = written_at(path)
-    code = launch(options(args, name))
-    fresh = written_at(path) != before
+    expected = f", about {experiment.minutes} minutes" if is_long else ""
+    say(paint(f"\n{heading}{expected}", BOLD, sys.stdout))
+    before = modification_time(path)
+    code = launch(experiment_arguments(args, name))
+    is_new = modification_time(path) != before
     if code:
         say(paint(f"'{name}' ended with exit code {code}", RED, sys.stdout))
-    return ExperimentResult(name, code, load(path) if fresh else None)
+    return ExperimentResult(name, code, load(path) if is_new else None)
 
 
-def options(args: argparse.Namespace, name: str) -> list[str]:
-    """Return the arguments of `omniman` for one experiment."""
-    chosen = ["reproduce", name, "--seed", str(args.seed), "--results", str(args.results)]
-    chosen += [f"--{effort}" for effort in ("quick", "full") if getattr(args, effort)]
+def experiment_arguments(args: argparse.Namespace, name: str) -> list[str]:
+    """Return the arguments with which `omniman` runs one experiment.
+
+    Args:
+        args: Parsed command line of `omniman reproduce all`.
+        name: Name of the experiment.
+    """
+    arguments = ["reproduce", name, "--seed", str(args.seed), "--results", str(args.results)]
+    arguments += [f"--{effort}" for effort in ("quick", "full") if getattr(args, effort)]
     if args.robot:
-        chosen += ["--robot", args.robot]
+        arguments += ["--robot", args.robot]
     if name == "scenes":
         for option in SCENES_OPTIONS:
             value = getattr(args, option, None)
             if value is not None:
-                chosen.append(f"--{option.replace('_', '-')}={value}")
-    return chosen
+                arguments.append(f"--{option.replace('_', '-')}={value}")
+    return arguments
 
 
-def in_process(arguments: Sequence[str]) -> int:
-    """Run `omniman` in a process of its own, and print its output without its line of JSON."""
+def run_subprocess(arguments: Sequence[str]) -> int:
+    """Run `omniman` in a subprocess, and print its output without the line of JSON.
 
-    def interrupted(number: int) -> None:
+    Args:
+        arguments: Arguments of `omniman`.
+
+    Returns:
+        Exit code of the subprocess.
+
+    Raises:
+        KeyboardInterrupt: This process was interrupted; the subprocess has been stopped.
+    """
+
+    def interrupt(number: int) -> None:
         raise KeyboardInterrupt
 
-    with redirect_signals(interrupted):
+    with redirect_signals(interrupt):
         child = subprocess.Popen(
             command(arguments),
             stdout=subprocess.PIPE,
@@ -119,16 +142,19 @@ def in_process(arguments: Sequence[str]) -> int:
                     say(line.rstrip("\n"))
             return child.wait()
         finally:
-            end(child)
+            stop(child)
 
 
 def command(arguments: Sequence[str]) -> list[str]:
-    """Return the command line of `omniman` with arguments."""
+    """Return the command line that runs `omniman` with the given arguments."""
     return [sys.executable, "-u", "-m", "omniman_ros.cli.main", *arguments]
 
 
-def end(child: "subprocess.Popen[str]") -> None:
-    """End a process and those of its pool, which are a session of their own."""
+def stop(child: "subprocess.Popen[str]") -> None:
+    """Stop a subprocess together with its process pool: both are in one session of their own.
+
+    They are interrupted first, and killed if they have not ended after `STOP_TIMEOUT`.
+    """
     for number in (signal.SIGINT, signal.SIGKILL):
         if child.poll() is None:
             with contextlib.suppress(ProcessLookupError):
@@ -139,16 +165,22 @@ def end(child: "subprocess.Popen[str]") -> None:
         child.stdout.close()
 
 
-def written_at(path: Path) -> int | None:
-    """Return the time at which a file was written [ns]; None if it does not exist."""
+def modification_time(path: Path) -> int | None:
+    """Return the time at which a file was last modified [ns]; None if it does not exist."""
     try:
         return path.stat().st_mtime_ns
     except OSError:
         return None
 
 
-def report(done: Sequence[ExperimentResult], result: dict[str, Any], page: Path) -> list[str]:
-    """Return the lines of the report."""
+def report(finished: Sequence[ExperimentResult], result: dict[str, Any], page: Path) -> list[str]:
+    """Return the lines of the report on the terminal.
+
+    Args:
+        finished: Results of the experiments.
+        result: Summary of all results.
+        page: Path of the HTML page.
+    """
     lines = [
         "",
         *table(
@@ -156,6 +188,6 @@ def report(done: Sequence[ExperimentResult], result: dict[str, Any], page: Path)
             + [(row["quantity"], row["verdict"]) for row in result["comparisons"]]
         ),
     ]
-    failed = [experiment.name for experiment in done if not experiment.passed]
+    failed = [experiment.name for experiment in finished if not experiment.passed]
     outcome = verdict(not failed, "all passed", f"failed: {', '.join(failed)}")
     return [*lines, "", f"Experiments: {outcome}", f"Page: {page}"]

@@ -1,6 +1,6 @@
-"""`omniman reproduce free | corridor | moving | workshop`: the planner's drives through a scene.
+"""`omniman reproduce free | corridor | moving | workshop`: drives of the planner through a scene.
 
-The first three are the cases of MPC 2021, section 4; the workshop has a map.
+The first three are the test cases of MPC 2021, section 4; the workshop is a scene with a map.
 """
 
 import argparse
@@ -17,31 +17,35 @@ from omniman_ros.console.progress import Progress
 from omniman_ros.console.terminal import table
 from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
-from omniman_ros.lab.reproduce.energies import energy_lines, measure_energies, number
+from omniman_ros.lab.reproduce.energies import energy_lines, format_quantity, measure_energies
 from omniman_ros.lab.reproduce.pipeline import collect, publish
 from omniman_ros.lab.studies.mpc_cases import PAPER, SCENES, Scene, Variant, variants
 from omniman_ros.lab.studies.planned_drives import PlannedDrive, drive_with_planner
-from omniman_ros.lab.studies.recorded_drive import SETTLE, Drive
+from omniman_ros.lab.studies.recorded_drive import SETTLING_TIME, Drive
 from omniman_ros.lab.studies.roller_diagonals import NEAR_DIAGONAL, diagonal_figures
 from omniman_ros.lab.studies.workshop import workshop
 from omniman_ros.lab.verdicts import verdict
 from omniman_ros.robots import load_robot
 
 PAPER_VARIANT = Variant("the paper's horizon and cost", planner=PAPER)
+"""Variant with the horizon and cost function of MPC 2021."""
 DEFAULTS = Variant("defaults")
+"""Variant with the default parameters, whose reference the controller follows."""
 VOLTAGES = Variant("voltages put out", voltages=True)
+"""Variant in which the planner's motor voltages are applied, as in MPC 2021, (20)."""
 
 
 @dataclass(frozen=True)
 class MpcCase:
-    """A case that the planner drives.
+    """A scene with the settings in which the planner drives through it.
 
     Attributes:
-        about: Headline.
-        scene: Makes its scene.
-        variants: Makes the variants in which it is driven, from the robot's parameters.
-        quick: Number of variants of a quick run.
-        layout: Number of snapshots and columns of its picture.
+        about: Description for the headline.
+        scene: Function that creates the scene.
+        variants: Function that returns the settings (variants) to drive with, given the robot's
+            parameters by full name.
+        quick: Number of variants in a quick run.
+        layout: Number of snapshots and number of columns of the picture.
     """
 
     about: str
@@ -51,50 +55,64 @@ class MpcCase:
     layout: tuple[int, int] = (5, 3)
 
 
-def _with_paper(robot: Mapping[str, Any]) -> Sequence[Variant]:
+def _defaults_and_paper(robot: Mapping[str, Any]) -> Sequence[Variant]:
     return (DEFAULTS, VOLTAGES, PAPER_VARIANT)
 
 
-def _free(robot: Mapping[str, Any]) -> Sequence[Variant]:
+def _all_variants(robot: Mapping[str, Any]) -> Sequence[Variant]:
     return variants(robot)
 
 
-def _own(robot: Mapping[str, Any]) -> Sequence[Variant]:
+def _defaults_only(robot: Mapping[str, Any]) -> Sequence[Variant]:
     return (DEFAULTS, VOLTAGES)
 
 
 CASES = {
-    "free": MpcCase("a straight way with nothing on it, MPC 2021, 4.1", SCENES["free"], _free),
+    "free": MpcCase(
+        "a straight line without obstacles, MPC 2021, 4.1", SCENES["free"], _all_variants
+    ),
     "corridor": MpcCase(
-        "circles closer together than the robot is long, MPC 2021, 4.2",
+        "gaps between circles narrower than the robot is long, MPC 2021, 4.2",
         SCENES["corridor"],
-        _with_paper,
+        _defaults_and_paper,
     ),
     "moving": MpcCase(
-        "circles that cross the way, one of them changes its velocity, MPC 2021, 4.3",
+        "circles that cross the path, one of which changes its velocity, MPC 2021, 4.3",
         SCENES["moving"],
-        _with_paper,
+        _defaults_and_paper,
         layout=(7, 4),
     ),
-    "workshop": MpcCase("a dead end and three doors, with a map", workshop, _own, quick=1),
+    "workshop": MpcCase(
+        "a dead end and three doors, with a map", workshop, _defaults_only, quick=1
+    ),
 }
-"""The cases, by the names of their experiments."""
+"""Cases by the name of their experiment."""
 
 
 def run(args: argparse.Namespace) -> int:
-    """Drive a case; return 1 if a drive with defaults missed its goal or touched something."""
+    """Run a case.
+
+    Args:
+        args: Parsed command line.
+
+    Returns:
+        1 if a drive with default parameters missed its goal or had a contact, else 0.
+    """
     case = CASES[args.name]
     robot, scene = load_robot(args.robot), case.scene()
     started = time.monotonic()
     progress = Progress()
     progress.headline(f"{case.about}, robot '{args.robot}'")
-    chosen = case.variants(robot)
-    chosen = chosen[: case.quick] if args.quick else chosen
-    made = (_drive(robot, scene, variant, args.seed) for variant in chosen)
-    rides = collect(progress, "drives", made, len(chosen), "drives")
-    drives = [drive_row(variant, ride, robot) for variant, ride in zip(chosen, rides, strict=True)]
-    # The paper's own setting is shown as it is: it may fail.
-    passed = all(row["reached"] and not row["collided"] for row in drives if row["counts"])
+    selected = case.variants(robot)
+    selected = selected[: case.quick] if args.quick else selected
+    generator = (_drive(robot, scene, variant, args.seed) for variant in selected)
+    driven = collect(progress, "drives", generator, len(selected), "drives")
+    rows = [
+        drive_row(variant, planned, robot)
+        for variant, planned in zip(selected, driven, strict=True)
+    ]
+    # Variants with changed parameters, such as the paper's, are reported but may fail.
+    passed = all(row["reached"] and not row["collided"] for row in rows if row["counts"])
     result: dict[str, Any] = {
         "case": args.name,
         "robot": args.robot,
@@ -104,51 +122,72 @@ def run(args: argparse.Namespace) -> int:
         "passed": passed,
         "defaults": dict(scene.changes),
         "observation_noise_m": scene.noise,
-        "drives": drives,
+        "drives": rows,
     }
     if args.name == "free":
         result["energy"] = measure_energies(args, robot, progress)
-        result["energy_until"] = f"{SETTLE:g} s after the arrival"
+        result["energy_until"] = f"{SETTLING_TIME:g} s after the arrival"
     progress.begin("picture")
-    result |= draw_case(build(Robot, robot), scene, rides[0], result, Path(args.results))
+    result |= draw_case(build(Robot, robot), scene, driven[0], result, Path(args.results))
     progress.end("done" if result["picture"] else "no matplotlib")
     publish(f"reproduce_{args.name}", result, report, started, args.results)
     return 0 if passed else 1
 
 
 def _drive(robot: Mapping[str, Any], scene: Scene, variant: Variant, seed: int) -> PlannedDrive:
-    changed = replace(scene, changes={**scene.changes, **variant.planner})
+    """Drive one variant; the CPU time of the planner is measured."""
+    changed_scene = replace(scene, changes={**scene.changes, **variant.planner})
+    changed_robot = {**robot, **variant.robot}
     timer = time.process_time
-    return drive_with_planner({**robot, **variant.robot}, changed, variant.voltages, seed, timer)
+    return drive_with_planner(changed_robot, changed_scene, variant.voltages, seed, timer)
 
 
-def drive_row(variant: Variant, ride: PlannedDrive, robot: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the figures of a drive; it counts for the result if no parameter was changed."""
+def drive_row(variant: Variant, planned: PlannedDrive, robot: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the figures of a drive for the JSON.
+
+    The drive `counts` for the verdict of the case if no parameter was changed.
+
+    Args:
+        variant: Setting in which the case was driven.
+        planned: The drive.
+        robot: Unchanged parameters of the robot, full names to values.
+    """
     changes = {**variant.robot, **variant.planner}
     return {
         "about": variant.about,
         "changes": changes,
         "counts": not changes,
         "voltages": variant.voltages,
-        **ride.figures(),
-        **diagonal_figures(ride.drive, build(Robot, robot)),
-        "backwards_share": backwards(ride.drive),
+        **planned.figures(),
+        **diagonal_figures(planned.drive, build(Robot, robot)),
+        "backwards_share": backward_share(planned.drive),
     }
 
 
-def backwards(drive: Drive) -> float:
-    """Return the share of the time in motion in which the robot travels backwards."""
+def backward_share(drive: Drive) -> float:
+    """Return the fraction of the time in motion during which the robot travels backwards [-].
+
+    Backwards means more than 90 degrees from its x axis.
+    """
     _, angles = drive.travel_directions()
     return float(np.mean(np.abs(angles) > 0.5 * math.pi)) if len(angles) else 0.0
 
 
 def draw_case(
-    robot: Robot, scene: Scene, ride: PlannedDrive, result: dict[str, Any], folder: Path
+    robot: Robot, scene: Scene, planned: PlannedDrive, result: dict[str, Any], folder: Path
 ) -> dict[str, str | None]:
-    """Draw a case into a PNG file, and `moving` also into a GIF, if matplotlib is installed.
+    """Draw a case as a PNG file, and `moving` also as an animated GIF.
+
+    Args:
+        robot: The robot.
+        scene: The scene of the case.
+        planned: The drive to draw.
+        result: The result, for its energies.
+        folder: Folder of the files.
 
     Returns:
-        Paths of `picture` and `film`; None where there is none.
+        Paths of the `picture` and the `film`; None for a file that was not written, and for both
+        if matplotlib is not installed.
     """
     try:
         from omniman_ros.lab.figures import mpc as mpc_picture
@@ -157,18 +196,18 @@ def draw_case(
     name = scene.name
     path, film = folder / f"reproduce_{name}.png", folder / f"reproduce_{name}.gif"
     if name == "free":
-        mpc_picture.draw_free(robot, scene, ride, result, path)
+        mpc_picture.draw_free(robot, scene, planned, result, path)
     elif name == "workshop":
-        mpc_picture.draw_trail(robot, scene, ride, path)
+        mpc_picture.draw_trail(robot, scene, planned, path)
     else:
-        mpc_picture.draw_case(robot, scene, ride, path, *CASES[name].layout)
+        mpc_picture.draw_case(robot, scene, planned, path, *CASES[name].layout)
     if name == "moving":
-        mpc_picture.animate(robot, scene, ride, film)
+        mpc_picture.animate(robot, scene, planned, film)
     return {"picture": str(path), "film": str(film) if name == "moving" else None}
 
 
 def report(result: Mapping[str, Any]) -> list[str]:
-    """Return the lines of the tables."""
+    """Return the lines of the report on the terminal."""
     rows: list[tuple[str, ...]] = [
         (
             "",
@@ -180,18 +219,18 @@ def report(result: Mapping[str, Any]) -> list[str]:
             "braked",
             "CPU median",
             "p99",
-            "off path",
+            "tracking error",
         )
     ]
     rows += [_drive_cells(row) for row in result["drives"]]
     lines = ["", *table(rows)]
     if result["case"] == "free":
-        lines += ["", *_slant_lines(result["drives"])]
+        lines += ["", *_diagonal_lines(result["drives"])]
         lines += ["", *energy_lines(result)]
     failed = [row["about"] for row in result["drives"] if not row["reached"] or row["collided"]]
     passed = verdict(result["passed"], "passed", "FAILED")
-    named = f" (not reached or touched: {', '.join(failed)})" if failed else ""
-    lines += ["", f"Goal reached without contact, with the defaults: {passed}{named}"]
+    names = f" (goal missed or contact: {', '.join(failed)})" if failed else ""
+    lines += ["", f"Goal reached without contact, with the defaults: {passed}{names}"]
     for label, path in (("Picture", result["picture"]), ("Film", result["film"])):
         if path:
             lines.append(f"{label}: {path}")
@@ -202,20 +241,21 @@ def _drive_cells(row: Mapping[str, Any]) -> tuple[str, ...]:
     return (
         row["about"],
         "CONTACT" if row["collided"] else "yes" if row["reached"] else row["state"],
-        number(row["time_s"], "s", 2),
-        number(row["energy_j"], "J", 0),
-        number(1e3 * row["clearance_m"], "mm", 0),
+        format_quantity(row["time_s"], "s", 2),
+        format_quantity(row["energy_j"], "J", 0),
+        format_quantity(1e3 * row["clearance_m"], "mm", 0),
         f"{row['plans_used']} of {row['cycles']}",
         f"{row['brakings']}",
-        number(row["cpu_median_ms"], "ms", 1),
-        number(row["cpu_p99_ms"], "ms", 1),
-        number(1e3 * row["tracking_m"], "mm", 0),
+        format_quantity(row["cpu_median_ms"], "ms", 1),
+        format_quantity(row["cpu_p99_ms"], "ms", 1),
+        format_quantity(1e3 * row["tracking_m"], "mm", 0),
     )
 
 
-def _slant_lines(drives: Sequence[Mapping[str, Any]]) -> list[str]:
+def _diagonal_lines(drives: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return the table that shows how closely each drive kept to a roller diagonal."""
     rows: list[tuple[str, ...]] = [
-        ("", "along a diagonal", "of the way", "nearest", "at", "turned by")
+        ("", "along a diagonal", "of the time", "smallest angle", "at", "largest turn")
     ]
     for row in drives:
         rows.append(
@@ -223,9 +263,9 @@ def _slant_lines(drives: Sequence[Mapping[str, Any]]) -> list[str]:
                 row["about"],
                 "yes" if row["along_diagonal"] else "no",
                 f"{100 * row['share']:.0f} %",
-                number(math.degrees(row["nearest_rad"]), "deg", 0),
-                number(row["nearest_s"], "s", 1),
-                number(math.degrees(row["peak_turn_rad"]), "deg", 0),
+                format_quantity(math.degrees(row["nearest_rad"]), "deg", 0),
+                format_quantity(row["nearest_s"], "s", 1),
+                format_quantity(math.degrees(row["peak_turn_rad"]), "deg", 0),
             )
         )
     limit = math.degrees(NEAR_DIAGONAL)

@@ -1,4 +1,7 @@
-"""`omniman reproduce coupling`: the coupling error along the path of CCTA 2017, Fig. 7."""
+"""`omniman reproduce coupling`: the coupling error along the path of CCTA 2017, Fig. 7.
+
+The path is driven with random wheels, with and without coupling control, over a range of gains.
+"""
 
 import argparse
 import os
@@ -15,7 +18,7 @@ from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
 from omniman_ros.lab.reproduce.pipeline import collect, publish
-from omniman_ros.lab.studies.coupling import SMOOTHING, SPREAD, Run, Setup
+from omniman_ros.lab.studies.coupling import MISMATCH_SPREAD, SMOOTHING_WINDOW, Run, Setup
 from omniman_ros.lab.studies.coupling_sweep import (
     AIM,
     FULL,
@@ -33,26 +36,34 @@ from omniman_ros.motion.figure7 import Figure7, movements
 from omniman_ros.robots import load_robot
 
 NAME = "reproduce_coupling"
+"""Name of the results, without a suffix."""
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the coupling study; return 0, whatever its figures."""
+    """Run `omniman reproduce coupling`.
+
+    Args:
+        args: Parsed command line.
+
+    Returns:
+        0, whether or not the aim is met.
+    """
     plan = QUICK if args.quick else FULL if args.full else STANDARD
     robot = load_robot(args.robot)
-    chosen = build(PlatformParameters, robot).coupling.k_epsilon
+    own_gain = build(PlatformParameters, robot).coupling.k_epsilon
     setup = Setup(robot, plan.figure)
-    todo = cases(plan, robot, chosen, args.seed)
+    selected = cases(plan, robot, own_gain, args.seed)
     started = time.monotonic()
     progress = Progress()
     progress.headline(
-        f"Coupling control along the path of CCTA 2017, Fig. 7: {len(todo)} drives of "
+        f"Coupling control along the path of CCTA 2017, Fig. 7: {len(selected)} drives of "
         f"{plan.figure.duration:.0f} s each, robot '{args.robot}'"
     )
-    swept = sweep(setup, todo, os.cpu_count() or 1)
-    runs = collect(progress, "drives", swept, len(todo), "drives")
-    progress.begin("late commands")
-    steps = responses(plan, robot, chosen)
-    progress.end(f"{len(steps)} steps on blocks")
+    generator = sweep(setup, selected, os.cpu_count() or 1)
+    runs = collect(progress, "drives", generator, len(selected), "drives")
+    progress.begin("delayed commands")
+    steps = responses(plan, robot, own_gain)
+    progress.end(f"{len(steps)} step responses with the wheels off the floor")
     rows = summary(runs)
     result = {
         "robot": args.robot,
@@ -60,11 +71,11 @@ def run(args: argparse.Namespace) -> int:
         "full": args.full,
         "seed": args.seed,
         "paper_gain": PAPER_GAIN,
-        "chosen_gain": chosen,
+        "chosen_gain": own_gain,
         "samples": plan.samples,
-        "spread": SPREAD,
-        "noise_window_s": SMOOTHING,
-        "path": path_of(plan),
+        "spread": MISMATCH_SPREAD,
+        "noise_window_s": SMOOTHING_WINDOW,
+        "path": describe_path(plan),
         "table": rows,
         "uncontrolled_rad": movement_peaks(plan.figure, runs),
         "late_commands": [
@@ -79,8 +90,8 @@ def run(args: argparse.Namespace) -> int:
         ],
         "aim": {
             "ratio": AIM,
-            "reached": reached(rows, chosen),
-            "met": reached(rows, chosen) <= AIM,
+            "reached": remaining_ratio(rows, own_gain),
+            "met": remaining_ratio(rows, own_gain) <= AIM,
         },
     }
     picture = draw(build(Robot, robot), plan, runs, result, Path(args.results))
@@ -89,8 +100,8 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def path_of(plan: Plan) -> dict[str, Any]:
-    """Describe the path, which is the same for all drives."""
+def describe_path(plan: Plan) -> dict[str, Any]:
+    """Return the properties of the path for the JSON; all drives follow the same path."""
     figure = plan.figure
     return {
         "line_m": figure.length,
@@ -102,19 +113,26 @@ def path_of(plan: Plan) -> dict[str, Any]:
 
 
 def movement_peaks(figure: Figure7, runs: Sequence[Run]) -> dict[str, float]:
-    """Return the largest change of epsilon within each movement without control [rad].
+    """Return the largest change of the coupling error in each movement without control [rad].
 
-    The change is since the begin of the movement, and the mean over the wheels of group P. The
-    result is empty without such drives.
+    The change is taken relative to the start of the movement, and averaged over the drives of
+    group P without coupling control.
+
+    Args:
+        figure: The path in time.
+        runs: The drives.
+
+    Returns:
+        The changes by the name of the movement; empty if there are no such drives.
     """
-    off = [run for run in runs if run.case.group == "P" and run.case.gain == 0.0]
-    if not off:
+    uncontrolled = [run for run in runs if run.case.group == "P" and run.case.gain == 0.0]
+    if not uncontrolled:
         return {}
     peaks = {}
     for leg, movement in zip(figure.legs(0.0), movements(figure.length), strict=True):
         first, last = leg.begin, leg.begin + figure.law.duration(movement.length)
         changes = []
-        for run in off:
+        for run in uncontrolled:
             inside = (run.time >= first) & (run.time <= last)
             epsilon = run.epsilon[inside]
             changes.append(float(np.abs(epsilon - epsilon[:1]).max(initial=0.0)))
@@ -122,21 +140,21 @@ def movement_peaks(figure: Figure7, runs: Sequence[Run]) -> dict[str, float]:
     return peaks
 
 
-def row_of(rows: Sequence[dict[str, Any]], group: str, gain: float) -> dict[str, Any]:
-    """Return the row of a group and a gain."""
+def find_row(rows: Sequence[dict[str, Any]], group: str, gain: float) -> dict[str, Any]:
+    """Return the row of the table for a group and a gain [1/s]."""
     return next(row for row in rows if (row["group"], row["k"]) == (group, gain))
 
 
-def reached(rows: Sequence[dict[str, Any]], gain: float) -> float:
-    """Return the mean ratio of max |epsilon| to that without control, of the P loops."""
-    ratio: float = row_of(rows, "P", gain)["epsilon_ratio"]["mean"]
+def remaining_ratio(rows: Sequence[dict[str, Any]], gain: float) -> float:
+    """Return the mean ratio of max |epsilon| at a gain [1/s] to that without control, P loops."""
+    ratio: float = find_row(rows, "P", gain)["epsilon_ratio"]["mean"]
     return ratio
 
 
 def draw(
     robot: Robot, plan: Plan, runs: Sequence[Run], result: dict[str, Any], folder: Path
 ) -> Path | None:
-    """Draw the figure into a PNG file if matplotlib is installed."""
+    """Draw the study as a PNG file; return its path, or None if matplotlib is not installed."""
     try:
         from omniman_ros.lab.figures import coupling as coupling_picture
     except ImportError:
@@ -147,7 +165,10 @@ def draw(
 
 
 def report(result: dict[str, Any]) -> list[str]:
-    """Return the lines of the tables, whose figures are means over the random wheels."""
+    """Return the lines of the report on the terminal.
+
+    Unless noted otherwise, values are means over the sets of random wheels.
+    """
     lines = []
     groups = dict.fromkeys((row["group"], row["about"]) for row in result["table"])
     for group, about in groups:
@@ -156,21 +177,24 @@ def report(result: dict[str, Any]) -> list[str]:
                 "k [1/s]",
                 "max |eps|",
                 "RMS",
-                "of off",
+                "ratio to off",
                 "worst",
-                "slip",
+                "slip loss",
                 "energy",
-                "noise",
-                "asked",
-                "odom end",
+                "speed noise",
+                "command noise",
+                "odom error, end",
                 "max",
             )
         ]
         for row in result["table"]:
             if row["group"] == group:
                 rows.append(_cells(row))
-        lines += ["", f"{about}, mean of {result['samples']}:", *table(rows)]
-    lines += ["", "Step of epsilon with wheels off the floor, commands late by:"]
+        lines += ["", f"{about}, mean of {result['samples']} sets of wheels:", *table(rows)]
+    lines += [
+        "",
+        "Overshoot after a step of epsilon, wheels off the floor, by delay of the commands:",
+    ]
     delays = sorted({step["delay_s"] for step in result["late_commands"]})
     gains = sorted({step["k"] for step in result["late_commands"]})
     rows = [("k [1/s]", *(f"{1e3 * delay:g} ms" for delay in delays))]
@@ -178,11 +202,11 @@ def report(result: dict[str, Any]) -> list[str]:
         rows.append((f"{gain:g}", *(_overshoot(result, gain, delay) for delay in delays)))
     lines += table(rows)
     aim = result["aim"]
-    met = verdict(aim["met"])
+    outcome = verdict(aim["met"])
     lines += [
         "",
-        f"max |eps| at k = {result['chosen_gain']:g} over that without control: "
-        f"{aim['reached']:.3f}, aim {aim['ratio']:g}: {met}",
+        f"max |eps| at k = {result['chosen_gain']:g} in relation to that without control: "
+        f"{aim['reached']:.3f}, aim at most {aim['ratio']:g}: {outcome}",
     ]
     if result["picture"]:
         lines += [f"Picture: {result['picture']}"]

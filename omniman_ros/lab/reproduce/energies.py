@@ -1,4 +1,7 @@
-"""Energies of the free case of MPC 2021: the planner against straight lines, by goal."""
+"""Energies of the free case of MPC 2021: planner and straight line compared for each goal.
+
+Both arrive at the same time; see `studies.kinematic_comparison`.
+"""
 
 import argparse
 import math
@@ -19,69 +22,79 @@ from omniman_ros.lab.studies.recorded_drive import StudyError
 def measure_energies(
     args: argparse.Namespace, robot: Mapping[str, Any], progress: Progress
 ) -> list[dict[str, Any]]:
-    """Measure the table of energies, a row for each goal; a row that fails contains its fault.
+    """Measure the energies to all goals, in parallel.
 
     Args:
-        args: Command line.
+        args: Parsed command line.
         robot: Parameters of the robot, full names to values.
         progress: Progress bar.
+
+    Returns:
+        One row for each goal, as returned by :func:`energy_row`.
     """
-    todo = [goal for goal in goals(args.full) if not args.quick or goal == (1.0, 0.0)]
-    with ProcessPoolExecutor(min(len(todo), os.cpu_count() or 1)) as pool:
-        rows = pool.map(partial(energy_row, dict(robot), args.full), todo)
-        unit = "goals, each at the arrival time of the planner"
-        return collect(progress, "energy", rows, len(todo), unit)
+    selected = [goal for goal in goals(args.full) if not args.quick or goal == (1.0, 0.0)]
+    with ProcessPoolExecutor(min(len(selected), os.cpu_count() or 1)) as pool:
+        rows = pool.map(partial(energy_row, dict(robot), args.full), selected)
+        unit = "goals, with the arrival times of the planner"
+        return collect(progress, "energy", rows, len(selected), unit)
 
 
-def energy_row(robot: Mapping[str, Any], both: bool, goal: tuple[float, float]) -> dict[str, Any]:
-    """Measure the energies to one goal, with the planner and on straight lines.
+def energy_row(
+    robot: Mapping[str, Any], all_limits: bool, goal: tuple[float, float]
+) -> dict[str, Any]:
+    """Measure the energies to one goal, with the planner and along a straight line.
 
     Args:
         robot: Parameters of the robot, full names to values.
-        both: Whether the line is also driven with all limits lowered, besides the speed alone.
+        all_limits: Whether the line is driven a second time with all limits lowered, in addition
+            to the drive with only the speed lowered.
         goal: Distance [m] and bearing [rad] of the goal.
+
+    Returns:
+        The row for the JSON. If the comparison fails, `fault` has the reason, and the measured
+        values are NaN.
     """
     distance, bearing = goal
     row: dict[str, Any] = {"distance_m": distance, "bearing_deg": math.degrees(bearing)}
     try:
-        found: Comparison | None = compare(robot, distance, bearing, {}, both)
+        comparison: Comparison | None = compare(robot, distance, bearing, {}, all_limits)
         row["fault"] = ""
     except StudyError as error:
-        found, row["fault"] = None, str(error)
+        comparison, row["fault"] = None, str(error)
     nan = math.nan
     return row | {
-        "arrival_s": found.arrival if found else nan,
-        "lateness_s": found.lateness if found else nan,
-        "peak_turn_rad": found.peak if found else nan,
-        "energy_j": found.energy if found else nan,
-        "speed_only_j": found.speed_only if found else nan,
-        "all_limits_j": found.all_limits if found else nan,
-        "ratio": found.ratio if found else nan,
+        "arrival_s": comparison.arrival if comparison else nan,
+        "lateness_s": comparison.lateness if comparison else nan,
+        "peak_turn_rad": comparison.peak if comparison else nan,
+        "energy_j": comparison.energy if comparison else nan,
+        "speed_only_j": comparison.speed_only if comparison else nan,
+        "all_limits_j": comparison.all_limits if comparison else nan,
+        "ratio": comparison.ratio if comparison else nan,
     }
 
 
-def number(value: float, unit: str, digits: int) -> str:
-    """Format a value with its unit; a dash if it is not finite."""
+def format_quantity(value: float, unit: str, digits: int) -> str:
+    """Format a value with its unit and a number of decimals; return a dash if it is not finite."""
     return f"{value:.{digits}f} {unit}" if math.isfinite(value) else "-"
 
 
 def energy_lines(result: Mapping[str, Any]) -> list[str]:
-    """Return the lines of the table of energies."""
+    """Return the lines of the table of energies, followed by the faults."""
     rows: list[tuple[str, ...]] = [
-        ("goal", "arrival", "planner", "line, slower", "slower, softer", "ratio", "turned")
+        ("goal", "arrival", "planner", "line, slower", "slower, softer", "ratio", "largest turn")
     ]
     for row in result["energy"]:
         rows.append(
             (
                 f"{row['distance_m']:g} m at {row['bearing_deg']:g} deg",
-                number(row["arrival_s"], "s", 2),
-                number(row["energy_j"], "J", 1),
-                number(row["speed_only_j"], "J", 1),
-                number(row["all_limits_j"], "J", 1),
-                number(row["ratio"], "", 2).rstrip(),
-                number(math.degrees(row["peak_turn_rad"]), "deg", 0),
+                format_quantity(row["arrival_s"], "s", 2),
+                format_quantity(row["energy_j"], "J", 1),
+                format_quantity(row["speed_only_j"], "J", 1),
+                format_quantity(row["all_limits_j"], "J", 1),
+                format_quantity(row["ratio"], "", 2).rstrip(),
+                format_quantity(math.degrees(row["peak_turn_rad"]), "deg", 0),
             )
         )
     faults = [row["fault"] for row in result["energy"] if row["fault"]]
-    head = "Energy until rest at equal arrival times, planner and straight line:"
-    return [head, *table(rows), *(f"  {fault}" for fault in faults)]
+    heading = "Energy until rest of the planner and of a straight line, at equal arrival times:"
+    return [heading, *table(rows), *(f"  {fault}" for fault in faults)]

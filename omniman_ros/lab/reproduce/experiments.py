@@ -1,4 +1,4 @@
-"""The experiments of `omniman reproduce`, as a table."""
+"""Table of the experiments of `omniman reproduce`."""
 
 from dataclasses import dataclass
 
@@ -10,11 +10,11 @@ class Experiment:
     """An experiment.
 
     Attributes:
-        name: Name on the command line; its result is `reproduce_NAME.json`.
-        module: Module whose `run(args)` is the experiment; it is imported when it runs.
-        robot: Robot that drives where none is named.
-        minutes: Duration of the default size on two free cores [min].
-        caption: Caption of its picture.
+        name: Name on the command line; the result is written to `reproduce_NAME.json`.
+        module: Module whose function `run(args)` runs the experiment; it is imported only then.
+        robot: Robot that is used if the command line names none.
+        minutes: Approximate duration at the default size on two idle cores [min].
+        caption: Caption of the picture.
     """
 
     name: str
@@ -25,7 +25,7 @@ class Experiment:
 
     @property
     def result_name(self) -> str:
-        """Name of its results, without a suffix."""
+        """Name of the results, without a suffix."""
         return f"reproduce_{self.name}"
 
 
@@ -37,14 +37,14 @@ EXPERIMENTS = {
             "omniman_ros.lab.reproduce.coupling",
             "omniman",
             5,
-            "Coupling error along the path of CCTA 2017, Fig. 7, and what the gain does",
+            "Coupling error along the path of CCTA 2017, Fig. 7, and the effect of the gain",
         ),
         Experiment(
             "tool_path",
             "omniman_ros.lab.reproduce.tool_path",
             "omniman",
             1,
-            "Tool on its path, platform and arm in step: with the arm's correction, without",
+            "Error of the tool on its path, with and without correction by the arm",
         ),
         Experiment("free", _CASES, "ig42", 1, "Free movement, MPC 2021, 4.1"),
         Experiment("corridor", _CASES, "ig42", 1, "Narrow corridor, MPC 2021, 4.2"),
@@ -61,10 +61,10 @@ EXPERIMENTS = {
             "omniman_ros.lab.reproduce.scenes",
             "ig42",
             7,
-            "Random scenes: those that failed, then those that came closest to something",
+            "Random scenes: failed drives first, then those with the smallest gaps",
         ),
     )
 }
-"""The experiments by name, in the order in which they are run and reported."""
+"""Experiments by name, in the order in which `all` runs and reports them."""
 SCENES_OPTIONS = ("count", "seeds", "jobs", "solve_time")
-"""Options of the command line that only the experiment `scenes` has."""
+"""Command-line options that apply to the experiment `scenes` only."""

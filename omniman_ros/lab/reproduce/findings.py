@@ -1,6 +1,7 @@
-"""Findings: what the results of the experiments say about the papers' claims.
+"""Findings: evaluation of the experiments' results with regard to the papers' claims.
 
-All functions are pure: they map the results' JSON to a finding.
+All functions are pure: they map the JSON of the results to a :class:`Finding`. They raise a
+`LookupError`, `TypeError` or `ValueError` if a value that they need is missing from the results.
 """
 
 import math
@@ -12,28 +13,32 @@ from typing import Any
 from omniman_ros.lab.studies.coupling_sweep import AIM, PAPER_GAIN
 
 Result = Mapping[str, Any]
+"""The JSON of one experiment, or a part of it."""
 Results = Mapping[str, Result]
-"""The JSON of each experiment, by its name."""
+"""The JSON of all experiments, by the name of the experiment."""
 
 PAPER_PLANNER = "the paper's horizon and cost"
-"""Name of the drives with the paper's setting."""
+"""Description (`about`) of the drives with the horizon and the cost of MPC 2021."""
 VOLTAGES = "voltages put out"
-"""Name of the drives with the paper's kind of output."""
+"""Description (`about`) of the drives in which the planner's motor voltages are applied."""
 DISTINGUISHABLE = 0.01
-"""Change of epsilon by which a movement can be distinguished: some 20 steps of encoders with 50000
-counts per turn [rad]."""
-TURNED = math.radians(10.0)
-"""Change of heading from which the robot counts as having rotated while it drives [rad]."""
-STAGE = 0.1
-"""Time that the paper's controller has for a plan, its Delta t [s]."""
+"""Smallest change of the coupling error epsilon within a movement that counts as distinguishable
+[rad]: about 80 counts of one wheel's encoder with 50000 counts per turn."""
+MIN_TURN = math.radians(10.0)
+"""Smallest change of heading that counts as a rotation of the robot during a drive [rad]."""
+STAGE_DURATION = 0.1
+"""Duration of a stage in MPC 2021 (Delta t), within which a plan must be computed [s]."""
 SETPOINT_PERIOD = 8.0
-"""Period of the arm's setpoints [ms]."""
+"""Period of the arm's setpoints in CCTA 2017 [ms]."""
 SETPOINT_TOLERANCE = 0.1
-"""Largest difference of the median period of the setpoints from `SETPOINT_PERIOD` [ms]."""
+"""Largest accepted difference of the median interval from `SETPOINT_PERIOD` [ms]."""
 
 
 class Verdict(Enum):
-    """The verdict of a comparison."""
+    """Verdict of the comparison of a measurement with a claim.
+
+    SHOWN: the paper gives nothing to compare with. MISSING: there is no measurement.
+    """
 
     AGREES = "agrees"
     PARTLY = "partly"
@@ -43,15 +48,15 @@ class Verdict(Enum):
 
     @staticmethod
     def of(good: bool) -> "Verdict":
-        """Return AGREES or DIFFERS."""
+        """Return AGREES for True, DIFFERS for False."""
         return Verdict.AGREES if good else Verdict.DIFFERS
 
     @staticmethod
     def all_of(good: Sequence[bool]) -> "Verdict":
-        """Return AGREES if all are good, PARTLY if some are, else DIFFERS.
+        """Return AGREES if all values are True, PARTLY if some are, else DIFFERS.
 
         Raises:
-            LookupError: There is nothing to judge.
+            LookupError: There are no values.
         """
         if not good:
             raise LookupError("nothing to judge")
@@ -62,11 +67,11 @@ class Verdict(Enum):
 
 @dataclass(frozen=True)
 class Finding:
-    """A finding: what was measured, and how that compares with what is published.
+    """A measurement and its comparison with a published claim.
 
     Attributes:
         values: Measured values, with their units in their names.
-        text: The values in words.
+        text: Measured values as a phrase for the report.
         verdict: Verdict of the comparison.
     """
 
@@ -75,70 +80,74 @@ class Finding:
     verdict: Verdict = Verdict.SHOWN
 
 
-def row(result: Result, group: str, gain: float) -> Result:
-    """Return the figures of the coupling study for a group of wheels and a gain."""
-    return _only(result["table"], lambda item: (item["group"], item["k"]) == (group, gain))
+def find_row(result: Result, group: str, gain: float) -> Result:
+    """Return the row of the coupling study for a group of drives and a gain [1/s]."""
+    return _first(result["table"], lambda item: (item["group"], item["k"]) == (group, gain))
 
 
-def drive(result: Result, about: str = "defaults") -> Result:
-    """Return the drive of a case with a setting."""
-    return _only(result["drives"], lambda item: item["about"] == about)
+def find_drive(result: Result, about: str = "defaults") -> Result:
+    """Return the drive of a case with the given description."""
+    return _first(result["drives"], lambda item: item["about"] == about)
 
 
-def _only(items: Sequence[Result], which: Callable[[Result], bool]) -> Result:
-    """Return the first item for which a condition holds."""
-    matches = [item for item in items if which(item)]
+def _first(items: Sequence[Result], condition: Callable[[Result], bool]) -> Result:
+    """Return the first item that satisfies a condition.
+
+    Raises:
+        LookupError: No item does.
+    """
+    matches = [item for item in items if condition(item)]
     return matches[0]
 
 
-def _clear(ride: Result) -> bool:
+def _succeeded(drive: Result) -> bool:
     """Return whether a drive reached its goal without a collision."""
-    return bool(ride["reached"] and not ride["collided"])
+    return bool(drive["reached"] and not drive["collided"])
 
 
 # ---- CCTA 2017 ----------------------------------------------------------------------------------
 
 
-def uncontrolled(results: Results) -> Finding:
-    """Judge the coupling error without control, as a whole and in each movement."""
+def uncontrolled_error(results: Results) -> Finding:
+    """Judge whether each movement changes the coupling error noticeably without control."""
     study = results["coupling"]
-    largest = row(study, "P", 0.0)["epsilon_max"]["mean"]
+    largest = find_row(study, "P", 0.0)["epsilon_max"]["mean"]
     peaks = list(study["uncontrolled_rad"].values())
-    seen = [peak >= DISTINGUISHABLE for peak in peaks]
+    distinguishable = [peak >= DISTINGUISHABLE for peak in peaks]
     return Finding(
         {"epsilon_max_rad": largest, "movement_rad": peaks},
         f"max |ε| {largest:.2f} rad; within a movement {min(peaks):.2f} to {max(peaks):.2f} rad, "
-        f"{sum(seen)} of {len(seen)} stand out",
-        Verdict.all_of(seen),
+        f"{sum(distinguishable)} of {len(distinguishable)} distinguishable",
+        Verdict.all_of(distinguishable),
     )
 
 
-def remaining(group: str, own: bool) -> Callable[[Results], Finding]:
-    """Judge the share of the coupling error that remains with control.
+def remaining_error(group: str, own: bool) -> Callable[[Results], Finding]:
+    """Return a function that judges the fraction of the coupling error that remains with control.
 
     Args:
-        group: Group of wheels.
-        own: Whether the gain is the robot's own, instead of the paper's.
+        group: Group of drives in the coupling study, such as "P".
+        own: Whether the gain is the robot's own instead of the paper's.
     """
 
     def measure(results: Results) -> Finding:
         study = results["coupling"]
         gain = study["chosen_gain"] if own else PAPER_GAIN
-        here = row(study, group, gain)
-        mean, worst = here["epsilon_ratio"]["mean"], here["epsilon_ratio"]["worst"]
+        found = find_row(study, group, gain)
+        mean, worst = found["epsilon_ratio"]["mean"], found["epsilon_ratio"]["worst"]
         return Finding(
             {"k": gain, "ratio": mean, "worst": worst},
-            f"{mean:.2f} of it stays at k = {gain:g} (worst wheels {worst:.2f}): "
-            f"{here['epsilon_max']['mean']:.2f} rad",
+            f"{mean:.2f} of it remains at k = {gain:g} (worst wheels {worst:.2f}): "
+            f"{found['epsilon_max']['mean']:.2f} rad",
             Verdict.of(mean <= AIM),
         )
 
     return measure
 
 
-def slip(results: Results) -> Finding:
-    """Judge the slip losses without control and with the paper's gain."""
-    off, on = (row(results["coupling"], "P", gain) for gain in (0.0, PAPER_GAIN))
+def slip_losses(results: Results) -> Finding:
+    """Judge whether control with the paper's gain reduces the slip losses."""
+    off, on = (find_row(results["coupling"], "P", gain) for gain in (0.0, PAPER_GAIN))
     before, after = off["slip"]["mean"], on["slip"]["mean"]
     return Finding(
         {"off_j": before, "on_j": after},
@@ -147,41 +156,42 @@ def slip(results: Results) -> Finding:
     )
 
 
-def odometry(results: Results) -> Finding:
-    """Judge the largest error of odometry without control and with the paper's gain."""
+def odometry_error(results: Results) -> Finding:
+    """Judge whether control with the paper's gain reduces the largest error of odometry."""
     study = results["coupling"]
     groups = dict.fromkeys(item["group"] for item in study["table"])
-    words = {"P": "P loops", "PI": "PI loops", "radii": "radii off", "ice": "ice"}
-    values, said, better = {}, [], []
+    labels = {"P": "P loops", "PI": "PI loops", "radii": "radius errors", "ice": "ice"}
+    values, texts, improved = {}, [], []
     for group in groups:
         before, after = (
-            1e3 * row(study, group, gain)["odometry_max"]["mean"] for gain in (0.0, PAPER_GAIN)
+            1e3 * find_row(study, group, gain)["odometry_max"]["mean"]
+            for gain in (0.0, PAPER_GAIN)
         )
         values[group] = [before, after]
-        said.append(f"{words.get(group, group)} {before:.1f} → {after:.1f} mm")
-        better.append(after < before)
-    return Finding({"mm": values}, ", ".join(said), Verdict.all_of(better))
+        texts.append(f"{labels.get(group, group)} {before:.1f} → {after:.1f} mm")
+        improved.append(after < before)
+    return Finding({"mm": values}, ", ".join(texts), Verdict.all_of(improved))
 
 
-def in_step(results: Results) -> Finding:
-    """Measure the distance of the tool from its timed path, platform and arm in step."""
+def tool_tracking(results: Results) -> Finding:
+    """Return the tracking error of the tool while platform and arm move together."""
     study = results["tool_path"]
-    rides = [ride for ride in study["drives"] if ride["correction"]]
-    rms, most = (max(ride[name] for ride in rides) for name in ("rms_mm", "max_mm"))
+    corrected = [drive for drive in study["drives"] if drive["correction"]]
+    rms, largest = (max(drive[name] for drive in corrected) for name in ("rms_mm", "max_mm"))
     bounds = study["bounds"]
     return Finding(
-        {"rms_mm": rms, "max_mm": most},
-        f"tool off its timed path by {rms:.2f} mm RMS, {most:.2f} mm at most "
+        {"rms_mm": rms, "max_mm": largest},
+        f"tracking error of the tool {rms:.2f} mm RMS, {largest:.2f} mm at most "
         f"(own bounds {bounds['rms_mm']:g} and {bounds['max_mm']:g} mm)",
     )
 
 
-def setpoints(name: str, *path: str) -> Callable[[Results], Finding]:
-    """Judge the interval of the arm's setpoints.
+def setpoint_interval(name: str, *path: str) -> Callable[[Results], Finding]:
+    """Return a function that judges the interval between the arm's setpoints.
 
     Args:
         name: Name of the result.
-        path: Keys of the figures in the result.
+        path: Keys that lead to the statistics (`p50_ms`, `p99_ms`) within the result.
     """
 
     def measure(results: Results) -> Finding:
@@ -201,128 +211,149 @@ def setpoints(name: str, *path: str) -> Callable[[Results], Finding]:
 # ---- MPC 2021 -----------------------------------------------------------------------------------
 
 CASES = ("free", "corridor", "moving")
-"""Experiments that are cases of the paper."""
+"""Experiments that reproduce the test cases of MPC 2021."""
 
 
-def in_time(about: str) -> Callable[[Results], Finding]:
-    """Judge the CPU time of a planner's cycle: the largest p99 of the three cases."""
+def planning_time(about: str) -> Callable[[Results], Finding]:
+    """Return a function that judges the CPU time of a planner cycle.
+
+    The largest p99 of the three cases must be below the duration of a stage.
+
+    Args:
+        about: Description of the drives.
+    """
 
     def measure(results: Results) -> Finding:
-        rides = [drive(results[name], about) for name in CASES]
-        middle = max(ride["cpu_median_ms"] for ride in rides)
-        high = max(ride["cpu_p99_ms"] for ride in rides)
+        drives = [find_drive(results[name], about) for name in CASES]
+        median = max(drive["cpu_median_ms"] for drive in drives)
+        p99 = max(drive["cpu_p99_ms"] for drive in drives)
         return Finding(
-            {"median_ms": middle, "p99_ms": high},
-            f"CPU of a cycle: median {middle:.1f} ms, p99 {high:.1f} ms, the worst of three cases",
-            Verdict.of(high < 1e3 * STAGE),
+            {"median_ms": median, "p99_ms": p99},
+            f"CPU time of a cycle: median {median:.1f} ms, p99 {p99:.1f} ms, worst of three cases",
+            Verdict.of(p99 < 1e3 * STAGE_DURATION),
         )
 
     return measure
 
 
-def arrives(about: str) -> Callable[[Results], Finding]:
-    """Judge whether the robot reaches the goal in all three cases without contact."""
+def goals_reached(about: str) -> Callable[[Results], Finding]:
+    """Return a function that judges whether the goals of all three cases are reached.
+
+    A drive with a contact does not count as reaching its goal.
+
+    Args:
+        about: Description of the drives.
+    """
 
     def measure(results: Results) -> Finding:
-        rides = {name: drive(results[name], about) for name in CASES}
-        good = {name: _clear(ride) for name, ride in rides.items()}
+        drives = {name: find_drive(results[name], about) for name in CASES}
+        succeeded = {name: _succeeded(drive) for name, drive in drives.items()}
         times = ", ".join(
-            f"{name} {ride['time_s']:.1f} s" if good[name] else f"{name} FAILED"
-            for name, ride in rides.items()
+            f"{name} {drive['time_s']:.1f} s" if succeeded[name] else f"{name} FAILED"
+            for name, drive in drives.items()
         )
-        return Finding(good, times, Verdict.all_of(list(good.values())))
+        return Finding(succeeded, times, Verdict.all_of(list(succeeded.values())))
 
     return measure
 
 
-def duration(results: Results) -> Finding:
-    """Measure the time of the free case."""
-    ride = drive(results["free"])
+def free_duration(results: Results) -> Finding:
+    """Return the duration and the energy of the free case."""
+    drive = find_drive(results["free"])
     return Finding(
-        {"time_s": ride["time_s"], "energy_j": ride["energy_j"]},
-        f"{ride['time_s']:.1f} s, {ride['energy_j']:.0f} J for 6 m",
+        {"time_s": drive["time_s"], "energy_j": drive["energy_j"]},
+        f"{drive['time_s']:.1f} s, {drive['energy_j']:.0f} J for 6 m",
     )
 
 
-def along_diagonal(about: str) -> Callable[[Results], Finding]:
-    """Judge whether the robot rotates on free ground, and drives along a roller diagonal."""
+def diagonal_travel(about: str) -> Callable[[Results], Finding]:
+    """Return a function that judges the rotation and the direction of travel without obstacles.
+
+    The robot should rotate, and travel along a roller diagonal most of the time.
+
+    Args:
+        about: Description of the drive.
+    """
 
     def measure(results: Results) -> Finding:
-        ride = drive(results["free"], about)
-        turned = ride["peak_turn_rad"]
+        drive = find_drive(results["free"], about)
+        turned = drive["peak_turn_rad"]
         return Finding(
-            {"turned_rad": turned, "share": ride["share"]},
-            f"turns by {math.degrees(turned):.0f}°, near a diagonal in "
-            f"{100 * ride['share']:.0f} % of the time",
-            Verdict.all_of([turned >= TURNED, ride["along_diagonal"]]),
+            {"turned_rad": turned, "share": drive["share"]},
+            f"turns by {math.degrees(turned):.0f}°, near a diagonal for "
+            f"{100 * drive['share']:.0f} % of the time",
+            Verdict.all_of([turned >= MIN_TURN, drive["along_diagonal"]]),
         )
 
     return measure
 
 
-def economy(results: Results) -> Finding:
-    """Judge the energy over that of a straight line in one heading, at the same arrival time."""
-    rows = [item for item in results["free"]["energy"] if item["ratio"] is not None]
-    ratios = [item["ratio"] for item in rows]
-    least, most = min(ratios), max(ratios)
-    less = sum(ratio < 1.0 for ratio in ratios)
+def energy_ratio(results: Results) -> Finding:
+    """Judge whether the planner needs less energy than a straight line with a constant heading.
+
+    Both arrive at the same time.
+    """
+    ratios = [row["ratio"] for row in results["free"]["energy"] if row["ratio"] is not None]
+    savings = sum(ratio < 1.0 for ratio in ratios)
     return Finding(
         {"ratios": ratios},
-        f"{least:.2f} to {most:.2f} of a straight line's energy; less for {less} of "
-        f"{len(ratios)} goals",
+        f"{min(ratios):.2f} to {max(ratios):.2f} of a straight line's energy; "
+        f"less for {savings} of {len(ratios)} goals",
         Verdict.all_of([ratio < 1.0 for ratio in ratios]),
     )
 
 
-def passage(results: Results) -> Finding:
-    """Judge whether and how the robot passes the gap that is narrower than the robot is long."""
-    ride = drive(results["corridor"])
-    turned = ride["peak_turn_rad"]
+def corridor_passage(results: Results) -> Finding:
+    """Judge whether the robot passes the gaps narrower than its length, and turns for that."""
+    drive = find_drive(results["corridor"])
+    turned = drive["peak_turn_rad"]
     return Finding(
-        {"turned_rad": turned, "clearance_m": ride["clearance_m"]},
-        f"through, turned by up to {math.degrees(turned):.0f}°, least gap "
-        f"{1e3 * ride['clearance_m']:.0f} mm"
-        if _clear(ride)
-        else "not through without contact",
-        Verdict.all_of([_clear(ride), turned >= TURNED]) if _clear(ride) else Verdict.DIFFERS,
+        {"turned_rad": turned, "clearance_m": drive["clearance_m"]},
+        f"passed, turned by up to {math.degrees(turned):.0f}°, least gap "
+        f"{1e3 * drive['clearance_m']:.0f} mm"
+        if _succeeded(drive)
+        else "not passed without contact",
+        Verdict.all_of([_succeeded(drive), turned >= MIN_TURN])
+        if _succeeded(drive)
+        else Verdict.DIFFERS,
     )
 
 
-def in_reverse(results: Results) -> Finding:
-    """Judge whether a part of the path through the corridor is driven backwards."""
-    share = drive(results["corridor"])["backwards_share"]
+def backward_travel(results: Results) -> Finding:
+    """Judge whether the robot drives backwards for a part of the corridor."""
+    share = find_drive(results["corridor"])["backwards_share"]
     return Finding(
-        {"share": share}, f"{100 * share:.0f} % of the way is backwards", Verdict.of(share > 0.0)
+        {"share": share}, f"backwards for {100 * share:.0f} % of the time", Verdict.of(share > 0.0)
     )
 
 
-def evasion(results: Results) -> Finding:
+def moving_obstacles(results: Results) -> Finding:
     """Judge whether the robot passes moving obstacles, one of which changes its velocity."""
-    ride = drive(results["moving"])
-    good = _clear(ride)
+    drive = find_drive(results["moving"])
+    succeeded = _succeeded(drive)
     return Finding(
-        {"time_s": ride["time_s"], "clearance_m": ride["clearance_m"]},
-        f"past all four, least gap {1e3 * ride['clearance_m']:.0f} mm, {ride['plans_used']} of "
-        f"{ride['cycles']} plans used"
-        if good
-        else "not past without contact",
-        Verdict.of(good),
+        {"time_s": drive["time_s"], "clearance_m": drive["clearance_m"]},
+        f"all four passed, least gap {1e3 * drive['clearance_m']:.0f} mm, "
+        f"{drive['plans_used']} of {drive['cycles']} plans used"
+        if succeeded
+        else "not passed without contact",
+        Verdict.of(succeeded),
     )
 
 
-def inexact(results: Results) -> Finding:
-    """Judge the random scenes with a robot that differs from its model."""
+def model_mismatch(results: Results) -> Finding:
+    """Judge the drives through random scenes with a robot that differs from its model."""
     group = results["scenes"]["groups"]["model off by up to 20 %"]
-    touched = group["own_collisions"] + group["other_collisions"]
+    contacts = group["own_collisions"] + group["other_collisions"]
     return Finding(
-        {"drives": group["drives"], "reached": group["reached"], "contacts": touched},
-        f"{group['reached']} of {group['drives']} goals reached, {touched} contacts",
+        {"drives": group["drives"], "reached": group["reached"], "contacts": contacts},
+        f"{group['reached']} of {group['drives']} goals reached, {contacts} contacts",
         Verdict.of(group["own_collisions"] == 0 and group["reached"] >= group["solvable"]),
     )
 
 
-def friction(results: Results) -> Finding:
-    """Return the identified viscous and Coulomb friction of the wheels."""
+def wheel_friction(results: Results) -> Finding:
+    """Return the identified viscous friction a and Coulomb friction b of the wheels, (24)."""
     wheels = results["identify_friction"]["wheels"]
     a, b = ([wheel[name]["value"] for wheel in wheels] for name in ("viscous", "coulomb"))
     return Finding(
@@ -331,13 +362,13 @@ def friction(results: Results) -> Finding:
     )
 
 
-def rooms(results: Results) -> Finding:
-    """Return the time and the least gap of the drive through the workshop."""
-    ride = drive(results["workshop"])
+def workshop_drive(results: Results) -> Finding:
+    """Return the duration and the smallest gap of the drive through the workshop."""
+    drive = find_drive(results["workshop"])
     return Finding(
-        {"time_s": ride["time_s"], "clearance_m": ride["clearance_m"]},
-        f"out of a dead end and through three doors in {ride['time_s']:.0f} s, least gap "
-        f"{1e3 * ride['clearance_m']:.0f} mm"
-        if _clear(ride)
-        else "not reached without contact",
+        {"time_s": drive["time_s"], "clearance_m": drive["clearance_m"]},
+        f"out of a dead end and through three doors in {drive['time_s']:.0f} s, least gap "
+        f"{1e3 * drive['clearance_m']:.0f} mm"
+        if _succeeded(drive)
+        else "goal not reached without contact",
     )

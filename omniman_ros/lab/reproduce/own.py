@@ -1,68 +1,85 @@
-"""Figures of this package to which the papers have no counterpart, for the page of `all`."""
+"""Measured results of this package without a counterpart in the papers.
+
+`omniman reproduce all` shows them in a table of their own.
+"""
 
 from omniman_ros.lab.reproduce.findings import Finding, Results
 from omniman_ros.lab.reproduce.published import Claim
 
 
-def _scenes(results: Results) -> Finding:
-    whole = results["scenes"]["groups"]["all"]
+def _random_scenes(results: Results) -> Finding:
+    """Return goals reached, contacts and answer times of the planner in random scenes."""
+    all_drives = results["scenes"]["groups"]["all"]
     return Finding(
-        {name: whole[name] for name in ("drives", "reached", "own_collisions", "answer_p99_ms")},
-        f"{whole['reached']} of {whole['drives']} goals reached, {whole['own_collisions']} "
-        f"avoidable contacts, {whole['other_collisions']} others; an answer takes "
-        f"{whole['answer_median_ms']:.1f} ms, p99 {whole['answer_p99_ms']:.0f} ms",
+        {
+            name: all_drives[name]
+            for name in ("drives", "reached", "own_collisions", "answer_p99_ms")
+        },
+        f"{all_drives['reached']} of {all_drives['drives']} goals reached, "
+        f"{all_drives['own_collisions']} avoidable and {all_drives['other_collisions']} "
+        f"unavoidable contacts; time to answer: median {all_drives['answer_median_ms']:.1f} ms, "
+        f"p99 {all_drives['answer_p99_ms']:.0f} ms",
     )
 
 
-def _path(results: Results) -> Finding:
-    track = results["demo"]["tracking"]
-    return Finding(track, f"{track['rms_mm']:.2f} mm RMS, {track['max_mm']:.2f} mm at most")
+def _platform_tracking(results: Results) -> Finding:
+    """Return the tracking error of the platform on its path in the demo."""
+    error = results["demo"]["tracking"]
+    return Finding(error, f"{error['rms_mm']:.2f} mm RMS, {error['max_mm']:.2f} mm at most")
 
 
-def _drift(results: Results) -> Finding:
-    off = results["demo"]["odometry"]
+def _odometry_drift(results: Results) -> Finding:
+    """Return the position error of odometry at the end of the demo."""
+    drift = results["demo"]["odometry"]
     return Finding(
-        off,
-        f"{off['position_mm']:.1f} mm after {off['travel_m']:.1f} m and {off['turn_rad']:.1f} rad",
+        drift,
+        f"{drift['position_mm']:.1f} mm after {drift['travel_m']:.1f} m and "
+        f"{drift['turn_rad']:.1f} rad",
     )
 
 
-def _tool(results: Results) -> Finding:
+def _tool_tracking(results: Results) -> Finding:
+    """Return the tracking error of the tool on its path in the demo."""
     tool = results["demo"]["tool"]
     return Finding(
         tool,
-        f"{tool['rms_mm']:.2f} mm RMS, {tool['max_mm']:.2f} mm at most, on "
-        f"{tool['length_m']:.1f} m",
+        f"{tool['rms_mm']:.2f} mm RMS, {tool['max_mm']:.2f} mm at most, on a "
+        f"path of {tool['length_m']:.1f} m",
     )
 
 
-def _goal(results: Results) -> Finding:
+def _goal_drive(results: Results) -> Finding:
+    """Return duration, final error and smallest gap of the demo's drive to a goal."""
     goal = results["demo"]["goal"]
     return Finding(
         goal,
-        f"{goal['time_s']:.1f} s, off by {goal['position_mm']:.0f} mm, least gap "
+        f"{goal['time_s']:.1f} s, final error {goal['position_mm']:.0f} mm, least gap "
         f"{1e3 * goal['clearance_m']:.0f} mm",
     )
 
 
 def _dead_wheel(results: Results) -> Finding:
+    """Return the detection time of a dead wheel in the demo, and the tracking error after it."""
     dead = results["demo"]["dead_wheel"]
     return Finding(
-        dead, f"noticed after {dead['noticed_s']:.2f} s; then {dead['rms_mm']:.1f} mm RMS"
+        dead,
+        f"detected after {dead['noticed_s']:.2f} s; error then {dead['rms_mm']:.1f} mm RMS",
     )
 
 
-def _control(results: Results) -> Finding:
+def _control_tick(results: Results) -> Finding:
+    """Return the CPU time of a tick of the platform controller, and the latency of its node."""
     bench = results["bench_control"]
     ticks = bench["core_tick_us"]
     return Finding(
         {"core_tick_us": ticks, "latency_ratio": bench["latency_ratio"]},
         ", ".join(f"{name} {micros:.0f} µs" for name, micros in ticks.items())
-        + f"; latency {bench['latency_ratio']:.2f} of a bare relay's",
+        + f"; latency {bench['latency_ratio']:.2f} times that of a bare relay",
     )
 
 
-def _solver(results: Results) -> Finding:
+def _planner_cycle(results: Results) -> Finding:
+    """Return the CPU time of a planner cycle, and that of IPOPT in relation to it."""
     bench = results["bench_mpc"]
     cycle = bench["alone"]["N=20 M=4"]["cycle"]
     ratio = bench["ratios"]["ipopt_over_cycle"]["median"]
@@ -73,31 +90,35 @@ def _solver(results: Results) -> Finding:
     )
 
 
-def _bus(results: Results) -> Finding:
+def _can_round_trip(results: Results) -> Finding:
+    """Return the round-trip time over CAN, and its ratio to that of bare python-can."""
     cases = results["bench_can"]["cases"]
     slowest = max(case["bridge"]["median_ms"] for case in cases)
     ratio = max(case["ratio"] for case in cases)
     return Finding(
         {"median_ms": slowest, "ratio": ratio},
-        f"median {slowest:.2f} ms, up to {ratio:.2f} of bare python-can's",
+        f"median {slowest:.2f} ms, up to {ratio:.2f} times that of bare python-can",
     )
 
 
-def _stream(results: Results) -> Finding:
+def _arm_setpoints(results: Results) -> Finding:
+    """Return the ratio of the p99 setpoint interval to that of a bare loop."""
     ratio = results["bench_arm"]["ratio"]
-    return Finding({"ratio": ratio}, f"p99 is {ratio:.2f} of a bare loop's")
+    return Finding({"ratio": ratio}, f"p99 is {ratio:.2f} times that of a bare loop")
 
 
-FIGURES: tuple[Claim, ...] = (
-    Claim("Random scenes", "", "", ("scenes",), _scenes),
-    Claim("Demo: platform off its path", "", "", ("demo",), _path),
-    Claim("Demo: odometry off the truth", "", "", ("demo",), _drift),
-    Claim("Demo: tool off its path", "", "", ("demo",), _tool),
-    Claim("Demo: goal among moving obstacles", "", "", ("demo",), _goal),
-    Claim("Demo: a dead wheel", "", "", ("demo",), _dead_wheel),
-    Claim("Control tick, CPU", "", "", ("bench_control",), _control),
-    Claim("Planner's cycle, n = 20, four obstacles", "", "", ("bench_mpc",), _solver),
-    Claim("Round trip over CAN", "", "", ("bench_can",), _bus),
-    Claim("Setpoints of the arm in the running robot", "", "", ("bench_arm",), _stream),
+OWN_RESULTS: tuple[Claim, ...] = (
+    Claim("Random scenes", "", "", ("scenes",), _random_scenes),
+    Claim("Demo: tracking error of the platform", "", "", ("demo",), _platform_tracking),
+    Claim("Demo: drift of odometry", "", "", ("demo",), _odometry_drift),
+    Claim("Demo: tracking error of the tool", "", "", ("demo",), _tool_tracking),
+    Claim("Demo: goal among moving obstacles", "", "", ("demo",), _goal_drive),
+    Claim("Demo: dead wheel", "", "", ("demo",), _dead_wheel),
+    Claim("Control tick, CPU time", "", "", ("bench_control",), _control_tick),
+    Claim("Planner cycle, n = 20, four obstacles", "", "", ("bench_mpc",), _planner_cycle),
+    Claim("Round-trip time over CAN", "", "", ("bench_can",), _can_round_trip),
+    Claim(
+        "Setpoint interval of the arm, whole robot running", "", "", ("bench_arm",), _arm_setpoints
+    ),
 )
-"""The figures in the order in which they are shown; those without results are left out."""
+"""Results in the order in which they are shown; those that were not measured are left out."""

@@ -1,6 +1,6 @@
-"""The page of `omniman reproduce all`: measured against published, in one HTML file.
+"""The HTML page of `omniman reproduce all`, which compares measured with published results.
 
-The page contains everything, pictures included, and needs neither network nor scripts.
+The page is self-contained: pictures are embedded, and it needs neither the network nor scripts.
 """
 
 import base64
@@ -14,28 +14,28 @@ from omniman_ros.lab.reproduce.experiments import EXPERIMENTS
 from omniman_ros.lab.reproduce.findings import Verdict
 
 TEMPLATE = "report.html.j2"
-"""Template of the page, which lies beside this module."""
+"""File name of the page's Jinja template, which is in the folder of this module."""
 PHRASES = {
     Verdict.AGREES: "agree",
     Verdict.PARTLY: "in part",
     Verdict.DIFFERS: "differ",
-    Verdict.SHOWN: "with nothing published to judge by",
+    Verdict.SHOWN: "without a published number",
     Verdict.MISSING: "not measured",
 }
-"""Text after the number of comparisons with each verdict."""
-LONG = 120.0
-"""Duration from which minutes are shown instead of seconds [s]."""
+"""Text that follows the number of comparisons with each verdict."""
+MIN_MINUTES = 120.0
+"""Shortest duration that is shown in minutes instead of seconds [s]."""
 
 
 def page(result: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
     """Render the page.
 
     Args:
-        result: The result of all experiments, as it is published as JSON.
-        pictures: PNG files by the name of the experiment.
+        result: Summary of all experiments, as published in JSON.
+        pictures: Contents of the PNG files, by the name of the experiment.
 
     Returns:
-        The HTML; all text of the result is escaped.
+        The HTML, in which all text from the results is escaped.
     """
     environment = Environment(
         loader=PackageLoader("omniman_ros.lab.reproduce", "."),
@@ -64,13 +64,19 @@ def page(result: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
 
 
 def figure(name: str, pictures: Mapping[str, bytes]) -> dict[str, str]:
-    """Return name, caption and image (base64, empty without a picture) of an experiment."""
+    """Return the name, caption and image of an experiment for the template.
+
+    The image is a PNG file in base64, or empty if the experiment has no picture.
+    """
     image = base64.b64encode(pictures.get(name, b"")).decode("ascii")
     return {"name": name, "caption": EXPERIMENTS[name].caption, "image": image}
 
 
 def warnings(result: Mapping[str, Any]) -> str:
-    """Return what a reader must know before anything else; empty if there is nothing."""
+    """Return the warnings for the top of the page: failures, quick runs and reused results.
+
+    The text is empty if there is nothing to warn of.
+    """
     experiments = result["experiments"]
     failed = [row["name"] for row in experiments if row["verdict"] in ("failed", "no result")]
     quick = [row["name"] for row in experiments if row["effort"] == "quick"]
@@ -86,17 +92,17 @@ def warnings(result: Mapping[str, Any]) -> str:
 
 
 def duration(seconds: float | None) -> str:
-    """Format a duration [s] in seconds or minutes; empty if it is None."""
+    """Format a duration [s] in seconds or minutes; return an empty text for None."""
     if seconds is None:
         return ""
-    return f"{seconds:.0f} s" if seconds < LONG else f"{seconds / 60:.0f} min"
+    return f"{seconds:.0f} s" if seconds < MIN_MINUTES else f"{seconds / 60:.0f} min"
 
 
 def minute(time: str) -> str:
-    """Format a time in ISO 8601 up to the minute."""
+    """Format a time in ISO 8601 with a resolution of one minute."""
     return time[:16].replace("T", " ")
 
 
 def sentence(text: str) -> str:
-    """Capitalise a phrase and end it with a full stop; empty stays empty."""
+    """Capitalise a phrase and end it with a full stop; an empty text stays empty."""
     return text[:1].upper() + text[1:] + "." if text else ""

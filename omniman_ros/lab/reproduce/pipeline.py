@@ -1,4 +1,4 @@
-"""The steps that all experiments share: drive with a progress bar, draw, report, publish."""
+"""Steps that all experiments share: collecting results with a progress bar, and publishing."""
 
 import time
 from collections.abc import Callable, Iterable
@@ -11,19 +11,22 @@ from omniman_ros.console.terminal import say
 T = TypeVar("T")
 
 
-def collect(progress: Progress, part: str, made: Iterable[T], count: int, unit: str) -> list[T]:
-    """Collect results that are made one after the other, and show the progress.
+def collect(progress: Progress, part: str, items: Iterable[T], count: int, unit: str) -> list[T]:
+    """Collect results that are computed one after the other, and show the progress.
 
     Args:
         progress: Progress bar.
-        part: Name of the part that is shown.
-        made: The results.
+        part: Name of this part of the experiment, for the progress bar.
+        items: The results, usually from a generator.
         count: Number of the results.
-        unit: What a result is called, in the plural.
+        unit: Noun for the results in the plural, such as "drives".
+
+    Returns:
+        The results, in their order.
     """
     collected: list[T] = []
     progress.begin(part)
-    for item in made:
+    for item in items:
         collected.append(item)
         progress.update(len(collected) / count, f"{len(collected)} of {count}")
     progress.end(f"{len(collected)} {unit}")
@@ -37,17 +40,17 @@ def publish(
     started: float,
     folder: str,
 ) -> None:
-    """Complete a result with the time it took, print its report, and publish it as JSON.
+    """Add the duration to a result, print its report, and publish it as JSON.
 
     Args:
-        name: Name of the results.
-        result: The result; `took_s` is added.
-        report: Makes the lines of the report from the result.
-        started: Begin of the experiment on the monotonic clock [s].
+        name: Name of the results, without a suffix.
+        result: The result; the duration `took_s` is added to it.
+        report: Function that formats the result as lines of text.
+        started: Time at which the experiment began, on the monotonic clock [s].
         folder: Folder of the results.
 
     Raises:
-        OSError: The folder cannot be written.
+        OSError: The folder cannot be written to.
     """
     result["took_s"] = time.monotonic() - started
     say("\n".join(report(result)))

@@ -1,4 +1,4 @@
-"""Provenance of a result: versions, commit and machine."""
+"""Provenance of a result: versions of the software, commit and machine."""
 
 import importlib.metadata
 import platform
@@ -9,13 +9,17 @@ from typing import Any
 import omniman_ros
 from omniman_ros.console.results import run_metadata
 
-LIBRARIES = ("omniman_ros", "numpy", "casadi")
+PACKAGES = ("omniman_ros", "numpy", "casadi")
+"""Distributions whose versions are recorded."""
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of Python, package and libraries, and the commit if there is one."""
+    """Return the versions of Python, this package and its main libraries, by name.
+
+    The commit is included if the package is in a git working tree.
+    """
     result = {"python": platform.python_version()}
-    for name in LIBRARIES:
+    for name in PACKAGES:
         try:
             result[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
@@ -29,15 +33,16 @@ def commit(file: Path) -> str:
     """Return the commit of the git working tree that tracks a file.
 
     Args:
-        file: The file.
+        file: Path of the file.
 
     Returns:
-        The short hash, with `+` if the tree has changed since; empty if no tree tracks the file.
+        The short hash, followed by `+` if tracked files have been changed since; empty if the file
+        is not tracked or git is not available.
     """
 
     def git(*arguments: str) -> str | None:
         try:
-            ended = subprocess.run(
+            completed = subprocess.run(
                 ["git", "-C", str(file.parent), *arguments],
                 capture_output=True,
                 text=True,
@@ -46,7 +51,7 @@ def commit(file: Path) -> str:
             )
         except (OSError, subprocess.TimeoutExpired):
             return None
-        return ended.stdout.strip() if ended.returncode == 0 else None
+        return completed.stdout.strip() if completed.returncode == 0 else None
 
     if git("ls-files", "--error-unmatch", file.name) is None:
         return ""
@@ -55,7 +60,10 @@ def commit(file: Path) -> str:
 
 
 def machine() -> dict[str, Any]:
-    """Return processor, number of cores and system, and nothing that identifies the machine."""
+    """Return the processor, the number of cores and the operating system.
+
+    Nothing that identifies the individual machine, such as its host name, is included.
+    """
     model = platform.machine()
     try:
         for line in Path("/proc/cpuinfo").read_text().splitlines():

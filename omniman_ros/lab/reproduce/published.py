@@ -2,8 +2,9 @@
 
 Papers: C. Röhrig, D. Heß and F. Künemund, "Motion Controller Design for a Mecanum Wheeled Mobile
 Manipulator", CCTA 2017; I. Moreno-Caireta, E. Celaya and L. Ros, "Model Predictive Control for a
-Mecanum-wheeled Robot Navigating among Obstacles", 2021. Both show pictures and few numbers, and
-use robots of their own: most of what can be compared is a claim, whose rule is this package's.
+Mecanum-wheeled Robot Navigating among Obstacles", 2021. Both print many pictures and few numbers,
+and use different robots. What can be compared is therefore mostly qualitative claims; the rules of
+agreement are this package's.
 """
 
 import math
@@ -13,50 +14,51 @@ from dataclasses import dataclass, field
 from omniman_ros.lab.reproduce.findings import (
     CASES,
     DISTINGUISHABLE,
+    MIN_TURN,
     PAPER_PLANNER,
     SETPOINT_PERIOD,
     SETPOINT_TOLERANCE,
-    STAGE,
-    TURNED,
+    STAGE_DURATION,
     VOLTAGES,
     Finding,
     Results,
     Verdict,
-    along_diagonal,
-    arrives,
-    duration,
-    economy,
-    evasion,
-    friction,
-    in_reverse,
-    in_step,
-    in_time,
-    inexact,
-    odometry,
-    passage,
-    remaining,
-    rooms,
-    setpoints,
-    slip,
-    uncontrolled,
+    backward_travel,
+    corridor_passage,
+    diagonal_travel,
+    energy_ratio,
+    free_duration,
+    goals_reached,
+    model_mismatch,
+    moving_obstacles,
+    odometry_error,
+    planning_time,
+    remaining_error,
+    setpoint_interval,
+    slip_losses,
+    tool_tracking,
+    uncontrolled_error,
+    wheel_friction,
+    workshop_drive,
 )
 from omniman_ros.lab.studies.coupling_sweep import AIM, PAPER_GAIN
 
 CCTA, MPC = "CCTA 2017", "MPC 2021"
+"""Short names of the papers."""
 
 
 @dataclass(frozen=True)
 class Claim:
-    """A claim, which is a row of the comparison.
+    """A published claim with its evaluation: one row of the comparison.
 
     Attributes:
-        quantity: Quantity that is compared.
-        source: Paper, section and figure; empty for figures that only this package has.
-        published: What the source says; empty for figures that only this package has.
-        needs: Experiments whose results are needed.
-        measure: Computes the finding from their results.
-        rule: What counts as agreement; empty where the source gives nothing to judge by.
-        note: What the reader should know.
+        quantity: Quantity that is compared; unique.
+        source: Paper, section and figure; empty for results that only this package has.
+        published: Statement of the source; empty for results that only this package has.
+        needs: Names of the experiments whose results are needed.
+        measure: Function that evaluates the results.
+        rule: Rule of agreement; empty if the source gives nothing to compare with.
+        note: Remark for the reader.
     """
 
     quantity: str
@@ -68,84 +70,89 @@ class Claim:
     note: str = ""
 
     def find(self, results: Results) -> Finding:
-        """Return the finding; its verdict is MISSING where results or figures are missing."""
+        """Evaluate the results; the verdict is MISSING if a result, or a value in it, is missing.
+
+        Args:
+            results: JSON of the experiments, by name.
+        """
         absent = [name for name in self.needs if name not in results]
         if absent:
             return Finding({}, f"no result of {', '.join(absent)}", Verdict.MISSING)
         try:
             return self.measure(results)
-        except (LookupError, TypeError, ValueError):  # a figure is missing, null or empty
-            return Finding({}, "not among what was driven", Verdict.MISSING)
+        except (LookupError, TypeError, ValueError):  # a value is missing, null or empty
+            return Finding({}, "not among the drives of this run", Verdict.MISSING)
 
 
 OWN_SCENES = "the layout is this package's: the paper has pictures only"
+"""Note on the cases of MPC 2021."""
 CLAIMS: tuple[Claim, ...] = (
     Claim(
         "Coupling error without control",
         f"{CCTA}, V.C, Fig. 7 (red)",
         "not zero; the five movements are easily distinguished (a curve, no numbers)",
         ("coupling",),
-        uncontrolled,
+        uncontrolled_error,
         f"each of the five movements changes ε by {DISTINGUISHABLE:g} rad or more",
-        "mean over wheels drawn at random; their real spread is not published",
+        "mean over random wheels; the spread of the real ones is not published",
     ),
     Claim(
         f"Coupling error at k = {PAPER_GAIN:g}, P loops",
         f"{CCTA}, V.C, Fig. 7 (blue)",
         "reduced nearly to zero",
         ("coupling",),
-        remaining("P", own=False),
+        remaining_error("P", own=False),
         f"at most {AIM:g} of that without control",
-        "wheels on the floor hold each other, so that ε settles much more slowly than 1/k",
+        "wheels on the floor constrain each other, so that ε settles much more slowly than 1/k",
     ),
     Claim(
-        f"The same, PI loops at k = {PAPER_GAIN:g}",
+        f"Coupling error at k = {PAPER_GAIN:g}, PI loops",
         f"{CCTA}, V.C, Fig. 7 (blue)",
         "reduced nearly to zero",
         ("coupling",),
-        remaining("PI", own=False),
+        remaining_error("PI", own=False),
         f"at most {AIM:g} of that without control",
-        "which velocity loops is not published",
+        "the kind of velocity loop is not published",
     ),
     Claim(
-        "The same, P loops at this robot's gain",
+        "Coupling error at this robot's gain, P loops",
         f"{CCTA}, V.C, Fig. 7 (blue)",
         f"reduced nearly to zero, at k = {PAPER_GAIN:g}",
         ("coupling",),
-        remaining("P", own=True),
+        remaining_error("P", own=True),
         f"at most {AIM:g} of that without control",
-        "the gain was chosen for that",
+        "the gain was chosen to meet this rule",
     ),
     Claim(
         "Wheel slip",
         f"{CCTA}, V.C",
         "the coupling error leads to additional slippage",
         ("coupling",),
-        slip,
-        "less slip losses with control than without",
+        slip_losses,
+        "lower slip losses with control than without",
     ),
     Claim(
         "Odometry",
         f"{CCTA}, V.C",
-        "that slippage decreases its accuracy",
+        "the additional slippage decreases its accuracy",
         ("coupling",),
-        odometry,
-        f"largest error smaller at k = {PAPER_GAIN:g} than without control, for all wheels",
+        odometry_error,
+        f"the largest error is smaller at k = {PAPER_GAIN:g} than without control, in all groups",
     ),
     Claim(
-        "Platform and arm in step",
+        "Coordinated motion of platform and arm",
         f"{CCTA}, V.A, Fig. 5",
-        "movements in step at joint level, in real time (no experiment)",
+        "motion coordinated at joint level, in real time (no experiment)",
         ("tool_path",),
-        in_step,
-        note="in odometry's frame, servo of the simulated controller",
+        tool_tracking,
+        note="in odom, with the servo of the simulated arm controller",
     ),
     Claim(
         "Setpoints of the arm, demo",
         f"{CCTA}, V.A",
         "streamed every 8 ms over a TCP socket",
         ("demo",),
-        setpoints("demo", "arm", "setpoints"),
+        setpoint_interval("demo", "arm", "setpoints"),
         f"median within {SETPOINT_TOLERANCE:g} ms of {SETPOINT_PERIOD:g} ms",
         "a simulated UR5 controller",
     ),
@@ -154,34 +161,34 @@ CLAIMS: tuple[Claim, ...] = (
         f"{CCTA}, V.A",
         "streamed every 8 ms over a TCP socket",
         ("bench_arm",),
-        setpoints("bench_arm", "streamer"),
+        setpoint_interval("bench_arm", "streamer"),
         f"median within {SETPOINT_TOLERANCE:g} ms of {SETPOINT_PERIOD:g} ms",
         "a simulated UR5 controller",
     ),
     Claim(
         "Real time, n = 10 steps of 0.1 s",
         f"{MPC}, 4",
-        "fulfils the time constraints of real time (no times; interior point solver)",
+        "meets real-time constraints (no times; interior-point solver)",
         CASES,
-        in_time(PAPER_PLANNER),
-        f"p99 below {1e3 * STAGE:g} ms, the paper's stage",
-        "whole cycle, this machine, another solver",
+        planning_time(PAPER_PLANNER),
+        f"p99 below {1e3 * STAGE_DURATION:g} ms, the duration of the paper's stage",
+        "whole cycle, on this machine, with a different solver",
     ),
     Claim(
         "Real time, defaults",
         f"{MPC}, 4",
-        "n = 10: one second ahead, chosen for real time",
+        "n = 10, a horizon of one second, was chosen for real time",
         CASES,
-        in_time("defaults"),
-        f"p99 below {1e3 * STAGE:g} ms",
-        "two seconds ahead by default, n = 20",
+        planning_time("defaults"),
+        f"p99 below {1e3 * STAGE_DURATION:g} ms",
+        "the default horizon is two seconds, n = 20",
     ),
     Claim(
-        "Three cases with n = 10 and its cost",
+        "Three cases, the paper's horizon and cost",
         f"{MPC}, 4.1 to 4.3, Fig. 4, 5, video",
         "all goals reached, nothing touched",
         CASES,
-        arrives(PAPER_PLANNER),
+        goals_reached(PAPER_PLANNER),
         "the same in all three",
         OWN_SCENES,
     ),
@@ -190,102 +197,102 @@ CLAIMS: tuple[Claim, ...] = (
         f"{MPC}, 4.1 to 4.3, Fig. 4, 5, video",
         "all goals reached, nothing touched",
         CASES,
-        arrives("defaults"),
+        goals_reached("defaults"),
         "the same in all three",
         OWN_SCENES,
     ),
     Claim(
-        "Three cases, motor voltages put out",
+        "Three cases, motor voltages as output",
         f"{MPC}, 2.2, (20)",
-        "what is planned and put out are voltages",
+        "motor voltages are planned and applied",
         CASES,
-        arrives(VOLTAGES),
+        goals_reached(VOLTAGES),
         "all goals reached, nothing touched",
-        "with n = 20; else a reference is put out",
+        "with n = 20; by default, the output is a reference motion",
     ),
     Claim(
         "Free movement: time",
         f"{MPC}, 4.1, Fig. 4",
-        "at the goal two seconds after the last snapshot at 7 s (its distance is not published)",
+        "at the goal two seconds after the last snapshot at 7 s (distance not published)",
         ("free",),
-        duration,
-        note="a distance of our own, so no like for like",
+        free_duration,
+        note="the distance is this package's, so the times are not comparable",
     ),
     Claim(
         "Free movement: heading, defaults",
         f"{MPC}, 4.1, Fig. 4",
-        "turns on the way, to travel diagonally, and back",
+        "turns in order to travel diagonally, then turns back",
         ("free",),
-        along_diagonal("defaults"),
-        f"turns by {math.degrees(TURNED):.0f}° or more; mostly within 10° of a diagonal",
+        diagonal_travel("defaults"),
+        f"turns by {math.degrees(MIN_TURN):.0f}° or more; mostly within 10° of a diagonal",
     ),
     Claim(
-        "Free movement: the same, n = 10 and its cost",
+        "Free movement: heading, the paper's horizon and cost",
         f"{MPC}, 4.1, Fig. 4",
-        "turns on the way, to travel diagonally, and back",
+        "turns in order to travel diagonally, then turns back",
         ("free",),
-        along_diagonal(PAPER_PLANNER),
-        f"turns by {math.degrees(TURNED):.0f}° or more; mostly within 10° of a diagonal",
-        "one second ahead is short for it here; weights are not published",
+        diagonal_travel(PAPER_PLANNER),
+        f"turns by {math.degrees(MIN_TURN):.0f}° or more; mostly within 10° of a diagonal",
+        "a horizon of one second is short for that here; weights are not published",
     ),
     Claim(
         "Free movement: energy",
         f"{MPC}, 3.2, 4.1",
-        "turning is a way to take less energy (no numbers)",
+        "turning saves energy (no numbers)",
         ("free",),
-        economy,
-        "less than the straight line in one heading that arrives as late, for every goal",
-        "electric energy until rest; the line's speed is limited, its profile smooth",
+        energy_ratio,
+        "less than a straight line at constant heading with equal arrival time, for every goal",
+        "electric energy until rest; the line has a limited speed and a smooth profile",
     ),
     Claim(
         "Narrow corridor",
         f"{MPC}, 4.2, Fig. 5",
-        "through gaps narrower than the robot is long, turning as necessary",
+        "passes gaps narrower than the robot is long, turning as necessary",
         ("corridor",),
-        passage,
-        f"through without contact, turned by {math.degrees(TURNED):.0f}° or more",
+        corridor_passage,
+        f"passed without contact, turned by {math.degrees(MIN_TURN):.0f}° or more",
         OWN_SCENES,
     ),
     Claim(
-        "Narrow corridor: backwards",
+        "Narrow corridor: driving backwards",
         f"{MPC}, 4.2, Fig. 5",
         "turns clockwise and crosses the opening backwards",
         ("corridor",),
-        in_reverse,
-        "a part of the way is backwards",
-        OWN_SCENES + "; here there is no need to",
+        backward_travel,
+        "backwards for a part of the time",
+        OWN_SCENES + "; it does not require driving backwards",
     ),
     Claim(
         "Moving obstacles",
         f"{MPC}, 4.3, video",
-        "four cross, the third blocks the path; each is avoided by planning anew",
+        "four cross the path, the third blocks it; each is avoided by replanning",
         ("moving",),
-        evasion,
+        moving_obstacles,
         "goal reached without contact",
         OWN_SCENES,
     ),
     Claim(
-        "Model not exact",
+        "Inexact model",
         f"{MPC}, 1, 3",
-        "small inaccuracies of the model are mitigated by planning anew (no experiment)",
+        "replanning mitigates small inaccuracies of the model (no experiment)",
         ("scenes",),
-        inexact,
-        "random scenes, robot up to 20 % off: all goals reached that can be, no contact of ours",
+        model_mismatch,
+        "random scenes, robot up to 20 % off: all reachable goals reached, no avoidable contact",
     ),
     Claim(
         "Friction of the wheels",
         f"{MPC}, 2, (24)",
-        "a and b found at constant voltages (no numbers; another robot)",
+        "a and b identified at constant voltages (no numbers; another robot)",
         ("identify_friction",),
-        friction,
-        note="simulated wheels, on blocks",
+        wheel_friction,
+        note="simulated wheels, off the floor",
     ),
     Claim(
-        "Workshop with dead end",
+        "Workshop with a dead end",
         f"{MPC}, 5",
         "proposed as an application (no experiment)",
         ("workshop",),
-        rooms,
+        workshop_drive,
     ),
 )
-"""The claims, in the order in which they are shown."""
+"""Claims in the order in which they are shown."""

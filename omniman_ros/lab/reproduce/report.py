@@ -1,4 +1,7 @@
-"""The summary of `omniman reproduce all`: results become findings, and findings a page."""
+"""The summary of `omniman reproduce all`: compares the results with the papers' claims.
+
+The comparisons are returned for publication as JSON, and written as an HTML page.
+"""
 
 import json
 from collections import Counter
@@ -8,14 +11,22 @@ from pathlib import Path
 from typing import Any
 
 from omniman_ros.lab.reproduce.findings import Finding, Verdict
-from omniman_ros.lab.reproduce.own import FIGURES
+from omniman_ros.lab.reproduce.own import OWN_RESULTS
 from omniman_ros.lab.reproduce.page import page
 from omniman_ros.lab.reproduce.provenance import machine, versions
 from omniman_ros.lab.reproduce.published import CLAIMS, Claim
 
 PAGE_NAME = "report.html"
-OPTIONAL = ("demo", "identify_friction", "bench_control", "bench_mpc", "bench_can", "bench_arm")
-"""Names of further results, which are used where they are in the folder."""
+"""File name of the page."""
+OPTIONAL_RESULTS = (
+    "demo",
+    "identify_friction",
+    "bench_control",
+    "bench_mpc",
+    "bench_can",
+    "bench_arm",
+)
+"""Names of the results of other commands, which are included if they are in the folder."""
 
 
 @dataclass(frozen=True)
@@ -24,8 +35,8 @@ class ExperimentResult:
 
     Attributes:
         name: Name of the experiment.
-        code: Exit code; None if it was not run because its result was reused.
-        result: Its JSON; None if it wrote none.
+        code: Exit code; None if the experiment did not run because its result was reused.
+        result: JSON of the result; None if the experiment wrote none.
     """
 
     name: str
@@ -34,12 +45,12 @@ class ExperimentResult:
 
     @property
     def passed(self) -> bool:
-        """Whether the experiment ran to its end and passed by its own exit code."""
+        """Whether there is a result, and neither the exit code nor the result is a failure."""
         return self.result is not None and not self.code and self.result.get("passed") is not False
 
     @property
     def verdict(self) -> str:
-        """The outcome in a word or two."""
+        """Outcome: "no result", "failed", "aim missed" or "passed"."""
         if self.result is None:
             return "no result"
         if not self.passed:
@@ -48,7 +59,7 @@ class ExperimentResult:
 
 
 def load(path: Path) -> dict[str, Any] | None:
-    """Load a result; return None if there is none, or none that can be read."""
+    """Load a result; return None if the file does not exist or is not a JSON object."""
     try:
         tree = json.loads(path.read_text())
     except (OSError, ValueError):
@@ -57,48 +68,54 @@ def load(path: Path) -> dict[str, Any] | None:
 
 
 def summarize(
-    done: Sequence[ExperimentResult], folder: Path, took: float
+    finished: Sequence[ExperimentResult], folder: Path, duration: float
 ) -> tuple[dict[str, Any], Path]:
-    """Compare the results with what is published, and write the page.
+    """Compare the results with the published claims, and write the page.
 
     Args:
-        done: Results of the experiments.
-        folder: Folder of the page, in which further results may be.
-        took: Duration of all experiments [s].
+        finished: Results of the experiments.
+        folder: Folder of the page; `OPTIONAL_RESULTS` are read from it.
+        duration: Duration of all experiments together [s].
 
     Returns:
-        The summary, to be published as JSON, and the path of the page.
+        The summary for publication as JSON, and the path of the page.
 
     Raises:
         OSError: The page cannot be written.
     """
-    new = {
-        experiment.name: experiment.result for experiment in done if experiment.result is not None
+    reproduced = {
+        experiment.name: experiment.result
+        for experiment in finished
+        if experiment.result is not None
     }
-    also = {name: read for name in OPTIONAL if (read := load(folder / f"{name}.json")) is not None}
-    results = {**also, **new}
+    optional = {
+        name: loaded
+        for name in OPTIONAL_RESULTS
+        if (loaded := load(folder / f"{name}.json")) is not None
+    }
+    results = {**optional, **reproduced}
     rows = [(claim, claim.find(results)) for claim in CLAIMS]
-    own = [(claim, claim.find(results)) for claim in FIGURES]
+    own = [(claim, claim.find(results)) for claim in OWN_RESULTS]
     own = [(claim, finding) for claim, finding in own if finding.verdict is not Verdict.MISSING]
     result: dict[str, Any] = {
-        "passed": all(experiment.passed for experiment in done),
-        "experiments": [experiment_row(experiment) for experiment in done],
-        "also": {name: made(read) for name, read in also.items()},
-        "verdicts": dict(counted(rows)),
+        "passed": all(experiment.passed for experiment in finished),
+        "experiments": [experiment_row(experiment) for experiment in finished],
+        "also": {name: creation_time(loaded) for name, loaded in optional.items()},
+        "verdicts": dict(verdict_counts(rows)),
         "comparisons": [claim_row(claim, finding) for claim, finding in rows],
         "own": [claim_row(claim, finding) for claim, finding in own],
         "versions": versions(),
         "machine": machine(),
-        "took_s": took,
+        "took_s": duration,
         "report": str(folder / PAGE_NAME),
     }
     path = folder / PAGE_NAME
-    path.write_text(page(result, pictures(done, folder)), encoding="utf-8")
+    path.write_text(page(result, pictures(finished, folder)), encoding="utf-8")
     return result, path
 
 
 def claim_row(claim: Claim, finding: Finding) -> dict[str, Any]:
-    """Return a comparison for the JSON."""
+    """Return the comparison of a claim with its finding, for the JSON."""
     return {
         "quantity": claim.quantity,
         "source": claim.source,
@@ -113,10 +130,11 @@ def claim_row(claim: Claim, finding: Finding) -> dict[str, Any]:
 
 
 def experiment_row(experiment: ExperimentResult) -> dict[str, Any]:
-    """Return an experiment for the JSON."""
+    """Return the row of an experiment for the JSON: its outcome, size and origin."""
     result = experiment.result or {}
     effort = [name for name in ("quick", "full") if result.get(name)]
-    usual = "default" if "quick" in result else None  # results of scenes only have a number
+    # The result of `scenes` has no "quick": its size is the number of drives alone.
+    default = "default" if "quick" in result else None
     drives = len(result.get("drives", ())) or sum(
         len(row["epsilon_max_samples"]) for row in result.get("table", ())
     )
@@ -125,30 +143,33 @@ def experiment_row(experiment: ExperimentResult) -> dict[str, Any]:
         "verdict": experiment.verdict,
         "code": experiment.code,
         "reused": experiment.code is None,
-        "effort": effort[0] if effort else usual,
+        "effort": effort[0] if effort else default,
         "drives": drives,
         "robot": result.get("robot"),
         "seed": result.get("seed"),
         "took_s": result.get("took_s"),
-        "made": made(result),
+        "made": creation_time(result),
     }
 
 
-def made(result: Mapping[str, Any]) -> str:
-    """Return the time at which a result was made, in ISO 8601; empty if it is not known."""
+def creation_time(result: Mapping[str, Any]) -> str:
+    """Return the time at which a result was created, in ISO 8601; empty if it is unknown."""
     return str(result.get("about", {}).get("time", ""))
 
 
-def counted(rows: Iterable[tuple[Claim, Finding]]) -> list[tuple[str, int]]:
-    """Return the number of comparisons with each verdict, in the order of the verdicts."""
+def verdict_counts(rows: Iterable[tuple[Claim, Finding]]) -> list[tuple[str, int]]:
+    """Return each verdict with the number of its comparisons, in the order of :class:`Verdict`."""
     counts = Counter(finding.verdict for _, finding in rows)
     return [(verdict.value, counts[verdict]) for verdict in Verdict]
 
 
-def pictures(done: Sequence[ExperimentResult], folder: Path) -> dict[str, bytes]:
-    """Read the PNG files that the results name, by experiment."""
+def pictures(finished: Sequence[ExperimentResult], folder: Path) -> dict[str, bytes]:
+    """Read the PNG files of the experiments from a folder, by the name of the experiment.
+
+    Experiments whose picture is missing or cannot be read are left out.
+    """
     images = {}
-    for experiment in done:
+    for experiment in finished:
         picture = (experiment.result or {}).get("picture")
         if picture:
             try:

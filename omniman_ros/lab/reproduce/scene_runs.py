@@ -1,9 +1,10 @@
-"""The planner's node in simulated time, with the controller and the slipping plant.
+"""The planner's node in simulated time, in closed loop with the controller and the slipping plant.
 
-The node is created as usual, but not spun: the callbacks of its subscriptions are called with
-messages, that of its timer when it is due, and what it publishes is collected. Its clock is the
-simulation's. While it computes, the plant drives on: an answer reaches the controller after the
-time that it was measured to take, and messages wait meanwhile, as in a node with one thread.
+The node is created as usual, but not spun. Instead, the loop calls the callbacks of its
+subscriptions with messages, calls its timer when it is due, and collects what it publishes. The
+node's clock shows the time of the simulation. The robot keeps moving while the node computes: an
+answer reaches the controller only after its measured computation time, and messages to the node
+wait until then, as in a node with a single-threaded executor.
 """
 
 import math
@@ -41,12 +42,12 @@ from omniman_ros.core.robot import Robot
 from omniman_ros.lab.studies.closed_loop import PERIOD, ClosedLoop
 from omniman_ros.lab.studies.scene_generator import RandomScene, scene
 from omniman_ros.lab.studies.scenes import (
-    LIMIT,
+    TIME_LIMIT,
     Outcome,
     SceneDrive,
     agility_of,
     box_of,
-    judged,
+    judge_drive,
     mover_of,
     true_robot,
 )
@@ -57,30 +58,31 @@ from omniman_ros.simulation.plant.parameters import SimulationParameters
 from omniman_ros.simulation.plant.simulated_drives import SimulatedDrives
 
 EPOCH = 1000.0
-"""ROS time at which the simulation begins; a stamp of zero would mean the present time [s]."""
+"""ROS time at which the simulation starts [s]; a stamp of zero would mean the present time."""
 ODOM_EVERY = 2
-"""Number of ticks of the plant between two messages on odom, which makes 100 Hz."""
+"""Number of ticks of the plant per message on `odom`, which results in 100 Hz."""
 ODOM_NOISE = (0.002, 0.002, 0.002, 0.005, 0.005, 0.005)
-"""Standard deviations in odom, of the pose [m, m, rad] and the twist [m/s, m/s, rad/s]."""
+"""Standard deviations of the pose [m, m, rad] and the twist [m/s, m/s, rad/s] on `odom`."""
 MARKER_NOISE = 0.01
 """Standard deviation of a marker's x and y [m]."""
 MARKER_PERIOD = (0.04, 0.12)
-"""Range of the random time between two messages of obstacles [s]."""
+"""Range of the random time between two messages on `obstacles` [s]."""
 MARKER_DELAY = (0.005, 0.03)
-"""Range of the random time from an observation to its arrival [s]."""
+"""Range of the random delay from an observation of the obstacles to its arrival [s]."""
 GOAL_TIME = 0.25
-"""Time on the plant's clock at which the goal is sent, after a few observations [s]."""
+"""Time of the plant at which the goal is sent; a few observations have arrived by then [s]."""
 IDLE_TIMEOUT = 1.0
-"""Time without a goal after which a drive is over [s]."""
+"""Time after which a drive ends if the planner has no goal [s]."""
 _NUMBER = re.compile(r"-?\d+(\.\d+)?")
+"""Pattern of the numbers that are masked so that reasons differing in numbers count as one."""
 
 
 class CallbackPublisher:
-    """Stands for a publisher of the node, and passes messages to a function.
+    """Replacement for a publisher of the node that passes each message to a function.
 
     Args:
-        on_message: Called with each message.
-        has_subscriber: Whether it reports a subscriber; the node does not publish without one.
+        on_message: Function that is called with each message.
+        has_subscriber: Whether a subscriber is reported; without one, the node does not publish.
     """
 
     def __init__(self, on_message: Callable[[Any], None], has_subscriber: bool) -> None:
@@ -88,15 +90,15 @@ class CallbackPublisher:
         self._has_subscriber = has_subscriber
 
     def get_subscription_count(self) -> int:
-        """Return the number of subscribers."""
+        """Return the reported number of subscribers, 0 or 1."""
         return int(self._has_subscriber)
 
 
 class CallbackPlanner(MpcPlannerNode):
-    """The planner's node, whose references go to a function.
+    """The planner's node with its publishers replaced; references are passed to a function.
 
     Args:
-        on_reference: Called with each reference.
+        on_reference: Function that is called with each reference.
         options: Options of the node.
     """
 
@@ -107,7 +109,7 @@ class CallbackPlanner(MpcPlannerNode):
         super().__init__(**options)
 
     def create_publisher(self, msg_type: Any, topic: str, *args: Any, **options: Any) -> Any:
-        """Make a callback publisher; for topics that are not the node's own, a real one."""
+        """Create a callback publisher for the node's own topics, and a real one for all others."""
         if topic == "mpc/reference":
             return CallbackPublisher(self._on_reference, has_subscriber=True)
         if topic.startswith("mpc/") or topic == "/diagnostics":
@@ -115,29 +117,30 @@ class CallbackPlanner(MpcPlannerNode):
         return super().create_publisher(msg_type, topic, *args, **options)
 
     def warn(self, subject: str, text: str) -> None:
-        """Do not log: the warnings of hundreds of drives would fill the terminal."""
+        """Suppress warnings: those of hundreds of drives would fill the terminal."""
 
 
 @cache
 def context() -> rclpy.Context:
-    """Return the context of this process, which discovers no other participant."""
+    """Return the ROS context of this process, with discovery of other participants turned off."""
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "OFF"
-    made = rclpy.Context()
-    made.init(args=[])
-    return made
+    shared = rclpy.Context()
+    shared.init(args=[])
+    return shared
 
 
 @dataclass(frozen=True)
-class Request:
-    """Settings of the drives through scenes.
+class SceneRunSettings:
+    """Settings of drives through random scenes.
 
     Attributes:
-        robot: Name of the robot, or the path of its file.
-        seed: Seed of all noise, in addition to the scene's own.
-        solve_time: Duration of each answer [s]; None means its CPU time.
+        robot: Name of the robot, or path of its file.
+        seed: Seed of the noise, which is combined with the seed of the scene.
+        solve_time: Time assumed for each answer of the planner [s]; None means the CPU time that
+            the answer has taken.
 
     Raises:
-        InputError: The duration is negative or not finite.
+        InputError: The solve time is negative or not finite.
     """
 
     robot: str = "ig42"
@@ -150,35 +153,38 @@ class Request:
 
 
 class NodeLoop:
-    """Runs the planner's node, controller and plant through one scene.
+    """Closed loop of the planner's node, the controller and the plant in one scene.
 
     Args:
-        robot: Name of the robot, or the path of its file.
-        made: The scene.
+        robot: Name of the robot, or path of its file.
+        random_scene: The scene.
         seed: Seed of the noise.
-        solve_time: Duration of each answer [s]; None means that it is measured.
+        solve_time: Time assumed for each answer of the planner [s]; None means that the CPU time
+            is measured.
 
     Attributes:
+        scene: The scene.
         loop: Controller and plant.
         node: The planner's node.
-        times: Times of the ticks on the plant's clock [s].
-        poses: True poses (3,) at the ticks in odom [m, m, rad].
-        energy: Electric energy consumed so far [J].
-        answers: Times from the begin of a cycle to its reference [s].
+        times: Time of each tick on the plant's clock [s].
+        poses: True pose (3,) in odom at each tick [m, m, rad].
+        energy: Electric energy consumed up to each tick [J].
+        answers: Time from the start of each planning cycle to its reference [s].
         late: Number of answers after the planner's deadline.
-        whys: Reasons why plans were not used, with their numbers.
+        rejections: Number of plans that were not used, by reason; numbers in the reasons are
+            replaced by `#`.
     """
 
     def __init__(
-        self, robot: str, made: RandomScene, seed: int = 0, solve_time: float | None = None
+        self, robot: str, random_scene: RandomScene, seed: int = 0, solve_time: float | None = None
     ) -> None:
         values = load_robot(robot)
-        self.made = made
-        self.loop = _loop(values, made)
+        self.scene = random_scene
+        self.loop = _closed_loop(values, random_scene)
         self.node = CallbackPlanner(
             self._on_reference,
             context=context(),
-            parameter_overrides=_overrides(robot, made),
+            parameter_overrides=_overrides(robot, random_scene),
             enable_rosout=False,
             start_parameter_services=False,
         )
@@ -186,25 +192,25 @@ class NodeLoop:
             self.node.get_logger().name, rclpy.logging.LoggingSeverity.FATAL
         )
         self._callbacks = {s.topic_name.lstrip("/"): s.callback for s in self.node.subscriptions}
-        self._random = np.random.default_rng((2021, made.seed, seed))
+        self._random = np.random.default_rng((2021, random_scene.seed, seed))
         self._solve_time = solve_time
         self._propose = self.node.core.propose
-        self.node.core.propose = self._proposed  # type: ignore[assignment,method-assign]
-        self._begun: float | None = None
-        self._tick_at = 0.0
-        self._planned = False
-        self._answered = math.nan
-        self._free = self._due = 0.0
+        self.node.core.propose = self._timed_propose  # type: ignore[assignment,method-assign]
+        self._tick_started: float | None = None
+        self._tick_time = 0.0
+        self._has_planned = False
+        self._answer_time = math.nan
+        self._busy_until = self._next_tick = 0.0
         self._inbox: list[tuple[float, str, Any]] = []
         self._outbox: list[tuple[float, MultiDOFJointTrajectory]] = []
-        self._observed_next = 0.0
+        self._next_observation = 0.0
         self._source = self._health = ""
         self.times: list[float] = []
         self.poses: list[Array] = []
         self.energy: list[float] = []
         self.answers: list[float] = []
         self.late = 0
-        self.whys: Counter[str] = Counter()
+        self.rejections: Counter[str] = Counter()
 
     def close(self) -> None:
         """Destroy the node."""
@@ -212,29 +218,37 @@ class NodeLoop:
 
     @property
     def now(self) -> float:
-        """Time of the plant [s]."""
+        """Present time of the plant [s]."""
         return self.loop.now
 
     # ---- a drive ------------------------------------------------------------------------------
 
-    def run(self, limit: float = LIMIT) -> SceneDrive:
-        """Send the goal, and drive until the planner arrives or abandons it, up to a limit [s]."""
+    def run(self, limit: float = TIME_LIMIT) -> SceneDrive:
+        """Send the goal, and drive until the planner arrives or abandons the goal.
+
+        Args:
+            limit: Longest time from the sending of the goal to the end of the drive [s].
+
+        Returns:
+            The drive, from the sending of the goal on.
+        """
         while self.now < GOAL_TIME - 1e-9:
             self.step()
-        self._send("goal_pose", _goal(self.made.goal))
+        self._send("goal_pose", _goal_message(self.scene.goal))
         first = len(self.times)
-        end, idle = self.now + limit, self.now
+        end, last_active = self.now + limit, self.now
         while self.now < end - 1e-9:
             self.step()
             if self.node.core.state is PlannerState.ARRIVED:
                 break
             if self.node.core.goal is not None:
-                idle = self.now
-            elif self.now - idle > IDLE_TIMEOUT + GOAL_TIME:
+                last_active = self.now
+            elif self.now - last_active > IDLE_TIMEOUT + GOAL_TIME:
                 break
-        return self._drive(first)
+        return self._recorded_drive(first)
 
-    def _drive(self, first: int) -> SceneDrive:
+    def _recorded_drive(self, first: int) -> SceneDrive:
+        """Return the record of the drive from the tick number `first` on."""
         core = self.node.core
         odometry = np.array(self.loop.controller.odometry.pose)
         message, last = self.node.status()[1], self.node.loop.goals.text
@@ -248,76 +262,78 @@ class NodeLoop:
             float(np.hypot(*(odometry - self.poses[-1])[:2])),
             core.state.value,
             message if message == last else f"{message}; {last}",
-            dict(self.whys.most_common(5)),
+            dict(self.rejections.most_common(5)),
         )
 
     def step(self) -> None:
-        """Run one tick of the plant, and what the node does until the next."""
+        """Run one tick of the plant, and the callbacks of the node that are due after it."""
         self._deliver()
         self.loop.step()
         self.times.append(self.now - PERIOD)
         self.poses.append(self.loop.truth.copy())
         self.energy.append(float(self.loop.drives.electrical()[:, 2].sum()))
-        self._report()
-        self._observe()
-        if self.now >= self._free - 1e-9:
-            self._serve()
+        self._send_controller_state()
+        self._send_obstacles()
+        if self.now >= self._busy_until - 1e-9:
+            self._run_callbacks()
 
     # ---- the node -----------------------------------------------------------------------------
 
-    def _serve(self) -> None:
-        """Deliver arrived messages to the node, and call its timer if that is due."""
+    def _run_callbacks(self) -> None:
+        """Deliver arrived messages to the node, and call its timer if it is due."""
         now = self.now
         self._set_clock(now)
         arrived = [item for item in self._inbox if item[0] <= now + 1e-9]
         self._inbox = [item for item in self._inbox if item[0] > now + 1e-9]
-        newest = max((k for k, item in enumerate(arrived) if item[1] == "odom"), default=-1)
+        newest_odom = max((k for k, item in enumerate(arrived) if item[1] == "odom"), default=-1)
         for k, (_, topic, message) in enumerate(arrived):
-            if topic != "odom" or k == newest:  # the node's queue holds one message of odom
+            if topic != "odom" or k == newest_odom:  # the node keeps only the last odom message
                 self._callbacks[topic](message)
-        if now < self._due - 1e-9:
+        if now < self._next_tick - 1e-9:
             return
         period = self.node.settings.value.period
-        self._due += period * max(math.floor((now - self._due) / period + 1e-9) + 1, 1)
+        self._next_tick += period * max(math.floor((now - self._next_tick) / period + 1e-9) + 1, 1)
         self._tick(now)
 
     def _tick(self, now: float) -> None:
-        self._tick_at, self._planned, self._answered = now, False, math.nan
-        self._begun = time.thread_time()
+        """Call the node's timer, and record how long its answer took."""
+        self._tick_time, self._has_planned, self._answer_time = now, False, math.nan
+        self._tick_started = time.thread_time()
         self.node.tick()
-        took = self._elapsed()
-        self._free, self._begun = now + took, None
-        if self._planned:
-            # A robot that is to stand still gets no reference.
-            self.answers.append(took if math.isnan(self._answered) else self._answered)
+        duration = self._elapsed()
+        self._busy_until, self._tick_started = now + duration, None
+        if self._has_planned:
+            # There is no reference if the robot is to stand still.
+            has_reference = not math.isnan(self._answer_time)
+            self.answers.append(self._answer_time if has_reference else duration)
             report = self.node.core.report
             self.late += report.lateness > 0.0
             if report.reason:
-                self.whys[_NUMBER.sub("#", report.reason)] += 1
+                self.rejections[_NUMBER.sub("#", report.reason)] += 1
 
     def _elapsed(self) -> float:
-        """Return the time since the begin of the tick [s]."""
-        if self._begun is None:
+        """Return the time since the start of the node's tick, measured or assumed [s]."""
+        if self._tick_started is None:
             return 0.0
         if self._solve_time is not None:
-            return self._solve_time if self._planned else 0.0
-        return time.thread_time() - self._begun
+            return self._solve_time if self._has_planned else 0.0
+        return time.thread_time() - self._tick_started
 
-    def _proposed(self, *args: Any) -> Any:
-        """Plan, and advance the node's clock by the time that it took."""
+    def _timed_propose(self, *args: Any) -> Any:
+        """Plan, and advance the node's clock by the time that the planning took."""
         proposal = self._propose(*args)
-        self._planned = True
-        self._set_clock(self._tick_at + self._elapsed())
+        self._has_planned = True
+        self._set_clock(self._tick_time + self._elapsed())
         return proposal
 
     def _on_reference(self, message: MultiDOFJointTrajectory) -> None:
         """Queue a reference for its delayed delivery to the controller."""
-        self._answered = self._elapsed()
-        self._outbox.append((self._tick_at + self._answered, message))
+        self._answer_time = self._elapsed()
+        self._outbox.append((self._tick_time + self._answer_time, message))
 
     def _deliver(self) -> None:
-        """Pass the last reference that has arrived to the controller, as its node does."""
-        arrived = [message for at, message in self._outbox if at <= self.now + 1e-9]
+        """Pass the newest reference that has arrived to the controller, as its node would do."""
+        arrived = [message for arrival, message in self._outbox if arrival <= self.now + 1e-9]
         if not arrived:
             return
         self._outbox = [item for item in self._outbox if item[0] > self.now + 1e-9]
@@ -329,20 +345,21 @@ class NodeLoop:
         except InputError as error:
             refusal = str(error)
         if refusal:
-            self.whys[_NUMBER.sub("#", f"controller: {refusal}")] += 1
+            self.rejections[_NUMBER.sub("#", f"controller: {refusal}")] += 1
 
     def _set_clock(self, now: float) -> None:
-        # Only a ROS clock has it, and the node runs on one.
+        # The method exists on ROS clocks only; the node has one, as it uses simulated time.
         clock: Any = self.node.get_clock()
         clock.set_ros_time_override(Time(nanoseconds=round((EPOCH + now) * 1e9)))
 
     # ---- messages to the node -------------------------------------------------------------------
 
-    def _send(self, topic: str, message: Any, after: float = 0.0) -> None:
-        self._inbox.append((self.now + after, topic, message))
+    def _send(self, topic: str, message: Any, delay: float = 0.0) -> None:
+        """Queue a message to the node that arrives after a delay [s]."""
+        self._inbox.append((self.now + delay, topic, message))
 
-    def _report(self) -> None:
-        """Send the messages of the controller's node in a tick."""
+    def _send_controller_state(self) -> None:
+        """Send the messages that the controller's node would publish in this tick."""
         core = self.loop.controller
         if self.loop.tick % ODOM_EVERY == 0:
             noise = np.array(ODOM_NOISE) * self._random.standard_normal(6)
@@ -364,16 +381,16 @@ class NodeLoop:
         health = f"{core.parameters.drive.dead_limits if core.wheel_health.idle else 1.0:g}"
         if health != self._health:
             self._health = health
-            share = KeyValue(key=LIMIT_SCALE_KEY, value=health)
-            self._send("wheel_health", DiagnosticStatus(values=[share]))
+            limit_scale = KeyValue(key=LIMIT_SCALE_KEY, value=health)
+            self._send("wheel_health", DiagnosticStatus(values=[limit_scale]))
 
-    def _observe(self) -> None:
-        """Observe obstacles from time to time; the message arrives a little later."""
-        if self.now < self._observed_next - 1e-9:
+    def _send_obstacles(self) -> None:
+        """Send noisy positions of the obstacles, at random intervals and with a random delay."""
+        if self.now < self._next_observation - 1e-9:
             return
-        self._observed_next = self.now + float(self._random.uniform(*MARKER_PERIOD))
+        self._next_observation = self.now + float(self._random.uniform(*MARKER_PERIOD))
         message = MarkerArray()
-        for number, obstacle in enumerate(self.made.obstacles):
+        for number, obstacle in enumerate(self.scene.obstacles):
             noise = MARKER_NOISE * self._random.standard_normal(2)
             marker = Marker(ns="scene", id=number, type=Marker.CYLINDER, action=Marker.ADD)
             marker.header.frame_id, marker.header.stamp = "odom", _stamp(self.now)
@@ -386,26 +403,28 @@ class NodeLoop:
         self._send("obstacles", message, float(self._random.uniform(*MARKER_DELAY)))
 
 
-def _loop(values: Mapping[str, Any], made: RandomScene) -> ClosedLoop:
-    """Return a loop of the nominal robot's controller and the true robot's drives."""
-    true, changes = true_robot(values, made.mismatch)
+def _closed_loop(values: Mapping[str, Any], random_scene: RandomScene) -> ClosedLoop:
+    """Return a loop with the controller of the nominal robot and the drives of the true robot."""
+    true_values, changes = true_robot(values, random_scene.mismatch)
     simulation = build(SimulationParameters, changes)
     loop = ClosedLoop(build(PlatformParameters, values), simulation)
-    loop.drives = SimulatedDrives(build(Robot, true), simulation)
-    loop.drives.set_pose(made.start)
-    loop.controller.set_pose(made.start)
+    loop.drives = SimulatedDrives(build(Robot, true_values), simulation)
+    loop.drives.set_pose(random_scene.start)
+    loop.controller.set_pose(random_scene.start)
     return loop
 
 
-def _overrides(robot: str, made: RandomScene) -> list[Parameter]:
-    given: dict[str, Any] = {"use_sim_time": True, "robot": robot}
-    if made.workspace is not None:
+def _overrides(robot: str, random_scene: RandomScene) -> list[Parameter]:
+    """Return the parameters of the node: simulated time, the robot and the scene's workspace."""
+    overrides: dict[str, Any] = {"use_sim_time": True, "robot": robot}
+    if random_scene.workspace is not None:
         names = ("x_min", "y_min", "x_max", "y_max")
-        given |= {f"workspace.{n}": v for n, v in zip(names, made.workspace, strict=True)}
-    return [Parameter(name, value=value) for name, value in given.items()]
+        bounds = zip(names, random_scene.workspace, strict=True)
+        overrides |= {f"workspace.{name}": bound for name, bound in bounds}
+    return [Parameter(name, value=value) for name, value in overrides.items()]
 
 
-def _goal(pose: tuple[float, float, float]) -> PoseStamped:
+def _goal_message(pose: tuple[float, float, float]) -> PoseStamped:
     message = PoseStamped()
     message.header.frame_id = "odom"
     message.pose.position.x, message.pose.position.y = pose[:2]
@@ -417,19 +436,19 @@ def _stamp(now: float) -> Any:
     return Time(nanoseconds=round((EPOCH + now) * 1e9)).to_msg()
 
 
-def drive_scene(request: Request, seed: int) -> Outcome:
-    """Drive through the scene of a seed, and judge the drive."""
-    values = load_robot(request.robot)
-    made = scene(seed, box_of(values))
-    loop = NodeLoop(request.robot, made, request.seed, request.solve_time)
+def drive_scene(settings: SceneRunSettings, seed: int) -> Outcome:
+    """Drive through the random scene of a seed, and judge the drive by the ground truth."""
+    values = load_robot(settings.robot)
+    random_scene = scene(seed, box_of(values))
+    loop = NodeLoop(settings.robot, random_scene, settings.seed, settings.solve_time)
     try:
         drive = loop.run()
     finally:
         loop.close()
     reaction = MARKER_PERIOD[1] + MARKER_DELAY[1]
-    return judged(made, drive, mover_of(values), agility_of(values, reaction))
+    return judge_drive(random_scene, drive, mover_of(values), agility_of(values, reaction))
 
 
-def driver(request: Request) -> Callable[[int], Outcome]:
-    """Return a function that drives the scene of a seed, and that other processes can unpickle."""
-    return partial(drive_scene, request)
+def make_driver(settings: SceneRunSettings) -> Callable[[int], Outcome]:
+    """Return :func:`drive_scene` with fixed settings, in a form that can be pickled."""
+    return partial(drive_scene, settings)

@@ -1,4 +1,7 @@
-"""`omniman reproduce scenes`: the planner's node through random scenes, judged from the truth."""
+"""`omniman reproduce scenes`: the planner's node drives through random scenes.
+
+Each drive is judged by the ground truth; see `studies.scenes`.
+"""
 
 import argparse
 import multiprocessing
@@ -18,38 +21,50 @@ from omniman_ros.extras import PLANNING
 from omniman_ros.lab.bench.measurement import SINGLE_THREADED
 from omniman_ros.lab.reproduce.pipeline import publish
 from omniman_ros.lab.studies.scene_generator import SceneError
-from omniman_ros.lab.studies.scenes import AIM_REACHED, LIMIT, Outcome, aims, groups, summary
+from omniman_ros.lab.studies.scenes import AIM_REACHED, TIME_LIMIT, Outcome, aims, groups, summary
 from omniman_ros.lab.verdicts import verdict
 from omniman_ros.robots import load_robot
 
 if TYPE_CHECKING:
-    from omniman_ros.lab.reproduce.scene_runs import Request
+    from omniman_ros.lab.reproduce.scene_runs import SceneRunSettings
 
 NAME = "reproduce_scenes"
+"""Name of the results, without a suffix."""
 COUNT = 240
 """Default number of scenes."""
 QUICK = 8
 """Number of scenes of a quick run."""
 FULL = 1000
 """Number of scenes of a full run."""
-SHOWN = 9
-"""Most scenes in the picture."""
+MAX_SHOWN = 9
+"""Largest number of drives in the picture."""
 AIMS = (
-    ("collisions that the robot could have avoided", "own_collisions", "0", "own_collisions"),
+    ("contacts that the robot could have avoided", "own_collisions", "0", "own_collisions"),
     ("drives that left the workspace", "left_workspace", "0", "left_workspace"),
     (
-        "goals reached, of those there is a way to",
+        "goals reached, of those that are reachable",
         "reached_of_solvable",
         f">= {100 * AIM_REACHED:g} %",
         "reached",
     ),
 )
-"""Rows of the aims: label, name of the figure, text of the aim, and name of the aim."""
+"""Rows of the table of aims: label, key of the value, text of the aim, and key of the verdict."""
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman reproduce scenes`; return 0 if the aims were met, else 1."""
-    seeds = seeds_of(args)
+    """Run `omniman reproduce scenes`.
+
+    Args:
+        args: Parsed command line.
+
+    Returns:
+        0 if no aim was missed, else 1.
+
+    Raises:
+        CommandError: An option is invalid, the solver is not installed, or no scene was found for
+            a seed.
+    """
+    seeds = scene_seeds(args)
     jobs = os.cpu_count() or 1 if args.jobs is None else args.jobs
     if jobs < 1:
         raise CommandError(f"--jobs must be 1 or more, got {jobs}", code=2)
@@ -61,14 +76,14 @@ def run(args: argparse.Namespace) -> int:
     started = time.monotonic()
     progress = Progress()
     progress.headline(
-        f"{len(seeds)} random scenes, at most {LIMIT:g} s each, robot '{args.robot}', "
-        "the planner's node on noisy odometry and obstacles"
+        f"{len(seeds)} random scenes, at most {TIME_LIMIT:g} s each, robot '{args.robot}', "
+        "the planner's node with noisy odometry and noisy obstacle positions"
     )
     progress.begin("drives")
     outcomes: list[Outcome] = []
     failed = 0
     try:
-        for outcome in driven(_request(args), seeds, jobs):
+        for outcome in drive_scenes(_settings(args), seeds, jobs):
             outcomes.append(outcome)
             failed += outcome.failed
             progress.update(
@@ -86,21 +101,24 @@ def run(args: argparse.Namespace) -> int:
     return 0 if result["passed"] else 1
 
 
-def _request(args: argparse.Namespace) -> "Request":
-    from omniman_ros.lab.reproduce.scene_runs import Request
+def _settings(args: argparse.Namespace) -> "SceneRunSettings":
+    from omniman_ros.lab.reproduce.scene_runs import SceneRunSettings
 
-    return Request(args.robot, args.seed, args.solve_time)
+    return SceneRunSettings(args.robot, args.seed, args.solve_time)
 
 
-def seeds_of(args: argparse.Namespace) -> range:
-    """Return the seeds of the scenes: those named, or as many as requested from 0 on.
+def scene_seeds(args: argparse.Namespace) -> range:
+    """Return the seeds of the scenes that the command line selects.
+
+    These are the seeds of `--seeds`, or else the first `--count` seeds from 0 on. Without these
+    options, the number depends on `--quick` and `--full`.
 
     Raises:
-        CommandError: The options are refused.
+        CommandError: `--count` or `--seeds` is invalid.
     """
     if args.seeds is None:
-        usual = QUICK if args.quick else FULL if args.full else COUNT
-        count: int = usual if args.count is None else args.count
+        default = QUICK if args.quick else FULL if args.full else COUNT
+        count: int = default if args.count is None else args.count
         if count < 1:
             raise CommandError(f"--count must be 1 or more, got {count}", code=2)
         return range(count)
@@ -117,82 +135,94 @@ def seeds_of(args: argparse.Namespace) -> range:
     return seeds
 
 
-def driven(request: "Request", seeds: Sequence[int], jobs: int) -> Iterator[Outcome]:
-    """Drive scenes in several processes.
+def drive_scenes(
+    settings: "SceneRunSettings", seeds: Sequence[int], jobs: int
+) -> Iterator[Outcome]:
+    """Drive through scenes in several processes.
 
     Args:
-        request: How scenes are driven.
+        settings: Settings of the drives.
         seeds: Seeds of the scenes.
-        jobs: Number of processes; 1: they are driven in this process.
+        jobs: Number of processes; with 1, the drives run in this process.
 
     Yields:
-        The outcomes, in the order of the seeds.
+        The judged outcomes, in the order of the seeds.
     """
-    from omniman_ros.lab.reproduce.scene_runs import driver
+    from omniman_ros.lab.reproduce.scene_runs import make_driver
 
-    drive = driver(request)
+    drive = make_driver(settings)
     if jobs == 1:
         yield from map(drive, seeds)
         return
-    os.environ.update(SINGLE_THREADED)  # read by libraries in the new interpreters
+    os.environ.update(SINGLE_THREADED)  # numerical libraries read these when they are loaded
     spawn = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(min(jobs, len(seeds)), mp_context=spawn) as pool:
         yield from pool.map(drive, seeds)
 
 
 def figures(args: argparse.Namespace, outcomes: Sequence[Outcome]) -> dict[str, Any]:
-    """Return the figures of all drives."""
-    whole = summary(outcomes)
-    met = aims(whole)
+    """Return the result for the JSON: statistics by group of scenes, aims, and every drive."""
+    met = aims(summary(outcomes))
     return {
         "robot": args.robot,
         "seed": args.seed,
         "solve_time_s": args.solve_time,
-        "limit_s": LIMIT,
-        "groups": {n: summary(m) for n, m in groups(outcomes).items()},
+        "limit_s": TIME_LIMIT,
+        "groups": {name: summary(members) for name, members in groups(outcomes).items()},
         "aims": met,
         "passed": all(value is not False for value in met.values()),
-        "failed": [o.scene.seed for o in outcomes if o.failed],
-        "drives": [o.figures() for o in outcomes],
+        "failed": [outcome.scene.seed for outcome in outcomes if outcome.failed],
+        "drives": [outcome.figures() for outcome in outcomes],
     }
 
 
 def draw(robot: Robot, outcomes: Sequence[Outcome], folder: Path) -> str | None:
-    """Draw some of the drives into a PNG file if matplotlib is installed; return its path."""
+    """Draw up to `MAX_SHOWN` drives as a PNG file.
+
+    Returns:
+        Path of the file; None if matplotlib is not installed.
+    """
     try:
         from omniman_ros.lab.figures import scenes as scene_picture
     except ImportError:
         return None
     path = folder / f"{NAME}.png"
-    scene_picture.draw(robot, chosen(outcomes, SHOWN), path)
+    scene_picture.draw(robot, select_shown(outcomes, MAX_SHOWN), path)
     return str(path)
 
 
-def chosen(outcomes: Sequence[Outcome], count: int) -> list[Outcome]:
-    """Choose the drives to draw: those that failed, then those with the smallest gaps."""
-    order = sorted(outcomes, key=lambda o: (not o.failed, not o.verdict.collided, o.verdict.gap))
-    return order[:count]
+def select_shown(outcomes: Sequence[Outcome], count: int) -> list[Outcome]:
+    """Select the drives to draw: failed drives first, then those with the smallest gaps."""
+    ordered = sorted(
+        outcomes,
+        key=lambda outcome: (
+            not outcome.failed,
+            not outcome.verdict.collided,
+            outcome.verdict.gap,
+        ),
+    )
+    return ordered[:count]
 
 
 # ---- the report ---------------------------------------------------------------------------------
 
 
 def report(result: Mapping[str, Any]) -> list[str]:
-    """Return the lines of the tables."""
+    """Return the lines of the report on the terminal."""
     rows: list[tuple[str, ...]] = [
         (
             "",
             "drives",
-            "own contact",
+            "avoidable contacts",
             "other",
             "left area",
-            "with a way",
+            "reachable",
             "reached",
-            "of those",
+            "of reachable",
             "time",
             "energy",
             "least gap",
-            "answer",
+            "answer median",
             "p99",
             "max",
             "late",
@@ -200,17 +230,19 @@ def report(result: Mapping[str, Any]) -> list[str]:
     ]
     rows += [_cells(name, group) for name, group in result["groups"].items()]
     lines = ["", *table(rows)]
-    whole, met = result["groups"]["all"], result["aims"]
+    all_drives, met = result["groups"]["all"], result["aims"]
     rows = [("", "value", "aim", "")]
-    for text, figure, aim, name in AIMS:
-        value = whole[figure]
+    for label, key, aim, name in AIMS:
+        value = all_drives[key]
         shown = f"{100 * value:.1f} %" if isinstance(value, float) else str(value)
-        rows.append((text, shown, aim, verdict(met[name])))
+        rows.append((label, shown, aim, verdict(met[name])))
     lines += ["", *table(rows)]
     if result["failed"]:
-        lines += ["", "Seeds that failed:"]
+        lines += ["", "Failed drives:"]
         lines += [
-            f"  {_story(row)}" for row in result["drives"] if row["seed"] in result["failed"]
+            f"  {_describe_failure(row)}"
+            for row in result["drives"]
+            if row["seed"] in result["failed"]
         ]
     if result["picture"]:
         lines += [f"Picture: {result['picture']}"]
@@ -237,16 +269,16 @@ def _cells(name: str, group: Mapping[str, Any]) -> tuple[str, ...]:
     )
 
 
-def _story(row: Mapping[str, Any]) -> str:
-    """Describe a drive that failed in one sentence."""
-    seen = f"seed {row['seed']}: "
+def _describe_failure(row: Mapping[str, Any]) -> str:
+    """Describe a failed drive in one line."""
+    text = f"seed {row['seed']}: "
     if row["collided"]:
         kind, number = row["touched"]
-        whose = "its own" if row["own"] else "not avoidable"
-        whose += ", though that had just turned" if row["surprised"] else ""
-        seen += f"touched {kind} {number + 1} after {row['contact_s']:.2f} s, {whose}; "
+        cause = "avoidable" if row["own"] else "unavoidable"
+        cause += ", although the obstacle had just turned" if row["surprised"] else ""
+        text += f"touched {kind} {number + 1} after {row['contact_s']:.2f} s, {cause}; "
     if row["outside_m"] > 0.0:
-        seen += f"left the workspace by {1e3 * row['outside_m']:.0f} mm; "
+        text += f"left the workspace by {1e3 * row['outside_m']:.0f} mm; "
     if not row["reached"] and not row["collided"]:
-        seen += f"{row['off_m']:.2f} m from the goal after {row['time_s']:.1f} s, {row['last']}"
-    return seen.rstrip("; ")
+        text += f"{row['off_m']:.2f} m from the goal after {row['time_s']:.1f} s, {row['last']}"
+    return text.rstrip("; ")

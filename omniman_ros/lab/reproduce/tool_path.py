@@ -1,4 +1,8 @@
-"""`omniman reproduce tool_path`: where the tool is, with and without the arm's correction."""
+"""`omniman reproduce tool_path`: error of the tool on its path, with and without correction.
+
+Platform and arm move together along a path of `tool0`. The correction lets the arm compensate for
+the tracking error of the platform.
+"""
 
 import argparse
 import os
@@ -18,7 +22,7 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import build
 from omniman_ros.lab.reproduce.pipeline import collect, publish
 from omniman_ros.lab.studies.tool_courses import COURSES, start, tool_poses
-from omniman_ros.lab.studies.tool_path import HARSHEST, WHEELS, Case, Run, ToolPathLoop, rms
+from omniman_ros.lab.studies.tool_path import MOST_DEMANDING, WHEELS, Case, Run, ToolPathLoop, rms
 from omniman_ros.lab.verdicts import verdict
 from omniman_ros.motion.path.parameters import PathParameters
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
@@ -34,23 +38,27 @@ from omniman_ros.ur.setpoint_generator import GeneratorSettings, JointSetpointGe
 from omniman_ros.ur.streaming_supervisor import joint_limits
 
 NAME = "reproduce_tool_path"
+"""Name of the results, without a suffix."""
 RMS_BOUND = 0.002
-"""Bound of the RMS distance of the tool from the timed point of its path, in odom [m]."""
+"""Bound of the RMS distance of the tool from its reference position at each time, in odom [m]."""
 MAX_BOUND = 0.005
-"""Bound of the largest distance of the tool from the timed point of its path, in odom [m]."""
+"""Bound of the largest distance of the tool from its reference position, in odom [m]."""
 LENGTH = 4.0
-"""Length of the tool's path in the plane [m]."""
+"""Length of the tool's path, projected onto the floor [m]."""
 QUICK_LENGTH = 1.0
-"""Length of the tool's path in the plane, in a quick run [m]."""
+"""Length of the tool's path in a quick run, projected onto the floor [m]."""
 
 
 class StreamedArm:
-    """The streamer's setpoints and the simulated controller's servo, directly connected.
+    """Setpoint generator of the streamer, connected directly to the servo of a simulated arm.
 
     Args:
-        angles: (6,) joint angles at rest [rad].
+        angles: (6,) joint angles at which the arm is at rest [rad].
         arm: Parameters of the arm.
         ur: Parameters of the streamer.
+
+    Attributes:
+        period: Period of the cycle [s].
     """
 
     period = PERIOD
@@ -58,20 +66,35 @@ class StreamedArm:
     def __init__(self, angles: Array, arm: ArmParameters, ur: UrParameters) -> None:
         self._ur = ur
         settings = GeneratorSettings(ur.start_distance, ur.servo_lag)
-        self._stream = JointSetpointGenerator(joint_limits(arm, ur), settings, PERIOD)
-        self._stream.begin(angles, 0.0)
+        self._generator = JointSetpointGenerator(joint_limits(arm, ur), settings, PERIOD)
+        self._generator.begin(angles, 0.0)
         self._arm = SimulatedArm(UrArmParameters(initial=tuple(angles.tolist())))
         self._target = Target(angles.copy())
 
     def preview(
         self, times: Array, positions: Array, velocities: Array, accelerations: Array, now: float
     ) -> None:
-        """Follow a preview of the joints; see :meth:`JointSetpointGenerator.preview`."""
-        self._stream.follow(JointPreview(times, positions, velocities, accelerations), now)
+        """Follow a preview of the joints from now on.
+
+        Args:
+            times: (k,) times of the points [s].
+            positions: (k, 6) joint angles [rad].
+            velocities: (k, 6) joint velocities [rad/s].
+            accelerations: (k, 6) joint accelerations [rad/s^2].
+            now: Present time [s].
+
+        Raises:
+            InputError: The preview is refused.
+        """
+        self._generator.follow(JointPreview(times, positions, velocities, accelerations), now)
 
     def cycle(self, now: float) -> Array:
-        """Send a setpoint at a time [s] and servo for a period; return the joint angles (6,)."""
-        setpoint = self._stream.tick(now, self._arm.q)
+        """Send the setpoint of a time [s], and simulate the servo for one period.
+
+        Returns:
+            (6,) joint angles of the arm at the end of the period [rad].
+        """
+        setpoint = self._generator.tick(now, self._arm.q)
         servo = ServoJ(setpoint, PERIOD, self._ur.lookahead_time, self._ur.gain)
         servo.advance(self._target, PERIOD)
         self._arm.follow(self._target.q, PERIOD)
@@ -79,21 +102,28 @@ class StreamedArm:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman reproduce tool_path`; return 1 if a bound was missed, else 0."""
+    """Run `omniman reproduce tool_path`.
+
+    Args:
+        args: Parsed command line.
+
+    Returns:
+        1 if a drive with correction exceeds a bound, else 0.
+    """
     robot = load_robot(args.robot)
     length = QUICK_LENGTH if args.quick else LENGTH
-    todo = cases(args.quick, args.seed)
+    selected = cases(args.quick, args.seed)
     speed = options(True).linear_velocity
     started = time.monotonic()
     progress = Progress()
     progress.headline(
-        f"tool0 along paths of {length:g} m at {speed:g} m/s with platform and arm in step: "
-        f"{len(todo)} drives, robot '{args.robot}'"
+        f"tool0 along paths of {length:g} m at {speed:g} m/s, platform and arm together: "
+        f"{len(selected)} drives, robot '{args.robot}'"
     )
-    with ProcessPoolExecutor(min(len(todo), os.cpu_count() or 1)) as pool:
-        made = pool.map(partial(drive, dict(robot), length), todo)
-        runs = collect(progress, "drives", made, len(todo), "drives")
-    rows = [row_of(driven) for driven in runs]
+    with ProcessPoolExecutor(min(len(selected), os.cpu_count() or 1)) as pool:
+        generator = pool.map(partial(drive, dict(robot), length), selected)
+        runs = collect(progress, "drives", generator, len(selected), "drives")
+    rows = [drive_row(driven) for driven in runs]
     result: dict[str, Any] = {
         "robot": args.robot,
         "quick": args.quick,
@@ -111,34 +141,41 @@ def run(args: argparse.Namespace) -> int:
 
 
 def cases(quick: bool, seed: int) -> list[tuple[str, Case]]:
-    """Return course and case of each drive, each with correction before the same without."""
+    """Return the course and the case of each drive.
+
+    Each combination of course and wheels is driven with the correction first, then without.
+
+    Args:
+        quick: Whether only one course and one kind of wheels are driven.
+        seed: Seed of the latencies.
+    """
     courses = ["S"] if quick else list(COURSES)
-    wheels = [HARSHEST] if quick else list(WHEELS)
+    wheels = [MOST_DEMANDING] if quick else list(WHEELS)
     return [
-        (course, WHEELS[name].case(options(on), seed))
+        (course, WHEELS[name].case(options(correction), seed))
         for course in courses
         for name in wheels
-        for on in (True, False)
+        for correction in (True, False)
     ]
 
 
 def options(correction: bool) -> ToolPathOptions:
-    """Return the default options, with the correction or without."""
+    """Return the default options of tool paths, with the correction on or off."""
     return build(ToolPathOptions, {"correction": correction})
 
 
-def drive(robot: Mapping[str, Any], length: float, todo: tuple[str, Case]) -> Run:
-    """Drive once.
+def drive(robot: Mapping[str, Any], length: float, course_and_case: tuple[str, Case]) -> Run:
+    """Plan and drive one tool path.
 
     Args:
         robot: Parameters of the robot, full names to values.
-        length: Length of the tool's path in the plane [m].
-        todo: Course and case.
+        length: Length of the tool's path, projected onto the floor [m].
+        course_and_case: Course of the path, and case to drive.
 
     Raises:
-        StudyError: The drive did not come to its end.
+        StudyError: The drive did not reach the end of the path.
     """
-    course, case = todo
+    course, case = course_and_case
     model = WholeBodyModel(build(Mount, {}))
     joints = ArmParameters()
     limits = WholeBodyLimits.of_whole_body(build(PathParameters, robot), joints)
@@ -149,8 +186,11 @@ def drive(robot: Mapping[str, Any], length: float, todo: tuple[str, Case]) -> Ru
     return ToolPathLoop(robot, case, course, motion, model, arm).run()
 
 
-def row_of(run: Run) -> dict[str, Any]:
-    """Return the figures of a drive."""
+def drive_row(run: Run) -> dict[str, Any]:
+    """Return the figures of a drive for the JSON, with the units in their names.
+
+    The drive is `kept` if its errors in odom keep both bounds.
+    """
     error, true_error = run.error, run.true_error
     distance = np.hypot(run.platform[:, 0], run.platform[:, 1])
     return {
@@ -170,7 +210,7 @@ def row_of(run: Run) -> dict[str, Any]:
 
 
 def draw(runs: Sequence[Run], folder: Path) -> Path | None:
-    """Draw the study into a PNG file if matplotlib is installed."""
+    """Draw the drives as a PNG file; return its path, or None if matplotlib is not installed."""
     try:
         from omniman_ros.lab.figures import tool_path as tool_path_picture
     except ImportError:
@@ -181,16 +221,16 @@ def draw(runs: Sequence[Run], folder: Path) -> Path | None:
 
 
 def report(result: Mapping[str, Any]) -> list[str]:
-    """Return the lines of the table."""
+    """Return the lines of the report on the terminal."""
     rows: list[tuple[str, ...]] = [
         (
             "path, wheels",
             "correction",
             "tool RMS",
             "max",
-            "turned",
-            "truth RMS",
-            "max",
+            "orientation",
+            "true RMS",
+            "true max",
             "platform RMS",
             "heading",
         )
@@ -210,13 +250,14 @@ def report(result: Mapping[str, Any]) -> list[str]:
         for row in result["drives"]
     ]
     bounds = result["bounds"]
-    kept = verdict(result["passed"], "kept")
+    outcome = verdict(result["passed"], "kept")
     lines = [
         "",
-        "tool0 off the timed point of its path, in odom; the same in the world:",
+        "Distance of tool0 from its reference position, in odom; true: in the world:",
         *table(rows),
         "",
-        f"With correction within {bounds['rms_mm']:g} mm RMS and {bounds['max_mm']:g} mm: {kept}",
+        f"With correction within {bounds['rms_mm']:g} mm RMS and {bounds['max_mm']:g} mm: "
+        f"{outcome}",
     ]
     if result["picture"]:
         lines.append(f"Picture: {result['picture']}")

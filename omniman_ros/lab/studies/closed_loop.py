@@ -1,4 +1,4 @@
-"""Controller core and simulated drives in one loop, in simulated time."""
+"""Platform controller and simulated drives in a closed loop in simulated time."""
 
 from collections import deque
 
@@ -14,23 +14,24 @@ from omniman_ros.simulation.plant.simulated_drives import SimulatedDrives, Wheel
 PERIOD = 0.005
 """Time between two ticks [s]."""
 LATENCY = 0.001
-"""Time from a measurement to the tick that uses it, and to that tick's command [s]."""
+"""Time from a measurement to the tick that uses it, which is also when the drives receive the
+tick's command unless it is delayed [s]."""
 
 
 class ClosedLoop:
-    """Runs controller and drives one tick at a time, without waiting and without a clock.
+    """Runs controller and drives one tick at a time, without waiting and without a real clock.
 
     Args:
-        parameters: Parameters of the controller; its robot is the one that the drives move.
+        parameters: Parameters of the controller, and of the robot that the drives move.
         simulation: Parameters of the drives.
-        late: Number of ticks by which commands reach the drives late.
-        torques: Whether the drives report torques, from which the controller finds dead wheels.
+        late: Number of ticks by which commands to the drives are delayed.
+        torques: Whether the drives report torques, by which the controller detects dead wheels.
 
     Attributes:
         controller: The controller.
         drives: The drives.
-        states: Measurements of the drives in the last tick.
-        truth: (3,) true pose of base_link in the world at that time [m, m, rad].
+        states: Measurements of the drives in the latest tick.
+        truth: (3,) true pose of base_link in the world at the time of `states` [m, m, rad].
         tick: Number of ticks so far.
     """
 
@@ -46,7 +47,7 @@ class ClosedLoop:
         self.tick = 0
         self._late = late
         self._torques = torques
-        self._underway: deque[WheelCommand | None] = deque()
+        self._commands: deque[WheelCommand | None] = deque()
         self.states: WheelStates = self.drives.wheel_states(self.now)
         self.truth: NDArray[np.float64] = self.drives.ground_truth()[0]
         self.step()
@@ -63,12 +64,13 @@ class ClosedLoop:
         self.truth = self.drives.ground_truth()[0]
         effort = states.effort if self._torques else None
         core.update_wheels(now, now + LATENCY, states.position, states.velocity, effort)
-        self._underway.append(core.tick(now + LATENCY))
-        if len(self._underway) > self._late:
-            self._deliver(self._underway.popleft(), now + LATENCY)
+        self._commands.append(core.tick(now + LATENCY))
+        if len(self._commands) > self._late:
+            self._deliver(self._commands.popleft(), now + LATENCY)
         self.tick += 1
 
     def _deliver(self, command: WheelCommand | None, now: float) -> None:
+        """Pass a command, if there is one, to the drives at a time [s]."""
         if command is None:
             return
         if command.mode is DriveMode.TORQUE:

@@ -1,4 +1,4 @@
-"""The experiment of CCTA 2017, V.C: one drive along the path of Fig. 7, and its figures."""
+"""The experiment of CCTA 2017, section V.C: a drive along the path of Fig. 7, and its figures."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -17,31 +17,31 @@ from omniman_ros.lab.studies.closed_loop import PERIOD, ClosedLoop
 from omniman_ros.motion.figure7 import Figure7
 from omniman_ros.simulation.plant.parameters import MismatchParameters, SimulationParameters
 
-NO_INTEGRAL = 100.0
-"""Integral time that makes a loop a P loop: too long to matter in a movement of 10 s [s]."""
-SPREAD = 0.2
-"""Largest relative error of friction, torque constant and amplifier gain of a wheel."""
-LEAD = 0.05
-"""Time before its begin at which a movement is sent to the controller [s]."""
-SMOOTHING = 0.105
-"""Window of the mean that is subtracted from wheel speeds to obtain their noise [s]."""
+P_LOOP_INTEGRAL_TIME = 100.0
+"""Integral time of a PI loop that acts like a P loop: too long to matter in a movement of 10 s
+[s]."""
+MISMATCH_SPREAD = 0.2
+"""Largest relative error of a wheel's friction, torque constant and amplifier gain [-]."""
+SENDING_LEAD = 0.05
+"""Time by which a movement is sent to the controller before it begins [s]."""
+SMOOTHING_WINDOW = 0.105
+"""Window of the moving mean that is subtracted from wheel speeds to obtain their noise [s]."""
 TRACE_STRIDE = 4
-"""Number of ticks between two recorded samples, which makes 50 Hz."""
+"""Number of ticks from one sample of a recorded trace to the next, which gives 50 Hz."""
 
 
 class StudyError(OmnimanError):
-    """A drive did not come to its end: its figures would mean nothing."""
+    """A drive was stopped before its end, so that its figures would be meaningless."""
 
 
 @dataclass(frozen=True)
 class Group:
-    """A group of drives of the study with common parameters.
+    """A group of drives with common parameters.
 
     Attributes:
-        about: Description in the tables.
+        about: Description of the group in the tables.
         changes: Changed parameters of controller and simulation, full names to values.
-        radius_spread: Largest relative error of the wheel radii, which is unknown to the
-            controller.
+        radius_spread: Largest relative error of a wheel's radius, unknown to the controller [-].
     """
 
     about: str
@@ -49,11 +49,11 @@ class Group:
     radius_spread: float = 0.0
 
 
-UNWATCHED = {"drive.following_error": 100.0}
-"""Parameters that prevent a stop by the following error: P loops of unequal wheels can lag by more
-than is allowed on a healthy robot."""
-P_LOOPS = {"firmware.integral_time": NO_INTEGRAL}
-"""Parameters of P velocity loops."""
+NO_FOLLOWING_ERROR_STOP = {"drive.following_error": 100.0}
+"""Parameters that prevent a stop by the following error, as P loops of unequal wheels can lag by
+more than a healthy robot may."""
+P_LOOPS = {"firmware.integral_time": P_LOOP_INTEGRAL_TIME}
+"""Parameters that turn the velocity loops of the drives into P loops."""
 ICE = {
     "drive.mode": "torque",
     "plant.patch_x_min": 0.4,
@@ -62,13 +62,14 @@ ICE = {
     "plant.patch_y_max": 2.0,
     "plant.patch_mu": 0.02,
 }
-"""Parameters of torque mode and a patch of ice on the path."""
+"""Parameters of torque mode and of a patch of ice on the path."""
 GROUPS: Mapping[str, Group] = {
     "P": Group("P velocity loops", P_LOOPS),
     "PI": Group("PI velocity loops"),
     "radii": Group("P velocity loops, wheel radii off by up to 0.5 %", P_LOOPS, 0.005),
     "ice": Group("torque mode, across a patch of ice", ICE),
 }
+"""Groups of drives, by name."""
 
 
 @dataclass(frozen=True)
@@ -76,9 +77,9 @@ class Case:
     """One drive of the study.
 
     Attributes:
-        group: One of GROUPS.
-        sample: Number of the set of random wheels.
-        gain: k_epsilon, 0 for no coupling control [1/s].
+        group: Name of the group, a key of GROUPS.
+        sample: Index of the set of random wheels.
+        gain: k_epsilon [1/s]; 0 for no coupling control.
         mismatch: Errors of the wheels.
     """
 
@@ -90,14 +91,14 @@ class Case:
 
 @dataclass(frozen=True)
 class Setup:
-    """The robot and the path of all drives of a study.
+    """Robot and path, which all drives of a study have in common.
 
     Attributes:
         robot: Parameters of the robot, full names to values.
-        figure: The path in time.
+        figure: The path as a function of time.
 
     Raises:
-        ParameterError: The robot has three wheels, and thus no coupling error.
+        ParameterError: The robot has three wheels, and therefore no coupling error.
     """
 
     robot: Mapping[str, Any]
@@ -116,18 +117,20 @@ class Outcome:
     Attributes:
         epsilon_max: Largest |epsilon| since the start, from the encoders [rad].
         epsilon_rms: RMS of |epsilon| since the start, from the encoders [rad].
-        slip: Energy lost by slip of the rollers on the floor [J].
-        copper: Energy lost in the windings of the motors [J].
-        losses: All losses, including these two [J].
-        energy: Work of the amplifiers [J].
+        slip: Energy dissipated by slip of the rollers on the floor [J].
+        copper: Energy dissipated in the windings of the motors [J].
+        losses: All dissipated energy, including these two [J].
+        energy: Electrical energy that the amplifiers deliver [J].
         imbalance: Residual of the plant's energy balance [J].
-        speed_noise: RMS of the measured wheel speeds less their mean over `SMOOTHING` [rad/s].
-        command_noise: RMS of the commanded wheel speeds less their mean over `SMOOTHING` [rad/s].
-        odometry_end: Position error of odometry at the end [m].
-        odometry_max: Largest position error of odometry [m].
-        heading_end: Magnitude of the heading error of odometry at the end [rad].
-        heading_max: Largest magnitude of the heading error of odometry [rad].
-        tracking_max: Largest distance of odometry from the reference, in odom [m].
+        speed_noise: RMS of the measured wheel speeds less their mean over
+            `SMOOTHING_WINDOW` [rad/s].
+        command_noise: RMS of the commanded wheel speeds less their mean over
+            `SMOOTHING_WINDOW` [rad/s].
+        odometry_end: Position error of the odometry at the end [m].
+        odometry_max: Largest position error of the odometry [m].
+        heading_end: Magnitude of the heading error of the odometry at the end [rad].
+        heading_max: Largest magnitude of the heading error of the odometry [rad].
+        tracking_max: Largest distance of the measured position from the reference, in odom [m].
         duration: Time from the first to the last tick [s].
     """
 
@@ -156,7 +159,7 @@ class Run:
         case: The case.
         outcome: Its figures.
         time: (k,) times at 50 Hz [s].
-        epsilon: (k, m) coupling errors [rad].
+        epsilon: (k, m) coupling errors since the start, from the encoders [rad].
     """
 
     case: Case
@@ -166,27 +169,27 @@ class Run:
 
 
 def draw_mismatch(group: str, seed: int, sample: int, wheels: int) -> MismatchParameters:
-    """Draw random wheels, which are the same in all groups but for their radii.
+    """Draw the errors of a set of random wheels, which differ between groups by the radii only.
 
     Args:
-        group: One of GROUPS.
+        group: Name of the group, a key of GROUPS.
         seed: Seed of the study.
-        sample: Number of the set of wheels.
+        sample: Index of the set of wheels.
         wheels: Number of wheels.
 
     Returns:
-        Factors with a uniform distribution in 1 +- `SPREAD`.
+        Factors with a uniform distribution in 1 +- `MISMATCH_SPREAD`.
     """
     draw = np.random.default_rng([seed, sample]).uniform(-1.0, 1.0, (4, wheels))
-    friction, constant, gain = (tuple((1.0 + SPREAD * row).tolist()) for row in draw[:3])
+    friction, constant, gain = (tuple((1.0 + MISMATCH_SPREAD * row).tolist()) for row in draw[:3])
     radius = tuple((1.0 + GROUPS[group].radius_spread * draw[3]).tolist())
     return MismatchParameters(friction, constant, gain, radius)
 
 
 def coupling_error(kinematics: PlatformKinematics, positions: Array) -> Array:
-    """Compute the coupling error since the first sample, which is never reset.
+    """Compute the coupling error since the first sample, without any reset.
 
-    By CCTA 2017, (12) and (24), epsilon' = T phi', so epsilon = T (phi - phi_0).
+    By CCTA 2017 (12) and (24), epsilon' = T phi', so epsilon = T (phi - phi_0).
 
     Args:
         kinematics: Kinematics of the platform.
@@ -200,8 +203,11 @@ def coupling_error(kinematics: PlatformKinematics, positions: Array) -> Array:
 
 
 def noise(speeds: Array) -> float:
-    """Return the RMS of wheel speeds (k, n) less their mean over `SMOOTHING`, in their unit."""
-    half = round(SMOOTHING / PERIOD) // 2
+    """Return the RMS of wheel speeds (k, n) less their moving mean [rad/s].
+
+    The window of the mean is `SMOOTHING_WINDOW`.
+    """
+    half = round(SMOOTHING_WINDOW / PERIOD) // 2
     window = np.full(2 * half + 1, 1.0 / (2 * half + 1))
     smooth = [np.convolve(column, window, "valid") for column in speeds.T]
     return float(np.sqrt(np.mean((speeds[half:-half] - np.column_stack(smooth)) ** 2)))
@@ -210,20 +216,24 @@ def noise(speeds: Array) -> float:
 def drive(setup: Setup, case: Case) -> Run:
     """Drive along the path once.
 
+    Args:
+        setup: Robot and path.
+        case: Group, gain and wheels of the drive.
+
     Raises:
-        StudyError: The controller or the drives stopped, or refused the path.
-        ParameterError: Robot, gain or mismatch are refused.
+        StudyError: The controller or the drives stopped, or the controller refused the path.
+        ParameterError: A parameter of robot, gain or mismatch is invalid.
     """
-    # Without torques, the detection of dead wheels takes no part in the experiment.
+    # Without reported torques, dead wheels are not detected, so this cannot affect the experiment.
     loop = ClosedLoop(*_parameters(setup, case), torques=False)
     core, drives = loop.controller, loop.drives
-    waiting = list(setup.figure.legs(loop.now))
+    pending = list(setup.figure.legs(loop.now))
     ticks = round(setup.figure.duration / PERIOD)
     rows: list[tuple[Array, ...]] = []
     tracking = 0.0
     for _ in range(ticks):
-        if waiting and loop.now >= waiting[0].begin - LEAD:
-            refusal = core.set_preview(Source.PATH, waiting.pop(0).preview, loop.now)
+        if pending and loop.now >= pending[0].begin - SENDING_LEAD:
+            refusal = core.set_preview(Source.PATH, pending.pop(0).preview, loop.now)
             if refusal:
                 raise StudyError(f"path/reference was refused: {refusal}")
         loop.step()
@@ -239,25 +249,36 @@ def drive(setup: Setup, case: Case) -> Run:
         rows.append((states.position, states.velocity, core.cascade.reference, errors))
     position, speed, command, errors = (np.array(column) for column in zip(*rows, strict=True))
     epsilon = coupling_error(core.cascade.kinematics, position)
-    outcome = _judge(loop, epsilon, speed, command, errors, tracking)
+    outcome = _outcome(loop, epsilon, speed, command, errors, tracking)
     time: Array = PERIOD * np.arange(ticks, dtype=np.float64)
     return Run(case, outcome, time[::TRACE_STRIDE], epsilon[::TRACE_STRIDE])
 
 
 def _parameters(setup: Setup, case: Case) -> tuple[PlatformParameters, SimulationParameters]:
+    """Return the parameters of controller and simulation for a case."""
     values = {
         **setup.robot,
         **GROUPS[case.group].changes,
-        **UNWATCHED,
+        **NO_FOLLOWING_ERROR_STOP,
         "coupling.k_epsilon": case.gain,
     }
     simulation = build(SimulationParameters, values)
     return build(PlatformParameters, values), replace(simulation, mismatch=case.mismatch)
 
 
-def _judge(
+def _outcome(
     loop: ClosedLoop, epsilon: Array, speed: Array, command: Array, errors: Array, tracking: float
 ) -> Outcome:
+    """Return the figures of a completed drive.
+
+    Args:
+        loop: Controller and drives after the drive.
+        epsilon: (k, m) coupling errors since the start [rad].
+        speed: (k, n) measured wheel speeds [rad/s].
+        command: (k, n) commanded wheel speeds [rad/s].
+        errors: (k, 3) errors of the pose by odometry [m, m, rad].
+        tracking: Largest distance of the measured position from the reference [m].
+    """
     size = np.linalg.norm(epsilon, axis=1)
     distance, turn = np.hypot(errors[:, 0], errors[:, 1]), np.abs(errors[:, 2])
     energy = loop.drives.energy

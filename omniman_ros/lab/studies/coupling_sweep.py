@@ -1,4 +1,4 @@
-"""The experiment of CCTA 2017, V.C over gains and random wheels: many drives, one table."""
+"""The experiment of CCTA 2017, section V.C, for many gains and random wheels."""
 
 import multiprocessing
 from collections.abc import Iterator, Mapping, Sequence
@@ -11,21 +11,21 @@ from typing import Any
 from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
 from omniman_ros.lab.studies.coupling import GROUPS, Case, Run, Setup, draw_mismatch, drive
-from omniman_ros.lab.studies.delay import Response, respond
+from omniman_ros.lab.studies.delay import Response, step_response
 from omniman_ros.motion.figure7 import Figure7
 
 PAPER_GAIN = 2.0
-"""k_epsilon of Fig. 7 [1/s]."""
+"""k_epsilon in Fig. 7 of CCTA 2017 [1/s]."""
 AIM = 0.1
-"""Aim: largest ratio of the coupling error to that without coupling control."""
+"""Aim: largest ratio of the coupling error to the one without coupling control [-]."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Extent of the sweep.
+    """Extent of a sweep.
 
     Attributes:
-        figure: The path in time.
+        figure: The path as a function of time.
         gains: Additional values of k_epsilon by group [1/s].
         samples: Number of sets of random wheels.
         delays: Additional delays of the commands in the tests on blocks [s].
@@ -37,31 +37,46 @@ class Plan:
     delays: Sequence[float]
 
     def gains_with(self, chosen: float) -> dict[str, list[float]]:
-        """Return the gains by group, including 0, the paper's and the robot's own."""
+        """Return the gains by group [1/s]: those of the plan, 0, the paper's and the robot's own.
+
+        Args:
+            chosen: The robot's own gain [1/s].
+        """
         return {
             group: sorted({0.0, PAPER_GAIN, chosen, *gains}) for group, gains in self.gains.items()
         }
 
 
-_FINE = (1.0, 3.0, 5.0, 8.0, 16.0, 20.0, 30.0, 50.0)
+_FINE_GAINS = (1.0, 3.0, 5.0, 8.0, 16.0, 20.0, 30.0, 50.0)
+"""Values of k_epsilon in the full sweep [1/s]."""
 
 QUICK = Plan(Figure7(length=1.0), {"P": ()}, samples=1, delays=(0.05,))
+"""Sweep of a quick run: a short path and one set of wheels."""
 STANDARD = Plan(
     Figure7(),
     {"P": (5.0, 20.0, 30.0), "PI": (5.0, 30.0), "radii": (), "ice": ()},
     samples=10,
     delays=(0.0, 0.02, 0.05),
 )
+"""Sweep of a standard run."""
 FULL = Plan(
     Figure7(),
-    {"P": _FINE, "PI": _FINE, "radii": (5.0, 30.0), "ice": (5.0, 30.0)},
+    {"P": _FINE_GAINS, "PI": _FINE_GAINS, "radii": (5.0, 30.0), "ice": (5.0, 30.0)},
     samples=20,
     delays=(0.0, 0.01, 0.02, 0.03, 0.05),
 )
+"""Sweep of a full run."""
 
 
 def cases(plan: Plan, robot: Mapping[str, Any], chosen: float, seed: int) -> list[Case]:
-    """Return every drive of a plan, for the robot's own gain `chosen`."""
+    """Return the cases of all drives of a plan.
+
+    Args:
+        plan: Extent of the sweep.
+        robot: Parameters of the robot, full names to values.
+        chosen: The robot's own gain [1/s].
+        seed: Seed of the random wheels.
+    """
     wheels = build(Robot, robot).wheel_count
     return [
         Case(group, sample, gain, draw_mismatch(group, seed, sample, wheels))
@@ -72,18 +87,18 @@ def cases(plan: Plan, robot: Mapping[str, Any], chosen: float, seed: int) -> lis
 
 
 def sweep(setup: Setup, chosen: Sequence[Case], workers: int) -> Iterator[Run]:
-    """Drive cases in parallel; the number of workers does not change the figures.
+    """Drive cases in parallel; the results do not depend on the number of workers.
 
     Args:
         setup: Robot and path.
         chosen: The cases.
-        workers: Number of processes; 1: they are driven in this process.
+        workers: Number of processes; with 1, the cases are driven in this process.
 
     Yields:
         The drives, in the order of the cases.
 
     Raises:
-        StudyError: See :func:`drive`.
+        StudyError: A drive was stopped before its end, see `coupling.drive`.
     """
     if workers == 1:
         yield from map(partial(drive, setup), chosen)
@@ -98,20 +113,27 @@ def sweep(setup: Setup, chosen: Sequence[Case], workers: int) -> Iterator[Run]:
 
 
 def responses(plan: Plan, robot: Mapping[str, Any], chosen: float) -> list[Response]:
-    """Measure step responses on blocks, over the plan's delays and the gains of group P."""
+    """Measure the step responses on blocks for the plan's delays and its gains of group P.
+
+    Args:
+        plan: Extent of the sweep.
+        robot: Parameters of the robot, full names to values.
+        chosen: The robot's own gain [1/s].
+    """
     gains = [gain for gain in plan.gains_with(chosen)["P"] if gain > 0.0]
-    return [respond(robot, gain, delay) for delay in plan.delays for gain in gains]
+    return [step_response(robot, gain, delay) for delay in plan.delays for gain in gains]
 
 
-def _spread(values: Sequence[float]) -> dict[str, float]:
+def _mean_and_worst(values: Sequence[float]) -> dict[str, float]:
+    """Return the mean of values, and the value of the largest magnitude."""
     return {"mean": fmean(values), "worst": max(values, key=abs)}
 
 
 def summary(runs: Sequence[Run]) -> list[dict[str, Any]]:
-    """Return mean and worst of each figure over the samples, in a row for each group and gain.
+    """Return mean and worst value of each figure over the samples, by group and gain.
 
-    `epsilon_ratio` is the ratio of a sample's epsilon_max to that of the same wheels without
-    control.
+    Each row belongs to one group and gain. `epsilon_ratio` is the ratio of a sample's
+    `epsilon_max` to the one of the same wheels without coupling control.
     """
     table: dict[str, dict[float, list[Run]]] = {}
     for run in runs:
@@ -122,7 +144,7 @@ def summary(runs: Sequence[Run]) -> list[dict[str, Any]]:
         for gain, same in sorted(by_gain.items()):
             largest = [run.outcome.epsilon_max for run in same]
             figures = {
-                name: _spread([getattr(run.outcome, name) for run in same])
+                name: _mean_and_worst([getattr(run.outcome, name) for run in same])
                 for name in asdict(same[0].outcome)
             }
             ratio = [new / old for new, old in zip(largest, off, strict=True)]
@@ -132,7 +154,7 @@ def summary(runs: Sequence[Run]) -> list[dict[str, Any]]:
                     "about": GROUPS[group].about,
                     "k": gain,
                     **figures,
-                    "epsilon_ratio": _spread(ratio),
+                    "epsilon_ratio": _mean_and_worst(ratio),
                     "epsilon_max_samples": largest,
                 }
             )

@@ -1,7 +1,8 @@
-"""Stability margin of the coupling controller's gain when commands are delayed.
+"""Step responses of the coupling control with delayed commands, as a measure of its stability.
 
-The wheels are off the floor. On the floor they constrain each other, which slows the loop of the
-coupling error down and makes it robust; on blocks, or on ice, nothing but the drives does.
+The wheels are off the floor. On the floor they constrain each other, which slows the dynamics of
+the coupling error down and makes the loop robust; on blocks, or on ice, only the drives slow it
+down.
 """
 
 from collections.abc import Mapping
@@ -16,26 +17,27 @@ from omniman_ros.lab.studies.closed_loop import PERIOD, ClosedLoop
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 
 SPEED = 0.4
-"""Forward speed, which is reached after `RUN_UP` [m/s]."""
-OFFSET = 0.2
-"""Step of epsilon that the controller must remove, many counts of a coarse encoder [rad]."""
+"""Forward speed, which is reached within `RUN_UP` [m/s]."""
+EPSILON_STEP = 0.2
+"""Step of the coupling error epsilon, many counts of a coarse encoder [rad]."""
 RUN_UP = 2.0
 """Time before the step [s]."""
-WATCHED = 4.0
-"""Time after the step [s]."""
-SETTLED = 0.25
-"""Swing in the last second, relative to the step, below which epsilon counts as settled."""
+RECORDED_TIME = 4.0
+"""Time for which the response is recorded after the step [s]."""
+SETTLED_SWING = 0.25
+"""Ratio of the largest error in the last second to the step, below which epsilon counts as settled
+[-]."""
 
 
 @dataclass(frozen=True)
 class Response:
-    """Step response of the coupling error.
+    """Properties of a step response of the coupling error.
 
     Attributes:
         gain: k_epsilon [1/s].
         delay: Additional delay of the commands to the drives [s].
-        overshoot: Overshoot beyond zero, relative to the step.
-        swing: Largest error in the last second, relative to the step.
+        overshoot: Largest overshoot beyond zero, relative to the step [-].
+        swing: Largest magnitude of the error in the last second, relative to the step [-].
     """
 
     gain: float
@@ -45,37 +47,43 @@ class Response:
 
     @property
     def settled(self) -> bool:
-        """Whether the error does not oscillate."""
-        return self.swing < SETTLED
+        """Whether the error has died out rather than oscillating."""
+        return self.swing < SETTLED_SWING
 
 
-def respond(robot: Mapping[str, Any], gain: float, delay: float) -> Response:
-    """Measure the response to a step of the coupling error of a moving robot on blocks.
+def step_response(robot: Mapping[str, Any], gain: float, delay: float) -> Response:
+    """Measure the response to a step of the coupling error, at constant speed on blocks.
 
-    The authority of the controller is not bounded here: a bound would hide an unstable gain in a
-    limit cycle.
+    The authority of the coupling controller is raised to 1 here, as a tighter bound would hide an
+    unstable gain in a limit cycle.
 
     Args:
         robot: Parameters of the robot, full names to values.
         gain: k_epsilon [1/s].
-        delay: Additional delay of the commands, rounded to whole ticks [s].
+        delay: Additional delay of the commands to the drives, rounded to whole ticks [s].
     """
-    late = round(delay / PERIOD)
+    delay_ticks = round(delay / PERIOD)
     changes = {"coupling.k_epsilon": gain, "coupling.authority": 1.0}
     simulation = build(SimulationParameters, robot)
     lifted = replace(simulation, plant=replace(simulation.plant, lifted=True))
-    loop = ClosedLoop(build(PlatformParameters, {**robot, **changes}), lifted, late, torques=False)
+    loop = ClosedLoop(
+        build(PlatformParameters, {**robot, **changes}), lifted, delay_ticks, torques=False
+    )
     core = loop.controller
     twist = np.array([SPEED, 0.0, 0.0])
     errors = []
-    before, after = round(RUN_UP / PERIOD), round(WATCHED / PERIOD)
+    before, after = round(RUN_UP / PERIOD), round(RECORDED_TIME / PERIOD)
     for tick in range(before + after):
         core.set_twist(twist, loop.now)
         if tick == before:
             core.cascade.coupling.reset()
-            core.cascade.coupling.add(np.full(core.cascade.kinematics.constraint_count, OFFSET))
+            core.cascade.coupling.add(
+                np.full(core.cascade.kinematics.constraint_count, EPSILON_STEP)
+            )
         loop.step()
         errors.append(core.cascade.coupling.error)
-    error = np.array(errors[before:]) / OFFSET
+    error = np.array(errors[before:]) / EPSILON_STEP
     last = error[-round(1.0 / PERIOD) :]
-    return Response(gain, late * PERIOD, max(float(-error.min()), 0.0), float(np.abs(last).max()))
+    return Response(
+        gain, delay_ticks * PERIOD, max(float(-error.min()), 0.0), float(np.abs(last).max())
+    )

@@ -1,6 +1,6 @@
 """The test cases of MPC 2021, section 4, and the variants in which they are driven.
 
-The scenes are those of `planning.cases`.
+Starts, goals and obstacles are those of `omniman_ros.planning.cases`.
 """
 
 import math
@@ -28,12 +28,12 @@ class Scene:
         goal: Pose of the goal in odom [m, m, rad].
         start: Pose of the start in odom [m, m, rad].
         obstacles: Obstacles as they truly are.
-        snapshots: Times that figures show, since the robot was sent off [s].
-        changes: Parameters of the planner that differ from the defaults, full names to values.
+        snapshots: Times at which figures show the drive, counted from when the goal was sent [s].
+        changes: Parameters of the planner that differ from the robot's, full names to values.
         noise: Standard deviation of the observed positions of obstacles [m].
         time_limit: Time within which the goal must be reached [s].
-        walls: Walls.
-        grid: Map of the walls that the planner gets, or None if there is no map.
+        walls: Walls; touching one counts as a contact.
+        grid: Map of the walls that the planner receives; None if it receives no map.
     """
 
     name: str
@@ -49,37 +49,38 @@ class Scene:
 
 
 def circle(radius: float, place: Callable[[float], Array]) -> MovingObstacle:
-    """Make a circular obstacle.
+    """Return a circular obstacle.
 
     Args:
         radius: Radius [m].
-        place: Position of its centre (2,) in odom [m] at a time [s].
+        place: Function from a time [s] to the position (2,) of its centre in odom [m].
     """
     return MovingObstacle((radius, radius), place)
 
 
 def _scene(case: Case, **more: Any) -> Scene:
+    """Return the scene of a test case; `more` contains further fields of `Scene`."""
     circles = tuple(circle(RADIUS, path) for path in case.ways)
     return Scene(case.name, case.goal, case.start, circles, **more)
 
 
 def free() -> Scene:
-    """Make the free case, which has no obstacles (MPC 2021, 4.1)."""
+    """Return the free case, which has no obstacles (MPC 2021, 4.1)."""
     return _scene(CASES["free"], snapshots=(2.0, 3.5, 7.0))
 
 
 def corridor() -> Scene:
-    """Make the corridor: four circles through which the robot fits lengthwise only (4.2)."""
+    """Return the corridor: a row of circles that the robot passes lengthwise (MPC 2021, 4.2)."""
     return _scene(CASES["corridor"], snapshots=(0.8, 1.9, 2.7, 3.4, 4.8))
 
 
 def moving() -> Scene:
-    """Make the case of circles that cross the path from both sides, observed with noise (4.3)."""
+    """Return the case of circles that cross the path, observed with noise (MPC 2021, 4.3)."""
     return _scene(CASES["moving"], noise=0.01)
 
 
 SCENES: Mapping[str, Callable[[], Scene]] = {"free": free, "corridor": corridor, "moving": moving}
-"""The cases, by name."""
+"""Functions that return the scenes of the test cases, by name."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +91,8 @@ class Variant:
         about: Short description, which names the drive in the results.
         robot: Changed parameters of robot and plant, full names to values.
         planner: Changed parameters of the planner, full names to values.
-        voltages: Whether the planner's motor voltages are applied.
+        voltages: Whether the planner's motor voltages are applied to the motors, instead of its
+            reference being followed by the controller.
     """
 
     about: str
@@ -100,9 +102,9 @@ class Variant:
 
 
 def variants(robot: Mapping[str, Any]) -> list[Variant]:
-    """Return the variants of the free case, of which the first is the case itself.
+    """Return the variants of the free case, beginning with the unchanged case.
 
-    They show what decides whether the robot turns to travel along a diagonal.
+    They show what decides whether the robot turns in order to travel along a roller diagonal.
 
     Args:
         robot: Parameters of the robot, full names to values.
@@ -121,10 +123,10 @@ def variants(robot: Mapping[str, Any]) -> list[Variant]:
 
 
 def goals(full: bool) -> Iterable[tuple[float, float]]:
-    """Yield distances [m] and bearings [rad] of the goals in the table of energies.
+    """Yield the distance [m] and bearing [rad] of each goal in the table of energies.
 
     Args:
-        full: Whether all five bearings are yielded, or three.
+        full: Whether to yield five bearings per distance rather than three.
     """
     bearings = (0.0, 22.5, 45.0, 67.5, 90.0) if full else (0.0, 45.0, 90.0)
     for distance in (1.0, 2.0, 4.0):

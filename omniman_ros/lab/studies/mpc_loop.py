@@ -1,4 +1,4 @@
-"""Planner, controller and slipping plant in one loop, in simulated time, among obstacles."""
+"""MPC planner, controller and slipping plant in a closed loop in simulated time."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -18,13 +18,13 @@ from omniman_ros.planning.parameters import PlannerParameters
 from omniman_ros.planning.planner import Planner
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 
-CYCLE = 0.05
+PLANNER_PERIOD = 0.05
 """Period of the planner [s]."""
 OBSERVATION_PERIOD = 0.05
 """Period of the observations of obstacles [s]."""
-WARM_UP = 12
-"""Number of ticks before the first goal: a planner keeps its first motion, at the origin, for
-50 ms."""
+WARM_UP_TICKS = 12
+"""Number of ticks before the first goal: the planner keeps its initial motion, at rest at the
+origin, for 50 ms."""
 
 
 @dataclass(frozen=True)
@@ -33,8 +33,8 @@ class MovingObstacle:
 
     Attributes:
         semi_axes: Semi-axes [m].
-        place: Position of its centre (2,) in odom [m] at a time [s].
-        angle: Angle of its first axis in odom [rad].
+        place: Function from a time [s] to the position (2,) of its centre in odom [m].
+        angle: Angle of its first semi-axis in odom [rad].
     """
 
     semi_axes: tuple[float, float]
@@ -44,7 +44,7 @@ class MovingObstacle:
 
 @dataclass
 class Trace:
-    """The record of a drive, with a row for each cycle of the planner.
+    """The record of a planner, with a row for each of its cycles.
 
     Attributes:
         times: Times of the cycles [s].
@@ -52,12 +52,13 @@ class Trace:
         references: Reference poses (3,) in odom [m, m, rad].
         plans: Planned poses (k, 3) in odom [m, m, rad].
         obstacles: True positions (M, 2) of the obstacles in odom [m].
-        reports: Reports of the planner.
+        reports: Reports of the planner on its cycles.
         energy: Electric energy consumed so far [J].
         states: States of the planner.
         plan_times: Times (k,) of the planned poses [s].
         known: Obstacles as the planner knows them.
-        spent: Duration of planning on the timer of the loop [s]; 0 where nothing was planned.
+        planning_times: Durations of planning on the timer of the loop [s]; 0 in cycles
+            without planning.
     """
 
     times: list[float] = field(default_factory=list)
@@ -70,12 +71,12 @@ class Trace:
     states: list[PlannerState] = field(default_factory=list)
     plan_times: list[Array] = field(default_factory=list)
     known: list[Ellipses] = field(default_factory=list)
-    spent: list[float] = field(default_factory=list)
+    planning_times: list[float] = field(default_factory=list)
 
 
 @dataclass
-class Course:
-    """The true motion of the robot, with a row for each tick of the controller.
+class MotionRecord:
+    """The record of a robot's motion, with a row for each tick of the controller.
 
     Attributes:
         times: Times of the ticks [s].
@@ -92,7 +93,7 @@ class Course:
     energy: list[float] = field(default_factory=list)
 
     def add(self, loop: ClosedLoop) -> None:
-        """Record the last tick of a loop."""
+        """Record the latest tick of a loop."""
         odometry = loop.controller.odometry
         self.times.append(loop.now - PERIOD)
         self.poses.append(loop.truth.copy())
@@ -103,17 +104,18 @@ class Course:
 
 @dataclass(frozen=True)
 class LoopOptions:
-    """The circumstances of a drive.
+    """The conditions of a drive.
 
     Attributes:
         start: (3,) pose at the start in odom [m, m, rad].
-        obstacles: Obstacles.
+        obstacles: Obstacles as they truly move.
         voltages: Whether the planner's motor voltages are applied, instead of its reference being
             followed.
-        solve_time: Duration of a solution, a multiple of the tick of 5 ms [s].
+        solve_time: Simulated duration of planning in a cycle, a multiple of the tick of 5 ms [s].
         noise: Standard deviation of the observed positions of obstacles [m].
         seed: Seed of the noise.
-        timer: Clock by which planning is measured [s]; None if it is not measured.
+        timer: Function that returns a time [s], by which the duration of planning is measured;
+            None if it is not measured.
     """
 
     start: Sequence[float] = (0.0, 0.0, 0.0)
@@ -132,15 +134,15 @@ class MpcLoop:
         planner: Parameters of the planner.
         platform: Parameters of the controller, of the same robot.
         simulation: Parameters of the drives.
-        options: Circumstances of the drive.
+        options: Conditions of the drive; None for the defaults.
 
     Attributes:
         loop: Controller and plant.
         planner: The planner.
-        seen: Obstacles as they were observed.
+        observed: Obstacles as they were observed.
         obstacles: Obstacles as they truly move.
         trace: Record of the planner's cycles.
-        course: True motion of the robot.
+        motion_record: Record of the robot's motion.
     """
 
     def __init__(
@@ -155,43 +157,42 @@ class MpcLoop:
         x, y, theta = map(float, options.start)
         self.loop.drives.set_pose((x, y, theta))
         self.loop.controller.set_pose((x, y, theta))
-        for _ in range(WARM_UP):
+        for _ in range(WARM_UP_TICKS):
             self.loop.step()
         self.planner = Planner(planner, anchored=not options.voltages)
-        self.seen = ObstacleSet(planner.obstacles)
+        self.observed = ObstacleSet(planner.obstacles)
         self.obstacles = list(options.obstacles)
-        self.trace, self.course = Trace(), Course()
+        self.trace, self.motion_record = Trace(), MotionRecord()
         self._timer = options.timer or (lambda: 0.0)
-        self._spent = 0.0
+        self._planning_time = 0.0
         self._voltages, self._noise = options.voltages, options.noise
-        self._solving = round(options.solve_time / PERIOD)
+        self._solve_ticks = round(options.solve_time / PERIOD)
         self._random = np.random.default_rng(options.seed)
-        self._observed = -np.inf
-        self._previewed = False
+        self._last_observation = -np.inf
 
     @property
     def now(self) -> float:
-        """Time [s]."""
+        """Present time of the simulation [s]."""
         return self.loop.now
 
     def measured(self) -> MeasuredState:
-        """Return the robot's motion by odometry."""
+        """Return the robot's pose and twist by odometry at the latest tick."""
         odometry = self.loop.controller.odometry
         return MeasuredState(
             self.loop.now - PERIOD, np.array(odometry.pose), np.array(odometry.twist)
         )
 
     def drive(self, goal: Goal) -> None:
-        """Drive to a goal."""
+        """Send a goal to the planner; nothing moves before `run` or `cycle`."""
         self._observe()
-        self.planner.drive(goal, self.measured(), self.seen.ellipses(self.now))
+        self.planner.drive(goal, self.measured(), self.observed.ellipses(self.now))
 
     def run(self, seconds: float, until: Callable[[], bool] | None = None) -> None:
-        """Drive for a time, or until a condition holds.
+        """Run cycles for a time, or until a condition holds.
 
         Args:
-            seconds: The time [s].
-            until: The condition; None means that the goal is reached.
+            seconds: Longest simulated time to run [s].
+            until: Function that returns whether to end; None to end when the planner has arrived.
         """
         end = self.now + seconds
         while self.now < end - 1e-9:
@@ -202,38 +203,39 @@ class MpcLoop:
                 return
 
     def cycle(self) -> None:
-        """Run one cycle of the planner."""
+        """Run one cycle of the planner, and the ticks of the controller until the next cycle."""
         self._observe()
         now, planner = self.now, self.planner
-        ticks = round(CYCLE / PERIOD)
-        self._spent = 0.0
+        ticks = round(PLANNER_PERIOD / PERIOD)
+        self._planning_time = 0.0
         if planner.active:
-            begun = self._timer()
-            proposal = planner.propose(now, self.measured(), self.seen.ellipses(now))
-            self._spent = self._timer() - begun
-            for _ in range(self._solving):
+            begin = self._timer()
+            proposal = planner.propose(now, self.measured(), self.observed.ellipses(now))
+            self._planning_time = self._timer() - begin
+            for _ in range(self._solve_ticks):
                 self._step()
-            begun = self._timer()
-            planner.take(proposal, self.now, self.measured(), self.seen.ellipses(self.now))
-            self._spent += self._timer() - begun
-            planner.update_route(self.now, self.seen.ellipses(self.now))
-            ticks -= self._solving
+            begin = self._timer()
+            planner.take(proposal, self.now, self.measured(), self.observed.ellipses(self.now))
+            self._planning_time += self._timer() - begin
+            planner.update_route(self.now, self.observed.ellipses(self.now))
+            ticks -= self._solve_ticks
             self._publish()
         self._record()
         for _ in range(ticks):
             self._step()
 
     def _step(self) -> None:
+        """Run one tick of controller and plant, and record it."""
         if self._voltages and self.loop.tick % 2 == 0:
             self._apply()
         self.loop.step()
-        self.course.add(self.loop)
+        self.motion_record.add(self.loop)
 
     def _publish(self) -> None:
-        """Pass the motion to the controller as a preview."""
+        """Pass the planner's motion to the controller as a preview, unless voltages drive it."""
         motion, now = self.planner.motion, self.now
-        braking = motion.currents_at(now)
-        if self._voltages and np.isfinite(braking).all():
+        currents = motion.currents_at(now)
+        if self._voltages and np.isfinite(currents).all():
             return
         if motion.end <= now + 1e-3:
             return
@@ -243,19 +245,20 @@ class MpcLoop:
         self.loop.controller.set_preview(Source.MPC, preview, now)
 
     def _apply(self) -> None:
-        """Pass the present voltages to the controller."""
+        """Pass the planner's motor voltages for the next two ticks to the controller."""
         volts = self.planner.voltages(self.now + 0.5 * 2 * PERIOD)
         if volts is not None:
             self.loop.controller.set_voltages(volts, self.now + LATENCY)
 
     def _observe(self) -> None:
-        if self.now - self._observed < OBSERVATION_PERIOD - 1e-9 or not self.obstacles:
+        """Observe all obstacles with noise once the period of observations has passed."""
+        if self.now - self._last_observation < OBSERVATION_PERIOD - 1e-9 or not self.obstacles:
             return
-        self._observed = self.now
-        self.seen.note_message(self.now)
+        self._last_observation = self.now
+        self.observed.note_message(self.now)
         for k, obstacle in enumerate(self.obstacles):
             x, y = obstacle.place(self.now) + self._noise * self._random.standard_normal(2)
-            seen = Observation(
+            observation = Observation(
                 key=("obstacle", k),
                 time=self.now,
                 x=float(x),
@@ -264,9 +267,10 @@ class MpcLoop:
                 semi_axes=obstacle.semi_axes,
                 lifetime=0.0,
             )
-            self.seen.add(seen, self.now)
+            self.observed.add(observation, self.now)
 
     def _record(self) -> None:
+        """Add a row for the present cycle to the trace."""
         trace, now = self.trace, self.now
         trace.times.append(now)
         trace.poses.append(self.loop.truth.copy())
@@ -277,5 +281,5 @@ class MpcLoop:
         trace.energy.append(float(self.loop.drives.electrical()[:, 2].sum()))
         trace.states.append(self.planner.state)
         trace.plan_times.append(self.planner.motion.times.copy())
-        trace.known.append(self.seen.ellipses(now))
-        trace.spent.append(self._spent)
+        trace.known.append(self.observed.ellipses(now))
+        trace.planning_times.append(self._planning_time)

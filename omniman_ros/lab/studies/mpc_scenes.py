@@ -1,7 +1,7 @@
-"""Random scenes for the MPC, and drives through them with the model itself as the robot.
+"""Random scenes for the MPC, and drives through them in which the planner's model is the robot.
 
-There is no plant, no controller and no check of the plan: the drives show only how well and how
-fast the problem is solved. The clock is an argument.
+There is no plant, no platform controller and no check of the plan: the drives show only how well
+and how fast the problem is solved.
 """
 
 import math
@@ -29,25 +29,26 @@ DISTANCE = (2.5, 3.5)
 """Range of the distance from the start to the goal [m]."""
 SEMI_AXES = (0.12, 0.4)
 """Range of the semi-axes of obstacles [m]."""
-SPEED = 0.4
+MAX_SPEED = 0.4
 """Largest speed of moving obstacles [m/s]."""
-MOVING = 0.5
-"""Share of obstacles that move."""
-CORRIDOR = 1.6
-"""Largest distance of obstacles from the line from start to goal [m]."""
-ROOM = (0.35, 0.15)
-"""Least gap of obstacles to the robot at the start, and of fixed obstacles at the goal [m]."""
-MARGIN = 2.0
-"""Distance of the border of the workspace from start and goal [m]."""
+MOVING_SHARE = 0.5
+"""Probability that an obstacle moves."""
+MAX_LATERAL_OFFSET = 1.6
+"""Largest distance of obstacles' centres from the line from start to goal [m]."""
+MIN_GAPS = (0.35, 0.15)
+"""Smallest gap from obstacles to the robot at the start, and from fixed obstacles to the robot
+at the goal [m]."""
+WORKSPACE_MARGIN = 2.0
+"""Distance from start and goal to the border of the workspace [m]."""
 NOISE = (0.002, 0.002, 0.002, 0.01, 0.01, 0.01)
-"""Standard deviations of the disturbance of a state per step: pose [m, m, rad], twist in base_link
-[m/s, m/s, rad/s]."""
-TRIES = 2000
-"""Most draws of obstacles of a scene."""
+"""Standard deviations of the disturbance of the state in a step: pose in odom [m, m, rad] and
+twist in base_link [m/s, m/s, rad/s]."""
+MAX_DRAWS = 2000
+"""Largest number of draws of obstacles for one scene."""
 STEP = 0.1
-"""Step of the horizon and of the drive [s]."""
-CLOSE = 0.03
-"""Distance from the goal at which it counts as reached [m]."""
+"""Duration of a step of the horizon, and of a step of a drive [s]."""
+REACHED_DISTANCE = 0.03
+"""Distance from the goal below which it counts as reached [m]."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,7 @@ class Scene:
         start: (3,) pose of the start in odom [m, m, rad].
         goal: (3,) pose of the goal in odom [m, m, rad].
         ellipses: Obstacles at time 0, which move at constant velocity.
-        workspace: x_min, y_min, x_max, y_max in odom [m].
+        workspace: x_min, y_min, x_max, y_max of the robot's workspace in odom [m].
     """
 
     seed: int
@@ -70,7 +71,7 @@ class Scene:
 
 
 def draw_scene(seed: int, obstacles: int, half: Array) -> Scene:
-    """Draw a scene, which is always the same for the same arguments.
+    """Return a random scene, which is always the same for the same arguments.
 
     Args:
         seed: Seed of the random numbers.
@@ -89,19 +90,22 @@ def draw_scene(seed: int, obstacles: int, half: Array) -> Scene:
     goal = np.append(distance * along, heading)
     places = np.vstack([start, goal])
     drawn: list[tuple[Array, Array, Array, float]] = []
-    for _ in range(TRIES):
+    for _ in range(MAX_DRAWS):
         if len(drawn) == obstacles:
             break
-        ahead, beside = random.uniform(0.0, distance + 0.5), random.uniform(-CORRIDOR, CORRIDOR)
+        ahead, beside = (
+            random.uniform(0.0, distance + 0.5),
+            random.uniform(-MAX_LATERAL_OFFSET, MAX_LATERAL_OFFSET),
+        )
         center = ahead * along + beside * across
         axes, angle = random.uniform(*SEMI_AXES, 2), random.uniform(-math.pi, math.pi)
-        moves = random.random() < MOVING
-        speed, course = random.uniform(0.1, SPEED), random.uniform(-math.pi, math.pi)
+        moves = random.random() < MOVING_SHARE
+        speed, course = random.uniform(0.1, MAX_SPEED), random.uniform(-math.pi, math.pi)
         velocity = moves * speed * np.array([math.cos(course), math.sin(course)])
         gaps = box_gap(
             places, half, np.tile(center, (2, 1, 1)), np.tile(axes, (2, 1, 1)), np.array([angle])
         )[:, 0]
-        if gaps[0] > ROOM[0] and (moves or gaps[1] > ROOM[1]):
+        if gaps[0] > MIN_GAPS[0] and (moves or gaps[1] > MIN_GAPS[1]):
             drawn.append((center, velocity, axes, angle))
     else:
         raise ValueError(f"no room for {obstacles} obstacles (seed {seed})")
@@ -113,15 +117,18 @@ def draw_scene(seed: int, obstacles: int, half: Array) -> Scene:
         angles=np.array([angle for _, _, _, angle in drawn]),
         growth=np.zeros(obstacles),
     )
-    least, most = places[:, :2].min(axis=0) - MARGIN, places[:, :2].max(axis=0) + MARGIN
+    least, most = (
+        places[:, :2].min(axis=0) - WORKSPACE_MARGIN,
+        places[:, :2].max(axis=0) + WORKSPACE_MARGIN,
+    )
     workspace = (float(least[0]), float(least[1]), float(most[0]), float(most[1]))
     return Scene(seed, start, goal, ellipses, workspace)
 
 
 def swept_angles(times: Array, poses: Array, ellipses: Ellipses) -> Array:
-    """Return the angles (M,) by which the robot went around each obstacle, seen from it [rad].
+    """Return the angles (M,) by which the robot travels around each obstacle, seen from it [rad].
 
-    Two drives between the same positions pass an obstacle on the same side exactly if these
+    Two drives between the same positions pass an obstacle on the same side if and only if these
     angles differ by less than pi.
 
     Args:
@@ -136,38 +143,38 @@ def swept_angles(times: Array, poses: Array, ellipses: Ellipses) -> Array:
 
 
 def disturbances(seed: int, count: int) -> Array:
-    """Return the disturbances (count, 6) of the states after each step, by seed."""
+    """Return the disturbances (count, 6) of the state after each step, for the seed of a scene."""
     noise: Array = np.random.default_rng([seed, 1]).normal(0.0, NOISE, (count, 6))
     return noise
 
 
 def same_sides(first: Array, second: Array) -> bool:
-    """Whether swept angles (M,) of two drives mean the same side of every obstacle."""
+    """Return whether two drives with swept angles (M,) pass every obstacle on the same side."""
     return bool((np.abs(first - second) < math.pi).all())
 
 
 def penalty(stage: Stage, slack: Array) -> float:
-    """Return the cost [J] of slack (N,) [m]."""
+    """Return the cost [J] of the slacks (N,) [m] of N stages."""
     linear, quadratic = stage.slack
     return float(linear * slack.sum() + 0.5 * quadratic * (slack @ slack))
 
 
 class Controller(Protocol):
-    """Improves a guess of the currents."""
+    """Solves the problem of each step of a drive, beginning with a guess of the currents."""
 
     def plan(self, task: "Task") -> tuple[Array, bool]:
-        """Currents (N, n) [A] and whether the solver was content."""
+        """Return currents (N, n) [A], and whether the solver reported success."""
 
 
 @dataclass(frozen=True)
 class Task:
-    """One problem of a drive.
+    """The problem of one step of a drive.
 
     Attributes:
-        first: Whether it is the first of the drive.
-        start: (6,) state.
-        guess: (N, n) currents [A].
-        states: (N + 1, 6) that follow from them.
+        first: Whether it is the first step of the drive.
+        start: (6,) state at the start: pose in odom, twist in base_link.
+        guess: (N, n) guess of the motor currents [A].
+        states: (N + 1, 6) states that follow from the guess, the first being the start.
         stage: Parameters of the problem.
     """
 
@@ -180,21 +187,21 @@ class Task:
 
 @dataclass(frozen=True)
 class Cycle:
-    """A step of a drive.
+    """The solution of one step of a drive.
 
     Attributes:
-        task: What was to be solved.
-        currents: (N, n) currents of the solution [A].
-        solved: Whether the solver was content.
-        whole: Time of the whole cycle, guess and stage included [s].
-        alone: Time of the solver alone [s].
+        task: The problem.
+        currents: (N, n) motor currents of the solution [A].
+        solved: Whether the solver reported success.
+        cycle_time: Duration of the whole cycle, including guess and stage [s].
+        solver_time: Duration of the controller's call alone [s].
     """
 
     task: Task
     currents: Array
     solved: bool
-    whole: float
-    alone: float
+    cycle_time: float
+    solver_time: float
 
 
 @dataclass(frozen=True)
@@ -202,9 +209,10 @@ class Outcome:
     """Result of a drive.
 
     Attributes:
-        cost: Losses, distance to the goal and penalties of all steps, and the weight of the last
-            state [J].
-        slack: Largest overlap with obstacles or edge, clearance included [m].
+        cost: Cost of the drive: stage costs and slack penalties of all steps, and the terminal
+            cost of the last state [J].
+        slack: Largest violation of the clearance to obstacles or to the border of the workspace
+            [m].
         distance: Distance from the goal at the end [m].
         failures: Number of steps at which the solver reported a failure.
         times: (K,) times [s].
@@ -220,13 +228,17 @@ class Outcome:
 
 
 class RealTime:
-    """The planner's own scheme: one iteration per step, several at the first step."""
+    """The planner's own scheme: one iteration in each step, and more in the first step.
+
+    Args:
+        solver: The planner's solver.
+    """
 
     def __init__(self, solver: Solver) -> None:
         self._solver = solver
 
     def plan(self, task: Task) -> tuple[Array, bool]:
-        """See `Controller`."""
+        """Return currents (N, n) [A], and whether the solver reported success."""
         iterations = COLD_ITERATIONS if task.first else 1
         try:
             solution = self._solver.solve(task.start, task.guess, task.stage, iterations)
@@ -236,12 +248,17 @@ class RealTime:
 
 
 class Rig:
-    """A robot's problem with N steps and M obstacles, and what solves it.
+    """A test rig: the MPC problem of a robot, the planner's solver, and drives with the model.
 
     Args:
-        robot: Parameters of the robot.
-        steps: N.
-        obstacles: M.
+        robot: Parameters of the robot, full names to values.
+        steps: Number N of steps of the horizon.
+        obstacles: Number M of obstacles in the problem.
+
+    Attributes:
+        model: The planner's model of the robot.
+        transcription: The problem.
+        solver: The planner's solver of the problem.
     """
 
     def __init__(self, robot: Mapping[str, Any], steps: int, obstacles: int) -> None:
@@ -259,7 +276,17 @@ class Rig:
     def cycles(
         self, scene: Scene, controller: Controller, count: int, clock: Callable[[], float]
     ) -> Iterator[Cycle]:
-        """Drive a scene, at most so many steps; without noise the robot does what it should."""
+        """Yield the steps of a drive through a scene.
+
+        After each step, the state is the one that the model predicts for the controller's first
+        currents, plus a disturbance.
+
+        Args:
+            scene: The scene.
+            controller: The controller that solves the problem of each step.
+            count: Number of steps.
+            clock: Function that returns a time [s], by which durations are measured.
+        """
         bounds = Workspace(*scene.workspace)
         problem = Problem(self.model, EffectiveLimits(replace(self._parameters, workspace=bounds)))
         goal, solver, slots = PoseGoal(scene.goal), self.solver, self.transcription.slots
@@ -268,8 +295,8 @@ class Rig:
             begin = clock()
             guess = solver.shifted(currents, STEP) if k else currents
             states = solver.states(x, guess)
-            along = Motion.of_states(k * STEP, STEP, states, guess)
-            stage = problem.stage(x, along, goal, scene.ellipses, slots)
+            expected = Motion.of_states(k * STEP, STEP, states, guess)
+            stage = problem.stage(x, expected, goal, scene.ellipses, slots)
             task = Task(k == 0, x, guess, states, stage)
             between = clock()
             currents, solved = controller.plan(task)
@@ -278,7 +305,7 @@ class Rig:
             x = np.asarray(self.transcription.transition(x, currents[0])).ravel() + noise
 
     def drive(self, scene: Scene, controller: Controller, count: int) -> Outcome:
-        """Drive a scene to its end and judge it."""
+        """Drive through a scene for a number of steps, and return the result."""
         t = self.transcription
         cost, slack, failures = 0.0, 0.0, 0
         poses: list[Array] = []
@@ -286,12 +313,12 @@ class Rig:
             stage, x, u = cycle.task.stage, cycle.task.start, cycle.currents[0]
             row = stage.table()[0]
             value, low, _ = (np.asarray(part).ravel() for part in t.stage_rows(x, u, row))
-            short = max(float((low - value)[t.relaxed :].max(initial=0.0)), 0.0)
-            cost += float(t.stage_cost(x, u, row)) + penalty(stage, np.array([short]))
-            slack, failures = max(slack, short), failures + (not cycle.solved)
+            violation = max(float((low - value)[t.relaxed :].max(initial=0.0)), 0.0)
+            cost += float(t.stage_cost(x, u, row)) + penalty(stage, np.array([violation]))
+            slack, failures = max(slack, violation), failures + (not cycle.solved)
             poses.append(x[:3])
         end = np.asarray(t.transition(x, u)).ravel()
-        # What the end weighs beside the share that the last step has paid.
+        # The terminal weights, less the running weights that the last step has paid for already.
         position, heading, _, _, kinetic = stage.weights[-1] - stage.weights[0]
         error = end[:3] - stage.target[-1, :3]
         distance = float(np.hypot(error[0], error[1]))
@@ -303,6 +330,6 @@ class Rig:
 
 
 def arrived(cycle: Cycle) -> bool:
-    """Whether the robot is at its goal: what follows is no work for a solver."""
+    """Return whether the robot is at its goal in a step, which makes the problem trivial."""
     error = cycle.task.start[:2] - cycle.task.stage.target[-1, :2]
-    return bool(np.hypot(error[0], error[1]) < CLOSE)
+    return bool(np.hypot(error[0], error[1]) < REACHED_DISTANCE)

@@ -19,21 +19,20 @@ from omniman_ros.planning.goals import PoseGoal
 from omniman_ros.planning.parameters import PlannerParameters
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 
-WATCHED = 2.0
-"""Time for which the drive is recorded after the planner is done, so that the robot can come to
+RECORDING_TAIL = 2.0
+"""Time for which a drive is recorded after the planner has finished, so that the robot can come to
 rest [s]."""
 
 
 @dataclass(frozen=True)
 class PlannedDrive:
-    """A drive that the planner has led.
+    """A drive with the MPC planner.
 
     Attributes:
-        drive: What the robot did.
-        trace: Trace of the planner; its times are since the robot was sent off.
-        state: State of the planner at the end.
-        since: Time on the clock of the loop, its plans and its obstacles at which the robot was
-            sent off [s].
+        drive: Recorded drive of the robot.
+        trace: Record of the planner's cycles; its times count from when the goal was sent.
+        state: State of the planner when it finished.
+        since: Time at which the goal was sent, on the clock of loop, plans and obstacles [s].
     """
 
     drive: Drive
@@ -44,8 +43,7 @@ class PlannedDrive:
     def figures(self) -> dict[str, Any]:
         """Return the figures of the drive for a result; their units are in their names."""
         drive, trace = self.drive, self.trace
-        cycles = [i for i, spent in enumerate(trace.spent) if spent > 0.0]
-        spent = 1e3 * np.array([trace.spent[i] for i in cycles])
+        cpu_times = 1e3 * np.array([seconds for seconds in trace.planning_times if seconds > 0.0])
         reports = [trace.reports[i] for i in self.planning]
         error = drive.poses[-1] - drive.goal
         reached = math.isfinite(drive.arrival)
@@ -62,20 +60,23 @@ class PlannedDrive:
             "cycles": len(reports),
             "plans_used": sum(report.used for report in reports),
             "brakings": sum(report.braking for report in reports),
-            "cpu_median_ms": float(np.median(spent)) if len(spent) else math.nan,
-            "cpu_p99_ms": float(np.percentile(spent, 99)) if len(spent) else math.nan,
+            "cpu_median_ms": float(np.median(cpu_times)) if len(cpu_times) else math.nan,
+            "cpu_p99_ms": float(np.percentile(cpu_times, 99)) if len(cpu_times) else math.nan,
         }
 
     @property
     def planning(self) -> list[int]:
-        """Rows of the trace in which the planner was driving or blocked, and the one after."""
-        on_its_way = (PlannerState.DRIVING, PlannerState.BLOCKED)
-        rows = [i for i, state in enumerate(self.trace.states) if state in on_its_way]
-        first = rows[-1] + 1 if rows else 0  # the cycle of the arrival has planned, too
-        return rows + ([first] if 0 < first < len(self.trace.states) else [])
+        """Rows of the trace in which the planner planned.
+
+        These are the rows in which it was driving or blocked, and the row after the last of them.
+        """
+        planning_states = (PlannerState.DRIVING, PlannerState.BLOCKED)
+        rows = [i for i, state in enumerate(self.trace.states) if state in planning_states]
+        final = rows[-1] + 1 if rows else 0  # the planner plans in the cycle of its arrival, too
+        return rows + ([final] if 0 < final < len(self.trace.states) else [])
 
     def tracking(self) -> Array:
-        """Return the true distances (k,) of the robot from its reference [m]."""
+        """Return the true distances (k,) from the robot to its reference, by cycle [m]."""
         rows = self.planning
         errors = np.array([self.trace.poses[i] - self.trace.references[i] for i in rows])
         result: Array = np.hypot(*errors.reshape(-1, 3)[:, :2].T)
@@ -89,15 +90,18 @@ def drive_with_planner(
     seed: int = 0,
     timer: Callable[[], float] | None = None,
 ) -> PlannedDrive:
-    """Let the planner drive through a scene until it arrives or abandons the goal.
+    """Drive through a scene with the planner until it arrives, is blocked or runs out of time.
+
+    Being blocked ends the drive only if all obstacles are at rest and there is no map.
 
     Args:
         robot: Parameters of the robot, full names to values.
         scene: The scene.
         voltages: Whether the planner's motor voltages are applied, instead of its reference being
             followed.
-        seed: Seed of the noise of the observations.
-        timer: Clock by which planning is measured [s]; None if it is not measured.
+        seed: Seed of the observation noise.
+        timer: Function that returns a time [s], by which the duration of planning is measured;
+            None if it is not measured.
     """
     values = {**robot, **scene.changes}
     parameters = build(PlannerParameters, values)
@@ -117,19 +121,19 @@ def drive_with_planner(
     loop.planner.set_map(scene.grid)
     since = loop.now
     loop.drive(PoseGoal(np.array(scene.goal)))
-    given_up = (PlannerState.ARRIVED, PlannerState.BLOCKED)
-    # With a map, a search for another route may still succeed.
-    standing = scene.grid is None and not any(
+    final_states = (PlannerState.ARRIVED, PlannerState.BLOCKED)
+    # With a map, the search for another route may still succeed.
+    unchanging = scene.grid is None and not any(
         np.ptp([o.place(0.0), o.place(1.0)], axis=0).any() for o in loop.obstacles
     )
-    # Where obstacles move, a blocked robot may become free again.
-    ends = given_up if standing else given_up[:1]
-    loop.run(scene.time_limit, until=lambda: loop.planner.state in ends)
+    # Where obstacles move, the way of a blocked robot may become free again.
+    end_states = final_states if unchanging else final_states[:1]
+    loop.run(scene.time_limit, until=lambda: loop.planner.state in end_states)
     state = loop.planner.state
-    loop.run(WATCHED, until=lambda: False)
+    loop.run(RECORDING_TAIL, until=lambda: False)
     trace = replace(loop.trace, times=[time - since for time in loop.trace.times])
     drive = Drive.of(
-        loop.course,
+        loop.motion_record,
         since,
         scene.goal,
         parameters.arrival,

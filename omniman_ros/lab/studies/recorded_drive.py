@@ -1,4 +1,4 @@
-"""A drive as it was recorded: true poses, energy and true gaps, judged by the truth."""
+"""A recorded drive to a goal: true poses, energy and true gaps, and figures derived from them."""
 
 import math
 from collections.abc import Sequence
@@ -8,23 +8,23 @@ import numpy as np
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import OmnimanError
-from omniman_ros.lab.studies.mpc_loop import Course, MovingObstacle
+from omniman_ros.lab.studies.mpc_loop import MotionRecord, MovingObstacle
 from omniman_ros.lab.studies.scene_gaps import wall_gap
 from omniman_ros.lab.studies.scene_geometry import Box, Wall
 from omniman_ros.planning.cases import Pose
 from omniman_ros.planning.obstacles.separation import box_gap
 from omniman_ros.planning.parameters import Arrival
 
-SETTLE = 0.5
-"""Time after the arrival during which consumed energy still counts [s]."""
-AT_REST = 0.02
-"""Speed below which the robot counts as being at rest, as for the planner [m/s, rad/s]."""
-MOVING = 0.1
+SETTLING_TIME = 0.5
+"""Time after the arrival for which consumed energy still counts [s]."""
+REST_SPEED = 0.02
+"""Speed below which the robot counts as at rest, the same as in the planner [m/s, rad/s]."""
+TRAVEL_SPEED = 0.1
 """Speed above which the robot has a direction of travel [m/s]."""
 
 
 class StudyError(OmnimanError):
-    """A drive cannot be compared: its figures would mean nothing."""
+    """A drive cannot be compared with others, as its figures would be meaningless."""
 
 
 @dataclass(frozen=True)
@@ -32,14 +32,14 @@ class Drive:
     """A recorded drive to a goal, with a row for each of K ticks of 5 ms.
 
     Attributes:
-        times: (K,) time since the robot was sent off [s].
+        times: (K,) times since the goal was sent [s].
         poses: (K, 3) true poses in odom [m, m, rad].
         odometry: (K, 3) poses by odometry [m, m, rad].
         twists: (K, 3) twists in base_link, from the encoders [m/s, m/s, rad/s].
-        energy: (K,) electric energy consumed since the robot was sent off, less the energy fed
-            back [J].
+        energy: (K,) electric energy consumed since the goal was sent, less the energy fed back
+            [J].
         goal: Pose of the goal in odom [m, m, rad].
-        tolerance: Tolerance of an arrival.
+        tolerance: Largest errors of position and heading with which the robot has arrived.
         gaps: (K, M) true gaps to the obstacles [m]; the last column is the gap to the nearest
             wall, where there are walls.
     """
@@ -55,7 +55,7 @@ class Drive:
 
     @staticmethod
     def of(
-        course: Course,
+        record: MotionRecord,
         since: float,
         goal: Pose,
         tolerance: Arrival,
@@ -63,28 +63,28 @@ class Drive:
         obstacles: Sequence[MovingObstacle] = (),
         walls: Sequence[Wall] = (),
     ) -> "Drive":
-        """Make a drive of the part of a course that begins at a time.
+        """Return the drive that a motion record contains from a time on.
 
         Args:
-            course: What the robot did.
-            since: Time at which the robot was sent off [s].
+            record: Recorded motion of the robot.
+            since: Time at which the goal was sent [s].
             goal: Pose of the goal in odom [m, m, rad].
-            tolerance: Tolerance of an arrival.
+            tolerance: Largest errors of position and heading with which the robot has arrived.
             half: (2,) half length and half width of the robot [m].
             obstacles: Obstacles as they truly moved.
             walls: Walls.
         """
-        rows = slice(int(np.searchsorted(course.times, since - 1e-9)), None)
-        times, poses = np.array(course.times[rows]), np.array(course.poses[rows])
-        energy = np.array(course.energy[rows])
+        rows = slice(int(np.searchsorted(record.times, since - 1e-9)), None)
+        times, poses = np.array(record.times[rows]), np.array(record.poses[rows])
+        energy = np.array(record.energy[rows])
         gaps = true_gaps(times, poses, half, obstacles)
         if walls:
             gaps = np.column_stack([gaps, wall_gaps(poses, half, walls)])
         return Drive(
             times - since,
             poses,
-            np.array(course.odometry[rows]),
-            np.array(course.twists[rows]),
+            np.array(record.odometry[rows]),
+            np.array(record.twists[rows]),
             energy - energy[0],
             goal,
             tolerance,
@@ -93,35 +93,35 @@ class Drive:
 
     @property
     def arrival(self) -> float:
-        """Time at which the robot comes to rest at the goal and stays there [s]; inf if never.
+        """Time at which the robot comes to rest at the goal for good [s]; inf if it never does.
 
-        It is judged by odometry and encoders, as the planner judges it.
+        Like in the planner, odometry and encoders decide.
         """
         error = self.odometry - self.goal
         there = np.hypot(error[:, 0], error[:, 1]) <= self.tolerance.position
         there &= np.abs(_wrapped(error[:, 2])) <= self.tolerance.heading
         outside = np.flatnonzero(~there)
         first = int(outside[-1]) + 1 if len(outside) else 0
-        rests = np.flatnonzero(np.abs(self.twists[first:]).max(axis=1, initial=0.0) < AT_REST)
+        rests = np.flatnonzero(np.abs(self.twists[first:]).max(axis=1, initial=0.0) < REST_SPEED)
         return float(self.times[first + rests[0]]) if len(rests) else math.inf
 
     @property
     def clearance(self) -> float:
-        """Least true gap to any obstacle [m]; inf without one."""
+        """Smallest true gap to any obstacle or wall [m]; inf if there is none."""
         return float(self.gaps.min(initial=math.inf))
 
     @property
     def collided(self) -> bool:
-        """Whether the robot truly touched an obstacle."""
+        """Whether the robot truly touched an obstacle or a wall; a gap that is NaN counts."""
         return not self.clearance > 0.0
 
     def energy_until_rest(self) -> float:
-        """Return the energy from the start until `SETTLE` after the arrival [J].
+        """Return the energy consumed until `SETTLING_TIME` after the arrival [J].
 
         Raises:
             StudyError: The goal was not reached, or the recording ends earlier.
         """
-        end = self.arrival + SETTLE
+        end = self.arrival + SETTLING_TIME
         if not end <= self.times[-1] + 1e-6:
             raise StudyError(
                 f"the energy until rest is unknown: arrival {self.arrival:.2f} s, recorded until "
@@ -130,16 +130,19 @@ class Drive:
         return float(np.interp(end, self.times, self.energy))
 
     def travel_directions(self) -> tuple[Array, Array]:
-        """Return the direction of travel in base_link where the robot is faster than `MOVING`.
+        """Return the directions of travel in base_link while the robot is in motion.
+
+        It is in motion where its speed, measured by the encoders, is above `TRAVEL_SPEED`.
 
         Returns:
-            Times (k,) [s] and angles (k,) [rad], from the encoders.
+            Times (k,) [s] and angles (k,) [rad].
         """
-        moving = np.hypot(self.twists[:, 0], self.twists[:, 1]) > MOVING
+        moving = np.hypot(self.twists[:, 0], self.twists[:, 1]) > TRAVEL_SPEED
         return self.times[moving], np.arctan2(self.twists[moving, 1], self.twists[moving, 0])
 
 
 def _wrapped(angles: Array) -> Array:
+    """Return angles wrapped to [-pi, pi) [rad]."""
     result: Array = (angles + math.pi) % math.tau - math.pi
     return result
 
@@ -147,13 +150,13 @@ def _wrapped(angles: Array) -> Array:
 def true_gaps(
     times: Array, poses: Array, half: Array, obstacles: Sequence[MovingObstacle]
 ) -> Array:
-    """Compute the gaps between the robot's box and obstacles.
+    """Compute the gaps between the robot's box and each obstacle.
 
-    Between two ticks of 5 ms the gaps may be smaller by no more than half of the relative travel,
-    4 mm at 1.6 m/s.
+    Between two ticks of 5 ms, a gap may be smaller by at most half of the relative travel: 4 mm
+    at 1.6 m/s.
 
     Args:
-        times: (K,) [s].
+        times: (K,) times [s].
         poses: (K, 3) true poses of the robot in odom [m, m, rad].
         half: (2,) half length and half width of the robot [m].
         obstacles: M obstacles.

@@ -1,4 +1,4 @@
-"""Travel along the diagonals of the rollers, and the power that it takes."""
+"""Travel along the roller diagonals of a Mecanum platform, and the electric power it requires."""
 
 import math
 from typing import Any
@@ -12,17 +12,17 @@ from omniman_ros.planning.mpc.model import PlanningModel
 from omniman_ros.planning.route import energy_saving
 
 NEAR_DIAGONAL = math.radians(10.0)
-"""Angle from a roller diagonal up to which the robot counts as travelling along it [rad]."""
+"""Largest angle from a roller diagonal at which travel still counts as along it [rad]."""
 
 
 def roller_diagonals(robot: Robot) -> Array:
-    """Return the directions along which only some of the wheels drive.
+    """Return the directions of travel in which at least one wheel stands still.
 
-    A wheel pushes along its roller's axis; when the robot travels across that axis, the wheel
-    stands still.
+    A wheel pushes along the axis of the roller that touches the floor. When the robot travels
+    perpendicular to that axis, the wheel stands still.
 
     Returns:
-        (k,) directions in base_link, in (-pi/2, pi/2] [rad].
+        (k,) directions in base_link, ascending, in (-pi/2, pi/2] [rad].
     """
     angles = np.array(robot.wheels.heading) + np.array(robot.wheels.roller_angle)
     half_turns: Array = np.unique(np.round(math.pi / 2 - (math.pi / 2 - angles) % math.pi, 6))
@@ -30,16 +30,16 @@ def roller_diagonals(robot: Robot) -> Array:
 
 
 def angle_from_diagonal(angles: Array, robot: Robot) -> Array:
-    """Return the angles (k,) of directions of travel (k,) from the nearest diagonal [rad]."""
+    """Return the angles (k,) from directions of travel (k,) to their nearest diagonals [rad]."""
     deviation = angles[:, None] - roller_diagonals(robot)
     result: Array = np.abs((deviation + math.pi / 2) % math.pi - math.pi / 2).min(axis=1)
     return result
 
 
 def steady_power(robot: Robot, speed: float, directions: Array) -> Array:
-    """Compute the electric power that keeps a constant speed, by direction of travel.
+    """Compute the electric power that sustains a constant speed, by direction of travel.
 
-    The currents are the smallest that balance the model's friction.
+    Of all currents that balance the friction of the planner's model, the smallest are used.
 
     Args:
         robot: The robot.
@@ -56,7 +56,13 @@ def steady_power(robot: Robot, speed: float, directions: Array) -> Array:
 
 
 def diagonal_figures(drive: Drive, robot: Robot) -> dict[str, Any]:
-    """Return whether and when the robot travelled along a diagonal of its rollers."""
+    """Return figures that tell whether a drive led along a roller diagonal; units are in names.
+
+    `share` is the share of the time in motion that was spent along a diagonal, `nearest_rad` the
+    smallest angle to a diagonal at any time and `nearest_s` that time. `peak_turn_rad` is the
+    largest rotation away from the initial heading and `peak_turn_s` its time, which is missing if
+    the robot never moved.
+    """
     times, angles = drive.travel_directions()
     deviation = angle_from_diagonal(angles, robot)
     if not len(deviation):

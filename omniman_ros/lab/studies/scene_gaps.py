@@ -1,11 +1,11 @@
-"""Exact gaps at single instants: from a box to ellipses, walls and the border of an area."""
+"""Exact gaps at single instants from a box to ellipses, walls and the border of an area."""
 
 import numpy as np
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.lab.studies.scene_geometry import Area, Box
 
-NEWTON = 12
+NEWTON_STEPS = 12
 """Number of Newton steps towards the point of an ellipse nearest to a corner; with too few steps,
 the gap comes out too small."""
 
@@ -13,18 +13,19 @@ the gap comes out too small."""
 def ellipse_gap(poses: Array, box: Box, centers: Array, semi_axes: Array, angles: Array) -> Array:
     """Compute the gaps of N pairs of a filled box and a filled ellipse.
 
-    Along any direction n the two are separated by the distance of their centres less the extent
-    of each, n.(p - c) - h_box(n) - h_ellipse(n), and the gap is the largest of these over all n.
-    Where the two do not overlap, the largest is across an edge of the box, or along the normal of
-    the ellipse at its point nearest to a corner: these directions are tried. As none of them gives
-    more than the gap, an error of the nearest point makes the gap too small, never too large.
+    Along a unit vector n, the separation of the two is the distance of their centres less the
+    extent of each body, n.(p - c) - h_box(n) - h_ellipse(n). The gap is the largest separation
+    over all n. Where the two do not overlap, n is either perpendicular to an edge of the box, or
+    normal to the ellipse at its point nearest to a corner of the box: these directions are tried.
+    As none of them gives more than the gap, an inexact nearest point makes the result too small,
+    never too large.
 
     Args:
         poses: (N, 3) poses of the box in odom [m, m, rad].
         box: The robot's outline.
         centers: (N, 2) centres of the ellipses in odom [m].
         semi_axes: (N, 2) semi-axes [m].
-        angles: (N,) angles of the first axes in odom [rad].
+        angles: (N,) angles of the first semi-axes in odom [rad].
 
     Returns:
         (N,) gaps [m]: exact to round-off where above zero; zero or less where the two touch or
@@ -37,62 +38,87 @@ def ellipse_gap(poses: Array, box: Box, centers: Array, semi_axes: Array, angles
     ux, uy = np.cos(poses[:, 2] - angles), np.sin(poses[:, 2] - angles)
     along, across = box.half
 
-    def apart(nx: Array, ny: Array) -> Array:
-        reach = along * np.abs(nx * ux + ny * uy) + across * np.abs(ny * ux - nx * uy)
-        result: Array = nx * x + ny * y - reach - np.hypot(a * nx, b * ny)
+    def separation(nx: Array, ny: Array) -> Array:
+        """Return the separations (N,) [m] along unit vectors in the axes of the ellipses."""
+        extent = along * np.abs(nx * ux + ny * uy) + across * np.abs(ny * ux - nx * uy)
+        result: Array = nx * x + ny * y - extent - np.hypot(a * nx, b * ny)
         return result
 
     ahead, left = x * ux + y * uy, y * ux - x * uy
     front, side = np.copysign(1.0, ahead), np.copysign(1.0, left)
-    gap = np.maximum(apart(front * ux, front * uy), apart(-side * uy, side * ux))
+    gap = np.maximum(separation(front * ux, front * uy), separation(-side * uy, side * ux))
     for i, j in ((along, across), (along, -across), (-along, across), (-along, -across)):
-        gap = np.maximum(gap, apart(*_normal(x + i * ux - j * uy, y + i * uy + j * ux, a, b)))
+        gap = np.maximum(gap, separation(*_normal(x + i * ux - j * uy, y + i * uy + j * ux, a, b)))
     return gap
 
 
 def _normal(x: Array, y: Array, a: Array, b: Array) -> tuple[Array, Array]:
-    """Return the ellipse's normal, in its own axes, at its point nearest to a point outside.
+    """Return unit normals of ellipses at their points nearest to points outside them.
 
     The nearest point is (a^2 x / (t + a^2), b^2 y / (t + b^2)) for the t >= 0 that puts it on the
-    ellipse. The residual of the ellipse's equation is convex and falls with t, so that Newton
-    steps from a t that is too small never overshoot. For a point inside, the normal is of no use,
-    which the caller allows for.
+    ellipse. The residual of the ellipse's equation is convex and falls with t, so Newton steps
+    from a t that is too small never overshoot. For a point inside its ellipse, some unit vector is
+    returned, along which the separation is a lower bound of the gap like along any other.
+
+    Args:
+        x: (N,) coordinates of the points along the first semi-axes [m].
+        y: (N,) coordinates of the points along the second semi-axes [m].
+        a: (N,) first semi-axes [m].
+        b: (N,) second semi-axes [m].
+
+    Returns:
+        (N,) components of the normals along the first and along the second semi-axes.
     """
     t = np.maximum(np.maximum(a * (np.abs(x) - a), b * (np.abs(y) - b)), 0.0)
-    for _ in range(NEWTON):
+    for _ in range(NEWTON_STEPS):
         p, q = (a * x / (t + a * a)) ** 2, (b * y / (t + b * b)) ** 2
         slope = 2.0 * (p / (t + a * a) + q / (t + b * b))
         t = t + np.maximum(p + q - 1.0, 0.0) / np.maximum(slope, 1e-300)
     nx, ny = x / (t + a * a), y / (t + b * b)
     length = np.hypot(nx, ny)
-    middle = length < 1e-12
-    length = np.where(middle, 1.0, length)
-    return np.where(middle, 1.0, nx / length), np.where(middle, 0.0, ny / length)
+    at_centre = length < 1e-12
+    length = np.where(at_centre, 1.0, length)
+    return np.where(at_centre, 1.0, nx / length), np.where(at_centre, 0.0, ny / length)
 
 
 def wall_gap(poses: Array, box: Box, walls: Array) -> Array:
     """Compute the gaps of N pairs of a filled box and a filled wall.
 
-    The nearest points of two separate boxes include a corner of one of them.
+    Of the two nearest points of separate boxes, at least one is a corner.
 
     Args:
         poses: (N, 3) poses of the box in odom [m, m, rad].
         box: The robot's outline.
-        walls: (N, 5) x, y, heading, length, width of the walls [m, m, rad, m, m].
+        walls: (N, 5) x, y, heading, length and width of the walls in odom [m, m, rad, m, m].
 
     Returns:
-        (N,) gaps [m]: exact where above zero, elsewhere the negative depth of the overlap.
+        (N,) gaps [m]: exact where above zero; where the two overlap, the negative depth of the
+            overlap.
     """
-    mine = np.tile(box.half, (len(poses), 1))
-    theirs = 0.5 * walls[:, 3:]
-    one, corners_one = _corners_seen(poses, mine, walls[:, :3], theirs)
-    two, corners_two = _corners_seen(walls[:, :3], theirs, poses, mine)
-    depth = np.maximum(one, two)
-    return np.where(depth > 0.0, np.minimum(corners_one, corners_two), depth)
+    box_half = np.tile(box.half, (len(poses), 1))
+    wall_half = 0.5 * walls[:, 3:]
+    in_wall, box_corners = _axis_and_corner_gaps(poses, box_half, walls[:, :3], wall_half)
+    in_box, wall_corners = _axis_and_corner_gaps(walls[:, :3], wall_half, poses, box_half)
+    separation = np.maximum(in_wall, in_box)
+    return np.where(separation > 0.0, np.minimum(box_corners, wall_corners), separation)
 
 
-def _corners_seen(boxes: Array, half: Array, frames: Array, other: Array) -> tuple[Array, Array]:
-    """Return the separation of boxes along the axes of others, and of their nearest corners."""
+def _axis_and_corner_gaps(
+    boxes: Array, half: Array, frames: Array, other: Array
+) -> tuple[Array, Array]:
+    """Return separations of box pairs: along the second box's axes, and from the first's corners.
+
+    Args:
+        boxes: (N, 3) poses of the first boxes [m, m, rad].
+        half: (N, 2) half lengths and half widths of the first boxes [m].
+        frames: (N, 3) poses of the second boxes [m, m, rad].
+        other: (N, 2) half lengths and half widths of the second boxes [m].
+
+    Returns:
+        (N,) largest separation along an axis of the second box [m], negative where the boxes
+            overlap along both; (N,) distance from the second box to the nearest corner of the
+            first [m].
+    """
     dx, dy = boxes[:, 0] - frames[:, 0], boxes[:, 1] - frames[:, 1]
     c, s = np.cos(frames[:, 2]), np.sin(frames[:, 2])
     x, y = c * dx + s * dy, c * dy - s * dx
@@ -110,7 +136,7 @@ def _corners_seen(boxes: Array, half: Array, frames: Array, other: Array) -> tup
 
 
 def outside(poses: Array, box: Box, area: Area) -> Array:
-    """Compute how far a box reaches out of an area.
+    """Compute how far a box extends beyond the border of an area.
 
     Args:
         poses: (K, 3) poses of the box in odom [m, m, rad].
@@ -118,7 +144,7 @@ def outside(poses: Array, box: Box, area: Area) -> Array:
         area: The area in odom [m].
 
     Returns:
-        (K,) distances [m]; negative: the room that is left within the area.
+        (K,) distances [m]; a negative value is the room that is left within the area.
     """
     c, s = np.abs(np.cos(poses[:, 2])), np.abs(np.sin(poses[:, 2]))
     along, across = box.half

@@ -1,10 +1,10 @@
 """Random scenes to drive a robot through, each determined by its seed.
 
-Of any four consecutive seeds, two have a fixed obstacle on the straight line from start to goal,
-and two have a robot that differs from its model, in all four combinations. Every third scene has
-a workspace.
+Scenes of even seeds always have a fixed obstacle on the straight line from start to goal. Of any
+four consecutive seeds, two have a robot that differs from its model: one with an even seed and one
+with an odd seed. Every third scene has a workspace.
 
-Moving obstacles pass through each other and through fixed ones.
+Moving obstacles pass through each other and through fixed obstacles.
 """
 
 import math
@@ -15,47 +15,49 @@ import numpy as np
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError, OmnimanError
 from omniman_ros.lab.studies.scene_gaps import ellipse_gap
-from omniman_ros.lab.studies.scene_geometry import Area, Box, Ellipse, Route, World
+from omniman_ros.lab.studies.scene_geometry import Area, Box, Ellipse, PolylineMotion, World
 
 Pose = tuple[float, float, float]
+"""Pose x, y, heading in odom [m, m, rad]."""
 
 AREA: Area = (0.0, 0.0, 8.0, 6.0)
-"""Area of start, goal and fixed obstacles, in which moving obstacles begin [m]."""
+"""Area that contains the start, the goal, and the centres of all obstacles at time 0 [m]."""
 ROBOT = Box(0.8, 0.5)
 """Default outline of the robot."""
-COUNT = (3, 8)
-"""Least and largest number of obstacles."""
+OBSTACLE_COUNTS = (3, 8)
+"""Smallest and largest number of obstacles."""
 SEMI_AXES = (0.1, 0.5)
 """Range of the semi-axes of obstacles [m]."""
-DISCS = 0.5
-"""Share of obstacles that are discs."""
-MOVING = 0.5
-"""Share of obstacles that move, besides the fixed one that blocks the line."""
+DISC_SHARE = 0.5
+"""Probability that an obstacle is a disc."""
+MOVING_SHARE = 0.5
+"""Probability that an obstacle moves, except for one drawn to block the straight line."""
 SPEEDS = (0.1, 0.6)
 """Range of the speeds of moving obstacles [m/s]."""
-DISTANCE = 3.5
-"""Least distance from start to goal [m]."""
+MIN_DISTANCE = 3.5
+"""Smallest distance from start to goal [m]."""
 MARGIN = 0.15
-"""Least gap of obstacles to the robot at the start, and of fixed obstacles to the robot at the
-goal [m]."""
-CALM = 1.0
-"""Time for which moving obstacles keep the margin to the start [s]."""
-STAY = 5.0
-"""Longest time for which a moving obstacle is nearer to the goal than the margin [s]."""
-TURNS = (1.0, 8.0)
-"""Range of the time at which an obstacle changes its velocity, if it does [s]."""
-KNOWN = 60.0
-"""Time for which the motion of obstacles is generated; afterwards they move straight on [s]."""
-MISMATCH = 0.2
+"""Smallest gap from obstacles to the robot at the start, and from fixed obstacles to the robot at
+the goal [m]."""
+CLEAR_START_TIME = 1.0
+"""Time from 0 on during which moving obstacles keep the margin to the start [s]."""
+MAX_GOAL_STAY = 5.0
+"""Longest time for which a moving obstacle stays nearer to the goal than the margin [s]."""
+TURN_TIMES = (1.0, 8.0)
+"""Range of the times at which obstacles that turn once change their velocity [s]."""
+MOTION_DURATION = 60.0
+"""Time for which obstacles bounce off the border of the area, and for which their stay at the goal
+is checked; afterwards they move straight on [s]."""
+MAX_MISMATCH = 0.2
 """Largest relative error of the model's mass, friction and motor constant."""
-SAMPLE = 0.05
-"""Period at which moving obstacles are checked [s]."""
-TRIES = 2000
-"""Most draws of a scene, and most draws of its obstacles."""
+CHECK_PERIOD = 0.05
+"""Period of the samples at which moving obstacles are checked [s]."""
+MAX_DRAWS = 2000
+"""Largest number of draws of a scene, and of draws of obstacles for one draw of a scene."""
 
 
 class SceneError(OmnimanError):
-    """No scene was found for a seed."""
+    """No scene that satisfies the constraints was found for a seed."""
 
 
 @dataclass(frozen=True)
@@ -63,9 +65,9 @@ class Mismatch:
     """Ratios of the robot's true parameters to those of its model.
 
     Attributes:
-        mass: Factor of mass and inertia.
-        friction: Factor of all friction.
-        motor_constant: Factor of torque and back-EMF constant.
+        mass: Ratio of masses and inertias.
+        friction: Ratio of all friction.
+        motor_constant: Ratio of the torque constant, which is also the back-EMF constant.
     """
 
     mass: float = 1.0
@@ -75,16 +77,17 @@ class Mismatch:
 
 @dataclass(frozen=True)
 class RandomScene:
-    """A random scene.
+    """A random scene: start, goal, obstacles, workspace and the robot's model mismatch.
 
     Attributes:
         seed: Seed of the scene.
         start: Pose of the start in odom [m, m, rad].
         goal: Pose of the goal in odom [m, m, rad].
-        obstacles: Obstacles as they truly move, since time 0.
-        workspace: x_min, y_min, x_max, y_max of the robot's workspace [m], or None.
+        obstacles: Obstacles as they truly move from time 0 on.
+        workspace: x_min, y_min, x_max, y_max of the robot's workspace in odom [m]; None if the
+            workspace is unlimited.
         blocked: Whether the straight line from start to goal leads through a fixed obstacle.
-        mismatch: Mismatch between the robot and its model.
+        mismatch: Mismatch between the true robot and its model.
     """
 
     seed: int
@@ -102,7 +105,7 @@ class RandomScene:
 
 
 def scene(seed: int, box: Box = ROBOT) -> RandomScene:
-    """Make the scene of a seed, which is always the same for the same box.
+    """Return the scene of a seed, which is always the same for the same seed and box.
 
     Args:
         seed: Seed, zero or more.
@@ -110,21 +113,24 @@ def scene(seed: int, box: Box = ROBOT) -> RandomScene:
 
     Raises:
         InputError: The seed is negative.
-        SceneError: No scene with enough room was found.
+        SceneError: No scene with enough room was found in `MAX_DRAWS` draws.
     """
     if seed < 0:
         raise InputError(f"the seed must not be negative, got {seed}")
-    # The first number keeps these apart from other uses of the same seeds.
+    # The first number makes the random numbers differ from other uses of the same seeds.
     random = np.random.default_rng((20210, seed))
-    for _ in range(TRIES):
-        made = _try(seed, box, random)
+    for _ in range(MAX_DRAWS):
+        made = _draw_scene(seed, box, random)
         if made is not None:
             return made
-    raise SceneError(f"no scene was found for seed {seed} in {TRIES} tries")
+    raise SceneError(f"no scene was found for seed {seed} in {MAX_DRAWS} draws")
 
 
 def blocks(obstacle: Ellipse, start: Pose, goal: Pose) -> bool:
-    """Return whether an obstacle at time 0 lies on the line between the centres of two poses."""
+    """Return whether the straight line from start to goal leads through an obstacle at time 0.
+
+    The line connects the positions of the two poses.
+    """
     x, y = obstacle.place(0.0).tolist()
     c, s = math.cos(obstacle.angle), math.sin(obstacle.angle)
     ends = np.array([(px - x, py - y) for px, py in (start[:2], goal[:2])])
@@ -134,27 +140,27 @@ def blocks(obstacle: Ellipse, start: Pose, goal: Pose) -> bool:
     return float(np.hypot(*(whitened[0] + share * chord))) <= 1.0
 
 
-def _try(seed: int, box: Box, random: np.random.Generator) -> RandomScene | None:
-    """Draw a scene; return None if this draw has not enough room."""
-    start, goal = _pose(box, random), _pose(box, random)
-    if math.dist(start[:2], goal[:2]) < DISTANCE:
+def _draw_scene(seed: int, box: Box, random: np.random.Generator) -> RandomScene | None:
+    """Draw a scene; return None if this draw does not have enough room."""
+    start, goal = _draw_pose(box, random), _draw_pose(box, random)
+    if math.dist(start[:2], goal[:2]) < MIN_DISTANCE:
         return None
-    count = int(random.integers(COUNT[0], COUNT[1] + 1))
+    count = int(random.integers(OBSTACLE_COUNTS[0], OBSTACLE_COUNTS[1] + 1))
     obstacles: list[Ellipse] = []
     if seed % 2 == 0:
-        blocking = _on_line(start, goal, random)
-        if not _allowed(blocking, start, goal, box):
+        blocking = _draw_blocking_obstacle(start, goal, random)
+        if not _leaves_room(blocking, start, goal, box):
             return None
         obstacles.append(blocking)
-    for _ in range(TRIES):
+    for _ in range(MAX_DRAWS):
         if len(obstacles) == count:
             break
-        obstacle = _anywhere(random)
-        if _allowed(obstacle, start, goal, box):
+        obstacle = _draw_obstacle(random)
+        if _leaves_room(obstacle, start, goal, box):
             obstacles.append(obstacle)
     else:
         return None
-    factors = random.uniform(1.0 - MISMATCH, 1.0 + MISMATCH, 3).tolist()
+    factors = random.uniform(1.0 - MAX_MISMATCH, 1.0 + MAX_MISMATCH, 3).tolist()
     return RandomScene(
         seed,
         start,
@@ -166,90 +172,106 @@ def _try(seed: int, box: Box, random: np.random.Generator) -> RandomScene | None
     )
 
 
-def _pose(box: Box, random: np.random.Generator) -> Pose:
-    """Draw a pose whose box is within the area at any heading."""
+def _draw_pose(box: Box, random: np.random.Generator) -> Pose:
+    """Draw a pose at which the box would keep `MARGIN` to the border at any heading."""
     room = box.radius + MARGIN
     x, y = (float(random.uniform(AREA[i] + room, AREA[i + 2] - room)) for i in (0, 1))
     return x, y, float(random.uniform(-math.pi, math.pi))
 
 
-def _shape(random: np.random.Generator) -> tuple[tuple[float, float], float]:
-    """Draw semi-axes [m] and angle [rad]."""
+def _draw_shape(random: np.random.Generator) -> tuple[tuple[float, float], float]:
+    """Draw the semi-axes [m] and the angle [rad] of an obstacle."""
     one, two = random.uniform(*SEMI_AXES, 2).tolist()
-    if random.random() < DISCS:
+    if random.random() < DISC_SHARE:
         return (one, one), 0.0
     return (one, two), float(random.uniform(-math.pi, math.pi))
 
 
-def _on_line(start: Pose, goal: Pose, random: np.random.Generator) -> Ellipse:
-    """Draw a fixed obstacle on the line, whose centre is off it by less than its extent."""
-    axes, angle = _shape(random)
+def _draw_blocking_obstacle(start: Pose, goal: Pose, random: np.random.Generator) -> Ellipse:
+    """Draw a fixed obstacle that the straight line from start to goal leads through.
+
+    The distance of its centre from the line is less than its smaller semi-axis.
+    """
+    axes, angle = _draw_shape(random)
     line = np.subtract(goal[:2], start[:2])
     left = np.array([-line[1], line[0]]) / np.hypot(*line)
-    off = random.uniform(-0.9, 0.9) * min(axes)
-    place = start[:2] + random.uniform(0.25, 0.75) * line + off * left
-    return Ellipse(axes, Route.still(*place.tolist()), angle)
+    offset = random.uniform(-0.9, 0.9) * min(axes)
+    place = start[:2] + random.uniform(0.25, 0.75) * line + offset * left
+    return Ellipse(axes, PolylineMotion.still(*place.tolist()), angle)
 
 
-def _anywhere(random: np.random.Generator) -> Ellipse:
-    """Draw an obstacle that is fixed, moves straight, bounces in the area or turns once."""
-    axes, angle = _shape(random)
+def _draw_obstacle(random: np.random.Generator) -> Ellipse:
+    """Draw an obstacle that is fixed, moves straight, bounces off the border or turns once."""
+    axes, angle = _draw_shape(random)
     x, y = (float(random.uniform(AREA[i], AREA[i + 2])) for i in (0, 1))
-    if random.random() >= MOVING:
-        return Ellipse(axes, Route.still(x, y), angle)
-    one, two = _velocity(random), _velocity(random)
+    if random.random() >= MOVING_SHARE:
+        return Ellipse(axes, PolylineMotion.still(x, y), angle)
+    one, two = _draw_velocity(random), _draw_velocity(random)
     kind = int(random.integers(3))
-    time = float(random.uniform(*TURNS))
+    time = float(random.uniform(*TURN_TIMES))
     if kind == 0:
-        route = Route.straight((x, y), one)
+        motion = PolylineMotion.straight((x, y), one)
     elif kind == 1:
-        route = _bouncing((x, y), one)
+        motion = _bouncing((x, y), one)
     else:
-        route = Route((0.0, time), ((x, y), (x + time * one[0], y + time * one[1])), two)
-    return Ellipse(axes, route, angle)
+        motion = PolylineMotion((0.0, time), ((x, y), (x + time * one[0], y + time * one[1])), two)
+    return Ellipse(axes, motion, angle)
 
 
-def _velocity(random: np.random.Generator) -> tuple[float, float]:
+def _draw_velocity(random: np.random.Generator) -> tuple[float, float]:
+    """Draw the velocity (x, y) of a moving obstacle [m/s]."""
     speed, direction = random.uniform(*SPEEDS), random.uniform(-math.pi, math.pi)
     return float(speed * math.cos(direction)), float(speed * math.sin(direction))
 
 
-def _bouncing(place: tuple[float, float], velocity: tuple[float, float]) -> Route:
-    """Make a route that is reflected where the centre reaches the border of the area."""
+def _bouncing(place: tuple[float, float], velocity: tuple[float, float]) -> PolylineMotion:
+    """Return the motion of an obstacle that bounces off the border of the area.
+
+    Args:
+        place: Position (x, y) of its centre at time 0 [m].
+        velocity: Velocity (x, y) at time 0 [m/s].
+    """
     times, places = [0.0], [place]
     (x, y), (u, v) = place, velocity
-    while times[-1] < KNOWN:
+    while times[-1] < MOTION_DURATION:
         ends = (AREA[2] if u > 0.0 else AREA[0], AREA[3] if v > 0.0 else AREA[1])
-        left = [(ends[0] - x) / u if u else math.inf, (ends[1] - y) / v if v else math.inf]
-        time = max(min(left), 1e-6)
+        until_border = [(ends[0] - x) / u if u else math.inf, (ends[1] - y) / v if v else math.inf]
+        time = max(min(until_border), 1e-6)
         x, y = x + time * u, y + time * v
-        if left[0] <= left[1]:
+        if until_border[0] <= until_border[1]:
             u = -u
         else:
             v = -v
         times.append(times[-1] + time)
         places.append((x, y))
-    return Route(tuple(times), tuple(places), (u, v))
+    return PolylineMotion(tuple(times), tuple(places), (u, v))
 
 
-def _allowed(obstacle: Ellipse, start: Pose, goal: Pose, box: Box) -> bool:
+def _leaves_room(obstacle: Ellipse, start: Pose, goal: Pose, box: Box) -> bool:
     """Return whether an obstacle leaves room for the robot at the start, and later at the goal."""
     if obstacle.fixed:
         gaps = _gaps(obstacle, np.array([start, goal]), np.zeros(2), box)
         return bool((gaps >= MARGIN).all())
-    # Between two samples it comes nearer by no more than its travel in half a sample.
-    slack = 0.5 * SAMPLE * obstacle.place.speed
-    times = np.arange(0.0, CALM + 0.5 * SAMPLE, SAMPLE)
+    # Between two samples, it comes nearer by no more than its travel in half a period.
+    slack = 0.5 * CHECK_PERIOD * obstacle.place.speed
+    times = np.arange(0.0, CLEAR_START_TIME + 0.5 * CHECK_PERIOD, CHECK_PERIOD)
     if not (_gaps(obstacle, np.array([start]), times, box) >= MARGIN + slack).all():
         return False
-    times = np.arange(0.0, KNOWN, SAMPLE)
+    times = np.arange(0.0, MOTION_DURATION, CHECK_PERIOD)
     near = np.flatnonzero(_gaps(obstacle, np.array([goal]), times, box) < MARGIN + slack)
     stays = np.split(near, np.flatnonzero(np.diff(near) > 1) + 1)
-    return max(len(stay) for stay in stays) * SAMPLE <= STAY
+    return max(len(stay) for stay in stays) * CHECK_PERIOD <= MAX_GOAL_STAY
 
 
 def _gaps(obstacle: Ellipse, poses: Array, times: Array, box: Box) -> Array:
-    """Return the gaps (N,) of an obstacle at times (N,) to the robot at poses (N, 3) or (1, 3)."""
+    """Return the gaps (N,) from an obstacle to the robot [m].
+
+    Args:
+        obstacle: The obstacle.
+        poses: (N, 3) poses of the robot in odom, or (1, 3) if it is at rest [m, m, rad].
+        times: (N,) times that determine the positions of the obstacle [s].
+        box: The robot's outline.
+    """
     count = len(times)
     return ellipse_gap(
         np.broadcast_to(poses, (count, 3)),

@@ -1,6 +1,6 @@
 """True shapes of a scene: the robot's box, moving and fixed ellipses, walls and the allowed area.
 
-Drives are judged by these shapes, which therefore share no code with the planner.
+Drives are judged by means of these shapes, so they share no code with the planner.
 """
 
 import math
@@ -12,9 +12,9 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 
 Point = tuple[float, float]
-"""A pair along x and y: a position [m] or a velocity [m/s]."""
+"""Components along x and y of a position [m] or a velocity [m/s]."""
 Area = tuple[float, float, float, float]
-"""x_min, y_min, x_max, y_max in odom [m]."""
+"""A rectangle x_min, y_min, x_max, y_max in odom [m]."""
 
 
 @dataclass(frozen=True)
@@ -48,11 +48,11 @@ class Box:
 
 
 @dataclass(frozen=True)
-class Route:
-    """The motion of a point along a polyline, with constant velocity between two corners.
+class PolylineMotion:
+    """The motion of a point along a polyline, at constant velocity between successive corners.
 
-    The point stands at the first corner before the first time, and moves on with a given velocity
-    after the last.
+    The point rests at the first corner before the first time, and moves on at a given velocity
+    after the last time.
 
     Attributes:
         times: Times at which the corners are reached [s], increasing, one or more.
@@ -71,28 +71,30 @@ class Route:
     def __post_init__(self) -> None:
         if not self.times or len(self.times) != len(self.places):
             raise InputError(
-                f"a route needs a time for each place, got {len(self.times)} times "
-                f"and {len(self.places)} places"
+                f"a polyline motion needs a time for each corner, got {len(self.times)} times "
+                f"and {len(self.places)} corners"
             )
         values = np.array([*self.times, *np.ravel(self.places), *self.velocity])
         if not (np.isfinite(values).all() and (np.diff(self.times) > 0.0).all()):
-            raise InputError(f"a route needs finite values and increasing times, got {self}")
+            raise InputError(
+                f"a polyline motion needs finite values and increasing times, got {self}"
+            )
 
     @staticmethod
-    def still(x: float, y: float) -> "Route":
-        """Return a route at rest at (x, y) in odom [m]."""
-        return Route((0.0,), ((x, y),))
+    def still(x: float, y: float) -> "PolylineMotion":
+        """Return the motion of a point that rests at (x, y) in odom [m]."""
+        return PolylineMotion((0.0,), ((x, y),))
 
     @staticmethod
-    def straight(place: Point, velocity: Point, since: float = 0.0) -> "Route":
-        """Return a route of constant velocity.
+    def straight(place: Point, velocity: Point, since: float = 0.0) -> "PolylineMotion":
+        """Return a motion at constant velocity.
 
         Args:
             place: Start (x, y) in odom [m].
             velocity: Velocity (x', y') in odom [m/s].
             since: Time at which the motion starts [s].
         """
-        return Route((since,), (place,), velocity)
+        return PolylineMotion((since,), (place,), velocity)
 
     def __call__(self, now: float) -> Array:
         """Return the position (2,) in odom [m] at the time `now` [s]."""
@@ -121,7 +123,8 @@ class Ellipse:
 
     Attributes:
         semi_axes: Semi-axes [m], above zero.
-        place: Motion of its centre: calling it gives the position at a time.
+        place: Motion of its centre; calling it with a time [s] returns the position (2,) in odom
+            [m].
         angle: Angle of its first semi-axis in odom [rad].
 
     Raises:
@@ -129,7 +132,7 @@ class Ellipse:
     """
 
     semi_axes: tuple[float, float]
-    place: Route
+    place: PolylineMotion
     angle: float = 0.0
 
     def __post_init__(self) -> None:
@@ -173,12 +176,12 @@ class Wall:
 
 @dataclass(frozen=True)
 class World:
-    """Obstacles and walls, and the area that the robot should not leave.
+    """The surroundings of a robot: obstacles, walls, and the area that it should not leave.
 
     Attributes:
         obstacles: Fixed and moving ellipses.
         walls: Walls.
-        area: Area in which the robot's whole outline should stay, or None if there is no such
+        area: Area within which the robot's whole outline should stay; None if there is no such
             area. Leaving it does not count as a contact.
 
     Raises:
@@ -200,10 +203,12 @@ class World:
 
 
 def _above_zero(name: str, value: float) -> None:
+    """Raise an InputError unless a length [m] is above zero and finite."""
     if not 0.0 < value < math.inf:
         raise InputError(f"{name} must be above zero and finite, got {value} m")
 
 
 def _finite(name: str, value: float) -> None:
+    """Raise an InputError unless a value is finite."""
     if not math.isfinite(value):
         raise InputError(f"{name} must be finite, got {value}")

@@ -1,14 +1,14 @@
-"""Judge whether a rectangular robot truly touched what was around it during a drive.
+"""Decide whether a rectangular robot truly touched an obstacle or a wall during a drive.
 
 The judge shares no code with the planner that it judges. The robot is a box whose true poses are
-known at samples; between two samples its centre moves on a straight line and its heading turns at
-a constant rate. At 5 ms, a robot that accelerates at 6 m/s^2 leaves this line by 0.02 mm, which
-the judge does not see. Obstacles are ellipses that move along known polylines; walls are boxes
-that stand still.
+known at samples. Between two samples, its centre is assumed to move on a straight line and its
+heading to turn at a constant rate; with samples every 5 ms, a robot that accelerates at 6 m/s^2
+deviates from this line by 0.02 mm, which the judge neglects. Obstacles are ellipses that move
+along known polylines; walls are boxes at rest.
 
-The gap at one time is exact, as shown at `ellipse_gap` and `wall_gap`. Between two times the gap
-changes by no more than the two bodies travel relative to each other. An interval in which that
-leaves open whether they touch is halved until it does not.
+The gap at one time is exact, as `ellipse_gap` and `wall_gap` explain. Between two times the gap
+changes by no more than the two bodies travel relative to each other. Time intervals for which this
+bound does not decide whether the bodies touch are halved until it does.
 """
 
 import math
@@ -23,10 +23,11 @@ from omniman_ros.lab.studies.scene_gaps import ellipse_gap, outside, wall_gap
 from omniman_ros.lab.studies.scene_geometry import Box, World
 
 Index = NDArray[np.intp]
-TOUCH = 1e-4
+"""Indices of bodies, obstacles before walls."""
+CONTACT_GAP = 1e-4
 """Gap below which the robot counts as touching, and the accuracy of the smallest gap [m]."""
-HALVINGS = 60
-"""Most times that an interval is halved; its travel is below a tenth of a nanometre before."""
+MAX_HALVINGS = 60
+"""Largest number of times that an interval is halved; its travel is below 0.1 nm long before."""
 
 
 @dataclass(frozen=True)
@@ -34,16 +35,16 @@ class Verdict:
     """The judge's verdict on a drive.
 
     Attributes:
-        gap: Smallest gap [m]; the true one is smaller by no more than `TOUCH`. Zero or less: the
-            robot overlapped with something. inf: there is nothing to touch.
-        gap_time: Time of the least gap [s]; NaN if there is nothing to touch.
-        contact: Time at which the robot was first nearer than `TOUCH` to something [s]; inf if it
-            touched nothing at any time.
-        touched: What the robot touched first: "obstacle" or "wall", and its index; None if
-            nothing.
-        outside: Largest distance by which the robot left the area [m]; negative: the room left;
-            -inf: there is no area. It is taken at the samples: between them, corners leave the
-            area by 0.01 mm more at most.
+        gap: Smallest gap [m]; the true one is smaller by no more than `CONTACT_GAP`. It is zero or
+            less if the robot overlapped with a body, and inf if there is nothing to touch.
+        gap_time: Time of the smallest gap [s]; NaN if there is nothing to touch.
+        contact: Time at which the robot was first nearer than `CONTACT_GAP` to a body [s]; inf if
+            it never was.
+        touched: Kind of the body that the robot touched first, "obstacle" or "wall", and its index
+            in the world; None if the robot touched nothing.
+        outside: Largest distance by which the robot left the area [m]; a negative value is the
+            room that was left, -inf means that there is no area. It is taken at the samples:
+            between them, corners leave the area by at most 0.01 mm more.
     """
 
     gap: float
@@ -59,13 +60,14 @@ class Verdict:
 
 
 def judge(times: Array, poses: Array, box: Box, world: World) -> Verdict:
-    """Judge a drive, between its samples too.
+    """Judge a drive, at its samples and between them.
 
     Args:
-        times: (K,) times [s], increasing, one or more.
+        times: (K,) increasing times [s], at least one.
         poses: (K, 3) true poses in odom [m, m, rad]; headings may be wrapped.
         box: The robot's outline.
-        world: What the robot may have touched.
+        world: Obstacles and walls that the robot may have touched, and the area that it may have
+            left.
 
     Raises:
         InputError: A shape is wrong, a value is not finite, or the times do not increase.
@@ -73,22 +75,22 @@ def judge(times: Array, poses: Array, box: Box, world: World) -> Verdict:
     times, poses = np.asarray(times, dtype=float), np.array(poses, dtype=float)
     if times.ndim != 1 or len(times) == 0 or poses.shape != (len(times), 3):
         raise InputError(
-            f"poses (K, 3) at times (K,) are needed, got {poses.shape} at {times.shape}"
+            f"a drive needs poses (K, 3) at times (K,), got {poses.shape} at {times.shape}"
         )
     if not (np.isfinite(times).all() and np.isfinite(poses).all()):
-        raise InputError("a true pose or its time is not finite")
+        raise InputError("a pose of the drive, or its time, is not finite")
     if not (np.diff(times) > 0.0).all():
-        raise InputError(f"times must increase, the least step is {np.diff(times).min()} s")
+        raise InputError(f"times must increase, the smallest step is {np.diff(times).min()} s")
     poses[:, 2] = np.unwrap(poses[:, 2])
-    left = -math.inf if world.area is None else float(outside(poses, box, world.area).max())
+    outside_by = -math.inf if world.area is None else float(outside(poses, box, world.area).max())
     bodies = _Bodies(world, box)
     if bodies.count == 0:
-        return Verdict(math.inf, math.nan, math.inf, None, left)
-    return _Drive(times, poses, bodies).verdict(left)
+        return Verdict(math.inf, math.nan, math.inf, None, outside_by)
+    return _Drive(times, poses, bodies).verdict(outside_by)
 
 
 class _Bodies:
-    """The bodies of a world as arrays, obstacles before walls."""
+    """The bodies of a world as arrays, obstacles before walls, and the robot's gaps to them."""
 
     def __init__(self, world: World, box: Box) -> None:
         self.box = box
@@ -101,7 +103,13 @@ class _Bodies:
         self.speeds[: len(self.obstacles)] = [o.place.speed for o in world.obstacles]
 
     def gaps(self, times: Array, poses: Array, which: Index) -> Array:
-        """Return the gaps (N,) to the bodies (N,) at times (N,) and poses (N, 3) [m]."""
+        """Return the gaps (N,) of N pairs of the robot and a body [m].
+
+        Args:
+            times: (N,) times [s].
+            poses: (N, 3) poses of the robot in odom [m, m, rad].
+            which: (N,) indices of the bodies.
+        """
         result = np.empty(len(times))
         moving = len(self.obstacles)
         centers = np.zeros((len(times), 2))
@@ -119,51 +127,79 @@ class _Bodies:
         return result
 
     def name(self, which: int) -> tuple[str, int]:
-        """Return kind and index of a body."""
+        """Return the kind of a body, "obstacle" or "wall", and its index in the world."""
         moving = len(self.obstacles)
         return ("obstacle", which) if which < moving else ("wall", which - moving)
 
 
 @dataclass(frozen=True)
 class _Intervals:
-    """N intervals of time, each of one body: the ends, the gaps there, and the travel between."""
+    """N time intervals, each paired with one body.
+
+    Attributes:
+        starts: (N,) times at which the intervals begin [s].
+        ends: (N,) times at which the intervals end [s].
+        start_poses: (N, 3) poses of the robot at the beginning [m, m, rad].
+        end_poses: (N, 3) poses of the robot at the end [m, m, rad].
+        which: (N,) indices of the bodies.
+        start_gaps: (N,) gaps at the beginning [m].
+        end_gaps: (N,) gaps at the end [m].
+        travel: (N,) upper bounds of the relative travel of robot and body in between [m].
+    """
 
     starts: Array
     ends: Array
-    before: Array
-    after: Array
+    start_poses: Array
+    end_poses: Array
     which: Index
-    first: Array
-    last: Array
+    start_gaps: Array
+    end_gaps: Array
     travel: Array
 
     @property
     def lower(self) -> Array:
         """Lower bounds (N,) of the gaps within the intervals [m]."""
-        result: Array = 0.5 * (self.first + self.last - self.travel)
+        result: Array = 0.5 * (self.start_gaps + self.end_gaps - self.travel)
         return result
 
-    def only(self, keep: NDArray[np.bool_]) -> "_Intervals":
+    def select(self, keep: NDArray[np.bool_]) -> "_Intervals":
+        """Return the intervals for which `keep` (N,) is true."""
         return _Intervals(*(getattr(self, name)[keep] for name in self.__dataclass_fields__))
 
     def halves(self, bodies: _Bodies) -> "_Intervals":
-        """Return both halves of each interval, all first halves before the second ones."""
-        middle, pose = 0.5 * (self.starts + self.ends), 0.5 * (self.before + self.after)
+        """Return both halves of each interval, all first halves before all second halves."""
+        middle = 0.5 * (self.starts + self.ends)
+        pose = 0.5 * (self.start_poses + self.end_poses)
         gap, travel = bodies.gaps(middle, pose, self.which), 0.5 * self.travel
-        first = (self.starts, middle, self.before, pose, self.which, self.first, gap, travel)
-        second = (middle, self.ends, pose, self.after, self.which, gap, self.last, travel)
+        first = (
+            self.starts,
+            middle,
+            self.start_poses,
+            pose,
+            self.which,
+            self.start_gaps,
+            gap,
+            travel,
+        )
+        second = (middle, self.ends, pose, self.end_poses, self.which, gap, self.end_gaps, travel)
         return _Intervals(*(np.concatenate(pair) for pair in zip(first, second, strict=True)))
 
 
 class _Drive:
-    """A drive among bodies, of which there is at least one."""
+    """The search for the smallest gap and the first contact of a drive among bodies.
+
+    Args:
+        times: (K,) increasing times [s].
+        poses: (K, 3) poses of the robot in odom, headings not wrapped [m, m, rad].
+        bodies: The bodies, at least one.
+    """
 
     def __init__(self, times: Array, poses: Array, bodies: _Bodies) -> None:
         self.bodies = bodies
         count = bodies.count
         which = np.tile(np.arange(count), len(times))
-        at, there = np.repeat(times, count), np.repeat(poses, count, axis=0)
-        self.gaps = bodies.gaps(at, there, which)
+        at, robot = np.repeat(times, count), np.repeat(poses, count, axis=0)
+        self.gaps = bodies.gaps(at, robot, which)
         self.times, self.which = at, which
         step = np.abs(np.diff(poses, axis=0))
         own = np.hypot(step[:, 0], step[:, 1]) + bodies.box.radius * step[:, 2]
@@ -173,56 +209,56 @@ class _Drive:
         self.intervals = _Intervals(
             at[first],
             at[last],
-            there[first],
-            there[last],
+            robot[first],
+            robot[last],
             which[first],
             self.gaps[first],
             self.gaps[last],
             travel.ravel(),
         )
 
-    def verdict(self, left: float) -> Verdict:
-        """Find the smallest gap, then the first contact if there is one.
+    def verdict(self, outside_by: float) -> Verdict:
+        """Return the verdict: the smallest gap, then the first contact if there is one.
 
         Args:
-            left: Largest distance by which the robot left the area [m].
+            outside_by: Largest distance by which the robot left the area [m].
         """
         best = int(self.gaps.argmin())
         gap, when, which = float(self.gaps[best]), float(self.times[best]), int(self.which[best])
-        open_ = self.intervals
-        for _ in range(HALVINGS):
-            open_ = open_.only(open_.lower < gap - TOUCH)
-            if not len(open_.starts):
+        undecided = self.intervals
+        for _ in range(MAX_HALVINGS):
+            undecided = undecided.select(undecided.lower < gap - CONTACT_GAP)
+            if not len(undecided.starts):
                 break
-            open_ = open_.halves(self.bodies)
-            least = int(open_.last.argmin())
-            if open_.last[least] < gap:
-                gap, when = float(open_.last[least]), float(open_.ends[least])
-                which = int(open_.which[least])
-        if gap > TOUCH:
-            return Verdict(gap, when, math.inf, None, left)
-        contact, touched = self._first(when, which)
-        return Verdict(gap, when, contact, self.bodies.name(touched), left)
+            undecided = undecided.halves(self.bodies)
+            least = int(undecided.end_gaps.argmin())
+            if undecided.end_gaps[least] < gap:
+                gap, when = float(undecided.end_gaps[least]), float(undecided.ends[least])
+                which = int(undecided.which[least])
+        if gap > CONTACT_GAP:
+            return Verdict(gap, when, math.inf, None, outside_by)
+        contact, touched = self._first_contact(when, which)
+        return Verdict(gap, when, contact, self.bodies.name(touched), outside_by)
 
-    def _first(self, contact: float, touched: int) -> tuple[float, int]:
-        """Return the first time at which a gap is below `TOUCH`, and the index of the body.
+    def _first_contact(self, contact: float, touched: int) -> tuple[float, int]:
+        """Return the first time at which a gap is below `CONTACT_GAP`, and the index of the body.
 
         Args:
-            contact: A time at which a gap is below `TOUCH` [s].
+            contact: A time at which a gap is below `CONTACT_GAP` [s].
             touched: Index of the body of that gap.
         """
-        near = np.flatnonzero(self.gaps <= TOUCH)
+        near = np.flatnonzero(self.gaps <= CONTACT_GAP)
         if len(near) and self.times[near[0]] < contact:
             contact, touched = float(self.times[near[0]]), int(self.which[near[0]])
-        open_ = self.intervals
-        for _ in range(HALVINGS):
-            open_ = open_.only((open_.starts < contact) & (open_.lower <= 0.0))
-            if not len(open_.starts):
+        undecided = self.intervals
+        for _ in range(MAX_HALVINGS):
+            undecided = undecided.select((undecided.starts < contact) & (undecided.lower <= 0.0))
+            if not len(undecided.starts):
                 break
-            open_ = open_.halves(self.bodies)
-            near = np.flatnonzero(open_.last <= TOUCH)
+            undecided = undecided.halves(self.bodies)
+            near = np.flatnonzero(undecided.end_gaps <= CONTACT_GAP)
             if len(near):
-                first = near[open_.ends[near].argmin()]
-                if open_.ends[first] < contact:
-                    contact, touched = float(open_.ends[first]), int(open_.which[first])
+                first = near[undecided.ends[near].argmin()]
+                if undecided.ends[first] < contact:
+                    contact, touched = float(undecided.ends[first]), int(undecided.which[first])
         return contact, touched

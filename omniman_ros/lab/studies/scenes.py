@@ -1,8 +1,8 @@
 """Drives through random scenes: the true robot of a scene, judged outcomes, and their figures.
 
-A drive is judged from true poses and true obstacles alone, by code that the planner does not
-share: `scene_judge` decides whether the robot touched anything, between the samples too, and
-`space_time_search` whether any path existed.
+A drive is judged from true poses and true obstacles alone, by code that it does not share with the
+planner: `scene_judge` decides whether the robot touched anything, at the samples and between them,
+and `space_time_search` whether any path existed.
 """
 
 import math
@@ -21,23 +21,23 @@ from omniman_ros.lab.studies.scene_generator import Mismatch, RandomScene
 from omniman_ros.lab.studies.scene_geometry import Box
 from omniman_ros.lab.studies.scene_judge import Verdict, judge
 from omniman_ros.lab.studies.space_time_grid import Mover
-from omniman_ros.lab.studies.space_time_search import avoidable, find_way
+from omniman_ros.lab.studies.space_time_search import find_avoiding_path, find_path
 from omniman_ros.planning.parameters import PlannerParameters
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 
-LIMIT = 60.0
-"""Time after sending within which a goal must be reached [s]."""
-NEAR = (0.04, 0.04)
-"""True distance [m] and angle [rad] from the goal up to which an arrival counts: the planner
-arrives by its odometry, which has drifted by then."""
+TIME_LIMIT = 60.0
+"""Time from when the goal is sent within which it must be reached [s]."""
+GOAL_TOLERANCE = (0.04, 0.04)
+"""Largest true distance [m] and angle [rad] from the goal at which an arrival counts. The planner
+itself judges its arrival by odometry, which has drifted by then."""
 AIM_REACHED = 0.95
-"""Aim: smallest share of the reachable goals that the robot reaches."""
+"""Aim: smallest share of reached goals among those that can be reached."""
 VELOCITY_SAMPLES = 4
-"""Number of samples over which the velocity at a turn is measured."""
+"""Number of samples over which the robot's velocity is measured when an obstacle turns."""
 SURPRISE_WINDOW = 1.5
-"""Time after a turn of an obstacle in which an unavoidable contact is looked for [s]."""
-HEAVY = ("body.mass", "body.inertia", "arm.mass", "arm.inertia")
-"""Parameters of the robot that the factor of the mass applies to."""
+"""Time after an obstacle changes its velocity within which a surprise is recognised [s]."""
+MASS_PARAMETERS = ("body.mass", "body.inertia", "arm.mass", "arm.inertia")
+"""Names of the robot's parameters to which the mass ratio of a mismatch applies."""
 
 
 # ---- the robot ----------------------------------------------------------------------------------
@@ -50,38 +50,41 @@ def true_robot(
 
     Args:
         robot: Parameters of planner and controller, full names to values.
-        mismatch: Factors of mass, friction and motor constant.
+        mismatch: Ratios of the true robot's mass, friction and motor constant to the model's.
 
     Returns:
-        Parameters of the robot, and of the simulation.
+        Parameters of the true robot and of the simulation, full names to values.
+
+    Raises:
+        ParameterError: A ratio is out of the simulation's range.
     """
     values = dict(robot)
-    for name in HEAVY:
+    for name in MASS_PARAMETERS:
         if name in values:
             values[name] = values[name] * mismatch.mass
-    # The simulation's own factor is of the wheels' friction only.
+    # The simulation's own factor applies to the friction of the wheels, not to that of rollers.
     values["friction.roller"] = [value * mismatch.friction for value in robot["friction.roller"]]
     simulation = {
         "mismatch.friction": (mismatch.friction,),
         "mismatch.torque_constant": (mismatch.motor_constant,),
     }
-    build(SimulationParameters, simulation)  # raises if a factor is out of range
+    build(SimulationParameters, simulation)  # raises an error if a ratio is out of range
     return values, simulation
 
 
 def box_of(robot: Mapping[str, Any]) -> Box:
-    """Return the robot's outline."""
+    """Return the robot's outline from its parameters, full names to values."""
     body = build(Robot, robot).body
     return Box(body.length, body.width)
 
 
 @dataclass(frozen=True)
 class Agility:
-    """Ability of a robot to react to unforeseeable events.
+    """A robot's ability to react to an obstacle that changes its velocity unforeseeably.
 
     Attributes:
         acceleration: Largest acceleration in any direction [m/s^2].
-        reaction: Longest time from an event to the first observation that shows it [s].
+        reaction: Longest time from the change to the first observation that shows it [s].
 
     Raises:
         InputError: A value is negative or not finite.
@@ -97,13 +100,18 @@ class Agility:
 
 
 def agility_of(robot: Mapping[str, Any], reaction: float) -> Agility:
-    """Return the robot's agility for observations that show an event after a time [s]."""
+    """Return the robot's agility.
+
+    Args:
+        robot: Parameters of the robot, full names to values.
+        reaction: Longest time from an event to the first observation that shows it [s].
+    """
     limits = build(PlannerParameters, robot).limits
     return Agility(max(limits.linear_acceleration, limits.linear_deceleration), reaction)
 
 
 def mover_of(robot: Mapping[str, Any]) -> Mover:
-    """Return outline and largest speeds of the robot; its accelerations are not limited."""
+    """Return the robot's outline and largest speeds from its parameters, full names to values."""
     limits = build(PlannerParameters, robot).limits
     return Mover(box_of(robot), limits.linear_velocity, limits.angular_velocity)
 
@@ -113,23 +121,23 @@ def mover_of(robot: Mapping[str, Any]) -> Mover:
 
 @dataclass(frozen=True)
 class SceneDrive:
-    """A drive in a scene: K samples from the sending of the goal to the arrival or the end.
+    """A drive through a scene: K samples from the sending of the goal to the end of the drive.
 
     Attributes:
-        times: (K,) times on the clock of the obstacles [s].
+        times: (K,) times on the clock by which the obstacles move [s].
         poses: (K, 3) true poses in odom [m, m, rad].
         energy: Electric energy consumed, less the energy fed back [J].
         arrived: Whether the planner reported its arrival.
-        answers: (C,) times from the begin of a cycle to its reference, for each cycle that
-            planned [s].
-        late: Number of answers after the planner's deadline.
-        drift: Distance of odometry from the truth at the end [m].
+        answers: (C,) times from the beginning of a cycle to the publication of its reference, for
+            each of the C cycles in which the planner planned [s].
+        late: Number of references published after the planner's deadline.
+        drift: Distance of the pose by odometry from the true pose at the end [m].
         state: State of the planner at the end.
-        last: Last status text of the planner.
-        whys: Reasons why plans were not used, with their numbers.
+        last_status: Last status text of the planner.
+        rejections: Reasons why plans were not used, each with the number of such plans.
 
     Raises:
-        InputError: There is no sample.
+        InputError: There is no sample, or a shape is wrong.
     """
 
     times: Array
@@ -140,8 +148,8 @@ class SceneDrive:
     late: int
     drift: float
     state: str
-    last: str
-    whys: Mapping[str, int] = field(default_factory=dict)
+    last_status: str
+    rejections: Mapping[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if len(self.times) < 1 or self.poses.shape != (len(self.times), 3):
@@ -153,16 +161,17 @@ class SceneDrive:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The judged outcome of a drive.
+    """A drive through a scene and how it was judged.
 
     Attributes:
         scene: The scene.
         drive: The drive.
         verdict: Verdict of the judge.
-        solvable: Whether a path exists; a robot that reached its goal has found one.
+        solvable: Whether a path to the goal exists; if the robot reached its goal, one does.
         avoidable: Whether the robot touched something that a robot with knowledge of the future
-            and without limits of acceleration could have avoided.
-        surprised: Whether what the robot touched had turned too late for any robot to avoid it.
+            and unlimited accelerations could have avoided.
+        surprised: Whether the obstacle that the robot touched had changed its velocity too late
+            for any robot to avoid it. This is reported only: it excuses no contact.
     """
 
     scene: RandomScene
@@ -173,49 +182,53 @@ class Outcome:
     surprised: bool
 
     @property
-    def own(self) -> bool:
-        """Whether the robot touched something that one without inertia could have avoided."""
+    def at_fault(self) -> bool:
+        """Whether the robot is at fault for a contact: it was avoidable."""
         return self.avoidable
 
     @property
-    def off(self) -> tuple[float, float]:
+    def goal_error(self) -> tuple[float, float]:
         """True distance [m] and angle [rad] from the goal at the end."""
         error = self.drive.poses[-1] - np.array(self.scene.goal)
         return math.hypot(error[0], error[1]), abs(se2.wrap(float(error[2])))
 
     @property
     def reached(self) -> bool:
-        """Whether the robot is at its goal, has reported that, and had no contact."""
-        near = all(is_off <= most for is_off, most in zip(self.off, NEAR, strict=True))
+        """Whether the robot is at its goal, its planner reported so, and it touched nothing."""
+        errors = zip(self.goal_error, GOAL_TOLERANCE, strict=True)
+        near = all(error <= tolerance for error, tolerance in errors)
         return self.drive.arrived and near and not self.verdict.collided
 
     @property
-    def other(self) -> bool:
-        """Whether the robot touched something that it could not avoid."""
-        return self.verdict.collided and not self.own
+    def inevitable_contact(self) -> bool:
+        """Whether the robot touched something, but not through its own fault."""
+        return self.verdict.collided and not self.at_fault
 
     @property
-    def left(self) -> bool:
-        """Whether a corner of the robot left its workspace."""
+    def left_workspace(self) -> bool:
+        """Whether a corner of the robot left the workspace at any time."""
         return self.verdict.outside > 0.0
 
     @property
     def moving(self) -> bool:
-        """Whether there are moving obstacles."""
+        """Whether the scene has moving obstacles."""
         return not all(obstacle.fixed for obstacle in self.scene.obstacles)
 
     @property
     def mismatch(self) -> bool:
-        """Whether the robot differs from its model."""
+        """Whether the true robot differs from its model."""
         return self.scene.mismatch != Mismatch()
 
     @property
     def failed(self) -> bool:
-        """Whether this counts against the robot."""
-        return self.own or self.left or (self.solvable and not self.reached)
+        """Whether the robot failed: a contact by its fault, outside the workspace, or no arrival.
+
+        A goal that is not reached is a failure only if a path to it exists.
+        """
+        return self.at_fault or self.left_workspace or (self.solvable and not self.reached)
 
     def figures(self) -> dict[str, Any]:
-        """Return the figures of the drive; times [s], energies [J], gaps [m]."""
+        """Return the figures of the drive for a result; their units are in their names."""
         drive, verdict = self.drive, self.verdict
         since = float(drive.times[0])
         return {
@@ -226,7 +239,7 @@ class Outcome:
             "solvable": self.solvable,
             "reached": self.reached,
             "collided": verdict.collided,
-            "own": self.own,
+            "own": self.at_fault,
             "avoidable": self.avoidable,
             "surprised": self.surprised,
             "contact_s": verdict.contact - since if verdict.collided else math.nan,
@@ -235,53 +248,61 @@ class Outcome:
             "outside_m": verdict.outside,
             "time_s": float(drive.times[-1]) - since,
             "energy_j": drive.energy,
-            "off_m": self.off[0],
-            "off_rad": self.off[1],
+            "off_m": self.goal_error[0],
+            "off_rad": self.goal_error[1],
             "drift_m": drive.drift,
             "end": drive.poses[-1].tolist(),
             "state": drive.state,
-            "last": drive.last,
-            "whys": dict(drive.whys),
+            "last": drive.last_status,
+            "whys": dict(drive.rejections),
             "cycles": len(drive.answers),
             "late": drive.late,
-            **spread(drive.answers),
+            **answer_statistics(drive.answers),
         }
 
 
-def judged(scene: RandomScene, drive: SceneDrive, mover: Mover, agility: Agility) -> Outcome:
-    """Judge a drive.
+def judge_drive(scene: RandomScene, drive: SceneDrive, mover: Mover, agility: Agility) -> Outcome:
+    """Judge a drive through a scene.
 
     Args:
         scene: The scene.
         drive: The drive.
-        mover: Outline and speeds of the robot, by which avoidable contacts are judged.
-        agility: Agility of the robot, by which surprises are judged.
+        mover: Outline and speeds of the robot, for the search for paths.
+        agility: Agility of the robot, which decides what counts as a surprise.
     """
     world = scene.world
     verdict = judge(drive.times, drive.poses, mover.box, world)
-    could = late = False
+    could_avoid = was_surprised = False
     if verdict.collided:
-        way = avoidable(mover, world, drive.times, drive.poses, verdict.contact)
-        could, late = way is not None, surprised(scene, drive, verdict, mover.box, agility)
-    outcome = Outcome(scene, drive, verdict, True, could, late)
-    if outcome.reached and not outcome.left:
+        path = find_avoiding_path(mover, world, drive.times, drive.poses, verdict.contact)
+        could_avoid = path is not None
+        was_surprised = surprised(scene, drive, verdict, mover.box, agility)
+    outcome = Outcome(scene, drive, verdict, True, could_avoid, was_surprised)
+    if outcome.reached and not outcome.left_workspace:
         return outcome
     since = float(drive.times[0])
-    found = find_way(mover, world, scene.start, scene.goal, since, since + LIMIT)
+    found = find_path(mover, world, scene.start, scene.goal, since, since + TIME_LIMIT)
     return replace(outcome, solvable=found is not None)
 
 
 def surprised(
     scene: RandomScene, drive: SceneDrive, verdict: Verdict, box: Box, agility: Agility
 ) -> bool:
-    """Return whether an obstacle had turned too late for any robot to get away.
+    """Return whether the touched obstacle changed its velocity too late for any robot to evade.
 
-    When the obstacle turned, the robot was at a position p with a velocity v. Until the reaction
-    time is over, the robot cannot know of the turn; afterwards, whatever it does, its centre at a
-    time t is no farther from p + v t than a (t - reaction)^2 / 2. It is a surprise if there is a
-    time at which the inner discs of robot and obstacle overlap for all of these positions, so that
-    nothing could have helped. The discs are smaller than the bodies: a contact that is not proven
-    to be a surprise counts against the robot.
+    At that change, the robot was at a position p with a velocity v. It cannot know of the change
+    until its reaction time has passed. At a time t after the change, whatever the robot does, its
+    centre is no farther from p + v t than a (t - reaction)^2 / 2, where a is its largest
+    acceleration. The contact is a surprise if there is a time t at which the inscribed discs of
+    robot and obstacle overlap for all of these positions. As the discs are smaller than the
+    bodies, not every inevitable contact is recognised as a surprise.
+
+    Args:
+        scene: The scene.
+        drive: The drive.
+        verdict: Verdict on the drive.
+        box: The robot's outline.
+        agility: Acceleration and reaction time of the robot.
     """
     if verdict.touched is None or verdict.touched[0] != "obstacle":
         return False
@@ -295,15 +316,15 @@ def surprised(
     place = drive.poses[row, :2]
     velocity = (place - drive.poses[before, :2]) / (drive.times[row] - drive.times[before])
     after = np.arange(0.0, SURPRISE_WINDOW, 0.01)
-    free = np.maximum(after - agility.reaction, 0.0)
-    reach = 0.5 * agility.acceleration * free**2
+    reacting = np.maximum(after - agility.reaction, 0.0)
+    reach = 0.5 * agility.acceleration * reacting**2
     centers = place + after[:, None] * velocity
-    apart = np.hypot(*(centers - obstacle.place.at(drive.times[row] + after)).T)
-    return bool((apart + reach < min(box.half) + min(obstacle.semi_axes)).any())
+    distances = np.hypot(*(centers - obstacle.place.at(drive.times[row] + after)).T)
+    return bool((distances + reach < min(box.half) + min(obstacle.semi_axes)).any())
 
 
-def spread(answers: Array) -> dict[str, float]:
-    """Return median, p99 and largest of times (C,) [s], in milliseconds; NaN of no times."""
+def answer_statistics(answers: Array) -> dict[str, float]:
+    """Return the median, p99 and largest of times (C,) [s], in milliseconds; NaN without times."""
     if not len(answers):
         return {"answer_median_ms": math.nan, "answer_p99_ms": math.nan, "answer_max_ms": math.nan}
     median, p99, most = 1e3 * np.percentile(answers, (50.0, 99.0, 100.0))
@@ -318,8 +339,8 @@ def spread(answers: Array) -> dict[str, float]:
 
 
 def groups(outcomes: Sequence[Outcome]) -> dict[str, list[Outcome]]:
-    """Group the drives by what makes a scene hard; groups without a drive are left out."""
-    made = {
+    """Group drives by what makes a scene difficult; groups without a drive are left out."""
+    members_by_name = {
         "all": list(outcomes),
         "line blocked": [o for o in outcomes if o.scene.blocked],
         "line free": [o for o in outcomes if not o.scene.blocked],
@@ -328,20 +349,20 @@ def groups(outcomes: Sequence[Outcome]) -> dict[str, list[Outcome]]:
         "moving obstacles": [o for o in outcomes if o.moving],
         "fixed obstacles only": [o for o in outcomes if not o.moving],
     }
-    return {name: members for name, members in made.items() if members}
+    return {name: members for name, members in members_by_name.items() if members}
 
 
 def summary(outcomes: Sequence[Outcome]) -> dict[str, Any]:
-    """Return the figures of a group of drives.
+    """Return the figures of a group of drives for a result; their units are in their names.
 
-    Times and energies are those of drives that reached their goals, gaps those of drives without
-    contact: in this simulation, a contact does not hold the robot back.
+    Times and energies are those of the drives that reached their goals. Gaps are those of the
+    drives without contact, as the simulation lets a robot drive on through what it touches.
 
     Raises:
         InputError: There is no drive.
     """
     if not outcomes:
-        raise InputError("no drive to sum up")
+        raise InputError("there is no drive to summarise")
     reached = [o for o in outcomes if o.reached]
     solvable = [o for o in outcomes if o.solvable]
     times = [float(o.drive.times[-1] - o.drive.times[0]) for o in reached]
@@ -349,10 +370,10 @@ def summary(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     gaps = [o.verdict.gap for o in outcomes if not o.verdict.collided]
     return {
         "drives": len(outcomes),
-        "own_collisions": sum(o.own for o in outcomes),
-        "other_collisions": sum(o.other for o in outcomes),
+        "own_collisions": sum(o.at_fault for o in outcomes),
+        "other_collisions": sum(o.inevitable_contact for o in outcomes),
         "surprises": sum(o.surprised for o in outcomes),
-        "left_workspace": sum(o.left for o in outcomes),
+        "left_workspace": sum(o.left_workspace for o in outcomes),
         "solvable": len(solvable),
         "reached": len(reached),
         "reached_share": len(reached) / len(outcomes),
@@ -368,16 +389,21 @@ def summary(outcomes: Sequence[Outcome]) -> dict[str, Any]:
         "drift_max_m": max(o.drive.drift for o in outcomes),
         "cycles": sum(len(o.drive.answers) for o in outcomes),
         "late": sum(o.drive.late for o in outcomes),
-        **spread(np.concatenate([o.drive.answers for o in outcomes])),
+        **answer_statistics(np.concatenate([o.drive.answers for o in outcomes])),
     }
 
 
 def _median(values: Sequence[float]) -> float:
+    """Return the median of values; NaN without values."""
     return float(np.median(values)) if len(values) else math.nan
 
 
 def aims(whole: Mapping[str, Any]) -> dict[str, bool | None]:
-    """Return which aims the figures of all drives meet; None where nothing was measured."""
+    """Return whether the figures of all drives meet each aim; None where nothing was measured.
+
+    Args:
+        whole: Figures of all drives, see `summary`.
+    """
     share = whole["reached_of_solvable"]
     return {
         "own_collisions": whole["own_collisions"] == 0,

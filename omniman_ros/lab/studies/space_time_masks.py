@@ -1,4 +1,4 @@
-"""Bit masks of the poses at which the robot's box would be too near to a body."""
+"""Masks of the poses at which the robot's box would be too near to a body, and their bit sets."""
 
 import math
 
@@ -10,12 +10,13 @@ from omniman_ros.lab.studies.scene_geometry import Box, Ellipse, Wall
 from omniman_ros.lab.studies.space_time_grid import SUBCELLS, Grid, Mover
 
 Words = NDArray[np.uint64]
-"""Words whose bits are headings."""
+"""Words of 64 bits, each of which represents a heading."""
 Mask = NDArray[np.bool_]
+"""An element is true where a pose is blocked."""
 
 NORMALS = 64
-"""Number of tangents of the polygon around what the robot's centre must not enter, besides those
-along the box and the wall."""
+"""Number of evenly spaced tangents of the polygon that the robot's centre must not enter, besides
+those parallel to the box and to the wall."""
 
 
 def blocked_poses(
@@ -23,19 +24,19 @@ def blocked_poses(
 ) -> Mask:
     """Find the poses at which the box would be nearer to a body than a margin.
 
-    For each heading these are a convex region of positions, which is replaced here by the polygon
-    of its tangents that contains it.
+    For each heading, the positions of these poses form a convex region. It is replaced here by the
+    circumscribed polygon of some of its tangents.
 
     Args:
         body: The ellipse or wall.
         box: The robot's outline.
-        headings: (H,) of the box in odom [rad].
+        headings: (H,) headings of the box in odom [rad].
         margin: Gap to keep [m].
-        xs: (X,) x of the box relative to the body's centre [m].
-        ys: (Y,) y of the box relative to the body's centre [m].
+        xs: (X,) x coordinates of the box relative to the body's centre [m].
+        ys: (Y,) y coordinates of the box relative to the body's centre [m].
 
     Returns:
-        (Y, X, H), true where the pose is blocked.
+        (Y, X, H) mask, true where the pose is blocked.
     """
     if isinstance(body, Ellipse):
         (along, across), turn = body.semi_axes, body.angle
@@ -69,11 +70,12 @@ def blocked_poses(
 def pack_free(blocked: Mask, headings: int) -> Words:
     """Pack the free headings of each position into a word.
 
-    A box rotated by pi covers the same area: the headings of half a revolution are enough. With 64
-    headings the word contains both halves, with 128 headings it represents both.
+    A box rotated by pi covers the same area, so the headings of half a revolution suffice. With 64
+    headings, a word contains both halves of the revolution; with 128 headings, a word of 64 bits
+    is the same for both halves.
 
     Args:
-        blocked: (Y, X, H), true where a pose is blocked, for the headings of half a revolution.
+        blocked: (Y, X, H) mask, true where a pose is blocked, for H headings of half a revolution.
         headings: Number of headings in a revolution, 64 or 128.
 
     Returns:
@@ -85,14 +87,14 @@ def pack_free(blocked: Mask, headings: int) -> Words:
 
 
 class MovingMask:
-    """Masks out the nodes that are too near to a moving obstacle in a layer of a search.
+    """Removes the nodes that are too near to a moving obstacle in a layer of a search.
 
     Args:
         mover: The robot.
         grid: Resolution of the search.
         times: (L,) times of the layers [s].
         origin: (2,) position of the first node in odom [m].
-        headings: (H,) the nodes' headings of half a revolution [rad].
+        headings: (H,) headings of the nodes in half a revolution [rad].
         obstacle: The moving obstacle.
     """
 
@@ -109,8 +111,8 @@ class MovingMask:
         self._headings = grid.headings
         speed = obstacle.place.speed
         subcell = grid.cell / SUBCELLS
-        margin = grid.kept_to_ellipse(mover, obstacle.semi_axes, speed)
-        # Where it changes its velocity within a step, it leaves its chord by half its travel.
+        margin = grid.ellipse_margin(mover, obstacle.semi_axes, speed)
+        # If it changes its velocity within a step, it leaves its chord by up to half its travel.
         self._margins = (margin, margin + 0.5 * speed * grid.step(mover))
         farthest = mover.box.radius + max(obstacle.semi_axes) + self._margins[1]
         self._size = math.ceil(farthest / subcell)
@@ -124,7 +126,12 @@ class MovingMask:
         self._free: dict[bool, Words] = {}
 
     def apply(self, state: Words, layer: int) -> None:
-        """Remove the nodes that are too near in a layer from a state, in place."""
+        """Remove the nodes that are too near to the obstacle from a state, in place.
+
+        Args:
+            state: (W, Y, X) state of a layer.
+            layer: Index of the layer.
+        """
         slices, cut = [], []
         for place, count in zip(self._places[layer].tolist(), state.shape[:0:-1], strict=True):
             first = max(-((self._size - place) // SUBCELLS), 0)
@@ -138,7 +145,11 @@ class MovingMask:
         state[:, slices[1], slices[0]] &= free[cut[1], cut[0]]
 
     def _free_around(self, bends: bool) -> Words:
-        """Return the free words around the obstacle, which may change its velocity or not."""
+        """Return the words of the free poses around the obstacle, a part of a cell apart.
+
+        Args:
+            bends: Whether the obstacle changes its velocity within a step to or from the layer.
+        """
         if bends not in self._free:
             blocked = blocked_poses(
                 self._body,

@@ -1,7 +1,7 @@
-"""The nodes of a space-time search: poses on a grid, which of them are free, and steps between.
+"""The nodes of a space-time search: poses on a grid, whether they are free, and steps between.
 
-States are arrays of 64-bit words (W, Y, X), in which each bit is one heading of a position. The
-nodes are surrounded by a border of nodes that are never free.
+A state is a set of nodes: an array (W, Y, X) of 64-bit words, in which each bit represents one
+heading at a position. Along the border of the grid, no node is ever free.
 """
 
 import math
@@ -21,16 +21,16 @@ from omniman_ros.lab.studies.space_time_masks import (
 )
 
 Node = tuple[int, int, int]
-"""Indices of heading, row (y) and column (x)."""
+"""A node: its indices of heading, row (y) and column (x)."""
 ESCAPE_CELLS = 4
 """Length of the longest first move of a robot that is nearer to an obstacle than nodes may be
 [cells]."""
 
 
 class SearchNodes:
-    """The nodes that a robot may occupy at the layers of a search, and the steps between layers.
+    """The nodes that a robot may occupy in the layers of a search, and the steps between layers.
 
-    The start is one of the nodes.
+    The pose at the start is one of the nodes.
 
     Args:
         mover: The robot.
@@ -38,19 +38,25 @@ class SearchNodes:
         start: (3,) pose at the time `since` in odom [m, m, rad].
         since: Begin of the search [s].
         until: End of the search [s].
-        grid: Resolution.
-        bounds: Area of the robot's centre if the world has no area [m].
+        grid: Resolution of the search.
+        bounds: Area in odom within which the robot's centre is searched if the world has no area
+            [m].
 
     Attributes:
         times: (L,) times of the layers [s].
         step: Time between two layers [s].
-        turn: Largest number of headings by which a step rotates.
+        turn: Largest number of headings by which the robot rotates in a step.
+        widths: Largest distance of a step in x for each distance in y, from 0 on [cells].
+        reach: Largest distance of a step in y [cells].
+        origin: (2,) position of the first node in odom [m].
         shape: Shape (W, Y, X) of a state.
         home: Node of the start.
-        xs: (X,) x of the columns in odom [m].
-        ys: (Y,) y of the rows in odom [m].
+        half_turn: (H,) headings of the nodes in the first half of a revolution in odom [rad].
+        xs: (X,) x coordinates of the columns in odom [m].
+        ys: (Y,) y coordinates of the rows in odom [m].
         free: (Y, X) words of the nodes that keep their gap to all fixed obstacles and walls.
-        turning: Words for steps that rotate while they drive; equal to `free` without walls.
+        turning: (Y, X) words of the nodes that keep the larger gap for steps in which the robot
+            rotates while it drives; the same array as `free` without walls.
         moving: Masks of the moving obstacles.
     """
 
@@ -95,20 +101,20 @@ class SearchNodes:
         ]
 
     def _reach_per_row(self) -> list[int]:
-        """Return the largest distance of a step in x [cells], by its distance in y from 0 on."""
+        """Return the largest distance of a step in x for each distance in y, from 0 on [cells]."""
         far = self.mover.speed * self.step / self.grid.cell + 1e-9
         return [math.floor(math.sqrt(far * far - i * i)) for i in range(math.floor(far) + 1)]
 
     # ---- nodes ------------------------------------------------------------------------------
 
     def pose(self, node: Node) -> Array:
-        """Return the pose (3,) of a node, its heading within +-pi of the start's."""
+        """Return the pose (3,) of a node in odom; its heading is within pi of the start's."""
         heading, row, column = node
         turn = (heading + self.grid.headings // 2) % self.grid.headings - self.grid.headings // 2
         return np.array([self.xs[column], self.ys[row], self.start[2] + self.grid.angle * turn])
 
     def is_inside(self, node: Node) -> bool:
-        """Return whether the node's row and column exist."""
+        """Return whether the grid contains the row and the column of a node."""
         return bool(0 <= node[1] < self.shape[1] and 0 <= node[2] < self.shape[2])
 
     @staticmethod
@@ -135,17 +141,17 @@ class SearchNodes:
         return result
 
     def is_clear(self, times: Array, poses: Array) -> bool:
-        """Judge exactly whether a move touches nothing and stays in the area.
+        """Return whether a move touches nothing and stays in the area, by exact gaps.
 
         Args:
-            times: (K,) [s].
-            poses: (K, 3) in odom [m, m, rad].
+            times: (K,) times [s].
+            poses: (K, 3) poses in odom [m, m, rad].
         """
         verdict = judge(times, poses, self.mover.box, self.world)
         return not verdict.collided and verdict.outside <= 0.0
 
     def may_turn(self, *nodes: Node) -> bool:
-        """Return whether a step may turn while it drives between these nodes."""
+        """Return whether the robot may rotate while it drives between these nodes."""
         return all(
             int(self.turning[row, column]) >> (heading % 64) & 1 for heading, row, column in nodes
         )
@@ -153,7 +159,11 @@ class SearchNodes:
     # ---- fixed obstacles and walls ----------------------------------------------------------
 
     def _free_of_fixed(self, turning: bool) -> Words:
-        """Return words (Y, X) of the nodes within the area and free of fixed obstacles."""
+        """Return words (Y, X) of the nodes in the area that keep their gap to all fixed bodies.
+
+        Args:
+            turning: Whether the gaps are for steps in which the robot rotates while it drives.
+        """
         blocked = np.zeros((len(self.ys), len(self.xs), len(self.half_turn)), dtype=bool)
         self._block_outside(blocked)
         bodies: tuple[Ellipse | Wall, ...] = (*self.world.obstacles, *self.world.walls)
@@ -166,7 +176,7 @@ class SearchNodes:
         return pack_free(blocked, self.grid.headings)
 
     def _block_outside(self, blocked: Mask) -> None:
-        """Block the poses (Y, X, H) at which the box would leave the area."""
+        """Block the poses (Y, X, H) at which the box would leave the area, in place."""
         if self.world.area is None:
             return
         box: Box = self.mover.box
@@ -180,15 +190,15 @@ class SearchNodes:
         blocked |= ((ys < y_min + high) | (ys > y_max - high))[:, None]
 
     def _block_near(self, blocked: Mask, body: Ellipse | Wall, turning: bool) -> None:
-        """Block the poses (Y, X, H) that are too near to a fixed body."""
+        """Block the poses (Y, X, H) that are too near to a fixed body, in place."""
         mover, grid = self.mover, self.grid
         if isinstance(body, Wall):
             center = np.array((body.x, body.y))
             size = 0.5 * math.hypot(body.length, body.width)
-            margin = grid.kept_to_wall(mover, turning)
+            margin = grid.wall_margin(mover, turning)
         else:
             center, size = body.place(0.0), max(body.semi_axes)
-            margin = grid.kept_to_ellipse(mover, body.semi_axes, 0.0)
+            margin = grid.ellipse_margin(mover, body.semi_axes, 0.0)
         far = size + mover.box.radius + margin
         columns = slice(*np.searchsorted(self.xs, (center[0] - far, center[0] + far)))
         rows = slice(*np.searchsorted(self.ys, (center[1] - far, center[1] + far)))
@@ -201,7 +211,12 @@ class SearchNodes:
     # ---- steps ------------------------------------------------------------------------------
 
     def advance(self, state: Words, layer: int) -> Words:
-        """Return the free nodes of the next layer that a step from a state reaches."""
+        """Return the state of the next layer: the free nodes that a step from a state reaches.
+
+        Args:
+            state: (W, Y, X) state of a layer.
+            layer: Index of that layer.
+        """
         result = np.zeros_like(state)
         _, row, column = self.home
         far, edge = self.reach * (layer + 1) + ESCAPE_CELLS, self.reach
@@ -224,7 +239,7 @@ class SearchNodes:
         return result
 
     def _driven(self, state: Words, rows: slice, columns: slice) -> Words:
-        """Return the nodes that a step of driving reaches, in a window of rows and columns."""
+        """Return the nodes that driving for a step reaches, in a window of rows and columns."""
         reach, count = self.reach, rows.stop - rows.start
         high = slice(rows.start - reach, rows.stop + reach)
         wide = state[:, high, columns].copy()
@@ -241,7 +256,7 @@ class SearchNodes:
         return result
 
     def _turned(self, state: Words) -> Words:
-        """Return the nodes that a step of rotation reaches, without the unchanged headings."""
+        """Return the nodes that rotating for a step reaches, without those of no rotation."""
         one, top = np.uint64(1), np.uint64(63)
         result = np.zeros_like(state)
         left = right = state

@@ -1,4 +1,4 @@
-"""Search in space-time: propagate the reachable nodes layer by layer, then trace a path back."""
+"""Search in space-time: propagates the reachable nodes layer by layer, then traces a path back."""
 
 import math
 from dataclasses import dataclass
@@ -10,18 +10,20 @@ from omniman_ros.lab.studies.space_time_masks import Words
 from omniman_ros.lab.studies.space_time_nodes import ESCAPE_CELLS, Node, SearchNodes
 
 CHECKPOINT_LAYERS = 32
-"""Number of layers from one stored layer to the next; the layers between are computed again."""
+"""Number of layers from one stored layer to the next; layers in between are computed again when a
+path is traced back."""
 ESCAPE_TURNS = 2
-"""Largest rotation, in headings, of the first move of a robot too near to an obstacle."""
+"""Largest rotation of the first move of a robot that is nearer to an obstacle than nodes may be
+[headings]."""
 
 
 @dataclass(frozen=True)
-class Way:
-    """A timed path of the robot: straight motion at constant speeds from each pose to the next.
+class TimedPath:
+    """A timed path of the robot: poses, and motion at a constant velocity from each to the next.
 
     Attributes:
         times: (K,) times [s].
-        poses: (K, 3) poses in odom [m, m, rad], headings not wrapped.
+        poses: (K, 3) poses in odom, headings not wrapped [m, m, rad].
     """
 
     times: Array
@@ -29,25 +31,26 @@ class Way:
 
     @property
     def speeds(self) -> tuple[float, float]:
-        """Largest speed [m/s] and yaw rate [rad/s]."""
+        """Largest speed [m/s] and largest yaw rate [rad/s]."""
         steps = np.abs(np.diff(self.poses, axis=0)) / np.diff(self.times)[:, None]
         drive = np.hypot(steps[:, 0], steps[:, 1])
         return float(drive.max(initial=0.0)), float(steps[:, 2].max(initial=0.0))
 
 
-EMPTY_WAY = Way(np.empty(0), np.empty((0, 3)))
+EMPTY_PATH = TimedPath(np.empty(0), np.empty((0, 3)))
 """A path without poses."""
 
 
 class ReachSearch:
-    """Searches the nodes that can be reached from the start of a set of nodes.
+    """Searches for a path along the nodes that the robot can reach from its start.
 
     Args:
         nodes: The nodes and the steps between them.
 
     Attributes:
-        seeds: Nodes from which the search begins, by layer: the start or, where it is nearer to
-            something than nodes may be, the nodes that the robot can escape to.
+        seeds: Nodes from which the search begins, by layer: the start or, if it is nearer to a
+            body than nodes may be, the nodes that the robot reaches by a first move without
+            contact.
     """
 
     def __init__(self, nodes: SearchNodes) -> None:
@@ -56,6 +59,7 @@ class ReachSearch:
         self._seed()
 
     def _seed(self) -> None:
+        """Find the seeds; there is none if every first move leads to a contact."""
         nodes = self.nodes
         at_home = nodes.empty()
         nodes.add(at_home, nodes.home)
@@ -80,14 +84,14 @@ class ReachSearch:
                 self.seeds.setdefault(layer, set()).add(node)
 
     def _escape_layer(self, rows: int, columns: int, turns: int) -> int:
-        """Return the first layer by which a first move can be complete."""
+        """Return the first layer by which a move by cells and headings can be complete."""
         nodes = self.nodes
         drive = math.hypot(rows, columns) * nodes.grid.cell / nodes.mover.speed
         turn = abs(turns) * nodes.grid.angle / nodes.mover.yaw_rate
         return max(math.ceil(max(drive, turn) / nodes.step - 1e-9), 1)
 
     def _escapes(self, layer: int, node: Node) -> bool:
-        """Return whether the first move to a node in a layer touches nothing."""
+        """Return whether the robot touches nothing on a first move to a node in a layer."""
         nodes = self.nodes
         return nodes.is_clear(
             np.array([nodes.times[0], nodes.times[layer]]),
@@ -96,11 +100,12 @@ class ReachSearch:
 
     # ---- forward ----------------------------------------------------------------------------
 
-    def run(self, goal: Array | None = None) -> Way | None:
+    def run(self, goal: Array | None = None) -> TimedPath | None:
         """Search for a path.
 
         Args:
-            goal: (3,) pose to reach in odom [m, m, rad]; None to reach any node of the last layer.
+            goal: (3,) pose to reach in odom at any time [m, m, rad]; None to reach any node of the
+                last layer.
 
         Returns:
             The path; None if there is none on this grid.
@@ -125,24 +130,24 @@ class ReachSearch:
                 return self._trace_back(stored, layer, *end)
         if goal is not None or not state.any():
             return None
-        return self._trace_back(stored, last, _first_node(state), EMPTY_WAY)
+        return self._trace_back(stored, last, _first_node(state), EMPTY_PATH)
 
     def advance(self, state: Words, layer: int) -> Words:
-        """Return the state of the layer after a state, its seeds included."""
+        """Return the state of the layer that follows a state's layer, including its seeds."""
         result = self.nodes.advance(state, layer)
         for node in self.seeds.get(layer + 1, ()):
             self.nodes.add(result, node)
         return result
 
     def _is_exhausted(self, before: Words, state: Words, goal: Array | None) -> bool:
-        """Return whether later layers can reach nothing that this one does not."""
+        """Return whether no later layer can contain a node that this one does not."""
         if not state.any():
             return True
         unchanging = goal is not None and not self.nodes.moving
         return unchanging and np.array_equal(before, state)
 
-    def _arrival(self, layer: int, state: Words, goal: Array) -> tuple[Node, Way] | None:
-        """Return the last node before the goal and the move to it, if a layer has one."""
+    def _arrival(self, layer: int, state: Words, goal: Array) -> tuple[Node, TimedPath] | None:
+        """Return a node of a layer's state and the move from it to the goal, or None."""
         for node in self._nodes_around(goal):
             if self.nodes.contains(state, node):
                 move = self._final_move(layer, node, goal)
@@ -151,6 +156,7 @@ class ReachSearch:
         return None
 
     def _nodes_around(self, pose: Array) -> list[Node]:
+        """Return the up to eight nodes that surround a pose in x, y and heading."""
         nodes = self.nodes
         turns = (pose[2] - nodes.start[2]) / nodes.grid.angle
         column, row = ((pose[:2] - nodes.origin) / nodes.grid.cell).tolist()
@@ -162,27 +168,35 @@ class ReachSearch:
         ]
         return [node for node in around if nodes.is_inside(node)]
 
-    def _final_move(self, layer: int, node: Node, goal: Array) -> Way | None:
-        """Return the move from a node of a layer to the goal; None if it is not possible."""
+    def _final_move(self, layer: int, node: Node, goal: Array) -> TimedPath | None:
+        """Return the move from a node of a layer to the goal; None if there is no such move."""
         nodes = self.nodes
         pose, end = nodes.pose(node), goal.copy()
         end[2] = pose[2] + math.remainder(goal[2] - pose[2], math.tau)
         move = np.abs(end - pose)
         duration = max(math.hypot(*move[:2]) / nodes.mover.speed, move[2] / nodes.mover.yaw_rate)
         if duration < 1e-9:
-            return EMPTY_WAY
+            return EMPTY_PATH
         now = float(nodes.times[layer])
         times = np.array([now, now + duration])
         if times[1] <= nodes.until + 1e-9 and nodes.is_clear(times, np.stack((pose, end))):
-            return Way(times[1:], end[None])
+            return TimedPath(times[1:], end[None])
         return None
 
     # ---- backward ---------------------------------------------------------------------------
 
-    def _trace_back(self, stored: dict[int, Words], layer: int, node: Node, tail: Way) -> Way:
-        """Return the path to a node of a layer, followed by a tail.
+    def _trace_back(
+        self, stored: dict[int, Words], layer: int, node: Node, tail: TimedPath
+    ) -> TimedPath:
+        """Return the path from the start to a node of a layer, followed by a tail.
 
-        Layers between two stored ones are computed again.
+        Layers between two stored layers are computed again.
+
+        Args:
+            stored: States of the stored layers.
+            layer: Index of the node's layer.
+            node: The node.
+            tail: Move that follows the node.
         """
         path, layers = [node], [layer]
         block: list[Words] = []
@@ -200,15 +214,19 @@ class ReachSearch:
         nodes = self.nodes
         times: Array = nodes.times[layers[::-1]]
         poses = np.array([nodes.pose(n) for n in path[::-1]])
-        if layers[-1] > 0:  # the first move, from a start that is no free node
+        if layers[-1] > 0:  # prepend the start, from which a first move leads to a seed
             times = np.concatenate((nodes.times[:1], times))
             poses = np.concatenate((nodes.start[None], poses))
         times, poses = np.concatenate((times, tail.times)), np.concatenate((poses, tail.poses))
         poses[:, 2] = np.unwrap(poses[:, 2])
-        return Way(times, poses)
+        return TimedPath(times, poses)
 
     def _predecessor(self, state: Words, node: Node) -> Node:
-        """Return the node of a state from which a step with the least motion leads to a node."""
+        """Return the node of a state from which a step leads to a node.
+
+        Of all such nodes, the one that requires the smallest rotation is returned and, among
+        these, the nearest.
+        """
         nodes = self.nodes
         heading, row, column = node
         moves = [
@@ -227,7 +245,7 @@ class ReachSearch:
 
 
 def _first_node(state: Words) -> Node:
-    """Return the first node of a state that is not empty."""
+    """Return the first node that a state contains; the state must not be empty."""
     word, row, column = (int(i[0]) for i in np.nonzero(state))
     bits = int(state[word, row, column])
     return 64 * word + (bits & -bits).bit_length() - 1, row, column

@@ -1,4 +1,4 @@
-"""The paths of the tool that the study of tool paths drives."""
+"""Paths of the tool that are driven in the study of tool paths."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -9,19 +9,19 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.motion.whole_body.model import PLATFORM_AXES, WholeBodyModel
 
 POSTURE = (0.0, -1.9, 2.0, -1.7, -1.57, 0.0)
-"""Joint angles of the arm at the start, where the platform is at the origin [rad]."""
+"""Joint angles of the arm at the start, where base_link is at the origin of odom [rad]."""
 SPACING = 0.02
-"""Distance along the path between two poses [m]."""
-RADIUS = 1.2
+"""Largest distance along the path between successive poses [m]."""
+CIRCLE_RADIUS = 1.2
 """Radius of the circle [m]."""
-SWING = 0.8
-"""Largest heading of the S [rad]."""
-LIFT = 0.1
-"""Amplitude of the S in height [m]."""
+S_HEADING = 0.8
+"""Largest heading along the S, relative to its start [rad]."""
+S_HEIGHT = 0.1
+"""Amplitude of the height along the S [m]."""
 
 Course = Callable[[Array, float], Array]
-"""A course: maps distances along it (k,) [m] and its length [m] to positions and headings (k, 4)
-[m, m, m, rad]."""
+"""The shape of a path: a function from distances (k,) along the path and the length of the path,
+both in the plane [m], to positions and headings (k, 4) relative to its start [m, m, m, rad]."""
 
 
 def straight(distance: Array, length: float) -> Array:
@@ -31,10 +31,15 @@ def straight(distance: Array, length: float) -> Array:
 
 
 def circle(distance: Array, length: float) -> Array:
-    """Return positions and headings (k, 4) on a circle, with headings along it; see `Course`."""
-    angle = distance / RADIUS
+    """Return positions and headings (k, 4) on a circle; headings are tangential; see `Course`."""
+    angle = distance / CIRCLE_RADIUS
     return np.column_stack(
-        [RADIUS * np.sin(angle), RADIUS * (1.0 - np.cos(angle)), np.zeros_like(distance), angle]
+        [
+            CIRCLE_RADIUS * np.sin(angle),
+            CIRCLE_RADIUS * (1.0 - np.cos(angle)),
+            np.zeros_like(distance),
+            angle,
+        ]
     )
 
 
@@ -45,19 +50,20 @@ def s_curve(distance: Array, length: float) -> Array:
     """
     fine = np.linspace(0.0, length, math.ceil(length / 0.001) + 1)
     step = fine[1] - fine[0]
-    between = SWING * np.sin(math.tau * (fine[:-1] + 0.5 * step) / length)
-    steps = step * np.column_stack([np.cos(between), np.sin(between)])
+    midpoints = S_HEADING * np.sin(math.tau * (fine[:-1] + 0.5 * step) / length)
+    steps = step * np.column_stack([np.cos(midpoints), np.sin(midpoints)])
     positions = np.vstack([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
     x, y = (np.interp(distance, fine, column) for column in positions.T)
-    share = math.tau * distance / length
-    return np.column_stack([x, y, LIFT * np.sin(share), SWING * np.sin(share)])
+    phase = math.tau * distance / length
+    return np.column_stack([x, y, S_HEIGHT * np.sin(phase), S_HEADING * np.sin(phase)])
 
 
 COURSES: Mapping[str, Course] = {"straight": straight, "S": s_curve, "circle": circle}
+"""Shapes of the paths, by name."""
 
 
 def start() -> Array:
-    """Return the positions (9,) of all axes at the start."""
+    """Return the positions (9,) of all axes at the start: platform [m, m, rad], joints [rad]."""
     return np.array([0.0] * len(PLATFORM_AXES) + list(POSTURE))
 
 
@@ -66,7 +72,7 @@ def tool_poses(model: WholeBodyModel, name: str, length: float) -> Array:
 
     Args:
         model: Kinematics of the robot.
-        name: One of COURSES.
+        name: Name of the path's shape, a key of COURSES.
         length: Length of the path in the plane [m].
     """
     distance = np.linspace(0.0, length, math.ceil(length / SPACING) + 1)

@@ -1,8 +1,8 @@
-"""A tool path by platform and arm in step, in simulated time: the tool's error and its causes.
+"""A tool path with platform and arm in step, in simulated time: the tool's error and its causes.
 
-The platform's controller and its drives run as they do on the robot; its poses come to the
-interpolator late, previews of the arm come to the streamer later still. What follows the arm's
-previews is given: the study knows no arm.
+The platform controller and the drives run as they do on the robot. The measured poses reach the
+interpolator with a latency, and so do the arm's previews on their way to the streamer. The arm
+that follows these previews is an argument.
 """
 
 from collections import deque
@@ -28,39 +28,39 @@ from omniman_ros.simulation.plant.parameters import MismatchParameters, Simulati
 
 STEP = 0.001
 """Period of the study's clock [s]."""
-ODOM_EVERY = 0.01
+ODOM_PERIOD = 0.01
 """Period of the measured poses [s]."""
-ODOM_LATE = (0.005, 0.02)
-"""Range of the latency from a measurement to the interpolator [s]."""
-PREVIEW_LATE = (0.002, 0.006)
-"""Range of the latency from the interpolator to the streamer [s]."""
-PLATFORM_EVERY = 0.04
+ODOM_LATENCY = (0.005, 0.02)
+"""Range of the latency from the tick that computes a measured pose to the interpolator [s]."""
+PREVIEW_LATENCY = (0.002, 0.006)
+"""Range of the latency of the arm's previews from the interpolator to the streamer [s]."""
+PLATFORM_PREVIEW_PERIOD = 0.04
 """Period of the platform's previews [s]."""
-PLATFORM_HORIZON = 0.4
-"""Length of the platform's previews [s]."""
-START = 0.5
+PLATFORM_PREVIEW_HORIZON = 0.4
+"""Duration that a preview of the platform covers [s]."""
+MOTION_START = 0.5
 """Time at which the motion begins [s]."""
-ANNOUNCED = 0.024
-"""Time before the motion at which the first previews are sent [s]."""
-AFTER = 0.5
-"""Time after the motion that is recorded [s]."""
+PREVIEW_LEAD = 0.024
+"""Time by which the first previews are sent before the motion begins [s]."""
+RECORDING_TAIL = 0.5
+"""Time for which a drive continues after the motion [s]."""
 
 
 class StudyError(OmnimanError):
-    """A drive did not come to its end."""
+    """A drive was stopped before its end."""
 
 
 class Motion(Protocol):
-    """The planned motion of all axes, and of the tool."""
+    """The planned motion of all axes and of the tool."""
 
     @property
     def curve(self) -> TimedCurve:
-        """Motion of all nine axes."""
+        """Motion of all nine axes as a function of time."""
         ...
 
     @property
     def branch(self) -> int:
-        """Branch of the arm's inverse kinematics."""
+        """Index of the posture: the branch of the arm's inverse kinematics."""
         ...
 
     def tool(self, times: Array) -> Array:
@@ -72,12 +72,19 @@ class FollowingArm(Protocol):
     """An arm that follows previews of its joints."""
 
     period: float
-    """Period of its cycle [s]."""
+    """Period of the arm's cycle [s]."""
 
     def preview(
         self, times: Array, positions: Array, velocities: Array, accelerations: Array, now: float
     ) -> None:
-        """Update the preview: times (k,) [s], the others (k, 6).
+        """Follow a new preview of the joints.
+
+        Args:
+            times: (k,) times of the points [s].
+            positions: (k, 6) joint angles [rad].
+            velocities: (k, 6) joint velocities [rad/s].
+            accelerations: (k, 6) joint accelerations [rad/s^2].
+            now: Present time [s].
 
         Raises:
             InputError: The preview is refused.
@@ -85,7 +92,7 @@ class FollowingArm(Protocol):
         ...
 
     def cycle(self, now: float) -> Array:
-        """Run a cycle at a time [s]; return the measured joint angles (6,) [rad]."""
+        """Run one cycle at the time `now` [s], and return the joint angles (6,) [rad]."""
         ...
 
 
@@ -96,10 +103,10 @@ class Case:
     Attributes:
         about: Description in the tables.
         changes: Changed parameters of controller and simulation, full names to values.
-        mismatch: Errors of the wheels.
-        period: Period of the arm's previews, that of odom or more [s].
-        horizon: Length of the arm's previews [s].
-        options: Options of tool paths, such as the correction.
+        mismatch: Errors of the wheels, names to factors by wheel.
+        period: Period of the arm's previews, at least that of the measured poses [s].
+        horizon: Duration that a preview of the arm covers [s].
+        options: Options of the tool path, such as the correction.
         seed: Seed of the latencies.
     """
 
@@ -114,12 +121,12 @@ class Case:
 
 @dataclass(frozen=True)
 class Wheels:
-    """Drives and wheels of a robot, and their errors.
+    """Settings of a robot's drives, and errors of its wheels.
 
     Attributes:
         about: Description in the tables.
         changes: Changed parameters of controller and simulation, full names to values.
-        mismatch: Errors of the wheels.
+        mismatch: Errors of the wheels, names to factors by wheel.
     """
 
     about: str
@@ -127,39 +134,45 @@ class Wheels:
     mismatch: Mapping[str, Any]
 
     def case(self, options: ToolPathOptions, seed: int) -> Case:
-        """Return a drive with these wheels."""
+        """Return the case of a drive with these wheels.
+
+        Args:
+            options: Options of the tool path.
+            seed: Seed of the latencies.
+        """
         return Case(self.about, self.changes, self.mismatch, options=options, seed=seed)
 
 
-UNLIKE = {
+DEMO_MISMATCH = {
     "friction": [1.3, 0.8, 1.1, 0.9],
     "torque_constant": [0.97, 1.03, 1.0, 0.98],
     "amplifier_gain": [1.02, 0.98, 1.01, 0.97],
 }
-"""Errors of the wheels in the demo, as factors by wheel."""
-UNLIKER = {
+"""Errors of the wheels in the demo: ratios of true to nominal values, by wheel."""
+LARGE_MISMATCH = {
     "friction": [1.8, 0.5, 1.4, 0.7],
     "torque_constant": [0.9, 1.1, 1.0, 0.93],
     "amplifier_gain": [1.05, 0.93, 1.02, 0.92],
 }
-"""Larger errors of the wheels, as factors by wheel."""
+"""Larger errors of the wheels: ratios of true to nominal values, by wheel."""
 P_LOOPS = {"firmware.integral_time": 100.0, "drive.following_error": 100.0}
-"""Parameters of velocity loops without an integral part, and without a stop by the following
-error, which is larger than a healthy robot's."""
-SOFT = {
+"""Parameters that turn the velocity loops into P loops, and prevent a stop by the following error,
+which then is larger than on a healthy robot."""
+LOW_GAINS = {
     **P_LOOPS,
     "drive.feed_forward": False,
     "position.k_xy": 2.0,
     "position.k_theta": 2.0,
 }
-"""Parameters of a loose position control without feed-forward."""
-HARSHEST = "soft"
-"""Name of the wheels with the largest errors."""
+"""Parameters of P velocity loops under a position control with low gains and no feed-forward."""
+MOST_DEMANDING = "soft"
+"""Name of the wheels with which the platform deviates most from its path."""
 WHEELS: Mapping[str, Wheels] = {
-    "PI": Wheels("wheels of the demo", {}, UNLIKE),
-    "P": Wheels("less alike, P loops", P_LOOPS, UNLIKER),
-    HARSHEST: Wheels("the same, loosely led", SOFT, UNLIKER),
+    "PI": Wheels("wheels of the demo", {}, DEMO_MISMATCH),
+    "P": Wheels("larger mismatch, P loops", P_LOOPS, LARGE_MISMATCH),
+    MOST_DEMANDING: Wheels("the same, low position gains", LOW_GAINS, LARGE_MISMATCH),
 }
+"""Wheels of the study, by name."""
 
 
 @dataclass(frozen=True)
@@ -169,14 +182,14 @@ class Run:
     Attributes:
         case: The case.
         course: Name of the path.
-        times: (k,) times of the motion [s].
+        times: (k,) times since the beginning of the motion [s].
         reference: (k, 3) reference positions of the tool in odom [m].
-        odom: (k, 3) positions of the tool in odom, by the arm's true angles and the measured pose
-            [m].
+        odom: (k, 3) positions of the tool in odom, from the arm's true joint angles and the
+            measured pose of the platform [m].
         truth: (k, 3) true positions of the tool in the world [m].
         base: (k, 3) measured poses of base_link in odom [m, m, rad].
-        platform: (k, 3) errors of these poses from the reference [m, m, rad].
-        turned: (k,) angles between the orientation of the tool in odom and its reference [rad].
+        platform: (k, 3) errors of these poses relative to the reference [m, m, rad].
+        turned: (k,) errors of the tool's orientation in odom: angles to its reference [rad].
     """
 
     case: Case
@@ -191,13 +204,13 @@ class Run:
 
     @property
     def error(self) -> Array:
-        """(k,) distances of the tool from the timed point of its path, in odom [m]."""
+        """(k,) distances of the tool from its reference at the same time, in odom [m]."""
         distance: Array = np.linalg.norm(self.odom - self.reference, axis=1)
         return distance
 
     @property
     def true_error(self) -> Array:
-        """(k,) distances of the tool from the timed point of its path, in the world [m]."""
+        """(k,) distances of the tool from its reference at the same time, in the world [m]."""
         distance: Array = np.linalg.norm(self.truth - self.reference, axis=1)
         return distance
 
@@ -209,9 +222,9 @@ class ToolPathLoop:
         robot: Parameters of the robot, full names to values.
         case: The case.
         course: Name of the path.
-        motion: Planned motion.
+        motion: Planned motion of all axes.
         model: Kinematics of platform and arm.
-        arm: The arm, at rest where the motion begins.
+        arm: The arm, at rest in the joint angles at which the motion begins.
     """
 
     def __init__(
@@ -226,7 +239,7 @@ class ToolPathLoop:
         values = {**robot, **case.changes}
         simulation = build(SimulationParameters, values)
         simulation = replace(simulation, mismatch=build(MismatchParameters, case.mismatch))
-        # Without torques: what watches over dead wheels takes no part.
+        # Without reported torques, dead wheels are not detected, so this cannot affect the study.
         self._platform = ClosedLoop(build(PlatformParameters, values), simulation, torques=False)
         self._case, self._course = case, course
         self._motion, self._model, self._arm = motion, model, arm
@@ -239,12 +252,12 @@ class ToolPathLoop:
         self._platform_rows: list[Array] = []
 
     def run(self) -> Run:
-        """Drive it.
+        """Drive the motion once, and return the completed drive.
 
         Raises:
-            StudyError: Platform or arm gave up.
+            StudyError: The platform stopped, or a preview was refused.
         """
-        end = START + self._motion.curve.duration + AFTER
+        end = MOTION_START + self._motion.curve.duration + RECORDING_TAIL
         arm_due = self._arm.period
         for k in range(round(end / STEP)):
             now = k * STEP
@@ -256,15 +269,18 @@ class ToolPathLoop:
             if now >= arm_due:
                 self._arm_rows.append(np.array([arm_due, *self._arm.cycle(arm_due)]))
                 arm_due += self._arm.period
-        return self._judged()
+        return self._completed_run()
 
     def _drive(self, now: float) -> None:
-        """One tick of the platform."""
-        loop, last = self._platform, START + self._motion.curve.duration
-        if START - ANNOUNCED <= now < last + AFTER and now >= self._announced + PLATFORM_EVERY:
+        """Run one tick of the platform, sending its preview and the measured pose when due."""
+        loop, motion_end = self._platform, MOTION_START + self._motion.curve.duration
+        if (
+            MOTION_START - PREVIEW_LEAD <= now < motion_end + RECORDING_TAIL
+            and now >= self._announced + PLATFORM_PREVIEW_PERIOD
+        ):
             self._announced = now
-            times = _grid(now, PLATFORM_HORIZON)
-            x, v, a = (part[:, :3] for part in self._motion.curve.sample(times - START))
+            times = _grid(now, PLATFORM_PREVIEW_HORIZON)
+            x, v, a = (part[:, :3] for part in self._motion.curve.sample(times - MOTION_START))
             refusal = loop.controller.set_preview(Source.PATH, Preview(times, x, v, a), now)
             if refusal:
                 raise StudyError(f"path/reference was refused: {refusal}")
@@ -276,65 +292,67 @@ class ToolPathLoop:
             raise StudyError(f"{self._case.about}: {stopped}")
         pose = np.array(core.odometry.pose)
         self._platform_rows.append(np.array([measured, *pose, *loop.truth]))
-        if round(measured / PERIOD) % round(ODOM_EVERY / PERIOD) == 0:
-            arrival = measured + LATENCY + self._random.uniform(*ODOM_LATE)
+        if round(measured / PERIOD) % round(ODOM_PERIOD / PERIOD) == 0:
+            arrival = measured + LATENCY + self._random.uniform(*ODOM_LATENCY)
             if self._poses:
-                arrival = max(arrival, self._poses[-1][0])  # in the order of their sending
+                arrival = max(arrival, self._poses[-1][0])  # poses arrive in the order of sending
             self._poses.append((arrival, measured, pose))
 
     def _interpolate(self, now: float) -> None:
-        """Process the odometry that has arrived, and send the arm's preview."""
+        """Process the measured poses that have arrived, and send the arm's preview when due."""
         has_arrived = False
         while self._poses and self._poses[0][0] <= now:
             _, time, pose = self._poses.popleft()
-            reference = self._motion.curve.sample(np.array([time - START]))[0][0, :3]
+            reference = self._motion.curve.sample(np.array([time - MOTION_START]))[0][0, :3]
             self._correction.update(time, pose, reference)
             has_arrived = True
-        last = START + self._motion.curve.duration + AFTER
-        if not has_arrived or not START - ANNOUNCED <= now < last:
+        end = MOTION_START + self._motion.curve.duration + RECORDING_TAIL
+        if not has_arrived or not MOTION_START - PREVIEW_LEAD <= now < end:
             return
         if now < self._sent + self._case.period - 0.5 * STEP:
             return
         self._sent = now
         times = _grid(now, self._case.horizon)
-        longer = np.concatenate([[times[0] - TICK], times, [times[-1] + TICK]])
-        planned = self._motion.curve.sample(longer - START)[0]
-        platform = self._correction.platform_at(planned[:, :3], longer)
+        extended = np.concatenate([[times[0] - TICK], times, [times[-1] + TICK]])
+        planned = self._motion.curve.sample(extended - MOTION_START)[0]
+        platform = self._correction.platform_at(planned[:, :3], extended)
         parts = corrected_arm_motion(
             self._model,
             platform,
-            self._motion.tool(longer - START),
+            self._motion.tool(extended - MOTION_START),
             self._motion.branch,
             planned[:, 3:],
             TICK,
         )
-        arrival = now + self._random.uniform(*PREVIEW_LATE)
+        arrival = now + self._random.uniform(*PREVIEW_LATENCY)
         self._previews.append((arrival, (times, *parts)))
 
     def _follow(self, preview: tuple[Array, Array, Array, Array], now: float) -> None:
+        """Pass a preview that has arrived to the arm."""
         try:
             self._arm.preview(*preview, now)
         except InputError as error:
             raise StudyError(f"{self._case.about}: arm/joint_reference: {error}") from error
 
-    def _judged(self) -> Run:
+    def _completed_run(self) -> Run:
+        """Return the drive, evaluated at the cycles of the arm during the motion."""
         arm, platform = np.array(self._arm_rows), np.array(self._platform_rows)
         times = arm[:, 0]
-        moving = (times >= START) & (times <= START + self._motion.curve.duration)
+        moving = (times >= MOTION_START) & (times <= MOTION_START + self._motion.curve.duration)
         times, joints = times[moving], arm[moving, 1:]
         poses = np.column_stack(
             [np.interp(times, platform[:, 0], column) for column in platform[:, 1:].T]
         )
-        reference = self._motion.tool(times - START)
+        reference = self._motion.tool(times - MOTION_START)
         measured = self._model.forward(np.hstack([poses[:, :3], joints]))
         true = self._model.forward(np.hstack([poses[:, 3:], joints]))
-        errors = poses[:, :3] - self._motion.curve.sample(times - START)[0][:, :3]
+        errors = poses[:, :3] - self._motion.curve.sample(times - MOTION_START)[0][:, :3]
         errors[:, 2] = np.remainder(errors[:, 2] + np.pi, 2.0 * np.pi) - np.pi
         trace = np.einsum("kij,kij->k", measured[:, :3, :3], reference[:, :3, :3])
         return Run(
             self._case,
             self._course,
-            times - START,
+            times - MOTION_START,
             reference[:, :3, 3],
             measured[:, :3, 3],
             true[:, :3, 3],
@@ -345,12 +363,12 @@ class ToolPathLoop:
 
 
 def _grid(now: float, horizon: float) -> Array:
-    """Ticks (k,) from the last one on [s]."""
+    """Return the times (k,) of the ticks from the latest one to the end of a horizon [s]."""
     first = np.floor(now / TICK + 1e-6)
     times: Array = TICK * (first + np.arange(int(horizon / TICK) + 1))
     return times
 
 
 def rms(values: Array) -> float:
-    """Root of the mean square."""
+    """Return the root mean square of values, in their unit."""
     return float(np.sqrt(np.mean(np.square(values))))

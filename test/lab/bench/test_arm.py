@@ -24,9 +24,9 @@ from omniman_ros.lab.bench.arm_figures import (
     Block,
     Pair,
     aims,
+    controller_figures,
     ended_programs,
     figures,
-    of_controller,
     report,
     spread,
     summary,
@@ -129,7 +129,7 @@ def test_ended_programs_are_all_started_ones_except_the_running_one(changes, end
 def test_events_before_the_measurement_do_not_count_on_the_ur_side():
     before = diagnostics(programs=3, servo_gaps=7)
     after = diagnostics(programs=4, servo_gaps=9, servo_calls=350, late_cycles=2, lost_time=0.75)
-    found = of_controller(before, after)
+    found = controller_figures(before, after)
     assert found["read_timeouts"] == 1
     assert (found["servo_gaps"], found["servo_calls"], found["late_cycles"]) == (2, 250, 0)
     assert found["lost_time_s"] == pytest.approx(0.25)

@@ -9,8 +9,15 @@ from omniman_ros.control.kinematics import PlatformKinematics
 from omniman_ros.lab.bench import can_bus as bench_can
 from omniman_ros.lab.bench import can_faults
 from omniman_ros.lab.bench.can_bus import Side, aims, report, robot_of
-from omniman_ros.lab.bench.can_faults import FAULTS, REST_TIME, Record, evidence, reaction, rest
-from omniman_ros.lab.bench.can_rig import DIALECTS, BusFrame, installation
+from omniman_ros.lab.bench.can_faults import (
+    FAULTS,
+    REST_TIME,
+    Record,
+    time_of_evidence,
+    time_of_reaction,
+    time_of_rest,
+)
+from omniman_ros.lab.bench.can_rig import DIALECTS, BusFrame, load_installation
 from test.running import command, environment
 
 SIDE = {"median_ms": 1.0, "p99_ms": 2.0, "lost_share": 0.25, "cpu_share": 0.5}
@@ -114,27 +121,31 @@ def test_reaction_is_that_of_the_last_drive():
     def is_reaction(frame, node):
         return frame.id == 0x200 + node and frame.data[:2] == b"\x02\x00"
 
-    assert reaction(frames, 0.0, (1, 2, 3), is_reaction) == 0.003
-    assert reaction(frames, 0.0, (1, 2), is_reaction) == 0.001, "of each the first counts"
-    assert reaction(frames, 0.0015, (1,), is_reaction) == 0.002, "not what was before the fault"
-    assert reaction(frames, 0.0, (1, 2, 3, 4), is_reaction) is None
+    assert time_of_reaction(frames, 0.0, (1, 2, 3), is_reaction) == 0.003
+    assert time_of_reaction(frames, 0.0, (1, 2), is_reaction) == 0.001, "of each the first counts"
+    assert time_of_reaction(frames, 0.0015, (1,), is_reaction) == 0.002, (
+        "not what was before the fault"
+    )
+    assert time_of_reaction(frames, 0.0, (1, 2, 3, 4), is_reaction) is None
 
 
 def test_evidence_is_the_first_matching_frame_or_the_last_before_silence():
     frames = [BusFrame(0.01 * k, 0x281, bytes(8)) for k in range(10)]
     report_of = cia402("report")
-    assert evidence(frames, report_of, (1,), True, (0.015, 0.055)) == 0.02
-    assert evidence(frames, report_of, (1,), False, (0.015, 0.055)) == 0.05
-    assert evidence(frames, report_of, (2,), False, (0.0, 1.0)) is None
+    assert time_of_evidence(frames, report_of, (1,), True, (0.015, 0.055)) == 0.02
+    assert time_of_evidence(frames, report_of, (1,), False, (0.015, 0.055)) == 0.05
+    assert time_of_evidence(frames, report_of, (2,), False, (0.0, 1.0)) is None
 
 
 def test_rest_begins_when_the_platform_remains_at_rest():
     truth = [(0.01 * k, 5.0 if k < 10 or k == 12 else 0.5) for k in range(100)]
-    assert rest(truth, 0.0) == pytest.approx(0.13)
-    assert rest(truth, 0.5) == pytest.approx(0.5)
-    assert rest(truth[: 13 + int(REST_TIME / 0.01) - 2], 0.0) is None, "not for long enough yet"
-    assert rest(truth[:12], 0.0) is None
-    assert rest([], 0.0) is None
+    assert time_of_rest(truth, 0.0) == pytest.approx(0.13)
+    assert time_of_rest(truth, 0.5) == pytest.approx(0.5)
+    assert time_of_rest(truth[: 13 + int(REST_TIME / 0.01) - 2], 0.0) is None, (
+        "not for long enough yet"
+    )
+    assert time_of_rest(truth[:12], 0.0) is None
+    assert time_of_rest([], 0.0) is None
 
 
 @pytest.mark.parametrize(
@@ -177,7 +188,7 @@ def test_frames_that_show_a_fault_are_distinguished_from_others(protocol, kind, 
 )
 def test_bounds_are_those_of_the_installation(protocol, name, bound):
     (fault,) = [fault for fault in FAULTS[protocol] if fault.name == name]
-    assert fault.bound(installation(protocol)) == pytest.approx(bound)
+    assert fault.bound(load_installation(protocol)) == pytest.approx(bound)
 
 
 def test_evidence_and_reaction_of_every_fault_exist_in_its_protocol():

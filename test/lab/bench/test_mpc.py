@@ -7,7 +7,14 @@ import pytest
 
 from omniman_ros.lab.bench import command as bench
 from omniman_ros.lab.bench import mpc as bench_mpc
-from omniman_ros.lab.bench.mpc import aims, compared, name, ratios, spread, summed
+from omniman_ros.lab.bench.mpc import (
+    aims,
+    case_name,
+    cost_statistics,
+    drive_statistics,
+    ratios,
+    spread,
+)
 
 
 def figures(median, p99=None):
@@ -84,7 +91,7 @@ def test_spread_is_in_milliseconds():
 
 
 def test_costs_count_as_different_only_beyond_a_fraction():
-    found = compared([-0.5, 0.0, 0.01, 0.03])
+    found = cost_statistics([-0.5, 0.0, 0.01, 0.03])
     assert found["median_above"] == pytest.approx(0.005) and found["steps"] == 4
     assert found["share_worse"] == 0.25 and found["share_better"] == 0.25
 
@@ -93,14 +100,14 @@ def test_drives_on_other_sides_are_counted_but_not_compared():
     def row(ratio, same):
         return {"ratio": ratio, "same_sides": same, "failures": {"ours": 1, "ipopt": 0}}
 
-    found = summed(
+    found = drive_statistics(
         [row(1.0, True), row(1.1, True), row(1.3, True), row(0.5, False), row(9, False)]
     )
     assert found["median_ratio"] == 1.1 and found["worst_ratio"] == 1.3
     assert found["scenes"] == 5 and found["same_sides"] == 3
     assert found["other_sides_better"] == found["other_sides_worse"] == 1
     assert found["failures"] == {"ours": 5, "ipopt": 0}
-    assert summed([row(2.0, False)])["median_ratio"] is None
+    assert drive_statistics([row(2.0, False)])["median_ratio"] is None
 
 
 @pytest.mark.exhaustive
@@ -113,7 +120,7 @@ def test_benchmark_runs_end_to_end_and_publishes_its_json(tmp_path, monkeypatch,
     result = json.loads((tmp_path / "bench_mpc.json").read_text())
     assert result == json.loads(capsys.readouterr().out.splitlines()[-1])
     assert result["robot"] == "ig42" and result["quick"] is True
-    main = result["peers"][name(bench_mpc.MAIN)]
+    main = result["peers"][case_name(bench_mpc.MAIN)]
     for who in ("cycle", "solver", "ipopt", "fatrop"):
         assert main[who]["steps"] == 3
         assert 0.0 < main[who]["median_ms"] <= main[who]["p99_ms"] <= main[who]["max_ms"]

@@ -20,7 +20,7 @@ from omniman_ros.robots import load_robot
 from test.running import command, environment
 
 PARAMETERS = build(PathInterpolatorParameters, load_robot("omniman"))
-BENCH = bench.Bench(PARAMETERS)
+BENCH = bench.PlanningBench(PARAMETERS)
 ARM = ArmModel()
 BENT = np.array([0.3, -1.1, 1.4, -0.9, 0.8, 0.2])
 
@@ -52,7 +52,7 @@ def test_tool_turns_with_its_direction_of_travel_on_the_circle():
 
 def test_plain_resampling_is_at_constant_speed_with_the_tool_on_its_path():
     poses = bench.course_poses(BENCH.model, "straight", 2.0, 50)
-    tool = BENCH.model.forward(bench.carried(BENCH.model, poses, 0.2))
+    tool = BENCH.model.forward(bench.resampled(BENCH.model, poses, 0.2))
     assert np.diff(tool[:, 0, 3]) == pytest.approx(0.2 * TICK)
     assert tool[:, 1:3, 3] == pytest.approx(np.tile(poses[0, 1:3, 3], (len(tool), 1)))
     assert tool[0] == pytest.approx(poses[0])
@@ -73,7 +73,7 @@ def test_plan_is_timed_by_parts_and_against_plain_resampling(short):
 
 def test_plan_stays_within_the_limits_and_the_limiting_axis_is_named(short):
     plan = short[1]
-    used = bench.used(plan, BENCH.limits)
+    used = bench.limits_used(plan, BENCH.limits)
     assert set(used) == {"velocity", "acceleration", "jerk"}
     assert all(0.05 < most["share"] <= 1.0 for most in used.values())
     assert all(most["axis"] in ("odom_xy", *BENCH.limits.names) for most in used.values())
@@ -113,7 +113,7 @@ def test_measured_preview_corrects_the_error_of_the_platform(short, platform):
     assert np.abs(window.positions[0, 3:] - plain.positions[0, 3:]).max() > 1e-3
     real = window.positions[0] + np.concatenate([stream.PLATFORM_ERROR, np.zeros(6)])
     assert BENCH.model.forward(real) == pytest.approx(tool, abs=1e-6)
-    bare.filled(at, horizon, platform)
+    bare.fill_messages(at, horizon, platform)
     message = bare._both if platform else bare._arm
     assert len(message.points) == len(window.times)
     assert list(message.points[-1].positions) == pytest.approx(window.positions[-1, 3:])
@@ -121,7 +121,7 @@ def test_measured_preview_corrects_the_error_of_the_platform(short, platform):
 
 @pytest.mark.processes
 def test_previews_are_measured_with_the_previews_of_the_node(short, own_domain):
-    figures = stream.previews(PARAMETERS, "omniman", short[1], 1)
+    figures = stream.measure_previews(PARAMETERS, "omniman", short[1], 1)
     kinds = {"planned", "corrected", "and_filled", "and_published"}
     for name in ("arm", "both"):
         assert set(figures[name]) == kinds
@@ -141,8 +141,8 @@ def test_node_that_aborts_raises_an_error(short, own_domain, monkeypatch):
     monkeypatch.setattr(
         "omniman_ros.motion.whole_body.correction.PlatformCorrection.platform_at", lost
     )
-    with pytest.raises(stream.CommandError, match="the node gave up"):
-        stream._published("omniman", PARAMETERS, short[1], lambda work: work(0.0) or 1.0)
+    with pytest.raises(stream.CommandError, match="the node aborted the path"):
+        stream._measure_published("omniman", PARAMETERS, short[1], lambda work: work(0.0) or 1.0)
 
 
 @pytest.mark.parametrize("turn", [1e-9, 0.3, 2.0, 3.1])
@@ -166,7 +166,7 @@ def test_newton_finds_near_solutions_and_reports_failure():
 
 
 def test_failures_of_an_iteration_count_as_time_but_not_as_solutions(monkeypatch):
-    sample = inverse.Sample.of(ARM, 8)
+    sample = inverse.Sample.draw(ARM, 8)
     clock = iter(np.arange(100.0))
     monkeypatch.setattr(inverse.time, "process_time", lambda: next(clock))
     calls = []
@@ -175,7 +175,7 @@ def test_failures_of_an_iteration_count_as_time_but_not_as_solutions(monkeypatch
         calls.append(tolerance)
         return start, 7 if len(calls) % 4 else -1
 
-    rows = inverse.iterated(solve, sample, 8)
+    rows = inverse.measure_iteration(solve, sample, 8)
     assert set(rows) == {"near 0.0001", "near 1e-09", "neutral 0.0001", "neutral 1e-09"}
     for row in rows.values():
         assert row == {"per_second": 6.0, "success": 0.75, "iterations": 7.0}
@@ -184,7 +184,7 @@ def test_failures_of_an_iteration_count_as_time_but_not_as_solutions(monkeypatch
 
 
 def test_closed_form_is_exact_on_all_poses():
-    figures = inverse.closed_form(ARM, inverse.Sample.of(ARM, 300), 0.0)
+    figures = inverse.measure_closed_form(ARM, inverse.Sample.draw(ARM, 300), 0.0)
     assert figures["success"] == 1.0 and figures["poses"] == 300
     assert figures["worst_pose_error"] < 1e-9 and figures["worst_angle_error"] < 1e-7
     assert figures["one_branch"]["1"] > figures["all_eight"]["1"] > 0.0
@@ -194,7 +194,7 @@ def test_benchmark_runs_without_pin(monkeypatch):
     monkeypatch.setitem(sys.modules, "pinocchio", None)
     monkeypatch.setattr(inverse, "BATCHES", (1, 20))
     p = PARAMETERS
-    result = inverse.measured(p.core.robot, p.arm, p.mount, 3, 0.0)
+    result = inverse.measure(p.core.robot, p.arm, p.mount, 3, 0.0)
     assert result["pin"] is None and set(result["iterations"]) == {"Newton in numpy"}
     lines = inverse.rows(result)
     assert lines[-1][:2] == ("pin", "not installed")
@@ -203,7 +203,7 @@ def test_benchmark_runs_without_pin(monkeypatch):
 def test_pin_agrees_on_the_description_of_the_robot():
     pin = pytest.importorskip("pinocchio")
     arm = inverse.PinArm(pin, PARAMETERS.core.robot, PARAMETERS.arm, PARAMETERS.mount)
-    sample = inverse.Sample.of(ARM, 100)
+    sample = inverse.Sample.draw(ARM, 100)
     assert max(arm.difference(sample.angles, BENCH.model).values()) < 1e-9
     for step in inverse.STEPS.values():
         found, _ = inverse.PinIteration(arm, step)(ARM.forward(BENT), BENT + 0.1, 1e-9)

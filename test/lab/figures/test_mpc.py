@@ -12,10 +12,10 @@ from matplotlib.colors import to_rgba
 from omniman_ros.core.parameters import build
 from omniman_ros.lab.figures import mpc as mpc_picture
 from omniman_ros.lab.figures import top_view
-from omniman_ros.lab.figures.mpc import moments
+from omniman_ros.lab.figures.mpc import snapshot_times
 from omniman_ros.lab.figures.top_view import TopView
 from omniman_ros.lab.studies.mpc_cases import Scene, circle
-from omniman_ros.lab.studies.mpc_loop import Course, Trace
+from omniman_ros.lab.studies.mpc_loop import MotionRecord, Trace
 from omniman_ros.lab.studies.planned_drives import PlannedDrive
 from omniman_ros.lab.studies.recorded_drive import Drive, wall_gaps
 from omniman_ros.lab.studies.scene_geometry import Wall
@@ -34,7 +34,7 @@ OBSTACLES = (
 
 def ride(obstacles=OBSTACLES, seconds=2.0):
     """Return a synthetic drive at one metre per second."""
-    course, trace = Course(), Trace()
+    course, trace = MotionRecord(), Trace()
     for time in np.arange(SINCE, SINCE + seconds, 0.005).tolist():
         course.times.append(time)
         x = min(time - SINCE, 1.0)
@@ -114,7 +114,7 @@ def test_predicted_positions_are_those_of_the_planner_and_drawn_faintly():
 def test_plan_is_drawn_from_the_robot_to_its_planned_end():
     axes = Axes()
     TopView(ROBOT, scene(), ride()).draw(axes, 0.5)
-    ((x, _, _),) = axes.of(top_view.PLAN)
+    ((x, _, _),) = axes.of(top_view.PLAN_COLOUR)
     assert (x[0], x[-1]) == pytest.approx((0.5, 1.5))
     way = axes.of(top_view.INK)[0]
     assert way[0][-1] == pytest.approx(0.5)
@@ -123,17 +123,19 @@ def test_plan_is_drawn_from_the_robot_to_its_planned_end():
 def test_robot_that_has_arrived_has_no_plan():
     axes = Axes()
     TopView(ROBOT, scene(), ride()).draw(axes, 1.8)
-    assert not axes.of(top_view.PLAN)
+    assert not axes.of(top_view.PLAN_COLOUR)
 
 
 def test_start_goal_and_robot_have_their_colours_and_show_the_heading():
     axes = Axes()
     TopView(ROBOT, scene(), ride()).draw(axes, 1.0)
     boxes = [p for p in axes.patches if isinstance(p, top_view.Polygon)]
-    for colour in (top_view.START, top_view.GOAL, top_view.ROBOT):
+    for colour in (top_view.START_COLOUR, top_view.GOAL_COLOUR, top_view.ROBOT_COLOUR):
         edge = to_rgba(colour)
         assert any(p.get_edgecolor() == edge for p in boxes), colour
-    outline = next(p.get_xy() for p in boxes if p.get_edgecolor() == to_rgba(top_view.ROBOT))
+    outline = next(
+        p.get_xy() for p in boxes if p.get_edgecolor() == to_rgba(top_view.ROBOT_COLOUR)
+    )
     side = outline[0] - outline[3]
     assert np.arctan2(side[1], side[0]) == pytest.approx(0.1, abs=1e-3)
 
@@ -147,8 +149,8 @@ def test_drawing_stays_within_the_bounds():
 
 
 def test_snapshot_times_are_given_by_the_scene_or_spread_over_the_drive():
-    assert moments(scene(snapshots=(0.2, 1.4)), ride()) == [0.2, 1.4]
-    times = moments(scene(), ride(), 5)
+    assert snapshot_times(scene(snapshots=(0.2, 1.4)), ride()) == [0.2, 1.4]
+    times = snapshot_times(scene(), ride(), 5)
     assert len(times) == 5
     assert 0.0 < times[0] < times[-1] < ride().drive.arrival
     assert np.diff(times) == pytest.approx(np.diff(times)[0])
@@ -199,7 +201,7 @@ def test_drive_through_a_building_is_drawn_within_its_walls(tmp_path):
     low_x, high_x, low_y, high_y = TopView(ROBOT, building, driven).bounds([0.0])
     assert low_x < -2.0 and high_x > 2.5 and high_y > 2.05 and low_y < -1.5
     axes = Axes()
-    TopView(ROBOT, building, driven).trail(axes, 0.4)
+    TopView(ROBOT, building, driven).draw_trail(axes, 0.4)
     assert len(axes.patches) > 2 + 3 * 2
     path = tmp_path / "trail.png"
     mpc_picture.draw_trail(ROBOT, building, driven, path)

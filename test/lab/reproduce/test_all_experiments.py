@@ -83,7 +83,7 @@ def test_every_experiment_is_run_once_and_a_page_and_json_are_written(tmp_path, 
 
 def test_command_line_runs_all_experiments(tmp_path, monkeypatch):
     launch = Launch(tmp_path)
-    monkeypatch.setattr(reproduce_all, "in_process", launch)
+    monkeypatch.setattr(reproduce_all, "run_subprocess", launch)
     assert main(["reproduce", "all", "--quick", "--results", str(tmp_path)]) == 0
     assert len(launch.asked) == len(EXPERIMENTS)
     assert all("--quick" in asked for asked in launch.asked)
@@ -102,9 +102,9 @@ def test_options_are_passed_on_and_scene_options_to_scenes_only(tmp_path):
         "--solve-time",
         "0.01",
     )
-    free = make_parser().parse_args(reproduce_all.options(chosen, "free"))
+    free = make_parser().parse_args(reproduce_all.experiment_arguments(chosen, "free"))
     assert vars(free) == vars(chosen) | {"name": "free", "count": None, "solve_time": None}
-    scenes = make_parser().parse_args(reproduce_all.options(chosen, "scenes"))
+    scenes = make_parser().parse_args(reproduce_all.experiment_arguments(chosen, "scenes"))
     assert (scenes.count, scenes.solve_time, scenes.seeds) == (5, 0.01, None)
 
 
@@ -190,7 +190,7 @@ def test_reuse_is_an_option_of_all_only(tmp_path, capsys):
 def test_output_of_an_experiment_is_passed_on_without_its_json(monkeypatch, capsys):
     program = """print('a line'); print('{"name": "reproduce_free"}'); raise SystemExit(3)"""
     monkeypatch.setattr(reproduce_all, "command", lambda _: [sys.executable, "-c", program])
-    assert reproduce_all.in_process([]) == 3
+    assert reproduce_all.run_subprocess([]) == 3
     assert capsys.readouterr().out == "a line\n"
 
 
@@ -205,7 +205,7 @@ def test_interruption_ends_the_running_experiment(monkeypatch):
 
     monkeypatch.setattr(reproduce_all, "say", interrupt)
     with pytest.raises(KeyboardInterrupt):
-        reproduce_all.in_process([])
+        reproduce_all.run_subprocess([])
     assert not is_alive(started[0])
 
 
@@ -218,7 +218,7 @@ def test_real_experiments_provide_every_figure_of_the_page(tmp_path, monkeypatch
     real = {"coupling", "corridor"}
 
     def launch(arguments):
-        return (reproduce_all.in_process if arguments[1] in real else fabricated)(arguments)
+        return (reproduce_all.run_subprocess if arguments[1] in real else fabricated)(arguments)
 
     assert reproduce_all.run(arguments(tmp_path, "--quick"), launch) == 0
     result = json.loads((tmp_path / "reproduce_all.json").read_text())
@@ -227,7 +227,7 @@ def test_real_experiments_provide_every_figure_of_the_page(tmp_path, monkeypatch
         for row in result["comparisons"]
         if real.issuperset(row["from"]) and row["verdict"] == "not measured"
     }
-    assert missing == {"The same, PI loops at k = 2"}  # a quick run has no picture
+    assert missing == {"Coupling error at k = 2, PI loops"}  # a quick run has no PI loops
     assert compared(result, "Coupling error without control")["verdict"] == "agrees"
     assert compared(result, "Coupling error at k = 2, P loops")["verdict"] == "differs"
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
@@ -295,8 +295,8 @@ def test_results_of_demo_and_benchmarks_are_included_if_present(tmp_path):
         (tmp_path / f"{name}.json").write_text(json.dumps(EVERYTHING[name]))
     _, result, text, _ = run(tmp_path)
     own = {row["quantity"]: row["measured"] for row in result["own"]}
-    assert "0.35 mm RMS" in own["Demo: platform off its path"]
-    assert "10.8 times" in own["Planner's cycle, n = 20, four obstacles"]
+    assert "0.35 mm RMS" in own["Demo: tracking error of the platform"]
+    assert "10.8 times" in own["Planner cycle, n = 20, four obstacles"]
     assert compared(result, "Setpoints of the arm, demo")["verdict"] == "agrees"
     assert "Also read, as they were found: demo (2026-01-02 03:04)" in text
 

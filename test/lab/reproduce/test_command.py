@@ -84,7 +84,7 @@ def test_command_runs_end_to_end_and_publishes_its_json(tmp_path):
 
 def test_report_has_a_row_for_each_gain_and_marks_oscillation(result):
     text = "\n".join(coupling.report(result))
-    assert "P velocity loops, mean of 3:" in text
+    assert "P velocity loops, mean of 3 sets of wheels:" in text
     assert "2.000 rad" in text  # off: mean of 1, 2 and 3
     assert "0.667 rad" in text  # k = 2
     assert "oscillates" in text
@@ -94,7 +94,7 @@ def test_report_has_a_row_for_each_gain_and_marks_oscillation(result):
 def test_reached_is_the_mean_ratio_of_p_loops_at_the_chosen_gain(runs):
     worse = [made("P", 3, 0.0), made("P", 3, 2.0, 2.0)]
     rows = summary([*runs, *worse, *(made("PI", 0, gain, 7.0) for gain in (0.0, 2.0, 5.0))])
-    assert coupling.reached(rows, 2.0) == pytest.approx((3 * 1 / 3 + 2 / 3) / 4)
+    assert coupling.remaining_ratio(rows, 2.0) == pytest.approx((3 * 1 / 3 + 2 / 3) / 4)
 
 
 def test_each_movement_has_its_largest_change_of_the_uncontrolled_error(runs):
@@ -131,10 +131,10 @@ def test_picture_can_be_drawn_for_any_groups(runs, result, tmp_path, groups):
 
 @pytest.mark.skipif(not DRAWS, reason="matplotlib is not installed")
 def test_picture_shows_the_wheels_with_the_median_error(runs):
-    from omniman_ros.lab.figures.coupling import shown
+    from omniman_ros.lab.figures.coupling import select_median
 
-    assert {run.case.sample for run in shown(runs)} == {1}
-    assert [run.case.gain for run in shown(runs)] == [0.0, 2.0]
+    assert {run.case.sample for run in select_median(runs)} == {1}
+    assert [run.case.gain for run in select_median(runs)] == [0.0, 2.0]
 
 
 def test_robot_with_three_wheels_is_refused(capsys, tmp_path):
@@ -156,7 +156,7 @@ def test_negative_seed_is_a_usage_error(capsys):
 
 
 def test_path_in_the_json_is_the_driven_path():
-    path = coupling.path_of(QUICK)
+    path = coupling.describe_path(QUICK)
     assert path["travel_m"] == pytest.approx(QUICK.figure.length * (3 + 1.5 * np.pi))
     assert path["duration_s"] == QUICK.figure.duration
     assert Setup(robots.values(), Figure7()).figure.duration > path["duration_s"]
@@ -229,8 +229,8 @@ def test_travel_counts_as_backwards_beyond_a_quarter_turn(ride, direction, share
     twists = np.tile([np.cos(direction), np.sin(direction), 0.0], (10, 1))
     rests = np.zeros((5, 3))
     drive = replace(ride.drive, times=np.arange(15.0), twists=np.vstack([twists, rests]))
-    assert cases.backwards(drive) == share
-    assert cases.backwards(replace(drive, twists=np.zeros((15, 3)))) == 0.0
+    assert cases.backward_share(drive) == share
+    assert cases.backward_share(replace(drive, twists=np.zeros((15, 3)))) == 0.0
 
 
 @pytest.mark.parametrize("spoil", [collided, short_of])

@@ -5,7 +5,7 @@ import copy
 import pytest
 
 from omniman_ros.lab.reproduce.findings import Verdict
-from omniman_ros.lab.reproduce.own import FIGURES
+from omniman_ros.lab.reproduce.own import OWN_RESULTS
 from omniman_ros.lab.reproduce.published import CLAIMS
 from test.lab.reproduce.reproduced import EVERYTHING, group, ride, wheels
 
@@ -55,7 +55,7 @@ def test_claim_without_its_results_is_not_measured(results, claim):
         assert name in finding.text
 
 
-@pytest.mark.parametrize("claim", [*CLAIMS, *FIGURES], ids=lambda claim: claim.quantity)
+@pytest.mark.parametrize("claim", [*CLAIMS, *OWN_RESULTS], ids=lambda claim: claim.quantity)
 def test_missing_figure_in_results_is_not_an_error(claim):
     empty = {name: {"drives": [], "table": [], "energy": []} for name in claim.needs}
     assert claim.find(empty).verdict is Verdict.MISSING
@@ -66,8 +66,8 @@ def test_missing_figure_in_results_is_not_an_error(claim):
     ("quantity", "wheels_and_gain"),
     [
         ("Coupling error at k = 2, P loops", ("P", 2.0)),
-        ("The same, PI loops at k = 2", ("PI", 2.0)),
-        ("The same, P loops at this robot's gain", ("P", 15.0)),
+        ("Coupling error at k = 2, PI loops", ("PI", 2.0)),
+        ("Coupling error at this robot's gain, P loops", ("P", 15.0)),
     ],
 )
 def test_nearly_zero_means_at_most_a_tenth(results, quantity, wheels_and_gain, ratio, said):
@@ -123,8 +123,8 @@ def test_failed_drive_agrees_with_no_claim(results, fault):
         results[name]["drives"][0] = ride(**fault)
     assert verdict(results, "Three cases, defaults") == "partly"
     assert "corridor FAILED" in BY_NAME["Three cases, defaults"].find(results).text
-    assert verdict(results, "Three cases with n = 10 and its cost") == "agrees"
-    assert verdict(results, "Three cases, motor voltages put out") == "agrees"
+    assert verdict(results, "Three cases, the paper's horizon and cost") == "agrees"
+    assert verdict(results, "Three cases, motor voltages as output") == "agrees"
     assert verdict(results, "Narrow corridor") == "differs"
     assert verdict(results, "Moving obstacles") == "differs"
 
@@ -142,7 +142,7 @@ def test_robot_must_turn_and_travel_along_a_diagonal_on_free_floor(results, turn
     changes = {"peak_turn_rad": turned, "along_diagonal": along}
     results["free"]["drives"] = [ride(**changes), ride("the paper's horizon and cost", **changes)]
     assert verdict(results, "Free movement: heading, defaults") == said
-    assert verdict(results, "Free movement: the same, n = 10 and its cost") == said
+    assert verdict(results, "Free movement: heading, the paper's horizon and cost") == said
 
 
 @pytest.mark.parametrize(
@@ -163,7 +163,7 @@ def test_corridor_must_be_passed_turned(results, turned, said):
 @pytest.mark.parametrize(("share", "said"), [(0.0, "differs"), (0.1, "agrees")])
 def test_backward_travel_is_recognised(results, share, said):
     results["corridor"]["drives"][0] = ride(backwards_share=share)
-    assert verdict(results, "Narrow corridor: backwards") == said
+    assert verdict(results, "Narrow corridor: driving backwards") == said
 
 
 @pytest.mark.parametrize(
@@ -177,4 +177,4 @@ def test_backward_travel_is_recognised(results, share, said):
 )
 def test_scenes_with_a_mismatched_robot_must_end_well(results, changes, said):
     results["scenes"]["groups"]["model off by up to 20 %"] = group(**changes)
-    assert verdict(results, "Model not exact") == said
+    assert verdict(results, "Inexact model") == said

@@ -20,21 +20,21 @@ from omniman_ros.lab.reproduce.scene_runs import (
     MARKER_NOISE,
     ODOM_NOISE,
     NodeLoop,
-    Request,
+    SceneRunSettings,
     drive_scene,
 )
 from omniman_ros.lab.studies.closed_loop import PERIOD
 from omniman_ros.lab.studies.scene_generator import Mismatch, RandomScene, SceneError, scene
-from omniman_ros.lab.studies.scene_geometry import Box, Ellipse, Route
-from omniman_ros.lab.studies.scenes import Agility, SceneDrive, judged
+from omniman_ros.lab.studies.scene_geometry import Box, Ellipse, PolylineMotion
+from omniman_ros.lab.studies.scenes import Agility, SceneDrive, judge_drive
 from omniman_ros.lab.studies.space_time_grid import Mover
 from omniman_ros.planning.cycle import PlannerState
 from test.tiers import exhaustive, representative
 
 DRAWS = importlib.util.find_spec("matplotlib") is not None
 CYCLE, DEADLINE = 0.05, 0.04
-MOVING = Ellipse((0.2, 0.3), Route.straight((2.0, 2.5), (0.3, 0.0)), 0.4)
-STANDING = Ellipse((0.2, 0.2), Route.still(1.5, 1.2))
+MOVING = Ellipse((0.2, 0.3), PolylineMotion.straight((2.0, 2.5), (0.3, 0.0)), 0.4)
+STANDING = Ellipse((0.2, 0.2), PolylineMotion.still(1.5, 1.2))
 
 
 def made(*obstacles, **changes):
@@ -61,7 +61,7 @@ def loop_in():
 
 @pytest.mark.parametrize("seed", representative([4, 8, 27, 31]))
 def test_node_drives_through_a_random_scene(seed):
-    outcome = drive_scene(Request(solve_time=0.01), seed)
+    outcome = drive_scene(SceneRunSettings(solve_time=0.01), seed)
     assert outcome.reached
     assert not outcome.verdict.collided
     assert not outcome.failed
@@ -81,7 +81,7 @@ def test_scenes_cover_every_kind_of_difficulty():
 @pytest.mark.parametrize(("seed", "solve_time"), [(20, 0.005), exhaustive(97, 0.01)])
 def test_robot_flees_from_an_obstacle_that_turns_towards_the_robot(seed, solve_time):
     """If braking and fleeing alternated, the robot would stay and be hit."""
-    outcome = drive_scene(Request(solve_time=solve_time), seed)
+    outcome = drive_scene(SceneRunSettings(solve_time=solve_time), seed)
     assert not outcome.verdict.collided and outcome.reached
 
 
@@ -134,7 +134,7 @@ def test_solutions_after_the_deadline_are_discarded(loop_in):
     assert drive.late == len(drive.answers) > 10
     assert not drive.arrived
     assert np.abs(drive.poses[-1] - drive.poses[0]).max() < 1e-3
-    assert any("late" in why for why in drive.whys)
+    assert any("late" in why for why in drive.rejections)
     assert loop_in(made(), solve_time=DEADLINE - 0.005).run(1.0).late == 0
 
 
@@ -214,7 +214,7 @@ def test_refused_goal_ends_the_drive(loop_in):
     drive = loop_in(there, solve_time=0.01).run(30.0)
     assert drive.times[-1] - drive.times[0] < 2.0
     assert not drive.arrived
-    assert "not within the workspace" in drive.last
+    assert "not within the workspace" in drive.last_status
 
 
 def test_arrival_ends_the_drive(loop_in):
@@ -233,7 +233,7 @@ def test_arrival_ends_the_drive(loop_in):
 @pytest.mark.parametrize("value", [-0.01, math.nan, math.inf])
 def test_invalid_solve_time_is_refused(value):
     with pytest.raises(InputError, match="solve time"):
-        Request(solve_time=value)
+        SceneRunSettings(solve_time=value)
 
 
 # ---- the command --------------------------------------------------------------------------------
@@ -267,7 +267,7 @@ def args(tmp_path=None, **given):
     ],
 )
 def test_seeds_are_selected_by_options(given, seeds):
-    assert scenes.seeds_of(args(**given)) == seeds
+    assert scenes.scene_seeds(args(**given)) == seeds
 
 
 @pytest.mark.parametrize(
@@ -284,7 +284,7 @@ def test_seeds_are_selected_by_options(given, seeds):
     ],
 )
 def test_usage_error_is_reported(monkeypatch, given, said):
-    monkeypatch.setattr(scenes, "driven", lambda *_: pytest.fail("drives"))
+    monkeypatch.setattr(scenes, "drive_scenes", lambda *_: pytest.fail("drives"))
     with pytest.raises(CommandError, match=said) as error:
         scenes.run(args(**given))
     assert error.value.code == 2
@@ -305,27 +305,27 @@ def outcome(seed, end=(2.0, 0.0, 0.5), obstacles=(), arrived=True):
         "arrived" if arrived else "blocked",
         "arrived" if arrived else "blocked: no way",
     )
-    return judged(there, drive, Mover(Box(0.8, 0.5), 1.0, 2.0), Agility(1.5, 0.15))
+    return judge_drive(there, drive, Mover(Box(0.8, 0.5), 1.0, 2.0), Agility(1.5, 0.15))
 
 
 def command(monkeypatch, tmp_path, outcomes, **given):
     asked = []
 
-    def driven(request, seeds, jobs):
-        asked.append((request, list(seeds), jobs))
+    def driven(settings, seeds, jobs):
+        asked.append((settings, list(seeds), jobs))
         yield from outcomes
 
-    monkeypatch.setattr(scenes, "driven", driven)
+    monkeypatch.setattr(scenes, "drive_scenes", driven)
     code = scenes.run(args(tmp_path, count=len(outcomes), **given))
     return code, json.loads((tmp_path / "reproduce_scenes.json").read_text()), asked
 
 
 def test_met_aims_are_reported(monkeypatch, tmp_path, capsys):
-    there = (MOVING, Ellipse((0.3, 0.3), Route.still(-2.0, 2.0)))
+    there = (MOVING, Ellipse((0.3, 0.3), PolylineMotion.still(-2.0, 2.0)))
     outcomes = [outcome(k, obstacles=there[k % 2 :]) for k in range(4)]
     code, result, asked = command(monkeypatch, tmp_path, outcomes, seed=7, solve_time=0.02)
     assert code == 0
-    assert asked == [(Request("ig42", 7, 0.02), [0, 1, 2, 3], 1)]
+    assert asked == [(SceneRunSettings("ig42", 7, 0.02), [0, 1, 2, 3], 1)]
     assert result["passed"] is True
     assert result["failed"] == []
     assert [row["seed"] for row in result["drives"]] == [0, 1, 2, 3]
@@ -338,7 +338,7 @@ def test_met_aims_are_reported(monkeypatch, tmp_path, capsys):
 
 
 def test_missed_aims_are_reported_with_the_failed_seeds(monkeypatch, tmp_path, capsys):
-    wall = Ellipse((0.2, 0.2), Route.still(1.0, 0.1))
+    wall = Ellipse((0.2, 0.2), PolylineMotion.still(1.0, 0.1))
     outcomes = [outcome(0), outcome(1, obstacles=(wall,)), outcome(2, (1.0, 0.0, 0.0), (), False)]
     code, result, _ = command(monkeypatch, tmp_path, outcomes)
     assert code == 1
@@ -360,15 +360,15 @@ def test_without_matplotlib_there_is_no_picture(monkeypatch, tmp_path):
 
 
 def test_failed_drives_are_shown_first():
-    wall = Ellipse((0.2, 0.2), Route.still(1.0, 0.1))
-    near, far = (Ellipse((0.2, 0.2), Route.still(1.0, y)) for y in (0.9, 2.0))
+    wall = Ellipse((0.2, 0.2), PolylineMotion.still(1.0, 0.1))
+    near, far = (Ellipse((0.2, 0.2), PolylineMotion.still(1.0, y)) for y in (0.9, 2.0))
     outcomes = [
         outcome(0, obstacles=(far,)),
         outcome(1, obstacles=(near,)),
         outcome(2, (1.0, 0.0, 0.0), (), False),
         outcome(3, obstacles=(wall,)),
     ]
-    assert [o.scene.seed for o in scenes.chosen(outcomes, 3)] == [3, 2, 1]
+    assert [o.scene.seed for o in scenes.select_shown(outcomes, 3)] == [3, 2, 1]
 
 
 def test_seed_without_a_scene_is_reported(monkeypatch, tmp_path):
@@ -376,7 +376,7 @@ def test_seed_without_a_scene_is_reported(monkeypatch, tmp_path):
         raise SceneError("no scene was found for seed 9")
         yield
 
-    monkeypatch.setattr(scenes, "driven", driven)
+    monkeypatch.setattr(scenes, "drive_scenes", driven)
     with pytest.raises(CommandError, match="seed 9"):
         scenes.run(args(tmp_path, count=1))
 
@@ -401,10 +401,12 @@ def test_drives_are_spread_over_processes_in_the_order_of_seeds(monkeypatch):
 
     pools = []
     monkeypatch.setattr(scenes, "ProcessPoolExecutor", Pool)
-    monkeypatch.setattr(scene_runs, "driver", lambda request: lambda seed: (request, seed))
+    monkeypatch.setattr(scene_runs, "make_driver", lambda settings: lambda seed: (settings, seed))
     monkeypatch.setattr(scenes.os, "environ", {})
-    request = Request()
+    settings = SceneRunSettings()
     for jobs, made_pools in ((1, []), (2, [(2, "spawn")])):
         pools.clear()
-        assert list(scenes.driven(request, range(3), jobs)) == [(request, k) for k in range(3)]
+        assert list(scenes.drive_scenes(settings, range(3), jobs)) == [
+            (settings, k) for k in range(3)
+        ]
         assert pools == made_pools

@@ -12,7 +12,7 @@ from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.core.parameters import build
 from omniman_ros.lab.reproduce import command as reproduce
 from omniman_ros.lab.reproduce import tool_path as reproduce_tool_path
-from omniman_ros.lab.reproduce.tool_path import StreamedArm, report, row_of
+from omniman_ros.lab.reproduce.tool_path import StreamedArm, drive_row, report
 from omniman_ros.lab.studies.tool_path import Case, Run
 from omniman_ros.motion.whole_body.parameters import ToolPathOptions
 from omniman_ros.ur.parameters import UrParameters
@@ -51,11 +51,11 @@ def test_quick_study_runs_to_the_end_within_the_bounds(tmp_path, capsys):
     [(0.0019, 0.0049, True), (0.0021, 0.002, False), (0.001, 0.0051, False)],
 )
 def test_drive_is_judged_by_mean_and_maximum_error(off, peak, kept):
-    assert row_of(made(off, peak))["kept"] is kept
+    assert drive_row(made(off, peak))["kept"] is kept
 
 
 def test_report_says_whether_the_bounds_are_kept():
-    rows = [row_of(made(0.001, 0.002)), row_of(made(0.009, 0.01, correction=False))]
+    rows = [drive_row(made(0.001, 0.002)), drive_row(made(0.009, 0.01, correction=False))]
     result = {
         "drives": rows,
         "bounds": {"rms_mm": 2.0, "max_mm": 5.0},

@@ -8,7 +8,7 @@ from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import build
 from omniman_ros.lab.studies.closed_loop import PERIOD
 from omniman_ros.lab.studies.coupling import (
-    SPREAD,
+    MISMATCH_SPREAD,
     Case,
     Setup,
     StudyError,
@@ -63,8 +63,8 @@ def test_random_wheels_fill_their_spread():
     drawn = [draw_mismatch("P", 0, sample, 4) for sample in range(50)]
     for name in ("friction", "torque_constant", "amplifier_gain"):
         factors = np.array([getattr(mismatch, name) for mismatch in drawn])
-        assert abs(factors - 1.0).max() <= SPREAD
-        assert abs(factors - 1.0).max() > 0.95 * SPREAD
+        assert abs(factors - 1.0).max() <= MISMATCH_SPREAD
+        assert abs(factors - 1.0).max() > 0.95 * MISMATCH_SPREAD
         assert factors.mean() == pytest.approx(1.0, abs=0.03)
 
 

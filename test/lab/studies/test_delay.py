@@ -5,7 +5,7 @@ import pytest
 from omniman_ros.control.coupling_controller import CouplingParameters
 from omniman_ros.core.parameters import build
 from omniman_ros.lab.studies.closed_loop import PERIOD
-from omniman_ros.lab.studies.delay import OFFSET, respond
+from omniman_ros.lab.studies.delay import EPSILON_STEP, step_response
 from test import robots
 
 DEFAULT = build(CouplingParameters, {}).k_epsilon
@@ -13,18 +13,18 @@ DEFAULT = build(CouplingParameters, {}).k_epsilon
 
 @pytest.mark.parametrize("robot", robots.SHIPPED)
 def test_default_gain_settles_with_delayed_commands(robot):
-    response = respond(robots.values(robot), DEFAULT, 0.05)
+    response = step_response(robots.values(robot), DEFAULT, 0.05)
     assert response.delay == pytest.approx(0.05)
     assert response.settled
     assert 0.1 < response.overshoot < 0.5
     count = 2 * math.pi / robots.robot(robot).motor.encoder_counts
-    late = respond(robots.values(robot), DEFAULT, 0.02)
-    assert late.overshoot <= 0.02 + 3 * count / OFFSET
+    late = step_response(robots.values(robot), DEFAULT, 0.02)
+    assert late.overshoot <= 0.02 + 3 * count / EPSILON_STEP
 
 
 def test_overshoot_grows_with_delay_up_to_oscillation():
     robot = robots.values("omniman")
-    calm, late, lost = (respond(robot, k, d) for k, d in ((20, 0.0), (20, 0.05), (40, 0.05)))
+    calm, late, lost = (step_response(robot, k, d) for k, d in ((20, 0.0), (20, 0.05), (40, 0.05)))
     assert calm.overshoot < 0.05
     assert 0.3 < late.overshoot < 1.0
     assert calm.settled and late.settled
@@ -33,4 +33,4 @@ def test_overshoot_grows_with_delay_up_to_oscillation():
 
 
 def test_delays_are_whole_ticks():
-    assert respond(robots.values("omniman"), 5.0, 0.012).delay == pytest.approx(2 * PERIOD)
+    assert step_response(robots.values("omniman"), 5.0, 0.012).delay == pytest.approx(2 * PERIOD)

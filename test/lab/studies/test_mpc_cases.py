@@ -8,9 +8,9 @@ from omniman_ros.core.parameters import build
 from omniman_ros.lab.studies import kinematic_comparison
 from omniman_ros.lab.studies.kinematic_comparison import drive_straight
 from omniman_ros.lab.studies.mpc_cases import Scene, circle, corridor, moving
-from omniman_ros.lab.studies.mpc_loop import Course
+from omniman_ros.lab.studies.mpc_loop import MotionRecord
 from omniman_ros.lab.studies.planned_drives import drive_with_planner
-from omniman_ros.lab.studies.recorded_drive import SETTLE, Drive, StudyError, true_gaps
+from omniman_ros.lab.studies.recorded_drive import SETTLING_TIME, Drive, StudyError, true_gaps
 from omniman_ros.lab.studies.roller_diagonals import (
     angle_from_diagonal,
     diagonal_figures,
@@ -29,7 +29,7 @@ STILL = np.zeros(3)
 
 def course(xs, period=0.005):
     """Return a drive along x with heading 0 that consumes 10 J per second."""
-    result = Course()
+    result = MotionRecord()
     for k, x in enumerate(xs):
         result.times.append(k * period)
         result.poses.append(np.array([x, 0.0, 0.0]))
@@ -123,7 +123,7 @@ def test_robot_that_drives_through_its_goal_has_not_arrived():
 
 def test_energy_counts_until_half_a_second_after_arrival():
     drive = driven(there_and_rest(1.0, 2.0))
-    assert drive.energy_until_rest() == pytest.approx(10.0 * (drive.arrival + SETTLE))
+    assert drive.energy_until_rest() == pytest.approx(10.0 * (drive.arrival + SETTLING_TIME))
     with pytest.raises(StudyError, match="until rest"):
         driven(there_and_rest(1.0, 0.3)).energy_until_rest()
     with pytest.raises(StudyError, match="inf"):
@@ -230,7 +230,9 @@ def test_kinematic_controller_arrives_at_the_requested_time():
     fast = drive_straight(IG42, start, goal, 0.8).drive
     wanted = fast.arrival + 0.3
     found = kinematic_comparison.drive_straight_in_time(IG42, start, goal, wanted)
-    assert found.drive.arrival == pytest.approx(wanted, abs=kinematic_comparison.SAME_TIME)
+    assert found.drive.arrival == pytest.approx(
+        wanted, abs=kinematic_comparison.ARRIVAL_TIME_TOLERANCE
+    )
     assert found.speed < 0.8
     assert found.drive.energy_until_rest() < fast.energy_until_rest()
 
@@ -259,7 +261,9 @@ def rides(monkeypatch):
 def test_any_arrival_time_is_found(rides, wanted, whole):
     asked = rides(lambda share: 1.0 + 1.0 / share**0.8)
     found = kinematic_comparison.drive_straight_in_time(IG42, STILL, STILL, wanted, whole)
-    assert found.drive.arrival == pytest.approx(wanted, abs=kinematic_comparison.SAME_TIME)
+    assert found.drive.arrival == pytest.approx(
+        wanted, abs=kinematic_comparison.ARRIVAL_TIME_TOLERANCE
+    )
     assert len(asked) <= 8
 
 

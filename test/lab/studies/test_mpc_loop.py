@@ -3,7 +3,7 @@ import pytest
 
 from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.core.parameters import build
-from omniman_ros.lab.studies.mpc_loop import CYCLE, LoopOptions, MovingObstacle, MpcLoop
+from omniman_ros.lab.studies.mpc_loop import PLANNER_PERIOD, LoopOptions, MovingObstacle, MpcLoop
 from omniman_ros.planning.cycle import PlannerState
 from omniman_ros.planning.goals import PoseGoal
 from omniman_ros.planning.obstacles.ellipses import Ellipses
@@ -36,7 +36,7 @@ def test_slipping_plant_reaches_the_goal_past_an_obstacle(voltages):
     poses, times = np.array(trace.poses), np.array(trace.times)
     assert np.hypot(*(poses[-1] - GOAL)[:2]) < 0.04
     assert abs(poses[-1, 2] - GOAL[2]) < 0.04
-    np.testing.assert_allclose(np.diff(times), CYCLE, atol=1e-9)
+    np.testing.assert_allclose(np.diff(times), PLANNER_PERIOD, atol=1e-9)
     # The true shapes stay clear of each other.
     places = np.array(trace.obstacles)
     assert places.shape == (len(times), 1, 2)
@@ -50,7 +50,7 @@ def test_slipping_plant_reaches_the_goal_past_an_obstacle(voltages):
         report.lateness < 0.0 for report, was in zip(trace.reports, used, strict=True) if was
     )
     assert trace.energy[-1] > trace.energy[0] + 5.0
-    assert isinstance(loop.seen.ellipses(loop.now), Ellipses)
+    assert isinstance(loop.observed.ellipses(loop.now), Ellipses)
     # The setpoints are followed.
     away = np.hypot(*(poses - np.array(trace.references))[:, :2].T)
     assert away.max() < 0.12

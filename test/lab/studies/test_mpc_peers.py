@@ -5,11 +5,17 @@ import math
 import numpy as np
 import pytest
 
-from omniman_ros.lab.studies.mpc_peers import OPTIONS, Converged, Evaluator, Multipliers, Peer
+from omniman_ros.lab.studies.mpc_peers import (
+    OPTIONS,
+    ConvergedController,
+    Evaluator,
+    GeneralSolver,
+    Multipliers,
+)
 from omniman_ros.lab.studies.mpc_scenes import (
-    MARGIN,
-    ROOM,
+    MIN_GAPS,
     STEP,
+    WORKSPACE_MARGIN,
     RealTime,
     Rig,
     Scene,
@@ -42,7 +48,7 @@ def crowded():
 @pytest.fixture(scope="module")
 def peers(free, crowded):
     return {
-        (name, rig.transcription.slots): Peer(rig.transcription, name)
+        (name, rig.transcription.slots): GeneralSolver(rig.transcription, name)
         for name in ("ipopt", "fatrop")
         for rig in (free, crowded)
     }
@@ -111,7 +117,7 @@ def test_constraints_are_the_rows_of_the_transcription(crowded, peers, name):
         w, p = peer.packed(start, currents, states, slack, task.stage)
         g = np.asarray(peer.constraints(w, p)).ravel()
         motion = np.ones(g.size, dtype=bool)
-        motion[peer.hard], motion[peer.opened] = False, False
+        motion[peer.hard], motion[peer.soft] = False, False
         assert motion.sum() == 6 * STEPS
         assert g[motion] == pytest.approx(0.0, abs=1e-9)
         assert not peer.lower[motion].any() and not peer.upper[motion].any()
@@ -120,7 +126,7 @@ def test_constraints_are_the_rows_of_the_transcription(crowded, peers, name):
                 np.asarray(part).ravel() for part in t.stage_rows(states[k], currents[k], row)
             )
             value[t.relaxed :] += slack[k]
-            places = np.concatenate([peer.hard[k], peer.opened[k]])
+            places = np.concatenate([peer.hard[k], peer.soft[k]])
             assert g[places] == pytest.approx(value, abs=1e-9)
             assert np.array_equal(peer.lower[places], low)
             assert np.array_equal(peer.upper[places], high)
@@ -137,7 +143,7 @@ def test_states_that_do_not_follow_from_the_currents_violate_the_motion(free, pe
     w, p = peer.packed(task.start, task.guess, states, np.zeros(STEPS), task.stage)
     g = np.asarray(peer.constraints(w, p)).ravel()
     left = np.ones(g.size, dtype=bool)
-    left[peer.hard], left[peer.opened] = False, False
+    left[peer.hard], left[peer.soft] = False, False
     assert g[left][-6:] == pytest.approx(np.arange(1, 7)) and not g[left][:-6].any()
 
 
@@ -157,7 +163,7 @@ def test_multipliers_are_shifted_by_a_step(free, peers):
     bounds, constraints = np.full(peer._least.size, -1.0), np.full(peer.lower.size, -1.0)
     for places in (peer._currents, peer._slack, peer._states):
         bounds[places.reshape(STEPS, -1)] = np.arange(STEPS)[:, None]
-    for places in (peer._motion, peer.hard, peer.opened):
+    for places in (peer._motion, peer.hard, peer.soft):
         constraints[places] = np.arange(STEPS)[:, None]
     assert bounds.min() == 0.0 and constraints.min() == 0.0  # every multiplier has its own index
     shifted = peer._shifted(Multipliers(bounds, constraints))
@@ -176,7 +182,9 @@ def test_warm_started_multipliers_save_iterations(free, peers):
 def test_peer_that_does_not_converge_reports_failure_and_keeps_the_guess(free):
     options = {**OPTIONS["ipopt"], "ipopt": {**OPTIONS["ipopt"]["ipopt"], "max_iter": 1}}
     task = first_task(free, scene())
-    controller = Converged(Peer(free.transcription, "ipopt", options), dual=True)
+    controller = ConvergedController(
+        GeneralSolver(free.transcription, "ipopt", options), dual=True
+    )
     currents, solved = controller.plan(task)
     assert not solved and currents is task.guess
 
@@ -184,7 +192,7 @@ def test_peer_that_does_not_converge_reports_failure_and_keeps_the_guess(free):
 def test_folded_functions_are_equivalent_and_smaller():
     rig = Rig(load_robot("ig42"), 2, 0)
     task = first_task(rig, scene())
-    plain, folded = (Peer(rig.transcription, "ipopt", folded=fold) for fold in (False, True))
+    plain, folded = (GeneralSolver(rig.transcription, "ipopt", cse=fold) for fold in (False, True))
     problem = task.start, task.guess, task.states, task.stage
     found = [peer.solve(*problem) for peer in (plain, folded)]
     assert found[0].solved and found[0].cost == pytest.approx(found[1].cost, rel=1e-6)
@@ -225,9 +233,9 @@ def test_scenes_are_reproducible_from_a_seed_and_leave_room():
         at = np.zeros(2)
         gaps = box_gap(places, half, e.centers_at(at), e.axes_at(at), e.angles)
         standing = ~e.velocities.any(axis=1)
-        assert gaps[0].min() > ROOM[0]
-        assert gaps[1][standing].min(initial=1.0) > ROOM[1]
-        assert first.goal[0] + MARGIN - first.workspace[0] > 0.0
+        assert gaps[0].min() > MIN_GAPS[0]
+        assert gaps[1][standing].min(initial=1.0) > MIN_GAPS[1]
+        assert first.goal[0] + WORKSPACE_MARGIN - first.workspace[0] > 0.0
     assert not np.array_equal(draw_scene(0, 6, half).goal, draw_scene(1, 6, half).goal)
     assert len(draw_scene(0, 0, half).ellipses) == 0
     with pytest.raises(ValueError, match="no room for 3 obstacles"):
@@ -270,7 +278,7 @@ def test_robot_follows_the_model_except_for_the_disturbances(free):
         due = np.asarray(free.transcription.transition(before.task.start, before.currents[0]))
         assert after.task.start == pytest.approx(due.ravel() + noise[k], abs=1e-12)
         assert np.array_equal(after.task.guess[:-1], before.currents[1:])
-    assert all(c.solved and c.whole == 2.0 and c.alone == 1.0 for c in cycles)
+    assert all(c.solved and c.cycle_time == 2.0 and c.solver_time == 1.0 for c in cycles)
     assert not any(map(arrived, cycles))
 
 
@@ -306,7 +314,7 @@ def test_cost_of_a_drive_includes_overlap(crowded):
 def test_drives_of_both_solvers_cost_the_same_without_obstacles(free, peers):
     drawn = draw_scene(4, 0, free.model.half)
     ours = free.drive(drawn, RealTime(free.solver), 12)
-    theirs = free.drive(drawn, Converged(peers["ipopt", 0], dual=True), 12)
+    theirs = free.drive(drawn, ConvergedController(peers["ipopt", 0], dual=True), 12)
     assert ours.failures == theirs.failures == 0
     assert ours.cost == pytest.approx(theirs.cost, rel=0.01)
     assert not np.array_equal(ours.poses, theirs.poses)

@@ -9,20 +9,20 @@ from omniman_ros.lab.studies.mpc_loop import MovingObstacle
 from omniman_ros.lab.studies.scene_gaps import ellipse_gap, outside
 from omniman_ros.lab.studies.scene_generator import (
     AREA,
-    COUNT,
     MARGIN,
+    MAX_GOAL_STAY,
+    OBSTACLE_COUNTS,
     ROBOT,
     SEMI_AXES,
     SPEEDS,
-    STAY,
     Mismatch,
     blocks,
     scene,
 )
-from omniman_ros.lab.studies.scene_geometry import Box, Ellipse, Route, World
+from omniman_ros.lab.studies.scene_geometry import Box, Ellipse, PolylineMotion, World
 from omniman_ros.lab.studies.scene_judge import judge
 from omniman_ros.lab.studies.space_time_grid import GRIDS, Mover
-from omniman_ros.lab.studies.space_time_search import find_way
+from omniman_ros.lab.studies.space_time_search import find_path
 
 SCENES = [scene(seed) for seed in range(48)]
 STANDING = Mismatch()
@@ -74,13 +74,13 @@ def test_blocked_flag_matches_contact_on_the_straight_line():
     ],
 )
 def test_blocking_obstacle_reaches_the_line_between_its_ends(place, angle, expected):
-    ellipse = Ellipse((0.5, 0.1), Route.still(*place), angle)
+    ellipse = Ellipse((0.5, 0.1), PolylineMotion.still(*place), angle)
     assert blocks(ellipse, (0, 0, 0), (4, 0, 0)) is expected
 
 
 def test_ellipse_across_an_oblique_line_blocks_the_line():
     for angle, expected in ((math.pi / 4, False), (-math.pi / 4, True)):
-        ellipse = Ellipse((0.5, 0.1), Route.still(2.2, 1.8), angle)
+        ellipse = Ellipse((0.5, 0.1), PolylineMotion.still(2.2, 1.8), angle)
         assert blocks(ellipse, (0, 0, 0), (4, 4, 0)) is expected
 
 
@@ -109,13 +109,13 @@ def test_no_moving_obstacle_stays_at_the_goal():
                 np.full(count, obstacle.angle),
             )
             near = "".join("x" if gap < MARGIN else " " for gap in gaps)
-            assert max(map(len, near.split(" "))) * 0.5 <= STAY + 0.5
+            assert max(map(len, near.split(" "))) * 0.5 <= MAX_GOAL_STAY + 0.5
 
 
 def test_obstacles_have_the_given_count_size_and_speed():
     kinds = set()
     for made in SCENES:
-        assert COUNT[0] <= len(made.obstacles) <= COUNT[1]
+        assert OBSTACLE_COUNTS[0] <= len(made.obstacles) <= OBSTACLE_COUNTS[1]
         for obstacle in made.obstacles:
             assert all(SEMI_AXES[0] <= axis <= SEMI_AXES[1] for axis in obstacle.semi_axes)
             round_ = obstacle.semi_axes[0] == obstacle.semi_axes[1]
@@ -153,7 +153,7 @@ def test_obstacles_are_those_of_the_closed_loop():
 
 def test_most_scenes_are_passable():
     mover = Mover(ROBOT, 1.0, 2.0)
-    ways = [find_way(mover, m.world, m.start, m.goal, 0.0, 30.0, GRIDS[:1]) for m in SCENES[:12]]
+    ways = [find_path(mover, m.world, m.start, m.goal, 0.0, 30.0, GRIDS[:1]) for m in SCENES[:12]]
     assert sum(way is not None for way in ways) >= 11
 
 

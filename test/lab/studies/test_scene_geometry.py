@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from omniman_ros.core.errors import InputError
 from omniman_ros.lab.studies.scene_gaps import ellipse_gap, outside, wall_gap
-from omniman_ros.lab.studies.scene_geometry import Box, Ellipse, Route, Wall, World
-from omniman_ros.lab.studies.scene_judge import TOUCH, judge
+from omniman_ros.lab.studies.scene_geometry import Box, Ellipse, PolylineMotion, Wall, World
+from omniman_ros.lab.studies.scene_judge import CONTACT_GAP, judge
 
 BOX = Box(0.8, 0.5)
 TICK = 0.005
@@ -147,12 +147,12 @@ def world(*bodies, area=None):
 
 
 def disc(radius, x, y, velocity=(0.0, 0.0)):
-    return Ellipse((radius, radius), Route.straight((x, y), velocity))
+    return Ellipse((radius, radius), PolylineMotion.straight((x, y), velocity))
 
 
 def test_contact_is_at_the_arrival_of_the_disc():
     verdict = standing(disc(0.3, 2.0, 0.1, (-2.0, 0.0)))
-    assert verdict.contact == pytest.approx((2.0 - 0.7) / 2.0, abs=TOUCH)
+    assert verdict.contact == pytest.approx((2.0 - 0.7) / 2.0, abs=CONTACT_GAP)
     assert verdict.touched == ("obstacle", 0)
     assert verdict.gap <= 0.0
 
@@ -174,7 +174,7 @@ def past_corner(off, step=0.02, speed=20.0):
     nearest = np.array(BOX.half) + (0.01 + off) * out
     along = np.array([-1.0, 1.0]) / math.sqrt(2.0)
     begin = nearest - 0.5 * speed * step * along
-    route = Route.straight(tuple(begin.tolist()), tuple((speed * along).tolist()))
+    route = PolylineMotion.straight(tuple(begin.tolist()), tuple((speed * along).tolist()))
     return standing(Ellipse((0.01, 0.01), route), seconds=step, step=step)
 
 
@@ -188,17 +188,19 @@ def test_fast_thin_disc_that_crosses_a_corner_between_samples_is_found():
 def test_fast_thin_disc_that_misses_the_corner_between_samples_is_free():
     verdict = past_corner(0.001)
     assert not verdict.collided
-    assert verdict.gap == pytest.approx(0.001, abs=TOUCH)
+    assert verdict.gap == pytest.approx(0.001, abs=CONTACT_GAP)
     assert verdict.gap_time == pytest.approx(0.01, abs=1e-3)
 
 
 def test_obstacle_that_reverses_between_two_samples_is_found():
     def bouncing(x):
-        return Ellipse((0.3, 0.3), Route((0.0, 0.1, 0.2), ((1.2, 0.0), (x, 0.0), (1.2, 0.0))))
+        return Ellipse(
+            (0.3, 0.3), PolylineMotion((0.0, 0.1, 0.2), ((1.2, 0.0), (x, 0.0), (1.2, 0.0)))
+        )
 
     assert standing(bouncing(0.69), seconds=0.2, step=0.2).contact == pytest.approx(0.1, abs=0.01)
     free = standing(bouncing(0.702), seconds=0.2, step=0.2)
-    assert not free.collided and free.gap == pytest.approx(0.002, abs=TOUCH)
+    assert not free.collided and free.gap == pytest.approx(0.002, abs=CONTACT_GAP)
 
 
 def test_corner_that_sweeps_across_between_two_samples_is_found():
@@ -248,7 +250,9 @@ def test_random_drives_are_judged_as_by_dense_sampling(seed):
     bodies = [
         Ellipse(
             tuple(random.uniform(0.05, 0.5, 2)),
-            Route((0.0, 1.0), tuple(map(tuple, random.uniform(-2, 2, (2, 2)))), (0.3, -0.5)),
+            PolylineMotion(
+                (0.0, 1.0), tuple(map(tuple, random.uniform(-2, 2, (2, 2)))), (0.3, -0.5)
+            ),
             random.uniform(-3, 3),
         )
         for _ in range(2)
@@ -269,9 +273,9 @@ def test_random_drives_are_judged_as_by_dense_sampling(seed):
     ]
     gaps.append(wall_gap(there, BOX, np.tile(astuple(bodies[2]), (len(dense), 1))))
     nearest = np.min(gaps, axis=0)
-    assert verdict.gap <= nearest.min() + TOUCH
+    assert verdict.gap <= nearest.min() + CONTACT_GAP
     assert verdict.gap >= nearest.min() - 2e-3  # what may lie between two of the dense samples
-    if nearest.min() > TOUCH + 1e-3:
+    if nearest.min() > CONTACT_GAP + 1e-3:
         assert verdict.contact == math.inf
     elif nearest.min() < 0.0:
         touching = dense[np.argmax(nearest <= 0.0)]
@@ -283,7 +287,7 @@ def test_random_drives_are_judged_as_by_dense_sampling(seed):
 
 
 def test_route_is_clamped_before_its_start_and_after_its_end():
-    route = Route((1.0, 2.0), ((0.0, 0.0), (2.0, 0.0)), (0.0, 1.0))
+    route = PolylineMotion((1.0, 2.0), ((0.0, 0.0), (2.0, 0.0)), (0.0, 1.0))
     at = route.at(np.array([0.0, 1.5, 2.0, 4.0]))
     assert at == pytest.approx(np.array([(0.0, 0.0), (1.0, 0.0), (2.0, 0.0), (2.0, 2.0)]))
     assert route(1.5) == pytest.approx([1.0, 0.0])
@@ -294,13 +298,13 @@ def test_route_is_clamped_before_its_start_and_after_its_end():
     "make",
     [
         lambda: Box(0.0, 0.5),
-        lambda: Ellipse((0.1, -0.1), Route.still(0, 0)),
-        lambda: Ellipse((0.1, 0.1), Route.still(0, 0), math.nan),
+        lambda: Ellipse((0.1, -0.1), PolylineMotion.still(0, 0)),
+        lambda: Ellipse((0.1, 0.1), PolylineMotion.still(0, 0), math.nan),
         lambda: Wall(0, 0, math.inf, 1, 1),
         lambda: Wall(0, 0, 0, 1, 0),
-        lambda: Route((), ()),
-        lambda: Route((0.0, 0.0), ((0, 0), (1, 1))),
-        lambda: Route((0.0,), ((math.nan, 0),)),
+        lambda: PolylineMotion((), ()),
+        lambda: PolylineMotion((0.0, 0.0), ((0, 0), (1, 1))),
+        lambda: PolylineMotion((0.0,), ((math.nan, 0),)),
         lambda: World(area=(0, 0, 0, 1)),
         lambda: judge(np.array([0.0]), np.zeros((2, 3)), BOX, World()),
         lambda: judge(np.array([0.0, 0.0]), np.zeros((2, 3)), BOX, World()),

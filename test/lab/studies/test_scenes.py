@@ -8,19 +8,19 @@ from omniman_ros.core.errors import InputError, ParameterError
 from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
 from omniman_ros.lab.studies.scene_generator import Mismatch, RandomScene
-from omniman_ros.lab.studies.scene_geometry import Box, Ellipse, Route
+from omniman_ros.lab.studies.scene_geometry import Box, Ellipse, PolylineMotion
 from omniman_ros.lab.studies.scenes import (
-    LIMIT,
-    NEAR,
+    GOAL_TOLERANCE,
+    TIME_LIMIT,
     Agility,
     SceneDrive,
     agility_of,
     aims,
+    answer_statistics,
     box_of,
     groups,
-    judged,
+    judge_drive,
     mover_of,
-    spread,
     summary,
     true_robot,
 )
@@ -32,9 +32,9 @@ GOAL = (2.0, 0.0, 0.0)
 MOVER = Mover(Box(0.8, 0.5), 1.0, 2.0)
 AGILITY = Agility(1.5, 0.15)
 SINCE = 0.25
-FAR = Ellipse((0.2, 0.2), Route.still(0.0, 3.0))
-IN_THE_WAY = Ellipse((0.2, 0.2), Route.still(1.0, 0.1))
-CROSSING = Ellipse((0.2, 0.2), Route.straight((5.0, 3.0), (0.1, 0.0)))
+FAR = Ellipse((0.2, 0.2), PolylineMotion.still(0.0, 3.0))
+IN_THE_WAY = Ellipse((0.2, 0.2), PolylineMotion.still(1.0, 0.1))
+CROSSING = Ellipse((0.2, 0.2), PolylineMotion.straight((5.0, 3.0), (0.1, 0.0)))
 
 
 def made(*obstacles, **changes):
@@ -97,8 +97,8 @@ def test_box_and_limits_are_taken_from_the_robot():
 
 
 def test_robot_that_passes_the_scene_has_reached_its_goal():
-    outcome = judged(made(FAR), drive(), MOVER, AGILITY)
-    assert (outcome.reached, outcome.solvable, outcome.own, outcome.failed) == (
+    outcome = judge_drive(made(FAR), drive(), MOVER, AGILITY)
+    assert (outcome.reached, outcome.solvable, outcome.at_fault, outcome.failed) == (
         True,
         True,
         False,
@@ -115,26 +115,26 @@ def test_robot_that_passes_the_scene_has_reached_its_goal():
 @pytest.mark.parametrize(
     ("end", "reached"),
     [
-        ((2.0 - 0.9 * NEAR[0], 0.0, 0.0), True),
-        ((2.0 - 1.1 * NEAR[0], 0.0, 0.0), False),
-        ((2.0, 0.0, 0.9 * NEAR[1]), True),
-        ((2.0, 0.0, -1.1 * NEAR[1]), False),
+        ((2.0 - 0.9 * GOAL_TOLERANCE[0], 0.0, 0.0), True),
+        ((2.0 - 1.1 * GOAL_TOLERANCE[0], 0.0, 0.0), False),
+        ((2.0, 0.0, 0.9 * GOAL_TOLERANCE[1]), True),
+        ((2.0, 0.0, -1.1 * GOAL_TOLERANCE[1]), False),
         ((2.0, 0.0, math.tau), True),
     ],
 )
 def test_reported_arrival_counts_only_if_true(end, reached):
-    assert judged(made(), drive(end), MOVER, AGILITY).reached is reached
+    assert judge_drive(made(), drive(end), MOVER, AGILITY).reached is reached
 
 
 def test_unreported_arrival_does_not_count():
-    outcome = judged(made(), drive(arrived=False), MOVER, AGILITY)
+    outcome = judge_drive(made(), drive(arrived=False), MOVER, AGILITY)
     assert not outcome.reached
     assert outcome.failed
 
 
 def test_avoidable_contact_is_the_fault_of_the_robot():
-    outcome = judged(made(IN_THE_WAY), drive(), MOVER, AGILITY)
-    assert (outcome.own, outcome.other, outcome.reached) == (True, False, False)
+    outcome = judge_drive(made(IN_THE_WAY), drive(), MOVER, AGILITY)
+    assert (outcome.at_fault, outcome.inevitable_contact, outcome.reached) == (True, False, False)
     assert outcome.figures()["touched"] == ["obstacle", 0]
     # The front is 0.4 m before the centre of the robot; a disc of 0.2 m is at 1 m.
     assert outcome.figures()["contact_s"] == pytest.approx(2.0 * 0.4, abs=0.02)
@@ -143,44 +143,44 @@ def test_avoidable_contact_is_the_fault_of_the_robot():
 
 def test_unavoidable_contact_is_not_the_fault_of_the_robot(monkeypatch):
     # A search among such large obstacles takes half a minute and is not tested here.
-    monkeypatch.setattr("omniman_ros.lab.studies.scenes.find_way", lambda *_: None)
-    rushing = Ellipse((4.0, 4.0), Route.straight((22.0, 0.0), (-10.0, 0.0)))
-    outcome = judged(made(rushing), drive(), MOVER, AGILITY)
-    assert (outcome.own, outcome.other, outcome.reached) == (False, True, False)
+    monkeypatch.setattr("omniman_ros.lab.studies.scenes.find_path", lambda *_: None)
+    rushing = Ellipse((4.0, 4.0), PolylineMotion.straight((22.0, 0.0), (-10.0, 0.0)))
+    outcome = judge_drive(made(rushing), drive(), MOVER, AGILITY)
+    assert (outcome.at_fault, outcome.inevitable_contact, outcome.reached) == (False, True, False)
 
 
 def turning(time, speed=1.0):
     """Return a disc that moves 0.5 m beside the robot and turns towards it at a given time."""
     place = (0.5 * (time - SINCE) + 0.3, 0.95)
     begin = (place[0] - 0.5 * time, 0.95)
-    return Ellipse((0.2, 0.2), Route((0.0, time), (begin, place), (0.2, -speed)))
+    return Ellipse((0.2, 0.2), PolylineMotion((0.0, time), (begin, place), (0.2, -speed)))
 
 
 @pytest.mark.parametrize(("speed", "surprised"), [(2.5, True), (0.6, False)])
 def test_obstacle_that_turns_towards_the_robot_too_late_is_a_surprise(speed, surprised):
     there = made(turning(1.5, speed))
-    outcome = judged(there, drive(), MOVER, AGILITY)
+    outcome = judge_drive(there, drive(), MOVER, AGILITY)
     assert outcome.verdict.collided
     assert outcome.avoidable
-    assert (outcome.surprised, outcome.own, outcome.other) == (
+    assert (outcome.surprised, outcome.at_fault, outcome.inevitable_contact) == (
         surprised,
         True,
         False,
     )
     assert not outcome.reached
     # A robot of unlimited reaction and acceleration is never surprised.
-    assert judged(there, drive(), MOVER, Agility(1e3, 0.0)).own
+    assert judge_drive(there, drive(), MOVER, Agility(1e3, 0.0)).at_fault
 
 
 @pytest.mark.parametrize(("reaction", "surprised"), [(0.0, False), (0.15, True)])
 def test_longer_reaction_time_makes_surprise_more_likely(reaction, surprised):
-    outcome = judged(made(turning(1.5, 1.2)), drive(), MOVER, Agility(1.5, reaction))
+    outcome = judge_drive(made(turning(1.5, 1.2)), drive(), MOVER, Agility(1.5, reaction))
     assert outcome.surprised is surprised
 
 
 def test_obstacle_that_always_moved_straight_is_no_surprise():
-    straight = Ellipse((0.2, 0.2), Route.straight((1.0, 2.9), (0.0, -2.0)))
-    outcome = judged(made(straight), drive(), MOVER, Agility(0.0, 1.0))
+    straight = Ellipse((0.2, 0.2), PolylineMotion.straight((1.0, 2.9), (0.0, -2.0)))
+    outcome = judge_drive(made(straight), drive(), MOVER, Agility(0.0, 1.0))
     assert (outcome.verdict.collided, outcome.surprised) == (True, False)
 
 
@@ -191,26 +191,28 @@ def test_agility_is_taken_from_the_robot():
 
 
 def test_unreachable_goal_is_not_a_failure():
-    there = Ellipse((0.3, 0.3), Route.still(2.0, 0.0))
-    outcome = judged(made(there), drive((0.5, 0.0, 0.0), arrived=False), MOVER, AGILITY)
+    there = Ellipse((0.3, 0.3), PolylineMotion.still(2.0, 0.0))
+    outcome = judge_drive(made(there), drive((0.5, 0.0, 0.0), arrived=False), MOVER, AGILITY)
     assert (outcome.solvable, outcome.reached, outcome.failed) == (False, False, False)
 
 
 def test_leaving_the_workspace_is_a_failure():
     area = (-1.0, -0.2, 3.0, 1.0)
-    outcome = judged(made(workspace=area), drive(), MOVER, AGILITY)
-    assert (outcome.left, outcome.failed, outcome.own) == (True, True, False)
+    outcome = judge_drive(made(workspace=area), drive(), MOVER, AGILITY)
+    assert (outcome.left_workspace, outcome.failed, outcome.at_fault) == (True, True, False)
     assert outcome.figures()["outside_m"] == pytest.approx(0.05)
-    assert not judged(made(workspace=(-1.0, -0.3, 3.0, 1.0)), drive(), MOVER, AGILITY).left
+    assert not judge_drive(
+        made(workspace=(-1.0, -0.3, 3.0, 1.0)), drive(), MOVER, AGILITY
+    ).left_workspace
 
 
 def test_reference_path_may_take_as_long_as_a_drive(monkeypatch):
     asked = []
     monkeypatch.setattr(
-        "omniman_ros.lab.studies.scenes.find_way", lambda *args: asked.append(args[-2:])
+        "omniman_ros.lab.studies.scenes.find_path", lambda *args: asked.append(args[-2:])
     )
-    assert not judged(made(), drive(arrived=False), MOVER, AGILITY).solvable
-    assert asked == [(SINCE, SINCE + LIMIT)]
+    assert not judge_drive(made(), drive(arrived=False), MOVER, AGILITY).solvable
+    assert asked == [(SINCE, SINCE + TIME_LIMIT)]
 
 
 def test_drive_without_a_sample_is_refused():
@@ -224,13 +226,15 @@ def test_drive_without_a_sample_is_refused():
 @pytest.fixture(scope="module")
 def outcomes():
     return [
-        judged(made(FAR, seed=1), drive(), MOVER, AGILITY),
-        judged(
+        judge_drive(made(FAR, seed=1), drive(), MOVER, AGILITY),
+        judge_drive(
             made(CROSSING, seed=2, blocked=True), drive(seconds=6.0, energy=80.0), MOVER, AGILITY
         ),
-        judged(made(IN_THE_WAY, seed=3, mismatch=Mismatch(1.1)), drive(late=2), MOVER, AGILITY),
-        judged(
-            made(Ellipse((0.3, 0.3), Route.still(2.0, 0.0)), seed=4, blocked=True),
+        judge_drive(
+            made(IN_THE_WAY, seed=3, mismatch=Mismatch(1.1)), drive(late=2), MOVER, AGILITY
+        ),
+        judge_drive(
+            made(Ellipse((0.3, 0.3), PolylineMotion.still(2.0, 0.0)), seed=4, blocked=True),
             drive((0.3, 0.0, 0.0), arrived=False),
             MOVER,
             AGILITY,
@@ -270,7 +274,7 @@ def test_figures_summarise_many_drives(outcomes):
     assert math.isnan(summary(outcomes[2:3])["least_clearance_m"])
     assert (whole["late"], whole["cycles"]) == (2, 12)
     assert whole["answer_max_ms"] == pytest.approx(8.0)
-    with pytest.raises(InputError, match="no drive"):
+    with pytest.raises(InputError, match="no drive to"):
         summary([])
 
 
@@ -293,4 +297,4 @@ def test_aims_are_no_avoidable_contact_and_nearly_every_reachable_goal(outcomes)
 
 
 def test_solve_times_without_solutions_are_nan():
-    assert all(math.isnan(value) for value in spread(np.zeros(0)).values())
+    assert all(math.isnan(value) for value in answer_statistics(np.zeros(0)).values())

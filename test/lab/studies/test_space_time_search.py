@@ -6,12 +6,12 @@ import pytest
 
 from omniman_ros.core.errors import InputError
 from omniman_ros.lab.studies.scene_gaps import ellipse_gap, wall_gap
-from omniman_ros.lab.studies.scene_geometry import Box, Ellipse, Route, Wall, World
+from omniman_ros.lab.studies.scene_geometry import Box, Ellipse, PolylineMotion, Wall, World
 from omniman_ros.lab.studies.scene_judge import judge
-from omniman_ros.lab.studies.space_time_grid import FINE, GRIDS, Grid, Mover
+from omniman_ros.lab.studies.space_time_grid import FINE_GRIDS, GRIDS, Grid, Mover
 from omniman_ros.lab.studies.space_time_nodes import SearchNodes
 from omniman_ros.lab.studies.space_time_reach import ReachSearch
-from omniman_ros.lab.studies.space_time_search import avoidable, escape, find_way
+from omniman_ros.lab.studies.space_time_search import find_avoiding_path, find_escape, find_path
 from test.tiers import representative
 
 MOVER = Mover(Box(0.8, 0.5), speed=1.0, yaw_rate=2.0)
@@ -21,7 +21,7 @@ EAST, WEST = (6.5, 3.0, 0.0), (1.5, 3.0, 0.0)
 
 
 def disc(radius, x, y, velocity=(0.0, 0.0)):
-    return Ellipse((radius, radius), Route.straight((x, y), velocity))
+    return Ellipse((radius, radius), PolylineMotion.straight((x, y), velocity))
 
 
 def wall_with_door(angle, width, thickness=0.1, center=(4.0, 3.0)):
@@ -69,7 +69,7 @@ def check(way, world, start, goal=None, mover=MOVER):
 
 def test_path_through_empty_space_is_nearly_the_fastest():
     start, goal = (1.0, 1.0, 0.3), (6.0, 4.0, 1.5)
-    way = find_way(MOVER, World(area=AREA), start, goal, 10.0, 40.0)
+    way = find_path(MOVER, World(area=AREA), start, goal, 10.0, 40.0)
     check(way, World(area=AREA), start, goal)
     least = math.dist(start[:2], goal[:2])
     assert way.times[0] == 10.0
@@ -78,21 +78,21 @@ def test_path_through_empty_space_is_nearly_the_fastest():
 
 def test_turn_takes_the_time_given_by_the_yaw_rate():
     start, goal = (4.0, 3.0, 0.0), (4.0, 3.0, 3.0)
-    way = find_way(MOVER, World(), start, goal, 0.0, 9.0)
+    way = find_path(MOVER, World(), start, goal, 0.0, 9.0)
     check(way, World(), start, goal)
     assert 3.0 / 2.0 <= way.times[-1] < 1.1 * 3.0 / 2.0 + 0.2
-    assert find_way(MOVER, World(), start, goal, 0.0, 1.4) is None
+    assert find_path(MOVER, World(), start, goal, 0.0, 1.4) is None
 
 
 def test_goal_across_the_half_turn_is_reached_the_short_way():
     start, goal = (4.0, 3.0, 3.0), (4.0, 3.0, -3.0)
-    way = find_way(MOVER, World(), start, goal, 0.0, 5.0)
+    way = find_path(MOVER, World(), start, goal, 0.0, 5.0)
     check(way, World(), start, goal)
     assert way.times[-1] < 0.4
 
 
 def test_path_exists_when_the_robot_is_at_the_goal():
-    way = find_way(MOVER, World(), (1, 2, 0.5), (1, 2, 0.5), 0.0, 1.0)
+    way = find_path(MOVER, World(), (1, 2, 0.5), (1, 2, 0.5), 0.0, 1.0)
     assert way.poses == pytest.approx(np.array([(1, 2, 0.5)]))
 
 
@@ -103,7 +103,7 @@ def test_door_of_60_cm_is_passed_at_any_angle(degrees, make):
     bodies = make(angle, 0.6, center=(4.03, 2.98))
     world = World(area=AREA, **{"walls" if make is wall_with_door else "obstacles": bodies})
     start, goal = across(angle)
-    verdict = check(find_way(MOVER, world, start, goal, 0.0, 20.0), world, start, goal)
+    verdict = check(find_path(MOVER, world, start, goal, 0.0, 20.0), world, start, goal)
     assert verdict.gap < 0.05
 
 
@@ -114,17 +114,17 @@ def test_door_narrower_than_the_robot_is_not_passed(degrees, make):
     world = World(
         area=AREA, **{"walls" if make is wall_with_door else "obstacles": make(angle, 0.48)}
     )
-    assert find_way(MOVER, world, *across(angle), 0.0, 20.0) is None
+    assert find_path(MOVER, world, *across(angle), 0.0, 20.0) is None
 
 
 def test_wall_without_a_door_is_not_passed():
-    assert find_way(MOVER, World((), wall_with_door(0.3, 0.0), AREA), *across(0.3), 0, 20) is None
+    assert find_path(MOVER, World((), wall_with_door(0.3, 0.0), AREA), *across(0.3), 0, 20) is None
 
 
 def test_way_around_is_found_where_the_door_is_too_narrow():
     walls = (Wall(4.0, 1.9, 0.0, 0.1, 1.72), Wall(4.0, 3.7, 0.0, 0.1, 0.9))
     world = World((), walls, AREA)
-    way = find_way(MOVER, world, WEST, EAST, 0.0, 20.0)
+    way = find_path(MOVER, world, WEST, EAST, 0.0, 20.0)
     check(way, world, WEST, EAST)
     at_wall = np.interp(4.0, way.poses[:, 0], way.poses[:, 1])
     assert at_wall > 4.3
@@ -134,8 +134,8 @@ def test_fine_grid_finds_paths_with_2_cm_to_spare():
     world = World((), wall_with_door(0.5, 0.55), (1.8, 1.4, 6.2, 4.6))
     # Half the spacing of two headings: no node is aligned with the door.
     start, goal = across(0.5, headings=(0.5245, 0.5245))
-    assert find_way(MOVER, world, start, goal, 0.0, 6.0) is None
-    check(find_way(MOVER, world, start, goal, 0.0, 6.0, FINE), world, start, goal)
+    assert find_path(MOVER, world, start, goal, 0.0, 6.0) is None
+    check(find_path(MOVER, world, start, goal, 0.0, 6.0, FINE_GRIDS), world, start, goal)
 
 
 def test_spare_gap_suffices_for_a_straight_drive():
@@ -149,18 +149,18 @@ def test_spare_gap_suffices_for_a_straight_drive():
         for _ in range(4):
             axes = tuple(random.uniform(0.1, 0.5, 2).tolist())
             place = random.uniform((2, 1), (6, 5)).tolist()
-            bodies.append(Ellipse(axes, Route.still(*place), random.uniform(-3, 3)))
+            bodies.append(Ellipse(axes, PolylineMotion.still(*place), random.uniform(-3, 3)))
         bodies += [Wall(*random.uniform((2, 1, -3), (6, 5, 3)), *random.uniform(0.05, 0.6, 2))]
         world = World(tuple(bodies[:-1]), tuple(bodies[-1:]), (1, 0, 7, 6))
         drive = np.array([start, goal])
         gap = judge(np.array([0.0, 9.0]), drive, MOVER.box, world).gap
         grid = GRIDS[1]
         kept = max(
-            grid.kept_to_wall(MOVER, turning=False),
-            *(grid.kept_to_ellipse(MOVER, b.semi_axes, 0.0) for b in bodies[:-1]),
+            grid.wall_margin(MOVER, turning=False),
+            *(grid.ellipse_margin(MOVER, b.semi_axes, 0.0) for b in bodies[:-1]),
         )
-        if gap >= grid.spare(MOVER, kept):
-            way = find_way(MOVER, world, start, goal, 0.0, 3.6 / 0.89 + 1.0, (grid,))
+        if gap >= grid.sufficient_gap(MOVER, kept):
+            way = find_path(MOVER, world, start, goal, 0.0, 3.6 / 0.89 + 1.0, (grid,))
             check(way, world, start, goal)
             found += 1
     assert found >= 3
@@ -171,28 +171,30 @@ def test_spare_gap_suffices_for_a_straight_drive():
 
 def closing(at):
     """Return a disc that passes through the wall and stands in the door from a time on."""
-    route = Route((at - 1.0, at), ((4.0, 4.5), (4.0, 3.0)))
+    route = PolylineMotion((at - 1.0, at), ((4.0, 4.5), (4.0, 3.0)))
     return World((Ellipse((0.3, 0.3), route),), wall_with_door(0.0, 0.7), AREA)
 
 
 def test_door_that_closes_is_passed_before():
     world = closing(4.5)
-    way = find_way(MOVER, world, WEST, EAST, 0.0, 20.0)
+    way = find_path(MOVER, world, WEST, EAST, 0.0, 20.0)
     check(way, world, WEST, EAST)
     assert np.interp(4.0, way.poses[:, 0], way.times) < 4.5
 
 
 def test_door_that_has_closed_is_not_passed():
-    assert find_way(MOVER, closing(4.5), WEST, EAST, 3.0, 11.0) is None
+    assert find_path(MOVER, closing(4.5), WEST, EAST, 3.0, 11.0) is None
 
 
 def test_goal_that_becomes_free_later_is_reached_then():
-    leaving = Ellipse((0.3, 0.3), Route((0.0, 6.0, 7.0), ((6.5, 3.0), (6.5, 3.0), (6.5, 1.0))))
+    leaving = Ellipse(
+        (0.3, 0.3), PolylineMotion((0.0, 6.0, 7.0), ((6.5, 3.0), (6.5, 3.0), (6.5, 1.0)))
+    )
     world = World((leaving,), (), AREA)
-    way = find_way(MOVER, world, WEST, EAST, 0.0, 20.0)
+    way = find_path(MOVER, world, WEST, EAST, 0.0, 20.0)
     check(way, world, WEST, EAST)
     assert 6.2 < way.times[-1] < 8.0
-    assert find_way(MOVER, world, WEST, EAST, 0.0, 6.0) is None
+    assert find_path(MOVER, world, WEST, EAST, 0.0, 6.0) is None
 
 
 @pytest.mark.parametrize(("near", "passed"), [(0.46, False), (0.86, True)])
@@ -202,11 +204,11 @@ def test_discs_far_away_in_each_layer_may_be_near_in_between(near, passed):
 
     def shaking(side):
         ys = [3.0 + side * (0.5 * (0.86 if k % 2 == 0 else near) + 0.8) for k in range(200)]
-        return Ellipse((0.8, 0.8), Route(times, tuple((4.0, y) for y in ys)))
+        return Ellipse((0.8, 0.8), PolylineMotion(times, tuple((4.0, y) for y in ys)))
 
     world = World((shaking(1), shaking(-1)), (), (1.0, 1.5, 7.0, 4.5))
     start, goal = (1.8, 3.0, 0.0), (6.2, 3.0, 0.0)
-    way = find_way(MOVER, world, start, goal, 0.0, 8.0, COARSE)
+    way = find_path(MOVER, world, start, goal, 0.0, 8.0, COARSE)
     if passed:
         check(way, world, start, goal)
     else:
@@ -214,16 +216,18 @@ def test_discs_far_away_in_each_layer_may_be_near_in_between(near, passed):
 
 
 def test_search_waits_for_an_obstacle_that_moves_away():
-    leaving = Ellipse((0.3, 0.3), Route((0.0, 8.0, 9.0), ((3.0, 0.5), (3.0, 0.5), (3.0, 4.0))))
+    leaving = Ellipse(
+        (0.3, 0.3), PolylineMotion((0.0, 8.0, 9.0), ((3.0, 0.5), (3.0, 0.5), (3.0, 4.0)))
+    )
     world = World((leaving,), (), (0.0, 0.0, 3.5, 1.0))
     start, goal = (0.6, 0.5, 0.0), (2.9, 0.5, 0.0)
-    check(find_way(MOVER, world, start, goal, 0.0, 10.0, COARSE), world, start, goal)
+    check(find_path(MOVER, world, start, goal, 0.0, 10.0, COARSE), world, start, goal)
 
 
 def test_no_path_arrives_too_late():
     found = 0
     for until in np.arange(1.0, 1.5, 0.03):
-        way = find_way(MOVER, World(), (0, 0, 0), (1.05, 0.3, 0.2), 0.0, float(until), COARSE)
+        way = find_path(MOVER, World(), (0, 0, 0), (1.05, 0.3, 0.2), 0.0, float(until), COARSE)
         assert way is None or way.times[-1] <= until + 1e-9
         found += way is not None
     assert 0 < found < 17
@@ -237,13 +241,15 @@ def test_paths_through_a_crowd_are_free_of_contact(seed):
         place, velocity = random.uniform((2.2, 0), (6, 6)), random.uniform(-0.6, 0.6, 2)
         turned = random.uniform(-0.6, 0.6, 2)
         time = random.uniform(0.5, 6.0)
-        route = Route((0.0, time), (tuple(place), tuple(place + time * velocity)), tuple(turned))
+        route = PolylineMotion(
+            (0.0, time), (tuple(place), tuple(place + time * velocity)), tuple(turned)
+        )
         axes = tuple(random.uniform(0.1, 0.4, 2))
         bodies.append(Ellipse(axes, route, random.uniform(-3, 3)))
     bodies += [disc(0.15, *random.uniform((2.5, 0.5), (5.5, 5.5))) for _ in range(5)]
     world = World(tuple(bodies), (Wall(4.0, 1.0, 0.4, 0.2, 1.5),), AREA)
     grid = GRIDS[seed == 0]
-    way = find_way(MOVER, world, WEST, EAST, 0.0, 20.0, (grid,))
+    way = find_path(MOVER, world, WEST, EAST, 0.0, 20.0, (grid,))
     verdict = check(way, world, WEST, EAST)
     assert verdict.gap < 0.5
 
@@ -263,21 +269,21 @@ def room(length, width, x=4.0, y=3.0):
 
 def test_robot_without_threat_stays():
     world = World((), room(1.0, 0.7))
-    check(escape(MOVER, world, (4.0, 3.0, 0.0), 5.0, 8.0), world, (4.0, 3.0, 0.0))
-    assert find_way(MOVER, world, (4.0, 3.0, 0.0), EAST, 0.0, 9.0) is None
+    check(find_escape(MOVER, world, (4.0, 3.0, 0.0), 5.0, 8.0), world, (4.0, 3.0, 0.0))
+    assert find_path(MOVER, world, (4.0, 3.0, 0.0), EAST, 0.0, 9.0) is None
 
 
 def test_no_escape_from_a_disc_that_enters_a_closed_room():
     world = World((disc(0.3, 7.0, 3.0, (-0.6, 0.0)),), room(1.0, 0.7))
-    assert escape(MOVER, world, (4.0, 3.0, 0.0), 0.0, 6.0) is None
-    check(escape(MOVER, world, (4.0, 3.0, 0.0), 0.0, 2.5), world, (4.0, 3.0, 0.0))
+    assert find_escape(MOVER, world, (4.0, 3.0, 0.0), 0.0, 6.0) is None
+    check(find_escape(MOVER, world, (4.0, 3.0, 0.0), 0.0, 2.5), world, (4.0, 3.0, 0.0))
 
 
 def test_robot_escapes_sideways_from_an_approaching_disc():
     world = World((disc(0.3, 7.0, 3.0, (-3.0, 0.0)),))
     start = (4.0, 3.0, 0.0)
     assert judge(np.array([0.0, 3.0]), np.array([start, start]), MOVER.box, world).collided
-    way = escape(MOVER, world, start, 0.0, 3.0)
+    way = find_escape(MOVER, world, start, 0.0, 3.0)
     check(way, world, start)
     assert np.abs(way.poses[:, 1] - 3.0).max() > 0.3
 
@@ -288,17 +294,17 @@ def corridor(width=0.75):
 
 def test_no_escape_in_a_corridor_from_a_faster_obstacle():
     fast = World((disc(0.3, 7.0, 3.0, (-3.0, 0.0)),), corridor())
-    assert escape(MOVER, fast, (4.0, 3.0, 0.0), 0.0, 3.0) is None
+    assert find_escape(MOVER, fast, (4.0, 3.0, 0.0), 0.0, 3.0) is None
     slow = World((disc(0.3, 7.0, 3.0, (-0.8, 0.0)),), corridor())
-    check(escape(MOVER, slow, (4.0, 3.0, 0.0), 2.0, 6.0), slow, (4.0, 3.0, 0.0))
+    check(find_escape(MOVER, slow, (4.0, 3.0, 0.0), 2.0, 6.0), slow, (4.0, 3.0, 0.0))
 
 
 def test_escape_does_not_leave_the_area():
     wide = disc(1.5, 6.0, 3.0, (-1.0, 0.0))
     start = (1.0, 3.0, 0.0)
-    assert escape(MOVER, World((wide,), (), (0, 2.0, 8, 4.0)), start, 0.0, 6.0) is None
+    assert find_escape(MOVER, World((wide,), (), (0, 2.0, 8, 4.0)), start, 0.0, 6.0) is None
     open_ = World((wide,), (), (0, 0, 8, 6))
-    check(escape(MOVER, open_, start, 0.0, 6.0), open_, start)
+    check(find_escape(MOVER, open_, start, 0.0, 6.0), open_, start)
 
 
 @pytest.mark.parametrize("gap", [0.002, 0.02])
@@ -306,8 +312,8 @@ def test_robot_close_to_contact_can_still_escape(gap):
     beside = Wall(4.0, 3.0 + 0.25 + gap + 0.05, 0.0, 2.0, 0.1)
     world = World((disc(0.3, 4.7 + gap, 3.0), disc(0.3, 1.5, 3.0, (1.0, 0.0))), (beside,))
     start = (4.0, 3.0, 0.0)
-    check(escape(MOVER, world, start, 0.0, 5.0), world, start)
-    check(find_way(MOVER, world, start, WEST, 0.0, 9.0), world, start, WEST)
+    check(find_escape(MOVER, world, start, 0.0, 5.0), world, start)
+    check(find_path(MOVER, world, start, WEST, 0.0, 9.0), world, start, WEST)
 
 
 def test_escape_does_not_pass_through_an_obstacle_close_to_contact():
@@ -323,7 +329,7 @@ def test_escape_does_not_pass_through_an_obstacle_close_to_contact():
 
 def test_robot_in_contact_cannot_escape():
     world = World((disc(0.3, 4.65, 3.0),))
-    assert escape(MOVER, world, (4.0, 3.0, 0.0), 0.0, 1.0) is None
+    assert find_escape(MOVER, world, (4.0, 3.0, 0.0), 0.0, 1.0) is None
 
 
 def test_contact_is_avoidable_if_an_escape_existed_two_seconds_before():
@@ -332,15 +338,15 @@ def test_contact_is_avoidable_if_an_escape_existed_two_seconds_before():
     standing = World((disc(0.3, 4.0, 3.0),))
     contact = judge(times, poses, MOVER.box, standing).contact
     assert contact == pytest.approx((4.0 - 0.7 - 1.0) / 0.6, abs=1e-3)
-    way = avoidable(MOVER, standing, times, poses, contact)
+    way = find_avoiding_path(MOVER, standing, times, poses, contact)
     check(way, standing, (1.0 + 0.6 * (contact - 2.0), 3.0, 0.0))
     assert way.times[0] == pytest.approx(contact - 2.0)
     assert way.times[-1] >= contact + 1.0 - 1e-9
     rushing = World((disc(0.3, 10.0, 3.0, (-3.0, 0.0)),), corridor())
     contact = judge(times, poses, MOVER.box, rushing).contact
-    assert avoidable(MOVER, rushing, times, poses, contact, after=3.0) is None
+    assert find_avoiding_path(MOVER, rushing, times, poses, contact, after=3.0) is None
     with pytest.raises(InputError, match="not within the drive"):
-        avoidable(MOVER, rushing, times, poses, math.inf)
+        find_avoiding_path(MOVER, rushing, times, poses, math.inf)
 
 
 # ---- search internals ---------------------------------------------------------------------------
@@ -407,7 +413,7 @@ def test_layer_equals_the_result_of_a_plain_search(headings, walls):
 
 def test_nodes_are_free_only_where_the_box_keeps_its_gap():
     world = World(
-        (Ellipse((0.4, 0.1), Route.still(4.0, 3.0), 0.5), disc(0.2, 5.0, 3.5, (0.4, 0))),
+        (Ellipse((0.4, 0.1), PolylineMotion.still(4.0, 3.0), 0.5), disc(0.2, 5.0, 3.5, (0.4, 0))),
         (Wall(3.0, 2.0, 0.3, 0.3, 0.8),),
         AREA,
     )
@@ -447,9 +453,9 @@ def test_nodes_are_free_only_where_the_box_keeps_its_gap():
         over = (
             gaps
             - (
-                grid.kept_to_ellipse(MOVER, (0.4, 0.1), 0.0),
-                grid.kept_to_ellipse(MOVER, (0.2, 0.2), 0.4) - rounding,
-                grid.kept_to_wall(MOVER, turning=False),
+                grid.ellipse_margin(MOVER, (0.4, 0.1), 0.0),
+                grid.ellipse_margin(MOVER, (0.2, 0.2), 0.4) - rounding,
+                grid.wall_margin(MOVER, turning=False),
             )
         ).min(axis=1)
         free = np.array([search.contains(state, node) for node in nodes])
@@ -460,18 +466,18 @@ def test_nodes_are_free_only_where_the_box_keeps_its_gap():
 
 
 def test_grids_have_the_stated_minimum_gap():
-    second, third = FINE[1:]
-    assert second.spare(MOVER, second.kept_to_ellipse(MOVER, (0.3, 0.3), 0.0)) < 0.0345
-    assert second.spare(MOVER, second.kept_to_ellipse(MOVER, (0.3, 0.3), 0.6)) < 0.0425
-    assert second.spare(MOVER, second.kept_to_wall(MOVER, turning=False)) < 0.0535
-    assert third.spare(MOVER, third.kept_to_wall(MOVER, turning=False)) < 0.0325
-    assert third.spare(MOVER, third.kept_to_ellipse(MOVER, (0.3, 0.3), 0.6)) < 0.0255
+    second, third = FINE_GRIDS[1:]
+    assert second.sufficient_gap(MOVER, second.ellipse_margin(MOVER, (0.3, 0.3), 0.0)) < 0.0345
+    assert second.sufficient_gap(MOVER, second.ellipse_margin(MOVER, (0.3, 0.3), 0.6)) < 0.0425
+    assert second.sufficient_gap(MOVER, second.wall_margin(MOVER, turning=False)) < 0.0535
+    assert third.sufficient_gap(MOVER, third.wall_margin(MOVER, turning=False)) < 0.0325
+    assert third.sufficient_gap(MOVER, third.ellipse_margin(MOVER, (0.3, 0.3), 0.6)) < 0.0255
 
 
 def test_robot_smaller_than_a_step_does_not_skip_a_wall():
     mover = Mover(Box(0.01, 0.01), 1.0, 20.0)
     world = World((), (Wall(0.25, 0.0, 0.0, 0.001, 9.0),), (-1.0, -1.0, 1.5, 1.0))
-    assert find_way(mover, world, (0, 0, 0), (1, 0, 0), 0.0, 3.0, COARSE) is None
+    assert find_path(mover, world, (0, 0, 0), (1, 0, 0), 0.0, 3.0, COARSE) is None
 
 
 def test_steps_are_within_the_speeds_and_kept_gaps_shrink_with_the_grid():
@@ -482,18 +488,18 @@ def test_steps_are_within_the_speeds_and_kept_gaps_shrink_with_the_grid():
         Mover(Box(0.8, 0.5), 1.5, 0.4),
     ):
         kept = []
-        for grid in FINE:
+        for grid in FINE_GRIDS:
             assert grid.turn(mover) * grid.angle <= mover.yaw_rate * grid.step(mover) + 1e-9
             kept.append(
                 (
-                    grid.kept_to_wall(mover, True),
-                    grid.kept_to_wall(mover, False),
-                    grid.kept_to_ellipse(mover, (0.3, 0.2), 0.5),
+                    grid.wall_margin(mover, True),
+                    grid.wall_margin(mover, False),
+                    grid.ellipse_margin(mover, (0.3, 0.2), 0.5),
                 )
             )
             start, goal = (0.0, 0.0, 0.0), (0.7, 0.4, 0.5)
-            if grid is not FINE[-1]:
-                way = find_way(mover, World(), start, goal, 0.0, 12.0, (grid,))
+            if grid is not FINE_GRIDS[-1]:
+                way = find_path(mover, World(), start, goal, 0.0, 12.0, (grid,))
                 check(way, World(), start, goal, mover)
         # A slow rotation makes steps long for any cell size.
         assert (np.diff(kept, axis=0) <= 0.0).all()
@@ -507,10 +513,10 @@ def test_steps_are_within_the_speeds_and_kept_gaps_shrink_with_the_grid():
         lambda: Grid(0.05, 65),
         lambda: Mover(Box(1, 1), 0.0, 1.0),
         lambda: Mover(Box(1, 1), 1.0, math.inf),
-        lambda: find_way(MOVER, World(), (0, 0), EAST, 0.0, 1.0),
-        lambda: find_way(MOVER, World(), WEST, (0, math.nan, 0), 0.0, 1.0),
-        lambda: find_way(MOVER, World(), WEST, EAST, 1.0, 1.0),
-        lambda: escape(MOVER, World(), WEST, 0.0, math.inf),
+        lambda: find_path(MOVER, World(), (0, 0), EAST, 0.0, 1.0),
+        lambda: find_path(MOVER, World(), WEST, (0, math.nan, 0), 0.0, 1.0),
+        lambda: find_path(MOVER, World(), WEST, EAST, 1.0, 1.0),
+        lambda: find_escape(MOVER, World(), WEST, 0.0, math.inf),
     ],
 )
 def test_invalid_arguments_are_refused(make):

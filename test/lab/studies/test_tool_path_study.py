@@ -13,8 +13,8 @@ from omniman_ros.core.hermite import Hermite
 from omniman_ros.core.parameters import build
 from omniman_ros.lab.studies.tool_courses import COURSES, start, tool_poses
 from omniman_ros.lab.studies.tool_path import (
-    HARSHEST,
-    UNLIKE,
+    DEMO_MISMATCH,
+    MOST_DEMANDING,
     WHEELS,
     Case,
     StudyError,
@@ -67,7 +67,7 @@ def drive(case, course="S", arm=None):
 
 @cache
 def harsh(on):
-    return drive(WHEELS[HARSHEST].case(ON if on else OFF, 0))
+    return drive(WHEELS[MOST_DEMANDING].case(ON if on else OFF, 0))
 
 
 @pytest.mark.parametrize("name", COURSES)
@@ -102,7 +102,7 @@ def test_errors_are_those_of_platform_and_arm_on_one_time():
 
 
 def test_timed_point_counts_and_not_the_nearest():
-    case = Case("demo", mismatch=UNLIKE, options=OFF)
+    case = Case("demo", mismatch=DEMO_MISMATCH, options=OFF)
     motion = planned("straight")
     late = drive(case, "straight", Arm(motion.curve.positions[0, 3:], late=10))
     on_time = drive(case, "straight")
@@ -126,7 +126,7 @@ def test_timed_point_counts_and_not_the_nearest():
 def test_previews_come_with_the_poses_and_no_more_often_than_asked(period):
     motion = planned("S")
     arm = Arm(motion.curve.positions[0, 3:])
-    case = replace(WHEELS[HARSHEST].case(ON, 0), period=period, horizon=0.15)
+    case = replace(WHEELS[MOST_DEMANDING].case(ON, 0), period=period, horizon=0.15)
     run = drive(case, arm=arm)
     sent, begin, end = np.array(arm.previews).T
     gaps = np.diff(sent)
@@ -139,8 +139,8 @@ def test_previews_come_with_the_poses_and_no_more_often_than_asked(period):
 
 @pytest.mark.exhaustive
 def test_same_seed_is_the_same_drive():
-    once, again = harsh(True), drive(WHEELS[HARSHEST].case(ON, 0))
-    other = drive(WHEELS[HARSHEST].case(ON, 1))
+    once, again = harsh(True), drive(WHEELS[MOST_DEMANDING].case(ON, 0))
+    other = drive(WHEELS[MOST_DEMANDING].case(ON, 1))
     assert np.array_equal(once.odom, again.odom)
     assert not np.array_equal(once.odom, other.odom)
 
@@ -157,4 +157,4 @@ def test_arm_that_takes_no_preview_ends_the_drive():
 def test_platform_that_is_lost_ends_the_drive():
     case = Case("gone", changes={"position.max_linear_error": 0.001}, mismatch={"friction": [6.0]})
     with pytest.raises(StudyError, match=r"gone: .*following error"):
-        drive(replace(case, changes={**case.changes, **WHEELS[HARSHEST].changes}))
+        drive(replace(case, changes={**case.changes, **WHEELS[MOST_DEMANDING].changes}))

@@ -7,7 +7,15 @@ import pytest
 from omniman_ros.lab.studies.planned_drives import drive_with_planner
 from omniman_ros.lab.studies.recorded_drive import wall_gaps
 from omniman_ros.lab.studies.scene_geometry import Wall
-from omniman_ros.lab.studies.workshop import AREA, DOOR, RESOLUTION, grid, map_of, walls, workshop
+from omniman_ros.lab.studies.workshop import (
+    AREA,
+    DOOR_WIDTH,
+    RESOLUTION,
+    grid,
+    map_of,
+    walls,
+    workshop,
+)
 from omniman_ros.planning.obstacles.grid_map import GridMap
 from omniman_ros.robots import load_robot
 from test import robots
@@ -35,7 +43,7 @@ def test_map_shows_every_wall_and_leaves_the_doors_open():
 def test_robot_fits_through_the_doors_lengthwise_only():
     for x, y, heading in ((3.05, 4.4, 0.0), (6.55, 0.2, 0.0), (9.4, 2.85, math.pi / 2)):
         through, across = np.array([[x, y, heading]]), np.array([[x, y, heading + math.pi / 2]])
-        assert wall_gaps(through, HALF, walls())[0] == pytest.approx(0.5 * DOOR - HALF[1])
+        assert wall_gaps(through, HALF, walls())[0] == pytest.approx(0.5 * DOOR_WIDTH - HALF[1])
         assert wall_gaps(across, HALF, walls())[0] < 0.0
 
 
