@@ -1,5 +1,6 @@
 """Common part of the interfaces for trajectories of the arm and of the whole body."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 
 import numpy as np
@@ -23,7 +24,7 @@ MAX_STAMP_AGE = 0.5
 """Age of a stamp up to which a trajectory is accepted, and starts at once [s]."""
 
 
-class JointInterface:
+class JointInterface(ABC):
     """Connects a `JointInterpolator` to the messages of the node.
 
     Motions have numbers, by which an action asks for the outcome that its client waits for.
@@ -53,35 +54,35 @@ class JointInterface:
         """Whether no motion is under way."""
         return self.core.state is PathState.IDLE
 
-    # ---- to be implemented by each interface--------------------------------------------------
+    # ---- to be implemented by each interface ---------------------------------------------------
 
+    @abstractmethod
     def trajectory(self, message: JointTrajectory) -> str:
         """Start a trajectory, or let it wait; return why it is refused, or an empty string.
 
         Raises:
             InputError: The trajectory cannot be used.
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def rest_position(self) -> Array:
         """Return the positions (d,) at which the axes are at rest."""
-        raise NotImplementedError
 
+    @abstractmethod
     def actual(self) -> tuple[Array, Array] | None:
         """Return measured positions and velocities (d,) of the axes; None if they are unknown."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _send(self, window: Window) -> None:
         """Publish a stretch of the stream."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _on_start(self, *, from_rest: bool) -> None:
         """React to the start of a motion."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _on_rest(self) -> None:
         """React to a motion that came to rest by itself."""
-        raise NotImplementedError
 
     def _is_pending(self) -> bool:
         """Return whether the motion that was accepted last still waits to be started."""
