@@ -63,13 +63,10 @@ class Robot:
         self.ports = free_ports()
         self.children = []
         self.truth, self.reason = [], ""
-        self.samples_at_stop = (
-            0  # number of ground-truth samples when the stop reason was received
-        )
         self.source, self.way = None, -1.0
         node, prefix = session.node, f"{namespace}/" if namespace else ""
         node.create_subscription(
-            JointState, f"{prefix}ground_truth/arm_joint_states", self._on_truth, 50
+            JointState, f"{prefix}ground_truth/arm_joint_states", self._on_truth, 1000
         )
         node.create_subscription(
             DiagnosticStatus, f"{prefix}stop_state", self._on_stop_state, ALL_LATCHED
@@ -82,7 +79,7 @@ class Robot:
         self.truth.append((time.monotonic(), np.array(message.position), message.velocity))
 
     def _on_stop_state(self, message):
-        self.reason, self.samples_at_stop = message.message, len(self.truth)
+        self.reason = message.message
 
     def start(self, name, *parameters):
         code = f"import sys; from omniman_ros.nodes.{name} import main; sys.exit(main())"
@@ -128,6 +125,17 @@ class Robot:
         since = time.monotonic() - 0.1
         recent = [max(map(abs, v)) for at, _, v in self.truth[-30:] if at > since]
         return len(recent) > 5 and max(recent) < REST
+
+    def hardest_braking(self, since):
+        """Return the largest deceleration between two samples of the truth [rad/s^2].
+
+        It follows from ways and speeds: the time at which a sample arrives depends on the machine.
+        """
+        samples = self.truth[since:]
+        speed = np.array([max(map(abs, velocity)) for _, _, velocity in samples])
+        place = np.array([position[0] for _, position, _ in samples])
+        way = np.maximum(np.abs(np.diff(place)), 1e-6)
+        return (-np.diff(speed**2) / (2.0 * way))[way > 1e-4].max()
 
     def stays(self):
         """Assert that nothing moves for a while."""
@@ -207,16 +215,15 @@ def test_signal_in_motion_brings_the_arm_to_rest_before_the_end(robot):
         robot.swing()
         (process,) = children_of(streamer.pid)
         streamer.send_signal(number)
+        signalled = len(robot.truth)
         robot.until(lambda: "shutting down" in robot.reason, "the stop")
-        samples_at_stop = robot.samples_at_stop
         robot.until(lambda child=streamer: child.poll() is not None, "the end")
         robot.source = None
         assert streamer.returncode == 0
         assert not is_alive(process), "the streaming process is left behind"
         robot.until(robot.rests, "rest")
-        # Measured from the reported stop: the delay of the signal depends on the machine.
-        way = robot.truth[-1][1] - robot.truth[samples_at_stop - 1][1]
-        assert np.abs(way).max() < 0.45**2 / (2.0 * 4.0) + 0.45 * 0.2, "the arm braked at once"
+        # The motion itself decelerates by up to 0.7 rad/s^2, a stop by 4.
+        assert robot.hardest_braking(signalled) > 2.0, "the arm followed the motion to its end"
         robot.stays()
 
 

@@ -389,8 +389,9 @@ def test_case_waits_for_go_and_can_be_paused_and_resumed(page, robot):
     button(page, "Pause").click()
     robot.wait(lambda: robot.planner == "paused", "the planner paused")
     wait_for_rest(robot)
+    robot.await_markers()  # those from before the pause may come late
     at, placed = robot.x, dict(robot.placed)
-    robot.session.spin(0.5)
+    robot.await_markers()
     assert robot.x == pytest.approx(at, abs=0.005)
     assert robot.placed == placed
     button(page, "Resume").click()

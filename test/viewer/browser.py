@@ -32,6 +32,7 @@ class Robot:
         plan: The last `mpc/plan`, (k, 3).
         planner: State of the planner.
         placed: The page's obstacles, number to (x, y).
+        marker_count: Number of messages that the obstacles came with.
         at_rest: Whether the robot has been standing for `REST_TIME`.
     """
 
@@ -42,7 +43,7 @@ class Robot:
         self.twists, self.goals = [], []
         self.plan = np.empty((0, 3))
         self.planner = ""
-        self.placed = {}
+        self.placed, self.marker_count = {}, 0
         listen = session.node.create_subscription
         listen(Odometry, "odom", self._on_odom, 1)
         listen(Twist, "cmd_vel", self.twists.append, 10)
@@ -68,6 +69,7 @@ class Robot:
         self.planner = {item.key: item.value for item in message.values}["state"]
 
     def _on_obstacles(self, message):
+        self.marker_count += 1
         for marker in message.markers:
             if marker.action == Marker.ADD:
                 place = marker.pose.position
@@ -76,6 +78,11 @@ class Robot:
                 self.placed.pop(marker.id, None)
             else:
                 self.placed.clear()
+
+    def await_markers(self, count=5):
+        """Receive some further messages of the page's obstacles."""
+        wanted = self.marker_count + count
+        self.wait(lambda: self.marker_count >= wanted, "the obstacles' messages")
 
     @property
     def x(self):
