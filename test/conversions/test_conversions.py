@@ -610,19 +610,21 @@ def test_invalid_marker_is_reported_and_the_others_are_kept(change, why):
     assert re.search(why, complaint)
 
 
-def test_hundred_markers_take_less_than_5_ms():
-    message = MarkerArray(markers=[marker(i) for i in range(100)])
+def test_hundred_markers_take_little_longer_than_their_message():
     found = ObstacleSet(build(ObstacleParameters, {}))
-    spent = []
+    building, adding = [], []
     for i in range(5):
         now = NOW + 0.05 * i
-        before = process_time()
+        begin = process_time()
+        message = MarkerArray(markers=[marker(i) for i in range(100)])
+        built = process_time()
         changes, _ = marker_changes(message, ("odom",), lambda stamp, now=now: now)
         for change in changes:
             found.add(change, now)
-        spent.append(process_time() - before)
+        building.append(built - begin)
+        adding.append(process_time() - built)
     assert len(found) == 100
-    assert min(spent[1:]) < 0.005  # typically 1.3 ms
+    assert min(adding) < 2.0 * min(building)  # typically 0.7
 
 
 def test_predicted_obstacles_are_shown_over_time():
