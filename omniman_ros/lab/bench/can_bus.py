@@ -26,7 +26,7 @@ from omniman_ros.core.can_parameters import CanParameters
 from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
 from omniman_ros.lab.bench import can_faults
-from omniman_ros.lab.bench.can_peer import COUNTS, SYNC
+from omniman_ros.lab.bench.can_peer import COUNTS, SYNC, open_bus
 from omniman_ros.lab.bench.harness import Rows, conclude, free_ports
 from omniman_ros.lab.bench.measurement import cpu_time
 from omniman_ros.lab.verdicts import verdict
@@ -264,12 +264,7 @@ class Bridge:
         self._recorder = _RecordingDrives(robot, parameters, self.frames)
         self._link.drives = self._recorder
         self._command = WheelCommand(DriveMode.VELOCITY, np.zeros(wheels), np.full(wheels, 1.0))
-        options: dict[str, Any] = {
-            "interface": "udp_multicast",
-            "channel": MULTICAST_GROUP,
-            "port": port,
-        }
-        self._bare = can.Bus(interface="udp_multicast", **options)
+        self._bare = open_bus(port)
         self._wheels = wheels
         self._bring_up(check)
 
@@ -413,12 +408,7 @@ class Echo:
     """
 
     def __init__(self, wheels: int, rate: float, port: int, check: Callable[[], None]) -> None:
-        options: dict[str, Any] = {
-            "interface": "udp_multicast",
-            "channel": MULTICAST_GROUP,
-            "port": port,
-        }
-        self._bus = can.Bus(interface="udp_multicast", **options)
+        self._bus = open_bus(port)
         self._period = 1.0 / rate
         self._answers = 2 * wheels
         self._frames = [

@@ -61,6 +61,16 @@ class FreeMotor:
         self.velocity = 0.0
 
 
+def open_bus(port: int) -> can.BusABC:
+    """Open a CAN bus of UDP that does not leave this machine.
+
+    Args:
+        port: UDP port of the bus.
+    """
+    options: dict[str, Any] = {"channel": MULTICAST_GROUP, "port": port, "hop_limit": 0}
+    return can.Bus(interface="udp_multicast", **options)
+
+
 def main(args: list[str] | None = None) -> int:
     """Run the drives or the echo until SIGINT.
 
@@ -71,12 +81,7 @@ def main(args: list[str] | None = None) -> int:
         0, the exit code.
     """
     _, kind, port, wheels, rate = args or []
-    options: dict[str, Any] = {
-        "interface": "udp_multicast",
-        "channel": MULTICAST_GROUP,
-        "port": int(port),
-    }
-    with can.Bus(interface="udp_multicast", **options) as bus:
+    with open_bus(int(port)) as bus:
         try:
             if kind == "echo":
                 echo(bus, int(wheels))

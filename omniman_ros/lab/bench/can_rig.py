@@ -31,6 +31,7 @@ from omniman_ros.console.errors import CommandError
 from omniman_ros.console.session import Session
 from omniman_ros.core.can_parameters import CanParameters
 from omniman_ros.core.parameters import build, flatten_mapping
+from omniman_ros.lab.bench.can_peer import open_bus
 from omniman_ros.nodes.stop_interface import ALL_LATCHED, LATCHED
 from omniman_ros.processes.drive_options import MULTICAST_GROUP, find_installation_file
 from omniman_ros.processes.process_group import ProcessGroup, ProcessSpec
@@ -82,9 +83,7 @@ class BusRecorder:
     """
 
     def __init__(self, port: int) -> None:
-        self._bus = can.Bus(
-            interface="udp_multicast", channel=MULTICAST_GROUP, port=port, hop_limit=0
-        )
+        self._bus = open_bus(port)
         self.frames: list[BusFrame] = []
         self.last: dict[int, bytes] = {}
         self.since: dict[int, float] = {}
