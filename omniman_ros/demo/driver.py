@@ -20,6 +20,11 @@ from omniman_ros.demo.recorder import Recorder
 from omniman_ros.demo.robot_interface import RobotInterface
 from omniman_ros.nodes.stoppable_nodes import TriggerCalls
 
+ARM_MOVE_TIME = 2.5
+"""Duration of a measured move of the arm [s].
+
+It leaves room to the joints' velocity limit: an arm that was held up by a busy machine catches up
+faster than it was sent, and the controller stops it above that limit."""
 PERIOD = 0.02
 """Period at which the demo sends twists and checks the progress [s]."""
 PAUSE = 0.7
@@ -236,7 +241,7 @@ class Driver:
 
     def begin_arm_move(self, goal: Array) -> None:
         """Start a measured move of the arm to joint angles (6,) [rad]; do not wait for its end."""
-        self.robot.send_arm_goal(goal)
+        self.robot.send_arm_goal(goal, ARM_MOVE_TIME)
         self.arm_moves.append(ArmMove(tuple(goal.tolist()), self.now))
 
     def end_arm_move(self, end: float) -> None:
