@@ -165,5 +165,8 @@ def test_a_node_that_blocks_in_the_middleware_is_ended_nevertheless(finished, co
         env=os.environ | domain,
         timeout=60,
         check=False,
+        stderr=subprocess.PIPE,
+        text=True,
     )
     assert ended.returncode == code
+    assert ("Timeout (" in ended.stderr and "in destroy_node" in ended.stderr) == (not finished)

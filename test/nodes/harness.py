@@ -44,12 +44,12 @@ def free_domain() -> int:
 
 
 class SteppedExecutor(SingleThreadedExecutor):
-    """Serves all that is ready at one instant, and nothing that becomes ready by that.
+    """Serves what is ready.
 
     rclpy makes a wait set of all entities for each pass, which took most of the time of a test of
     thousands of passes. Timers, subscriptions and services are therefore asked directly, in the
-    same order (rclpy 7.1, `_wait_for_ready_callbacks` and the `_take` methods of its executors);
-    other kinds of entities are left to rclpy.
+    same order (rclpy 7.1, `_wait_for_ready_callbacks` and the `_take` methods of its executors),
+    once each. Where a node has other kinds of entities, rclpy serves all of them.
     """
 
     is_serving_by_rclpy = False

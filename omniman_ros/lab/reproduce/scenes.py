@@ -275,7 +275,7 @@ def _describe_failure(row: Mapping[str, Any]) -> str:
     if row["collided"]:
         kind, number = row["touched"]
         cause = "avoidable" if row["own"] else "unavoidable"
-        cause += ", although the obstacle had just turned" if row["surprised"] else ""
+        cause += ", the obstacle had just turned" if row["surprised"] else ""
         text += f"touched {kind} {number + 1} after {row['contact_s']:.2f} s, {cause}; "
     if row["outside_m"] > 0.0:
         text += f"left the workspace by {1e3 * row['outside_m']:.0f} mm; "
