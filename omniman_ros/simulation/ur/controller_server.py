@@ -66,8 +66,14 @@ class ControllerServer:
         """Start the thread."""
         self._thread.start()
 
-    def cycle(self, now: float) -> None:
-        """Run one cycle at time `now` [s]; tests call it instead of starting the thread."""
+    def cycle(self, now: float, due_cycles: int = 1) -> None:
+        """Run one cycle; tests call it instead of starting the thread.
+
+        Args:
+            now: Time of the cycle [s].
+            due_cycles: Number of cycles that are due, this one included.
+        """
+        self.network.admit(due_cycles)
         if self._power_off.is_set():
             self._power_off.clear()
             self.controller.power(RobotMode.POWER_OFF)
@@ -76,8 +82,9 @@ class ControllerServer:
     def _run(self) -> None:
         due = time.monotonic()
         while not self._closing.is_set():
+            missed_cycles = int(max(time.monotonic() - due, 0.0) / CYCLE)
             try:
-                self.cycle(due - self.lost)
+                self.cycle(due - self.lost, 1 + missed_cycles)
             except Exception as error:
                 self.error = error
                 return

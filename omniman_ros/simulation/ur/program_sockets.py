@@ -1,9 +1,13 @@
 """Sockets that a program opens, and helpers for all sockets of the controller."""
 
+import array
 import contextlib
+import fcntl
+import math
 import select
 import socket
 import struct
+import termios
 
 CONNECT_TIMEOUT = 0.02
 """Longest time for connecting [s], during which the controller is blocked."""
@@ -32,6 +36,24 @@ class ProgramSockets:
     def __init__(self) -> None:
         self._open: dict[str, socket.socket] = {}
         self._buffered: dict[str, bytes] = {}
+        self._allowances: dict[str, int] = {}
+
+    def admit(self, due_cycles: int) -> None:
+        """Determine which of the received bytes the program may read in this cycle.
+
+        A controller that was held up runs the cycles that it missed. What arrived meanwhile is
+        spread evenly over them, as if it had been read when it arrived; read all at once, it
+        would be a jump that no real controller sees, because none is held up.
+
+        Args:
+            due_cycles: Number of cycles that are due, this one included.
+        """
+        self._allowances.clear()
+        if due_cycles > 1:
+            for name, connection in self._open.items():
+                # At least one byte, because only reading shows the end of a connection.
+                share = math.ceil(_available(connection) / due_cycles)
+                self._allowances[name] = max(share, 1)
 
     def open(self, host: str, port: int, name: str) -> bool:
         """Connect within 20 ms; return whether that succeeded."""
@@ -54,6 +76,7 @@ class ProgramSockets:
         """Close a connection; do nothing if it is not open."""
         connection = self._open.pop(name, None)
         self._buffered.pop(name, None)
+        self._allowances.pop(name, None)
         if connection is not None:
             connection.close()
 
@@ -63,13 +86,16 @@ class ProgramSockets:
         if connection is None:
             return None
         buffered = self._buffered[name]
-        if len(buffered) < count:
+        wanted = min(count - len(buffered), self._allowances.get(name, count))
+        if wanted > 0:
             try:
-                more = connection.recv(count - len(buffered))
+                more = connection.recv(wanted)
                 if not more:
                     self.close(name)
                     return None
                 buffered += more
+                if name in self._allowances:
+                    self._allowances[name] -= len(more)
             except BlockingIOError:
                 pass
             except OSError:
@@ -100,3 +126,10 @@ class ProgramSockets:
         """Close all connections."""
         for name in list(self._open):
             self.close(name)
+
+
+def _available(connection: socket.socket) -> int:
+    """Return how many bytes have arrived and were not yet read (FIONREAD of tcp(7))."""
+    count = array.array("i", [0])
+    fcntl.ioctl(connection, termios.FIONREAD, count)
+    return count[0]

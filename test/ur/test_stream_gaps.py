@@ -1,0 +1,219 @@
+"""Gaps in the stream: the program on a simulated controller, on time that the test gives."""
+
+import socket
+import struct
+
+import numpy as np
+import pytest
+
+from omniman_ros.core.arm_parameters import ArmParameters
+from omniman_ros.simulation.ur.arm import CYCLE, UrArmParameters
+from omniman_ros.simulation.ur.controller import Controller
+from omniman_ros.simulation.ur.controller_server import ControllerServer, launch
+from omniman_ros.simulation.ur.modes import RuntimeState, SafetyMode
+from omniman_ros.simulation.ur.tcp_ports import UrPortParameters
+from omniman_ros.ur.feedback import ArmSample
+from omniman_ros.ur.joint_preview import JointPreview
+from omniman_ros.ur.parameters import UrParameters
+from omniman_ros.ur.program_link import ProgramState
+from omniman_ros.ur.reverse_interface import ProgramMode, pack
+from omniman_ros.ur.servo_program import servo_program
+from omniman_ros.ur.streaming_messages import StreamingPhase
+from omniman_ros.ur.streaming_supervisor import StreamingSupervisor
+
+T0 = 100.0
+READ_TIMEOUT = 0.2
+ARM = ArmParameters()
+FASTEST, HARDEST = ARM.velocity[0], ARM.acceleration[0]
+"""Limits of speed [rad/s] and acceleration [rad/s^2] of each joint."""
+OMEGA = HARDEST / FASTEST
+AMPLITUDE = 0.85 * FASTEST / OMEGA
+"""Angular frequency [rad/s] and amplitude [rad] of a swing close to both limits."""
+SWELLING_TIME = 3.0
+"""Time after which the swing has its full amplitude [s]."""
+
+
+class Pipe:
+    """The program's connection: what the supervisor sends arrives at once."""
+
+    def __init__(self):
+        self.is_open, self.data = False, b""
+
+    def open(self, host, port, name):
+        self.is_open, self.data = True, b""
+        return True
+
+    def close(self, name):
+        self.is_open = False
+
+    def take(self, name, count):
+        if not self.is_open:
+            return None
+        if len(self.data) < count:
+            return b""
+        taken, self.data = self.data[:count], self.data[count:]
+        return taken
+
+
+class World:
+    """Supervisor and controller in step; the supervisor alone can be held up."""
+
+    def __init__(self):
+        self.pipe = Pipe()
+        initial = (0.0, -1.5, 1.0, 0.0, 0.5, 0.0)
+        self.controller = Controller(UrArmParameters(initial=initial), launch, self.pipe)
+        self.parameters = UrParameters(read_timeout=READ_TIMEOUT, feedback_timeout=0.5)
+        self.blocking_reason = self.program_loss_reason = ""
+        self.connected, self.address = True, ("10.0.0.2", 50001)
+        self.streamer = StreamingSupervisor(self, ARM, self.parameters)
+        self.now = self.due = T0
+        self.home, self.begin = np.array(initial), 0.0
+        self.speeds, self.setpoints = [], []
+        self._cycle_controller()
+        self.streamer.start(self.now)
+        while self.streamer.phase is not StreamingPhase.STREAMING:
+            self.cycle()
+        self.due = self.begin = self.now
+
+    # ---- the link -------------------------------------------------------------------------------
+
+    def start_program(self, text, now):
+        assert self.controller.start(text)
+
+    def end_program(self):
+        self.pipe.is_open = False
+
+    def send(self, data):
+        self.pipe.data += data
+        self.setpoints.append(np.array(struct.unpack(">8i", data)[1:7]) * 1e-6)
+        return True
+
+    @property
+    def program(self):
+        return ProgramState.RUNNING if self.pipe.is_open else ProgramState.STARTING
+
+    @property
+    def sample(self):
+        return ArmSample(
+            at=self.now,
+            timestamp=self.now,
+            position=tuple(self.controller.arm.q),
+            velocity=tuple(self.controller.arm.qd),
+            target=tuple(self.controller.target.q),
+            current=(0.0,) * 6,
+            robot_mode=int(self.controller.robot_mode),
+            safety_mode=int(self.controller.safety_mode),
+            runtime_state=int(self.controller.runtime),
+            speed_scaling=1.0,
+            read=int(self.controller.output("output_int_register_24")),
+        )
+
+    # ---- time -----------------------------------------------------------------------------------
+
+    def _cycle_controller(self):
+        self.now += CYCLE
+        self.controller.cycle(self.now)
+        self.speeds.append(self.controller.arm.qd.copy())
+
+    def cycle(self, missed=0):
+        """Run cycles of the controller, and then those of the supervisor that are due."""
+        for _ in range(1 + missed):
+            self._cycle_controller()
+        for _ in range(1 + missed):
+            self.due += CYCLE
+            self.streamer.check([self.sample], self.now)
+            self.streamer.tick(self.due, self.now)
+
+    def swing(self, seconds, missed_at=None, missed=0):
+        """Swing all joints, with previews of 0.4 s every 40 ms, and miss periods at a cycle."""
+        for k in range(round(seconds / CYCLE)):
+            if k % 5 == 0:
+                times = self.now + 0.02 * np.arange(21)
+                self.streamer.follow(JointPreview(times, *self.motion(times)), self.now)
+            self.cycle(missed if k == missed_at else 0)
+
+    def motion(self, times):
+        """Return angles [rad] and velocities [rad/s] (m, 6) of a swing that swells from rest."""
+        t = np.maximum(times - self.begin, 0.0)[:, None]
+        u = np.minimum(t / SWELLING_TIME, 1.0)
+        swell = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
+        swell_rate = 30.0 * u**2 * (1.0 - u) ** 2 / SWELLING_TIME
+        sine, cosine = np.sin(OMEGA * t), np.cos(OMEGA * t)
+        return (
+            self.home + AMPLITUDE * swell * sine * np.ones(6),
+            AMPLITUDE * (swell_rate * sine + OMEGA * swell * cosine) * np.ones(6),
+        )
+
+
+def accelerations(world):
+    return np.diff(np.array(world.speeds), axis=0) / CYCLE
+
+
+GAPS = pytest.mark.parametrize("begin", [3.1, 3.6, 4.1, 4.6])
+
+
+@GAPS
+@pytest.mark.parametrize("missed", [1, 2, 4, 8])
+def test_arm_keeps_its_limits_when_it_catches_up_after_a_gap(missed, begin):
+    world = World()
+    world.swing(6.0, missed_at=round(begin / CYCLE), missed=missed)
+    assert not world.streamer.stop_reason
+    assert world.controller.runtime == RuntimeState.PLAYING
+    assert np.abs(world.speeds).max() < FASTEST
+    assert np.abs(accelerations(world)).max() < HARDEST
+
+
+@GAPS
+@pytest.mark.parametrize("missed", [16, 23])
+def test_arm_goes_on_or_is_stopped_by_its_node_after_a_long_gap(missed, begin):
+    world = World()
+    world.swing(6.0, missed_at=round(begin / CYCLE), missed=missed)
+    assert world.controller.safety_mode == SafetyMode.NORMAL
+    assert np.abs(world.speeds).max() < FASTEST
+    if world.streamer.stop_reason:
+        assert "distance to measured" in world.streamer.stop_reason
+        assert world.controller.arm.still
+    else:
+        assert world.controller.runtime == RuntimeState.PLAYING
+
+
+@pytest.mark.parametrize("missed", [4, 20, 70])
+def test_simulated_controller_that_was_held_up_moves_the_arm_evenly(missed):
+    ports = UrPortParameters(dashboard=0, primary=0, secondary=0, realtime=0, rtde=0)
+    server = ControllerServer(UrArmParameters(), ports)
+    arm, speeds = server.controller.arm, []
+    now, place = T0, arm.q.copy()
+
+    def cycle(due_cycles=1):
+        nonlocal now
+        now += CYCLE
+        server.cycle(now, due_cycles)
+        speeds.append(arm.qd.copy())
+
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        text = servo_program(UrParameters(), *listener.getsockname())
+        assert server.controller.start(text)
+        cycle()
+        program, _ = listener.accept()
+    with program:
+        program.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+        def send(count, speed=3.0):
+            nonlocal place
+            for _ in range(count):
+                place = place + speed * CYCLE
+                program.sendall(pack(place.tolist(), ProgramMode.SERVO, READ_TIMEOUT))
+
+        for speed in [*np.linspace(0.0, 3.0, 80), *[3.0] * 40]:
+            send(1, speed)
+            cycle()
+        send(1 + missed)
+        for k in range(missed, -1, -1):
+            cycle(1 + k)
+        for _ in range(10):
+            send(1)
+            cycle()
+    assert server.controller.safety_mode == SafetyMode.NORMAL
+    assert np.array(speeds[120:]) == pytest.approx(3.0, abs=0.06)
+    assert arm.q == pytest.approx(place, abs=0.15)
+    server.close()
