@@ -30,6 +30,7 @@ EXECUTABLES = {
     "path_interpolator": "omniman_ros.nodes.path_interpolator:main",
     "mpc_planner": "omniman_ros.nodes.mpc_planner:main",
     "joint_state_broadcaster": "omniman_ros.nodes.joint_state_broadcaster:main",
+    "odometry": "omniman_ros.nodes.odometry:main",
     "viewer": "omniman_ros.viewer.node:main",
 }
 

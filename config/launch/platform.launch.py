@@ -91,6 +91,12 @@ ARGUMENTS = [
         description="Path of the YAML file of the arm's controller, with arm:=ur",
     ),
     DeclareLaunchArgument(
+        "odometry",
+        default_value="controller",
+        description="What publishes odom, /tf and coupling_error; node: a process of its own",
+        choices=["controller", "node"],
+    ),
+    DeclareLaunchArgument(
         "mpc",
         default_value="true",
         description="Whether to start the planner among obstacles; needs casadi",
@@ -171,13 +177,25 @@ def generate_launch_description() -> LaunchDescription:
         output="screen",
         condition=IfCondition(EqualsSubstitution(LaunchConfiguration("drive"), "can")),
     )
+    # Only one of the two nodes below publishes the odometry.
+    separate_odometry = EqualsSubstitution(LaunchConfiguration("odometry"), "node")
+    publish_odom = ParameterValue(NotSubstitution(separate_odometry), value_type=bool)
     platform_controller = Node(
         package="omniman_ros",
         executable="platform_controller",
         namespace=LaunchConfiguration("namespace"),
+        parameters=[{"robot": robot, "use_sim_time": sim_time, "publish_odom": publish_odom}],
+        remappings=TF,
+        output="screen",
+    )
+    odometry = Node(
+        package="omniman_ros",
+        executable="odometry",
+        namespace=LaunchConfiguration("namespace"),
         parameters=[{"robot": robot, "use_sim_time": sim_time}],
         remappings=TF,
         output="screen",
+        condition=IfCondition(separate_odometry),
     )
     # The arm runs on real time, like drives on a bus.
     streamer = {
@@ -318,6 +336,7 @@ def generate_launch_description() -> LaunchDescription:
             arm_streamer_of_simulated_ur,
             simulated_ur,
             platform_controller,
+            odometry,
             path_interpolator,
             path_interpolator_with_ur,
             joint_state_broadcaster,

@@ -5,7 +5,7 @@ constant twist gives the same pose for any step.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from omniman_ros.core import plausible, se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError, ParameterError
 from omniman_ros.core.parameters import parameter
+from omniman_ros.core.robot import Robot
 
 MIN_DETERMINANT = 0.05
 """Smallest determinant of the calibration matrix; below it, directions would be mixed up."""
@@ -114,6 +115,22 @@ class OdometryParameters:
                 [self.yaw_per_x, self.yaw_per_y, self.scale_yaw],
             ]
         )
+
+    def require_wheel_count(self, count: int) -> None:
+        """Check that `wheel_scale` has one value, or one for each of `count` wheels.
+
+        Raises:
+            ParameterError: It has another number of values.
+        """
+        scale = self.wheel_scale
+        if len(scale) not in (1, count):
+            reason = f"{len(scale)} values, {count} wheels"
+            raise ParameterError("odometry.wheel_scale", scale, reason)
+
+    def calibrated(self, robot: Robot) -> Robot:
+        """Return the robot with its wheel radii multiplied by `wheel_scale`."""
+        radius = tuple((np.array(robot.wheels.radius) * self.wheel_scale).tolist())
+        return replace(robot, wheels=replace(robot.wheels, radius=radius))
 
 
 class Odometry:

@@ -111,7 +111,8 @@ class PlatformController:
         """Process the state of the wheels; position or velocity must be present.
 
         Args:
-            time: Time of the measurement [s]; odometry runs on it.
+            time: Time of the measurement [s]; odometry runs on it. At most `now` counts: the
+                stamps of another machine may be ahead.
             now: Time of arrival [s]; the timeout runs on the older of the two.
             position: Positions (n,) [rad], or None.
             velocity: Speeds (n,) [rad/s], or None.
@@ -125,6 +126,7 @@ class PlatformController:
             InputError: A size is wrong, a number is not finite, there is no content, or the state
                 is not newer than the last one.
         """
+        time = min(time, now)
         self.wheel_health.update_torques(time, effort)
         step = self.feedback.update(time, now, position, velocity)
         if step is None:
@@ -220,6 +222,11 @@ class PlatformController:
         if not self.feedback.received:
             return "no wheel_states yet"
         return self.arbiter.offer(source, now, fresh_until, neutral)
+
+    @property
+    def coupling_error(self) -> Array:
+        """Coupling error epsilon (m,) since the last stop [rad]."""
+        return self.cascade.coupling.error
 
     @property
     def tracking_error(self) -> Array:

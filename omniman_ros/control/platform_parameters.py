@@ -121,9 +121,7 @@ class PlatformParameters:
     timeouts: Timeouts
 
     def __post_init__(self) -> None:
-        scale, n = self.odometry.wheel_scale, self.robot.wheel_count
-        if len(scale) not in (1, n):
-            raise ParameterError("odometry.wheel_scale", scale, f"{len(scale)} values, {n} wheels")
+        self.odometry.require_wheel_count(self.robot.wheel_count)
         if "velocity" not in self.drive.offered:
             raise ParameterError(
                 "drive.offered", self.drive.offered, "must include velocity, which stops use"

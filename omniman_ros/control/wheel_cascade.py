@@ -1,7 +1,7 @@
 """Cascade from a twist to a command for the drives (right-hand half of CCTA 2017 Fig. 6)."""
 
 from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
@@ -14,7 +14,6 @@ from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.control.wheel_controller import WheelController
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import ParameterError
-from omniman_ros.core.robot import Robot
 
 REST_SPEED = 0.02
 """Largest wheel speed at which a platform without a setpoint counts as at rest [rad/s]."""
@@ -81,7 +80,7 @@ class WheelCascade:
 
     def _set_models(self, parameters: PlatformParameters, idle: Collection[int]) -> None:
         """Build the models; raises the errors of :meth:`configure`."""
-        robot = _calibrated(parameters.robot, parameters.odometry.wheel_scale)
+        robot = parameters.odometry.calibrated(parameters.robot)
         whole = PlatformKinematics(robot.wheels)
         if idle and whole.remaining_share(idle) < MIN_REMAINING_SHARE:
             reason = "must leave wheels that determine the twist"
@@ -195,9 +194,3 @@ class WheelCascade:
         if mode is DriveMode.TORQUE:
             return WheelCommand(mode, torque)
         return WheelCommand(mode, self.dynamics.voltage(torque, reference))
-
-
-def _calibrated(robot: Robot, scale: tuple[float, ...]) -> Robot:
-    """Return the robot with its wheel radii multiplied by their calibrated scale."""
-    radius = tuple((np.array(robot.wheels.radius) * scale).tolist())
-    return replace(robot, wheels=replace(robot.wheels, radius=radius))

@@ -14,6 +14,9 @@ from omniman_ros.control.wheel_feedback import WheelFeedback
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 
+IDLE = "idle"
+"""State of a wheel that the platform drives without, see :meth:`WheelHealthMonitor.state`."""
+
 Flags = NDArray[np.bool_]
 """One flag per wheel, (n,) bool."""
 
@@ -134,7 +137,7 @@ class WheelHealthMonitor:
     def state(self, wheel: int) -> str:
         """Return the state of a wheel: driving, dead, or idle (dead, and driven on without)."""
         if wheel in self.idle:
-            return "idle"
+            return IDLE
         return "dead" if wheel in self.dead else "driving"
 
     def update_torques(self, time: float, effort: Array | None) -> None:

@@ -10,6 +10,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 from omniman_ros.control.wheel_cascade import DriveMode, WheelCommand
+from omniman_ros.control.wheel_health import IDLE
 from omniman_ros.conversions.joints import joint_arrays, require_array
 from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
@@ -40,6 +41,19 @@ def reported_limit_scale(message: DiagnosticStatus) -> float:
                 )
             return limit_scale
     return 1.0
+
+
+def reported_idle_wheels(message: DiagnosticStatus, names: Sequence[str]) -> tuple[int, ...]:
+    """Return the indices of the wheels that `wheel_health` reports as idle.
+
+    A wheel that it does not report counts as driving.
+
+    Args:
+        message: Health of the wheels.
+        names: Names of the n wheels.
+    """
+    state = {item.key: item.value for item in message.values}
+    return tuple(i for i, name in enumerate(names) if state.get(name) == IDLE)
 
 
 def fill_wheel_command(message: JointState, command: WheelCommand, stamp: Time) -> None:

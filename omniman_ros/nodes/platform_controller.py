@@ -3,21 +3,21 @@
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from geometry_msgs.msg import PoseWithCovarianceStamped, Twist, TwistStamped
+from geometry_msgs.msg import Twist, TwistStamped
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
-from std_srvs.srv import Trigger
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from omniman_ros.control.limits import ratio
 from omniman_ros.control.platform import PlatformController
 from omniman_ros.conversions.geometry import stamped_twist_array, twist_array
 from omniman_ros.conversions.joints import joint_arrays, require_array
-from omniman_ros.conversions.poses import planar_pose
 from omniman_ros.conversions.trajectories import preview_from_message
 from omniman_ros.core import plausible
 from omniman_ros.core.arbiter import Source
+from omniman_ros.nodes.odometry_interface import OdometryInputs, OdometryOutputs
+from omniman_ros.nodes.odometry_parameters import OdometryTopicParameters
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.platform_controller_parameters import PlatformControllerParameters
@@ -42,17 +42,15 @@ class PlatformControllerNode(OmnimanNode):
         self._ticks = 0
         self._finish_tick = 0
         self._waiting: dict[Source, Callable[[], None]] = {}
-        self._odom_every = max(1, round(p.control_rate / p.odom_rate))
-        self._monitor_every = max(1, round(p.control_rate / p.monitor_rate))
-        self._outputs = PlatformOutputs(
-            self, self.core, p.odom_frame, p.base_frame, p.twist_variance
-        )
+        self._odom_every = max(1, round(p.control_rate / p.topics.odom_rate))
+        self._monitor_every = max(1, round(p.control_rate / p.topics.monitor_rate))
+        self._outputs = PlatformOutputs(self, self.core)
+        self._odometry = OdometryOutputs(self, self.core, self._topics) if p.publish_odom else None
+        self._odometry_inputs = OdometryInputs(self, self.core, self._names, self._topics)
         self._make_inputs(p)
         self._stop = StopInterface(self, self.core.latch, self._reset)
         self._outputs.publish_active_source()
         self._outputs.publish_wheel_health()
-        if not self._outputs.tf_available and p.publish_tf:
-            self.get_logger().info("tf2_msgs is not installed: /tf is off, odom has the same pose")
         self.every(1.0 / p.control_rate, self.tick)
 
     def _make_inputs(self, p: PlatformControllerParameters) -> None:
@@ -61,7 +59,6 @@ class PlatformControllerNode(OmnimanNode):
         ) -> None:
             self.create_subscription(kind, topic, self.guarded(topic, handler), qos)
 
-        subscribe(JointState, "wheel_states", self._on_wheel_states, 5)
         twist = TwistStamped if p.cmd_vel_stamped else Twist
         subscribe(twist, "cmd_vel", self._on_cmd_vel, SETPOINT)
         for source in (Source.MPC, Source.PATH):
@@ -69,21 +66,13 @@ class PlatformControllerNode(OmnimanNode):
             handler = self._reference_handler(source)
             self.create_subscription(MultiDOFJointTrajectory, topic, handler, SETPOINT)
         subscribe(JointState, "mpc/voltages", self._on_voltages, SETPOINT)
-        subscribe(PoseWithCovarianceStamped, "set_pose", self._on_set_pose, 10)
-        self.create_service(Trigger, "~/reset_odometry", self._on_reset_odometry)
 
     # ---- inputs: each handler returns why the message is not used, or nothing ------------------
-
-    def _on_wheel_states(self, message: JointState) -> str:
-        position, velocity, effort = joint_arrays(message, self._names)
-        now = self.now()
-        time = now - max(self.age(message.header.stamp), 0.0)
-        return self.core.update_wheels(time, now, position, velocity, effort)
 
     def _on_cmd_vel(self, message: Twist | TwistStamped) -> str:
         if isinstance(message, Twist):
             return self.core.set_twist(twist_array(message), self.now())
-        twist = stamped_twist_array(message, self.settings.value.base_frame)
+        twist = stamped_twist_array(message, self._topics().base_frame)
         return self.core.set_twist(twist, self.now(), self.age(message.header.stamp))
 
     def _reference_handler(self, source: Source) -> Callable[[MultiDOFJointTrajectory], None]:
@@ -95,7 +84,7 @@ class PlatformControllerNode(OmnimanNode):
         def handle(message: MultiDOFJointTrajectory) -> str:
             now = self.now()
             start = now - self.age(message.header.stamp)
-            preview = preview_from_message(message, start, self._odom_frames)
+            preview = preview_from_message(message, start, self._topics().frames)
             return self.core.set_preview(source, preview, now)
 
         handler = self.guarded(f"{source.value}/reference", handle)
@@ -110,20 +99,8 @@ class PlatformControllerNode(OmnimanNode):
         volts = require_array(effort, plausible.EFFORT, "effort (volts)")
         return self.core.set_voltages(volts, self.now(), self.age(message.header.stamp))
 
-    def _on_set_pose(self, message: PoseWithCovarianceStamped) -> None:
-        self.core.set_pose(*planar_pose(message, self._odom_frames))
-
-    def _on_reset_odometry(
-        self, request: Trigger.Request, response: Trigger.Response
-    ) -> Trigger.Response:
-        self.core.set_pose((0.0, 0.0, 0.0))
-        response.success = True
-        return response
-
-    @property
-    def _odom_frames(self) -> tuple[str, ...]:
-        p = self.settings.value
-        return (p.odom_frame, "map") if p.map_is_odom else (p.odom_frame,)
+    def _topics(self) -> OdometryTopicParameters:
+        return self.settings.value.topics
 
     def _reset(self) -> None:
         self.core.reset(self.now())
@@ -143,10 +120,15 @@ class PlatformControllerNode(OmnimanNode):
         self._outputs.publish_active_source()
         self._outputs.publish_wheel_health()
         self._ticks += 1
-        if self._ticks % self._odom_every == 0 and self.core.feedback.received:
-            self._outputs.publish_odometry(transform=self.settings.value.publish_tf)
+        if self._odometry is not None:
+            self._publish_odometry(self._odometry)
+
+    def _publish_odometry(self, outputs: OdometryOutputs) -> None:
+        feedback = self.core.feedback
+        if self._ticks % self._odom_every == 0 and feedback.received:
+            outputs.publish_odometry(self.stamp(feedback.time))
         if self._ticks % self._monitor_every == 0:
-            self._outputs.publish_coupling_error()
+            outputs.publish_coupling_error(self.stamp(feedback.time))
 
     def status(self) -> tuple[bytes, str, Iterable[tuple[str, object]]]:
         """Return level, message and values for the diagnostics."""

@@ -1,7 +1,6 @@
 """Publishers of the platform controller, and the messages they send."""
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
-from nav_msgs.msg import Odometry
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
@@ -9,19 +8,9 @@ from std_msgs.msg import String
 
 from omniman_ros.control.platform import PlatformController
 from omniman_ros.control.wheel_cascade import DriveMode, WheelCommand
-from omniman_ros.conversions.odometry import (
-    fill_odometry,
-    initialize_odometry,
-    odometry_transform,
-)
 from omniman_ros.conversions.wheels import LIMIT_SCALE_KEY, fill_wheel_command
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.stop_interface import LATCHED
-
-try:
-    from tf2_msgs.msg import TFMessage
-except ImportError:  # not among the wheels on PyPI
-    TFMessage = None
 
 SETPOINT = QoSProfile(depth=1)
 """Quality of service of setpoints: only the latest counts."""
@@ -33,39 +22,20 @@ class PlatformOutputs:
     Args:
         node: Node that owns the publishers.
         core: Platform controller to report on.
-        odom_frame: Frame of the odometry's pose.
-        base_frame: Frame of the odometry's twist.
-        twist_variance: Variance of the odometry's twist [m^2/s^2, rad^2/s^2].
 
     Attributes:
         active: Value that was last published on `active_source`.
     """
 
-    def __init__(
-        self,
-        node: OmnimanNode,
-        core: PlatformController,
-        odom_frame: str,
-        base_frame: str,
-        twist_variance: float,
-    ) -> None:
+    def __init__(self, node: OmnimanNode, core: PlatformController) -> None:
         self._node = node
         self._core = core
         self._names = core.parameters.robot.wheels.names
         self._commands = node.create_publisher(JointState, "wheel_commands", SETPOINT)
         self._voltages = node.create_publisher(JointState, "wheel_voltages", SETPOINT)
-        self._odom = node.create_publisher(Odometry, "odom", 10)
-        self._tf = node.create_publisher(TFMessage, "/tf", 100) if TFMessage else None
-        self._coupling = node.create_publisher(JointState, "coupling_error", 10)
         self._active_source = node.create_publisher(String, "active_source", LATCHED)
         self._health = node.create_publisher(DiagnosticStatus, "wheel_health", LATCHED)
         self._command_message = JointState(name=list(self._names))
-        self._odom_message = Odometry(child_frame_id=base_frame)
-        self._odom_message.header.frame_id = odom_frame
-        initialize_odometry(self._odom_message, twist_variance)
-        constraints = len(core.cascade.coupling.error)
-        names = [f"constraint_{i + 1}" for i in range(constraints)]
-        self._coupling_message = JointState(name=names)
         self.active = ""
         self._published_health: object = None
 
@@ -74,33 +44,11 @@ class PlatformOutputs:
         """Publishers of the commands to the drives."""
         return self._commands, self._voltages
 
-    @property
-    def tf_available(self) -> bool:
-        """Whether the message type of /tf is installed."""
-        return self._tf is not None
-
     def publish_command(self, command: WheelCommand) -> None:
         """Publish a command to the drives."""
         publisher = self._voltages if command.mode is DriveMode.VOLTAGE else self._commands
         fill_wheel_command(self._command_message, command, self._node.stamp())
         publisher.publish(self._command_message)
-
-    def publish_odometry(self, transform: bool) -> None:
-        """Publish the odometry and, if `transform` is true, odom -> base_link on /tf."""
-        odometry = self._core.odometry
-        stamp = self._node.stamp(self._core.feedback.time)
-        message = self._odom_message
-        fill_odometry(message, odometry.pose, odometry.twist, odometry.covariance, stamp)
-        self._odom.publish(message)
-        if self._tf is not None and transform:
-            self._tf.publish(TFMessage(transforms=[odometry_transform(message)]))
-
-    def publish_coupling_error(self) -> None:
-        """Publish the coupling error and its rate."""
-        self._coupling_message.header.stamp = self._node.stamp(self._core.feedback.time)
-        self._coupling_message.position = self._core.cascade.coupling.error.tolist()
-        self._coupling_message.velocity = self._core.odometry.constraint_rate.tolist()
-        self._coupling.publish(self._coupling_message)
 
     def publish_active_source(self) -> None:
         """Publish the active source if it has changed."""
@@ -147,7 +95,7 @@ class PlatformOutputs:
             ("active_source", self.active),
             ("wheel_speed_saturated", core.cascade.saturated),
             ("wheels_slipping", core.odometry.slipping),
-            ("coupling_error_rad", core.cascade.coupling.error.round(4).tolist()),
+            ("coupling_error_rad", core.coupling_error.round(4).tolist()),
             ("tracking_error_m_m_rad", core.tracking_error.round(4).tolist()),
             ("wheel_torque", "measured" if monitor.torque_reported else no_torque),
             *((name, monitor.state(i)) for i, name in enumerate(self._names)),

@@ -17,6 +17,7 @@ NODES = {
     "joint_state_broadcaster": (
         "nodes.joint_state_broadcaster_parameters.JointStateBroadcasterParameters"
     ),
+    "odometry": "nodes.odometry_parameters.OdometryNodeParameters",
     "viewer": "viewer.ros.parameters.ViewerParameters",
 }
 """Parameter dataclass of each executable, within the package.

@@ -32,6 +32,7 @@ class NodeKind:
         is_available: Returns whether the libraries that the node needs are installed. If not, the
             node is started only if it is requested by name, and then reports what is missing.
         essential: Whether the robot is stopped when the node ends.
+        on_request: Whether the node is started only if it is requested by name.
         drives: Values of `--drive` with which the node is started; if empty, all.
         arms: Values of `--arm` with which the node is started; if empty, all.
     """
@@ -41,6 +42,7 @@ class NodeKind:
     sim_time: str = "use_sim_time"
     is_available: Callable[[], bool] = lambda: True
     essential: bool = True
+    on_request: bool = False
     drives: tuple[str, ...] = ()
     arms: tuple[str, ...] = ()
 
@@ -50,6 +52,7 @@ ROBOT_NODES = (
     NodeKind("path_interpolator", stage=0),
     NodeKind("mpc_planner", stage=0, is_available=lambda: PLANNING.is_available),
     NodeKind("joint_state_broadcaster", stage=0, essential=False),
+    NodeKind("odometry", stage=0, on_request=True),
     NodeKind("simulated_drive", stage=1, sim_time="publish_clock", drives=("simulated",)),
     NodeKind("can_bridge", stage=1, drives=("can", "real")),
     NodeKind("simulated_can_drives", stage=2, drives=("can",)),
@@ -161,7 +164,7 @@ def _is_chosen(kind: NodeKind, setup: RobotSetup, arm: str) -> bool:
     if setup.only:
         return kind.name in setup.only
     fits = (not kind.drives or setup.drive in kind.drives) and (not kind.arms or arm in kind.arms)
-    return kind.is_available() and fits
+    return kind.is_available() and fits and not kind.on_request
 
 
 def _arm_arguments(arm: str, setup: RobotSetup) -> list[str]:

@@ -312,6 +312,7 @@ def test_platform_starts_the_simulated_drive_and_the_controller_by_default(platf
         "installation": "/share/omniman_ros/config/can/cia402.yaml",
         "arm": "none",
         "controller": "/share/omniman_ros/config/ur/ur5.yaml",
+        "odometry": "controller",
         "mpc": "true",
         "viewer": "false",
         "rviz": "false",
@@ -320,7 +321,10 @@ def test_platform_starts_the_simulated_drive_and_the_controller_by_default(platf
     }
     assert nodes == {
         "simulated_drive": ("", {"robot": "omniman", "publish_clock": False}),
-        "platform_controller": ("", {"robot": "omniman", "use_sim_time": False}),
+        "platform_controller": (
+            "",
+            {"robot": "omniman", "use_sim_time": False, "publish_odom": True},
+        ),
         "path_interpolator": ("", {"robot": "omniman", "use_sim_time": False}),
         "joint_state_broadcaster": (
             "",
@@ -349,6 +353,12 @@ def test_in_simulated_time_the_drive_publishes_the_clock_and_the_others_follow_i
 def test_the_viewer_is_started_on_request(platform):
     _, nodes = platform(viewer="true", use_sim_time="true")
     assert nodes["viewer"] == ("", {"robot": "omniman", "use_sim_time": True})
+
+
+def test_the_odometry_is_a_process_of_its_own_on_request(platform):
+    _, nodes = platform(odometry="node", use_sim_time="true", robot="ig42")
+    assert nodes["odometry"] == ("", {"robot": "ig42", "use_sim_time": True})
+    assert nodes["platform_controller"][1]["publish_odom"] is False
 
 
 BUS = {"can.interface": "udp_multicast", "can.channel": "239.74.163.2", "can.port": 43113}
@@ -441,10 +451,13 @@ TF = [("/tf", "tf"), ("/tf_static", "tf_static")]
 
 def test_transforms_are_published_and_received_in_the_namespace(file_of):
     source = {file.stem: file.read_text() for file in (ROOT / "omniman_ros/nodes").glob("*.py")}
-    ours = {name for name, text in source.items() if "tf2_msgs" in text} & set(registry.NODES)
-    assert ours == {"platform_controller"}
+    (interface,) = (name for name, text in source.items() if "tf2_msgs.msg import" in text)
+    ours = {name for name, text in source.items() if interface in text} & set(registry.NODES)
+    assert ours == {"platform_controller", "odometry"}
     for arm in ("none", "ur"):
-        _, nodes = started(file_of("platform"), rviz="true", description="true", arm=arm)
+        _, nodes = started(
+            file_of("platform"), rviz="true", description="true", arm=arm, odometry="node"
+        )
         assert {
             name for name, node in nodes.items() if node.remappings == TF
         } == ours | THIRD_PARTY_NODES

@@ -8,6 +8,7 @@ import rclpy
 import yaml
 from rclpy.node import Node
 
+from omniman_ros.core.parameters import specs
 from omniman_ros.nodes.platform_controller_parameters import PlatformControllerParameters
 from omniman_ros.robots import load_robot
 from test.config.documented import ROOT
@@ -123,8 +124,7 @@ def test_the_footprint_is_the_robots_body_and_inflation_reaches_around_it(nav2, 
 
 
 def test_frames_and_topics_are_ours(nav2):
-    ours = PlatformControllerParameters
-    defaults = {f.name: f.default for f in ours.__dataclass_fields__.values()}
+    defaults = {spec.name: spec.default for spec in specs(PlatformControllerParameters)}
     odom, base = defaults["odom_frame"], defaults["base_frame"]
     for key in ("robot_base_frame", "base_frame_id", "base_frame"):
         assert set(values_of(nav2, key)) == {base}

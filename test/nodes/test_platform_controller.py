@@ -21,6 +21,7 @@ from omniman_ros.nodes.platform_controller import (
     PlatformControllerParameters,
 )
 from omniman_ros.nodes.stop_interface import LATCHED
+from test.nodes.bad_wheel_states import CASES, INF, NAN, bad_wheel_states
 from test.nodes.harness import PERIOD, World, last
 from test.nodes.rig import Rig, reference, twist
 
@@ -312,8 +313,6 @@ def test_wheel_that_does_not_follow_stops_the_robot(rig):
 
 # ---- invalid input ----------------------------------------------------------------------------
 
-NAN, INF = float("nan"), float("inf")
-
 
 @pytest.mark.parametrize("bad", [NAN, INF, -INF, 1e308])
 @pytest.mark.parametrize("field", ["linear.x", "linear.y", "angular.z", "linear.z", "angular.x"])
@@ -334,34 +333,13 @@ def test_rejected_cmd_vel_does_not_count_as_fresh(rig):
     assert not rig.speeds(since)[-1].any()
 
 
-def bad_states(rig: Rig) -> dict[str, JointState]:
-    good = [0.0] * 4
-    cases = {
-        "nan": rig.wheel_state([NAN, 0, 0, 0], good),
-        "infinite speed": rig.wheel_state(good, [0, INF, 0, 0]),
-        "short": rig.wheel_state(good[:3], good),
-        "empty": rig.wheel_state([], []),
-        "wrong name": rig.wheel_state(good, good),
-        "name twice": rig.wheel_state(good, good),
-        "old": rig.wheel_state(good, good),
-        "ahead": rig.wheel_state(good, good),
-    }
-    cases["wrong name"].name = ["a", "b", "c", "d"]
-    cases["name twice"].name = [rig.names[0]] * 4
-    cases["old"].header.stamp = rig.stamp(-3.0)
-    cases["ahead"].header.stamp = rig.stamp(1.0)
-    return cases
-
-
-@pytest.mark.parametrize(
-    "case", ["nan", "infinite speed", "short", "empty", "wrong name", "name twice", "old", "ahead"]
-)
+@pytest.mark.parametrize("case", CASES)
 def test_invalid_wheel_states_never_count_as_fresh(rig, case):
     rig.drive(0.3, seconds=0.5)
     rig.drive_alive = False
     since = len(rig.commands) - 1
     pose = rig.core.odometry.pose
-    rig.hooks.append(lambda: rig._states.publish(bad_states(rig)[case]))
+    rig.hooks.append(lambda: rig._states.publish(bad_wheel_states(case, rig, rig.names)))
     rig.assert_stops(since, within=0.2 + STOP_TIME)
     assert "wheel_states" in rig.core.latch.status.reason
     assert rig.core.odometry.pose == pytest.approx(pose, abs=0.01)

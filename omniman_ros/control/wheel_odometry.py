@@ -1,0 +1,165 @@
+"""The odometry without a controller: from reports of the wheels to pose and coupling error."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from omniman_ros.control.kinematics import MIN_REMAINING_SHARE, PlatformKinematics
+from omniman_ros.control.odometry import Odometry, OdometryParameters
+from omniman_ros.control.wheel_cascade import REST_SPEED
+from omniman_ros.control.wheel_feedback import MAX_GAP, WheelFeedback
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.errors import InputError
+from omniman_ros.core.parameters import inline
+from omniman_ros.core.robot import Robot
+
+REST_TIME = 0.2
+"""Time for which all wheels are at rest before the coupling error starts from zero again [s].
+
+A platform that reverses passes through rest faster.
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class WheelOdometryParameters:
+    """Parameters of the odometry, including those of the robot.
+
+    Raises:
+        ParameterError: The number of wheel scales is neither one nor that of the wheels.
+    """
+
+    robot: Robot = inline()
+    odometry: OdometryParameters
+
+    def __post_init__(self) -> None:
+        self.odometry.require_wheel_count(self.robot.wheel_count)
+
+
+class WheelOdometry:
+    """Integrates the reports of the wheels; nobody tells it what drives them.
+
+    Time is an argument, on one clock of the caller's. Where it begins anew (a recording is played
+    again, a clock is set back), the pose continues from where it is.
+
+    Attributes:
+        odometry: Pose, twist and covariance.
+        feedback: Last feedback of the wheels.
+        coupling_error: Coupling error epsilon (m,), CCTA 2017 (24), since the wheels were last at
+            rest for `REST_TIME` [rad].
+        idle: Indices of the wheels that are left out.
+
+    Raises:
+        GeometryError: The wheels do not make a platform.
+    """
+
+    def __init__(self, parameters: WheelOdometryParameters) -> None:
+        robot = parameters.robot
+        self._parameters = parameters
+        self.idle: tuple[int, ...] = ()
+        kinematics = self._kinematics()
+        self.odometry = Odometry(kinematics, parameters.odometry)
+        self.feedback = WheelFeedback(
+            robot.wheel_count, parameters.odometry.encoder_span, robot.motor.max_speed
+        )
+        self.coupling_error: Array = np.zeros(kinematics.constraint_count)
+        self._arrival = -math.inf
+        self._rest = 0.0
+
+    def configure(self, parameters: WheelOdometryParameters) -> None:
+        """Set a new calibration and new noise while running; the pose is kept."""
+        self._parameters = parameters
+        self.feedback.max_speed = parameters.robot.motor.max_speed
+        self.odometry.configure(self._kinematics(), parameters.odometry)
+
+    def leave_out(self, idle: tuple[int, ...]) -> None:
+        """Go on without the wheels that only the floor rotates; the pose is kept.
+
+        Args:
+            idle: Indices of these wheels; all others count again.
+
+        Raises:
+            InputError: The other wheels do not determine the twist; nothing is changed.
+        """
+        if idle == self.idle:
+            return
+        robot = self._parameters.odometry.calibrated(self._parameters.robot)
+        if idle and PlatformKinematics(robot.wheels).remaining_share(idle) < MIN_REMAINING_SHARE:
+            names = ", ".join(robot.wheels.names[i] for i in idle)
+            raise InputError(f"without {names} the wheels do not determine the twist")
+        self.idle = idle
+        self.odometry.configure(self._kinematics(), self._parameters.odometry)
+        self._restart_coupling()  # Its errors belong to other constraints.
+
+    def _kinematics(self) -> PlatformKinematics:
+        """Return the kinematics with calibrated wheel radii, without the idle wheels."""
+        robot = self._parameters.odometry.calibrated(self._parameters.robot)
+        return PlatformKinematics(robot.wheels, self.idle)
+
+    def update_wheels(
+        self,
+        time: float,
+        now: float,
+        position: Array | None,
+        velocity: Array | None,
+        effort: Array | None = None,
+    ) -> str:
+        """Process the state of the wheels; position or velocity must be present.
+
+        Args:
+            time: Time of the measurement [s].
+            now: Time of arrival [s].
+            position: Positions (n,) [rad], or None.
+            velocity: Speeds (n,) [rad/s], or None.
+            effort: Torques (n,) [N m], or None; the odometry does not need them.
+
+        Returns:
+            Warning to log, or an empty string.
+
+        Raises:
+            InputError: A size is wrong, a number is not finite, there is no content, or the state
+                is not newer than the last one although that is at most `MAX_GAP` ago.
+        """
+        restarted = self._restart_reason(time, now)
+        if restarted:
+            self.feedback.forget()
+        step = self.feedback.update(time, now, position, velocity)
+        self._arrival = now
+        if step is None:
+            self._restart_coupling()
+            return restarted
+        self.coupling_error = self.coupling_error + self.odometry.update(
+            step.moved, step.speeds, step.dt
+        )
+        at_rest = max(map(abs, step.speeds.tolist())) <= REST_SPEED
+        self._rest = self._rest + step.dt if at_rest else 0.0
+        if self._rest >= REST_TIME:
+            self._restart_coupling()
+        return step.warning
+
+    def _restart_reason(self, time: float, now: float) -> str:
+        """Return why time begins anew with a report; empty if it does not.
+
+        A single report from the past is out of order. Time begins anew if the clock went back, or
+        if there was no newer report for `MAX_GAP`.
+        """
+        lag = self.feedback.time - time
+        if not self.feedback.received or lag < 0.0 or 0.0 <= now - self._arrival <= MAX_GAP:
+            return ""
+        return f"time went back by {lag:.2f} s: the pose continues from where it is"
+
+    def _restart_coupling(self) -> None:
+        self.coupling_error = np.zeros_like(self.coupling_error)
+        self._rest = 0.0
+
+    def set_pose(self, pose: tuple[float, float, float], covariance: Array | None = None) -> None:
+        """Set the pose.
+
+        Args:
+            pose: Pose x, y, theta in odom [m, m, rad].
+            covariance: Covariance (3, 3) of the pose; None means zero.
+
+        Raises:
+            InputError: See Odometry.reset.
+        """
+        self.odometry.reset(pose, covariance)

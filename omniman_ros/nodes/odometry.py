@@ -1,0 +1,107 @@
+"""Node `odometry`: the platform's odometry without a controller.
+
+It serves recordings and foreign controllers, and those who want the pieces apart.
+"""
+
+from collections.abc import Iterable
+from typing import Any
+
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticStatus
+
+from omniman_ros.control.wheel_feedback import MAX_GAP
+from omniman_ros.control.wheel_odometry import WheelOdometry
+from omniman_ros.conversions.wheels import reported_idle_wheels
+from omniman_ros.nodes.odometry_interface import OdometryInputs, OdometryOutputs
+from omniman_ros.nodes.odometry_parameters import OdometryNodeParameters
+from omniman_ros.nodes.omniman_node import OmnimanNode
+from omniman_ros.nodes.parameters import ParameterSet
+from omniman_ros.nodes.runtime import run
+from omniman_ros.nodes.stop_interface import LATCHED
+
+
+class Cadence:
+    """Selects reports for a topic of a lower rate: one of k, the k that is nearest to that rate.
+
+    Args:
+        rate: Rate of the topic [Hz].
+    """
+
+    def __init__(self, rate: float) -> None:
+        self._period = 1.0 / rate
+        self._before = self._selected = 0.0
+
+    def is_due(self, time: float) -> bool:
+        """Return whether the report measured at `time` [s] is selected; time may go back."""
+        half_a_report = 0.5 * (time - self._before)
+        is_due = half_a_report <= 0.0 or time - self._selected >= self._period - half_a_report
+        self._before = time
+        if is_due:
+            self._selected = time
+        return is_due
+
+
+class OdometryNode(OmnimanNode):
+    """Connects the odometry to its topics; it publishes when the wheels have reported."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("odometry", **options)
+        self.settings = ParameterSet(self, OdometryNodeParameters)
+        p = self.settings.value
+        self.core = WheelOdometry(p.core)
+        self.settings.on_change(lambda new: self.core.configure(new.core))
+        self._names = p.core.robot.wheels.names
+        self._odom_cadence = Cadence(p.topics.odom_rate)
+        self._coupling_cadence = Cadence(p.topics.monitor_rate)
+        self._outputs = OdometryOutputs(self, self.core, lambda: self.settings.value.topics)
+        self._inputs = OdometryInputs(
+            self, self.core, self._names, lambda: self.settings.value.topics, self._publish
+        )
+        on_health = self.guarded("wheel_health", self._on_wheel_health)
+        self.create_subscription(DiagnosticStatus, "wheel_health", on_health, LATCHED)
+
+    def _on_wheel_health(self, message: DiagnosticStatus) -> None:
+        self.core.leave_out(reported_idle_wheels(message, self._names))
+
+    def _publish(self, stamp: Time) -> None:
+        """Publish what is due after a report of the wheels, with the stamp of the report."""
+        time = self.core.feedback.time
+        if stamp.sec == 0 and stamp.nanosec == 0:
+            stamp = self.stamp(time)
+        if self._odom_cadence.is_due(time):
+            self._outputs.publish_odometry(stamp)
+        if self._coupling_cadence.is_due(time):
+            self._outputs.publish_coupling_error(stamp)
+
+    def status(self) -> tuple[bytes, str, Iterable[tuple[str, object]]]:
+        """Return level, message and values for the diagnostics."""
+        core = self.core
+        level, message = self._level()
+        values: list[tuple[str, object]] = [
+            ("wheels_slipping", core.odometry.slipping),
+            ("coupling_error_rad", core.coupling_error.round(4).tolist()),
+            ("wheels_left_out", [self._names[i] for i in core.idle]),
+        ]
+        return level, message, values
+
+    def _level(self) -> tuple[bytes, str]:
+        """Return level and message of the most severe condition."""
+        feedback = self.core.feedback
+        if not feedback.received:
+            return DiagnosticStatus.WARN, "waiting for wheel_states"
+        for topic in ("odom", "wheel_states"):
+            if self.count_publishers(topic) > 1:
+                return DiagnosticStatus.WARN, f"{topic} has more than one publisher"
+        if feedback.age(self.now()) > MAX_GAP:
+            return DiagnosticStatus.WARN, "no wheel_states any more"
+        if feedback.suspect is not None:
+            wheel = self._names[feedback.suspect]
+            return DiagnosticStatus.WARN, f"wheel '{wheel}': position and velocity disagree"
+        if self.core.odometry.slipping:
+            return DiagnosticStatus.WARN, "the wheels slip"
+        return DiagnosticStatus.OK, "running"
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node: entry point of `ros2 run omniman_ros odometry`."""
+    return run(OdometryNode, args)

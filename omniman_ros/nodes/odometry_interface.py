@@ -1,0 +1,157 @@
+"""Topics of the odometry, which `platform_controller` and `odometry` have in common."""
+
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import PoseWithCovarianceStamped
+from nav_msgs.msg import Odometry as OdometryMsg
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+from omniman_ros.control.odometry import Odometry
+from omniman_ros.control.wheel_feedback import WheelFeedback
+from omniman_ros.conversions.joints import joint_arrays
+from omniman_ros.conversions.odometry import (
+    fill_odometry,
+    initialize_odometry,
+    odometry_transform,
+)
+from omniman_ros.conversions.poses import planar_pose
+from omniman_ros.core.arrays import Array
+from omniman_ros.nodes.odometry_parameters import OdometryTopicParameters
+from omniman_ros.nodes.omniman_node import OmnimanNode
+
+try:
+    from tf2_msgs.msg import TFMessage
+except ImportError:  # not among the wheels on PyPI
+    TFMessage = None
+
+Settings = Callable[[], OdometryTopicParameters]
+"""Returns the present parameters of the topics."""
+
+
+class OdometryCore(Protocol):
+    """A core that computes odometry from the reports of the wheels.
+
+    Attributes:
+        odometry: Pose, twist and covariance.
+        feedback: Last feedback of the wheels.
+    """
+
+    odometry: Odometry
+    feedback: WheelFeedback
+
+    @property
+    def coupling_error(self) -> Array:
+        """Coupling error epsilon (m,) [rad]."""
+
+    def update_wheels(
+        self,
+        time: float,
+        now: float,
+        position: Array | None,
+        velocity: Array | None,
+        effort: Array | None = None,
+    ) -> str:
+        """Process the state of the wheels; return a warning to log, or an empty string."""
+
+    def set_pose(self, pose: tuple[float, float, float], covariance: Array | None = None) -> None:
+        """Set the pose and its covariance; None means zero."""
+
+
+class OdometryInputs:
+    """Subscribes to `wheel_states` and `set_pose`, and serves `~/reset_odometry`.
+
+    Args:
+        node: Node that owns the subscriptions.
+        core: Core that the messages go to.
+        names: Names of the n wheels.
+        settings: Returns the present parameters.
+        on_report: Called with the stamp of each report of the wheels that was used.
+    """
+
+    def __init__(
+        self,
+        node: OmnimanNode,
+        core: OdometryCore,
+        names: Sequence[str],
+        settings: Settings,
+        on_report: Callable[[Time], None] | None = None,
+    ) -> None:
+        self._node = node
+        self._core = core
+        self._names = names
+        self._settings = settings
+        self._on_report = on_report
+        for kind, topic, handler, depth in (
+            (JointState, "wheel_states", self._on_wheel_states, 5),
+            (PoseWithCovarianceStamped, "set_pose", self._on_set_pose, 10),
+        ):
+            node.create_subscription(kind, topic, node.guarded(topic, handler), depth)
+        node.create_service(Trigger, "~/reset_odometry", self._on_reset)
+
+    def _on_wheel_states(self, message: JointState) -> str:
+        position, velocity, effort = joint_arrays(message, self._names)
+        now = self._node.now()
+        time = now - self._node.age(message.header.stamp)
+        warning = self._core.update_wheels(time, now, position, velocity, effort)
+        if self._on_report is not None:
+            self._on_report(message.header.stamp)
+        return warning
+
+    def _on_set_pose(self, message: PoseWithCovarianceStamped) -> None:
+        self._core.set_pose(*planar_pose(message, self._settings().frames))
+
+    def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._core.set_pose((0.0, 0.0, 0.0))
+        response.success = True
+        return response
+
+
+class OdometryOutputs:
+    """Publishes `odom`, `/tf` and `coupling_error`.
+
+    Args:
+        node: Node that owns the publishers.
+        core: Core to report on.
+        settings: Returns the present parameters.
+    """
+
+    def __init__(self, node: OmnimanNode, core: OdometryCore, settings: Settings) -> None:
+        self._core = core
+        self._settings = settings
+        self._odom = node.create_publisher(OdometryMsg, "odom", 10)
+        self._tf = node.create_publisher(TFMessage, "/tf", 100) if TFMessage else None
+        self._coupling = node.create_publisher(JointState, "coupling_error", 10)
+        p = settings()
+        self._odom_message = OdometryMsg(child_frame_id=p.base_frame)
+        self._odom_message.header.frame_id = p.odom_frame
+        initialize_odometry(self._odom_message, p.twist_variance)
+        names = [f"constraint_{i + 1}" for i in range(len(core.coupling_error))]
+        self._coupling_message = JointState(name=names)
+        if self._tf is None and p.publish_tf:
+            node.get_logger().info("tf2_msgs is not installed: /tf is off, odom has the same pose")
+
+    def publish_odometry(self, stamp: Time) -> None:
+        """Publish the odometry and, if `publish_tf` is set, odom -> base_link on /tf.
+
+        Args:
+            stamp: ROS time of the last report of the wheels.
+        """
+        odometry, message = self._core.odometry, self._odom_message
+        fill_odometry(message, odometry.pose, odometry.twist, odometry.covariance, stamp)
+        self._odom.publish(message)
+        if self._tf is not None and self._settings().publish_tf:
+            self._tf.publish(TFMessage(transforms=[odometry_transform(message)]))
+
+    def publish_coupling_error(self, stamp: Time) -> None:
+        """Publish the coupling error and its rate.
+
+        Args:
+            stamp: ROS time of the last report of the wheels.
+        """
+        self._coupling_message.header.stamp = stamp
+        self._coupling_message.position = self._core.coupling_error.tolist()
+        self._coupling_message.velocity = self._core.odometry.constraint_rate.tolist()
+        self._coupling.publish(self._coupling_message)

@@ -1,0 +1,53 @@
+"""Parameters of the node `odometry` and of the topics of all odometry."""
+
+from dataclasses import dataclass
+
+from omniman_ros.control.wheel_odometry import WheelOdometryParameters
+from omniman_ros.core.parameters import inline, parameter
+
+
+@dataclass(frozen=True, kw_only=True)
+class OdometryTopicParameters:
+    """Rates, frames and variances of the odometry's topics."""
+
+    odom_rate: float = parameter(
+        100.0,
+        "Rate of odom and /tf, as near as whole numbers of ticks or reports allow.",
+        unit="Hz",
+        low=1,
+        high=1000,
+        read_only=True,
+    )
+    monitor_rate: float = parameter(
+        50.0,
+        "Rate of coupling_error, as near as whole numbers of ticks or reports allow.",
+        unit="Hz",
+        low=1,
+        high=1000,
+        read_only=True,
+    )
+    twist_variance: float = parameter(
+        1e-4,
+        "Variance of the twist in odom, for sensor fusion.",
+        unit="m^2/s^2, rad^2/s^2",
+        low=0,
+        high=100,
+        read_only=True,
+    )
+    odom_frame: str = parameter("odom", "Frame of poses and references.", read_only=True)
+    base_frame: str = parameter("base_link", "Frame of twists.", read_only=True)
+    map_is_odom: bool = parameter(False, "Whether input in `map` counts as odom.")
+    publish_tf: bool = parameter(True, "Whether odom -> base_link is published on /tf.")
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """Names of frames that count as odom."""
+        return (self.odom_frame, "map") if self.map_is_odom else (self.odom_frame,)
+
+
+@dataclass(frozen=True, kw_only=True)
+class OdometryNodeParameters:
+    """Parameters of the node: those of its core and of its topics."""
+
+    core: WheelOdometryParameters = inline()
+    topics: OdometryTopicParameters = inline()
