@@ -18,6 +18,7 @@ EXPERIMENTS = {
     "coupling": "CCTA 2017 Fig. 7, coupling control on and off (default)",
     "tool_path": "platform and arm in step, with and without the arm's correction",
     "free": "the free case of MPC 2021",
+    "free_paper": "the same with the paper's own problem: weights, friction, mass, voltages out",
     "corridor": "the corridor case of MPC 2021",
     "moving": "the case of MPC 2021 with moving obstacles",
     "workshop": "rooms and doors, with a map",

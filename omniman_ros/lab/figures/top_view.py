@@ -127,8 +127,8 @@ class TopView:
         cycle = max(int(np.searchsorted(trace.times, time + 1e-9)) - 1, 0)
         self._draw_obstacles(axes, time, cycle)
         for pose, colour in ((self.scene.start, START_COLOUR), (self.scene.goal, GOAL_COLOUR)):
-            self._draw_robot(axes, np.array(pose), colour, filled=False)
-        self._draw_robot(axes, drive.poses[row], ROBOT_COLOUR)
+            draw_robot(axes, self.robot, np.array(pose), colour, filled=False)
+        draw_robot(axes, self.robot, drive.poses[row], ROBOT_COLOUR)
         axes.plot(*drive.poses[: row + 1, :2].T, color=INK, lw=1.0, zorder=5)
         if cycle in self.planned.planning:
             axes.plot(
@@ -211,7 +211,7 @@ class TopView:
         drive = self.planned.drive
         self._draw_obstacles(axes, 0.0, 0)
         for pose, colour in ((self.scene.start, START_COLOUR), (self.scene.goal, GOAL_COLOUR)):
-            self._draw_robot(axes, np.array(pose), colour, filled=False)
+            draw_robot(axes, self.robot, np.array(pose), colour, filled=False)
         for time in np.arange(interval, end_of(self.planned), interval):
             row = min(int(np.searchsorted(drive.times, time)), len(drive.times) - 1)
             box = to_odom(BOX_CORNERS * self.half, drive.poses[row])
@@ -223,33 +223,41 @@ class TopView:
             axes.add_patch(Polygon(box, closed=True, zorder=4, fc="none", ec=ROBOT_COLOUR, lw=0.7))
         axes.plot(*drive.poses[:, :2].T, color=INK, lw=1.0, zorder=5)
 
-    def _draw_robot(self, axes: Any, pose: Array, colour: str, filled: bool = True) -> None:
-        """Draw the robot at a pose (3,) in odom: its outline, its wheels and the front mark."""
-        fill: dict[str, Any] = {"fc": colour, "alpha": 0.35} if filled else {"fc": "none"}
-        box = to_odom(BOX_CORNERS * self.half, pose)
-        order = 4 if filled else 3
-        axes.add_patch(Polygon(box, closed=True, zorder=order, lw=0, **fill))
-        axes.add_patch(Polygon(box, closed=True, zorder=order, fc="none", ec=colour, lw=1.2))
+
+def draw_robot(axes: Any, robot: Robot, pose: Array, colour: str, filled: bool = True) -> None:
+    """Draw a robot from above: its outline, its wheels and the front mark.
+
+    Args:
+        axes: Axes to draw on.
+        robot: The robot.
+        pose: (3,) pose in odom [m, m, rad].
+        colour: Colour of outline, wheels and mark.
+        filled: Whether the outline is filled.
+    """
+    half = 0.5 * np.array([robot.body.length, robot.body.width])
+    fill: dict[str, Any] = {"fc": colour, "alpha": 0.35} if filled else {"fc": "none"}
+    box = to_odom(BOX_CORNERS * half, pose)
+    order = 4 if filled else 3
+    axes.add_patch(Polygon(box, closed=True, zorder=order, lw=0, **fill))
+    axes.add_patch(Polygon(box, closed=True, zorder=order, fc="none", ec=colour, lw=1.2))
+    axes.add_patch(
+        Polygon(to_odom(FRONT_MARK * half, pose), closed=True, zorder=order, fc=colour, lw=0)
+    )
+    wheels = robot.wheels
+    for x, y, heading, radius in zip(
+        wheels.x, wheels.y, wheels.heading, wheels.radius, strict=True
+    ):
+        tread = to_odom(BOX_CORNERS * [radius, 0.35 * radius], np.array([x, y, heading]))
         axes.add_patch(
             Polygon(
-                to_odom(FRONT_MARK * self.half, pose), closed=True, zorder=order, fc=colour, lw=0
+                to_odom(tread, pose),
+                closed=True,
+                zorder=order,
+                fc=colour,
+                lw=0,
+                alpha=0.8 if filled else 0.5,
             )
         )
-        wheels = self.robot.wheels
-        for x, y, heading, radius in zip(
-            wheels.x, wheels.y, wheels.heading, wheels.radius, strict=True
-        ):
-            tread = to_odom(BOX_CORNERS * [radius, 0.35 * radius], np.array([x, y, heading]))
-            axes.add_patch(
-                Polygon(
-                    to_odom(tread, pose),
-                    closed=True,
-                    zorder=order,
-                    fc=colour,
-                    lw=0,
-                    alpha=0.8 if filled else 0.5,
-                )
-            )
 
 
 def draw_ellipse(

@@ -19,7 +19,7 @@ from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
 from omniman_ros.lab.reproduce.energies import energy_lines, format_quantity, measure_energies
 from omniman_ros.lab.reproduce.pipeline import collect, publish
-from omniman_ros.lab.studies.mpc_cases import PAPER, SCENES, Scene, Variant, variants
+from omniman_ros.lab.studies.mpc_cases import PAPER_HORIZON, SCENES, Scene, Variant, variants
 from omniman_ros.lab.studies.planned_drives import PlannedDrive, drive_with_planner
 from omniman_ros.lab.studies.recorded_drive import SETTLING_TIME, Drive
 from omniman_ros.lab.studies.roller_diagonals import NEAR_DIAGONAL, diagonal_figures
@@ -27,8 +27,8 @@ from omniman_ros.lab.studies.workshop import workshop
 from omniman_ros.lab.verdicts import verdict
 from omniman_ros.robots import load_robot
 
-PAPER_VARIANT = Variant("the paper's horizon and cost", planner=PAPER)
-"""Variant with the horizon and cost function of MPC 2021."""
+PAPER_VARIANT = Variant("the paper's horizon", planner=PAPER_HORIZON)
+"""Variant with the horizon of MPC 2021, and no running cost."""
 DEFAULTS = Variant("defaults")
 """Variant with the default parameters, whose reference the controller follows."""
 VOLTAGES = Variant("voltages put out", voltages=True)

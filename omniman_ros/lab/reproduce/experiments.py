@@ -47,6 +47,13 @@ EXPERIMENTS = {
             "Error of the tool on its path, with and without correction by the arm",
         ),
         Experiment("free", _CASES, "ig42", 1, "Free movement, MPC 2021, 4.1"),
+        Experiment(
+            "free_paper",
+            "omniman_ros.lab.reproduce.free_paper",
+            "ig42",
+            1,
+            "Free movement with the paper's own problem, MPC 2021, 4.1: what its weights decide",
+        ),
         Experiment("corridor", _CASES, "ig42", 1, "Narrow corridor, MPC 2021, 4.2"),
         Experiment(
             "moving",

@@ -17,8 +17,8 @@ Result = Mapping[str, Any]
 Results = Mapping[str, Result]
 """The JSON of all experiments, by the name of the experiment."""
 
-PAPER_PLANNER = "the paper's horizon and cost"
-"""Description (`about`) of the drives with the horizon and the cost of MPC 2021."""
+PAPER_HORIZON = "the paper's horizon"
+"""Description (`about`) of the planner's drives with the horizon of MPC 2021."""
 VOLTAGES = "voltages put out"
 """Description (`about`) of the drives in which the planner's motor voltages are applied."""
 DISTINGUISHABLE = 0.01
@@ -37,12 +37,14 @@ SETPOINT_TOLERANCE = 0.1
 class Verdict(Enum):
     """Verdict of the comparison of a measurement with a claim.
 
-    SHOWN: the paper gives nothing to compare with. MISSING: there is no measurement.
+    UNLIKE: the conditions are not the paper's, so that neither agreement nor difference can be
+    stated. SHOWN: the paper gives nothing to compare with. MISSING: there is no measurement.
     """
 
     AGREES = "agrees"
     PARTLY = "partly"
     DIFFERS = "differs"
+    UNLIKE = "not like for like"
     SHOWN = "no number"
     MISSING = "not measured"
 
@@ -300,6 +302,98 @@ def energy_ratio(results: Results) -> Finding:
         f"{min(ratios):.2f} to {max(ratios):.2f} of a straight line's energy; "
         f"less for {savings} of {len(ratios)} goals",
         Verdict.all_of([ratio < 1.0 for ratio in ratios]),
+    )
+
+
+LATE_SHARE = 0.1
+"""Largest share of the path that is left for the last part of a drive that slows down [-]."""
+NEAR_GOAL = 0.05
+"""Largest distance from the goal at rest, as a share of that at the start [-]."""
+TURNED_BACK = math.radians(5.0)
+"""Largest heading error at rest of a robot that has turned back [rad]."""
+
+
+def _weight_rows(results: Results) -> list[Result]:
+    """Return the drives with the paper's problem in which only the weights differ."""
+    rows = [row for row in results["free_paper"]["drives"] if row["about"] == "weights"]
+    return sorted(rows, key=lambda row: -float(row["w_pos"]))
+
+
+def _by_weight(rows: Sequence[Result], texts: Sequence[str]) -> str:
+    """Return the texts of drives, each after its W_pos."""
+    pairs = zip(rows, texts, strict=True)
+    return "W_pos " + ", ".join(f"{row['w_pos']:g}: {text}" for row, text in pairs)
+
+
+def speed_profile(results: Results) -> Finding:
+    """Judge whether the robot is fast at first and slow near the goal, with each weight."""
+    rows = _weight_rows(results)
+    peaks = [row["peak_speed_s"] / row["rest_s"] for row in rows]
+    rest = [1.0 - row["way_shares"][-1] for row in rows]
+    texts = [
+        f"{row['peak_speed_m_s']:.1f} m/s at {row['peak_speed_s']:.1f} of {row['rest_s']:.1f} s"
+        for row in rows
+    ]
+    return Finding(
+        {"peak_shares": peaks, "late_shares": rest},
+        f"{_by_weight(rows, texts)}; {100 * min(rest):.0f} to {100 * max(rest):.0f} % of the path "
+        "in the last 2/9 of the time",
+        Verdict.all_of(
+            [peak < 0.5 and late <= LATE_SHARE for peak, late in zip(peaks, rest, strict=True)]
+        ),
+    )
+
+
+def paper_heading(results: Results) -> Finding:
+    """Judge whether the robot turns to a diagonal, travels along it and turns back."""
+    rows = _weight_rows(results)
+    judged = [
+        [
+            row["turn_to_diagonal_rad"] >= MIN_TURN,
+            row["along_diagonal"],
+            row["rest_rad"] <= TURNED_BACK,
+        ]
+        for row in rows
+    ]
+    texts = [
+        f"{math.degrees(row['turn_to_diagonal_rad']):.0f}°, {100 * row['share']:.0f} %, "
+        f"{math.degrees(row['rest_rad']):.0f}°"
+        for row in rows
+    ]
+    return Finding(
+        {
+            name: [row[name] for row in rows]
+            for name in ("w_pos", "turn_to_diagonal_rad", "share", "rest_rad")
+        },
+        f"turn to the diagonal, time near it, rest of the turn: {_by_weight(rows, texts)}",
+        Verdict.all_of([condition for conditions in judged for condition in conditions]),
+    )
+
+
+def paper_goal(results: Results) -> Finding:
+    """Judge whether the robot comes to rest at the goal, with each weight."""
+    rows = _weight_rows(results)
+    near = [row["rest_m"] <= NEAR_GOAL * row["goal_m"] for row in rows]
+    return Finding(
+        {name: [row[name] for row in rows] for name in ("w_pos", "rest_m", "rest_s")},
+        "at rest short of it: " + _by_weight(rows, [f"{row['rest_m']:.2f} m" for row in rows]),
+        Verdict.all_of(near),
+    )
+
+
+def paper_energy(results: Results) -> Finding:
+    """Judge whether turning saves energy over the same path, without taking longer."""
+    drives = results["free_paper"]["drives"]
+    held = _first(drives, lambda row: row["about"] == "heading held")
+    free = _first(drives, lambda row: row["about"] == "weights" and row["w_pos"] == held["w_pos"])
+    pairs = [(row["compared_j"], row["compared_s"]) for row in (free, held)]
+    (energy, time), (held_energy, held_time) = pairs
+    way = results["free_paper"]["compared_way_m"]
+    return Finding(
+        {"free": pairs[0], "held": pairs[1]},
+        f"{energy:.0f} J in {time:.2f} s for {way:g} m; with the heading held by W_ang = "
+        f"{held['w_ang']:g} {held_energy:.0f} J in {held_time:.2f} s",
+        Verdict.of(energy < held_energy and time <= held_time),
     )
 
 

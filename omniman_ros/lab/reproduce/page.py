@@ -19,6 +19,7 @@ PHRASES = {
     Verdict.AGREES: "agree",
     Verdict.PARTLY: "in part",
     Verdict.DIFFERS: "differ",
+    Verdict.UNLIKE: "not like for like",
     Verdict.SHOWN: "without a published number",
     Verdict.MISSING: "not measured",
 }

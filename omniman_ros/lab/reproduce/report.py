@@ -122,6 +122,7 @@ def claim_row(claim: Claim, finding: Finding) -> dict[str, Any]:
         "published": claim.published,
         "rule": claim.rule,
         "note": claim.note,
+        "unlike": claim.unlike,
         "from": list(claim.needs),
         "measured": finding.text,
         "values": dict(finding.values),

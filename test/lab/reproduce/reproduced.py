@@ -39,7 +39,7 @@ def ride(about="defaults", **changes):
 
 
 def case(**changes):
-    drives = [ride(**changes), ride("voltages put out"), ride("the paper's horizon and cost")]
+    drives = [ride(**changes), ride("voltages put out"), ride("the paper's horizon")]
     return {
         "robot": "ig42",
         "quick": False,

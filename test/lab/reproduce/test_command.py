@@ -218,7 +218,7 @@ def test_case_is_driven_with_both_outputs_and_published(monkeypatch, tmp_path, r
 
 def test_setting_of_the_paper_is_driven_but_not_judged(monkeypatch, tmp_path, ride):
     _, result, asked = case(monkeypatch, tmp_path, ride, quick=False)
-    assert asked[2][0] == dict(cases.PAPER)
+    assert asked[2][0] == dict(cases.PAPER_HORIZON)
     assert result["drives"][2]["counts"] is False
 
 
