@@ -10,7 +10,9 @@ Model (13) to (24) is that of `omniman_ros.planning.mpc.model`, with its differe
 twist instead of pose and its rate in odom.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -24,7 +26,7 @@ STAGE = 0.1
 """Duration of a stage (MPC 2021, 4) [s]."""
 SUBSTEPS = 2
 """Number of Runge-Kutta steps per stage: with twice the friction, one is unstable in rotation."""
-OPTIONS = {
+OPTIONS: dict[str, Any] = {
     "print_time": False,
     "error_on_fail": False,
     "calc_lam_p": False,
@@ -145,7 +147,7 @@ class PaperProblem:
         self._bound = np.tile(row, STAGES)
 
     def _program(
-        self, stage: ca.Function, terminal: ca.Function, start: ca.SX, goal: ca.SX
+        self, stage: ca.Function, terminal: Callable[[ca.SX], ca.SX], start: ca.SX, goal: ca.SX
     ) -> ca.Function:
         """Return the solver of the problem by multiple shooting: v_1, x_2, ..., v_n, x_n+1."""
         x, cost = start, ca.SX(0)

@@ -52,6 +52,26 @@ def case(**changes):
     }
 
 
+def paper_ride(position=20.0, heading=5.0, about="weights", **changes):
+    return {
+        "about": about,
+        "w_pos": position,
+        "w_ang": heading,
+        "peak_speed_m_s": 2.0,
+        "peak_speed_s": 1.5,
+        "rest_s": 5.6,
+        "rest_m": 0.1,
+        "rest_rad": 0.05,
+        "goal_m": 6.0,
+        "way_shares": [0.3, 0.6, 0.96],
+        "compared_s": 3.6,
+        "compared_j": 214.0,
+        "along_diagonal": True,
+        "share": 0.92,
+        "turn_to_diagonal_rad": 0.4,
+    } | changes
+
+
 def group(**changes):
     return {
         "drives": 8,
@@ -98,6 +118,21 @@ EVERYTHING = {
         ],
     },
     "free": case(clearance_m=None) | {"energy": [{"ratio": 0.9}, {"ratio": 1.1}]},
+    "free_paper": {
+        "robot": "ig42",
+        "quick": False,
+        "full": False,
+        "seed": 0,
+        "passed": True,
+        "took_s": 30.0,
+        "about": ABOUT,
+        "compared_way_m": 5.0,
+        "drives": [
+            paper_ride(600.0, 150.0),
+            paper_ride(),
+            paper_ride(20.0, 500.0, "heading held", compared_s=3.7, compared_j=228.0),
+        ],
+    },
     "corridor": case(),
     "moving": case(),
     "workshop": case(),

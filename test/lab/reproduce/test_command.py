@@ -308,6 +308,16 @@ def test_workshop_is_driven_and_drawn(monkeypatch, tmp_path, ride):
     assert (result["picture"] is not None) == DRAWS
 
 
+@pytest.mark.exhaustive
+def test_paper_problem_is_driven_drawn_and_published(tmp_path, capsys):
+    assert main(["reproduce", "free_paper", "--quick", "--results", str(tmp_path)]) == 0
+    result = json.loads((tmp_path / "reproduce_free_paper.json").read_text())
+    assert [row["w_pos"] for row in result["drives"]] == [600.0, 20.0]
+    assert result["passed"] is True
+    assert (tmp_path / "reproduce_free_paper.png").exists() is DRAWS
+    assert "Stages that were not solved: 0 of" in capsys.readouterr().out
+
+
 def test_each_experiment_has_its_robot():
     assert EXPERIMENTS["coupling"].robot == "omniman"
     assert {EXPERIMENTS[name].robot for name in cases.CASES} == {"ig42"}

@@ -25,7 +25,10 @@ VALUES = robots.values("ig42")
 ROBOT = robots.robot("ig42")
 
 
-def made(turn=0.0, bearing=math.radians(70.0)):
+BEARING = math.radians(70.0)
+
+
+def made(turn=0.0, bearing=BEARING):
     """Make a drive of 1 m at 1 m/s that turns at once, then rests for a second."""
     record = MotionRecord()
     for k in range(400):
@@ -33,7 +36,7 @@ def made(turn=0.0, bearing=math.radians(70.0)):
         x = min(time, 1.0)
         pose = np.array([x, 0.0, -bearing + turn * (time > 0.0)])
         direction = -pose[2]
-        speed = float(time < 1.0)
+        speed = float(time < 1.0) * (1.0 if k else 0.5)
         record.times.append(time)
         record.poses.append(pose)
         record.odometry.append(pose)
@@ -59,10 +62,11 @@ def test_figures_hold_until_the_robot_rests():
 
 @pytest.mark.parametrize(("turn", "share"), [(25.0, 1.0), (-20.0, 0.0)])
 def test_turn_is_positive_towards_the_nearest_diagonal(turn, share):
-    drive = made(math.radians(turn))
-    figures = drive.figures(ROBOT)
-    fastest = drive.drive.poses[5, 2] - drive.drive.poses[0, 2]
-    assert fastest == pytest.approx(math.radians(turn))
+    figures = made(math.radians(turn)).figures(ROBOT)
+    assert figures["turn_to_diagonal_rad"] == pytest.approx(math.radians(turn))
+    assert figures["from_diagonal_at_peak_rad"] == pytest.approx(
+        math.radians(25.0 - turn), abs=1e-6
+    )
     assert figures["share"] == pytest.approx(share, abs=0.01)
 
 

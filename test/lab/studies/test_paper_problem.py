@@ -85,6 +85,8 @@ def test_voltages_are_the_only_limit(problem):
     plan = problem.solve(np.zeros(6), np.array([60.0, 0.0, 0.0]))
     assert plan.solved
     assert np.abs(plan.voltages).max() == pytest.approx(24.0, abs=1e-4)
+    goal = np.array([60.0, 0.0, 0.0])
+    assert float(problem.cost(plan.voltages.T, np.zeros(6), goal)) == pytest.approx(plan.cost)
     speed = np.hypot(*plan.states[:, 3:5].T).max()
     # Beyond all limits of the robot's file: its speed, and its acceleration times one second.
     assert speed > 2.0 * max(
