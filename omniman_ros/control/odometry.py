@@ -136,10 +136,15 @@ class OdometryParameters:
 class Odometry:
     """Integrates the motion of the wheels to the pose of base_link in odom.
 
+    The augmented forward kinematics give the rate of the coupling error as well, CCTA 2017 (13);
+    its integral from 0 to t, (24), is therefore kept here, beside the pose.
+
     Attributes:
         pose: Pose (x, y, theta) in odom [m, m, rad]; theta is not wrapped.
         twist: Twist (3,) in base_link [m/s, m/s, rad/s].
         constraint_rate: Rate (m,) of the coupling error, epsilon' of CCTA 2017 (12) [rad/s].
+        coupling_error: Its integral (m,), epsilon of CCTA 2017 (24), since the start or the last
+            :meth:`reset_coupling_error`; rests do not reset it [rad].
         slipping: Whether the filtered coupling residual is above its threshold.
     """
 
@@ -147,12 +152,21 @@ class Odometry:
         self.pose = (0.0, 0.0, 0.0)
         self.twist: Array = np.zeros(3)
         self.slipping = False
+        self.coupling_error: Array = np.zeros(kinematics.constraint_count)
         self._covariance = [0.0] * 6
+        self._idle = kinematics.idle
         self.configure(kinematics, parameters)
 
     def configure(self, kinematics: PlatformKinematics, parameters: OdometryParameters) -> None:
-        """Set new kinematics and parameters; the pose is kept."""
+        """Set new kinematics of the same wheels and new parameters; the pose is kept.
+
+        The coupling error is kept as well, unless other wheels are idle: with them, the
+        constraints are others.
+        """
         m = kinematics.constraint_count
+        if kinematics.idle != self._idle:
+            self.reset_coupling_error()
+        self._idle = kinematics.idle
         self._forward = np.vstack([parameters.correction @ kinematics.J_pinv, kinematics.T])
         # Travel at the rim per radian of each constraint.
         self._rim = 1.0 / np.linalg.norm(kinematics.J[:, :2], axis=1).max()
@@ -188,6 +202,10 @@ class Odometry:
         rows, columns = (0, 0, 1, 0, 1, 2), (0, 1, 1, 2, 2, 2)
         self._covariance = covariance[rows, columns].tolist()
 
+    def reset_coupling_error(self) -> None:
+        """Let the coupling error count from zero again."""
+        self.coupling_error = np.zeros_like(self.coupling_error)
+
     @property
     def covariance(self) -> Array:
         """Covariance (3, 3) of (x, y, theta) in odom [m^2, m rad, rad^2]."""
@@ -215,6 +233,7 @@ class Odometry:
         east, north = c * dx - s * dy, s * dx + c * dy
         self.pose = (x + east, y + north, theta + dtheta)
         step = steps[3:]
+        self.coupling_error = self.coupling_error + step
         slip = 0.0
         if step.size:
             gain = 1.0 - math.exp(-dt / self._parameters.slip_filter)

@@ -273,6 +273,14 @@ class PlatformController:
         for source in (Source.MPC, Source.PATH):
             self.arbiter.cancel(source, "the pose was set")
 
+    def reset_odometry(self) -> None:
+        """Set the pose of the odometry to the origin, and its coupling error to zero.
+
+        The error that the coupling controller corrects is not changed.
+        """
+        self.set_pose((0.0, 0.0, 0.0))
+        self.odometry.reset_coupling_error()
+
     def _check(self, now: float, dt: float) -> None:
         """Latch a stop for each fault; a stop cancels every source."""
         fault = self.fault(now)

@@ -119,7 +119,7 @@ class WheelCascade:
         return twist * scale
 
     def rest_command(self, measured: Array) -> WheelCommand:
-        """Return a command of zero speeds; reset the coupling error once the wheels are at rest.
+        """Return a command of zero speeds; tell the coupling controller once the wheels rest.
 
         Args:
             measured: Measured wheel speeds (n,) [rad/s].
@@ -128,7 +128,7 @@ class WheelCascade:
         self.demanded_torque = np.zeros_like(self.demanded_torque)
         self._wheels.reset()
         if not max(map(abs, measured.tolist())) > REST_SPEED:
-            self.coupling.reset()
+            self.coupling.rest()
         return WheelCommand(DriveMode.VELOCITY, np.zeros_like(measured), self.reference)
 
     def voltage_command(

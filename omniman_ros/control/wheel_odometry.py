@@ -163,3 +163,8 @@ class WheelOdometry:
             InputError: See Odometry.reset.
         """
         self.odometry.reset(pose, covariance)
+
+    def reset_odometry(self) -> None:
+        """Set the pose to the origin, and the coupling error without resets to zero."""
+        self.set_pose((0.0, 0.0, 0.0))
+        self.odometry.reset_coupling_error()

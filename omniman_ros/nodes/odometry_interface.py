@@ -11,6 +11,7 @@ from std_srvs.srv import Trigger
 
 from omniman_ros.control.odometry import Odometry
 from omniman_ros.control.wheel_feedback import WheelFeedback
+from omniman_ros.conversions.coupling import coupling_names, fill_coupling_error
 from omniman_ros.conversions.joints import joint_arrays
 from omniman_ros.conversions.odometry import (
     fill_odometry,
@@ -44,7 +45,7 @@ class OdometryCore(Protocol):
 
     @property
     def coupling_error(self) -> Array:
-        """Coupling error epsilon (m,) [rad]."""
+        """Coupling error epsilon (m,) since the last rest of the wheels [rad]."""
 
     def update_wheels(
         self,
@@ -58,6 +59,9 @@ class OdometryCore(Protocol):
 
     def set_pose(self, pose: tuple[float, float, float], covariance: Array | None = None) -> None:
         """Set the pose and its covariance; None means zero."""
+
+    def reset_odometry(self) -> None:
+        """Set the pose to the origin, and the coupling error without resets to zero."""
 
 
 class OdometryInputs:
@@ -104,7 +108,7 @@ class OdometryInputs:
         self._core.set_pose(*planar_pose(message, self._settings().frames))
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._core.set_pose((0.0, 0.0, 0.0))
+        self._core.reset_odometry()
         response.success = True
         return response
 
@@ -128,7 +132,7 @@ class OdometryOutputs:
         self._odom_message = OdometryMsg(child_frame_id=p.base_frame)
         self._odom_message.header.frame_id = p.odom_frame
         initialize_odometry(self._odom_message, p.twist_variance)
-        names = [f"constraint_{i + 1}" for i in range(len(core.coupling_error))]
+        names = coupling_names(len(core.coupling_error))
         self._coupling_message = JointState(name=names)
         if self._tf is None and p.publish_tf:
             node.get_logger().info("tf2_msgs is not installed: /tf is off, odom has the same pose")
@@ -146,12 +150,17 @@ class OdometryOutputs:
             self._tf.publish(TFMessage(transforms=[odometry_transform(message)]))
 
     def publish_coupling_error(self, stamp: Time) -> None:
-        """Publish the coupling error and its rate.
+        """Publish the coupling errors, since the last rest and without resets, and their rate.
 
         Args:
             stamp: ROS time of the last report of the wheels.
         """
-        self._coupling_message.header.stamp = stamp
-        self._coupling_message.position = self._core.coupling_error.tolist()
-        self._coupling_message.velocity = self._core.odometry.constraint_rate.tolist()
+        odometry = self._core.odometry
+        fill_coupling_error(
+            self._coupling_message,
+            self._core.coupling_error,
+            odometry.coupling_error,
+            odometry.constraint_rate,
+            stamp,
+        )
         self._coupling.publish(self._coupling_message)

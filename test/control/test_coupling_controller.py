@@ -5,6 +5,7 @@ import pytest
 
 from omniman_ros.control.coupling_controller import CouplingController, CouplingParameters
 from omniman_ros.control.kinematics import PlatformKinematics
+from omniman_ros.core.parameters import build
 from test.robots import ALL, kinematics, random_wheels
 
 CONSTRAINED = [name for name in ALL if name != "omni3"]
@@ -101,3 +102,17 @@ def test_limited_correction_still_removes_the_coupling_error():
     for _ in range(4000):
         controller.add(model.T @ (wheels + controller.correction(wheels)) * dt)
     assert abs(controller.error[0]) < 1e-3
+
+
+@pytest.mark.parametrize(("resets", "left"), [(True, 0.0), (False, 3.0)])
+def test_rest_resets_the_error_unless_it_is_to_be_integrated_on(resets, left):
+    parameters = CouplingParameters(reset_at_rest=resets)
+    controller = CouplingController(kinematics("omniman"), parameters)
+    controller.add(np.array([3.0]))
+    controller.rest()
+    assert controller.error[0] == left
+
+
+@pytest.mark.parametrize("radius", [0.127, 0.02, 0.005])
+def test_range_of_the_gain_covers_18_as_printed(radius):
+    build(CouplingParameters, {"k_epsilon": 2 * 4 / radius})

@@ -6,9 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from omniman_ros.control.kinematics import PlatformKinematics
 from omniman_ros.control.odometry import Odometry, OdometryParameters
 from omniman_ros.core.errors import InputError, ParameterError
-from test.robots import ALL, kinematics
+from test.robots import ALL, kinematics, robot
 
 QUIET = OdometryParameters(noise_translation=0, noise_rotation=0, noise_drift=0, noise_slip=0)
 
@@ -70,6 +71,32 @@ def test_update_returns_the_coupling_error_step_and_its_rate():
     assert step.shape == odometry.constraint_rate.shape == (3,)
     np.testing.assert_allclose(step, model.T @ steps)
     np.testing.assert_allclose(odometry.constraint_rate, 10 * model.T @ steps)
+
+
+@pytest.mark.parametrize("name", ["omniman", "mecanum6", "skewed4", "mecanum8"])
+def test_coupling_error_is_the_integral_of_a_known_violation_and_has_its_own_reset(name):
+    odometry, model = make(name)
+    time = np.linspace(0, 5, 200)
+    rng = np.random.default_rng(1)
+    twist, away = rng.uniform(-1, 1, 3), rng.uniform(-1, 1, model.constraint_count)
+    with_it = np.outer(np.sin(time) + 2 * time, model.J @ twist)
+    against = np.outer(0.1 * time**2, model.T_pinv @ away)
+    for step in np.diff(with_it + against, axis=0):
+        odometry.update(step, step / 0.025, 0.025)
+    np.testing.assert_allclose(odometry.coupling_error, 2.5 * away, atol=1e-12)
+    odometry.reset((1.0, 2.0, 0.5))
+    odometry.configure(model, QUIET)
+    np.testing.assert_allclose(odometry.coupling_error, 2.5 * away, atol=1e-12)
+    odometry.reset_coupling_error()
+    assert not odometry.coupling_error.any()
+
+
+def test_coupling_error_begins_anew_when_other_wheels_are_idle():
+    odometry, _ = make("mecanum6")
+    odometry.update(np.arange(6.0), np.zeros(6), 0.1)
+    assert odometry.coupling_error.any()
+    odometry.configure(PlatformKinematics(robot("mecanum6").wheels, (0,)), QUIET)
+    assert not odometry.coupling_error.any()
 
 
 def test_three_wheels_have_no_constraint_and_never_report_slip():

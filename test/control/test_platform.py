@@ -835,6 +835,26 @@ def test_coupling_error_is_cleared_at_rest():
     assert not rig.core.cascade.coupling.error.any()
 
 
+def test_integrated_coupling_error_outlives_rest_and_pose_until_odometry_is_reset():
+    rig = uneven(Rig()).cruise(*CRUISE)
+    rig.run(2.0)
+    total = rig.core.odometry.coupling_error
+    assert total.any()
+    rig.core.set_pose((1.0, 0.0, 0.0))
+    np.testing.assert_array_equal(rig.core.odometry.coupling_error, total)
+    rig.core.reset_odometry()
+    assert rig.core.odometry.pose == (0.0, 0.0, 0.0)
+    assert not rig.core.odometry.coupling_error.any()
+
+
+def test_controlled_error_is_the_integrated_one_without_resets():
+    rig = uneven(Rig("omniman", {"coupling.reset_at_rest": False})).cruise(*CRUISE)
+    rig.run(2.0)
+    controlled = rig.core.cascade.coupling.error
+    assert controlled.any()
+    np.testing.assert_allclose(controlled, rig.core.odometry.coupling_error)
+
+
 # ---- configuration ----------------------------------------------------------------------------
 
 

@@ -68,7 +68,7 @@ def test_topics_are_published_at_200_100_and_50_hz(rig):
     after = len(rig.commands), len(rig.odom), len(coupling)
     counts = [b - a for a, b in zip(before, after, strict=True)]
     assert counts == pytest.approx([200, 100, 50], abs=1)
-    assert list(last(coupling).name) == ["constraint_1"]
+    assert list(last(coupling).name) == ["constraint_1", "constraint_1_total"]
 
 
 def test_twist_is_limited_and_keeps_its_direction(rig):
