@@ -12,6 +12,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray, String
 from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
+from omniman_ros.conversions.coupling import total_coupling_error
 from omniman_ros.conversions.geometry import yaw_from_quaternion
 from omniman_ros.conversions.headers import time_seconds
 
@@ -35,7 +36,7 @@ class Recording:
         odom: Stamp, pose x, y, theta in odom [m, m, rad] and twist x', y', theta' in base_link
             [m/s, m/s, rad/s].
         truth: Stamp and pose x, y, theta of the ground truth [m, m, rad].
-        coupling: Stamp and coupling error of each constraint [rad].
+        coupling: Stamp and coupling error of each constraint, without resets [rad].
         reference: Time and pose x, y, theta of the path's reference [m, m, rad]; times may repeat.
         energy: Energy drawn by the motor of each wheel since the start of its drive [J].
         arm: Stamp and measured joint angles [rad].
@@ -162,7 +163,7 @@ class Recorder:
 
     def _on_coupling(self, message: JointState) -> None:
         stamp = time_seconds(message.header.stamp)
-        self.recording.coupling.append((stamp, *message.position))
+        self.recording.coupling.append((stamp, *total_coupling_error(message)))
 
     def _on_electrical(self, message: Float64MultiArray) -> None:
         self.recording.energy.append(tuple(message.data[2::3]))

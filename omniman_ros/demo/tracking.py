@@ -116,6 +116,8 @@ def tracking_figures(
 def coupling_figures(rows: Sequence[Row], movements: Sequence[Interval]) -> dict[str, Any]:
     """Return the coupling error on a path, over all movements and for each of them [rad].
 
+    It is counted from the start of the path, CCTA 2017 (24).
+
     Args:
         rows: Rows of `Recording.coupling`; a robot without constraints has only the stamps.
         movements: Movements of the path.
@@ -125,6 +127,9 @@ def coupling_figures(rows: Sequence[Row], movements: Sequence[Interval]) -> dict
     result: dict[str, Any] = {"rms_rad": 0.0, "max_rad": 0.0, "movements": {}}
     if not epsilon.size:
         return result
+    start = min((movement.start for movement in movements), default=math.inf)
+    before = np.flatnonzero(table[:, 0] <= start)
+    epsilon = epsilon - epsilon[before[-1] if before.size else 0]
     on_path = np.zeros(len(table), dtype=bool)
     for movement in movements:
         during = movement.contains(table[:, 0])

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from omniman_ros.conversions.coupling import total_coupling_error
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.recording.reader import BagReader
@@ -58,7 +59,7 @@ class RobotLog:
         commanded: Commanded speed of each wheel [rad/s]; NaN where none was commanded.
         measured: Measured speed of each wheel [rad/s].
         electrical: Voltage [V], current [A] and energy [J] of each wheel, wheel by wheel.
-        coupling: Coupling error of each constraint [rad].
+        coupling: Coupling error of each constraint, without resets if it was recorded [rad].
         references: Reference x, y, theta of the platform, by its source `path` or `mpc`; rows of
             NaN separate movements.
         paths: Poses (n, 3) of each path that was sent.
@@ -268,9 +269,9 @@ class _Collector:
             _append(self._unstamped, "electrical", arrival, *message.data)
 
     def _on_coupling(self, arrival: float, message: Any) -> None:
-        if len(message.position):
-            stamp = _seconds(message.header.stamp)
-            _append(self._stamped, "coupling", stamp, *message.position)
+        errors = total_coupling_error(message)
+        if errors:
+            _append(self._stamped, "coupling", _seconds(message.header.stamp), *errors)
 
     def _on_path(self, arrival: float, message: Any) -> None:
         if message.poses:

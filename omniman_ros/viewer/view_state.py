@@ -83,10 +83,10 @@ class ViewState:
         wheel_angles: Measured wheel angles (n,) [rad].
         arm: Measured joint angles (6,) [rad]; None until received.
         windows: Curves of the plots by name: `speeds`, n measured and n commanded wheel speeds
-            [rad/s]; `coupling`, m coupling errors [rad]; `voltages`, n motor voltages [V];
-            `energy`, energy of all wheels since it was first received [J]; `solving`, the
-            planner's solution time [ms] and slack [mm]; `sending`, mean and longest interval
-            between two setpoints of the arm [ms].
+            [rad/s]; `coupling`, m coupling errors without resets [rad]; `voltages`, n motor
+            voltages [V]; `energy`, energy of all wheels since it was first received [J];
+            `solving`, the planner's solution time [ms] and slack [mm]; `sending`, mean and
+            longest interval between two setpoints of the arm [ms].
         goal, start: Poses of the planner's goal and of the start; None until there is one.
         obstacles: Obstacles that were placed on the page.
         selected_obstacle: Number of the obstacle selected for editing, or None.

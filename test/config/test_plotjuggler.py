@@ -4,6 +4,7 @@ from xml.etree import ElementTree
 
 import pytest
 
+from omniman_ros.conversions.coupling import coupling_names
 from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
@@ -24,7 +25,7 @@ def series_of(topic, kind):
     """Series that PlotJuggler makes of a topic, as far as they are used."""
     if kind == "sensor_msgs/JointState":
         names = JOINTS if topic.startswith("arm") else WHEELS
-        names = ("constraint_1",) if topic == "coupling_error" else names
+        names = tuple(coupling_names(1)) if topic == "coupling_error" else names
         return {
             f"/{topic}/{n}/{part}" for n in names for part in ("position", "velocity", "effort")
         }

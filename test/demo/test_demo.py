@@ -18,9 +18,9 @@ def test_a_perfect_run_has_no_fault():
     assert result["faults"] == []
     assert result["tracking"]["rms_mm"] == pytest.approx(0.0, abs=0.01)
     assert result["coupling"] == {
-        "rms_rad": pytest.approx(math.sqrt(5e-6)),
-        "max_rad": 0.003,
-        "movements": {"there": 0.001, "back": 0.003},
+        "rms_rad": pytest.approx(math.sqrt(8e-6)),
+        "max_rad": pytest.approx(0.004),
+        "movements": {"there": 0.0, "back": pytest.approx(0.004)},
     }, "what lies between the movements does not count"
     assert result["energy"] == {"total_j": 3.5, "wheels_j": [3.0, 0.5]}
     assert result["timing"]["odom"]["rate_hz"] == pytest.approx(100.0)

@@ -15,6 +15,11 @@ def test_a_robot_without_constraints_has_no_coupling_error():
     assert coupling_figures([(0.0,), (0.1,)], MOVEMENTS) == none
 
 
+def test_the_coupling_error_of_a_path_counts_from_its_start():
+    before = [(START - 2.0, 0.1), (START - 0.1, 0.4), (START + 1.0, 0.4), (START + 2.0, 0.6)]
+    assert coupling_figures(before, MOVEMENTS[:1])["max_rad"] == pytest.approx(0.2)
+
+
 def test_the_tracking_error_is_taken_at_the_stamps():
     reference = Reference(reference_rows())
     result = tracking_figures(odometry_rows((0.003, 0.004, 0.01)), reference, MOVEMENTS)

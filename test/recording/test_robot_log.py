@@ -190,6 +190,12 @@ def test_messages_of_another_size_than_the_first_are_left_out(tmp_path):
     assert log.coupling.shape == (1, 2)
 
 
+def test_coupling_error_without_resets_is_the_one_that_is_read(tmp_path):
+    names = ["constraint_1", "constraint_1_total"]
+    log = log_of(tmp_path, [(1.0, "/coupling_error", s.joints(1.0, names, (0.1, 0.7)))])
+    assert log.coupling.tolist() == [[1.0, 0.7]]
+
+
 def test_commanded_and_measured_speeds_are_of_the_same_wheels(tmp_path):
     log = log_of(
         tmp_path,

@@ -10,6 +10,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray, String
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
+from omniman_ros.conversions.coupling import total_coupling_error
 from omniman_ros.conversions.geometry import twist_array, yaw_from_quaternion
 from omniman_ros.conversions.headers import check_frame
 from omniman_ros.conversions.joints import joint_arrays, require_array
@@ -104,7 +105,7 @@ class RobotTopics:
         self._state.update_commands(velocity, self._node.now())
 
     def _on_coupling(self, message: JointState) -> None:
-        errors = np.array(message.position, dtype=float)
+        errors = np.array(total_coupling_error(message), dtype=float)
         plausible.demand(errors, plausible.WHEEL_ANGLE, "position")
         self._state.update_signal("coupling", errors, self._node.now())
 
