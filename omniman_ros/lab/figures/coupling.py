@@ -24,7 +24,7 @@ from omniman_ros.console.figure_style import (
 )
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.robot import Robot
-from omniman_ros.lab.studies.coupling import Run
+from omniman_ros.lab.studies.coupling import OWN_CONTROLLER, PAPER_CONTROLLER, Run
 from omniman_ros.lab.studies.coupling_sweep import AIM, PAPER_GAIN
 from omniman_ros.motion.figure7 import Figure7, waypoints
 
@@ -32,6 +32,8 @@ OFF_COLOUR = RED
 """Colour of drives without coupling control."""
 PAPER_COLOUR = BLUE
 """Colour of drives with the paper's gain."""
+CORRECTED_COLOUR = CYAN
+"""Colour of drives with the paper's gain and controller, but J_a corrected."""
 OWN_COLOUR = GREEN
 """Colour of drives with the robot's own gain."""
 GROUP_STYLES = {
@@ -39,6 +41,7 @@ GROUP_STYLES = {
     "PI": ("PI loops", AMBER, "s"),
     "radii": ("P loops, radius errors", PURPLE, "^"),
     "ice": ("torque mode, ice", CYAN, "D"),
+    "late": ("P loops, 50 ms late", GREEN, "v"),
 }
 """Label, colour and marker of each group of drives in the study."""
 OUTLINE_SPACING = 1.0
@@ -62,16 +65,16 @@ def draw(
         figure = plt.figure(figsize=(11.5, 6.8), layout="constrained")
         rows = figure.add_gridspec(2, 1, height_ratios=(1.15, 1))
         top = rows[0].subgridspec(1, 2, width_ratios=(2.9, 1))
-        _errors_over_time(figure.add_subplot(top[0]), course, select_median(runs), own_gain)
+        _errors_over_time(figure.add_subplot(top[0]), course, select_median(runs), result)
         _path(figure.add_subplot(top[1]), robot, course)
         bottom = rows[1].subgridspec(1, 4)
         panels = [figure.add_subplot(bottom[i]) for i in range(4)]
         _ratios(panels[0], result)
         _losses(panels[1], result)
         _odometry(panels[2], result)
-        _limits(panels[3], result)
-        gains = sorted({row["k"] for row in result["table"]})
-        for axes in panels:
+        _stability(panels[3], result)
+        gains = sorted({row["k"] for row in _own_rows(result)})
+        for axes in panels[:3]:
             _gain_axis(axes, gains, own_gain)
         save_figure(figure, path)
 
@@ -89,8 +92,10 @@ def select_median(runs: Sequence[Run]) -> list[Run]:
     return [run for run in runs if run.case.group == "P" and run.case.sample == sample]
 
 
-def _errors_over_time(axes: Any, course: Figure7, runs: Sequence[Run], own_gain: float) -> None:
-    """Draw the coupling error over time as in the paper: red without control, blue with k = 2.
+def _errors_over_time(
+    axes: Any, course: Figure7, runs: Sequence[Run], result: dict[str, Any]
+) -> None:
+    """Draw the coupling error by (24) over time; as in the paper, red is without control.
 
     With several motion constraints, the norm of the errors is drawn.
     """
@@ -107,14 +112,21 @@ def _errors_over_time(axes: Any, course: Figure7, runs: Sequence[Run], own_gain:
             color=GREY,
             fontsize=8,
         )
+    own, printed = result["chosen_gain"], result["printed_gain"]
     styles = {
-        0.0: (OFF_COLOUR, "off"),
-        PAPER_GAIN: (PAPER_COLOUR, f"k = {PAPER_GAIN:g}, the paper's"),
+        (OWN_CONTROLLER, 0.0): (OFF_COLOUR, "off"),
+        (PAPER_CONTROLLER, PAPER_GAIN): (
+            CORRECTED_COLOUR,
+            f"the paper's, k = {PAPER_GAIN:g}, $J_a$ corrected",
+        ),
+        (OWN_CONTROLLER, own): (OWN_COLOUR, f"this package's, k = {own:g}"),
     }
-    styles[own_gain] = (OWN_COLOUR, f"k = {own_gain:g}, the default")
+    if printed is not None:
+        label = f"the paper's as printed, k = {PAPER_GAIN:g}, acts like {printed:.0f}"
+        styles[PAPER_CONTROLLER, printed] = (PAPER_COLOUR, label)
     for run in runs:
-        if run.case.gain in styles:
-            colour, label = styles[run.case.gain]
+        if (run.case.controller, run.case.gain) in styles:
+            colour, label = styles[run.case.controller, run.case.gain]
             epsilon = run.epsilon[:, 0]
             if run.epsilon.shape[1] > 1:
                 epsilon = np.linalg.norm(run.epsilon, axis=1)
@@ -122,7 +134,7 @@ def _errors_over_time(axes: Any, course: Figure7, runs: Sequence[Run], own_gain:
     axes.axhline(0.0, color=FAINT, lw=0.8, zorder=0)
     axes.set_xlim(0.0, course.duration)
     axes.set_xlabel("time [s]")
-    axes.set_ylabel("coupling error ε [rad]")
+    axes.set_ylabel("coupling error ε, never reset [rad]")
     axes.set_title("Coupling error over time, P velocity loops", pad=16)
     axes.legend(loc="best")
 
@@ -152,9 +164,14 @@ def _to_page(shape: Array, pose: Array) -> Array:
     return np.column_stack([-y, x])
 
 
+def _own_rows(result: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the rows of this package's controller."""
+    return [row for row in result["table"] if row["controller"] == OWN_CONTROLLER]
+
+
 def _by_gain(result: dict[str, Any], group: str, name: str, statistic: str = "mean") -> Array:
     """Return an array (r, 2) of the gain k and a measured value, for the rows of a group."""
-    rows = [row for row in result["table"] if row["group"] == group]
+    rows = [row for row in _own_rows(result) if row["group"] == group]
     return np.array([(row["k"], row[name][statistic]) for row in rows])
 
 
@@ -168,7 +185,7 @@ def _ratios(axes: Any, result: dict[str, Any]) -> None:
     for group in (name for name in _groups(result) if name in ("P", "PI")):
         label, colour, marker = GROUP_STYLES[group]
         samples = np.array(
-            [row["epsilon_max_samples"] for row in result["table"] if row["group"] == group]
+            [row["epsilon_max_samples"] for row in _own_rows(result) if row["group"] == group]
         )
         mean = _by_gain(result, group, "epsilon_ratio")
         axes.plot(mean[:, 0], samples / samples[0], color=colour, lw=0.5, alpha=0.3)
@@ -206,40 +223,50 @@ def _odometry(axes: Any, result: dict[str, Any]) -> None:
         axes.plot(mean[:, 0], 1e3 * mean[:, 1], color=colour, marker=marker, label=label)
     _log_scale(axes)
     bottom, top = axes.get_ylim()
-    axes.set_ylim(bottom, 8.0 * top)  # room for the legend
+    axes.set_ylim(bottom, 40.0 * top)  # room for the legend
     axes.set_title("Largest error of odometry [mm]")
     axes.legend(loc="upper left")
 
 
-def _limits(axes: Any, result: dict[str, Any]) -> None:
-    """Draw what limits the gain: overshoot with delayed commands, and noise of the commands."""
-    steps = result["late_commands"]
-    delays = sorted({step["delay_s"] for step in steps})
-    for i, delay in enumerate(delays):
-        rank = (i + 1) / len(delays)
-        delayed = [step for step in steps if step["delay_s"] == delay]
-        settled = np.array([(step["k"], step["overshoot"]) for step in delayed if step["settled"]])
-        axes.plot(
-            *settled.reshape(-1, 2).T,
-            color=OFF_COLOUR,
-            alpha=0.25 + 0.75 * rank,
-            marker="o",
-            label=f"overshoot, delay {1e3 * delay:g} ms",
-        )
-        oscillating = [step["k"] for step in delayed if not step["settled"]]
-        axes.plot(oscillating, np.ones(len(oscillating)), "x", color=OFF_COLOUR, ms=7, mew=2)
-    noise = _by_gain(result, "P", "command_noise")
+def _stability(axes: Any, result: dict[str, Any]) -> None:
+    """Draw where the loop oscillates over gain and delay: measured points, computed boundary."""
+    points = {
+        (step["k"], step["delay_s"], step["lifted"]): step for step in result["late_commands"]
+    }
+    kinds: dict[tuple[str, str, str], list[tuple[float, float]]] = {}
+    for (gain, delay, lifted), step in points.items():
+        if not lifted:
+            continue
+        floor = points.get((gain, delay, False))
+        if step["settled"]:
+            kind = ("settles", OWN_COLOUR, "o")
+        elif floor is None or floor["settled"]:
+            kind = ("oscillates off the floor", AMBER, "x")
+        else:
+            kind = ("on the floor, too", OFF_COLOUR, "x")
+        kinds.setdefault(kind, []).append((gain, 1e3 * delay))
+    for (label, colour, marker), found in kinds.items():
+        axes.plot(*np.array(found).T, marker, color=colour, ms=4, mew=1.5, label=label)
+    computed = [
+        (row["k"], 1e3 * row["delay_s"]) for row in result["stability"]["boundary"] if row["k"]
+    ]
     axes.plot(
-        noise[:, 0],
-        noise[:, 1] / noise[0, 1] - 1.0,
-        color=GREY,
-        ls="--",
-        marker=".",
-        label="increase of command noise",
+        *np.array(computed).reshape(-1, 2).T, color=INK, lw=1.2, label="computed, off the floor"
     )
-    axes.set_ylim(-0.05, 1.1)
-    axes.set_title("What limits k (x: oscillates)")
-    axes.legend(loc="upper left")
+    marked = {result["chosen_gain"]: OWN_COLOUR, result["printed_gain"]: PAPER_COLOUR}
+    for gain, colour in marked.items():
+        if gain is not None:
+            axes.axvline(gain, color=colour, lw=5, alpha=0.15, zorder=0)
+    ticks = [
+        gain for gain in (2.0, 5.0, 15.0, 63.0, 400.0) if gain <= max(key[0] for key in points)
+    ]
+    axes.set_xscale("log")
+    axes.set_xticks(ticks, [f"{gain:g}" for gain in ticks])
+    axes.set_xticks([], minor=True)
+    axes.set_xlabel("gain k [1/s]")
+    axes.set_ylim(-4.0, 1.55e3 * max(key[1] for key in points) + 5.0)  # room for the legend
+    axes.set_title("Late commands [ms], step of ε")
+    axes.legend(loc="upper right")
 
 
 def _log_scale(axes: Any) -> None:

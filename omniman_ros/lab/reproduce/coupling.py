@@ -1,6 +1,8 @@
 """`omniman reproduce coupling`: the coupling error along the path of CCTA 2017, Fig. 7.
 
-The path is driven with random wheels, with and without coupling control, over a range of gains.
+The path is driven with random wheels, with and without coupling control, over a range of gains,
+and with the paper's controller as its equations are printed. Step responses with late commands, on
+blocks and on the floor, show what a high gain costs.
 """
 
 import argparse
@@ -18,7 +20,14 @@ from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
 from omniman_ros.lab.reproduce.pipeline import collect, publish
-from omniman_ros.lab.studies.coupling import MISMATCH_SPREAD, SMOOTHING_WINDOW, Run, Setup
+from omniman_ros.lab.studies.coupling import (
+    MISMATCH_SPREAD,
+    OWN_CONTROLLER,
+    PAPER_CONTROLLER,
+    SMOOTHING_WINDOW,
+    Run,
+    Setup,
+)
 from omniman_ros.lab.studies.coupling_sweep import (
     AIM,
     FULL,
@@ -27,7 +36,10 @@ from omniman_ros.lab.studies.coupling_sweep import (
     STANDARD,
     Plan,
     cases,
+    printed_gain,
     responses,
+    stability,
+    step_grid,
     summary,
     sweep,
 )
@@ -59,18 +71,22 @@ def run(args: argparse.Namespace) -> int:
         f"Coupling control along the path of CCTA 2017, Fig. 7: {len(selected)} drives of "
         f"{plan.figure.duration:.0f} s each, robot '{args.robot}'"
     )
-    generator = sweep(setup, selected, os.cpu_count() or 1)
+    workers = os.cpu_count() or 1
+    generator = sweep(setup, selected, workers)
     runs = collect(progress, "drives", generator, len(selected), "drives")
-    progress.begin("delayed commands")
-    steps = responses(plan, robot, own_gain)
-    progress.end(f"{len(steps)} step responses with the wheels off the floor")
+    grid = step_grid(plan, robot, own_gain)
+    measured = responses(robot, grid, workers)
+    steps = collect(progress, "late commands", measured, len(grid), "step responses")
     rows = summary(runs)
+    as_printed = printed_gain(robot)
+    named = [gain for gain in (PAPER_GAIN, own_gain, as_printed) if gain]
     result = {
         "robot": args.robot,
         "quick": args.quick,
         "full": args.full,
         "seed": args.seed,
         "paper_gain": PAPER_GAIN,
+        "printed_gain": as_printed,
         "chosen_gain": own_gain,
         "samples": plan.samples,
         "spread": MISMATCH_SPREAD,
@@ -82,12 +98,14 @@ def run(args: argparse.Namespace) -> int:
             {
                 "k": step.gain,
                 "delay_s": step.delay,
+                "lifted": step.lifted,
                 "overshoot": step.overshoot,
                 "swing": step.swing,
                 "settled": step.settled,
             }
             for step in steps
         ],
+        "stability": stability(robot, steps, named),
         "aim": {
             "ratio": AIM,
             "reached": remaining_ratio(rows, own_gain),
@@ -140,14 +158,14 @@ def movement_peaks(figure: Figure7, runs: Sequence[Run]) -> dict[str, float]:
     return peaks
 
 
-def find_row(rows: Sequence[dict[str, Any]], group: str, gain: float) -> dict[str, Any]:
-    """Return the row of the table for a group and a gain [1/s]."""
-    return next(row for row in rows if (row["group"], row["k"]) == (group, gain))
-
-
 def remaining_ratio(rows: Sequence[dict[str, Any]], gain: float) -> float:
-    """Return the mean ratio of max |epsilon| at a gain [1/s] to that without control, P loops."""
-    ratio: float = find_row(rows, "P", gain)["epsilon_ratio"]["mean"]
+    """Return the mean ratio of max |epsilon| at a gain [1/s] to that without control, P loops.
+
+    The controller is this package's.
+    """
+    key = ("P", OWN_CONTROLLER, gain)
+    row = next(row for row in rows if (row["group"], row["controller"], row["k"]) == key)
+    ratio: float = row["epsilon_ratio"]["mean"]
     return ratio
 
 
@@ -189,18 +207,19 @@ def report(result: dict[str, Any]) -> list[str]:
         ]
         for row in result["table"]:
             if row["group"] == group:
-                rows.append(_cells(row))
+                rows.append(_cells(row, result["printed_gain"]))
         lines += ["", f"{about}, mean of {result['samples']} sets of wheels:", *table(rows)]
     lines += [
-        "",
-        "Overshoot after a step of epsilon, wheels off the floor, by delay of the commands:",
+        "(paper: its controller, which is never reset and has no bound, with J_a corrected; "
+        "as printed: with (18) as it is printed)"
     ]
-    delays = sorted({step["delay_s"] for step in result["late_commands"]})
-    gains = sorted({step["k"] for step in result["late_commands"]})
-    rows = [("k [1/s]", *(f"{1e3 * delay:g} ms" for delay in delays))]
-    for gain in gains:
-        rows.append((f"{gain:g}", *(_overshoot(result, gain, delay) for delay in delays)))
-    lines += table(rows)
+    for lifted, where in ((True, "off"), (False, "on")):
+        lines += [
+            "",
+            f"Overshoot after a step of epsilon, wheels {where} the floor, by delay of commands:",
+            *_step_table([step for step in result["late_commands"] if step["lifted"] is lifted]),
+        ]
+    lines += ["", *_stability_lines(result["stability"])]
     aim = result["aim"]
     outcome = verdict(aim["met"])
     lines += [
@@ -213,10 +232,55 @@ def report(result: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _cells(row: dict[str, Any]) -> tuple[str, ...]:
+def _step_table(steps: Sequence[dict[str, Any]]) -> list[str]:
+    """Return the table of the overshoot by gain and delay."""
+    cells = {
+        (step["k"], step["delay_s"]): f"{100 * step['overshoot']:.0f} %"
+        if step["settled"]
+        else "oscillates"
+        for step in steps
+    }
+    gains, delays = (sorted({key[i] for key in cells}) for i in range(2))
+    rows = [("k [1/s]", *(f"{1e3 * delay:g} ms" for delay in delays))]
+    rows += [(f"{gain:.3g}", *(cells[gain, delay] for delay in delays)) for gain in gains]
+    return table(rows)
+
+
+def _stability_lines(found: dict[str, Any]) -> list[str]:
+    """Return the delay margins, computed and measured, wheels off the floor."""
+
+    def cell(seconds: float | None) -> str:
+        return "none" if seconds is None else f"{1e3 * seconds:.0f} ms"
+
+    rows: list[tuple[str, ...]] = [("k [1/s]", "computed", "measured: settles", "oscillates")]
+    rows += [
+        (
+            f"{row['k']:.3g}",
+            cell(row["computed_s"]),
+            cell(row["settles_s"]),
+            cell(row["oscillates_s"]),
+        )
+        for row in found["margins"]
+    ]
+    return [
+        "Longest delay of the commands without oscillation, wheels off the floor:",
+        *table(rows),
+        f"Computed and measured agree on {found['agree']} of {found['compared']} step responses.",
+    ]
+
+
+def _name(row: dict[str, Any], printed: float | None) -> str:
+    """Return the name of a row: its gain, and whose controller it is if not this package's."""
+    if row["controller"] == PAPER_CONTROLLER:
+        as_printed = row["k"] == printed
+        return f"{PAPER_GAIN:g}, as printed" if as_printed else f"{row['k']:g}, paper"
+    return "off" if row["k"] == 0.0 else f"{row['k']:g}"
+
+
+def _cells(row: dict[str, Any], printed: float | None) -> tuple[str, ...]:
     mean = {name: value["mean"] for name, value in row.items() if isinstance(value, dict)}
     return (
-        "off" if row["k"] == 0.0 else f"{row['k']:g}",
+        _name(row, printed),
         f"{mean['epsilon_max']:.3f} rad",
         f"{mean['epsilon_rms']:.3f}",
         f"{mean['epsilon_ratio']:.3f}",
@@ -228,10 +292,3 @@ def _cells(row: dict[str, Any]) -> tuple[str, ...]:
         f"{1e3 * mean['odometry_end']:.2f}",
         f"{1e3 * mean['odometry_max']:.2f} mm",
     )
-
-
-def _overshoot(result: dict[str, Any], gain: float, delay: float) -> str:
-    (step,) = (
-        step for step in result["late_commands"] if (step["k"], step["delay_s"]) == (gain, delay)
-    )
-    return f"{100 * step['overshoot']:.0f} %" if step["settled"] else "oscillates"

@@ -36,8 +36,8 @@ EXPERIMENTS = {
             "coupling",
             "omniman_ros.lab.reproduce.coupling",
             "omniman",
-            5,
-            "Coupling error along the path of CCTA 2017, Fig. 7, and the effect of the gain",
+            9,
+            "Coupling error along the path of CCTA 2017, Fig. 7, and what gain and delay do to it",
         ),
         Experiment(
             "tool_path",

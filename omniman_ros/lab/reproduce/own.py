@@ -22,6 +22,22 @@ def _random_scenes(results: Results) -> Finding:
     )
 
 
+def _coupling_margins(results: Results) -> Finding:
+    """Return the delays from which coupling control oscillates, with the wheels off the floor."""
+    stability = results["coupling"]["stability"]
+    margins = {
+        f"{row['k']:.3g}": row["computed_s"]
+        for row in stability["margins"]
+        if row["computed_s"] is not None
+    }
+    return Finding(
+        {"computed_s": margins, "compared": stability["compared"], "agree": stability["agree"]},
+        "wheels off the floor: settles up to "
+        + ", ".join(f"{1e3 * delay:.0f} ms at k = {gain}" for gain, delay in margins.items())
+        + f"; computed as measured in {stability['agree']} of {stability['compared']} steps",
+    )
+
+
 def _platform_tracking(results: Results) -> Finding:
     """Return the tracking error of the platform on its path in the demo."""
     error = results["demo"]["tracking"]
@@ -108,6 +124,7 @@ def _arm_setpoints(results: Results) -> Finding:
 
 
 OWN_RESULTS: tuple[Claim, ...] = (
+    Claim("Coupling control with late commands", "", "", ("coupling",), _coupling_margins),
     Claim("Random scenes", "", "", ("scenes",), _random_scenes),
     Claim("Demo: tracking error of the platform", "", "", ("demo",), _platform_tracking),
     Claim("Demo: drift of odometry", "", "", ("demo",), _odometry_drift),

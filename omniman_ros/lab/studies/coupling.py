@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from omniman_ros.control.kinematics import PlatformKinematics
 from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.core.arbiter import Source
 from omniman_ros.core.arrays import Array
@@ -42,11 +41,13 @@ class Group:
         about: Description of the group in the tables.
         changes: Changed parameters of controller and simulation, full names to values.
         radius_spread: Largest relative error of a wheel's radius, unknown to the controller [-].
+        delay: Additional delay of the commands to the drives [s].
     """
 
     about: str
     changes: Mapping[str, Any] = field(default_factory=dict)
     radius_spread: float = 0.0
+    delay: float = 0.0
 
 
 NO_FOLLOWING_ERROR_STOP = {"drive.following_error": 100.0}
@@ -68,8 +69,18 @@ GROUPS: Mapping[str, Group] = {
     "PI": Group("PI velocity loops"),
     "radii": Group("P velocity loops, wheel radii off by up to 0.5 %", P_LOOPS, 0.005),
     "ice": Group("torque mode, across a patch of ice", ICE),
+    "late": Group("P velocity loops, commands 50 ms late", P_LOOPS, delay=0.05),
 }
 """Groups of drives, by name."""
+OWN_CONTROLLER, PAPER_CONTROLLER = "package", "paper"
+"""Names of the coupling controllers."""
+CONTROLLERS: Mapping[str, Mapping[str, Any]] = {
+    OWN_CONTROLLER: {},
+    PAPER_CONTROLLER: {"coupling.reset_at_rest": False, "coupling.authority": 1.0},
+}
+"""Changed parameters of each coupling controller. The paper's integrates from 0 to t, (24), and
+has no bound of its own; its correction is the gain times that integral, (25), through J_a of (14).
+"""
 
 
 @dataclass(frozen=True)
@@ -81,12 +92,14 @@ class Case:
         sample: Index of the set of random wheels.
         gain: k_epsilon [1/s]; 0 for no coupling control.
         mismatch: Errors of the wheels.
+        controller: Name of the coupling controller, a key of CONTROLLERS.
     """
 
     group: str
     sample: int
     gain: float
     mismatch: MismatchParameters
+    controller: str = OWN_CONTROLLER
 
 
 @dataclass(frozen=True)
@@ -115,8 +128,8 @@ class Outcome:
     """The figures of a drive.
 
     Attributes:
-        epsilon_max: Largest |epsilon| since the start, from the encoders [rad].
-        epsilon_rms: RMS of |epsilon| since the start, from the encoders [rad].
+        epsilon_max: Largest |epsilon| by CCTA 2017 (24), from the encoders [rad].
+        epsilon_rms: RMS of |epsilon| by CCTA 2017 (24), from the encoders [rad].
         slip: Energy dissipated by slip of the rollers on the floor [J].
         copper: Energy dissipated in the windings of the motors [J].
         losses: All dissipated energy, including these two [J].
@@ -159,7 +172,8 @@ class Run:
         case: The case.
         outcome: Its figures.
         time: (k,) times at 50 Hz [s].
-        epsilon: (k, m) coupling errors since the start, from the encoders [rad].
+        epsilon: (k, m) coupling errors by CCTA 2017 (24), from the encoders: as `coupling_error`
+            publishes them without resets [rad].
     """
 
     case: Case
@@ -186,22 +200,6 @@ def draw_mismatch(group: str, seed: int, sample: int, wheels: int) -> MismatchPa
     return MismatchParameters(friction, constant, gain, radius)
 
 
-def coupling_error(kinematics: PlatformKinematics, positions: Array) -> Array:
-    """Compute the coupling error since the first sample, without any reset.
-
-    By CCTA 2017 (12) and (24), epsilon' = T phi', so epsilon = T (phi - phi_0).
-
-    Args:
-        kinematics: Kinematics of the platform.
-        positions: (k, n) positions of the wheels [rad].
-
-    Returns:
-        (k, m) coupling errors [rad].
-    """
-    epsilon: Array = (positions - positions[0]) @ kinematics.T.T
-    return epsilon
-
-
 def noise(speeds: Array) -> float:
     """Return the RMS of wheel speeds (k, n) less their moving mean [rad/s].
 
@@ -225,7 +223,8 @@ def drive(setup: Setup, case: Case) -> Run:
         ParameterError: A parameter of robot, gain or mismatch is invalid.
     """
     # Without reported torques, dead wheels are not detected, so this cannot affect the experiment.
-    loop = ClosedLoop(*_parameters(setup, case), torques=False)
+    late = round(GROUPS[case.group].delay / PERIOD)
+    loop = ClosedLoop(*_parameters(setup, case), late, torques=False)
     core, drives = loop.controller, loop.drives
     pending = list(setup.figure.legs(loop.now))
     ticks = round(setup.figure.duration / PERIOD)
@@ -246,9 +245,10 @@ def drive(setup: Setup, case: Case) -> Run:
             tracking = max(tracking, float(np.hypot(*core.tracking_error[:2])))
         states = loop.states
         errors = np.array(core.odometry.pose) - loop.truth
-        rows.append((states.position, states.velocity, core.cascade.reference, errors))
-    position, speed, command, errors = (np.array(column) for column in zip(*rows, strict=True))
-    epsilon = coupling_error(core.cascade.kinematics, position)
+        rows.append(
+            (core.odometry.coupling_error, states.velocity, core.cascade.reference, errors)
+        )
+    epsilon, speed, command, errors = (np.array(column) for column in zip(*rows, strict=True))
     outcome = _outcome(loop, epsilon, speed, command, errors, tracking)
     time: Array = PERIOD * np.arange(ticks, dtype=np.float64)
     return Run(case, outcome, time[::TRACE_STRIDE], epsilon[::TRACE_STRIDE])
@@ -260,6 +260,7 @@ def _parameters(setup: Setup, case: Case) -> tuple[PlatformParameters, Simulatio
         **setup.robot,
         **GROUPS[case.group].changes,
         **NO_FOLLOWING_ERROR_STOP,
+        **CONTROLLERS[case.controller],
         "coupling.k_epsilon": case.gain,
     }
     simulation = build(SimulationParameters, values)
@@ -273,7 +274,7 @@ def _outcome(
 
     Args:
         loop: Controller and drives after the drive.
-        epsilon: (k, m) coupling errors since the start [rad].
+        epsilon: (k, m) coupling errors without resets [rad].
         speed: (k, n) measured wheel speeds [rad/s].
         command: (k, n) commanded wheel speeds [rad/s].
         errors: (k, 3) errors of the pose by odometry [m, m, rad].

@@ -1,8 +1,8 @@
 """Step responses of the coupling control with delayed commands, as a measure of its stability.
 
-The wheels are off the floor. On the floor they constrain each other, which slows the dynamics of
-the coupling error down and makes the loop robust; on blocks, or on ice, only the drives slow it
-down.
+On blocks, or on ice, only the drives slow the dynamics of the coupling error down. On the floor
+the wheels constrain each other, which damps the loop; but a contact that slides damps less, so
+that a large step can begin an oscillation where small errors die out.
 """
 
 from collections.abc import Mapping
@@ -36,12 +36,14 @@ class Response:
     Attributes:
         gain: k_epsilon [1/s].
         delay: Additional delay of the commands to the drives [s].
+        lifted: Whether the wheels are off the floor.
         overshoot: Largest overshoot beyond zero, relative to the step [-].
         swing: Largest magnitude of the error in the last second, relative to the step [-].
     """
 
     gain: float
     delay: float
+    lifted: bool
     overshoot: float
     swing: float
 
@@ -51,8 +53,10 @@ class Response:
         return self.swing < SETTLED_SWING
 
 
-def step_response(robot: Mapping[str, Any], gain: float, delay: float) -> Response:
-    """Measure the response to a step of the coupling error, at constant speed on blocks.
+def step_response(
+    robot: Mapping[str, Any], gain: float, delay: float, lifted: bool = True
+) -> Response:
+    """Measure the response to a step of the coupling error, at constant speed.
 
     The authority of the coupling controller is raised to 1 here, as a tighter bound would hide an
     unstable gain in a limit cycle.
@@ -61,13 +65,14 @@ def step_response(robot: Mapping[str, Any], gain: float, delay: float) -> Respon
         robot: Parameters of the robot, full names to values.
         gain: k_epsilon [1/s].
         delay: Additional delay of the commands to the drives, rounded to whole ticks [s].
+        lifted: Whether the wheels are off the floor, on blocks.
     """
     delay_ticks = round(delay / PERIOD)
     changes = {"coupling.k_epsilon": gain, "coupling.authority": 1.0}
     simulation = build(SimulationParameters, robot)
-    lifted = replace(simulation, plant=replace(simulation.plant, lifted=True))
+    simulation = replace(simulation, plant=replace(simulation.plant, lifted=lifted))
     loop = ClosedLoop(
-        build(PlatformParameters, {**robot, **changes}), lifted, delay_ticks, torques=False
+        build(PlatformParameters, {**robot, **changes}), simulation, delay_ticks, torques=False
     )
     core = loop.controller
     twist = np.array([SPEED, 0.0, 0.0])
@@ -85,5 +90,9 @@ def step_response(robot: Mapping[str, Any], gain: float, delay: float) -> Respon
     error = np.array(errors[before:]) / EPSILON_STEP
     last = error[-round(1.0 / PERIOD) :]
     return Response(
-        gain, delay_ticks * PERIOD, max(float(-error.min()), 0.0), float(np.abs(last).max())
+        gain,
+        delay_ticks * PERIOD,
+        lifted,
+        max(float(-error.min()), 0.0),
+        float(np.abs(last).max()),
     )

@@ -7,9 +7,10 @@ def spread(value):
     return {"mean": value, "worst": value}
 
 
-def wheels(group, gain, ratio, slip=20.0, odometry=0.005):
+def wheels(group, gain, ratio, slip=20.0, odometry=0.005, controller="package"):
     return {
         "group": group,
+        "controller": controller,
         "k": gain,
         "epsilon_max": spread(1.5 * ratio),
         "slip": spread(slip),
@@ -92,6 +93,12 @@ EVERYTHING = {
         "seed": 0,
         "samples": 10,
         "chosen_gain": 15.0,
+        "printed_gain": 63.0,
+        "stability": {
+            "margins": [{"k": 63.0, "computed_s": 0.019, "settles_s": 0.01, "oscillates_s": 0.02}],
+            "compared": 9,
+            "agree": 8,
+        },
         "aim": {"met": True},
         "took_s": 300.0,
         "about": ABOUT,
@@ -102,6 +109,10 @@ EVERYTHING = {
             wheels("P", 15.0, 0.09, 2.0, 0.002),
             wheels("PI", 0.0, 1.0),
             wheels("PI", 2.0, 0.7, 3.0, 0.004),
+            wheels("P", 2.0, 0.4, 7.0, 0.003, "paper"),
+            wheels("P", 63.0, 0.01, 1.0, 0.002, "paper"),
+            wheels("PI", 2.0, 0.6, 3.0, 0.004, "paper"),
+            wheels("PI", 63.0, 0.02, 1.0, 0.004, "paper"),
         ],
     },
     "tool_path": {

@@ -76,7 +76,7 @@ def test_every_experiment_is_run_once_and_a_page_and_json_are_written(tmp_path, 
     assert launch.names == list(EXPERIMENTS)
     assert result["passed"] is True
     assert set(verdicts(result).values()) == {"passed"}
-    assert [row["drives"] for row in result["experiments"]] == [10, 2, 3, 3, 3, 3, 3, 8]
+    assert [row["drives"] for row in result["experiments"]] == [18, 2, 3, 3, 3, 3, 3, 8]
     assert json.loads(capsys.readouterr().out.splitlines()[-1]) == result
     assert all(f"<b>{name}</b>" in page for name in EXPERIMENTS)
 
@@ -227,9 +227,13 @@ def test_real_experiments_provide_every_figure_of_the_page(tmp_path, monkeypatch
         for row in result["comparisons"]
         if real.issuperset(row["from"]) and row["verdict"] == "not measured"
     }
-    assert missing == {"Coupling error at k = 2, PI loops"}  # a quick run has no PI loops
+    assert missing == {
+        "Coupling error at k = 2 as printed, PI loops"
+    }  # a quick run has no PI loops
     assert compared(result, "Coupling error without control")["verdict"] == "agrees"
-    assert compared(result, "Coupling error at k = 2, P loops")["verdict"] == "differs"
+    printed, corrected = "Coupling error at k = 2 as printed, P loops", "J_a corrected"
+    assert compared(result, printed)["verdict"] == "agrees"
+    assert compared(result, f"Coupling error at k = 2, {corrected}")["verdict"] == "not alike"
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "Quick, a few drives only: coupling, corridor." in page
 
@@ -289,7 +293,8 @@ def test_quick_run_is_announced_at_the_top(tmp_path, monkeypatch):
 
 def test_results_of_demo_and_benchmarks_are_included_if_present(tmp_path):
     _, without, text, _ = run(tmp_path)
-    assert [row["quantity"] for row in without["own"]] == ["Random scenes"]
+    names = [row["quantity"] for row in without["own"]]
+    assert names == ["Coupling control with late commands", "Random scenes"]
     assert "Also read" not in text
     for name in ("demo", "bench_mpc"):
         (tmp_path / f"{name}.json").write_text(json.dumps(EVERYTHING[name]))

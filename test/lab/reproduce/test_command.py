@@ -44,15 +44,31 @@ def runs():
 @pytest.fixture
 def result(runs):
     steps = [
-        {"k": k, "delay_s": delay, "overshoot": 0.02 * k, "swing": 0.0, "settled": k * delay < 1}
+        {
+            "k": k,
+            "delay_s": delay,
+            "lifted": lifted,
+            "overshoot": 0.02 * k,
+            "swing": 0.0,
+            "settled": k * delay < 1,
+        }
         for k in (2.0, 30.0)
         for delay in (0.0, 0.05)
+        for lifted in (True, False)
     ]
+    margin = {"k": 30.0, "computed_s": 0.046, "settles_s": 0.0, "oscillates_s": 0.05}
     return {
         "samples": 3,
         "chosen_gain": 2.0,
+        "printed_gain": 63.0,
         "table": summary(runs),
         "late_commands": steps,
+        "stability": {
+            "boundary": [{"delay_s": 0.0, "k": None}, {"delay_s": 0.05, "k": 28.0}],
+            "margins": [margin],
+            "compared": 4,
+            "agree": 3,
+        },
         "aim": {"ratio": 0.1, "reached": 1 / 3, "met": False},
         "picture": None,
     }
@@ -74,8 +90,11 @@ def test_command_runs_end_to_end_and_publishes_its_json(tmp_path):
     assert (tmp_path / "reproduce_coupling.png").exists() is DRAWS
     assert result["path"]["movements"][0] == "forwards"
     assert result["path"]["duration_s"] == pytest.approx(QUICK.figure.duration, rel=1e-3)
-    off, paper, chosen = result["table"]
+    off, paper, chosen, corrected, printed = result["table"]
     assert [row["k"] for row in (off, paper, chosen)] == [0.0, 2.0, result["chosen_gain"]]
+    assert [row["k"] for row in (corrected, printed)] == [2.0, result["printed_gain"]]
+    assert printed["epsilon_ratio"]["mean"] < 0.1 < corrected["epsilon_ratio"]["mean"]
+    assert result["stability"]["agree"] == result["stability"]["compared"]
     assert off["epsilon_max"]["mean"] > 2 * paper["epsilon_max"]["mean"]
     assert paper["slip"]["mean"] > chosen["slip"]["mean"] > 0.0
     assert result["aim"]["reached"] == chosen["epsilon_ratio"]["mean"]
@@ -88,6 +107,7 @@ def test_report_has_a_row_for_each_gain_and_marks_oscillation(result):
     assert "2.000 rad" in text  # off: mean of 1, 2 and 3
     assert "0.667 rad" in text  # k = 2
     assert "oscillates" in text
+    assert "46 ms" in text and "agree on 3 of 4" in text
     assert "MISSED" in text
 
 
@@ -119,7 +139,7 @@ def test_without_matplotlib_there_is_no_picture(monkeypatch, runs, result, tmp_p
 
 
 @pytest.mark.skipif(not DRAWS, reason="matplotlib is not installed")
-@pytest.mark.parametrize("groups", [("P",), ("P", "PI", "radii", "ice")])
+@pytest.mark.parametrize("groups", [("P",), ("P", "PI", "radii", "ice", "late")])
 def test_picture_can_be_drawn_for_any_groups(runs, result, tmp_path, groups):
     every = [
         made(group, sample, gain) for group in groups for sample in range(2) for gain in (0.0, 2.0)

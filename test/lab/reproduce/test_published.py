@@ -26,7 +26,8 @@ def put(results, *row):
     """Replace a row of the coupling study."""
     new = wheels(*row)
     table = results["coupling"]["table"]
-    table[:] = [old for old in table if (old["group"], old["k"]) != row[:2]] + [new]
+    key = ("group", "k", "controller")
+    table[:] = [old for old in table if any(old[name] != new[name] for name in key)] + [new]
 
 
 def test_every_claim_cites_its_source_and_is_printable():
@@ -42,8 +43,9 @@ def test_with_all_results_every_claim_is_measured(results):
     found = {claim.quantity: claim.find(results) for claim in CLAIMS}
     assert [name for name, finding in found.items() if finding.verdict is Verdict.MISSING] == []
     for name, finding in found.items():
-        # Claims with a rule are judged; claims without a rule are shown.
+        # Claims with a rule are judged, unless they are unlike; claims without a rule are shown.
         assert (finding.verdict is Verdict.SHOWN) == (not BY_NAME[name].rule), name
+        assert (finding.verdict is Verdict.UNLIKE) == bool(BY_NAME[name].unlike), name
         assert finding.text and finding.values
 
 
@@ -75,17 +77,32 @@ def test_missing_figure_in_results_is_not_an_error(claim):
 
 
 @pytest.mark.parametrize(("ratio", "said"), [(0.1, "agrees"), (0.101, "differs")])
+@pytest.mark.parametrize("loops", ["P", "PI"])
+def test_nearly_zero_means_at_most_a_tenth(results, loops, ratio, said):
+    put(results, loops, 63.0, ratio, 1.0, 0.002, "paper")
+    quantity = f"Coupling error at k = 2 as printed, {loops} loops"
+    assert verdict(results, quantity) == said
+    margin = f"the rule allows {0.1 / ratio:.1f} times that"
+    assert margin in BY_NAME[quantity].find(results).text
+
+
+@pytest.mark.parametrize(("ratio", "met"), [(0.1, "own rule met"), (0.101, "own rule not met")])
 @pytest.mark.parametrize(
-    ("quantity", "wheels_and_gain"),
+    ("quantity", "rows"),
     [
-        ("Coupling error at k = 2, P loops", ("P", 2.0)),
-        ("Coupling error at k = 2, PI loops", ("PI", 2.0)),
-        ("Coupling error at this robot's gain, P loops", ("P", 15.0)),
+        (
+            "Coupling error at k = 2, J_a corrected",
+            [("P", 2.0, "paper"), ("PI", 2.0, "paper")],
+        ),
+        ("Coupling error with this package's controller, P loops", [("P", 15.0, "package")]),
     ],
 )
-def test_nearly_zero_means_at_most_a_tenth(results, quantity, wheels_and_gain, ratio, said):
-    put(results, *wheels_and_gain, ratio)
-    assert verdict(results, quantity) == said
+def test_another_controller_is_no_verdict_on_the_paper(results, quantity, rows, ratio, met):
+    for loops, gain, controller in rows:
+        put(results, loops, gain, ratio, 1.0, 0.002, controller)
+    finding = BY_NAME[quantity].find(results)
+    assert finding.verdict is Verdict.UNLIKE
+    assert finding.text.endswith(met)
 
 
 @pytest.mark.parametrize(
@@ -98,7 +115,7 @@ def test_each_movement_must_stand_out(results, peaks, said):
 
 @pytest.mark.parametrize(("slip", "said"), [(19.9, "agrees"), (20.0, "differs")])
 def test_control_must_reduce_slip(results, slip, said):
-    put(results, "P", 2.0, 0.45, slip)
+    put(results, "P", 63.0, 0.01, slip, 0.002, "paper")
     assert verdict(results, "Wheel slip") == said
 
 
@@ -107,8 +124,8 @@ def test_control_must_reduce_slip(results, slip, said):
     [(0.004, 0.004, "agrees"), (0.004, 0.006, "partly"), (0.006, 0.005, "differs")],
 )
 def test_odometry_must_gain_with_all_wheels(results, p, pi, said):
-    put(results, "P", 2.0, 0.45, 8.0, p)
-    put(results, "PI", 2.0, 0.45, 8.0, pi)
+    put(results, "P", 63.0, 0.01, 8.0, p, "paper")
+    put(results, "PI", 63.0, 0.01, 8.0, pi, "paper")
     assert verdict(results, "Odometry") == said
 
 

@@ -9,15 +9,15 @@ from omniman_ros.core.parameters import build
 from omniman_ros.lab.studies.closed_loop import PERIOD
 from omniman_ros.lab.studies.coupling import (
     MISMATCH_SPREAD,
+    PAPER_CONTROLLER,
     Case,
     Setup,
     StudyError,
-    coupling_error,
     draw_mismatch,
     drive,
     noise,
 )
-from omniman_ros.lab.studies.coupling_sweep import AIM, PAPER_GAIN, QUICK, sweep
+from omniman_ros.lab.studies.coupling_sweep import AIM, PAPER_GAIN, QUICK, printed_gain, sweep
 from test import robots
 
 DEFAULT = build(CouplingParameters, {}).k_epsilon
@@ -25,19 +25,6 @@ GAINS = (0.0, PAPER_GAIN, DEFAULT)
 
 
 # ---- measured quantities ---------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", ["omniman", "mecanum6", "skewed4", "mecanum8"])
-def test_epsilon_matches_a_known_violation_of_the_constraints(name):
-    model = robots.kinematics(name)
-    time = np.linspace(0, 5, 200)
-    rng = np.random.default_rng(1)
-    twist, away = rng.uniform(-1, 1, 3), rng.uniform(-1, 1, model.constraint_count)
-    start = rng.uniform(-9, 9, model.wheel_count)
-    with_it = np.outer(np.sin(time) + 2 * time, model.J @ twist)
-    against = np.outer(0.1 * time**2, model.T_pinv @ away)
-    epsilon = coupling_error(model, start + with_it + against)
-    np.testing.assert_allclose(epsilon, np.outer(0.1 * time**2, away), atol=1e-12)
 
 
 def test_noise_is_the_part_faster_than_the_window():
@@ -140,6 +127,27 @@ def test_drive_is_reproducible_in_another_process(setup, drives):
     (here,) = sweep(setup, [there.case], workers=1)
     assert here.outcome == there.outcome
     np.testing.assert_array_equal(here.epsilon, there.epsilon)
+
+
+@pytest.mark.exhaustive
+def test_paper_as_printed_meets_its_figure_and_with_j_a_corrected_does_not(setup, drives):
+    wheels = draw_mismatch("P", 0, 0, 4)
+    gains = (PAPER_GAIN, printed_gain(setup.robot))
+    chosen = [Case("P", 0, gain, wheels, PAPER_CONTROLLER) for gain in gains]
+    corrected, printed = (run.outcome.epsilon_max for run in sweep(setup, chosen, workers=2))
+    off = drives[0.0].outcome.epsilon_max
+    assert printed < 0.2 * AIM * off
+    assert corrected > 2.0 * AIM * off
+    # Rests reset the error of this package's controller, hence it leaves more.
+    assert corrected < drives[PAPER_GAIN].outcome.epsilon_max
+
+
+@pytest.mark.exhaustive
+def test_late_commands_do_not_cost_accuracy_on_a_floor_that_grips(setup, drives):
+    wheels = draw_mismatch("late", 0, 0, 4)
+    printed = Case("late", 0, printed_gain(setup.robot), wheels, PAPER_CONTROLLER)
+    late = drive(setup, printed).outcome
+    assert late.epsilon_max < 0.2 * AIM * drives[0.0].outcome.epsilon_max
 
 
 def test_unfinished_drive_has_no_figures(setup):

@@ -34,3 +34,10 @@ def test_overshoot_grows_with_delay_up_to_oscillation():
 
 def test_delays_are_whole_ticks():
     assert step_response(robots.values("omniman"), 5.0, 0.012).delay == pytest.approx(2 * PERIOD)
+
+
+def test_floor_damps_a_gain_that_oscillates_on_blocks():
+    robot = robots.values("omniman")
+    on_blocks, on_floor = (step_response(robot, 30.0, 0.05, lifted) for lifted in (True, False))
+    assert not on_blocks.settled
+    assert on_floor.settled and not on_floor.lifted
