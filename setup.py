@@ -41,7 +41,6 @@ SHARED = {
     "config/can": "config/can/*.yaml",
     "config/ur": "config/ur/*.yaml",
     "launch": "config/launch/*.launch.py",
-    "urdf": "config/urdf/*",
     "config/nav2": "config/nav2/*.yaml",
     "rviz": "config/rviz/*",
     "plotjuggler": "config/plotjuggler/*",
