@@ -36,7 +36,11 @@ UNDEMANDED_PACE = 0.1
 used only where the constraints leave the wheel's torque open; elsewhere a healthy wheel gives
 hardly any torque either, and the time does not count."""
 MIN_REFERENCE = 0.1
-"""Reference speed up to which a wheel is not suspected [rad/s]."""
+"""Reference speed up to which a wheel that follows it is not suspected [rad/s]."""
+MIN_SPEED_ERROR = 0.3
+"""Speed error from which any wheel should give a torque, even if it brakes or its reference is at
+rest [rad/s]. Without a constraint left, nothing else reveals a dead wheel of which the motion
+demands a braking torque: the robot would drive another twist than commanded."""
 PROBE_PAUSE = 2.0
 """Time for which a wheel that has responded is not probed again [s]."""
 PROBE_SIGNS = (1.0, -1.0, -1.0, 1.0)
@@ -266,12 +270,15 @@ class DeadWheelDetector:
         """Abandon a running probe, because nothing is demanded of the wheels."""
         self._probe = None
 
-    def update(self, demand: Array, reference: Array, now: float, dt: float) -> tuple[int, ...]:
+    def update(
+        self, demand: Array, reference: Array, error: Array, now: float, dt: float
+    ) -> tuple[int, ...]:
         """Judge the wheels; call this once a tick while they are driven.
 
         Args:
             demand: Demanded torques (n,) [N m].
             reference: Demanded speeds (n,) [rad/s].
+            error: Demanded minus measured speeds (n,) [rad/s].
             now: Time [s].
             dt: Time since the last call [s].
 
@@ -288,13 +295,16 @@ class DeadWheelDetector:
         silent = magnitude < self._silent_torque
         if not (self._waiting or True in silent.tolist()):
             return ()
-        # Braking does not count: friction may do all of it, without a torque.
+        # Braking does not count: friction may do all of it, without a torque, unless it does not.
         driving_torque = demand * np.sign(reference)
+        astray = np.abs(error) > MIN_SPEED_ERROR
+        braking = (driving_torque < -self._min_demand) & ~astray
         if self._probe is not None:
-            return self._judge(self._probe, driving_torque < -self._min_demand)
+            return self._judge(self._probe, braking)
         cleared = magnitude > CLEARING_RATIO * self._silent_torque
-        pace = np.where(driving_torque > self._min_demand, 1.0, self._undemanded_pace)
-        pace *= silent & (driving_torque > -self._min_demand) & (np.abs(reference) > MIN_REFERENCE)
+        demanded = astray | (driving_torque > self._min_demand)
+        pace = np.where(demanded, 1.0, self._undemanded_pace)
+        pace *= silent & ~braking & (astray | (np.abs(reference) > MIN_REFERENCE))
         pace[self._silent_for < 0.0] = 1.0
         silent_for = np.where(cleared, np.minimum(self._silent_for, 0.0), self._silent_for)
         self._silent_for = silent_for + dt * pace

@@ -179,7 +179,8 @@ class WheelHealthMonitor:
             return f"wheel '{wheel}': position and velocity disagree, its encoder is lost"
         drive, health = self._parameters.drive, self._parameters.health
         reference, speeds = cascade.reference, feedback.speeds
-        not_following = _above(reference - speeds, drive.following_error)
+        error = reference - speeds
+        not_following = _above(error, drive.following_error)
         wheel_index = self._following.update(not_following, drive.following_time, dt)
         if wheel_index is not None:
             return f"wheel '{self._names[wheel_index]}' does not follow its setpoint"
@@ -194,7 +195,7 @@ class WheelHealthMonitor:
             wheel_index = self._blocked.update(standing, health.blocked_time, elapsed)
             if wheel_index is not None:
                 return f"wheel '{self._names[wheel_index]}' is blocked: torque, but no speed"
-        dead = self._detector.update(cascade.demanded_torque, reference, now, dt)
+        dead = self._detector.update(cascade.demanded_torque, reference, error, now, dt)
         return self._exclude(dead, cascade) if dead else ""
 
     def _standing(self, reference: Array, speeds: Array) -> Flags | None:

@@ -33,26 +33,27 @@ class Bench:
         self.underway = [np.zeros(n)] * (1 + delay)
         self.now, self.probes = 0.0, 0
 
-    def tick(self, asked, reference):
+    def tick(self, asked, reference, error=0.0):
         self.now += DT
         self.detector.update_torques(
             self.now, self.underway.pop(0) + self.random.normal(0.0, self.noise, len(asked))
         )
         had = self.detector.probe(self.now) is not None
-        dead = self.detector.update(asked, reference, self.now, DT)
+        errors = np.full(len(asked), error)
+        dead = self.detector.update(asked, reference, errors, self.now, DT)
         probe = self.detector.probe(self.now)
         self.probes += probe is not None and not had
         self.underway.append(self.drive(asked if probe is None else asked + probe))
         return dead
 
-    def run(self, seconds, asked=None, reference=None):
+    def run(self, seconds, asked=None, reference=None, error=0.0):
         """Return the names of the dead wheels and the time of detection [s], or None."""
         n = self.model.wheel_count
         asked = np.full(n, ASKED) if asked is None else asked
         reference = np.full(n, 3.0) if reference is None else reference
         start = self.now
         for _ in range(round(seconds / DT)):
-            dead = self.tick(asked, reference)
+            dead = self.tick(asked, reference, error)
             if dead:
                 return dead, self.now - start
         return None
@@ -134,6 +135,20 @@ def test_no_torque_is_expected_of_a_braking_or_standing_wheel(sign):
     assert bench.run(3.0, sign * np.full(n, ASKED), speed)[0] == (0,)
 
 
+@pytest.mark.parametrize("error", [-1.0, 1.0])
+@pytest.mark.parametrize("reference", [3.0, 0.0])
+def test_braking_or_standing_wheel_that_does_not_follow_is_probed(reference, error):
+    n = 4
+    speed, braking = np.full(n, reference), -np.full(n, ASKED)
+    bench = Bench(drive=without(0))
+    assert bench.run(3.0, braking, speed, 0.1 * error) is None
+    assert bench.run(2.0, braking, speed, error)[0] == (0,)
+    healthy = Bench(drive=lambda torque: torque - np.array([-ASKED, 0.0, 0.0, 0.0]))
+    healthy.detector.update_torques(0.0, braking)
+    assert healthy.run(5.0, braking, speed, error) is None
+    assert healthy.probes >= 2
+
+
 def test_turning_dead_wheel_with_little_requested_torque_is_detected_later():
     bench = Bench(drive=without(0))
     little = np.array([0.3 * HEALTH.asked_torque * LIMIT, ASKED, ASKED, ASKED])
@@ -181,7 +196,7 @@ def test_missing_or_all_zero_torques_count_as_not_reported():
     for effort in (None, np.zeros(4), nan):
         for k in range(400):
             detector.update_torques(k * DT, effort)
-            assert detector.update(asked, speed, k * DT, DT) == ()
+            assert detector.update(asked, speed, 0.0 * speed, k * DT, DT) == ()
             assert detector.probe(k * DT) is None
         assert not detector.reported
     detector.update_torques(10.0, asked)
