@@ -20,7 +20,12 @@ RANK_TOLERANCE = 1e-6
 ROLLER_TOLERANCE = 0.01
 """Smallest accepted cos(gamma): at 90 degrees a wheel cannot drive; 1.57 rad counts as 90."""
 MIN_REMAINING_SHARE = 0.25
-"""Share of J's smallest singular value (lengths scaled) that the remaining wheels must keep."""
+"""Share of J's smallest singular value (lengths scaled) that the remaining wheels must keep. In
+the worst direction, a force takes up to 1 / share times the wheel torque that it takes with all
+wheels, and slip moves the odometry as much farther. On the plant, wheels that keep 0.2 cannot
+follow a twist at the limits even in velocity mode; wheels that keep 0.26 can."""
+CONSTRAINED_ENTRY = 1e-6
+"""Magnitude of an entry of T from which the constraint depends on the wheel [-]."""
 
 
 def wheel_row(x: float, y: float, heading: float, roller_angle: float, radius: float) -> Array:
@@ -57,6 +62,8 @@ class PlatformKinematics:
         idle: Indices of wheels that only the floor rotates: least squares and constraints leave
             them out. Their columns of J+ and T and rows of T+ are zero; T keeps its m rows, the
             last of which are zero, and J_a is then not invertible.
+        unconstrained: Indices of wheels that drive, but that no constraint depends on: their slip
+            does not show. With three wheels all are, with four some may be.
 
     Args:
         wheels: Geometry of the wheels.
@@ -96,6 +103,8 @@ class PlatformKinematics:
         if others:
             active = constraints[np.ix_(rows_used, driven)]
             spread[np.ix_(driven, rows_used)] = np.linalg.pinv(active)
+        constrained = np.abs(constraints).max(axis=0, initial=0.0) > CONSTRAINED_ENTRY
+        self.unconstrained = tuple(i for i in driven if not constrained[i])
         self.J_pinv, self.T_pinv = _frozen(forward), _frozen(spread)
         self.J_a = _frozen(np.hstack([self.J, self.T_pinv]))
         self.J_a_inv = _frozen(np.vstack([self.J_pinv, self.T]))
@@ -114,7 +123,7 @@ class PlatformKinematics:
         """Return the share of J's smallest singular value that is left without some wheels.
 
         Lengths are scaled by the platform's size. Four equal Mecanum wheels keep 0.54 without one
-        of them.
+        of them. The count does not tell: of eight wheels, the four with parallel rollers keep 0.
 
         Args:
             idle: Indices of the wheels to leave out.

@@ -145,7 +145,8 @@ class Odometry:
         constraint_rate: Rate (m,) of the coupling error, epsilon' of CCTA 2017 (12) [rad/s].
         coupling_error: Its integral (m,), epsilon of CCTA 2017 (24), since the start or the last
             :meth:`reset_coupling_error`; rests do not reset it [rad].
-        slipping: Whether the filtered coupling residual is above its threshold.
+        slipping: Whether the filtered coupling residual is above its threshold. It does not show
+            the slip of unconstrained wheels of the kinematics.
     """
 
     def __init__(self, kinematics: PlatformKinematics, parameters: OdometryParameters) -> None:

@@ -12,7 +12,11 @@ from omniman_ros.control.odometry import Odometry
 from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.control.wheel_cascade import DriveMode, WheelCascade, WheelCommand
 from omniman_ros.control.wheel_feedback import WheelFeedback
-from omniman_ros.control.wheel_health import WheelHealthMonitor, dead_wheel_indices
+from omniman_ros.control.wheel_health import (
+    WheelHealthMonitor,
+    dead_wheel_indices,
+    name_list,
+)
 from omniman_ros.core import plausible
 from omniman_ros.core.arbiter import Arbiter, Source
 from omniman_ros.core.arrays import Array
@@ -206,13 +210,19 @@ class PlatformController:
         if DriveMode.VOLTAGE.value not in self.parameters.drive.offered:
             raise InputError("mpc/voltages: the drives have no voltage mode")
         if self.wheel_health.idle:
-            raise InputError("mpc/voltages: are computed for all wheels, but one is dead")
+            raise InputError(f"mpc/voltages: {self._voltages_refusal}")
         until = _fresh_until("mpc/voltages", now, age, self.parameters.timeouts.voltages)
         refusal = self._offer(Source.MPC, now, until)
         if not refusal:
             limit = self.parameters.robot.motor.max_voltage
             self._volts = np.clip(volts, -limit, limit)
         return refusal
+
+    @property
+    def _voltages_refusal(self) -> str:
+        """Return why voltages are not used while wheels are idle."""
+        idle = name_list(self.parameters.robot.wheels.names, self.wheel_health.idle)
+        return f"computed for all wheels, but {idle} dead"
 
     def _offer(self, source: Source, now: float, fresh_until: float, neutral: bool = False) -> str:
         """Offer a setpoint to the arbiter; return why it is not used, or an empty string."""
@@ -304,7 +314,7 @@ class PlatformController:
         self._adopt_models()
         if self._volts is not None and self.wheel_health.idle:
             self._volts = None
-            self._cancel(Source.MPC, "mpc/voltages are computed for all wheels, but one is dead")
+            self._cancel(Source.MPC, f"mpc/voltages: {self._voltages_refusal}")
 
     # ---- output -----------------------------------------------------------------------------
 
@@ -350,7 +360,8 @@ class PlatformController:
         driven = self.arbiter.active is not None
         if not driven and not reachable.any():
             return self.cascade.rest_command(measured)
-        mode = DriveMode(self.parameters.drive.mode) if driven else DriveMode.VELOCITY
+        by_velocity = not driven or self.wheel_health.weak
+        mode = DriveMode.VELOCITY if by_velocity else DriveMode(self.parameters.drive.mode)
         probe = self.wheel_health.probe(now) if driven else None
         return self.cascade.command(reachable, rate, measured, mode, dt, probe)
 

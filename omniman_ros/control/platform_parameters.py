@@ -46,8 +46,8 @@ class DriveParameters:
     )
     dead_wheel: str = parameter(
         "stop",
-        "Reaction to a wheel found without torque: stop the robot, or drive on with the other "
-        "wheels if they determine the twist.",
+        "Reaction to wheels found without torque: stop the robot, or drive on with the other "
+        "wheels as long as they determine the twist well.",
         choices=("stop", "drive_on"),
     )
     dead: tuple[str, ...] = parameter(
@@ -57,7 +57,8 @@ class DriveParameters:
     )
     dead_limits: float = parameter(
         0.5,
-        "Factor on the velocity and acceleration limits while the robot drives without a wheel.",
+        "Factor on the velocity and acceleration limits while the robot drives without wheels; it "
+        "falls further where the others determine the twist weakly.",
         low=0.01,
         high=1,
     )

@@ -1,5 +1,6 @@
-"""Monitor the health of the wheels: stop the robot, or drive on without a dead wheel."""
+"""Monitor the health of the wheels: stop the robot, or drive on without dead wheels."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -25,6 +26,10 @@ REST_SHARE = 0.1
 MIN_BLOCKED_REFERENCE = 0.5
 """Reference speed above which a wheel at rest can count as blocked [rad/s]. Below it, a wheel
 that starts against friction or against the other wheels may be at rest, too."""
+WEAK_SHARE = 0.5
+"""Share of J's smallest singular value below which the driving wheels determine the twist weakly:
+limits fall in proportion, and the drives run in velocity mode. The gain from a speed error to
+torque grows with 1 / share^2, so that wheels under torque control swing once they lose grip."""
 
 
 class PersistenceMonitor:
@@ -77,14 +82,17 @@ class WheelHealthMonitor:
 
     The robot stops for a wheel that does not follow its setpoint, that stands still despite a
     torque (blocked), or whose encoder is lost. It also stops for a dead wheel (a wheel without
-    torque), unless `drive.dead_wheel` is `drive_on` and the other wheels determine the twist
-    well: then the dead wheel becomes idle. A second dead wheel stops the robot.
+    torque), unless `drive.dead_wheel` is `drive_on` and the wheels left determine the twist well:
+    then the dead wheel becomes idle. That holds for every further wheel as well.
 
     Attributes:
         dead: Indices of wheels found dead since the last reset, whether or not they stopped the
             robot.
         idle: Indices of wheels to drive without: named by `drive.dead`, or found dead.
-        limits: Limits of the twist: those of the parameters, lower if wheels are idle.
+        limit_scale: Factor on the velocity and acceleration limits [-]: 1, or less if wheels are
+            idle.
+        limits: Limits of the twist: those of the parameters, scaled.
+        weak: Whether the driving wheels determine the twist weakly, see WEAK_SHARE.
     """
 
     def __init__(self, parameters: PlatformParameters, cascade: WheelCascade) -> None:
@@ -102,8 +110,11 @@ class WheelHealthMonitor:
         """Set new thresholds and models, idle wheels included."""
         self._parameters = parameters
         self.idle = cascade.kinematics.idle
-        limits = parameters.limits
-        self.limits = scaled_limits(limits, parameters.drive.dead_limits) if self.idle else limits
+        share = cascade.kinematics.remaining_share(self.idle)
+        self.weak = share < WEAK_SHARE
+        dead_limits = parameters.drive.dead_limits * min(1.0, share / WEAK_SHARE)
+        self.limit_scale = dead_limits if self.idle else 1.0
+        self.limits = scaled_limits(parameters.limits, self.limit_scale)
         self._names = parameters.robot.wheels.names
         torque_limit = cascade.dynamics.torque_limit
         self._detector.configure(torque_limit, parameters.health, cascade.kinematics)
@@ -131,8 +142,23 @@ class WheelHealthMonitor:
         """Sentence about the idle wheels for log and status; empty if there are none."""
         if not self.idle:
             return ""
+        mode = (
+            ", in velocity mode" if self.weak and self._parameters.drive.mode != "velocity" else ""
+        )
         source = "" if self._found else ", as drive.dead says"
-        return f"{name_list(self._names, self.idle)} dead: driving on without{source}"
+        return f"{name_list(self._names, self.idle)} dead: driving on without{mode}{source}"
+
+    @property
+    def summary(self) -> str:
+        """Sentence about all wheels."""
+        if self.stopping:
+            return f"{name_list(self._names, sorted({*self.dead, *self.idle}))} dead"
+        return self.notice or "all wheels drive"
+
+    @property
+    def stopping(self) -> bool:
+        """Whether a wheel was found dead without which the robot does not drive on."""
+        return not set(self.dead) <= set(self.idle)
 
     def state(self, wheel: int) -> str:
         """Return the state of a wheel: driving, dead, or idle (dead, and driven on without)."""
@@ -215,11 +241,11 @@ class WheelHealthMonitor:
         loss = f"{name_list(self._names, dead)} dead: no torque"
         if self._parameters.drive.dead_wheel == "stop":
             return loss
-        if self.idle or len(dead) > 1:
-            return f"{loss}; it is not the only one"
-        if cascade.kinematics.remaining_share(dead) < MIN_REMAINING_SHARE:
-            return f"{loss}; the others do not determine the twist"
-        self.idle = self._found = dead
+        idle = tuple(sorted({*self.idle, *dead}))
+        if cascade.kinematics.remaining_share(idle) < MIN_REMAINING_SHARE:
+            return f"{loss}; the others do not determine the twist well"
+        self._found = tuple(sorted({*self._found, *dead}))
+        self.idle = idle
         return ""
 
 
@@ -237,7 +263,7 @@ def dead_wheel_indices(parameters: PlatformParameters) -> tuple[int, ...]:
     return tuple(i for i, name in enumerate(names) if name in parameters.drive.dead)
 
 
-def name_list(names: tuple[str, ...], wheels: tuple[int, ...]) -> str:
+def name_list(names: tuple[str, ...], wheels: Sequence[int]) -> str:
     """Return wheels by name with a verb: `wheel 'a' is`, `wheels 'a', 'b' are`."""
     listed = ", ".join(f"'{names[i]}'" for i in wheels)
     return f"wheels {listed} are" if len(wheels) > 1 else f"wheel {listed} is"

@@ -67,20 +67,18 @@ class PlatformOutputs:
             return
         self._published_health = health
         level = DiagnosticStatus.WARN if monitor.idle else DiagnosticStatus.OK
-        if set(monitor.dead) - set(monitor.idle):
+        if monitor.stopping:
             level = DiagnosticStatus.ERROR
         values = [(name, monitor.state(i)) for i, name in enumerate(self._names)]
         values.append(("torque", "measured" if monitor.torque_reported else "not reported"))
-        limit_scale = self._core.parameters.drive.dead_limits if monitor.idle else 1.0
-        values.append((LIMIT_SCALE_KEY, f"{limit_scale:g}"))
-        if monitor.notice:
+        values.append((LIMIT_SCALE_KEY, f"{monitor.limit_scale:g}"))
+        if monitor.notice and not monitor.stopping:
             self._node.get_logger().warning(monitor.notice)
-        summary = "a wheel is dead" if monitor.dead else "all wheels drive"
         self._health.publish(
             DiagnosticStatus(
                 level=level,
                 name=self._node.get_fully_qualified_name(),
-                message=monitor.notice or summary,
+                message=monitor.summary,
                 values=[KeyValue(key=key, value=value) for key, value in values],
             )
         )
@@ -95,6 +93,10 @@ class PlatformOutputs:
             ("active_source", self.active),
             ("wheel_speed_saturated", core.cascade.saturated),
             ("wheels_slipping", core.odometry.slipping),
+            (
+                "slip_not_observable",
+                [self._names[i] for i in core.cascade.kinematics.unconstrained],
+            ),
             ("coupling_error_rad", core.cascade.coupling.error.round(4).tolist()),
             ("coupling_error_total_rad", core.odometry.coupling_error.round(4).tolist()),
             ("tracking_error_m_m_rad", core.tracking_error.round(4).tolist()),

@@ -3,6 +3,8 @@
 The detector is independent of the plant; times are simulated.
 """
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -12,10 +14,13 @@ from omniman_ros.lab.studies.closed_loop import PERIOD
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 from test import robots
 from test.closed_loop.test_closed_loop import MODES, Loop, fastest, figure_of_eight, follow, rms
-from test.tiers import representative
+from test.tiers import exhaustive, representative
 
 ON = {"drive.dead_wheel": "drive_on"}
 FORWARD, SIDEWAYS, TURN = (0.3, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.0, 0.4)
+OBLIQUE = (0.2, 0.1, 0.1)
+DEMANDING = {"omniman": OBLIQUE, "mecanum6": OBLIQUE, "mecanum8": FORWARD}
+"""Twist that demands a driving torque of every wheel, without any other one, too."""
 
 
 class Course:
@@ -170,16 +175,118 @@ def test_path_is_tracked_with_three_wheels(robot, mode):
     assert np.abs(np.diff(odometry, axis=0)[:, :2]).max() < 0.01, "a jump"
 
 
-def test_second_dead_motor_stops_the_robot():
-    course = Course("mecanum6", ON)
+def pairs(*names):
+    """Return every pair of wheels of some robots, to fail at once and one after the other."""
+    return [
+        (name, pair, order)
+        for name in names
+        for pair in itertools.combinations(range(robots.robot(name).wheel_count), 2)
+        for order in ("at once", "in turn", "in turn, reversed")
+    ]
+
+
+def loss_id(loss):
+    robot, pair, order = loss
+    return f"{robot}-{pair[0]},{pair[1]}-{order}"
+
+
+def lose_two(course, pair, order, twist):
+    """Let two motors die in motion, and drive until both are found or the robot stops."""
+    health, latch = course.core.wheel_health, course.core.latch
+    course.go(twist, 0.8)
+    assert latch.released and not health.dead
+    sequence = pair[::-1] if order.endswith("reversed") else pair
+    for count in (2,) if order == "at once" else (1, 2):
+        course.fault(dead_motor=tuple(course.names[wheel] for wheel in sequence[:count]))
+        end = course.loop.now + 2.5
+        while course.loop.now < end and len(health.dead) < count and latch.released:
+            course.go(twist, PERIOD)
+
+
+@pytest.mark.parametrize(
+    "loss", representative(pairs("mecanum6", "mecanum8"), every=32), ids=loss_id
+)
+def test_six_and_eight_wheels_drive_on_without_any_two(loss):
+    robot, pair, order = loss
+    course, twist = Course(robot, ON), DEMANDING[robot]
+    lose_two(course, pair, order, twist)
+    assert course.core.wheel_health.dead == course.core.wheel_health.idle == pair
+    start = course.drives.ground_truth()[0] - course.core.odometry.pose
+    course.go(twist, 1.0)
+    np.testing.assert_allclose(course.twist, twist, atol=0.02)
+    assert course.core.latch.released, course.core.latch.status
+    drift = course.drives.ground_truth()[0] - course.core.odometry.pose - start
+    assert np.hypot(*drift[:2]) < 0.02 and abs(drift[2]) < 0.03
+    course.fault()
+    course.go((0.0, 0.0, 0.0), 0.6)
+    course.drives.reset()
+    course.core.reset(course.loop.now)
+    assert course.core.wheel_health.idle == ()
+    assert course.core.wheel_health.limits == course.core.parameters.limits
+
+
+@pytest.mark.parametrize("loss", representative(pairs("omniman"), every=5), ids=loss_id)
+def test_four_wheels_stop_within_their_limits_without_any_two(loss):
+    robot, pair, order = loss
+    course = Course(robot, ON)
+    lose_two(course, pair, order, OBLIQUE)
+    core = course.core
+    assert core.latch.status.reason.endswith("the others do not determine the twist well")
+    assert set(core.wheel_health.dead) == set(pair) and core.wheel_health.stopping
+    limits, start = core.parameters.limits, course.loop.now
+    while not core.at_rest:
+        before = core.setpoint
+        course.go(OBLIQUE, PERIOD)
+        step = (core.setpoint - before) / PERIOD
+        assert np.hypot(*step[:2]) <= limits.linear_deceleration + 1e-9
+        assert abs(step[2]) <= limits.angular_deceleration + 1e-9
+        assert course.loop.now - start < 1.0
+    course.go(OBLIQUE, 0.5)
+    assert abs(course.drives.wheel_states(course.loop.now).velocity).max() < 0.05
+    assert not core.latch.released, "a stop is latched until ~/reset"
+
+
+def test_second_dead_motor_without_demanded_torque_is_found_once_the_motion_needs_it():
+    """Forward, the front right wheel gives no torque if the front left one is dead."""
+    course = Course("omniman", ON)
     course.go(FORWARD, 1.0)
-    course.fault(dead_motor=course.names[:1])
-    course.go(FORWARD, 1.5)
-    assert course.core.wheel_health.idle == (0,)
-    course.fault(dead_motor=course.names[:2])
-    course.go(FORWARD, 4.0)
-    assert "it is not the only one" in course.core.latch.status.reason
-    assert course.names[1] in course.core.latch.status.reason
+    course.fault(dead_motor=("front_left",))
+    course.go(FORWARD, 1.0)
+    course.fault(dead_motor=("front_left", "front_right"))
+    course.go(FORWARD, 2.0)
+    assert course.core.latch.released and course.core.wheel_health.idle == (0,)
+    np.testing.assert_allclose(course.twist, FORWARD, atol=0.02)
+    course.go(SIDEWAYS, 1.5)
+    assert "'front_right' is dead" in course.core.latch.status.reason
+    assert np.abs(course.twist).max() < 1e-3
+
+
+@pytest.mark.parametrize("seed", representative(range(12), every=12))
+def test_four_wheels_without_two_stop_unless_the_twist_is_the_commanded_one(seed):
+    """The motion may hardly demand torque of the second wheel; then its loss does no harm."""
+    rng = np.random.default_rng(seed)
+    twist = tuple(rng.uniform(-1.0, 1.0, 3) * [0.25, 0.25, 0.3])
+    pair = tuple(sorted(rng.choice(4, 2, replace=False).tolist()))
+    course = Course("omniman", ON)
+    lose_two(course, pair, rng.choice(["at once", "in turn"]), twist)
+    course.go(twist, 1.0)
+    if course.core.latch.released:
+        np.testing.assert_allclose(course.twist, twist, atol=0.03)
+    else:
+        assert np.abs(course.twist).max() < 1e-3
+
+
+@pytest.mark.parametrize("mode", [exhaustive("voltage"), "torque"])
+def test_weakly_determined_twist_is_followed_through_sharp_turns(mode):
+    """Under torque control the wheels would lose their grip in the first turn, and swing."""
+    rear = ("rear_right", "rear_left")
+    course = Course(
+        "mecanum6", {"drive.dead": rear, "drive.mode": mode}, {"faults.dead_motor": rear}
+    )
+    for twist in (FORWARD, SIDEWAYS, (-0.2, -0.2, 0.1)):
+        course.go(twist, 2.2)
+        np.testing.assert_allclose(course.twist, twist, atol=0.03)
+    assert course.core.latch.released, course.core.latch.status
 
 
 def test_after_a_repair_and_a_reset_all_wheels_drive_again():

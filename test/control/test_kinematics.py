@@ -1,10 +1,15 @@
+import itertools
 import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from omniman_ros.control.kinematics import PlatformKinematics, wheel_row
+from omniman_ros.control.kinematics import (
+    MIN_REMAINING_SHARE,
+    PlatformKinematics,
+    wheel_row,
+)
 from omniman_ros.core.errors import GeometryError
 from omniman_ros.core.robot import Wheels
 from test.robots import ALL, kinematics, random_wheels, robot
@@ -246,3 +251,77 @@ def test_rank_check_does_not_depend_on_the_platform_size():
         lengths = {key: size * np.array(getattr(wheels, key)) for key in ("x", "y", "radius")}
         grown = changed(wheels, **{key: array.tolist() for key, array in lengths.items()})
         assert PlatformKinematics(grown).base_wheels == kinematics("omniman").base_wheels
+
+
+# ---- without some wheels ----------------------------------------------------------------------
+
+
+def subsets(count, *names):
+    """Return every choice of `count` wheels of some robots."""
+    return [
+        (name, subset)
+        for name in names
+        for subset in itertools.combinations(range(kinematics(name).wheel_count), count)
+    ]
+
+
+def remaining_rank(model, subset):
+    return np.linalg.matrix_rank(np.delete(model.J, subset, axis=0), tol=1e-6)
+
+
+@pytest.mark.parametrize(("name", "pair"), subsets(2, "mecanum6", "mecanum8"))
+def test_six_and_eight_wheels_without_any_two_determine_the_twist(name, pair):
+    whole = kinematics(name)
+    n = whole.wheel_count
+    assert remaining_rank(whole, pair) == 3
+    assert MIN_REMAINING_SHARE < whole.remaining_share(pair) < 1.0
+    left = PlatformKinematics(robot(name).wheels, pair)
+    rng = np.random.default_rng(pair)
+    twist = rng.uniform(-1, 1, 3)
+    speeds = whole.J @ twist
+    speeds[list(pair)] = rng.normal(0.0, 10.0, 2)  # wheels that only the floor turns
+    np.testing.assert_allclose(left.J_pinv @ speeds, twist, atol=1e-12)
+    np.testing.assert_allclose(left.T @ speeds, 0.0, atol=1e-9)
+    assert left.T.shape == (n - 3, n)
+    assert np.linalg.matrix_rank(left.T) == n - 5
+    np.testing.assert_allclose(
+        left.T @ left.T_pinv, np.diag([1.0] * (n - 5) + [0.0] * 2), atol=1e-9
+    )
+    hidden = [i for i in range(n) if i not in pair and remaining_rank(whole, (*pair, i)) < 3]
+    assert left.unconstrained == tuple(hidden), "nothing else tells the speed of such a wheel"
+
+
+@pytest.mark.parametrize(("name", "pair"), subsets(2, "omniman", "ig42", "skewed4"))
+def test_four_wheels_without_any_two_do_not_determine_the_twist(name, pair):
+    whole = kinematics(name)
+    assert remaining_rank(whole, pair) == 2
+    assert whole.remaining_share(pair) == 0.0
+
+
+@pytest.mark.parametrize("count", [3, 4, 5])
+@pytest.mark.parametrize("name", ["mecanum6", "mecanum8"])
+def test_remaining_share_is_zero_exactly_where_the_rank_is_below_three(name, count):
+    whole = kinematics(name)
+    found = {2: 0, 3: 0}
+    for _, subset in subsets(count, name):
+        rank = int(remaining_rank(whole, subset))
+        if rank < 3:
+            assert whole.remaining_share(subset) < 1e-9
+        else:
+            assert 0.01 < whole.remaining_share(subset) < 1.0
+        found[3 if rank == 3 else 2] += 1
+    if (name, count) in {("mecanum6", 3), ("mecanum8", 4), ("mecanum8", 5)}:
+        assert found[2] > 0, "wheels with parallel rollers, however many, leave a direction open"
+
+
+def test_slip_that_no_constraint_shows_is_known():
+    wheels = robot("mecanum6").wheels
+    for idle, hidden in (((), ()), ((1, 4), ()), ((0, 1), (2,)), ((0, 1, 4), (2, 3, 5))):
+        assert PlatformKinematics(wheels, idle).unconstrained == hidden
+    assert kinematics("omni3").unconstrained == (0, 1, 2)
+    assert kinematics().unconstrained == ()
+
+
+def test_four_wheels_of_eight_with_parallel_rollers_are_not_a_platform():
+    with pytest.raises(GeometryError, match="rank of J < 3"):
+        PlatformKinematics(robot("mecanum8").wheels, (0, 3, 4, 7))

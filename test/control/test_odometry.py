@@ -1,3 +1,4 @@
+import itertools
 import math
 from dataclasses import replace
 
@@ -56,6 +57,23 @@ def test_driving_back_returns_to_the_start(twist, time):
     drive(odometry, model, twist, [time])
     drive(odometry, model, -twist, [time])
     assert odometry.pose == pytest.approx((0, 0, 0), abs=1e-12)
+
+
+@pytest.mark.parametrize("name", ["mecanum6", "mecanum8"])
+def test_odometry_without_any_two_wheels_is_exact_however_these_turn(name):
+    """The half circle of above; two wheels turn at random, the others do not slip."""
+    rng = np.random.default_rng(5)
+    whole, twist = kinematics(name), np.array([math.pi / 2, 0.0, math.pi / 3])
+    for pair in itertools.combinations(range(whole.wheel_count), 2):
+        odometry = Odometry(PlatformKinematics(robot(name).wheels, pair), QUIET)
+        for _ in range(60):
+            speeds = whole.J @ twist
+            speeds[list(pair)] = rng.normal(0.0, 5.0, 2)
+            odometry.update(speeds * 0.05, speeds, 0.05)
+        assert odometry.pose == pytest.approx((0, 3.0, math.pi), abs=1e-9)
+        np.testing.assert_allclose(odometry.twist, twist, atol=1e-12)
+        np.testing.assert_allclose(odometry.constraint_rate, 0.0, atol=1e-12)
+        assert not odometry.slipping
 
 
 def test_heading_is_not_wrapped():

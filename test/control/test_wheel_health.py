@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from omniman_ros.control.platform import PlatformController
+from omniman_ros.control.wheel_cascade import DriveMode
 from omniman_ros.control.wheel_health import PersistenceMonitor
 from omniman_ros.core.arbiter import Source
 from omniman_ros.core.errors import InputError, ParameterError
@@ -129,18 +130,68 @@ def test_odometry_and_coupling_exclude_the_dead_wheel():
     assert not rig.core.cascade.coupling.error.any()
 
 
-def test_second_dead_wheel_stops_the_robot():
-    rig = kill(driving("mecanum6", ON), 1)
-    assert rig.core.wheel_health.idle == (1,)
-    kill(rig, 1, 4)
-    assert "it is not the only one" in rig.core.latch.status.reason
-    assert "middle_right" in rig.core.latch.status.reason
+def test_wheels_die_one_by_one_until_the_others_do_not_determine_the_twist():
+    rig = driving("mecanum6", ON)
+    health = rig.core.wheel_health
+    for dead in ((1,), (1, 4), (0, 1, 4)):
+        kill(rig, *dead)
+        assert rig.core.latch.released, rig.core.latch.status
+        assert health.idle == rig.core.cascade.kinematics.idle == dead
+        np.testing.assert_allclose(rig.core.odometry.twist, CRUISE, atol=1e-6)
+    assert health.notice.startswith("wheels 'front_left', 'middle_left', 'middle_right' are dead")
+    kill(rig, 0, 1, 3, 4)
+    assert rig.core.latch.status.reason == (
+        "wheel 'front_right' is dead: no torque; the others do not determine the twist well"
+    )
+    assert health.stopping
+    assert health.idle == (0, 1, 4)
+    assert health.summary.endswith("'middle_left', 'front_right', 'middle_right' are dead")
+    assert rig.run(1.5).still
 
 
-def test_two_simultaneous_dead_wheels_stop_the_robot():
-    rig = kill(driving("mecanum6", ON), 1, 4)
+@pytest.mark.parametrize("dead", [(1, 4), (0, 1)])
+def test_robot_drives_on_without_two_wheels_that_die_at_once(dead):
+    rig = kill(driving("mecanum6", ON), *dead)
+    assert rig.core.latch.released, rig.core.latch.status
+    assert rig.core.wheel_health.dead == rig.core.wheel_health.idle == dead
+    assert not rig.core.wheel_health.stopping
+
+
+def test_two_dead_wheels_stop_the_robot_unless_it_may_drive_on():
+    rig = kill(driving("mecanum6"), 1, 4)
     assert not rig.core.latch.released
-    assert set(rig.core.wheel_health.dead) == {1, 4}
+    assert rig.core.wheel_health.stopping
+    assert rig.run(1.5).still
+
+
+def test_wheel_found_dead_adds_to_the_configured_one_and_leaves_with_a_reset():
+    rig = kill(driving("mecanum6", ON | {"drive.dead": ("middle_left",)}), 1, 4)
+    assert rig.core.wheel_health.idle == (1, 4)
+    rig.run(2.5)
+    rig.core.configure(parameters("mecanum6", ON))
+    assert rig.core.wheel_health.idle == (4,), "the one that was named drives again"
+    rig.core.configure(parameters("mecanum6", ON | {"drive.dead": ("middle_left",)}))
+    rig.core.reset(rig.now)
+    assert rig.core.wheel_health.idle == rig.core.cascade.kinematics.idle == (1,)
+
+
+@pytest.mark.parametrize("mode", ["velocity", "torque", "voltage"])
+def test_wheels_that_determine_the_twist_weakly_have_lower_limits_and_velocity_mode(mode):
+    """Without the rear wheels, 0.258 of J's smallest singular value is left, of 0.5 for strong."""
+    changes = {"drive.dead": ("rear_right", "rear_left"), "drive.mode": mode}
+    rig = Rig("mecanum6", changes).run(0.1).cruise(0.2, 0.0, 0.0)
+    health, known = rig.core.wheel_health, rig.core.parameters.limits
+    assert health.weak
+    assert health.limit_scale == pytest.approx(0.5 * 0.258 / 0.5, abs=1e-3)
+    assert health.limits.velocity == tuple(health.limit_scale * v for v in known.velocity)
+    assert health.limits.deceleration == known.deceleration
+    assert rig.commands[-1].mode is DriveMode.VELOCITY
+    assert (", in velocity mode" in health.notice) is (mode != "velocity")
+    strong = Rig("mecanum6", changes | {"drive.dead": ("middle_left", "middle_right")})
+    strong.run(0.1).cruise(0.2, 0.0, 0.0)
+    assert not strong.core.wheel_health.weak
+    assert strong.core.wheel_health.limit_scale == 0.5
+    assert strong.commands[-1].mode is DriveMode(mode)
 
 
 def test_three_wheel_robot_cannot_drive_on_without_a_wheel():
@@ -182,7 +233,7 @@ def test_voltages_are_monitored_and_rejected_without_a_wheel():
     torques = np.array([0.0, 3.0, 3.0, 3.0])
     rig.run(1.5, feed)
     assert rig.core.wheel_health.idle == (0,)
-    assert "one is dead" in told[-1]
+    assert told[-1].endswith("computed for all wheels, but wheel 'front_left' is dead")
     assert rig.core.arbiter.active is None
 
 

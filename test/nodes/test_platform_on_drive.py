@@ -148,6 +148,54 @@ def test_dead_motor_stops_the_robot_and_is_reported():
         assert np.abs(world.true_twist()).max() < 1e-3
 
 
+def repair(world: Robot) -> None:
+    """Give the motors their torque back, stop, and reset both nodes."""
+    repaired = Parameter("faults.dead_motor", Parameter.Type.STRING_ARRAY, [])
+    world.set("simulated_drive", "faults.dead_motor", repaired)
+    world.go(0.0, 0.0, 0.0, seconds=1.0)
+    for node in ("simulated_drive", "platform_controller"):
+        assert world.call(Trigger, f"{node}/reset").success
+    world.go(0.0, 0.0, 0.0, seconds=0.1)
+
+
+def test_six_wheels_lose_three_and_then_stop_until_repair_and_reset():
+    with Robot("mecanum6", {"drive.dead_wheel": "drive_on"}) as world:
+        health = world.listen(DiagnosticStatus, "wheel_health", LATCHED)
+        report = world.listen(DiagnosticArray, "/diagnostics")
+        lost = ["middle_left", "middle_right", "front_left"]
+        world.go(0.2, 0.1, 0.1, seconds=0.8)
+        for count, limits in ((1, 0.5), (2, 0.5), (3, 0.456)):
+            world.set("simulated_drive", "faults.dead_motor", lost[:count])
+            world.go(0.2, 0.1, 0.1, seconds=1.2 if count < 3 else 2.4)
+            assert last(health).level == DiagnosticStatus.WARN
+            assert "dead: driving on without" in last(health).message
+            assert all(
+                (values(last(health))[name] == "idle") is (name in lost[:count])
+                for name in world.core.parameters.robot.wheels.names
+            )
+            assert float(values(last(health))["limits"]) == pytest.approx(limits, abs=1e-3)
+            assert world.true_twist() == pytest.approx([0.2, 0.1, 0.1], abs=0.02)
+        ours = [s for m in report for s in m.status if "platform_controller" in s.name][-1]
+        three = ["rear_right", "front_right", "rear_left"]
+        assert values(ours)["slip_not_observable"] == str(three)
+        world.set("simulated_drive", "faults.dead_motor", [*lost, "rear_left"])
+        world.go(0.2, 0.1, 0.1, seconds=2.0)
+        assert last(health).level == DiagnosticStatus.ERROR
+        assert last(health).message == (
+            "wheels 'front_left', 'middle_left', 'middle_right', 'rear_left' are dead"
+        )
+        assert values(last(health))["rear_left"] == "dead"
+        assert np.abs(world.wheel_speeds[-1]).max() < 0.02
+        repair(world)
+        world.go(0.2, 0.1, 0.1, seconds=1.5)
+        assert world.true_twist() == pytest.approx([0.2, 0.1, 0.1], abs=0.02)
+        assert (last(health).level, last(health).message) == (
+            DiagnosticStatus.OK,
+            "all wheels drive",
+        )
+        assert values(last(health))["limits"] == "1"
+
+
 def test_three_wheels_drive_on_until_repair_and_reset():
     with Robot(parameters={"drive.dead_wheel": "drive_on"}) as world:
         health = world.listen(DiagnosticStatus, "wheel_health", LATCHED)
@@ -172,12 +220,7 @@ def test_three_wheels_drive_on_until_repair_and_reset():
         assert odom == pytest.approx(truth.tolist(), abs=0.02)
         world.go(5.0, 0.0, 0.0, seconds=2.5)
         assert world.true_twist()[0] == pytest.approx(0.5, abs=0.02), "half of the velocity limit"
-        repaired = Parameter("faults.dead_motor", Parameter.Type.STRING_ARRAY, [])
-        world.set("simulated_drive", "faults.dead_motor", repaired)
-        world.go(0.0, 0.0, 0.0, seconds=1.0)
-        for node in ("simulated_drive", "platform_controller"):
-            assert world.call(Trigger, f"{node}/reset").success
-        world.go(0.0, 0.0, 0.0, seconds=0.1)
+        repair(world)
         world.go(0.3, 0.0, 0.0, seconds=1.5)
         assert last(health).level == DiagnosticStatus.OK
         assert world.core.wheel_health.idle == ()

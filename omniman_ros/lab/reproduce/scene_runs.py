@@ -378,7 +378,7 @@ class NodeLoop:
         if active != self._source:
             self._source = active
             self._send("active_source", String(data=active))
-        health = f"{core.parameters.drive.dead_limits if core.wheel_health.idle else 1.0:g}"
+        health = f"{core.wheel_health.limit_scale:g}"
         if health != self._health:
             self._health = health
             limit_scale = KeyValue(key=LIMIT_SCALE_KEY, value=health)
