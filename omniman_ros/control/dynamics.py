@@ -45,6 +45,8 @@ class PlatformDynamics:
         loads: Weight on each wheel (n,) [N], distributed according to the centre of mass.
         torque_limit: Largest torque of each wheel (n,) that the current limit allows [N m]; 0 for
             idle wheels.
+        rolling: Matrix (n, 3) from a twist in base_link to the speeds [m/s] with which the ground
+            rollers roll across their axes, CCTA (5) and (6).
     """
 
     def __init__(self, robot: Robot, kinematics: PlatformKinematics) -> None:
@@ -89,7 +91,7 @@ class PlatformDynamics:
         c, s = np.cos(angle), np.sin(angle)
         chassis = np.column_stack([-s, c, np.array(wheels.x) * c + np.array(wheels.y) * s])
         wheel = np.array(wheels.radius) * np.sin(wheels.roller_angle)  # CCTA (6)
-        self._rolling = chassis + wheel[:, None] * self._kinematics.J
+        self.rolling = chassis + wheel[:, None] * self._kinematics.J
         self._drag_torque = self._carry * wheel + self._kinematics.J_pinv.T @ chassis.T
         self._drag = np.array(robot.friction.roller) * self.loads
 
@@ -122,7 +124,7 @@ class PlatformDynamics:
             twist: Twist (3,) in base_link [m/s, m/s, rad/s], for the speeds of the rollers.
             wheel_speeds: Wheel speeds (n,) [rad/s].
         """
-        drag = self._drag * smooth_sign(self._rolling @ twist)
+        drag = self._drag * smooth_sign(self.rolling @ twist)
         shaft = self._viscous * wheel_speeds + self._coulomb * smooth_sign(wheel_speeds)
         if self._kinematics.idle:
             shaft = self._carry @ shaft

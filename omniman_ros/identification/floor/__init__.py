@@ -1,0 +1,1 @@
+"""Identification of masses, friction and gear efficiency from a drive on the floor."""
