@@ -6,6 +6,7 @@ import importlib
 SUBJECTS = {
     "odometry": "omniman_ros.identification.odometry.command",
     "friction": "omniman_ros.identification.friction.command",
+    "floor": "omniman_ros.identification.floor.command",
 }
 """Module of each subject, with the function `run(args) -> int`."""
 

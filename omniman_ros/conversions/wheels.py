@@ -99,3 +99,20 @@ def electrical_message(values: Array) -> Float64MultiArray:
         MultiArrayDimension(label="voltage,current,energy", size=columns, stride=columns),
     ]
     return message
+
+
+def electrical_arrays(message: Float64MultiArray, n: int) -> tuple[Array, Array]:
+    """Return the voltages and currents of n wheels (n,) [V, A], in the message's order.
+
+    Raises:
+        InputError: The sizes or columns are not voltage, current and energy of n wheels.
+    """
+    labels = [dimension.label for dimension in message.layout.dim]
+    if labels[1:] != ["voltage,current,energy"]:
+        raise InputError(
+            f"wheel_electrical: columns {labels[1:]}, expected 'voltage,current,energy'"
+        )
+    if len(message.data) != 3 * n:
+        raise InputError(f"wheel_electrical: {len(message.data)} numbers, expected {3 * n}")
+    rows = np.array(message.data).reshape(n, 3)
+    return rows[:, 0], rows[:, 1]

@@ -68,18 +68,18 @@ class OtherPlantLoop(ClosedLoop):
         wheels, electrical = [], []
         while self.now < preview.end + 0.3:
             now = self.now
+            self.drives.advance(now)
+            if self.tick % 4 == 0:  # with wheel_states, as the drives' node reports them
+                electrical.append((now, self.drives.electrical()))
             self.step()
             assert np.abs(self.truth[:2]).max() < 1.1 * REACH
             wheels.append((now, self.states.position))
-            if self.tick % 4 == 0:
-                electrical.append((now, self.drives.electrical()))
         assert self.controller.latch.released, self.controller.latch.status.reason
         tables = np.array([table for _, table in electrical])
         return FloorDrive(
             np.array([now for now, _ in wheels]),
             np.array([position for _, position in wheels]),
-            # The step has advanced the drives by the latency of the loop.
-            np.array([now for now, _ in electrical]) + 0.001,
+            np.array([now for now, _ in electrical]),
             tables[:, :, 1],
             tables[:, :, 0],
         )

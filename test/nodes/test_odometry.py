@@ -144,7 +144,7 @@ def test_topics_are_published_at_100_and_50_hz_with_the_stamps_of_the_reports(wh
     counts = len(wheels.odom) - before[0], len(coupling) - before[1]
     assert counts == pytest.approx((100, 50), abs=1)
     assert last(wheels.odom).header.stamp in stamps
-    assert list(last(coupling).name) == ["constraint_1"]
+    assert list(last(coupling).name) == ["constraint_1", "constraint_1_total"]
 
 
 def test_nothing_is_published_without_reports(wheels):

@@ -108,8 +108,37 @@ def add_friction(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_floor(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `omniman identify floor`."""
+    parser.add_argument(
+        "--area",
+        type=float,
+        default=2.0,
+        metavar="METRES",
+        help="side of the free square with the robot in its middle; default: %(default)s",
+    )
+    parser.add_argument(
+        "--duration",
+        type=float,
+        default=40.0,
+        metavar="SECONDS",
+        help="duration of the drive that is fitted to; default: %(default)s",
+    )
+    parser.add_argument("--yes", action="store_true", help="begin without asking")
+    parser.add_argument(
+        "--runs", metavar="FILE", help="do not drive, but fit to a drive that was recorded before"
+    )
+    parser.add_argument(
+        "--simulate",
+        action="store_true",
+        help="start a simulated robot to be identified, with other masses, friction and gears",
+    )
+    parser.add_argument("--robot", help=f"with --simulate: {ROBOT_HELP}; default: omniman")
+
+
 SUBJECTS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "odometry": ("calibrate the odometry by drives whose ends are measured", add_odometry),
     "friction": ("measure the wheels' friction, with the wheels off the floor", add_friction),
+    "floor": ("measure masses, drag and gear efficiency by a drive on the floor", add_floor),
 }
 """Help text of each subject, with the function that adds its arguments."""

@@ -129,7 +129,7 @@ def identify_floor(drive: FloorDrive, robot: Robot) -> FloorFit:
         half_widths = _half_widths(model, equations, directions, drive, windows, motors)
     values = _quantities(model, unknowns, back_emf)
     spread, parts = _undetermined(model, directions, unknowns, back_emf)
-    before = _quantities(model, FloorModel(robot).expected, nominal)
+    before = configured_quantities(robot)
     residuals = equations.matrix @ unknowns - equations.values
     return FloorFit(
         identified_robot(robot, values),
@@ -156,22 +156,23 @@ def _best_widths(
 ) -> tuple[Equations, Directions, SignWidths]:
     """Return the equations with the widths that leave the least residual."""
 
-    def attempt(widths: SignWidths) -> tuple[float, Equations, Directions, SignWidths]:
+    def attempt(widths: SignWidths) -> tuple[Equations, Directions, SignWidths]:
         equations = model.equations(drive, back_emf, windows, widths)
-        directions = find_directions(model, equations)
+        return equations, find_directions(model, equations), widths
+
+    def residual(attempted: tuple[Equations, Directions, SignWidths]) -> float:
+        equations, directions, _ = attempted
         residuals = equations.matrix @ directions.solve(model, equations) - equations.values
-        relative = residuals / np.sqrt((equations.values**2).mean(axis=0))
-        return float((relative**2).sum()), equations, directions, widths
+        squares = (residuals**2).mean(axis=0) / (equations.values**2).mean(axis=0)
+        return float(squares.sum())
 
-    def best(candidates: list[SignWidths]) -> tuple[float, Equations, Directions, SignWidths]:
-        return min((attempt(widths) for widths in candidates), key=lambda found: found[0])
-
-    start = SignWidths()
-    *_, found = best([replace(start, roller=width) for width in ROLLER_WIDTHS])
-    *_, found = best([replace(found, wheel=width) for width in WHEEL_WIDTHS])
-    _, *result = best([replace(found, roller=width) for width in ROLLER_WIDTHS])
-    equations, directions, widths = result
-    return equations, directions, widths
+    widths = SignWidths()
+    rollers = [attempt(replace(widths, roller=width)) for width in ROLLER_WIDTHS]
+    widths = min(rollers, key=residual)[2]
+    wheels = [attempt(replace(widths, wheel=width)) for width in WHEEL_WIDTHS]
+    widths = min(wheels, key=residual)[2]
+    rollers = [attempt(replace(widths, roller=width)) for width in ROLLER_WIDTHS]
+    return min(rollers, key=residual)
 
 
 def _quantities(model: FloorModel, unknowns: Array, back_emf: Array) -> dict[str, float]:
@@ -206,6 +207,14 @@ def _quantities(model: FloorModel, unknowns: Array, back_emf: Array) -> dict[str
 
 SLOPES = {"x": -3, "y": -2}
 """Indices of the unknowns for the slope of the floor."""
+
+
+def configured_quantities(robot: Robot) -> dict[str, float]:
+    """Return the quantities of :class:`FloorFit` that a robot's parameters say."""
+    motor = robot.motor
+    back_emf = np.full(robot.wheel_count, motor.gear_ratio * motor.torque_constant)
+    model = FloorModel(robot)
+    return _quantities(model, model.expected, back_emf)
 
 
 def _half_widths(

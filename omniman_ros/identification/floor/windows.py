@@ -41,7 +41,7 @@ class Windows:
         if end - start < width or count < 1:
             raise InputError(f"{end - start:.2f} s of data, a window takes {width:g} s")
         self._half = 0.5 * width
-        self.centres: Array = start + self._half + step * np.arange(count)
+        self.centres: Array = start + self._half + step * np.arange(count, dtype=np.float64)
 
     def mean(self, times: Array, values: Array, order: int = 0) -> Array:
         """Return the weighted mean of a signal, or of its derivative, in each window.

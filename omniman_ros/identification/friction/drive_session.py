@@ -19,6 +19,7 @@ from omniman_ros.console.session import ANNOUNCEMENT_TIME, DISCOVERY_TIMEOUT, Se
 from omniman_ros.console.terminal import say
 from omniman_ros.conversions.headers import time_seconds
 from omniman_ros.conversions.joints import joint_arrays
+from omniman_ros.conversions.wheels import electrical_arrays
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import specs
@@ -59,21 +60,6 @@ class Drive:
 
     name: str
     values: dict[str, Any]
-
-
-def electrical_arrays(message: Float64MultiArray, n: int) -> tuple[Array, Array]:
-    """Return the voltages and currents of n wheels (n,) [V, A], in the message's order.
-
-    Raises:
-        InputError: The sizes or columns are not voltage, current and energy of n wheels.
-    """
-    labels = [dimension.label for dimension in message.layout.dim]
-    if labels[1:] != ["voltage,current,energy"]:
-        raise InputError(f"{ELECTRICAL}: columns {labels[1:]}, expected 'voltage,current,energy'")
-    if len(message.data) != 3 * n:
-        raise InputError(f"{ELECTRICAL}: {len(message.data)} numbers, expected {3 * n}")
-    rows = np.array(message.data).reshape(n, 3)
-    return rows[:, 0], rows[:, 1]
 
 
 class DriveSession:

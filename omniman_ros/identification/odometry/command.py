@@ -1,8 +1,8 @@
 """`omniman identify odometry`: drive, measure the ends, fit, check, and write the parameters.
 
 The parts: `campaign`, `wheel_integration`, `least_squares` and `factor_selection` (mathematics);
-`drive_plan`, `measured_pose`, `robot_session` and `experiment` (the drives); `record` and `report`
-(files and tables).
+`drive_plan`, `measured_pose` and `experiment` (the drives, over the shared `robot_session`);
+`record` and `report` (files and tables).
 """
 
 import argparse
@@ -36,7 +36,7 @@ from omniman_ros.identification.odometry.report import (
     report,
     result,
 )
-from omniman_ros.identification.odometry.robot_session import RobotSession, read_controller
+from omniman_ros.identification.robot_session import RobotSession, read_controller
 from omniman_ros.identification.simulated_robot import run_with_simulated_robot
 from omniman_ros.processes.process_group import redirect_signals
 from omniman_ros.processes.robot_setup import RobotSetup, resolve_robot

@@ -26,8 +26,8 @@ from omniman_ros.identification.odometry.record import (
     OdometryRecord,
     without_standstill,
 )
-from omniman_ros.identification.odometry.robot_session import RobotSession
 from omniman_ros.identification.odometry.wheel_integration import forward_matrix, integrate
+from omniman_ros.identification.robot_session import RobotSession
 
 MAX_CANCELLED_RUNS = 3
 """Number of runs that a delayed controller or machine may cancel before their ends."""

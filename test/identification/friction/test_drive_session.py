@@ -15,11 +15,11 @@ from std_msgs.msg import Bool, Float64MultiArray
 
 from omniman_ros.console.errors import CommandError
 from omniman_ros.console.progress import Progress
-from omniman_ros.conversions.wheels import electrical_message
+from omniman_ros.conversions.wheels import electrical_arrays, electrical_message
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import flatten
 from omniman_ros.identification.friction import command as friction_command
-from omniman_ros.identification.friction.drive_session import DriveSession, electrical_arrays
+from omniman_ros.identification.friction.drive_session import DriveSession
 from omniman_ros.identification.friction.experiment import Phase
 from omniman_ros.identification.friction.record import load
 from omniman_ros.identification.friction.voltage_plan import make_plan

@@ -20,8 +20,8 @@ from omniman_ros.identification.odometry.experiment import (
 from omniman_ros.identification.odometry.factor_selection import identify
 from omniman_ros.identification.odometry.measured_pose import TopicPoses
 from omniman_ros.identification.odometry.record import OdometryRecord
-from omniman_ros.identification.odometry.robot_session import Recording
 from omniman_ros.identification.odometry.wheel_integration import forward_matrix, integrate
+from omniman_ros.identification.robot_session import Recording
 from test.robots import kinematics, robot
 
 TRUE = OdometryParameters(scale_x=0.99, scale_y=1.015, scale_yaw=0.985, x_per_y=0.01)

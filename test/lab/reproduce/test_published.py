@@ -86,7 +86,9 @@ def test_nearly_zero_means_at_most_a_tenth(results, loops, ratio, said):
     assert margin in BY_NAME[quantity].find(results).text
 
 
-@pytest.mark.parametrize(("ratio", "met"), [(0.1, "the rule is met"), (0.101, "the rule is not met")])
+@pytest.mark.parametrize(
+    ("ratio", "met"), [(0.1, "the rule is met"), (0.101, "the rule is not met")]
+)
 @pytest.mark.parametrize(
     ("quantity", "rows"),
     [

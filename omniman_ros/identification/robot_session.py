@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -11,7 +12,7 @@ from nav_msgs.msg import Odometry
 from rcl_interfaces.srv import GetParameters
 from rclpy.duration import Duration
 from sensor_msgs.msg import JointState
-from std_msgs.msg import String
+from std_msgs.msg import Float64MultiArray, String
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from omniman_ros.console.errors import CommandError
@@ -23,11 +24,12 @@ from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.conversions.geometry import yaw_from_quaternion
 from omniman_ros.conversions.headers import time_seconds
 from omniman_ros.conversions.joints import joint_arrays
+from omniman_ros.conversions.wheels import electrical_arrays
 from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import build, specs
-from omniman_ros.core.planar import Triple
+from omniman_ros.core.planar import PlanarSample, Triple
 from omniman_ros.identification.node_access import (
     LATCHED,
     LOSSLESS,
@@ -35,8 +37,9 @@ from omniman_ros.identification.node_access import (
     SIM_TIME,
     read_parameters,
 )
-from omniman_ros.identification.odometry.drive_plan import Motion
 
+ELECTRICAL = "wheel_electrical"
+"""Topic of the motors' voltages and currents."""
 CONTROLLER = "platform_controller"
 """Name of the node that drives the robot."""
 USES_STAMPED_TWISTS = "cmd_vel_stamped"
@@ -57,6 +60,19 @@ CANCELLATION_TIME = 1.5
 [s]."""
 SPEED_SAMPLES = 21
 """Number of positions over which the speed is differenced."""
+
+
+class Motion(Protocol):
+    """A drive from rest to rest, in odom."""
+
+    @property
+    def duration(self) -> float:
+        """Duration of the drive [s]."""
+        ...
+
+    def sample(self, time: float) -> PlanarSample:
+        """Return the reference at a time after the start [s]."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -110,11 +126,14 @@ class Recording:
         times: Stamps of wheel_states, ROS time [s].
         positions: Positions of the wheels (n,), not wrapped [rad].
         truth: Stamps (ROS time) and measured poses (x, y, heading) [s, m, m, rad].
+        electrical: Voltages and currents (n,) [V, A] of wheel_electrical, which has no stamp: each
+            with the stamp of the latest wheel_states, ROS time [s]. Empty unless requested.
     """
 
     times: list[float] = field(default_factory=list)
     positions: list[Array] = field(default_factory=list)
     truth: list[tuple[float, float, float, float]] = field(default_factory=list)
+    electrical: list[tuple[float, Array, Array]] = field(default_factory=list)
 
     def differenced_speed(self) -> float:
         """Return the speed of the fastest wheel by the latest positions [rad/s]."""
@@ -133,6 +152,7 @@ class RobotSession:
         truth: Topic of a measured pose, or None.
         progress: Display of the progress.
         poll: Called many times a second; raises to end early.
+        with_electrical: Whether to record wheel_electrical, too.
 
     Attributes:
         recording: The current recording.
@@ -145,6 +165,7 @@ class RobotSession:
         truth: str | None,
         progress: Progress,
         poll: Callable[[], None],
+        with_electrical: bool = False,
     ) -> None:
         self._session = session
         parameters = controller.parameters
@@ -170,8 +191,11 @@ class RobotSession:
         node.create_subscription(Odometry, "odom", self._on_odom, 10)
         node.create_subscription(String, "active_source", self._on_source, LATCHED)
         node.create_subscription(DiagnosticStatus, "stop_state", self._on_stop_state, LATCHED)
+        self._with_electrical = with_electrical
         if truth is not None:
             node.create_subscription(Odometry, truth, self._on_truth, LOSSLESS)
+        if with_electrical:
+            node.create_subscription(Float64MultiArray, ELECTRICAL, self._on_electrical, LOSSLESS)
 
     # ---- topics -------------------------------------------------------------------------------
 
@@ -197,6 +221,12 @@ class RobotSession:
         self.recording.truth.append((stamp, *_pose(message)))
         assert self._truth_topic is not None
         self._received.add(self._truth_topic)
+
+    def _on_electrical(self, message: Float64MultiArray) -> None:
+        self._received.add(ELECTRICAL)
+        if self.recording.times:
+            voltages, currents = electrical_arrays(message, len(self._names))
+            self.recording.electrical.append((self.recording.times[-1], voltages, currents))
 
     def _on_source(self, message: String) -> None:
         self._source = message.data
@@ -244,6 +274,7 @@ class RobotSession:
             CommandError: This takes too long.
         """
         needed = ["odom", "wheel_states", *([self._truth_topic] if self._truth_topic else [])]
+        needed += [ELECTRICAL] if self._with_electrical else []
 
         def missing() -> list[str]:
             names = [f"'{topic}'" for topic in needed if topic not in self._received]
@@ -269,7 +300,11 @@ class RobotSession:
             raise CommandError(f"no wheel_states for {RESPONSE_TIMEOUT:g} s")
 
     def drive(
-        self, name: str, motion: Motion, progress_range: tuple[float, float] = (0.0, 1.0)
+        self,
+        name: str,
+        motion: Motion,
+        progress_range: tuple[float, float] = (0.0, 1.0),
+        reach: float = math.inf,
     ) -> bool:
         """Drive a motion and wait for rest.
 
@@ -277,19 +312,33 @@ class RobotSession:
             name: Name of the run that it belongs to, for messages.
             motion: Motion in odom.
             progress_range: Progress of the run at the motion's start and end.
+            reach: Distance from the motion's start, along x and along y of its frame, at which the
+                drive is given up [m].
 
         Returns:
             Whether the robot arrived at the end; if not, the path was cancelled on the way.
 
         Raises:
-            CommandError: Another source drives, or the robot does not come to rest.
+            CommandError: Another source drives, the robot leaves the reach, or it does not come to
+                rest.
         """
         clock = self._session.node.get_clock()
         start = clock.now() + Duration(nanoseconds=round(LEAD_TIME * 1e9))
         has_driven = False
         duration = LEAD_TIME + motion.duration + SETTLING_TIME
         first, last = progress_range
-        for elapsed in PeriodicTicks(self._session, duration, PREVIEW_PERIOD, self._check):
+        origin = motion.sample(0.0).pose
+
+        def check() -> None:
+            self._check()
+            away = distance_along(origin, self.pose)
+            if away > reach:
+                raise CommandError(
+                    f"run '{name}': the robot is {away:.2f} m from its start along a side of the "
+                    f"square, {reach:.2f} m is allowed: does it follow?"
+                )
+
+        for elapsed in PeriodicTicks(self._session, duration, PREVIEW_PERIOD, check):
             if elapsed < LEAD_TIME + motion.duration:
                 self._previews.publish(preview_message(motion, clock.now(), start))
             has_driven |= self._source == "path"
@@ -333,6 +382,13 @@ class RobotSession:
             return None
         angle = math.atan2(np.sin(rows[:, 3]).mean(), np.cos(rows[:, 3]).mean())
         return float(rows[:, 1].mean()), float(rows[:, 2].mean()), angle
+
+
+def distance_along(origin: Triple, pose: Triple) -> float:
+    """Return the larger distance of a pose from an origin along x and along y of its frame [m]."""
+    dx, dy = pose[0] - origin[0], pose[1] - origin[1]
+    c, s = math.cos(origin[2]), math.sin(origin[2])
+    return max(abs(c * dx + s * dy), abs(c * dy - s * dx))
 
 
 def _pose(message: Odometry) -> Triple:
