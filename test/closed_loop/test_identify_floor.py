@@ -1,5 +1,7 @@
 """Identification on the floor, on plants that differ from the controller's configuration."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,8 @@ from omniman_ros.control.platform import PlatformController
 from omniman_ros.core.arbiter import Source
 from omniman_ros.core.parameters import build
 from omniman_ros.core.preview import Preview
-from omniman_ros.identification.floor.excitation import choose_excitation
+from omniman_ros.identification.floor.excitation import choose_excitation, random_excitation
+from omniman_ros.identification.floor.feed_forward import feed_forward_residual
 from omniman_ros.identification.floor.floor_drive import FloorDrive
 from omniman_ros.identification.floor.floor_fit import identify_floor
 from omniman_ros.lab.studies.closed_loop import ClosedLoop
@@ -104,8 +107,8 @@ def sideways_drag(robot):
     ("seed", "duration", "changes"),
     [
         (2, 16.0, {"plant.substep": 0.005}),
-        *(pytest.param(seed, 40.0, {}, marks=pytest.mark.exhaustive) for seed in range(3, 13)),
-        pytest.param(13, 40.0, {"plant.roller_velocity": 0.03}, marks=pytest.mark.exhaustive),
+        *(pytest.param(seed, 60.0, {}, marks=pytest.mark.exhaustive) for seed in range(3, 13)),
+        pytest.param(13, 60.0, {"plant.roller_velocity": 0.03}, marks=pytest.mark.exhaustive),
     ],
 )
 def test_masses_and_drag_are_identified_on_a_plant_that_is_off_by_20_percent(
@@ -126,3 +129,20 @@ def test_masses_and_drag_are_identified_on_a_plant_that_is_off_by_20_percent(
     assert not found.estimates["drag.front_left"].is_determined
     assert found.estimates["drag sideways"].is_determined
     assert found.estimates["mass"].half_width > 0.0
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("seed", [3, 7, 11])
+def test_the_residual_of_the_feed_forward_is_halved_on_another_drive(seed):
+    """The drives' own controllers have half as much left to do, as measured and in the loop."""
+    loop = OtherPlantLoop("omniman", seed)
+    parameters = loop.controller.parameters
+    robot, limits = parameters.robot, parameters.limits
+    found = identify_floor(loop.drive(choose_excitation(robot, limits, REACH, 60.0)), robot)
+    other = loop.drive(random_excitation(robot, limits, REACH, 20.0, 1000))
+    before = feed_forward_residual(other, robot)
+    after = feed_forward_residual(other, found.robot)
+    assert after.motion < 0.5 * before.motion
+    loop.controller.configure(replace(parameters, robot=found.robot))
+    again = loop.drive(random_excitation(found.robot, limits, REACH, 20.0, 1000))
+    assert feed_forward_residual(again, found.robot).motion < 0.5 * before.motion

@@ -120,7 +120,7 @@ def add_floor(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--duration",
         type=float,
-        default=40.0,
+        default=60.0,
         metavar="SECONDS",
         help="duration of the drive that is fitted to; default: %(default)s",
     )

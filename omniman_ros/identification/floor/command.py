@@ -9,7 +9,7 @@ import argparse
 import math
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -95,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
     return conclude(drive(args), folder)
 
 
-def other_parameters(values: dict[str, Any]) -> dict[str, Any]:
+def other_parameters(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return parameters of a robot that differs from a configured one in all that is identified.
 
     Args:

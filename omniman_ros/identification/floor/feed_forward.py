@@ -1,5 +1,7 @@
 """How well computed torques meet the currents that a drive needed."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from omniman_ros.control.dynamics import PlatformDynamics
@@ -15,7 +17,21 @@ WINDOW_STEP = 0.1
 """Distance between two windows [s]."""
 
 
-def feed_forward_residual(drive: FloorDrive, robot: Robot) -> Array:
+@dataclass(frozen=True)
+class FeedForwardResidual:
+    """Differences between measured and computed motor currents, RMS over motors and time.
+
+    Attributes:
+        motion: The part that moves the platform: wheel torques in the range of J [A].
+        strain: The part with which the wheels work against one another along the motion
+            constraints, which no feed-forward of a rigid platform knows [A].
+    """
+
+    motion: float
+    strain: float
+
+
+def feed_forward_residual(drive: FloorDrive, robot: Robot) -> FeedForwardResidual:
     """Return what the feed-forward leaves to the drives' controllers.
 
     The feed-forward of a robot's parameters is evaluated at the measured motion.
@@ -23,9 +39,6 @@ def feed_forward_residual(drive: FloorDrive, robot: Robot) -> Array:
     Args:
         drive: A recorded drive.
         robot: Parameters, with calibrated wheel radii.
-
-    Returns:
-        RMS (n,) of the difference between measured and computed current of each motor [A].
 
     Raises:
         InputError: The drive is too short or has gaps.
@@ -43,5 +56,10 @@ def feed_forward_residual(drive: FloorDrive, robot: Robot) -> Array:
         )
         for twist, rate, speed in zip(twists, rates, speeds, strict=True)
     ]
-    result: Array = np.sqrt(((currents - np.array(computed)) ** 2).mean(axis=0))
-    return result
+    difference = currents - np.array(computed)
+    motion = difference @ kinematics.J @ kinematics.J_pinv
+    return FeedForwardResidual(_rms(motion), _rms(difference - motion))
+
+
+def _rms(table: Array) -> float:
+    return float(np.sqrt((table**2).mean()))

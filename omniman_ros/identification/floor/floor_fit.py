@@ -118,6 +118,11 @@ def identify_floor(drive: FloorDrive, robot: Robot) -> FloorFit:
     model = FloorModel(robot)
     equations, directions, widths = _best_widths(model, drive, back_emf, windows)
     unknowns = directions.solve(model, equations)
+    # The moment of a slope's force depends on the centre of mass, so that one repetition follows.
+    model = model.with_com(unknowns[1:3] / unknowns[0])
+    equations = model.equations(drive, back_emf, windows, widths)
+    directions = find_directions(model, equations)
+    unknowns = directions.solve(model, equations)
     half_widths = _half_widths(model, equations, directions, drive, windows, motors)
     is_bounded = bool(unknowns[-1] < 1.0)
     efficiency = list(_quantities(model, unknowns, back_emf)).index("gear_efficiency")

@@ -86,6 +86,7 @@ class FloorModel:
         expected: (p,) values by the configuration.
         spread: (p,) deviations from them that are expected.
         rolling: (n, 3) matrix S from twist to rolling speeds.
+        com: (2,) centre of mass in which the force of a slope acts [m]; as configured.
         is_gear_known: Whether the equations leave the gear's efficiency as it is expected.
     """
 
@@ -97,7 +98,8 @@ class FloorModel:
         self.rolling = dynamics.rolling
         self._inertia = np.array(robot.wheels.inertia)
         bodies = dynamics.mass_matrix
-        self._mass, self._moment = bodies[0, 0], np.array([bodies[1, 2], -bodies[0, 2]])
+        self._mass = bodies[0, 0]
+        self.com = np.array([bodies[1, 2], -bodies[0, 2]]) / self._mass
         wheels = robot.wheels.names
         per_wheel = [
             f"{kind}.{name}" for kind in ("viscous", "coulomb", "drag") for name in wheels
@@ -120,7 +122,7 @@ class FloorModel:
         friction, eta = robot.friction, robot.motor.gear_efficiency
         mass, inertia = self._mass, dynamics.mass_matrix[2, 2]
         drag = np.array(friction.roller) * dynamics.loads
-        expected = [mass, *self._moment, inertia, 1.0]
+        expected = [mass, *(mass * self.com), inertia, 1.0]
         frictions = [*friction.viscous, *friction.coulomb, *drag]
         self.expected = np.array([*expected, *frictions, 0.0, 0.0]) / eta
         radius = np.array(robot.wheels.radius)
@@ -137,6 +139,12 @@ class FloorModel:
         # Over eta, whose own deviation adds to that of each value.
         spread = np.hypot(spread, EFFICIENCY_SPREAD * self.expected[:-1] * eta) / eta
         self.spread = np.append(spread, 2.0 * EFFICIENCY_SPREAD / eta**2)
+
+    def with_com(self, com: Array) -> "FloorModel":
+        """Return the model with another centre of mass (2,) [m] for the force of a slope."""
+        other = copy.copy(self)
+        other.com = com
+        return other
 
     def without_gear(self) -> "FloorModel":
         """Return the model that takes the gear's efficiency as configured, though uncertain."""
@@ -196,7 +204,7 @@ class FloorModel:
         change = windows.mean(times, positions, 2)  # phi''
         ax, ay, aw = (change @ forward.T).T
         c, s = np.cos(heading), np.sin(heading)
-        x, y = self._moment / self._mass
+        x, y = self.com
         signs = rates / np.hypot(rates, widths.wheel)
         rolling = twist @ self.rolling.T
         drags = rolling / np.hypot(rolling, widths.roller)

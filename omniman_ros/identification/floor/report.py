@@ -5,10 +5,7 @@ from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import Any
 
-import numpy as np
-
 from omniman_ros.console.terminal import table
-from omniman_ros.core.robot import Robot
 from omniman_ros.identification.floor.feed_forward import feed_forward_residual
 from omniman_ros.identification.floor.floor_fit import FloorFit, configured_quantities
 from omniman_ros.identification.floor.record import FloorRecord
@@ -111,18 +108,19 @@ def residuals(record: FloorRecord, fit: FloorFit) -> dict[str, float]:
     """Return the feed-forward's residuals on the drive that nothing was fitted to.
 
     Returns:
-        RMS over all motors `before` and `after` [A], and the fraction `removed`; empty if there
-        was no such drive.
+        RMS in the directions of motion `before` and `after` [A], the fraction `removed`, and what
+        remains as `strain` between the wheels [A]; empty if there was no such drive.
     """
     if record.check is None:
         return {}
-
-    def rms(robot: Robot) -> float:
-        assert record.check is not None
-        return float(np.sqrt((feed_forward_residual(record.check, robot) ** 2).mean()))
-
-    before, after = rms(record.robot), rms(fit.robot)
-    return {"before": before, "after": after, "removed": 1.0 - after / before}
+    before = feed_forward_residual(record.check, record.robot)
+    after = feed_forward_residual(record.check, fit.robot)
+    return {
+        "before": before.motion,
+        "after": after.motion,
+        "removed": 1.0 - after.motion / before.motion,
+        "strain": after.strain,
+    }
 
 
 def faults(checked: Mapping[str, float]) -> list[str]:
@@ -176,7 +174,8 @@ def report(record: FloorRecord, fit: FloorFit) -> list[str]:
         lines.append(
             f"Feed-forward on a drive that nothing was fitted to: {checked['before']:.3f} A off "
             f"before, {checked['after']:.3f} A after (RMS): {100.0 * checked['removed']:.0f} % of "
-            "the residual is removed."
+            "the residual is removed. Besides, the wheels strain against one another by "
+            f"{checked['strain']:.3f} A, which no feed-forward knows."
         )
     return lines
 
