@@ -18,7 +18,7 @@ from omniman_ros.control.wheel_health import (
     name_list,
 )
 from omniman_ros.core import plausible
-from omniman_ros.core.arbiter import Arbiter, Source
+from omniman_ros.core.arbiter import NEVER, Arbiter, Source
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError, ParameterError
 from omniman_ros.core.preview import Preview
@@ -29,11 +29,19 @@ MAX_TICK = 0.1
 OVERSPEED = 1.1
 """Ratio of a wheel's or the platform's speed to its limit above which voltages are not passed
 on."""
+LATE_DELIVERY = 4.0
+"""Time after a stall in which messages sent before its end may still arrive [s].
+
+What a stall kept from being received, a reliable connection delivers again. The reader learns of
+it by a heartbeat, of which Fast DDS sends one every 3 s.
+"""
 MAX_LEAD = 1.0
 """Longest time from now to the beginning of a preview that is accepted [s]."""
 RESET_REST_SPEED = 0.1
 """Wheel speed above which the robot does not count as at rest, so that a reset is refused
 [rad/s]."""
+WAITED = "it may have waited while the controller had stalled"
+"""Reason why an input without a stamp is not used after a stall."""
 PREVIEW_REST_SPEED = 1e-6
 """Speed at the end of a preview up to which it ends at rest [m/s, rad/s]: then the platform has
 arrived; otherwise the preview has run out."""
@@ -73,7 +81,8 @@ class PlatformController:
         self._volts: Array | None = None
         self._previews: dict[Source, Preview] = {}
         self._last_tick: float | None = None
-        self._stalled_at: float | None = None
+        self._stall_end = NEVER
+        self._is_recovering = False
 
     def configure(self, parameters: PlatformParameters) -> None:
         """Set new limits and gains while running; a motion continues without a jump.
@@ -138,13 +147,19 @@ class PlatformController:
         self.cascade.coupling.add(self.odometry.update(step.moved, step.speeds, step.dt))
         return step.warning
 
-    def set_twist(self, twist: Array, now: float, age: float = 0.0) -> str:
+    def set_twist(
+        self, twist: Array, now: float, age: float | None = None, sent: float | None = None
+    ) -> str:
         """Set the target of `cmd_vel`.
+
+        A twist without a stamp counts from its arrival; it is not used if it may have waited
+        while the caller had stalled, unless it is zero.
 
         Args:
             twist: Body twist (3,) [m/s, m/s, rad/s].
             now: Time of arrival [s].
-            age: Age at that time [s].
+            age: Age at that time [s], or None without a stamp.
+            sent: Time at which it was sent, as far as the middleware knows [s], or None.
 
         Returns:
             Why it is not used, or an empty string.
@@ -155,19 +170,27 @@ class PlatformController:
         if twist.shape != (3,):
             raise InputError(f"cmd_vel: has {twist.size} numbers, expected 3")
         plausible.demand(twist, plausible.SPEED, "cmd_vel: twist")
-        until = _fresh_until("cmd_vel", now, age, self.parameters.timeouts.cmd_vel)
-        refusal = self._offer(Source.CMD_VEL, now, until, neutral=not twist.any())
+        until = _fresh_until("cmd_vel", now, age or 0.0, self.parameters.timeouts.cmd_vel)
+        neutral = not twist.any()
+        waited = age is None and self._may_have_waited(now, sent)
+        refusal = self._offer(Source.CMD_VEL, now, until, waited and not neutral, neutral)
         if not refusal:
             self._target = np.array(twist)
         return refusal
 
-    def set_preview(self, source: Source, preview: Preview, now: float) -> str:
+    def set_preview(
+        self, source: Source, preview: Preview, now: float, stamped: bool = True
+    ) -> str:
         """Set the preview of a source; it is valid until it ends.
+
+        A preview without a stamp begins at its arrival; it is not used if it may have waited
+        while the caller had stalled.
 
         Args:
             source: Source of the preview.
             preview: Motion of the platform in odom.
             now: Time of arrival [s].
+            stamped: Whether it has a stamp.
 
         Returns:
             Why it is not used, or an empty string.
@@ -182,19 +205,23 @@ class PlatformController:
             raise InputError(f"{source.value}/reference: stale, it ended {age:.3f} s ago")
         ends_at_rest = preview.end_speed <= PREVIEW_REST_SPEED
         hold_time = self.parameters.timeouts.reference if ends_at_rest else 0.0
-        refusal = self._offer(source, now, preview.end + hold_time)
+        waited = not stamped and self._may_have_waited(now)
+        refusal = self._offer(source, now, preview.end + hold_time, waited)
         if not refusal:
             self._previews[source] = preview
             self._volts = None if source is Source.MPC else self._volts
         return refusal
 
-    def set_voltages(self, volts: Array, now: float, age: float = 0.0) -> str:
+    def set_voltages(self, volts: Array, now: float, age: float | None = None) -> str:
         """Set the motor voltages of the MPC.
+
+        Voltages without a stamp count from their arrival; they are not used if they may have
+        waited while the caller had stalled.
 
         Args:
             volts: Voltages (n,) [V].
             now: Time of arrival [s].
-            age: Age at that time [s].
+            age: Age at that time [s], or None without a stamp.
 
         Returns:
             Why they are not used, or an empty string.
@@ -211,8 +238,9 @@ class PlatformController:
             raise InputError("mpc/voltages: the drives have no voltage mode")
         if self.wheel_health.idle:
             raise InputError(f"mpc/voltages: {self._voltages_refusal}")
-        until = _fresh_until("mpc/voltages", now, age, self.parameters.timeouts.voltages)
-        refusal = self._offer(Source.MPC, now, until)
+        until = _fresh_until("mpc/voltages", now, age or 0.0, self.parameters.timeouts.voltages)
+        waited = age is None and self._may_have_waited(now)
+        refusal = self._offer(Source.MPC, now, until, waited)
         if not refusal:
             limit = self.parameters.robot.motor.max_voltage
             self._volts = np.clip(volts, -limit, limit)
@@ -224,14 +252,35 @@ class PlatformController:
         idle = name_list(self.parameters.robot.wheels.names, self.wheel_health.idle)
         return f"computed for all wheels, but {idle} dead"
 
-    def _offer(self, source: Source, now: float, fresh_until: float, neutral: bool = False) -> str:
+    def _offer(
+        self, source: Source, now: float, fresh_until: float, waited: bool, neutral: bool = False
+    ) -> str:
         """Offer a setpoint to the arbiter; return why it is not used, or an empty string."""
         if not self.latch.released:
             status = self.latch.status
             return self.arbiter.refuse(source, now, f"{status.state.value}: {status.reason}")
         if not self.feedback.received:
             return "no wheel_states yet"
+        if waited:
+            return self.arbiter.ignore(source, now, WAITED)
         return self.arbiter.offer(source, now, fresh_until, neutral)
+
+    def _may_have_waited(self, now: float, sent: float | None = None) -> bool:
+        """Return whether an input that arrives at `now` may have waited during a stall.
+
+        What waited may be delivered before the late tick or after it. Motion is resumed by a
+        report of the wheels that was sent after the stall; what was received earlier has been
+        delivered by then. What has to be delivered again comes later.
+
+        Args:
+            now: Time of arrival [s].
+            sent: Time at which it was sent, as far as the middleware knows [s], or None.
+        """
+        if self._last_tick is not None and now - self._last_tick > MAX_TICK:
+            return True
+        may_come_late = now < self._stall_end + LATE_DELIVERY
+        came_late = may_come_late and sent is not None and sent < self._stall_end
+        return self._is_recovering or came_late
 
     @property
     def coupling_error(self) -> Array:
@@ -251,8 +300,13 @@ class PlatformController:
         return not self.setpoint.any()
 
     def fault(self, now: float) -> str:
-        """Return the present fault, which keeps a stop latched; empty if there is none."""
+        """Return the present fault, which keeps a stop latched; empty if there is none.
+
+        Reports that came during a stall may not be handled yet: silence counts from its end.
+        """
         age = self.feedback.age(now)
+        if self._is_recovering:
+            age = min(age, now - self._stall_end)
         if self.feedback.received and age > self.parameters.timeouts.wheel_states:
             return f"wheel_states silent for {age:.2f} s"
         return ""
@@ -334,10 +388,10 @@ class PlatformController:
             self.feedback.forget()
         elif elapsed > MAX_TICK:
             self.arbiter.resume(now)
-            self._stalled_at = now
+            self._stall_end, self._is_recovering = now, True
             return None  # messages that came meanwhile are handled before the next tick
         self._check(now, dt)
-        if self._stalled_at is not None and not self._recovered(self._stalled_at, dt):
+        if self._is_recovering and not self._recovered(dt):
             return None
         source = self.arbiter.select(now)
         measured, before = self.feedback.speeds, self.setpoint
@@ -365,27 +419,26 @@ class PlatformController:
         probe = self.wheel_health.probe(now) if driven else None
         return self.cascade.command(reachable, rate, measured, mode, dt, probe)
 
-    def _recovered(self, stalled_at: float, dt: float) -> bool:
+    def _recovered(self, dt: float) -> bool:
         """Continue from the measured motion once the wheels have reported after a stall.
 
         Args:
-            stalled_at: Time at which the stall was noticed [s].
             dt: Time since the last tick [s].
 
         Returns:
             Whether commands can be sent again.
         """
         if not self.feedback.received and self.at_rest:
-            self._stalled_at = None
+            self._is_recovering = False
             return True
-        if self.feedback.time < stalled_at:
+        if self.feedback.time < self._stall_end:
             self.setpoint = ramp_down(self.setpoint, self.wheel_health.limits.deceleration, dt)
             return False
         self.setpoint = self.cascade.kinematics.J_pinv @ self.feedback.speeds
         if not self.feedback.speeds.any():
             self.setpoint = np.zeros(3)
         self._limiter.restart()
-        self._stalled_at = None
+        self._is_recovering = False
         return True
 
     def _too_fast(self, measured: Array) -> bool:

@@ -10,6 +10,11 @@ def time_seconds(stamp: Time | Duration) -> float:
     return float(stamp.sec) + 1e-9 * float(stamp.nanosec)
 
 
+def is_stamped(stamp: Time) -> bool:
+    """Return whether a stamp states a time; a zero stamp does not."""
+    return bool(stamp.sec or stamp.nanosec)
+
+
 def duration_message(seconds: float) -> Duration:
     """Convert a non-negative time [s] to a duration."""
     nanoseconds = round(seconds * 1e9)

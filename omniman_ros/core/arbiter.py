@@ -86,6 +86,19 @@ class Arbiter:
         self.cancel(source, reason)
         return reason
 
+    def ignore(self, source: Source, now: float, reason: str) -> str:
+        """Register a setpoint that arrived at `now` [s] and must not be used.
+
+        Its source goes on as before: neither is it cancelled, nor does it stay fresh for longer.
+        A cancelled source has not been silent.
+
+        Returns:
+            Reason why the source is cancelled; if it is not, the given reason.
+        """
+        slot = self._slots[source]
+        slot.received = now
+        return slot.cancelled or reason
+
     def select(self, now: float) -> Source | None:
         """Return the source that drives now; sources that lose control are cancelled."""
         chosen = None

@@ -11,6 +11,7 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.time import Time
 
+from omniman_ros.conversions.headers import is_stamped
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.throttle import Throttle
 
@@ -59,7 +60,7 @@ class OmnimanNode(Node):
         Raises:
             InputError: The stamp is further ahead.
         """
-        if stamp.sec == 0 and stamp.nanosec == 0:
+        if not is_stamped(stamp):
             return 0.0
         # Time.from_msg raises on negative seconds; a stamp that old is merely stale.
         sent = stamp.sec * 1_000_000_000 + stamp.nanosec
@@ -67,6 +68,19 @@ class OmnimanNode(Node):
         if age < -max_lead:
             raise InputError(f"the stamp is {-age:.3f} s ahead")
         return age
+
+    def sent(self, source_time: int) -> float | None:
+        """Return the instant of the node's clock at which a message was sent [s].
+
+        It is right if both hosts' clocks agree. In simulation, whose time DDS does not know, it is
+        None.
+
+        Args:
+            source_time: Source timestamp of the message, in the sender's system time [ns].
+        """
+        if self.clock is self.get_clock():
+            return None
+        return (source_time - self._ros_time_lead()) * 1e-9
 
     def stamp(self, instant: float | None = None) -> TimeMsg:
         """Return the ROS time of an instant of the node's clock [s]; now if it is None."""
@@ -85,7 +99,7 @@ class OmnimanNode(Node):
         Raises:
             InputError: The stamp is further ahead.
         """
-        if stamp.sec == 0 and stamp.nanosec == 0:
+        if not is_stamped(stamp):
             return self.now()
         self.age(stamp, max_lead)
         instant: float = stamp.sec * 1_000_000_000 + stamp.nanosec - self._ros_time_lead()

@@ -1,6 +1,7 @@
 """Node `platform_controller`: the only publisher of wheel commands and voltages."""
 
 from collections.abc import Callable, Iterable
+from functools import partial
 from typing import Any
 
 from geometry_msgs.msg import Twist, TwistStamped
@@ -12,6 +13,7 @@ from trajectory_msgs.msg import MultiDOFJointTrajectory
 from omniman_ros.control.limits import ratio
 from omniman_ros.control.platform import PlatformController
 from omniman_ros.conversions.geometry import stamped_twist_array, twist_array
+from omniman_ros.conversions.headers import is_stamped
 from omniman_ros.conversions.joints import joint_arrays, require_array
 from omniman_ros.conversions.trajectories import preview_from_message
 from omniman_ros.core import plausible
@@ -22,6 +24,7 @@ from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.platform_controller_parameters import PlatformControllerParameters
 from omniman_ros.nodes.platform_outputs import SETPOINT, PlatformOutputs
+from omniman_ros.nodes.rclpy_compat import subscribe_with_source_time
 from omniman_ros.nodes.runtime import run
 from omniman_ros.nodes.stop_interface import StopInterface
 
@@ -60,7 +63,7 @@ class PlatformControllerNode(OmnimanNode):
             self.create_subscription(kind, topic, self.guarded(topic, handler), qos)
 
         twist = TwistStamped if p.cmd_vel_stamped else Twist
-        subscribe(twist, "cmd_vel", self._on_cmd_vel, SETPOINT)
+        subscribe_with_source_time(self, twist, "cmd_vel", self._on_cmd_vel, SETPOINT)
         for source in (Source.MPC, Source.PATH):
             topic = f"{source.value}/reference"
             handler = self._reference_handler(source)
@@ -69,11 +72,14 @@ class PlatformControllerNode(OmnimanNode):
 
     # ---- inputs: each handler returns why the message is not used, or nothing ------------------
 
-    def _on_cmd_vel(self, message: Twist | TwistStamped) -> str:
+    def _on_cmd_vel(self, message: Twist | TwistStamped, source_time: int) -> None:
+        self.guarded("cmd_vel", partial(self._set_twist, sent=self.sent(source_time)))(message)
+
+    def _set_twist(self, message: Twist | TwistStamped, sent: float | None) -> str:
         if isinstance(message, Twist):
-            return self.core.set_twist(twist_array(message), self.now())
+            return self.core.set_twist(twist_array(message), self.now(), sent=sent)
         twist = stamped_twist_array(message, self._topics().base_frame)
-        return self.core.set_twist(twist, self.now(), self.age(message.header.stamp))
+        return self.core.set_twist(twist, self.now(), self._stated_age(message), sent)
 
     def _reference_handler(self, source: Source) -> Callable[[MultiDOFJointTrajectory], None]:
         """Return a callback that keeps the last preview of a source for the next tick.
@@ -85,7 +91,7 @@ class PlatformControllerNode(OmnimanNode):
             now = self.now()
             start = now - self.age(message.header.stamp)
             preview = preview_from_message(message, start, self._topics().frames)
-            return self.core.set_preview(source, preview, now)
+            return self.core.set_preview(source, preview, now, is_stamped(message.header.stamp))
 
         handler = self.guarded(f"{source.value}/reference", handle)
 
@@ -97,7 +103,12 @@ class PlatformControllerNode(OmnimanNode):
     def _on_voltages(self, message: JointState) -> str:
         _, _, effort = joint_arrays(message, self._names)
         volts = require_array(effort, plausible.EFFORT, "effort (volts)")
-        return self.core.set_voltages(volts, self.now(), self.age(message.header.stamp))
+        return self.core.set_voltages(volts, self.now(), self._stated_age(message))
+
+    def _stated_age(self, message: TwistStamped | JointState) -> float | None:
+        """Return the age of a message by its stamp [s]; None for a zero stamp."""
+        stamp = message.header.stamp
+        return self.age(stamp) if is_stamped(stamp) else None
 
     def _topics(self) -> OdometryTopicParameters:
         return self.settings.value.topics

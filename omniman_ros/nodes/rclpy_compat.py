@@ -16,6 +16,8 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
+from rclpy.subscription import Subscription
 
 RCLError = rclpy_implementation.RCLError
 """Error of the middleware. rclpy 7.1 raises it, but exports it in its implementation only."""
@@ -53,6 +55,32 @@ def spin_for(executor: Executor, seconds: float) -> None:
     gives it one.
     """
     executor.spin_until_future_complete(rclpy.Future(), timeout_sec=seconds)
+
+
+def subscribe_with_source_time(
+    node: Node, kind: type, topic: str, callback: Callable[[Any, int], None], qos: QoSProfile
+) -> None:
+    """Subscribe to a topic with a callback that also gets the source timestamp.
+
+    A callback for the message's information gets message and information as two arguments from the
+    executors of rclpy 7.1, but from EventsExecutor as one, a tuple. rclpy takes one that can be
+    called with either for a callback that gets the message alone.
+
+    Args:
+        node: Node that subscribes.
+        kind: Type of the messages.
+        topic: Name of the topic.
+        callback: Called with a message and the time at which it was sent, in nanoseconds of the
+            sending host's system clock.
+        qos: Quality of service.
+    """
+
+    def receive(*taken: Any) -> None:
+        message, info = taken[0] if len(taken) == 1 else taken
+        callback(message, info["source_timestamp"])
+
+    subscription = node.create_subscription(kind, topic, receive, qos)
+    subscription._callback_type = Subscription.CallbackType.WithMessageInfo
 
 
 def log_exceptions(callback: TransitionCallback) -> TransitionCallback:

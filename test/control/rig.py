@@ -98,9 +98,9 @@ class Rig:
             self.tick()
         return self
 
-    def twist(self, *numbers: float, age: float = 0.0) -> str:
+    def twist(self, *numbers: float, age: float | None = None, sent: float | None = None) -> str:
         """Send a cmd_vel."""
-        return self.core.set_twist(np.array(numbers, dtype=float), self.now, age)
+        return self.core.set_twist(np.array(numbers, dtype=float), self.now, age, sent)
 
     def cruise(self, *numbers: float, seconds: float = 2.5) -> "Rig":
         """Drive by cmd_vel until the platform reaches the twist."""

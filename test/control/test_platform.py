@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from omniman_ros.control.limits import ratio
-from omniman_ros.control.platform import MAX_TICK
+from omniman_ros.control.platform import LATE_DELIVERY, MAX_TICK, WAITED
 from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.control.wheel_cascade import DriveMode
 from omniman_ros.core import se2
@@ -208,6 +208,125 @@ def test_stall_of_the_controller_does_not_make_its_sources_stale():
     rig.core.tick(rig.now)
     rig.report()
     assert "test" in rig.core.set_twist(np.array([0.1, 0.0, 0.0]), rig.now + DT)
+
+
+def stalled(rig, seconds=0.9):
+    """Let the controller stall while the drives stop, up to the instant before its late tick."""
+    rig.now += seconds
+    rig.speed = np.zeros(rig.count)
+    return rig
+
+
+def resume(rig):
+    """Run the late tick, and report the wheels after it; the next tick resumes the motion."""
+    assert rig.core.tick(rig.now) is None
+    rig.now += DT
+    rig.report()
+
+
+UNSTAMPED = {
+    "a twist": lambda rig: rig.twist(*CRUISE),
+    "a preview": lambda rig: rig.core.set_preview(
+        Source.PATH, rig.line((0.3, 0, 0), 9.0), rig.now, stamped=False
+    ),
+    "voltages": lambda rig: rig.core.set_voltages(np.ones(rig.count), rig.now),
+}
+STAMPED = {
+    "a twist": lambda rig: rig.twist(*CRUISE, age=0.1),
+    "a preview": lambda rig: rig.core.set_preview(
+        Source.PATH, rig.line((0.3, 0, 0), 9.0), rig.now
+    ),
+    "voltages": lambda rig: rig.core.set_voltages(np.ones(rig.count), rig.now, 0.01),
+}
+ARRIVALS = {
+    "before the late tick": lambda rig: None,
+    "after the late tick": lambda rig: rig.core.tick(rig.now),
+    "after the report that ends the stall": resume,
+}
+BOTH_MODES = {"drive.offered": ("velocity", "voltage")}
+
+
+@pytest.mark.parametrize("arrival", ARRIVALS)
+@pytest.mark.parametrize("kind", UNSTAMPED)
+def test_unstamped_input_that_waited_during_a_stall_does_not_drive(kind, arrival):
+    rig = stalled(Rig(changes=BOTH_MODES).run(0.1))
+    ARRIVALS[arrival](rig)
+    assert UNSTAMPED[kind](rig) == WAITED
+    for _ in range(200):
+        if rig.core.tick(rig.now) is not None:
+            assert rig.core.arbiter.active is None and not rig.core.setpoint.any()
+        rig.now += DT
+        rig.report()
+    assert UNSTAMPED[kind](rig) == ""
+    rig.tick()
+    assert rig.core.arbiter.active is not None
+
+
+@pytest.mark.parametrize("arrival", ARRIVALS)
+@pytest.mark.parametrize("kind", STAMPED)
+def test_stamped_input_drives_on_after_a_stall(kind, arrival):
+    rig = stalled(Rig(changes=BOTH_MODES).run(0.1))
+    ARRIVALS[arrival](rig)
+    assert STAMPED[kind](rig) == ""
+    if rig.core.tick(rig.now) is None:
+        rig.run(DT)
+    assert rig.core.arbiter.active is not None
+
+
+@pytest.mark.parametrize("arrival", ARRIVALS)
+def test_zero_twist_is_used_during_a_stall(arrival):
+    rig = stalled(driving(), 0.3)  # so that the twist from before is not stale yet
+    ARRIVALS[arrival](rig)
+    assert rig.twist(0, 0, 0, sent=rig.now - 0.2) == ""
+    assert rig.core.tick(rig.now) is None or not rig.core.setpoint.any()
+    rig.run(0.1)
+    assert rig.core.arbiter.active is Source.CMD_VEL and not rig.core.setpoint.any()
+
+
+def test_twist_that_is_ignored_after_a_stall_does_not_count_as_fresh():
+    rig = stalled(driving(), 0.3)
+    timeout = rig.core.parameters.timeouts.cmd_vel
+    assert rig.twist(*CRUISE) == WAITED
+    resume(rig)
+    rig.core.tick(rig.now)
+    assert rig.core.arbiter.active is Source.CMD_VEL, "the twist from before is not stale yet"
+    rig.run(timeout - 0.3 + 2 * DT)
+    assert rig.core.arbiter.active is None
+
+
+def test_twist_sent_before_the_end_of_a_stall_is_not_used_however_late_it_comes():
+    rig = stalled(driving(), 2.0)
+    end = rig.now
+    resume(rig)
+    rig.run(2.0)
+    assert rig.twist(*CRUISE, sent=end - 0.01) == WAITED
+    assert rig.twist(0, 0, 0, sent=end - 0.01) == ""
+    assert rig.twist(*CRUISE, sent=end + 0.01) == ""
+    assert rig.twist(*CRUISE, age=0.1, sent=end - 0.01) == "", "a stamp takes precedence"
+
+
+def test_sender_whose_clock_is_behind_drives_again_some_time_after_a_stall():
+    rig = stalled(driving())
+    end = rig.now
+    resume(rig)
+    rig.run(LATE_DELIVERY - 2 * DT, lambda: rig.twist(*CRUISE, sent=rig.now - 60.0))
+    assert not rig.core.setpoint.any() and rig.now < end + LATE_DELIVERY
+    rig.run(0.2, lambda: rig.twist(*CRUISE, sent=rig.now - 60.0))
+    assert rig.core.setpoint.any()
+
+
+def test_silence_of_the_wheels_counts_from_the_end_of_a_stall():
+    rig = stalled(driving(), 2.0)
+    timeout = rig.core.parameters.timeouts.wheel_states
+    end = rig.now
+    while rig.now < end + timeout - DT:
+        assert rig.core.tick(rig.now) is None
+        assert rig.core.latch.released
+        rig.now += DT
+    for _ in range(3):
+        rig.core.tick(rig.now)
+        rig.now += DT
+    assert "wheel_states silent" in rig.core.latch.status.reason
 
 
 # ---- stopping ---------------------------------------------------------------------------------

@@ -39,7 +39,7 @@ from omniman_ros.conversions.geometry import (
     twist_array,
     yaw_from_quaternion,
 )
-from omniman_ros.conversions.headers import check_frame, time_seconds
+from omniman_ros.conversions.headers import check_frame, is_stamped, time_seconds
 from omniman_ros.conversions.joints import joint_arrays, require_array
 from omniman_ros.conversions.obstacles import MarkerDeletion, ellipse_markers, marker_changes
 from omniman_ros.conversions.odometry import fill_odometry, odometry_transform
@@ -81,6 +81,11 @@ def test_stamps_and_durations_convert_to_seconds():
     assert time_seconds(Time(sec=3, nanosec=250_000_000)) == 3.25
     assert time_seconds(Duration(sec=-1, nanosec=500_000_000)) == -0.5
     assert time_seconds(Time()) == 0.0
+
+
+def test_only_a_zero_stamp_states_no_time():
+    assert not is_stamped(Time())
+    assert is_stamped(Time(sec=0, nanosec=1)) and is_stamped(Time(sec=-1, nanosec=0))
 
 
 @pytest.mark.parametrize("theta", [0, 0.1, -0.1, 1.5, 3.1, -3.1, math.pi, -math.pi, 4, -5, 40])

@@ -13,7 +13,7 @@ def play(script):
     """Run lines of (time, event, argument) and return the driving source after each.
 
     event: a source's name, its setpoint fresh for `argument` s; "zero": a neutral cmd_vel;
-    "refuse" or "cancel": the named source; "stop": cancel all; "-": nothing.
+    "refuse", "ignore" or "cancel": the named source; "stop": cancel all; "-": nothing.
     """
     arbiter, drivers = Arbiter(SILENCE), []
     for now, what, *rest in script:
@@ -23,6 +23,8 @@ def play(script):
             arbiter.offer(C, now, now + 0.5, neutral=True)
         elif what == "refuse":
             arbiter.refuse(NAMES[rest[0]], now, "no")
+        elif what == "ignore":
+            arbiter.ignore(NAMES[rest[0]], now, "no")
         elif what == "cancel":
             arbiter.cancel(NAMES[rest[0]], "no")
         elif what == "stop":
@@ -107,6 +109,17 @@ SCRIPTS = {
         *[((0.1 * i, "refuse", "path"), "none") for i in range(1, 20)],
         ((2.0, "path", 9), "none"),
     ],
+    "an ignored setpoint cancels nothing, and is not fresh": [
+        ((0, "cmd_vel", 0.5), "cmd_vel"),
+        ((0.4, "ignore", "cmd_vel"), "cmd_vel"),
+        ((0.6, "-"), "none"),
+        ((0.7, "cmd_vel", 0.5), "cmd_vel"),
+    ],
+    "an ignored setpoint keeps a cancelled source from being silent": [
+        ((0, "stop"), "none"),
+        *[((0.1 * i, "ignore", "path"), "none") for i in range(1, 20)],
+        ((2.0, "path", 9), "none"),
+    ],
     "a cancelled driver hands over to nobody": [
         ((0, "path", 9), "path"),
         ((1, "mpc", 9), "mpc"),
@@ -131,6 +144,13 @@ def test_losing_setpoint_of_the_same_tick_does_not_drive_later(first, second):
     arbiter.cancel(winner, "gone")
     assert arbiter.select(0.6) is None
     assert arbiter.select(5.0) is None
+
+
+def test_ignored_setpoint_returns_why_its_source_is_cancelled_if_it_is():
+    arbiter = Arbiter(SILENCE)
+    assert arbiter.ignore(P, 0.0, "too old") == "too old"
+    arbiter.cancel(P, "gone")
+    assert arbiter.ignore(P, 0.1, "too old") == "gone"
 
 
 def test_refused_setpoints_return_the_reason():

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseWithCovarianceStamped, Twist, TwistStamped
 from rcl_interfaces.srv import DescribeParameters, SetParameters
@@ -691,6 +692,49 @@ def test_motion_after_a_stall_continues_from_the_measured_speeds(rig):
     assert np.abs(speeds[0]).max() <= bound.max(), "the setpoint from before the stall"
     assert (np.abs(np.diff(speeds, axis=0)) <= bound + 1e-9).all()
     assert speeds[-1].min() > 0.2, "the motion continues"
+
+
+def unstamped_preview(rig: Rig) -> MultiDOFJointTrajectory:
+    message = straight(rig, seconds=1.0)
+    message.header.stamp = Time()
+    return message
+
+
+@pytest.mark.parametrize(
+    ("kind", "topic", "message"),
+    [
+        (Twist, "cmd_vel", lambda rig: twist(0.5)),
+        (MultiDOFJointTrajectory, "path/reference", unstamped_preview),
+    ],
+    ids=["twist", "preview"],
+)
+@pytest.mark.parametrize("is_tick_first", [False, True], ids=["message first", "tick first"])
+def test_unstamped_setpoint_that_waited_in_its_queue_does_not_drive(
+    rig, kind, topic, message, is_tick_first
+):
+    publisher = rig.publisher(kind, topic)
+    rig.run(0.1)
+    rig.time += 2.0  # no callback is served
+    rig.drive_alive = False
+    if is_tick_first:
+        rig.run(PERIOD)
+        publisher.publish(message(rig))
+    else:
+        timers = list(rig.node.timers)
+        for timer in timers:
+            timer.cancel()
+        publisher.publish(message(rig))
+        rig.run(PERIOD)
+        for timer in timers:
+            timer.reset()
+    rig.drive_alive = True
+    since = len(rig.commands)
+    rig.run(0.5)
+    assert rig.core.latch.released
+    assert not rig.speeds(since).any()
+    publisher.publish(message(rig))
+    rig.run(0.2)
+    assert rig.speeds()[-1].all(), "the next one drives"
 
 
 def test_slow_stream_does_not_take_over_by_itself(rig):
