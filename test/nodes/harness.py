@@ -110,8 +110,9 @@ def _ready_callbacks(node: Node) -> Iterator[Callable[[], None]]:
 
 
 def _call_timer(timer: Timer) -> None:
-    timer.handle.call_timer()
-    timer.callback()
+    if not timer.is_canceled():  # by a callback before it
+        timer.handle.call_timer()
+        timer.callback()
 
 
 def _receive(subscription: Subscription, taken: tuple[Any, Any]) -> None:
