@@ -25,11 +25,11 @@ NOISE = 0.1
 GRAVITY = 9.81
 
 
-def other_plant(name, seed):
+def other_plant(name, seed, are_motors_alike):
     """Return parameters of a robot off by up to 20 %, and of its simulation.
 
     The centre of mass is off by up to 20 % of the wheels' distance from the middle, and the motor
-    constants by up to 20 % each.
+    constants by up to 20 %: all by the same, or each by its own.
     """
     rng = np.random.default_rng(seed)
     known = robots.robot(name)
@@ -47,15 +47,15 @@ def other_plant(name, seed):
     }
     for kind in ("viscous", "coulomb", "roller"):
         true[f"friction.{kind}"] = [value * factor() for value in getattr(known.friction, kind)]
-    constants = [factor() for _ in range(known.wheel_count)]
+    constants = [factor() for _ in range(1 if are_motors_alike else known.wheel_count)]
     return true, {"mismatch.torque_constant": constants, "faults.current_noise": NOISE}
 
 
 class OtherPlantLoop(ClosedLoop):
     """A loop whose plant is not the robot that the controller is configured for."""
 
-    def __init__(self, name, seed, changes=None):
-        true, simulation = other_plant(name, seed)
+    def __init__(self, name, seed, changes=None, are_motors_alike=False):
+        true, simulation = other_plant(name, seed, are_motors_alike)
         self.true = robots.robot(name, true)
         built = build(SimulationParameters, {**simulation, **(changes or {})})
         super().__init__(robots.parameters(name), built)
@@ -132,17 +132,22 @@ def test_masses_and_drag_are_identified_on_a_plant_that_is_off_by_20_percent(
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("seed", [3, 7, 11])
-def test_the_residual_of_the_feed_forward_is_halved_on_another_drive(seed):
-    """The drives' own controllers have half as much left to do, as measured and in the loop."""
-    loop = OtherPlantLoop("omniman", seed)
+@pytest.mark.parametrize("seed", [3, 5, 7, 9, 11])
+def test_the_feed_forward_gets_as_good_as_with_the_true_parameters_on_another_drive(seed):
+    """What then remains are noise, ripple and smoothed friction, which no parameter removes."""
+    loop = OtherPlantLoop("omniman", seed, are_motors_alike=True)
     parameters = loop.controller.parameters
     robot, limits = parameters.robot, parameters.limits
     found = identify_floor(loop.drive(choose_excitation(robot, limits, REACH, 60.0)), robot)
     other = loop.drive(random_excitation(robot, limits, REACH, 20.0, 1000))
+    constant = loop.drives.parameters.mismatch.torque_constant[0]
+    motor = loop.true.motor
+    motor = replace(motor, torque_constant=constant * motor.torque_constant)
     before = feed_forward_residual(other, robot)
     after = feed_forward_residual(other, found.robot)
-    assert after.motion < 0.5 * before.motion
+    ideal = feed_forward_residual(other, replace(loop.true, motor=motor))
+    assert after.motion < 1.05 * ideal.motion
+    assert after.motion < 0.75 * before.motion
     loop.controller.configure(replace(parameters, robot=found.robot))
     again = loop.drive(random_excitation(found.robot, limits, REACH, 20.0, 1000))
-    assert feed_forward_residual(again, found.robot).motion < 0.5 * before.motion
+    assert feed_forward_residual(again, found.robot).motion < 0.75 * before.motion

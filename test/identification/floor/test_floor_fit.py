@@ -18,6 +18,9 @@ from omniman_ros.identification.floor.excitation import (
 )
 from omniman_ros.identification.floor.floor_fit import identify_floor
 from omniman_ros.identification.floor.record import FloorRecord, load, save
+from omniman_ros.identification.floor.regressor import FloorModel, SignWidths
+from omniman_ros.identification.floor.solution import find_directions, groups
+from omniman_ros.identification.floor.windows import Windows
 from omniman_ros.identification.robot_session import Recording, distance_along
 from omniman_ros.robots import load_robot
 from omniman_ros.simulation.plant.contact import centre_of_mass
@@ -93,6 +96,16 @@ def test_a_drive_without_braking_does_not_tell_efficiency_from_mass(motion):
     assert found.estimates["gear_efficiency"].value == OMNIMAN.robot.motor.gear_efficiency
     mass = centre_of_mass(true)[0]
     assert abs(found.estimates["mass"].value - mass) < found.estimates["mass"].half_width
+
+
+def test_an_efficiency_that_is_taken_as_configured_does_not_move(drive):
+    model = FloorModel(OMNIMAN.robot).without_gear()
+    back_emf = np.full(4, OMNIMAN.robot.motor.gear_ratio * OMNIMAN.robot.motor.torque_constant)
+    windows = Windows(drive.start, drive.end, 0.6, 0.15)
+    equations = model.equations(drive, back_emf, windows, SignWidths())
+    directions = find_directions(model, equations)
+    assert directions.solve(model, equations)[-1] == model.expected[-1]
+    assert ("gear",) in groups(model, directions)
 
 
 @pytest.mark.parametrize("name", ["omniman", exhaustive("ig42"), exhaustive("omni3")])
