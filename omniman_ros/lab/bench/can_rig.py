@@ -283,18 +283,23 @@ class Rig:
     # ---- processes ------------------------------------------------------------------------------
 
     def __enter__(self) -> Self:
-        self._drives.__enter__()
-        self._bridge.__enter__()
+        with contextlib.ExitStack() as stack:
+            stack.callback(self.session.node.destroy_timer, self._timer)
+            stack.callback(self.recorder.close)
+            stack.enter_context(self._drives)
+            self._bridge.__enter__()
+            stack.callback(self._end_bridge)
+            self._cleanup = stack.pop_all()
         return self
 
     def __exit__(self, *_: object) -> None:
-        node = self.session.node
-        node.destroy_timer(self._timer)
+        self._cleanup.close()
+
+    def _end_bridge(self) -> None:
+        """End the bridge that runs, even if it is suspended."""
         with contextlib.suppress(ProcessLookupError):
             self.signal_bridge(signal.SIGCONT)
-        for children in (self._bridge, self._drives):
-            children.__exit__(None, None, None)
-        self.recorder.close()
+        self._bridge.__exit__(None, None, None)
 
     def interrupt(self, number: int) -> None:
         """Interrupt the drives with a signal; this is safe in a signal handler."""
@@ -307,8 +312,7 @@ class Rig:
     def restart_bridge(self) -> None:
         """Start a new bridge in place of one that was killed."""
         self._bridge.__exit__(None, None, None)
-        self._bridge = self._children("can_bridge")
-        self._bridge.__enter__()
+        self._bridge = self._children("can_bridge").__enter__()
 
     def wait(self, condition: Callable[[], bool], goal: str) -> None:
         """Serve callbacks until a condition holds.
