@@ -147,7 +147,11 @@ def measure_steps(
         Figures of each solver, largest slack [m], largest relative violation of a limit and, with
         IPOPT, statistics of the excess of the cost over IPOPT's.
     """
-    from omniman_ros.lab.studies.mpc_peers import ConvergedController, Evaluator, GeneralSolver
+    from omniman_ros.lab.studies.mpc_general_solvers import (
+        ConvergedController,
+        Evaluator,
+        GeneralSolver,
+    )
     from omniman_ros.lab.studies.mpc_scenes import RealTime, arrived, draw_scene
 
     t = rig.transcription
@@ -223,7 +227,7 @@ def compare_drives(rig: "Rig", scenes: int, length: int, seed: int = 0) -> dict[
     Returns:
         Figures of all scenes; see `drive_statistics`.
     """
-    from omniman_ros.lab.studies.mpc_peers import ConvergedController, GeneralSolver
+    from omniman_ros.lab.studies.mpc_general_solvers import ConvergedController, GeneralSolver
     from omniman_ros.lab.studies.mpc_scenes import RealTime, draw_scene, same_sides, swept_angles
 
     slots = rig.transcription.slots

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from omniman_ros.lab.studies.mpc_peers import (
+from omniman_ros.lab.studies.mpc_general_solvers import (
     OPTIONS,
     ConvergedController,
     Evaluator,
