@@ -53,6 +53,8 @@ def run(make: Callable[[], OmnimanNode], args: list[str] | None = None) -> int:
         signals.append(number)
 
     previous = {n: signal.signal(n, on_signal) for n in (signal.SIGINT, signal.SIGTERM)}
+    # Once the node is at rest, SIGALRM may end it; before that, no SIGALRM has an effect.
+    previous[signal.SIGALRM] = signal.signal(signal.SIGALRM, lambda number, frame: None)
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         node = make()
@@ -73,8 +75,8 @@ def run(make: Callable[[], OmnimanNode], args: list[str] | None = None) -> int:
         _deliver(node.final_publishers)
         exit_code = 0 if node.finished else 1
     finally:
-        previous[signal.SIGALRM] = signal.signal(signal.SIGALRM, signal.SIG_DFL)
         if exit_code == 0:
+            signal.signal(signal.SIGALRM, signal.SIG_DFL)
             signal.alarm(TAKE_DOWN_TIMEOUT)
         else:
             faulthandler.dump_traceback_later(TAKE_DOWN_TIMEOUT, exit=True)

@@ -50,25 +50,32 @@ class ProcessSpec:
 class ProcessExit:
     """The end of a process in a group.
 
-    A node that has come to rest, but whose middleware does not shut down, is ended by SIGALRM (see
-    `nodes.runtime.run`).
+    A node that was asked to end and has come to rest, but whose middleware does not shut down, is
+    ended by SIGALRM; nodes ignore that signal before they are at rest (see `nodes.runtime.run`).
 
     Attributes:
         name: Name of the process.
         code: Exit code, or minus the number of the signal that killed the process.
+        asked: Whether the group had asked the process to end.
     """
 
     name: str
     code: int
+    asked: bool = False
 
     @property
     def is_success(self) -> bool:
         """Whether the process ended by itself after it had done all that it was to do."""
-        return self.code in (0, -signal.SIGALRM)
+        return self.code == 0 or self._was_at_rest
+
+    @property
+    def _was_at_rest(self) -> bool:
+        """Whether a node at rest was ended because its middleware did not shut down."""
+        return self.asked and self.code == -signal.SIGALRM
 
     def __str__(self) -> str:
         """Return a clause that says how the process ended."""
-        if self.code == -signal.SIGALRM:
+        if self._was_at_rest:
             return f"{self.name} came to rest, but its middleware did not shut down (SIGALRM)"
         if self.code >= 0:
             return f"{self.name} ended with exit code {self.code}"
@@ -110,6 +117,7 @@ class _Child:
     ) -> None:
         self.spec = spec
         self.code: int | None = None
+        self._asked = False
         self.process = subprocess.Popen(
             list(spec.command),
             env=dict(environment),
@@ -135,12 +143,13 @@ class _Child:
     def _wait_for_end(self, reader: threading.Thread) -> None:
         code = self.process.wait()
         reader.join(timeout=OUTPUT_TIMEOUT)
-        self._events.put(ProcessExit(self.spec.name, code))
+        self._events.put(ProcessExit(self.spec.name, code, self._asked))
 
     def send(self, number: int) -> None:
         """Send the process a signal; SIGKILL also goes to every process that it has started."""
         if self.code is not None:
             return
+        self._asked = True
         try:
             if number == signal.SIGKILL:
                 os.killpg(self.process.pid, number)

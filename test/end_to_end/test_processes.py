@@ -192,16 +192,47 @@ runtime.run(make)
 """
 
 
-@pytest.mark.parametrize(("finished", "code"), [(True, -signal.SIGALRM), (False, 1)])
-def test_a_node_that_blocks_in_the_middleware_is_ended_nevertheless(finished, code):
+ALARMED_NODE = """
+import signal, sys
+from omniman_ros.nodes import omniman_node, runtime
+
+class Node(omniman_node.OmnimanNode):
+    def destroy_node(self):
+        if not self.finished:
+            signal.raise_signal(signal.SIGALRM)
+        super().destroy_node()
+
+    finished = {finished}
+    stop_timeout = 0.1
+
+def make():
+    signal.raise_signal(signal.SIGALRM)
+    signal.raise_signal(signal.SIGINT)
+    return Node("alarmed")
+
+sys.exit(runtime.run(make))
+"""
+
+
+def run_to_its_end(code: str) -> subprocess.CompletedProcess:
     domain = {"ROS_DOMAIN_ID": str(free_domain()), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    ended = subprocess.run(
-        [sys.executable, "-c", BLOCKED_NODE.format(finished=finished)],
+    return subprocess.run(
+        [sys.executable, "-c", code],
         env=os.environ | domain,
         timeout=60,
         check=False,
         stderr=subprocess.PIPE,
         text=True,
     )
+
+
+@pytest.mark.parametrize(("finished", "code"), [(True, 0), (False, 1)])
+def test_no_alarm_ends_a_node_that_is_not_at_rest(finished, code):
+    assert run_to_its_end(ALARMED_NODE.format(finished=finished)).returncode == code
+
+
+@pytest.mark.parametrize(("finished", "code"), [(True, -signal.SIGALRM), (False, 1)])
+def test_a_node_that_blocks_in_the_middleware_is_ended_nevertheless(finished, code):
+    ended = run_to_its_end(BLOCKED_NODE.format(finished=finished))
     assert ended.returncode == code
     assert ("Timeout (" in ended.stderr and "in destroy_node" in ended.stderr) == (not finished)

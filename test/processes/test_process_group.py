@@ -175,6 +175,14 @@ def test_up_succeeds_though_the_middleware_of_a_node_at_rest_does_not_shut_down(
     assert reports == ["controller came to rest, but its middleware did not shut down (SIGALRM)"]
 
 
+def test_up_fails_if_an_alarm_ends_a_node_that_was_not_asked_to_end(start, log, reports, capsys):
+    group = start(fake_process("controller", then="signal.raise_signal(signal.SIGALRM)"))
+    os.kill(group.pid("controller"), signal.SIGINT)
+    assert supervise(group) == 1
+    assert "controller was killed by SIGALRM" in capsys.readouterr().err
+    assert not reports
+
+
 def test_a_second_signal_kills_all_processes(start, log, reports):
     group = start(fake_process("controller", 0, NEVER_ENDS), fake_process("drive", 1))
     group.interrupt(signal.SIGINT)
