@@ -13,6 +13,7 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
+from omniman_ros.conversions.headers import is_stamped
 from omniman_ros.conversions.joints import joint_arrays, require_array
 from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
@@ -101,7 +102,7 @@ class JointStateBroadcasterNode(OmnimanNode):
             if array is not None:
                 plausible.demand(array, bound, label)
         time, stamp = self.instant(message.header.stamp), message.header.stamp
-        if stamp.sec == 0 and stamp.nanosec == 0:
+        if not is_stamped(stamp):
             stamp = self.stamp(time)
         sample = JointSample(time, stamp, position, velocity, effort)
         known = self._samples.get(topic)

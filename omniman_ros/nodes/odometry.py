@@ -11,6 +11,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from omniman_ros.control.wheel_feedback import MAX_GAP
 from omniman_ros.control.wheel_odometry import WheelOdometry
+from omniman_ros.conversions.headers import is_stamped
 from omniman_ros.conversions.wheels import reported_idle_wheels
 from omniman_ros.nodes.odometry_interface import OdometryInputs, OdometryOutputs
 from omniman_ros.nodes.odometry_parameters import OdometryNodeParameters
@@ -66,7 +67,7 @@ class OdometryNode(OmnimanNode):
     def _publish(self, stamp: Time) -> None:
         """Publish what is due after a report of the wheels, with the stamp of the report."""
         time = self.core.feedback.time
-        if stamp.sec == 0 and stamp.nanosec == 0:
+        if not is_stamped(stamp):
             stamp = self.stamp(time)
         if self._odom_cadence.is_due(time):
             self._outputs.publish_odometry(stamp)

@@ -7,7 +7,7 @@ from rclpy.node import Node
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
 
-from omniman_ros.conversions.headers import time_seconds
+from omniman_ros.conversions.headers import is_stamped, time_seconds
 from omniman_ros.core.errors import InputError
 
 CLOCK_START = 1.0
@@ -72,7 +72,7 @@ class SimulatedClock:
         Raises:
             InputError: The stamp is further ahead.
         """
-        if stamp.sec == 0 and stamp.nanosec == 0:
+        if not is_stamped(stamp):
             return 0.0
         age = self.now - time_seconds(stamp)
         if age < -max_lead:

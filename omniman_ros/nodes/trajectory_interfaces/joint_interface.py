@@ -8,6 +8,7 @@ from builtin_interfaces.msg import Time
 from trajectory_msgs.msg import JointTrajectory
 
 from omniman_ros.conversions import arm as arm_conversions
+from omniman_ros.conversions.headers import is_stamped
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.motion.path.interpolator import PathState
@@ -156,7 +157,7 @@ class JointInterface(ABC):
         Raises:
             InputError: The stamp is too old, or too far ahead.
         """
-        if stamp.sec == 0 and stamp.nanosec == 0:
+        if not is_stamped(stamp):
             return None
         now = self._node.get_clock().now().nanoseconds
         delay = float((stamp.sec * 1_000_000_000 + stamp.nanosec - now) * 1e-9)
