@@ -49,6 +49,8 @@ DIRECTIONS = {
     "turning": (0.0, 0.0, 1.0),
 }
 """Twists whose friction is reported [m/s, m/s, rad/s]."""
+SLOPES = {"x": -3, "y": -2}
+"""Indices of the unknowns for the slope of the floor."""
 
 
 @dataclass(frozen=True)
@@ -210,10 +212,6 @@ def _quantities(model: FloorModel, unknowns: Array, back_emf: Array) -> dict[str
     return {name: float(value) for name, value in values.items()}
 
 
-SLOPES = {"x": -3, "y": -2}
-"""Indices of the unknowns for the slope of the floor."""
-
-
 def configured_quantities(robot: Robot) -> dict[str, float]:
     """Return the quantities of :class:`FloorFit` that a robot's parameters say."""
     motor = robot.motor
@@ -232,8 +230,8 @@ def _half_widths(
 ) -> Array:
     """Return the half widths of the quantities' 95 % intervals by the jackknife.
 
-    A motor constant scales the torque of its motor, which the equations take as known: its own
-    spread adds to that of all quantities that are forces, masses or torques.
+    The equations take the motor constants of the whole drive as known: the spread of a constant is
+    in its own interval only, not in those of the forces, masses and torques that it scales.
     """
     count = len(windows.centres)
     block = np.arange(count) * BLOCKS // count
