@@ -220,7 +220,7 @@ def _draw_twist(axes: Any, odom: Array, start: float) -> None:
 
 def _draw_coupling(axes: Any, coupling: Array, start: float) -> None:
     """Draw the coupling error of each constraint since the start, without resets."""
-    axes.set_title("Coupling error ε, never reset [rad]")
+    axes.set_title("Coupling error ε, not reset at rest [rad]")
     if coupling.shape[1] < 2:
         axes.text(
             0.5, 0.5, "three wheels have no constraint", transform=axes.transAxes, ha="center"

@@ -246,7 +246,7 @@ def draw_power(log: RobotLog) -> Any:
 def draw_errors(log: RobotLog) -> Any:
     """Draw the coupling error, and the error of odometry relative to references."""
     references = {n: r for n, r in log.references.items() if len(r) > 1 and len(log.odom)}
-    titles = ["Coupling error ε, never reset [rad]"] if len(log.coupling) else []
+    titles = ["Coupling error ε, not reset at rest [rad]"] if len(log.coupling) else []
     if references:
         titles += ["Off the reference: position [mm]", "Off the reference: heading [mrad]"]
     figure, panels = _panels(log, titles)

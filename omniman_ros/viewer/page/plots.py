@@ -67,7 +67,7 @@ class Plots:
             # Three wheels have no constraint, hence no coupling error.
             if constraints:
                 self._plots["coupling"] = _Plot(
-                    gui, "coupling error, never reset [mrad]", 10.0, errors, unit=1e-3
+                    gui, "coupling error, not reset at rest [mrad]", 10.0, errors, unit=1e-3
                 )
             self._plots["energy"] = _Plot(gui, "energy [J]", 1.0, [("energy", SERIES[0], False)])
         self._waiting = [(waiting, tuple(self._plots))]
