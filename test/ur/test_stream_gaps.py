@@ -1,27 +1,25 @@
 """Gaps in the stream: the program on a simulated controller, on time that the test gives."""
 
 import socket
-import struct
 
 import numpy as np
 import pytest
 
 from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.simulation.ur.arm import CYCLE, UrArmParameters
-from omniman_ros.simulation.ur.controller import Controller
-from omniman_ros.simulation.ur.controller_server import ControllerServer, launch
+from omniman_ros.simulation.ur.controller_server import ControllerServer
 from omniman_ros.simulation.ur.modes import RuntimeState, SafetyMode
 from omniman_ros.simulation.ur.tcp_ports import UrPortParameters
-from omniman_ros.ur.feedback import ArmSample
 from omniman_ros.ur.joint_preview import JointPreview
 from omniman_ros.ur.parameters import UrParameters
-from omniman_ros.ur.program_link import ProgramState
 from omniman_ros.ur.reverse_interface import ProgramMode, pack
 from omniman_ros.ur.servo_program import servo_program
 from omniman_ros.ur.streaming_messages import StreamingPhase
 from omniman_ros.ur.streaming_supervisor import StreamingSupervisor
+from test.ur.stepped_link import SteppedLink
 
 T0 = 100.0
+HOME = (0.0, -1.5, 1.0, 0.0, 0.5, 0.0)
 READ_TIMEOUT = 0.2
 ARM = ArmParameters()
 FASTEST, HARDEST = ARM.velocity[0], ARM.acceleration[0]
@@ -35,92 +33,29 @@ SPEED = 2.0
 """Speed of the motion during which the controller is held up [rad/s]."""
 
 
-class Pipe:
-    """The program's connection: what the supervisor sends arrives at once."""
-
-    def __init__(self):
-        self.is_open, self.data = False, b""
-
-    def open(self, host, port, name):
-        self.is_open, self.data = True, b""
-        return True
-
-    def close(self, name):
-        self.is_open = False
-
-    def take(self, name, count):
-        if not self.is_open:
-            return None
-        if len(self.data) < count:
-            return b""
-        taken, self.data = self.data[:count], self.data[count:]
-        return taken
-
-
-class World:
+class World(SteppedLink):
     """Supervisor and controller in step; the supervisor alone can be held up."""
 
     def __init__(self):
-        self.pipe = Pipe()
-        initial = (0.0, -1.5, 1.0, 0.0, 0.5, 0.0)
-        self.controller = Controller(UrArmParameters(initial=initial), launch, self.pipe)
-        self.parameters = UrParameters(read_timeout=READ_TIMEOUT, feedback_timeout=0.5)
-        self.blocking_reason = self.program_loss_reason = ""
-        self.connected, self.address = True, ("10.0.0.2", 50001)
-        self.streamer = StreamingSupervisor(self, ARM, self.parameters)
-        self.now = self.due = T0
-        self.home, self.begin = np.array(initial), 0.0
-        self.speeds, self.setpoints = [], []
-        self._cycle_controller()
+        super().__init__(T0, initial=HOME)
+        parameters = UrParameters(read_timeout=READ_TIMEOUT, feedback_timeout=0.5)
+        self.streamer = StreamingSupervisor(self, ARM, parameters)
+        self.due, self.begin = T0, 0.0
+        self.speeds = []
+        self.cycle_controller()
         self.streamer.start(self.now)
         while self.streamer.phase is not StreamingPhase.STREAMING:
             self.cycle()
         self.due = self.begin = self.now
 
-    # ---- the link -------------------------------------------------------------------------------
-
-    def start_program(self, text, now):
-        assert self.controller.start(text)
-
-    def end_program(self):
-        self.pipe.is_open = False
-
-    def send(self, data):
-        self.pipe.data += data
-        self.setpoints.append(np.array(struct.unpack(">8i", data)[1:7]) * 1e-6)
-        return True
-
-    @property
-    def program(self):
-        return ProgramState.RUNNING if self.pipe.is_open else ProgramState.STARTING
-
-    @property
-    def sample(self):
-        return ArmSample(
-            at=self.now,
-            timestamp=self.now,
-            position=tuple(self.controller.arm.q),
-            velocity=tuple(self.controller.arm.qd),
-            target=tuple(self.controller.target.q),
-            current=(0.0,) * 6,
-            robot_mode=int(self.controller.robot_mode),
-            safety_mode=int(self.controller.safety_mode),
-            runtime_state=int(self.controller.runtime),
-            speed_scaling=1.0,
-            read=int(self.controller.output("output_int_register_24")),
-        )
-
-    # ---- time -----------------------------------------------------------------------------------
-
-    def _cycle_controller(self):
-        self.now += CYCLE
-        self.controller.cycle(self.now)
+    def cycle_controller(self):
+        super().cycle_controller()
         self.speeds.append(self.controller.arm.qd.copy())
 
     def cycle(self, missed=0):
         """Run cycles of the controller, and then those of the supervisor that are due."""
         for _ in range(1 + missed):
-            self._cycle_controller()
+            self.cycle_controller()
         for _ in range(1 + missed):
             self.due += CYCLE
             self.streamer.check([self.sample], self.now)
@@ -142,7 +77,7 @@ class World:
         swell_rate = 30.0 * u**2 * (1.0 - u) ** 2 / SWELLING_TIME
         sine, cosine = np.sin(OMEGA * t), np.cos(OMEGA * t)
         return (
-            self.home + AMPLITUDE * swell * sine * np.ones(6),
+            np.array(HOME) + AMPLITUDE * swell * sine * np.ones(6),
             AMPLITUDE * (swell_rate * sine + OMEGA * swell * cosine) * np.ones(6),
         )
 
