@@ -17,8 +17,9 @@ from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.runtime import run
 from omniman_ros.ur.joint_preview import JointPreview
 from omniman_ros.ur.reverse_interface import JOINTS
-from omniman_ros.ur.streaming_client import KEEP_ALIVE_PERIOD, StreamingClient
+from omniman_ros.ur.streaming_client import KEEP_ALIVE_PERIOD, StartProcess, StreamingClient
 from omniman_ros.ur.streaming_messages import Command, StreamingPhase
+from omniman_ros.ur.streaming_process import StreamingProcess
 from omniman_ros.ur.streaming_supervisor import joint_limits
 
 MAX_STAMP_LEAD = 1.0
@@ -33,16 +34,20 @@ class ArmStreamerNode(HardwareNode):
     configure starts the streaming process and waits for the controller's data; activate has the
     controller run our program, which holds the arm where it is; deactivate brings the arm to rest
     and ends the program; cleanup ends the process.
+
+    Args:
+        start_process: Starts the streaming process.
+        options: Options of `HardwareNode`.
     """
 
-    def __init__(self, **options: Any) -> None:
+    def __init__(self, *, start_process: StartProcess = StreamingProcess, **options: Any) -> None:
         super().__init__("arm_streamer", **options)
         self.settings = ParameterSet(self, ArmStreamerParameters, robot=False)
         p = self.settings.value
         joint_limits(p.arm, p.ur)  # refuse now what the streaming process would refuse
         if len(p.arm.joints) != JOINTS:
             raise ParameterError("arm.joints", p.arm.joints, f"must be {JOINTS} names")
-        self.streaming = StreamingClient(self.now, self.wake, self.receive)
+        self.streaming = StreamingClient(self.now, self.wake, self.receive, start_process)
         self._joint_names = list(p.arm.joints)
         self._reports = ArmReportPublisher(self, self._joint_names)
         handler = self.guarded("arm/joint_reference", self._on_preview)

@@ -10,6 +10,8 @@ from omniman_ros.ur.parameters import UrParameters
 from omniman_ros.ur.streaming_messages import Command, StreamingPhase, StreamingReport
 from omniman_ros.ur.streaming_process import StreamingProcess
 
+StartProcess = Callable[[ArmParameters, UrParameters, Callable[[], None]], StreamingProcess]
+"""Starts a streaming process; its last argument is called when a report has arrived."""
 HANG_TIMEOUT = 0.5
 """Time without a report after which the streaming process counts as hanging [s]."""
 KEEP_ALIVE_PERIOD = 0.1
@@ -27,6 +29,7 @@ class StreamingClient:
         clock: Returns the monotonic time [s].
         wake: Called from another thread when a report has arrived.
         receive: Calls :meth:`take` and handles the reports; used while waiting.
+        start_process: Starts a streaming process.
 
     Attributes:
         process: The process; None while there is none.
@@ -34,9 +37,14 @@ class StreamingClient:
     """
 
     def __init__(
-        self, clock: Callable[[], float], wake: Callable[[], None], receive: Callable[[], None]
+        self,
+        clock: Callable[[], float],
+        wake: Callable[[], None],
+        receive: Callable[[], None],
+        start_process: StartProcess = StreamingProcess,
     ) -> None:
         self._clock, self._wake, self._receive = clock, wake, receive
+        self._start_process = start_process
         self.process: StreamingProcess | None = None
         self.resets = 0
         self._report_time = math.inf
@@ -44,7 +52,7 @@ class StreamingClient:
 
     def open(self, arm: ArmParameters, ur: UrParameters) -> StreamingProcess:
         """Start a process, and wait for the controller's data up to a timeout."""
-        process = self.process = StreamingProcess(arm, ur, self._wake)
+        process = self.process = self._start_process(arm, ur, self._wake)
         self._report_time, self.resets, self._sent_stop = self._clock(), 0, (False, "")
         self.wait_for(lambda report: report.connected, ur.connect_timeout + 1.0)
         return process

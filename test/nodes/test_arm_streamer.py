@@ -1,514 +1,467 @@
-"""Topics and life cycle of the arm streamer, in real time with a simulated controller.
+"""Topics and life cycle of the arm streamer, on stepped time with a simulated controller.
 
-Timing is tested on the policy with injected time (test/arm); here all waits are for
-conditions. The controller shares this process with node and test, so its timeouts are long.
+The node's streaming process is a stand-in that runs the real loop and policy in the test. Real
+processes and sockets are tested end to end (test/end_to_end/test_arm_processes.py).
 """
 
 import math
-import os
-import signal
-import socket
-import time
-from contextlib import contextmanager
-from dataclasses import replace
 
 import numpy as np
 import pytest
-import rclpy
-from builtin_interfaces.msg import Duration
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64, Float64MultiArray
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from omniman_ros.conversions.headers import duration_message
 from omniman_ros.core.arm_parameters import UR_JOINTS
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.nodes.arm_streamer import ArmStreamerNode
+from omniman_ros.nodes.hardware_node import RETRY_PERIOD
 from omniman_ros.nodes.stop_interface import ALL_LATCHED, LATCHED
-from omniman_ros.simulation.ur.arm import UrArmParameters
-from omniman_ros.simulation.ur.controller_server import ControllerServer
-from omniman_ros.simulation.ur.modes import RobotMode, RuntimeState, SafetyMode
-from omniman_ros.simulation.ur.tcp_ports import UrPortParameters
-from test.nodes.harness import free_domain
+from omniman_ros.simulation.ur.arm import CYCLE
+from omniman_ros.simulation.ur.modes import UNLOCK_DELAY, RobotMode, SafetyMode
+from omniman_ros.ur.parameters import UrParameters
+from omniman_ros.ur.streaming_client import HANG_TIMEOUT
+from omniman_ros.ur.streaming_loop import NODE_TIMEOUT
+from test.nodes.harness import World
+from test.nodes.stepped_arm import SteppedArm
 
-pytestmark = pytest.mark.processes  # checks real time
-
-PATIENCE = 30.0
-FREE = UrPortParameters(dashboard=0, primary=0, secondary=0, realtime=0, rtde=0)
-PATIENT = {
-    "ur.reverse_port": 0,
-    "ur.read_timeout": 0.2,
-    "ur.feedback_timeout": 1.0,
-    "ur.following_error": 1.0,
-}
 NODE = "/arm_streamer"
+TIMEOUT = 5.0
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
-REST, STILL = 0.01, 0.005
-"""Speed below which the arm counts as standing [rad/s] and its allowed further travel [rad]."""
+STILL = 1e-3
+"""Largest further travel of an arm that stands [rad]."""
+PREVIEW_PERIOD = 0.04
+"""Time between two previews [s]."""
+AMPLITUDE, RATE = 0.3, 1.5
+"""Amplitude [rad] and angular frequency [rad/s] of the motion of all joints."""
 
 
-class Controller:
-    """A simulated controller in a thread."""
+class Bench(World):
+    """A streamer with its stepped arm, and a probe that can move the arm.
 
-    def __init__(self):
-        self.server = ControllerServer(UrArmParameters(), FREE)
-        self.server.start()
-        self.inner = self.server.controller
+    Args:
+        unreachable: Why the controller cannot be reached, or an empty string.
+        parameters: Parameters of the streamer.
+
+    Attributes:
+        arm: The simulated controller and the streaming process.
+        node: The node under test.
+    """
+
+    def __init__(self, unreachable="", **parameters):
+        self.arm = SteppedArm()
+        self.arm.blocking_reason = unreachable
+        self.arm.pass_time = self._pass_time
+        super().__init__(self._make, parameters=parameters)
+        self.hooks.append(lambda: self.arm.advance(self.time))
+        self.node = self.nodes[0]
+        self.previews = self.publisher(JointTrajectory, "arm/joint_reference", 1)
+        self._stops = self.listen(DiagnosticStatus, "stop_state", ALL_LATCHED)
+        self._way = 1.0
+
+    def _make(self, **options):
+        return ArmStreamerNode(
+            allow_sim_time=True, start_process=self.arm.start_process, **options
+        )
+
+    def _pass_time(self, seconds):
+        self.time += seconds
+        for node in [*self.nodes, self.probe]:
+            self._set_time(node)
+        self.arm.advance(self.time)
+
+    def until(self, condition, what):
+        return self.run_until(condition, TIMEOUT, f"{what}: {self.node.status()}")
+
+    def streams(self):
+        return self.node.status()[:2] == (OK, "streaming")
 
     @property
-    def ports(self):
-        numbers = self.server.ports.numbers
-        return {
-            "ur.rtde_port": numbers["rtde"],
-            "ur.script_port": numbers["secondary"],
-            "ur.dashboard_port": numbers["dashboard"],
-        }
-
-    def fault(self, **changes):
-        self.inner.faults = replace(self.inner.faults, **changes)
-
-    def power_on(self):
-        if (
-            self.inner.modes.wanted is not RobotMode.RUNNING
-        ):  # its thread may have missed the command
-            self.inner.power(RobotMode.RUNNING)
-        return self.inner.robot_mode is RobotMode.RUNNING
+    def stop_state(self):
+        return [message.message for message in self._stops if message.name == NODE][-1]
 
     @property
-    def place(self):
-        return self.inner.arm.q.copy()
-
-    @property
-    def speed(self):
-        return float(np.abs(self.inner.arm.qd).max())
-
-    def rests(self):
-        return self.speed < REST
-
-    def plays(self):
-        return self.inner.runtime is RuntimeState.PLAYING
-
-
-class Bench:
-    """A streamer and a probe in one executor that the test spins."""
-
-    def __init__(self, context, ports, **parameters):
-        self.executor = SingleThreadedExecutor(context=context)
-        given = PATIENT | ports | parameters
-        overrides = [Parameter(name, value=value) for name, value in given.items()]
-        self.node = ArmStreamerNode(context=context, parameter_overrides=overrides)
-        self.probe = Node("probe", context=context)
-        for node in (self.node, self.probe):
-            self.executor.add_node(node)
-        self.states, self.scaling, self.timing = [], [], []
-        self.stops, self.diagnostics = {}, {}
-        listen = self.probe.create_subscription
-        listen(JointState, "arm/joint_states", self.states.append, 10)
-        listen(Float64, "arm/speed_scaling", lambda m: self.scaling.append(m.data), 10)
-        listen(Float64MultiArray, "arm/timing", self.timing.append, 10)
-        listen(DiagnosticStatus, "stop_state", self._on_stop_state, ALL_LATCHED)
-        listen(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
-        self.previews = self.probe.create_publisher(JointTrajectory, "arm/joint_reference", 1)
-        self.emergency = self.probe.create_publisher(Bool, "emergency_stop", LATCHED)
-        self.peers = self.probe.create_publisher(DiagnosticStatus, "stop_state", LATCHED)
-        self.source = None
-        self.said, self.way = 0.0, -1.0
-        self.clients = {}
-
-    def _on_stop_state(self, message):
-        self.stops[message.name] = message.message
-
-    def _on_diagnostics(self, message):
-        self.diagnostics |= {status.name: status for status in message.status}
-
-    def until(self, done, what="it", patience=PATIENCE):
-        end = time.monotonic() + patience
-        while not done():
-            assert time.monotonic() < end, f"waited for {what}: {self.node.status()}"
-            if self.source is not None and time.monotonic() - self.said > 0.04:
-                self.said = time.monotonic()
-                self.source()
-            self.executor.spin_once(timeout_sec=0.01)
-
-    def spin(self, seconds):
-        end = time.monotonic() + seconds
-        self.until(lambda: time.monotonic() > end)
-
-    def call(self, kind, service, request):
-        if service not in self.clients:
-            self.clients[service] = self.probe.create_client(kind, service)
-        client = self.clients[service]
-        self.until(client.service_is_ready, service)
-        future = client.call_async(request)
-        self.until(future.done, service)
-        return future.result()
-
-    def ask(self, name):
-        return self.call(Trigger, f"arm_streamer/{name}", Trigger.Request())
+    def state(self):
+        return self.call(GetState, "arm_streamer/get_state").current_state.id
 
     def change(self, transition):
         request = ChangeState.Request(transition=Transition(id=transition))
         return self.call(ChangeState, "arm_streamer/change_state", request).success
 
-    @property
-    def state(self):
-        return self.call(GetState, "arm_streamer/get_state", GetState.Request()).current_state.id
+    def trigger(self, name):
+        return self.call(Trigger, f"arm_streamer/{name}")
 
     def set(self, **values):
         changes = [Parameter(n.replace("__", "."), value=value) for n, value in values.items()]
         return self.node.set_parameters(changes)
 
-    def streams(self):
-        return self.node.status()[:2] == (OK, "streaming")
-
-    def ready(self):
-        self.until(self.streams, "streaming")
-        self.until(lambda: self.states, "joint states")
-        self.until(self.previews.get_subscription_count, "a listener")
-        self.home = np.array(self.states[-1].position)
-
-    def message(self, place, times=(0.0, 0.4), names=UR_JOINTS, ago=0.0):
+    def preview(self, place, times=(0.0, 0.4), names=UR_JOINTS, ahead=0.0):
         """Return a preview; `place` maps a time since the stamp to angles and speeds."""
         message = JointTrajectory(joint_names=list(names))
-        stamp = self.probe.get_clock().now() - rclpy.duration.Duration(seconds=ago)
-        message.header.stamp = stamp.to_msg()
+        message.header.stamp = self.stamp(ahead)
         for t in times:
             angles, speeds = place(t)
             message.points.append(
                 JointTrajectoryPoint(
                     positions=[*map(float, angles)],
                     velocities=[*map(float, speeds)],
-                    time_from_start=Duration(sec=int(t), nanosec=int(t % 1 * 1e9)),
+                    time_from_start=duration_message(t),
                 )
             )
         return message
 
-    def swing(self, controller, amplitude=0.3, rate=1.5):
-        """Publish a motion in alternating directions from now on and wait until the arm moves."""
-        begin, home = time.monotonic(), controller.place
-        self.way = -self.way
-        amplitude *= self.way
+    def move(self, seconds):
+        """Publish the previews of a motion, in alternating directions, for some time."""
+        begin, home = self.time, self.arm.place
+        self._way = -self._way
+        amplitude = self._way * AMPLITUDE
+        for _ in range(round(seconds / PREVIEW_PERIOD)):
+            since = self.time - begin
 
-        def send():
-            nonlocal begin
-            if controller.rests():
-                begin = time.monotonic()  # the preview is not yet followed
-            now = time.monotonic() - begin
-
-            def place(t):
-                angle = rate * (now + t)
-                offset, speed = 1.0 - math.cos(angle), rate * math.sin(angle)
+            def place(t, since=since):
+                angle = RATE * (since + t)
+                offset, speed = 1.0 - math.cos(angle), RATE * math.sin(angle)
                 return home + amplitude * offset, np.full(6, amplitude * speed)
 
-            self.previews.publish(self.message(place, np.arange(0.0, 0.6, 0.02)))
+            self.previews.publish(self.preview(place, np.arange(0.0, 0.6, 0.02)))
+            self.run(PREVIEW_PERIOD)
 
-        self.source = send
-        self.until(lambda: controller.speed > 0.3, "motion")
+    def swing(self):
+        """Bring the arm into motion."""
+        self.until(self.streams, "streaming")
+        self.move(0.6)
+        assert self.arm.speed > 0.3
 
+    def assert_stands(self, reason):
+        """Assert that the arm is stopped for a reason and stays at rest despite new previews."""
+        self.until(self.arm.rests, "rest")
+        self.run(0.1)
+        place = self.arm.place
+        self.move(0.6)
+        assert np.abs(self.arm.place - place).max() < STILL
+        assert self.stop_state.startswith("stopped: ")
+        assert reason in self.stop_state
+        level, message, _ = self.node.status()
+        assert level == ERROR
+        assert reason in message
 
-@contextmanager
-def bench(ports, **parameters):
-    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-    context = rclpy.Context()
-    context.init(domain_id=free_domain())
-    made = None
-    try:
-        made = Bench(context, ports, **parameters)
-        yield made
-    finally:
-        if made is not None:
-            for node in (made.probe, made.node):
-                made.executor.remove_node(node)
-                node.destroy_node()
-            made.executor.shutdown()
-        context.try_shutdown()
-
-
-@pytest.fixture
-def arm():
-    controller = Controller()
-    yield controller
-    controller.server.close()
-
-
-@pytest.fixture(scope="module")
-def streaming():
-    """Return a bench for tests that leave the arm holding, as before."""
-    controller = Controller()
-    with bench(controller.ports) as it:
-        it.ready()
-        yield it, controller
-    controller.server.close()
+    def assert_goes_on(self):
+        """Assert that a reset is granted and moves nothing, and that previews then do."""
+        place = self.arm.place
+        answer = self.trigger("reset")
+        assert answer.success, answer.message
+        self.until(self.streams, "streaming")
+        self.run(0.2)
+        assert np.abs(self.arm.place - place).max() < STILL, "a reset starts no motion"
+        self.swing()
 
 
-def assert_stands(it, controller, reason):
-    """Assert that the arm is stopped for a reason and stays at rest despite new previews."""
-    it.until(controller.rests, "rest")
-    it.until(lambda: it.stops.get(NODE, "").startswith("stopped: "), "the stop")
-    place = controller.place
-    it.spin(0.3)
-    assert np.abs(controller.place - place).max() < 0.02
-    assert reason in it.stops[NODE]
-    it.until(lambda: it.diagnostics[NODE].level == ERROR, "the diagnostics")
-    assert reason in it.diagnostics[NODE].message
-
-
-def assert_goes_on(it, controller):
-    """Assert that the streamer holds the arm at its position after a reset."""
-    it.source = None
-    controller.fault(pause_program=False)
-    it.until(lambda: it.ask("reset").success, "a reset")
-    it.until(it.streams, "streaming")
-    place = controller.place
-    it.spin(0.2)
-    assert np.abs(controller.place - place).max() < STILL, "a reset starts no motion"
-
-
-def test_streamer_starts_itself_moves_the_arm_and_reports(arm):
-    with bench(arm.ports) as it:
-        it.ready()
-        it.swing(arm)
-        message = it.states[-1]
-        assert tuple(message.name) == UR_JOINTS and max(map(abs, message.velocity)) > 0.1
-        age = it.node.get_clock().now().nanoseconds * 1e-9 - (
-            message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
-        )
-        assert 0.0 <= age < 1.0
-        it.until(lambda: it.timing, "timing")
-        intervals, ages = it.timing[-1].layout.dim
+def test_streamer_starts_itself_moves_the_arm_and_reports():
+    with Bench() as bench:
+        states = bench.listen(JointState, "arm/joint_states")
+        scaling = bench.listen(Float64, "arm/speed_scaling")
+        timing = bench.listen(Float64MultiArray, "arm/timing")
+        diagnostics = bench.listen(DiagnosticArray, "/diagnostics")
+        bench.swing()
+        message = states[-1]
+        assert tuple(message.name) == UR_JOINTS
+        assert max(map(abs, message.velocity)) == pytest.approx(bench.arm.speed, rel=0.1)
+        sent = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+        assert 0.0 <= bench.time - sent < 2 * CYCLE
+        intervals, ages = timing[-1].layout.dim
         assert (intervals.label, ages.label) == ("intervals", "ages")
         assert intervals.size >= 25 and ages.size > 0
-        assert len(it.timing[-1].data) == intervals.size + ages.size
-        it.until(lambda: it.diagnostics.get(NODE) is not None, "diagnostics")
-        arm.inner.slider = 0.5
-        it.until(lambda: it.scaling[-1] == 0.5, "the speed slider")
-        arm.inner.slider = 1.0
-        it.until(lambda: it.scaling[-1] == 1.0, "the speed slider")
-        it.ask("stop")
-        it.until(lambda: it.scaling[-1] == 0.0, "an arm that does not move is told as 0")
+        assert len(timing[-1].data) == intervals.size + ages.size
+        assert timing[-1].data[: intervals.size] == pytest.approx([CYCLE] * intervals.size)
+        bench.run(1.0)
+        (status,) = diagnostics[-1].status
+        assert (status.name, status.level, status.message) == (NODE, OK, "streaming")
+        for slider in (0.5, 1.0):
+            bench.arm.controller.slider = slider
+            bench.until(lambda s=slider: scaling[-1].data == s, "the speed slider")
+        bench.trigger("stop")
+        bench.until(lambda: scaling[-1].data == 0.0, "an arm that does not move is told as 0")
+        (status,) = diagnostics[-1].status
+        assert (status.level, status.message) == (ERROR, "~/stop")
 
 
-def test_life_cycle_connects_holds_stops_and_disconnects(arm):
-    with bench(arm.ports, autostart=False) as it:
-        assert it.state == State.PRIMARY_STATE_UNCONFIGURED
-        assert it.change(Transition.TRANSITION_CONFIGURE)
+def test_single_preview_is_followed_to_its_end():
+    with Bench() as bench:
+        bench.until(bench.streams, "streaming")
+        home, way, seconds = bench.arm.place, 0.3, 4.0 * NODE_TIMEOUT
+
+        def place(t):
+            u = t / seconds
+            rate = way / seconds * (30.0 * u**2 - 60.0 * u**3 + 30.0 * u**4)
+            return home + way * (10.0 * u**3 - 15.0 * u**4 + 6.0 * u**5), np.full(6, rate)
+
+        bench.previews.publish(bench.preview(place, np.linspace(0.0, seconds, 50)))
+        bench.run(seconds + 0.5)
+        assert bench.arm.place == pytest.approx(home + way, abs=STILL)
+        assert not bench.node.warning_counts
+
+
+def test_life_cycle_connects_holds_stops_and_disconnects():
+    with Bench(autostart=False) as bench:
+        arm = bench.arm
+        states = bench.listen(JointState, "arm/joint_states")
+        scaling = bench.listen(Float64, "arm/speed_scaling")
+        assert bench.state == State.PRIMARY_STATE_UNCONFIGURED
+        assert bench.change(Transition.TRANSITION_CONFIGURE)
         assert not arm.plays()
-        it.until(lambda: it.states, "joint states before it is active")
-        it.previews.publish(it.message(lambda t: (arm.place, np.zeros(6))))
-        it.until(lambda: it.node.warning_counts, "a warning")
-        assert not it.scaling
-        assert it.change(Transition.TRANSITION_ACTIVATE)
-        assert it.state == State.PRIMARY_STATE_ACTIVE and arm.plays()
-        it.swing(arm)
-        assert it.change(Transition.TRANSITION_DEACTIVATE)
-        it.until(lambda: not arm.plays() and arm.rests(), "rest, and the program's end")
-        process = it.node.streaming.process._process
-        assert process.poll() is None
-        assert it.change(Transition.TRANSITION_CLEANUP)
-        assert process.poll() == 0
-        assert it.state == State.PRIMARY_STATE_UNCONFIGURED
-        assert it.change(Transition.TRANSITION_CONFIGURE)
-        assert it.change(Transition.TRANSITION_ACTIVATE)
+        bench.until(lambda: states, "joint states before it is active")
+        bench.previews.publish(bench.preview(lambda t: (arm.place, np.zeros(6))))
+        bench.run(0.1)
+        assert bench.node.warning_counts == {"arm/joint_reference refused": 1}
+        assert not scaling
+        assert bench.change(Transition.TRANSITION_ACTIVATE)
+        assert bench.state == State.PRIMARY_STATE_ACTIVE
+        assert arm.plays()
+        bench.swing()
+        assert bench.change(Transition.TRANSITION_DEACTIVATE)
+        bench.until(lambda: not arm.plays() and arm.rests(), "rest, and the program's end")
+        assert not arm.process.has_ended
+        assert bench.change(Transition.TRANSITION_CLEANUP)
+        assert arm.process.has_ended
+        assert bench.state == State.PRIMARY_STATE_UNCONFIGURED
+        assert bench.change(Transition.TRANSITION_CONFIGURE)
+        assert bench.change(Transition.TRANSITION_ACTIVATE)
+        bench.swing()
+
+
+def test_invalid_transition_is_refused_and_streaming_continues():
+    with Bench() as bench:
+        bench.until(bench.streams, "streaming")
         for wrong in (
             Transition.TRANSITION_CONFIGURE,
             Transition.TRANSITION_ACTIVATE,
             Transition.TRANSITION_CLEANUP,
             200,
         ):
-            assert not it.change(wrong)
-        assert it.state == State.PRIMARY_STATE_ACTIVE and it.streams()
+            assert not bench.change(wrong)
+        assert bench.state == State.PRIMARY_STATE_ACTIVE
+        bench.swing()
 
 
-def test_stop_reset_while_inactive_does_not_return(streaming):
-    it, _ = streaming
-    it.ask("stop")
-    it.until(lambda: it.node.streaming.report.stop_reason, "the stop")
-    assert it.change(Transition.TRANSITION_DEACTIVATE)
-    assert not it.change(Transition.TRANSITION_ACTIVATE), "the streamer is stopped"
-    assert it.ask("reset").success
-    it.spin(0.2)
-    assert it.node.latch.released
-    assert it.change(Transition.TRANSITION_ACTIVATE)
-    assert it.streams()
+def test_stop_that_is_reset_while_inactive_does_not_return():
+    with Bench() as bench:
+        bench.until(bench.streams, "streaming")
+        bench.trigger("stop")
+        bench.until(lambda: bench.node.streaming.report.stop_reason, "the stop")
+        assert bench.change(Transition.TRANSITION_DEACTIVATE)
+        assert not bench.change(Transition.TRANSITION_ACTIVATE), "the streamer is stopped"
+        assert bench.trigger("reset").success
+        bench.run(0.2)
+        assert bench.node.latch.released
+        assert bench.change(Transition.TRANSITION_ACTIVATE)
+        bench.swing()
 
 
-def test_failed_activation_can_be_retried_at_once(arm):
-    with bench(arm.ports, autostart=False) as it:
-        assert it.change(Transition.TRANSITION_CONFIGURE)
-        arm.inner.power(RobotMode.POWER_OFF)
-        it.until(lambda: "power off" in it.node.streaming.report.blocking_reason, "power off")
-        assert not it.change(Transition.TRANSITION_ACTIVATE)
-        it.until(arm.power_on, "power")
-        it.until(lambda: not it.node.streaming.report.blocking_reason, "the news of it")
-        assert it.change(Transition.TRANSITION_ACTIVATE)
+def test_failed_activation_can_be_retried_at_once():
+    with Bench(autostart=False) as bench:
+        assert bench.change(Transition.TRANSITION_CONFIGURE)
+        bench.arm.controller.power(RobotMode.POWER_OFF)
+        bench.run(0.1)
+        assert "power off" in bench.node.streaming.report.blocking_reason
+        assert not bench.change(Transition.TRANSITION_ACTIVATE)
+        bench.arm.controller.power(RobotMode.RUNNING)
+        bench.until(lambda: not bench.node.streaming.report.blocking_reason, "power")
+        assert bench.change(Transition.TRANSITION_ACTIVATE)
+        bench.swing()
 
 
-def test_streamer_waits_for_a_controller_that_is_switched_on_later(arm):
-    arm.fault(refuse_connections=True)
-    with bench(arm.ports, **{"ur.connect_timeout": 0.1}) as it:
-        it.until(lambda: it.node.warning_counts.get("configure"), "an attempt")
-        assert it.node.status()[:2] == (WARN, "unconfigured")
-        arm.fault(refuse_connections=False)
-        it.until(it.streams, "streaming")
+def test_streamer_waits_for_a_controller_that_is_switched_on_later():
+    with Bench(unreachable="connection refused") as bench:
+        bench.until(lambda: bench.node.warning_counts.get("configure"), "an attempt")
+        assert bench.node.status()[:2] == (WARN, "unconfigured")
+        bench.arm.blocking_reason = ""
+        bench.run(RETRY_PERIOD + 0.2)
+        assert bench.streams()
 
 
-def test_configure_reports_a_controller_that_refuses(arm, capfd):
-    why = "output 'output_int_register_24': NOT_FOUND; parameter ur.register chooses it"
-    arm.fault(outputs_not_found=("output_int_register_24",))
-    with bench(arm.ports, autostart=False, **{"ur.connect_timeout": 0.2}) as it:
-        assert not it.change(Transition.TRANSITION_CONFIGURE)
-        assert it.state == State.PRIMARY_STATE_UNCONFIGURED
-    assert why in capfd.readouterr().err
+def test_configure_reports_a_controller_that_refuses(capfd):
+    with Bench(unreachable="RTDE: a test", autostart=False) as bench:
+        begin = bench.time
+        assert not bench.change(Transition.TRANSITION_CONFIGURE)
+        assert bench.time - begin == pytest.approx(UrParameters().connect_timeout + 1.0, abs=0.1)
+        assert bench.state == State.PRIMARY_STATE_UNCONFIGURED
+        assert bench.arm.process.has_ended
+    assert "not configured: no data from 127.0.0.1: RTDE: a test" in capfd.readouterr().err
 
 
-def test_occupied_reverse_port_is_reported(capfd):
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-        with bench({}, autostart=False, **{"ur.reverse_port": port}) as it:
-            assert not it.change(Transition.TRANSITION_CONFIGURE)
-    assert f"ur.reverse_port = {port} is not available" in capfd.readouterr().err
+def test_configure_reports_at_once_why_the_streaming_process_has_ended(capfd):
+    with Bench(autostart=False) as bench:
+        bench.arm.start_failure = "ur.reverse_port = 50001 is not available"
+        begin = bench.time
+        assert not bench.change(Transition.TRANSITION_CONFIGURE)
+        assert bench.time - begin < 0.1
+        assert bench.state == State.PRIMARY_STATE_UNCONFIGURED
+    assert "ur.reverse_port = 50001 is not available" in capfd.readouterr().err
 
 
-@pytest.mark.parametrize("how", ["service", "topic"])
-def test_stop_is_latched_until_a_reset_that_starts_no_motion(streaming, how):
-    it, arm = streaming
-    it.swing(arm)
-    if how == "service":
-        assert it.ask("stop").success
-        assert_stands(it, arm, "~/stop")
-    else:
-        it.emergency.publish(Bool(data=True))
-        assert_stands(it, arm, "emergency_stop")
-        answer = it.ask("reset")
-        assert not answer.success and "emergency_stop is true" in answer.message
-        it.emergency.publish(Bool(data=False))
-        it.until(lambda: not it.node.latch.emergency, "the release")
-        assert_stands(it, arm, "emergency_stop")
-    assert not arm.plays()
-    assert_goes_on(it, arm)
-    it.swing(arm)
-    it.source = None
-    it.until(arm.rests, "rest")
+def test_stop_is_latched_until_a_reset_that_starts_no_motion():
+    with Bench() as bench:
+        bench.swing()
+        assert bench.trigger("stop").success
+        bench.assert_stands("~/stop")
+        assert not bench.arm.plays()
+        bench.assert_goes_on()
 
 
-def test_earlier_emergency_stop_keeps_the_streamer_inactive(arm):
-    with bench(arm.ports, autostart=False) as it:
-        it.emergency.publish(Bool(data=True))
-        it.until(lambda: it.node.latch.emergency, "the emergency stop")
-        assert it.change(Transition.TRANSITION_CONFIGURE)
-        assert not it.change(Transition.TRANSITION_ACTIVATE)
-        assert not arm.inner.counts.programs
+def test_stop_right_after_a_reset_is_sent_again():
+    with Bench() as bench:
+        bench.swing()
+        bench.trigger("stop")
+        bench.assert_stands("~/stop")
+        assert bench.trigger("reset").success
+        bench.trigger("stop")
+        bench.assert_stands("~/stop")
+        assert not bench.arm.plays()
 
 
-def test_stopped_peer_holds_the_arm_with_the_program_running(streaming):
-    it, arm = streaming
-    programs = arm.inner.counts.programs
-    it.swing(arm)
-    peer = DiagnosticStatus(name="/probe", level=ERROR, message="stopped: test")
-    it.peers.publish(peer)
-    it.until(lambda: it.stops.get(NODE, "").startswith("holding: stopped peer /probe"), "it")
-    it.until(arm.rests, "rest")
-    place = arm.place
-    it.spin(0.3)
-    assert np.abs(arm.place - place).max() < 0.02 and arm.plays()
-    it.source = None
-    it.spin(0.1)
-    peer.level = OK
-    it.peers.publish(peer)
-    it.until(lambda: it.stops[NODE] == "running", "the release")
-    place = arm.place
-    it.spin(0.2)
-    assert np.abs(arm.place - place).max() < STILL, "a release starts no motion"
-    assert arm.inner.counts.programs == programs
-    it.swing(arm)
-    it.source = None
-    it.until(arm.rests, "rest")
+def test_report_from_before_a_reset_does_not_latch_its_stop_again():
+    with Bench() as bench:
+        bench.swing()
+        bench.trigger("stop")
+        bench.assert_stands("~/stop")
+        before = bench.node.streaming.report
+        assert before.stop_reason == "~/stop"
+        assert bench.trigger("reset").success
+        bench.arm.process.add_report(before)
+        bench.run(0.1)
+        assert bench.node.latch.released
 
 
-def test_reset_unlocks_a_protective_stop_only_where_allowed(streaming):
-    it, arm = streaming
-    it.swing(arm)
-    arm.fault(protective_stop=True)
-    assert_stands(it, arm, "safety mode: protective stop")
-    answer = it.ask("reset")
-    assert not answer.success and "ur.unlock" in answer.message
-    assert all(result.successful for result in it.set(ur__unlock=True))
-    arm.fault(protective_stop=False)
-    answer = it.ask("reset")
-    assert not answer.success
-    assert "the controller reports: Cannot unlock protective stop until 5s" in answer.message
-    arm.inner.modes = replace(arm.inner.modes, stopped=-10.0)  # long ago
-    assert_goes_on(it, arm)
+def test_emergency_stop_is_latched_and_prevents_a_reset_until_it_is_released():
+    with Bench() as bench:
+        emergency = bench.publisher(Bool, "emergency_stop", LATCHED)
+        bench.swing()
+        emergency.publish(Bool(data=True))
+        bench.assert_stands("emergency_stop")
+        assert not bench.arm.plays()
+        answer = bench.trigger("reset")
+        assert not answer.success
+        assert "emergency_stop is true" in answer.message
+        emergency.publish(Bool(data=False))
+        bench.until(lambda: not bench.node.latch.emergency, "the release")
+        bench.assert_stands("emergency_stop")
+        bench.assert_goes_on()
 
 
-@pytest.mark.parametrize(
-    ("fault", "why"),
-    [
-        ({"emergency_stop": True}, "safety mode: robot emergency stop"),
-        ({"pause_program": True}, "the program is paus"),
-    ],
-    ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
-)
-def test_controller_fault_is_reported_and_latched(streaming, fault, why):
-    it, arm = streaming
-    it.swing(arm)
-    arm.fault(**fault)
-    assert_stands(it, arm, why)
-    if "emergency_stop" in fault:
-        assert "still present: safety mode" in it.ask("reset").message
-        arm.fault(emergency_stop=False)
-        it.until(lambda: arm.inner.safety_mode is SafetyMode.NORMAL, "the release")
-        it.until(arm.power_on, "power")
-    assert_goes_on(it, arm)
+def test_earlier_emergency_stop_keeps_the_streamer_inactive():
+    with Bench(autostart=False) as bench:
+        bench.publisher(Bool, "emergency_stop", LATCHED).publish(Bool(data=True))
+        bench.until(lambda: bench.node.latch.emergency, "the emergency stop")
+        assert bench.change(Transition.TRANSITION_CONFIGURE)
+        assert not bench.change(Transition.TRANSITION_ACTIVATE)
+        assert not bench.arm.controller.counts.programs
 
 
-BAD = {
-    "nan": lambda it: it.message(lambda t: (it.home + math.nan, np.zeros(6))),
-    "infinity": lambda it: it.message(lambda t: (it.home + math.inf, np.zeros(6))),
-    "nan speed": lambda it: it.message(lambda t: (it.home, np.full(6, math.nan))),
-    "huge": lambda it: it.message(lambda t: (it.home + 1e300, np.zeros(6))),
-    "jump 0.16": lambda it: it.message(lambda t: (it.home + 0.16, np.zeros(6))),
-    "jump 3": lambda it: it.message(lambda t: (it.home - 3.0, np.zeros(6))),
-    "alias": lambda it: it.message(lambda t: (it.home + math.tau, np.zeros(6))),
-    "too sharp": lambda it: it.message(lambda t: (it.home + 0.5 * t, np.zeros(6))),
-    "too fast": lambda it: it.message(lambda t: (it.home + 1.5 * t, np.zeros(6)), (0.0, 0.6)),
-    "late": lambda it: it.message(lambda t: (it.home + 0.01, np.zeros(6)), ago=2.0),
-    "early": lambda it: it.message(lambda t: (it.home + 0.01, np.zeros(6)), ago=-2.0),
-    "names": lambda it: it.message(lambda t: (it.home, np.zeros(6)), names=list("abcdef")),
-    "twice": lambda it: it.message(
-        lambda t: (it.home, np.zeros(6)), names=[*UR_JOINTS[:5], UR_JOINTS[0]]
+def test_stopped_peer_holds_the_arm_with_the_program_running():
+    with Bench() as bench:
+        peers = bench.publisher(DiagnosticStatus, "stop_state", LATCHED)
+        bench.swing()
+        peer = DiagnosticStatus(name="/probe", level=ERROR, message="stopped: test")
+        peers.publish(peer)
+        bench.until(bench.arm.rests, "rest")
+        assert bench.stop_state.startswith("holding: stopped peer /probe")
+        bench.run(0.1)
+        place = bench.arm.place
+        bench.move(0.6)
+        assert np.abs(bench.arm.place - place).max() < STILL
+        peer.level = OK
+        peers.publish(peer)
+        bench.until(lambda: bench.stop_state == "running", "the release")
+        bench.run(0.2)
+        assert np.abs(bench.arm.place - place).max() < STILL, "a release starts no motion"
+        bench.swing()
+        assert bench.arm.controller.counts.programs == 1
+
+
+def test_protective_stop_is_reset_after_it_was_unlocked_on_the_pendant():
+    with Bench() as bench:
+        bench.swing()
+        bench.arm.fault(protective_stop=True)
+        bench.assert_stands("safety mode: protective stop")
+        answer = bench.trigger("reset")
+        assert not answer.success
+        assert "ur.unlock" in answer.message
+        bench.run(UNLOCK_DELAY)
+        assert bench.arm.controller.unlock()
+        bench.run(0.1)
+        bench.assert_goes_on()
+
+
+def test_emergency_stop_of_the_controller_is_latched_until_its_power_is_back():
+    with Bench() as bench:
+        bench.swing()
+        bench.arm.fault(emergency_stop=True)
+        bench.assert_stands("safety mode: robot emergency stop")
+        assert "still present: safety mode" in bench.trigger("reset").message
+        bench.arm.fault(emergency_stop=False)
+        bench.run(0.1)
+        assert bench.arm.controller.safety_mode is SafetyMode.NORMAL
+        assert "still present: robot mode" in bench.trigger("reset").message
+        assert bench.arm.controller.power(RobotMode.RUNNING)
+        bench.until(lambda: not bench.node.streaming.report.blocking_reason, "power")
+        bench.assert_goes_on()
+
+
+def test_paused_program_is_latched():
+    with Bench() as bench:
+        bench.swing()
+        bench.arm.fault(pause_program=True)
+        bench.until(bench.arm.is_paused, "the pause")
+        bench.assert_stands("the program is paus")
+        bench.assert_goes_on()
+
+
+INVALID_PREVIEWS = {
+    "nan": lambda b, home: b.preview(lambda t: (home + math.nan, np.zeros(6))),
+    "infinity": lambda b, home: b.preview(lambda t: (home + math.inf, np.zeros(6))),
+    "nan speed": lambda b, home: b.preview(lambda t: (home, np.full(6, math.nan))),
+    "huge": lambda b, home: b.preview(lambda t: (home + 1e300, np.zeros(6))),
+    "jump 0.16": lambda b, home: b.preview(lambda t: (home + 0.16, np.zeros(6))),
+    "jump 3": lambda b, home: b.preview(lambda t: (home - 3.0, np.zeros(6))),
+    "alias": lambda b, home: b.preview(lambda t: (home + math.tau, np.zeros(6))),
+    "too sharp": lambda b, home: b.preview(lambda t: (home + 0.5 * t, np.zeros(6))),
+    "too fast": lambda b, home: b.preview(lambda t: (home + 1.5 * t, np.zeros(6)), (0.0, 0.6)),
+    "late": lambda b, home: b.preview(lambda t: (home + 0.01, np.zeros(6)), ahead=-2.0),
+    "early": lambda b, home: b.preview(lambda t: (home + 0.01, np.zeros(6)), ahead=2.0),
+    "names": lambda b, home: b.preview(lambda t: (home, np.zeros(6)), names="abcdef"),
+    "twice": lambda b, home: b.preview(
+        lambda t: (home, np.zeros(6)), names=[*UR_JOINTS[:5], UR_JOINTS[0]]
     ),
-    "five": lambda it: it.message(lambda t: (it.home[:5], np.zeros(5))),
-    "no speeds": lambda it: it.message(lambda t: (it.home, ())),
-    "empty": lambda it: it.message(None, times=()),
-    "backward": lambda it: it.message(lambda t: (it.home, np.zeros(6)), times=(0.4, 0.0)),
+    "five": lambda b, home: b.preview(lambda t: (home[:5], np.zeros(5))),
+    "no speeds": lambda b, home: b.preview(lambda t: (home, ())),
+    "empty": lambda b, home: b.preview(None, times=()),
+    "backward": lambda b, home: b.preview(lambda t: (home, np.zeros(6)), times=(0.4, 0.0)),
 }
 
 
-@pytest.mark.parametrize("bad", BAD)
-def test_invalid_preview_causes_a_warning_and_no_motion(streaming, bad):
-    it, controller = streaming
-    it.home = controller.place
-    counts = it.node.warning_counts
-    before = sum(counts.values())
-    it.previews.publish(BAD[bad](it))
-    it.until(lambda: sum(counts.values()) > before, "a warning")
-    assert it.node.streaming.report.at_rest and it.streams()
-    it.spin(0.05)
-    assert it.node.streaming.report.at_rest
-    assert np.abs(controller.place - it.home).max() < STILL
+def test_invalid_preview_causes_a_warning_and_no_motion():
+    with Bench() as bench:
+        bench.until(bench.streams, "streaming")
+        home, counts = bench.arm.place, bench.node.warning_counts
+        for label, make in INVALID_PREVIEWS.items():
+            before = sum(counts.values())
+            bench.previews.publish(make(bench, home))
+            bench.run(0.1)
+            assert sum(counts.values()) == before + 1, label
+            assert bench.node.streaming.report.at_rest and bench.streams(), label
+            assert np.abs(bench.arm.place - home).max() < STILL, label
+        bench.swing()
 
 
 @pytest.mark.parametrize(
     ("parameters", "name"),
     [
-        ({"use_sim_time": True}, "use_sim_time"),
         ({"arm.joints": ["a", "b", "c"]}, "arm"),
         ({"arm.velocity": [4.0]}, "arm.velocity"),
         ({"arm.lower": [1.0], "arm.upper": [0.0]}, "arm.lower"),
@@ -517,50 +470,56 @@ def test_invalid_preview_causes_a_warning_and_no_motion(streaming, bad):
     ],
 )
 def test_invalid_parameter_is_rejected_naming_the_parameter(parameters, name):
-    with pytest.raises(ParameterError, match=name), bench({}, autostart=False, **parameters):
+    with pytest.raises(ParameterError, match=name), Bench(**parameters):
         pass
 
 
-def test_fixed_parameters_are_read_only_and_live_ones_change_at_runtime(streaming):
-    it, _ = streaming
-    fixed, bad, live = it.set(ur__read_timeout=0.1, arm__velocity=[-1.0], arm__upper=[6.0])
-    assert not fixed.successful and not bad.successful
-    assert "arm.velocity" in bad.reason
-    assert live.successful
+def test_simulated_time_is_rejected():
+    with pytest.raises(ParameterError, match="use_sim_time"), World(ArmStreamerNode):
+        pass
 
 
-def test_hanging_streaming_process_is_reported_and_a_reset_refused(streaming):
-    it, arm = streaming
-    process = it.node.streaming.process._process
-    os.kill(process.pid, signal.SIGSTOP)
-    try:
-        it.until(lambda: "has not reported" in it.stops.get(NODE, ""), "the stop")
-        assert "still present: the streaming process has not reported" in it.ask("reset").message
-    finally:
-        os.kill(process.pid, signal.SIGCONT)
-    assert_goes_on(it, arm)
+def test_fixed_parameters_are_read_only_and_live_ones_change_at_runtime():
+    with Bench() as bench:
+        bench.swing()
+        fixed, bad = bench.set(ur__read_timeout=0.1, arm__velocity=[-1.0])
+        assert not fixed.successful and not bad.successful
+        assert "arm.velocity" in bad.reason
+        (live,) = bench.set(arm__velocity=[0.1])
+        assert live.successful
+        bench.assert_stands("velocity")
 
 
-def test_granted_reset_replaces_an_ended_streaming_process(arm):
-    with bench(arm.ports, **{"ur.connect_timeout": 0.3}) as it:
-        it.ready()
-        it.swing(arm)
-        arm.fault(refuse_connections=True)
-        os.kill(it.node.streaming.process._process.pid, signal.SIGKILL)
-        assert_stands(it, arm, "the streaming process has ended")
-        assert not it.ask("reset").success, "there is no controller"
-        arm.fault(refuse_connections=False)
-        assert_goes_on(it, arm)
+def test_hanging_streaming_process_is_reported_and_a_reset_refused():
+    with Bench() as bench:
+        bench.swing()
+        bench.arm.process.is_frozen = True
+        bench.move(HANG_TIMEOUT + 0.1)
+        bench.assert_stands("the streaming process has not reported")
+        answer = bench.trigger("reset")
+        assert "still present: the streaming process has not reported" in answer.message
+        bench.arm.process.is_frozen = False
+        bench.run(0.2)
+        bench.assert_goes_on()
 
 
-def test_shutdown_brings_the_arm_to_rest_and_ends_the_program(arm):
-    with bench(arm.ports) as it:
-        it.ready()
-        it.swing(arm)
-        it.source = None
-        it.node.begin_shutdown("SIGTERM")
-        assert not it.node.finished
-        it.until(lambda: it.node.finished, "the end")
-        it.until(lambda: arm.rests() and not arm.plays(), "rest")
-        process = it.node.streaming.process._process
-    assert process.poll() == 0
+def test_granted_reset_replaces_an_ended_streaming_process():
+    with Bench() as bench:
+        bench.swing()
+        bench.arm.blocking_reason = "connection refused"
+        bench.arm.process.kill()
+        bench.assert_stands("the streaming process has ended")
+        answer = bench.trigger("reset")
+        assert "still present: connection refused" in answer.message
+        bench.arm.blocking_reason = ""
+        bench.run(0.1)
+        bench.assert_goes_on()
+
+
+def test_shutdown_brings_the_arm_to_rest_and_ends_the_program():
+    with Bench() as bench:
+        bench.swing()
+        bench.node.begin_shutdown("SIGTERM")
+        assert not bench.node.finished
+        bench.run_until(lambda: bench.node.finished, bench.node.stop_timeout, "the end")
+        bench.until(lambda: bench.arm.rests() and not bench.arm.plays(), "rest")

@@ -17,8 +17,9 @@ class Pipe:
         self.state, self.data = ProgramState.NONE, b""
 
     def open(self, host, port, name):
-        self.state, self.data = ProgramState.RUNNING, b""
-        return True
+        if self.state is ProgramState.STARTING:
+            self.state, self.data = ProgramState.RUNNING, b""
+        return True  # a connection that is not awaited is closed only then
 
     def close(self, name):
         if self.state is ProgramState.RUNNING:
