@@ -90,8 +90,14 @@ def unlock(parameters: UrParameters, clock: Callable[[], float] = time.monotonic
     return "" if reply.lower().startswith(UNLOCKED_REPLY) else reply or "an empty reply"
 
 
-def unlock_for_reset(parameters: UrParameters) -> None:
+def unlock_for_reset(
+    parameters: UrParameters, clock: Callable[[], float] = time.monotonic
+) -> None:
     """Unlock the protective stop of a controller for a reset of the node.
+
+    Args:
+        parameters: Permission, address of the controller, and the time limit.
+        clock: Returns the monotonic time [s].
 
     Raises:
         ResetRefusedError: `ur.unlock` does not allow it, the dashboard server cannot be used, or
@@ -102,7 +108,7 @@ def unlock_for_reset(parameters: UrParameters) -> None:
             "protective stop: inspect the arm, then unlock it on the pendant (or set ur.unlock)"
         )
     try:
-        refusal = unlock(parameters)
+        refusal = unlock(parameters, clock)
     except LinkError as error:
         raise ResetRefusedError(f"the dashboard server: {error}") from error
     if refusal:

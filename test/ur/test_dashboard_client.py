@@ -3,7 +3,8 @@
 import pytest
 
 from omniman_ros.core.errors import InputError
-from omniman_ros.ur.dashboard_client import MAX_LINE, call, unlock
+from omniman_ros.core.stop import ResetRefusedError
+from omniman_ros.ur.dashboard_client import MAX_LINE, call, unlock, unlock_for_reset
 from omniman_ros.ur.parameters import UrParameters
 from omniman_ros.ur.sockets import LinkError
 from test.ur import peer
@@ -171,6 +172,10 @@ def test_invalid_timeout_is_rejected(timeout):
         call(HOST, 1, ["play"], timeout)
 
 
+def unlocking(serve, reply):
+    return serve(say(GREETING), nothing, answer(b"closing safety popup\n"), nothing, answer(reply))
+
+
 @pytest.mark.parametrize(
     ("reply", "refusal"),
     [
@@ -181,9 +186,33 @@ def test_invalid_timeout_is_rejected(timeout):
     ],
 )
 def test_unlocking_closes_the_popup_first_and_returns_a_refusal(serve, reply, refusal):
-    server = serve(
-        say(GREETING), nothing, answer(b"closing safety popup\n"), nothing, answer(reply)
-    )
+    server = unlocking(serve, reply)
     said = unlock(UrParameters(dashboard_port=server.port), server)
     assert said.startswith(refusal) if refusal else said == ""
     assert server.asked == b"close safety popup\nunlock protective stop\n"
+
+
+def test_reset_unlocks_only_where_that_is_allowed():
+    with pytest.raises(ResetRefusedError, match=r"unlock it on the pendant \(or set ur.unlock\)"):
+        unlock_for_reset(UrParameters())
+
+
+def test_reset_is_granted_if_the_controller_unlocks(serve):
+    server = unlocking(serve, b"Protective stop releasing\n")
+    unlock_for_reset(UrParameters(dashboard_port=server.port, unlock=True), server)
+    assert server.asked.endswith(b"unlock protective stop\n")
+
+
+def test_reset_is_refused_in_the_words_of_the_controller(serve):
+    server = unlocking(serve, TOO_EARLY + b"\n")
+    with pytest.raises(
+        ResetRefusedError, match="the controller reports: Cannot unlock protective"
+    ):
+        unlock_for_reset(UrParameters(dashboard_port=server.port, unlock=True), server)
+
+
+def test_reset_without_a_dashboard_server_is_refused():
+    with peer.listener() as free:
+        port = free.getsockname()[1]
+    with pytest.raises(ResetRefusedError, match="the dashboard server: dashboard: connection ref"):
+        unlock_for_reset(UrParameters(dashboard_port=port, unlock=True))
