@@ -16,7 +16,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Duration
-from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
@@ -74,6 +76,7 @@ class Robot:
         )
         self._previews = node.create_publisher(JointTrajectory, f"{prefix}arm/joint_reference", 1)
         self._reset = node.create_client(Trigger, f"{prefix}arm_streamer/reset")
+        self._faults = node.create_client(SetParameters, f"{prefix}simulated_ur/set_parameters")
         node.create_timer(0.04, lambda: self.source and self.source())
 
     def _on_truth(self, message):
@@ -97,10 +100,11 @@ class Robot:
         names = PORTS[:-1]
         return self.start("simulated_ur", *(f"ports.{k}:={self.ports[k]}" for k in names))
 
-    def streamer(self):
+    def streamer(self, *parameters):
         return self.start(
             "arm_streamer",
             *PATIENT,
+            *parameters,
             f"ur.rtde_port:={self.ports['rtde']}",
             f"ur.script_port:={self.ports['secondary']}",
             f"ur.dashboard_port:={self.ports['dashboard']}",
@@ -173,6 +177,24 @@ class Robot:
 
         self.source = send
         self.until(lambda: self.speed > 0.35, "motion")
+
+    def call(self, client, request):
+        self.until(client.service_is_ready, client.srv_name)
+        future = client.call_async(request)
+        self.until(future.done, client.srv_name)
+        return future.result()
+
+    def fault(self, name, value):
+        """Switch a fault of the controller on or off."""
+        parameter = Parameter(f"faults.{name}", value=value).to_parameter_msg()
+        request = SetParameters.Request(parameters=[parameter])
+        assert self.call(self._faults, request).results[0].successful
+
+    def reset_refusal(self):
+        """Ask for a reset that has to be refused; return why."""
+        answer = self.call(self._reset, Trigger.Request())
+        assert not answer.success
+        return answer.message
 
     def reset(self):
         self.source = None
@@ -254,6 +276,59 @@ def test_frozen_and_killed_processes_leave_the_arm_at_rest_until_a_reset(robot):
     streamer.kill()
     robot.until(robot.rests, "rest")
     robot.until(lambda: not is_alive(process), "the end of the streaming process")
+
+
+def test_streamer_starts_once_its_port_and_its_controller_are_there(robot):
+    attempts = []
+
+    def count_attempts(message):
+        values = {value.key: value.value for value in message.status[0].values}
+        attempts.append(int(values.get("warned: configure", 0)))
+
+    robot.session.node.create_subscription(DiagnosticArray, "/diagnostics", count_attempts, 10)
+    with socket.create_server(("127.0.0.1", robot.ports["reverse"])):
+        streamer = robot.streamer("ur.connect_timeout:=1.0")
+        robot.until(lambda: attempts and attempts[-1] > 0, "an attempt without the port")
+        since = attempts[-1]
+    robot.until(lambda: attempts[-1] > since + 1, "an attempt without the controller")
+    robot.controller()
+    robot.swing()
+    streamer.send_signal(signal.SIGTERM)
+    robot.until(lambda: streamer.poll() is not None, "the end")
+    log = streamer.stderr.read()
+    assert f"ur.reverse_port = {robot.ports['reverse']} is not available" in log
+    assert "no data from 127.0.0.1: connection refused" in log
+
+
+def test_reset_unlocks_a_protective_stop_once_the_controller_allows_it(robot):
+    robot.controller()
+    robot.streamer("ur.unlock:=true")
+    robot.swing()
+    robot.fault("protective_stop", True)
+    robot.until(lambda: "stopped: safety mode: protective stop" in robot.reason, "the stop")
+    robot.until(robot.rests, "rest")
+    robot.stays()
+    robot.reset()
+    robot.stays()
+    robot.swing()
+
+
+def test_reset_replaces_a_killed_streaming_process_once_the_controller_answers(robot):
+    robot.controller()
+    streamer = robot.streamer()
+    robot.swing()
+    robot.fault("refuse_connections", True)
+    (process,) = children_of(streamer.pid)
+    os.kill(process, signal.SIGKILL)
+    robot.until(lambda: "the streaming process has ended" in robot.reason, "the stop")
+    robot.until(robot.rests, "rest")
+    robot.stays()
+    assert "still present: connection refused" in robot.reset_refusal()
+    robot.fault("refuse_connections", False)
+    robot.reset()
+    robot.stays()
+    robot.swing()
+    assert children_of(streamer.pid) != [process]
 
 
 def test_restarted_controller_moves_the_arm_after_a_reset(robot):
