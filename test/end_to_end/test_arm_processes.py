@@ -32,12 +32,14 @@ from omniman_ros.simulation.ur.arm import CYCLE
 pytestmark = pytest.mark.processes
 
 PATIENCE = 40.0
-PATIENT = ("ur.read_timeout:=0.2", "ur.feedback_timeout:=0.5", "ur.following_error:=1.0")
+PATIENT = ("ur.read_timeout:=0.2", "ur.feedback_timeout:=1.0", "ur.following_error:=1.0")
 PORTS = ("dashboard", "primary", "secondary", "realtime", "rtde", "reverse")
 REST, STILL = 0.01, 0.01
 """Speed below which the arm counts as standing [rad/s] and its allowed further travel [rad]."""
 RETRY = 1.0
 """Time after which a motion that the arm does not follow begins anew [s]."""
+RESET_PERIOD = 0.5
+"""Time after which a reset that was not granted is asked for again [s]."""
 LASTING = 0.4
 """Time for which nothing may move [s]."""
 
@@ -67,6 +69,7 @@ class Robot:
         self.children = []
         self.truth, self.reason = [], ""
         self.source, self.way = None, -1.0
+        self._asked, self._answer = 0.0, None
         node, prefix = session.node, f"{namespace}/" if namespace else ""
         node.create_subscription(
             JointState, f"{prefix}ground_truth/arm_joint_states", self._on_truth, 1000
@@ -151,15 +154,18 @@ class Robot:
         assert np.abs(self.truth[-1][1] - place).max() < STILL, "the arm moves"
 
     def swing(self):
-        """Publish a motion in alternating directions from now on and wait until the arm moves."""
+        """Publish a motion in alternating directions from now on and wait until the arm moves.
+
+        What the machine holds up before that is stopped, and then reset.
+        """
         self.until(lambda: self.truth, "the controller")
         begin, home = time.monotonic(), self.truth[-1][1]
         self.way = -self.way
 
         def send():
-            nonlocal begin
+            nonlocal begin, home
             if time.monotonic() - begin > RETRY and self.rests():
-                begin = time.monotonic()  # the motion has not been followed
+                begin, home = time.monotonic(), self.truth[-1][1]  # it has not been followed
             now = time.monotonic() - begin
             message = JointTrajectory(joint_names=list(UR_JOINTS))
             message.header.stamp = self.session.node.get_clock().now().to_msg()
@@ -175,8 +181,13 @@ class Robot:
                 )
             self._previews.publish(message)
 
+        def moves():
+            if self.reason.startswith("stopped: "):
+                self._is_reset()
+            return self.speed > 0.35
+
         self.source = send
-        self.until(lambda: self.speed > 0.35, "motion")
+        self.until(moves, "motion")
 
     def call(self, client, request):
         self.until(client.service_is_ready, client.srv_name)
@@ -197,20 +208,18 @@ class Robot:
         return answer.message
 
     def reset(self):
-        self.source = None
+        self.source, self._answer = None, None
         self.until(self._reset.service_is_ready, "~/reset")
-        asked, future = 0.0, None
-
-        def granted():
-            nonlocal asked, future
-            if future is not None and future.done() and future.result().success:
-                return True
-            if time.monotonic() - asked > 0.5:
-                asked, future = time.monotonic(), self._reset.call_async(Trigger.Request())
-            return False
-
-        self.until(granted, "a reset")
+        self.until(self._is_reset, "a reset")
         self.until(lambda: self.reason == "running", "the release")
+
+    def _is_reset(self):
+        """Return whether a reset was granted; ask for one periodically."""
+        if self._answer is not None and self._answer.done() and self._answer.result().success:
+            return True
+        if time.monotonic() - self._asked > RESET_PERIOD:
+            self._asked, self._answer = time.monotonic(), self._reset.call_async(Trigger.Request())
+        return False
 
 
 def children_of(pid):
