@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any
+from typing import Any, ParamSpec
 
 from builtin_interfaces.msg import Time as TimeMsg
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -14,6 +14,8 @@ from rclpy.time import Time
 from omniman_ros.conversions.headers import is_stamped
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.throttle import Throttle
+
+P = ParamSpec("P")
 
 MAX_LEAD = 0.05
 """Largest time that a stamp may be ahead of ROS time [s]."""
@@ -128,21 +130,22 @@ class OmnimanNode(Node):
         """Number of warnings per subject since the start."""
         return self._throttle.counts
 
-    def guarded(self, subject: str, handler: Callable[[Any], str | None]) -> Callable[[Any], None]:
+    def guarded(self, subject: str, handler: Callable[P, str | None]) -> Callable[P, None]:
         """Wrap a handler of messages so that a message that is not used leads to a warning.
 
         Args:
             subject: What the warning calls the messages, such as their topic.
-            handler: Handles a message. It returns why the message is not used, or nothing; or it
-                raises an InputError about the message's content.
+            handler: Handles a message, and what the subscription passes with it. It returns why
+                the message is not used, or nothing; or it raises an InputError about the message's
+                content.
 
         Returns:
             The callback for a subscription.
         """
 
-        def callback(message: Any) -> None:
+        def callback(*args: P.args, **kwargs: P.kwargs) -> None:
             try:
-                refusal = handler(message)
+                refusal = handler(*args, **kwargs)
             except InputError as error:
                 self.warn(subject, f"{subject} ignored: {error}")
             else:

@@ -1,7 +1,6 @@
 """Node `platform_controller`: the only publisher of wheel commands and voltages."""
 
 from collections.abc import Callable, Iterable
-from functools import partial
 from typing import Any
 
 from geometry_msgs.msg import Twist, TwistStamped
@@ -63,7 +62,8 @@ class PlatformControllerNode(OmnimanNode):
             self.create_subscription(kind, topic, self.guarded(topic, handler), qos)
 
         twist = TwistStamped if p.cmd_vel_stamped else Twist
-        subscribe_with_source_time(self, twist, "cmd_vel", self._on_cmd_vel, SETPOINT)
+        on_cmd_vel = self.guarded("cmd_vel", self._on_cmd_vel)
+        subscribe_with_source_time(self, twist, "cmd_vel", on_cmd_vel, SETPOINT)
         for source in (Source.MPC, Source.PATH):
             topic = f"{source.value}/reference"
             handler = self._reference_handler(source)
@@ -72,10 +72,8 @@ class PlatformControllerNode(OmnimanNode):
 
     # ---- inputs: each handler returns why the message is not used, or nothing ------------------
 
-    def _on_cmd_vel(self, message: Twist | TwistStamped, source_time: int) -> None:
-        self.guarded("cmd_vel", partial(self._set_twist, sent=self.sent(source_time)))(message)
-
-    def _set_twist(self, message: Twist | TwistStamped, sent: float | None) -> str:
+    def _on_cmd_vel(self, message: Twist | TwistStamped, source_time: int) -> str:
+        sent = self.sent(source_time)
         if isinstance(message, Twist):
             return self.core.set_twist(twist_array(message), self.now(), sent=sent)
         twist = stamped_twist_array(message, self._topics().base_frame)
