@@ -215,8 +215,10 @@ class Robot:
 
     def _is_reset(self):
         """Return whether a reset was granted; ask for one periodically."""
-        if self._answer is not None and self._answer.done() and self._answer.result().success:
-            return True
+        if self._answer is not None and self._answer.done():
+            is_granted, self._answer = self._answer.result().success, None
+            if is_granted:
+                return True
         if time.monotonic() - self._asked > RESET_PERIOD:
             self._asked, self._answer = time.monotonic(), self._reset.call_async(Trigger.Request())
         return False
