@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from omniman_ros.core.errors import InputError
+from omniman_ros.viewer.obstacle_paths import Motion, ObstaclePath
 
 MAX_EVENTS = 1000
 """Largest number of events that are processed at once."""
@@ -84,6 +85,30 @@ class ObstacleVelocitySet:
 
 
 @dataclass(frozen=True)
+class ObstacleMotionSet:
+    """An obstacle of the page is given another kind of motion."""
+
+    number: int
+    motion: Motion
+
+
+@dataclass(frozen=True)
+class ObstaclePathSet:
+    """An obstacle of the page is given a path."""
+
+    number: int
+    path: ObstaclePath
+
+
+@dataclass(frozen=True)
+class WaypointAdded:
+    """A way point (x, y) in `odom` [m] is appended to the path of the selected obstacle."""
+
+    number: int
+    position: tuple[float, float]
+
+
+@dataclass(frozen=True)
 class ObstacleResized:
     """An obstacle of the page is given semi-axes [m] and a heading [rad]."""
 
@@ -130,6 +155,9 @@ Event = (
     | StartDragged
     | ObstacleDragged
     | ObstacleVelocitySet
+    | ObstacleMotionSet
+    | ObstaclePathSet
+    | WaypointAdded
     | ObstacleResized
     | ObstacleSelected
     | ObstacleDeleted

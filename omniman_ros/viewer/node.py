@@ -86,12 +86,8 @@ class ViewerNode(OmnimanNode):
             events.GoalDragged: self._poses.drag_goal,
             events.StartDragged: self._poses.drag_start,
             events.CaseSelected: self._poses.load,
-            events.ObstacleDragged: self._obstacles.drag,
-            events.ObstacleVelocitySet: self._obstacles.set_velocity,
-            events.ObstacleResized: self._obstacles.resize,
-            events.ObstacleSelected: self._obstacles.select,
-            events.ObstacleDeleted: self._obstacles.delete,
             events.ParameterChanged: self._planner_parameters.set,
+            **self._obstacles.handlers,
         }
 
     def _button_actions(self) -> dict[str, Callable[[float], None]]:

@@ -10,6 +10,8 @@ from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.planning.cases import TwoVelocityPath
+from omniman_ros.viewer import obstacle_paths
+from omniman_ros.viewer.obstacle_paths import Motion, ObstaclePath, WaypointPath
 
 Pair = tuple[float, float]
 """x, y: a position [m], a velocity [m/s] or semi-axes [m]."""
@@ -43,8 +45,8 @@ class PlacedObstacle:
     number: int
     semi_axes: Pair
     angle: float
-    home: TwoVelocityPath
-    path: TwoVelocityPath
+    home: ObstaclePath
+    path: ObstaclePath
     since: float
 
     def position(self, time: float) -> Pair:
@@ -54,7 +56,7 @@ class PlacedObstacle:
 
     def velocity(self, time: float) -> Pair:
         """Return the velocity (x, y) [m/s] at a time of the obstacles' own clock [s]."""
-        return self.path.speed(time - self.since)
+        return obstacle_paths.velocity(self.path, time - self.since)
 
 
 @dataclass(frozen=True)
@@ -69,6 +71,7 @@ class ObstacleArrays:
         velocities: (M, 2) velocities [m/s]; zero while the obstacles are paused.
         resumed_velocities: (M, 2) velocities with which they continue after a pause [m/s]; None
             if they are `velocities`.
+        placed: The M obstacles themselves.
     """
 
     numbers: NDArray[np.int64]
@@ -77,6 +80,7 @@ class ObstacleArrays:
     angles: Array
     velocities: Array
     resumed_velocities: Array | None = None
+    placed: tuple[PlacedObstacle, ...] = ()
 
     @staticmethod
     def empty() -> "ObstacleArrays":
@@ -144,7 +148,7 @@ class PlacedObstacles:
 
     def add(
         self,
-        path: TwoVelocityPath,
+        path: ObstaclePath,
         now: float,
         semi_axes: Pair = (DEFAULT_RADIUS, DEFAULT_RADIUS),
         angle: float = 0.0,
@@ -163,27 +167,69 @@ class PlacedObstacles:
         return number
 
     def move(self, number: int, position: Pair, now: float) -> None:
-        """Move an obstacle to a position [m], which also becomes its home.
-
-        Its velocity does not change.
+        """Move an obstacle to a position [m], where its whole path now begins, at its start.
 
         Raises:
             InputError: There is no such obstacle, or the position is out of range.
         """
-        obstacle, time = self[number], self.time(now)
-        path = TwoVelocityPath(position, obstacle.velocity(time))
-        self._store(replace(obstacle, home=path, path=path, since=time))
+        obstacle = self[number]
+        path = obstacle_paths.moved(obstacle.home, position)
+        self._store(replace(obstacle, home=path, path=path, since=self.time(now)))
 
     def set_velocity(self, number: int, velocity: Pair, now: float) -> None:
         """Set the velocity (x, y) of an obstacle [m/s], for now and after a restart.
 
+        A turn that it is to make comes its time after this change.
+
         Raises:
-            InputError: There is no such obstacle, or the velocity is out of range.
+            InputError: There is no such obstacle, it follows way points, or the velocity is out
+                of range.
+        """
+        home = self[number].home
+        if isinstance(home, WaypointPath):
+            raise InputError(f"obstacle {number} follows way points: set its speed instead")
+        self.set_path(number, replace(home, velocity=velocity), now)
+
+    def set_motion(self, number: int, motion: Motion, now: float) -> None:
+        """Change the kind of motion of an obstacle, see :func:`obstacle_paths.converted`.
+
+        Raises:
+            InputError: There is no such obstacle.
         """
         obstacle, time = self[number], self.time(now)
-        home = TwoVelocityPath(obstacle.home.place, velocity)
-        path = TwoVelocityPath(obstacle.position(time), velocity)
-        self._store(replace(obstacle, home=home, path=path, since=time))
+        place, velocity = obstacle.position(time), obstacle.velocity(time)
+        path = obstacle_paths.converted(obstacle.home, place, velocity, motion)
+        self.set_path(number, path, now)
+
+    def set_path(self, number: int, path: ObstaclePath, now: float) -> None:
+        """Set the path that an obstacle follows, for now and after a restart.
+
+        Until a restart, it begins where the obstacle is; way points are followed from the place
+        on their lines that is nearest to the obstacle.
+
+        Raises:
+            InputError: There is no such obstacle, or the path is out of range.
+        """
+        obstacle, time = self[number], self.time(now)
+        position = obstacle.position(time)
+        if isinstance(path, WaypointPath):
+            since = time - path.time_nearest(position)
+            self._store(replace(obstacle, home=path, path=path, since=since))
+        else:
+            path_from_here = replace(path, place=position)
+            self._store(replace(obstacle, home=path, path=path_from_here, since=time))
+
+    def add_waypoint(self, number: int, position: Pair, now: float) -> None:
+        """Append a way point (x, y) [m] to the path of an obstacle.
+
+        Raises:
+            InputError: There is no such obstacle, it does not follow way points, it has too many
+                of them, or the position is out of range.
+        """
+        home = self[number].home
+        if not isinstance(home, WaypointPath):
+            raise InputError(f"obstacle {number} does not follow way points")
+        self.set_path(number, replace(home, points=(*home.points, position)), now)
 
     def resize(self, number: int, semi_axes: Pair, angle: float) -> None:
         """Set the semi-axes [m] and the heading [rad] of an obstacle.
@@ -213,6 +259,7 @@ class PlacedObstacles:
             np.array([obstacle.angle for obstacle in obstacles]),
             np.zeros_like(velocities) if self.paused else velocities,
             velocities,
+            tuple(obstacles),
         )
 
     def _store(self, obstacle: PlacedObstacle) -> None:
@@ -222,8 +269,11 @@ class PlacedObstacles:
                 f"{MIN_SEMI_AXIS:g} to {MAX_SEMI_AXIS:g} m"
             )
         for path in (obstacle.home, obstacle.path):
-            plausible.demand(np.array(path.place), plausible.LENGTH, "position")
-            plausible.demand(np.array([path.velocity, path.then]), MAX_VELOCITY, "velocity")
+            if isinstance(path, TwoVelocityPath):
+                plausible.demand(np.array(path.place), plausible.LENGTH, "position")
+                plausible.demand(np.array([path.velocity, path.then]), MAX_VELOCITY, "velocity")
+                if not path.time >= 0.0:
+                    raise InputError(f"time {path.time} of a turn must be at least 0 s")
         if not math.isfinite(obstacle.angle):
             raise InputError(f"angle {obstacle.angle} must be finite")
         self._obstacles[obstacle.number] = obstacle

@@ -64,12 +64,14 @@ ARM_FOOT = rgb(GRAY)
 START = rgb("#c91818")
 GOAL = rgb("#104acc")
 VELOCITY_SHAFT = rgb("#693218")
-# The next four are colours of batches, which viser renders lighter than the same colours of other
+OBSTACLE_PATH = rgb("#c83408")
+# The next five are colours of batches, which viser renders lighter than the same colours of other
 # meshes.
 PLACED_OBSTACLE = rgb("#c83408")
 SELECTED_OBSTACLE = rgb("#ff9600")
 OTHER_OBSTACLE = rgb("#3a2012")
 VELOCITY_ARROW = rgb("#2c0c04")
+WAYPOINT = rgb("#c83408")
 
 # ---- sizes ------------------------------------------------------------------------------------
 

@@ -1,12 +1,20 @@
 """Tests of the properties of obstacles placed on a page."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from omniman_ros.core.errors import InputError
 from omniman_ros.planning.cases import CASES, TwoVelocityPath
+from omniman_ros.viewer.obstacle_paths import (
+    MAX_WAYPOINTS,
+    AtEnd,
+    Motion,
+    WaypointPath,
+    motion,
+)
 from omniman_ros.viewer.placed_obstacles import (
     MAX_OBSTACLES,
     MAX_SEMI_AXIS,
@@ -173,6 +181,112 @@ def test_a_change_of_velocity_follows_the_obstacles_own_time():
     obstacles.resume(100.0)
     assert obstacles.arrays(104.4).velocities[0] == pytest.approx([0.0, -0.15])
     assert obstacles.arrays(104.6).velocities[0] == pytest.approx([0.0, -0.9])
+
+
+WALK = WaypointPath(((0.0, 0.0), (2.0, 0.0), (2.0, 2.0)), 0.5, AtEnd.BACK_AND_FORTH)
+TURN = TwoVelocityPath((1.0, 1.0), (0.5, 0.0), 2.0, (0.0, -0.5))
+
+
+def test_a_pause_does_not_count_as_time_on_way_points():
+    obstacles = PlacedObstacles()
+    obstacles.add(WALK, 0.0)
+    obstacles.pause(3.0)
+    arrays = obstacles.arrays(50.0)
+    assert arrays.centers.tolist() == [[1.5, 0.0]] and not arrays.velocities.any()
+    assert arrays.resumed_velocities.tolist() == [[0.5, 0.0]]
+    obstacles.resume(50.0)
+    assert obstacles.arrays(52.0).centers == pytest.approx(np.array([[2.0, 0.5]]))
+    assert obstacles.arrays(52.0).velocities == pytest.approx(np.array([[0.0, 0.5]]))
+
+
+@pytest.mark.parametrize("path", [WALK, TURN], ids=["way points", "turn"])
+def test_a_restart_begins_a_path_anew(path):
+    obstacles = PlacedObstacles()
+    obstacles.add(path, 0.0)
+    obstacles.restart(7.0)
+    for time in (0.0, 1.0, 3.0, 9.0):
+        assert obstacles.arrays(7.0 + time).centers[0] == pytest.approx(path(time))
+
+
+@pytest.mark.parametrize("path", [WALK, TURN], ids=["way points", "turn"])
+def test_a_dragged_obstacle_begins_its_path_where_it_is_dropped(path):
+    obstacles = PlacedObstacles()
+    obstacles.add(path, 0.0)
+    obstacles.move(0, (5.0, -3.0), 6.0)
+    shift = np.array([5.0, -3.0]) - path(0.0)
+    for time in (0.0, 1.0, 3.0, 9.0):
+        assert obstacles.arrays(6.0 + time).centers[0] == pytest.approx(path(time) + shift)
+
+
+def test_a_turn_counts_from_its_change_and_begins_where_the_obstacle_is():
+    obstacles = PlacedObstacles()
+    obstacles.add(TwoVelocityPath((1.0, 1.0), (0.5, 0.0)), 0.0)
+    obstacles.set_path(0, TURN, 10.0)
+    assert obstacles.arrays(12.0).centers[0] == pytest.approx([7.0, 1.0])
+    assert obstacles.arrays(14.0).centers[0] == pytest.approx([7.0, 0.0])
+    obstacles.restart(20.0)
+    assert obstacles.arrays(24.0).centers[0] == pytest.approx([2.0, 0.0])
+
+
+def test_an_obstacle_goes_on_where_it_is_when_its_way_points_or_speed_change():
+    obstacles = PlacedObstacles()
+    obstacles.add(replace(WALK, at_end=AtEnd.ONCE), 0.0)
+    before = obstacles.arrays(5.0).centers
+    obstacles.add_waypoint(0, (0.0, 5.0), 5.0)
+    assert obstacles.arrays(5.0).centers == pytest.approx(before)
+    obstacles.set_path(0, replace(obstacles[0].home, speed=2.0), 5.0)
+    assert obstacles.arrays(5.0).centers == pytest.approx(before)
+    assert obstacles.arrays(5.5).centers == pytest.approx(before + [0.0, 1.0])
+    assert obstacles.arrays(60.0).centers == pytest.approx(np.array([[0.0, 5.0]]))
+
+
+def test_an_obstacle_that_has_arrived_goes_on_to_a_new_way_point():
+    obstacles = PlacedObstacles()
+    obstacles.add(replace(WALK, at_end=AtEnd.ONCE), 0.0)
+    obstacles.add_waypoint(0, (4.0, 2.0), 100.0)
+    assert obstacles.arrays(102.0).centers == pytest.approx(np.array([[3.0, 2.0]]))
+
+
+@pytest.mark.parametrize("kind", Motion)
+@pytest.mark.parametrize("path", [WALK, TURN], ids=["way points", "turn"])
+def test_another_kind_of_motion_does_not_move_the_obstacle(path, kind):
+    obstacles = PlacedObstacles()
+    obstacles.add(path, 0.0)
+    before = obstacles.arrays(1.5).centers
+    obstacles.set_motion(0, kind, 1.5)
+    assert obstacles.arrays(1.5).centers == pytest.approx(before)
+    assert motion(obstacles[0].home) is kind
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda c: c.set_velocity(0, (0.1, 0.0), 0.0),
+        lambda c: c.add_waypoint(0, (NAN, 0.0), 0.0),
+        lambda c: c.add_waypoint(0, (0.0, 2e6), 0.0),
+        lambda c: c.add_waypoint(1, (0.0, 0.0), 0.0),
+        lambda c: c.add_waypoint(9, (0.0, 0.0), 0.0),
+        lambda c: c.set_path(9, WALK, 0.0),
+        lambda c: c.set_motion(9, Motion.STRAIGHT, 0.0),
+        lambda c: c.set_path(0, replace(TURN, time=-0.1), 0.0),
+        lambda c: c.set_path(0, replace(TURN, time=NAN), 0.0),
+        lambda c: c.set_path(0, replace(TURN, then=(4.0, 0.0)), 0.0),
+    ],
+)
+def test_an_invalid_change_of_a_path_is_refused_and_has_no_effect(change):
+    obstacles = PlacedObstacles()
+    obstacles.add(WALK, 0.0)
+    obstacles.add(TURN, 0.0)
+    with pytest.raises(InputError):
+        change(obstacles)
+    assert (obstacles[0].path, obstacles[1].path) == (WALK, TURN)
+
+
+def test_the_number_of_way_points_is_limited():
+    obstacles = PlacedObstacles()
+    obstacles.add(WaypointPath(((0.0, 0.0),) * MAX_WAYPOINTS), 0.0)
+    with pytest.raises(InputError, match=str(MAX_WAYPOINTS)):
+        obstacles.add_waypoint(0, (1.0, 0.0), 0.0)
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ All callbacks are coroutines: viser runs these in the order in which a page has 
 but plain functions in a pool of threads.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Literal
 
 import viser
@@ -88,3 +88,20 @@ class NumberInput:
     def reset(self) -> None:
         """Discard an entry, because the number now stands for something else."""
         self._entry.reset()
+
+
+def draw_pair(
+    inputs: Sequence[NumberInput], pair: tuple[float, float], now: float
+) -> tuple[float, float]:
+    """Display two numbers, rounded to 1/1000; return them, with newly requested values instead.
+
+    Args:
+        inputs: The two inputs.
+        pair: Present values of the node.
+        now: Time of any steady clock [s].
+    """
+    first, second = (
+        value if (requested := number.draw(round(value, 3), now)) is None else requested
+        for number, value in zip(inputs, pair, strict=True)
+    )
+    return first, second

@@ -1,8 +1,7 @@
-"""Controls of the page's obstacles: add, select, resize, set the velocity, delete."""
+"""Controls of the page's obstacles: add, select, let move, resize, delete."""
 
 import math
 
-import numpy as np
 import viser
 
 from omniman_ros.viewer.events import (
@@ -10,40 +9,39 @@ from omniman_ros.viewer.events import (
     ObstacleDeleted,
     ObstacleResized,
     ObstacleSelected,
-    ObstacleVelocitySet,
 )
-from omniman_ros.viewer.page.inputs import NumberInput, Post, add_button
+from omniman_ros.viewer.page.floor_clicks import FloorClicks
+from omniman_ros.viewer.page.inputs import NumberInput, Post, add_button, draw_pair
+from omniman_ros.viewer.page.motion_controls import MotionControls
 from omniman_ros.viewer.page.viser_compat import row_css, style_html
 from omniman_ros.viewer.placed_obstacles import (
     MAX_SEMI_AXIS,
-    MAX_VELOCITY,
     MIN_SEMI_AXIS,
     ObstacleArrays,
+    PlacedObstacle,
 )
 from omniman_ros.viewer.status_text import hint
 from omniman_ros.viewer.view_state import ViewState
 
-Pair = tuple[float, float]
-"""Velocity (x, y) [m/s]."""
-
 
 class ObstaclePanel:
-    """Buttons for all obstacles, and number inputs for the selected one.
+    """Buttons for all obstacles, and the motion and size of the selected one.
 
     Args:
         gui: GUI of the page.
+        clicks: Clicks on the floor, which can add way points.
         post: Accepts events; must not block.
     """
 
-    def __init__(self, gui: viser.GuiApi, post: Post) -> None:
+    def __init__(self, gui: viser.GuiApi, clicks: FloorClicks, post: Post) -> None:
         self._post = post
         self._drawn = ObstacleArrays.empty()
         self._selected: int | None = None
-        self._velocities: dict[int, Pair] = {}
         add = add_button(gui, "Add", lambda: post(ButtonPressed("add")), "orange", viser.Icon.PLUS)
         self._next = add_button(gui, "Next", self._select_next, icon=viser.Icon.CHEVRON_RIGHT)
         self._delete = add_button(gui, "Delete", self._delete_selected, icon=viser.Icon.TRASH)
         self._hint = gui.add_html("")
+        self._motion = MotionControls(gui, clicks, post)
         self._axes = [
             NumberInput(
                 gui,
@@ -56,10 +54,6 @@ class ObstaclePanel:
             for name, axis in (("length / 2", "x"), ("width / 2", "y"))
         ]
         self._heading = NumberInput(gui, "heading (°)", -180.0, 180.0, 5.0)
-        self._velocity = [
-            NumberInput(gui, f"{axis} speed (m/s)", -MAX_VELOCITY, MAX_VELOCITY, 0.05)
-            for axis in "xy"
-        ]
         self._all = add_button(
             gui, "Delete all", lambda: post(ObstacleDeleted(None)), icon=viser.Icon.TRASH_X
         )
@@ -83,21 +77,17 @@ class ObstaclePanel:
         """Display the selected obstacle, at a time on the clock of `state` [s]."""
         obstacles = self._drawn = state.obstacles
         numbers = obstacles.numbers.tolist()
-        if not state.obstacles_paused:
-            # While the obstacles are paused, these velocities are zero, not those after the pause.
-            self._velocities = dict(
-                zip(numbers, map(tuple, obstacles.velocities.tolist()), strict=True)
-            )
         selected = state.selected_obstacle if state.selected_obstacle in numbers else None
         if selected != self._selected:
             self._selected = selected
-            for number in (*self._axes, self._heading, *self._velocity):
+            for number in (*self._axes, self._heading):
                 number.reset()
         self._next.disabled = self._all.disabled = not numbers
         self._delete.disabled = selected is None
-        for number in (*self._axes, self._heading, *self._velocity):
+        for number in (*self._axes, self._heading):
             number.handle.disabled = selected is None
         if selected is None:
+            self._motion.draw(None, now)
             self._hint.content = hint(
                 "Click an obstacle to choose it, drag it to move it."
                 if numbers
@@ -106,31 +96,13 @@ class ObstaclePanel:
             return
         index = numbers.index(selected)
         self._hint.content = hint(f"Obstacle {index + 1} of {len(numbers)}")
-        self._draw_shape(
-            selected, obstacles.semi_axes[index].tolist(), float(obstacles.angles[index]), now
-        )
-        velocity = self._velocities.get(selected, (0.0, 0.0))
-        requested = [
-            number.draw(round(value, 3), now)
-            for number, value in zip(self._velocity, velocity, strict=True)
-        ]
-        if any(value is not None for value in requested):
-            x, y = (number.handle.value for number in self._velocity)
-            if np.isfinite([x, y]).all():
-                self._velocities[selected] = x, y
-                self._post(ObstacleVelocitySet(selected, (x, y)))
+        self._motion.draw(obstacles.placed[index], now)
+        self._draw_shape(obstacles.placed[index], now)
 
-    def _draw_shape(self, selected: int, semi_axes: list[float], angle: float, now: float) -> None:
-        degrees = math.degrees(math.remainder(angle, math.tau))
-        requested = [
-            number.draw(round(value, 3), now)
-            for number, value in zip(self._axes, semi_axes, strict=True)
-        ]
+    def _draw_shape(self, obstacle: PlacedObstacle, now: float) -> None:
+        semi_axes = draw_pair(self._axes, obstacle.semi_axes, now)
+        degrees = math.degrees(math.remainder(obstacle.angle, math.tau))
         new_degrees = self._heading.draw(round(degrees, 1), now)
-        if new_degrees is None and requested == [None, None]:
-            return
-        a, b = (
-            value if new is None else new for new, value in zip(requested, semi_axes, strict=True)
-        )
-        heading = angle if new_degrees is None else math.radians(new_degrees)
-        self._post(ObstacleResized(selected, (a, b), heading))
+        angle = obstacle.angle if new_degrees is None else math.radians(new_degrees)
+        if (semi_axes, angle) != (obstacle.semi_axes, obstacle.angle):
+            self._post(ObstacleResized(obstacle.number, semi_axes, angle))

@@ -98,7 +98,7 @@ class Page:
             show_logo=False, show_share_button=False, control_width="medium"
         )
         self._scene = Scene(self._server, robot, mount, post)
-        self._controls = Controls(self._server, limits, post)
+        self._controls = Controls(self._server, limits, self._scene.clicks, post)
         self._plots = Plots(self._server, robot.wheels.names, constraints, robot.motor.max_voltage)
         self._status = StatusPanel(self._server, self._plots.panel)
         self._plots.panel.set_width(PANEL_WIDTH)

@@ -13,6 +13,7 @@ from omniman_ros.viewer import status_text
 from omniman_ros.viewer.events import ButtonHeld, ButtonPressed, ButtonReleased, CaseSelected
 from omniman_ros.viewer.hold_to_drive import MOTIONS
 from omniman_ros.viewer.page import viser_compat as compat
+from omniman_ros.viewer.page.floor_clicks import FloorClicks
 from omniman_ros.viewer.page.inputs import ButtonColour, Post, add_button
 from omniman_ros.viewer.page.keyboard import (
     CHORDS,
@@ -57,10 +58,17 @@ class Controls:
     Args:
         server: Server of the page.
         limits: Largest speed [m/s] and yaw rate [rad/s] of the sliders.
+        clicks: Clicks on the floor, which can add way points of obstacles.
         post: Accepts events; must not block.
     """
 
-    def __init__(self, server: viser.ViserServer, limits: tuple[float, float], post: Post) -> None:
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        limits: tuple[float, float],
+        clicks: FloorClicks,
+        post: Post,
+    ) -> None:
         gui = self._gui = server.gui
         self._post = post
         stop = self._action_button("stop", "red", viser.Icon.HAND_STOP)
@@ -81,7 +89,7 @@ class Controls:
         with tabs.add_tab("Task"):
             self._add_task()
         with tabs.add_tab("Obstacles"):
-            self._obstacles = ObstaclePanel(gui, post)
+            self._obstacles = ObstaclePanel(gui, clicks, post)
         self._parameters = ParameterPanel(gui, tabs.add_tab("Planner"), post)
         with tabs.add_tab("View"):
             self._follow = gui.add_checkbox("follow robot", True)

@@ -10,8 +10,10 @@ from omniman_ros.core.robot import Robot
 from omniman_ros.motion.whole_body.model import Mount
 from omniman_ros.viewer.page.draggable_markers import DraggableMarkers
 from omniman_ros.viewer.page.dragging import FloorDragging
+from omniman_ros.viewer.page.floor_clicks import FloorClicks
 from omniman_ros.viewer.page.floor_scene import FloorScene
 from omniman_ros.viewer.page.inputs import Post
+from omniman_ros.viewer.page.path_markers import PathMarkers
 from omniman_ros.viewer.page.robot_scene import RobotScene
 from omniman_ros.viewer.view_state import ViewState
 
@@ -32,6 +34,9 @@ class Scene:
         mount: Mount of its arm, or None for a robot without an arm.
         post: Function that receives the events of dragging; it must not block.
         clock: Function that returns the time of a monotonic clock [s].
+
+    Attributes:
+        clicks: Clicks on the floor.
     """
 
     def __init__(
@@ -49,7 +54,9 @@ class Scene:
         self._world = api.add_frame(ROOT, show_axes=False)
         self._floor = FloorScene(api, ROOT)
         self._robot = RobotScene(api, ROOT, robot, mount)
+        self.clicks = FloorClicks(api, lambda: self._floor_origin)
         dragging = FloorDragging(server, lambda: self._floor_origin, post)
+        self._paths = PathMarkers(api, ROOT, dragging)
         self._markers = DraggableMarkers(api, ROOT, robot, dragging)
         size = max(robot.body.length, robot.body.width)
         server.initial_camera.position = (-4.3 * size, 2.5 * size, 3.7 * size)
@@ -72,6 +79,7 @@ class Scene:
                 self._world.position = np.array([*origin, 0.0])
         self._robot.draw(state)
         self._floor.draw_motion(state)
+        self._paths.draw(state.obstacles)
         self._markers.draw(state, self._clock())
 
     def draw_lines(self, state: ViewState) -> None:

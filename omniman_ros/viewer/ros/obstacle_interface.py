@@ -1,6 +1,8 @@
 """Publishes the obstacles of the page, and applies the page's changes to them."""
 
 import math
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Duration
@@ -16,9 +18,12 @@ from omniman_ros.planning.cases import Case, TwoVelocityPath
 from omniman_ros.viewer.events import (
     ObstacleDeleted,
     ObstacleDragged,
+    ObstacleMotionSet,
+    ObstaclePathSet,
     ObstacleResized,
     ObstacleSelected,
     ObstacleVelocitySet,
+    WaypointAdded,
 )
 from omniman_ros.viewer.placed_obstacles import DEFAULT_RADIUS, PlacedObstacles
 from omniman_ros.viewer.view_state import ViewState
@@ -70,6 +75,20 @@ class ObstacleInterface:
     def publishers(self) -> tuple[Publisher, ...]:
         """The publisher, once there was an obstacle."""
         return () if self._publisher is None else (self._publisher,)
+
+    @property
+    def handlers(self) -> dict[type, Callable[[Any, float], None]]:
+        """The handler of each type of event, called with the event and the time [s]."""
+        return {
+            ObstacleDragged: self.drag,
+            ObstacleVelocitySet: self.set_velocity,
+            ObstacleMotionSet: self.set_motion,
+            ObstaclePathSet: self.set_path,
+            WaypointAdded: self.add_waypoint,
+            ObstacleResized: self.resize,
+            ObstacleSelected: self.select,
+            ObstacleDeleted: self.delete,
+        }
 
     def owns(self, namespace: str) -> bool:
         """Return whether a namespace is this page's; namespaces of other viewers are recorded."""
@@ -123,9 +142,38 @@ class ObstacleInterface:
         """Set the velocity of an obstacle.
 
         Raises:
-            InputError: There is no such obstacle, or the velocity is out of range.
+            InputError: There is no such obstacle, it follows way points, or the velocity is out
+                of range.
         """
         self.obstacles.set_velocity(event.number, event.velocity, now)
+
+    def set_motion(self, event: ObstacleMotionSet, now: float) -> None:
+        """Change the kind of motion of an obstacle.
+
+        Raises:
+            InputError: There is no such obstacle.
+        """
+        self.obstacles.set_motion(event.number, event.motion, now)
+
+    def set_path(self, event: ObstaclePathSet, now: float) -> None:
+        """Set the path of an obstacle.
+
+        Raises:
+            InputError: There is no such obstacle, or the path is out of range.
+        """
+        self.obstacles.set_path(event.number, event.path, now)
+
+    def add_waypoint(self, event: WaypointAdded, now: float) -> None:
+        """Append a way point to the path of the selected obstacle.
+
+        Raises:
+            InputError: The obstacle is not selected (a click on another one selects that one and
+                reaches the floor as well), does not follow way points, has too many of them, or
+                the position is out of range.
+        """
+        if event.number != self._state.selected_obstacle:
+            raise InputError("no way point added: another obstacle was chosen")
+        self.obstacles.add_waypoint(event.number, event.position, now)
 
     def resize(self, event: ObstacleResized, now: float) -> None:
         """Set the semi-axes and the heading of an obstacle.

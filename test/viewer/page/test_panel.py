@@ -2,6 +2,7 @@
 
 import asyncio
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,11 +17,15 @@ from omniman_ros.viewer.events import (
     ButtonReleased,
     CaseSelected,
     ObstacleDeleted,
+    ObstacleMotionSet,
+    ObstaclePathSet,
     ObstacleResized,
     ObstacleSelected,
-    ObstacleVelocitySet,
     ParameterChanged,
+    WaypointAdded,
 )
+from omniman_ros.viewer.obstacle_paths import AtEnd, Motion, WaypointPath
+from omniman_ros.viewer.page.floor_clicks import FloorClicks
 from omniman_ros.viewer.page.page import free_port
 from omniman_ros.viewer.page.panel import HEARTBEAT, Controls
 from omniman_ros.viewer.page.parameter_panel import label, step
@@ -39,7 +44,8 @@ class Bench:
         self.state = ViewState(4, 1)
         self.obstacles = PlacedObstacles()
         self.gui._resolve_client = lambda client: object()
-        self.controls = Controls(server, (1.0, 2.0), self.events.append)
+        self.clicks = FloorClicks(server.scene, lambda: (0.0, 0.0))
+        self.controls = Controls(server, (1.0, 2.0), self.clicks, self.events.append)
 
     def handle(self, label):
         (found,) = [
@@ -182,7 +188,8 @@ def test_a_resize_includes_the_unchanged_values(bench, selected):
 
 def test_a_change_of_one_velocity_component_sends_both(bench, selected):
     bench.set("y speed (m/s)", 0.25)
-    assert bench.settle(2.0) == [ObstacleVelocitySet(selected, (0.3, 0.25))]
+    path = TwoVelocityPath((1.0, 2.0), (0.3, 0.25))
+    assert bench.settle(2.0) == [ObstaclePathSet(selected, path)]
 
 
 def test_a_paused_obstacle_displays_the_velocity_after_the_pause(bench, selected):
@@ -191,7 +198,9 @@ def test_a_paused_obstacle_displays_the_velocity_after_the_pause(bench, selected
     bench.draw(2.0)
     assert bench.handle("x speed (m/s)").value == 0.3
     bench.set("x speed (m/s)", 0.5)
-    assert bench.settle(3.0) == [ObstacleVelocitySet(selected, (0.5, -0.1))]
+    (event,) = bench.settle(3.0)
+    assert event == ObstaclePathSet(selected, TwoVelocityPath((1.0, 2.0), (0.5, -0.1)))
+    bench.obstacles.set_path(event.number, event.path, 3.0)
     bench.draw(3.0 + SETTLING_TIME + ECHO_TIME + 0.1)
     assert bench.handle("x speed (m/s)").value == 0.5
 
@@ -208,6 +217,132 @@ def test_next_cycles_and_delete_removes_the_selected_obstacle(bench, selected):
     bench.click("Next")
     bench.click("Delete")
     assert bench.events == [ObstacleSelected(0), ObstacleDeleted(selected)]
+
+
+def test_the_numbers_of_the_kind_of_motion_are_visible(bench, selected):
+    def visible():
+        labels = ("x speed (m/s)", "turn after (s)", "speed (m/s)", "Loop", "Click floor")
+        return [label for label in labels if bench.handle(label).visible]
+
+    assert visible() == ["x speed (m/s)"]
+    bench.obstacles.set_motion(selected, Motion.ONE_TURN, 1.0)
+    bench.draw(1.0)
+    assert visible() == ["x speed (m/s)", "turn after (s)"]
+    bench.obstacles.set_path(selected, WaypointPath(((0.0, 0.0), (1.0, 0.0))), 1.0)
+    bench.draw(1.0)
+    assert visible() == ["speed (m/s)", "Loop", "Click floor"]
+    bench.state.selected_obstacle = None
+    bench.draw(1.0)
+    assert visible() == ["x speed (m/s)"] and bench.handle("One turn").disabled
+
+
+@pytest.mark.parametrize("motion", Motion)
+def test_a_button_requests_its_kind_of_motion(bench, selected, motion):
+    bench.click(motion.value.capitalize())
+    assert bench.events == [ObstacleMotionSet(selected, motion)]
+
+
+def test_a_turn_is_entered_as_its_time_and_the_velocity_after_it(bench, selected):
+    path = TwoVelocityPath((1.0, 2.0), (0.3, 0.0), 4.0, (0.0, 0.2))
+    bench.obstacles.set_path(selected, path, 1.0)
+    bench.draw(1.0)
+    shown = ("x speed (m/s)", "turn after (s)", "then x speed (m/s)", "then y speed (m/s)")
+    assert [bench.handle(label).value for label in shown] == [0.3, 4.0, 0.0, 0.2]
+    bench.set("turn after (s)", 2.5)
+    bench.set("then x speed (m/s)", -0.4)
+    bench.set("x speed (m/s)", 0.6)
+    path = TwoVelocityPath((1.0, 2.0), (0.6, 0.0), 2.5, (-0.4, 0.2))
+    assert bench.settle(2.0) == [ObstaclePathSet(selected, path)]
+
+
+@pytest.fixture
+def walking(bench, selected):
+    """Let the selected obstacle follow way points, and return its path."""
+    path = WaypointPath(((1.0, 2.0), (3.0, 2.0), (3.0, 4.0)), 0.5)
+    bench.obstacles.set_path(selected, path, 1.0)
+    bench.draw(1.0)
+    return path
+
+
+def test_speed_and_end_of_the_way_points_are_displayed_and_set(bench, selected, walking):
+    assert bench.handle("speed (m/s)").value == 0.5
+    colours = {end: bench.handle(end.value.capitalize()).color for end in AtEnd}
+    assert colours == {AtEnd.LOOP: "blue", AtEnd.BACK_AND_FORTH: "gray", AtEnd.ONCE: "gray"}
+    bench.set("speed (m/s)", 0.8)
+    assert bench.settle(2.0) == [ObstaclePathSet(selected, replace(walking, speed=0.8))]
+    bench.events.clear()
+    bench.click("Once")
+    (event,) = bench.events
+    assert event.path.at_end is AtEnd.ONCE and event.path.points == walking.points
+
+
+@pytest.mark.parametrize("speed", [0.0, -1.0, 3.1, math.nan])
+def test_a_speed_out_of_range_is_dropped(bench, walking, speed):
+    bench.set("speed (m/s)", speed)
+    assert bench.settle(2.0) == []
+
+
+def test_each_way_point_can_be_edited_and_deleted(bench, selected, walking):
+    assert [bench.handle(f"point {axis} (m)").value for axis in "xy"] == [3.0, 4.0]
+    bench.click("Next point")
+    bench.draw(2.0)
+    assert [bench.handle(f"point {axis} (m)").value for axis in "xy"] == [1.0, 2.0]
+    bench.set("point y (m)", -1.0)
+    assert bench.settle(3.0) == [ObstaclePathSet(selected, walking.with_point(0, (1.0, -1.0)))]
+    bench.events.clear()
+    bench.click("Delete point")
+    (event,) = bench.events
+    assert event.path.points == ((3.0, 2.0), (3.0, 4.0))
+
+
+def test_an_entry_for_one_way_point_does_not_apply_to_the_next(bench, walking):
+    bench.set("point x (m)", 9.0)
+    bench.draw(2.0)
+    bench.click("Next point")
+    assert bench.settle(2.1) == []
+
+
+def test_the_only_way_point_cannot_be_deleted(bench, selected):
+    bench.obstacles.set_motion(selected, Motion.WAYPOINTS, 1.0)
+    bench.draw(1.0)
+    assert bench.handle("Delete point").disabled
+    bench.click("Delete point")
+    assert bench.events == []
+
+
+def test_a_way_point_is_added_by_a_button(bench, selected, walking):
+    bench.click("Add point")
+    assert bench.events == [WaypointAdded(selected, (4.0, 4.0))]
+    bench.obstacles.add_waypoint(selected, (4.0, 4.0), 1.0)
+    bench.draw(2.0)
+    assert bench.handle("point x (m)").value == 4.0, "the new one is displayed"
+
+
+def test_clicks_on_the_floor_count_from_the_first_way_point_until_done(bench, selected):
+    bench.draw(1.0)
+    assert not bench.clicks.active
+    bench.obstacles.set_motion(selected, Motion.WAYPOINTS, 1.0)
+    bench.draw(1.0)
+    assert bench.clicks.active
+    bench.click("Done")
+    bench.draw(1.1)
+    assert not bench.clicks.active
+    bench.click("Click floor")
+    assert bench.clicks.active
+
+
+@pytest.mark.parametrize("change", ["deselected", "straight", "deleted"])
+def test_clicks_on_the_floor_count_for_the_selected_obstacle_only(bench, selected, change):
+    bench.obstacles.set_motion(selected, Motion.WAYPOINTS, 1.0)
+    bench.draw(1.0)
+    if change == "deselected":
+        bench.state.selected_obstacle = 0
+    elif change == "straight":
+        bench.obstacles.set_motion(selected, Motion.STRAIGHT, 1.0)
+    else:
+        bench.obstacles.delete(selected)
+    bench.draw(1.1)
+    assert not bench.clicks.active
 
 
 # ---- the planner ------------------------------------------------------------------------------

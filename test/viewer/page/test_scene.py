@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import viser
+from viser._messages import ScenePointerMessage
 
 from omniman_ros.motion.whole_body.model import Mount
 from omniman_ros.planning.cases import TwoVelocityPath
@@ -22,6 +23,7 @@ from omniman_ros.viewer.events import (
     StartDragged,
 )
 from omniman_ros.viewer.lines import outlines
+from omniman_ros.viewer.obstacle_paths import WaypointPath
 from omniman_ros.viewer.optimistic_updates import DRAG_TIMEOUT, RELEASE_TIMEOUT
 from omniman_ros.viewer.page.draggable_markers import ARROW_HEIGHT, OPAQUE, PALE, REST_SPEED
 from omniman_ros.viewer.page.floor_scene import dashes, rectangle
@@ -93,6 +95,14 @@ class Stage:
         assert self.report(name, "start", grabbed, grabbed, index) == []
         moved = self.report(name, "update", grabbed, pointer, index)
         return moved if end is None else moved + self.report(name, end, grabbed, pointer, index)
+
+    def click_ray(self, origin, direction):
+        """Report a click as viser does."""
+        message = ScenePointerMessage(
+            "click", tuple(origin), tuple(direction), ((0.5, 0.5),), None
+        )
+        self.server.scene._get_client_handle = self.clients.get
+        asyncio.run(self.server.scene._handle_scene_pointer_updates(7, message))
 
 
 @pytest.fixture
@@ -415,6 +425,60 @@ def test_a_clicked_obstacle_is_selected(stage):
     for index in (0, 1, None):
         asyncio.run(entry.callback(SimpleNamespace(instance_index=index)))
     assert stage.events == [ObstacleSelected(1)]
+
+
+def test_turns_and_way_points_are_drawn_on_the_floor(stage):
+    stage.draw()
+    assert not stage["obstacle_paths"].visible and not stage["waypoints"].visible
+    stage.obstacles.add(TwoVelocityPath((0.0, 0.0), (1.0, 0.0)), stage.now)
+    stage.obstacles.add(TwoVelocityPath((0.0, 0.0), (1.0, 0.0), 1.0, (0.0, 0.5)), stage.now)
+    stage.obstacles.add(WaypointPath(((1.0, 0.5), (2.0, 0.5), (2.0, 1.5))), stage.now)
+    stage.draw()
+    pieces = stage["obstacle_paths"].points[:, :, :2]
+    loop = [[[1, 0.5], [2, 0.5]], [[2, 0.5], [2, 1.5]], [[2, 1.5], [1, 0.5]]]
+    assert pieces == pytest.approx(np.array([[[0, 0], [1, 0]], [[1, 0], [1, 1]], *loop]))
+    discs = stage["waypoints"].batched_positions
+    assert discs == pytest.approx(np.array([[1, 0.5, 0], [2, 0.5, 0], [2, 1.5, 0]]))
+    stage.obstacles.delete(None)
+    stage.draw()
+    assert not stage["obstacle_paths"].visible and not stage["waypoints"].visible
+
+
+def test_a_dragged_way_point_moves_and_the_others_stay(stage):
+    stage.obstacles.add(WaypointPath(((5.0, 5.0),)), stage.now)
+    path = WaypointPath(((1.0, 0.5), (2.0, 0.5)))
+    number = stage.obstacles.add(path, stage.now)
+    stage.draw()
+    posted = stage.drag("waypoints", (2.02, 0.5, 0.03), (2.52, 1.5, 0.03), index=2)
+    assert posted[-1].number == number and posted[-1].path.points[0] == (1.0, 0.5)
+    assert posted[-1].path.points[1] == pytest.approx((2.5, 1.5))
+    assert stage.drag("waypoints", (2.0, 0.5, 0.03), (2.5, 1.5, 0.03), index=3) == []
+
+
+def click_floor(stage, *place):
+    """Click a position in `odom`; the world follows the robot."""
+    x, y = stage.server.scene.get_handle_by_name("/world").position[:2]
+    ray = np.array([place[0] + x, place[1] + y, 0.0]) - EYE
+    stage.click_ray(EYE, ray / np.linalg.norm(ray))
+
+
+def test_a_click_on_the_floor_is_reported_in_odom_while_there_is_a_listener(stage):
+    stage.state.update_odom((10.0, -4.0, 0.0), 1.0)
+    stage.follow = True
+    stage.draw()
+    places = []
+    for listener in (None, places.append, places.append, None):
+        stage.scene.clicks.listen(listener)
+        click_floor(stage, 11.0, -3.0)
+    assert places == [pytest.approx((11.0, -3.0))] * 2
+
+
+@pytest.mark.parametrize("ray", [(1.0, 0.0, 0.0), (1.0, 0.0, 0.5), (1.0, 0.0, math.nan)])
+def test_a_click_above_the_horizon_is_none_on_the_floor(stage, ray):
+    places = []
+    stage.scene.clicks.listen(places.append)
+    stage.click_ray(EYE, ray)
+    assert places == []
 
 
 def test_obstacles_of_other_sources_are_drawn_but_cannot_be_dragged(stage):

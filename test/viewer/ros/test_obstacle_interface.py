@@ -13,16 +13,21 @@ from omniman_ros.conversions.geometry import quaternion_from_yaw, yaw_from_quate
 from omniman_ros.conversions.headers import time_seconds
 from omniman_ros.core.parameters import build
 from omniman_ros.nodes import obstacle_interface
+from omniman_ros.planning.cases import TwoVelocityPath
 from omniman_ros.planning.obstacles.obstacles import ObstacleParameters, ObstacleSet
 from omniman_ros.viewer.events import (
     ButtonPressed,
     ObstacleDeleted,
     ObstacleDragged,
+    ObstacleMotionSet,
+    ObstaclePathSet,
     ObstacleResized,
     ObstacleSelected,
     ObstacleVelocitySet,
+    WaypointAdded,
 )
 from omniman_ros.viewer.node import ViewerNode
+from omniman_ros.viewer.obstacle_paths import Motion
 from test.nodes.harness import World
 from test.viewer.ros.fake_page import FakePage, post, press, until, view
 
@@ -101,6 +106,34 @@ def test_a_planner_learns_the_velocity_of_an_obstacle(town):
     assert town.around.velocities[0] == pytest.approx([0.0, -0.4], abs=0.03)
     centre = town.state.obstacles.centers[0]
     assert town.around.centers[0] == pytest.approx(centre, abs=0.03)
+
+
+def test_a_planner_learns_the_velocity_of_an_obstacle_on_way_points_after_its_turn(town):
+    (number,) = town.add((2.0, 0.0))
+    post(town.world, ObstacleMotionSet(number, Motion.WAYPOINTS))
+    post(town.world, WaypointAdded(number, (2.5, 0.0)), WaypointAdded(number, (2.5, 3.0)))
+    town.world.run(2.5)
+    assert town.around.velocities[0] == pytest.approx([0.0, 0.5], abs=0.03)
+    centre = town.state.obstacles.centers[0]
+    assert centre[0] == 2.5 and 0.5 < centre[1] < 1.5
+    assert town.around.centers[0] == pytest.approx(centre, abs=0.03)
+
+
+def test_a_planner_learns_the_velocity_after_a_turn_at_its_time(town):
+    (number,) = town.add((2.0, 0.0))
+    path = TwoVelocityPath((2.0, 0.0), (0.3, 0.0), 1.5, (0.0, 0.6))
+    post(town.world, ObstaclePathSet(number, path), seconds=1.4)
+    assert town.around.velocities[0] == pytest.approx([0.3, 0.0], abs=0.03)
+    town.world.run(1.5)
+    assert town.around.velocities[0] == pytest.approx([0.0, 0.6], abs=0.05)
+
+
+def test_a_click_that_selects_another_obstacle_adds_no_way_point(town):
+    first, second = town.add((2.0, 0.0), (3.0, 0.0))
+    post(town.world, ObstacleMotionSet(first, Motion.WAYPOINTS))
+    post(town.world, ObstacleSelected(second), WaypointAdded(first, (3.0, 0.0)))
+    assert town.state.obstacles.placed[0].home.points == ((2.0, 0.0),)
+    assert "another obstacle" in town.state.note
 
 
 def test_a_deleted_obstacle_is_gone_at_once_and_the_others_stay(town):
@@ -217,6 +250,11 @@ def test_an_obstacle_is_selected_until_it_is_deleted(town):
         ObstacleVelocitySet(0, (math.inf, 0.0)),
         ObstacleVelocitySet(0, (0.0, 100.0)),
         ObstacleVelocitySet(7, (0.0, 0.0)),
+        ObstaclePathSet(0, TwoVelocityPath((0.0, 0.0), (0.0, 0.0), -1.0)),
+        ObstaclePathSet(7, TwoVelocityPath((0.0, 0.0))),
+        ObstacleMotionSet(7, Motion.STRAIGHT),
+        WaypointAdded(0, (3.0, 0.0)),
+        WaypointAdded(7, (3.0, 0.0)),
         ObstacleResized(0, (0.0, 0.3), 0.0),
         ObstacleResized(0, (0.3, NAN), 0.0),
         ObstacleResized(0, (0.3, 0.3), NAN),
