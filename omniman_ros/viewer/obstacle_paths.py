@@ -106,9 +106,9 @@ class WaypointPath:
         if s >= arc_lengths[-1]:
             return 0.0, 0.0
         leg = int(np.searchsorted(arc_lengths, s, side="right"))
-        dx, dy = self.course[leg] - self.course[leg - 1]
-        pace = self.speed / (arc_lengths[leg] - arc_lengths[leg - 1])
-        return float(pace * dx), float(pace * dy)
+        begin, end = self.course[leg - 1], self.course[leg]
+        vx, vy = self.speed * ((end - begin) / (arc_lengths[leg] - arc_lengths[leg - 1]))
+        return float(vx), float(vy)
 
     def _arc_length(self, now: float) -> float:
         length = float(self._arc_lengths[-1])

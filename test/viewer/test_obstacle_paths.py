@@ -59,6 +59,25 @@ def test_the_velocity_is_the_derivative_of_the_position_and_has_the_speed(seed, 
         assert math.hypot(vx, vy) == pytest.approx(0.0 if stands else path.speed)
 
 
+@pytest.mark.parametrize(
+    ("at_end", "at_last"), [(AtEnd.LOOP, (-1, -0.5)), (AtEnd.BACK_AND_FORTH, (0, -1))]
+)
+def test_the_velocity_at_a_corner_is_that_after_it(at_end, at_last):
+    path = WaypointPath(CORNER, 1.0, at_end)
+    assert path.velocity_at(0.0) == (1.0, 0.0) and path.velocity_at(2.0) == (0.0, 1.0)
+    at_last /= np.hypot(*at_last)
+    assert path.velocity_at(3.0) == pytest.approx(at_last)
+
+
+@pytest.mark.parametrize("at_end", AtEnd)
+def test_way_points_that_all_but_coincide_are_walked(at_end):
+    path = WaypointPath(((0.0, 0.0), (1e-320, 0.0)), 1.0, at_end)
+    for time in (0.0, 1e-321, 5.0):
+        assert path(time) == pytest.approx([0.0, 0.0])
+        assert math.hypot(*path.velocity_at(time)) <= 1.0 + 1e-9
+    assert math.isfinite(path.time_nearest((3.0, 0.0)))
+
+
 @pytest.mark.parametrize("at_end", AtEnd)
 @pytest.mark.parametrize("seed", SEEDS)
 def test_the_position_never_jumps(seed, at_end):
