@@ -347,6 +347,30 @@ def test_obstacle_can_be_added_dragged_and_deleted(page, robot, camera):
     open_tab(page, "Task")
 
 
+def test_obstacle_follows_way_points_of_mouse_and_keyboard(page, robot, camera):
+    open_tab(page, "Obstacles")
+    button(page, "Add").click()
+    robot.wait(lambda: len(robot.placed) == 1, "an obstacle")
+    ((number, start),) = robot.placed.items()
+    button(page, "Way points").click()
+    button(page, "Done").wait_for()
+    wait_until_shown(page, robot)
+    clicked = robot.ahead(2.0, -0.6)
+    page.mouse.click(*Mouse(page, robot, camera).pixel(*clicked, 0.0))
+    page.get_by_text("Point 2 of 2").wait_for()
+    button(page, "Add point").press("Enter")
+    page.get_by_text("Point 3 of 3").wait_for()
+    button(page, "Delete point").press("Enter")
+    page.get_by_text("Point 2 of 2").wait_for()
+    button(page, "Done").press("Enter")
+    button(page, "Click floor").wait_for()
+    robot.wait(lambda: math.dist(robot.placed[number], clicked) < HAND, "the end of its path")
+    robot.wait(lambda: math.dist(robot.placed[number], start) < HAND, "its return")
+    button(page, "Delete").click()
+    robot.wait(lambda: not robot.placed, "no obstacle")
+    open_tab(page, "Task")
+
+
 @pytest.mark.exhaustive
 def test_pictures_of_a_page_with_the_resolution_of_a_users(page, open_page, robot):
     """The pictures are left in results/; without a graphics card, each takes half a minute."""
