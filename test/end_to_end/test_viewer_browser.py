@@ -34,11 +34,15 @@ QUIET = (
     "--disable-background-networking",
     "--disable-component-update",
     "--disable-sync",
+    "--disable-accelerated-2d-canvas",
     "--use-gl=angle",
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
 )
-"""Options: no network but the page's, and 3D without a graphics card."""
+"""Options: no network but the page's, and 3D without a graphics card.
+
+The plots are drawn without the emulated graphics card, which would take seconds for those of a
+second page and hold up its mouse meanwhile."""
 COARSE = "?fixedDpr=0.25"
 """A page with few pixels in its scene, because the CPU renders them beside the robot."""
 SLOWLY = [
