@@ -18,7 +18,7 @@ from omniman_ros.control.wheel_health import (
     name_list,
 )
 from omniman_ros.core import plausible
-from omniman_ros.core.arbiter import NEVER, Arbiter, Source
+from omniman_ros.core.arbiter import NEVER, PREVIEW_SOURCES, Arbiter, Source
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError, ParameterError
 from omniman_ros.core.preview import Preview
@@ -334,7 +334,7 @@ class PlatformController:
             InputError: See Odometry.reset.
         """
         self.odometry.reset(pose, covariance)
-        for source in (Source.MPC, Source.PATH):
+        for source in PREVIEW_SOURCES:
             self.arbiter.cancel(source, "the pose was set")
 
     def reset_odometry(self) -> None:

@@ -1,4 +1,4 @@
-"""Arbitration between the sources that can drive the platform: cmd_vel before MPC before path.
+"""Arbitration between the sources that can drive the platform: cmd_vel, MPC, path, station.
 
 A source that loses control is cancelled: its setpoints are used again only after it has been
 silent for a while (or has sent a neutral setpoint), so that it never takes over by itself.
@@ -18,6 +18,11 @@ class Source(Enum):
     CMD_VEL = "cmd_vel"
     MPC = "mpc"
     PATH = "path"
+    STATION = "station"
+
+
+PREVIEW_SOURCES = (Source.MPC, Source.PATH, Source.STATION)
+"""Sources that send previews, on `SOURCE/reference`."""
 
 
 @dataclass

@@ -16,7 +16,7 @@ from omniman_ros.conversions.headers import is_stamped
 from omniman_ros.conversions.joints import joint_arrays, require_array
 from omniman_ros.conversions.trajectories import preview_from_message
 from omniman_ros.core import plausible
-from omniman_ros.core.arbiter import Source
+from omniman_ros.core.arbiter import PREVIEW_SOURCES, Source
 from omniman_ros.nodes.odometry_interface import OdometryInputs, OdometryOutputs
 from omniman_ros.nodes.odometry_parameters import OdometryTopicParameters
 from omniman_ros.nodes.omniman_node import OmnimanNode
@@ -64,7 +64,7 @@ class PlatformControllerNode(OmnimanNode):
         twist = TwistStamped if p.cmd_vel_stamped else Twist
         on_cmd_vel = self.guarded("cmd_vel", self._on_cmd_vel)
         subscribe_with_source_time(self, twist, "cmd_vel", on_cmd_vel, SETPOINT)
-        for source in (Source.MPC, Source.PATH):
+        for source in PREVIEW_SOURCES:
             topic = f"{source.value}/reference"
             handler = self._reference_handler(source)
             self.create_subscription(MultiDOFJointTrajectory, topic, handler, SETPOINT)

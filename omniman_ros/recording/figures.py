@@ -33,7 +33,13 @@ PATH = ORANGE
 TRUTH = GREEN
 GOAL = MAGENTA
 PLAN = PINK
-SOURCE_BANDS = {"cmd_vel": "#e3edfd", "mpc": "#fbe3f3", "path": "#fdeadd", "stop": "#ffd9d9"}
+SOURCE_BANDS = {
+    "cmd_vel": "#e3edfd",
+    "mpc": "#fbe3f3",
+    "path": "#fdeadd",
+    "station": "#e0f2f1",
+    "stop": "#ffd9d9",
+}
 """Colour behind the lines while a source drives the platform, by source."""
 DASHED = (0, (4, 4))
 """Line style of the ground truth."""
