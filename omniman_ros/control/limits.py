@@ -154,9 +154,12 @@ class TwistLimiter:
         self.limits = limits
         self._acceleration: Array = np.zeros(3)
 
-    def restart(self) -> None:
-        """Set the acceleration to zero; call it after the twist was set without this limiter."""
-        self._acceleration = np.zeros(3)
+    def restart(self, acceleration: Array | None = None) -> None:
+        """Set the present rate (3,) of the twist; None means zero.
+
+        Call it after the twist was set without this limiter.
+        """
+        self._acceleration = np.zeros(3) if acceleration is None else acceleration
 
     def step(self, twist: Array, target: Array, dt: float) -> Array:
         """Return the twist (3,) `dt` [s] after `twist` (3,) in its change to `target` (3,).

@@ -33,6 +33,18 @@ def to_world(theta: float, robot: Array) -> Array:
     return np.array([c * x - s * y, s * x + c * y, w])
 
 
+def compose(
+    pose: tuple[float, float, float], relative: tuple[float, float, float]
+) -> tuple[float, float, float]:
+    """Return the pose whose coordinates in the frame of another pose are `relative` [m, m, rad].
+
+    The heading is not wrapped.
+    """
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    x, y, theta = relative
+    return pose[0] + c * x - s * y, pose[1] + s * x + c * y, pose[2] + theta
+
+
 def arc(displacement: Array) -> tuple[float, float, float]:
     """Return the pose after a constant twist, relative to the pose before (exponential map).
 
