@@ -31,6 +31,7 @@ EXECUTABLES = {
     "mpc_planner": "omniman_ros.nodes.mpc_planner:main",
     "joint_state_broadcaster": "omniman_ros.nodes.joint_state_broadcaster:main",
     "odometry": "omniman_ros.nodes.odometry:main",
+    "station_keeper": "omniman_ros.nodes.station_keeper:main",
     "viewer": "omniman_ros.viewer.node:main",
 }
 

@@ -14,6 +14,7 @@ NODES = {
     "arm_streamer": "nodes.arm_streamer_parameters.ArmStreamerParameters",
     "path_interpolator": "nodes.trajectory_interfaces.parameters.PathInterpolatorParameters",
     "mpc_planner": "nodes.planner_interfaces.parameters.MpcPlannerParameters",
+    "station_keeper": "nodes.station_keeper_parameters.StationKeeperParameters",
     "joint_state_broadcaster": (
         "nodes.joint_state_broadcaster_parameters.JointStateBroadcasterParameters"
     ),

@@ -53,6 +53,7 @@ ROBOT_NODES = (
     NodeKind("mpc_planner", stage=0, is_available=lambda: PLANNING.is_available),
     NodeKind("joint_state_broadcaster", stage=0, essential=False),
     NodeKind("odometry", stage=0, on_request=True),
+    NodeKind("station_keeper", stage=0, on_request=True),
     NodeKind("simulated_drive", stage=1, sim_time="publish_clock", drives=("simulated",)),
     NodeKind("can_bridge", stage=1, drives=("can", "real")),
     NodeKind("simulated_can_drives", stage=2, drives=("can",)),

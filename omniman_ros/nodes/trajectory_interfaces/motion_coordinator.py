@@ -64,7 +64,7 @@ class MotionCoordinator:
             node=node,
             settings=settings,
             stream_monitor=StreamMonitor(p.restart),
-            odom=OdomFeed(node, p.odom_frame, self._on_pose),
+            odom=OdomFeed(node, "odom", p.odom_frame, self._on_pose),
             arm_feed=ArmFeed(node, p.arm.joints, self._is_arm_moving, self._on_joint_states),
             time_base=MotionTimeBase(
                 (path, arm, whole_body),
@@ -72,7 +72,7 @@ class MotionCoordinator:
                 self.scaling,
                 lambda: settings.value.scaling_timeout,
             ),
-            platform_previews=platform_previews(node, p.odom_frame, p.horizon),
+            platform_previews=platform_previews(node, "path/reference", p.odom_frame, p.horizon),
             arm_previews=arm_previews(node, p.arm.joints, p.horizon),
             publish_all=self._publish_all,
             on_started=self._on_started,

@@ -16,10 +16,11 @@ AT_REST = 0.02
 
 
 class OdomFeed:
-    """Subscribes to `odom`, and keeps the latest pose and velocity.
+    """Subscribes to an odometry, and keeps the latest pose and velocity.
 
     Args:
         node: Node that subscribes to the topic.
+        topic: Topic of the odometry.
         frame: Frame that the poses must be given in.
         on_pose: Called with each pose (3,) [m, m, rad] and its time on the node's clock [s].
 
@@ -31,14 +32,18 @@ class OdomFeed:
     """
 
     def __init__(
-        self, node: OmnimanNode, frame: str, on_pose: Callable[[Array, float], None]
+        self,
+        node: OmnimanNode,
+        topic: str,
+        frame: str,
+        on_pose: Callable[[Array, float], None],
     ) -> None:
         self._node, self._frame, self._on_pose = node, frame, on_pose
         self.pose: tuple[float, float, float] | None = None
         self.silence = 0.0
         self.velocity: Array = np.zeros(3)
         self.time = float("-inf")
-        node.create_subscription(Odometry, "odom", node.guarded("odom", self._on_odom), 1)
+        node.create_subscription(Odometry, topic, node.guarded(topic, self._on_odom), 1)
 
     def _on_odom(self, message: Odometry) -> None:
         check_frame(message.header.frame_id, self._frame)

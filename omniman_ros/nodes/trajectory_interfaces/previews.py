@@ -57,11 +57,9 @@ class Previews:
         self.covered_until = float(window.times[points - 1])
 
 
-def platform_previews(node: OmnimanNode, frame: str, horizon: float) -> Previews:
-    """Create the output `path/reference`, with poses in `frame`."""
-    publisher = node.create_publisher(
-        MultiDOFJointTrajectory, "path/reference", QoSProfile(depth=1)
-    )
+def platform_previews(node: OmnimanNode, topic: str, frame: str, horizon: float) -> Previews:
+    """Create the output of the platform's previews on a topic, with poses in `frame`."""
+    publisher = node.create_publisher(MultiDOFJointTrajectory, topic, QoSProfile(depth=1))
     make = functools.partial(reference_message, frame)
     return Previews(node, publisher, make, fill_reference, horizon)
 
