@@ -21,6 +21,7 @@ EXPERIMENTS = {
     "free_paper": "the same with the paper's own problem: weights, friction, mass, voltages out",
     "corridor": "the corridor case of MPC 2021",
     "moving": "the case of MPC 2021 with moving obstacles",
+    "handover": "two robots meet in motion, drive side by side, and part again",
     "workshop": "rooms and doors, with a map",
     "scenes": "random scenes",
     "all": "all experiments in turn, and a page that compares measured with published figures",
@@ -79,7 +80,8 @@ def add_reproduce(parser: argparse.ArgumentParser) -> None:
         help="seed of random wheels and of noisy observations; default: %(default)s",
     )
     parser.add_argument(
-        "--robot", help=f"{ROBOT_HELP}; default: omniman for coupling and tool_path, else ig42"
+        "--robot",
+        help=f"{ROBOT_HELP}; default: omniman for coupling, tool_path and handover, else ig42",
     )
     parser.add_argument(
         "--reuse",

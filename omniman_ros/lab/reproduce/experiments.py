@@ -62,6 +62,13 @@ EXPERIMENTS = {
             1,
             "Moving obstacles, MPC 2021, 4.3 (the film is beside this page)",
         ),
+        Experiment(
+            "handover",
+            "omniman_ros.lab.reproduce.handover",
+            "omniman",
+            2,
+            "Two robots side by side in motion, as for handing over a load, MPC 2021, 5",
+        ),
         Experiment("workshop", _CASES, "ig42", 1, "A dead end and three doors, with a map"),
         Experiment(
             "scenes",

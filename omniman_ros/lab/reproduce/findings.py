@@ -243,6 +243,24 @@ def tool_tracking(results: Results) -> Finding:
     )
 
 
+def side_by_side(results: Results) -> Finding:
+    """Return the errors with which one robot keeps a station beside another one in motion."""
+    study = results["handover"]
+    judged = [drive for drive in study["drives"] if drive["is_aim"]]
+    largest, heading = (
+        max(drive[name] for drive in judged) for name in ("max_mm", "heading_max_deg")
+    )
+    gap = min(drive["least_gap_m"] for drive in judged)
+    bounds = study["bounds"]
+    return Finding(
+        {"max_mm": largest, "heading_max_deg": heading, "least_gap_m": gap},
+        f"station kept for {study['kept_s']:g} s beside a robot at {study['speed_m_s']:g} m/s: "
+        f"true error {largest:.1f} mm and {heading:.2f} degrees at most (own bounds "
+        f"{bounds['position_mm']:g} mm, {bounds['heading_deg']:g} degree), least gap {gap:.2f} m "
+        f"on {len(judged)} drives",
+    )
+
+
 def setpoint_interval(name: str, *path: str) -> Callable[[Results], Finding]:
     """Return a function that judges the interval between the arm's setpoints.
 

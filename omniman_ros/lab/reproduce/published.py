@@ -43,6 +43,7 @@ from omniman_ros.lab.reproduce.findings import (
     remaining_corrected,
     remaining_own,
     setpoint_interval,
+    side_by_side,
     slip_losses,
     speed_profile,
     tool_tracking,
@@ -360,6 +361,14 @@ CLAIMS: tuple[Claim, ...] = (
         ("scenes",),
         model_mismatch,
         "random scenes, robot up to 20 % off: all reachable goals reached, no avoidable contact",
+    ),
+    Claim(
+        "Load between two robots in motion",
+        f"{MPC}, 5",
+        "a load could be transferred between two robots that move in parallel (no experiment)",
+        ("handover",),
+        side_by_side,
+        note="the node station_keeper, which knows only the odometry of the other robot",
     ),
     Claim(
         "Friction of the wheels",

@@ -128,6 +128,22 @@ EVERYTHING = {
             {"correction": False, "rms_mm": 9.0, "max_mm": 10.0},
         ],
     },
+    "handover": {
+        "robot": "omniman",
+        "quick": False,
+        "full": False,
+        "seed": 0,
+        "passed": True,
+        "took_s": 60.0,
+        "about": ABOUT,
+        "speed_m_s": 0.3,
+        "kept_s": 5.0,
+        "bounds": {"position_mm": 20.0, "heading_deg": 1.0},
+        "drives": [
+            {"is_aim": True, "max_mm": 1.2, "heading_max_deg": 0.1, "least_gap_m": 0.59},
+            {"is_aim": False, "max_mm": 40.0, "heading_max_deg": 1.3, "least_gap_m": 0.5},
+        ],
+    },
     "free": case(clearance_m=None) | {"energy": [{"ratio": 0.9}, {"ratio": 1.1}]},
     "free_paper": {
         "robot": "ig42",

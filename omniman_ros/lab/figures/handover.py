@@ -1,0 +1,126 @@
+"""Picture of the study of handing over a load: both robots from above, errors and gap in time."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib import pyplot as plt
+
+from omniman_ros.console.figure_style import (
+    BLUE,
+    FAINT,
+    GREY,
+    MINT,
+    ORANGE,
+    SERIES,
+    figure_style,
+    save_figure,
+)
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.robot import Robot
+from omniman_ros.lab.figures.top_view import draw_robot, frame_axes
+from omniman_ros.lab.studies.handover import KEPT_TIME, Run
+
+LEADER_COLOUR = ORANGE
+FOLLOWER_COLOUR = BLUE
+SNAPSHOT_PERIOD = 4.0
+"""Time between two outlines of the robots [s]."""
+MARGIN = 0.8
+"""Margin around the ways from above [m]."""
+BEFORE, AFTER = 2.0, 1.0
+"""Time that is shown before and after the judged time [s]."""
+
+
+def draw(
+    robot: Robot, runs: Sequence[Run], position_bound: float, heading_bound: float, path: Path
+) -> None:
+    """Draw the study as a PNG file.
+
+    Args:
+        robot: The robot.
+        runs: All drives; the first one of each course is shown from above.
+        position_bound: Bound of the distance from the station [m].
+        heading_bound: Bound of the heading error [rad].
+        path: Path of the PNG file.
+    """
+    by_course = {run.case.course: run for run in reversed(runs)}
+    courses = list(dict.fromkeys(run.case.course for run in runs))
+    with figure_style():
+        figure, axes = plt.subplots(
+            len(courses),
+            3,
+            squeeze=False,
+            layout="constrained",
+            figsize=(14.0, 0.6 + 3.6 * len(courses)),
+            width_ratios=(1.5, 1.0, 1.0),
+        )
+        for row, course in zip(axes, courses, strict=True):
+            _from_above(row[0], robot, by_course[course])
+            driven = [run for run in runs if run.case.course == course]
+            _errors(row[1], driven, position_bound, heading_bound)
+            _gaps(row[2], driven)
+        axes[0][0].plot([], [], color=LEADER_COLOUR, label="leader")
+        axes[0][0].plot([], [], color=FOLLOWER_COLOUR, label="follower")
+        axes[0][0].legend(loc="lower right")
+        axes[0][1].legend(loc="upper right", fontsize=7)
+        save_figure(figure, path)
+
+
+def _from_above(axes: Any, robot: Robot, run: Run) -> None:
+    """Draw the ways of both robots, and their outlines at the same times."""
+    rows = np.searchsorted(run.times, np.arange(0.0, run.times[-1], SNAPSHOT_PERIOD))
+    for poses, colour in ((run.leader, LEADER_COLOUR), (run.follower, FOLLOWER_COLOUR)):
+        axes.plot(poses[:, 0], poses[:, 1], color=colour, lw=0.8)
+        axes.plot(poses[run.kept, 0], poses[run.kept, 1], color=colour, lw=3.0)
+        for row in rows:
+            draw_robot(axes, robot, poses[row], colour, filled=False)
+    for row in rows:
+        axes.plot(*np.vstack([run.leader[row, :2], run.follower[row, :2]]).T, color=GREY, lw=0.5)
+    places = np.vstack([run.leader[:, :2], run.follower[:, :2]])
+    low, high = places.min(axis=0) - MARGIN, places.max(axis=0) + MARGIN
+    frame_axes(axes, (low[0], high[0], low[1], high[1]))
+    axes.set_title(f"{run.case.course}: every {SNAPSHOT_PERIOD:g} s; thick: the judged time")
+
+
+def _errors(axes: Any, runs: Sequence[Run], position_bound: float, heading_bound: float) -> None:
+    """Draw distance and heading error over time, each as a share of its bound."""
+    for run, colour in zip(runs, SERIES, strict=False):
+        errors = run.errors()
+        times = run.times - run.kept_from
+        distance = np.hypot(errors[:, 0], errors[:, 1]) / position_bound
+        _plot(axes, times, distance, colour, _name(run))
+        _plot(axes, times, np.abs(errors[:, 2]) / heading_bound, colour, None, ls=":")
+    axes.axhline(1.0, color=GREY, lw=0.8, ls="--")
+    axes.axvspan(0.0, KEPT_TIME, color=MINT, alpha=0.3, lw=0)
+    axes.set_xlim(-BEFORE, KEPT_TIME + AFTER)
+    axes.set_yscale("log")
+    axes.set_ylim(1e-3, 30.0)
+    axes.set_title(
+        f"True error over its bound: {1e3 * position_bound:g} mm; "
+        f"dotted: {math.degrees(heading_bound):g}°"
+    )
+    axes.set_xlabel("time since the judged time began [s]")
+    axes.grid(color=FAINT, lw=0.4)
+
+
+def _gaps(axes: Any, runs: Sequence[Run]) -> None:
+    """Draw the gap between the outlines of the robots over time."""
+    for run, colour in zip(runs, SERIES, strict=False):
+        _plot(axes, run.times, run.gaps(), colour, None)
+    axes.axhline(0.0, color=GREY, lw=0.8)
+    axes.set_ylim(bottom=-0.1)
+    axes.set_title("True gap between the robots [m]")
+    axes.set_xlabel("time since the request [s]")
+    axes.grid(color=FAINT, lw=0.4)
+
+
+def _plot(axes: Any, x: Array, y: Array, colour: str, label: str | None, ls: str = "-") -> None:
+    axes.plot(x, y, color=colour, lw=1.0, ls=ls, label=label)
+
+
+def _name(run: Run) -> str:
+    names = {"PI": "wheels of the demo", "P": "larger mismatch", "radii": "radii unknown"}
+    planner = "planner, " if run.case.follower == "mpc_planner" else ""
+    return planner + names[run.case.wheels]
