@@ -121,6 +121,8 @@ def _plot(axes: Any, x: Array, y: Array, colour: str, label: str | None, ls: str
 
 
 def _name(run: Run) -> str:
-    names = {"PI": "wheels of the demo", "P": "larger mismatch", "radii": "radii unknown"}
-    planner = "planner, " if run.case.follower == "mpc_planner" else ""
-    return planner + names[run.case.wheels]
+    if run.case.follower == "mpc_planner":
+        return "the planner"
+    return {"PI": "wheels of the demo", "P": "larger mismatch", "radii": "radii off"}[
+        run.case.wheels
+    ]

@@ -133,7 +133,7 @@ def drive_row(run: Run) -> dict[str, Any]:
         "rms_mm": 1e3 * rms(distance),
         "heading_max_deg": math.degrees(heading.max()),
         "heading_rms_deg": math.degrees(rms(heading)),
-        "met_s": run.kept_from,
+        "judged_from_s": run.kept_from,
         "least_gap_m": float(gaps.min()),
         "leader_m_s": float(leader.mean()),
         "follower_m_s": float(follower.mean()),
@@ -164,7 +164,7 @@ def report(result: Mapping[str, Any]) -> list[str]:
             "true error RMS",
             "max",
             "heading max",
-            "met after",
+            "judged from",
             "least gap",
             "follower's speed",
             "energy",
@@ -178,7 +178,7 @@ def report(result: Mapping[str, Any]) -> list[str]:
             f"{row['rms_mm']:.1f}",
             f"{row['max_mm']:.1f} mm",
             f"{row['heading_max_deg']:.2f} deg",
-            f"{row['met_s']:.1f} s",
+            f"{row['judged_from_s']:.1f} s",
             f"{row['least_gap_m']:.2f} m",
             f"{row['follower_m_s']:.2f} m/s",
             f"{row['follower_j']:.0f} J",
@@ -193,7 +193,7 @@ def report(result: Mapping[str, Any]) -> list[str]:
         "by the ground truth:",
         *table(rows),
         "",
-        f"Within {bounds['position_mm']:g} mm and {bounds['heading_deg']:g} degrees: "
+        f"Within {bounds['position_mm']:g} mm and {bounds['heading_deg']:g} degree: "
         f"{verdict(result['passed'], 'kept')}",
     ]
     if result["picture"]:

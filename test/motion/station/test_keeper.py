@@ -125,6 +125,16 @@ def test_robot_at_its_station_stops_with_its_leader():
     assert np.abs(rig.error).max() < 2e-3 and rig.speed < 2e-3
 
 
+@pytest.mark.parametrize("rate", [0.8, 1.2])
+def test_robot_lags_behind_a_leader_that_changes_its_speed_and_catches_up(rate):
+    rig = Rig().keep().run(11.0, (0.3, 0.0, 0.0))
+    for speeds in (np.arange(0.3, 0.0, -rate * PERIOD), np.arange(0.0, 0.3, rate * PERIOD)):
+        lags = [np.hypot(*rig.run(PERIOD, (speed, 0.0, 0.0)).error[:2]) for speed in speeds]
+        assert max(lags) < 0.07
+        rig.run(2.0, (speeds[-1], 0.0, 0.0))
+        assert np.abs(rig.error).max() < 2e-3
+
+
 def test_limits_that_are_left_without_a_wheel_apply_from_the_next_tick_on():
     rig = Rig(robot=(-4.0, -2.0, 0.0)).keep().run(2.0, (0.3, 0.0, 0.0))
     rig.keeper.scale_limits(0.5)
