@@ -9,6 +9,7 @@ from omniman_ros.core import se2
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import build
 from omniman_ros.core.preview import Preview
+from omniman_ros.motion.path.pace import LEAD
 from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.motion.station.keeper import StationKeeper, StationState
 from omniman_ros.motion.station.parameters import StationParameters
@@ -112,9 +113,16 @@ def test_noisy_odometry_of_the_leader_is_smoothed():
     assert np.hypot(*rig.error[:2]) < 5e-3
 
 
-@pytest.mark.parametrize("robot", [(0.0, 2.5, 0.0), (-2.0, 1.0, 0.0), (2.0, 1.5, 1.0)])
-def test_approach_from_the_other_side_goes_around_the_leader(robot):
-    rig = Rig(robot=robot).keep().run(15.0, (0.2, 0.0, 0.1))
+@pytest.mark.parametrize(
+    ("robot", "twist"),
+    [
+        ((0.0, 2.5, 0.0), (0.0, 0.0, 0.0)),
+        ((-2.0, 1.0, 0.0), (0.2, 0.0, 0.1)),
+        ((2.0, 1.5, 1.0), (0.2, 0.0, 0.1)),
+    ],
+)
+def test_approach_from_the_other_side_goes_around_the_leader(robot, twist):
+    rig = Rig(robot=robot).keep().run(15.0, twist)
     assert rig.state is StationState.KEEPING
     assert min(rig.distances) > rig.parameters.least_distance - 0.01
 
@@ -224,16 +232,17 @@ def test_odom_of_the_leader_may_be_elsewhere():
     assert np.array(rig.robot) == pytest.approx(np.array(station), abs=2e-3)
 
 
-def test_previews_follow_each_other_without_a_jump():
+def test_previews_follow_each_other_without_a_jump_and_change_nothing_that_is_due():
     rig = Rig().keep()
     before = None
-    for _ in range(100):
+    for cycle in range(100):
         window = rig.keeper.window(rig.time, HORIZON)
         assert len(window.times) == round(HORIZON / TICK) + 1
         preview = Preview(window.times, window.positions, window.velocities, window.accelerations)
         if before is not None:
-            old, new = before.sample(rig.time), preview.sample(rig.time)
-            assert new.pose == pytest.approx(old.pose, abs=1e-9)
-            assert new.velocity == pytest.approx(old.velocity, abs=1e-9)
+            for time in (rig.time, rig.time + LEAD * TICK):
+                old, new = before.sample(time), preview.sample(time)
+                assert new.pose == pytest.approx(old.pose, abs=1e-9)
+                assert new.velocity == pytest.approx(old.velocity, abs=1e-9)
         before = preview
-        rig.run(PERIOD, (0.3, 0.0, 0.2))
+        rig.run(PERIOD, (0.3 if cycle % 2 else 0.2, 0.0, 0.2))
