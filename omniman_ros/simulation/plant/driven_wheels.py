@@ -1,4 +1,4 @@
-"""Wheels of a simulated robot: a drive unit and an encoder each, all on one plant."""
+"""Wheels of a simulated robot: a drive unit and an encoder each, all on one body."""
 
 import math
 import random
@@ -9,6 +9,7 @@ import numpy as np
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.robot import Robot
+from omniman_ros.simulation.plant.body import Body
 from omniman_ros.simulation.plant.drive_unit import DriveUnit, drive_settings
 from omniman_ros.simulation.plant.encoder import Encoder
 from omniman_ros.simulation.plant.energy_ledger import EnergyLedger
@@ -30,6 +31,8 @@ class DrivenWheels:
         robot: The robot.
         parameters: Parameters of the simulation.
         seed: Seed of the sensor noise.
+        body: What the drives move, of this robot and with these parameters; None for a
+            :class:`Plant`.
 
     Attributes:
         plant: Body and wheels.
@@ -41,9 +44,15 @@ class DrivenWheels:
         ParameterError: The robot or the parameters are refused.
     """
 
-    def __init__(self, robot: Robot, parameters: SimulationParameters, seed: int = 0) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        parameters: SimulationParameters,
+        seed: int = 0,
+        body: Body | None = None,
+    ) -> None:
         self._random = random.Random(seed)
-        self.plant = Plant(robot, parameters)
+        self.plant = Plant(robot, parameters) if body is None else body
         firmware, step = parameters.firmware, parameters.plant.substep
         self.units = [DriveUnit(settings) for settings in drive_settings(robot, firmware, step)]
         self.encoders = [

@@ -14,7 +14,8 @@ from omniman_ros.simulation.plant.contact import (
     wheel_loads,
 )
 from omniman_ros.simulation.plant.energy_ledger import EnergyLedger
-from omniman_ros.simulation.plant.parameters import SimulationParameters, flags, per_wheel
+from omniman_ros.simulation.plant.gear_motor import configure_motors
+from omniman_ros.simulation.plant.parameters import SimulationParameters
 from omniman_ros.simulation.plant.wheel import Wheel
 
 TOLERANCE = 1e-6
@@ -65,13 +66,10 @@ class Plant:
         Raises:
             ParameterError: As in the constructor; nothing is changed then.
         """
-        plant, mismatch, faults = parameters.plant, parameters.mismatch, parameters.faults
-        wheels, motor, friction = robot.wheels, robot.motor, robot.friction
+        plant, mismatch = parameters.plant, parameters.mismatch
+        wheels, friction = robot.wheels, robot.friction
         n = robot.wheel_count
         mass, com, inertia = centre_of_mass(robot)
-        friction_scale = per_wheel("mismatch.friction", mismatch.friction, n)
-        constant = per_wheel("mismatch.torque_constant", mismatch.torque_constant, n)
-        gain = per_wheel("mismatch.amplifier_gain", mismatch.amplifier_gain, n)
         mounted = mounted_wheels(wheels, mismatch)
         loads = wheel_loads(
             [wheel.x for wheel in mounted],
@@ -79,8 +77,6 @@ class Plant:
             com,
             mass * plant.gravity,
         )
-        dead = flags("faults.dead_motor", faults.dead_motor, wheels.names)
-        stuck = flags("faults.stuck_wheel", faults.stuck_wheel, wheels.names)
         geometry = [
             roller_directions(
                 wheel.x - com[0],
@@ -92,15 +88,12 @@ class Plant:
             for wheel in mounted
         ]
 
-        # A current that settles within a quarter of a step is assumed to settle at once.
-        settles = motor.inductance < 0.25 * plant.substep * motor.resistance
-        inductance = 0.0 if settles else motor.inductance
-
         last_kinetic = self.kinetic if self._started else 0.0
         pose = self.pose
         twist = self.twist
         if not self._started:
             self.wheels = tuple(Wheel() for _ in range(n))
+        configure_motors(self.wheels, robot, parameters)
         self._step = plant.substep
         self._mass, self._offset, self._inertia = mass, com, inertia
         self._mu = friction.mu
@@ -123,14 +116,6 @@ class Plant:
                 contact.row, contact.arm = direction.row, direction.arm
                 contact.set_floor(limit * self._loads[k], width)
             wheel.inertia = wheels.inertia[k]
-            wheel.resistance, wheel.inductance = motor.resistance, inductance
-            wheel.back_emf = motor.torque_constant * motor.gear_ratio * constant[k]
-            wheel.efficiency, wheel.gain = motor.gear_efficiency, gain[k]
-            wheel.max_voltage, wheel.max_current = motor.max_voltage, motor.max_current
-            wheel.viscous = friction.viscous[k] * friction_scale[k]
-            wheel.coulomb = friction.coulomb[k] * friction_scale[k]
-            wheel.breakaway = plant.breakaway
-            wheel.blocked, wheel.open_circuit = stuck[k], dead[k]
         self.set_pose(pose)
         self.set_twist(np.zeros(3) if plant.lifted else twist, external=False)
         if self._started:
@@ -202,7 +187,7 @@ class Plant:
         vx, vy = self._velocity
         w = self._yaw_rate
         body = 0.5 * (self._mass * (vx * vx + vy * vy) + self._inertia * w * w)
-        return float(body + sum(wheel.stored[0] for wheel in self.wheels))
+        return float(body + sum(wheel.kinetic for wheel in self.wheels))
 
     @property
     def energy(self) -> EnergyLedger:
@@ -214,7 +199,7 @@ class Plant:
         return EnergyLedger(
             external=self._external,
             kinetic=self.kinetic,
-            inductive=sum(wheel.stored[1] for wheel in self.wheels),
+            inductive=sum(wheel.inductive for wheel in self.wheels),
             turnover=self._turnover,
             **totals,
         )

@@ -9,6 +9,7 @@ import numpy as np
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.robot import Robot
+from omniman_ros.simulation.plant.body import Body
 from omniman_ros.simulation.plant.drive_unit import DriveUnitMode
 from omniman_ros.simulation.plant.driven_wheels import DrivenWheels
 from omniman_ros.simulation.plant.energy_ledger import EnergyLedger
@@ -43,15 +44,22 @@ class SimulatedDrives:
         robot: The robot.
         parameters: Parameters of the simulation.
         seed: Seed of the sensor noise.
+        body: What the drives move, see :class:`DrivenWheels`.
 
     Raises:
         ParameterError: The robot or the parameters are not valid.
     """
 
-    def __init__(self, robot: Robot, parameters: SimulationParameters, seed: int = 0) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        parameters: SimulationParameters,
+        seed: int = 0,
+        body: Body | None = None,
+    ) -> None:
         self._robot = robot
         self._parameters = parameters
-        self._wheels = DrivenWheels(robot, parameters, seed)
+        self._wheels = DrivenWheels(robot, parameters, seed, body)
         self._plant = self._wheels.plant
         self._last_command = -math.inf
         self._is_holding = True

@@ -1,65 +1,46 @@
-"""One wheel of the plant: motor, gear, shaft friction and the roller on the floor.
+"""One wheel of the plant: its gear motor, and the roller on the floor.
 
 In a step of length h the wheel's speed goes from w0 to w1, w_mid is the mean, and the chassis goes
-from u0 to u1. Over the step, all forces and the current are constant, so with the work of each
+from u0 to u1. Over the step, all forces and the current i are constant, so with the work of each
 taken at the mean speeds the energy balance is exact, whatever the forces are:
 
     inertia (w1 - w0) / h = gear(N K i) - viscous w_mid - dry - sum over contacts of arm * force
-    voltage = R i + L di/dt + K N w_mid,      i the mean current, (i0 + i1) / 2
 
-(MPC 2021 (21), (22); CCTA 2017 (21), (22).) Gear: eta N K i while the motor drives the wheel,
-N K i / eta while it is driven. Coulomb friction and the gear's loss are set-valued at w1 = 0:
-there the wheel sticks, and they have the value that holds it, within their bounds. Where that
-would feed energy in, because the wheel reverses or stops within the step, they follow w_mid
-instead.
+:class:`~omniman_ros.simulation.plant.gear_motor.GearMotor` explains current and gear. Coulomb
+friction and the gear's loss are set-valued at w1 = 0: there the wheel sticks, and they have the
+value that holds it, within their bounds. Where that would feed energy in, because the wheel
+reverses or stops within the step, they follow w_mid instead.
 """
 
 from omniman_ros.simulation.plant.contact import Contact
+from omniman_ros.simulation.plant.gear_motor import GearMotor
 
 
-class Wheel:
-    """State and constants of one wheel, and the equation of the step that is being solved.
+class Wheel(GearMotor):
+    """State and constants of one driven wheel, and the equation of the step that is being solved.
 
     Attributes:
         axis, free: Contact along the roller's axis (it slips) and across it (it rolls).
         inertia: Moment of inertia of wheel, gear and rotor about the axle [kg m^2].
-        resistance, inductance: Resistance [ohm] and inductance [H] of the motor.
-        back_emf: Constant K N, at the wheel [V s/rad] or [N m/A].
-        efficiency: Efficiency of the gear, 0 to 1.
-        gain: Ratio of the applied to the requested voltage.
-        max_voltage, max_current: Limits of the amplifier [V], [A].
-        viscous, coulomb: Viscous [N m s/rad] and Coulomb [N m] friction at the axle.
-        breakaway: Ratio of the torque that moves a wheel at rest to `coulomb`.
-        blocked, open_circuit: Whether the wheel is blocked, and the motor circuit open (faults).
-        speed, angle: Wheel speed [rad/s] and angle [rad].
-        last_angle: Angle one step before [rad].
-        current, mean_current: Motor current at the end of the step, and its mean over it [A].
-        voltage: Voltage at the motor's terminals [V], constant over the step.
-        electrical, copper, gear, shaft, roller, slip: Energies since the start [J].
+        roller, slip: Energies that the contact converted since the start [J].
     """
 
     def __init__(self) -> None:
+        super().__init__()
         self.axis, self.free = Contact(), Contact()
-        self.inertia = self.resistance = self.back_emf = self.efficiency = self.gain = 1.0
-        self.inductance = self.viscous = self.coulomb = 0.0
-        self.max_voltage = self.max_current = self.breakaway = 1.0
-        self.blocked = self.open_circuit = False
-        self.speed = self.angle = self.last_angle = 0.0
-        self.current = self.mean_current = self.voltage = 0.0
-        self.electrical = self.copper = self.gear = self.shaft = self.roller = self.slip = 0.0
-        self._base = self._load = self._source = self._slope = self._speed0 = 0.0
+        self.inertia = 1.0
+        self.roller = self.slip = 0.0
+        self._base = self._load = self._speed0 = 0.0
         self._rate = self._torque_ratio = 1.0
         self._gain = (0.0, 0.0, 0.0)
-        self._requested = self._lag = 0.0
-        self._limited = self._direction = 0
+        self._direction = 0
         self._drives = True
         self._at_mean = False
 
     @property
-    def stored(self) -> tuple[float, float]:
-        """Kinetic energy of the wheel and inductive energy of the motor [J]."""
-        kinetic = 0.5 * self.inertia * self.speed * self.speed
-        return kinetic, 0.5 * self.inductance * self.current * self.current
+    def kinetic(self) -> float:
+        """Kinetic energy of the wheel [J]."""
+        return 0.5 * self.inertia * self.speed * self.speed
 
     def set_speed(self, speed: float) -> None:
         """Set the wheel speed [rad/s]."""
@@ -77,13 +58,7 @@ class Wheel:
         self._rate = self.inertia / step
         self.axis.begin(self.axis.slip_speed(ux, uy, yaw_rate, speed0))
         self.free.begin(self.free.slip_speed(ux, uy, yaw_rate, speed0))
-        if self.open_circuit:
-            self.copper += 0.5 * self.inductance * self.current * self.current  # free-wheeling
-            self.current = self.voltage = self._source = self._slope = 0.0
-        else:
-            self._requested = min(max(self.gain * command, -self.max_voltage), self.max_voltage)
-            self._lag = 2.0 * self.inductance / step
-            self._amplify(speed0)
+        self._begin_current(command, step)
         self._speed0 = speed0
         self._at_mean = False
         if self.blocked:
@@ -91,35 +66,6 @@ class Wheel:
         elif speed0 != 0.0:
             self._direction = 1 if speed0 > 0 else -1
         self._drives = (self._source - self._slope * speed0) * self._direction >= 0
-
-    def _amplify(self, mean: float) -> bool:
-        """Set the voltage, and the mean current as source - slope * w_mid.
-
-        A chopper, far faster than the step, lowers the voltage so far that the current at the end
-        of the step keeps its limit, unless the back-EMF alone drives more.
-
-        Args:
-            mean: Latest estimate of the wheel speed w_mid [rad/s].
-
-        Returns:
-            Whether the amplifier limits the current as before: above, below or not at all.
-        """
-        previous, lag = self._limited, self._lag
-        impedance = self.resistance + lag
-        # mean currents for which the current at the end is at its limits
-        high = 0.5 * (self.max_current + self.current) if lag else self.max_current
-        low = high - (1.0 if lag else 2.0) * self.max_current
-        middle = self.back_emf * mean - lag * self.current
-        limited = min(max(self._requested, middle + impedance * low), middle + impedance * high)
-        voltage = self.voltage = min(max(limited, -self.max_voltage), self.max_voltage)
-        if limited == self._requested or limited != voltage:
-            self._limited = 0
-            self._source = (voltage + lag * self.current) / impedance
-            self._slope = self.back_emf / impedance
-        else:
-            self._limited = 1 if limited < self._requested else -1
-            self._source, self._slope = (high if limited < self._requested else low), 0.0
-        return self._limited == previous
 
     def reduce(self, system: list[float]) -> None:
         """Add the wheel, with its own speed eliminated, to the equations of the body.
@@ -257,20 +203,13 @@ class Wheel:
             gear = holding * bound / total if total and not self.blocked else 0.0
             dry = holding - gear
         travel = mean * step
-        electrical = self.voltage * current * step
-        copper = self.resistance * current * current * step
         gear *= travel
         shaft = (viscous + dry) * travel
         slip = -self.axis.force * self.axis.slip_speed(ux, uy, yaw_rate, mean) * step
         roller = -self.free.force * self.free.slip_speed(ux, uy, yaw_rate, mean) * step
-        self.electrical += electrical
-        self.copper += copper
         self.gear += gear
         self.shaft += shaft
         self.slip += slip
         self.roller += roller
-        lagging = self.inductance > 0.0 and not self.open_circuit
-        self.current = 2.0 * current - self.current if lagging else current
-        self.last_angle = self.angle
-        self.angle += travel
+        electrical, copper = self._finish_current(step, travel)
         return abs(electrical) + copper + abs(gear) + abs(shaft) + abs(slip) + abs(roller)

@@ -1,0 +1,43 @@
+"""What lies below the drive units: motors, wheels and the robot that they move."""
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.robot import Robot
+from omniman_ros.simulation.plant.energy_ledger import EnergyLedger
+from omniman_ros.simulation.plant.gear_motor import GearMotor
+from omniman_ros.simulation.plant.parameters import SimulationParameters
+
+
+class Body(Protocol):
+    """A robot on its wheels that voltages at the motors move, one substep at a time."""
+
+    @property
+    def wheels(self) -> Sequence[GearMotor]:
+        """Gear motors of the wheels, in the robot's order."""
+
+    @property
+    def pose(self) -> Array:
+        """Pose (x, y, heading) of base_link in the world [m, m, rad], (3,); not wrapped."""
+
+    @property
+    def twist(self) -> Array:
+        """Twist (vx, vy, w) of base_link in its own frame [m/s, m/s, rad/s], (3,)."""
+
+    @property
+    def energy(self) -> EnergyLedger:
+        """Energies since the start."""
+
+    def set_pose(self, pose: Sequence[float] | Array) -> None:
+        """Move base_link to another pose [m, m, rad], (3,); the motion in its frame continues."""
+
+    def step(self, voltages: Sequence[float]) -> None:
+        """Integrate one substep with voltages (n,) requested from the amplifiers [V]."""
+
+    def configure(self, robot: Robot, parameters: SimulationParameters) -> None:
+        """Replace robot data and parameters together, also in motion.
+
+        Raises:
+            ParameterError: One of them is refused; nothing is changed then.
+        """
