@@ -72,13 +72,13 @@ $(EMPTY):
 	echo '$(CURDIR)' > $@
 
 $(RUNTIME): setup.py | $(EMPTY)
-	$(PIP) install --quiet --editable '.[ros,plot,viewer]'
+	$(PIP) install --quiet --editable '.[ros,plot,viewer,world]'
 	touch $@
 
 $(TESTING): $(RUNTIME)
-	$(PIP) install --quiet --editable '.[ros,plot,viewer,browser,docs,test]'
+	$(PIP) install --quiet --editable '.[ros,plot,viewer,world,browser,docs,test]'
 	touch $@
 
 $(DOCUMENTING): $(RUNTIME)
-	$(PIP) install --quiet --editable '.[ros,plot,viewer,docs]'
+	$(PIP) install --quiet --editable '.[ros,plot,viewer,world,docs]'
 	touch $@

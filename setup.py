@@ -41,6 +41,7 @@ SHARED = {
     "config": "config/*.yaml",
     "config/can": "config/can/*.yaml",
     "config/ur": "config/ur/*.yaml",
+    "config/worlds": "config/worlds/*.yaml",
     "launch": "config/launch/*.launch.py",
     "config/nav2": "config/nav2/*.yaml",
     "rviz": "config/rviz/*",
@@ -133,6 +134,8 @@ setup(
         "plot": ["jinja2", "matplotlib", "rosbags"],
         # The page relies on how viser marks up its buttons.
         "viewer": ["viser==1.1.*", "websockets"],
+        # 4.0.0 factorises sparse matrices wrongly; a next major version may change the physics.
+        "world": ["mujoco-core==4.*,>=4.0.1"],
         "browser": ["playwright"],
         "docs": ["furo", "myst-parser", "sphinx", "sphinx-copybutton"],
         "reference": ["pin"],

@@ -35,3 +35,8 @@ RECORDING = Extra(
     "recordings need rosbags: pip install 'omniman_ros[record]', or pip install rosbags",
 )
 VIEWER = Extra(("viser",), "the viewer needs viser: pip install 'viser==1.1.*' websockets")
+WORLD = Extra(
+    ("mujoco",),
+    "the physics world needs mujoco-core: pip install 'omniman_ros[world]', or "
+    "pip install 'mujoco-core==4.*'",
+)

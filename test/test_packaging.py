@@ -26,6 +26,7 @@ DISTRIBUTIONS = {
     "casadi": ("casadi", "python3-casadi-pip"),
     "jinja2": ("jinja2", "python3-jinja2"),
     "lark-parser": ("lark", "python3-lark-parser"),
+    "mujoco-core": ("mujoco", None),
     "matplotlib": ("matplotlib", "python3-matplotlib"),
     "rosbags": ("rosbags", None),
     "viser": ("viser", None),
@@ -103,7 +104,7 @@ def test_the_wheels_of_rclpy_are_not_required(setup_py):
 def test_every_import_is_a_declared_dependency(package_xml, setup_py):
     declared = {depend.name for depend in package_xml.exec_depends}
     extras = setup_py["arguments"]["extras_require"]
-    optional = [*extras["record"], *extras["plot"], *extras["viewer"]]
+    optional = [*extras["record"], *extras["plot"], *extras["viewer"], *extras["world"]]
     for distribution in [*setup_py["arguments"]["install_requires"], *optional]:
         declared.add(DISTRIBUTIONS[distribution.partition("==")[0]][0])
     for source in [*SOURCES, *ROOT.glob("config/launch/*.py")]:

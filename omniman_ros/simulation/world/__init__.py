@@ -1,0 +1,1 @@
+"""Physics of the whole robot in a scene: wheels or rollers, arm, contacts, scanners, persons."""

@@ -1,0 +1,114 @@
+"""Contacts of the robot with what is around it."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from omniman_ros.core.arrays import Array
+from omniman_ros.simulation.world.engine import Engine
+from omniman_ros.simulation.world.model.platform import BASE
+
+MEMORY = 5.0
+"""Time for which a contact that has ended is still told, over the filter's time constant."""
+
+
+@dataclass(frozen=True)
+class RobotContact:
+    """A contact of a part of the robot with something else; not of a wheel with the floor.
+
+    Attributes:
+        part: Link of the robot.
+        thing: Element of the scene, or the floor.
+        place: Where they touch, or last touched, in the world [m], (3,).
+        force: Force on the robot in the world, low-pass filtered [N], (3,).
+        impulse: Integral of the force's magnitude since the contact began [N s].
+        touches: Whether they touch now.
+    """
+
+    part: str
+    thing: str
+    place: Array
+    force: Array
+    impulse: float
+    touches: bool
+
+
+@dataclass
+class _Contact:
+    """What is remembered of a contact."""
+
+    place: Array
+    force: Array = field(default_factory=lambda: np.zeros(3))
+    now: Array = field(default_factory=lambda: np.zeros(3))
+    impulse: float = 0.0
+    age: float = 0.0
+
+
+class RobotContacts:
+    """Contacts of the robot, from step to step.
+
+    Args:
+        engine: The engine.
+        time_constant: Time constant of the filter of forces [s].
+    """
+
+    def __init__(self, engine: Engine, time_constant: float) -> None:
+        self._engine, self._time_constant = engine, time_constant
+        self._parties = engine.parties()
+        self._is_robot = engine.shapes_below(BASE)
+        self._contacts: dict[tuple[str, str], _Contact] = {}
+
+    def update(self, indices: Iterable[int]) -> None:
+        """Take the contacts of a step.
+
+        Args:
+            indices: Indices of the engine's contacts that are not those of tyres.
+        """
+        for contact in self._contacts.values():
+            contact.now = np.zeros(3)
+            contact.age += self._engine.step_time
+        for k in indices:
+            self._add(int(k))
+        if self._contacts:
+            self._filter()
+
+    def _add(self, k: int) -> None:
+        """Add the engine's contact `k`, if the robot is a party of it."""
+        shapes, rows = self._engine.contacts()
+        first, second = shapes[k]
+        row = rows[k]
+        if self._is_robot[first] == self._is_robot[second] or row < 0:
+            return
+        place, axes = self._engine.contact_frame(k)
+        on_second = axes.T @ self._engine.forces[row : row + 3]
+        part, thing = self._parties[first], self._parties[second]
+        if self._is_robot[second]:
+            part, thing = thing, part
+        force = on_second if self._is_robot[second] else -on_second
+        contact = self._contacts.setdefault((part, thing), _Contact(place.copy()))
+        contact.place, contact.now, contact.age = place.copy(), contact.now + force, 0.0
+
+    def _filter(self) -> None:
+        """Filter the forces, and forget contacts that ended long ago."""
+        step = self._engine.step_time
+        gain = step / (self._time_constant + step)
+        for key, contact in list(self._contacts.items()):
+            contact.force = contact.force + gain * (contact.now - contact.force)
+            contact.impulse += step * float(np.sqrt(contact.now @ contact.now))
+            if contact.age > MEMORY * self._time_constant:
+                del self._contacts[key]
+
+    def __call__(self) -> tuple[RobotContact, ...]:
+        """Return the contacts of the latest step and those that ended shortly before."""
+        return tuple(
+            RobotContact(
+                part,
+                thing,
+                contact.place,
+                contact.force,
+                contact.impulse,
+                contact.age == 0.0,
+            )
+            for (part, thing), contact in self._contacts.items()
+        )

@@ -1,0 +1,236 @@
+"""MuJoCo: a compiled model, its state, and what is asked of it. No other module imports it."""
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from omniman_ros.core.arrays import Array
+from omniman_ros.simulation.world.model.floor import FLOOR
+from omniman_ros.simulation.world.model.world import WorldModel
+
+Indices = NDArray[np.int32]
+"""Indices of shapes."""
+
+
+class Engine:
+    """A model that is stepped; positions are always those at the end of the latest step.
+
+    A step has two halves: :meth:`advance` to the new state, after which the contacts are still
+    those of the step and have forces, and :meth:`refresh`, which finds positions and contacts of
+    the new state.
+
+    Args:
+        model: The model.
+    """
+
+    def __init__(self, model: WorldModel) -> None:
+        self._model, self._data = self._compile(model)
+        self.refresh()
+
+    @staticmethod
+    def _compile(source: WorldModel) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        """Compile a model, and give all tyres the same inverse mass, so the same stiffness."""
+        model = mujoco.MjModel.from_xml_string(source.xml)
+        is_tyre = model.geom_priority > 0
+        model.body_invweight0[model.geom_bodyid[is_tyre], 0] = source.tyres.inverse_weight
+        return model, mujoco.MjData(model)
+
+    def replace(self, model: WorldModel) -> None:
+        """Go on with another model that has the same joints."""
+        old = self._data
+        self._model, self._data = self._compile(model)
+        self._data.qpos[:], self._data.qvel[:] = old.qpos, old.qvel
+        self._data.qacc_warmstart[:] = old.qacc_warmstart
+        self._data.time = old.time
+        self.refresh()
+
+    # names and indices
+
+    def dof(self, joint: str) -> int:
+        """Return the index of a joint's first velocity."""
+        return int(self._model.joint(joint).dofadr[0])
+
+    def coordinate(self, joint: str) -> int:
+        """Return the index of a joint's first coordinate."""
+        return int(self._model.joint(joint).qposadr[0])
+
+    def body(self, name: str) -> int:
+        """Return the index of a body."""
+        return int(self._model.body(name).id)
+
+    def tyres(self) -> tuple[Indices, Indices, Array]:
+        """Return what rolls on the floor, one entry per tyre.
+
+        Returns:
+            Indices of the tyres' shapes, indices of the velocities of the hinges on which they
+            roll freely, and their radii [m].
+        """
+        model = self._model
+        shapes = np.nonzero(model.geom_priority > 0)[0].astype(np.int32)
+        hinges = model.body_dofadr[model.geom_bodyid[shapes]].astype(np.int32)
+        return shapes, hinges, model.geom_size[shapes, 0].copy()
+
+    def parties(self) -> tuple[str, ...]:
+        """Return the name of the body of each shape; a part without a name has its parent's."""
+        model, names = self._model, []
+        for k in range(model.ngeom):
+            body = int(model.geom_bodyid[k])
+            while body and not model.body(body).name:
+                body = int(model.body_parentid[body])
+            names.append(str(model.body(body).name) if body else FLOOR)
+        return tuple(names)
+
+    def shapes_below(self, body: str) -> NDArray[np.bool_]:
+        """Return whether each shape belongs to a body or to one that is jointed to it."""
+        model = self._model
+        below: NDArray[np.bool_] = (
+            model.body_rootid[model.geom_bodyid] == model.body_rootid[self.body(body)]
+        )
+        return below
+
+    # state: live views
+
+    @property
+    def step_time(self) -> float:
+        """Length of a step [s]."""
+        return float(self._model.opt.timestep)
+
+    @property
+    def coordinates(self) -> Array:
+        """Coordinates of all joints; may be written before :meth:`refresh`."""
+        values: Array = self._data.qpos
+        return values
+
+    @property
+    def velocities(self) -> Array:
+        """Velocities of all joints; may be written before :meth:`refresh`."""
+        values: Array = self._data.qvel
+        return values
+
+    @property
+    def applied(self) -> Array:
+        """Forces and torques to apply at the joints in the next step; to be written."""
+        values: Array = self._data.qfrc_applied
+        return values
+
+    @property
+    def bias(self) -> Array:
+        """Forces and torques that hold the joints against gravity and Coriolis forces."""
+        values: Array = self._data.qfrc_bias
+        return values
+
+    @property
+    def damping(self) -> Array:
+        """Damping of all joints, implicit in a step; may be written."""
+        values: Array = self._model.dof_damping
+        return values
+
+    @property
+    def dry_friction(self) -> Array:
+        """Dry friction of all joints; may be written."""
+        values: Array = self._model.dof_frictionloss
+        return values
+
+    @property
+    def shape_friction(self) -> Array:
+        """Coefficients of friction of all shapes; the first column may be written."""
+        values: Array = self._model.geom_friction
+        return values
+
+    @property
+    def shape_positions(self) -> Array:
+        """Positions of all shapes in the world [m], (m, 3)."""
+        values: Array = self._data.geom_xpos
+        return values
+
+    def pose(self, body: int) -> tuple[Array, Array]:
+        """Return position (3,) [m] and rotation (3, 3) of a body in the world."""
+        return self._data.xpos[body], self._data.xmat[body].reshape(3, 3)
+
+    def inertia(self, dofs: slice) -> Array:
+        """Return the joints' inertia, the other joints held, (k, k)."""
+        full = np.empty((self._model.nv, self._model.nv))
+        mujoco.mj_fullM(self._model, self._data, full)
+        return full[dofs, dofs]
+
+    def energies(self) -> tuple[float, float]:
+        """Return potential and kinetic energy of all bodies [J]."""
+        mujoco.mj_energyPos(self._model, self._data)
+        mujoco.mj_energyVel(self._model, self._data)
+        potential, kinetic = self._data.energy
+        return float(potential), float(kinetic)
+
+    # steps
+
+    def advance(self) -> None:
+        """Apply forces and advance to the end of the step."""
+        mujoco.mj_step2(self._model, self._data)
+
+    def refresh(self) -> None:
+        """Find positions, contacts and forces of inertia of the present state."""
+        mujoco.mj_step1(self._model, self._data)
+
+    # contacts, between `advance` and `refresh`
+
+    def contacts(self) -> tuple[Indices, NDArray[np.int32]]:
+        """Return the shapes (k, 2) that touch, and where their forces are in `forces`, (k,).
+
+        Shapes that touch without any force have -1 there.
+        """
+        contact = self._data.contact
+        return contact.geom, contact.efc_address
+
+    @property
+    def forces(self) -> Array:
+        """Forces of all constraints: per contact normal, then along the two tangents [N]."""
+        values: Array = self._data.efc_force
+        return values
+
+    @property
+    def slips(self) -> Array:
+        """Velocities at all constraints at the beginning of the step, as `forces` [m/s]."""
+        values: Array = self._data.efc_vel
+        return values
+
+    def contact_frame(self, k: int) -> tuple[Array, Array]:
+        """Return where contact `k` is [m], (3,), and its axes (3, 3).
+
+        The first axis points from the first shape to the second.
+        """
+        contact = self._data.contact
+        return contact.pos[k], contact.frame[k].reshape(3, 3)
+
+    # rays
+
+    def rays(
+        self, origin: Array, directions: Array, longest: float, groups: Sequence[int]
+    ) -> Array:
+        """Return how far rays go until they meet a shape [m], (k,); -1 if they meet none.
+
+        Args:
+            origin: Common beginning of the rays in the world [m], (3,).
+            directions: Unit vectors in the world, (k, 3).
+            longest: Distance beyond which shapes are ignored [m].
+            groups: Groups of the shapes that are met.
+        """
+        count = len(directions)
+        seen = np.zeros(6, dtype=np.uint8)
+        seen[list(groups)] = 1
+        met, distances = np.empty(count, dtype=np.int32), np.empty(count)
+        mujoco.mj_multiRay(
+            self._model,
+            self._data,
+            origin,
+            np.ascontiguousarray(directions).ravel(),
+            seen,
+            True,
+            -1,
+            met,
+            distances,
+            None,
+            count,
+            longest,
+        )
+        return distances

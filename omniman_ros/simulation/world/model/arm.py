@@ -1,0 +1,49 @@
+"""The arm: the links of the robot's description on hinges."""
+
+from xml.etree.ElementTree import Element
+
+from omniman_ros.core.arm_parameters import ArmParameters
+from omniman_ros.description.ur5 import BASE, Link, links
+from omniman_ros.description.urdf import ARM_BASE
+from omniman_ros.motion.whole_body.model import Mount
+from omniman_ros.simulation.world.model.mjcf import ROBOT, ROBOT_GROUP, add, add_inertia
+
+
+def arm_mass() -> float:
+    """Return the mass of the arm's links [kg]."""
+    return BASE.mass + sum(link.mass for link in links())
+
+
+def add_arm(base: Element, arm: ArmParameters, mount: Mount) -> None:
+    """Add the arm to the platform.
+
+    Args:
+        base: Body of base_link.
+        arm: Names of the joints.
+        mount: Pose of the arm's base.
+    """
+    position, rotation = (mount.x, mount.y, mount.z), (0.0, 0.0, mount.yaw)
+    parent = add(base, "body", name=ARM_BASE, pos=position, euler=rotation)
+    parent = _add_link(parent, BASE)
+    for name, link in zip(arm.joints, links(), strict=True):
+        parent = _add_link(parent, link)
+        add(parent, "joint", name=name, axis=(0.0, 0.0, 1.0))
+
+
+def _add_link(parent: Element, link: Link) -> Element:
+    """Add a link, and return its body."""
+    body = add(parent, "body", name=link.name, pos=link.place, euler=link.rpy)
+    add_inertia(body, link.inertia)
+    for tube in link.tubes:
+        add(
+            body,
+            "geom",
+            type="cylinder",
+            pos=tube.centre,
+            euler=tube.rpy,
+            size=(tube.radius, 0.5 * tube.length),
+            contype=str(ROBOT),
+            conaffinity="0",
+            group=str(ROBOT_GROUP),
+        )
+    return body

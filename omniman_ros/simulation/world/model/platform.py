@@ -1,0 +1,71 @@
+"""The platform's body and its wheels."""
+
+from xml.etree.ElementTree import Element
+
+from omniman_ros.core.robot import Robot
+from omniman_ros.description.inertia import rest_of_body, wheel, wheel_masses
+from omniman_ros.description.platform_shape import WHEEL_WIDTH, platform_boxes
+from omniman_ros.simulation.plant.contact import mounted_wheels
+from omniman_ros.simulation.plant.parameters import MismatchParameters
+from omniman_ros.simulation.world.model.floor import Tyres
+from omniman_ros.simulation.world.model.mjcf import ROBOT, ROBOT_GROUP, add, add_inertia
+from omniman_ros.simulation.world.model.wheels import add_wheel
+from omniman_ros.simulation.world.parameters import WorldParameters
+
+BASE = "base_link"
+"""Name of the platform's body, and of its joint to the world."""
+
+
+def deck_height(robot: Robot, mount: float | None) -> float:
+    """Return the height of the deck's upper side above the floor [m].
+
+    Args:
+        robot: The robot.
+        mount: Height of the arm's base above the floor [m]; None if there is no arm.
+    """
+    deck = platform_boxes(robot, mount)[0]
+    return deck.centre[2] + 0.5 * deck.size[2]
+
+
+def add_platform(
+    world: Element,
+    robot: Robot,
+    mismatch: MismatchParameters,
+    mount: float | None,
+    tyres: Tyres,
+    parameters: WorldParameters,
+) -> Element:
+    """Add the platform, and return its body, whose frame is base_link.
+
+    Args:
+        world: Element of the world.
+        robot: The robot.
+        mismatch: How the real wheels differ.
+        mount: Height of the arm's base above the floor [m]; None if there is no arm.
+        tyres: Contact of the wheels with the floor.
+        parameters: Kind of the wheels.
+
+    Raises:
+        ParameterError: A mismatch has neither one value nor one per wheel.
+    """
+    base = add(world, "body", name=BASE)
+    add(base, "freejoint", name=BASE)
+    boxes, masses = platform_boxes(robot, mount), wheel_masses(robot)
+    deck = boxes[0]
+    bottom, top = (deck.centre[2] + side * 0.5 * deck.size[2] for side in (-1.0, 1.0))
+    add_inertia(base, rest_of_body(robot, masses, bottom, top))
+    for box in boxes:
+        add(
+            base,
+            "geom",
+            type="box",
+            pos=box.centre,
+            size=[0.5 * edge for edge in box.size],
+            contype=str(ROBOT),
+            conaffinity="0",
+            group=str(ROBOT_GROUP),
+        )
+    for k, mounting in enumerate(mounted_wheels(robot.wheels, mismatch)):
+        inertia = wheel(robot, k, masses[k], WHEEL_WIDTH * mounting.radius)
+        add_wheel(base, robot.wheels.names[k], mounting, inertia, tyres, parameters)
+    return base

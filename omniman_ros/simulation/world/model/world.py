@@ -1,0 +1,85 @@
+"""The whole model: a robot in a scene."""
+
+from dataclasses import dataclass
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
+
+from omniman_ros.core.errors import ParameterError
+from omniman_ros.description.parameters import DescriptionParameters
+from omniman_ros.description.urdf import carries_arm
+from omniman_ros.simulation.plant.parameters import SimulationParameters
+from omniman_ros.simulation.world.model.arm import add_arm, arm_mass
+from omniman_ros.simulation.world.model.floor import Tyres, add_floor, tyres_of
+from omniman_ros.simulation.world.model.mjcf import add
+from omniman_ros.simulation.world.model.platform import add_platform, deck_height
+from omniman_ros.simulation.world.model.things import add_things
+from omniman_ros.simulation.world.parameters import IDEAL, WorldParameters
+from omniman_ros.simulation.world.scene import Scene
+
+MAX_SUBSTEP = 0.001
+"""Longest step: at 2 ms, energy rises by 5 to 14 % [s]."""
+
+
+@dataclass(frozen=True)
+class WorldModel:
+    """A model to be compiled.
+
+    Attributes:
+        xml: The model in MJCF.
+        tyres: Contact of the wheels with the floor.
+    """
+
+    xml: str
+    tyres: Tyres
+
+
+def world_model(
+    description: DescriptionParameters,
+    simulation: SimulationParameters,
+    parameters: WorldParameters,
+    scene: Scene,
+) -> WorldModel:
+    """Return the model of a robot in a scene, with the robot at its start.
+
+    Args:
+        description: Robot, arm and where the arm is mounted.
+        simulation: Gravity, substep, friction and mismatch of the wheels.
+        parameters: Parameters of the world.
+        scene: The scene.
+
+    Raises:
+        ParameterError: The substep is too long, the platform is to be lifted, or a mismatch has
+            neither one value nor one per wheel.
+    """
+    plant, robot = simulation.plant, description.robot
+    if plant.substep > MAX_SUBSTEP:
+        reason = f"must be at most {MAX_SUBSTEP:g} s in a physics world"
+        raise ParameterError("plant.substep", plant.substep, reason)
+    if plant.lifted:
+        raise ParameterError("plant.lifted", True, "a physics world has no blocks to stand on")
+    armed = carries_arm(robot)
+    mount = description.mount.z if armed else None
+    mass = robot.body.mass + (arm_mass() if armed else 0.0)
+    mass += sum(load.mass for load in scene.loads)
+    tyres = tyres_of(robot, mass, plant, parameters.tyre_stiffness)
+
+    root = Element("mujoco", model="world")
+    add(root, "compiler", angle="radian", eulerseq="XYZ", autolimits="true")
+    add(
+        root,
+        "option",
+        timestep=plant.substep,
+        gravity=(0.0, 0.0, -plant.gravity),
+        integrator="discrete",
+        cone="elliptic",
+        impratio=tyres.impratio,
+        # Rollers make a large and almost empty matrix.
+        jacobian="auto" if parameters.wheels == IDEAL else "sparse",
+    )
+    world = add(root, "worldbody")
+    add_floor(world)
+    base = add_platform(world, robot, simulation.mismatch, mount, tyres, parameters)
+    if armed:
+        add_arm(base, description.arm, description.mount)
+    add_things(world, scene, deck_height(robot, mount))
+    return WorldModel(ElementTree.tostring(root, encoding="unicode"), tyres)

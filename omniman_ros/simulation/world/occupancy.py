@@ -1,0 +1,111 @@
+"""Occupancy grid of what stands fixed in a scene."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.errors import ParameterError
+from omniman_ros.simulation.world.scene import Scene
+from omniman_ros.simulation.world.solids import Box, Solid, fixed_solids
+
+MAX_CELLS = 4_000_000
+"""Largest number of cells of a grid."""
+
+
+@dataclass(frozen=True)
+class Occupancy:
+    """Cells that are occupied, as in `nav_msgs/OccupancyGrid`.
+
+    Attributes:
+        occupied: Whether each cell is occupied, (rows along y, columns along x).
+        resolution: Edge of a cell [m].
+        origin: Corner (x, y) of cell (0, 0) in the world [m], (2,).
+    """
+
+    occupied: NDArray[np.bool_]
+    resolution: float
+    origin: Array
+
+
+def occupancy(
+    scene: Scene, resolution: float = 0.05, height: float = 0.5, margin: float = 1.0
+) -> Occupancy:
+    """Return the cells that fixed elements touch below a height: a high table leaves its legs.
+
+    Args:
+        scene: The scene.
+        resolution: Edge of a cell [m].
+        height: Height of what shall pass, such as the platform's [m].
+        margin: Free space around the elements and the robot's start [m].
+
+    Raises:
+        ParameterError: The resolution is not positive, or makes too many cells.
+    """
+    solids = [
+        solid
+        for _, parts in fixed_solids(scene)
+        for solid in parts
+        if solid.centre[2] - 0.5 * _height(solid) < height
+    ]
+    boxes = np.array([_bounds(solid) for solid in solids] + [[*scene.start[:2]] * 2])
+    low, high = boxes[:, :2].min(axis=0) - margin, boxes[:, 2:].max(axis=0) + margin
+    if not resolution > 0.0:
+        raise ParameterError("resolution", resolution, "must be above 0 m")
+    low = np.floor(low / resolution) * resolution
+    columns, rows = np.maximum(np.ceil((high - low) / resolution), 1.0).tolist()
+    if rows * columns > MAX_CELLS:
+        raise ParameterError(
+            "resolution", resolution, f"makes more than {MAX_CELLS} cells of this scene"
+        )
+    occupied = np.zeros((int(rows), int(columns)), dtype=bool)
+    for solid, bounds in zip(solids, boxes, strict=False):
+        first = np.maximum(np.floor((bounds[:2] - low) / resolution).astype(int), 0)
+        last = np.ceil((bounds[2:] - low) / resolution).astype(int)
+        x = low[0] + resolution * (np.arange(first[0], last[0]) + 0.5)
+        y = low[1] + resolution * (np.arange(first[1], last[1]) + 0.5)
+        window = occupied[first[1] : last[1], first[0] : last[0]]
+        window |= _touches(solid, x[None, :], y[:, None], 0.5 * resolution)
+    occupied.setflags(write=False)
+    low.setflags(write=False)
+    return Occupancy(occupied, resolution, low)
+
+
+def _height(solid: Solid) -> float:
+    """Return the height of a solid [m]."""
+    return solid.size[2] if isinstance(solid, Box) else solid.height
+
+
+def _bounds(solid: Solid) -> list[float]:
+    """Return the smallest x and y of a solid, then the largest [m]."""
+    x, y, _ = solid.centre
+    if isinstance(solid, Box):
+        c, s = abs(math.cos(solid.yaw)), abs(math.sin(solid.yaw))
+        dx = 0.5 * (c * solid.size[0] + s * solid.size[1])
+        dy = 0.5 * (s * solid.size[0] + c * solid.size[1])
+    else:
+        dx = dy = solid.radius
+    return [x - dx, y - dy, x + dx, y + dy]
+
+
+def _touches(solid: Solid, x: Array, y: Array, half: float) -> NDArray[np.bool_]:
+    """Return whether cells at (x, y) [m] touch a solid.
+
+    Args:
+        solid: The solid.
+        x, y: Centres of the cells [m].
+        half: Half the edge of a cell [m].
+    """
+    dx, dy = x - solid.centre[0], y - solid.centre[1]
+    if isinstance(solid, Box):
+        c, s = math.cos(solid.yaw), math.sin(solid.yaw)
+        along, across = np.abs(c * dx + s * dy), np.abs(c * dy - s * dx)
+        reach = half * (abs(c) + abs(s))
+        inside = along < 0.5 * solid.size[0] + reach
+        touched: NDArray[np.bool_] = inside & (across < 0.5 * solid.size[1] + reach)
+        return touched
+    nearest = np.hypot(np.maximum(np.abs(dx) - half, 0.0), np.maximum(np.abs(dy) - half, 0.0))
+    disc: NDArray[np.bool_] = nearest < solid.radius
+    return disc

@@ -1,0 +1,107 @@
+"""Boxes and cylinders that the fixed elements of a scene consist of."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from omniman_ros.simulation.world.scene import Pallet, Post, Scene, Table, Wall
+
+Vector = tuple[float, float, float]
+"""Position (x, y, z) in the world, or edges along the axes of a box [m]."""
+
+
+@dataclass(frozen=True)
+class Box:
+    """An upright box.
+
+    Attributes:
+        centre: Centre in the world [m].
+        size: Lengths of the edges [m].
+        yaw: Rotation about the vertical [rad].
+    """
+
+    centre: Vector
+    size: Vector
+    yaw: float = 0.0
+
+
+@dataclass(frozen=True)
+class Cylinder:
+    """An upright cylinder.
+
+    Attributes:
+        centre: Centre in the world [m].
+        radius, height: Radius and height [m].
+    """
+
+    centre: Vector
+    radius: float
+    height: float
+
+
+Solid = Box | Cylinder
+"""Convex part of an element."""
+
+
+def fixed_solids(scene: Scene) -> Iterator[tuple[str, tuple[Solid, ...]]]:
+    """Yield the name of each fixed element of a scene, and the solids it consists of."""
+    for wall in scene.walls:
+        yield wall.name, wall_solids(wall)
+    for post in scene.posts:
+        yield post.name, (post_solid(post),)
+    for table in scene.tables:
+        yield table.name, table_solids(table)
+    for pallet in scene.pallets:
+        yield pallet.name, (pallet_solid(pallet),)
+
+
+def wall_solids(wall: Wall) -> tuple[Box, ...]:
+    """Return the pieces of a wall between corners and doors; they overlap at the corners."""
+    pieces = []
+    half = 0.5 * wall.thickness
+    begin = 0.0
+    for x0, y0, x1, y1 in zip(wall.x, wall.y, wall.x[1:], wall.y[1:], strict=False):
+        length = math.hypot(x1 - x0, y1 - y0)
+        yaw = math.atan2(y1 - y0, x1 - x0)
+        gaps = sorted((door - begin - 0.5 * wall.door_width) for door in wall.doors)
+        at = -half
+        for left, right in [*((g, g + wall.door_width) for g in gaps), (length + half,) * 2]:
+            end = min(left, length + half)
+            if end > at and right > at:
+                middle = 0.5 * (at + end)
+                centre = x0 + middle * math.cos(yaw), y0 + middle * math.sin(yaw)
+                size = (end - at, wall.thickness, wall.height)
+                pieces.append(Box((*centre, 0.5 * wall.height), size, yaw))
+            at = max(at, right)
+        begin += length
+    return tuple(pieces)
+
+
+def post_solid(post: Post) -> Cylinder:
+    """Return the cylinder of a post."""
+    return Cylinder((post.x, post.y, 0.5 * post.height), post.radius, post.height)
+
+
+def table_solids(table: Table) -> tuple[Box, ...]:
+    """Return the top of a table, and its legs."""
+    bottom = table.height - table.thickness
+    top = Box(
+        (table.x, table.y, bottom + 0.5 * table.thickness),
+        (table.length, table.width, table.thickness),
+        table.yaw,
+    )
+    c, s = math.cos(table.yaw), math.sin(table.yaw)
+    legs = []
+    for i in (1.0, -1.0):
+        for j in (1.0, -1.0):
+            x = i * 0.5 * (table.length - table.leg)
+            y = j * 0.5 * (table.width - table.leg)
+            centre = (table.x + c * x - s * y, table.y + s * x + c * y, 0.5 * bottom)
+            legs.append(Box(centre, (table.leg, table.leg, bottom), table.yaw))
+    return (top, *legs)
+
+
+def pallet_solid(pallet: Pallet) -> Box:
+    """Return the box of a pallet."""
+    centre = (pallet.x, pallet.y, 0.5 * pallet.height)
+    return Box(centre, (pallet.length, pallet.width, pallet.height), pallet.yaw)

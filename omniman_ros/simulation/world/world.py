@@ -1,0 +1,260 @@
+"""The physics world: a robot in a scene, moved by the voltages at its motors."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.robot import Robot
+from omniman_ros.description.parameters import DescriptionParameters
+from omniman_ros.description.urdf import carries_arm
+from omniman_ros.simulation.plant.energy_ledger import EnergyLedger
+from omniman_ros.simulation.plant.gear_motor import configure_motors
+from omniman_ros.simulation.plant.parameters import SimulationParameters
+from omniman_ros.simulation.world.arm_servo import ArmServo
+from omniman_ros.simulation.world.contacts import RobotContact, RobotContacts
+from omniman_ros.simulation.world.engine import Engine
+from omniman_ros.simulation.world.model.platform import BASE
+from omniman_ros.simulation.world.model.wheels import free_joint
+from omniman_ros.simulation.world.model.world import world_model
+from omniman_ros.simulation.world.motor import HingeMotor
+from omniman_ros.simulation.world.parameters import IDEAL, WorldParameters
+from omniman_ros.simulation.world.scene import Scene
+from omniman_ros.simulation.world.tyres import TyreContacts
+from omniman_ros.simulation.world.walker import Walker
+
+
+@dataclass(frozen=True)
+class Obstacle:
+    """Where something that moves truly is.
+
+    Attributes:
+        name: Name of the element.
+        pose: Pose (x, y, heading) of its middle in the world [m, m, rad].
+        velocity: Velocity (x, y) in the world [m/s].
+        size: Length and width [m].
+    """
+
+    name: str
+    pose: tuple[float, float, float]
+    velocity: tuple[float, float]
+    size: tuple[float, float]
+
+
+class World:
+    """A robot in a scene; a :class:`~omniman_ros.simulation.plant.body.Body` for the drives.
+
+    The engine moves bodies by rigid-body mechanics with contacts. Motors and gears are those of
+    the plant. Nothing here reads a clock: the same calls give the same numbers to the last bit.
+
+    Args:
+        description: Robot, arm and where the arm is mounted.
+        simulation: Parameters of floor, motors, mismatch and faults.
+        parameters: Parameters of the world.
+        scene: The scene.
+
+    Attributes:
+        engine: The engine.
+        wheels: Gear motors of the wheels, in the robot's order.
+        arm: Servo of the arm; None if the robot carries none.
+
+    Raises:
+        ParameterError: A parameter is refused.
+    """
+
+    def __init__(
+        self,
+        description: DescriptionParameters,
+        simulation: SimulationParameters,
+        parameters: WorldParameters,
+        scene: Scene,
+    ) -> None:
+        self._description, self._parameters, self._scene = description, parameters, scene
+        robot = description.robot
+        self.wheels = tuple(HingeMotor() for _ in range(robot.wheel_count))
+        configure_motors(self.wheels, robot, simulation)
+        self._model = world_model(description, simulation, parameters, scene)
+        engine = self.engine = Engine(self._model)
+        self._tyres = TyreContacts(engine, robot.wheels.names)
+        self._tyres.configure(robot, simulation.plant)
+        self._contacts = RobotContacts(engine, parameters.contact_time)
+        self._walkers = [
+            Walker(engine, person, parameters.person_force) for person in scene.persons
+        ]
+        self.arm = ArmServo(engine, description.arm.joints) if carries_arm(robot) else None
+
+        self._drives = np.array([engine.dof(name) for name in robot.wheels.names])
+        is_ideal = parameters.wheels == IDEAL
+        hinges = [free_joint(name) for name in robot.wheels.names] if is_ideal else []
+        self._free = np.array([engine.coordinate(name) for name in hinges], dtype=np.intp)
+        self._base = engine.coordinate(BASE)
+        self._base_dof = engine.dof(BASE)
+        self._base_body = engine.body(BASE)
+        self._heading = 0.0
+        self._place(scene.start)
+        self._external = self._turnover = 0.0
+        self._start = engine.energies()
+
+    # pose
+
+    @property
+    def base_frame(self) -> tuple[Array, Array]:
+        """Position (3,) [m] and rotation (3, 3) of base_link in the world."""
+        return self.engine.pose(self._base_body)
+
+    @property
+    def pose(self) -> Array:
+        """Pose (x, y, heading) of base_link in the world [m, m, rad], (3,); not wrapped."""
+        position, _ = self.base_frame
+        return np.array([position[0], position[1], self._heading])
+
+    @property
+    def twist(self) -> Array:
+        """Twist (vx, vy, w) of base_link in its own frame [m/s, m/s, rad/s], (3,)."""
+        _, rotation = self.base_frame
+        start = self._base_dof
+        velocity = self.engine.velocities[start : start + 3] @ rotation
+        return np.array([velocity[0], velocity[1], self.engine.velocities[start + 5]])
+
+    def set_pose(self, pose: Sequence[float] | Array) -> None:
+        """Move the robot to another pose; the motion in its own frame continues.
+
+        Loads stay where they are.
+
+        Args:
+            pose: Pose (x, y, heading) of base_link in the world [m, m, rad], (3,).
+        """
+        self._place(pose)
+
+    def _place(self, pose: Sequence[float] | Array) -> None:
+        """Turn the robot about the vertical and move it over the floor."""
+        x, y, heading = (float(value) for value in pose)
+        engine, at, dof = self.engine, self._base, self._base_dof
+        half = 0.5 * (heading - self._heading)
+        c, s = math.cos(half), math.sin(half)
+        w, i, j, k = engine.coordinates[at + 3 : at + 7].tolist()
+        engine.coordinates[at : at + 2] = x, y
+        engine.coordinates[at + 3 : at + 7] = (
+            c * w - s * k,
+            c * i - s * j,
+            c * j + s * i,
+            c * k + s * w,
+        )
+        vx, vy = engine.velocities[dof : dof + 2].tolist()
+        c, s = math.cos(2.0 * half), math.sin(2.0 * half)
+        engine.velocities[dof : dof + 2] = c * vx - s * vy, s * vx + c * vy
+        self._heading = heading
+        engine.refresh()
+
+    # measurements
+
+    @property
+    def wheel_loads(self) -> Array:
+        """Load of each wheel in the latest step [N], (n,)."""
+        return self._tyres.loads
+
+    @property
+    def contacts(self) -> tuple[RobotContact, ...]:
+        """Contacts of the robot, but not those of its wheels with the floor."""
+        return self._contacts()
+
+    @property
+    def obstacles(self) -> tuple[Obstacle, ...]:
+        """Persons and crates."""
+        persons = [
+            Obstacle(
+                walker.name, (*walker.position, 0.0), walker.velocity, (2.0 * walker.radius,) * 2
+            )
+            for walker in self._walkers
+        ]
+        crates = []
+        for crate in self._scene.crates:
+            position, rotation = self.engine.pose(self.engine.body(crate.name))
+            velocity = self.engine.velocities[self.engine.dof(crate.name) :][:2]
+            heading = math.atan2(rotation[1, 0], rotation[0, 0])
+            crates.append(
+                Obstacle(
+                    crate.name,
+                    (float(position[0]), float(position[1]), heading),
+                    (float(velocity[0]), float(velocity[1])),
+                    (crate.length, crate.width),
+                )
+            )
+        return (*persons, *crates)
+
+    @property
+    def energy(self) -> EnergyLedger:
+        """Energies since the start.
+
+        `external` is the work of the arm's servo, of persons and of gravity. The residual is what
+        the engine loses in contacts other than by slip and drag of the wheels, and its error.
+        """
+        potential, kinetic = self.engine.energies()
+        totals = {
+            name: sum(getattr(wheel, name) for wheel in self.wheels)
+            for name in ("electrical", "copper", "gear", "shaft", "inductive")
+        }
+        return EnergyLedger(
+            external=self._external - (potential - self._start[0]),
+            roller=self._tyres.drag_loss,
+            slip=self._tyres.slip_loss,
+            kinetic=kinetic - self._start[1],
+            turnover=self._turnover,
+            **totals,
+        )
+
+    # time
+
+    def step(self, voltages: Sequence[float]) -> None:
+        """Integrate one substep.
+
+        Args:
+            voltages: Voltages (n,) requested from the amplifiers [V], constant over the step.
+        """
+        engine, wheels, drives = self.engine, self.wheels, self._drives
+        step = engine.step_time
+        for wheel, voltage in zip(wheels, voltages, strict=True):
+            wheel.begin(voltage, step)
+        if self.arm is not None:
+            self.arm.update()
+        for walker in self._walkers:
+            walker.update()
+        self._tyres.update_grip()
+        engine.applied[drives] = 0.0
+        work = step * float(engine.applied @ engine.velocities)
+        engine.applied[drives] = [wheel.torque for wheel in wheels]
+        engine.damping[drives] = [wheel.damping for wheel in wheels]
+        engine.dry_friction[drives] = [wheel.dry for wheel in wheels]
+
+        engine.advance()
+        self._contacts.update(self._tyres.update())
+        engine.coordinates[self._free] = 0.0
+        engine.refresh()
+
+        turnover = abs(work)
+        for wheel, speed in zip(wheels, engine.velocities[drives].tolist(), strict=True):
+            turnover += wheel.finish(step, speed)
+        self._turnover += turnover
+        self._external += work
+        _, rotation = self.base_frame
+        heading = math.atan2(rotation[1, 0], rotation[0, 0])
+        self._heading += math.remainder(heading - self._heading, math.tau)
+
+    # parameters
+
+    def configure(self, robot: Robot, simulation: SimulationParameters) -> None:
+        """Replace robot data and parameters together, also in motion.
+
+        Raises:
+            ParameterError: One of them is refused; nothing is changed then.
+        """
+        description = replace(self._description, robot=robot)
+        model = world_model(description, simulation, self._parameters, self._scene)
+        configure_motors(self.wheels, robot, simulation)
+        if model != self._model:
+            self.engine.replace(model)
+            self._model = model
+        self._tyres.configure(robot, simulation.plant)
+        self._description = description
