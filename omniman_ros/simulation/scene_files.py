@@ -53,7 +53,7 @@ def scene_file(world: str) -> Path:
         if path.is_file():
             return path
         raise ParameterError("world", world, "there is no such file")
-    folder = share_path("config/worlds")
+    folder = share_path("config", "worlds")
     named = folder / f"{world}.yaml"
     if world and named.parent == folder and named.is_file():
         return named

@@ -22,7 +22,7 @@ class RobotContact:
         thing: Element of the scene, or the floor.
         place: Where they touch, or last touched, in the world [m], (3,).
         force: Force on the robot in the world, low-pass filtered [N], (3,).
-        impulse: Integral of the force's magnitude since the contact began [N s].
+        impulse: Integral of the force, unfiltered, since the contact began [N s], (3,).
         touches: Whether they touch now.
     """
 
@@ -30,7 +30,7 @@ class RobotContact:
     thing: str
     place: Array
     force: Array
-    impulse: float
+    impulse: Array
     touches: bool
 
 
@@ -41,7 +41,7 @@ class _Contact:
     place: Array
     force: Array = field(default_factory=lambda: np.zeros(3))
     now: Array = field(default_factory=lambda: np.zeros(3))
-    impulse: float = 0.0
+    impulse: Array = field(default_factory=lambda: np.zeros(3))
     age: float = 0.0
 
 
@@ -95,7 +95,7 @@ class RobotContacts:
         gain = step / (self._time_constant + step)
         for key, contact in list(self._contacts.items()):
             contact.force = contact.force + gain * (contact.now - contact.force)
-            contact.impulse += step * float(np.sqrt(contact.now @ contact.now))
+            contact.impulse = contact.impulse + step * contact.now
             if contact.age > MEMORY * self._time_constant:
                 del self._contacts[key]
 

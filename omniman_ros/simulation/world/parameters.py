@@ -29,7 +29,7 @@ class WorldParameters:
         read_only=True,
     )
     tyre_stiffness: float = parameter(
-        5e5,
+        1e6,
         "Stiffness of each wheel's contact: the softer, the more evenly the wheels are loaded.",
         unit="N/m",
         low=1e3,

@@ -6,17 +6,21 @@ from omniman_ros.simulation.world.engine import Engine
 from omniman_ros.simulation.world.model.things import person_joints
 from omniman_ros.simulation.world.scene import Person
 
-PULL = 6.0
-"""Angular frequency with which a person follows the own pace, critically damped [rad/s]."""
-PATIENCE = 0.3
+AGILITY = 12.0
+"""Rate at which a person reaches the wanted velocity [1/s]."""
+APPROACH = 3.0
+"""Velocity per distance with which a person returns to the own way [1/s]."""
+HURRY = 1.2
+"""Highest velocity of a person who returns to the own way, over the walking speed."""
+PATIENCE = 0.5
 """Distance behind the own pace from which on a person waits for the way to be free [m]."""
 
 
 class Walker:
     """Walks a person along the way points, with a limited force.
 
-    A goal goes along the way at the person's speed, and the person is pulled to it by a spring and
-    a damper. Who is held up pushes with the largest force and does not go on; nobody gives way.
+    A goal goes along the way at the walking speed, and the person goes after it. Who is held up
+    pushes on, and the goal waits; nobody gives way.
 
     Args:
         engine: The engine.
@@ -58,14 +62,12 @@ class Walker:
         (x, y), (vx, vy) = self.position, self.velocity
         ux, uy = self._pace(x, y)
         gx, gy = self._goal
-        stiffness, damping = self._mass * PULL * PULL, 2.0 * self._mass * PULL
-        fx = stiffness * (gx - x) + damping * (ux - vx)
-        fy = stiffness * (gy - y) + damping * (uy - vy)
-        size = math.hypot(fx, fy)
-        scale = self.force / size if size > self.force else 1.0
+        wx, wy = _limited(ux + APPROACH * (gx - x), uy + APPROACH * (gy - y), HURRY * self._speed)
+        gain = AGILITY * self._mass
+        fx, fy = _limited(gain * (wx - vx), gain * (wy - vy), self.force)
         i, j = self._dofs
-        self._engine.applied[i] = scale * fx
-        self._engine.applied[j] = scale * fy
+        self._engine.applied[i] = fx
+        self._engine.applied[j] = fy
 
     def _pace(self, x: float, y: float) -> tuple[float, float]:
         """Move the goal on, and return its velocity [m/s]."""
@@ -82,3 +84,10 @@ class Walker:
         ux, uy = self._speed * (px - gx) / left, self._speed * (py - gy) / left
         self._goal = gx + ux * self._engine.step_time, gy + uy * self._engine.step_time
         return ux, uy
+
+
+def _limited(x: float, y: float, largest: float) -> tuple[float, float]:
+    """Return a vector, shortened if it is longer than `largest`."""
+    size = math.hypot(x, y)
+    scale = largest / size if size > largest else 1.0
+    return scale * x, scale * y

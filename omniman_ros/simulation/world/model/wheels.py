@@ -33,7 +33,7 @@ QUARTER_TURN = 0.5 * math.pi
 """Angle of 90 degrees [rad]."""
 HINGE_FRICTION: dict[str, Value] = {
     "solreffriction": (0.002, 1.0),
-    "solimpfriction": (0.99, 0.99, 0.001),
+    "solimpfriction": (0.999, 0.999, 0.001),
 }
 """Stiff dry friction, so that a wheel which friction holds does not creep."""
 

@@ -1,5 +1,6 @@
 """The whole model: a robot in a scene."""
 
+from collections import Counter
 from dataclasses import dataclass
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
@@ -48,8 +49,9 @@ def world_model(
         scene: The scene.
 
     Raises:
-        ParameterError: The substep is too long, the platform is to be lifted, or a mismatch has
-            neither one value nor one per wheel.
+        ParameterError: The substep is too long, the platform is to be lifted, a mismatch has
+            neither one value nor one per wheel, or an element of the scene has the name of a part
+            of the robot.
     """
     plant, robot = simulation.plant, description.robot
     if plant.substep > MAX_SUBSTEP:
@@ -82,4 +84,15 @@ def world_model(
     if armed:
         add_arm(base, description.arm, description.mount)
     add_things(world, scene, deck_height(robot, mount))
+    _require_unique_names(world)
     return WorldModel(ElementTree.tostring(root, encoding="unicode"), tyres)
+
+
+def _require_unique_names(world: Element) -> None:
+    """Require that no two bodies and no two joints have the same name."""
+    for tags in (("body",), ("joint", "freejoint")):
+        names = Counter(element.get("name") for tag in tags for element in world.iter(tag))
+        repeated = [name for name, count in names.items() if name and count > 1]
+        if repeated:
+            reason = "an element of the scene has the name of a part of the robot or of another"
+            raise ParameterError("name", repeated[0], reason)
