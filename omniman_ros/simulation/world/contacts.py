@@ -7,6 +7,7 @@ import numpy as np
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.simulation.world.engine import Engine
+from omniman_ros.simulation.world.model.floor import FLOOR
 from omniman_ros.simulation.world.model.platform import BASE
 
 MEMORY = 5.0
@@ -58,6 +59,18 @@ class RobotContacts:
         self._parties = engine.parties()
         self._is_robot = engine.shapes_below(BASE)
         self._contacts: dict[tuple[str, str], _Contact] = {}
+
+    def deepest(self) -> tuple[float, str]:
+        """Return how deep the robot is in something [m], and in what; 0 if it touches nothing."""
+        depth, name = 0.0, ""
+        shapes, _ = self._engine.contacts()
+        for (first, second), distance in zip(shapes, self._engine.distances, strict=True):
+            parties = {self._parties[first], self._parties[second]}
+            is_other = self._is_robot[first] != self._is_robot[second]
+            if is_other and FLOOR not in parties and -distance > depth:
+                depth = -float(distance)
+                name = self._parties[second if self._is_robot[first] else first]
+        return depth, name
 
     def update(self, indices: Iterable[int]) -> None:
         """Take the contacts of a step.

@@ -23,10 +23,14 @@ class Engine:
 
     Args:
         model: The model.
+
+    Attributes:
+        step_time: Length of a step [s].
     """
 
     def __init__(self, model: WorldModel) -> None:
         self._model, self._data = self._compile(model)
+        self.step_time = float(self._model.opt.timestep)
         self.refresh()
 
     @staticmethod
@@ -91,11 +95,6 @@ class Engine:
         return below
 
     # state: live views
-
-    @property
-    def step_time(self) -> float:
-        """Length of a step [s]."""
-        return float(self._model.opt.timestep)
 
     @property
     def coordinates(self) -> Array:
@@ -172,7 +171,7 @@ class Engine:
         """Find positions, contacts and forces of inertia of the present state."""
         mujoco.mj_step1(self._model, self._data)
 
-    # contacts, between `advance` and `refresh`
+    # contacts; they have forces between `advance` and `refresh`
 
     def contacts(self) -> tuple[Indices, NDArray[np.int32]]:
         """Return the shapes (k, 2) that touch, and where their forces are in `forces`, (k,).
@@ -192,6 +191,12 @@ class Engine:
     def slips(self) -> Array:
         """Velocities at all constraints at the beginning of the step, as `forces` [m/s]."""
         values: Array = self._data.efc_vel
+        return values
+
+    @property
+    def distances(self) -> Array:
+        """Distances of the shapes that touch [m], (k,); negative where they overlap."""
+        values: Array = self._data.contact.dist
         return values
 
     def contact_frame(self, k: int) -> tuple[Array, Array]:

@@ -2,8 +2,12 @@
 
 from dataclasses import dataclass
 
+from omniman_ros.core.arm_model import JOINTS
+from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import parameter
 
+Floats = tuple[float, ...]
+"""Angle of each joint [rad]."""
 IDEAL = "ideal"
 """Kind of wheel: one contact that slips along the roller's axis and rolls across it."""
 ROLLERS = "rollers"
@@ -28,6 +32,14 @@ class WorldParameters:
         high=0.4,
         read_only=True,
     )
+    posture: Floats = parameter(
+        (0.0, -1.57, 1.57, -1.57, -1.57, 0.0),
+        "Joint angles of the arm at the start.",
+        unit="rad",
+        low=-6.3,
+        high=6.3,
+        read_only=True,
+    )
     tyre_stiffness: float = parameter(
         1e6,
         "Stiffness of each wheel's contact: the softer, the more evenly the wheels are loaded.",
@@ -47,3 +59,13 @@ class WorldParameters:
     person_force: float = parameter(
         150.0, "Largest force with which a person pushes on.", unit="N", low=0, high=10000
     )
+
+    def __post_init__(self) -> None:
+        """Check the posture.
+
+        Raises:
+            ParameterError: It does not have one angle per joint.
+        """
+        if len(self.posture) != JOINTS:
+            reason = f"must be {JOINTS} angles"
+            raise ParameterError("world.posture", self.posture, reason)

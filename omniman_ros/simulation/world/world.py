@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from omniman_ros.core.arrays import Array
+from omniman_ros.core.errors import InputError, OmnimanError, ParameterError
 from omniman_ros.core.robot import Robot
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.description.urdf import carries_arm
@@ -16,7 +17,7 @@ from omniman_ros.simulation.plant.parameters import SimulationParameters
 from omniman_ros.simulation.world.arm_servo import ArmServo
 from omniman_ros.simulation.world.contacts import RobotContact, RobotContacts
 from omniman_ros.simulation.world.engine import Engine
-from omniman_ros.simulation.world.model.platform import BASE
+from omniman_ros.simulation.world.model.platform import BASE, deck_height
 from omniman_ros.simulation.world.model.wheels import free_joint
 from omniman_ros.simulation.world.model.world import world_model
 from omniman_ros.simulation.world.motor import HingeMotor
@@ -24,6 +25,9 @@ from omniman_ros.simulation.world.parameters import IDEAL, WorldParameters
 from omniman_ros.simulation.world.scene import Scene
 from omniman_ros.simulation.world.tyres import TyreContacts
 from omniman_ros.simulation.world.walker import Walker
+
+MAX_DEPTH = 0.02
+"""How deep the robot may be in something where it is put [m]."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +45,20 @@ class Obstacle:
     pose: tuple[float, float, float]
     velocity: tuple[float, float]
     size: tuple[float, float]
+
+
+def rotated(angle: float, vector: Array) -> Array:
+    """Return a vector (2,) rotated to the left by an angle [rad]."""
+    c, s = math.cos(angle), math.sin(angle)
+    x, y = vector
+    return np.array([c * x - s * y, s * x + c * y])
+
+
+def turned(angle: float, quaternion: Array) -> Array:
+    """Return a rotation (w, x, y, z), (4,), followed by one about the vertical [rad]."""
+    c, s = math.cos(0.5 * angle), math.sin(0.5 * angle)
+    w, x, y, z = quaternion
+    return np.array([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w])
 
 
 class World:
@@ -61,7 +79,7 @@ class World:
         arm: Servo of the arm; None if the robot carries none.
 
     Raises:
-        ParameterError: A parameter is refused.
+        ParameterError: A parameter is refused, or the robot would start in something.
     """
 
     def __init__(
@@ -93,7 +111,15 @@ class World:
         self._base_dof = engine.dof(BASE)
         self._base_body = engine.body(BASE)
         self._heading = 0.0
+        self._deck = deck_height(robot, description.mount.z if self.arm else None)
+        if self.arm is not None:
+            self.arm.place(parameters.posture)
         self._place(scene.start)
+        depth, thing = self._contacts.deepest()
+        if depth > MAX_DEPTH:
+            raise ParameterError(
+                "start", scene.start, f"puts the robot {depth:.2f} m into {thing}"
+            )
         self._external = self._turnover = 0.0
         self._start = engine.energies()
 
@@ -119,32 +145,41 @@ class World:
         return np.array([velocity[0], velocity[1], self.engine.velocities[start + 5]])
 
     def set_pose(self, pose: Sequence[float] | Array) -> None:
-        """Move the robot to another pose; the motion in its own frame continues.
+        """Put the robot upright at another pose; its motion in its own frame continues.
 
-        Loads stay where they are.
+        What lies on the platform is moved with it.
 
         Args:
             pose: Pose (x, y, heading) of base_link in the world [m, m, rad], (3,).
+
+        Raises:
+            InputError: Something is there; the robot then stays.
         """
+        before = self.pose
         self._place(pose)
+        depth, thing = self._contacts.deepest()
+        if depth > MAX_DEPTH:
+            self._place(before)
+            raise InputError(f"the robot cannot stand there: it would be {depth:.2f} m in {thing}")
 
     def _place(self, pose: Sequence[float] | Array) -> None:
-        """Turn the robot about the vertical and move it over the floor."""
-        x, y, heading = (float(value) for value in pose)
+        """Put the robot, and what lies on it, at a pose."""
         engine, at, dof = self.engine, self._base, self._base_dof
-        half = 0.5 * (heading - self._heading)
-        c, s = math.cos(half), math.sin(half)
-        w, i, j, k = engine.coordinates[at + 3 : at + 7].tolist()
-        engine.coordinates[at : at + 2] = x, y
-        engine.coordinates[at + 3 : at + 7] = (
-            c * w - s * k,
-            c * i - s * j,
-            c * j + s * i,
-            c * k + s * w,
-        )
-        vx, vy = engine.velocities[dof : dof + 2].tolist()
-        c, s = math.cos(2.0 * half), math.sin(2.0 * half)
-        engine.velocities[dof : dof + 2] = c * vx - s * vy, s * vx + c * vy
+        place, velocity = engine.coordinates, engine.velocities
+        x, y, heading = (float(value) for value in pose)
+        old = self.pose
+        turn = heading - old[2]
+        for load in self._scene.loads:
+            start, first = engine.coordinate(load.name), engine.dof(load.name)
+            if place[start + 2] > self._deck:
+                place[start : start + 2] = (x, y) + rotated(
+                    turn, place[start : start + 2] - old[:2]
+                )
+                place[start + 3 : start + 7] = turned(turn, place[start + 3 : start + 7])
+                velocity[first : first + 2] = rotated(turn, velocity[first : first + 2])
+        place[at : at + 7] = x, y, 0.0, math.cos(0.5 * heading), 0.0, 0.0, math.sin(0.5 * heading)
+        velocity[dof : dof + 2] = rotated(turn, velocity[dof : dof + 2])
+        velocity[dof + 2 : dof + 5] = 0.0
         self._heading = heading
         engine.refresh()
 
@@ -212,6 +247,9 @@ class World:
 
         Args:
             voltages: Voltages (n,) requested from the amplifiers [V], constant over the step.
+
+        Raises:
+            OmnimanError: The state is no longer finite.
         """
         engine, wheels, drives = self.engine, self.wheels, self._drives
         step = engine.step_time
@@ -240,6 +278,8 @@ class World:
         self._external += work
         _, rotation = self.base_frame
         heading = math.atan2(rotation[1, 0], rotation[0, 0])
+        if not math.isfinite(heading):
+            raise OmnimanError("the physics world has diverged: its state is not finite")
         self._heading += math.remainder(heading - self._heading, math.tau)
 
     # parameters

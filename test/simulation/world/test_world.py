@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from omniman_ros.core.errors import ParameterError
+from omniman_ros.core.errors import InputError, OmnimanError, ParameterError
 from omniman_ros.simulation.scene_files import load_scene
-from omniman_ros.simulation.world.scene import Person, Post, Scene
+from omniman_ros.simulation.world.scene import Load, Person, Post, Scene, Wall
 from test.simulation.world.support import Bench, ideal, rollers
 
 
@@ -60,6 +60,37 @@ def test_a_scene_tells_where_the_robot_starts():
     np.testing.assert_allclose(bench.world.pose, [1.0, 2.0, -0.5], atol=1e-4)
 
 
+def test_the_robot_is_put_upright_and_nowhere_into_a_thing():
+    post = Post(name="post", x=3.0, y=0.0)
+    bench = rollers("ig42", Scene(posts=(post,)))
+    bench.drive((0.2, 0.0, 0.0), 0.5)
+    pose = bench.world.pose
+    with pytest.raises(InputError, match="post"):
+        bench.drives.set_pose([2.8, 0.1, 0.3])
+    np.testing.assert_allclose(bench.world.pose, pose, atol=1e-12)
+    bench.drives.set_pose([2.0, 0.1, 0.3])
+    bench.wait(0.5)
+    assert bench.world.base_frame[1][2, 2] == pytest.approx(1.0, abs=1e-5)
+    assert bench.world.base_frame[0][2] == pytest.approx(0.0, abs=1e-3)
+
+
+def test_a_start_within_a_thing_is_refused():
+    with pytest.raises(ParameterError, match="wall"):
+        ideal("ig42", Scene(walls=(Wall(name="wall", x=(0.0, 0.0), y=(-1.0, 1.0)),)))
+
+
+def test_loads_are_put_where_the_robot_is_put():
+    load = Load(name="part", x=0.1, y=0.05, mass=3.0, length=0.1, width=0.1)
+    bench = ideal("ig42", Scene(start=(1.0, 2.0, 0.5), loads=(load,)))
+    bench.wait(0.5)
+    weight = (25.0 + 3.0) * 9.81
+    assert bench.world.wheel_loads.sum() == pytest.approx(weight, rel=1e-3)
+    bench.drives.set_pose([-3.0, 1.0, -2.0])
+    bench.wait(0.5)
+    assert bench.world.wheel_loads.sum() == pytest.approx(weight, rel=1e-3)
+    assert {contact.thing for contact in bench.world.contacts} == {"part"}
+
+
 def test_a_heavier_body_takes_over_in_motion():
     """The speed is kept, and the wheels carry the new weight."""
     bench = ideal("ig42")
@@ -106,6 +137,14 @@ def test_energy_on_rollers_is_lost_in_their_hand_over_only():
     bench.drive((0.0, 0.3, 0.0), 2.0)
     energy = bench.world.energy
     assert 0.0 < energy.residual < 0.1 * energy.turnover
+
+
+def test_a_state_that_is_not_finite_is_told(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # the engine logs there
+    bench = ideal("ig42")
+    bench.world.engine.velocities[:] = math.nan
+    with pytest.raises(OmnimanError, match="not finite"):
+        bench.wait(0.01)
 
 
 def test_obstacles_are_told_as_they_are():

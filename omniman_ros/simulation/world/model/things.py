@@ -1,6 +1,5 @@
 """What is around the robot: fixed elements, things that move, and persons."""
 
-import math
 from collections.abc import Sequence
 from xml.etree.ElementTree import Element
 
@@ -26,7 +25,7 @@ def person_joints(name: str) -> tuple[str, str]:
 
 
 def add_things(world: Element, scene: Scene, deck: float) -> None:
-    """Add the elements of a scene, each as a body of its name.
+    """Add the elements of a scene, each as a body of its name; loads on the robot at the origin.
 
     Args:
         world: Element of the world.
@@ -39,11 +38,8 @@ def add_things(world: Element, scene: Scene, deck: float) -> None:
             _add_solid(body, solid)
     for crate in scene.crates:
         _add_loose(world, crate, (crate.x, crate.y, 0.5 * crate.height), crate.yaw)
-    x, y, heading = scene.start
-    c, s = math.cos(heading), math.sin(heading)
     for load in scene.loads:
-        place = (x + c * load.x - s * load.y, y + s * load.x + c * load.y)
-        _add_loose(world, load, (*place, deck + 0.5 * load.height), heading + load.yaw)
+        _add_loose(world, load, (load.x, load.y, deck + 0.5 * load.height), load.yaw)
     for person in scene.persons:
         _add_person(world, person)
 

@@ -40,7 +40,7 @@ def world_model(
     parameters: WorldParameters,
     scene: Scene,
 ) -> WorldModel:
-    """Return the model of a robot in a scene, with the robot at its start.
+    """Return the model of a robot in a scene, with the robot at the origin.
 
     Args:
         description: Robot, arm and where the arm is mounted.
@@ -67,7 +67,7 @@ def world_model(
 
     root = Element("mujoco", model="world")
     add(root, "compiler", angle="radian", eulerseq="XYZ", autolimits="true")
-    add(
+    option = add(
         root,
         "option",
         timestep=plant.substep,
@@ -78,6 +78,8 @@ def world_model(
         # Rollers make a large and almost empty matrix.
         jacobian="auto" if parameters.wheels == IDEAL else "sparse",
     )
+    # A state that is not finite is told, and not silently replaced by the first one.
+    add(option, "flag", autoreset="disable")
     world = add(root, "worldbody")
     add_floor(world)
     base = add_platform(world, robot, simulation.mismatch, mount, tyres, parameters)
