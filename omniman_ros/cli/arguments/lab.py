@@ -11,6 +11,7 @@ BENCHMARKS = {
     "can": "round trips over a CAN bus of UDP next to a bare echo, CPU, bus load",
     "arm": "setpoints at 125 Hz in the whole running robot next to a bare loop",
     "whole_body": "time of planning tool paths, CPU of their stream, inverse kinematics",
+    "world": "speed of the physics world over real time, CPU of a laser scan",
 }
 """Measured quantities of each benchmark, for the help text."""
 

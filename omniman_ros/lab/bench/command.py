@@ -10,6 +10,7 @@ BENCHMARKS = {
     "can": "omniman_ros.lab.bench.can_bus",
     "arm": "omniman_ros.lab.bench.arm",
     "whole_body": "omniman_ros.lab.bench.whole_body",
+    "world": "omniman_ros.lab.bench.world",
 }
 """Module of each benchmark, by name; it has a function `run(args)` and is imported on demand."""
 

@@ -1,0 +1,44 @@
+import json
+import math
+
+import pytest
+
+from omniman_ros.cli.main import main
+from omniman_ros.extras import WORLD, Extra
+from omniman_ros.lab.bench import world as bench
+from omniman_ros.robots import load_robot
+
+RESULT = {
+    "factor": {"plant": 11.0, "ideal": 6.5, "rollers": 4.5},
+    "scan": {"beams": 720, "cpu_us": 250.0, "core_percent": 1.0},
+}
+
+
+def test_a_missed_aim_is_reported_as_missed():
+    result = {**RESULT, "aims": bench.aims(RESULT)}
+    assert list(result["aims"].values()) == [True, False, True]
+    assert bench.report(result)[-1] == "aims missed: rollers at least 5 times real time"
+
+
+def test_everything_is_measured():
+    pytest.importorskip("mujoco")
+    result = bench.measure(load_robot("ig42"), 0.05)
+    assert set(result["factor"]) == {"plant", "ideal", "rollers"}
+    assert all(0.0 < factor < math.inf for factor in result["factor"].values())
+    assert result["scan"]["core_percent"] == pytest.approx(
+        100.0 * 40.0 * 1e-6 * result["scan"]["cpu_us"]
+    )
+
+
+def test_without_the_engine_the_command_says_what_to_install(monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(bench, "WORLD", Extra(("no_such_engine",), WORLD.hint))
+    assert main(["bench", "world", "--results", str(tmp_path)]) != 0
+    assert "pip install 'omniman_ros[world]'" in capsys.readouterr().err
+
+
+@pytest.mark.exhaustive
+def test_the_benchmark_writes_its_figures(tmp_path):
+    pytest.importorskip("mujoco")
+    assert main(["bench", "world", "--quick", "--results", str(tmp_path)]) == 0
+    written = json.loads((tmp_path / "bench_world.json").read_text())
+    assert len(written["aims"]) == 3
