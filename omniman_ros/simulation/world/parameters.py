@@ -55,9 +55,15 @@ class WorldParameters:
         unit="s",
         low=0.001,
         high=10,
+        read_only=True,
     )
     person_force: float = parameter(
-        150.0, "Largest force with which a person pushes on.", unit="N", low=0, high=10000
+        150.0,
+        "Largest force with which a person pushes on.",
+        unit="N",
+        low=0,
+        high=10000,
+        read_only=True,
     )
 
     def __post_init__(self) -> None:

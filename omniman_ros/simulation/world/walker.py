@@ -30,12 +30,11 @@ class Walker:
     Attributes:
         name: Name of the person.
         radius: Radius of the person [m].
-        force: Largest force [N].
     """
 
     def __init__(self, engine: Engine, person: Person, force: float) -> None:
         self._engine = engine
-        self.name, self.radius, self.force = person.name, person.radius, force
+        self.name, self.radius, self._force = person.name, person.radius, force
         self._mass, self._speed = person.mass, person.speed
         self._points = tuple(zip(person.x, person.y, strict=True))
         joints = person_joints(person.name)
@@ -64,7 +63,7 @@ class Walker:
         gx, gy = self._goal
         wx, wy = _limited(ux + APPROACH * (gx - x), uy + APPROACH * (gy - y), HURRY * self._speed)
         gain = AGILITY * self._mass
-        fx, fy = _limited(gain * (wx - vx), gain * (wy - vy), self.force)
+        fx, fy = _limited(gain * (wx - vx), gain * (wy - vy), self._force)
         i, j = self._dofs
         self._engine.applied[i] = fx
         self._engine.applied[j] = fy
@@ -72,7 +71,7 @@ class Walker:
     def _pace(self, x: float, y: float) -> tuple[float, float]:
         """Move the goal on, and return its velocity [m/s]."""
         gx, gy = self._goal
-        if len(self._points) == 1 or math.hypot(gx - x, gy - y) > PATIENCE:
+        if math.hypot(gx - x, gy - y) > PATIENCE:
             return 0.0, 0.0
         px, py = self._points[self._next]
         left = math.hypot(px - gx, py - gy)

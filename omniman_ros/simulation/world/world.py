@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from omniman_ros.core.arrays import Array
-from omniman_ros.core.errors import InputError, OmnimanError, ParameterError
+from omniman_ros.core.errors import InputError, ParameterError
 from omniman_ros.core.robot import Robot
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.description.urdf import carries_arm
@@ -15,9 +15,10 @@ from omniman_ros.simulation.plant.energy_ledger import EnergyLedger
 from omniman_ros.simulation.plant.gear_motor import configure_motors
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 from omniman_ros.simulation.world.arm_servo import ArmServo
+from omniman_ros.simulation.world.base import Base
 from omniman_ros.simulation.world.contacts import RobotContact, RobotContacts
 from omniman_ros.simulation.world.engine import Engine
-from omniman_ros.simulation.world.model.platform import BASE, deck_height
+from omniman_ros.simulation.world.model.platform import deck_height
 from omniman_ros.simulation.world.model.wheels import free_joint
 from omniman_ros.simulation.world.model.world import world_model
 from omniman_ros.simulation.world.motor import HingeMotor
@@ -45,20 +46,6 @@ class Obstacle:
     pose: tuple[float, float, float]
     velocity: tuple[float, float]
     size: tuple[float, float]
-
-
-def rotated(angle: float, vector: Array) -> Array:
-    """Return a vector (2,) rotated to the left by an angle [rad]."""
-    c, s = math.cos(angle), math.sin(angle)
-    x, y = vector
-    return np.array([c * x - s * y, s * x + c * y])
-
-
-def turned(angle: float, quaternion: Array) -> Array:
-    """Return a rotation (w, x, y, z), (4,), followed by one about the vertical [rad]."""
-    c, s = math.cos(0.5 * angle), math.sin(0.5 * angle)
-    w, x, y, z = quaternion
-    return np.array([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w])
 
 
 class World:
@@ -107,14 +94,11 @@ class World:
         is_ideal = parameters.wheels == IDEAL
         hinges = [free_joint(name) for name in robot.wheels.names] if is_ideal else []
         self._free = np.array([engine.coordinate(name) for name in hinges], dtype=np.intp)
-        self._base = engine.coordinate(BASE)
-        self._base_dof = engine.dof(BASE)
-        self._base_body = engine.body(BASE)
-        self._heading = 0.0
-        self._deck = deck_height(robot, description.mount.z if self.arm else None)
+        deck = deck_height(robot, description.mount.z if self.arm else None)
+        self._base = Base(engine, [load.name for load in scene.loads], deck)
         if self.arm is not None:
             self.arm.place(parameters.posture)
-        self._place(scene.start)
+        self._base.put(scene.start)
         depth, thing = self._contacts.deepest()
         if depth > MAX_DEPTH:
             raise ParameterError(
@@ -128,21 +112,17 @@ class World:
     @property
     def base_frame(self) -> tuple[Array, Array]:
         """Position (3,) [m] and rotation (3, 3) of base_link in the world."""
-        return self.engine.pose(self._base_body)
+        return self._base.frame
 
     @property
     def pose(self) -> Array:
         """Pose (x, y, heading) of base_link in the world [m, m, rad], (3,); not wrapped."""
-        position, _ = self.base_frame
-        return np.array([position[0], position[1], self._heading])
+        return self._base.pose
 
     @property
     def twist(self) -> Array:
         """Twist (vx, vy, w) of base_link in its own frame [m/s, m/s, rad/s], (3,)."""
-        _, rotation = self.base_frame
-        start = self._base_dof
-        velocity = self.engine.velocities[start : start + 3] @ rotation
-        return np.array([velocity[0], velocity[1], self.engine.velocities[start + 5]])
+        return self._base.twist
 
     def set_pose(self, pose: Sequence[float] | Array) -> None:
         """Put the robot upright at another pose; its motion in its own frame continues.
@@ -156,32 +136,11 @@ class World:
             InputError: Something is there; the robot then stays.
         """
         before = self.pose
-        self._place(pose)
+        self._base.put(pose)
         depth, thing = self._contacts.deepest()
         if depth > MAX_DEPTH:
-            self._place(before)
+            self._base.put(before)
             raise InputError(f"the robot cannot stand there: it would be {depth:.2f} m in {thing}")
-
-    def _place(self, pose: Sequence[float] | Array) -> None:
-        """Put the robot, and what lies on it, at a pose."""
-        engine, at, dof = self.engine, self._base, self._base_dof
-        place, velocity = engine.coordinates, engine.velocities
-        x, y, heading = (float(value) for value in pose)
-        old = self.pose
-        turn = heading - old[2]
-        for load in self._scene.loads:
-            start, first = engine.coordinate(load.name), engine.dof(load.name)
-            if place[start + 2] > self._deck:
-                place[start : start + 2] = (x, y) + rotated(
-                    turn, place[start : start + 2] - old[:2]
-                )
-                place[start + 3 : start + 7] = turned(turn, place[start + 3 : start + 7])
-                velocity[first : first + 2] = rotated(turn, velocity[first : first + 2])
-        place[at : at + 7] = x, y, 0.0, math.cos(0.5 * heading), 0.0, 0.0, math.sin(0.5 * heading)
-        velocity[dof : dof + 2] = rotated(turn, velocity[dof : dof + 2])
-        velocity[dof + 2 : dof + 5] = 0.0
-        self._heading = heading
-        engine.refresh()
 
     # measurements
 
@@ -223,8 +182,9 @@ class World:
     def energy(self) -> EnergyLedger:
         """Energies since the start.
 
-        `external` is the work of the arm's servo, of persons and of gravity. The residual is what
-        the engine loses in contacts other than by slip and drag of the wheels, and its error.
+        `external` is the work of the arm's servo, of persons, of gravity and of changes of mass.
+        The residual is what the engine loses in contacts other than by slip and drag of the
+        wheels, and its error.
         """
         potential, kinetic = self.engine.energies()
         totals = {
@@ -276,16 +236,14 @@ class World:
             turnover += wheel.finish(step, speed)
         self._turnover += turnover
         self._external += work
-        _, rotation = self.base_frame
-        heading = math.atan2(rotation[1, 0], rotation[0, 0])
-        if not math.isfinite(heading):
-            raise OmnimanError("the physics world has diverged: its state is not finite")
-        self._heading += math.remainder(heading - self._heading, math.tau)
+        self._base.follow()
 
     # parameters
 
     def configure(self, robot: Robot, simulation: SimulationParameters) -> None:
         """Replace robot data and parameters together, also in motion.
+
+        A change of energy by this counts as external work.
 
         Raises:
             ParameterError: One of them is refused; nothing is changed then.
@@ -294,7 +252,9 @@ class World:
         model = world_model(description, simulation, self._parameters, self._scene)
         configure_motors(self.wheels, robot, simulation)
         if model != self._model:
+            before = sum(self.engine.energies())
             self.engine.replace(model)
+            self._external += sum(self.engine.energies()) - before
             self._model = model
         self._tyres.configure(robot, simulation.plant)
         self._description = description

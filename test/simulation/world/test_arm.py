@@ -85,7 +85,8 @@ def test_the_joints_follow_as_a_critically_damped_system_of_200_rad_per_second()
         t = 200.0 * k * STEP
         expected = 1e-3 * (1.0 - (1.0 + t) * math.exp(-t))
         followed = world.arm.positions - np.array(POSTURES[2])
-        np.testing.assert_allclose(followed, expected, atol=1.2e-4)
+        # The reaction moves the platform a little at first.
+        np.testing.assert_allclose(followed, expected, atol=1.3e-4 if t < 3.6 else 5e-5)
 
 
 def lift(world: World, seconds: float, height: float):

@@ -92,7 +92,7 @@ def test_loads_are_put_where_the_robot_is_put():
 
 
 def test_a_heavier_body_takes_over_in_motion():
-    """The speed is kept, and the wheels carry the new weight."""
+    """The speed is kept, the wheels carry the new weight, and the energy is told."""
     bench = ideal("ig42")
     bench.drive((0.3, 0.0, 0.0), 1.5)
     pose, twist = bench.world.pose, bench.world.twist
@@ -102,14 +102,17 @@ def test_a_heavier_body_takes_over_in_motion():
     np.testing.assert_allclose(bench.world.twist, twist, atol=1e-12)
     bench.drive((0.3, 0.0, 0.0), 1.0)
     assert bench.world.wheel_loads.sum() == pytest.approx(50.0 * 9.81, rel=1e-3)
+    energy = bench.world.energy
+    assert energy.external > 0.9 * 0.5 * 25.0 * 0.3**2
+    assert abs(energy.residual) < 0.01 * energy.turnover
 
 
-def test_refused_parameters_change_nothing():
+@pytest.mark.parametrize("name", ["radius", "torque_constant"])
+def test_refused_parameters_change_nothing(name):
     bench = ideal("ig42")
-    wrong = replace(
-        bench.simulation, mismatch=replace(bench.simulation.mismatch, radius=(1.0, 2.0))
-    )
-    with pytest.raises(ParameterError, match="radius"):
+    mismatch = replace(bench.simulation.mismatch, **{name: (1.0, 2.0)})
+    wrong = replace(bench.simulation, mismatch=mismatch)
+    with pytest.raises(ParameterError, match=name):
         bench.drives.configure(bench.robot, wrong)
     bench.drive((0.3, 0.0, 0.0), 1.0)
     assert bench.world.twist[0] == pytest.approx(0.3, rel=0.02)
@@ -208,5 +211,5 @@ def test_without_the_engine_all_but_the_running_world_can_be_imported():
     available, hint, failed = json.loads(result.stdout)
     assert not available
     assert "pip install 'omniman_ros[world]'" in hint
-    running = ("engine", "world", "tyres", "contacts", "arm_servo", "walker", "scanner")
+    running = ("engine", "world", "base", "tyres", "contacts", "arm_servo", "walker", "scanner")
     assert set(failed) == {f"omniman_ros.simulation.world.{name}" for name in running}
