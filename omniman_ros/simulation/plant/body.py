@@ -30,7 +30,11 @@ class Body(Protocol):
         """Energies since the start."""
 
     def set_pose(self, pose: Sequence[float] | Array) -> None:
-        """Move base_link to another pose [m, m, rad], (3,); the motion in its frame continues."""
+        """Move base_link to another pose [m, m, rad], (3,); the motion in its frame continues.
+
+        Raises:
+            InputError: There is no room for the robot; it then stays.
+        """
 
     def step(self, voltages: Sequence[float]) -> None:
         """Integrate one substep with voltages (n,) requested from the amplifiers [V]."""

@@ -214,7 +214,7 @@ class DrivenWheels:
             pose: Pose (x, y, heading) of base_link, of shape (3,) [m, m, rad].
 
         Raises:
-            InputError: The pose has a wrong size or is not finite.
+            InputError: The pose has a wrong size or is not finite, or there is no room.
         """
         values = [float(value) for value in pose]
         if len(values) != 3 or not all(map(math.isfinite, values)):

@@ -217,7 +217,7 @@ class SimulatedDrives:
             pose: Pose (x, y, heading) of base_link [m], [rad], shape (3,).
 
         Raises:
-            InputError: The pose is not three finite numbers.
+            InputError: The pose is not three finite numbers, or there is no room.
         """
         self._wheels.set_pose(pose)
 

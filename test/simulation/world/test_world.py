@@ -201,6 +201,7 @@ for room in ("core", "description", "simulation"):
         except ModuleNotFoundError as error:
             assert "mujoco" in str(error), error
             failed.append(name)
+import omniman_ros.lab.bench.world, omniman_ros.nodes.registry
 print(json.dumps([WORLD.is_available, WORLD.hint, failed]))
 """
 
