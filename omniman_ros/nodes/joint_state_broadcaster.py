@@ -3,6 +3,7 @@
 These are the topics that robot_state_publisher, RViz and MoveIt expect of a robot.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -51,6 +52,8 @@ class JointSample:
 
 class JointStateBroadcasterNode(OmnimanNode):
     """Merges the joint states of wheels and arm, and publishes the URDF."""
+
+    lookahead = math.inf
 
     def __init__(self, **options: object) -> None:
         super().__init__("joint_state_broadcaster", **options)

@@ -34,6 +34,8 @@ class MpcPlannerNode(OmnimanNode):
         publisher: Streams that move the robot.
     """
 
+    lookahead = 0.04  # about the time that a plan takes
+
     def __init__(self, **options: object) -> None:
         # Imported here, so that the parameters of this module can be read without casadi.
         from omniman_ros.planning.planner import Planner

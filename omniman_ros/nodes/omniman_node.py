@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any, ParamSpec
 
 from builtin_interfaces.msg import Time as TimeMsg
@@ -14,6 +15,7 @@ from rclpy.time import Time
 from omniman_ros.conversions.headers import is_stamped
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.throttle import Throttle
+from omniman_ros.nodes.clock_follower import ClockFollower
 
 P = ParamSpec("P")
 
@@ -27,12 +29,21 @@ CLOCK_READING_ATTEMPTS = 5
 """Number of attempts to read two clocks simultaneously: other threads may run in between."""
 
 
+class NoTimeError(InputError):
+    """A stamp cannot be judged, because simulated time has not begun."""
+
+
 class OmnimanNode(Node):
     """A node with one clock for its timers and timeouts: steady, or ROS time in simulation.
 
     Attributes:
         clock: That clock.
+        lookahead: How far simulated time may be ahead of this node [s]: less than the lead that a
+            stamp may have, and less than any timeout. Short for what is in a control loop, so that
+            a busy machine does not change its figures; infinite for what only watches.
     """
+
+    lookahead = 0.02
 
     def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, **options)
@@ -41,8 +52,14 @@ class OmnimanNode(Node):
         self._throttle = Throttle(WARNING_PERIOD)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._status = (b"", "")
+        self._follower: ClockFollower | None = None
         self.every(1.0, self.report)
         self.every(0.1, self.report_changes)
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether the node runs on /clock."""
+        return self.clock is self.get_clock()
 
     def now(self) -> float:
         """Return the time of the node's clock [s]."""
@@ -51,6 +68,39 @@ class OmnimanNode(Node):
     def every(self, period: float, callback: Callable[[], None]) -> None:
         """Call `callback` every `period` seconds of the node's clock."""
         self.create_timer(period, callback, clock=self.clock)
+
+    def time_passed(self) -> None:
+        """Hand simulated time on; a node that has threads or processes overrides this."""
+
+    def report_progress(self) -> None:
+        """Let simulated time go on, after work that was not done by a callback of the clock."""
+        if self._follower is not None:
+            self._follower.report()
+
+    def poll_clock(self) -> None:
+        """Let simulated time pass while a callback waits for something."""
+        if self._follower is not None:
+            self._follower.poll()
+
+    def clock_released(self) -> AbstractContextManager[None]:
+        """Let simulated time run freely while a callback blocks, as nobody waits for this node."""
+        return nullcontext() if self._follower is None else self._follower.released()
+
+    @property
+    def progress(self) -> float:
+        """Simulated time up to which this node has done its work [s]; /clock waits for it.
+
+        A node that has threads or processes at work overrides this.
+        """
+        return self.now()
+
+    def follow_clock(self) -> ClockFollower | None:
+        """Serve the timers by /clock instead of by an executor; None on a steady clock."""
+        if self.is_simulated:
+            self._follower = ClockFollower(
+                self, self.lookahead, self.time_passed, lambda: self.progress
+            )
+        return self._follower
 
     def age(self, stamp: TimeMsg, max_lead: float = MAX_LEAD) -> float:
         """Return the age of a stamp in ROS time [s]; 0 for a zero stamp, which means now.
@@ -61,9 +111,12 @@ class OmnimanNode(Node):
 
         Raises:
             InputError: The stamp is further ahead.
+            NoTimeError: The node runs on /clock, on which no time has come yet.
         """
         if not is_stamped(stamp):
             return 0.0
+        if self.is_simulated and not self.clock.now().nanoseconds:
+            raise NoTimeError("there is no time on /clock yet")
         # Time.from_msg raises on negative seconds; a stamp that old is merely stale.
         sent = stamp.sec * 1_000_000_000 + stamp.nanosec
         age: float = (self.get_clock().now().nanoseconds - sent) * 1e-9
@@ -80,7 +133,7 @@ class OmnimanNode(Node):
         Args:
             source_time: Source timestamp of the message, in the sender's system time [ns].
         """
-        if self.clock is self.get_clock():
+        if self.is_simulated:
             return None
         return (source_time - self._ros_time_lead()) * 1e-9
 
@@ -146,6 +199,8 @@ class OmnimanNode(Node):
         def callback(*args: P.args, **kwargs: P.kwargs) -> None:
             try:
                 refusal = handler(*args, **kwargs)
+            except NoTimeError:
+                return  # the start of every simulation, and no fault of the message
             except InputError as error:
                 self.warn(subject, f"{subject} ignored: {error}")
             else:

@@ -34,6 +34,8 @@ FINAL_ZEROS = 3
 class PlatformControllerNode(OmnimanNode):
     """Connects a platform controller to its topics."""
 
+    lookahead = 0.01
+
     def __init__(self, **options: Any) -> None:
         super().__init__("platform_controller", **options)
         self.settings = ParameterSet(self, PlatformControllerParameters)

@@ -9,21 +9,23 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import rclpy
-from rclpy.clock import Clock, ClockType
-from rclpy.executors import Executor, SingleThreadedExecutor
-from rclpy.experimental import EventsExecutor
+from rclpy.executors import Executor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import QoSProfile
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
+from rclpy.timer import Timer
+from rosgraph_msgs.msg import Clock as ClockMessage
 
 RCLError = rclpy_implementation.RCLError
 """Error of the middleware. rclpy 7.1 raises it, but exports it in its implementation only."""
 UnknownROSArgsError = rclpy_implementation.UnknownROSArgsError
 """Error about ROS arguments. rclpy 7.1 raises it, but exports it in its implementation only."""
 
+CLOCK_QOS = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""Quality of service of /clock, which matches that of any publisher."""
 TransitionCallback = Callable[[Any, LifecycleState], TransitionCallbackReturn]
 """Callback of a lifecycle node for one of its transitions, as a function of the node."""
 
@@ -37,15 +39,40 @@ def parameter_overrides(node: Node) -> Mapping[str, Parameter]:
     return overrides
 
 
-def make_executor(clock: Clock) -> Executor:
-    """Return the leanest executor for timers of a clock.
+def take_timers(node: Node) -> list[Timer]:
+    """Take a node's timers away from its executor, and return them.
 
-    The timers of rclpy 7.1's EventsExecutor do not follow jumps of ROS time, so ROS time gets the
-    plain executor.
+    The timers of rclpy 7.1's EventsExecutor do not follow jumps of ROS time, and its plain
+    executor takes three times the CPU time. On simulated time, nodes call their timers themselves.
     """
-    if clock.clock_type is ClockType.ROS_TIME:
-        return SingleThreadedExecutor()
-    return EventsExecutor()
+    timers: list[Timer] = list(node.timers)
+    node._timers.clear()
+    return timers
+
+
+def subscribe_to_clock(node: Node, callback: Callable[[ClockMessage], None]) -> Subscription:
+    """Have a node with `use_sim_time` follow /clock message by message.
+
+    rclpy 7.1 keeps the last message only. A node that lags behind would read the newest time
+    before it has read the other messages of the times that it skips.
+
+    Args:
+        node: The node.
+        callback: Called with each message after the node's clock was set.
+
+    Returns:
+        The subscription.
+    """
+    source = node._time_source
+    assert source._clock_sub is not None
+    node.destroy_subscription(source._clock_sub)
+
+    def receive(message: ClockMessage) -> None:
+        source.clock_callback(message)
+        callback(message)
+
+    source._clock_sub = node.create_subscription(ClockMessage, "/clock", receive, CLOCK_QOS)
+    return source._clock_sub
 
 
 def spin_for(executor: Executor, seconds: float) -> None:

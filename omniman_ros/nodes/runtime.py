@@ -11,6 +11,7 @@ from types import FrameType
 import rclpy
 from rclpy.duration import Duration
 from rclpy.exceptions import ParameterException
+from rclpy.experimental import EventsExecutor
 from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
 
@@ -20,12 +21,13 @@ from omniman_ros.nodes.rclpy_compat import (
     TAKE_DOWN_TIMEOUT,
     RCLError,
     UnknownROSArgsError,
-    make_executor,
     spin_for,
 )
 
 SPIN_TIME = 0.05
 """Time for which callbacks are served before the signals are looked at again [s]."""
+CLOCK_TIMEOUT = 2.0
+"""Real time without a message on /clock after which a node that is to end does so [s]."""
 DELIVERY_TIMEOUT = 0.5
 """Time for which a node waits for its last messages to be acknowledged [s]; a reader that has
 died never acknowledges them."""
@@ -62,16 +64,22 @@ def run(make: Callable[[], OmnimanNode], args: list[str] | None = None) -> int:
         sys.stderr.write(f"cannot start: {error}\n")
         rclpy.try_shutdown()
         return 1
-    executor = make_executor(node.clock)
+    follower = node.follow_clock()
+    executor = EventsExecutor()
     executor.add_node(node)
     exit_code = 1
     try:
         while not signals:
             spin_for(executor, SPIN_TIME)
         node.begin_shutdown(signal.Signals(signals[0]).name)
-        deadline = time.monotonic() + node.stop_timeout
-        while not node.finished and time.monotonic() < deadline and len(signals) < 2:
+        deadline = node.now() + node.stop_timeout
+        while not node.finished and node.now() < deadline and len(signals) < 2:
+            if follower is not None and follower.silence > CLOCK_TIMEOUT:
+                break  # who published /clock has ended: simulated time stands
             spin_for(executor, SPIN_TIME)
+        if follower is not None:
+            follower.leave()
+            _deliver([follower.publisher])
         _deliver(node.final_publishers)
         exit_code = 0 if node.finished else 1
     finally:

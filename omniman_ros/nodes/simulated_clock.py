@@ -6,27 +6,42 @@ from builtin_interfaces.msg import Time as TimeMsg
 from rclpy.node import Node
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
+from std_msgs.msg import Header
 
 from omniman_ros.conversions.headers import is_stamped, time_seconds
 from omniman_ros.core.errors import InputError
+from omniman_ros.nodes.clock_follower import PERMITS_TOPIC
+from omniman_ros.simulation.lockstep import Lockstep
 
 CLOCK_START = 1.0
 """First time on /clock [s]: a stamp of zero would mean "now"."""
 MAX_CATCH_UP = 4
-"""Largest number of steps at once; simulated time falls behind where more would be due."""
+"""Largest number of steps at once."""
+MAX_DELAY = 0.1
+"""Largest delay that simulated time catches up with [s]; it falls behind by what is more."""
+SLOW = 0.9
+"""Fraction of the requested pace below which simulated time is reported as slow."""
+REPEAT_PERIOD = 0.02
+"""Real time after which a time is published again while others have to catch up with it [s]."""
 
 
 class SimulatedClock:
     """Advances simulated time in steps of one period, in proportion to real time.
 
+    It waits for nodes that lag behind, as long as they are alive: see :class:`Lockstep`. While it
+    waits, it repeats the time, so that they report how far they have come.
+
     Args:
         node: Node that owns the publisher of /clock.
         period: Step of simulated time [s].
         real_time_factor: Speed of simulated over real time.
+        patience: Real time for which a node that lags behind is waited for [s].
         real_time: Returns real time, from any origin [s].
 
     Attributes:
         now: Simulated time [s].
+        pace: Ratio of simulated to real time between the last two reports.
+        laggards: Names of the nodes that were waited for since the last report.
     """
 
     def __init__(
@@ -34,13 +49,27 @@ class SimulatedClock:
         node: Node,
         period: float,
         real_time_factor: float,
+        patience: float,
         real_time: Callable[[], float],
     ) -> None:
         self.now = CLOCK_START
+        self.pace = real_time_factor
+        self.laggards: set[str] = set()
         self._period, self._real_time_factor = period, real_time_factor
         self._real_time = real_time
         self._started = real_time()
+        self._published = self._started
+        self._reported_at = (self._started, self.now)
+        self._lockstep, self._is_free = Lockstep(patience), False
+        self._logger = node.get_logger()
         self._publisher = node.create_publisher(Clock, "/clock", 10)
+        node.create_subscription(Header, PERMITS_TOPIC, self._on_permit, 100)
+
+    def _on_permit(self, message: Header) -> None:
+        if is_stamped(message.stamp):
+            self._lockstep.permit(message.frame_id, time_seconds(message.stamp))
+        else:
+            self._lockstep.leave(message.frame_id)
 
     def steps(self) -> Iterator[None]:
         """Advance and publish simulated time step by step, as far as real time demands.
@@ -48,15 +77,55 @@ class SimulatedClock:
         Yields:
             Once after each step, with `now` at its end.
         """
-        due = CLOCK_START + self._real_time_factor * (self._real_time() - self._started)
+        real_time = self._real_time()
+        due = CLOCK_START + self._real_time_factor * (real_time - self._started)
         for _ in range(MAX_CATCH_UP):
             if self.now + self._period > due:
                 return
+            if self._must_wait(real_time):
+                break
             self.now += self._period
-            self._publisher.publish(Clock(clock=self.stamp()))
+            self._publish(real_time)
             yield
-        elapsed = (self.now - CLOCK_START) / self._real_time_factor
-        self._started = self._real_time() - elapsed
+        delay = (due - self.now) / self._real_time_factor
+        self._started += max(delay - MAX_DELAY, 0.0)
+
+    def _must_wait(self, real_time: float) -> bool:
+        """Return whether the next step has to wait for a node, and ask how far it has come."""
+        until = self.now + self._period
+        for name in self._lockstep.drop_dead(until, real_time):
+            self._logger.warning(f"{name} does not keep up with /clock, which goes on without it")
+        laggards = self._lockstep.laggards(until)
+        if not laggards or self._is_free:
+            return False
+        self.laggards.update(laggards)
+        if real_time - self._published > REPEAT_PERIOD:
+            self._publish(real_time)
+        return True
+
+    def _publish(self, real_time: float) -> None:
+        self._published = real_time
+        self._publisher.publish(Clock(clock=self.stamp()))
+
+    def pace_report(self) -> str:
+        """Return how fast time passed since the last report, if that was slower than it should.
+
+        Returns:
+            A sentence that names the nodes that were waited for; empty if time kept its pace.
+        """
+        real_time = self._real_time()
+        elapsed = real_time - self._reported_at[0]
+        self.pace = (self.now - self._reported_at[1]) / elapsed if elapsed > 0.0 else 0.0
+        self._reported_at = (real_time, self.now)
+        laggards, self.laggards = self.laggards, set()
+        if self.pace > SLOW * self._real_time_factor:
+            return ""
+        awaited = f", waiting for {', '.join(sorted(laggards))}" if laggards else ""
+        return f"simulated time passes at {self.pace:.2f} times real time{awaited}"
+
+    def release(self) -> None:
+        """Wait for nobody any more."""
+        self._is_free = True
 
     def stamp(self, at: float | None = None) -> TimeMsg:
         """Return the stamp of an instant of simulated time [s]; now if it is None."""

@@ -26,6 +26,8 @@ from omniman_ros.simulation.plant.simulated_drives import SimulatedDrives
 
 SETPOINT = QoSProfile(depth=1)
 """Quality of service of commands: only the latest counts."""
+PACE_PERIOD = 5.0
+"""Real time between two looks at the pace of simulated time [s]."""
 REST_SPEED = 0.05
 """Wheel speed below which the drives count as standing [rad/s]."""
 
@@ -57,8 +59,9 @@ class SimulatedDriveNode(OmnimanNode):
         self._stop = StopInterface(self, self.latch, self._reset, self._halt)
         if p.publish_clock:
             self._simulated_clock = SimulatedClock(
-                self, 1.0 / p.state_rate, p.real_time_factor, super().now
+                self, 1.0 / p.state_rate, p.real_time_factor, p.clock_patience, super().now
             )
+            self.every(PACE_PERIOD, self._report_pace)
         rate = p.state_rate * (p.real_time_factor if p.publish_clock else 1.0)
         self.every(1.0 / rate, self.tick)
 
@@ -136,6 +139,11 @@ class SimulatedDriveNode(OmnimanNode):
         for _ in self._simulated_clock.steps():
             self._report()
 
+    def _report_pace(self) -> None:
+        report = self._simulated_clock.pace_report() if self._simulated_clock else ""
+        if report:
+            self.get_logger().info(report)
+
     def _report(self) -> None:
         now, stamp = self.now(), self.stamp()
         self.drives.advance(now)
@@ -156,6 +164,8 @@ class SimulatedDriveNode(OmnimanNode):
             ("electrical_energy_J", round(energy.electrical, 3)),
             *((f"{name}_loss_J", round(loss, 3)) for name, loss in energy.losses.items()),
         ]
+        if self._simulated_clock is not None:
+            values.append(("real_time_factor", round(self._simulated_clock.pace, 2)))
         if self.latch.status.state is StopState.STOPPED:
             return DiagnosticStatus.ERROR, self.latch.status.reason, values
         if not self.latch.released:
@@ -166,6 +176,8 @@ class SimulatedDriveNode(OmnimanNode):
         """Ramp every wheel to rest."""
         self.latch.stop(f"shutting down: {reason}")
         self._halt()
+        if self._simulated_clock is not None:
+            self._simulated_clock.release()
 
     @property
     def finished(self) -> bool:

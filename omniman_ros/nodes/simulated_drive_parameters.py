@@ -43,6 +43,14 @@ class SimulatedDriveParameters:
     real_time_factor: float = parameter(
         1.0, "Speed of /clock over real time.", low=0.01, high=100, read_only=True
     )
+    clock_patience: float = parameter(
+        5.0,
+        "Real time for which /clock waits for a node that does not keep up with it.",
+        unit="s",
+        low=0,
+        high=3600,
+        read_only=True,
+    )
     world_frame: str = parameter("map", "Frame of the ground truth.", read_only=True)
     base_frame: str = parameter(
         "base_link", "Frame of the twist of the ground truth.", read_only=True

@@ -1,5 +1,6 @@
 """Node `viewer`: a page in the browser that displays the robot and commands it."""
 
+import math
 import sys
 from collections.abc import Callable
 from typing import Any
@@ -41,6 +42,8 @@ class ViewerNode(OmnimanNode):
         make_page: Creates the page, see `viewer.page.page.Page`.
         options: Options of `rclpy.node.Node`.
     """
+
+    lookahead = math.inf
 
     def __init__(self, make_page: Callable[..., Any] | None = None, **options: object) -> None:
         super().__init__("viewer", **options)
