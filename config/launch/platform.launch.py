@@ -197,7 +197,6 @@ def generate_launch_description() -> LaunchDescription:
         output="screen",
         condition=IfCondition(separate_odometry),
     )
-    # The arm runs on real time, like drives on a bus.
     streamer = {
         "package": "omniman_ros",
         "executable": "arm_streamer",
@@ -219,6 +218,8 @@ def generate_launch_description() -> LaunchDescription:
                 "ur.script_port": ports["secondary"],
                 "ur.rtde_port": ports["rtde"],
                 "ur.reverse_port": 0,
+                "use_sim_time": sim_time,
+                "simulated_controller": True,
             }
         ],
         condition=IfCondition(EqualsSubstitution(LaunchConfiguration("arm"), "simulated")),
@@ -227,7 +228,12 @@ def generate_launch_description() -> LaunchDescription:
         package="omniman_ros",
         executable="simulated_ur",
         namespace=LaunchConfiguration("namespace"),
-        parameters=[{f"ports.{name}": port for name, port in ports.items()}],
+        parameters=[
+            {
+                **{f"ports.{name}": port for name, port in ports.items()},
+                "use_sim_time": sim_time,
+            }
+        ],
         output="screen",
         condition=IfCondition(EqualsSubstitution(LaunchConfiguration("arm"), "simulated")),
     )

@@ -1,5 +1,6 @@
 """Node `arm_streamer`: joint previews to a UR controller as setpoints, and its feedback back."""
 
+from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -40,14 +41,20 @@ class ArmStreamerNode(HardwareNode):
         options: Options of `HardwareNode`.
     """
 
+    lookahead = 0.01
+
     def __init__(self, *, start_process: StartProcess = StreamingProcess, **options: Any) -> None:
-        super().__init__("arm_streamer", **options)
+        super().__init__("arm_streamer", allow_sim_time=True, **options)
         self.settings = ParameterSet(self, ArmStreamerParameters, robot=False)
         p = self.settings.value
+        if self.is_simulated and not p.simulated_controller:
+            raise ParameterError("use_sim_time", True, "a real arm runs on real time")
         joint_limits(p.arm, p.ur)  # refuse now what the streaming process would refuse
         if len(p.arm.joints) != JOINTS:
             raise ParameterError("arm.joints", p.arm.joints, f"must be {JOINTS} names")
-        self.streaming = StreamingClient(self.now, self.wake, self.receive, start_process)
+        if self.is_simulated:
+            start_process = partial(start_process, clock=self.now)
+        self.streaming = StreamingClient(self.now, self.wake, self._receive_waiting, start_process)
         self._joint_names = list(p.arm.joints)
         self._reports = ArmReportPublisher(self, self._joint_names)
         handler = self.guarded("arm/joint_reference", self._on_preview)
@@ -109,10 +116,25 @@ class ArmStreamerNode(HardwareNode):
             if self.is_active and report.stop_reason and report.resets == self.streaming.resets:
                 self.latch.stop(report.stop_reason)
             self._reports.publish(report, self.is_active)
+        self.report_progress()
         if self.streaming.failure and self.is_active:
             self.latch.stop(self.streaming.failure)
         self.stop_interface.publish()
         self.follow_latch()
+
+    def _receive_waiting(self) -> None:
+        """Receive reports, and simulated time, while the node waits for a report."""
+        self.poll_clock()
+        self.receive()
+
+    def time_passed(self) -> None:
+        """Let simulated time pass in the streaming process."""
+        self.streaming.pass_time()
+
+    @property
+    def progress(self) -> float:
+        """Simulated time up to which setpoints have been sent [s]."""
+        return min(self.now(), self.streaming.progress)
 
     def _check_process(self) -> None:
         """Publish reports, send messages that had to wait, and stop if the process hangs."""
@@ -155,7 +177,8 @@ class ArmStreamerNode(HardwareNode):
         if self.streaming.failure:
             self.streaming.replace(p.arm, p.ur)
         if self._reports.in_protective_stop and not self.latch.emergency:
-            self.streaming.unlock_protective_stop(p.ur)
+            with self.clock_released():
+                self.streaming.unlock_protective_stop(p.ur)
         report = self.streaming.report
         fault = self.streaming.failure or self.streaming.hang_reason or report.blocking_reason
         self.latch.reset(at_rest=report.at_rest, fault=fault)

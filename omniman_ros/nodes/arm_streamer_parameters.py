@@ -13,6 +13,11 @@ class ArmStreamerParameters:
 
     arm: ArmParameters
     ur: UrParameters
+    simulated_controller: bool = parameter(
+        False,
+        "Whether the controller is `simulated_ur` on the same /clock; use_sim_time needs it.",
+        read_only=True,
+    )
     autostart: bool = parameter(
         True,
         "Whether the node configures and activates itself, and retries until the controller "

@@ -3,13 +3,13 @@
 from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import JointState
 
-from omniman_ros.core.errors import ParameterError
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.runtime import run
 from omniman_ros.nodes.simulated_ur_parameters import SimulatedUrParameters
 from omniman_ros.simulation.ur.controller_server import ControllerServer
 from omniman_ros.simulation.ur.faults import active_faults
+from omniman_ros.simulation.ur.pace import SimulatedTime
 
 
 class SimulatedUrNode(OmnimanNode):
@@ -18,13 +18,14 @@ class SimulatedUrNode(OmnimanNode):
     Like a real controller, it is commanded over TCP only, not by topics.
     """
 
+    lookahead = 0.01
+
     def __init__(self, **options: object) -> None:
         super().__init__("simulated_ur", **options)
-        if self.get_parameter("use_sim_time").value:
-            raise ParameterError("use_sim_time", True, "a controller on TCP runs on real time")
         self.settings = ParameterSet(self, SimulatedUrParameters)
         p = self.settings.value
-        self.server = ControllerServer(p.simulated_arm, p.ports)
+        self._simulated_time = SimulatedTime() if self.is_simulated else None
+        self.server = ControllerServer(p.simulated_arm, p.ports, self._simulated_time)
         self.controller = self.server.controller
         self._slider = self.controller.slider
         self._configure(p)
@@ -55,6 +56,17 @@ class SimulatedUrNode(OmnimanNode):
         log = self.controller.log
         while log:
             self.get_logger().info(log.popleft())
+
+    def time_passed(self) -> None:
+        """Let simulated time pass in the controller, and wait for its cycle."""
+        if self._simulated_time is not None:
+            self._simulated_time.set(self.now())
+            self.server.wait_for_cycles()
+
+    @property
+    def progress(self) -> float:
+        """Simulated time up to which the controller has run [s]."""
+        return min(self.now(), self.server.done)
 
     # ---- life ---------------------------------------------------------------------------------
 

@@ -32,8 +32,7 @@ def resolve_arm(arm: str | None, drive: str, sim_time: bool) -> str:
     """Return the kind of arm to start.
 
     Args:
-        arm: Value of `--arm`. None selects a simulated arm, but no arm with real drives or with
-            simulated time.
+        arm: Value of `--arm`. None selects a simulated arm, but no arm with real drives.
         drive: Value of `--drive`.
         sim_time: Whether the robot runs on simulated time.
 
@@ -41,11 +40,11 @@ def resolve_arm(arm: str | None, drive: str, sim_time: bool) -> str:
         A name in `ARMS`.
 
     Raises:
-        CommandError: An arm was requested together with simulated time, on which it cannot run.
+        CommandError: A real arm was requested together with simulated time.
     """
     if arm is None:
-        return "none" if drive == "real" or sim_time else "simulated"
-    if sim_time and arm != "none":
+        return "none" if drive == "real" else "simulated"
+    if sim_time and arm == "ur":
         raise CommandError(f"--sim-time: the arm '{arm}' runs on real time", 2)
     return arm
 

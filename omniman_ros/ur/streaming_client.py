@@ -10,8 +10,8 @@ from omniman_ros.ur.parameters import UrParameters
 from omniman_ros.ur.streaming_messages import Command, StreamingPhase, StreamingReport
 from omniman_ros.ur.streaming_process import StreamingProcess
 
-StartProcess = Callable[[ArmParameters, UrParameters, Callable[[], None]], StreamingProcess]
-"""Starts a streaming process; its last argument is called when a report has arrived."""
+StartProcess = Callable[..., StreamingProcess]
+"""Starts a streaming process; the arguments are those of :class:`StreamingProcess`."""
 HANG_TIMEOUT = 0.5
 """Time without a report after which the streaming process counts as hanging [s]."""
 KEEP_ALIVE_PERIOD = 0.1
@@ -26,7 +26,7 @@ class StreamingClient:
     """Starts and ends streaming processes, and exchanges messages with the one that runs.
 
     Args:
-        clock: Returns the monotonic time [s].
+        clock: Returns the monotonic time [s], or simulated time.
         wake: Called from another thread when a report has arrived.
         receive: Calls :meth:`take` and handles the reports; used while waiting.
         start_process: Starts a streaming process.
@@ -160,6 +160,16 @@ class StreamingClient:
         """Have the process clear its stop."""
         self.resets += 1
         self.send(Command.RESET, self.resets)
+
+    @property
+    def progress(self) -> float:
+        """Instant before which the process has sent all setpoints [s]."""
+        is_streaming = self.report.phase is StreamingPhase.STREAMING
+        return self.report.sent_until if is_streaming else self._clock()
+
+    def pass_time(self) -> None:
+        """Let simulated time pass in the process, up to now."""
+        self.send(Command.TIME, self._clock())
 
     def flush(self) -> None:
         """Send messages that did not fit into the buffer; to be called periodically."""

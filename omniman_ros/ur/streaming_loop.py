@@ -42,8 +42,29 @@ NODE_TIMEOUT = 0.5
 
 A node that hangs could not stop it.
 """
+ROUNDING = 1e-6
+"""Time by which a given clock is ahead [s]: a cycle is due although two times were rounded."""
 SUSPEND_TIME = 10.0
 """Delay of a cycle from which on the machine counts as having been suspended [s]."""
+
+
+class GivenClock:
+    """Clock that shows the time it was last given, for simulated time.
+
+    Args:
+        now: First time that it shows [s].
+    """
+
+    def __init__(self, now: float) -> None:
+        self._now = now
+
+    def __call__(self) -> float:
+        """Return the time [s]."""
+        return self._now
+
+    def set(self, now: float) -> None:
+        """Set the time [s]."""
+        self._now = now + ROUNDING
 
 
 class StreamingLoop:
@@ -54,7 +75,8 @@ class StreamingLoop:
         link: Connections to the controller.
         arm: Parameters of the arm.
         ur: Parameters of the streaming.
-        clock: Returns the monotonic time [s]; the node uses the same clock.
+        clock: Returns the monotonic time [s]; the node uses the same clock. A `GivenClock` is set
+            by commands of the node.
     """
 
     def __init__(
@@ -71,6 +93,7 @@ class StreamingLoop:
         self._running = True
         self._resets = 0
         self._report_time = -REPORT_PERIOD
+        self._sent_until = self._reported_until = self._due
         self._reported_state: tuple[object, ...] = ()
         self._send_time = 0.0
         self._node_time = clock()
@@ -87,6 +110,9 @@ class StreamingLoop:
             Command.RESET: self._reset,
             Command.CONFIGURE: supervisor.configure,
         }
+        self._is_awaited = isinstance(clock, GivenClock)
+        if isinstance(clock, GivenClock):
+            self._handlers[Command.TIME] = clock.set
 
     def run(self) -> None:
         """Run cycles until the node ends the loop; then bring the arm to rest and close."""
@@ -119,6 +145,9 @@ class StreamingLoop:
         phase_before = self._supervisor.phase
         self._supervisor.tick(self._due, now)
         self._measure_interval(phase_before)
+        self._sent_until = self._due + PERIOD
+        if self._is_awaited:
+            self._report([], now)
 
     def _measure_interval(self, phase_before: StreamingPhase) -> None:
         now = self._clock()
@@ -167,6 +196,7 @@ class StreamingLoop:
             failure=supervisor.failure,
             resets=self._resets,
             at_rest=supervisor.at_rest,
+            sent_until=self._sent_until,
             refusals=supervisor.take_refusals(),
         )
         state = (
@@ -178,10 +208,12 @@ class StreamingLoop:
             report.resets,
             report.at_rest,
         )
-        has_news = samples or report.refusals or state != self._reported_state
+        has_news = bool(samples or report.refusals) or state != self._reported_state
+        has_news |= self._is_awaited and report.sent_until > self._reported_until
         if not has_news and now - self._report_time < REPORT_PERIOD:
             return
         self._reported_state, self._report_time = state, now
+        self._reported_until = report.sent_until
         report = replace(
             report,
             texts=tuple(self._link.take_texts()),
@@ -238,14 +270,15 @@ def main() -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)  # the node ends this process
     channel = ProcessChannel(socket.socket(fileno=int(sys.argv[1])))
-    arm, ur = _wait_for_first(channel)
+    arm, ur, simulated_time = _wait_for_first(channel)
+    clock = time.monotonic if simulated_time is None else GivenClock(simulated_time)
     try:
-        link = ControllerLink(ur, time.monotonic)
+        link = ControllerLink(ur, clock)
     except LinkError as error:
         channel.send(error)
         return 1
     channel.send(make_punctual(ur.priority))
-    StreamingLoop(channel, link, arm, ur, time.monotonic).run()
+    StreamingLoop(channel, link, arm, ur, clock).run()
     return 0
 
 

@@ -26,6 +26,8 @@ class Command(Enum):
     """Bring the arm to rest and refuse previews (True), or accept them again (False)."""
     RESET = auto()
     """Clear the stop, with the number of the reset."""
+    TIME = auto()
+    """Let simulated time pass, up to an instant of the node's clock [s]."""
     CONFIGURE = auto()
     """Replace the parameters: `ArmParameters` and `UrParameters`."""
 
@@ -87,6 +89,7 @@ class StreamingReport:
         texts: Text messages of the controller since the last report.
         counts: Number of unusable data and refused connections so far, by kind.
         timing: Punctuality of the setpoints; None in most reports.
+        sent_until: Instant before which all setpoints have been sent [s].
     """
 
     samples: tuple[ArmSample, ...] = ()
@@ -101,3 +104,4 @@ class StreamingReport:
     texts: tuple[str, ...] = ()
     counts: tuple[tuple[str, int], ...] = ()
     timing: SendTiming | None = None
+    sent_until: float = 0.0

@@ -27,6 +27,8 @@ class StreamingProcess:
         arm: Parameters of the arm.
         ur: Parameters of the streaming.
         wake: Called from another thread when a message has arrived.
+        clock: Returns the simulated time [s], which the process then gets by `Command.TIME`; None
+            for the monotonic clock.
 
     Attributes:
         report: The last report.
@@ -35,7 +37,11 @@ class StreamingProcess:
     """
 
     def __init__(
-        self, arm: ArmParameters, ur: UrParameters, wake: Callable[[], None] = lambda: None
+        self,
+        arm: ArmParameters,
+        ur: UrParameters,
+        wake: Callable[[], None] = lambda: None,
+        clock: Callable[[], float] | None = None,
     ) -> None:
         node_end, process_end = socket.socketpair()
         self._channel = ProcessChannel(node_end)
@@ -52,7 +58,7 @@ class StreamingProcess:
         self.failure = self.priority_warning = ""
         self._received: deque[Any] = deque()
         self._arrival = threading.Event()
-        self._channel.send((arm, ur))
+        self._channel.send((arm, ur, None if clock is None else clock()))
         self._reader = threading.Thread(target=self._read, name="arm reports", daemon=True)
         self._reader.start()
 

@@ -391,6 +391,8 @@ def test_a_simulated_arm_gets_a_simulated_controller(platform):
         "ur.script_port": 30002,
         "ur.rtde_port": 30004,
         "ur.reverse_port": 0,
+        "use_sim_time": False,
+        "simulated_controller": True,
     }
     controller = {
         "ports.dashboard": 29999,
@@ -398,6 +400,7 @@ def test_a_simulated_arm_gets_a_simulated_controller(platform):
         "ports.secondary": 30002,
         "ports.realtime": 30003,
         "ports.rtde": 30004,
+        "use_sim_time": False,
     }
     assert nodes["arm_streamer"] == ("robot1", client)
     assert nodes["simulated_ur"] == ("robot1", controller)

@@ -32,7 +32,7 @@ class SteppedArm(SteppedLink):
         self.start_failure = ""
         self.pass_time = None
 
-    def start_process(self, arm, ur, wake):
+    def start_process(self, arm, ur, wake, clock):
         self.process = SteppedProcess(self, arm, ur, wake)
         self.process.failure = self.start_failure
         return self.process

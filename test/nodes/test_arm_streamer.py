@@ -58,7 +58,7 @@ class Bench(World):
         self.arm = SteppedArm()
         self.arm.blocking_reason = unreachable
         self.arm.pass_time = self._pass_time
-        super().__init__(self._make, parameters=parameters)
+        super().__init__(self._make, parameters={"simulated_controller": True} | parameters)
         self.hooks.append(lambda: self.arm.advance(self.time))
         self.node = self.nodes[0]
         self.previews = self.publisher(JointTrajectory, "arm/joint_reference", 1)
@@ -66,9 +66,7 @@ class Bench(World):
         self._way = 1.0
 
     def _make(self, **options):
-        return ArmStreamerNode(
-            allow_sim_time=True, start_process=self.arm.start_process, **options
-        )
+        return ArmStreamerNode(start_process=self.arm.start_process, **options)
 
     def _pass_time(self, seconds):
         self.time += seconds
@@ -474,7 +472,7 @@ def test_invalid_parameter_is_rejected_naming_the_parameter(parameters, name):
         pass
 
 
-def test_simulated_time_is_rejected():
+def test_simulated_time_is_rejected_unless_the_controller_is_simulated():
     with pytest.raises(ParameterError, match="use_sim_time"), World(ArmStreamerNode):
         pass
 

@@ -146,7 +146,6 @@ def test_shutdown_brakes_the_arm_and_switches_the_power_off(make):
 @pytest.mark.parametrize(
     ("changes", "name"),
     [
-        ({"use_sim_time": True}, "use_sim_time"),
         ({"arm.joints": ["a", "b"]}, "arm.joints"),
         ({"ports.address": "256.0.0.1"}, "ports.dashboard"),
         ({"simulated_arm.initial": [0.0]}, "simulated_arm.initial"),

@@ -28,9 +28,16 @@ def test_a_simulated_robot_has_a_simulated_arm():
     assert "ports.rtde" not in started["platform_controller"]
 
 
-@pytest.mark.parametrize("setup", [{"drive": "real"}, {"sim_time": True}, {"arm": "none"}])
-def test_there_is_no_arm_with_real_drives_or_simulated_time_unless_asked_for(setup):
+@pytest.mark.parametrize("setup", [{"drive": "real"}, {"arm": "none"}])
+def test_there_is_no_arm_with_real_drives_unless_asked_for(setup):
     assert not set(commands(**setup)) & ARM
+
+
+def test_the_simulated_arm_shares_the_simulated_time_of_the_robot():
+    started = commands(sim_time=True)
+    assert "-p use_sim_time:=true" in started["simulated_ur"]
+    assert "-p use_sim_time:=true -p simulated_controller:=true" in started["arm_streamer"]
+    assert "simulated_controller" not in commands()["arm_streamer"]
 
 
 def test_the_simulated_controller_outlives_its_client_which_outlives_the_interpolator():

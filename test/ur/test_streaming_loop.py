@@ -12,6 +12,7 @@ from omniman_ros.ur.streaming_loop import (
     NODE_TIMEOUT,
     REPORT_PERIOD,
     TIMING_COUNT,
+    GivenClock,
     StreamingLoop,
 )
 from omniman_ros.ur.streaming_messages import Command, CommandMessage, StreamingPhase
@@ -294,3 +295,47 @@ def test_shutdown_that_takes_too_long_still_ends(rig):
     rig.loop.run()
     assert rig.link.now - begin < 4.0
     assert rig.link.closed
+
+
+class SimulatedRig(Rig):
+    """A loop whose time is given by its node, and a link that waits for that."""
+
+    def __init__(self):
+        self.channel = PlayedChannel()
+        self.link = TimedLink(self.channel)
+        self.clock = GivenClock(self.link.now)
+        self.link.wait = self._wait
+        self.loop = StreamingLoop(
+            self.channel, self.link, ArmParameters(), UrParameters(), self.clock
+        )
+
+    def _wait(self, until, others):
+        if self.channel.orders:
+            return others
+        assert self.clock() >= until, "the loop runs ahead of the time that it was given"
+        return []
+
+    def pass_time(self, now):
+        self.send(Command.TIME, now)
+        self.loop.cycle()
+
+
+def test_on_simulated_time_a_cycle_runs_when_its_time_was_given():
+    rig = SimulatedRig()
+    start = rig.link.now
+    for k in range(1, 6):
+        rig.pass_time(start + k * PERIOD)
+        assert len(rig.link.ticks) == k
+        assert rig.report.sent_until == pytest.approx(start + (k + 1) * PERIOD)
+    with pytest.raises(AssertionError, match="runs ahead"):
+        rig.loop.cycle()
+
+
+def test_on_simulated_time_each_cycle_is_reported_although_nothing_else_is_new():
+    """Simulated time waits for the report."""
+    rig = SimulatedRig()
+    rig.link.take_samples = lambda: []
+    start, count = rig.link.now, len(rig.channel.reports)
+    for k in range(1, 6):
+        rig.pass_time(start + k * PERIOD)
+    assert len(rig.channel.reports) - count >= 5

@@ -2,11 +2,11 @@
 
 import re
 import threading
-import time
 
 from omniman_ros.simulation.ur.arm import CYCLE, UrArmParameters
 from omniman_ros.simulation.ur.controller import Controller, RunningProgram
 from omniman_ros.simulation.ur.modes import RobotMode
+from omniman_ros.simulation.ur.pace import MAX_WAIT, Pace, RealTime
 from omniman_ros.simulation.ur.program_sockets import ProgramSockets
 from omniman_ros.simulation.ur.tcp_ports import ControllerPorts, UrPortParameters
 from omniman_ros.simulation.ur.urscript.compiler import Program as Text
@@ -39,6 +39,7 @@ class ControllerServer:
     Args:
         arm: Parameters of the arm.
         ports: Address and numbers of the ports.
+        pace: Time on which the thread runs; None for real time.
 
     Attributes:
         controller: The controller; other threads may set its `faults` and `slider`, and read
@@ -47,17 +48,22 @@ class ControllerServer:
         ports: Ports of the controller.
         late: Number of cycles that began more than a cycle late.
         lost: Total time of the skipped cycles [s].
+        done: Time up to which all cycles have been run [s].
         error: Exception that ended the thread, or None.
 
     Raises:
         ParameterError: A port is not available.
     """
 
-    def __init__(self, arm: UrArmParameters, ports: UrPortParameters) -> None:
+    def __init__(
+        self, arm: UrArmParameters, ports: UrPortParameters, pace: Pace | None = None
+    ) -> None:
         self.network = ProgramSockets()
         self.controller = Controller(arm, launch, self.network)
         self.ports = ControllerPorts(self.controller, self.network, ports)
-        self.late, self.lost = 0, 0.0
+        self.late, self.lost, self.done = 0, 0.0, 0.0
+        self._pace = pace or RealTime()
+        self._has_run = threading.Condition()
         self.error: Exception | None = None
         self._closing, self._power_off = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run, name="simulated_ur", daemon=True)
@@ -80,21 +86,34 @@ class ControllerServer:
         self.ports.cycle(now)
 
     def _run(self) -> None:
-        due = time.monotonic()
+        pace = self._pace
+        self.done = due = pace.now()
         while not self._closing.is_set():
-            missed_cycles = int(max(time.monotonic() - due, 0.0) / CYCLE)
+            if pace.now() < due:
+                pace.wait(due)
+                continue
+            missed_cycles = int((pace.now() - due) / CYCLE)
             try:
                 self.cycle(due - self.lost, 1 + missed_cycles)
             except Exception as error:
                 self.error = error
                 return
             due += CYCLE
-            now = time.monotonic()
+            now = pace.now()
             if now - due > MAX_DELAY:
                 self.lost += now - due
                 due = now
-            self.late += now - due > CYCLE
-            time.sleep(max(due - now, CATCH_UP_PERIOD if now > due + CYCLE else 0.0))
+            with self._has_run:
+                self.done = due
+                self._has_run.notify_all()
+            if now - due > CYCLE:
+                self.late += 1
+                pace.wait(now + CATCH_UP_PERIOD)
+
+    def wait_for_cycles(self) -> None:
+        """Wait until all cycles that are due by now have been run, up to `MAX_WAIT`."""
+        with self._has_run:
+            self._has_run.wait_for(lambda: self.done > self._pace.now(), MAX_WAIT)
 
     def shut_down(self) -> None:
         """Switch the power off in the next cycle: the arm brakes, and the program ends."""

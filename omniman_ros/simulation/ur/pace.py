@@ -1,0 +1,55 @@
+"""The time on which a simulated controller runs: real, or simulated and given by another."""
+
+import threading
+import time
+from typing import Protocol
+
+MAX_WAIT = 0.1
+"""Longest wait for simulated time before the caller may look at other things [s]."""
+
+
+class Pace(Protocol):
+    """Clock of a controller, which can be waited for."""
+
+    def now(self) -> float:
+        """Return the time [s]."""
+        ...
+
+    def wait(self, until: float) -> None:
+        """Wait until a time [s], or less."""
+        ...
+
+
+class RealTime:
+    """The monotonic clock of the machine."""
+
+    def now(self) -> float:
+        """Return the time [s]."""
+        return time.monotonic()
+
+    def wait(self, until: float) -> None:
+        """Wait until a time [s]."""
+        time.sleep(max(until - time.monotonic(), 0.0))
+
+
+class SimulatedTime:
+    """Time that passes when another thread says so."""
+
+    def __init__(self) -> None:
+        self._now = 0.0
+        self._changed = threading.Condition()
+
+    def now(self) -> float:
+        """Return the time that was last given [s]."""
+        return self._now
+
+    def set(self, now: float) -> None:
+        """Give the time [s]."""
+        with self._changed:
+            self._now = now
+            self._changed.notify_all()
+
+    def wait(self, until: float) -> None:
+        """Wait until the given time is `until` [s], up to `MAX_WAIT` of real time."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._now >= until, MAX_WAIT)

@@ -1,0 +1,61 @@
+"""Simulated controller on given time: cycles run as far as time has come, and no further."""
+
+import threading
+
+import pytest
+
+from omniman_ros.simulation.ur.arm import CYCLE, UrArmParameters
+from omniman_ros.simulation.ur.controller_server import ControllerServer
+from omniman_ros.simulation.ur.pace import SimulatedTime
+from omniman_ros.simulation.ur.tcp_ports import UrPortParameters
+
+pytestmark = pytest.mark.processes  # the controller runs in a thread
+
+FREE = UrPortParameters(dashboard=0, primary=0, secondary=0, realtime=0, rtde=0)
+TIMEOUT = 20.0
+"""Real time in which the thread runs the cycles that are due [s]."""
+
+
+class CountingServer(ControllerServer):
+    """A controller that notes the times of its cycles."""
+
+    def __init__(self, pace):
+        self.times, self.has_run = [], threading.Condition()
+        super().__init__(UrArmParameters(), FREE, pace)
+
+    def cycle(self, now, due_cycles=1):
+        super().cycle(now, due_cycles)
+        with self.has_run:
+            self.times.append(now)
+            self.has_run.notify_all()
+
+    def until(self, count):
+        with self.has_run:
+            assert self.has_run.wait_for(lambda: len(self.times) >= count, TIMEOUT)
+
+
+def test_cycles_follow_simulated_time_and_stand_with_it():
+    pace = SimulatedTime()
+    pace.set(100.0)
+    server = CountingServer(pace)
+    server.start()
+    try:
+        server.until(1)
+        for k in range(1, 50):
+            pace.set(100.0 + k * CYCLE + 1e-6)
+            server.until(k + 1)
+        # Were time not waited for, the next cycle would run at once.
+        pace.wait(pace.now() + CYCLE)
+        assert len(server.times) == 50
+        assert server.times == pytest.approx([100.0 + k * CYCLE for k in range(50)], abs=1e-9)
+        assert server.done == pytest.approx(100.0 + 50 * CYCLE, abs=1e-9)
+    finally:
+        server.close()
+
+
+def test_the_thread_ends_while_time_stands():
+    server = CountingServer(SimulatedTime())
+    server.start()
+    server.until(1)
+    server.close()
+    assert not server._thread.is_alive()
