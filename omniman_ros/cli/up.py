@@ -27,7 +27,7 @@ def run(args: argparse.Namespace) -> int:
     setup = RobotSetup(
         robot=args.robot,
         only=args.only or (),
-        sim_time=args.sim_time,
+        sim_time=is_simulated(args) if args.sim_time is None else args.sim_time,
         namespace=args.namespace,
         params=args.param,
         params_file=args.params_file,
@@ -49,6 +49,15 @@ def run(args: argparse.Namespace) -> int:
         started = ", ".join(f"{name} (pid {nodes.pid(name)})" for name in names)
         say(f"omniman up: {started}; robot {setup.robot}, ROS_DOMAIN_ID {domain}; Ctrl-C stops")
         return supervise(nodes)
+
+
+def is_simulated(args: argparse.Namespace) -> bool:
+    """Return whether all of the robot is simulated, and it may be the only one of its domain.
+
+    A domain has one `/clock`, and the robots in namespaces share it.
+    """
+    has_clock = args.drive == "simulated" and (not args.only or "simulated_drive" in args.only)
+    return has_clock and args.arm != "ur" and not args.namespace
 
 
 def supervise(nodes: ProcessGroup) -> int:

@@ -8,12 +8,15 @@ from typing import Any, Self
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
 DISCOVERY_TIMEOUT = 15.0
 """Time within which another process has to be discovered [s]; it usually takes 0.1 s."""
 ANNOUNCEMENT_TIME = 3.5
 """Time after which all participants of a domain are known [s]: DDS announces them every 3 s."""
+SLOWEST_PACE = 0.05
+"""Ratio of simulated to real time below which simulated time counts as standing."""
 MAX_SPIN_TIME = 0.05
 """Longest time in the executor between two checks of a condition [s]."""
 
@@ -28,16 +31,20 @@ class Session:
         name: Name of the node.
         namespace: Namespace of the node, relative or absolute.
         events: Whether to use the events executor, which is leaner and more punctual.
+        sim_time: Whether time is that of /clock. All durations are then simulated.
 
     Attributes:
         context: Context of the node, set within the `with` block.
         node: The node, set within the `with` block.
     """
 
-    def __init__(self, name: str, namespace: str = "", events: bool = True) -> None:
+    def __init__(
+        self, name: str, namespace: str = "", events: bool = True, sim_time: bool = False
+    ) -> None:
         self._name = name
         self._namespace = namespace
         self._events = events
+        self._sim_time = sim_time
 
     def __enter__(self) -> Self:
         self.context = rclpy.Context()
@@ -47,6 +54,7 @@ class Session:
             namespace=self._namespace,
             context=self.context,
             start_parameter_services=False,
+            parameter_overrides=[Parameter("use_sim_time", value=self._sim_time)],
         )
         self._executor = self._make_executor()
         self._executor.add_node(self.node)
@@ -71,25 +79,38 @@ class Session:
         self.node.destroy_node()
         rclpy.try_shutdown(context=self.context)
 
+    def now(self) -> float:
+        """Return the time from any origin [s]: monotonic, or that of /clock."""
+        if self._sim_time:
+            return float(self.node.get_clock().now().nanoseconds * 1e-9)
+        return time.monotonic()
+
     def spin(self, seconds: float) -> None:
         """Serve callbacks for some time [s]; those that are ready are served in any case."""
+        if self._sim_time:
+            self._spin_for(0.0)
+            self.wait(lambda: False, seconds)
+        else:
+            self._spin_for(max(seconds, 0.0))
+
+    def _spin_for(self, seconds: float) -> None:
         # EventsExecutor.spin_once() serves a single event; this call serves all that are ready.
         future = rclpy.Future(executor=None)
-        self._executor.spin_until_future_complete(future, timeout_sec=max(seconds, 0.0))
+        self._executor.spin_until_future_complete(future, timeout_sec=seconds)
 
     def wait(self, condition: Callable[[], bool], timeout: float) -> bool:
         """Serve callbacks until a condition holds.
 
         Args:
             condition: Checked after each callback, at least every `MAX_SPIN_TIME`.
-            timeout: Longest time to wait [s].
+            timeout: Longest time to wait [s]; where simulated time stands, the wait ends, too.
 
         Returns:
             Whether the condition holds.
         """
-        end = time.monotonic() + timeout
+        end, last_moment = self.now() + timeout, time.monotonic() + timeout / SLOWEST_PACE
         while not condition():
-            remaining = end - time.monotonic()
+            remaining = min(end - self.now(), last_moment - time.monotonic())
             if remaining <= 0.0:
                 return False
             self._spin_once(min(remaining, MAX_SPIN_TIME))
@@ -118,7 +139,7 @@ class PeriodicTicks:
         self._session = session
         self._period = period
         self._check = check
-        self._start = time.monotonic()
+        self._start = session.now()
         self._end = self._start + duration
         self._next = self._start
 
@@ -126,9 +147,9 @@ class PeriodicTicks:
         return self
 
     def __next__(self) -> float:
-        self._session.spin(self._next - time.monotonic())
+        self._session.spin(self._next - self._session.now())
         self._check()
-        now = time.monotonic()
+        now = self._session.now()
         if now >= self._end:
             raise StopIteration
         self._next = max(self._next + self._period, now)

@@ -4,7 +4,6 @@ import math
 from typing import Any
 
 import numpy as np
-from std_srvs.srv import Trigger
 
 from omniman_ros.console.errors import CommandError
 from omniman_ros.demo.driver import SERVICE_TIMEOUT, Driver
@@ -93,7 +92,7 @@ class DeadWheelLeg(Leg):
         """
         driver.call(driver.robot.fault_client, dead_motors_request([]))
         for client in driver.robot.reset_clients:
-            driver.call(client, Trigger.Request())
+            driver.reset(client)
 
         def is_driving() -> bool:
             return driver.recorder.health.get(self._wheel, DRIVING) == DRIVING

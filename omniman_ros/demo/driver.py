@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from rclpy.client import Client
+from std_srvs.srv import Trigger
 
 from omniman_ros.console.errors import CommandError
 from omniman_ros.console.formatting import pose_text
@@ -29,6 +30,8 @@ PERIOD = 0.02
 """Period at which the demo sends twists and checks the progress [s]."""
 PAUSE = 0.7
 """Shortest pause between two parts of the demo [s]."""
+AGREEMENT_TIME = 0.1
+"""Time in which a change of the source that drives reaches all nodes [s]."""
 IDLE_TIMEOUT = 5.0
 """Time within which no source drives the platform any more after the end of a motion [s]."""
 SERVICE_TIMEOUT = 5.0
@@ -73,7 +76,7 @@ class Driver:
         self._session = session
         self._poll = poll
         self.robot = RobotInterface(session.node, drive)
-        self.recorder = Recorder(session.node)
+        self.recorder = Recorder(session.node, session.now)
         self.progress = progress
         self.has_arm = has_arm
         self.arm_moves: list[ArmMove] = []
@@ -163,6 +166,7 @@ class Driver:
         for _ in self.ticks(PAUSE):
             pass
         self.wait_until_idle()
+        self.pause(AGREEMENT_TIME)
 
     def _check(self) -> None:
         """Measure the time since the last check; raise an error if a node or process has ended."""
@@ -254,8 +258,8 @@ class Driver:
 
     # ---- services ---------------------------------------------------------------------------
 
-    def call(self, client: Client, request: Any) -> None:
-        """Call a service and wait for its answer.
+    def call(self, client: Client, request: Any) -> Any:
+        """Call a service, and return its answer.
 
         Raises:
             CommandError: The service did not answer in time.
@@ -263,6 +267,19 @@ class Driver:
         future = client.call_async(request)
         if not self.wait(future.done, SERVICE_TIMEOUT):
             raise CommandError(f"{client.srv_name} does not answer")
+        return future.result()
+
+    def reset(self, client: Client) -> None:
+        """Call a node's reset until it is granted: a wheel may still be turning.
+
+        Raises:
+            CommandError: The service did not answer in time, or refused for too long.
+        """
+        for _ in self.ticks(RESET_TIMEOUT, PAUSE):
+            answer = self.call(client, Trigger.Request())
+            if answer.success:
+                return
+        raise CommandError(f"{client.srv_name} refused: {answer.message}")
 
     def reset_all(self) -> None:
         """Reset all nodes of the robot.

@@ -1,6 +1,6 @@
 """Recording of the topics that the robot publishes during the demo."""
 
-import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -30,7 +30,7 @@ STALL_LIMIT = 0.15
 class Recording:
     """Values that the robot published, in the order of arrival.
 
-    Stamps are ROS time [s]; arrivals are on the monotonic clock [s].
+    Stamps are ROS time [s]; arrivals are on the recorder's clock [s].
 
     Attributes:
         odom: Stamp, pose x, y, theta in odom [m, m, rad] and twist x', y', theta' in base_link
@@ -75,6 +75,7 @@ class Recorder:
 
     Args:
         node: Node that owns the subscriptions.
+        clock: Returns the time of arrivals [s].
 
     Attributes:
         recording: Values that have been recorded.
@@ -85,8 +86,9 @@ class Recorder:
         stopped: Reason why a node is stopped, by the name of the node.
     """
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, clock: Callable[[], float]) -> None:
         self.recording = Recording()
+        self._clock = clock
         self.active_source = ""
         self.progress = 0.0
         self._has_started = False
@@ -149,7 +151,7 @@ class Recorder:
         self.progress = message.data if self._has_started else 0.0
 
     def _on_odom(self, message: Odometry) -> None:
-        self.recording.odom_arrivals.append(time.monotonic())
+        self.recording.odom_arrivals.append(self._clock())
         twist = message.twist.twist
         self.recording.odom.append(
             (*_stamped_pose(message), twist.linear.x, twist.linear.y, twist.angular.z)
@@ -159,7 +161,7 @@ class Recorder:
         self.recording.truth.append(_stamped_pose(message))
 
     def _on_command(self, message: JointState) -> None:
-        self.recording.command_arrivals.append(time.monotonic())
+        self.recording.command_arrivals.append(self._clock())
 
     def _on_coupling(self, message: JointState) -> None:
         stamp = time_seconds(message.header.stamp)

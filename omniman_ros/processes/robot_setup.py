@@ -54,7 +54,7 @@ ROBOT_NODES = (
     NodeKind("joint_state_broadcaster", stage=0, essential=False),
     NodeKind("odometry", stage=0, on_request=True),
     NodeKind("station_keeper", stage=0, on_request=True),
-    NodeKind("simulated_drive", stage=1, sim_time="publish_clock", drives=("simulated",)),
+    NodeKind("simulated_drive", stage=3, sim_time="publish_clock", drives=("simulated",)),
     NodeKind("can_bridge", stage=1, drives=("can", "real")),
     NodeKind("simulated_can_drives", stage=2, drives=("can",)),
     NodeKind("arm_streamer", stage=1, arms=("simulated", "ur")),
@@ -219,6 +219,8 @@ def _ros_arguments(
         arguments += ["-p", text]
     if setup.sim_time:
         arguments += ["-p", f"{kind.sim_time}:=true"]
+        if kind.name == "arm_streamer":
+            arguments += ["-p", "simulated_controller:=true"]
     if setup.namespace:
         arguments += ["-r", f"__ns:=/{setup.namespace.strip('/')}", *TRANSFORM_REMAPPING]
     return arguments

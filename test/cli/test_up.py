@@ -130,7 +130,7 @@ def test_a_signal_brings_the_moving_robot_to_rest_and_ends_up_with_code_0(
 
 
 def test_a_killed_drive_is_reported_and_the_robot_is_stopped(own_domain):
-    with moving_robot(*ONLY_NODES) as (up, probe, pids):
+    with moving_robot(*ONLY_NODES, "--no-sim-time") as (up, probe, pids):
         os.kill(pids["simulated_drive"], signal.SIGKILL)
         probe.await_end(up.process)
         assert up.finish() == 1

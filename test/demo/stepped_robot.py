@@ -20,7 +20,6 @@ from trajectory_msgs.msg import (
 from omniman_ros.console import session as console_session
 from omniman_ros.conversions.geometry import quaternion_from_yaw, yaw_from_quaternion
 from omniman_ros.demo import driver as demo_driver
-from omniman_ros.demo import recorder as demo_recorder
 from omniman_ros.demo.driver import Driver
 
 STEP = 0.02
@@ -42,7 +41,7 @@ class SteppedRobot:
 
     Attributes:
         node: The node that the demo uses.
-        now: ROS time [s].
+        time: ROS time [s].
         received: Messages by topic.
         stopped: Whether the platform's controller is stopped.
         defects: What the robot does not do.
@@ -50,7 +49,7 @@ class SteppedRobot:
 
     def __init__(self, *defects):
         self.node = self
-        self.now = START_TIME
+        self.time = START_TIME
         self.received = {}
         self.stopped = False
         self.defects = defects
@@ -65,15 +64,18 @@ class SteppedRobot:
 
     # ---- session ----------------------------------------------------------------------------
 
+    def now(self):
+        return self.time
+
     def spin(self, seconds):
-        end = self.now + seconds
-        while self.now < end - 1e-9:
-            self._step(min(STEP, end - self.now))
+        end = self.time + seconds
+        while self.time < end - 1e-9:
+            self._step(min(STEP, end - self.time))
 
     def wait(self, condition, timeout):
-        end = self.now + timeout
+        end = self.time + timeout
         while not condition():
-            if self.now >= end:
+            if self.time >= end:
                 return False
             self._step(STEP)
         return True
@@ -81,7 +83,7 @@ class SteppedRobot:
     # ---- node -------------------------------------------------------------------------------
 
     def get_clock(self):
-        return SimpleNamespace(now=lambda: Time(nanoseconds=round(1e9 * self.now)))
+        return SimpleNamespace(now=lambda: Time(nanoseconds=round(1e9 * self.time)))
 
     def get_namespace(self):
         return "/"
@@ -100,10 +102,11 @@ class SteppedRobot:
         def call_async(request):
             if name.endswith("/set_parameters"):
                 self._dead = list(request.parameters[0].value.string_array_value)
-                self._dead_since = self.now if self._dead else self._dead_since
+                self._dead_since = self.time if self._dead else self._dead_since
             elif "repair" not in self.defects:
                 self._dead_since = math.inf
-            return SimpleNamespace(done=lambda: True)
+            answer = SimpleNamespace(success=True)
+            return SimpleNamespace(done=lambda: True, result=lambda: answer)
 
         return SimpleNamespace(srv_name=name, call_async=call_async)
 
@@ -116,17 +119,17 @@ class SteppedRobot:
         poses = [(p.pose.position, p.pose.orientation) for p in message.poses]
         rows = np.array([(p.x, p.y, yaw_from_quaternion(q)) for p, q in poses])
         rows[:, 2] = np.unwrap(rows[:, 2])
-        self._motion = (self.now, rows)
+        self._motion = (self.time, rows)
 
     def _on_tool_path(self, message):
-        self._motion = (self.now, np.array([self._pose, self._pose]))
+        self._motion = (self.time, np.array([self._pose, self._pose]))
 
     def _on_goal_pose(self, message):
         position, orientation = message.pose.position, message.pose.orientation
         goal = np.array([position.x, position.y, yaw_from_quaternion(orientation)])
         if "plan" not in self.defects:
             self._planner = "driving"
-            self._motion = (self.now, np.array([self._pose, goal]))
+            self._motion = (self.time, np.array([self._pose, goal]))
 
     def _on_joint_trajectory(self, message):
         if "move_arm" not in self.defects:
@@ -139,7 +142,7 @@ class SteppedRobot:
     # ---- time -------------------------------------------------------------------------------
 
     def _step(self, seconds):
-        self.now += seconds
+        self.time += seconds
         if self.stopped:
             self._twist = np.zeros(3)
         c, s = math.cos(self._pose[2]), math.sin(self._pose[2])
@@ -151,7 +154,7 @@ class SteppedRobot:
 
     def _follow(self):
         start, poses = self._motion
-        progress = 0.0 if "progress" in self.defects else (self.now - start) / MOTION_TIME
+        progress = 0.0 if "progress" in self.defects else (self.time - start) / MOTION_TIME
         at = np.linspace(0.0, 1.0, len(poses))
         self._pose = np.array([np.interp(progress, at, column) for column in poses.T])
         if progress >= 1.0:
@@ -178,7 +181,7 @@ class SteppedRobot:
             "ground_truth/odom": odom,
             "wheel_commands": JointState(),
             "coupling_error": coupling,
-            "wheel_electrical": Float64MultiArray(data=[24.0, 1.0, self.now] * 4),
+            "wheel_electrical": Float64MultiArray(data=[24.0, 1.0, self.time] * 4),
             "arm/joint_states": arm,
             "arm/joint_reference": self._arm_reference(stamp),
             "path/reference": self._reference(stamp),
@@ -195,7 +198,7 @@ class SteppedRobot:
             self._callbacks[topic](message)
 
     def _health(self):
-        noticed = self.now - self._dead_since > NOTICE_TIME and "notice" not in self.defects
+        noticed = self.time - self._dead_since > NOTICE_TIME and "notice" not in self.defects
         return "no torque" if noticed else "driving"
 
     def _stop_state(self):
@@ -250,8 +253,8 @@ def stepped_driver(monkeypatch, robot, poll=lambda: None, has_arm=True):
     progress = SimpleNamespace(
         begin=lambda name: None, update=lambda fraction, note: None, end=lambda note: None
     )
-    clock = SimpleNamespace(monotonic=lambda: robot.now)
-    for module in (console_session, demo_driver, demo_recorder):
+    clock = SimpleNamespace(monotonic=robot.now)
+    for module in (console_session, demo_driver):
         monkeypatch.setattr(module, "time", clock)
     monkeypatch.setattr(demo_driver, "TriggerCalls", SteppedReset)
     return Driver(robot, progress, poll, has_arm=has_arm)

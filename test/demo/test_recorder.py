@@ -8,7 +8,7 @@ from omniman_ros.demo.recorder import Recorder
 
 
 def new_recorder():
-    recorder = Recorder(SimpleNamespace(create_subscription=lambda *args: None))
+    recorder = Recorder(SimpleNamespace(create_subscription=lambda *args: None), lambda: 0.0)
     recorder.begin_motion()
     return recorder
 

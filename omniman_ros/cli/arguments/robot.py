@@ -23,8 +23,10 @@ def add_up(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--sim-time",
-        action="store_true",
-        help="run on /clock, which the simulated drive then publishes",
+        action=argparse.BooleanOptionalAction,
+        help="run on /clock, which the simulated drive then publishes, and which waits for nodes "
+        "that a busy machine holds up; default: if all of the robot is simulated, without a bus "
+        "and without a namespace",
     )
     add_parameters(parser)
     parser.add_argument("--params-file", metavar="FILE", help="a ROS parameter file for all nodes")

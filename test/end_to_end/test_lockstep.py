@@ -1,0 +1,132 @@
+"""A simulated robot whose processes are held up: time waits, and no timeout strikes."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from geometry_msgs.msg import Twist
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+
+from omniman_ros.console.session import Session
+from test.nodes.harness import free_domain
+
+pytestmark = pytest.mark.processes
+
+PATIENCE = 120.0
+"""Real time for what a test waits for [s]."""
+STOP = 2.0
+"""Real time for which a process is stopped [s]."""
+SPEED = 0.2
+"""Forward velocity of the platform [m/s]."""
+SIMULATED_PARTS = (
+    "simulated_drive",
+    "platform_controller",
+    "path_interpolator",
+    "mpc_planner",
+    "arm_streamer",
+    "simulated_ur",
+)
+
+
+class Robot:
+    """A robot on simulated time, driven forwards, and the times and speeds that it shows."""
+
+    def __init__(self, session, up):
+        self.session, self.up = session, up
+        self.time, self.speeds, self.arm = 0.0, [], []
+        self.output = ""
+        node = session.node
+        node.create_subscription(Clock, "/clock", self._on_clock, 200)
+        node.create_subscription(JointState, "wheel_states", self._on_states, 200)
+        node.create_subscription(JointState, "arm/joint_states", self.arm.append, 10)
+        self._twists = node.create_publisher(Twist, "cmd_vel", 1)
+        node.create_timer(0.02, self._drive)
+        self.is_driven = True
+
+    def _on_clock(self, message):
+        self.time = message.clock.sec + 1e-9 * message.clock.nanosec
+
+    def _on_states(self, message):
+        self.speeds.append(float(np.abs(message.velocity).min()))
+
+    def _drive(self):
+        if self.is_driven:
+            twist = Twist()
+            twist.linear.x = SPEED
+            self._twists.publish(twist)
+
+    def until(self, condition, what):
+        assert self.session.wait(condition, PATIENCE), f"waited for {what}: {self.log()}"
+
+    def advance(self, seconds):
+        end = self.time + seconds
+        self.until(lambda: self.time > end, f"{seconds} s of simulated time")
+
+    def pid(self, name):
+        found = re.search(rf"{name} \(pid (\d+)\)", self.log())
+        return int(found[1])
+
+    def log(self):
+        self.up.stdout.flush()
+        with open(self.up.stdout.name) as file:
+            return file.read()
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory):
+    """Return a robot whose wheels turn; each test leaves it so."""
+    os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    os.environ["ROS_DOMAIN_ID"] = str(free_domain())
+    with open(tmp_path_factory.mktemp("up") / "log", "w") as log:
+        command = ["up", "--sim-time", "--only", *SIMULATED_PARTS]
+        up = subprocess.Popen(
+            [sys.executable, "-m", "omniman_ros.cli.main", *command],
+            stdout=log,
+            stderr=subprocess.STDOUT,
+        )
+        up.stdout = log
+        try:
+            with Session("probe") as session:
+                it = Robot(session, up)
+                it.until(lambda: it.arm and it.speeds and it.speeds[-1] > 1.0, "motion")
+                it.advance(1.0)
+                yield it
+        finally:
+            up.send_signal(signal.SIGINT)
+            code = up.wait(PATIENCE)
+    assert code == 0
+
+
+@pytest.mark.parametrize("name", SIMULATED_PARTS)
+def test_time_waits_for_a_process_that_is_stopped_and_the_robot_drives_on(robot, name):
+    before = robot.log()
+    robot.speeds.clear()
+    os.kill(robot.pid(name), signal.SIGSTOP)
+    try:
+        start = robot.time
+        robot.session.spin(STOP)
+        assert robot.time - start < 0.25, "time went on without it"
+    finally:
+        os.kill(robot.pid(name), signal.SIGCONT)
+    robot.advance(1.0)
+    assert min(robot.speeds) > 1.0, "the robot has slowed down"
+    # DDS may deliver a report of the wheels twice, which is warned of and does no harm.
+    news = robot.log().removeprefix(before)
+    assert not re.search("stop|hold|silent|stale|lost|keep up", news), news
+
+
+def test_time_goes_on_without_a_process_that_stays_stopped(robot):
+    """Its death is then found by the others in simulated time: here, by the drives."""
+    pid = robot.pid("platform_controller")
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        robot.until(lambda: robot.speeds[-1] < 0.01, "the drives' own ramp to rest")
+        assert "does not keep up with /clock" in robot.log()
+    finally:
+        os.kill(pid, signal.SIGCONT)
+    robot.until(lambda: robot.speeds[-1] > 1.0, "motion by a new command")
