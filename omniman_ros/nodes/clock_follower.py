@@ -17,6 +17,9 @@ from omniman_ros.nodes.rclpy_compat import subscribe_to_clock, take_timers
 PERMITS_TOPIC = "/clock/permits"
 """Topic on which nodes permit simulated time to go on; see :func:`permit_message`."""
 
+CLOCK_DEPTH = 200
+"""Number of times on /clock that a node keeps until it reads them, more than come at once."""
+
 
 def permit_message(name: str, until: float | None) -> Header:
     """Return a permit for simulated time to go on.
@@ -54,7 +57,9 @@ class ClockFollower:
         self._name, self._lookahead = node.get_fully_qualified_name(), lookahead
         self._time_passed, self._progress = time_passed, progress
         self._timers = take_timers(node)
-        self._subscription = subscribe_to_clock(node, self._receive)
+        # A node that nobody waits for skips the times that it has missed.
+        depth = 1 if math.isinf(lookahead) else CLOCK_DEPTH
+        self._subscription = subscribe_to_clock(node, self._receive, depth)
         self.publisher: Publisher = node.create_publisher(Header, PERMITS_TOPIC, 10)
         self._time = self._reported = -math.inf
         self._arrival = time.monotonic()

@@ -24,8 +24,6 @@ RCLError = rclpy_implementation.RCLError
 UnknownROSArgsError = rclpy_implementation.UnknownROSArgsError
 """Error about ROS arguments. rclpy 7.1 raises it, but exports it in its implementation only."""
 
-CLOCK_QOS = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""Quality of service of /clock, which matches that of any publisher."""
 TransitionCallback = Callable[[Any, LifecycleState], TransitionCallbackReturn]
 """Callback of a lifecycle node for one of its transitions, as a function of the node."""
 
@@ -50,8 +48,10 @@ def take_timers(node: Node) -> list[Timer]:
     return timers
 
 
-def subscribe_to_clock(node: Node, callback: Callable[[ClockMessage], None]) -> Subscription:
-    """Have a node with `use_sim_time` follow /clock message by message.
+def subscribe_to_clock(
+    node: Node, callback: Callable[[ClockMessage], None], depth: int
+) -> Subscription:
+    """Have a node with `use_sim_time` follow /clock.
 
     rclpy 7.1 keeps the last message only. A node that lags behind would read the newest time
     before it has read the other messages of the times that it skips.
@@ -59,6 +59,7 @@ def subscribe_to_clock(node: Node, callback: Callable[[ClockMessage], None]) -> 
     Args:
         node: The node.
         callback: Called with each message after the node's clock was set.
+        depth: Number of messages that are kept.
 
     Returns:
         The subscription.
@@ -71,7 +72,8 @@ def subscribe_to_clock(node: Node, callback: Callable[[ClockMessage], None]) -> 
         source.clock_callback(message)
         callback(message)
 
-    source._clock_sub = node.create_subscription(ClockMessage, "/clock", receive, CLOCK_QOS)
+    qos = QoSProfile(depth=depth, reliability=ReliabilityPolicy.BEST_EFFORT)  # matches any
+    source._clock_sub = node.create_subscription(ClockMessage, "/clock", receive, qos)
     return source._clock_sub
 
 
