@@ -13,8 +13,6 @@ from omniman_ros.simulation.ur.urscript.compiler import Program as Text
 from omniman_ros.simulation.ur.urscript.host import Host
 from omniman_ros.simulation.ur.urscript.machine import Machine
 
-CATCH_UP_PERIOD = 0.002
-"""Period of cycles that are late [s]; a client that was delayed as well can then catch up."""
 MAX_DELAY = 1.0
 """Delay above which missed cycles are skipped, so that the controller's time stops [s]."""
 NEXT_LINE = re.compile(r"=[ \t]*(?:#[^\n]*)?\n[ \t]*(-?[0-9.]+)[ \t]*")
@@ -108,7 +106,7 @@ class ControllerServer:
                 self._has_run.notify_all()
             if now - due > CYCLE:
                 self.late += 1
-                pace.wait(now + CATCH_UP_PERIOD)
+                pace.give_way()
 
     def wait_for_cycles(self) -> None:
         """Wait until all cycles that are due by now have been run, up to `MAX_WAIT`."""

@@ -4,6 +4,8 @@ import threading
 import time
 from typing import Protocol
 
+CATCH_UP_PERIOD = 0.002
+"""Period of cycles that are late on real time [s]."""
 MAX_WAIT = 0.1
 """Longest wait for simulated time before the caller may look at other things [s]."""
 
@@ -19,6 +21,10 @@ class Pace(Protocol):
         """Wait until a time [s], or less."""
         ...
 
+    def give_way(self) -> None:
+        """Let a client that was delayed as well catch up, between two cycles that are late."""
+        ...
+
 
 class RealTime:
     """The monotonic clock of the machine."""
@@ -30,6 +36,10 @@ class RealTime:
     def wait(self, until: float) -> None:
         """Wait until a time [s]."""
         time.sleep(max(until - time.monotonic(), 0.0))
+
+    def give_way(self) -> None:
+        """Wait for `CATCH_UP_PERIOD`."""
+        time.sleep(CATCH_UP_PERIOD)
 
 
 class SimulatedTime:
@@ -53,3 +63,6 @@ class SimulatedTime:
         """Wait until the given time is `until` [s], up to `MAX_WAIT` of real time."""
         with self._changed:
             self._changed.wait_for(lambda: self._now >= until, MAX_WAIT)
+
+    def give_way(self) -> None:
+        """Do nothing: simulated time waits for this controller and for its clients."""

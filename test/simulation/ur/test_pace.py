@@ -53,6 +53,30 @@ def test_cycles_follow_simulated_time_and_stand_with_it():
         server.close()
 
 
+class CountingTime(SimulatedTime):
+    """Simulated time that counts how often it was waited for."""
+
+    waits = 0
+
+    def wait(self, until):
+        self.waits += 1
+        super().wait(until)
+
+
+def test_cycles_that_are_late_run_at_once_because_time_waits_for_them():
+    pace = CountingTime()
+    server = CountingServer(pace)
+    server.start()
+    try:
+        server.until(1)
+        waits = pace.waits
+        pace.set(0.5)
+        server.until(round(0.5 / CYCLE))
+        assert pace.waits - waits <= 2
+    finally:
+        server.close()
+
+
 def test_the_thread_ends_while_time_stands():
     server = CountingServer(SimulatedTime())
     server.start()
