@@ -21,6 +21,8 @@ MAX_DELAY = 0.1
 """Largest delay that simulated time catches up with [s]; it falls behind by what is more."""
 SLOW = 0.9
 """Fraction of the requested pace below which simulated time is reported as slow."""
+MIN_REPORT_TIME = 1.0
+"""Shortest real time over which the pace is measured [s]."""
 REPEAT_PERIOD = 0.02
 """Real time after which a time is published again while others have to catch up with it [s]."""
 
@@ -115,7 +117,9 @@ class SimulatedClock:
         """
         real_time = self._real_time()
         elapsed = real_time - self._reported_at[0]
-        self.pace = (self.now - self._reported_at[1]) / elapsed if elapsed > 0.0 else 0.0
+        if elapsed < MIN_REPORT_TIME:
+            return ""  # a timer that was late is called twice at once
+        self.pace = (self.now - self._reported_at[1]) / elapsed
         self._reported_at = (real_time, self.now)
         laggards, self.laggards = self.laggards, set()
         if self.pace > SLOW * self._real_time_factor:

@@ -95,6 +95,8 @@ def test_a_slow_pace_is_reported_with_the_nodes_that_are_waited_for():
             "simulated time passes at 0.25 times real time, waiting for /slow"
         )
         assert rig.clock.pace == pytest.approx(0.25, abs=0.01)
+        assert rig.clock.pace_report() == "", "no time has passed since the last report"
+        assert rig.clock.pace == pytest.approx(0.25, abs=0.01)
 
 
 def test_time_does_not_rush_after_a_long_delay_of_its_own_node():
