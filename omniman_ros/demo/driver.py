@@ -22,10 +22,7 @@ from omniman_ros.demo.robot_interface import RobotInterface
 from omniman_ros.nodes.stoppable_nodes import TriggerCalls
 
 ARM_MOVE_TIME = 2.5
-"""Duration of a measured move of the arm [s].
-
-It leaves room to the joints' velocity limit: an arm that was held up by a busy machine catches up
-faster than it was sent, and the controller stops it above that limit."""
+"""Duration of a measured move of the arm, within its limits [s]."""
 PERIOD = 0.02
 """Period at which the demo sends twists and checks the progress [s]."""
 PAUSE = 0.7
