@@ -1,0 +1,189 @@
+"""Base of the nodes that simulate the robot and its wheel drives without a bus."""
+
+from typing import Generic, TypeVar
+
+import numpy as np
+from builtin_interfaces.msg import Time as TimeMsg
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseWithCovarianceStamped
+
+from omniman_ros.conversions.poses import planar_pose
+from omniman_ros.core.stop import StopLatch, StopState
+from omniman_ros.nodes.drive_command_interface import DriveCommandInterface
+from omniman_ros.nodes.drive_reports import DriveReportPublisher
+from omniman_ros.nodes.omniman_node import MAX_LEAD, OmnimanNode
+from omniman_ros.nodes.parameters import ParameterSet
+from omniman_ros.nodes.simulated_clock import SimulatedClock
+from omniman_ros.nodes.simulated_drive_parameters import SimulatedDriveParameters
+from omniman_ros.nodes.stop_interface import StopInterface
+from omniman_ros.simulation.plant.body import Body
+from omniman_ros.simulation.plant.lossy_channel import LossyChannel
+from omniman_ros.simulation.plant.simulated_drives import SimulatedDrives
+
+P = TypeVar("P", bound=SimulatedDriveParameters)
+"""Parameters of the node."""
+PACE_PERIOD = 5.0
+"""Real time between two looks at the pace of simulated time [s]."""
+REST_SPEED = 0.05
+"""Wheel speed below which the drives count as standing [rad/s]."""
+
+
+class DriveSimulationNode(OmnimanNode, Generic[P]):
+    """Commands a :class:`SimulatedDrives` from topics, and publishes feedback and ground truth.
+
+    With `publish_clock`, the node advances simulated time itself, and publishes it on /clock.
+
+    Args:
+        name: Name of the node.
+        kind: Parameters of the node.
+        options: Options of the node.
+    """
+
+    def __init__(self, name: str, kind: type[P], **options: object) -> None:
+        super().__init__(name, **options)
+        self._simulated_clock: SimulatedClock | None = None
+        self.settings = ParameterSet(self, kind)
+        p = self.settings.value
+        self.drives = SimulatedDrives(p.robot, p.simulation, p.seed, self.make_body(p))
+        self.settings.on_change(self.configure)
+        self.latch = StopLatch()
+        names = list(p.robot.wheels.names)
+        self._reports = DriveReportPublisher(
+            self,
+            names,
+            LossyChannel(p.seed),
+            truth_every=max(1, round(p.state_rate / p.truth_rate)),
+            electrical_every=max(1, round(p.state_rate / p.electrical_rate)),
+            frames=(p.world_frame, p.base_frame),
+        )
+        DriveCommandInterface(
+            self, self.drives, self.latch, names, lambda: self.settings.value.command_timeout
+        )
+        handler = self.guarded("initialpose", self._on_initial_pose)
+        self.create_subscription(PoseWithCovarianceStamped, "initialpose", handler, 10)
+        self._stop = StopInterface(self, self.latch, self._reset, self._halt)
+        if p.publish_clock:
+            self._simulated_clock = SimulatedClock(
+                self, 1.0 / p.state_rate, p.real_time_factor, p.clock_patience, super().now
+            )
+            self.every(PACE_PERIOD, self._report_pace)
+        rate = p.state_rate * (p.real_time_factor if p.publish_clock else 1.0)
+        self.every(1.0 / rate, self.tick)
+
+    def make_body(self, parameters: P) -> Body | None:
+        """Return what the drives move; None for the plant. A node with a world overrides this.
+
+        Args:
+            parameters: Parameters of the node.
+        """
+
+    def now(self) -> float:
+        """Return the time of the drives' clock [s]: with `publish_clock`, simulated time."""
+        return super().now() if self._simulated_clock is None else self._simulated_clock.now
+
+    def stamp(self, at: float | None = None) -> TimeMsg:
+        """Return the ROS time of an instant of the drives' clock [s]; now if it is None."""
+        clock = self._simulated_clock
+        return super().stamp(at) if clock is None else clock.stamp(at)
+
+    def age(self, stamp: TimeMsg, max_lead: float = MAX_LEAD) -> float:
+        """Return the age of a stamp [s]; see `OmnimanNode.age`."""
+        clock = self._simulated_clock
+        return super().age(stamp, max_lead) if clock is None else clock.age(stamp, max_lead)
+
+    # ---- inputs -------------------------------------------------------------------------------
+
+    def _on_initial_pose(self, message: PoseWithCovarianceStamped) -> None:
+        frames = (self.settings.value.world_frame, "map", "odom")
+        pose, _ = planar_pose(message, frames)
+        self.drives.set_pose(pose)
+
+    def configure(self, new: P) -> None:
+        """Use new parameters.
+
+        Raises:
+            ParameterError: One of them is refused; nothing is changed then.
+        """
+        self.drives.configure(new.robot, new.simulation)
+
+    # ---- stops --------------------------------------------------------------------------------
+
+    def _halt(self) -> None:
+        """Stop the drives if the latch is stopped; while it holds, the controller ramps down."""
+        if self.latch.status.state is StopState.STOPPED:
+            self.drives.stop(self.latch.status.reason)
+
+    @property
+    def _at_rest(self) -> bool:
+        speeds = self.drives.wheel_states(self.now()).velocity
+        return bool(np.abs(speeds).max() < REST_SPEED)
+
+    def _reset(self) -> None:
+        self.latch.reset(at_rest=self._at_rest)
+        self.drives.reset()
+
+    # ---- output -------------------------------------------------------------------------------
+
+    def tick(self) -> None:
+        """Publish one report or, with /clock, as many as are due in simulated time."""
+        if self._simulated_clock is None:
+            self.report_step(self.now(), self.stamp())
+            return
+        for _ in self._simulated_clock.steps():
+            self.report_step(self.now(), self.stamp())
+
+    def _report_pace(self) -> None:
+        report = self._simulated_clock.pace_report() if self._simulated_clock else ""
+        if report:
+            self.get_logger().info(report)
+
+    def report_step(self, now: float, stamp: TimeMsg) -> None:
+        """Advance the simulation, and publish one report.
+
+        Args:
+            now: Time of the drives' clock [s].
+            stamp: Stamp of the messages.
+        """
+        self.drives.advance(now)
+        if self.drives.stop_reason is not None:
+            self.latch.stop(self.drives.stop_reason)
+        faults = self.settings.value.simulation.faults
+        self._reports.publish(self.drives, faults, now, stamp)
+        self._stop.publish()
+
+    # ---- life ---------------------------------------------------------------------------------
+
+    def status(self) -> tuple[bytes, str, list[tuple[str, object]]]:
+        """Return level, message and values for the diagnostics."""
+        energy = self.drives.energy
+        values: list[tuple[str, object]] = [
+            ("mode", self.drives.mode.value),
+            ("ramping_to_rest_by_itself", self.drives.holding),
+            ("electrical_energy_J", round(energy.electrical, 3)),
+            *((f"{name}_loss_J", round(loss, 3)) for name, loss in energy.losses.items()),
+        ]
+        if self._simulated_clock is not None:
+            values.append(("real_time_factor", round(self._simulated_clock.pace, 2)))
+        if self.latch.status.state is StopState.STOPPED:
+            return DiagnosticStatus.ERROR, self.latch.status.reason, values
+        if not self.latch.released:
+            return DiagnosticStatus.WARN, self.latch.status.reason, values
+        return DiagnosticStatus.OK, "running", values
+
+    def begin_shutdown(self, reason: str) -> None:
+        """Ramp every wheel to rest."""
+        self.latch.stop(f"shutting down: {reason}")
+        self._halt()
+        if self._simulated_clock is not None:
+            self._simulated_clock.release()
+
+    @property
+    def finished(self) -> bool:
+        """Whether the wheels are at rest."""
+        return self._at_rest
+
+    @property
+    def stop_timeout(self) -> float:
+        """How long the ramp to rest may take [s], with a margin of 1 s."""
+        speed = float(np.abs(self.drives.wheel_states(self.now()).velocity).max())
+        return 1.0 + speed / self.settings.value.simulation.firmware.quick_stop_deceleration
