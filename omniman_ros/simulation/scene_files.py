@@ -39,43 +39,43 @@ E = TypeVar("E", bound=Element)
 """Kind of an element."""
 
 
-def scene_file(world: str) -> Path:
+def scene_file(name: str) -> Path:
     """Return the path of a scene's file.
 
     Args:
-        world: Name of a file in config/worlds/ without its suffix, or the path of a YAML file.
+        name: Name of a file in config/worlds/ without its suffix, or the path of a YAML file.
 
     Raises:
         ParameterError: There is no such file; the message lists the names in config/worlds/.
     """
-    path = Path(world).expanduser()
+    path = Path(name).expanduser()
     if path.suffix in (".yaml", ".yml"):
         if path.is_file():
             return path
-        raise ParameterError("world", world, "there is no such file")
+        raise ParameterError("scene", name, "there is no such file")
     folder = share_path("config", "worlds")
-    named = folder / f"{world}.yaml"
-    if world and named.parent == folder and named.is_file():
+    named = folder / f"{name}.yaml"
+    if name and named.parent == folder and named.is_file():
         return named
     known = ", ".join(sorted(file.stem for file in folder.glob("*.yaml")))
-    raise ParameterError("world", world, f"must be one of {known}, or the path of a .yaml file")
+    raise ParameterError("scene", name, f"must be one of {known}, or the path of a .yaml file")
 
 
-def load_scene(world: str) -> Scene:
+def load_scene(name: str) -> Scene:
     """Read a scene.
 
     Args:
-        world: As for :func:`scene_file`.
+        name: As for :func:`scene_file`.
 
     Raises:
         ParameterError: There is no such file, it is no YAML file of lists of elements, or an
             element is refused.
     """
-    path = scene_file(world)
+    path = scene_file(name)
     try:
         tree = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
     except (yaml.YAMLError, UnicodeDecodeError, OSError) as error:
-        raise ParameterError("world", world, f"{path.name} cannot be read ({error})") from error
+        raise ParameterError("scene", name, f"{path.name} cannot be read ({error})") from error
     return scene_of(tree, path.name)
 
 
@@ -91,7 +91,7 @@ def scene_of(tree: object, source: str) -> Scene:
     """
     if not isinstance(tree, Mapping) or not set(tree) <= {START, *KINDS}:
         allowed = ", ".join((START, *KINDS))
-        raise ParameterError("world", source, f"must be a mapping with keys among {allowed}")
+        raise ParameterError("scene", source, f"must be a mapping with keys among {allowed}")
     elements: dict[str, tuple[Any, ...]] = {
         kind: tuple(_element(cls, entry, source) for entry in _list(tree, kind, source))
         for kind, cls in KINDS.items()

@@ -76,7 +76,8 @@ def measure(robot: Mapping[str, Any], seconds: float) -> dict[str, Any]:
     """
     # The command line must do without the engine.
     from omniman_ros.simulation.world.parameters import WorldParameters
-    from omniman_ros.simulation.world.scanner import Scanner, ScannerParameters
+    from omniman_ros.simulation.world.scanner import Scanner
+    from omniman_ros.simulation.world.scanner_parameters import ScannerParameters
     from omniman_ros.simulation.world.world import World
 
     description = build(DescriptionParameters, robot)

@@ -26,15 +26,10 @@ class Walker:
         engine: The engine.
         person: The person.
         force: Largest force [N].
-
-    Attributes:
-        name: Name of the person.
-        radius: Radius of the person [m].
     """
 
     def __init__(self, engine: Engine, person: Person, force: float) -> None:
-        self._engine = engine
-        self.name, self.radius, self._force = person.name, person.radius, force
+        self._engine, self._force = engine, force
         self._mass, self._speed = person.mass, person.speed
         self._points = tuple(zip(person.x, person.y, strict=True))
         joints = person_joints(person.name)

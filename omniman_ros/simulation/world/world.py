@@ -39,13 +39,15 @@ class Obstacle:
         name: Name of the element.
         pose: Pose (x, y, heading) of its middle in the world [m, m, rad].
         velocity: Velocity (x, y) in the world [m/s].
-        size: Length and width [m].
+        size: Length, width and height [m].
+        is_round: Whether it is a cylinder; else it is a box.
     """
 
     name: str
     pose: tuple[float, float, float]
     velocity: tuple[float, float]
-    size: tuple[float, float]
+    size: tuple[float, float, float]
+    is_round: bool
 
 
 class World:
@@ -159,9 +161,13 @@ class World:
         """Persons and crates."""
         persons = [
             Obstacle(
-                walker.name, (*walker.position, 0.0), walker.velocity, (2.0 * walker.radius,) * 2
+                person.name,
+                (*walker.position, 0.0),
+                walker.velocity,
+                (2.0 * person.radius, 2.0 * person.radius, person.height),
+                is_round=True,
             )
-            for walker in self._walkers
+            for walker, person in zip(self._walkers, self._scene.persons, strict=True)
         ]
         crates = []
         for crate in self._scene.crates:
@@ -173,7 +179,8 @@ class World:
                     crate.name,
                     (float(position[0]), float(position[1]), heading),
                     (float(velocity[0]), float(velocity[1])),
-                    (crate.length, crate.width),
+                    (crate.length, crate.width, crate.height),
+                    is_round=False,
                 )
             )
         return (*persons, *crates)

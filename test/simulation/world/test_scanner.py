@@ -6,15 +6,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import build
+from omniman_ros.simulation.world.scanner_parameters import ScannerParameters
 from omniman_ros.simulation.world.scene import Post, Scene, Table, Wall
 from test.simulation.world.support import ideal
 
-from omniman_ros.simulation.world.scanner import Scanner, ScannerParameters  # isort: skip
+from omniman_ros.simulation.world.scanner import Scanner  # isort: skip
 
 WALL = Wall(name="wall", x=(3.0, 3.0), y=(-5.0, 5.0), thickness=0.2)
 POST = Post(name="post", x=-1.5, y=1.0, radius=0.2)
 FLAT = build(ScannerParameters, {"x": 0.6, "y": 0.1, "yaw": 0.3, "field_of_view": math.tau})
+
+
+def test_a_longest_range_below_the_shortest_is_refused():
+    with pytest.raises(ParameterError, match=r"scanner\.range_max"):
+        replace(FLAT, range_min=1.0, range_max=0.5)
 
 
 def scan(scene, parameters=FLAT, pose=(0.0, 0.0, 0.0), seed=0):

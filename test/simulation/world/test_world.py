@@ -155,7 +155,7 @@ def test_obstacles_are_told_as_they_are():
     bench = ideal("ig42", scene)
     bench.wait(0.2)
     (anna,) = bench.world.obstacles
-    assert (anna.name, anna.size) == ("anna", (0.5, 0.5))
+    assert (anna.name, anna.size, anna.is_round) == ("anna", (0.5, 0.5, 1.7), True)
     assert anna.pose == pytest.approx((2.0, 1.0, 0.0))
 
 
