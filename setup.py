@@ -23,6 +23,7 @@ EXECUTABLES = {
     "omniman": "omniman_ros.cli.main:main",
     "platform_controller": "omniman_ros.nodes.platform_controller:main",
     "simulated_drive": "omniman_ros.nodes.simulated_drive:main",
+    "simulated_world": "omniman_ros.nodes.simulated_world:main",
     "can_bridge": "omniman_ros.nodes.can_bridge:main",
     "simulated_can_drives": "omniman_ros.nodes.simulated_can_drives:main",
     "simulated_ur": "omniman_ros.nodes.simulated_ur:main",

@@ -8,6 +8,7 @@ from omniman_ros.core.parameters import Spec, specs
 NODES = {
     "platform_controller": "nodes.platform_controller_parameters.PlatformControllerParameters",
     "simulated_drive": "nodes.simulated_drive_parameters.SimulatedDriveParameters",
+    "simulated_world": "nodes.simulated_world_parameters.SimulatedWorldParameters",
     "can_bridge": "nodes.can_bridge_parameters.CanBridgeParameters",
     "simulated_can_drives": "nodes.simulated_can_drives_parameters.SimulatedCanDrivesParameters",
     "simulated_ur": "nodes.simulated_ur_parameters.SimulatedUrParameters",

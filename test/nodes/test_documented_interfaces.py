@@ -10,7 +10,7 @@ from test.config.documented import ROOT, documented_interface
 from test.nodes.harness import World
 
 # Not of the page: what every node of ROS has, what all nodes here have, and simulated time.
-COMMON = {"/parameter_events", "/rosout", "/diagnostics", "/clock", "/tf"}
+COMMON = {"/parameter_events", "/rosout", "/diagnostics", "/clock", "/tf", "/tf_static"}
 REAL_TIME = {"can_bridge", "simulated_can_drives", "arm_streamer", "simulated_ur"}
 LIFECYCLE = {"change_state", "get_state", "get_available_states", "get_available_transitions"}
 LIFECYCLE |= {"get_transition_graph"}

@@ -11,12 +11,12 @@ from omniman_ros.core.parameters import parameter
 class ScannerParameters:
     """Mounting and measurement of a scanner that lies flat; the first beam is its rightmost."""
 
-    x: float = parameter(0.5, "Position in base_link, forward.", unit="m", low=-10, high=10)
+    x: float = parameter(0.55, "Position in base_link, forward.", unit="m", low=-10, high=10)
     y: float = parameter(0.0, "Position in base_link, left.", unit="m", low=-10, high=10)
     z: float = parameter(0.2, "Height above the floor.", unit="m", low=0, high=10)
     yaw: float = parameter(0.0, "Direction of its middle.", unit="rad", low=-6.3, high=6.3)
     field_of_view: float = parameter(
-        4.71238898038469,
+        math.pi,
         "Angle from the first to the last beam.",
         unit="rad",
         low=0,

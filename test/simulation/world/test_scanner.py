@@ -62,6 +62,12 @@ def test_ranges_are_those_of_the_geometry(pose):
     assert np.isinf(ranges[np.isinf(expected)]).all()
 
 
+@pytest.mark.parametrize("name", ["omniman", "ig42"])
+def test_by_default_the_robot_is_in_the_way_of_no_beam(name):
+    scanner = Scanner(ideal(name).world, build(ScannerParameters, {}))
+    assert np.isposinf(scanner.scan()).all()
+
+
 def test_a_beam_passes_below_a_table_and_meets_its_legs():
     table = Table(name="table", x=2.0, y=0.0, length=1.0, width=1.0, height=0.7, leg=0.06)
     scanner = replace(FLAT, x=0.0, y=0.0, yaw=0.0, sees_robot=False, beams=7201)

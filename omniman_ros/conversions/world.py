@@ -1,0 +1,149 @@
+"""Convert what a simulated world tells: contacts, wheel loads, scans and true obstacles."""
+
+from array import array
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import Point, Pose, TransformStamped, Vector3
+from sensor_msgs.msg import LaserScan
+from std_msgs.msg import ColorRGBA, Float64MultiArray, Header, MultiArrayDimension
+from visualization_msgs.msg import Marker, MarkerArray
+
+from omniman_ros.conversions.geometry import quaternion_from_yaw
+from omniman_ros.core.arrays import Array
+from omniman_ros.simulation.world.scanner_parameters import ScannerParameters
+
+if TYPE_CHECKING:
+    # They need the physics engine, which this module does without.
+    from omniman_ros.simulation.world.contacts import RobotContact
+    from omniman_ros.simulation.world.world import Obstacle
+
+OBSTACLE_COLOR = ColorRGBA(r=0.2, g=0.5, b=0.9, a=0.6)
+"""Color of true obstacles."""
+
+
+def contacts_message(
+    contacts: "Sequence[RobotContact]", frame: str, stamp: Time
+) -> DiagnosticArray:
+    """Return the message for the contacts of the robot.
+
+    Args:
+        contacts: Contacts; empty for none.
+        frame: Frame of places and forces.
+        stamp: Stamp of the message.
+
+    Returns:
+        One status per contact, of level WARN while they touch and OK afterwards. Its values are
+        part and thing; x, y, z [m]; force_x, force_y, force_z [N]; impulse_x, impulse_y,
+        impulse_z [N s].
+    """
+    message = DiagnosticArray(header=Header(stamp=stamp, frame_id=frame))
+    for contact in contacts:
+        values = [KeyValue(key="part", value=contact.part)]
+        values.append(KeyValue(key="thing", value=contact.thing))
+        for prefix, vector in (
+            ("", contact.place),
+            ("force_", contact.force),
+            ("impulse_", contact.impulse),
+        ):
+            for axis, number in zip("xyz", vector.tolist(), strict=True):
+                values.append(KeyValue(key=f"{prefix}{axis}", value=f"{number:.6g}"))
+        level = DiagnosticStatus.WARN if contact.touches else DiagnosticStatus.OK
+        verb = "touches" if contact.touches else "touched"
+        message.status.append(
+            DiagnosticStatus(
+                level=level,
+                name=f"{contact.part}, {contact.thing}",
+                message=f"{contact.part} {verb} {contact.thing}",
+                values=values,
+            )
+        )
+    return message
+
+
+def wheel_loads_message(loads: Array) -> Float64MultiArray:
+    """Return the message for the loads (n,) of n wheels [N]."""
+    message = Float64MultiArray(data=loads.tolist())
+    message.layout.dim = [
+        MultiArrayDimension(label="wheel", size=len(loads), stride=len(loads)),
+        MultiArrayDimension(label="load", size=1, stride=1),
+    ]
+    return message
+
+
+def scan_message(
+    ranges: Array, scanner: ScannerParameters, period: float, frame: str, stamp: Time
+) -> LaserScan:
+    """Return the message for a scan whose beams are all measured at once.
+
+    Args:
+        ranges: Ranges (beams,), infinite as in REP 117 where there is no measurement [m].
+        scanner: Parameters of the scanner.
+        period: Time between two scans [s].
+        frame: Frame of the scanner.
+        stamp: Stamp of the message.
+    """
+    half = 0.5 * scanner.field_of_view
+    return LaserScan(
+        header=Header(stamp=stamp, frame_id=frame),
+        angle_min=-half,
+        angle_max=half,
+        angle_increment=scanner.field_of_view / (scanner.beams - 1),
+        scan_time=period,
+        range_min=scanner.range_min,
+        range_max=scanner.range_max,
+        ranges=array("f", ranges.astype(np.float32).tobytes()),
+    )
+
+
+def scanner_transform(
+    scanner: ScannerParameters, base_frame: str, frame: str, stamp: Time
+) -> TransformStamped:
+    """Return the pose of a scanner in the base frame.
+
+    Args:
+        scanner: Parameters of the scanner.
+        base_frame: Frame in which the scanner is mounted.
+        frame: Frame of the scanner.
+        stamp: Stamp of the message.
+    """
+    result = TransformStamped(
+        header=Header(stamp=stamp, frame_id=base_frame), child_frame_id=frame
+    )
+    result.transform.translation = Vector3(x=scanner.x, y=scanner.y, z=scanner.z)
+    result.transform.rotation = quaternion_from_yaw(scanner.yaw)
+    return result
+
+
+def obstacle_markers(obstacles: "Sequence[Obstacle]", frame: str, stamp: Time) -> MarkerArray:
+    """Return one marker per obstacle: a cylinder or a box of its true size.
+
+    Args:
+        obstacles: Obstacles; those of all messages are the same, in the same order.
+        frame: Frame of the obstacles.
+        stamp: Stamp of the message.
+
+    Returns:
+        Markers whose namespace is the obstacle's name, with number 0.
+    """
+    header = Header(stamp=stamp, frame_id=frame)
+    return MarkerArray(markers=[_marker(obstacle, header) for obstacle in obstacles])
+
+
+def _marker(obstacle: "Obstacle", header: Header) -> Marker:
+    x, y, heading = obstacle.pose
+    length, width, height = obstacle.size
+    return Marker(
+        header=header,
+        ns=obstacle.name,
+        type=Marker.CYLINDER if obstacle.is_round else Marker.CUBE,
+        action=Marker.ADD,
+        color=OBSTACLE_COLOR,
+        scale=Vector3(x=length, y=width, z=height),
+        pose=Pose(
+            position=Point(x=x, y=y, z=0.5 * height), orientation=quaternion_from_yaw(heading)
+        ),
+    )

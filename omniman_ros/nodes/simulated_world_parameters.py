@@ -1,0 +1,48 @@
+"""Parameters of the node `simulated_world`."""
+
+from dataclasses import dataclass
+
+from omniman_ros.core.arm_parameters import ArmParameters
+from omniman_ros.core.parameters import parameter
+from omniman_ros.description.parameters import DescriptionParameters
+from omniman_ros.motion.whole_body.model import Mount
+from omniman_ros.nodes.simulated_drive_parameters import SimulatedDriveParameters
+from omniman_ros.simulation.world.parameters import WorldParameters
+from omniman_ros.simulation.world.scanner_parameters import ScannerParameters
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulatedWorldParameters(SimulatedDriveParameters):
+    """Parameters of the node: those of `simulated_drive`, the arm, the world and the scanner."""
+
+    arm: ArmParameters
+    mount: Mount
+    world: WorldParameters
+    scanner: ScannerParameters
+    scene: str = parameter(
+        "workshop",
+        "Scene: a name in share/omniman_ros/config/worlds or the path of a YAML file.",
+        read_only=True,
+    )
+    scan_rate: float = parameter(
+        20.0,
+        "Rate of scan, at most the state rate.",
+        unit="Hz",
+        low=1,
+        high=1000,
+        read_only=True,
+    )
+    scanner_frame: str = parameter("scanner", "Frame of scan.", read_only=True)
+
+    def __post_init__(self) -> None:
+        """Check the names of the joints.
+
+        Raises:
+            ParameterError: A joint's name is used twice, or cannot be written.
+        """
+        _ = self.description
+
+    @property
+    def description(self) -> DescriptionParameters:
+        """The robot with its arm."""
+        return DescriptionParameters(robot=self.robot, arm=self.arm, mount=self.mount)
