@@ -35,6 +35,7 @@ def run(args: argparse.Namespace) -> int:
         installation=args.installation,
         arm=args.arm,
         controller=args.controller,
+        world=args.world,
     )
     specs = robot_processes(setup)
     names = [spec.name for spec in specs]
@@ -56,7 +57,8 @@ def is_simulated(args: argparse.Namespace) -> bool:
 
     A domain has one `/clock`, and the robots in namespaces share it.
     """
-    has_clock = args.drive == "simulated" and (not args.only or "simulated_drive" in args.only)
+    clocks = {"simulated_drive", "simulated_world"}
+    has_clock = args.drive == "simulated" and (not args.only or not clocks.isdisjoint(args.only))
     return has_clock and args.arm != "ur" and not args.namespace
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from omniman_ros.console.errors import CommandError
 from omniman_ros.core.errors import ParameterError
-from omniman_ros.extras import PLANNING, VIEWER
+from omniman_ros.extras import PLANNING, VIEWER, WORLD
 from omniman_ros.processes.arm_options import private_controller_arguments, resolve_arm
 from omniman_ros.processes.drive_options import (
     find_installation_file,
@@ -18,6 +18,7 @@ from omniman_ros.processes.drive_options import (
 )
 from omniman_ros.processes.process_group import ProcessSpec
 from omniman_ros.robots import robot_file
+from omniman_ros.simulation.scene_files import scene_file
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,8 @@ class NodeKind:
             node is started only if it is requested by name, and then reports what is missing.
         essential: Whether the robot is stopped when the node ends.
         on_request: Whether the node is started only if it is requested by name.
-        drives: Values of `--drive` with which the node is started; if empty, all.
+        drives: Values of `--drive` with which the node is started, where `--world` counts as
+            `world`; if empty, all.
         arms: Values of `--arm` with which the node is started; if empty, all.
     """
 
@@ -47,6 +49,9 @@ class NodeKind:
     arms: tuple[str, ...] = ()
 
 
+WORLD_DRIVE = "world"
+"""Kind of the drives of a robot in a world, beside those in `DRIVES`."""
+
 ROBOT_NODES = (
     NodeKind("platform_controller", stage=0),
     NodeKind("path_interpolator", stage=0),
@@ -55,6 +60,7 @@ ROBOT_NODES = (
     NodeKind("odometry", stage=0, on_request=True),
     NodeKind("station_keeper", stage=0, on_request=True),
     NodeKind("simulated_drive", stage=3, sim_time="publish_clock", drives=("simulated",)),
+    NodeKind("simulated_world", stage=3, sim_time="publish_clock", drives=(WORLD_DRIVE,)),
     NodeKind("can_bridge", stage=1, drives=("can", "real")),
     NodeKind("simulated_can_drives", stage=2, drives=("can",)),
     NodeKind("arm_streamer", stage=1, arms=("simulated", "ur")),
@@ -102,6 +108,7 @@ class RobotSetup:
         installation: Name of an installation of drives, or path of its file.
         arm: Kind of arm, a key of `ARMS`; None selects the one that fits drive and time.
         controller: Name of an arm's controller, or path of its file.
+        world: Name of a scene, or path of its file, if the robot is simulated in a world.
     """
 
     robot: str = "omniman"
@@ -114,6 +121,7 @@ class RobotSetup:
     installation: str = "cia402"
     arm: str | None = None
     controller: str = "ur5"
+    world: str | None = None
 
 
 def robot_processes(setup: RobotSetup) -> list[ProcessSpec]:
@@ -127,8 +135,8 @@ def robot_processes(setup: RobotSetup) -> list[ProcessSpec]:
 
     Raises:
         CommandError: The robot, a node, the installation, the controller or a file does not
-            exist; a parameter is not NAME:=VALUE; or simulated time is combined with drives or an
-            arm that run on real time.
+            exist; a parameter is not NAME:=VALUE; simulated time is combined with drives or an arm
+            that run on real time; or a world cannot be used.
     """
     _check_options(setup)
     robot = resolve_robot(setup.robot)
@@ -159,12 +167,29 @@ def _check_options(setup: RobotSetup) -> None:
         raise CommandError(f"no parameter file '{setup.params_file}'", 2)
     if setup.sim_time and setup.drive != "simulated":
         raise CommandError(f"--sim-time: drives '{setup.drive}' run on real time", 2)
+    if setup.world is not None:
+        _check_world(setup, setup.world)
+
+
+def _check_world(setup: RobotSetup, world: str) -> None:
+    """Raise CommandError if a robot cannot be simulated in a world."""
+    if setup.drive != "simulated":
+        raise CommandError(f"--world: drives '{setup.drive}' are not in a world", 2)
+    if setup.only and "simulated_world" not in setup.only:
+        raise CommandError("--world: simulated_world is not among the nodes of --only", 2)
+    if not WORLD.is_available:
+        raise CommandError(WORLD.hint)
+    try:
+        scene_file(world)
+    except ParameterError as error:
+        raise CommandError(f"--world: {error.reason}", 2) from error
 
 
 def _is_chosen(kind: NodeKind, setup: RobotSetup, arm: str) -> bool:
     if setup.only:
         return kind.name in setup.only
-    fits = (not kind.drives or setup.drive in kind.drives) and (not kind.arms or arm in kind.arms)
+    drive = setup.drive if setup.world is None else WORLD_DRIVE
+    fits = (not kind.drives or drive in kind.drives) and (not kind.arms or arm in kind.arms)
     return kind.is_available() and fits and not kind.on_request
 
 
@@ -207,6 +232,8 @@ def _ros_arguments(
 ) -> list[str]:
     """Return the ROS arguments of a node; a later value of a parameter overrides earlier ones."""
     arguments = ["--ros-args", "-p", f"robot:={robot}"]
+    if setup.world is not None and WORLD_DRIVE in kind.drives:
+        arguments += ["-p", f"scene:={scene_file(setup.world).resolve()}"]
     if set(kind.drives) & {"can", "real"}:
         arguments += ["--params-file", find_installation_file(setup.installation)]
         if setup.drive == "can":

@@ -6,6 +6,7 @@ import pytest
 from omniman_ros import extras
 from omniman_ros.console.errors import CommandError
 from omniman_ros.processes.robot_setup import RobotSetup, resolve_robot, robot_processes
+from omniman_ros.share import share_path
 from test import robots
 
 
@@ -51,6 +52,48 @@ def test_the_drive_publishes_the_clock_that_the_other_nodes_follow():
     assert "-p publish_clock:=true" in arguments(setup, "simulated_drive")
     assert "use_sim_time" not in arguments(setup, "simulated_drive")
     assert "-p use_sim_time:=true" in arguments(setup, "platform_controller")
+
+
+@pytest.fixture
+def with_engine(monkeypatch):
+    monkeypatch.setattr(extras, "find_spec", lambda name: object())
+
+
+def test_a_world_replaces_the_simulated_drive(with_engine):
+    setup = RobotSetup(world="corridor", sim_time=True)
+    assert "simulated_drive" not in specs_by_name(setup)
+    text = arguments(setup, "simulated_world")
+    assert f"-p scene:={share_path('config', 'worlds', 'corridor.yaml')}" in text
+    assert "-p publish_clock:=true" in text
+    assert "scene:=" not in arguments(setup, "platform_controller")
+    assert "simulated_world" not in specs_by_name(RobotSetup())
+
+
+def test_a_scene_of_the_user_is_found_from_any_folder(with_engine, tmp_path, monkeypatch):
+    (tmp_path / "mine.yaml").write_text("")
+    monkeypatch.chdir(tmp_path)
+    text = arguments(RobotSetup(world="mine.yaml"), "simulated_world")
+    assert f"-p scene:={tmp_path / 'mine.yaml'}" in text
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"world": "nowhere"}, "--world: must be one of .*workshop"),
+        ({"world": "empty", "drive": "can"}, "--world: drives 'can' are not in a world"),
+        ({"world": "empty", "only": ["viewer"]}, "simulated_world is not among"),
+    ],
+)
+def test_a_world_that_cannot_be_used_is_refused(with_engine, options, message):
+    with pytest.raises(CommandError, match=message) as error:
+        robot_processes(RobotSetup(**options))
+    assert error.value.code == 2
+
+
+def test_a_world_without_the_engine_is_refused_with_what_to_install(monkeypatch):
+    monkeypatch.setattr(extras, "find_spec", lambda name: None)
+    with pytest.raises(CommandError, match="pip install"):
+        robot_processes(RobotSetup(world="empty"))
 
 
 @pytest.mark.parametrize("namespace", ["robot1", "/robot1", "/robot1/"])

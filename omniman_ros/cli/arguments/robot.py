@@ -31,6 +31,12 @@ def add_up(parser: argparse.ArgumentParser) -> None:
     add_parameters(parser)
     parser.add_argument("--params-file", metavar="FILE", help="a ROS parameter file for all nodes")
     add_drive(parser, tuple(DRIVES))
+    parser.add_argument(
+        "--world",
+        metavar="SCENE",
+        help="simulate the robot in a physics world, with contacts and laser scans: workshop, "
+        "corridor, shop_floor, clutter, empty or the path of a .yaml file; default: no world",
+    )
     add_arm(parser, tuple(ARMS))
     parser.add_argument(
         "--controller",
