@@ -22,6 +22,8 @@ from omniman_ros.simulation.plant.simulated_drives import SimulatedDrives
 
 P = TypeVar("P", bound=SimulatedDriveParameters)
 """Parameters of the node."""
+SHORTEST_PERIOD = 0.001
+"""Shortest period of the simulation's timer [s]: less would leave time for nothing else."""
 PACE_PERIOD = 5.0
 """Real time between two looks at the pace of simulated time [s]."""
 REST_SPEED = 0.05
@@ -68,14 +70,11 @@ class DriveSimulationNode(OmnimanNode, Generic[P]):
             )
             self.every(PACE_PERIOD, self._report_pace)
         rate = p.state_rate * (p.real_time_factor if p.publish_clock else 1.0)
-        self.every(1.0 / rate, self.tick)
+        self._period = max(1.0 / rate, SHORTEST_PERIOD)
+        self._timer = self.create_timer(self._period, self.tick_in_time, clock=self.clock)
 
     def make_body(self, parameters: P) -> Body | None:
-        """Return what the drives move; None for the plant. A node with a world overrides this.
-
-        Args:
-            parameters: Parameters of the node.
-        """
+        """Return what the drives of a node with these parameters move; None for the plant."""
 
     def now(self) -> float:
         """Return the time of the drives' clock [s]: with `publish_clock`, simulated time."""
@@ -123,6 +122,16 @@ class DriveSimulationNode(OmnimanNode, Generic[P]):
         self.drives.reset()
 
     # ---- output -------------------------------------------------------------------------------
+
+    def tick_in_time(self) -> None:
+        """Tick, and give way to other callbacks for a period if that took longer than one.
+
+        An executor whose timer is always due serves nothing else, and does not end.
+        """
+        begin = super().now()
+        self.tick()
+        if super().now() - begin > self._period:
+            self._timer.reset()
 
     def tick(self) -> None:
         """Publish one report or, with /clock, as many as are due in simulated time."""

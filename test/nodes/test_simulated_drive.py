@@ -1,6 +1,7 @@
 """The simulated drive's node over real topics, on simulated time."""
 
 import math
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import Trigger
 
+from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.simulated_drive import SimulatedDriveNode
 from test.nodes.harness import World, last
 
@@ -278,6 +280,20 @@ def test_simulated_clock_is_published():
         assert (steps > 0.5).all() and steps == pytest.approx(np.round(steps), abs=1e-3)
         stamp = states[50].header.stamp
         assert stamp.sec + 1e-9 * stamp.nanosec < 100.0, "stamps are in simulated time"
+
+
+@pytest.mark.parametrize(("duration", "resets"), [(0.004, 0), (0.006, 1)])
+def test_a_tick_that_takes_longer_than_its_period_gives_way(drive, monkeypatch, duration, resets):
+    now, timer = [drive.time], Mock()
+
+    def tick() -> None:
+        now[0] += duration
+
+    monkeypatch.setattr(OmnimanNode, "now", lambda node: now[0])
+    monkeypatch.setattr(drive.node, "tick", tick)
+    monkeypatch.setattr(drive.node, "_timer", timer)
+    drive.node.tick_in_time()
+    assert timer.reset.call_count == resets
 
 
 def test_drive_fault_latches_a_stop_and_is_published(drive):
