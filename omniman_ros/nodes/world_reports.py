@@ -46,10 +46,8 @@ class WorldReportPublisher:
     ) -> None:
         p = self._parameters = parameters
         self._node, self._world = node, world
-        self._loads_every, self._truth_every, self._scan_every = (
-            max(1, round(p.state_rate / rate))
-            for rate in (p.electrical_rate, p.truth_rate, p.scan_rate)
-        )
+        self._loads_every = max(1, round(p.state_rate / p.electrical_rate))
+        self._scan_every = max(1, round(p.state_rate / p.scan_rate))
         self._scan = node.create_publisher(LaserScan, "scan", 5)
         self._contacts = node.create_publisher(DiagnosticArray, "contacts", 10)
         self._loads = node.create_publisher(Float64MultiArray, "wheel_loads", 10)
@@ -94,10 +92,9 @@ class WorldReportPublisher:
         self._is_touched = bool(contacts)
         if self._count % self._loads_every == 0:
             self._loads.publish(wheel_loads_message(self._world.wheel_loads))
-        if self._count % self._truth_every == 0:
+        if self._count % self._scan_every == 0:
             obstacles = self._world.obstacles
             self._obstacles.publish(obstacle_markers(obstacles, p.world_frame, stamp))
-        if self._count % self._scan_every == 0:
             period = self._scan_every / p.state_rate
             ranges = self._scanner.scan()
             message = scan_message(

@@ -454,16 +454,18 @@ TF = [("/tf", "tf"), ("/tf_static", "tf_static")]
 
 def test_transforms_are_published_and_received_in_the_namespace(file_of):
     source = {file.stem: file.read_text() for file in (ROOT / "omniman_ros/nodes").glob("*.py")}
-    (interface,) = (name for name, text in source.items() if "tf2_msgs.msg import" in text)
-    ours = {name for name, text in source.items() if interface in text} & set(registry.NODES)
-    assert ours == {"platform_controller", "odometry"}
+    interfaces = [name for name, text in source.items() if "tf2_msgs.msg import" in text]
+    ours = {
+        name for name in registry.NODES if any(each in source.get(name, "") for each in interfaces)
+    }
+    assert ours == {"platform_controller", "odometry", "simulated_world"}
     for arm in ("none", "ur"):
         _, nodes = started(
             file_of("platform"), rviz="true", description="true", arm=arm, odometry="node"
         )
-        assert {
-            name for name, node in nodes.items() if node.remappings == TF
-        } == ours | THIRD_PARTY_NODES
+        assert {name for name, node in nodes.items() if node.remappings == TF} == (
+            ours & set(nodes)
+        ) | THIRD_PARTY_NODES
         assert all(node.remappings in ([], TF) for node in nodes.values())
 
 

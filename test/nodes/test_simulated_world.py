@@ -112,7 +112,7 @@ def test_topics_have_their_rates(robot):
     topics = {
         "wheel_states": (JointState, 200),
         "ground_truth/odom": (Odometry, 100),
-        "ground_truth/obstacles": (MarkerArray, 100),
+        "ground_truth/obstacles": (MarkerArray, 20),
         "wheel_electrical": (Float64MultiArray, 50),
         "wheel_loads": (Float64MultiArray, 50),
         "scan": (LaserScan, 20),
