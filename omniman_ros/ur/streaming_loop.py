@@ -14,6 +14,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from omniman_ros.core.arm_parameters import ArmParameters
@@ -112,12 +113,15 @@ class StreamingLoop:
         }
         self._is_awaited = isinstance(clock, GivenClock)
         if isinstance(clock, GivenClock):
-            self._handlers[Command.TIME] = clock.set
+            self._handlers[Command.TIME] = partial(self._pass_time, clock)
 
     def run(self) -> None:
         """Run cycles until the node ends the loop; then bring the arm to rest and close."""
         while self._running:
             self.cycle()
+        if self._is_awaited:  # nobody gives the time any more: the program's timeout stops the arm
+            self._link.close()
+            return
         self._supervisor.finish()
         end = self._clock() + FINISH_TIMEOUT
         while self._supervisor.phase is not StreamingPhase.IDLE and self._clock() < end:
@@ -134,6 +138,8 @@ class StreamingLoop:
             node = [self._channel.fileno()] if self._running else []
             if self._link.wait(self._due, node):
                 self._receive()
+            if self._is_awaited and not self._running:
+                return
             now = self._clock()
             samples = self._link.take_samples()
             self._supervisor.check(samples, now)
@@ -177,6 +183,13 @@ class StreamingLoop:
         """Follow a preview; the arrays are those of :class:`JointPreview`, checked by the node."""
         preview = JointPreview(times, positions, velocities, accelerations)
         self._supervisor.follow(preview, self._clock())
+
+    def _pass_time(self, clock: GivenClock, now: float) -> None:
+        """Let simulated time pass; where it goes back, end the process, which latches a stop."""
+        if now < clock() - 2.0 * ROUNDING:
+            self._channel.send(LinkError("simulated time has begun anew"))
+            self._running = False
+        clock.set(now)
 
     def _reset(self, number: int) -> None:
         self._resets = number

@@ -339,3 +339,21 @@ def test_on_simulated_time_each_cycle_is_reported_although_nothing_else_is_new()
     for k in range(1, 6):
         rig.pass_time(start + k * PERIOD)
     assert len(rig.channel.reports) - count >= 5
+
+
+def test_simulated_time_that_goes_back_ends_the_process_with_the_reason():
+    rig = SimulatedRig()
+    start = rig.link.now
+    rig.pass_time(start + PERIOD)
+    rig.pass_time(1.0)
+    assert str(rig.report) == "simulated time has begun anew"
+    rig.loop.run()
+    assert rig.link.closed
+
+
+def test_process_whose_node_has_ended_ends_although_simulated_time_stands():
+    rig = SimulatedRig()
+    rig.link.wait = lambda until, others: others
+    rig.channel.gone = True
+    rig.loop.run()
+    assert rig.link.closed

@@ -87,6 +87,9 @@ class ControllerServer:
         pace = self._pace
         self.done = due = pace.now()
         while not self._closing.is_set():
+            if due - pace.now() > MAX_DELAY:  # simulated time has begun anew
+                self.lost += pace.now() - due
+                self.done = due = pace.now()
             if pace.now() < due:
                 pace.wait(due)
                 continue

@@ -77,6 +77,21 @@ def test_cycles_that_are_late_run_at_once_because_time_waits_for_them():
         server.close()
 
 
+def test_cycles_go_on_where_simulated_time_begins_anew():
+    pace = SimulatedTime()
+    pace.set(100.0)
+    server = CountingServer(pace)
+    server.start()
+    try:
+        server.until(1)
+        for k in range(5):
+            pace.set(1.0 + k * CYCLE + 1e-6)
+            server.until(k + 2)
+        assert server.times == pytest.approx([100.0 + k * CYCLE for k in range(6)], abs=1e-3)
+    finally:
+        server.close()
+
+
 def test_the_thread_ends_while_time_stands():
     server = CountingServer(SimulatedTime())
     server.start()
