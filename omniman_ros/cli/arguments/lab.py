@@ -10,6 +10,7 @@ BENCHMARKS = {
     "mpc": "CPU and cost of the planner's solver next to IPOPT and fatrop",
     "can": "round trips over a CAN bus of UDP next to a bare echo, CPU, bus load",
     "arm": "setpoints at 125 Hz in the whole running robot next to a bare loop",
+    "collision": "CPU time of distances between the robot's parts, and from what stands around it",
     "whole_body": "time of planning tool paths, CPU of their stream, inverse kinematics",
     "world": "speed of the physics world over real time, CPU of a laser scan",
 }

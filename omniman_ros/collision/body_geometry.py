@@ -1,0 +1,204 @@
+"""Shape of platform, arm, tool and load, and distances between them and from solids."""
+
+from itertools import groupby
+
+import numpy as np
+
+from omniman_ros.collision.arm_segments import ArmSegments, Segments
+from omniman_ros.collision.load_box import LoadBox
+from omniman_ros.collision.parameters import LoadShape, ToolShape
+from omniman_ros.collision.segments import segment_distances
+from omniman_ros.collision.solids import Indices, UprightSolids
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.errors import InputError
+from omniman_ros.description.parameters import DescriptionParameters
+from omniman_ros.description.platform_shape import platform_boxes
+from omniman_ros.description.urdf import carries_arm
+from omniman_ros.motion.whole_body.model import planar_transform
+
+PLATFORM = "platform"
+"""Name of the platform among the parts."""
+LOAD = "load"
+"""Name of the load among the parts."""
+RIGID_LINKS = 2
+"""Number of the arm's first links that keep their distance from the platform: base, shoulder."""
+LINKS_BEFORE_WRIST = 5
+"""Number of the arm's first links that are not near the load at all joint angles."""
+ALWAYS_NEAR = frozenset({(0, 2), (3, 5), (4, 6), (4, 7), (5, 7)})
+"""Pairs of links, by number from the arm's base, that are not neighbours although their distance
+hardly depends on the joints: base and upper arm, forearm and wrist_2, wrist_1 and wrist_3 or the
+tool, wrist_2 and the tool."""
+
+
+class BodyGeometry:
+    """Distances of the surfaces of the robot's parts from one another and from solids.
+
+    The platform is a box with the length and the width of the body, from the floor to the upper
+    side of the deck. Links of the arm and the tool are capsules. The load is a box. Where two
+    parts overlap, their distance is minus the depth, if that is less than the radius of a capsule;
+    deeper, it is minus the radius. That of two boxes is zero then.
+
+    Args:
+        description: Shapes of platform and arm, and where the arm is mounted.
+        tool: Shape of the tool.
+        load: Shape of the load.
+
+    Attributes:
+        parts: Names of the parts.
+        pairs: Names of the two parts of each pair that may collide.
+    """
+
+    def __init__(
+        self,
+        description: DescriptionParameters,
+        tool: ToolShape | None = None,
+        load: LoadShape | None = None,
+    ) -> None:
+        robot, mount = description.robot, description.mount
+        has_arm = carries_arm(robot)
+        deck = platform_boxes(robot, mount.z if has_arm else None)[0]
+        self._heights = 0.0, deck.centre[2] + 0.5 * deck.size[2]
+        length, width = robot.body.length, robot.body.width
+        self._half: Array = np.array((0.5 * length, 0.5 * width))
+        self._platform = UprightSolids.box((0.0, 0.0, 0.0), length, width, self._heights)
+        self.parts: tuple[str, ...] = (PLATFORM,)
+        self.pairs: tuple[tuple[str, str], ...] = ()
+        self._arm: ArmSegments | None = None
+        self._load: LoadBox | None = None
+        if has_arm:
+            self._arm = ArmSegments(mount, tool or ToolShape())
+            self._load = LoadBox(load) if load is not None and load.is_carried else None
+            self._find_pairs(self._arm)
+
+    def _find_pairs(self, arm: ArmSegments) -> None:
+        """Find which parts may collide with which."""
+        names, link = arm.names, arm.link
+        candidates = sorted(
+            (a, b, i, j)
+            for i, a in enumerate(link.tolist())
+            for j, b in enumerate(link.tolist())
+            if b - a > 1 and (a, b) not in ALWAYS_NEAR
+        )
+        self._first: Indices = np.array([i for _, _, i, _ in candidates])
+        self._second: Indices = np.array([j for _, _, _, j in candidates])
+        self._pair_begins = _begins([pair[:2] for pair in candidates])
+        self._link_begins = _begins(link.tolist())
+        self.parts = (PLATFORM, *names)
+        self.pairs = (
+            *((names[a], names[b]) for a, b in dict.fromkeys(pair[:2] for pair in candidates)),
+            *((PLATFORM, name) for name in names[RIGID_LINKS:]),
+        )
+        if self._load is not None:
+            self.parts += (LOAD,)
+            others = (PLATFORM, *names[:LINKS_BEFORE_WRIST])
+            self.pairs += tuple((name, LOAD) for name in others)
+
+    def self_distances(self, q: Array, reach: float = np.inf) -> Array:
+        """Return the distances between the parts of the robot.
+
+        Args:
+            q: Joint angles (..., 6) [rad].
+            reach: Distance above which a lower bound is enough [m].
+
+        Returns:
+            Distances (..., P) [m] of all pairs. Those above `reach` may be too small, but are not
+            below it.
+
+        Raises:
+            InputError: An angle is not finite.
+        """
+        _require_finite("joint angles", q)
+        arm = self._arm
+        if arm is None:
+            return np.zeros((*q.shape[:-1], 0))
+        frames = arm.frames(q)
+        axes = arm.capsules(frames)
+        first, second = axes.select(self._first), axes.select(self._second)
+        between = segment_distances(first.start, first.end, second.start, second.end)
+        between -= arm.radius[self._first] + arm.radius[self._second]
+        moving = axes.select(np.arange(self._link_begins[RIGID_LINKS], len(arm.link)))
+        radius = arm.radius[self._link_begins[RIGID_LINKS] :]
+        far = reach + arm.radius.max()
+        to_deck = (
+            self._platform.distances(moving.start[..., None], moving.end[..., None], far)[..., 0]
+            - radius
+        )
+        begins = self._link_begins[RIGID_LINKS:] - self._link_begins[RIGID_LINKS]
+        found = [
+            np.minimum.reduceat(between, self._pair_begins, axis=-1),
+            np.minimum.reduceat(to_deck, begins, axis=-1),
+        ]
+        if self._load is not None:
+            flange = frames[..., -1, :, :]
+            count = self._link_begins[LINKS_BEFORE_WRIST]
+            near = axes.select(np.arange(count))
+            to_links = self._load.distances(flange, near, far) - arm.radius[:count]
+            begins = self._link_begins[:LINKS_BEFORE_WRIST]
+            found += [
+                self._load.distances_from_solids(flange, self._platform, reach),
+                np.minimum.reduceat(to_links, begins, axis=-1),
+            ]
+        return np.concatenate(found, axis=-1)
+
+    def distances(
+        self, poses: Array, q: Array, solids: UprightSolids, reach: float = np.inf
+    ) -> Array:
+        """Return the distances of the robot's parts from solids.
+
+        Args:
+            poses: Poses (..., 3) of base_link in the frame of the solids [m, m, rad].
+            q: Joint angles (..., 6) [rad]; not used without an arm.
+            solids: M solids.
+            reach: Distance above which a lower bound is enough [m].
+
+        Returns:
+            Distances (..., N, M) [m] of the N parts. Those above `reach` may be too small, but are
+            not below it.
+
+        Raises:
+            InputError: A pose or an angle is not finite.
+        """
+        _require_finite("poses", poses)
+        found = [solids.box_distances(poses, self._half, self._heights)[..., None, :]]
+        arm = self._arm
+        if arm is not None:
+            _require_finite("joint angles", q)
+            frames = planar_transform(poses)[..., None, :, :] @ arm.frames(q)
+            axes = arm.capsules(frames)
+            found.append(self._arm_distances(arm, axes, solids, reach))
+            if self._load is not None:
+                load = self._load.distances_from_solids(frames[..., -1, :, :], solids, reach)
+                found.append(load[..., None, :])
+        return np.concatenate(found, axis=-2)
+
+    def _arm_distances(
+        self, arm: ArmSegments, axes: Segments, solids: UprightSolids, reach: float
+    ) -> Array:
+        """Return the distances (..., L, M) of the arm's links from solids [m].
+
+        Only solids that are near the whole arm are looked at closely.
+        """
+        far = reach + arm.radius.max()
+        batch, segments = axes.start.shape[1:-1], axes.start.shape[-1]
+        start, end = (points.reshape(3, -1, segments) for points in (axes.start, axes.end))
+        centre, radius = Segments(start, end).sphere()
+        bound = solids.point_distances(centre[..., None]) - radius[:, None] - arm.radius.max()
+        result = np.repeat(bound[:, None], len(arm.names), axis=1)
+        configuration, solid = np.nonzero(bound <= reach)
+        start, end = (np.swapaxes(points[:, configuration], 1, 2) for points in (start, end))
+        each = solids.select(solid).distances(start, end, far) - arm.radius[:, None]
+        least = np.minimum.reduceat(each, self._link_begins, axis=0)
+        result[configuration, :, solid] = least.T
+        return result.reshape(*batch, len(arm.names), len(solids))
+
+
+def _begins(labels: list[object]) -> Indices:
+    """Return the index of the first of each run of equal labels."""
+    lengths = [len(list(run)) for _, run in groupby(labels)]
+    return np.cumsum([0, *lengths[:-1]])
+
+
+def _require_finite(name: str, values: Array) -> None:
+    """Require that values are finite; an unknown distance must not count as a large one."""
+    if not np.isfinite(values).all():
+        raise InputError(f"{name} must be finite")

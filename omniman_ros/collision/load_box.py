@@ -1,0 +1,99 @@
+"""The box that the arm holds."""
+
+import numpy as np
+
+from omniman_ros.collision.arm_segments import Segments
+from omniman_ros.collision.parameters import LoadShape
+from omniman_ros.collision.solids import UprightSolids
+from omniman_ros.core.arrays import Array
+
+EDGES = np.array([(i, i | bit) for bit in (1, 2, 4) for i in range(8) if not i & bit]).T
+"""Numbers (2, 12) of the corners at the ends of each edge of a box: bit k of a corner's number is
+its side along axis k."""
+
+
+class LoadBox:
+    """A box that is fixed to the flange, and its distances from other shapes.
+
+    Two boxes touch first where an edge of one meets the other. Therefore the distance between them
+    is the least distance of the edges of each from the other.
+
+    Args:
+        shape: Shape of the load.
+    """
+
+    def __init__(self, shape: LoadShape) -> None:
+        near, far = shape.distance, shape.distance + shape.height
+        self._box = UprightSolids.box((0.0, 0.0, 0.0), shape.length, shape.width, (near, far))
+        self._corners = box_corners(self._box)[:, 0]
+
+    def edges(self, flange: Array) -> Segments:
+        """Return the edges (3, ..., 12) of the load.
+
+        Args:
+            flange: Poses (..., 4, 4) of the flange.
+        """
+        rotation, origin = flange[..., :3, :3], flange[..., :3, 3]
+        corners = np.moveaxis(rotation @ self._corners + origin[..., None], -2, 0)
+        return Segments(corners[..., EDGES[0]], corners[..., EDGES[1]])
+
+    def distances(self, flange: Array, segments: Segments, reach: float) -> Array:
+        """Return the distances (..., S) of segments from the load [m].
+
+        Args:
+            flange: Poses (..., 4, 4) of the flange.
+            segments: Segments (3, ..., S) in the same frame.
+            reach: Distance above which a lower bound is enough [m].
+        """
+        start, end = (_in_frame(flange, points) for points in (segments.start, segments.end))
+        return self._box.distances(start[..., None], end[..., None], reach)[..., 0]
+
+    def distances_from_solids(self, flange: Array, solids: UprightSolids, reach: float) -> Array:
+        """Return the distances (..., M) of solids from the load [m].
+
+        That of a rounded solid may be too small by its rounding where a side of the load, not an
+        edge, is the nearest.
+
+        Args:
+            flange: Poses (..., 4, 4) of the flange in the frame of the solids.
+            solids: Solids.
+            reach: Distance above which a lower bound is enough [m].
+        """
+        edges = self.edges(flange)
+        own = solids.distances(edges.start[..., None], edges.end[..., None], reach).min(axis=-2)
+        corners = box_corners(solids)
+        of_solids = Segments(*(corners[..., EDGES[k]].reshape(3, -1) for k in (0, 1)))
+        shape = (3, *flange.shape[:-2], of_solids.start.shape[-1])
+        start, end = (
+            np.broadcast_to(points.reshape(3, *(1,) * (flange.ndim - 2), -1), shape)
+            for points in (of_solids.start, of_solids.end)
+        )
+        other = self.distances(
+            flange, Segments(start, end), reach + solids.rounding.max(initial=0)
+        )
+        other = other.reshape(*flange.shape[:-2], len(solids), len(EDGES[0])).min(axis=-1)
+        result: Array = np.minimum(own, np.maximum(other - solids.rounding, 0.0))
+        return result
+
+
+def box_corners(solids: UprightSolids) -> Array:
+    """Return the corners (3, M, 8) of solids without their rounding [m]."""
+    side = np.array(
+        [[1.0 if number >> axis & 1 else -1.0 for number in range(8)] for axis in range(3)]
+    )
+    c, s = np.cos(solids.yaw)[:, None], np.sin(solids.yaw)[:, None]
+    along, across = (solids.half[k][:, None] * side[k] for k in (0, 1))
+    return np.stack(
+        (
+            solids.centre[0][:, None] + c * along - s * across,
+            solids.centre[1][:, None] + s * along + c * across,
+            np.where(side[2] > 0.0, solids.upper[:, None], solids.lower[:, None]),
+        )
+    )
+
+
+def _in_frame(flange: Array, points: Array) -> Array:
+    """Return points (3, ..., S) in frames (..., 4, 4)."""
+    shifted = points - np.moveaxis(flange[..., :3, 3], -1, 0)[..., None]
+    result: Array = np.einsum("...ij,i...s->j...s", flange[..., :3, :3], shifted)
+    return result

@@ -1,0 +1,40 @@
+"""Shape of what the arm carries, and margins of the robot's body."""
+
+from dataclasses import dataclass
+
+from omniman_ros.core.parameters import parameter
+
+
+@dataclass(frozen=True, kw_only=True)
+class ToolShape:
+    """Cylinder at the arm's flange, along z of `tool0`."""
+
+    length: float = parameter(0.0, "Length of the tool; 0: none.", unit="m", low=0.0, high=2.0)
+    radius: float = parameter(0.05, "Radius of the tool.", unit="m", low=0.001, high=1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoadShape:
+    """Box that the tool holds, along the axes of `tool0`."""
+
+    length: float = parameter(
+        0.0, "Length of the load along x of tool0; 0: none.", unit="m", low=0.0, high=5.0
+    )
+    width: float = parameter(
+        0.0, "Width of the load along y of tool0.", unit="m", low=0.0, high=5.0
+    )
+    height: float = parameter(
+        0.0, "Height of the load along z of tool0.", unit="m", low=0.0, high=5.0
+    )
+    distance: float = parameter(
+        0.0,
+        "Distance of the load's near side from the flange, along z of tool0.",
+        unit="m",
+        low=0.0,
+        high=3.0,
+    )
+
+    @property
+    def is_carried(self) -> bool:
+        """Whether there is a load."""
+        return self.length > 0.0 and self.width > 0.0 and self.height > 0.0

@@ -1,0 +1,250 @@
+"""Upright solids: what stands on the floor, hangs above it, or is the platform itself.
+
+The first axis of an array of points holds their three coordinates.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omniman_ros.collision.segments import dot
+from omniman_ros.core.arrays import Array
+
+Indices = NDArray[np.intp]
+"""Array of indices."""
+Mask = NDArray[np.bool_]
+"""Array of flags."""
+ACCURACY = 1e-8
+"""Accuracy of distances [m]."""
+MOST_STEPS = 100
+"""Largest number of steps of the search along a segment; about 10 are usual."""
+
+
+@dataclass(frozen=True)
+class UprightSolids:
+    """Boxes with vertical edges that may be rounded: boxes, cylinders, and walls with round ends.
+
+    A solid is the set of all points that are within `rounding` of a rectangle horizontally, and
+    between its lower and its upper side.
+
+    Attributes:
+        centre: Centres (2, M) of the rectangles [m].
+        yaw: Directions (M,) of their lengths [rad].
+        half: Half lengths and half widths (2, M) [m]; zero for cylinders.
+        rounding: Horizontal distances (M,) by which the rectangles are extended [m].
+        lower, upper: Heights (M,) of their lower and upper sides [m].
+    """
+
+    centre: Array
+    yaw: Array
+    half: Array
+    rounding: Array
+    lower: Array
+    upper: Array
+
+    @staticmethod
+    def box(
+        pose: Sequence[float], length: float, width: float, heights: tuple[float, float]
+    ) -> "UprightSolids":
+        """Return one box.
+
+        Args:
+            pose: Pose (x, y, yaw) of its centre [m, m, rad].
+            length: Length [m].
+            width: Width [m].
+            heights: Heights of its lower and its upper side [m].
+        """
+        x, y, yaw = pose
+        return UprightSolids(
+            np.array([[x], [y]]),
+            np.array([yaw]),
+            np.array([[0.5 * length], [0.5 * width]]),
+            np.zeros(1),
+            np.array([heights[0]]),
+            np.array([heights[1]]),
+        )
+
+    @staticmethod
+    def cylinder(
+        x: float, y: float, radius: float, heights: tuple[float, float]
+    ) -> "UprightSolids":
+        """Return one cylinder at a position [m] with a radius [m] between two heights [m]."""
+        return UprightSolids(
+            np.array([[x], [y]]),
+            np.zeros(1),
+            np.zeros((2, 1)),
+            np.array([radius]),
+            np.array([heights[0]]),
+            np.array([heights[1]]),
+        )
+
+    @staticmethod
+    def join(parts: Sequence["UprightSolids"]) -> "UprightSolids":
+        """Return all solids of several sets, in their order."""
+        if not parts:
+            flat = np.zeros((2, 0))
+            return UprightSolids(flat, flat[0], flat, flat[0], flat[0], flat[0])
+        return UprightSolids(
+            *(
+                np.concatenate([getattr(part, name) for part in parts], axis=-1)
+                for name in ("centre", "yaw", "half", "rounding", "lower", "upper")
+            )
+        )
+
+    def __len__(self) -> int:
+        return len(self.yaw)
+
+    def select(self, index: Indices) -> "UprightSolids":
+        """Return the solids with some indices, which may repeat."""
+        return UprightSolids(
+            self.centre[:, index],
+            self.yaw[index],
+            self.half[:, index],
+            self.rounding[index],
+            self.lower[index],
+            self.upper[index],
+        )
+
+    def _local(self, points: Array) -> Array:
+        """Return points (3, ..., M) in the frames of the solids; heights stay."""
+        x, y = points[0] - self.centre[0], points[1] - self.centre[1]
+        c, s = np.cos(self.yaw), np.sin(self.yaw)
+        return np.stack((c * x + s * y, c * y - s * x, np.broadcast_to(points[2], x.shape)))
+
+    def point_distances(self, points: Array) -> Array:
+        """Return the distances (..., M) of points (3, ..., M), one for each solid [m]."""
+        outward = self._outward(self._local(points))
+        result: Array = np.sqrt(dot(outward, outward))
+        return result
+
+    def _outward(self, points: Array) -> Array:
+        """Return the vectors (3, ..., M) to points from the nearest points of the solids.
+
+        Args:
+            points: Points (3, ..., M) in the frames of the solids [m].
+        """
+        result = np.empty(points.shape)
+        for i in (0, 1):
+            result[i] = points[i] - np.clip(points[i], -self.half[i], self.half[i])
+        result[2] = points[2] - np.clip(points[2], self.lower, self.upper)
+        if self.rounding.any():
+            distance = np.hypot(result[0], result[1])
+            beyond = np.maximum(distance - self.rounding, 0.0)
+            result[:2] *= beyond / np.maximum(distance, np.finfo(np.float64).tiny)
+        return result
+
+    def distances(self, start: Array, end: Array, reach: float) -> Array:
+        """Return the distances between segments and solids; zero where they meet.
+
+        The distance from a convex solid is a convex function of the place on the segment. Where
+        its slope changes sign between the ends, the false position method (Illinois) finds the
+        minimum; as the function is convex, the slope there bounds the error.
+
+        Args:
+            start: Starts (3, ..., M) of the segments [m], one for each solid; a last axis of
+                length 1 stands for all solids.
+            end: Their ends (3, ..., M) [m].
+            reach: Distance above which a lower bound is enough [m].
+
+        Returns:
+            Distances (..., M) [m]. Those above `reach` may be too small, but are not below it.
+        """
+        first = self._local(start)
+        along = self._local(end) - first
+        low, high = self._outward(first), self._outward(first + along)
+        slope_low, slope_high = dot(low, along), dot(high, along)
+        squared = np.where(slope_low >= 0.0, dot(low, low), dot(high, high))
+        is_between = (slope_low < 0.0) & (slope_high > 0.0)
+        # Nothing changes by more than a segment's half length around its middle.
+        middle = self._outward(first + 0.5 * along)
+        bound = np.sqrt(dot(middle, middle)) - 0.5 * np.sqrt(dot(along, along))
+        is_far = is_between & (bound > reach)
+        squared[is_far] = bound[is_far] ** 2
+        where = np.nonzero(is_between & ~is_far)
+        chosen: tuple[slice | Indices, ...] = (slice(None), *where)
+        squared[where] = self.select(where[-1])._least(
+            first[chosen], along[chosen], slope_low[where], slope_high[where]
+        )
+        result: Array = np.sqrt(squared)
+        return result
+
+    def box_distances(self, poses: Array, half: Array, heights: tuple[float, float]) -> Array:
+        """Return the distances of an upright box at several poses; zero where they meet.
+
+        Args:
+            poses: Poses (..., 3) of the centre of its rectangle [m, m, rad].
+            half: Half length and half width (2,) [m].
+            heights: Heights of its lower and its upper side [m].
+
+        Returns:
+            Distances (..., M) [m].
+        """
+        yaw = self.yaw - poses[..., 2, None]
+        x, y = (self.centre[i] - poses[..., i, None] for i in (0, 1))
+        c, s = np.cos(poses[..., 2, None]), np.sin(poses[..., 2, None])
+        # Each rectangle in the frame of the other.
+        own = _corner_distances(c * x + s * y, c * y - s * x, yaw, self.half, half[:, None])
+        c, s = np.cos(self.yaw), np.sin(self.yaw)
+        other = _corner_distances(-c * x - s * y, s * x - c * y, -yaw, half[:, None], self.half)
+        is_apart = own[1] | other[1]
+        apart = np.where(is_apart, np.minimum(own[0], other[0]), 0.0)
+        horizontal = np.maximum(apart - self.rounding, 0.0)
+        vertical = np.maximum(np.maximum(self.lower - heights[1], heights[0] - self.upper), 0.0)
+        result: Array = np.hypot(horizontal, vertical)
+        return result
+
+    def _least(self, start: Array, along: Array, slope_low: Array, slope_high: Array) -> Array:
+        """Return the least squared distance of each solid from one segment in its frame.
+
+        Args:
+            start: Starts (3, M) [m].
+            along: Vectors (3, M) to the ends [m].
+            slope_low: Slopes (M,) of half the squared distance at the starts, below zero.
+            slope_high: Those at the ends, above zero.
+        """
+        low, high = np.zeros(len(self)), np.ones(len(self))
+        was_low = was_high = np.zeros(len(self), dtype=bool)
+        squared = np.empty(len(self))
+        for _ in range(MOST_STEPS):
+            middle = low + (high - low) * slope_low / (slope_low - slope_high)
+            outward = self._outward(start + middle * along)
+            squared, slope = dot(outward, outward), dot(outward, along)
+            if (np.abs(slope) <= ACCURACY * np.maximum(np.sqrt(squared), ACCURACY)).all():
+                break
+            is_low = slope < 0.0
+            low, high = np.where(is_low, middle, low), np.where(is_low, high, middle)
+            # An end that stays twice counts with half its slope, so that both ends move.
+            slope_low = np.where(is_low, slope, np.where(was_high, 0.5, 1.0) * slope_low)
+            slope_high = np.where(is_low, np.where(was_low, 0.5, 1.0) * slope_high, slope)
+            was_low, was_high = is_low, ~is_low
+        return squared
+
+
+def _corner_distances(
+    x: Array, y: Array, yaw: Array, half: Array, fixed: Array
+) -> tuple[Array, Mask]:
+    """Return the least distance of a rectangle's corners from a fixed one, and a separation.
+
+    Args:
+        x, y: Centre of the rectangle in the frame of the fixed one [m].
+        yaw: Its direction there [rad].
+        half: Its half length and half width (2, ...) [m].
+        fixed: Half length and half width (2, ...) of the fixed one [m].
+
+    Returns:
+        Distances [m], and whether a side of the fixed rectangle separates the two.
+    """
+    c, s = np.cos(yaw), np.sin(yaw)
+    least = np.full(np.broadcast(x, yaw).shape, np.inf)
+    for along, across in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+        px = x + along * half[0] * c - across * half[1] * s
+        py = y + along * half[0] * s + across * half[1] * c
+        beyond_x = np.maximum(np.abs(px) - fixed[0], 0.0)
+        beyond_y = np.maximum(np.abs(py) - fixed[1], 0.0)
+        np.minimum(least, np.hypot(beyond_x, beyond_y), out=least)
+    extent_x = np.abs(half[0] * c) + np.abs(half[1] * s)
+    extent_y = np.abs(half[0] * s) + np.abs(half[1] * c)
+    is_apart = (np.abs(x) > fixed[0] + extent_x) | (np.abs(y) > fixed[1] + extent_y)
+    return least, is_apart
