@@ -80,6 +80,28 @@ class ArmSegments:
         self.radius: Array = np.array(radius)
         self._frame = np.minimum(self.link, JOINTS)
         self._ends: Array = np.moveaxis(np.array(ends), 1, 0)
+        steps = np.diff(frames[:, :3, 3], axis=0)
+        self._steps: Array = np.linalg.norm(steps, axis=1)
+
+    def extent(self, link: int) -> float:
+        """Return the distance of a link's farthest point from the origin of its frame [m]."""
+        ends = np.linalg.norm(self._ends, axis=-1).max(axis=0) + self.radius
+        return float(ends[self.link == link].max())
+
+    def levers(self, first: int, last: int, extent: float) -> Array:
+        """Return bounds (6,) of the distances of a part from the axes of the joints [m].
+
+        They are zero for joints that do not turn the part relative to the link `first`.
+
+        Args:
+            first: Number of the link relative to which the part moves.
+            last: Number of the link whose frame the part is fixed to, 6 for tool and load.
+            extent: Distance of the part's farthest point from the origin of this frame [m].
+        """
+        result = np.zeros(JOINTS)
+        for joint in range(first, last):
+            result[joint] = extent + self._steps[joint:last].sum()
+        return result
 
     def frames(self, q: Array) -> Array:
         """Return the poses (..., 7, 4, 4) of the arm's base and links in base_link.

@@ -9,6 +9,7 @@ from omniman_ros.collision.load_box import LoadBox
 from omniman_ros.collision.parameters import LoadShape, ToolShape
 from omniman_ros.collision.segments import segment_distances
 from omniman_ros.collision.solids import Indices, UprightSolids
+from omniman_ros.core.arm_model import JOINTS
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.description.parameters import DescriptionParameters
@@ -46,6 +47,8 @@ class BodyGeometry:
     Attributes:
         parts: Names of the parts.
         pairs: Names of the two parts of each pair that may collide.
+        levers: (P, 6) largest travel of one part of each pair relative to the other, per angle of
+            each joint [m/rad].
     """
 
     def __init__(
@@ -63,6 +66,7 @@ class BodyGeometry:
         self._platform = UprightSolids.box((0.0, 0.0, 0.0), length, width, self._heights)
         self.parts: tuple[str, ...] = (PLATFORM,)
         self.pairs: tuple[tuple[str, str], ...] = ()
+        self.levers: Array = np.zeros((0, JOINTS))
         self._arm: ArmSegments | None = None
         self._load: LoadBox | None = None
         if has_arm:
@@ -84,14 +88,18 @@ class BodyGeometry:
         self._pair_begins = _begins([pair[:2] for pair in candidates])
         self._link_begins = _begins(link.tolist())
         self.parts = (PLATFORM, *names)
-        self.pairs = (
-            *((names[a], names[b]) for a, b in dict.fromkeys(pair[:2] for pair in candidates)),
-            *((PLATFORM, name) for name in names[RIGID_LINKS:]),
-        )
+        ends = list(dict.fromkeys(pair[:2] for pair in candidates))
+        self.pairs = tuple((names[a], names[b]) for a, b in ends)
+        self.pairs += tuple((PLATFORM, name) for name in names[RIGID_LINKS:])
+        ends += [(0, link) for link in range(RIGID_LINKS, len(names))]
+        levers = [arm.levers(a, min(b, JOINTS), arm.extent(b)) for a, b in ends]
         if self._load is not None:
             self.parts += (LOAD,)
             others = (PLATFORM, *names[:LINKS_BEFORE_WRIST])
             self.pairs += tuple((name, LOAD) for name in others)
+            firsts = (0, *range(LINKS_BEFORE_WRIST))
+            levers += [arm.levers(first, JOINTS, self._load.extent) for first in firsts]
+        self.levers = np.array(levers)
 
     def self_distances(self, q: Array, reach: float = np.inf) -> Array:
         """Return the distances between the parts of the robot.

@@ -20,12 +20,16 @@ class LoadBox:
 
     Args:
         shape: Shape of the load.
+
+    Attributes:
+        extent: Distance of its farthest point from the flange's origin [m].
     """
 
     def __init__(self, shape: LoadShape) -> None:
         near, far = shape.distance, shape.distance + shape.height
         self._box = UprightSolids.box((0.0, 0.0, 0.0), shape.length, shape.width, (near, far))
         self._corners = box_corners(self._box)[:, 0]
+        self.extent = float(np.linalg.norm(self._corners, axis=0).max())
 
     def edges(self, flange: Array) -> Segments:
         """Return the edges (3, ..., 12) of the load.

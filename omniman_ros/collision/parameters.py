@@ -1,4 +1,4 @@
-"""Shape of what the arm carries, and margins of the robot's body."""
+"""Shapes of the tool and of what it holds."""
 
 from dataclasses import dataclass
 
@@ -9,8 +9,12 @@ from omniman_ros.core.parameters import parameter
 class ToolShape:
     """Cylinder at the arm's flange, along z of `tool0`."""
 
-    length: float = parameter(0.0, "Length of the tool; 0: none.", unit="m", low=0.0, high=2.0)
-    radius: float = parameter(0.05, "Radius of the tool.", unit="m", low=0.001, high=1.0)
+    length: float = parameter(
+        0.0, "Length of the tool; 0: none.", unit="m", low=0.0, high=2.0, read_only=True
+    )
+    radius: float = parameter(
+        0.05, "Radius of the tool.", unit="m", low=0.001, high=1.0, read_only=True
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -179,7 +179,9 @@ class JointInterface(ABC):
         def propose(lead: float) -> JointProposal:
             now = time_base.now()
             start = None if delay is None else max(time_base.pace.motion(begin + delay), now)
-            return self.core.propose(points, self.rest_position(), now, lead, start)
+            proposal = self.core.propose(points, self.rest_position(), now, lead, start)
+            self._context.self_collision().require_clear(proposal.curve)
+            return proposal
 
         count = len(points.positions)
         proposal = self._take(propose, MIN_PLANNING_TIME + PLANNING_TIME_PER_POINT * count)

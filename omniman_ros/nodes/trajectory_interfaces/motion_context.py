@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
 
+from omniman_ros.collision.self_collision import SelfCollisionCheck
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.stream_monitor import StreamMonitor
 from omniman_ros.nodes.omniman_node import OmnimanNode
@@ -33,6 +34,7 @@ class MotionContext:
         odom: Measured pose and velocity of the platform.
         arm_feed: Measured joint states of the arm.
         time_base: Time base that all motions share.
+        self_collision: Returns the check of motions for collisions of the robot with itself.
         platform_previews: Output `path/reference`.
         arm_previews: Output `arm/joint_reference`.
         publish_all: Publishes previews of the given length [s] of all motions under way.
@@ -48,6 +50,7 @@ class MotionContext:
     odom: OdomFeed
     arm_feed: ArmFeed
     time_base: MotionTimeBase
+    self_collision: Callable[[], SelfCollisionCheck]
     platform_previews: Previews
     arm_previews: Previews
     publish_all: Callable[[float], None]

@@ -21,7 +21,10 @@ from omniman_ros.nodes.trajectory_interfaces.motion_context import MotionContext
 from omniman_ros.nodes.trajectory_interfaces.motion_status import MotionEvent
 from omniman_ros.nodes.trajectory_interfaces.motion_time_base import MotionTimeBase
 from omniman_ros.nodes.trajectory_interfaces.odom_feed import OdomFeed
-from omniman_ros.nodes.trajectory_interfaces.parameters import PathInterpolatorParameters
+from omniman_ros.nodes.trajectory_interfaces.parameters import (
+    PathInterpolatorParameters,
+    self_collision_check,
+)
 from omniman_ros.nodes.trajectory_interfaces.path_interface import PathInterface
 from omniman_ros.nodes.trajectory_interfaces.previews import arm_previews, platform_previews
 from omniman_ros.nodes.trajectory_interfaces.scaling_interface import ScalingInterface
@@ -58,6 +61,7 @@ class MotionCoordinator:
         self._progress = node.create_publisher(Float64, "path_progress", 10)
         self.scaling = ScalingInterface(node, self._on_scaling)
         path, options = PathInterpolator(p.core), p.joint_trajectory
+        self._self_collision = self_collision_check(p)
         arm = JointInterpolator(AxisLimits.of_arm(p.arm), options)
         whole_body = JointInterpolator(WholeBodyLimits.of_whole_body(p.core, p.arm), options)
         self.context = MotionContext(
@@ -72,6 +76,7 @@ class MotionCoordinator:
                 self.scaling,
                 lambda: settings.value.scaling_timeout,
             ),
+            self_collision=lambda: self._self_collision,
             platform_previews=platform_previews(node, "path/reference", p.odom_frame, p.horizon),
             arm_previews=arm_previews(node, p.arm.joints, p.horizon),
             publish_all=self._publish_all,
@@ -96,6 +101,7 @@ class MotionCoordinator:
             ParameterError: No path could be planned with them.
         """
         new.core.planner()  # raises
+        self._self_collision = self_collision_check(new)
         self.arm.configure(new.arm, new.joint_trajectory)
         self.whole_body.configure(new)
         self.path.core.parameters = new.core

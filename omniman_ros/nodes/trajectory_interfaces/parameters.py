@@ -2,8 +2,12 @@
 
 from dataclasses import dataclass
 
+from omniman_ros.collision.body_geometry import BodyGeometry
+from omniman_ros.collision.parameters import LoadShape, ToolShape
+from omniman_ros.collision.self_collision import SelfCollisionCheck, SelfCollisionOptions
 from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.core.parameters import inline, parameter
+from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.motion.path.joint_parameters import JointTrajectoryOptions
 from omniman_ros.motion.path.parameters import PathParameters
 from omniman_ros.motion.path.trajectory_goal import TrajectoryActionOptions
@@ -18,6 +22,9 @@ class PathInterpolatorParameters:
     core: PathParameters = inline()
     arm: ArmParameters
     mount: Mount
+    tool: ToolShape
+    load: LoadShape
+    self_collision: SelfCollisionOptions
     joint_trajectory: JointTrajectoryOptions
     tool_path: ToolPathOptions
     trajectory_action: TrajectoryActionOptions
@@ -69,3 +76,10 @@ class PathInterpolatorParameters:
     def frames(self) -> tuple[str, ...]:
         """Frames that are treated as odom."""
         return (self.odom_frame, "map") if self.map_is_odom else (self.odom_frame,)
+
+
+def self_collision_check(parameters: PathInterpolatorParameters) -> SelfCollisionCheck:
+    """Return the check of motions for collisions of a robot with itself."""
+    p = parameters
+    description = DescriptionParameters(robot=p.core.robot, arm=p.arm, mount=p.mount)
+    return SelfCollisionCheck(BodyGeometry(description, p.tool, p.load), p.self_collision)

@@ -142,7 +142,14 @@ class ToolInterface:
         poses = arm_conversions.tool_poses(message, p.frames, rotation)
         limits = WholeBodyLimits.of_whole_body(p.core, p.arm)
         planner = ToolPlanner(self._model, limits, p.tool_path)
-        self._plan, self._start_position = in_background(lambda: planner.plan(poses, start)), start
+        self_collision = self._context.self_collision()
+
+        def plan() -> ToolPlan:
+            result = planner.plan(poses, start)
+            self_collision.require_clear(result.curve)
+            return result
+
+        self._plan, self._start_position = in_background(plan), start
         self._running = self._plan
         self.status.report(MotionEvent.PLANNING, f"planning a tool path of {len(poses)} poses")
 
