@@ -71,10 +71,8 @@ class ViewerNode(OmnimanNode):
             make_page = Page
         limits = (p.limits.linear_velocity, p.limits.angular_velocity)
         mount = p.mount if carries_arm(p.robot) else None
-        self.page = make_page(
-            p.robot, mount, constraints, limits, p.host, p.port, self._events.post
-        )
-        self.get_logger().info(f"the page is at {self.page.address}")
+        self.page = make_page(p.robot, mount, constraints, limits, p.access, self._events.post)
+        self.get_logger().info(f"the page is at {self.page.link}")
         self.every(PERIOD, self.serve)
         self.every(1.0 / p.frame_rate, self.draw)
         self.every(1.0, self.survey)

@@ -3,6 +3,7 @@
 import contextlib
 import errno
 import io
+import secrets
 import socket
 from math import isfinite
 
@@ -15,13 +16,17 @@ from omniman_ros.viewer.events import ClientDisconnected
 from omniman_ros.viewer.page.inputs import Post
 from omniman_ros.viewer.page.panel import Controls, StatusPanel
 from omniman_ros.viewer.page.plots import Plots
+from omniman_ros.viewer.page.request_guard import RequestGuard
 from omniman_ros.viewer.page.scene import Scene
 from omniman_ros.viewer.page.viser_compat import LocalServer, guarded_server, restrict_to_values
+from omniman_ros.viewer.page_access import PageAccess
 from omniman_ros.viewer.style import PANEL_WIDTH
 from omniman_ros.viewer.view_state import ViewState
 
 MAX_PORTS = 20
 """Number of ports that are tried, starting with the requested one."""
+TOKEN_BYTES = 24
+"""Number of random bytes of a token."""
 LINES_INTERVAL = 5
 """Number of frames between two updates of the lines on the floor."""
 PLOTS_INTERVAL = 4
@@ -69,12 +74,11 @@ class Page:
         mount: Mount of its arm; None if the robot has no arm.
         constraints: Number of coupling errors.
         limits: Largest speed [m/s] and yaw rate [rad/s] of the motion buttons.
-        host: Address to serve on.
-        port: Port to serve on; if it is in use, the following ones are tried.
+        access: Address to serve on, and who may open the page.
         post: Accepts events; must not block.
 
     Raises:
-        ParameterError: The host or the port cannot be used.
+        ParameterError: The host, the port, or the files for https cannot be used.
     """
 
     def __init__(
@@ -83,13 +87,17 @@ class Page:
         mount: Mount | None,
         constraints: int,
         limits: tuple[float, float],
-        host: str,
-        port: int,
+        access: PageAccess,
         post: Post,
     ) -> None:
-        port = free_port(host, port)
+        host, port, tls = access.host, free_port(access.host, access.port), access.tls()
+        self._token = access.token or (
+            secrets.token_urlsafe(TOKEN_BYTES) if access.needs_token else ""
+        )
+        self._scheme = "http" if tls is None else "https"
+        guard = RequestGuard(host, port, self._token, is_encrypted=tls is not None)
         # viser would print a box on stdout; the node logs the address.
-        with guarded_server(host), contextlib.redirect_stdout(io.StringIO()):
+        with guarded_server(guard, tls), contextlib.redirect_stdout(io.StringIO()):
             self._server = LocalServer(host=host, port=port, label="omniman", verbose=False)
         restrict_to_values(self._server)
         self._limits = limits
@@ -108,12 +116,17 @@ class Page:
             post(ClientDisconnected(client.client_id))
 
     @property
+    def link(self) -> str:
+        """URL of the page with its token, if it has one: who knows it can drive the robot."""
+        return f"{self.address}/?token={self._token}" if self._token else self.address
+
+    @property
     def address(self) -> str:
-        """URL of the page."""
+        """URL of the page, without its token."""
         host = self._server.get_host()
         name = {"0.0.0.0": "localhost", "::": "localhost"}.get(host, host)
         name = f"[{name}]" if ":" in name else name
-        return f"http://{name}:{self._server.get_port()}"
+        return f"{self._scheme}://{name}:{self._server.get_port()}"
 
     @property
     def watched(self) -> bool:

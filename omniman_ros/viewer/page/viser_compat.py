@@ -3,8 +3,8 @@
 Written for viser 1.1.1 and websockets 16.1 (`setup.py` pins `viser==1.1.*`); check each item below
 when either is updated. viser 1.1 offers no public way for any of them:
 
-* `guarded_server`: a check of the requests before viser accepts them. viser calls
-  `websockets.asyncio.server.serve` with its own `process_request`.
+* `guarded_server`: a check of the requests before viser accepts them, and encryption. viser calls
+  `websockets.asyncio.server.serve` with its own `process_request`, and without TLS.
 * `restrict_to_values`: viser lets a browser set any attribute of a control.
 * `LocalServer`: viser lets a browser request a public URL.
 * * `camera_position`: viser raises an AssertionError while a camera is unknown.
@@ -14,6 +14,7 @@ when either is updated. viser 1.1 offers no public way for any of them:
 """
 
 import http
+import ssl
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -27,7 +28,7 @@ from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
-from omniman_ros.viewer.page.request_guard import rejection_reason
+from omniman_ros.viewer.page.request_guard import RequestGuard
 
 RequestHandler = Callable[[ServerConnection, Request], Response | None]
 """Returns the response that rejects a request, or None to accept it."""
@@ -53,19 +54,21 @@ class LocalServer(viser.ViserServer):
 
 
 @contextmanager
-def guarded_server(host: str) -> Iterator[None]:
+def guarded_server(guard: RequestGuard, tls: ssl.SSLContext | None = None) -> Iterator[None]:
     """Have the servers that are started in this context check their requests.
 
-    viser accepts no check as an argument, so `serve` of websockets is replaced meanwhile.
+    viser accepts neither a check nor TLS as an argument, so `serve` of websockets is replaced
+    meanwhile.
 
     Args:
-        host: Address that the servers are bound to.
+        guard: Decides about the requests.
+        tls: What encrypts the connections; None for http.
     """
     serve = websockets.asyncio.server.serve
 
     def guarded_serve(*args: Any, process_request: RequestHandler, **options: Any) -> Any:
-        guard = partial(_process_request, host, process_request)
-        return serve(*args, process_request=guard, **options)
+        checked = partial(_process_request, guard, process_request)
+        return serve(*args, process_request=checked, ssl=tls, **options)
 
     # The replacement is a function in place of a class.
     websockets.asyncio.server.serve = guarded_serve  # type: ignore[assignment,misc]
@@ -76,17 +79,21 @@ def guarded_server(host: str) -> Iterator[None]:
 
 
 def _process_request(
-    host: str, handler: RequestHandler, connection: ServerConnection, request: Request
+    guard: RequestGuard, handler: RequestHandler, connection: ServerConnection, request: Request
 ) -> Response | None:
     try:
-        reason = rejection_reason(host, request.headers)
+        reason = guard.rejection_reason(request.path, request.headers)
     except (ValueError, LookupError) as error:  # not an address, or a header given twice
         reason = str(error)
-    if not reason:
-        return handler(connection, request)
-    body = f"{reason}\n".encode(errors="replace")
-    headers = Headers({"Content-Type": "text/plain", "Content-Length": str(len(body))})
-    return Response(http.HTTPStatus.FORBIDDEN, "Forbidden", headers, body)
+    if reason:
+        body = f"{reason}\n".encode(errors="replace")
+        headers = Headers({"Content-Type": "text/plain", "Content-Length": str(len(body))})
+        return Response(http.HTTPStatus.FORBIDDEN, "Forbidden", headers, body)
+    response = handler(connection, request)
+    cookie = guard.cookie(request.path)
+    if response is not None and cookie:
+        response.headers["Set-Cookie"] = cookie
+    return response
 
 
 def restrict_to_values(server: viser.ViserServer) -> None:

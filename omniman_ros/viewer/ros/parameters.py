@@ -6,6 +6,7 @@ from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.core.parameters import REQUIRED, inline, parameter
 from omniman_ros.core.robot import Robot
 from omniman_ros.motion.whole_body.model import Mount
+from omniman_ros.viewer.page_access import PageAccess
 
 
 @dataclass(frozen=True)
@@ -38,18 +39,7 @@ class ViewerParameters:
     arm: ArmParameters
     mount: Mount
     limits: DrivingLimits
-    host: str = parameter(
-        "127.0.0.1",
-        "Address to serve the page on; everybody who can reach it can drive the robot.",
-        read_only=True,
-    )
-    port: int = parameter(
-        8080,
-        "Port of the page; if it is in use, the next free one is used.",
-        low=1,
-        high=65535,
-        read_only=True,
-    )
+    access: PageAccess = inline()
     frame_rate: float = parameter(
         25.0,
         "Frame rate of the page while a browser is connected.",

@@ -1,7 +1,12 @@
 """Tests of the page on a real server, without a browser."""
 
 import queue
+import shutil
 import socket
+import ssl
+import subprocess
+from urllib.error import HTTPError
+from urllib.request import urlopen
 
 import msgspec
 import numpy as np
@@ -13,6 +18,7 @@ from websockets.sync.client import connect
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.viewer.events import ButtonPressed
 from omniman_ros.viewer.page.page import Page, free_port
+from omniman_ros.viewer.page_access import PageAccess
 from omniman_ros.viewer.view_state import ViewState
 from test import robots
 
@@ -24,15 +30,15 @@ def make_page():
     """Return a factory of pages, each on its own port, and close them after the test."""
     made = []
 
-    def make(name="omniman", port=None, post=print):
+    def make(name="omniman", port=None, post=print, **options):
         robot = robots.robot(name)
+        access = PageAccess(**{"host": HOST, "port": port or free_port(HOST, 18080), **options})
         page = Page(
             robot,
             None,
             robot.wheel_count - 3,
             (1.0, 2.0),
-            HOST,
-            port or free_port(HOST, 18080),
+            access,
             post,
         )
         made.append(page)
@@ -65,6 +71,77 @@ def test_a_page_from_elsewhere_cannot_connect(make_page, origin):
         request_upgrade(page, Origin=origin)
     assert refused.value.response.status_code == 403
     assert b"must not control" in refused.value.response.body
+
+
+def test_without_its_token_nothing_of_the_page_is_served(make_page):
+    page = make_page(host="0.0.0.0")
+    assert "token" not in page.address
+    for wrong in ("", "?token=", "?token=wrong", f"?token={page.link[-5:]}"):
+        with pytest.raises(HTTPError) as refused:
+            urlopen(f"{page.address}/{wrong}")
+        assert refused.value.code == 403 and b"token" in refused.value.read()
+    with pytest.raises(InvalidStatus) as refused:
+        request_upgrade(page)
+    assert refused.value.response.status_code == 403
+
+
+def test_who_shows_the_token_gets_a_cookie_that_opens_the_page(make_page):
+    page = make_page(host="0.0.0.0")
+    with urlopen(page.link) as answer:
+        assert answer.status == 200
+        cookie = answer.headers["Set-Cookie"]
+    assert "HttpOnly" in cookie and "SameSite=Strict" in cookie
+    assert request_upgrade(page, Cookie=cookie.partition(";")[0])
+    with pytest.raises(InvalidStatus):
+        request_upgrade(page, Cookie=cookie.partition(";")[0][:-1])
+
+
+def test_each_page_has_a_token_of_its_own(make_page):
+    first, second = make_page(host="0.0.0.0"), make_page(host="0.0.0.0")
+    assert first.link.partition("=")[2] != second.link.partition("=")[2]
+    assert make_page(token="chosen-token").link.endswith("/?token=chosen-token")
+    assert "token" not in make_page().link
+
+
+@pytest.fixture(scope="module")
+def certificate(tmp_path_factory):
+    """Return files with a certificate for this machine and its key."""
+    openssl = shutil.which("openssl")
+    if openssl is None:
+        pytest.skip("openssl makes the certificate")
+    folder = tmp_path_factory.mktemp("tls")
+    files = folder / "certificate.pem", folder / "key.pem"
+    name = ("-subj", "/CN=localhost", "-addext", f"subjectAltName=IP:{HOST}")
+    made = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes", "-days", "2")
+    output = ("-out", str(files[0]), "-keyout", str(files[1]))
+    subprocess.run(
+        (openssl, "req", "-x509", *made, *name, *output), check=True, capture_output=True
+    )
+    return tuple(map(str, files))
+
+
+def test_with_a_certificate_the_page_is_encrypted(make_page, certificate):
+    page = make_page(token="chosen-token", tls_certificate=certificate[0], tls_key=certificate[1])
+    trusted = ssl.create_default_context(cafile=certificate[0])
+    assert page.link.startswith("https://")
+    with urlopen(page.link, context=trusted) as answer:
+        cookie = answer.headers["Set-Cookie"]
+    assert "Secure" in cookie
+    with connect(
+        page.address.replace("http", "ws"),
+        ssl=trusted,
+        subprotocols=[f"viser-v{viser.__version__}"],
+        additional_headers={"Cookie": cookie.partition(";")[0]},
+    ) as client:
+        assert client.recv(timeout=10)
+    with pytest.raises(OSError):
+        urlopen(page.address.replace("https", "http"), timeout=5)
+
+
+def test_a_certificate_that_cannot_be_used_is_refused(make_page, certificate, tmp_path):
+    for files in ((certificate[1], certificate[0]), (str(tmp_path / "none"), certificate[1])):
+        with pytest.raises(ParameterError, match=r"tls_certificate.*cannot be used"):
+            make_page(tls_certificate=files[0], tls_key=files[1])
 
 
 def test_the_page_is_served_to_this_machine_alone(make_page):

@@ -12,10 +12,10 @@ from test.nodes.harness import World
 class FakePage:
     """The interface of a page that the node uses."""
 
-    def __init__(self, robot, mount, constraints, limits, host, port, post):
+    def __init__(self, robot, mount, constraints, limits, access, post):
         self.mount = mount
-        self.made_with = (constraints, limits, host, port)
-        self.address = f"http://{host}:{port}"
+        self.made_with = (constraints, limits, access.host, access.port)
+        self.address = self.link = f"http://{access.host}:{access.port}"
         self.post = post
         self.speeds = (0.4, 0.8)
         self.watched = True
