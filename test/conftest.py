@@ -26,7 +26,7 @@ settings.register_profile(
 )
 settings.load_profile("seeded")
 
-END_TO_END = Path(__file__).parent / "end_to_end"
+END_TO_END = f"{Path(__file__).parent}/end_to_end/"
 
 # Each worker has domains of its own; those of test/nodes/harness.py lie in between.
 WORKER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
@@ -37,7 +37,7 @@ ros_domain.LOW_DOMAINS = range(1, 40)[WORKER::WORKERS]
 
 def pytest_collection_modifyitems(items):
     for item in items:
-        if END_TO_END in item.path.parents:
+        if str(item.path).startswith(END_TO_END):
             item.add_marker(pytest.mark.processes)
 
 

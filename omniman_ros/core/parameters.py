@@ -10,8 +10,9 @@ import dataclasses
 import math
 import types
 import typing
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any, TypeVar
 
 from omniman_ros.core.errors import ParameterError
@@ -20,6 +21,9 @@ T = TypeVar("T")
 
 REQUIRED: Any = dataclasses.MISSING
 """Default of a parameter whose value the robot's configuration file must give."""
+
+_hints: Callable[[type], Mapping[str, Any]] = cache(typing.get_type_hints)
+"""Types of the fields of a dataclass, resolved once: that takes longer than all else here."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +128,7 @@ def _group_prefix(entry: "dataclasses.Field[Any]", prefix: str) -> str:
 def specs(cls: type, prefix: str = "") -> list[Spec]:
     """Return the parameters of a dataclass and of its groups, in order of declaration."""
     found: list[Spec] = []
-    hints = typing.get_type_hints(cls)
+    hints = _hints(cls)
     for entry in dataclasses.fields(cls):
         hint = hints[entry.name]
         if dataclasses.is_dataclass(hint) and isinstance(hint, type):
@@ -156,7 +160,7 @@ def build(cls: type[T], values: Mapping[str, Any], prefix: str = "") -> T:
             `__post_init__` refuses the combination.
     """
     known = {spec.name: spec for spec in specs(cls, prefix)}
-    hints = typing.get_type_hints(cls)
+    hints = _hints(cls)
     arguments: dict[str, Any] = {}
     for entry in dataclasses.fields(cls):  # type: ignore[arg-type]
         hint = hints[entry.name]

@@ -2,6 +2,7 @@
 
 import importlib
 from collections.abc import Collection, Iterator
+from functools import cache
 
 from omniman_ros.core.parameters import Spec, specs
 
@@ -40,9 +41,10 @@ def node_specs(node: str) -> list[Spec]:
     return specs(getattr(importlib.import_module(f"omniman_ros.{module}"), name))
 
 
-def known_names() -> set[str]:
+@cache
+def known_names() -> frozenset[str]:
     """Return the names of all parameters that any node of the package has."""
-    return {spec.name for node in NODES for spec in node_specs(node)}
+    return frozenset(spec.name for node in NODES for spec in node_specs(node))
 
 
 def markdown(node: str, *, robot: bool, listed: Collection[Spec] = ()) -> Iterator[str]:
