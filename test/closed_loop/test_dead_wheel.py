@@ -68,7 +68,7 @@ def check_drives_on(course, wheel, twist, found, within):
     representative([FORWARD, SIDEWAYS, TURN], every=2),
     ids=["forward", "sideways", "turn"],
 )
-@pytest.mark.parametrize("robot", ["omniman", "ig42"])
+@pytest.mark.parametrize("robot", ["omniman", exhaustive("ig42")])
 def test_robot_drives_on_without_a_motor_that_dies_in_motion(robot, twist, mode):
     course = Course(robot, ON | {"drive.mode": mode})
     assert course.go(twist, 1.5) is None
@@ -145,7 +145,7 @@ def test_without_torques_only_a_configured_dead_wheel_is_excluded():
     ("robot", "mode"),
     [
         pytest.param("omniman", "velocity", marks=pytest.mark.exhaustive),
-        ("ig42", "torque"),
+        pytest.param("ig42", "torque", marks=pytest.mark.exhaustive),
     ],
 )
 def test_path_is_tracked_with_three_wheels(robot, mode):
@@ -204,7 +204,7 @@ def lose_two(course, pair, order, twist):
 
 
 @pytest.mark.parametrize(
-    "loss", representative(pairs("mecanum6", "mecanum8"), every=32), ids=loss_id
+    "loss", representative(pairs("mecanum6", "mecanum8"), every=64), ids=loss_id
 )
 def test_six_and_eight_wheels_drive_on_without_any_two(loss):
     robot, pair, order = loss
@@ -306,7 +306,7 @@ def test_after_a_repair_and_a_reset_all_wheels_drive_again():
 
 
 @pytest.mark.parametrize("mode", MODES)
-@pytest.mark.parametrize("robot", ["omniman", "ig42", "omni3"])
+@pytest.mark.parametrize("robot", ["omniman", exhaustive("ig42"), "omni3"])
 def test_stuck_wheel_stops_the_robot_soon_even_under_drive_on(robot, mode):
     course = Course(robot, ON | {"drive.mode": mode})
     course.go(FORWARD, 1.5)

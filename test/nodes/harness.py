@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from functools import partial
 from typing import Any, TypeVar
+from weakref import WeakKeyDictionary
 
 import rclpy
 from rclpy.event_handler import EventHandler, SubscriptionEventCallbacks
@@ -90,8 +91,19 @@ def _has_other_entities(node: Node) -> bool:
     return (
         any(True for _ in itertools.chain(node.guards, node.clients))
         or not all(isinstance(waitable, EventHandler) for waitable in node.waitables)
-        or any(inspect.iscoroutinefunction(service.callback) for service in node.services)
+        or any(map(_is_asynchronous, node.services))
     )
+
+
+def _is_asynchronous(service: Service) -> bool:
+    """Return whether a service's callback is a coroutine, which takes long to find out."""
+    known = _asynchronous.get(service)
+    if known is None:
+        known = _asynchronous[service] = inspect.iscoroutinefunction(service.callback)
+    return known
+
+
+_asynchronous: WeakKeyDictionary[Service, bool] = WeakKeyDictionary()
 
 
 def _ready_callbacks(node: Node) -> Iterator[Callable[[], None]]:

@@ -45,7 +45,7 @@ from omniman_ros.planning.obstacles.walls import Walls
 from omniman_ros.planning.planner import Planner
 from test.nodes.harness import PERIOD, World, last
 from test.nodes.rig import reference, twist
-from test.tiers import representative
+from test.tiers import exhaustive, representative
 
 NAN, INF = math.nan, math.inf
 FAR = (2.0, 0.0, 0.0)
@@ -370,7 +370,7 @@ def robot():
 NUMBERS = ("solve_ms", "slack_m", "cost_j", "energy_j", "distance_m", "angle_rad")
 
 
-@pytest.mark.parametrize("output", ["reference", "voltages"])
+@pytest.mark.parametrize("output", ["reference", exhaustive("voltages")])
 def test_robot_reaches_its_goal(output):
     with PlannerWithRealController(parameters={"output": output}) as world:
         plans = world.listen(Path, "mpc/plan")
@@ -437,7 +437,7 @@ def assert_volts(world: PlannerWithRealController, volts: list[tuple[float, Join
     ("child", "given", "velocity"),
     [
         ("base_link", (0.3, 0.0, 0.0), (0.287, 0.089, 0.0)),
-        ("odom", (0.3, 0.1, 0.0), (0.3, 0.1, 0.0)),
+        exhaustive("odom", (0.3, 0.1, 0.0), (0.3, 0.1, 0.0)),
     ],
 )
 def test_goal_with_a_velocity_is_passed_at_that_velocity(child, given, velocity):
@@ -992,6 +992,7 @@ def test_robot_is_blocked_until_there_is_a_way(alone):
     assert alone.distance(*FAR) < 0.03
 
 
+@pytest.mark.exhaustive
 def test_obstacle_from_the_side_is_not_touched(alone):
     alone.seen = True
     alone.obstacles_present = [TrueObstacle(1.2, 1.6, velocity=(0.0, -0.6))]
@@ -1002,6 +1003,7 @@ def test_obstacle_from_the_side_is_not_touched(alone):
     assert alone.distance(*FAR) < 0.03
 
 
+@pytest.mark.exhaustive
 def test_approaching_obstacle_is_evaded(alone):
     alone.seen = True
     alone.obstacles_present = [TrueObstacle(1.3, 0.15)]

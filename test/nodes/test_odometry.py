@@ -20,6 +20,7 @@ from omniman_ros.nodes.stop_interface import LATCHED
 from test.nodes.bad_wheel_states import CASES, bad_wheel_states
 from test.nodes.harness import PERIOD, World, last
 from test.nodes.rig import twist
+from test.tiers import exhaustive
 
 SPEEDS = np.array([2.0, 3.0, 1.0, 4.0])
 
@@ -81,7 +82,7 @@ def instant(message):
 APART = ["--ros-args", "-r", "odom:=apart/odom", "-r", "coupling_error:=apart/coupling_error"]
 
 
-@pytest.mark.parametrize("dead", ["", "rear_left"])
+@pytest.mark.parametrize("dead", [exhaustive(""), "rear_left"])
 def test_odometry_of_a_simulated_drive_is_that_of_the_controller(dead):
     parameters = {"odom_rate": 200.0, "monitor_rate": 200.0}
     if dead:

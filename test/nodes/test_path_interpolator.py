@@ -33,7 +33,7 @@ from omniman_ros.nodes.simulated_drive import SimulatedDriveNode
 from omniman_ros.nodes.stop_interface import LATCHED
 from test.nodes.harness import PERIOD, World, last
 from test.nodes.rig import twist
-from test.tiers import representative
+from test.tiers import exhaustive, representative
 
 Poses = Sequence[Sequence[float]]
 
@@ -336,7 +336,7 @@ EVENTS: dict[str, list[Any]] = {
 }
 
 
-@pytest.mark.parametrize("events", representative(EVENTS.values(), every=4), ids=EVENTS)
+@pytest.mark.parametrize("events", representative(EVENTS.values(), every=8), ids=EVENTS)
 def test_the_stream_stays_smooth_and_ends_where_the_last_path_ends(world, events):
     goal = None
     for event in events:
@@ -360,7 +360,8 @@ def test_the_stream_stays_smooth_and_ends_where_the_last_path_ends(world, events
 
 
 @pytest.mark.parametrize(
-    ("before", "wait"), [("", 0.0), ("pause", 0.0), ("pause", 0.1), ("pause", 1.2)]
+    ("before", "wait"),
+    [("", 0.0), exhaustive("pause", 0.0), ("pause", 0.1), exhaustive("pause", 1.2)],
 )
 def test_a_cancel_stops_on_the_path_and_discards_it(world, before, wait):
     world.send(BENT)
@@ -405,6 +406,7 @@ def test_many_paths_in_quick_succession_end_at_the_last_one(world):
     assert world.warnings == []
 
 
+@pytest.mark.exhaustive
 def test_a_long_pause_holds_the_position(world):
     world.send(BENT)
     world.run(0.8)
@@ -732,7 +734,7 @@ LOSSES_OF_CONTROL = {
 }
 
 
-@pytest.mark.parametrize("paused", [False, True], ids=["moving", "paused"])
+@pytest.mark.parametrize("paused", [False, exhaustive(True)], ids=["moving", "paused"])
 @pytest.mark.parametrize(("loss", "why"), LOSSES_OF_CONTROL.values(), ids=LOSSES_OF_CONTROL)
 def test_lost_control_is_not_taken_back(world, loss, why, paused):
     world.send(BENT)
@@ -871,6 +873,7 @@ def speeds(v: np.ndarray) -> np.ndarray:
     return np.hypot(v[:, 0], v[:, 1])
 
 
+@pytest.mark.exhaustive
 def test_a_path_with_a_dead_wheel_is_slowed_and_driven_to_its_end():
     with RealControllerWorld({"drive.dead_wheel": "drive_on"}) as world:
         truths: list[tuple[float, np.ndarray]] = []
@@ -931,6 +934,7 @@ def test_malformed_limits_cause_a_warning_and_change_nothing(world):
     assert speeds(v).max() > 0.45
 
 
+@pytest.mark.exhaustive
 def test_restored_limits_apply_from_the_next_path(world):
     health = WheelHealthPublisher(world)
     health.publish_limits("0.4")
@@ -947,6 +951,7 @@ def test_restored_limits_apply_from_the_next_path(world):
     assert speeds(world.assert_smooth(since)[2]).max() == pytest.approx(0.5, abs=1e-6)
 
 
+@pytest.mark.exhaustive
 def test_a_path_can_be_paused_and_cancelled_while_slowing(world):
     health = WheelHealthPublisher(world)
     world.send(LONG)
@@ -1048,7 +1053,9 @@ def test_planning_from_rest_may_take_longer_than_a_preview(world):
     assert x[-1] == pytest.approx(BENT[-1], abs=1e-9)
 
 
-@pytest.mark.parametrize(("seconds", "good"), [(0.05, True), (0.1, True), (0.3, False)])
+@pytest.mark.parametrize(
+    ("seconds", "good"), [exhaustive(0.05, True), exhaustive(0.1, True), (0.3, False)]
+)
 def test_slow_planning_during_motion_never_causes_a_jump(world, seconds, good):
     world.send(BENT)
     world.run(0.5)

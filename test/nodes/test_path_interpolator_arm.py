@@ -20,6 +20,7 @@ from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.nodes.stop_interface import ALL_LATCHED
 from test.nodes.harness import PERIOD
 from test.nodes.test_path_interpolator import BENT, FakeControllerWorld
+from test.tiers import exhaustive, representative
 
 NAN = math.nan
 HOME = np.array([0.3, -1.2, 1.4, -0.5, 0.2, 0.1])
@@ -240,7 +241,7 @@ def test_an_infeasible_trajectory_is_refused_by_name_and_nothing_moves(world):
     assert status.level == DiagnosticStatus.WARN and "a trajectory was refused" in status.message
 
 
-@pytest.mark.parametrize("after", [0.1, 0.45, 0.8])
+@pytest.mark.parametrize("after", [exhaustive(0.1), 0.45, exhaustive(0.8)])
 @pytest.mark.parametrize("times", [None, [2.5]])
 def test_a_new_trajectory_replaces_an_active_one_without_a_jump(world, times, after):
     world.move(FAR)
@@ -430,6 +431,7 @@ def test_speed_scaling_slows_platform_and_arm_together(world):
     assert world.warnings == []
 
 
+@pytest.mark.exhaustive
 def test_a_speed_scaling_of_zero_holds_both_until_the_scaling_rises(world):
     world.scaling = 1.0
     world.send(LONG)
@@ -471,7 +473,7 @@ def test_a_pause_at_zero_scaling_lasts_until_resumed_and_a_cancel_ends_at_once(w
     world.assert_arm_smooth()
 
 
-@pytest.mark.parametrize("value", [NAN, math.inf, -0.2, 1.2])
+@pytest.mark.parametrize("value", representative([NAN, math.inf, -0.2, 1.2], every=3))
 def test_an_invalid_speed_scaling_is_ignored_with_a_warning(world, value):
     world.send(BENT)
     world.run(0.5)

@@ -26,6 +26,7 @@ READY = np.array([0.0, -1.9, 2.0, -1.7, -1.57, 0.0])
 MODEL = WholeBodyModel(Mount())
 START = MODEL.forward(np.concatenate([np.zeros(3), READY]))
 CORNERS = [(0.0, 0.0, 0.0), (0.8, 0.0, 0.0), (1.2, 0.5, 0.05)]
+SHORT = [(0.0, 0.0, 0.0), (0.3, 0.0, 0.0)]
 
 
 def tool_path(offsets: Any, frame: str = "odom", orientation: bool = True) -> Path:
@@ -151,6 +152,7 @@ def test_the_arm_compensates_the_platform_error(world):
     assert np.sqrt(np.mean(errors**2)) < 5e-4 and errors.max() < 2e-3
 
 
+@pytest.mark.exhaustive
 def test_the_platform_error_remains_without_correction():
     with ToolWorld({"tool_path.correction": False}) as world:
         world.send_tool(CORNERS)
@@ -194,6 +196,7 @@ def test_a_motion_that_is_given_up_keeps_the_correction(world):
     assert stop.end_speed == 0.0
 
 
+@pytest.mark.exhaustive
 def test_a_persistent_large_error_does_not_hold_the_motion_forever(world):
     world.send_tool(CORNERS)
     world.run_to_motion_start()
@@ -277,7 +280,7 @@ def test_a_heading_that_wraps_during_planning_is_not_a_motion(world):
 
 
 def test_poses_without_orientation_keep_that_of_the_tool(world):
-    world.send_tool(CORNERS, orientation=False)
+    world.send_tool(SHORT, orientation=False)
     world.run_to_motion_start()
     world.run_to_motion_end()
     q = world.tool_references[-1].pose.orientation
@@ -344,7 +347,7 @@ def test_a_cancel_also_ends_planning(world):
 
 
 def test_other_motions_are_refused_during_a_tool_path(world):
-    world.send_tool(CORNERS)
+    world.send_tool(SHORT)
     world.run_to_motion_start()
     world.run(1.0)
     world.send(BENT)
@@ -408,7 +411,7 @@ def test_the_diagnostics_report_the_latest_event(world):
 
 
 def test_a_single_platform_outlier_does_not_disturb_the_arm(world):
-    world.send_tool(CORNERS)
+    world.send_tool(CORNERS[:2])
     world.run_to_motion_start()
     world.run(2.0)
     count, world.platform_error = len(world.joint_previews), lambda time: np.array([0.1, 0.0, 0.0])

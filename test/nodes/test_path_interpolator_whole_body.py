@@ -124,6 +124,7 @@ def test_a_heading_is_relative_to_the_nearest_turn(world):
     assert took < 4.0
 
 
+@pytest.mark.exhaustive
 def test_a_heading_may_turn_more_than_once(world):
     world.send_body([[3.0], [7.0]], names=["odom_t"])
     world.run_to_body_end(30.0)

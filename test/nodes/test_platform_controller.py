@@ -25,6 +25,7 @@ from omniman_ros.nodes.stop_interface import LATCHED
 from test.nodes.bad_wheel_states import CASES, INF, NAN, bad_wheel_states
 from test.nodes.harness import PERIOD, World, last
 from test.nodes.rig import Rig, reference, twist
+from test.tiers import exhaustive
 
 STOP_TIME = 1.2  # 0.5 m/s at 1.2 m/s^2 and 0.6 rad/s at 2 rad/s^2, plus a margin
 
@@ -225,7 +226,9 @@ WAYS = [
 
 
 @pytest.mark.parametrize("way", WAYS, ids=lambda way: way.__name__)
-@pytest.mark.parametrize("direction", [(0.5, 0.0, 0.0), (-0.2, 0.4, -0.6)], ids=["x", "mixed"])
+@pytest.mark.parametrize(
+    "direction", [exhaustive((0.5, 0.0, 0.0)), (-0.2, 0.4, -0.6)], ids=["x", "mixed"]
+)
 def test_every_cause_of_a_stop_ramps_every_wheel_to_zero(rig, way, direction):
     rig.drive(*direction, seconds=1.5)
     assert np.abs(rig.speeds()[-1]).min() > 0.1
@@ -315,7 +318,7 @@ def test_wheel_that_does_not_follow_stops_the_robot(rig):
 # ---- invalid input ----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("bad", [NAN, INF, -INF, 1e308])
+@pytest.mark.parametrize("bad", [NAN, INF, exhaustive(-INF), exhaustive(1e308)])
 @pytest.mark.parametrize("field", ["linear.x", "linear.y", "angular.z", "linear.z", "angular.x"])
 def test_non_finite_cmd_vel_causes_no_motion(rig, field, bad):
     message = Twist()

@@ -158,6 +158,7 @@ def repair(world: Robot) -> None:
     world.go(0.0, 0.0, 0.0, seconds=0.1)
 
 
+@pytest.mark.exhaustive
 def test_six_wheels_lose_three_and_then_stop_until_repair_and_reset():
     with Robot("mecanum6", {"drive.dead_wheel": "drive_on"}) as world:
         health = world.listen(DiagnosticStatus, "wheel_health", LATCHED)

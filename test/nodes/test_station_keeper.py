@@ -21,6 +21,7 @@ from omniman_ros.nodes.station_keeper import StationKeeperNode
 from omniman_ros.nodes.stop_interface import LATCHED
 from test.nodes.harness import PERIOD, World, last
 from test.nodes.rig import twist
+from test.tiers import representative
 
 OFFSET = (0.0, -1.3, 0.0)
 SPEED = 0.3
@@ -205,7 +206,10 @@ def spoiled(world, field):
     return message
 
 
-@pytest.mark.parametrize("fault", ["silent", "frame", "quaternion", "twist", "position", "ahead"])
+@pytest.mark.parametrize(
+    "fault",
+    representative(["silent", "frame", "quaternion", "twist", "position", "ahead"], every=4),
+)
 def test_a_leader_without_usable_odometry_lets_the_robot_brake_until_it_is_back(follower, fault):
     follower.keep().is_led = False
 
@@ -287,6 +291,7 @@ def test_limits_can_be_changed_while_the_robot_keeps_its_station(follower):
 # ---- two robots ---------------------------------------------------------------------------------
 
 
+@pytest.mark.exhaustive
 def test_a_robot_keeps_its_station_beside_another_one_in_motion():
     def robot(number, *kinds):
         space = ["--ros-args", "-r", f"__ns:=/robot{number}"]

@@ -16,6 +16,7 @@ from omniman_ros.ur.reverse_interface import ProgramMode, pack
 from omniman_ros.ur.servo_program import servo_program
 from omniman_ros.ur.streaming_messages import StreamingPhase
 from omniman_ros.ur.streaming_supervisor import StreamingSupervisor
+from test.tiers import representative
 from test.ur.stepped_link import SteppedLink
 
 T0 = 100.0
@@ -90,7 +91,7 @@ GAPS = pytest.mark.parametrize("begin", [3.1, 3.6, 4.1, 4.6])
 
 
 @GAPS
-@pytest.mark.parametrize("missed", [1, 2, 4, 8])
+@pytest.mark.parametrize("missed", representative([1, 2, 4, 8], every=3))
 def test_arm_keeps_its_limits_when_it_catches_up_after_a_gap(missed, begin):
     world = World()
     world.swing(6.0, missed_at=round(begin / CYCLE), missed=missed)

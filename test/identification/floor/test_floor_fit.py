@@ -77,6 +77,7 @@ def test_masses_friction_gear_and_slope_are_found_on_exact_data(drive):
     assert found.robot.arm == OMNIMAN.robot.arm
 
 
+@pytest.mark.exhaustive
 def test_without_voltages_the_motor_constant_is_taken_as_configured(drive):
     blind = replace(drive, voltages=np.full_like(drive.voltages, np.nan))
     found = identify_floor(blind, OMNIMAN.robot)
@@ -84,6 +85,7 @@ def test_without_voltages_the_motor_constant_is_taken_as_configured(drive):
     assert_found(found, TRUE)
 
 
+@pytest.mark.exhaustive
 def test_a_drive_without_braking_does_not_tell_efficiency_from_mass(motion):
     """Where friction exceeds the inertial forces, no motor is ever driven."""
     sticky = {"friction.coulomb": [6.0], "motor.gear_efficiency": 0.7}

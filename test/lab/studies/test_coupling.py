@@ -94,6 +94,7 @@ def test_coupling_control_saves_slip_losses_and_energy_without_noise(drives):
     assert chosen.speed_noise < 1.2 * off.speed_noise
 
 
+@pytest.mark.exhaustive
 def test_path_speed_and_duration_are_equal_for_all_gains(drives, setup):
     for run in drives.values():
         assert run.outcome.duration == pytest.approx(setup.figure.duration, abs=PERIOD)
@@ -101,6 +102,7 @@ def test_path_speed_and_duration_are_equal_for_all_gains(drives, setup):
         np.testing.assert_array_equal(run.time, drives[0.0].time)
 
 
+@pytest.mark.exhaustive
 def test_all_energy_is_accounted_for(drives):
     for run in drives.values():
         outcome = run.outcome
@@ -110,6 +112,7 @@ def test_all_energy_is_accounted_for(drives):
         assert 0.0 < outcome.copper < outcome.losses
 
 
+@pytest.mark.exhaustive
 def test_epsilon_continues_across_movements(drives, setup):
     """The controller resets its own integral at every rest."""
     run = drives[0.0]

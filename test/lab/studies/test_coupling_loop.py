@@ -7,6 +7,7 @@ from omniman_ros.lab.studies.closed_loop import LATENCY, PERIOD
 from omniman_ros.lab.studies.coupling_loop import CouplingLoop
 from omniman_ros.lab.studies.delay import step_response
 from test import robots
+from test.tiers import exhaustive
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.02, 0.1])
@@ -35,7 +36,7 @@ def test_critical_gain_and_delay_margin_are_the_same_boundary():
     assert np.isnan(loop.delay_margin(400.0))
 
 
-@pytest.mark.parametrize("delay", [0.01, 0.05])
+@pytest.mark.parametrize("delay", [exhaustive(0.01), 0.05])
 @pytest.mark.parametrize(("share", "settles"), [(0.9, True), (1.1, False)])
 def test_simulated_wheels_oscillate_where_the_model_says(delay, share, settles):
     values = robots.values("omniman")

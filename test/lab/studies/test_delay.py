@@ -22,6 +22,7 @@ def test_default_gain_settles_with_delayed_commands(robot):
     assert late.overshoot <= 0.02 + 3 * count / EPSILON_STEP
 
 
+@pytest.mark.exhaustive
 def test_overshoot_grows_with_delay_up_to_oscillation():
     robot = robots.values("omniman")
     calm, late, lost = (step_response(robot, k, d) for k, d in ((20, 0.0), (20, 0.05), (40, 0.05)))
@@ -36,6 +37,7 @@ def test_delays_are_whole_ticks():
     assert step_response(robots.values("omniman"), 5.0, 0.012).delay == pytest.approx(2 * PERIOD)
 
 
+@pytest.mark.exhaustive
 def test_floor_damps_a_gain_that_oscillates_on_blocks():
     robot = robots.values("omniman")
     on_blocks, on_floor = (step_response(robot, 30.0, 0.05, lifted) for lifted in (True, False))

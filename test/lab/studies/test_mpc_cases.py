@@ -225,6 +225,7 @@ def test_one_of_the_moving_obstacles_changes_its_velocity_and_only_the_third():
 # ---- equal arrival times ------------------------------------------------------------------------
 
 
+@pytest.mark.exhaustive
 def test_kinematic_controller_arrives_at_the_requested_time():
     start, goal = (0.0, 0.0, 0.0), (0.3, 0.0, 0.0)
     fast = drive_straight(IG42, start, goal, 0.8).drive

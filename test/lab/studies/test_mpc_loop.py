@@ -11,6 +11,7 @@ from omniman_ros.planning.obstacles.separation import box_gap
 from omniman_ros.planning.parameters import PlannerParameters
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 from test import robots
+from test.tiers import exhaustive
 
 GOAL = np.array([1.2, 0.4, 0.3])
 
@@ -25,7 +26,7 @@ def a_loop(name="ig42", **kwargs):
     )
 
 
-@pytest.mark.parametrize("voltages", [False, True])
+@pytest.mark.parametrize("voltages", [exhaustive(False), True])
 def test_slipping_plant_reaches_the_goal_past_an_obstacle(voltages):
     beside = MovingObstacle((0.2, 0.15), lambda t: np.array([0.75, -0.35 + 0.01 * t]), 0.4)
     loop = a_loop(voltages=voltages, obstacles=[beside], start=(0.0, 0.1, 0.0))

@@ -141,6 +141,7 @@ def test_avoidable_contact_is_the_fault_of_the_robot():
     assert outcome.failed
 
 
+@pytest.mark.exhaustive
 def test_unavoidable_contact_is_not_the_fault_of_the_robot(monkeypatch):
     # A search among such large obstacles takes half a minute and is not tested here.
     monkeypatch.setattr("omniman_ros.lab.studies.scenes.find_path", lambda *_: None)

@@ -27,6 +27,7 @@ from omniman_ros.motion.whole_body.model import Mount, WholeBodyModel
 from omniman_ros.motion.whole_body.parameters import ToolPathOptions
 from omniman_ros.motion.whole_body.tool_planner import ToolPlanner
 from omniman_ros.robots import load_robot
+from test.tiers import exhaustive
 
 MODEL = WholeBodyModel(Mount())
 LENGTH = 0.4
@@ -80,6 +81,7 @@ def test_course_begins_at_the_tool_and_has_the_given_length(name):
     assert np.allclose(turned, np.eye(3))
 
 
+@pytest.mark.exhaustive
 def test_correction_removes_most_of_the_error_of_the_platform():
     with_it, without = harsh(True), harsh(False)
     assert rms(without.error) > 0.0025
@@ -122,7 +124,7 @@ def test_timed_point_counts_and_not_the_nearest():
     assert rms(late.error) > 2e-3
 
 
-@pytest.mark.parametrize("period", [0.01, 0.04])
+@pytest.mark.parametrize("period", [exhaustive(0.01), 0.04])
 def test_previews_come_with_the_poses_and_no_more_often_than_asked(period):
     motion = planned("S")
     arm = Arm(motion.curve.positions[0, 3:])

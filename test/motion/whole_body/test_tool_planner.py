@@ -26,6 +26,7 @@ from test.motion.whole_body.tool_support import (
     turn,
     waves,
 )
+from test.tiers import representative
 
 PATHS = {
     "straight": line(),
@@ -234,7 +235,7 @@ def test_invalid_input_is_refused():
         few.plan(poses, START)
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", representative(range(20), every=3))
 def test_random_paths_are_planned_correctly_or_refused(seed):
     rng = np.random.default_rng(seed)
     turns = rng.normal(size=(3, 6)) * [[1.0], [0.8], [0.8]]

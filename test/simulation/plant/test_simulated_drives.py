@@ -9,6 +9,7 @@ from omniman_ros.core.errors import InputError, ParameterError
 from omniman_ros.simulation.plant.drive_unit import DriveUnitMode
 from omniman_ros.simulation.plant.simulated_drives import SimulatedDrives
 from test.simulation.plant.support import parameters, robot
+from test.tiers import representative
 
 ROBOTS = ["ig42", "omniman", "omni3", "mecanum6", "mecanum8", "skewed4"]
 
@@ -605,7 +606,7 @@ def test_masses_can_change_in_motion_and_a_tipping_robot_is_rejected():
     assert abs(rig.drives.energy.residual) < 1e-9 * rig.drives.energy.turnover
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", representative(ROBOTS, every=3))
 def test_energy_balances_with_the_firmware_loops(name):
     rig = Rig(name, faults__current_noise=0.05)
     rng = np.random.default_rng(2)
