@@ -7,6 +7,7 @@
 
 import gc
 import os
+import signal
 from pathlib import Path
 
 import pytest
@@ -27,6 +28,11 @@ settings.register_profile(
 settings.load_profile("seeded")
 
 END_TO_END = f"{Path(__file__).parent}/end_to_end/"
+
+# A shell without job control starts background jobs with SIGINT ignored, and what the tests start
+# would inherit that: none would hear the Ctrl-C that a test sends.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # Each worker has domains of its own; those of test/nodes/harness.py lie in between.
 WORKER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
