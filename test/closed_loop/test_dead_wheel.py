@@ -380,11 +380,12 @@ TROUBLES = ("none", "noise", "ice", "load")
 @pytest.mark.parametrize(
     ("seed", "robot", "mode", "trouble"),
     [
-        (
+        pytest.param(
             k,
             ("omniman", "ig42", "omni3", "mecanum6", "mecanum8")[k % 5],
             MODES[k % 3],
             TROUBLES[k % 4],
+            marks=[pytest.mark.exhaustive] if k > 3 else [],
         )
         for k in range(8)
     ],

@@ -896,7 +896,7 @@ def test_pause_keeps_the_goal_and_resume_continues(alone):
     assert alone.distance(1.0, 0.0, 0.0) < 0.03 and alone.warnings == []
 
 
-@pytest.mark.parametrize("wait", [0.0, 0.2])
+@pytest.mark.parametrize("wait", [exhaustive(0.0), 0.2])
 def test_resume_while_braking_continues_without_a_jump(alone, wait):
     alone.send(1.0, 0.0, 0.0)
     alone.run(0.8)
@@ -978,6 +978,7 @@ def test_obstacle_that_appears_in_front_is_not_touched(robot):
     assert robot.core.active, "the goal stays"
 
 
+@pytest.mark.exhaustive
 def test_robot_is_blocked_until_there_is_a_way(alone):
     alone.obstacles_present, alone.seen = across(1.4), True
     alone.send(*FAR)
@@ -1316,6 +1317,7 @@ def test_limits_and_weights_can_change_at_run_time(alone):
     assert 0.1 < fastest(alone) < 0.8 * usual
 
 
+@pytest.mark.exhaustive
 def test_clearance_can_change_at_run_time(alone):
     alone.obstacles_present, alone.seen = [TrueObstacle(1.2, -0.6)], True
     alone.send(2.4, 0.0, 0.0)

@@ -394,6 +394,7 @@ def test_requests_without_a_path_are_refused_with_a_reason(world):
     assert not world.call_service("pause").success
 
 
+@pytest.mark.exhaustive
 def test_many_paths_in_quick_succession_end_at_the_last_one(world):
     world.send(BENT)
     world.run(0.5)
@@ -426,6 +427,7 @@ def test_a_long_pause_holds_the_position(world):
     assert x[-1] == pytest.approx(BENT[-1], abs=1e-9)
 
 
+@pytest.mark.exhaustive
 def test_headings_along_the_path_ignore_the_quaternions():
     with FakeControllerWorld({"path.heading": "along", "path.corner_tolerance": 0.02}) as world:
         message = path([(0, 0, 0), (0.8, 0, 0), (0.8, 0.8, 0)])

@@ -294,6 +294,7 @@ def test_pause_resume_and_cancel_act_on_both_platform_and_arm(world):
     assert not world.call_service("resume").success
 
 
+@pytest.mark.exhaustive
 def test_progress_is_that_of_the_motion_with_the_most_left(world):
     world.send(BENT)
     world.move(FAR, [6.0])

@@ -14,6 +14,7 @@ from omniman_ros.motion.path.parameters import TICK
 from test.nodes.harness import PERIOD
 from test.nodes.test_path_interpolator import BENT
 from test.nodes.test_path_interpolator_arm import FAR, HOME, ArmWorld, trajectory
+from test.tiers import exhaustive
 
 BODY = ("odom_x", "odom_y", "odom_t", *UR_JOINTS)
 START = np.concatenate([np.zeros(3), HOME])
@@ -107,7 +108,11 @@ def test_given_times_are_kept_by_all_axes(world):
 
 @pytest.mark.parametrize(
     ("names", "goal"),
-    [(["odom_x"], [0.4]), (["odom_t", "elbow_joint"], [0.7, 1.0]), (["odom_y"], [-0.2])],
+    [
+        exhaustive(["odom_x"], [0.4]),
+        (["odom_t", "elbow_joint"], [0.7, 1.0]),
+        exhaustive(["odom_y"], [-0.2]),
+    ],
 )
 def test_omitted_axes_keep_their_position(world, names, goal):
     world.send_body([goal], names=names)
@@ -221,7 +226,7 @@ def test_the_platform_brakes_when_the_arm_falls_silent(world):
     assert any("no arm/joint_states" in text for text in world.warnings)
 
 
-@pytest.mark.parametrize("scaling", [0.25, 0.5])
+@pytest.mark.parametrize("scaling", [0.25, exhaustive(0.5)])
 def test_a_slowed_motion_that_is_given_up_does_not_speed_up(world, scaling):
     world.scaling = scaling
     world.run(0.2)

@@ -80,7 +80,9 @@ def test_robots_of_any_number_of_wheels_reach_the_goal():
     assert sim.planner.state is PlannerState.ARRIVED
 
 
-@pytest.mark.parametrize(("speed", "angle"), [(0.2, 0.5), (0.5, -0.6), (0.7, 0.0)])
+@pytest.mark.parametrize(
+    ("speed", "angle"), [exhaustive(0.2, 0.5), (0.5, -0.6), exhaustive(0.7, 0.0)]
+)
 def test_pose_is_passed_at_its_velocity(speed, angle):
     sim = SimulatedRun(planner())
     velocity = speed * np.array([math.cos(angle), math.sin(angle), 0.0])
@@ -258,7 +260,9 @@ def test_standing_obstacles_are_passed_without_contact(row):
     assert sim.gaps(known).min() > 0.02
 
 
-@pytest.mark.parametrize(("speed", "meets"), [(2.0, 1.8), (4.0, 2.0), (8.0, 2.3)])
+@pytest.mark.parametrize(
+    ("speed", "meets"), [exhaustive(2.0, 1.8), exhaustive(4.0, 2.0), (8.0, 2.3)]
+)
 def test_small_fast_obstacle_between_two_steps_is_avoided(speed, meets):
     # The obstacle crosses the way of the robot when the robot would be there.
     known = ellipses((1.5, -speed * meets, 0.05), time=100.0, velocities=[(0.0, speed)])
@@ -274,7 +278,7 @@ def test_small_fast_obstacle_between_two_steps_is_avoided(speed, meets):
     assert free.gaps(known).min() == 0.0
 
 
-@pytest.mark.parametrize("x", [1.9, 2.2])
+@pytest.mark.parametrize("x", [1.9, exhaustive(2.2)])
 def test_obstacle_that_appears_ahead_is_not_touched(x):
     known, nothing = ellipses((x, 0.05, 0.3)), ellipses()
     sim = SimulatedRun(planner(), seen=lambda now: known if now > 101.5 else nothing)
@@ -571,6 +575,7 @@ def test_settings_can_change_while_driving():
     assert_smooth(sim)
 
 
+@pytest.mark.exhaustive
 def test_clearance_can_change_while_driving():
     closest = []
     for clearance in (0.05, 0.3):
@@ -688,6 +693,7 @@ def wall_gap(sim, grid):
     return float(walls.gaps(np.array(sim.poses)[few], sim.planner.model.half).min())
 
 
+@pytest.mark.exhaustive
 def test_robot_leaves_a_trap_and_reaches_the_goal_behind_the_trap():
     sides = [(x, s * 0.8, 0.12) for s in (-1, 1) for x in np.arange(0.0, 1.5, 0.2)]
     trap = ellipses(*sides, *[(1.5, y, 0.12) for y in np.arange(-0.8, 0.9, 0.2)])
@@ -719,6 +725,7 @@ def test_rooms_are_crossed_through_their_doors_without_touching_a_wall():
     assert_smooth(sim)
 
 
+@pytest.mark.exhaustive
 def test_walls_that_appear_while_driving_stop_the_robot_until_removed():
     shut = floor_plan((1.6, -1.5, 1.7, 1.5))
     sim = SimulatedRun(planner())
@@ -740,6 +747,7 @@ def test_walls_that_appear_while_driving_stop_the_robot_until_removed():
     assert_smooth(sim)
 
 
+@pytest.mark.exhaustive
 def test_state_goal_behind_a_wall_is_passed():
     grid = floor_plan((1.2, -1.5, 1.3, 0.6))
     goal = StateGoal(np.array([2.6, -0.5, 0.0]), np.array([0.4, 0.0, 0.0]))

@@ -176,6 +176,7 @@ def test_a_record_is_fitted_again_and_its_result_written(tmp_path, drive, capsys
     assert centre_of_mass(loaded)[0] == pytest.approx(centre_of_mass(TRUE)[0], rel=0.01)
 
 
+@pytest.mark.exhaustive
 def test_a_result_that_is_worse_on_the_check_is_not_written(tmp_path, drive, capsys):
     check = random_excitation(OMNIMAN.robot, OMNIMAN.limits, 0.35, 20.0, 5)
     record = FloorRecord(OMNIMAN.robot, drive, prescribed_drive(OMNIMAN.robot, check))

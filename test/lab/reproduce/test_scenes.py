@@ -130,6 +130,7 @@ def test_measured_solve_time_is_rounded_up_to_the_tick_of_the_plant(loop_in, mon
     assert late == pytest.approx(3 * PERIOD, abs=1e-9)
 
 
+@pytest.mark.exhaustive
 def test_solutions_after_the_deadline_are_discarded(loop_in):
     drive = loop_in(made(), solve_time=DEADLINE + 0.005).run(1.0)
     assert drive.late == len(drive.answers) > 10

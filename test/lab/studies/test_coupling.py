@@ -153,6 +153,7 @@ def test_late_commands_do_not_cost_accuracy_on_a_floor_that_grips(setup, drives)
     assert late.epsilon_max < 0.2 * AIM * drives[0.0].outcome.epsilon_max
 
 
+@pytest.mark.exhaustive
 def test_unfinished_drive_has_no_figures(setup):
     stuck = Setup({**setup.robot, "faults.stuck_wheel": ("front_left",)}, setup.figure)
     with pytest.raises(StudyError, match="group PI, sample 5, k = 2: path cancelled"):

@@ -10,7 +10,7 @@ from omniman_ros.planning.route.problem import RouteProblem
 from omniman_ros.planning.route.route import Clearance
 from omniman_ros.planning.route.search import RouteSearch
 from test.planning.support import ellipses
-from test.tiers import representative
+from test.tiers import exhaustive, representative
 
 HALF = np.array([0.4, 0.25])
 RADIUS = math.hypot(0.4, 0.25)
@@ -193,7 +193,7 @@ def test_finer_lattice_finds_a_route_that_the_coarse_lattice_misses():
     assert find(start, goal, known, workspace=edge, headings=72).length < 4.5
 
 
-@pytest.mark.parametrize("width", [0.46, 0.52])
+@pytest.mark.parametrize("width", [exhaustive(0.46), 0.52])
 def test_door_that_is_too_narrow_is_not_passed(width):
     edge = (-2.5, -1.8, 2.5, 1.8)
     assert searched((0, -1.2, 0), (0, 1.2, 0), door(width, 0.0), workspace=edge).failed
@@ -230,6 +230,7 @@ def test_enclosed_goal_or_start_has_no_route(inside):
     assert search.reason == "there is no way"
 
 
+@pytest.mark.exhaustive
 def test_route_does_not_turn_where_there_is_no_room():
     rows = wall((-3, 0.45), (4, 0.45)) + wall((-3, -0.45), (4, -0.45))
     ends = wall((-3, -0.45), (-3, 0.45)) + wall((4, -0.45), (4, 0.45))
@@ -334,7 +335,7 @@ def labyrinth(count, seed=3):
     return cells
 
 
-@pytest.mark.parametrize("origin", [(0, 0, 0), (-3, 2, 0.4)])
+@pytest.mark.parametrize("origin", [exhaustive((0, 0, 0)), (-3, 2, 0.4)])
 def test_route_leads_through_a_labyrinth(origin):
     grid = GridMap(labyrinth(8), 0.05, np.array(origin, float))
     c, s = math.cos(origin[2]), math.sin(origin[2])

@@ -9,6 +9,7 @@ from omniman_ros.simulation.world.model.wheels import roller_half_length
 from omniman_ros.simulation.world.scene import Load, Scene
 from test import robots
 from test.simulation.world.support import Bench, ideal, rollers
+from test.tiers import exhaustive
 
 GRAVITY = 9.81
 AHEAD, LEFT, TURN = (0.3, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.0, 0.5)
@@ -64,7 +65,7 @@ def steady(bench, twist):
     return bench.drives.electrical()[:, 2].sum() - before, moved
 
 
-@pytest.mark.parametrize("twist", [AHEAD, LEFT, TURN], ids=["ahead", "left", "turn"])
+@pytest.mark.parametrize("twist", [exhaustive(AHEAD), LEFT, TURN], ids=["ahead", "left", "turn"])
 @pytest.mark.parametrize("name", ["omniman", "ig42", "omni3"])
 def test_ideal_wheels_draw_the_power_of_the_plant_at_its_speed(name, twist):
     power, moved = steady(ideal(name), twist)
@@ -75,7 +76,7 @@ def test_ideal_wheels_draw_the_power_of_the_plant_at_its_speed(name, twist):
     assert moved[axis] == pytest.approx(plant_moved[axis], rel=0.01)
 
 
-@pytest.mark.parametrize("twist", [AHEAD, LEFT, TURN], ids=["ahead", "left", "turn"])
+@pytest.mark.parametrize("twist", [exhaustive(AHEAD), LEFT, TURN], ids=["ahead", "left", "turn"])
 @pytest.mark.parametrize("name", robots.ALL)
 def test_wheels_of_any_mounting_move_the_platform_as_they_roll(name, twist):
     bench = rollers(name)

@@ -451,6 +451,7 @@ def test_the_planner_accepts_successive_dragged_goals(robot):
     assert planner.core.goal.pose[:2] == pytest.approx([0.5, 0.5])
 
 
+@pytest.mark.exhaustive
 def test_a_case_loaded_during_a_drive_is_driven(robot):
     planner, _, plant, viewer = robot.nodes
     case = scaled_case("free")
