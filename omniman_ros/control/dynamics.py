@@ -105,15 +105,48 @@ class PlatformDynamics:
             twist_rate: Derivative (3,) of its components in base_link, CCTA (20)
                 [m/s^2, m/s^2, rad/s^2].
         """
-        vx, vy, w = twist.tolist()
-        inertial = twist_rate + np.array([-w * vy, w * vx, 0.0])
-        force = self.mass_matrix @ inertial - (w * w) * self._moment
+        force = self.body_wrench(twist, twist_rate)
         pinv = self._kinematics.J_pinv
         wheel_torque = self._inertia * (self._kinematics.J @ twist_rate)
         if self._kinematics.idle:
             wheel_torque = self._carry @ wheel_torque
         torque: Array = pinv.T @ force + wheel_torque
         return torque
+
+    def body_wrench(self, twist: Array, twist_rate: Array) -> Array:
+        """Return the wrench (3,) in base_link that moves platform and arm [N, N, N m].
+
+        Args:
+            twist: Twist x'_R (3,) in base_link [m/s, m/s, rad/s].
+            twist_rate: Derivative (3,) of its components in base_link, CCTA (20)
+                [m/s^2, m/s^2, rad/s^2].
+        """
+        vx, vy, w = twist.tolist()
+        inertial = twist_rate + np.array([-w * vy, w * vx, 0.0])
+        wrench: Array = self.mass_matrix @ inertial - (w * w) * self._moment
+        return wrench
+
+    def momentum_map(self) -> Array:
+        """Return the map (3, n) of wheel speeds to the momentum of platform, arm and wheels.
+
+        It is M J+ + J' I, with the wheels' own inertia I [kg m, kg m, kg m^2 per rad].
+        """
+        kinematics = self._kinematics
+        result: Array = self.mass_matrix @ kinematics.J_pinv + kinematics.J.T * self._inertia
+        return result
+
+    def friction_wrenches(self) -> tuple[Array, Array]:
+        """Return the maps to the wrenches in base_link that friction takes, CCTA (23).
+
+        Returns:
+            Map (3, n) of the wheel speeds [rad/s] to the wrench of viscous friction, and map
+            (3, 2 n) of the smoothed signs of the wheels' and of the rollers' speeds to the wrench
+            of dry friction and roller drag [N, N, N m]. Together they are J' times
+            :meth:`friction_torque`.
+        """
+        forward = self._kinematics.J.T
+        drag = forward @ self._drag_torque * self._drag
+        return forward * self._viscous, np.hstack([forward * self._coulomb, drag])
 
     def friction_torque(self, twist: Array, wheel_speeds: Array) -> Array:
         """Return wheel torques M_fric (n,) [N m] that overcome friction, CCTA (23).

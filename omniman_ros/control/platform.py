@@ -7,10 +7,11 @@ Inputs may come at any time (`update_wheels`, `set_*`); the output is computed o
 import numpy as np
 
 from omniman_ros.control.follower import FollowingError, PreviewFollower
+from omniman_ros.control.held_robot import HeldRobotDetector
 from omniman_ros.control.limits import TwistLimiter, ramp_down, ratio
 from omniman_ros.control.odometry import Odometry
 from omniman_ros.control.platform_parameters import PlatformParameters
-from omniman_ros.control.wheel_cascade import DriveMode, WheelCascade, WheelCommand
+from omniman_ros.control.wheel_cascade import REST_SPEED, DriveMode, WheelCascade, WheelCommand
 from omniman_ros.control.wheel_feedback import WheelFeedback
 from omniman_ros.control.wheel_health import (
     WheelHealthMonitor,
@@ -56,6 +57,7 @@ class PlatformController:
         cascade: Kinematics, dynamics, coupling controller and wheel controllers.
         feedback: Last feedback of the wheels.
         wheel_health: Faults of wheels, wheels that do not drive, and the limits that remain.
+        held_robot: External force on the robot, by which a robot that is held is noticed.
         latch: Latch that stops the platform.
         arbiter: Decides which source drives.
         setpoint: Twist (3,) of the last tick in base_link [m/s, m/s, rad/s].
@@ -69,6 +71,9 @@ class PlatformController:
         self.arbiter = Arbiter(_silences(parameters))
         self.cascade = WheelCascade(parameters, dead_wheel_indices(parameters))
         self.wheel_health = WheelHealthMonitor(parameters, self.cascade)
+        self.held_robot = HeldRobotDetector(
+            parameters.held, self.cascade.kinematics, self.cascade.dynamics
+        )
         self.odometry = Odometry(self.cascade.kinematics, parameters.odometry)
         self.feedback = WheelFeedback(
             robot.wheel_count, parameters.odometry.encoder_span, robot.motor.max_speed
@@ -108,6 +113,9 @@ class PlatformController:
     def _adopt_models(self) -> None:
         """Pass on the models of the cascade after they have changed."""
         self.wheel_health.configure(self.parameters, self.cascade)
+        self.held_robot.configure(
+            self.parameters.held, self.cascade.kinematics, self.cascade.dynamics
+        )
         self.odometry.configure(self.cascade.kinematics, self.parameters.odometry)
         self._limiter.limits = self.wheel_health.limits
 
@@ -129,8 +137,8 @@ class PlatformController:
             now: Time of arrival [s]; the timeout runs on the older of the two.
             position: Positions (n,) [rad], or None.
             velocity: Speeds (n,) [rad/s], or None.
-            effort: Torques (n,) [N m], or None. Without them, or if one is not finite, a dead
-                wheel is not found.
+            effort: Torques (n,) [N m], or None. Without them, or if one is not finite, neither a
+                dead wheel nor a held robot is found.
 
         Returns:
             Warning to log, or an empty string.
@@ -142,6 +150,7 @@ class PlatformController:
         time = min(time, now)
         self.wheel_health.update_torques(time, effort)
         step = self.feedback.update(time, now, position, velocity)
+        self.held_robot.update_wheels(time, self.feedback.speeds, effort)
         if step is None:
             return ""
         self.cascade.coupling.add(self.odometry.update(step.moved, step.speeds, step.dt))
@@ -295,6 +304,14 @@ class PlatformController:
     # ---- stops ------------------------------------------------------------------------------
 
     @property
+    def held(self) -> bool:
+        """Whether the robot is held, by its forces or as all its wheels stand despite torques.
+
+        If that has stopped it, it stays so until :meth:`reset`.
+        """
+        return self.held_robot.held or self.wheel_health.all_blocked
+
+    @property
     def at_rest(self) -> bool:
         """Whether the setpoint of the wheels is zero."""
         return not self.setpoint.any()
@@ -321,6 +338,7 @@ class PlatformController:
         self.latch.reset(at_rest=self.at_rest and not rotating, fault=self.fault(now))
         self.arbiter.cancel_all("reset")
         self.wheel_health.reset()
+        self.held_robot.reset()
         self._adopt_idle_wheels()
 
     def set_pose(self, pose: tuple[float, float, float], covariance: Array | None = None) -> None:
@@ -356,9 +374,30 @@ class PlatformController:
         wheel_fault = self.wheel_health.check(self.cascade, self.feedback, driven, now, dt)
         if wheel_fault and self.latch.released:
             self.latch.stop(wheel_fault)
+        held = self._check_held(dt)
+        if held and self.latch.released:
+            self.latch.stop(held)
         self._adopt_idle_wheels()
         if not self.latch.released:
             self.arbiter.cancel_all(self.latch.status.reason)
+
+    def _check_held(self, dt: float) -> str:
+        """Return why a robot that is to move counts as held, if that stops it; else empty."""
+        by_voltage = self.arbiter.active is Source.MPC and self._volts is not None
+        driven = self.arbiter.active is not None
+        if not (driven and (by_voltage or self._is_demanding_motion)):
+            self.held_robot.clear()
+            return ""
+        held = self.held_robot.check(dt)
+        if not held or not self.parameters.held.stop:
+            return ""
+        notice = self.wheel_health.rest_notice(self.cascade.reference, self.feedback.speeds)
+        return f"{held}; {notice}"
+
+    @property
+    def _is_demanding_motion(self) -> bool:
+        """Whether the last command demanded a speed of a wheel."""
+        return bool(max(map(abs, self.cascade.reference.tolist())) > REST_SPEED)
 
     def _adopt_idle_wheels(self) -> None:
         """Update the models if wheels have become idle, or are driven again."""

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from omniman_ros.control.coupling_controller import CouplingParameters
 from omniman_ros.control.dead_wheel import WheelHealthParameters
+from omniman_ros.control.held_robot import HeldRobotParameters
 from omniman_ros.control.limits import TwistLimits
 from omniman_ros.control.odometry import OdometryParameters
 from omniman_ros.control.position_controller import PositionGains
@@ -115,6 +116,7 @@ class PlatformParameters:
     limits: TwistLimits
     drive: DriveParameters
     health: WheelHealthParameters
+    held: HeldRobotParameters
     position: PositionGains
     coupling: CouplingParameters
     wheel: WheelGains

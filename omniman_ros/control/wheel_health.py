@@ -92,6 +92,7 @@ class WheelHealthMonitor:
         limit_scale: Factor on the velocity and acceleration limits [-]: 1, or less if wheels are
             idle.
         limits: Limits of the twist: those of the parameters, scaled.
+        all_blocked: Whether all driving wheels were found blocked at once: the robot is held.
         weak: Whether the driving wheels determine the twist weakly, see WEAK_SHARE.
     """
 
@@ -102,6 +103,7 @@ class WheelHealthMonitor:
             cascade.dynamics.torque_limit, parameters.health, cascade.kinematics
         )
         self.dead: tuple[int, ...] = ()
+        self.all_blocked = False
         self._found: tuple[int, ...] = ()
         self._report_time = 0.0
         self.configure(parameters, cascade)
@@ -126,6 +128,7 @@ class WheelHealthMonitor:
     def reset(self) -> None:
         """Count all wheels as healthy again except those that `drive.dead` names."""
         self.dead = self._found = ()
+        self.all_blocked = False
         self.idle = self.idle_wheels(self._parameters)
 
     def idle_wheels(self, parameters: PlatformParameters) -> tuple[int, ...]:
@@ -219,10 +222,32 @@ class WheelHealthMonitor:
             self._report_time = feedback.time
             standing = self._standing(reference, speeds)
             wheel_index = self._blocked.update(standing, health.blocked_time, elapsed)
-            if wheel_index is not None:
-                return f"wheel '{self._names[wheel_index]}' is blocked: torque, but no speed"
+            if wheel_index is not None and standing is not None:
+                return self._blocked_reason(wheel_index, standing)
         dead = self._detector.update(cascade.demanded_torque, reference, error, now, dt)
         return self._exclude(dead, cascade) if dead else ""
+
+    def _blocked_reason(self, wheel: int, standing: Flags) -> str:
+        """Return why the robot must stop for a blocked wheel, or for all of them."""
+        driving = len(self._names) - len(self.idle)
+        self.all_blocked = int(standing.sum()) == driving
+        if self.all_blocked:
+            return "the robot is held: all wheels stand still despite their torques"
+        return f"wheel '{self._names[wheel]}' is blocked: torque, but no speed"
+
+    def rest_notice(self, reference: Array, speeds: Array) -> str:
+        """Return a clause about the wheels that stand still despite their reference speeds.
+
+        Args:
+            reference: Demanded speeds (n,) [rad/s].
+            speeds: Measured speeds (n,) [rad/s].
+        """
+        resting = np.abs(speeds) < REST_SHARE * np.abs(reference)
+        if resting.all():
+            return "all wheels stand still"
+        if not resting.any():
+            return "all wheels turn"
+        return f"{name_list(self._names, np.flatnonzero(resting).tolist())} at rest"
 
     def _standing(self, reference: Array, speeds: Array) -> Flags | None:
         """Return (n,) bool: wheels at rest despite a torque along their reference."""

@@ -101,6 +101,8 @@ class PlatformOutputs:
             ("coupling_error_total_rad", core.odometry.coupling_error.round(4).tolist()),
             ("tracking_error_m_m_rad", core.tracking_error.round(4).tolist()),
             ("wheel_torque", "measured" if monitor.torque_reported else no_torque),
+            ("held", core.held),
+            ("external_force_N_N_Nm", core.held_robot.observer.external.round(1).tolist()),
             *((name, monitor.state(i)) for i, name in enumerate(self._names)),
         ]
         return level, message, values

@@ -335,7 +335,7 @@ def pushing_in_vain(rig, speed):
 
 def test_wheel_with_little_requested_torque_may_stand():
     """A wheel that starts slowly stands against friction and the differences of its neighbours."""
-    rig = driving()
+    rig = driving(changes={"held.stop": False})
     radius = rig.core.parameters.robot.wheels.radius[1]
     pushing_in_vain(rig, 0.4 * radius)
     assert rig.core.latch.released, rig.core.latch.status
@@ -345,7 +345,7 @@ def test_wheel_with_little_requested_torque_may_stand():
 
 def test_late_reports_do_not_make_a_wheel_blocked():
     """The wheel stood when the motion began; its later motion is unknown until reported."""
-    rig = driving()
+    rig = driving(changes={"held.stop": False})
     rig.run(2.0)  # at rest: cmd_vel is stale
     rig.effort = lambda: np.full(4, 40.0)
     ideal = rig.drive

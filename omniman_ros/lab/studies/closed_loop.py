@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from omniman_ros.control.platform import PlatformController
 from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.control.wheel_cascade import DriveMode, WheelCommand
+from omniman_ros.simulation.plant.body import Body
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 from omniman_ros.simulation.plant.simulated_drives import SimulatedDrives, WheelStates
 
@@ -26,6 +27,7 @@ class ClosedLoop:
         simulation: Parameters of the drives.
         late: Number of ticks by which commands to the drives are delayed.
         torques: Whether the drives report torques, by which the controller detects dead wheels.
+        body: What the drives move; None for the plant.
 
     Attributes:
         controller: The controller.
@@ -41,9 +43,10 @@ class ClosedLoop:
         simulation: SimulationParameters,
         late: int = 0,
         torques: bool = True,
+        body: Body | None = None,
     ) -> None:
         self.controller = PlatformController(parameters)
-        self.drives = SimulatedDrives(parameters.robot, simulation)
+        self.drives = SimulatedDrives(parameters.robot, simulation, body=body)
         self.tick = 0
         self._late = late
         self._torques = torques

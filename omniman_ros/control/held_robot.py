@@ -1,0 +1,175 @@
+"""Detection of a robot that is held: it pushes against something, and may not move at all.
+
+Wheels that slip together, or that their drives hold at speed, turn as commanded: neither their
+speeds nor the coupling residual show that the robot stands. Its motors do: they give a force that
+the motion, as the wheels report it, does not explain.
+"""
+
+import math
+from dataclasses import dataclass
+
+from omniman_ros.control.dynamics import PlatformDynamics
+from omniman_ros.control.external_force import ExternalForceObserver
+from omniman_ros.control.kinematics import PlatformKinematics
+from omniman_ros.core import plausible
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.parameters import parameter
+
+MAX_REPORT_GAP = 0.1
+"""Longest time between two reports of torques that the estimate bridges [s]."""
+
+
+@dataclass(frozen=True)
+class HeldRobotParameters:
+    """Thresholds from which a robot counts as held."""
+
+    stop: bool = parameter(
+        True,
+        "Whether a held robot is stopped; else forces are reported, and nothing else is done.",
+    )
+    force: float = parameter(
+        100.0,
+        "Force against the motors that the motion does not explain, from which the robot counts "
+        "as held: above what wrong masses, friction and slopes make of it.",
+        unit="N",
+        low=0.1,
+        high=1e6,
+    )
+    torque: float = parameter(
+        50.0,
+        "Torque about the vertical from which the robot counts as held, like held.force.",
+        unit="N m",
+        low=0.01,
+        high=1e6,
+    )
+    time: float = parameter(
+        0.3,
+        "Time for which a sign that the robot is held must last.",
+        unit="s",
+        low=0.02,
+        high=10,
+    )
+
+
+class Persistence:
+    """Time for which a condition has been true; while it is false, the time runs backwards."""
+
+    def __init__(self) -> None:
+        self._duration = 0.0
+
+    def clear(self) -> None:
+        """Begin anew."""
+        self._duration = 0.0
+
+    def update(self, condition: bool, dt: float) -> float:
+        """Return the time for which the condition has been true, less that since it was [s].
+
+        Args:
+            condition: Whether it is true now.
+            dt: Time since the last call [s].
+        """
+        self._duration = max(0.0, self._duration + (dt if condition else -dt))
+        return self._duration
+
+
+class HeldRobotDetector:
+    """Compares the force and the torque of the motors with those that the motion explains.
+
+    The robot counts as held if the motors push or turn it with more than the threshold, and the
+    external force or torque against them is above the threshold as well. A robot whose wheels
+    brake, on blocks or in a skid, is thus not held: its motors give less than its motion needs.
+
+    Args:
+        parameters: Thresholds.
+        kinematics: Kinematics of the n wheels.
+        dynamics: Dynamics of the robot on them.
+
+    Attributes:
+        observer: Estimate of the external wrench.
+        held: Whether the last :meth:`check` found the robot held.
+        torque_reported: Whether the last report had torques; without them there is no estimate.
+    """
+
+    def __init__(
+        self,
+        parameters: HeldRobotParameters,
+        kinematics: PlatformKinematics,
+        dynamics: PlatformDynamics,
+    ) -> None:
+        self.observer = ExternalForceObserver(kinematics, dynamics)
+        self.torque_reported = False
+        self.held = False
+        self._parameters = parameters
+        self._pushed, self._turned = Persistence(), Persistence()
+        self._time = -math.inf
+
+    def configure(
+        self,
+        parameters: HeldRobotParameters,
+        kinematics: PlatformKinematics,
+        dynamics: PlatformDynamics,
+    ) -> None:
+        """Set new thresholds and models; the estimate begins anew."""
+        self._parameters = parameters
+        self.observer.configure(kinematics, dynamics)
+        self.clear()
+
+    def reset(self) -> None:
+        """Forget that the robot was held."""
+        self.held = False
+
+    def clear(self) -> None:
+        """Let all signs begin to last anew, as nothing is demanded of the robot."""
+        self._pushed.clear()
+        self._turned.clear()
+
+    def update_wheels(self, time: float, speeds: Array, effort: Array | None) -> None:
+        """Process a report of the drives.
+
+        Args:
+            time: Time of the measurement [s].
+            speeds: Wheel speeds (n,) [rad/s].
+            effort: Wheel torques (n,) [N m]. None, or numbers that are not finite or implausible,
+                mean that the drives do not report them: the estimate then begins anew.
+        """
+        self.torque_reported = (
+            effort is not None and max(map(abs, effort.tolist())) <= plausible.EFFORT
+        )
+        if effort is None or not self.torque_reported or time - self._time > MAX_REPORT_GAP:
+            self.observer.restart()
+        if effort is not None and self.torque_reported:
+            self.observer.update(time, speeds, effort)
+        self._time = time
+
+    def check(self, dt: float) -> str:
+        """Judge the robot; call this once a tick while it is to move.
+
+        Args:
+            dt: Time since the last call [s].
+
+        Returns:
+            Why it counts as held; empty if it does not.
+        """
+        reason = self._forced(dt)
+        self.held = bool(reason)
+        return reason
+
+    def _forced(self, dt: float) -> str:
+        """Return why forces say that the robot is held; empty if they do not."""
+        p = self._parameters
+        push_x, push_y, turn = self.observer.motors.tolist()
+        external_x, external_y, external_turn = self.observer.external.tolist()
+        push = math.hypot(push_x, push_y)
+        held = -(external_x * push_x + external_y * push_y) / push if push > 0.0 else 0.0
+        if self._pushed.update(min(push, held) > p.force, dt) > p.time:
+            return (
+                f"the robot is held: its motors push with {push:.0f} N, "
+                f"its motion explains {push - held:.0f} N"
+            )
+        held_turn = -math.copysign(external_turn, external_turn * turn)
+        if self._turned.update(min(abs(turn), held_turn) > p.torque, dt) > p.time:
+            return (
+                f"the robot is held: its motors turn it with {abs(turn):.0f} N m, "
+                f"its motion explains {abs(turn) - held_turn:.0f} N m"
+            )
+        return ""
