@@ -10,7 +10,10 @@ from dataclasses import dataclass
 
 from omniman_ros.control.dynamics import PlatformDynamics
 from omniman_ros.control.external_force import ExternalForceObserver
+from omniman_ros.control.imu import InertialStep
 from omniman_ros.control.kinematics import PlatformKinematics
+from omniman_ros.control.motion_comparison import MotionComparison
+from omniman_ros.control.odometry import Odometry
 from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import parameter
@@ -41,6 +44,21 @@ class HeldRobotParameters:
         unit="N m",
         low=0.01,
         high=1e6,
+    )
+    yaw_rate: float = parameter(
+        0.15,
+        "Difference of the yaw rates of wheels and `imu` from which the robot counts as held.",
+        unit="rad/s",
+        low=0.001,
+        high=100,
+    )
+    speed: float = parameter(
+        0.2,
+        "Speed that the platform has lost and its wheels still have, by the accelerations of "
+        "`imu`, from which the robot counts as held at once.",
+        unit="m/s",
+        low=0.001,
+        high=100,
     )
     time: float = parameter(
         0.3,
@@ -86,6 +104,7 @@ class HeldRobotDetector:
 
     Attributes:
         observer: Estimate of the external wrench.
+        comparison: Differences between the motions of wheels and inertial sensor.
         held: Whether the last :meth:`check` found the robot held.
         torque_reported: Whether the last report had torques; without them there is no estimate.
     """
@@ -97,10 +116,11 @@ class HeldRobotDetector:
         dynamics: PlatformDynamics,
     ) -> None:
         self.observer = ExternalForceObserver(kinematics, dynamics)
+        self.comparison = MotionComparison()
         self.torque_reported = False
         self.held = False
         self._parameters = parameters
-        self._pushed, self._turned = Persistence(), Persistence()
+        self._pushed, self._turned, self._misled = (Persistence() for _ in range(3))
         self._time = -math.inf
 
     def configure(
@@ -122,6 +142,7 @@ class HeldRobotDetector:
         """Let all signs begin to last anew, as nothing is demanded of the robot."""
         self._pushed.clear()
         self._turned.clear()
+        self._misled.clear()
 
     def update_wheels(self, time: float, speeds: Array, effort: Array | None) -> None:
         """Process a report of the drives.
@@ -141,6 +162,16 @@ class HeldRobotDetector:
             self.observer.update(time, speeds, effort)
         self._time = time
 
+    def update_motion(self, dt: float, odometry: Odometry, inertial: InertialStep | None) -> None:
+        """Process a step between two reports of the wheels.
+
+        Args:
+            dt: Duration of the step [s].
+            odometry: Odometry that has processed the step.
+            inertial: What an inertial sensor measured in the step; None if nothing.
+        """
+        self.comparison.update(dt, odometry, inertial)
+
     def check(self, dt: float) -> str:
         """Judge the robot; call this once a tick while it is to move.
 
@@ -150,7 +181,7 @@ class HeldRobotDetector:
         Returns:
             Why it counts as held; empty if it does not.
         """
-        reason = self._forced(dt)
+        reason = self._forced(dt) or self._contradicted(dt)
         self.held = bool(reason)
         return reason
 
@@ -171,5 +202,22 @@ class HeldRobotDetector:
             return (
                 f"the robot is held: its motors turn it with {abs(turn):.0f} N m, "
                 f"its motion explains {abs(turn) - held_turn:.0f} N m"
+            )
+        return ""
+
+    def _contradicted(self, dt: float) -> str:
+        """Return why an inertial sensor says that the robot is held; empty if it does not."""
+        p, comparison = self._parameters, self.comparison
+        lost_x, lost_y = comparison.velocity.tolist()
+        if math.hypot(lost_x, lost_y) > p.speed:
+            return (
+                f"the robot is held: it has lost {math.hypot(lost_x, lost_y):.2f} m/s that its "
+                "wheels still have, as imu shows"
+            )
+        difference = abs(comparison.yaw_rate)
+        if self._misled.update(difference > p.yaw_rate, dt) > p.time:
+            return (
+                f"the robot is held: its wheels turn it by {difference:.2f} rad/s that imu does "
+                "not show"
             )
         return ""

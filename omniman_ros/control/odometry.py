@@ -2,6 +2,11 @@
 
 Source: CCTA 2017 (13) and (17) for the displacement; the pose is composed on SE(2) exactly, so a
 constant twist gives the same pose for any step.
+
+Where a yaw rate is measured, the heading follows it and not the wheels. Its bias is a fourth
+state of an extended Kalman filter, which a robot at rest measures (zero angular rate update:
+P. D. Groves, Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems, 2nd ed.,
+section 15.3).
 """
 
 import math
@@ -9,13 +14,25 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from omniman_ros.control.imu import InertialStep
 from omniman_ros.control.kinematics import PlatformKinematics
+from omniman_ros.control.pose_covariance import PoseCovariance
 from omniman_ros.core import plausible, se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError, ParameterError
 from omniman_ros.core.parameters import parameter
 from omniman_ros.core.robot import Robot
 
+REST_SPEED = 0.02
+"""Largest wheel speed at which a platform without a setpoint counts as at rest [rad/s]."""
+REST_TIME = 0.2
+"""Time for which all wheels are at rest before the coupling error starts from zero again, and the
+bias of a yaw rate is measured [s].
+
+A platform that reverses passes through rest faster.
+"""
+MAX_REST_RATE = 0.1
+"""Yaw rate, less its bias, above which a robot rotates although its wheels are at rest [rad/s]."""
 MIN_DETERMINANT = 0.05
 """Smallest determinant of the calibration matrix; below it, directions would be mixed up."""
 
@@ -141,7 +158,11 @@ class Odometry:
 
     Attributes:
         pose: Pose (x, y, theta) in odom [m, m, rad]; theta is not wrapped.
-        twist: Twist (3,) in base_link [m/s, m/s, rad/s].
+        twist: Twist (3,) in base_link [m/s, m/s, rad/s]; its rotation is the measured yaw rate,
+            less its bias, where there is one.
+        wheel_twist: Twist (3,) by the wheels alone [m/s, m/s, rad/s].
+        yaw_bias: Estimated bias of the yaw rate [rad/s].
+        rest: Time for which all wheels have been at rest [s].
         constraint_rate: Rate (m,) of the coupling error, epsilon' of CCTA 2017 (12) [rad/s].
         coupling_error: Its integral (m,), epsilon of CCTA 2017 (24), since the start or the last
             :meth:`reset_coupling_error`; rests do not reset it [rad].
@@ -152,9 +173,11 @@ class Odometry:
     def __init__(self, kinematics: PlatformKinematics, parameters: OdometryParameters) -> None:
         self.pose = (0.0, 0.0, 0.0)
         self.twist: Array = np.zeros(3)
+        self.wheel_twist: Array = np.zeros(3)
+        self.yaw_bias = self.rest = 0.0
         self.slipping = False
         self.coupling_error: Array = np.zeros(kinematics.constraint_count)
-        self._covariance = [0.0] * 6
+        self._covariance = PoseCovariance()
         self._idle = kinematics.idle
         self.configure(kinematics, parameters)
 
@@ -200,8 +223,7 @@ class Odometry:
         if np.linalg.eigvalsh(covariance).min() < -1e-9:
             raise InputError("the pose's covariance has a negative variance")
         self.pose = (float(pose[0]), float(pose[1]), float(pose[2]))
-        rows, columns = (0, 0, 1, 0, 1, 2), (0, 1, 1, 2, 2, 2)
-        self._covariance = covariance[rows, columns].tolist()
+        self._covariance.set_pose(covariance)
 
     def reset_coupling_error(self) -> None:
         """Let the coupling error count from zero again."""
@@ -210,26 +232,39 @@ class Odometry:
     @property
     def covariance(self) -> Array:
         """Covariance (3, 3) of (x, y, theta) in odom [m^2, m rad, rad^2]."""
-        xx, xy, yy, xt, yt, tt = self._covariance
-        return np.array([[xx, xy, xt], [xy, yy, yt], [xt, yt, tt]])
+        return self._covariance.pose
 
-    def update(self, wheel_steps: Array, wheel_speeds: Array, dt: float) -> Array:
+    def update(
+        self,
+        wheel_steps: Array,
+        wheel_speeds: Array,
+        dt: float,
+        inertial: InertialStep | None = None,
+    ) -> Array:
         """Add the motion of the wheels during `dt`.
 
         Args:
             wheel_steps: Rotation (n,) of each wheel since the last update [rad].
             wheel_speeds: Speed (n,) of each wheel now [rad/s], for the twist.
             dt: Time since the last update [s], above 0.
+            inertial: Rotation measured in that time, or None if it was not measured.
 
         Returns:
             Step (m,) of the coupling error epsilon [rad], CCTA 2017 (12).
         """
         steps = self._forward @ wheel_steps
         rates = self._forward @ wheel_speeds
-        self.twist = rates[:3]
+        self.twist = self.wheel_twist = rates[:3]
         self.constraint_rate = rates[3:]
+        resting = max(map(abs, wheel_speeds.tolist())) <= REST_SPEED
+        self.rest = self.rest + dt if resting else 0.0
+        motion = steps[:3]
+        measured = inertial is not None and self._measured_turn(inertial, dt)
+        if inertial is not None and measured:
+            motion = np.array([motion[0], motion[1], inertial.rotation - self.yaw_bias * dt])
+            self.twist = np.array([rates[0], rates[1], motion[2] / dt])
         x, y, theta = self.pose
-        dx, dy, dtheta = se2.arc(steps[:3])
+        dx, dy, dtheta = se2.arc(motion)
         c, s = math.cos(theta), math.sin(theta)
         east, north = c * dx - s * dy, s * dx + c * dy
         self.pose = (x + east, y + north, theta + dtheta)
@@ -241,29 +276,28 @@ class Odometry:
             self._residual += gain * (step / dt - self._residual)
             slip = self._rim * float(np.abs(self._residual).max())
             self.slipping = slip > self._parameters.slip_threshold
-        self._grow(east, north, dtheta, slip * dt)
+        p, slipped = self._parameters, slip * dt
+        travel = math.hypot(east, north)
+        variance = p.noise_translation * travel + p.noise_slip * slipped
+        if inertial is not None and measured:
+            self._covariance.propagate(east, north, variance, inertial.variance)
+            self._covariance.rotate_by_rate(dt)
+        else:
+            yaw_variance = p.noise_rotation * abs(dtheta) + p.noise_drift * travel
+            yaw_variance += p.noise_slip * slipped
+            self._covariance.propagate(east, north, variance, yaw_variance)
         return step
 
-    def _grow(self, east: float, north: float, dtheta: float, slip: float) -> None:
-        """Update the covariance, F P F' + Q of the composition, written out for the six entries.
-
-        Args:
-            east: Travel along odom's x [m].
-            north: Travel along odom's y [m].
-            dtheta: Rotation [rad].
-            slip: Coupling residual at the rim times the time [m].
-        """
-        p = self._parameters
-        xx, xy, yy, xt, yt, tt = self._covariance
-        a, b = -north, east
-        travel = math.hypot(east, north)
-        q = p.noise_translation * travel + p.noise_slip * slip
-        q_yaw = p.noise_rotation * abs(dtheta) + p.noise_drift * travel + p.noise_slip * slip
-        self._covariance = [
-            xx + 2 * a * xt + a * a * tt + q,
-            xy + a * yt + b * xt + a * b * tt,
-            yy + 2 * b * yt + b * b * tt + q,
-            xt + a * tt,
-            yt + b * tt,
-            tt + q_yaw,
-        ]
+    def _measured_turn(self, inertial: InertialStep, dt: float) -> bool:
+        """Return whether a measured rotation counts; else the robot rests: it shows the bias."""
+        if not self._covariance.has_bias:
+            self._covariance.set_bias(inertial.initial_bias_variance)
+        self._covariance.drift(inertial.bias_drift)
+        innovation = inertial.rotation / dt - self.yaw_bias
+        if self.rest < REST_TIME or abs(innovation) > MAX_REST_RATE:
+            return True
+        corrections = self._covariance.measure_bias(innovation, inertial.variance / (dt * dt))
+        x, y, theta = self.pose
+        self.pose = (x + corrections[0], y + corrections[1], theta + corrections[2])
+        self.yaw_bias += corrections[3]
+        return False

@@ -8,10 +8,11 @@ import numpy as np
 
 from omniman_ros.control.follower import FollowingError, PreviewFollower
 from omniman_ros.control.held_robot import HeldRobotDetector
+from omniman_ros.control.imu import ImuFeedback
 from omniman_ros.control.limits import TwistLimiter, ramp_down, ratio
-from omniman_ros.control.odometry import Odometry
+from omniman_ros.control.odometry import REST_SPEED, Odometry
 from omniman_ros.control.platform_parameters import PlatformParameters
-from omniman_ros.control.wheel_cascade import REST_SPEED, DriveMode, WheelCascade, WheelCommand
+from omniman_ros.control.wheel_cascade import DriveMode, WheelCascade, WheelCommand
 from omniman_ros.control.wheel_feedback import WheelFeedback
 from omniman_ros.control.wheel_health import (
     WheelHealthMonitor,
@@ -56,6 +57,7 @@ class PlatformController:
         odometry: Pose, twist and covariance.
         cascade: Kinematics, dynamics, coupling controller and wheel controllers.
         feedback: Last feedback of the wheels.
+        imu: Measurements of an inertial sensor; unused as long as there are none.
         wheel_health: Faults of wheels, wheels that do not drive, and the limits that remain.
         held_robot: External force on the robot, by which a robot that is held is noticed.
         latch: Latch that stops the platform.
@@ -78,6 +80,7 @@ class PlatformController:
         self.feedback = WheelFeedback(
             robot.wheel_count, parameters.odometry.encoder_span, robot.motor.max_speed
         )
+        self.imu = ImuFeedback(parameters.imu)
         self.setpoint: Array = np.zeros(3)
         self.cancelled = ""
         self._limiter = TwistLimiter(self.wheel_health.limits)
@@ -108,6 +111,7 @@ class PlatformController:
         self.arbiter.silence = _silences(parameters)
         self.feedback.max_speed = parameters.robot.motor.max_speed
         self._follower.gains = parameters.position
+        self.imu.configure(parameters.imu)
         self._adopt_models()
 
     def _adopt_models(self) -> None:
@@ -153,7 +157,9 @@ class PlatformController:
         self.held_robot.update_wheels(time, self.feedback.speeds, effort)
         if step is None:
             return ""
-        self.cascade.coupling.add(self.odometry.update(step.moved, step.speeds, step.dt))
+        inertial = self.imu.take(self.feedback.time, now, step.speeds)
+        self.cascade.coupling.add(self.odometry.update(step.moved, step.speeds, step.dt, inertial))
+        self.held_robot.update_motion(step.dt, self.odometry, inertial)
         return step.warning
 
     def set_twist(
@@ -425,6 +431,7 @@ class PlatformController:
         if elapsed < -MAX_TICK:
             self.arbiter.restart(now, "time went back")
             self.feedback.forget()
+            self.imu.forget()
         elif elapsed > MAX_TICK:
             self.arbiter.resume(now)
             self._stall_end, self._is_recovering = now, True

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from omniman_ros.control.coupling_controller import CouplingParameters
 from omniman_ros.control.dead_wheel import WheelHealthParameters
 from omniman_ros.control.held_robot import HeldRobotParameters
+from omniman_ros.control.imu import ImuParameters
 from omniman_ros.control.limits import TwistLimits
 from omniman_ros.control.odometry import OdometryParameters
 from omniman_ros.control.position_controller import PositionGains
@@ -121,6 +122,7 @@ class PlatformParameters:
     coupling: CouplingParameters
     wheel: WheelGains
     odometry: OdometryParameters
+    imu: ImuParameters
     timeouts: Timeouts
 
     def __post_init__(self) -> None:

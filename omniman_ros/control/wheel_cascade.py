@@ -10,13 +10,11 @@ from omniman_ros.control.coupling_controller import CouplingController
 from omniman_ros.control.dynamics import PlatformDynamics
 from omniman_ros.control.kinematics import MIN_REMAINING_SHARE, PlatformKinematics
 from omniman_ros.control.limits import saturation
+from omniman_ros.control.odometry import REST_SPEED
 from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.control.wheel_controller import WheelController
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import ParameterError
-
-REST_SPEED = 0.02
-"""Largest wheel speed at which a platform without a setpoint counts as at rest [rad/s]."""
 
 
 class DriveMode(Enum):

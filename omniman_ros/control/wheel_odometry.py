@@ -5,20 +5,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from omniman_ros.control.imu import ImuFeedback, ImuParameters
 from omniman_ros.control.kinematics import MIN_REMAINING_SHARE, PlatformKinematics
-from omniman_ros.control.odometry import Odometry, OdometryParameters
-from omniman_ros.control.wheel_cascade import REST_SPEED
+from omniman_ros.control.odometry import REST_TIME, Odometry, OdometryParameters
 from omniman_ros.control.wheel_feedback import MAX_GAP, WheelFeedback
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import inline
 from omniman_ros.core.robot import Robot
-
-REST_TIME = 0.2
-"""Time for which all wheels are at rest before the coupling error starts from zero again [s].
-
-A platform that reverses passes through rest faster.
-"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,6 +25,7 @@ class WheelOdometryParameters:
 
     robot: Robot = inline()
     odometry: OdometryParameters
+    imu: ImuParameters
 
     def __post_init__(self) -> None:
         self.odometry.require_wheel_count(self.robot.wheel_count)
@@ -45,6 +40,7 @@ class WheelOdometry:
     Attributes:
         odometry: Pose, twist and covariance.
         feedback: Last feedback of the wheels.
+        imu: Measurements of an inertial sensor; unused as long as there are none.
         coupling_error: Coupling error epsilon (m,), CCTA 2017 (24), since the wheels were last at
             rest for `REST_TIME` [rad].
         idle: Indices of the wheels that are left out.
@@ -62,14 +58,15 @@ class WheelOdometry:
         self.feedback = WheelFeedback(
             robot.wheel_count, parameters.odometry.encoder_span, robot.motor.max_speed
         )
+        self.imu = ImuFeedback(parameters.imu)
         self.coupling_error: Array = np.zeros(kinematics.constraint_count)
         self._arrival = -math.inf
-        self._rest = 0.0
 
     def configure(self, parameters: WheelOdometryParameters) -> None:
         """Set a new calibration and new noise while running; the pose is kept."""
         self._parameters = parameters
         self.feedback.max_speed = parameters.robot.motor.max_speed
+        self.imu.configure(parameters.imu)
         self.odometry.configure(self._kinematics(), parameters.odometry)
 
     def leave_out(self, idle: tuple[int, ...]) -> None:
@@ -123,17 +120,16 @@ class WheelOdometry:
         restarted = self._restart_reason(time, now)
         if restarted:
             self.feedback.forget()
+            self.imu.forget()
         step = self.feedback.update(time, now, position, velocity)
         self._arrival = now
         if step is None:
             self._restart_coupling()
             return restarted
         self.coupling_error = self.coupling_error + self.odometry.update(
-            step.moved, step.speeds, step.dt
+            step.moved, step.speeds, step.dt, self.imu.take(self.feedback.time, now, step.speeds)
         )
-        at_rest = max(map(abs, step.speeds.tolist())) <= REST_SPEED
-        self._rest = self._rest + step.dt if at_rest else 0.0
-        if self._rest >= REST_TIME:
+        if self.odometry.rest >= REST_TIME:
             self._restart_coupling()
         return step.warning
 
@@ -150,7 +146,6 @@ class WheelOdometry:
 
     def _restart_coupling(self) -> None:
         self.coupling_error = np.zeros_like(self.coupling_error)
-        self._rest = 0.0
 
     def set_pose(self, pose: tuple[float, float, float], covariance: Array | None = None) -> None:
         """Set the pose.

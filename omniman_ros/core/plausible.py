@@ -13,6 +13,10 @@ SPEED = 1e3
 """Largest plausible speed of a platform [m/s, rad/s]."""
 ACCELERATION = 1e5
 """Largest plausible acceleration of a platform [m/s^2, rad/s^2]."""
+YAW_RATE = 1e3
+"""Largest plausible angular velocity that an inertial sensor measures [rad/s]."""
+SPECIFIC_FORCE = 1e5
+"""Largest plausible acceleration that an inertial sensor measures [m/s^2]."""
 WHEEL_ANGLE = 1e12
 """Largest plausible unwrapped position of a wheel [rad]."""
 WHEEL_SPEED = 1e5

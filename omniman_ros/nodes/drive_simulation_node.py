@@ -11,12 +11,14 @@ from omniman_ros.conversions.poses import planar_pose
 from omniman_ros.core.stop import StopLatch, StopState
 from omniman_ros.nodes.drive_command_interface import DriveCommandInterface
 from omniman_ros.nodes.drive_reports import DriveReportPublisher
+from omniman_ros.nodes.imu_publisher import ImuPublisher
 from omniman_ros.nodes.omniman_node import MAX_LEAD, OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.simulated_clock import SimulatedClock
 from omniman_ros.nodes.simulated_drive_parameters import SimulatedDriveParameters
 from omniman_ros.nodes.stop_interface import StopInterface
 from omniman_ros.simulation.plant.body import Body
+from omniman_ros.simulation.plant.imu import BaseMotion, planar_motion
 from omniman_ros.simulation.plant.lossy_channel import LossyChannel
 from omniman_ros.simulation.plant.simulated_drives import SimulatedDrives
 
@@ -58,6 +60,7 @@ class DriveSimulationNode(OmnimanNode, Generic[P]):
             electrical_every=max(1, round(p.state_rate / p.electrical_rate)),
             frames=(p.world_frame, p.base_frame),
         )
+        self._imu = ImuPublisher(self, p, self.base_motion)
         DriveCommandInterface(
             self, self.drives, self.latch, names, lambda: self.settings.value.command_timeout
         )
@@ -75,6 +78,10 @@ class DriveSimulationNode(OmnimanNode, Generic[P]):
 
     def make_body(self, parameters: P) -> Body | None:
         """Return what the drives of a node with these parameters move; None for the plant."""
+
+    def base_motion(self) -> BaseMotion:
+        """Return the present motion of base_link."""
+        return planar_motion(self.drives.ground_truth()[1])
 
     def now(self) -> float:
         """Return the time of the drives' clock [s]: with `publish_clock`, simulated time."""
@@ -104,6 +111,7 @@ class DriveSimulationNode(OmnimanNode, Generic[P]):
             ParameterError: One of them is refused; nothing is changed then.
         """
         self.drives.configure(new.robot, new.simulation)
+        self._imu.configure(new)
 
     # ---- stops --------------------------------------------------------------------------------
 
@@ -158,6 +166,7 @@ class DriveSimulationNode(OmnimanNode, Generic[P]):
             self.latch.stop(self.drives.stop_reason)
         faults = self.settings.value.simulation.faults
         self._reports.publish(self.drives, faults, now, stamp)
+        self._imu.publish(now, stamp)
         self._stop.publish()
 
     # ---- life ---------------------------------------------------------------------------------

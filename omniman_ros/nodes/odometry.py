@@ -13,7 +13,12 @@ from omniman_ros.control.wheel_feedback import MAX_GAP
 from omniman_ros.control.wheel_odometry import WheelOdometry
 from omniman_ros.conversions.headers import is_stamped
 from omniman_ros.conversions.wheels import reported_idle_wheels
-from omniman_ros.nodes.odometry_interface import OdometryInputs, OdometryOutputs
+from omniman_ros.nodes.odometry_interface import (
+    OdometryInputs,
+    OdometryOutputs,
+    imu_fault,
+    imu_values,
+)
 from omniman_ros.nodes.odometry_parameters import OdometryNodeParameters
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
@@ -81,6 +86,7 @@ class OdometryNode(OmnimanNode):
         values: list[tuple[str, object]] = [
             ("wheels_slipping", core.odometry.slipping),
             ("coupling_error_rad", core.coupling_error.round(4).tolist()),
+            *imu_values(core),
             ("wheels_left_out", [self._names[i] for i in core.idle]),
         ]
         return level, message, values
@@ -98,8 +104,9 @@ class OdometryNode(OmnimanNode):
         if feedback.suspect is not None:
             wheel = self._names[feedback.suspect]
             return DiagnosticStatus.WARN, f"wheel '{wheel}': position and velocity disagree"
-        if self.core.odometry.slipping:
-            return DiagnosticStatus.WARN, "the wheels slip"
+        doubt = imu_fault(self.core) or ("the wheels slip" if self.core.odometry.slipping else "")
+        if doubt:
+            return DiagnosticStatus.WARN, doubt
         return DiagnosticStatus.OK, "running"
 
 

@@ -6,12 +6,15 @@ from typing import Protocol
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry as OdometryMsg
-from sensor_msgs.msg import JointState
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import Imu, JointState
 from std_srvs.srv import Trigger
 
+from omniman_ros.control.imu import ImuFeedback
 from omniman_ros.control.odometry import Odometry
 from omniman_ros.control.wheel_feedback import WheelFeedback
 from omniman_ros.conversions.coupling import coupling_names, fill_coupling_error
+from omniman_ros.conversions.imu import imu_arrays
 from omniman_ros.conversions.joints import joint_arrays
 from omniman_ros.conversions.odometry import (
     fill_odometry,
@@ -38,10 +41,12 @@ class OdometryCore(Protocol):
     Attributes:
         odometry: Pose, twist and covariance.
         feedback: Last feedback of the wheels.
+        imu: Measurements of an inertial sensor.
     """
 
     odometry: Odometry
     feedback: WheelFeedback
+    imu: ImuFeedback
 
     @property
     def coupling_error(self) -> Array:
@@ -64,8 +69,20 @@ class OdometryCore(Protocol):
         """Set the pose to the origin, and the coupling error without resets to zero."""
 
 
+def imu_fault(core: OdometryCore) -> str:
+    """Return why the heading is that of the wheels alone though `imu.use` is set; else empty."""
+    fault = core.imu.fault if core.imu.parameters.use else ""
+    return f"{fault}: the heading is that of the wheels" if fault else ""
+
+
+def imu_values(core: OdometryCore) -> list[tuple[str, object]]:
+    """Return values about the inertial sensor for the diagnostics."""
+    state = (core.imu.fault or "used") if core.imu.parameters.use else "not used"
+    return [("imu", state), ("yaw_bias_rad_s", round(core.odometry.yaw_bias, 5))]
+
+
 class OdometryInputs:
-    """Subscribes to `wheel_states` and `set_pose`, and serves `~/reset_odometry`.
+    """Subscribes to `wheel_states`, `set_pose` and, with `imu.use`, `imu`; serves a reset.
 
     Args:
         node: Node that owns the subscriptions.
@@ -93,6 +110,10 @@ class OdometryInputs:
             (PoseWithCovarianceStamped, "set_pose", self._on_set_pose, 10),
         ):
             node.create_subscription(kind, topic, node.guarded(topic, handler), depth)
+        if core.imu.parameters.use:
+            on_imu = node.guarded("imu", self._on_imu)
+            # Sensors may be published with best effort, which a reliable subscription refuses.
+            node.create_subscription(Imu, "imu", on_imu, qos_profile_sensor_data)
         node.create_service(Trigger, "~/reset_odometry", self._on_reset)
 
     def _on_wheel_states(self, message: JointState) -> str:
@@ -103,6 +124,12 @@ class OdometryInputs:
         if self._on_report is not None:
             self._on_report(message.header.stamp)
         return warning
+
+    def _on_imu(self, message: Imu) -> None:
+        rate, acceleration = imu_arrays(message, self._core.imu.parameters.mount.frame)
+        now = self._node.now()
+        time = now - self._node.age(message.header.stamp)
+        self._core.imu.update(time, now, rate, acceleration)
 
     def _on_set_pose(self, message: PoseWithCovarianceStamped) -> None:
         self._core.set_pose(*planar_pose(message, self._settings().frames))

@@ -9,6 +9,7 @@ from std_msgs.msg import String
 from omniman_ros.control.platform import PlatformController
 from omniman_ros.control.wheel_cascade import DriveMode, WheelCommand
 from omniman_ros.conversions.wheels import LIMIT_SCALE_KEY, fill_wheel_command
+from omniman_ros.nodes.odometry_interface import imu_fault, imu_values
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.stop_interface import LATCHED
 
@@ -101,6 +102,7 @@ class PlatformOutputs:
             ("coupling_error_total_rad", core.odometry.coupling_error.round(4).tolist()),
             ("tracking_error_m_m_rad", core.tracking_error.round(4).tolist()),
             ("wheel_torque", "measured" if monitor.torque_reported else no_torque),
+            *imu_values(core),
             ("held", core.held),
             ("external_force_N_N_Nm", core.held_robot.observer.external.round(1).tolist()),
             *((name, monitor.state(i)) for i, name in enumerate(self._names)),
@@ -119,6 +121,7 @@ class PlatformOutputs:
                 return DiagnosticStatus.WARN, f"{topic} has more than one publisher"
         if core.wheel_health.notice:
             return DiagnosticStatus.WARN, core.wheel_health.notice
-        if core.odometry.slipping:
-            return DiagnosticStatus.WARN, "the wheels slip"
+        doubt = imu_fault(core) or ("the wheels slip" if core.odometry.slipping else "")
+        if doubt:
+            return DiagnosticStatus.WARN, doubt
         return DiagnosticStatus.OK, "running"

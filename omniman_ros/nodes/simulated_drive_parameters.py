@@ -2,8 +2,10 @@
 
 from dataclasses import dataclass
 
+from omniman_ros.core.imu_mount import ImuMount
 from omniman_ros.core.parameters import inline, parameter
 from omniman_ros.core.robot import Robot
+from omniman_ros.simulation.plant.imu import ImuSensorParameters
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 
 
@@ -13,6 +15,8 @@ class SimulatedDriveParameters:
 
     robot: Robot = inline()
     simulation: SimulationParameters = inline()
+    imu: ImuMount
+    imu_sensor: ImuSensorParameters
     state_rate: float = parameter(
         200.0, "Rate of wheel_states.", unit="Hz", low=10, high=1000, read_only=True
     )
@@ -27,6 +31,14 @@ class SimulatedDriveParameters:
     electrical_rate: float = parameter(
         50.0,
         "Rate of wheel_electrical, at most the state rate.",
+        unit="Hz",
+        low=1,
+        high=1000,
+        read_only=True,
+    )
+    imu_rate: float = parameter(
+        100.0,
+        "Rate of imu, at most the state rate.",
         unit="Hz",
         low=1,
         high=1000,

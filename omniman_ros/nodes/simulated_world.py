@@ -13,6 +13,7 @@ from omniman_ros.nodes.world_reports import WorldReportPublisher
 from omniman_ros.simulation.scene_files import load_scene
 
 if TYPE_CHECKING:
+    from omniman_ros.simulation.plant.imu import BaseMotion
     from omniman_ros.simulation.world.world import World
 
 
@@ -45,6 +46,10 @@ class SimulatedWorldNode(DriveSimulationNode[SimulatedWorldParameters]):
         p = parameters
         self.world = World(p.description, p.simulation, p.world, load_scene(p.scene))
         return self.world
+
+    def base_motion(self) -> "BaseMotion":
+        """Return the present motion of base_link, in all six directions."""
+        return self.world.base_motion
 
     def configure(self, new: SimulatedWorldParameters) -> None:
         """Use new parameters.

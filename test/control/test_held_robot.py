@@ -180,3 +180,63 @@ def test_who_leans_against_a_resting_robot_stops_nothing():
     rig.run(1.0, lambda: rig.twist(0.0, 0.0, 0.0))
     assert rig.core.latch.released
     assert rig.core.held_robot.observer.external[0] < -200.0
+
+
+# ---- by an inertial sensor --------------------------------------------------------------------
+
+
+class Sensed(Rig):
+    """A rig with a sensor that shows the motion of the wheels, or less of it."""
+
+    def __init__(self, **changes):
+        super().__init__(changes={f"held.{key}": value for key, value in changes.items()})
+        self.share = np.ones(3)
+        self._velocity = np.zeros(3)
+        self.hooked = self.drive
+        self.drive = self.measured
+
+    def measured(self, command):
+        """Return the wheels' speeds; the sensor measures the platform's motion with them."""
+        speeds = self.hooked(command)
+        velocity = self.share * (self.core.cascade.kinematics.J_pinv @ speeds)
+        vx, vy, w = velocity
+        change = (velocity - self._velocity)[:2] / DT + [-w * vy, w * vx]
+        self._velocity = velocity
+        force = np.array([*change, 9.81]) + 1e-6 * math.sin(self.now)
+        self.core.imu.update(self.now + DT, self.now + DT, np.array([0.0, 0.0, w]), force)
+        return speeds
+
+
+def test_a_sensor_that_agrees_with_the_wheels_is_no_alarm():
+    rig = Sensed().cruise(0.8, 0.0, 0.5).cruise(-0.5, 0.3, -1.0)
+    assert rig.core.latch.released, rig.core.latch.status
+
+
+def test_wheels_that_turn_a_robot_that_stands_are_noticed_without_torques():
+    rig = Sensed().cruise(0.0, 0.0, 0.4)
+    rig.share = np.zeros(3)
+    begin = rig.now
+    while rig.core.latch.released and rig.now < begin + 1.0:
+        rig.run(DT, lambda: rig.twist(0.0, 0.0, 0.4))
+    assert rig.core.latch.status.reason == (
+        "the robot is held: its wheels turn it by 0.39 rad/s that imu does not show; "
+        "all wheels turn"
+    )
+    assert rig.now - begin < 0.6
+
+
+def test_a_collision_is_noticed_at_once_without_torques():
+    rig = Sensed().cruise(0.5, 0.0, 0.0)
+    rig.share = np.zeros(3)
+    rig.run(0.1, lambda: rig.twist(0.5, 0.0, 0.0))
+    assert "it has lost 0.50 m/s" in rig.core.latch.status.reason
+
+
+@pytest.mark.parametrize(
+    ("name", "twist"), [("yaw_rate", (0.0, 0.0, 0.4)), ("speed", (0.5, 0.0, 0.0))]
+)
+def test_each_threshold_of_the_sensor_counts(name, twist):
+    rig = Sensed(**{name: 1.0}).cruise(*twist)
+    rig.share = np.zeros(3)
+    rig.run(1.0, lambda: rig.twist(*twist))
+    assert rig.core.latch.released, rig.core.latch.status

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from omniman_ros.control.wheel_cascade import REST_SPEED, DriveMode, WheelCascade
+from omniman_ros.control.odometry import REST_SPEED
+from omniman_ros.control.wheel_cascade import DriveMode, WheelCascade
 from test.robots import ALL, parameters
 
 ZERO = np.zeros(3)

@@ -192,7 +192,7 @@ def test_motion_in_a_gap_is_ignored_with_a_warning():
 
 # ---- parameters ---------------------------------------------------------------------------------
 
-OTHERS = ("body.", "arm.", "motor.", "friction.", "wheels.inertia", "wheels.names")
+OTHERS = ("body.", "arm.", "motor.", "friction.", "wheels.inertia", "wheels.names", "imu.")
 CHANGED = {
     "odometry.encoder_span": 0.5,
     "odometry.slip_threshold": 10.0,

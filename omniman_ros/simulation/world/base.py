@@ -7,6 +7,7 @@ import numpy as np
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import OmnimanError
+from omniman_ros.simulation.plant.imu import BaseMotion
 from omniman_ros.simulation.world.engine import Engine
 from omniman_ros.simulation.world.model.platform import BASE
 
@@ -37,6 +38,15 @@ class Base:
         """Pose (x, y, heading) in the world [m, m, rad], (3,); the heading is not wrapped."""
         position, _ = self.frame
         return np.array([position[0], position[1], self._heading])
+
+    @property
+    def motion(self) -> BaseMotion:
+        """Motion in all six directions."""
+        _, rotation = self.frame
+        velocities, dof = self._engine.velocities, self._dof
+        # The engine has a free body's velocity in the world's axes, its rate in the body's.
+        velocity, rate = velocities[dof : dof + 3] @ rotation, velocities[dof + 3 : dof + 6].copy()
+        return BaseMotion(rotation.copy(), velocity, rate)
 
     @property
     def twist(self) -> Array:

@@ -13,6 +13,7 @@ from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.description.urdf import carries_arm
 from omniman_ros.simulation.plant.energy_ledger import EnergyLedger
 from omniman_ros.simulation.plant.gear_motor import configure_motors
+from omniman_ros.simulation.plant.imu import BaseMotion
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 from omniman_ros.simulation.world.arm_servo import ArmServo
 from omniman_ros.simulation.world.base import Base
@@ -115,6 +116,11 @@ class World:
     def base_frame(self) -> tuple[Array, Array]:
         """Position (3,) [m] and rotation (3, 3) of base_link in the world."""
         return self._base.frame
+
+    @property
+    def base_motion(self) -> BaseMotion:
+        """Motion of base_link, in all six directions."""
+        return self._base.motion
 
     @property
     def pose(self) -> Array:

@@ -1,0 +1,68 @@
+"""Publish what a simulated inertial measurement unit measures."""
+
+from collections.abc import Callable
+
+from builtin_interfaces.msg import Time
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from sensor_msgs.msg import Imu
+
+from omniman_ros.conversions.imu import imu_message, imu_transform
+from omniman_ros.nodes.omniman_node import OmnimanNode
+from omniman_ros.nodes.simulated_drive_parameters import SimulatedDriveParameters
+from omniman_ros.simulation.plant.imu import BaseMotion, SimulatedImu
+
+try:
+    from tf2_msgs.msg import TFMessage
+except ImportError:  # not among the wheels on PyPI
+    TFMessage = None
+
+STATIC = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+"""Quality of service of /tf_static."""
+
+
+class ImuPublisher:
+    """Publishes imu, and the pose of its frame on /tf_static.
+
+    Args:
+        node: Node that owns the publishers.
+        parameters: Parameters of the node.
+        motion: Returns the present motion of base_link.
+    """
+
+    def __init__(
+        self,
+        node: OmnimanNode,
+        parameters: SimulatedDriveParameters,
+        motion: Callable[[], BaseMotion],
+    ) -> None:
+        p = parameters
+        self._node, self._motion, self._base_frame = node, motion, p.base_frame
+        self._every = max(1, round(p.state_rate / p.imu_rate))
+        self._count = 0
+        self._imu = SimulatedImu(p.imu, p.imu_sensor, p.simulation.plant.gravity, p.seed)
+        self._publisher = node.create_publisher(Imu, "imu", 10)
+        self._tf = node.create_publisher(TFMessage, "/tf_static", STATIC) if TFMessage else None
+        self.configure(p)
+
+    def configure(self, parameters: SimulatedDriveParameters) -> None:
+        """Measure with new parameters from now on."""
+        p = parameters
+        self._frame = p.imu.frame
+        self._imu.configure(p.imu, p.imu_sensor, p.simulation.plant.gravity)
+        if self._tf is not None:
+            transform = imu_transform(p.imu, self._base_frame, self._node.stamp())
+            self._tf.publish(TFMessage(transforms=[transform]))
+
+    def publish(self, now: float, stamp: Time) -> None:
+        """Publish a measurement if one is due; call this once a report.
+
+        Args:
+            now: Time of the drives' clock [s].
+            stamp: Stamp of the message.
+        """
+        self._count += 1
+        if self._count % self._every != 0:
+            return
+        measured = self._imu.measure(now, self._motion())
+        if measured is not None:
+            self._publisher.publish(imu_message(*measured, self._frame, stamp))

@@ -1,0 +1,115 @@
+"""A simulated inertial measurement unit: what a gyroscope and accelerometers on the robot tell."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.imu_mount import ImuMount
+from omniman_ros.core.parameters import parameter
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImuSensorParameters:
+    """Errors and faults of the sensor; those of a small MEMS unit by default."""
+
+    gyro_noise: float = parameter(
+        0.002, "Standard deviation of a measured rate.", unit="rad/s", low=0, high=10
+    )
+    gyro_bias: float = parameter(
+        0.005, "Bias of the rate about the vertical.", unit="rad/s", low=-1, high=1
+    )
+    gyro_drift: float = parameter(
+        1e-5, "Random walk of that bias.", unit="rad/s/sqrt(s)", low=0, high=1
+    )
+    acceleration_noise: float = parameter(
+        0.02, "Standard deviation of a measured acceleration.", unit="m/s^2", low=0, high=100
+    )
+    acceleration_bias: float = parameter(
+        0.05, "Bias of the accelerations along x and y.", unit="m/s^2", low=-10, high=10
+    )
+    silent: bool = parameter(False, "Fault: nothing is measured.")
+    frozen: bool = parameter(False, "Fault: the last measurement is repeated.")
+
+
+@dataclass(frozen=True)
+class BaseMotion:
+    """Motion of base_link in one instant.
+
+    Attributes:
+        rotation: Rotation (3, 3) of base_link in the world.
+        velocity: Velocity (3,) of its origin, in its own axes [m/s].
+        rate: Angular velocity (3,), in its own axes [rad/s].
+    """
+
+    rotation: Array
+    velocity: Array
+    rate: Array
+
+
+def planar_motion(twist: Array) -> BaseMotion:
+    """Return the motion of a robot on a level floor from its twist (3,) in base_link."""
+    vx, vy, w = twist.tolist()
+    return BaseMotion(np.eye(3), np.array([vx, vy, 0.0]), np.array([0.0, 0.0, w]))
+
+
+class SimulatedImu:
+    """Measures the present rate, and the mean acceleration since the last measurement.
+
+    Args:
+        mount: Pose of the sensor in base_link.
+        parameters: Errors and faults.
+        gravity: Gravity [m/s^2].
+        seed: Seed of the noise.
+    """
+
+    def __init__(
+        self, mount: ImuMount, parameters: ImuSensorParameters, gravity: float, seed: int = 0
+    ) -> None:
+        self._random = np.random.default_rng(seed)
+        self._time: float | None = None
+        self._motion = BaseMotion(np.eye(3), np.zeros(3), np.zeros(3))
+        self._walk = 0.0
+        self._measured: tuple[Array, Array] | None = None
+        self.configure(mount, parameters, gravity)
+
+    def configure(self, mount: ImuMount, parameters: ImuSensorParameters, gravity: float) -> None:
+        """Set new parameters; the drift of the bias is kept."""
+        self._parameters = parameters
+        self._place = np.array([mount.x, mount.y, mount.z])
+        c, s = math.cos(mount.yaw), math.sin(mount.yaw)
+        self._to_sensor = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        self._gravity = np.array([0.0, 0.0, gravity])
+
+    def measure(self, time: float, motion: BaseMotion) -> tuple[Array, Array] | None:
+        """Return what the sensor measures at `time`.
+
+        Args:
+            time: Time [s].
+            motion: Motion of base_link at that time.
+
+        Returns:
+            Angular velocity (3,) [rad/s], and acceleration (3,) with gravity, upward at rest
+            [m/s^2], in the sensor's frame; None if it tells nothing.
+        """
+        p, before, last = self._parameters, self._motion, self._time
+        if last is not None and time <= last:
+            return None
+        self._time, self._motion = time, motion
+        dt = 0.0 if last is None else time - last
+        self._walk += p.gyro_drift * math.sqrt(dt) * float(self._random.standard_normal())
+        if p.silent or last is None:
+            return None
+        if p.frozen and self._measured is not None:
+            return self._measured
+        velocities = [m.velocity + np.cross(m.rate, self._place) for m in (before, motion)]
+        mean_rate, mean_velocity = 0.5 * (before.rate + motion.rate), 0.5 * sum(velocities)
+        acceleration = (velocities[1] - velocities[0]) / dt + np.cross(mean_rate, mean_velocity)
+        force = acceleration + motion.rotation.T @ self._gravity
+        rate = motion.rate + self._random.normal(0.0, p.gyro_noise, 3)
+        rate[2] += p.gyro_bias + self._walk
+        force = self._to_sensor @ force + self._random.normal(0.0, p.acceleration_noise, 3)
+        force[:2] += p.acceleration_bias
+        self._measured = self._to_sensor @ rate, force
+        return self._measured
