@@ -97,8 +97,6 @@ class DriveSimulationNode(OmnimanNode, Generic[P]):
         clock = self._simulated_clock
         return super().age(stamp, max_lead) if clock is None else clock.age(stamp, max_lead)
 
-    # ---- inputs -------------------------------------------------------------------------------
-
     def _on_initial_pose(self, message: PoseWithCovarianceStamped) -> None:
         frames = (self.settings.value.world_frame, "map", "odom")
         pose, _ = planar_pose(message, frames)
@@ -113,8 +111,6 @@ class DriveSimulationNode(OmnimanNode, Generic[P]):
         self.drives.configure(new.robot, new.simulation)
         self._imu.configure(new)
 
-    # ---- stops --------------------------------------------------------------------------------
-
     def _halt(self) -> None:
         """Stop the drives if the latch is stopped; while it holds, the controller ramps down."""
         if self.latch.status.state is StopState.STOPPED:
@@ -128,8 +124,6 @@ class DriveSimulationNode(OmnimanNode, Generic[P]):
     def _reset(self) -> None:
         self.latch.reset(at_rest=self._at_rest)
         self.drives.reset()
-
-    # ---- output -------------------------------------------------------------------------------
 
     def tick_in_time(self) -> None:
         """Tick, and give way to other callbacks for a period if that took longer than one.
@@ -168,8 +162,6 @@ class DriveSimulationNode(OmnimanNode, Generic[P]):
         self._reports.publish(self.drives, faults, now, stamp)
         self._imu.publish(now, stamp)
         self._stop.publish()
-
-    # ---- life ---------------------------------------------------------------------------------
 
     def status(self) -> tuple[bytes, str, list[tuple[str, object]]]:
         """Return level, message and values for the diagnostics."""

@@ -4,7 +4,6 @@ from typing import TYPE_CHECKING
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import LaserScan
 from std_msgs.msg import Float64MultiArray
 from visualization_msgs.msg import MarkerArray
@@ -16,6 +15,7 @@ from omniman_ros.conversions.world import (
     scanner_transform,
     wheel_loads_message,
 )
+from omniman_ros.nodes.imu_publisher import STATIC
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.simulated_world_parameters import SimulatedWorldParameters
 from omniman_ros.simulation.world.scanner_parameters import ScannerParameters
@@ -27,9 +27,6 @@ try:
     from tf2_msgs.msg import TFMessage
 except ImportError:  # not among the wheels on PyPI
     TFMessage = None
-
-STATIC = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-"""Quality of service of /tf_static."""
 
 
 class WorldReportPublisher:
