@@ -69,7 +69,9 @@ class InertialStep:
 
     Attributes:
         rotation: Rotation about the vertical, bias included [rad].
-        variance: Variance of the rotation without that of the bias [rad^2].
+        noise: Variance of the rotation by noise [rad^2].
+        scale_error: Variance of the rotation by the scale of the rate [rad^2]. It grows with the
+            measured rotation: to weight measurements of the bias by it would favour small ones.
         bias_drift: Variance that the bias has gained [rad^2/s^2].
         initial_bias_variance: Variance of a bias of which nothing is known yet [rad^2/s^2].
         acceleration: Acceleration (2,) of base_link's origin along base_link's x and y, bias
@@ -77,7 +79,8 @@ class InertialStep:
     """
 
     rotation: float
-    variance: float
+    noise: float
+    scale_error: float
     bias_drift: float
     initial_bias_variance: float
     acceleration: Array
@@ -179,7 +182,8 @@ class ImuFeedback:
         p = self.parameters
         return InertialStep(
             rotation,
-            p.gyro_noise**2 * dt + p.noise_rotation * abs(rotation),
+            p.gyro_noise**2 * dt,
+            p.noise_rotation * abs(rotation),
             p.gyro_drift**2 * dt,
             p.gyro_bias**2,
             self._acceleration,

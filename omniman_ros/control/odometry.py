@@ -280,7 +280,8 @@ class Odometry:
         travel = math.hypot(east, north)
         variance = p.noise_translation * travel + p.noise_slip * slipped
         if inertial is not None and measured:
-            self._covariance.propagate(east, north, variance, inertial.variance)
+            yaw_variance = inertial.noise + inertial.scale_error
+            self._covariance.propagate(east, north, variance, yaw_variance)
             self._covariance.rotate_by_rate(dt)
         else:
             yaw_variance = p.noise_rotation * abs(dtheta) + p.noise_drift * travel
@@ -296,7 +297,7 @@ class Odometry:
         innovation = inertial.rotation / dt - self.yaw_bias
         if self.rest < REST_TIME or abs(innovation) > MAX_REST_RATE:
             return True
-        corrections = self._covariance.measure_bias(innovation, inertial.variance / (dt * dt))
+        corrections = self._covariance.measure_bias(innovation, inertial.noise / (dt * dt))
         x, y, theta = self.pose
         self.pose = (x + corrections[0], y + corrections[1], theta + corrections[2])
         self.yaw_bias += corrections[3]

@@ -89,6 +89,16 @@ def test_the_bias_is_learned_at_rest_only():
     assert drive.odometry.yaw_bias == known
 
 
+def test_the_bias_is_not_drawn_to_zero():
+    """Over many sensors, the mean error of the bias is that of the noise only."""
+    errors = []
+    for seed in range(12):
+        drive = Drive({"gyro_bias": 0.005, "gyro_drift": 0.0})
+        drive.sensor._random = np.random.default_rng(seed)
+        errors.append(drive.go(np.zeros(3), 1.7).odometry.yaw_bias - 0.005)
+    assert abs(np.mean(errors)) < 1.5e-4
+
+
 def test_a_bias_that_is_found_later_corrects_the_heading_before():
     """The filter knows that heading and bias were wrong together."""
     drive = Drive({"gyro_bias": 0.01, "gyro_noise": 0.0, "gyro_drift": 0.0})

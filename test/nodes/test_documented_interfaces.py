@@ -27,7 +27,10 @@ LATER = {
         "mpc/route",
         "mpc/predicted_obstacles",
         "obstacles",
-    }
+    },
+    # With `imu.use` only.
+    "platform_controller": {"imu"},
+    "odometry": {"imu"},
 }
 
 
