@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from omniman_ros.control.dead_wheel import DeadWheelDetector
 from omniman_ros.control.kinematics import MIN_REMAINING_SHARE
 from omniman_ros.control.limits import TwistLimits
+from omniman_ros.control.odometry import REST_SPEED
 from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.control.wheel_cascade import WheelCascade
 from omniman_ros.control.wheel_feedback import WheelFeedback
@@ -242,7 +243,7 @@ class WheelHealthMonitor:
             reference: Demanded speeds (n,) [rad/s].
             speeds: Measured speeds (n,) [rad/s].
         """
-        resting = np.abs(speeds) < REST_SHARE * np.abs(reference)
+        resting = np.abs(speeds) <= np.maximum(REST_SHARE * np.abs(reference), REST_SPEED)
         if resting.all():
             return "all wheels stand still"
         if not resting.any():

@@ -7,9 +7,13 @@ engine's.
 import numpy as np
 import pytest
 
+from omniman_ros.core.arbiter import Source
+from omniman_ros.core.imu_mount import ImuMount
 from omniman_ros.core.parameters import build
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.lab.studies.closed_loop import PERIOD, ClosedLoop
+from omniman_ros.motion.figure7 import Figure7
+from omniman_ros.simulation.plant.imu import ImuSensorParameters, SimulatedImu
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 from omniman_ros.simulation.scene_files import scene_of
 from omniman_ros.simulation.world.parameters import WorldParameters
@@ -27,9 +31,18 @@ LOW = 0.35
 
 
 class Ride:
-    """A robot in a scene, driven by cmd_vel."""
+    """A robot in a scene, driven by cmd_vel; with `imu`, it has an inertial sensor."""
 
-    def __init__(self, name="omniman", scene=None, mode="velocity", wheels="ideal", **changes):
+    def __init__(
+        self,
+        name="omniman",
+        scene=None,
+        mode="velocity",
+        wheels="ideal",
+        imu=False,
+        torques=True,
+        **changes,
+    ):
         plain = {key.replace("__", "."): value for key, value in changes.items()}
         values = robots.values(name, plain)
         description = build(DescriptionParameters, values)
@@ -41,20 +54,42 @@ class Ride:
             scene_of(scene or {}, "scene"),
         )
         self.loop = ClosedLoop(
-            robots.parameters(name, {"drive.mode": mode, **plain}), simulation, body=self.world
+            robots.parameters(name, {"drive.mode": mode, **plain}),
+            simulation,
+            0,
+            torques,
+            self.world,
         )
         self.core = self.loop.controller
+        self.imu = None
+        if imu:
+            errors = build(ImuSensorParameters, values, "imu_sensor.")
+            self.imu = SimulatedImu(build(ImuMount, values, "imu."), errors, 9.81)
 
     @property
     def reason(self):
         return self.core.latch.status.reason
+
+    def step(self):
+        """Run one tick."""
+        now = self.loop.now
+        if self.imu is not None and self.loop.tick % 2 == 0:
+            measured = self.imu.measure(now, self.world.base_motion)
+            if measured is not None:
+                self.core.imu.update(now, now, *measured)
+        self.loop.step()
+
+    def rest(self, seconds):
+        """Let time pass without a setpoint."""
+        for _ in range(round(seconds / PERIOD)):
+            self.step()
 
     def go(self, twist, seconds):
         """Drive; return the time for which the robot touched something before it stopped [s]."""
         touched, twist = None, np.array(twist)
         for _ in range(round(seconds / PERIOD)):
             self.core.set_twist(twist, self.loop.now)
-            self.loop.step()
+            self.step()
             if touched is None and any(contact.touches for contact in self.world.contacts):
                 touched = self.loop.now
             if not self.core.latch.released:
@@ -137,6 +172,42 @@ def test_all_wheels_come_to_rest_and_stay_there():
     assert not ride.core.setpoint.any()
 
 
+def test_a_robot_that_voltages_push_against_a_wall_is_noticed():
+    ride = Ride(scene=wall_ahead(0.2))
+    for _ in range(400):
+        ride.core.set_voltages(np.full(4, 7.0), ride.loop.now)
+        ride.step()
+    assert "the robot is held" in ride.reason
+
+
+@pytest.mark.parametrize("case", ["wall, fast", "table", "turning"])
+def test_without_torques_a_sensor_notices_collisions_and_turns(case):
+    scene, twist, changes = CASES[case]
+    ride = Ride(scene=scene, imu=True, torques=False, **changes)
+    ride.rest(0.6)
+    delay = ride.go(twist, 3.0)
+    assert "imu" in ride.reason and delay <= LATEST
+
+
+# ---- the sensor and the odometry ------------------------------------------------------------
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize(("imu", "heading", "distance"), [(False, 0.08, 0.07), (True, 0.01, 0.02)])
+def test_the_odometry_on_rollers_after_figure_7(imu, heading, distance):
+    """Errors at the end; without the sensor 0.076 rad and 65 mm, with it 0.002 rad and 13 mm."""
+    ride = Ride(wheels="rollers", imu=imu)
+    ride.rest(1.5)
+    for leg in Figure7().legs(ride.loop.now):
+        ride.rest(leg.begin - ride.loop.now)
+        assert ride.core.set_preview(Source.PATH, leg.preview, ride.loop.now) == ""
+        ride.rest(leg.preview.end - ride.loop.now)
+    ride.rest(1.0)
+    error = np.array(ride.core.odometry.pose) - ride.world.pose
+    assert ride.core.latch.released, ride.reason
+    assert abs(error[2]) < heading and np.hypot(*error[:2]) < distance
+
+
 # ---- no false alarm -------------------------------------------------------------------------
 
 TROUBLES = {
@@ -166,8 +237,7 @@ def roam(ride, seconds, seed):
         turn = rng.choice([0.0, 0.0, 0.1, -1.0, 1.0]) * limits.angular_velocity
         twist = (speed * np.cos(angle), speed * np.sin(angle), turn)
         if rng.random() < 0.1:  # silence: the controller ramps down by itself
-            for _ in range(round(1.0 / PERIOD)):
-                ride.loop.step()
+            ride.rest(1.0)
         else:
             ride.go(twist, rng.uniform(0.3, 2.5))
 
@@ -177,7 +247,7 @@ def roam(ride, seconds, seed):
     [("none", "velocity"), ("parts differ", "torque"), ("slippery floor", "voltage")],
 )
 def test_free_driving_is_no_alarm(trouble, mode):
-    ride = Ride(mode=mode, scene=LOADS, **TROUBLES[trouble])
+    ride = Ride(mode=mode, scene=LOADS, imu=True, **TROUBLES[trouble])
     roam(ride, 4.0, seed=3)
     assert ride.core.latch.released, ride.reason
 
@@ -196,6 +266,6 @@ def test_an_hour_of_free_driving_is_no_alarm(trouble, mode, wheels):
     changes = TROUBLES[trouble] | {"drive__following_error": 100.0}
     for k, robot in enumerate(("omniman", "ig42")):
         scene = LOADS if robot == "omniman" else None
-        ride = Ride(robot, mode=mode, wheels=wheels, scene=scene, **changes)
+        ride = Ride(robot, mode=mode, wheels=wheels, scene=scene, imu=True, **changes)
         roam(ride, 1.02 * 3600.0 / (4 * len(HOUR)), seed=100 + k)
         assert ride.core.latch.released, ride.reason
