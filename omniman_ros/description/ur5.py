@@ -5,7 +5,8 @@ Joint angles rotate each link about z of its frame. Lengths are those of the DH 
 
 Sources: Universal Robots, "DH parameters for calculations of kinematics and dynamics" and "Max.
 joint torques", as they stand in ur_description, config/ur5 (physical_parameters.yaml,
-joint_limits.yaml): masses, centres of mass, radii, offsets along the axes, torques.
+joint_limits.yaml): masses, centres of mass, radii, offsets along the axes, torques; the data sheet
+of the UR5: the mass of the whole arm.
 """
 
 import math
@@ -18,10 +19,22 @@ QUARTER_TURN = 0.5 * math.pi
 """Angle of 90 degrees [rad]."""
 EFFORTS = (150.0, 150.0, 150.0, 28.0, 28.0, 28.0)
 """Largest torque of each joint [N m]."""
+ROTOR_INERTIAS = (0.5, 0.5, 0.5, 0.1, 0.1, 0.1)
+"""Assumed moment of inertia of each joint's rotor and gear, at the joint [kg m^2]."""
 SHOULDER_OFFSET = 0.13585
 """Offset of the upper arm from the first axis, along the axis of shoulder_lift [m]."""
 ELBOW_OFFSET = 0.0165
 """Offset of the forearm from the first axis, along the axis of elbow [m]."""
+ARM_MASS = 18.4
+"""Mass of the whole arm without a tool [kg] (data sheet)."""
+MOVING_MASSES = (3.7, 8.393, 2.33, 1.219, 1.219, 0.1879)
+"""Masses of the moving links, from the base on [kg]."""
+TOOL = "tool"
+"""Name of what is mounted at the flange."""
+TOOL_CENTRE = 0.05
+"""Assumed distance of the centre of mass of tool and load from the flange [m]."""
+TOOL_GYRATION = 0.04
+"""Assumed radius of gyration of tool and load about each axis [m]."""
 FLANGE = 0.03
 """Thickness of the last link [m]."""
 BASE_HEIGHT = 0.05
@@ -90,11 +103,21 @@ BASE = Link(
     "arm_base_link_inertia",
     (0.0, 0.0, 0.0),
     (0.0, 0.0, math.pi),
-    4.0,
+    ARM_MASS - sum(MOVING_MASSES),
     (0.0, 0.0, 0.025),
     (Tube((0.0, 0.0, 0.0), (0.0, 0.0, BASE_HEIGHT), 0.075),),
 )
 """Fixed link of the arm, in `arm_base_link`; its frame is the base of the DH table."""
+
+
+def tool_inertia(mass: float) -> Inertia:
+    """Return the inertia of a tool with its load in the frame of the flange, `tool0`.
+
+    Args:
+        mass: Mass [kg].
+    """
+    moment = mass * TOOL_GYRATION**2
+    return Inertia(mass, (moment, moment, moment), (0.0, 0.0, TOOL_CENTRE))
 
 
 def links(table: DhTable = UR5) -> tuple[Link, ...]:
@@ -110,7 +133,7 @@ def links(table: DhTable = UR5) -> tuple[Link, ...]:
             "shoulder_link",
             (0.0, 0.0, t.d1),
             still,
-            3.7,
+            MOVING_MASSES[0],
             (0.0, -0.00193, -0.02561),
             (
                 Tube((0.0, 0.0, BASE_HEIGHT - t.d1), (0.0, 0.0, 0.06), 0.06),
@@ -121,7 +144,7 @@ def links(table: DhTable = UR5) -> tuple[Link, ...]:
             "upper_arm_link",
             zero,
             (QUARTER_TURN, 0.0, 0.0),
-            8.393,
+            MOVING_MASSES[1],
             (0.5 * t.a2, 0.0, 0.11336),
             (
                 Tube((0.0, 0.0, SHOULDER_OFFSET), (t.a2, 0.0, SHOULDER_OFFSET), 0.054),
@@ -133,7 +156,7 @@ def links(table: DhTable = UR5) -> tuple[Link, ...]:
             "forearm_link",
             (t.a2, 0.0, 0.0),
             still,
-            2.33,
+            MOVING_MASSES[2],
             (0.15 + t.a3, 0.0, 0.0265),
             (
                 Tube((0.0, 0.0, ELBOW_OFFSET), (t.a3, 0.0, ELBOW_OFFSET), 0.04),
@@ -144,7 +167,7 @@ def links(table: DhTable = UR5) -> tuple[Link, ...]:
             "wrist_1_link",
             (t.a3, 0.0, t.d4),
             still,
-            1.219,
+            MOVING_MASSES[3],
             (0.0, -0.01634, -0.0018),
             (Tube((0.0, 0.0, elbow_to_wrist + 0.045), (0.0, 0.0, 0.045), 0.045),),
         ),
@@ -152,7 +175,7 @@ def links(table: DhTable = UR5) -> tuple[Link, ...]:
             "wrist_2_link",
             (0.0, -t.d5, 0.0),
             (QUARTER_TURN, 0.0, 0.0),
-            1.219,
+            MOVING_MASSES[4],
             (0.0, 0.01634, -0.0018),
             (
                 Tube((0.0, 0.0, 0.045 - t.d5), (0.0, 0.0, 0.045), 0.045),
@@ -163,7 +186,7 @@ def links(table: DhTable = UR5) -> tuple[Link, ...]:
             "wrist_3_link",
             (0.0, t.d6, 0.0),
             (-QUARTER_TURN, 0.0, 0.0),
-            0.1879,
+            MOVING_MASSES[5],
             (0.0, 0.0, -0.001159),
             (Tube((0.0, 0.0, -FLANGE), zero, 0.0375),),
         ),

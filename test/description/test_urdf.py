@@ -18,8 +18,10 @@ from test import robots
 
 ARM = ArmParameters()
 MOUNT = Mount(x=0.21, y=-0.07, z=0.48, yaw=0.7)
-UR5_MASS = 4.0 + 3.7 + 8.393 + 2.33 + 2 * 1.219 + 0.1879
-"""Mass of the UR5 in the public description [kg]."""
+UR5_MASS = 18.4
+"""Mass of the UR5 in its data sheet [kg]."""
+MOVING_MASSES = (3.7, 8.393, 2.33, 1.219, 1.219, 0.1879)
+"""Masses of its moving links in the public description [kg]."""
 RANDOM_ROBOTS = [(seed, n) for seed, n in enumerate([3, 4, 5, 6, 8] * 8)]
 
 
@@ -296,9 +298,11 @@ def test_wheels_weigh_as_solid_cylinders_unless_the_body_is_too_light():
     assert sum(wheel_masses(small)) < 0.5 * 8 * 2.0 * 0.08 / 0.127**2
 
 
-def test_the_arm_has_the_masses_of_the_public_description():
+def test_the_arm_has_the_masses_of_the_public_description_and_of_the_data_sheet():
     with_arm, without = (urdf_tree("omniman", with_arm=flag).bodies for flag in (True, False))
     more = {name: body.mass for name, body in with_arm.items() if name not in without}
+    moving = list(more.values())[-len(MOVING_MASSES) :]
+    assert moving == pytest.approx(MOVING_MASSES)
     assert sum(more.values()) == pytest.approx(UR5_MASS)
     assert sum(body.mass for body in with_arm.values()) == pytest.approx(140.0 + UR5_MASS)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from omniman_ros.core.errors import InputError
-from omniman_ros.description.ur5 import BASE, links
+from omniman_ros.description.ur5 import ARM_MASS, BASE, TOOL_CENTRE, links
 from omniman_ros.simulation.world.world import World
 from test.simulation.world.support import STEP, ideal
 
@@ -26,14 +26,18 @@ def rotation(rpy):
     return result
 
 
+TOOL_MASS = 2.0
+
+
 def masses_and_centres(q, mount):
-    """Masses of the arm's links, and where they are in base_link."""
+    """Masses of the arm's links and of the tool, and where they are in base_link."""
     place, turn = np.array([mount.x, mount.y, mount.z]), HALF_TURN
     found = [(BASE.mass, place + turn @ np.array(BASE.centre))]
     for link, angle in zip(links(), q, strict=True):
         place = place + turn @ np.array(link.place)
         turn = turn @ rotation(link.rpy) @ rotation((0.0, 0.0, angle))
         found.append((link.mass, place + turn @ np.array(link.centre)))
+    found.append((TOOL_MASS, place + turn @ np.array([0.0, 0.0, TOOL_CENTRE])))
     return found
 
 
@@ -58,6 +62,18 @@ def test_the_wheels_carry_the_arm_where_it_is(q):
     for axis, values in enumerate((robot.wheels.x, robot.wheels.y)):
         moment = GRAVITY * sum(mass * centre[axis] for mass, centre in parts)
         assert loads @ np.array(values) == pytest.approx(moment, abs=0.5)
+
+
+def test_the_arm_and_its_tool_have_the_mass_that_the_planar_plant_has():
+    """The manufacturer's data sheet has 18.4 kg."""
+    bench = ideal("omniman")
+    mount = bench.description.mount
+    parts = [mass for mass, _ in masses_and_centres(POSTURES[0], mount)]
+    assert sum(parts) == pytest.approx(bench.robot.arm.mass)
+    assert sum(parts) - TOOL_MASS == pytest.approx(ARM_MASS) == pytest.approx(18.4)
+    bench.wait(1.0)
+    weight = GRAVITY * (bench.robot.body.mass + bench.robot.arm.mass)
+    assert bench.world.wheel_loads.sum() == pytest.approx(weight, rel=1e-3)
 
 
 def test_the_torque_of_the_second_joint_holds_the_stretched_arm():

@@ -3,31 +3,50 @@
 from xml.etree.ElementTree import Element
 
 from omniman_ros.core.arm_parameters import ArmParameters
-from omniman_ros.description.ur5 import BASE, Link, links
+from omniman_ros.core.robot import Robot
+from omniman_ros.description.ur5 import (
+    ARM_MASS,
+    BASE,
+    ROTOR_INERTIAS,
+    TOOL,
+    Link,
+    links,
+    tool_inertia,
+)
 from omniman_ros.description.urdf import ARM_BASE
 from omniman_ros.motion.whole_body.model import Mount
-from omniman_ros.simulation.world.model.mjcf import ROBOT, ROBOT_GROUP, add, add_inertia
+from omniman_ros.simulation.world.model.mjcf import (
+    HINGE_FRICTION,
+    ROBOT,
+    ROBOT_GROUP,
+    add,
+    add_inertia,
+)
 
 
-def arm_mass() -> float:
-    """Return the mass of the arm's links [kg]."""
-    return BASE.mass + sum(link.mass for link in links())
+def tool_mass(robot: Robot) -> float:
+    """Return the mass of the arm's tool [kg]: what the robot's arm has beyond its links."""
+    return max(robot.arm.mass - ARM_MASS, 0.0)
 
 
-def add_arm(base: Element, arm: ArmParameters, mount: Mount) -> None:
+def add_arm(base: Element, arm: ArmParameters, mount: Mount, tool: float) -> None:
     """Add the arm to the platform.
 
     Args:
         base: Body of base_link.
         arm: Names of the joints.
         mount: Pose of the arm's base.
+        tool: Mass of the tool [kg], which has no shape.
     """
     position, rotation = (mount.x, mount.y, mount.z), (0.0, 0.0, mount.yaw)
     parent = add(base, "body", name=ARM_BASE, pos=position, euler=rotation)
     parent = _add_link(parent, BASE)
-    for name, link in zip(arm.joints, links(), strict=True):
+    for name, link, rotor in zip(arm.joints, links(), ROTOR_INERTIAS, strict=True):
         parent = _add_link(parent, link)
-        add(parent, "joint", name=name, axis=(0.0, 0.0, 1.0))
+        axis = (0.0, 0.0, 1.0)
+        add(parent, "joint", name=name, axis=axis, armature=rotor, **HINGE_FRICTION)
+    if tool > 0.0:
+        add_inertia(add(parent, "body", name=TOOL), tool_inertia(tool))
 
 
 def _add_link(parent: Element, link: Link) -> Element:

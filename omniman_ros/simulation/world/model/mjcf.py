@@ -14,6 +14,12 @@ move, persons."""
 WORLD_GROUP, ROBOT_GROUP, TYRE_GROUP = 0, 1, 2
 """Groups of shapes: what is around the robot, the robot, and its tyres within the wheels."""
 
+HINGE_FRICTION: dict[str, Value] = {
+    "solreffriction": (0.002, 1.0),
+    "solimpfriction": (0.999, 0.999, 0.001),
+}
+"""Stiff dry friction, so that a hinge that friction holds does not creep."""
+
 
 def add(parent: Element, tag: str, **attributes: Value) -> Element:
     """Add an element; numbers are written so that reading them gives the same values."""

@@ -15,6 +15,7 @@ from omniman_ros.description.platform_shape import WHEEL_WIDTH
 from omniman_ros.simulation.plant.contact import Mounting
 from omniman_ros.simulation.world.model.floor import Tyres
 from omniman_ros.simulation.world.model.mjcf import (
+    HINGE_FRICTION,
     ROBOT_GROUP,
     TYRE,
     TYRE_GROUP,
@@ -31,11 +32,6 @@ ROLLER_MASS = 0.25
 """Fraction of a wheel's mass that its rollers have together."""
 QUARTER_TURN = 0.5 * math.pi
 """Angle of 90 degrees [rad]."""
-HINGE_FRICTION: dict[str, Value] = {
-    "solreffriction": (0.002, 1.0),
-    "solimpfriction": (0.999, 0.999, 0.001),
-}
-"""Stiff dry friction, so that a wheel which friction holds does not creep."""
 
 
 def body_name(wheel: str) -> str:
