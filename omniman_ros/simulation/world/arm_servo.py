@@ -1,5 +1,6 @@
 """The servo of the arm's joints."""
 
+from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
@@ -7,6 +8,8 @@ import numpy as np
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.description.ur5 import EFFORTS
+from omniman_ros.simulation.arm_link.frames import ArmSetpoint, ArmState
+from omniman_ros.simulation.world.arm_reference import TIME_TOLERANCE, ArmReference
 from omniman_ros.simulation.world.engine import Engine
 
 BANDWIDTH = 200.0
@@ -14,20 +17,22 @@ BANDWIDTH = 200.0
 
 
 class ArmServo:
-    """Moves the arm's joints to their setpoints: computed torque with a position loop.
+    """Moves the arm's joints along their reference: computed torque with a position loop.
 
-        torque = M (w^2 (setpoint - q) - 2 w q') + bias,     within the joints' limits
+        torque = M (r'' + w^2 (r - q) + 2 w (r' - q')) + bias,     within the joints' limits
 
-    Each joint follows as a critically damped system of second order at w = BANDWIDTH, with a lag
-    of 2 / w = 10 ms. `bias` holds gravity and Coriolis forces. As no force acts from outside, the
-    platform carries the arm and feels its reaction.
+    Each joint comes to its reference r as a critically damped system of second order at
+    w = BANDWIDTH. `bias` holds gravity and Coriolis forces. As no force acts from outside, the
+    platform carries the arm and feels its reaction. With the brakes on, the drives give no torque,
+    and the joints have dry friction that withstands the drives' largest torques.
 
     Args:
         engine: The engine.
         joints: Names of the joints.
 
     Attributes:
-        torques: Torques of the joints in the latest step [N m], (6,).
+        reference: The motion that the joints are told to make; its time is the world's.
+        torques: Torques of the drives in the latest step [N m], (6,).
     """
 
     def __init__(self, engine: Engine, joints: Sequence[str]) -> None:
@@ -36,8 +41,12 @@ class ArmServo:
         self.dofs = slice(first, first + len(joints))
         self._coordinates = slice(start, start + len(joints))
         self._limits = np.array(EFFORTS)
-        self._setpoint = self.positions
+        self.reference = ArmReference(self.positions)
         self.torques: Array = np.zeros(len(joints))
+        self._impulse: Array = np.zeros(len(joints))
+        self._time = self._measured_time = 0.0
+        self._awaited: deque[tuple[int, float]] = deque()
+        self._states: list[ArmState] = []
 
     @property
     def positions(self) -> Array:
@@ -50,12 +59,23 @@ class ArmServo:
         return self._engine.velocities[self.dofs].copy()
 
     def command(self, positions: Sequence[float] | Array) -> None:
-        """Set the setpoint of the joints' angles [rad], (6,).
+        """Hold the joints at angles [rad], (6,), from now on, with the brakes off.
 
         Raises:
-            InputError: They are not six finite numbers; the setpoint stays.
+            InputError: They are not six finite numbers; nothing changes.
         """
-        self._setpoint = self._checked(positions)
+        self.reference.place(self._checked(positions))
+
+    def follow(self, setpoint: ArmSetpoint) -> None:
+        """Be at a setpoint when it is due in the time of the world.
+
+        Raises:
+            InputError: It is not due after the last one, or at quite another time; it has no
+                effect.
+        """
+        self.reference.add(setpoint)
+        self._awaited.append((setpoint.sequence, setpoint.due))
+        self._answer()
 
     def place(self, positions: Sequence[float] | Array) -> None:
         """Put the joints, at rest, at angles [rad], (6,), and hold them there.
@@ -63,8 +83,8 @@ class ArmServo:
         Raises:
             InputError: They are not six finite numbers; nothing moves.
         """
-        self._setpoint = self._checked(positions)
-        self._engine.coordinates[self._coordinates] = self._setpoint
+        self.command(positions)
+        self._engine.coordinates[self._coordinates] = self.reference.positions
         self._engine.velocities[self.dofs] = 0.0
         self._engine.refresh()
 
@@ -75,12 +95,55 @@ class ArmServo:
             raise InputError(f"the arm's angles must be six finite numbers, not {positions!r}")
         return values
 
-    def update(self) -> None:
-        """Set the torques of the next step."""
-        engine = self._engine
-        error = self._setpoint - engine.coordinates[self._coordinates]
-        rate = engine.velocities[self.dofs]
-        demanded = BANDWIDTH * (BANDWIDTH * error - 2.0 * rate)
-        torques = engine.inertia(self.dofs) @ demanded + engine.bias[self.dofs]
-        self.torques = np.clip(torques, -self._limits, self._limits)
+    def update(self, time: float) -> None:
+        """Set the torques of the step that begins at a time of the world [s]."""
+        engine, reference = self._engine, self.reference
+        reference.advance(time)
+        if reference.is_braked:
+            self.torques = np.zeros_like(self._limits)
+            friction: Array | float = self._limits
+        else:
+            error = reference.positions - engine.coordinates[self._coordinates]
+            rate = reference.velocities - engine.velocities[self.dofs]
+            demanded = reference.accelerations + BANDWIDTH * (BANDWIDTH * error + 2.0 * rate)
+            torques = engine.inertia(self.dofs) @ demanded + engine.bias[self.dofs]
+            self.torques, friction = np.clip(torques, -self._limits, self._limits), 0.0
         engine.applied[self.dofs] = self.torques
+        engine.dry_friction[self.dofs] = friction
+
+    def measure(self, time: float) -> None:
+        """Measure at the end of a step, which is at a time of the world [s]."""
+        step = self._engine.step_time
+        self._impulse = self._impulse + step * self.torques
+        self._measured_time += step
+        self._time = time
+        self._answer()
+
+    def _answer(self) -> None:
+        """Measure for the setpoints that are due by now."""
+        while self._awaited and self._awaited[0][1] <= self._time + TIME_TOLERANCE:
+            sequence, _ = self._awaited.popleft()
+            self._states.append(self.state(sequence))
+
+    def state(self, sequence: int = 0) -> ArmState:
+        """Return what the joints measure now; the mean of the torques begins anew.
+
+        Args:
+            sequence: Number of the setpoint that is due.
+        """
+        span = self._measured_time
+        mean = self._impulse / span if span else self.torques
+        self._impulse, self._measured_time = np.zeros_like(self.torques), 0.0
+        rows = (self.positions, self.velocities, mean)
+        return ArmState(sequence, *(tuple(row.tolist()) for row in rows))
+
+    def take_states(self) -> list[ArmState]:
+        """Return the states at the instants at which setpoints were due since the last call."""
+        states, self._states = self._states, []
+        return states
+
+    def abandon(self) -> None:
+        """Forget all setpoints, and brake: the controller is gone."""
+        self.reference.abandon()
+        self._awaited.clear()
+        self._states.clear()

@@ -108,6 +108,7 @@ class World:
                 "start", scene.start, f"puts the robot {depth:.2f} m into {thing}"
             )
         self._external = self._turnover = 0.0
+        self._steps = 0
         self._start = engine.energies()
 
     # pose
@@ -215,6 +216,11 @@ class World:
 
     # time
 
+    @property
+    def time(self) -> float:
+        """Time since the start [s]."""
+        return self._steps * self.engine.step_time
+
     def step(self, voltages: Sequence[float]) -> None:
         """Integrate one substep.
 
@@ -229,7 +235,7 @@ class World:
         for wheel, voltage in zip(wheels, voltages, strict=True):
             wheel.begin(voltage, step)
         if self.arm is not None:
-            self.arm.update()
+            self.arm.update(self.time)
         for walker in self._walkers:
             walker.update()
         self._tyres.update_grip()
@@ -243,6 +249,9 @@ class World:
         self._contacts.update(self._tyres.update())
         engine.coordinates[self._free] = 0.0
         engine.refresh()
+        self._steps += 1
+        if self.arm is not None:
+            self.arm.measure(self.time)
 
         turnover = abs(work)
         for wheel, speed in zip(wheels, engine.velocities[drives].tolist(), strict=True):

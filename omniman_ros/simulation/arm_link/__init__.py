@@ -1,0 +1,1 @@
+"""The link between a simulated arm controller and the arm's joints in a physics world."""

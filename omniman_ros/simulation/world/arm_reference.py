@@ -1,0 +1,121 @@
+"""Motion that the arm's joints are told to make: from setpoint to setpoint, and to rest."""
+
+from collections import deque
+from collections.abc import Sequence
+
+import numpy as np
+
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.errors import InputError
+from omniman_ros.simulation.arm_link.frames import ArmSetpoint
+
+COASTING_TIME = 0.016
+"""Time after the last setpoint for which the joints keep their speeds [s]: two cycles of a CB3."""
+DECELERATION = 15.0
+"""Deceleration of the fastest joint without setpoints, the others in proportion [rad/s^2]."""
+TIME_TOLERANCE = 1e-6
+"""Time before an instant at which it counts as reached [s]."""
+MAX_OFFSET = 1.0
+"""Largest time by which a setpoint may be ahead or late [s]."""
+
+
+class ArmReference:
+    """Passes each setpoint's angles at its speeds and at its instant.
+
+    Between two setpoints, each angle is a cubic polynomial of time. Where the acceleration is
+    constant from one setpoint to the next, so is the reference's. Without a next setpoint, the
+    joints keep their speeds for :data:`COASTING_TIME`, and then brake on their path.
+
+    Args:
+        positions: Angles (6,) at which it rests [rad].
+
+    Attributes:
+        positions: Angles (6,) [rad].
+        velocities: Speeds (6,) [rad/s].
+        accelerations: Accelerations (6,) [rad/s^2].
+        is_braked: Whether the brakes are on.
+    """
+
+    def __init__(self, positions: Array) -> None:
+        self._queue: deque[ArmSetpoint] = deque()
+        self._time, self._last_due = 0.0, 0.0
+        self.place(positions)
+
+    def place(self, positions: Sequence[float] | Array) -> None:
+        """Rest at angles (6,) [rad] from now on, and forget all setpoints."""
+        self._queue.clear()
+        self.positions: Array = np.array(positions, dtype=np.float64)
+        self.velocities: Array = np.zeros_like(self.positions)
+        self.accelerations: Array = np.zeros_like(self.positions)
+        self.is_braked = False
+
+    def abandon(self) -> None:
+        """Forget all setpoints, and brake at once; the brakes stay as they are."""
+        self._queue.clear()
+        self._last_due = self._time - COASTING_TIME
+
+    def add(self, setpoint: ArmSetpoint) -> None:
+        """Take a setpoint, whose time is that of :meth:`advance`.
+
+        Raises:
+            InputError: It is not due after the last one, or more than :data:`MAX_OFFSET` from
+                now.
+        """
+        if self._queue and setpoint.due <= self._queue[-1].due:
+            raise InputError(f"setpoint {setpoint.sequence} is due before the one before it")
+        lead = setpoint.due - self._time
+        if abs(lead) > MAX_OFFSET:
+            raise InputError(
+                f"setpoint {setpoint.sequence} is due in {lead:.3f} s: the controller's time "
+                "is another one"
+            )
+        self._queue.append(setpoint)
+
+    def advance(self, time: float) -> None:
+        """Move on to a time [s]."""
+        step, self._time = time - self._time, time
+        begin = time - step
+        while self._queue and self._queue[0].due <= time + TIME_TOLERANCE:
+            passed = self._queue.popleft()
+            self.positions = np.array(passed.positions)
+            self.velocities = np.array(passed.velocities)
+            begin = self._last_due = passed.due
+            self.is_braked = passed.braked
+        if self._queue:
+            self._approach(self._queue[0], begin, time)
+        elif time - self._last_due <= COASTING_TIME:
+            self._move(np.zeros_like(self.velocities), time - begin)
+        else:
+            self._brake(time - begin)
+
+    def _approach(self, goal: ArmSetpoint, begin: float, time: float) -> None:
+        """Move towards a setpoint from the state at `begin` to that at `time` [s]."""
+        duration, step = goal.due - begin, time - begin
+        end, end_rate = np.array(goal.positions), np.array(goal.velocities)
+        if goal.begins_anew:
+            self.positions, self.velocities = end - duration * end_rate, end_rate
+        self.is_braked = goal.braked
+        mean = (end - self.positions) / duration
+        start_rate = self.velocities
+        # Cubic with these angles and speeds at both ends: its second and third derivatives.
+        curvature = (6.0 * mean - 4.0 * start_rate - 2.0 * end_rate) / duration
+        jerk = 6.0 * (start_rate + end_rate - 2.0 * mean) / duration**2
+        self.positions = (
+            self.positions + step * start_rate + step**2 * (curvature / 2.0 + step * jerk / 6.0)
+        )
+        self.velocities = start_rate + step * (curvature + step * jerk / 2.0)
+        self.accelerations = curvature + step * jerk
+
+    def _brake(self, step: float) -> None:
+        fastest = float(np.abs(self.velocities).max())
+        fraction = max(0.0, 1.0 - DECELERATION * step / fastest) if fastest else 0.0
+        if step > 0.0:
+            self._move((fraction - 1.0) / step * self.velocities, step)
+        if not fraction:
+            self.velocities = np.zeros_like(self.velocities)
+            self.accelerations = np.zeros_like(self.velocities)
+
+    def _move(self, accelerations: Array, step: float) -> None:
+        self.accelerations = accelerations
+        self.positions = self.positions + step * (self.velocities + 0.5 * step * accelerations)
+        self.velocities = self.velocities + step * accelerations
