@@ -2,7 +2,7 @@
 
 from collections import deque
 
-from omniman_ros.simulation.ur.arm import CYCLE, UrArmParameters
+from omniman_ros.simulation.ur.arm import CYCLE, SimulatedArm, UrArmParameters
 from omniman_ros.simulation.ur.controller import Controller
 from omniman_ros.simulation.ur.controller_server import launch
 from omniman_ros.ur.feedback import ArmSample
@@ -45,7 +45,8 @@ class SteppedLink:
     def __init__(self, now, **arm):
         self.now = now
         self.pipe = Pipe()
-        self.controller = Controller(UrArmParameters(**arm), launch, self.pipe)
+        parameters = UrArmParameters(**arm)
+        self.controller = Controller(parameters, SimulatedArm(parameters), launch, self.pipe)
         self.parameters = None
         self.address = ("10.0.0.2", 50001)
         self.blocking_reason, self.program_loss_reason = "", CLOSED

@@ -7,7 +7,7 @@ import numpy as np
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import parameter
-from omniman_ros.simulation.ur import kinematics
+from omniman_ros.simulation.ur.dynamics import ArmDynamics
 
 JOINTS = 6
 """Number of joints."""
@@ -17,13 +17,6 @@ CYCLE = 0.008
 REST_SPEED = 1e-3
 """Joint speed below which the arm counts as at rest [rad/s]."""
 
-TORQUE_CONSTANTS = np.array([12.5, 12.5, 12.5, 9.2, 9.2, 9.2])
-"""Torque at each joint per motor current [N m/A]; similar to a UR5's."""
-INERTIAS = np.array([3.0, 3.0, 1.0, 0.1, 0.1, 0.05])
-"""Moment of inertia at each joint [kg m^2]; similar to a UR5's."""
-FRICTION = np.array([8.0, 8.0, 5.0, 2.0, 2.0, 2.0])
-"""Viscous friction of each joint [N m s/rad]; similar to a UR5's."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class UrArmParameters:
@@ -32,11 +25,16 @@ class UrArmParameters:
     Position, speed and acceleration limits are those that a controller reports as its own
     configuration (Universal_Robots_Client_Library, test_primary_parser.cpp, CONFIGURATION_DATA):
     363 deg, 191.5 deg/s, 40 rad/s^2; a little more than the data sheet's pi rad/s and 360 deg.
+
+    A joint that deviates from its path, or whose torque deviates from the model of arm and
+    payload, causes a protective stop (Universal Robots, "Protective Stop Service Note": C153,
+    "position deviates from path", and C157, "collision detected by joint"). The thresholds are
+    not public: those here are assumed.
     """
 
     initial: tuple[float, ...] = parameter(
         (-1.6007, -1.7271, -2.203, -0.808, 1.5951, -0.031),
-        "Initial joint angles.",
+        "Initial joint angles, unless the joints are in a world.",
         unit="rad",
         low=-6.3,
         high=6.3,
@@ -85,17 +83,53 @@ class UrArmParameters:
         high=40,
         read_only=True,
     )
+    payload: float = parameter(
+        0.0,
+        "Mass of tool and load that the controller reckons with.",
+        unit="kg",
+        low=0,
+        high=10,
+        read_only=True,
+    )
+    collision_torque: tuple[float, ...] = parameter(
+        (40.0, 40.0, 40.0, 15.0, 15.0, 15.0),
+        "Difference of each joint's torque from the controller's model above which there is a "
+        "protective stop.",
+        unit="N m",
+        low=0.1,
+        high=1000,
+        read_only=True,
+    )
+    collision_time: float = parameter(
+        0.024,
+        "Time for which a joint's torque must differ for a protective stop.",
+        unit="s",
+        low=0.008,
+        high=1,
+        read_only=True,
+    )
+    world_port: int = parameter(
+        0,
+        "Port of a simulated world on this machine in which the joints are; joints of its own if "
+        "0.",
+        low=0,
+        high=65535,
+        read_only=True,
+    )
 
     def __post_init__(self) -> None:
         """Compare the parameters with each other.
 
         Raises:
-            ParameterError: There are not six angles, one is out of range, or the deceleration of
-                stops is above the largest acceleration.
+            ParameterError: There are not six angles or torques, an angle is out of range, or the
+                deceleration of stops is above the largest acceleration.
         """
         if len(self.initial) != JOINTS or any(abs(q) > self.range for q in self.initial):
             reason = f"must be {JOINTS} angles within +-{self.range} rad"
             raise ParameterError("simulated_arm.initial", self.initial, reason)
+        if len(self.collision_torque) != JOINTS:
+            reason = f"must be {JOINTS} torques"
+            raise ParameterError("simulated_arm.collision_torque", self.collision_torque, reason)
         if self.protective_deceleration > self.acceleration:
             raise ParameterError(
                 "simulated_arm.protective_deceleration",
@@ -105,19 +139,61 @@ class UrArmParameters:
 
 
 class SimulatedArm:
-    """Six independent joints, each of second order with limited acceleration.
+    """Six independent joints, each of second order with limited acceleration; an `ArmBody`.
+
+    Nothing but their limits keeps them from their reference, which they are themselves.
 
     Attributes:
         q: Angles [rad].
         qd: Speeds [rad/s].
         qdd: Accelerations in the last cycle [rad/s^2].
+        dynamics: Model of the torques.
+        lost_motion: Zero (6,) [rad].
+        unexpected_torque: Zero (6,) [N m].
     """
+
+    is_connected = True
+    failure = ""
 
     def __init__(self, parameters: UrArmParameters) -> None:
         self.parameters = parameters
         self.q: Array = np.array(parameters.initial)
         self.qd: Array = np.zeros(JOINTS)
         self.qdd: Array = np.zeros(JOINTS)
+        self.dynamics = ArmDynamics(parameters.payload)
+        self.lost_motion: Array = np.zeros(JOINTS)
+        self.unexpected_torque: Array = np.zeros(JOINTS)
+        self._is_locked = False
+
+    @property
+    def reference(self) -> "SimulatedArm":
+        """The joints themselves."""
+        return self
+
+    @property
+    def torque(self) -> Array:
+        """Torques of the joints by the model (6,) [N m]; zero with the brakes on."""
+        if self._is_locked:
+            return np.zeros(JOINTS)
+        return self.dynamics.torque(self.q, self.qd, self.qdd)
+
+    def place(self, q: Array, qd: Array) -> None:
+        """Go on from angles (6,) [rad] at speeds (6,) [rad/s]."""
+        self.q, self.qd, self.qdd = q.copy(), qd.copy(), np.zeros(JOINTS)
+
+    def measure(self, time: float) -> None:
+        """Do nothing: angles and speeds are what they are."""
+
+    def lock(self) -> None:
+        """Hold the joints by their brakes for a cycle."""
+        self._is_locked = True
+        self.qd, self.qdd = np.zeros(JOINTS), np.zeros(JOINTS)
+
+    def give_way(self) -> None:
+        """Do nothing: the joints are their own reference."""
+
+    def close(self) -> None:
+        """Do nothing: there is no connection."""
 
     def follow(self, target: Array, dt: float) -> None:
         """Follow target angles (6,) [rad] for a time dt [s].
@@ -137,7 +213,7 @@ class SimulatedArm:
         """Decelerate for a time [s], all joints in proportion: the arm keeps its path."""
         fastest = float(np.max(np.abs(self.qd)))
         if fastest == 0.0:
-            self.qdd = np.zeros(JOINTS)
+            self._move(np.zeros(JOINTS), dt)
             return
         remaining_fraction = max(0.0, 1.0 - self.parameters.protective_deceleration * dt / fastest)
         self._move(self.qd * (remaining_fraction - 1.0) / dt, dt)
@@ -145,6 +221,7 @@ class SimulatedArm:
             self.qd = np.zeros(JOINTS)
 
     def _move(self, acceleration: Array, dt: float) -> None:
+        self._is_locked = False
         self.qdd = acceleration
         self.qd = self.qd + acceleration * dt
         self.q = self.q + self.qd * dt
@@ -153,26 +230,3 @@ class SimulatedArm:
     def still(self) -> bool:
         """Whether the arm counts as at rest."""
         return bool(np.max(np.abs(self.qd)) < REST_SPEED)
-
-    def violation(self, target: Array) -> str:
-        """Return which limit is exceeded, with the values; an empty string if none is."""
-        p = self.parameters
-        # A joint beyond its range may move back.
-        outward = np.where(self.q * self.qd > 0.0, np.abs(self.q), 0.0)
-        checks = (
-            ("position", "rad", outward, p.range),
-            ("speed", "rad/s", np.abs(self.qd), p.speed),
-            ("deviation", "rad", np.abs(target - self.q), p.deviation),
-        )
-        for name, unit, values, limit in checks:
-            # Negated, so that NaN violates the limit.
-            bad = np.flatnonzero(~(values <= limit))
-            if bad.size:
-                k = int(bad[0])
-                return f"{name} of joint {k}: {values[k]:.3f} above {limit:.3f} {unit}"
-        return ""
-
-    def currents(self, q: Array, qd: Array, qdd: Array) -> Array:
-        """Return the motor currents (6,) for a motion [A]: gravity, inertia and friction."""
-        torque = kinematics.gravity_torque(q) + INERTIAS * qdd + FRICTION * qd
-        return np.asarray(torque / TORQUE_CONSTANTS)

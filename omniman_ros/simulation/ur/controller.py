@@ -9,7 +9,8 @@ import numpy as np
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.simulation.ur import rtde_outputs
-from omniman_ros.simulation.ur.arm import CYCLE, JOINTS, SimulatedArm, UrArmParameters
+from omniman_ros.simulation.ur.arm import CYCLE, JOINTS, UrArmParameters
+from omniman_ros.simulation.ur.arm_body import ArmBody
 from omniman_ros.simulation.ur.faults import UrFaultParameters
 from omniman_ros.simulation.ur.modes import MOVING, Modes, RobotMode, RuntimeState, SafetyMode
 from omniman_ros.simulation.ur.motion import Motion, MoveJ, ServoJ, Stop, Target
@@ -17,6 +18,7 @@ from omniman_ros.simulation.ur.program_host import ProgramHost
 from omniman_ros.simulation.ur.program_sockets import ProgramSockets
 from omniman_ros.simulation.ur.registers import Registers
 from omniman_ros.simulation.ur.rtde_fields import Value
+from omniman_ros.simulation.ur.safety_checks import SafetyChecks
 from omniman_ros.simulation.ur.urscript.errors import ScriptError, ScriptRuntimeError
 from omniman_ros.simulation.ur.urscript.host import Done, Host
 
@@ -92,6 +94,7 @@ class Controller:
 
     Args:
         parameters: Parameters of the arm.
+        arm: The joints.
         launch: Parses and starts programs.
         network: Connections of the programs.
 
@@ -112,19 +115,25 @@ class Controller:
     """
 
     def __init__(
-        self, parameters: UrArmParameters, launch: Launch, network: ProgramSockets
+        self,
+        parameters: UrArmParameters,
+        arm: ArmBody,
+        launch: Launch,
+        network: ProgramSockets,
     ) -> None:
         self.faults = UrFaultParameters()
         self.slider = 1.0
-        self.arm = SimulatedArm(parameters)
-        self.target = Target(self.arm.q.copy())
+        self.arm = arm
+        self.target = Target(arm.q.copy())
         self.target_qdd: Array = np.zeros(JOINTS)
-        self.modes, self.runtime = Modes(), RuntimeState.STOPPED
+        robot = RobotMode.RUNNING if arm.is_connected else RobotMode.DISCONNECTED
+        self.modes, self.runtime = Modes(robot), RuntimeState.STOPPED
         self.registers = Registers()
         self.log: deque[str] = deque(maxlen=LOG_LENGTH)
         self.end_reason = ""
         self.counts = Counts()
         self.fraction, self.limiter = 1.0, 1.0
+        self._parameters, self._checks = parameters, SafetyChecks(parameters)
         self._launch, self._network = launch, network
         self._last_faults = self.faults
         self._begin_time: float | None = None
@@ -144,6 +153,7 @@ class Controller:
         if self._begin_time is None:
             self._begin_time = now
         self._now = now
+        self._look_for_arm()
         self._apply_faults()
         if self.faults.freeze_all:
             self.arm.brake(CYCLE)
@@ -154,6 +164,20 @@ class Controller:
         self._advance()
         if not self.arm.still:
             self._still_since = now
+
+    def _look_for_arm(self) -> None:
+        """Begin when the joints answer, and stop for good when they do not any more."""
+        modes = self.modes.with_arm(self.arm.is_connected)
+        if modes is self.modes:
+            return
+        self.modes = modes
+        if self.arm.is_connected:
+            self.target = Target(self.arm.q.copy())
+            self._log(f"the arm answers: {modes.robot.name}")
+            return
+        self._log(f"the arm does not answer: {self.arm.failure}")
+        self._halt()
+        self.stop("the arm does not answer")
 
     def _apply_faults(self) -> None:
         last, self._last_faults = self._last_faults, self.faults
@@ -195,9 +219,9 @@ class Controller:
 
     def _advance(self) -> None:
         """Move target and joints by one cycle, or stop them."""
-        if not self.modes.powered:
+        if self.modes.braked:
             self.target = Target(self.arm.q.copy())
-            self.arm.brake(CYCLE)
+            self.arm.lock()
             self.target_qdd = np.zeros(JOINTS)
             return
         if self._motion.over and not self._commanded and self.runtime in MOVING:
@@ -209,9 +233,19 @@ class Controller:
         self._motion.advance(self.target, CYCLE * self._stretch)
         self.target_qdd = (self.target_qd - last_qd) / CYCLE
         self.arm.follow(self.target.q, CYCLE)
-        violation = self.arm.violation(self.target.q)
-        if violation and self.modes.safety is SafetyMode.NORMAL:
-            self.protective_stop(violation)
+        self._check()
+
+    def _check(self) -> None:
+        """Stop where a limit is exceeded, and do not press on, stopped or not."""
+        violation = self._checks.violation(self.arm, self.target.q)
+        if violation is None:
+            return
+        if violation.is_hindered:
+            self.arm.give_way()
+        if self.modes.safety is SafetyMode.NORMAL:
+            self.protective_stop(violation.reason)
+        elif violation.is_hindered:
+            self.target = Target(self.arm.reference.q.copy(), self.arm.reference.qd.copy())
 
     @property
     def pace(self) -> float:
@@ -236,12 +270,13 @@ class Controller:
         self._commanded = True
 
     def _halt(self) -> None:
-        """Stop hard from the position and velocity of the joints."""
-        # This is the target that joints with this motion would follow.
-        ahead = self.arm.q + self.arm.parameters.lag * self.arm.qd
-        self.target = Target(ahead, self.arm.qd.copy())
+        """Stop hard from the position and velocity of the reference that the joints follow."""
+        # This is the target that a reference with this motion would follow.
+        reference = self.arm.reference
+        ahead = reference.q + self._parameters.lag * reference.qd
+        self.target = Target(ahead, reference.qd.copy())
         self._suspended = self._motion if isinstance(self._motion, MoveJ) else None
-        self._motion = Stop(self.arm.parameters.protective_deceleration)
+        self._motion = Stop(self._parameters.protective_deceleration)
 
     # ---- stops, pauses, programs --------------------------------------------------------------
 
@@ -319,7 +354,7 @@ class Controller:
         if unlocked is None:
             return False
         self.modes = unlocked
-        self.target = Target(self.arm.q.copy())
+        self.target = Target(self.arm.reference.q.copy())
         return True
 
     def close_popups(self) -> None:

@@ -3,7 +3,9 @@
 import re
 import threading
 
-from omniman_ros.simulation.ur.arm import CYCLE, UrArmParameters
+from omniman_ros.simulation.arm_link.client import ArmLinkClient
+from omniman_ros.simulation.ur.arm import CYCLE, SimulatedArm, UrArmParameters
+from omniman_ros.simulation.ur.arm_body import ArmBody
 from omniman_ros.simulation.ur.controller import Controller, RunningProgram
 from omniman_ros.simulation.ur.modes import RobotMode
 from omniman_ros.simulation.ur.pace import MAX_WAIT, Pace, RealTime
@@ -12,6 +14,7 @@ from omniman_ros.simulation.ur.tcp_ports import ControllerPorts, UrPortParameter
 from omniman_ros.simulation.ur.urscript.compiler import Program as Text
 from omniman_ros.simulation.ur.urscript.host import Host
 from omniman_ros.simulation.ur.urscript.machine import Machine
+from omniman_ros.simulation.ur.world_arm import WorldArm
 
 MAX_DELAY = 1.0
 """Delay above which missed cycles are skipped, so that the controller's time stops [s]."""
@@ -29,6 +32,18 @@ def launch(text: str, host: Host) -> RunningProgram:
         ScriptError: The text is not a program.
     """
     return Machine(Text(NEXT_LINE.sub(r"= \1\n", text)), host)
+
+
+def make_arm(parameters: UrArmParameters, is_lockstep: bool) -> ArmBody:
+    """Return joints of the controller's own, or those of a world.
+
+    Args:
+        parameters: Parameters of the arm.
+        is_lockstep: Whether time is simulated.
+    """
+    if not parameters.world_port:
+        return SimulatedArm(parameters)
+    return WorldArm(parameters, ArmLinkClient(parameters.world_port), is_lockstep)
 
 
 class ControllerServer:
@@ -57,7 +72,8 @@ class ControllerServer:
         self, arm: UrArmParameters, ports: UrPortParameters, pace: Pace | None = None
     ) -> None:
         self.network = ProgramSockets()
-        self.controller = Controller(arm, launch, self.network)
+        body = make_arm(arm, is_lockstep=pace is not None)
+        self.controller = Controller(arm, body, launch, self.network)
         self.ports = ControllerPorts(self.controller, self.network, ports)
         self.late, self.lost, self.done = 0, 0.0, 0.0
         self._pace = pace or RealTime()
@@ -74,40 +90,38 @@ class ControllerServer:
         """Run one cycle; tests call it instead of starting the thread.
 
         Args:
-            now: Time of the cycle [s].
+            now: Instant of the cycle on the clock of the thread [s].
             due_cycles: Number of cycles that are due, this one included.
         """
+        self.controller.arm.measure(now)
         self.network.admit(due_cycles)
         if self._power_off.is_set():
             self._power_off.clear()
             self.controller.power(RobotMode.POWER_OFF)
-        self.ports.cycle(now)
+        self.ports.cycle(now - self.lost)
 
     def _run(self) -> None:
         pace = self._pace
         self.done = due = pace.now()
         while not self._closing.is_set():
-            if due - pace.now() > MAX_DELAY:  # simulated time has begun anew
-                self.lost += pace.now() - due
-                self.done = due = pace.now()
+            skipped = pace.now() - due
+            if abs(skipped) > MAX_DELAY:  # held up, or simulated time has begun (anew)
+                self.lost += skipped
+                self.done = due = due + skipped
             if pace.now() < due:
                 pace.wait(due)
                 continue
             missed_cycles = int((pace.now() - due) / CYCLE)
             try:
-                self.cycle(due - self.lost, 1 + missed_cycles)
+                self.cycle(due, 1 + missed_cycles)
             except Exception as error:
                 self.error = error
                 return
             due += CYCLE
-            now = pace.now()
-            if now - due > MAX_DELAY:
-                self.lost += now - due
-                due = now
             with self._has_run:
                 self.done = due
                 self._has_run.notify_all()
-            if now - due > CYCLE:
+            if pace.now() - due > CYCLE:
                 self.late += 1
                 pace.give_way()
 
@@ -123,6 +137,7 @@ class ControllerServer:
     def close(self) -> None:
         """End the thread, and close all ports."""
         self._closing.set()
+        self.controller.arm.close()
         if self._thread.is_alive():
             self._thread.join()
         self.ports.close()

@@ -30,8 +30,6 @@ UR5 = DhTable(
 )
 """Universal Robots, "DH parameters for calculations of kinematics and dynamics", UR5."""
 
-MASSES = (8.393, 2.275, 2.6269)
-"""Masses of upper arm, forearm and all wrists together [kg]; same source."""
 GRAVITY = 9.82
 """Gravity [m/s^2]."""
 ELBOW = 2
@@ -98,16 +96,3 @@ def twist(q: Array, qd: Array, link: int = 6) -> Array:
         result[:3] += speed * np.cross(axis, point - frame[:3, 3])
         result[3:] += speed * axis
     return result
-
-
-def gravity_torque(q: Array) -> Array:
-    """Return the torques (6,) against gravity [N m]; links are rods, the wrists a mass point."""
-    chain = frames(q)
-    shoulder, elbow, wrist = (chain[k][:3, 3] for k in (1, ELBOW, 3))
-    bodies = (0.5 * (shoulder + elbow), 0.5 * (elbow + wrist), wrist)
-    torque = np.zeros(6)
-    for joint in (1, 2):
-        axis, origin = chain[joint][:3, 2], chain[joint][:3, 3]
-        for mass, point in zip(MASSES[joint - 1 :], bodies[joint - 1 :], strict=True):
-            torque[joint] += mass * GRAVITY * float(np.cross(axis, point - origin)[2])
-    return torque

@@ -103,6 +103,11 @@ class Modes:
         return self.robot in POWERED
 
     @property
+    def braked(self) -> bool:
+        """Whether the brakes hold the joints."""
+        return self.robot is not RobotMode.RUNNING
+
+    @property
     def safety_bits(self) -> int:
         """Value of safety_status_bits."""
         return SAFETY_BITS[self.safety]
@@ -113,6 +118,17 @@ class Modes:
         if not self.powered:
             return JOINT_POWER_OFF
         return JOINT_RUNNING if self.robot is RobotMode.RUNNING else JOINT_IDLE
+
+    def with_arm(self, is_connected: bool) -> "Modes":
+        """Return the modes after the joints began to answer, or ceased to.
+
+        Joints that were lost are without power when they answer again.
+        """
+        if is_connected is (self.robot is not RobotMode.DISCONNECTED):
+            return self
+        if is_connected:
+            return replace(self, robot=self.wanted)
+        return replace(self, robot=RobotMode.DISCONNECTED, wanted=RobotMode.POWER_OFF)
 
     def protective_stop(self, now: float) -> "Modes":
         """Return the modes after a protective stop at time `now` [s]; emergency stops prevail."""
@@ -137,7 +153,13 @@ class Modes:
         return self
 
     def power(self, wanted: RobotMode, now: float) -> "Modes | None":
-        """Begin to switch to a mode; None if it needs power and the emergency stop is pressed."""
+        """Begin to switch to a mode.
+
+        Returns:
+            None if it needs power and the emergency stop is pressed, or if there is no arm.
+        """
+        if self.robot is RobotMode.DISCONNECTED:
+            return None
         if wanted in POWERED and self.safety is SafetyMode.ROBOT_EMERGENCY_STOP:
             return None
         if wanted is RobotMode.IDLE and self.robot is RobotMode.RUNNING:
@@ -146,7 +168,7 @@ class Modes:
 
     def advance(self, now: float, at_rest: bool) -> "Modes":
         """Return the modes at time `now` [s]; power goes off only with the arm at rest."""
-        if self.robot is self.wanted:
+        if self.robot in (self.wanted, RobotMode.DISCONNECTED):
             return self
         if self.wanted is RobotMode.POWER_OFF:
             return replace(self, robot=RobotMode.POWER_OFF) if at_rest else self

@@ -7,7 +7,8 @@ import numpy as np
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.simulation.ur import kinematics
-from omniman_ros.simulation.ur.arm import TORQUE_CONSTANTS, SimulatedArm
+from omniman_ros.simulation.ur.arm_body import ArmBody
+from omniman_ros.simulation.ur.dynamics import TORQUE_CONSTANTS, motor_torque
 from omniman_ros.simulation.ur.modes import MOVING, Modes, RuntimeState
 from omniman_ros.simulation.ur.motion import Target
 from omniman_ros.simulation.ur.registers import Registers
@@ -24,7 +25,7 @@ TOOL_MODE = 253
 class State(Protocol):
     """State of the controller that the outputs report; see `Controller`."""
 
-    arm: SimulatedArm
+    arm: ArmBody
     target: Target
     target_qdd: Array
     modes: Modes
@@ -59,12 +60,15 @@ def status_bits(c: State) -> int:
 
 def currents(c: State) -> Array:
     """Return the motor currents (6,) [A]; zero without power."""
-    return c.arm.currents(c.arm.q, c.arm.qd, c.arm.qdd) * c.modes.powered
+    torque = motor_torque(c.arm.torque, c.arm.qd)
+    return np.asarray(torque / TORQUE_CONSTANTS * c.modes.powered)
 
 
 def target_currents(c: State) -> Array:
     """Return the motor currents (6,) that the target motion requires [A]; zero without power."""
-    return c.arm.currents(c.target.q, c.target_qd, c.target_qdd) * c.modes.powered
+    joint_torque = c.arm.dynamics.torque(c.target.q, c.target_qd, c.target_qdd)
+    torque = motor_torque(joint_torque, c.target_qd)
+    return np.asarray(torque / TORQUE_CONSTANTS * c.modes.powered)
 
 
 def _elbow(c: State) -> Array:

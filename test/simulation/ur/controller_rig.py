@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from omniman_ros.simulation.ur.arm import CYCLE, UrArmParameters
+from omniman_ros.simulation.ur.arm import CYCLE, SimulatedArm, UrArmParameters
 from omniman_ros.simulation.ur.controller import Controller
 from omniman_ros.simulation.ur.faults import UrFaultParameters
 from omniman_ros.simulation.ur.program_host import ProgramHost
@@ -39,7 +39,8 @@ class Rig:
     def __init__(self, **parameters):
         parameters.setdefault("initial", (0.0, -1.5, 1.0, 0.0, 0.5, 0.0))
         self.scripts = {"idle": lambda host, k: None}
-        self.controller = Controller(UrArmParameters(**parameters), self._launch, NoNetwork())
+        values = UrArmParameters(**parameters)
+        self.controller = Controller(values, SimulatedArm(values), self._launch, NoNetwork())
         self.host = ProgramHost(self.controller, NoNetwork())
         self.start = self.controller.arm.q.copy()
         self.cycles = 0

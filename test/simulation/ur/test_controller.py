@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from omniman_ros.simulation.ur.arm import CYCLE
+from omniman_ros.simulation.ur.arm import CYCLE, UrArmParameters
 from omniman_ros.simulation.ur.modes import RobotMode, RuntimeState, SafetyMode
 from test.simulation.ur.controller_rig import Rig, sweep
 
@@ -136,7 +136,7 @@ def test_manual_protective_stop_stops_within_its_deceleration(rig):
     rig.run(1.0)
     rig.track.clear()
     rig.faults(protective_stop=True)
-    rig.run(2.0 / 15 + 6 * rig.controller.arm.parameters.lag)
+    rig.run(2.0 / 15 + 6 * UrArmParameters().lag)
     assert rig.speed < 1e-3
     assert rig.hardest() < 16.0
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from omniman_ros.simulation.ur import kinematics
-from omniman_ros.simulation.ur.kinematics import UR5, DhTable
+from omniman_ros.simulation.ur.kinematics import DhTable
 
 # First robot state of a UR5e from URSim 5.8, its joint data, Cartesian and kinematics info:
 # Universal_Robots_Client_Library, tests/test_primary_parser.cpp, ROBOT_STATE.
@@ -63,18 +63,3 @@ def test_twist_is_the_rate_of_the_frame(link):
         assert twist[:3] == pytest.approx((after - before)[:3, 3] / (2 * h), abs=1e-6)
         turn = kinematics.rotation_vector(after[:3, :3] @ before[:3, :3].T)
         assert twist[3:] == pytest.approx(turn / (2 * h), abs=1e-5)
-
-
-def test_gravity_torques_equal_the_gradient_of_the_potential_energy():
-    rng = np.random.default_rng(4)
-
-    def energy(q):
-        chain = kinematics.frames(q, UR5)
-        z = [chain[k][2, 3] for k in (1, kinematics.ELBOW, 3)]
-        heights = (z[0] + z[1]) / 2, (z[1] + z[2]) / 2, z[2]
-        return kinematics.GRAVITY * np.dot(kinematics.MASSES, heights)
-
-    for _ in range(10):
-        q, step = rng.uniform(-3, 3, 6), np.eye(6) * 1e-6
-        slope = [(energy(q + d) - energy(q - d)) / 2e-6 for d in step]
-        assert kinematics.gravity_torque(q)[1:3] == pytest.approx(slope[1:3], abs=1e-4)

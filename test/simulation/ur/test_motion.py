@@ -8,6 +8,7 @@ import pytest
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.simulation.ur.arm import SimulatedArm, UrArmParameters
 from omniman_ros.simulation.ur.motion import MoveJ, ServoJ, SpeedJ, Stop, Target
+from omniman_ros.simulation.ur.safety_checks import SafetyChecks
 
 DT = 0.008
 
@@ -174,14 +175,16 @@ def test_joints_brake_on_their_path():
 def test_violation_of_a_joint_limit_is_reported(q, qd, off, name):
     joints = arm()
     joints.q, joints.qd = joint(q), joint(qd)
-    assert joints.violation(joints.q + joint(off)).startswith(f"{name} of joint 0")
+    violation = SafetyChecks(joints.parameters).violation(joints, joints.q + joint(off))
+    assert violation.reason.startswith(f"{name} of joint 0")
+    assert violation.is_hindered == (name == "deviation")
 
 
 @pytest.mark.parametrize(("q", "qd", "off"), [(6.33, 3.33, 0.09), (6.34, -0.1, 0), (6.34, 0, 0)])
 def test_joint_within_its_limits_or_returning_is_no_violation(q, qd, off):
     joints = arm()
     joints.q, joints.qd = joint(q), joint(qd)
-    assert joints.violation(joints.q + joint(off)) == ""
+    assert SafetyChecks(joints.parameters).violation(joints, joints.q + joint(off)) is None
 
 
 @pytest.mark.parametrize(
@@ -190,6 +193,7 @@ def test_joint_within_its_limits_or_returning_is_no_violation(q, qd, off):
         {"initial": (0.0,) * 5},
         {"initial": (6.0,) * 6, "range": 5.0},
         {"protective_deceleration": 40.0, "acceleration": 30.0},
+        {"collision_torque": (40.0,)},
     ],
 )
 def test_invalid_parameters_are_rejected(changes):

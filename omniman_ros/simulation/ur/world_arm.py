@@ -1,0 +1,238 @@
+"""An arm whose joints are in a physics world, beyond a link."""
+
+import threading
+from collections import deque
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from omniman_ros.core.arrays import Array
+from omniman_ros.simulation.arm_link.frames import ArmSetpoint, ArmState
+from omniman_ros.simulation.ur.arm import CYCLE, JOINTS, SimulatedArm, UrArmParameters
+
+LEAD = 2.0 * CYCLE
+"""Time from a cycle until its setpoint is due [s]: the next cycle, in which the world may learn of
+it, and the one in which the joints move."""
+RETRY_CYCLES = 12
+"""Number of cycles between two attempts to connect."""
+WAIT = 0.1
+"""Longest real time of a wait for the world before other things are looked at [s]."""
+PATIENCE = 5.0
+"""Real time of waiting after which a world on simulated time counts as silent [s]."""
+SILENCE = 0.5
+"""Time without a state after which a world on real time counts as silent [s]."""
+
+
+class ArmLink(Protocol):
+    """The controller's end of the link; see `ArmLinkClient`."""
+
+    failure: str
+    """Why there is no connection."""
+
+    @property
+    def is_open(self) -> bool:
+        """Whether there is a connection."""
+
+    def open(self) -> bool:
+        """Try to connect; return whether that succeeded."""
+
+    def receive(self) -> list[ArmState]:
+        """Return the states that have arrived."""
+
+    def send(self, setpoint: ArmSetpoint) -> None:
+        """Send a setpoint."""
+
+    def wait(self, timeout: float) -> bool:
+        """Wait until something has arrived, up to `timeout` [s]; return whether it has."""
+
+    def close(self, reason: str) -> None:
+        """Close the connection."""
+
+
+@dataclass(frozen=True)
+class _Sent:
+    """A setpoint that the world has not yet answered, and the acceleration towards it."""
+
+    setpoint: ArmSetpoint
+    acceleration: Array
+
+
+class WorldArm:
+    """Joints in a physics world, an `ArmBody`.
+
+    The reference is a :class:`SimulatedArm` in the controller, with the lag and the limits of the
+    joints. The world moves its joints along that reference, :data:`LEAD` later, and measures them.
+    With simulated time, a cycle waits for the state at its own instant, so that it always knows
+    the same, however busy the machine is.
+
+    Args:
+        parameters: Limits of the joints.
+        link: The link to the world.
+        is_lockstep: Whether the controller runs on simulated time that the world gives.
+
+    Attributes:
+        q: Measured angles (6,) [rad].
+        qd: Measured speeds (6,) [rad/s].
+        torque: Measured torques of the joints, the mean of a cycle (6,) [N m].
+        is_connected: Whether the joints answer.
+        reference: The motion that the joints are told to make.
+    """
+
+    def __init__(self, parameters: UrArmParameters, link: ArmLink, is_lockstep: bool) -> None:
+        self.reference = SimulatedArm(parameters)
+        self.dynamics = self.reference.dynamics
+        self.q: Array = self.reference.q.copy()
+        self.qd: Array = np.zeros(JOINTS)
+        self.torque: Array = np.zeros(JOINTS)
+        self.is_connected = False
+        self._link, self._is_lockstep = link, is_lockstep
+        self._sent: deque[_Sent] = deque()
+        self._answered: _Sent | None = None
+        self._sequence, self._begins_anew = 0, True
+        self._last_speed: Array = np.zeros(JOINTS)
+        self._time = self._answer_time = 0.0
+        self._until_retry = 0
+        self._closing = threading.Event()
+
+    @property
+    def failure(self) -> str:
+        """Why the joints do not answer, or an empty string."""
+        return "" if self.is_connected else self._link.failure
+
+    @property
+    def still(self) -> bool:
+        """Whether the reference is at rest; the platform may shake the joints."""
+        return self.reference.still
+
+    @property
+    def lost_motion(self) -> Array:
+        """By how much the joints are behind their reference at the same instant (6,) [rad]."""
+        if self._answered is None:
+            return np.zeros(JOINTS)
+        return np.array(self._answered.setpoint.positions) - self.q
+
+    @property
+    def unexpected_torque(self) -> Array:
+        """Torques beyond those that the reference took by the controller's model (6,) [N m]."""
+        if self._answered is None or self._answered.setpoint.braked:
+            return np.zeros(JOINTS)
+        # The torque is the mean of the cycle before, of which this is the middle.
+        acceleration = self._answered.acceleration
+        middle = self.qd - 0.5 * CYCLE * acceleration
+        q = self.q - 0.5 * CYCLE * middle
+        return self.torque - self.dynamics.torque(q, middle, acceleration)
+
+    # ---- measurements -------------------------------------------------------------------------
+
+    def measure(self, time: float) -> None:
+        """Take what the world has measured up to a cycle.
+
+        Args:
+            time: Instant of the cycle [s].
+        """
+        self._time = time
+        if not self._link.is_open:
+            self._connect()
+        self._take(self._link.receive())
+        if self._is_lockstep:
+            self._await(time)
+        elif self.is_connected and time - self._answer_time > SILENCE:
+            self._link.close(f"the world has been silent for {SILENCE} s")
+        if self.is_connected and not self._link.is_open:
+            self.is_connected = False
+            self._forget()
+
+    def _connect(self) -> None:
+        self._until_retry -= 1
+        if self._until_retry < 0 and not self._link.open():
+            self._until_retry = RETRY_CYCLES
+
+    def _await(self, time: float) -> None:
+        """Wait until all setpoints that are due by a time [s] are answered."""
+        waits = 0
+        while self._link.is_open and self._sent and self._sent[0].setpoint.due <= time:
+            if not self._link.wait(WAIT):
+                waits += 1
+                if self._closing.is_set():
+                    return
+                if waits * WAIT >= PATIENCE:
+                    self._link.close(f"the world has been silent for {PATIENCE} s")
+            self._take(self._link.receive())
+
+    def _take(self, states: list[ArmState]) -> None:
+        for state in states:
+            while self._sent and self._sent[0].setpoint.sequence <= state.sequence:
+                self._answered = self._sent.popleft()
+            self.q, self.qd = np.array(state.positions), np.array(state.velocities)
+            self.torque = np.array(state.torques)
+            self._answer_time = self._time
+            if not self.is_connected:
+                self._forget()
+                self.is_connected = True
+
+    def _forget(self) -> None:
+        """Forget all setpoints of a connection."""
+        self._sent.clear()
+        self._answered = None
+        self.give_way()
+
+    # ---- motion -------------------------------------------------------------------------------
+
+    def follow(self, target: Array, dt: float) -> None:
+        """Follow target angles (6,) [rad] for a time dt [s]."""
+        self.reference.follow(target, dt)
+        self._send(dt)
+
+    def brake(self, dt: float) -> None:
+        """Decelerate by the drives for a time [s], all joints in proportion."""
+        self.reference.brake(dt)
+        self._send(dt)
+
+    def lock(self) -> None:
+        """Hold the joints by their brakes for a cycle."""
+        self.reference.place(self.q, np.zeros(JOINTS))
+        self._begins_anew = True
+        self._send(CYCLE, braked=True)
+        self._begins_anew = True
+
+    def give_way(self) -> None:
+        """Go on from where the joints are, instead of from their reference.
+
+        A joint that something holds up, or throws back, is to rest; the others go on.
+        """
+        planned = self.reference.qd
+        slower = np.minimum(np.abs(self.qd), np.abs(planned))
+        kept = np.where(self.qd * planned > 0.0, np.copysign(slower, planned), 0.0)
+        self.reference.place(self.q, kept)
+        self._begins_anew = True
+
+    def _send(self, dt: float, braked: bool = False) -> None:
+        """Send the state of the reference in the middle of its last step, as a setpoint.
+
+        The reference has a constant speed in each step. A motion that passes the middles of the
+        steps at these speeds has its accelerations instead of jumps.
+        """
+        if not self.is_connected:
+            return
+        speed = self.reference.qd
+        acceleration = (speed - self._last_speed) / dt
+        if self._begins_anew:
+            acceleration = np.zeros(JOINTS)
+        self._sequence += 1
+        setpoint = ArmSetpoint(
+            self._sequence,
+            self._time + LEAD,
+            tuple((self.reference.q - 0.5 * dt * speed).tolist()),
+            tuple(speed.tolist()),
+            begins_anew=self._begins_anew,
+            braked=braked,
+        )
+        self._sent.append(_Sent(setpoint, acceleration))
+        self._last_speed, self._begins_anew = speed.copy(), False
+        self._link.send(setpoint)
+
+    def close(self) -> None:
+        """Close the link, and end a wait for the world."""
+        self._closing.set()
+        self._link.close("closed")
