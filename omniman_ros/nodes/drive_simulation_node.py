@@ -41,11 +41,15 @@ class DriveSimulationNode(OmnimanNode, Generic[P]):
         name: Name of the node.
         kind: Parameters of the node.
         options: Options of the node.
+
+    Attributes:
+        drives: The drives.
+        simulated_clock: Simulated time that the node advances; None without `publish_clock`.
     """
 
     def __init__(self, name: str, kind: type[P], **options: object) -> None:
         super().__init__(name, **options)
-        self._simulated_clock: SimulatedClock | None = None
+        self.simulated_clock: SimulatedClock | None = None
         self.settings = ParameterSet(self, kind)
         p = self.settings.value
         self.drives = SimulatedDrives(p.robot, p.simulation, p.seed, self.make_body(p))
@@ -68,7 +72,7 @@ class DriveSimulationNode(OmnimanNode, Generic[P]):
         self.create_subscription(PoseWithCovarianceStamped, "initialpose", handler, 10)
         self._stop = StopInterface(self, self.latch, self._reset, self._halt)
         if p.publish_clock:
-            self._simulated_clock = SimulatedClock(
+            self.simulated_clock = SimulatedClock(
                 self, 1.0 / p.state_rate, p.real_time_factor, p.clock_patience, super().now
             )
             self.every(PACE_PERIOD, self._report_pace)
@@ -85,16 +89,16 @@ class DriveSimulationNode(OmnimanNode, Generic[P]):
 
     def now(self) -> float:
         """Return the time of the drives' clock [s]: with `publish_clock`, simulated time."""
-        return super().now() if self._simulated_clock is None else self._simulated_clock.now
+        return super().now() if self.simulated_clock is None else self.simulated_clock.now
 
     def stamp(self, at: float | None = None) -> TimeMsg:
         """Return the ROS time of an instant of the drives' clock [s]; now if it is None."""
-        clock = self._simulated_clock
+        clock = self.simulated_clock
         return super().stamp(at) if clock is None else clock.stamp(at)
 
     def age(self, stamp: TimeMsg, max_lead: float = MAX_LEAD) -> float:
         """Return the age of a stamp [s]; see `OmnimanNode.age`."""
-        clock = self._simulated_clock
+        clock = self.simulated_clock
         return super().age(stamp, max_lead) if clock is None else clock.age(stamp, max_lead)
 
     def _on_initial_pose(self, message: PoseWithCovarianceStamped) -> None:
@@ -137,14 +141,14 @@ class DriveSimulationNode(OmnimanNode, Generic[P]):
 
     def tick(self) -> None:
         """Publish one report or, with /clock, as many as are due in simulated time."""
-        if self._simulated_clock is None:
+        if self.simulated_clock is None:
             self.report_step(self.now(), self.stamp())
             return
-        for _ in self._simulated_clock.steps():
+        for _ in self.simulated_clock.steps():
             self.report_step(self.now(), self.stamp())
 
     def _report_pace(self) -> None:
-        report = self._simulated_clock.pace_report() if self._simulated_clock else ""
+        report = self.simulated_clock.pace_report() if self.simulated_clock else ""
         if report:
             self.get_logger().info(report)
 
@@ -172,8 +176,8 @@ class DriveSimulationNode(OmnimanNode, Generic[P]):
             ("electrical_energy_J", round(energy.electrical, 3)),
             *((f"{name}_loss_J", round(loss, 3)) for name, loss in energy.losses.items()),
         ]
-        if self._simulated_clock is not None:
-            values.append(("real_time_factor", round(self._simulated_clock.pace, 2)))
+        if self.simulated_clock is not None:
+            values.append(("real_time_factor", round(self.simulated_clock.pace, 2)))
         if self.latch.status.state is StopState.STOPPED:
             return DiagnosticStatus.ERROR, self.latch.status.reason, values
         if not self.latch.released:
@@ -184,8 +188,8 @@ class DriveSimulationNode(OmnimanNode, Generic[P]):
         """Ramp every wheel to rest."""
         self.latch.stop(f"shutting down: {reason}")
         self._halt()
-        if self._simulated_clock is not None:
-            self._simulated_clock.release()
+        if self.simulated_clock is not None:
+            self.simulated_clock.release()
 
     @property
     def finished(self) -> bool:

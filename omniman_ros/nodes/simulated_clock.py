@@ -69,9 +69,22 @@ class SimulatedClock:
 
     def _on_permit(self, message: Header) -> None:
         if is_stamped(message.stamp):
-            self._lockstep.permit(message.frame_id, time_seconds(message.stamp))
+            self.permit(message.frame_id, time_seconds(message.stamp))
         else:
-            self._lockstep.leave(message.frame_id)
+            self.leave(message.frame_id)
+
+    def permit(self, name: str, until: float) -> None:
+        """Let time go on as far as a participant is concerned, and wait for it from then on.
+
+        Args:
+            name: Name of the participant.
+            until: Simulated time [s].
+        """
+        self._lockstep.permit(name, until)
+
+    def leave(self, name: str) -> None:
+        """Stop waiting for a participant until it gives a permit again."""
+        self._lockstep.leave(name)
 
     def steps(self) -> Iterator[None]:
         """Advance and publish simulated time step by step, as far as real time demands.

@@ -15,7 +15,8 @@ from omniman_ros.simulation.ur.pace import SimulatedTime
 class SimulatedUrNode(OmnimanNode):
     """Runs a :class:`ControllerServer`, and publishes the true motion of its arm.
 
-    Like a real controller, it is commanded over TCP only, not by topics.
+    Like a real controller, it is commanded over TCP only, not by topics. Its joints may be in
+    `simulated_world`.
     """
 
     lookahead = 0.01
@@ -91,6 +92,8 @@ class SimulatedUrNode(OmnimanNode):
             return DiagnosticStatus.ERROR, f"the simulation failed: {self.server.error!r}", values
         if self._ending:
             return DiagnosticStatus.WARN, "shutting down", values
+        if not controller.arm.is_connected:
+            return DiagnosticStatus.WARN, f"no arm: {controller.arm.failure}", values
         faults = active_faults(controller.faults)
         if faults:
             return DiagnosticStatus.WARN, f"faults: {', '.join(faults)}", values

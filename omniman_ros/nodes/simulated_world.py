@@ -9,6 +9,7 @@ from omniman_ros.extras import WORLD
 from omniman_ros.nodes.drive_simulation_node import DriveSimulationNode
 from omniman_ros.nodes.runtime import run
 from omniman_ros.nodes.simulated_world_parameters import SimulatedWorldParameters
+from omniman_ros.nodes.world_arm_link import WorldArmLink
 from omniman_ros.nodes.world_reports import WorldReportPublisher
 from omniman_ros.simulation.scene_files import load_scene
 
@@ -25,10 +26,18 @@ class SimulatedWorldNode(DriveSimulationNode[SimulatedWorldParameters]):
     """
 
     world: "World"
+    _arm_link: WorldArmLink | None = None
 
     def __init__(self, **options: object) -> None:
         super().__init__("simulated_world", SimulatedWorldParameters, **options)
-        self._world_reports = WorldReportPublisher(self, self.world, self.settings.value)
+        p = self.settings.value
+        self._world_reports = WorldReportPublisher(self, self.world, p)
+        if p.arm_port and self.world.arm is not None:
+            self._arm_link = WorldArmLink(
+                self, self.world.arm, self.drives, p.arm_port, self.simulated_clock
+            )
+        elif p.arm_port:
+            self.get_logger().warning("the robot has no arm: arm_port is not used")
 
     def make_body(self, parameters: SimulatedWorldParameters) -> "World":
         """Return the robot in its scene.
@@ -70,6 +79,45 @@ class SimulatedWorldNode(DriveSimulationNode[SimulatedWorldParameters]):
         """
         super().report_step(now, stamp)
         self._world_reports.publish(stamp)
+        self._exchange(now)
+
+    def tick(self) -> None:
+        """Advance as far as time demands; the arm's controller may have to be waited for."""
+        super().tick()
+        self._exchange(self.now())
+
+    def _exchange(self, now: float) -> None:
+        """Exchange setpoints and states with the arm's controller, once time has begun."""
+        if self._arm_link is not None and self.world.time > 0.0:
+            self._arm_link.exchange(now)
+
+    # ---- life ---------------------------------------------------------------------------------
+
+    def status(self) -> tuple[bytes, str, list[tuple[str, object]]]:
+        """Return level, message and values for the diagnostics."""
+        level, message, values = super().status()
+        if self._arm_link is not None:
+            values.append(("arm_controller_connected", self._arm_link.is_connected))
+        return level, message, values
+
+    def begin_shutdown(self, reason: str) -> None:
+        """Ramp every wheel and joint to rest."""
+        super().begin_shutdown(reason)
+        if self._arm_link is not None:
+            self._arm_link.disconnect()
+            self._arm_link.close()
+
+    @property
+    def finished(self) -> bool:
+        """Whether wheels and joints are at rest."""
+        arm_rests = self._arm_link is None or self._arm_link.at_rest
+        return super().finished and arm_rests
+
+    def destroy_node(self) -> None:
+        """Close the port, then destroy the node."""
+        if self._arm_link is not None:
+            self._arm_link.close()
+        super().destroy_node()
 
 
 def main(args: list[str] | None = None) -> int:

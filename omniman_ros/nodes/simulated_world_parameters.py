@@ -3,12 +3,16 @@
 from dataclasses import dataclass
 
 from omniman_ros.core.arm_parameters import ArmParameters
+from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import parameter
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.motion.whole_body.model import Mount
 from omniman_ros.nodes.simulated_drive_parameters import SimulatedDriveParameters
 from omniman_ros.simulation.world.parameters import WorldParameters
 from omniman_ros.simulation.world.scanner_parameters import ScannerParameters
+
+CONTROLLER_RATE = 125.0
+"""Rate of the arm's controller [Hz]; it must not have to run twice for a step of /clock."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,6 +28,14 @@ class SimulatedWorldParameters(SimulatedDriveParameters):
         "Scene: a name in share/omniman_ros/config/worlds or the path of a YAML file.",
         read_only=True,
     )
+    arm_port: int = parameter(
+        0,
+        "TCP port on this machine at which simulated_ur moves the arm; 0 holds it in "
+        "world.posture.",
+        low=0,
+        high=65535,
+        read_only=True,
+    )
     scan_rate: float = parameter(
         20.0,
         "Rate of scan, at most the state rate.",
@@ -35,12 +47,16 @@ class SimulatedWorldParameters(SimulatedDriveParameters):
     scanner_frame: str = parameter("scanner", "Frame of scan.", read_only=True)
 
     def __post_init__(self) -> None:
-        """Check the names of the joints.
+        """Check the names of the joints, and the steps of simulated time.
 
         Raises:
-            ParameterError: A joint's name is used twice, or cannot be written.
+            ParameterError: A joint's name is used twice, or cannot be written; or the arm's
+                controller would have to run faster than it does.
         """
         _ = self.description
+        if self.arm_port and self.publish_clock and self.state_rate < CONTROLLER_RATE:
+            reason = f"must be at least {CONTROLLER_RATE:g} Hz with publish_clock and arm_port"
+            raise ParameterError("state_rate", self.state_rate, reason)
 
     @property
     def description(self) -> DescriptionParameters:

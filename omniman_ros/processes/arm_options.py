@@ -71,6 +71,15 @@ def private_controller_arguments() -> list[str]:
     return [argument for parameter in parameters for argument in ("-p", parameter)]
 
 
+def world_arm_arguments() -> dict[str, list[str]]:
+    """Return the arguments of the nodes between which the arm of a world is moved, by node."""
+    (port,) = _find_free_ports(1)
+    return {
+        "simulated_world": ["-p", f"arm_port:={port}"],
+        "simulated_ur": ["-p", f"simulated_arm.world_port:={port}"],
+    }
+
+
 def _are_free(ports: Iterable[int]) -> bool:
     """Return whether no process on this machine listens on any of the ports."""
     try:

@@ -10,14 +10,18 @@ from pathlib import Path
 from omniman_ros.console.errors import CommandError
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.extras import PLANNING, VIEWER, WORLD
-from omniman_ros.processes.arm_options import private_controller_arguments, resolve_arm
+from omniman_ros.processes.arm_options import (
+    private_controller_arguments,
+    resolve_arm,
+    world_arm_arguments,
+)
 from omniman_ros.processes.drive_options import (
     find_installation_file,
     find_settings_file,
     private_bus_arguments,
 )
 from omniman_ros.processes.process_group import ProcessSpec
-from omniman_ros.robots import robot_file
+from omniman_ros.robots import load_robot, robot_file
 from omniman_ros.simulation.scene_files import scene_file
 
 
@@ -142,11 +146,14 @@ def robot_processes(setup: RobotSetup) -> list[ProcessSpec]:
     robot = resolve_robot(setup.robot)
     arm = resolve_arm(setup.arm, setup.drive, setup.sim_time)
     chosen = [kind for kind in ROBOT_NODES if _is_chosen(kind, setup, arm)]
-    arm_arguments = _arm_arguments(arm, setup) if any(kind.arms for kind in chosen) else []
+    arm_arguments = _arm_arguments(arm, setup, robot, chosen)
     return [
         ProcessSpec(
             kind.name,
-            node_command(kind.name, _ros_arguments(kind, robot, setup, arm_arguments)),
+            node_command(
+                kind.name,
+                _ros_arguments(kind, robot, setup, arm_arguments.get(kind.name, ())),
+            ),
             kind.stage,
             kind.essential or bool(setup.only),
         )
@@ -193,11 +200,26 @@ def _is_chosen(kind: NodeKind, setup: RobotSetup, arm: str) -> bool:
     return kind.is_available() and fits and not kind.on_request
 
 
-def _arm_arguments(arm: str, setup: RobotSetup) -> list[str]:
-    """Return the arguments of the nodes that use the arm's parameters."""
+def _arm_arguments(
+    arm: str, setup: RobotSetup, robot: str, chosen: Sequence[NodeKind]
+) -> dict[str, list[str]]:
+    """Return the arguments that concern the arm, by the name of the node."""
+    if not any(kind.arms for kind in chosen):
+        return {}
+    shared: list[str] = []
     if arm == "ur":
-        return ["--params-file", find_settings_file("controller", "ur", setup.controller)]
-    return private_controller_arguments() if arm == "simulated" else []
+        shared = ["--params-file", find_settings_file("controller", "ur", setup.controller)]
+    elif arm == "simulated":
+        shared = private_controller_arguments()
+    names = [kind.name for kind in chosen]
+    arguments = {
+        kind.name: list(shared) for kind in chosen if kind.arms or kind.name in ARM_AWARE_NODES
+    }
+    has_both = "simulated_world" in names and "simulated_ur" in names
+    if has_both and load_robot(robot).get("arm.mass", 0.0) > 0.0:
+        for name, more in world_arm_arguments().items():
+            arguments.setdefault(name, []).extend(more)
+    return arguments
 
 
 def resolve_robot(robot: str) -> str:
@@ -238,8 +260,7 @@ def _ros_arguments(
         arguments += ["--params-file", find_installation_file(setup.installation)]
         if setup.drive == "can":
             arguments += [*private_bus_arguments(setup.namespace), *SIMULATED_BUS_TIMEOUTS]
-    if kind.arms or kind.name in ARM_AWARE_NODES:
-        arguments += arm_arguments
+    arguments += arm_arguments
     if setup.params_file is not None:
         arguments += ["--params-file", setup.params_file]
     for text in setup.params:

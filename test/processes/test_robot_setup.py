@@ -1,4 +1,5 @@
 import os
+import re
 import sys
 
 import pytest
@@ -67,6 +68,29 @@ def test_a_world_replaces_the_simulated_drive(with_engine):
     assert "-p publish_clock:=true" in text
     assert "scene:=" not in arguments(setup, "platform_controller")
     assert "simulated_world" not in specs_by_name(RobotSetup())
+
+
+def test_the_arm_of_the_simulated_controller_is_in_the_world(with_engine):
+    texts = {
+        spec.name: " ".join(spec.command) for spec in robot_processes(RobotSetup(world="empty"))
+    }
+    (port,) = re.findall(r"simulated_arm\.world_port:=(\d+)", texts["simulated_ur"])
+    assert f"-p arm_port:={port}" in texts["simulated_world"]
+    assert not any("arm_port" in text for name, text in texts.items() if name != "simulated_world")
+
+
+@pytest.mark.parametrize(
+    "setup",
+    [
+        RobotSetup(world="empty", arm="none"),
+        RobotSetup(world="empty", robot="ig42"),
+        RobotSetup(world="empty", only=["simulated_world"]),
+        RobotSetup(),
+    ],
+)
+def test_without_an_arm_or_a_world_nothing_is_linked(with_engine, setup):
+    texts = [" ".join(spec.command) for spec in robot_processes(setup)]
+    assert not any("world_port" in text or "arm_port" in text for text in texts)
 
 
 def test_a_scene_of_the_user_is_found_from_any_folder(with_engine, tmp_path, monkeypatch):

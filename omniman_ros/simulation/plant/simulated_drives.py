@@ -168,6 +168,10 @@ class SimulatedDrives:
 
     # time
 
+    def elapsed(self, now: float) -> float:
+        """Return how long after the first substep began a time `now` is [s]."""
+        return self._wheels.elapsed(now)
+
     def advance(self, now: float) -> None:
         """Integrate up to time `now` [s]; the first call sets the origin.
 
