@@ -14,6 +14,8 @@ from omniman_ros.simulation.ur.arm import CYCLE, JOINTS, SimulatedArm, UrArmPara
 LEAD = 2.0 * CYCLE
 """Time from a cycle until its setpoint is due [s]: the next cycle, in which the world may learn of
 it, and the one in which the joints move."""
+TIME_TOLERANCE = 1e-6
+"""Time before an instant at which it counts as reached [s]."""
 RETRY_CYCLES = 12
 """Number of cycles between two attempts to connect."""
 WAIT = 0.1
@@ -63,8 +65,8 @@ class WorldArm:
 
     The reference is a :class:`SimulatedArm` in the controller, with the lag and the limits of the
     joints. The world moves its joints along that reference, :data:`LEAD` later, and measures them.
-    With simulated time, a cycle waits for the state at its own instant, so that it always knows
-    the same, however busy the machine is.
+    With simulated time, a cycle waits for the state at its own instant and takes no later one, so
+    that it always knows the same, however busy the machine is.
 
     Args:
         parameters: Limits of the joints.
@@ -88,6 +90,7 @@ class WorldArm:
         self.is_connected = False
         self._link, self._is_lockstep = link, is_lockstep
         self._sent: deque[_Sent] = deque()
+        self._arrived: deque[ArmState] = deque()
         self._answered: _Sent | None = None
         self._sequence, self._begins_anew = 0, True
         self._last_speed: Array = np.zeros(JOINTS)
@@ -134,9 +137,9 @@ class WorldArm:
         self._time = time
         if not self._link.is_open:
             self._connect()
-        self._take(self._link.receive())
+        self._receive()
         if self._is_lockstep:
-            self._await(time)
+            self._await()
         elif self.is_connected and time - self._answer_time > SILENCE:
             self._link.close(f"the world has been silent for {SILENCE} s")
         if self.is_connected and not self._link.is_open:
@@ -148,21 +151,31 @@ class WorldArm:
         if self._until_retry < 0 and not self._link.open():
             self._until_retry = RETRY_CYCLES
 
-    def _await(self, time: float) -> None:
-        """Wait until all setpoints that are due by a time [s] are answered."""
+    def _await(self) -> None:
+        """Wait until all setpoints that are due by now are answered."""
         waits = 0
-        while self._link.is_open and self._sent and self._sent[0].setpoint.due <= time:
+        while self._link.is_open and self._sent and self._is_due(self._sent[0].setpoint):
             if not self._link.wait(WAIT):
                 waits += 1
                 if self._closing.is_set():
                     return
                 if waits * WAIT >= PATIENCE:
                     self._link.close(f"the world has been silent for {PATIENCE} s")
-            self._take(self._link.receive())
+            self._receive()
 
-    def _take(self, states: list[ArmState]) -> None:
-        for state in states:
-            while self._sent and self._sent[0].setpoint.sequence <= state.sequence:
+    def _is_due(self, setpoint: ArmSetpoint) -> bool:
+        return setpoint.due <= self._time + TIME_TOLERANCE
+
+    def _receive(self) -> None:
+        """Take the states that have arrived, in lockstep as far as the time has come."""
+        self._arrived.extend(self._link.receive())
+        while self._arrived:
+            state = self._arrived[0]
+            answered = [sent for sent in self._sent if sent.setpoint.sequence <= state.sequence]
+            if self._is_lockstep and answered and not self._is_due(answered[-1].setpoint):
+                return  # the world is ahead
+            self._arrived.popleft()
+            for _ in answered:
                 self._answered = self._sent.popleft()
             self.q, self.qd = np.array(state.positions), np.array(state.velocities)
             self.torque = np.array(state.torques)
@@ -174,6 +187,7 @@ class WorldArm:
     def _forget(self) -> None:
         """Forget all setpoints of a connection."""
         self._sent.clear()
+        self._arrived.clear()
         self._answered = None
         self.give_way()
 

@@ -119,6 +119,26 @@ def test_a_cycle_on_simulated_time_waits_for_the_state_at_its_own_instant():
     assert run.link.waits == 1 and len(run.link.sent) == 2
 
 
+def test_a_cycle_on_simulated_time_takes_no_state_of_a_later_instant():
+    """The world may be ahead of the controller by up to a cycle."""
+
+    def places(answers_at_once):
+        run, target, seen = Run(), np.array(PLACE), []
+        for _ in range(20):
+            target = target + 0.004
+            run.cycle(target=target)
+            seen.append(run.arm.q[0])
+            if answers_at_once:
+                run.link.answer(len(run.link.sent))
+            elif len(run.link.sent) > 1:
+                run.link.answer()
+        assert run.link.waits == 0
+        return seen
+
+    assert places(answers_at_once=True) == places(answers_at_once=False)
+    assert places(answers_at_once=True)[-1] > PLACE[0]
+
+
 def test_a_world_on_simulated_time_that_never_answers_is_silent_after_a_patience():
     run = Run()
     for _ in range(3):
