@@ -83,8 +83,8 @@ class SimulatedWorldNode(DriveSimulationNode[SimulatedWorldParameters]):
 
     def tick(self) -> None:
         """Advance as far as time demands; the arm's controller may have to be waited for."""
-        super().tick()
         self._exchange(self.now())
+        super().tick()
 
     def _exchange(self, now: float) -> None:
         """Exchange setpoints and states with the arm's controller, once time has begun."""
