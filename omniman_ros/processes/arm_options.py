@@ -22,6 +22,10 @@ UR_PORTS = {
 }
 """TCP ports of every UR controller, by interface."""
 
+WORLD_SERVO_LAG = 0.062
+"""Lag of an arm in a world [s]: that of the simulated controller's own joints, 0.042, and 0.02
+more for the link and for the sampling of its setpoints."""
+
 SIMULATED_CONTROLLER_TIMEOUTS = ("ur.read_timeout:=0.2", "ur.feedback_timeout:=0.5")
 """Parameters that lengthen the client's timeouts for a simulated controller.
 
@@ -72,11 +76,12 @@ def private_controller_arguments() -> list[str]:
 
 
 def world_arm_arguments() -> dict[str, list[str]]:
-    """Return the arguments of the nodes between which the arm of a world is moved, by node."""
+    """Return the arguments of the nodes that move the arm of a world, by the node's name."""
     (port,) = _find_free_ports(1)
     return {
         "simulated_world": ["-p", f"arm_port:={port}"],
         "simulated_ur": ["-p", f"simulated_arm.world_port:={port}"],
+        "arm_streamer": ["-p", f"ur.servo_lag:={WORLD_SERVO_LAG}"],
     }
 
 

@@ -76,6 +76,7 @@ def test_the_arm_of_the_simulated_controller_is_in_the_world(with_engine):
     }
     (port,) = re.findall(r"simulated_arm\.world_port:=(\d+)", texts["simulated_ur"])
     assert f"-p arm_port:={port}" in texts["simulated_world"]
+    assert "-p ur.servo_lag:=0.062" in texts["arm_streamer"], "the link takes time"
     assert not any("arm_port" in text for name, text in texts.items() if name != "simulated_world")
 
 
