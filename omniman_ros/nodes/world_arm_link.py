@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 PARTICIPANT = "the arm's controller"
 """Name under which simulated time waits for the controller."""
-SILENCE = 0.5
+SILENCE = 1.0
 """Time without a setpoint after which a controller counts as lost [s]."""
 
 
@@ -46,7 +46,7 @@ class WorldArmLink:
     ) -> None:
         self._node, self._servo, self._drives, self._clock = node, servo, drives, clock
         self._server = ArmLinkServer(port)
-        self._covered, self._refused = 0.0, 0
+        self._arrival, self._refused = 0.0, 0
         node.get_logger().info(f"the arm waits for its controller at port {self._server.port}")
 
     @property
@@ -64,12 +64,12 @@ class WorldArmLink:
             self._accept(now)
             for setpoint in self._server.receive():
                 self._servo.follow(replace(setpoint, due=self._drives.elapsed(setpoint.due)))
-                self._covered = setpoint.due
+                self._arrival = now
                 if self._clock is not None:
                     self._clock.permit(PARTICIPANT, setpoint.due)
             for state in self._servo.take_states():
                 self._server.send(state)
-            if self._server.is_connected and now - self._covered > SILENCE:
+            if self._server.is_connected and now - self._arrival > SILENCE:
                 raise LinkError(f"no setpoint for {SILENCE} s")
         except (LinkError, InputError) as error:
             self._node.warn("the arm's controller", f"{PARTICIPANT} is disconnected: {error}")
@@ -78,7 +78,7 @@ class WorldArmLink:
     def _accept(self, now: float) -> None:
         """Greet a controller that has connected."""
         if self._server.accept():
-            self._covered = now
+            self._arrival = now
             self._servo.take_states()
             self._server.send(self._servo.state())
             self._node.get_logger().info(f"{PARTICIPANT} is connected")

@@ -25,7 +25,8 @@ class Robot(World):
     """The node in an empty scene, and a controller's arm that the test moves.
 
     Attributes:
-        target: Angles that the arm follows; None while the controller is silent.
+        target: Angles that the arm follows; None to stay where it is.
+        delay: Time by which the controller is behind [s].
     """
 
     def __init__(self, **parameters) -> None:
@@ -35,14 +36,14 @@ class Robot(World):
         self.node: SimulatedWorldNode = self.nodes[0]
         self.link = ArmLinkClient(self.port)
         self.arm = WorldArm(UrArmParameters(), self.link, is_lockstep=False)
-        self.target = None
+        self.target, self.delay = None, 0.0
         self._due = self.time
         self.warnings = []
         self.node.warn = lambda subject, text: self.warnings.append(text)
 
     def cycle(self) -> None:
         """Run the cycles of the controller that are due."""
-        while self._due <= self.time:
+        while self._due <= self.time - self.delay:
             self.arm.measure(self._due)
             if self.arm.is_connected:
                 target = self.arm.q if self.target is None else self.target
@@ -102,7 +103,7 @@ def test_without_its_controller_the_arm_brakes_and_stays(robot, how):
         robot.arm.follow(far, CYCLE)
     robot.run(0.3)
     place = robot.q
-    robot.run(0.5)
+    robot.run(1.0)
     np.testing.assert_allclose(robot.q, place, atol=1e-4)
     assert place[0] < far[0] - 0.5
     assert not robot.is_connected
@@ -110,7 +111,7 @@ def test_without_its_controller_the_arm_brakes_and_stays(robot, how):
     assert warning.startswith("the arm's controller is disconnected: ")
     reasons = {
         "closes": "connection",
-        "is silent": "no setpoint for 0.5 s",
+        "is silent": "no setpoint for 1.0 s",
         "sends garbage": "a frame begins with",
         "sends another time": "the controller's time is another one",
     }
@@ -121,6 +122,14 @@ def test_without_its_controller_the_arm_brakes_and_stays(robot, how):
     robot.move(0.2)
     assert robot.is_connected, "it may come again"
     np.testing.assert_allclose(robot.q, place, atol=1e-4)
+
+
+def test_a_controller_that_is_behind_stays_connected(robot):
+    """On real time and a busy machine, it may be so for a while."""
+    robot.delay = 0.9
+    robot.move(1.2)
+    assert robot.warnings == []
+    assert robot.is_connected and robot.arm.is_connected
 
 
 def test_a_second_controller_is_refused(robot):

@@ -22,8 +22,9 @@ WAIT = 0.1
 """Longest real time of a wait for the world before other things are looked at [s]."""
 PATIENCE = 5.0
 """Real time of waiting after which a world on simulated time counts as silent [s]."""
-SILENCE = 0.5
-"""Time without a state after which a world on real time counts as silent [s]."""
+SILENCE = 2.0
+"""Time without a state after which a world on real time counts as silent [s]: more than that of
+the cycles that a controller runs at once after it was held up."""
 
 
 class ArmLink(Protocol):
@@ -135,7 +136,7 @@ class WorldArm:
             time: Instant of the cycle [s].
         """
         self._time = time
-        if not self._link.is_open:
+        if not (self._link.is_open or self.is_connected):
             self._connect()
         self._receive()
         if self._is_lockstep:

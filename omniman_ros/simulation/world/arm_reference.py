@@ -16,8 +16,9 @@ DECELERATION = 15.0
 """Deceleration of the fastest joint without setpoints, the others in proportion [rad/s^2]."""
 TIME_TOLERANCE = 1e-6
 """Time before an instant at which it counts as reached [s]."""
-MAX_OFFSET = 1.0
-"""Largest time by which a setpoint may be ahead or late [s]."""
+MAX_OFFSET = 2.0
+"""Largest time by which a setpoint may be ahead or late [s]: more than a controller on a busy
+machine may be behind before it gives up the cycles that it missed."""
 
 
 @dataclass(frozen=True)

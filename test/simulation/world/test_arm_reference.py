@@ -124,8 +124,8 @@ def test_a_setpoint_that_is_late_counts_as_passed():
 def test_a_setpoint_of_an_earlier_time_is_refused():
     run = Run()
     run.advance(10)
-    with pytest.raises(InputError, match=r"due in -1.610 s: the controller's time is another one"):
-        run.reference.add(setpoint(-200, 0.5, 0.0))
+    with pytest.raises(InputError, match=r"due in -2.410 s: the controller's time is another one"):
+        run.reference.add(setpoint(-300, 0.5, 0.0))
 
 
 @pytest.mark.parametrize(
@@ -133,7 +133,7 @@ def test_a_setpoint_of_an_earlier_time_is_refused():
     [
         (setpoint(3, 0.5, 0.0), "setpoint 3 is due before the one before it"),
         (setpoint(2, 0.5, 0.0), "due before the one before it"),
-        (setpoint(200, 0.5, 0.0), "due in 1.599 s: the controller's time is another one"),
+        (setpoint(300, 0.5, 0.0), "due in 2.399 s: the controller's time is another one"),
     ],
 )
 def test_a_setpoint_out_of_order_or_of_another_time_is_refused(wrong, message):
