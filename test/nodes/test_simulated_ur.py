@@ -1,6 +1,7 @@
 """The node of the simulated UR controller, with cycles stepped by the test."""
 
 import os
+import socket
 
 import pytest
 import rclpy
@@ -94,6 +95,17 @@ def test_diagnostics_contain_modes_program_and_ports(make):
     assert values["program_end_reason"] == "completed" and values["servo_calls"] == 1
     assert values["program_state"] == "STOPPED" and values["programs"] == 1
     assert values["port rtde"] > 0 and values["clients of rtde"] == 0
+
+
+def test_joints_in_a_world_that_is_not_there_are_reported(make):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        rig = make(**{"simulated_arm.world_port": taken.getsockname()[1]})
+        rig.run(0.1)
+    level, text, _ = rig.node.status()
+    assert level == b"\x01" and text.startswith("no arm: no world at port")
+    assert rig.values()["robot_mode"] == "DISCONNECTED"
+    assert not rig.node.controller.start("def f():\nend\n")
 
 
 def test_faults_and_slider_change_at_runtime_and_are_reported(make):

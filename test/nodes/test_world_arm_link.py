@@ -142,6 +142,20 @@ def test_a_second_controller_is_refused(robot):
     assert robot.is_connected
 
 
+def test_the_node_ends_when_the_arm_has_come_to_rest(robot):
+    robot.move(0.1)
+    robot.target = robot.q
+    for _ in range(round(0.2 / PERIOD)):
+        robot.target = robot.target + [0.005, 0, 0, 0, 0, 0]
+        robot.move(PERIOD)
+    robot.node.begin_shutdown("the test says so")
+    assert not robot.node.finished and not robot.is_connected
+    robot.run(0.3)
+    assert robot.node.finished
+    assert abs(robot.node.world.arm.velocities[0]) < 1e-3
+    assert not ArmLinkClient(robot.port).open(), "nobody moves it any more"
+
+
 def test_a_port_in_use_is_refused():
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
