@@ -46,6 +46,8 @@ class SimulatedUrNode(OmnimanNode):
             self._slider = self.controller.slider = new.pendant.speed_slider
 
     def _report_truth(self) -> None:
+        if self.controller.is_booting:
+            return
         arm = self.controller.arm
         self._truth_msg.header.stamp = self.stamp()
         self._truth_msg.position = arm.q.tolist()

@@ -102,6 +102,14 @@ def test_joints_in_a_world_that_is_not_there_are_reported(make):
         taken.bind(("127.0.0.1", 0))
         rig = make(**{"simulated_arm.world_port": taken.getsockname()[1]})
         rig.run(0.1)
+        truth = []
+        rig.node._truth.publish = truth.append
+        rig.node._report_truth()
+        address = ("127.0.0.1", rig.node.server.ports.numbers["primary"])
+        with socket.create_connection(address):
+            rig.run(0.1)
+            assert rig.values()["clients of primary"] == 0
+        assert truth == [], "nobody knows where the arm is"
     level, text, _ = rig.node.status()
     assert level == b"\x01" and text.startswith("no arm: no world at port")
     assert rig.values()["robot_mode"] == "DISCONNECTED"

@@ -102,6 +102,7 @@ class Controller:
         faults: Faults that are simulated; may be replaced at any time.
         slider: Position of the speed slider, 0.01 to 1; may be set at any time.
         arm: The joints.
+        is_booting: Whether the joints have never answered, so that nobody knows where they are.
         target: Point of the trajectory that the joints follow.
         target_qdd: Acceleration of the target (6,) [rad/s^2].
         modes: Modes of robot and safety.
@@ -123,7 +124,7 @@ class Controller:
     ) -> None:
         self.faults = UrFaultParameters()
         self.slider = 1.0
-        self.arm = arm
+        self.arm, self.is_booting = arm, not arm.is_connected
         self.target = Target(arm.q.copy())
         self.target_qdd: Array = np.zeros(JOINTS)
         robot = RobotMode.RUNNING if arm.is_connected else RobotMode.DISCONNECTED
@@ -172,6 +173,7 @@ class Controller:
             return
         self.modes = modes
         if self.arm.is_connected:
+            self.is_booting = False
             self.target = Target(self.arm.q.copy())
             self._log(f"the arm answers: {modes.robot.name}")
             return

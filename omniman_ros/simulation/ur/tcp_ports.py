@@ -220,7 +220,13 @@ class ControllerPorts:
         return {name: len(port.connections) for name, port in self._ports.items()}
 
     def cycle(self, now: float) -> None:
-        """Read, run the controller for one cycle at time `now` [s], and send."""
+        """Read, run the controller for one cycle at time `now` [s], and send.
+
+        While the controller boots, nobody is served.
+        """
+        if self._controller.is_booting:
+            self._controller.cycle(now)
+            return
         faults = self._controller.faults
         self._apply_faults()
         silent = set(self._ports) if faults.freeze_all else {"rtde"} if faults.freeze_rtde else ()
