@@ -5,7 +5,8 @@ import math
 import numpy as np
 
 from omniman_ros.core.arrays import Array
-from omniman_ros.description.inertia import Inertia, Vector
+from omniman_ros.description.inertia import Inertia
+from omniman_ros.description.transforms import transform
 from omniman_ros.description.ur5 import ROTOR_INERTIAS, links, tool_inertia
 from omniman_ros.simulation.ur.kinematics import GRAVITY
 
@@ -31,7 +32,7 @@ class ArmDynamics:
 
     def __init__(self, payload: float) -> None:
         arm = links()
-        self._turns = [_rotation(link.rpy) for link in arm]
+        self._turns = [transform(link.place, link.rpy)[:3, :3] for link in arm]
         self._places = [np.array(link.place) for link in arm]
         inertias = [link.inertia for link in arm]
         bodies = [(i.mass, np.array(i.centre), _tensor(i)) for i in inertias]
@@ -91,21 +92,9 @@ def _skew(v: Array) -> Array:
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
-def _rotation(rpy: Vector) -> Array:
-    """Return the rotation (3, 3) about the fixed axes x, y, z, in this order, by angles [rad]."""
-    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy).tolist(), np.sin(rpy).tolist()
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
-
-
 def _tensor(inertia: Inertia) -> Array:
     """Return the tensor of inertia about the centre of mass, in the link's axes (3, 3)."""
-    turn = _rotation(inertia.rpy)
+    turn = transform(inertia.centre, inertia.rpy)[:3, :3]
     tensor: Array = turn @ np.diag(inertia.moments) @ turn.T
     return tensor
 
