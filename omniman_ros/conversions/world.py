@@ -38,7 +38,7 @@ def contacts_message(
     Returns:
         One status per contact, of level WARN while they touch and OK afterwards. Its values are
         part and thing; x, y, z [m]; force_x, force_y, force_z [N]; impulse_x, impulse_y,
-        impulse_z [N s].
+        impulse_z [N s]; part_speed and thing_speed just before they touched [m/s].
     """
     message = DiagnosticArray(header=Header(stamp=stamp, frame_id=frame))
     for contact in contacts:
@@ -51,6 +51,11 @@ def contacts_message(
         ):
             for axis, number in zip("xyz", vector.tolist(), strict=True):
                 values.append(KeyValue(key=f"{prefix}{axis}", value=f"{number:.6g}"))
+        for key, speed in (
+            ("part_speed", contact.part_speed),
+            ("thing_speed", contact.thing_speed),
+        ):
+            values.append(KeyValue(key=key, value=f"{speed:.6g}"))
         level = DiagnosticStatus.WARN if contact.touches else DiagnosticStatus.OK
         verb = "touches" if contact.touches else "touched"
         message.status.append(

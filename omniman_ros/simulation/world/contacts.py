@@ -25,6 +25,7 @@ class RobotContact:
         force: Force on the robot in the world, low-pass filtered [N], (3,).
         impulse: Integral of the force, unfiltered, since the contact began [N s], (3,).
         touches: Whether they touch now.
+        part_speed, thing_speed: Speeds of their points that touched first, just before [m/s].
     """
 
     part: str
@@ -33,6 +34,8 @@ class RobotContact:
     force: Array
     impulse: Array
     touches: bool
+    part_speed: float
+    thing_speed: float
 
 
 @dataclass
@@ -40,6 +43,8 @@ class _Contact:
     """What is remembered of a contact."""
 
     place: Array
+    part_speed: float
+    thing_speed: float
     force: Array = field(default_factory=lambda: np.zeros(3))
     now: Array = field(default_factory=lambda: np.zeros(3))
     impulse: Array = field(default_factory=lambda: np.zeros(3))
@@ -95,11 +100,15 @@ class RobotContacts:
             return
         place, axes = self._engine.contact_frame(k)
         on_second = axes.T @ self._engine.forces[row : row + 3]
-        part, thing = self._parties[first], self._parties[second]
+        own, other, force = first, second, -on_second
         if self._is_robot[second]:
-            part, thing = thing, part
-        force = on_second if self._is_robot[second] else -on_second
-        contact = self._contacts.setdefault((part, thing), _Contact(place.copy()))
+            own, other, force = second, first, on_second
+        key = self._parties[own], self._parties[other]
+        contact = self._contacts.get(key)
+        if contact is None:
+            speeds = [np.linalg.norm(self._engine.velocity(k, place)) for k in (own, other)]
+            contact = _Contact(place.copy(), float(speeds[0]), float(speeds[1]))
+            self._contacts[key] = contact
         contact.place, contact.now, contact.age = place.copy(), contact.now + force, 0.0
 
     def _filter(self) -> None:
@@ -122,6 +131,8 @@ class RobotContacts:
                 contact.force,
                 contact.impulse,
                 contact.age == 0.0,
+                contact.part_speed,
+                contact.thing_speed,
             )
             for (part, thing), contact in self._contacts.items()
         )

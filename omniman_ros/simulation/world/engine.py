@@ -1,5 +1,6 @@
 """MuJoCo: a compiled model, its state, and what is asked of it. No other module imports it."""
 
+import itertools
 from collections.abc import Sequence
 
 import mujoco
@@ -12,6 +13,8 @@ from omniman_ros.simulation.world.model.world import WorldModel
 
 Indices = NDArray[np.int32]
 """Indices of shapes."""
+SIGNS: Array = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
+"""Corners of a cube, (8, 3)."""
 
 
 class Engine:
@@ -93,6 +96,20 @@ class Engine:
             model.body_rootid[model.geom_bodyid] == model.body_rootid[self.body(body)]
         )
         return below
+
+    def corners(self, shapes: NDArray[np.intp]) -> Array:
+        """Return the corners of the boxes that hold shapes, along the shapes' axes, (8 k, 3) [m].
+
+        Args:
+            shapes: Indices of the k shapes.
+        """
+        model, data = self._model, self._data
+        middles, halves = np.split(model.geom_aabb[shapes], 2, axis=1)
+        local = middles[:, None, :] + halves[:, None, :] * SIGNS
+        axes = data.geom_xmat[shapes].reshape(-1, 3, 3)
+        places = local @ axes.transpose(0, 2, 1) + data.geom_xpos[shapes][:, None, :]
+        corners: Array = places.reshape(-1, 3)
+        return corners
 
     # state: live views
 
@@ -206,6 +223,20 @@ class Engine:
         """
         contact = self._data.contact
         return contact.pos[k], contact.frame[k].reshape(3, 3)
+
+    def velocity(self, shape: int, place: Array) -> Array:
+        """Return the velocity of a point of a shape's body at the begin of the step, (3,) [m/s].
+
+        Args:
+            shape: Index of the shape.
+            place: The point in the world, (3,) [m].
+        """
+        body, motion = int(self._model.geom_bodyid[shape]), np.empty(6)
+        mujoco.mj_objectVelocity(
+            self._model, self._data, mujoco.mjtObj.mjOBJ_XBODY, body, motion, 0
+        )
+        velocity: Array = motion[3:] + np.cross(motion[:3], place - self._data.xpos[body])
+        return velocity
 
     # rays
 

@@ -117,3 +117,31 @@ def test_an_arm_on_the_floor_is_told():
     bench.world.arm.command([0.0, 0.75, 0.0, 0.0, 0.0, 0.0])
     bench.wait(2.0)
     assert {thing for _, thing in contact_pairs(bench)} == {"floor"}
+
+
+def first_contact(bench, twist):
+    while not bench.world.contacts:
+        assert bench.now < 5.0
+        bench.drive(twist, 0.005)
+    (contact,) = bench.world.contacts
+    return contact
+
+
+def test_a_contact_tells_who_moved_into_whom():
+    """anna walks into the standing robot; the driving robot drives into ben, who stands."""
+    anna = Person(name="anna", x=(1.2, -2.0), y=(0.0, 0.0), speed=1.0)
+    standing = first_contact(ideal("omniman", Scene(persons=(anna,)), arm__mass=0.0), (0, 0, 0))
+    assert 1.0 < standing.thing_speed < 1.2
+    assert standing.part_speed < 0.01
+    ben = Person(name="ben", x=(1.2,), y=(0.0,))
+    driving = first_contact(ideal("omniman", Scene(persons=(ben,)), arm__mass=0.0), (0.4, 0, 0))
+    assert driving.part_speed == pytest.approx(0.4, abs=0.02)
+    assert driving.thing_speed < 0.01
+
+
+def test_the_speed_of_a_part_is_that_of_the_point_that_touches():
+    """The robot turns on the spot; its front, 0.5 m ahead, moves by 0.5 m times the rate."""
+    post = Post(name="post", x=0.25, y=0.62, radius=0.1, height=1.0)
+    contact = first_contact(ideal("omniman", Scene(posts=(post,)), arm__mass=0.0), (0, 0, 0.5))
+    reach = np.hypot(*contact.place[:2])
+    assert contact.part_speed == pytest.approx(0.5 * reach, rel=0.05)
