@@ -48,7 +48,7 @@ def occupancy(
         solid
         for _, parts in fixed_solids(scene)
         for solid in parts
-        if solid.centre[2] - 0.5 * _height(solid) < height
+        if solid.centre[2] - 0.5 * solid.height < height
     ]
     boxes = np.array([_bounds(solid) for solid in solids] + [[*scene.start[:2]] * 2])
     low, high = boxes[:, :2].min(axis=0) - margin, boxes[:, 2:].max(axis=0) + margin
@@ -71,11 +71,6 @@ def occupancy(
     occupied.setflags(write=False)
     low.setflags(write=False)
     return Occupancy(occupied, resolution, low)
-
-
-def _height(solid: Solid) -> float:
-    """Return the height of a solid [m]."""
-    return solid.size[2] if isinstance(solid, Box) else solid.height
 
 
 def _bounds(solid: Solid) -> list[float]:

@@ -14,6 +14,10 @@ from omniman_ros.core.parameters import REQUIRED, parameter, specs
 
 Floats = tuple[float, ...]
 """Coordinates of points [m]."""
+SCRIPTED = "scripted"
+"""Behaviour of a person who gives way to nobody."""
+REACTIVE = "reactive"
+"""Behaviour of a person who keeps clear of everything."""
 EXTENT = 1000.0
 """Largest coordinate [m]."""
 
@@ -168,13 +172,22 @@ class Load(Element):
 class Person(Element):
     """A person who walks from way point to way point in a cycle, or stands at a single one.
 
+    A scripted person gives way to nobody. A reactive one keeps clear of the robot, of what is
+    fixed or lies about, and of other persons.
+
     Raises:
         ParameterError: x and y differ in length or are empty; see also :class:`Element`.
     """
 
     x: Floats = parameter(REQUIRED, "Way points, x.", unit="m", low=-EXTENT, high=EXTENT)
     y: Floats = parameter(REQUIRED, "Way points, y.", unit="m", low=-EXTENT, high=EXTENT)
+    behaviour: str = parameter(
+        SCRIPTED, "Whether the person gives way.", choices=(SCRIPTED, REACTIVE)
+    )
     speed: float = parameter(1.0, "Walking speed.", unit="m/s", low=0.01, high=5)
+    clearance: float = parameter(
+        0.15, "Distance that a reactive person keeps.", unit="m", low=0, high=5
+    )
     radius: float = _length(0.25, "Radius.", low=0.05)
     height: float = _length(1.7, "Height.", low=0.5)
     mass: float = _mass(75.0)

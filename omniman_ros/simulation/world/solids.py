@@ -4,6 +4,9 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import numpy as np
+
+from omniman_ros.core.arrays import Array
 from omniman_ros.simulation.world.scene import Pallet, Post, Scene, Table, Wall
 
 Vector = tuple[float, float, float]
@@ -24,6 +27,11 @@ class Box:
     size: Vector
     yaw: float = 0.0
 
+    @property
+    def height(self) -> float:
+        """Height [m]."""
+        return self.size[2]
+
 
 @dataclass(frozen=True)
 class Cylinder:
@@ -41,6 +49,16 @@ class Cylinder:
 
 Solid = Box | Cylinder
 """Convex part of an element."""
+
+
+def footprint(solid: Solid) -> tuple[Array, float]:
+    """Return points (k, 2) and a radius: on the floor, a solid is their hull, grown by it [m]."""
+    centre = np.array([solid.centre[:2]])
+    if isinstance(solid, Cylinder):
+        return centre, solid.radius
+    c, s = math.cos(solid.yaw), math.sin(solid.yaw)
+    along, across = 0.5 * solid.size[0] * np.array([c, s]), 0.5 * solid.size[1] * np.array([-s, c])
+    return centre + [along + across, along - across, -along - across, -along + across], 0.0
 
 
 def fixed_solids(scene: Scene) -> Iterator[tuple[str, tuple[Solid, ...]]]:

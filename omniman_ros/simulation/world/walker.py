@@ -1,87 +1,96 @@
-"""Persons who walk."""
+"""How persons want to walk."""
 
 import math
 
-from omniman_ros.simulation.world.engine import Engine
-from omniman_ros.simulation.world.model.things import person_joints
 from omniman_ros.simulation.world.scene import Person
+from omniman_ros.simulation.world.velocity_program import Velocity
 
-AGILITY = 12.0
-"""Rate at which a person reaches the wanted velocity [1/s]."""
 APPROACH = 3.0
 """Velocity per distance with which a person returns to the own way [1/s]."""
 HURRY = 1.2
-"""Highest velocity of a person who returns to the own way, over the walking speed."""
+"""Highest velocity of a person, over the walking speed."""
 PATIENCE = 0.5
-"""Distance behind the own pace from which on a person waits for the way to be free [m]."""
+"""Distance behind the own pace from which on a scripted person waits [m]."""
+RETURN = 1.0
+"""Velocity per distance with which a reactive person returns to a single way point [1/s]: were it
+larger, the person would dither while somebody comes."""
+ARRIVAL = 0.25
+"""Distance from which on a reactive person has reached a way point [m]."""
 
 
-class Walker:
-    """Walks a person along the way points, with a limited force.
+class ScriptedWalk:
+    """The walk of a person who minds nobody.
 
-    A goal goes along the way at the walking speed, and the person goes after it. Who is held up
-    pushes on, and the goal waits; nobody gives way.
+    A goal goes along the way points at the walking speed, and the person goes after it. Who is
+    held up pushes on, and the goal waits.
 
     Args:
-        engine: The engine.
         person: The person.
-        force: Largest force [N].
     """
 
-    def __init__(self, engine: Engine, person: Person, force: float) -> None:
-        self._engine, self._force = engine, force
-        self._mass, self._speed = person.mass, person.speed
+    def __init__(self, person: Person) -> None:
+        self._speed = person.speed
         self._points = tuple(zip(person.x, person.y, strict=True))
-        joints = person_joints(person.name)
-        self._dofs = [engine.dof(name) for name in joints]
-        self._coordinates = [engine.coordinate(name) for name in joints]
         self._goal = self._points[0]
         self._next = 1 % len(self._points)
 
-    @property
-    def position(self) -> tuple[float, float]:
-        """Position in the world [m]."""
-        (x0, y0), (i, j) = self._points[0], self._coordinates
-        values = self._engine.coordinates
-        return x0 + float(values[i]), y0 + float(values[j])
+    def velocity(self, x: float, y: float, period: float) -> Velocity:
+        """Return the wanted velocity (x, y) [m/s], and move the goal on.
 
-    @property
-    def velocity(self) -> tuple[float, float]:
-        """Velocity in the world [m/s]."""
-        i, j = self._dofs
-        return float(self._engine.velocities[i]), float(self._engine.velocities[j])
-
-    def update(self) -> None:
-        """Set the force of the next step."""
-        (x, y), (vx, vy) = self.position, self.velocity
-        ux, uy = self._pace(x, y)
+        Args:
+            x, y: Position of the person in the world [m].
+            period: Time since the last call [s].
+        """
+        ux, uy = self._pace(x, y, period)
         gx, gy = self._goal
-        wx, wy = _limited(ux + APPROACH * (gx - x), uy + APPROACH * (gy - y), HURRY * self._speed)
-        gain = AGILITY * self._mass
-        fx, fy = _limited(gain * (wx - vx), gain * (wy - vy), self._force)
-        i, j = self._dofs
-        self._engine.applied[i] = fx
-        self._engine.applied[j] = fy
+        wish = ux + APPROACH * (gx - x), uy + APPROACH * (gy - y)
+        return _limited(wish, HURRY * self._speed)
 
-    def _pace(self, x: float, y: float) -> tuple[float, float]:
+    def _pace(self, x: float, y: float, period: float) -> Velocity:
         """Move the goal on, and return its velocity [m/s]."""
         gx, gy = self._goal
         if math.hypot(gx - x, gy - y) > PATIENCE:
             return 0.0, 0.0
         px, py = self._points[self._next]
         left = math.hypot(px - gx, py - gy)
-        stride = self._speed * self._engine.step_time
-        if left <= stride:
+        if left <= self._speed * period:
             self._goal = px, py
             self._next = (self._next + 1) % len(self._points)
             return 0.0, 0.0
         ux, uy = self._speed * (px - gx) / left, self._speed * (py - gy) / left
-        self._goal = gx + ux * self._engine.step_time, gy + uy * self._engine.step_time
+        self._goal = gx + ux * period, gy + uy * period
         return ux, uy
 
 
-def _limited(x: float, y: float, largest: float) -> tuple[float, float]:
-    """Return a vector, shortened if it is longer than `largest`."""
-    size = math.hypot(x, y)
+class ReactiveWalk:
+    """The walk that a person who gives way would take if nothing were in the way.
+
+    The person goes straight to the next way point, from wherever giving way has led.
+
+    Args:
+        person: The person.
+    """
+
+    def __init__(self, person: Person) -> None:
+        self._speed = person.speed
+        self._points = tuple(zip(person.x, person.y, strict=True))
+        self._next = 1 % len(self._points)
+
+    def velocity(self, x: float, y: float, period: float) -> Velocity:
+        """Return the wanted velocity; as :meth:`ScriptedWalk.velocity`."""
+        px, py = self._points[self._next]
+        if len(self._points) == 1:
+            return _limited((RETURN * (px - x), RETURN * (py - y)), self._speed)
+        if math.hypot(px - x, py - y) < ARRIVAL:
+            self._next = (self._next + 1) % len(self._points)
+            px, py = self._points[self._next]
+        left = math.hypot(px - x, py - y)
+        scale = self._speed / left if left else 0.0
+        return scale * (px - x), scale * (py - y)
+
+
+def _limited(wish: Velocity, largest: float) -> Velocity:
+    """Return a velocity, reduced if it is larger than `largest`."""
+    size = math.hypot(*wish)
     scale = largest / size if size > largest else 1.0
-    return scale * x, scale * y
+    return scale * wish[0], scale * wish[1]

@@ -18,6 +18,7 @@ from omniman_ros.simulation.plant.parameters import SimulationParameters
 from omniman_ros.simulation.world.arm_servo import ArmServo
 from omniman_ros.simulation.world.base import Base
 from omniman_ros.simulation.world.contacts import RobotContact, RobotContacts
+from omniman_ros.simulation.world.crowd import Crowd
 from omniman_ros.simulation.world.engine import Engine
 from omniman_ros.simulation.world.model.platform import deck_height
 from omniman_ros.simulation.world.model.wheels import free_joint
@@ -26,7 +27,6 @@ from omniman_ros.simulation.world.motor import HingeMotor
 from omniman_ros.simulation.world.parameters import IDEAL, WorldParameters
 from omniman_ros.simulation.world.scene import Scene
 from omniman_ros.simulation.world.tyres import TyreContacts
-from omniman_ros.simulation.world.walker import Walker
 
 MAX_DEPTH = 0.02
 """How deep the robot may be in something where it is put [m]."""
@@ -88,9 +88,7 @@ class World:
         self._tyres = TyreContacts(engine, robot.wheels.names)
         self._tyres.configure(robot, simulation.plant)
         self._contacts = RobotContacts(engine, parameters.contact_time)
-        self._walkers = [
-            Walker(engine, person, parameters.person_force) for person in scene.persons
-        ]
+        self._crowd = Crowd(engine, scene, parameters.person_force)
         self.arm = ArmServo(engine, description.arm.joints) if carries_arm(robot) else None
 
         self._drives = np.array([engine.dof(name) for name in robot.wheels.names])
@@ -169,12 +167,17 @@ class World:
         persons = [
             Obstacle(
                 person.name,
-                (*walker.position, 0.0),
-                walker.velocity,
+                (x, y, 0.0),
+                (vx, vy),
                 (2.0 * person.radius, 2.0 * person.radius, person.height),
                 is_round=True,
             )
-            for walker, person in zip(self._walkers, self._scene.persons, strict=True)
+            for person, (x, y), (vx, vy) in zip(
+                self._scene.persons,
+                self._crowd.positions.tolist(),
+                self._crowd.velocities.tolist(),
+                strict=True,
+            )
         ]
         crates = []
         for crate in self._scene.crates:
@@ -236,8 +239,7 @@ class World:
             wheel.begin(voltage, step)
         if self.arm is not None:
             self.arm.update(self.time)
-        for walker in self._walkers:
-            walker.update()
+        self._crowd.update()
         self._tyres.update_grip()
         engine.applied[drives] = 0.0
         work = step * float(engine.applied @ engine.velocities)

@@ -212,5 +212,6 @@ def test_without_the_engine_all_but_the_running_world_can_be_imported():
     available, hint, failed = json.loads(result.stdout)
     assert not available
     assert "pip install 'omniman_ros[world]'" in hint
-    running = ("engine", "world", "base", "tyres", "contacts", "arm_servo", "walker", "scanner")
+    running = ("engine", "world", "base", "tyres", "contacts", "arm_servo", "scanner")
+    running += ("crowd", "surroundings")
     assert set(failed) == {f"omniman_ros.simulation.world.{name}" for name in running}
