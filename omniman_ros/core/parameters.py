@@ -1,8 +1,10 @@
 """Parameters declared once: frozen dataclasses whose fields carry unit, range and text.
 
 A group is a frozen dataclass of :func:`parameter` fields; a set of parameters is a dataclass of
-groups, nested to any depth. Names are the field names joined by dots. The same declaration gives
-the validation (:func:`build`), the ROS descriptors (`nodes/parameters.py`), the tables of the
+groups, nested to any depth. Names are the field names joined by dots. A field `tuple[Group, ...]`
+holds groups of one kind: each of its parameters is an array with one value for all of them or one
+for each, and the group's first parameter has one for each. The same declaration gives the
+validation (:func:`build`), the ROS descriptors (`nodes/parameters.py`), the tables of the
 documentation and the check of YAML files for mistyped names.
 """
 
@@ -125,6 +127,12 @@ def _group_prefix(entry: "dataclasses.Field[Any]", prefix: str) -> str:
     return prefix if entry.metadata.get("inline") else f"{prefix}{entry.name}."
 
 
+def _group_of_several(hint: Any) -> type | None:
+    """Return the kind of the groups if a field holds several, else None."""
+    item = typing.get_args(hint)[0] if typing.get_origin(hint) is tuple else None
+    return item if isinstance(item, type) and dataclasses.is_dataclass(item) else None
+
+
 def specs(cls: type, prefix: str = "") -> list[Spec]:
     """Return the parameters of a dataclass and of its groups, in order of declaration."""
     found: list[Spec] = []
@@ -133,6 +141,12 @@ def specs(cls: type, prefix: str = "") -> list[Spec]:
         hint = hints[entry.name]
         if dataclasses.is_dataclass(hint) and isinstance(hint, type):
             found += specs(hint, _group_prefix(entry, prefix))
+            continue
+        if several := _group_of_several(hint):
+            found += [
+                dataclasses.replace(spec, kind=tuple, item=spec.kind, default=(spec.default,))
+                for spec in specs(several, _group_prefix(entry, prefix))
+            ]
             continue
         item = typing.get_args(hint)[0] if typing.get_origin(hint) is tuple else None
         found.append(
@@ -167,6 +181,8 @@ def build(cls: type[T], values: Mapping[str, Any], prefix: str = "") -> T:
         name = prefix + entry.name
         if dataclasses.is_dataclass(hint) and isinstance(hint, type):
             arguments[entry.name] = build(hint, values, _group_prefix(entry, prefix))
+        elif several := _group_of_several(hint):
+            arguments[entry.name] = _build_several(several, values, _group_prefix(entry, prefix))
         elif name in values:
             arguments[entry.name] = known[name].check(values[name])
         elif known[name].required:
@@ -176,6 +192,24 @@ def build(cls: type[T], values: Mapping[str, Any], prefix: str = "") -> T:
     return cls(**arguments)
 
 
+def _build_several(cls: type[T], values: Mapping[str, Any], prefix: str) -> tuple[T, ...]:
+    """Build the groups of a field that holds several; see :func:`build`."""
+    known = specs(cls, prefix)
+    arrays: dict[str, tuple[Any, ...]] = {}
+    for spec in known:
+        array = dataclasses.replace(spec, kind=tuple, item=spec.kind)
+        arrays[spec.name] = array.check(values.get(spec.name, (spec.default,)))
+    count = len(arrays[known[0].name])
+    for name, array_values in arrays.items():
+        if len(array_values) not in (1, count) or not array_values:
+            reason = f"must have one value or {count}, one for each of {known[0].name}"
+            raise ParameterError(name, array_values, reason)
+    return tuple(
+        build(cls, {name: array[k % len(array)] for name, array in arrays.items()}, prefix)
+        for k in range(count)
+    )
+
+
 def flatten(instance: Any, prefix: str = "") -> dict[str, Any]:
     """Return the full names and values of a parameter set."""
     values: dict[str, Any] = {}
@@ -183,6 +217,9 @@ def flatten(instance: Any, prefix: str = "") -> dict[str, Any]:
         value = getattr(instance, entry.name)
         if dataclasses.is_dataclass(value):
             values |= flatten(value, _group_prefix(entry, prefix))
+        elif isinstance(value, tuple) and value and dataclasses.is_dataclass(value[0]):
+            each = [flatten(item, _group_prefix(entry, prefix)) for item in value]
+            values |= {name: tuple(item[name] for item in each) for name in each[0]}
         else:
             values[prefix + entry.name] = value
     return values

@@ -27,6 +27,7 @@ _PARAMETER_TYPES: dict[tuple[type, type | None], Parameter.Type] = {
     (int, None): Parameter.Type.INTEGER,
     (float, None): Parameter.Type.DOUBLE,
     (str, None): Parameter.Type.STRING,
+    (tuple, bool): Parameter.Type.BOOL_ARRAY,
     (tuple, float): Parameter.Type.DOUBLE_ARRAY,
     (tuple, str): Parameter.Type.STRING_ARRAY,
     (tuple, int): Parameter.Type.INTEGER_ARRAY,

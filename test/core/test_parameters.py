@@ -168,3 +168,53 @@ def test_single_value_applies_to_all_wheels():
     assert made.wheels.radius == (0.127,) * 4
     assert made.friction.coulomb == (0.1, 0.2, 0.3, 0.4)
     assert made.friction.viscous == (0.05,) * 4
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lamp:
+    name: str = parameter("lamp", "Name.", read_only=True)
+    height: float = parameter(2.0, "Height.", unit="m", low=0, high=5)
+    color: str = parameter("red", "Color.", choices=("red", "green"))
+    on: bool = parameter(True, "Whether it is lit.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Room:
+    lamps: tuple[Lamp, ...]
+
+
+def test_several_groups_of_a_kind_are_declared_as_arrays():
+    found = {spec.name: spec for spec in specs(Room)}
+    assert list(found) == ["lamps.name", "lamps.height", "lamps.color", "lamps.on"]
+    height = found["lamps.height"]
+    assert (height.kind, height.item, height.default) == (tuple, float, (2.0,))
+    assert (height.unit, height.low, height.high) == ("m", 0, 5)
+    assert found["lamps.name"].read_only
+
+
+def test_several_groups_have_one_value_for_all_or_one_each():
+    assert build(Room, {}) == Room(lamps=(Lamp(),))
+    values = {"lamps.name": ["a", "b"], "lamps.height": [1, 3.0], "lamps.color": ["green"]}
+    room = build(Room, values)
+    assert room.lamps == (
+        Lamp(name="a", height=1.0, color="green"),
+        Lamp(name="b", height=3.0, color="green"),
+    )
+    assert build(Room, flatten(room)) == room
+
+
+@pytest.mark.parametrize(
+    ("change", "name"),
+    [
+        ({"lamps.height": [1.0, 2.0, 3.0]}, r"lamps\.height.*one value or 2.*lamps\.name"),
+        ({"lamps.height": []}, r"lamps\.height"),
+        ({"lamps.height": [1.0, 9.0]}, r"lamps\.height.*5 m"),
+        ({"lamps.height": 1.0}, r"lamps\.height.*array"),
+        ({"lamps.color": ["red", "blue"]}, r"lamps\.color.*red, green"),
+        ({"lamps.on": [1, 0]}, r"lamps\.on.*bool"),
+        ({"lamps.name": []}, r"lamps\.name"),
+    ],
+)
+def test_a_value_of_several_groups_that_does_not_fit_is_refused(change, name):
+    with pytest.raises(ParameterError, match=name):
+        build(Room, {"lamps.name": ["a", "b"]} | change)
