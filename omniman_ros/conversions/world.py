@@ -80,7 +80,7 @@ def wheel_loads_message(loads: Array) -> Float64MultiArray:
 
 
 def scan_message(
-    ranges: Array, scanner: ScannerParameters, period: float, frame: str, stamp: Time
+    ranges: Array, scanner: ScannerParameters, period: float, stamp: Time
 ) -> LaserScan:
     """Return the message for a scan whose beams are all measured at once.
 
@@ -88,12 +88,11 @@ def scan_message(
         ranges: Ranges (beams,), infinite as in REP 117 where there is no measurement [m].
         scanner: Parameters of the scanner.
         period: Time between two scans [s].
-        frame: Frame of the scanner.
         stamp: Stamp of the message.
     """
     half = 0.5 * scanner.field_of_view
     return LaserScan(
-        header=Header(stamp=stamp, frame_id=frame),
+        header=Header(stamp=stamp, frame_id=scanner.name),
         angle_min=-half,
         angle_max=half,
         angle_increment=scanner.field_of_view / (scanner.beams - 1),
@@ -105,18 +104,17 @@ def scan_message(
 
 
 def scanner_transform(
-    scanner: ScannerParameters, base_frame: str, frame: str, stamp: Time
+    scanner: ScannerParameters, base_frame: str, stamp: Time
 ) -> TransformStamped:
-    """Return the pose of a scanner in the base frame.
+    """Return the pose in which a scanner is said to be mounted.
 
     Args:
         scanner: Parameters of the scanner.
-        base_frame: Frame in which the scanner is mounted.
-        frame: Frame of the scanner.
+        base_frame: Frame in which it is mounted.
         stamp: Stamp of the message.
     """
     result = TransformStamped(
-        header=Header(stamp=stamp, frame_id=base_frame), child_frame_id=frame
+        header=Header(stamp=stamp, frame_id=base_frame), child_frame_id=scanner.name
     )
     result.transform.translation = Vector3(x=scanner.x, y=scanner.y, z=scanner.z)
     result.transform.rotation = quaternion_from_yaw(scanner.yaw)

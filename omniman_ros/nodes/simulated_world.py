@@ -8,6 +8,7 @@ from builtin_interfaces.msg import Time as TimeMsg
 from omniman_ros.extras import WORLD
 from omniman_ros.nodes.drive_simulation_node import DriveSimulationNode
 from omniman_ros.nodes.runtime import run
+from omniman_ros.nodes.scan_publisher import ScanPublisher
 from omniman_ros.nodes.simulated_world_parameters import SimulatedWorldParameters
 from omniman_ros.nodes.world_arm_link import WorldArmLink
 from omniman_ros.nodes.world_reports import WorldReportPublisher
@@ -32,6 +33,9 @@ class SimulatedWorldNode(DriveSimulationNode[SimulatedWorldParameters]):
         super().__init__("simulated_world", SimulatedWorldParameters, **options)
         p = self.settings.value
         self._world_reports = WorldReportPublisher(self, self.world, p)
+        self._scans = ScanPublisher(
+            self, self.world, p.scanners, p.base_frame, p.state_rate, p.seed
+        )
         if p.arm_port and self.world.arm is not None:
             self._arm_link = WorldArmLink(
                 self, self.world.arm, self.drives, p.arm_port, self.simulated_clock
@@ -67,8 +71,7 @@ class SimulatedWorldNode(DriveSimulationNode[SimulatedWorldParameters]):
             ParameterError: One of them is refused; nothing is changed then.
         """
         super().configure(new)
-        if new.scanner != self.settings.value.scanner:
-            self._world_reports.mount(new.scanner)
+        self._scans.configure(new.scanners)
 
     def report_step(self, now: float, stamp: TimeMsg) -> None:
         """Advance the simulation, and publish what is due.
@@ -79,6 +82,7 @@ class SimulatedWorldNode(DriveSimulationNode[SimulatedWorldParameters]):
         """
         super().report_step(now, stamp)
         self._world_reports.publish(stamp)
+        self._scans.publish(stamp)
         self._exchange(now)
 
     def tick(self) -> None:

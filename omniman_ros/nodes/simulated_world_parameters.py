@@ -17,12 +17,12 @@ CONTROLLER_RATE = 125.0
 
 @dataclass(frozen=True, kw_only=True)
 class SimulatedWorldParameters(SimulatedDriveParameters):
-    """Parameters of the node: those of `simulated_drive`, the arm, the world and the scanner."""
+    """Parameters of the node: those of `simulated_drive`, the arm, the world and the scanners."""
 
     arm: ArmParameters
     mount: Mount
     world: WorldParameters
-    scanner: ScannerParameters
+    scanners: tuple[ScannerParameters, ...]
     scene: str = parameter(
         "workshop",
         "Scene: a name in share/omniman_ros/config/worlds or the path of a YAML file.",
@@ -36,27 +36,29 @@ class SimulatedWorldParameters(SimulatedDriveParameters):
         high=65535,
         read_only=True,
     )
-    scan_rate: float = parameter(
+    obstacle_rate: float = parameter(
         20.0,
-        "Rate of scan, at most the state rate.",
+        "Rate of ground_truth/obstacles, at most the state rate.",
         unit="Hz",
         low=1,
         high=1000,
         read_only=True,
     )
-    scanner_frame: str = parameter("scanner", "Frame of scan.", read_only=True)
 
     def __post_init__(self) -> None:
-        """Check the names of the joints, and the steps of simulated time.
+        """Check the names of joints and scanners, and the steps of simulated time.
 
         Raises:
-            ParameterError: A joint's name is used twice, or cannot be written; or the arm's
-                controller would have to run faster than it does.
+            ParameterError: A joint's name is used twice, or cannot be written; two scanners have
+                the same name; or the arm's controller would have to run faster than it does.
         """
         _ = self.description
         if self.arm_port and self.publish_clock and self.state_rate < CONTROLLER_RATE:
             reason = f"must be at least {CONTROLLER_RATE:g} Hz with publish_clock and arm_port"
             raise ParameterError("state_rate", self.state_rate, reason)
+        names = tuple(scanner.name for scanner in self.scanners)
+        if len(set(names)) < len(names):
+            raise ParameterError("scanners.name", names, "two scanners have the same name")
 
     @property
     def description(self) -> DescriptionParameters:

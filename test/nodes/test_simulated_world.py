@@ -128,7 +128,7 @@ def test_topics_have_their_rates(robot):
 def test_ranges_are_those_of_the_geometry(scene):
     """The wall's near side is at x = 2.9; at a height of 0.4 m the beams pass above the post."""
     scanner = {"x": 0.3, "z": 0.4, "yaw": 0.2, "field_of_view": 1.2, "sees_robot": False}
-    given = {f"scanner.{name}": value for name, value in scanner.items()}
+    given = {f"scanners.{name}": [value] for name, value in scanner.items()}
     with Robot(scene, given) as robot:
         scans = robot.listen(LaserScan, "scan")
         robot.run(0.1)
@@ -146,12 +146,52 @@ def test_the_scanner_changes_at_runtime(robot):
     robot.run(0.1)
     (before,) = last(scans).ranges[360:361]
     assert before == pytest.approx(1.0 - 0.55, abs=0.01), "the near side of the post"
-    assert robot.set("scanner.x", 0.65).successful
+    assert robot.set("scanners.x", [0.65]).successful
     robot.run(0.1)
     assert last(scans).ranges[360] == pytest.approx(before - 0.1, abs=1e-3)
-    assert robot.set("scanner.dropouts", 1.0).successful
+    assert robot.set("scanners.dropouts", [1.0]).successful
     robot.run(0.1)
     assert all(map(math.isinf, last(scans).ranges))
+
+
+def test_several_scanners_have_their_topics_frames_poses_and_rates(scene):
+    """The wall's near side is 2.9 m ahead; behind there is nothing."""
+    given = {
+        "scanners.name": ["front", "rear"],
+        "scanners.x": [0.55, -0.55],
+        "scanners.yaw": [0.0, math.pi],
+        "scanners.z": [0.4],
+        "scanners.field_of_view": [0.2],
+        "scanners.beams": [11, 21],
+        "scanners.rate": [40.0, 10.0],
+    }
+    with Robot(scene, given) as robot:
+        front, rear = (robot.listen(LaserScan, f"{name}/scan") for name in ("front", "rear"))
+        robot.run(1.0)
+        assert (len(front), len(rear)) == (pytest.approx(40, abs=1), pytest.approx(10, abs=1))
+        assert last(front).header.frame_id == "front"
+        assert last(rear).header.frame_id == "rear"
+        assert last(front).ranges[5] == pytest.approx(2.9 - 0.55, abs=0.01)
+        assert len(last(rear).ranges) == 21
+        assert all(map(math.isinf, last(rear).ranges))
+
+
+def test_a_fault_of_one_scanner_leaves_the_other_alone(scene):
+    given = {"scanners.name": ["left", "right"], "scanners.z": [0.4], "scanners.noise": [0.01]}
+    with Robot(scene, given) as robot:
+        left, right = (robot.listen(LaserScan, f"{name}/scan") for name in ("left", "right"))
+        robot.run(0.5)
+        assert robot.set("scanners.fault", ["none", "frozen"]).successful
+        robot.run(0.5)
+        assert last(right).ranges == right[-5].ranges
+        assert last(right).header.stamp != right[-5].header.stamp
+        assert last(left).ranges != left[-5].ranges
+        assert robot.set("scanners.fault", ["none", "silent"]).successful
+        robot.run(0.1)
+        count = len(right)
+        robot.run(0.5)
+        assert len(right) == count
+        assert not robot.set("scanners.fault", ["none", "none", "none"]).successful
 
 
 def test_a_contact_is_told_within_10_ms_and_its_end_too(robot):
@@ -229,14 +269,16 @@ def test_faults_change_at_runtime(robot):
         ("scene", "nowhere"),
         ("world.wheels", "square"),
         ("world.posture", [0.0, 1.0]),
-        ("scanner.range_max", 0.2),
-        ("scanner.beams", 1),
+        ("scanners.range_max", [0.2]),
+        ("scanners.beams", [1]),
         ("arm.joints", ["a"] * 6),
-        ("scan_rate", 0.0),
+        ("scanners.rate", [0.0]),
+        ("scanners.name", ["front", "front"]),
+        ("scanners.yaw", [0.0, 1.0]),
     ],
 )
 def test_a_bad_parameter_is_refused_by_name(scene, name, value):
-    given = {"scanner.range_min": 0.3, name: value}
+    given = {"scanners.range_min": [0.3], name: value}
     with pytest.raises(ParameterError) as refused:
         Robot(scene, given)
     assert refused.value.name == name
@@ -252,9 +294,9 @@ def test_a_start_in_something_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("scanner.noise", -1.0),
-        ("scanner.range_max", 0.01),
-        ("scanner.beams", 10),
+        ("scanners.noise", [-1.0]),
+        ("scanners.range_max", [0.01]),
+        ("scanners.beams", [10]),
         ("mismatch.friction", [1.0, 2.0]),
         ("scene", "empty"),
     ],

@@ -6,7 +6,12 @@ import numpy as np
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.simulation.world.model.mjcf import ROBOT_GROUP, WORLD_GROUP
-from omniman_ros.simulation.world.scanner_parameters import ScannerParameters
+from omniman_ros.simulation.world.scanner_parameters import (
+    COVERED,
+    FROZEN,
+    SILENT,
+    ScannerParameters,
+)
 from omniman_ros.simulation.world.world import World
 
 
@@ -19,29 +24,51 @@ class Scanner:
         seed: Seed of noise and dropouts.
 
     Attributes:
-        angles: Directions of the beams in the scanner's frame [rad], (beams,).
+        parameters: Its present parameters.
     """
 
     def __init__(self, world: World, parameters: ScannerParameters, seed: int = 0) -> None:
-        p = self._parameters = parameters
         self._world = world
         self._random = np.random.default_rng(seed)
-        half = 0.5 * p.field_of_view
-        self.angles: Array = np.linspace(-half, half, p.beams)
+        self._latest: Array | None = None
+        self.configure(parameters)
+
+    def configure(self, parameters: ScannerParameters) -> None:
+        """Measure with other parameters from now on; the number of beams stays the same."""
+        p = self.parameters = parameters
         self._origin = np.array([p.x, p.y, p.z])
-        directions = self.angles + p.yaw
+        directions = self.angles + p.yaw + p.turned
         self._directions = np.column_stack(
             [np.cos(directions), np.sin(directions), np.zeros(p.beams)]
         )
         self._groups = (WORLD_GROUP, ROBOT_GROUP) if p.sees_robot else (WORLD_GROUP,)
 
-    def scan(self) -> Array:
-        """Return the ranges [m], (beams,).
+    @property
+    def angles(self) -> Array:
+        """Directions of the beams in the scanner's frame [rad], (beams,)."""
+        half = 0.5 * self.parameters.field_of_view
+        angles: Array = np.linspace(-half, half, self.parameters.beams)
+        return angles
+
+    def scan(self) -> Array | None:
+        """Return the ranges [m], (beams,); None if the scanner is silent.
 
         As in REP 117, a range is inf where a beam meets nothing up to the longest range or is
         lost, and -inf where it meets something nearer than the shortest.
         """
-        p = self._parameters
+        fault = self.parameters.fault
+        if fault == SILENT:
+            return None
+        if fault == COVERED:
+            return np.full(self.parameters.beams, -math.inf)
+        if fault == FROZEN and self._latest is not None:
+            return self._latest
+        self._latest = self._measure()
+        return self._latest
+
+    def _measure(self) -> Array:
+        """Return the ranges of a scanner without a fault; see :meth:`scan`."""
+        p = self.parameters
         position, rotation = self._world.base_frame
         ranges = self._world.engine.rays(
             position + rotation @ self._origin,

@@ -1,16 +1,23 @@
-"""Parameters of a laser scanner of the robot."""
+"""Parameters of the robot's laser scanners."""
 
 import math
+import re
 from dataclasses import dataclass
 
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import parameter
+
+NO_FAULT, SILENT, FROZEN, COVERED = "none", "silent", "frozen", "covered"
+"""Faults of a scanner."""
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+"""What the name of a scanner looks like, so that it can be part of a topic's."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ScannerParameters:
     """Mounting and measurement of a scanner that lies flat; the first beam is its rightmost."""
 
+    name: str = parameter("scanner", "Name, which is also that of its frame.", read_only=True)
     x: float = parameter(0.55, "Position in base_link, forward.", unit="m", low=-10, high=10)
     y: float = parameter(0.0, "Position in base_link, left.", unit="m", low=-10, high=10)
     z: float = parameter(0.2, "Height above the floor.", unit="m", low=0, high=10)
@@ -28,13 +35,32 @@ class ScannerParameters:
     noise: float = parameter(0.0, "Standard deviation of a range.", unit="m", low=0, high=1)
     dropouts: float = parameter(0.0, "Probability that a beam is lost.", low=0, high=1)
     sees_robot: bool = parameter(True, "Whether the robot's own parts are in its way.")
+    rate: float = parameter(
+        20.0, "Rate, at most the state rate.", unit="Hz", low=1, high=1000, read_only=True
+    )
+    turned: float = parameter(
+        0.0,
+        "Angle by which it is turned to the left of how it is said to be mounted.",
+        unit="rad",
+        low=-3.2,
+        high=3.2,
+    )
+    fault: str = parameter(
+        NO_FAULT,
+        "Fault: silent sends nothing, frozen repeats the last ranges, covered sees its cover.",
+        choices=(NO_FAULT, SILENT, FROZEN, COVERED),
+    )
 
     def __post_init__(self) -> None:
-        """Check the ranges.
+        """Check the name and the ranges.
 
         Raises:
-            ParameterError: The longest is not above the shortest.
+            ParameterError: The name has other characters than letters, digits and underscores
+                or does not begin with a letter, or the longest range is not above the shortest.
         """
+        if not NAME.fullmatch(self.name):
+            reason = "must be letters, digits and underscores, and begin with a letter"
+            raise ParameterError("scanners.name", self.name, reason)
         if not self.range_min < self.range_max:
             reason = f"must be above range_min, {self.range_min:g} m"
-            raise ParameterError("scanner.range_max", self.range_max, reason)
+            raise ParameterError("scanners.range_max", self.range_max, reason)

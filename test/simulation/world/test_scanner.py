@@ -20,7 +20,7 @@ FLAT = build(ScannerParameters, {"x": 0.6, "y": 0.1, "yaw": 0.3, "field_of_view"
 
 
 def test_a_longest_range_below_the_shortest_is_refused():
-    with pytest.raises(ParameterError, match=r"scanner\.range_max"):
+    with pytest.raises(ParameterError, match=r"scanners\.range_max"):
         replace(FLAT, range_min=1.0, range_max=0.5)
 
 
@@ -112,3 +112,45 @@ def test_what_is_too_near_or_too_far_is_infinite():
     assert ranges[np.argmin(np.abs(angles))] == -math.inf
     far = replace(FLAT, x=0.0, range_max=2.0, sees_robot=False)
     assert np.isinf(scan(Scene(walls=(WALL,)), far)[1]).all()
+
+
+@pytest.mark.parametrize("name", ["", "2nd", "front/left", "front left", "vorne\n"])
+def test_a_name_that_cannot_be_part_of_a_topic_is_refused(name):
+    with pytest.raises(ParameterError, match=r"scanners\.name"):
+        replace(FLAT, name=name)
+
+
+def test_a_turned_scanner_measures_where_it_is_not_said_to_look():
+    scene = Scene(walls=(WALL,))
+    straight = replace(FLAT, yaw=0.0, y=0.0, field_of_view=1.0, beams=201)
+    _, ranges = scan(scene, replace(straight, turned=0.2))
+    np.testing.assert_allclose(ranges, to_wall(np.linspace(-0.5, 0.5, 201) + 0.2, 0.6), atol=1e-3)
+
+
+def test_faults_begin_and_end_while_the_scanner_runs():
+    bench = ideal("ig42", Scene(walls=(WALL,)))
+    ahead = replace(FLAT, yaw=0.0, field_of_view=0.2, beams=3, noise=0.01)
+    scanner = Scanner(bench.world, ahead, 0)
+    before = scanner.scan()
+    assert not np.array_equal(scanner.scan(), before)
+    last = scanner.scan()
+    scanner.configure(replace(ahead, fault="frozen"))
+    for _ in range(3):
+        np.testing.assert_array_equal(scanner.scan(), last)
+    scanner.configure(replace(ahead, fault="covered"))
+    np.testing.assert_array_equal(scanner.scan(), [-math.inf] * 3)
+    scanner.configure(replace(ahead, fault="silent"))
+    assert scanner.scan() is None
+    scanner.configure(ahead)
+    np.testing.assert_allclose(scanner.scan(), last, atol=0.1)
+
+
+def test_the_arm_is_in_the_way_of_a_scanner_behind_it():
+    """A scanner at the height of the lowered forearm sees it, and not if it sees no robot."""
+    bench = ideal("omniman")
+    high = replace(FLAT, x=-0.45, y=0.0, yaw=0.0, z=0.95, field_of_view=1.5)
+    seen, blind = (
+        Scanner(bench.world, replace(high, sees_robot=sees)).scan() for sees in (True, False)
+    )
+    assert np.isfinite(seen).any()
+    assert np.isinf(blind).all()
