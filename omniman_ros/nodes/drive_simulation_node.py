@@ -14,7 +14,7 @@ from omniman_ros.nodes.drive_reports import DriveReportPublisher
 from omniman_ros.nodes.imu_publisher import ImuPublisher
 from omniman_ros.nodes.omniman_node import MAX_LEAD, OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
-from omniman_ros.nodes.simulated_clock import SimulatedClock
+from omniman_ros.nodes.simulated_clock import AWAITED_KEY, PACE_KEY, SimulatedClock
 from omniman_ros.nodes.simulated_drive_parameters import SimulatedDriveParameters
 from omniman_ros.nodes.stop_interface import StopInterface
 from omniman_ros.simulation.plant.body import Body
@@ -177,7 +177,8 @@ class DriveSimulationNode(OmnimanNode, Generic[P]):
             *((f"{name}_loss_J", round(loss, 3)) for name, loss in energy.losses.items()),
         ]
         if self.simulated_clock is not None:
-            values.append(("real_time_factor", round(self.simulated_clock.pace, 2)))
+            values.append((PACE_KEY, round(self.simulated_clock.pace, 2)))
+            values.append((AWAITED_KEY, " ".join(self.simulated_clock.awaited)))
         if self.latch.status.state is StopState.STOPPED:
             return DiagnosticStatus.ERROR, self.latch.status.reason, values
         if not self.latch.released:

@@ -13,6 +13,10 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.nodes.clock_follower import PERMITS_TOPIC
 from omniman_ros.simulation.lockstep import Lockstep
 
+PACE_KEY = "real_time_factor"
+"""Key in the diagnostics of how fast simulated time passes, over real time."""
+AWAITED_KEY = "waiting_for"
+"""Key in the diagnostics of the nodes for which simulated time stands, separated by spaces."""
 CLOCK_START = 1.0
 """First time on /clock [s]: a stamp of zero would mean "now"."""
 MAX_CATCH_UP = 4
@@ -23,6 +27,8 @@ SLOW = 0.9
 """Fraction of the requested pace below which simulated time is reported as slow."""
 MIN_REPORT_TIME = 1.0
 """Shortest real time over which the pace is measured [s]."""
+STANDSTILL = 0.5
+"""Real time without a step after which simulated time counts as standing [s]."""
 REPEAT_PERIOD = 0.02
 """Real time after which a time is published again while others have to catch up with it [s]."""
 
@@ -60,7 +66,7 @@ class SimulatedClock:
         self._period, self._real_time_factor = period, real_time_factor
         self._real_time = real_time
         self._started = real_time()
-        self._published = self._started
+        self._published = self._stepped = self._started
         self._reported_at = (self._started, self.now)
         self._lockstep, self._is_free = Lockstep(patience), False
         self._logger = node.get_logger()
@@ -100,6 +106,7 @@ class SimulatedClock:
             if self._must_wait(real_time):
                 break
             self.now += self._period
+            self._stepped = real_time
             self._publish(real_time)
             yield
         delay = (due - self.now) / self._real_time_factor
@@ -139,6 +146,13 @@ class SimulatedClock:
             return ""
         awaited = f", waiting for {', '.join(sorted(laggards))}" if laggards else ""
         return f"simulated time passes at {self.pace:.2f} times real time{awaited}"
+
+    @property
+    def awaited(self) -> list[str]:
+        """Names of the nodes for which simulated time stands; empty while it passes."""
+        if self._is_free or self._real_time() - self._stepped < STANDSTILL:
+            return []
+        return sorted(self._lockstep.laggards(self.now + self._period))
 
     def release(self) -> None:
         """Wait for nobody any more."""

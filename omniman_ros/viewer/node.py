@@ -54,7 +54,7 @@ class ViewerNode(OmnimanNode):
         self._events = events.EventQueue()
         self._topics = LazySubscriptions(self)
         self._drive = ManualDrive(self, p)
-        self._robot = RobotTopics(self, self._topics, self.state, p)
+        self._robot = RobotTopics(self, self._topics, self.state, p, self.draw_status)
         self._obstacles = ObstacleInterface(self, self.state, p.odom_frame)
         self._planner = PlannerTopics(
             self, self._topics, self.state, p.frames, self._obstacles.owns
@@ -150,6 +150,11 @@ class ViewerNode(OmnimanNode):
             self._planner.update_state(now)
             self._obstacles.update_state(now)
             self.page.draw(self.state, now)
+
+    def draw_status(self) -> None:
+        """Draw the robot's state in words, if a browser is connected."""
+        if self.page.watched:
+            self.page.draw_status(self.state, self.now())
 
     def survey(self) -> None:
         """Check which other nodes are running."""

@@ -19,19 +19,34 @@ FIRST_STEPS = "Drag the blue goal, or hold a button to drive."
 
 
 def status(state: ViewState, now: float) -> str:
-    """Return HTML with the active source, the stops, the robot's pose, the progress and problems.
+    """Return HTML with the pace of time, the active source, stops, pose, progress and problems.
 
     Args:
         state: View state of the robot.
         now: Time on the clock of `state` [s].
     """
-    rows = (_motion_rows, _pose_rows, _progress_rows, _diagnostic_rows, _advice_rows)
+    rows = (
+        _time_rows,
+        _motion_rows,
+        _pose_rows,
+        _progress_rows,
+        _diagnostic_rows,
+        _advice_rows,
+    )
     return (
         '<div style="padding:0 0.75em 0.4em;font-size:0.8em;line-height:1.5;'
         'overflow-wrap:anywhere">'
         + "".join(row for make in rows for row in make(state, now))
         + "</div>"
     )
+
+
+def _time_rows(state: ViewState, now: float) -> Iterator[str]:
+    if state.awaited:
+        names = ", ".join(name.rpartition("/")[2] for name in state.awaited)
+        yield _row("simulated time", f"is waiting for {names}", WARNING)
+    elif state.pace is not None:
+        yield _row("simulated time", f"{state.pace:.2f} times real time", "")
 
 
 def _motion_rows(state: ViewState, now: float) -> Iterator[str]:

@@ -101,6 +101,8 @@ class ViewState:
         progress: Progress on the path, 0 to 1; valid while it is fresh.
         stops: Stop state of each node by its name.
         diagnostics: Current warnings and errors from the diagnostics by name of the node.
+        pace: Speed of simulated over real time; None on real time.
+        awaited: Names of the nodes for which simulated time stands.
         services: Names of the available services, such as `path_interpolator/pause`.
         note: Outcome of the last action on the page.
     """
@@ -147,6 +149,8 @@ class ViewState:
         self.progress = 0.0
         self.stops: dict[str, Condition] = {}
         self.diagnostics: dict[str, Condition] = {}
+        self.pace: float | None = None
+        self.awaited: tuple[str, ...] = ()
         self.services: frozenset[str] = frozenset()
         self.note = ""
         self._received_at: dict[str, float] = {}
@@ -257,6 +261,7 @@ class ViewState:
         """Clear plots and diagnostics, and mark all values as old, after the clock jumped back."""
         self._received_at.clear()
         self.diagnostics.clear()
+        self.pace, self.awaited = None, ()
         for window in self.windows.values():
             window.clear()
 

@@ -99,6 +99,19 @@ def test_a_slow_pace_is_reported_with_the_nodes_that_are_waited_for():
         assert rig.clock.pace == pytest.approx(0.25, abs=0.01)
 
 
+def test_who_holds_time_up_is_named_once_it_stands():
+    with Rig() as rig:
+        rig.permit(CLOCK_START + 0.1, "/slow")
+        rig.permit(CLOCK_START + 9.0, "/fast")
+        rig.pass_real_time(0.4)
+        assert rig.clock.awaited == []
+        rig.pass_real_time(0.4)
+        assert rig.clock.awaited == ["/slow"]
+        rig.permit(CLOCK_START + 9.0, "/slow")
+        rig.pass_real_time(PERIOD)
+        assert rig.clock.awaited == []
+
+
 def test_time_does_not_rush_after_a_long_delay_of_its_own_node():
     with Rig() as rig:
         rig.real_time += 60.0

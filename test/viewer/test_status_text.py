@@ -42,6 +42,15 @@ def test_the_status_contains_source_stops_and_pose():
         assert part in text
 
 
+def test_the_pace_of_simulated_time_is_displayed_and_who_is_awaited():
+    assert "simulated time" not in words(status(state(), 10.0))
+    text = words(status(state(pace=0.618), 10.0))
+    assert "simulated time 0.62 times real time" in text
+    text = words(status(state(pace=0.6, awaited=("/r/mpc_planner", "/r/arm_streamer")), 10.0))
+    assert "simulated time is waiting for mpc_planner, arm_streamer" in text
+    assert "0.6" not in text
+
+
 def test_progress_is_omitted_without_a_path():
     shown = state()
     assert "path" not in words(status(shown, 10.0)).split()

@@ -154,6 +154,11 @@ class Page:
                 self._plots.draw(state, now)
         self._frames += 1
 
+    def draw_status(self, state: ViewState, now: float) -> None:
+        """Draw the robot's state in words, at a time on the clock of `state` [s]."""
+        with self._server.atomic():
+            self._status.draw(state, now)
+
     def close(self) -> None:
         """Stop the server."""
         with contextlib.redirect_stdout(io.StringIO()):

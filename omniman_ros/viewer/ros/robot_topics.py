@@ -1,6 +1,8 @@
 """Subscriptions to the robot's topics, which update the `ViewState`."""
 
+import math
 from collections import deque
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -18,6 +20,7 @@ from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.nodes.omniman_node import OmnimanNode
+from omniman_ros.nodes.simulated_clock import AWAITED_KEY, PACE_KEY
 from omniman_ros.nodes.stop_interface import ALL_LATCHED, LATCHED
 from omniman_ros.viewer.lines import thinned
 from omniman_ros.viewer.ros.lazy_subscriptions import LazySubscriptions
@@ -42,6 +45,8 @@ class RobotTopics:
         subscriptions: The node's subscriptions.
         state: View state into which the values are written.
         parameters: Parameters of the node.
+        on_standstill: Called when simulated time is known to stand, and when it goes on: while it
+            stands, nothing is done that is due at a time.
     """
 
     def __init__(
@@ -50,8 +55,9 @@ class RobotTopics:
         subscriptions: LazySubscriptions,
         state: ViewState,
         parameters: ViewerParameters,
+        on_standstill: Callable[[], None],
     ) -> None:
-        self._node = node
+        self._node, self._on_standstill = node, on_standstill
         self._state = state
         self._names = parameters.robot.wheels.names
         self._joints = parameters.arm.joints
@@ -191,10 +197,25 @@ class RobotTopics:
                 self._state.update_diagnostics(
                     status.name, level(status), status.message, node.now()
                 )
+                self._update_pace({item.key: item.value for item in status.values})
             if status.name == self._path_interpolator:
                 self._state.path_states = frozenset(
                     item.value for item in status.values if item.key in _MOTION_KEYS
                 )
+
+    def _update_pace(self, values: dict[str, str]) -> None:
+        """Take the pace of simulated time from the node that publishes /clock."""
+        if PACE_KEY not in values:
+            return
+        try:
+            pace = float(values[PACE_KEY])
+        except ValueError as error:
+            raise InputError(f"{PACE_KEY} {values[PACE_KEY]} must be a number") from error
+        was_awaited = bool(self._state.awaited)
+        self._state.pace = pace if math.isfinite(pace) else None
+        self._state.awaited = tuple(values.get(AWAITED_KEY, "").split())
+        if was_awaited or self._state.awaited:
+            self._on_standstill()
 
 
 def path_points(message: Path, frames: tuple[str, ...]) -> Array:

@@ -20,10 +20,14 @@ class FakePage:
         self.speeds = (0.4, 0.8)
         self.watched = True
         self.frames = []
+        self.statuses = []
         self.closed = False
 
     def draw(self, state, now):
         self.frames.append(now)
+
+    def draw_status(self, state, now):
+        self.statuses.append((state.pace, state.awaited))
 
     def close(self):
         self.closed = True

@@ -247,6 +247,37 @@ def test_only_diagnostics_of_the_viewers_namespace_are_displayed():
         assert shown == {"/robot1/a": (1, "a wheel is dead")}
 
 
+def clock_diagnostics(**values):
+    pairs = [KeyValue(key=key, value=value) for key, value in values.items()]
+    return DiagnosticArray(status=[DiagnosticStatus(name="/simulated_drive", values=pairs)])
+
+
+def test_the_pace_is_displayed_while_time_stands_and_nothing_else_is_due(world):
+    """The diagnostics come on real time. The status is drawn at once, and when time goes on."""
+    node = world.nodes[0]
+    diagnostics = world.publisher(DiagnosticArray, "/diagnostics")
+    diagnostics.publish(clock_diagnostics(real_time_factor="0.7", waiting_for=""))
+    world._await(lambda: (world.serve(), node.state.pace == 0.7)[1], "the pace")
+    assert node.page.statuses == []
+    frames = len(node.page.frames)
+    diagnostics.publish(clock_diagnostics(real_time_factor="0.7", waiting_for="/a /b"))
+    world._await(lambda: (world.serve(), node.page.statuses)[1], "the status")
+    diagnostics.publish(clock_diagnostics(real_time_factor="0.5", waiting_for=""))
+    world._await(lambda: (world.serve(), len(node.page.statuses) == 2)[1], "the status")
+    assert node.page.statuses == [(0.7, ("/a", "/b")), (0.5, ())]
+    assert len(node.page.frames) == frames
+
+
+@pytest.mark.parametrize("value", ["fast", ""])
+def test_a_pace_that_is_no_number_is_ignored_with_a_warning(world, value):
+    node = world.nodes[0]
+    world.publisher(DiagnosticArray, "/diagnostics").publish(
+        clock_diagnostics(real_time_factor=value)
+    )
+    world._await(lambda: (world.serve(), node.warning_counts)[1], "the warning")
+    assert node.state.pace is None
+
+
 def test_a_node_that_vanished_is_marked(world):
     state = world.nodes[0].state
     states = world.probe.create_publisher(DiagnosticStatus, "stop_state", LATCHED)
