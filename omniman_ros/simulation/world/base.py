@@ -62,8 +62,7 @@ class Base:
         Raises:
             OmnimanError: The state is no longer finite.
         """
-        _, rotation = self.frame
-        heading = math.atan2(rotation[1, 0], rotation[0, 0])
+        heading = self._engine.heading(self._body)
         if not math.isfinite(heading):
             raise OmnimanError("the physics world has diverged: its state is not finite")
         self._heading += math.remainder(heading - self._heading, math.tau)

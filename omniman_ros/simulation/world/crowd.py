@@ -73,7 +73,8 @@ class Crowd:
             self._decide()
         self._count += 1
         forces = self._gains * (self._wanted - self.velocities)
-        sizes = np.sqrt((forces * forces).sum(axis=1, keepdims=True))
+        squares = forces * forces
+        sizes = np.sqrt(squares[:, :1] + squares[:, 1:])
         forces *= np.minimum(self._force / np.maximum(sizes, TINY), 1.0)
         self._engine.applied[self._dofs] = forces
 

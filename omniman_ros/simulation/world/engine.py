@@ -1,6 +1,7 @@
 """MuJoCo: a compiled model, its state, and what is asked of it. No other module imports it."""
 
 import itertools
+import math
 from collections.abc import Sequence
 
 import mujoco
@@ -34,6 +35,7 @@ class Engine:
     def __init__(self, model: WorldModel) -> None:
         self._model, self._data = self._compile(model)
         self.step_time = float(self._model.opt.timestep)
+        self._inertia: Array = np.empty((self._model.nv, self._model.nv))
         self.refresh()
 
     @staticmethod
@@ -165,11 +167,15 @@ class Engine:
         """Return position (3,) [m] and rotation (3, 3) of a body in the world."""
         return self._data.xpos[body], self._data.xmat[body].reshape(3, 3)
 
+    def heading(self, body: int) -> float:
+        """Return the direction of a body's x axis on the floor, within pi of zero [rad]."""
+        rotation = self._data.xmat
+        return math.atan2(rotation.item(body, 3), rotation.item(body, 0))
+
     def inertia(self, dofs: slice) -> Array:
-        """Return the joints' inertia, the other joints held, (k, k)."""
-        full = np.empty((self._model.nv, self._model.nv))
-        mujoco.mj_fullM(self._model, self._data, full)
-        return full[dofs, dofs]
+        """Return the joints' inertia, the other joints held, (k, k), until the next call."""
+        mujoco.mj_fullM(self._model, self._data, self._inertia)
+        return self._inertia[dofs, dofs]
 
     def energies(self) -> tuple[float, float]:
         """Return potential and kinetic energy of all bodies [J]."""

@@ -68,13 +68,16 @@ class TyreContacts:
         """
         engine, step = self._engine, self._engine.step_time
         shapes, rows = engine.contacts()
-        tyres = self._tyre_of[shapes].max(axis=1)
+        parties = self._tyre_of[shapes]
+        tyres = np.maximum(parties[:, 0], parties[:, 1])
         others = np.nonzero(tyres < 0)[0]
-        loaded = (tyres >= 0) & (rows >= 0)
-        tyres, rows = tyres[loaded], rows[loaded]
+        loaded = np.nonzero(np.minimum(tyres, rows) >= 0)[0]
+        if len(loaded) < len(tyres):
+            tyres, rows = tyres[loaded], rows[loaded]
         forces, slips = engine.forces, engine.slips
         normal = forces[rows]
-        self.loads = np.bincount(self._wheels[tyres], normal, len(self.loads)).astype(np.float64)
+        loads = np.bincount(self._wheels[tyres], normal, len(self.loads))
+        self.loads = loads.astype(np.float64, copy=False)
         along = rows + 1
         across = rows + 2
         work = forces[along] @ slips[along] + forces[across] @ slips[across]

@@ -1,6 +1,5 @@
 """The physics world: a robot in a scene, moved by the voltages at its motors."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -181,9 +180,10 @@ class World:
         ]
         crates = []
         for crate in self._scene.crates:
-            position, rotation = self.engine.pose(self.engine.body(crate.name))
+            body = self.engine.body(crate.name)
+            position, _ = self.engine.pose(body)
+            heading = self.engine.heading(body)
             velocity = self.engine.velocities[self.engine.dof(crate.name) :][:2]
-            heading = math.atan2(rotation[1, 0], rotation[0, 0])
             crates.append(
                 Obstacle(
                     crate.name,
