@@ -2,6 +2,7 @@
 
 ros2 launch omniman_ros platform.launch.py robot:=ig42 namespace:=robot1
 ros2 launch omniman_ros platform.launch.py arm:=simulated rviz:=true
+ros2 launch omniman_ros platform.launch.py world:=workshop use_sim_time:=true
 
 Transforms are published on tf and tf_static in the namespace: frames have no prefix, so that the
 transforms of two robots would mix on one /tf. All robots of a ROS domain share /diagnostics, where
@@ -71,6 +72,12 @@ ARGUMENTS = [
         choices=["simulated", "can", "real"],
     ),
     DeclareLaunchArgument(
+        "world",
+        default_value="",
+        description="Scene of the robot's physics world, with drive:=simulated: a name in "
+        "share/omniman_ros/config/worlds, or path of a YAML file; empty: no world",
+    ),
+    DeclareLaunchArgument(
         "installation",
         default_value=PathJoinSubstitution(
             [FindPackageShare("omniman_ros"), "config", "can", "cia402.yaml"]
@@ -137,13 +144,25 @@ def generate_launch_description() -> LaunchDescription:
     sim_time = ParameterValue(LaunchConfiguration("use_sim_time"), value_type=bool)
 
     # In simulated time, the drive publishes the clock that the other nodes run on.
+    is_simulated = EqualsSubstitution(LaunchConfiguration("drive"), "simulated")
+    has_no_world = EqualsSubstitution(LaunchConfiguration("world"), "")
     simulated_drive = Node(
         package="omniman_ros",
         executable="simulated_drive",
         namespace=LaunchConfiguration("namespace"),
         parameters=[{"robot": robot, "publish_clock": sim_time}],
         output="screen",
-        condition=IfCondition(EqualsSubstitution(LaunchConfiguration("drive"), "simulated")),
+        condition=IfCondition(AndSubstitution(is_simulated, has_no_world)),
+    )
+    scene = ParameterValue(LaunchConfiguration("world"), value_type=str)
+    simulated_world = Node(
+        package="omniman_ros",
+        executable="simulated_world",
+        namespace=LaunchConfiguration("namespace"),
+        parameters=[{"robot": robot, "publish_clock": sim_time, "scene": scene}],
+        remappings=TF,
+        output="screen",
+        condition=IfCondition(AndSubstitution(is_simulated, NotSubstitution(has_no_world))),
     )
     # With drive:=can, simulated drives are on a bus of UDP multicast on this machine.
     installation = LaunchConfiguration("installation")
@@ -335,6 +354,7 @@ def generate_launch_description() -> LaunchDescription:
         [
             *ARGUMENTS,
             simulated_drive,
+            simulated_world,
             can_bridge,
             can_bridge_on_private_bus,
             simulated_can_drives,

@@ -29,6 +29,10 @@ from omniman_ros.robots import load_robot
 
 DRIVE_ON = "drive.dead_wheel:=drive_on"
 """Parameter value with which the robot continues when a wheel is dead."""
+WORLD_WHEELS = ("world.wheels:=ideal", "world.tyre_stiffness:=1.0e7")
+"""Parameters with which wheels in a world roll as odometry assumes that nobody has calibrated: on
+rollers, a platform loses 1 to 2 % of its way sideways, and tyres of 1e6 N/m sink, which makes the
+rolling radius 0.16 % smaller."""
 RELAXED_TIMEOUTS = (
     "timeouts.wheel_states:=0.5",
     "firmware.watchdog:=0.5",
@@ -69,32 +73,17 @@ def run(args: argparse.Namespace) -> int:
     Raises:
         CommandError: The demo could not be completed.
     """
-    # Simulated time waits for a process that has to wait; a bus and its drives run on real time.
-    sim_time = args.drive == "simulated"
-    params = [
-        *(() if sim_time else RELAXED_TIMEOUTS),
-        DRIVE_ON,
-        *wheel_differences(resolve_robot(args.robot)),
-        *args.param,
-    ]
+    setup = demo_setup(args)
     # The domain is chosen before the processes, because the port of their CAN bus depends on it.
     is_private = choose_domain(args.keep)
-    processes = robot_processes(
-        RobotSetup(
-            robot=args.robot,
-            params=params,
-            drive=args.drive,
-            installation=args.installation,
-            arm=args.arm,
-            sim_time=sim_time,
-        )
-    )
+    processes = robot_processes(setup)
     log = NodeOutputLog(args.verbose)
     complaints: list[str] = []
     group = ProcessGroup(processes, on_line=log, report=complaints.append)
     progress = Progress()
     progress.headline(
         f"omniman demo: robot '{args.robot}' in simulation, with unequal wheels, "
+        + (f"in the world {args.world}, " if args.world else "")
         + (f"{args.installation} drives on a CAN bus, " if args.drive == "can" else "")
         + ("" if args.arm == "none" else "a UR5 behind TCP, ")
         + f"ROS_DOMAIN_ID={os.environ['ROS_DOMAIN_ID']}"
@@ -106,7 +95,7 @@ def run(args: argparse.Namespace) -> int:
                 refuse_other_robots(group.check)
             with group:
                 viewer = log if any(process.name == "viewer" for process in processes) else None
-                result = perform(args, group, progress, viewer)
+                result = perform(setup, Path(args.results), group, progress, viewer)
                 result["duration_s"] = time.monotonic() - started
                 if args.keep:
                     keep(group, result)
@@ -120,6 +109,35 @@ def run(args: argparse.Namespace) -> int:
             raise
     result["faults"] += complaints
     return conclude(result, log, args)
+
+
+def demo_setup(args: argparse.Namespace) -> RobotSetup:
+    """Return the robot of the demo.
+
+    Args:
+        args: Parsed arguments of the command.
+
+    Raises:
+        CommandError: The robot does not exist.
+    """
+    # Simulated time waits for a process that has to wait; a bus and its drives run on real time.
+    sim_time = args.drive == "simulated"
+    params = [
+        *(() if sim_time else RELAXED_TIMEOUTS),
+        *(WORLD_WHEELS if args.world else ()),
+        DRIVE_ON,
+        *wheel_differences(resolve_robot(args.robot)),
+        *args.param,
+    ]
+    return RobotSetup(
+        robot=args.robot,
+        params=params,
+        drive=args.drive,
+        installation=args.installation,
+        arm=args.arm,
+        sim_time=sim_time,
+        world=args.world,
+    )
 
 
 def choose_domain(keep: bool) -> bool:
@@ -143,12 +161,17 @@ def choose_domain(keep: bool) -> bool:
 
 
 def perform(
-    args: argparse.Namespace, group: ProcessGroup, progress: Progress, viewer: NodeOutputLog | None
+    setup: RobotSetup,
+    folder: Path,
+    group: ProcessGroup,
+    progress: Progress,
+    viewer: NodeOutputLog | None,
 ) -> dict[str, Any]:
     """Drive all legs of the demo, evaluate and draw them.
 
     Args:
-        args: Parsed arguments of the command.
+        setup: The robot.
+        folder: Folder of the picture.
         group: Processes of the nodes, which must stay alive.
         progress: Display of the progress.
         viewer: Log in which the viewer announces its page, for which the robot waits; None if no
@@ -160,14 +183,15 @@ def perform(
     Raises:
         CommandError: The robot did not complete the demo.
     """
-    has_arm = args.arm != "none"
-    demo = Demo(args.robot, has_arm)
-    sim_time = args.drive == "simulated"
-    with Session("omniman_demo", sim_time=sim_time) as session:
+    has_arm = setup.arm != "none"
+    demo = Demo(setup.robot, has_arm)
+    with Session("omniman_demo", sim_time=setup.sim_time) as session:
         pace = (
-            ClockFollower(session.node, LOOKAHEAD, lambda: None, session.now) if sim_time else None
+            ClockFollower(session.node, LOOKAHEAD, lambda: None, session.now)
+            if setup.sim_time
+            else None
         )
-        driver = Driver(session, progress, group.check, args.drive, has_arm)
+        driver = Driver(session, progress, group.check, setup.wheel_drive, has_arm)
         try:
             driver.wait_until_ready()
             page = ""
@@ -182,8 +206,8 @@ def perform(
                 pace.leave()
         recording = driver.recorder.recording
         result = judge(recording, demo.legs, driver.arm_moves)
-    picture = draw(demo, recording, Path(args.results))
-    return {"robot": args.robot, **result, "picture": picture and str(picture), "page": page}
+    picture = draw(demo, recording, folder)
+    return {"robot": setup.robot, **result, "picture": picture and str(picture), "page": page}
 
 
 def page_hint(page: str) -> str:

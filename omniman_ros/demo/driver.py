@@ -20,6 +20,7 @@ from omniman_ros.demo.leg import Interval
 from omniman_ros.demo.recorder import Recorder
 from omniman_ros.demo.robot_interface import RobotInterface
 from omniman_ros.nodes.stoppable_nodes import TriggerCalls
+from omniman_ros.processes.robot_setup import WORLD_DRIVE
 
 ARM_MOVE_TIME = 2.5
 """Duration of a measured move of the arm, within its limits [s]."""
@@ -50,7 +51,8 @@ class Driver:
         session: Session whose node talks to the robot.
         progress: Display of the progress.
         poll: Called many times per second; raises an exception to end the demo early.
-        drive: Kind of drive: "simulated", or "can" for simulated drives on a CAN bus.
+        drive: Kind of drive: "simulated", "can" for simulated drives on a CAN bus, or "world" for
+            those in a physics world, which also tells contacts.
         has_arm: Whether the robot has an arm.
 
     Attributes:
@@ -73,7 +75,7 @@ class Driver:
         self._session = session
         self._poll = poll
         self.robot = RobotInterface(session.node, drive)
-        self.recorder = Recorder(session.node, session.now)
+        self.recorder = Recorder(session.node, session.now, contacts=drive == WORLD_DRIVE)
         self.progress = progress
         self.has_arm = has_arm
         self.arm_moves: list[ArmMove] = []

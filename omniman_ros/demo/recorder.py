@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
@@ -45,6 +45,7 @@ class Recording:
         arm_intervals: Intervals between two setpoints sent to the arm's controller [s].
         odom_arrivals: Arrivals of `odom`.
         command_arrivals: Arrivals of `wheel_commands`, or `wheel_voltages` in voltage mode.
+        contacts: What the robot touched, each as "part, thing"; None without a physics world.
         stall: Longest time for which this process did not run [s]. On the same machine, the nodes
             mostly did not run either.
     """
@@ -60,6 +61,7 @@ class Recording:
     arm_intervals: list[float] = field(default_factory=list)
     odom_arrivals: list[float] = field(default_factory=list)
     command_arrivals: list[float] = field(default_factory=list)
+    contacts: list[str] | None = None
     stall: float = 0.0
 
     @property
@@ -76,6 +78,7 @@ class Recorder:
     Args:
         node: Node that owns the subscriptions.
         clock: Returns the time of arrivals [s].
+        contacts: Whether the robot is in a physics world, which tells contacts.
 
     Attributes:
         recording: Values that have been recorded.
@@ -86,8 +89,8 @@ class Recorder:
         stopped: Reason why a node is stopped, by the name of the node.
     """
 
-    def __init__(self, node: Node, clock: Callable[[], float]) -> None:
-        self.recording = Recording()
+    def __init__(self, node: Node, clock: Callable[[], float], *, contacts: bool = False) -> None:
+        self.recording = Recording(contacts=[] if contacts else None)
         self._clock = clock
         self.active_source = ""
         self.progress = 0.0
@@ -114,6 +117,12 @@ class Recorder:
             (DiagnosticStatus, "wheel_health", self._on_health, LATCHED),
         ):
             node.create_subscription(message_type, topic, callback, qos)
+        # They are told only while there are some: not to hear of them has to mean that.
+        self._contacts = (
+            node.create_subscription(DiagnosticArray, "contacts", self._on_contacts, 50)
+            if contacts
+            else None
+        )
 
     @property
     def has_arm_states(self) -> bool:
@@ -131,7 +140,10 @@ class Recorder:
             "coupling_error": self.recording.coupling,
             "active_source": self.active_source,
         }
-        return [topic for topic, rows in received.items() if not rows]
+        missing = [topic for topic, rows in received.items() if not rows]
+        if self._contacts is not None and not self._contacts.get_publisher_count():
+            missing.append("contacts")
+        return missing
 
     def begin_motion(self) -> None:
         """Prepare for the progress of a new motion."""
@@ -210,6 +222,11 @@ class Recorder:
 
     def _on_planner(self, message: DiagnosticStatus) -> None:
         self.planner = {item.key: item.value for item in message.values}
+
+    def _on_contacts(self, message: DiagnosticArray) -> None:
+        known = self.recording.contacts
+        if known is not None:
+            known += [status.name for status in message.status if status.name not in known]
 
     def _on_stop_state(self, message: DiagnosticStatus) -> None:
         if message.level == DiagnosticStatus.ERROR:

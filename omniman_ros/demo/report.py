@@ -27,6 +27,7 @@ def report_lines(result: dict[str, Any]) -> list[str]:
         *_goal_rows(result),
         *_dead_wheel_rows(result),
         *_stop_rows(result),
+        *_contact_rows(result),
         ("energy drawn by the motors", f"{result['energy']['total_j']:.0f} J", ""),
         _rate_row("odom: rate, interval p50 / p99", result, "odom"),
         _rate_row("wheel_commands: rate, p50 / p99", result, "wheel_commands"),
@@ -94,6 +95,15 @@ def _odometry_rows(result: dict[str, Any]) -> list[Row]:
             f"{_limit('odometry.heading_deg')} deg",
         ),
     ]
+
+
+def _contact_rows(result: dict[str, Any]) -> list[Row]:
+    """Return the row of the contacts; none without a physics world."""
+    if "contacts" not in result:
+        return []
+    contacts = result["contacts"]
+    names = f": {'; '.join(contacts['with'])}" if contacts["with"] else ""
+    return [("things touched", f"{contacts['count']}{names}", _limit("contacts.count"))]
 
 
 def _rate_row(name: str, result: dict[str, Any], topic: str) -> Row:

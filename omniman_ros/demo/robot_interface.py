@@ -18,12 +18,17 @@ from omniman_ros.core.arm_parameters import UR_JOINTS
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.planar import Triple
 from omniman_ros.demo.recorder import LATCHED
+from omniman_ros.processes.robot_setup import WORLD_DRIVE
 
 FRAME = "odom"
 """Frame in which the demo sends its paths and goals."""
-FAULTY_NODE = {"simulated": "simulated_drive", "can": "simulated_can_drives"}
+FAULTY_NODE = {
+    "simulated": "simulated_drive",
+    "can": "simulated_can_drives",
+    WORLD_DRIVE: "simulated_world",
+}
 """Node that simulates faults of the motors, by kind of drive."""
-WHEEL_DRIVER = {"simulated": "simulated_drive", "can": "can_bridge"}
+WHEEL_DRIVER = FAULTY_NODE | {"can": "can_bridge"}
 """Node that executes the wheel commands, by kind of drive."""
 
 
@@ -32,7 +37,7 @@ class RobotInterface:
 
     Args:
         node: Node that owns the publishers and clients.
-        drive: Kind of drive: "simulated", or "can" for simulated drives on a CAN bus.
+        drive: Kind of drive, a key of `FAULTY_NODE`.
 
     Attributes:
         fault_client: Client that sets parameters of the node that simulates the motors' faults.

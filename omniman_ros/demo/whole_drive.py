@@ -1,4 +1,4 @@
-"""Figures of the whole demo that belong to no single leg: odometry, energy and timing."""
+"""Figures of the whole demo that belong to no single leg: odometry, energy, timing, contacts."""
 
 import math
 from collections.abc import Sequence
@@ -12,6 +12,7 @@ from omniman_ros.demo.recorder import Recording
 from omniman_ros.demo.tracking import wrap_angle
 
 WHOLE_DRIVE_LIMITS = (
+    Limit("contacts.count", "things that the robot touched", 0.0),
     Limit("odometry.position_mm", "odometry position, mm", 100.0),
     Limit("odometry.heading_deg", "odometry heading, deg", 6.0),
     Limit("timing.odom.rate_hz", "odom rate, Hz", 80.0, Bound.AT_LEAST),
@@ -21,10 +22,13 @@ WHOLE_DRIVE_LIMITS = (
 
 
 def whole_drive_figures(recording: Recording) -> dict[str, Any]:
-    """Return odometry's drift, the energy of the motors, and the timing of the topics."""
+    """Return odometry's drift, the energy of the motors, timing and, in a world, contacts."""
     energy = np.array(recording.energy)
     consumed = energy[-1] - energy[0]
+    touched = recording.contacts
+    contacts = {} if touched is None else {"contacts": {"count": len(touched), "with": touched}}
     return {
+        **contacts,
         "odometry": drift_figures(np.array(recording.odom), np.array(recording.truth)),
         "energy": {"total_j": float(consumed.sum()), "wheels_j": consumed.tolist()},
         "timing": {

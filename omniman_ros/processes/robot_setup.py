@@ -127,6 +127,11 @@ class RobotSetup:
     controller: str = "ur5"
     world: str | None = None
 
+    @property
+    def wheel_drive(self) -> str:
+        """Kind of the wheel drives: `drive`, or :data:`WORLD_DRIVE` in a world."""
+        return self.drive if self.world is None else WORLD_DRIVE
+
 
 def robot_processes(setup: RobotSetup) -> list[ProcessSpec]:
     """Return the processes of a robot's nodes.
@@ -195,8 +200,8 @@ def _check_world(setup: RobotSetup, world: str) -> None:
 def _is_chosen(kind: NodeKind, setup: RobotSetup, arm: str) -> bool:
     if setup.only:
         return kind.name in setup.only
-    drive = setup.drive if setup.world is None else WORLD_DRIVE
-    fits = (not kind.drives or drive in kind.drives) and (not kind.arms or arm in kind.arms)
+    drives = kind.drives
+    fits = (not drives or setup.wheel_drive in drives) and (not kind.arms or arm in kind.arms)
     return kind.is_available() and fits and not kind.on_request
 
 

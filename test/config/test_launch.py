@@ -20,6 +20,7 @@ from omniman_ros.nodes.can_bridge_parameters import CanBridgeParameters
 from omniman_ros.nodes.simulated_can_drives_parameters import SimulatedCanDrivesParameters
 from omniman_ros.nodes.simulated_drive_parameters import SimulatedDriveParameters
 from omniman_ros.nodes.simulated_ur_parameters import SimulatedUrParameters
+from omniman_ros.nodes.simulated_world_parameters import SimulatedWorldParameters
 
 ROOT = Path(__file__).resolve().parents[2]
 LAUNCH_FILES = sorted((ROOT / "config" / "launch").glob("*.launch.py"))
@@ -309,6 +310,7 @@ def test_platform_starts_the_simulated_drive_and_the_controller_by_default(platf
         "namespace": "",
         "use_sim_time": "false",
         "drive": "simulated",
+        "world": "",
         "installation": "/share/omniman_ros/config/can/cia402.yaml",
         "arm": "none",
         "controller": "/share/omniman_ros/config/ur/ur5.yaml",
@@ -348,6 +350,18 @@ def test_in_simulated_time_the_drive_publishes_the_clock_and_the_others_follow_i
     assert "use_sim_time" not in drive
     for _, parameters in nodes.values():
         assert parameters["use_sim_time"] is True
+
+
+def test_in_a_world_the_world_takes_the_place_of_the_drive(platform):
+    _, nodes = platform(world="/my scenes/hall.yaml", use_sim_time="true", robot="ig42")
+    assert "simulated_drive" not in nodes
+    scene = {"robot": "ig42", "publish_clock": True, "scene": "/my scenes/hall.yaml"}
+    assert nodes["simulated_world"] == ("", scene)
+
+
+def test_drives_on_a_bus_are_in_no_world(platform):
+    _, nodes = platform(world="hall", drive="can")
+    assert not {"simulated_world", "simulated_drive"} & set(nodes)
 
 
 def test_the_viewer_is_started_on_request(platform):
@@ -408,6 +422,7 @@ def test_a_simulated_arm_gets_a_simulated_controller(platform):
 
 NODES = {
     "simulated_drive": SimulatedDriveParameters,
+    "simulated_world": SimulatedWorldParameters,
     "simulated_can_drives": SimulatedCanDrivesParameters,
     "can_bridge": CanBridgeParameters,
     "arm_streamer": ArmStreamerParameters,
@@ -416,7 +431,7 @@ NODES = {
 COMMON = {"robot", "file", "use_sim_time"}
 
 
-@pytest.mark.parametrize("given", [{"drive": "can", "arm": "simulated"}, {}])
+@pytest.mark.parametrize("given", [{"drive": "can", "arm": "simulated"}, {}, {"world": "hall"}])
 def test_every_parameter_is_known_to_its_node(platform, given):
     # rclpy ignores a parameter of a wrong name silently.
     _, nodes = platform(**given)

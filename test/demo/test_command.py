@@ -10,10 +10,11 @@ import pytest
 from geometry_msgs.msg import Twist
 from sensor_msgs.msg import JointState
 
-from omniman_ros.cli.main import main
+from omniman_ros import extras
+from omniman_ros.cli.main import main, make_parser
 from omniman_ros.console.errors import CommandError
 from omniman_ros.console.session import Session
-from omniman_ros.demo.command import choose_domain, conclude, keep
+from omniman_ros.demo.command import choose_domain, conclude, demo_setup, keep
 from omniman_ros.processes.node_output import NodeOutputLog
 from omniman_ros.processes.process_group import ProcessGroup, ProcessSpec
 from test.running import (
@@ -133,6 +134,36 @@ def test_a_robot_that_stops_ends_the_demo_with_the_reason(tmp_path):
     assert "error: the robot stopped: /platform_controller is stopped" in demo.output
     assert "wheel '" in demo.output
     assert not (tmp_path / "demo.json").exists()
+
+
+def test_a_contact_is_reported_with_what_was_touched(tmp_path, capfd):
+    contacts = {"count": 1, "with": ["base_link, pallet"]}
+    args = Namespace(keep=False, results=str(tmp_path))
+    conclude(RESULT | {"contacts": contacts}, NodeOutputLog(), args)
+    assert "1: base_link, pallet" in capfd.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "world"),
+    [([], None), (["--world"], "hall"), (["--world", "empty"], "empty")],
+)
+def test_the_demo_drives_in_a_world_on_request(arguments, world):
+    setup = demo_setup(make_parser().parse_args(["demo", *arguments]))
+    assert setup.world == world
+    assert setup.sim_time
+    assert setup.wheel_drive == ("world" if world else "simulated")
+    assert ("world.wheels:=ideal" in setup.params) == bool(world)
+
+
+def test_a_demo_in_a_world_without_the_engine_says_what_to_install(own_domain, monkeypatch, capfd):
+    monkeypatch.setattr(extras, "find_spec", lambda name: None)
+    assert main(["demo", "--world"]) == 1
+    assert "pip install 'omniman_ros[world]'" in capfd.readouterr().err
+
+
+def test_drives_on_a_bus_are_refused_in_a_world(own_domain, capfd):
+    assert main(["demo", "--world", "--drive", "can"]) == 2
+    assert "not in a world" in capfd.readouterr().err
 
 
 def test_a_fault_is_reported_and_gives_exit_code_1(tmp_path, capfd):

@@ -1,7 +1,8 @@
-"""Progress of motions as the recorder sees it."""
+"""Progress of motions and contacts as the recorder sees them."""
 
 from types import SimpleNamespace
 
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from std_msgs.msg import Float64
 
 from omniman_ros.demo.recorder import Recorder
@@ -34,3 +35,37 @@ def test_a_late_end_of_the_motion_before_does_not_count():
     assert not recorder.has_arrived and recorder.progress == 0.0
     report(recorder, 0.1, 1.0)
     assert recorder.has_arrived
+
+
+def recorder_with(publishers, **options):
+    """Return a recorder in a world, and its callback of `contacts`; other topics are silent."""
+    callbacks = {}
+
+    def create_subscription(kind, topic, callback, qos):
+        callbacks[topic] = callback
+        return SimpleNamespace(get_publisher_count=lambda: publishers)
+
+    node = SimpleNamespace(create_subscription=create_subscription)
+    return Recorder(node, lambda: 0.0, **options), callbacks
+
+
+def test_in_a_world_each_contact_is_recorded_once():
+    recorder, callbacks = recorder_with(1, contacts=True)
+    touched = [
+        DiagnosticStatus(name=name, level=DiagnosticStatus.WARN)
+        for name in ("base_link, post", "tool0, anna")
+    ]
+    for status in (touched[:1], touched, touched[1:], []):
+        callbacks["contacts"](DiagnosticArray(status=status))
+    assert recorder.recording.contacts == ["base_link, post", "tool0, anna"]
+
+
+def test_in_a_world_somebody_has_to_tell_contacts():
+    assert "contacts" in recorder_with(0, contacts=True)[0].missing_topics
+    assert "contacts" not in recorder_with(1, contacts=True)[0].missing_topics
+
+
+def test_without_a_world_nothing_is_said_of_contacts():
+    recorder, callbacks = recorder_with(0)
+    assert "contacts" not in callbacks
+    assert recorder.recording.contacts is None

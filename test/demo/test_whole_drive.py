@@ -1,11 +1,18 @@
-"""Figures of the whole demo: odometry's drift and the timing of topics."""
+"""Figures of the whole demo: odometry's drift, the timing of topics, and contacts."""
 
 import math
 
 import numpy as np
 import pytest
 
-from omniman_ros.demo.whole_drive import drift_figures, interval_figures
+from omniman_ros.demo.leg import violations
+from omniman_ros.demo.recorder import Recording
+from omniman_ros.demo.whole_drive import (
+    WHOLE_DRIVE_LIMITS,
+    drift_figures,
+    interval_figures,
+    whole_drive_figures,
+)
 
 
 def test_drift_compares_motions_whatever_the_frames():
@@ -25,3 +32,23 @@ def test_the_longest_interval_shows_a_gap():
     assert result["max_ms"] == pytest.approx(60.0)
     assert result["p50_ms"] == pytest.approx(10.0)
     assert result["rate_hz"] == pytest.approx(4 / 0.09)
+
+
+def figures_with(contacts):
+    rows = [(t, 0.1 * t, 0.0, 0.0) for t in (0.0, 1.0)]
+    times = [0.005 * k for k in range(10)]
+    recording = Recording(odom=rows, truth=rows, energy=[(0.0,), (1.0,)], contacts=contacts)
+    recording.odom_arrivals, recording.command_arrivals = times, times
+    return whole_drive_figures(recording)
+
+
+def test_any_contact_in_a_world_is_a_fault():
+    assert violations(figures_with([]), WHOLE_DRIVE_LIMITS) == []
+    touched = figures_with(["base_link, post"])
+    assert touched["contacts"] == {"count": 1, "with": ["base_link, post"]}
+    (fault,) = violations(touched, WHOLE_DRIVE_LIMITS)
+    assert "touched: 1, at most 0" in fault
+
+
+def test_without_a_world_there_is_no_figure_of_contacts():
+    assert "contacts" not in figures_with(None)

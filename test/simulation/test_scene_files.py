@@ -12,7 +12,7 @@ SHIPPED = sorted(file.stem for file in share_path("config", "worlds").glob("*.ya
 
 
 def test_the_promised_worlds_are_shipped():
-    assert {"empty", "workshop", "corridor", "shop_floor", "clutter"} <= set(SHIPPED)
+    assert {"empty", "workshop", "corridor", "shop_floor", "clutter", "hall"} <= set(SHIPPED)
 
 
 @pytest.mark.parametrize("name", SHIPPED)

@@ -1,6 +1,7 @@
 """Arguments of the commands that start a robot: `omniman up` and `omniman demo`."""
 
 import argparse
+from typing import Any
 
 from omniman_ros.cli.arguments.common import (
     add_arm,
@@ -12,6 +13,9 @@ from omniman_ros.cli.arguments.common import (
 )
 from omniman_ros.processes.arm_options import ARMS
 from omniman_ros.processes.drive_options import DRIVES
+
+DEMO_WORLD = "hall"
+"""Scene in which `omniman demo --world` drives."""
 
 
 def add_up(parser: argparse.ArgumentParser) -> None:
@@ -31,10 +35,9 @@ def add_up(parser: argparse.ArgumentParser) -> None:
     add_parameters(parser)
     parser.add_argument("--params-file", metavar="FILE", help="a ROS parameter file for all nodes")
     add_drive(parser, tuple(DRIVES))
-    parser.add_argument(
-        "--world",
-        metavar="SCENE",
-        help="simulate the robot in a physics world, with contacts and laser scans: workshop, "
+    add_world(
+        parser,
+        "simulate the robot in a physics world, with contacts and laser scans: workshop, hall, "
         "corridor, shop_floor, clutter, empty or the path of a .yaml file; default: no world",
     )
     add_arm(parser, tuple(ARMS))
@@ -44,6 +47,11 @@ def add_up(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         help="with --arm ur: ur5 or the path of a .yaml file; default: %(default)s",
     )
+
+
+def add_world(parser: argparse.ArgumentParser, text: str, **options: Any) -> None:
+    """Add `--world`, with a help text."""
+    parser.add_argument("--world", metavar="SCENE", help=text, **options)
 
 
 def add_demo(parser: argparse.ArgumentParser) -> None:
@@ -57,6 +65,13 @@ def add_demo(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--verbose", action="store_true", help="show the output of the nodes")
     add_drive(parser, ("simulated", "can"))
+    add_world(
+        parser,
+        "drive in a physics world, where the robot may touch nothing: the name of a scene with "
+        f"room for the show or the path of a .yaml file; if none is given, {DEMO_WORLD}",
+        nargs="?",
+        const=DEMO_WORLD,
+    )
     add_arm(parser, ("simulated", "none"))
     add_parameters(parser)
     add_results(parser)

@@ -183,7 +183,9 @@ def test_the_shipped_worlds_need_no_network():
     run = [sys.executable, "-c", WITHOUT_NETWORK]
     result = subprocess.run(run, capture_output=True, text=True, timeout=60)
     assert result.returncode == 0, result.stderr
-    assert {"empty", "workshop", "corridor", "shop_floor", "clutter"} <= set(result.stdout.split())
+    assert {"empty", "workshop", "corridor", "shop_floor", "clutter", "hall"} <= set(
+        result.stdout.split()
+    )
 
 
 WITHOUT_ENGINE = """
