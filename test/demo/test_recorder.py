@@ -2,10 +2,13 @@
 
 from types import SimpleNamespace
 
+import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from std_msgs.msg import Float64
 
 from omniman_ros.demo.recorder import Recorder
+from omniman_ros.nodes.simulated_world import SimulatedWorldNode
+from test.nodes.harness import World
 
 
 def new_recorder():
@@ -69,3 +72,16 @@ def test_without_a_world_nothing_is_said_of_contacts():
     recorder, callbacks = recorder_with(0)
     assert "contacts" not in callbacks
     assert recorder.recording.contacts is None
+
+
+def test_a_contact_of_the_real_world_is_recorded(tmp_path):
+    """The robot, whose front is 0.5 m ahead, starts 1 cm in a post, which pushes it off."""
+    pytest.importorskip("mujoco")
+    scene = tmp_path / "scene.yaml"
+    scene.write_text("posts: [{name: post, x: 0.59, y: 0.0, height: 0.3}]")
+    given = {"scene": str(scene), "world.wheels": "ideal"}
+    with World(SimulatedWorldNode, parameters=given) as world:
+        recorder = Recorder(world.probe, lambda: world.time, contacts=True)
+        world._await(lambda: "contacts" not in recorder.missing_topics, "the publisher")
+        world._await(lambda: (world.run(0.02), recorder.recording.contacts)[1], "a contact")
+        assert recorder.recording.contacts == ["base_link, post"]

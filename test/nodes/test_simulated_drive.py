@@ -14,6 +14,7 @@ from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import Trigger
 
 from omniman_ros.nodes.omniman_node import OmnimanNode
+from omniman_ros.nodes.simulated_clock import SimulatedClock
 from omniman_ros.nodes.simulated_drive import SimulatedDriveNode
 from test.nodes.harness import World, last
 
@@ -280,6 +281,15 @@ def test_simulated_clock_is_published():
         assert (steps > 0.5).all() and steps == pytest.approx(np.round(steps), abs=1e-3)
         stamp = states[50].header.stamp
         assert stamp.sec + 1e-9 * stamp.nanosec < 100.0, "stamps are in simulated time"
+
+
+def test_the_diagnostics_name_the_nodes_for_which_simulated_time_stands(monkeypatch):
+    given = {"use_sim_time": False, "publish_clock": True}
+    with World(SimulatedDriveNode, parameters=given) as world:
+        values = dict(world.nodes[0].status()[2])
+        assert (values["real_time_factor"], values["waiting_for"]) == (1.0, "")
+        monkeypatch.setattr(SimulatedClock, "awaited", ["/a", "/b"])
+        assert dict(world.nodes[0].status()[2])["waiting_for"] == "/a /b"
 
 
 @pytest.mark.parametrize(("duration", "resets"), [(0.004, 0), (0.006, 1)])
