@@ -3,21 +3,13 @@
 from collections.abc import Callable
 
 from builtin_interfaces.msg import Time
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import Imu
 
 from omniman_ros.conversions.imu import imu_message, imu_transform
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.simulated_drive_parameters import SimulatedDriveParameters
+from omniman_ros.nodes.static_transforms import StaticTransforms
 from omniman_ros.simulation.plant.imu import BaseMotion, SimulatedImu
-
-try:
-    from tf2_msgs.msg import TFMessage
-except ImportError:  # not among the wheels on PyPI
-    TFMessage = None
-
-STATIC = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-"""Quality of service of /tf_static."""
 
 
 class ImuPublisher:
@@ -41,7 +33,7 @@ class ImuPublisher:
         self._count = 0
         self._imu = SimulatedImu(p.imu, p.imu_sensor, p.simulation.plant.gravity, p.seed)
         self._publisher = node.create_publisher(Imu, "imu", 10)
-        self._tf = node.create_publisher(TFMessage, "/tf_static", STATIC) if TFMessage else None
+        self._mount = StaticTransforms(node, "imu.*")
         self.configure(p)
 
     def configure(self, parameters: SimulatedDriveParameters) -> None:
@@ -49,9 +41,7 @@ class ImuPublisher:
         p = parameters
         self._frame = p.imu.frame
         self._imu.configure(p.imu, p.imu_sensor, p.simulation.plant.gravity)
-        if self._tf is not None:
-            transform = imu_transform(p.imu, self._base_frame, self._node.stamp())
-            self._tf.publish(TFMessage(transforms=[transform]))
+        self._mount.publish([imu_transform(p.imu, self._base_frame, self._node.stamp())])
 
     def publish(self, now: float, stamp: Time) -> None:
         """Publish a measurement if one is due; call this once a report.

@@ -3,23 +3,15 @@
 from typing import TYPE_CHECKING
 
 from builtin_interfaces.msg import Time
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import LaserScan
 
 from omniman_ros.conversions.world import scan_message, scanner_transform
 from omniman_ros.nodes.omniman_node import OmnimanNode
+from omniman_ros.nodes.static_transforms import StaticTransforms
 from omniman_ros.simulation.world.scanner_parameters import ScannerParameters
 
 if TYPE_CHECKING:
     from omniman_ros.simulation.world.world import World
-
-try:
-    from tf2_msgs.msg import TFMessage
-except ImportError:  # not among the wheels on PyPI
-    TFMessage = None
-
-STATIC = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-"""Quality of service of /tf_static."""
 
 
 class ScanPublisher:
@@ -53,11 +45,7 @@ class ScanPublisher:
         topics = [f"{p.name}/scan" for p in scanners] if len(scanners) > 1 else ["scan"]
         self._publishers = [node.create_publisher(LaserScan, topic, 5) for topic in topics]
         self._every = [max(1, round(state_rate / p.rate)) for p in scanners]
-        self._tf = node.create_publisher(TFMessage, "/tf_static", STATIC) if TFMessage else None
-        if self._tf is None:
-            node.get_logger().info(
-                "tf2_msgs is not installed: /tf_static is off, scanners.* has the scanners' poses"
-            )
+        self._mounts = StaticTransforms(node, "scanners.*")
         self._count = 0
         self._publish_transforms()
 
@@ -70,14 +58,13 @@ class ScanPublisher:
         self._publish_transforms()
 
     def _publish_transforms(self) -> None:
-        if self._tf is None:
-            return
         stamp = self._node.stamp()
-        transforms = [
-            scanner_transform(scanner.parameters, self._base_frame, stamp)
-            for scanner in self._scanners
-        ]
-        self._tf.publish(TFMessage(transforms=transforms))
+        self._mounts.publish(
+            [
+                scanner_transform(scanner.parameters, self._base_frame, stamp)
+                for scanner in self._scanners
+            ]
+        )
 
     def publish(self, stamp: Time) -> None:
         """Publish what is due in one report.
