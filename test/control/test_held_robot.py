@@ -84,7 +84,7 @@ def test_motors_that_give_less_than_the_motion_needs_hold_nothing():
     """On blocks, downhill or in a skid, the motion is harder to explain, but nobody holds it."""
     push = Push()
     assert push.run(0.3 * FORWARD, -30.0 * FORWARD, 2.0) == (None, "")
-    decelerating = np.zeros(4)
+    decelerating = push.torque(0.3 * FORWARD, 10.0 * FORWARD)
     for k in range(200):
         push.time += DT
         speeds = push.kinematics.J @ ((1.2 - k * DT * 1.2) * FORWARD)
