@@ -1,6 +1,13 @@
 """Coupling controller: it keeps the wheels within the platform's motion constraints.
 
 Source: CCTA 2017 (12), (24), (25), with J_a corrected (its last columns are T+).
+
+(12) holds for wheels that touch the floor in their middle. The contact of a wheel with rollers
+moves along its axle, from one end of a roller to the other, and starts anew with the next roller.
+Where the next one takes over late, the mean contact is off the wheel's middle, by a way in
+proportion to the wheel's speed. On a platform that rotates, such a contact has another velocity:
+the wheels then roll without slip while epsilon grows. Coupling control that holds it makes the
+wheels push against each other.
 """
 
 from dataclasses import dataclass
@@ -14,7 +21,7 @@ from omniman_ros.core.parameters import parameter
 
 @dataclass(frozen=True)
 class CouplingParameters:
-    """Gain and authority of the coupling controller."""
+    """Gain and authority of the coupling controller, and what epsilon it expects."""
 
     k_epsilon: float = parameter(
         15.0,
@@ -36,6 +43,16 @@ class CouplingParameters:
         "Whether the controlled error starts anew at each rest; if not, it is the paper's (24), "
         "integrated from the start without resets.",
     )
+    roller_lag: float = parameter(
+        0.0,
+        "Time by which the rollers take over late. A wheel's mean contact is off its middle by "
+        "what its rim moves in this time, so that the coupling error of a platform that rotates "
+        "changes without slip. The controller expects this change, commands it, and controls the "
+        "rest. 0 for wheels that touch the floor in their middle.",
+        unit="s",
+        low=0,
+        high=0.2,
+    )
 
 
 class CouplingController:
@@ -47,11 +64,11 @@ class CouplingController:
     drives have one, and with two epsilon oscillates against the floor and slips more. Unless the
     parameters say otherwise, epsilon is reset at rest: wheels that have slipped stay where they
     are, as to rotate them back would be slip again. `Odometry.coupling_error` is (24) without
-    resets.
+    resets, and with what the rollers' lag adds.
 
     Attributes:
         error: Controlled coupling error epsilon (m,), integrated from the encoders since the last
-            reset [rad].
+            reset, less the expected one [rad].
     """
 
     def __init__(self, kinematics: PlatformKinematics, parameters: CouplingParameters) -> None:
@@ -61,10 +78,25 @@ class CouplingController:
     def configure(self, kinematics: PlatformKinematics, parameters: CouplingParameters) -> None:
         """Set kinematics of the same wheels and new parameters; the error is kept."""
         self._spread = kinematics.T_pinv
+        self._lag = parameters.roller_lag * kinematics.T * kinematics.roller_side
         self._parameters = parameters
 
+    def expected_rate(self, wheel_speeds: Array, yaw_rate: float) -> Array:
+        """Return the rate (m,) of epsilon at which wheels with rollers roll without slip [rad/s].
+
+        With the lag t, the mean contact of a wheel of radius r and speed phi' is to the right of
+        its middle by t s r phi', where s = +-1 is the sign of its roller angle. On a platform that
+        rotates with w, (8) then gives the wheel t s phi' w more speed; epsilon' is T times that.
+
+        Args:
+            wheel_speeds: Wheel speeds (n,) [rad/s].
+            yaw_rate: Yaw rate w of the platform [rad/s].
+        """
+        rate: Array = yaw_rate * (self._lag @ wheel_speeds)
+        return rate
+
     def add(self, step: Array) -> None:
-        """Integrate a step (m,) of the coupling error [rad], CCTA (24)."""
+        """Integrate a step (m,) of the coupling error, less the expected one [rad], CCTA (24)."""
         self.error = self.error + step
 
     def reset(self) -> None:
@@ -76,14 +108,19 @@ class CouplingController:
         if self._parameters.reset_at_rest:
             self.reset()
 
-    def correction(self, wheel_speeds: Array) -> Array:
-        """Return the correction (n,) of wheel speeds (n,) [rad/s], CCTA (25) through J_a (14).
+    def correction(self, wheel_speeds: Array, yaw_rate: float = 0.0) -> Array:
+        """Return the correction (n,) of wheel speeds [rad/s], CCTA (25) through J_a (14).
 
         The authority bounds it with one factor for all wheels, so that it fades with the speed,
         never moves a platform at rest, and never adds a motion of the platform.
+
+        Args:
+            wheel_speeds: Wheel speeds (n,) by inverse kinematics [rad/s].
+            yaw_rate: Yaw rate of the platform [rad/s].
         """
-        rate = -self._parameters.k_epsilon * self.error
+        p = self._parameters
+        rate = self.expected_rate(wheel_speeds, yaw_rate) - p.k_epsilon * self.error
         change: Array = self._spread @ rate
         largest = float(np.abs(change).max())
-        bound = self._parameters.authority * float(np.abs(wheel_speeds).max())
+        bound = p.authority * float(np.abs(wheel_speeds).max())
         return change * (bound / largest) if largest > bound else change

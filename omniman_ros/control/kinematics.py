@@ -62,6 +62,8 @@ class PlatformKinematics:
         idle: Indices of wheels that only the floor rotates: least squares and constraints leave
             them out. Their columns of J+ and T and rows of T+ are zero; T keeps its m rows, the
             last of which are zero, and J_a is then not invertible.
+        roller_side: Side (n,) to which each wheel's rollers lean: the sign of gamma, 0 for Omni
+            wheels.
         unconstrained: Indices of wheels that drive, but that no constraint depends on: their slip
             does not show. With three wheels all are, with four some may be.
 
@@ -88,6 +90,7 @@ class PlatformKinematics:
             wheels.x, wheels.y, wheels.heading, wheels.roller_angle, wheels.radius, strict=True
         )
         self.J = _frozen(np.array([wheel_row(*row) for row in rows]))
+        self.roller_side = _frozen(np.sign(wheels.roller_angle))
         self._size = max(map(math.hypot, wheels.x, wheels.y)) or 1.0
         self.base_wheels = self._independent_rows(wheels)
         base = list(self.base_wheels)

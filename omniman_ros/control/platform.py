@@ -158,8 +158,11 @@ class PlatformController:
         if step is None:
             return ""
         inertial = self.imu.take(self.feedback.time, now, step.speeds)
-        self.cascade.coupling.add(self.odometry.update(step.moved, step.speeds, step.dt, inertial))
-        self.held_robot.update_motion(step.dt, self.odometry, inertial)
+        coupling, odometry = self.cascade.coupling, self.odometry
+        error = odometry.update(step.moved, step.speeds, step.dt, inertial)
+        expected = coupling.expected_rate(step.speeds, float(odometry.twist[2])) * step.dt
+        coupling.add(error - expected)
+        self.held_robot.update_motion(step.dt, odometry, inertial)
         return step.warning
 
     def set_twist(

@@ -168,7 +168,7 @@ class WheelCascade:
             probe: Test torques (n,) to add [N m], even if feed-forward is off, or None.
         """
         wheel_speeds = self.kinematics.J @ twist
-        reference = wheel_speeds + self.coupling.correction(wheel_speeds)
+        reference = wheel_speeds + self.coupling.correction(wheel_speeds, float(twist[2]))
         fastest = max(self._parameters.robot.motor.max_speed, *map(abs, wheel_speeds.tolist()))
         reference = reference * saturation(reference, fastest)
         self.reference = reference

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from omniman_ros.control.coupling_controller import CouplingController, CouplingParameters
-from omniman_ros.control.kinematics import PlatformKinematics
+from omniman_ros.control.kinematics import PlatformKinematics, wheel_row
 from omniman_ros.core.parameters import build
-from test.robots import ALL, kinematics, random_wheels
+from test.robots import ALL, kinematics, parameters, random_wheels
 
 CONSTRAINED = [name for name in ALL if name != "omni3"]
 
@@ -116,3 +116,45 @@ def test_rest_resets_the_error_unless_it_is_to_be_integrated_on(resets, left):
 @pytest.mark.parametrize("radius", [0.127, 0.02, 0.005])
 def test_range_of_the_gain_covers_18_as_printed(radius):
     build(CouplingParameters, {"k_epsilon": 2 * 4 / radius})
+
+
+def speeds_on_late_rollers(wheels, lag, twist):
+    """Return the speeds of wheels that roll without slip on contacts off their middles."""
+    rows = zip(wheels.x, wheels.y, wheels.heading, wheels.roller_angle, wheels.radius, strict=True)
+    speeds = []
+    for x, y, heading, angle, radius in rows:
+        speed = 0.0
+        for _ in range(30):
+            right = lag * np.sign(angle) * radius * speed
+            moved = x + right * math.sin(heading), y - right * math.cos(heading)
+            speed = float(wheel_row(*moved, heading, angle, radius) @ twist)
+        speeds.append(speed)
+    return np.array(speeds)
+
+
+@pytest.mark.parametrize("name", CONSTRAINED)
+@pytest.mark.parametrize("twist", [(0.0, 0.0, -0.7), (0.4, -0.2, 0.9)])
+def test_epsilon_of_wheels_that_roll_on_late_rollers_is_the_expected_one(name, twist):
+    model, lag = kinematics(name), 0.01
+    controller = CouplingController(model, CouplingParameters(roller_lag=lag))
+    wheels = speeds_on_late_rollers(parameters(name).robot.wheels, lag, np.array(twist))
+    expected = controller.expected_rate(wheels, twist[2])
+    np.testing.assert_allclose(model.T @ wheels, expected, atol=1e-12)
+
+
+def test_a_platform_that_does_not_rotate_expects_no_coupling_error():
+    model = kinematics("omniman")
+    controller = CouplingController(model, CouplingParameters(roller_lag=0.01))
+    assert controller.expected_rate(model.J @ np.array([0.4, 0.2, 0.0]), 0.0)[0] == 0.0
+    assert controller.expected_rate(model.J @ np.array([0.0, 0.0, 0.5]), 0.5)[0] > 0.01
+
+
+def test_the_expected_change_of_epsilon_is_commanded_and_its_error_controlled():
+    model = kinematics("omniman")
+    controller = CouplingController(model, CouplingParameters(k_epsilon=2.0, roller_lag=0.01))
+    wheels = model.J @ np.array([0.3, 0.0, 0.8])
+    expected = controller.expected_rate(wheels, 0.8)
+    np.testing.assert_allclose(model.T @ controller.correction(wheels, 0.8), expected)
+    controller.add(np.array([0.02]))
+    np.testing.assert_allclose(model.T @ controller.correction(wheels, 0.8), expected - 0.04)
+    np.testing.assert_allclose(model.J_pinv @ controller.correction(wheels, 0.8), 0, atol=1e-12)

@@ -974,6 +974,13 @@ def test_controlled_error_is_the_integrated_one_without_resets():
     np.testing.assert_allclose(controlled, rig.core.odometry.coupling_error)
 
 
+def test_wheels_that_roll_as_the_lag_of_their_rollers_has_it_have_no_controlled_error():
+    rig = Rig("omniman", {"coupling.roller_lag": 0.01}).cruise(0.3, 0.0, 0.5, seconds=3.0)
+    total = rig.core.odometry.coupling_error
+    assert abs(total[0]) > 0.05
+    np.testing.assert_allclose(rig.core.cascade.coupling.error, 0.0, atol=0.03 * abs(total[0]))
+
+
 # ---- configuration ----------------------------------------------------------------------------
 
 
