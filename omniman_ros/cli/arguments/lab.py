@@ -3,6 +3,7 @@
 import argparse
 
 from omniman_ros.cli.arguments.common import ROBOT_HELP, add_parameters, add_results, add_robot
+from omniman_ros.simulation.world.parameters import IDEAL, ROLLERS
 
 BENCHMARKS = {
     "control": "time of a control tick, CPU of the nodes, latency (default)",
@@ -89,6 +90,14 @@ def add_reproduce(parser: argparse.ArgumentParser) -> None:
         "--reuse",
         action="store_true",
         help="with all: do not repeat an experiment whose JSON file is in the folder",
+    )
+    parser.add_argument(
+        "--world",
+        nargs="?",
+        choices=(ROLLERS, IDEAL),
+        const=ROLLERS,
+        help="drive in the physics world instead of on the plant, on wheels with rollers or on "
+        "ideal ones; with all: there as well; default wheels: %(const)s",
     )
     add_results(parser)
     scenes = parser.add_argument_group("scenes only, also as part of all")

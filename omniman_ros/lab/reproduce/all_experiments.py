@@ -14,10 +14,16 @@ from typing import Any
 from omniman_ros.console import results
 from omniman_ros.console.errors import CommandError
 from omniman_ros.console.terminal import BOLD, RED, paint, say, table
-from omniman_ros.lab.reproduce.experiments import EXPERIMENTS, SCENES_OPTIONS, Experiment
+from omniman_ros.lab.reproduce.experiments import (
+    EXPERIMENTS,
+    SCENES_OPTIONS,
+    Experiment,
+    result_name,
+)
 from omniman_ros.lab.reproduce.report import ExperimentResult, load, summarize
 from omniman_ros.lab.verdicts import verdict
 from omniman_ros.processes.process_group import redirect_signals
+from omniman_ros.simulation.world.parameters import ROLLERS
 
 NAME = "reproduce_all"
 """Name of the results, without a suffix."""
@@ -33,7 +39,9 @@ Launch = Callable[[Sequence[str]], int]
 def run(args: argparse.Namespace, launch: Launch | None = None) -> int:
     """Run `omniman reproduce all`.
 
-    If an experiment fails, the others still run, and the page reports the failure.
+    If an experiment fails, the others still run, and the page reports the failure. With
+    `--world`, those that can be driven in the physics world are driven there as well; their
+    figures stand beside the others and do not decide on the exit code.
 
     Args:
         args: Parsed command line.
@@ -55,14 +63,23 @@ def run(args: argparse.Namespace, launch: Launch | None = None) -> int:
         run_one(args, experiment, folder, launch or run_subprocess)
         for experiment in EXPERIMENTS.values()
     ]
-    result, page = summarize(finished, folder, time.monotonic() - started)
+    if args.world:
+        for experiment in EXPERIMENTS.values():
+            if experiment.in_world:
+                run_one(args, experiment, folder, launch or run_subprocess, args.world)
+    wheels = args.world or ROLLERS
+    result, page = summarize(finished, folder, time.monotonic() - started, wheels)
     say("\n".join(report(finished, result, page)))
     results.publish(NAME, result, folder)
     return 0 if all(experiment.passed for experiment in finished) else 1
 
 
 def run_one(
-    args: argparse.Namespace, experiment: Experiment, folder: Path, launch: Launch
+    args: argparse.Namespace,
+    experiment: Experiment,
+    folder: Path,
+    launch: Launch,
+    wheels: str | None = None,
 ) -> ExperimentResult:
     """Run one experiment, or reuse its existing result if `--reuse` was given.
 
@@ -74,10 +91,12 @@ def run_one(
         experiment: The experiment.
         folder: Folder of the results.
         launch: Function that runs `omniman`.
+        wheels: Kind of wheels in the physics world; None for the plant.
     """
     name = experiment.name
-    path = folder / f"{experiment.result_name}.json"
+    path = folder / f"{result_name(name, wheels)}.json"
     heading = f"{list(EXPERIMENTS).index(name) + 1} of {len(EXPERIMENTS)}: {name}"
+    heading += f", in the physics world, wheels '{wheels}'" if wheels else ""
     if args.reuse and (existing := load(path)) is not None:
         say(paint(f"\n{heading}, result reused from {path}", BOLD, sys.stdout))
         return ExperimentResult(name, None, existing)
@@ -85,24 +104,29 @@ def run_one(
     expected = f", about {experiment.minutes} minutes" if is_long else ""
     say(paint(f"\n{heading}{expected}", BOLD, sys.stdout))
     before = modification_time(path)
-    code = launch(experiment_arguments(args, name))
+    code = launch(experiment_arguments(args, name, wheels))
     is_new = modification_time(path) != before
     if code:
         say(paint(f"'{name}' ended with exit code {code}", RED, sys.stdout))
     return ExperimentResult(name, code, load(path) if is_new else None)
 
 
-def experiment_arguments(args: argparse.Namespace, name: str) -> list[str]:
+def experiment_arguments(
+    args: argparse.Namespace, name: str, wheels: str | None = None
+) -> list[str]:
     """Return the arguments with which `omniman` runs one experiment.
 
     Args:
         args: Parsed command line of `omniman reproduce all`.
         name: Name of the experiment.
+        wheels: Kind of wheels in the physics world; None for the plant.
     """
     arguments = ["reproduce", name, "--seed", str(args.seed), "--results", str(args.results)]
     arguments += [f"--{effort}" for effort in ("quick", "full") if getattr(args, effort)]
     if args.robot:
         arguments += ["--robot", args.robot]
+    if wheels:
+        arguments += ["--world", wheels]
     if name == "scenes":
         for option in SCENES_OPTIONS:
             value = getattr(args, option, None)

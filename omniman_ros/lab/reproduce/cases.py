@@ -18,6 +18,7 @@ from omniman_ros.console.terminal import table
 from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
 from omniman_ros.lab.reproduce.energies import energy_lines, format_quantity, measure_energies
+from omniman_ros.lab.reproduce.experiments import result_name
 from omniman_ros.lab.reproduce.pipeline import collect, publish
 from omniman_ros.lab.studies.mpc_cases import PAPER_HORIZON, SCENES, Scene, Variant, variants
 from omniman_ros.lab.studies.planned_drives import PlannedDrive, drive_with_planner
@@ -102,10 +103,11 @@ def run(args: argparse.Namespace) -> int:
     robot, scene = load_robot(args.robot), case.scene()
     started = time.monotonic()
     progress = Progress()
-    progress.headline(f"{case.about}, robot '{args.robot}'")
+    where = f", in the physics world on wheels '{args.world}'" if args.world else ""
+    progress.headline(f"{case.about}, robot '{args.robot}'{where}")
     selected = case.variants(robot)
     selected = selected[: case.quick] if args.quick else selected
-    generator = (_drive(robot, scene, variant, args.seed) for variant in selected)
+    generator = (_drive(robot, scene, variant, args.seed, args.world) for variant in selected)
     driven = collect(progress, "drives", generator, len(selected), "drives")
     rows = [
         drive_row(variant, planned, robot)
@@ -116,6 +118,7 @@ def run(args: argparse.Namespace) -> int:
     result: dict[str, Any] = {
         "case": args.name,
         "robot": args.robot,
+        "world": args.world,
         "quick": args.quick,
         "full": args.full,
         "seed": args.seed,
@@ -128,18 +131,22 @@ def run(args: argparse.Namespace) -> int:
         result["energy"] = measure_energies(args, robot, progress)
         result["energy_until"] = f"{SETTLING_TIME:g} s after the arrival"
     progress.begin("picture")
-    result |= draw_case(build(Robot, robot), scene, driven[0], result, Path(args.results))
+    stem = result_name(args.name, args.world)
+    files = Path(args.results)
+    result |= draw_case(build(Robot, robot), scene, driven[0], result, files, stem)
     progress.end("done" if result["picture"] else "no matplotlib")
-    publish(f"reproduce_{args.name}", result, report, started, args.results)
+    publish(stem, result, report, started, args.results)
     return 0 if passed else 1
 
 
-def _drive(robot: Mapping[str, Any], scene: Scene, variant: Variant, seed: int) -> PlannedDrive:
+def _drive(
+    robot: Mapping[str, Any], scene: Scene, variant: Variant, seed: int, wheels: str | None
+) -> PlannedDrive:
     """Drive one variant; the CPU time of the planner is measured."""
     changed_scene = replace(scene, changes={**scene.changes, **variant.planner})
     changed_robot = {**robot, **variant.robot}
     timer = time.process_time
-    return drive_with_planner(changed_robot, changed_scene, variant.voltages, seed, timer)
+    return drive_with_planner(changed_robot, changed_scene, variant.voltages, seed, timer, wheels)
 
 
 def drive_row(variant: Variant, planned: PlannedDrive, robot: Mapping[str, Any]) -> dict[str, Any]:
@@ -174,7 +181,12 @@ def backward_share(drive: Drive) -> float:
 
 
 def draw_case(
-    robot: Robot, scene: Scene, planned: PlannedDrive, result: dict[str, Any], folder: Path
+    robot: Robot,
+    scene: Scene,
+    planned: PlannedDrive,
+    result: dict[str, Any],
+    folder: Path,
+    stem: str,
 ) -> dict[str, str | None]:
     """Draw a case as a PNG file, and `moving` also as an animated GIF.
 
@@ -184,6 +196,7 @@ def draw_case(
         planned: The drive to draw.
         result: The result, for its energies.
         folder: Folder of the files.
+        stem: Name of the files without a suffix.
 
     Returns:
         Paths of the `picture` and the `film`; None for a file that was not written, and for both
@@ -194,7 +207,7 @@ def draw_case(
     except ImportError:
         return {"picture": None, "film": None}
     name = scene.name
-    path, film = folder / f"reproduce_{name}.png", folder / f"reproduce_{name}.gif"
+    path, film = folder / f"{stem}.png", folder / f"{stem}.gif"
     if name == "free":
         mpc_picture.draw_free(robot, scene, planned, result, path)
     elif name == "workshop":

@@ -4,6 +4,7 @@ import argparse
 import importlib
 
 from omniman_ros.console.errors import CommandError
+from omniman_ros.extras import WORLD
 from omniman_ros.lab.reproduce.experiments import EXPERIMENTS, SCENES_OPTIONS
 
 
@@ -23,6 +24,8 @@ def run(args: argparse.Namespace) -> int:
     """
     if args.seed < 0:
         raise CommandError(f"--seed must be 0 or more, got {args.seed}", code=2)
+    if args.world and not WORLD.is_available:
+        raise CommandError(WORLD.hint)
     if args.name == "all":
         return _run("omniman_ros.lab.reproduce.all_experiments", args)
     if getattr(args, "reuse", False):
@@ -32,6 +35,9 @@ def run(args: argparse.Namespace) -> int:
         option = given[0].replace("_", "-")
         raise CommandError(f"--{option} is an option of scenes only", code=2)
     experiment = EXPERIMENTS[args.name]
+    if args.world and not experiment.in_world:
+        names = ", ".join(name for name, entry in EXPERIMENTS.items() if entry.in_world)
+        raise CommandError(f"--world is an option of {names} and all only", code=2)
     args.robot = args.robot or experiment.robot
     return _run(experiment.module, args)
 

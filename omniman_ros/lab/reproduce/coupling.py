@@ -2,7 +2,8 @@
 
 The path is driven with random wheels, with and without coupling control, over a range of gains,
 and with the paper's controller as its equations are printed. Step responses with late commands, on
-blocks and on the floor, show what a high gain costs.
+blocks and on the floor, show what a high gain costs. With `--world`, see
+:mod:`omniman_ros.lab.reproduce.coupling_world`.
 """
 
 import argparse
@@ -19,6 +20,7 @@ from omniman_ros.console.terminal import table
 from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
+from omniman_ros.lab.reproduce import coupling_world
 from omniman_ros.lab.reproduce.pipeline import collect, publish
 from omniman_ros.lab.studies.coupling import (
     MISMATCH_SPREAD,
@@ -60,6 +62,8 @@ def run(args: argparse.Namespace) -> int:
     Returns:
         0, whether or not the aim is met.
     """
+    if args.world:
+        return coupling_world.run(args)
     plan = QUICK if args.quick else FULL if args.full else STANDARD
     robot = load_robot(args.robot)
     own_gain = build(PlatformParameters, robot).coupling.k_epsilon

@@ -34,13 +34,17 @@ def measure_energies(
     """
     selected = [goal for goal in goals(args.full) if not args.quick or goal == (1.0, 0.0)]
     with ProcessPoolExecutor(min(len(selected), os.cpu_count() or 1)) as pool:
-        rows = pool.map(partial(energy_row, dict(robot), args.full), selected)
+        row = partial(energy_row, dict(robot), args.full, wheels=args.world)
+        rows = pool.map(row, selected)
         unit = "goals, with the arrival times of the planner"
         return collect(progress, "energy", rows, len(selected), unit)
 
 
 def energy_row(
-    robot: Mapping[str, Any], all_limits: bool, goal: tuple[float, float]
+    robot: Mapping[str, Any],
+    all_limits: bool,
+    goal: tuple[float, float],
+    wheels: str | None = None,
 ) -> dict[str, Any]:
     """Measure the energies to one goal, with the planner and along a straight line.
 
@@ -49,6 +53,7 @@ def energy_row(
         all_limits: Whether the line is driven a second time with all limits lowered, in addition
             to the drive with only the speed lowered.
         goal: Distance [m] and bearing [rad] of the goal.
+        wheels: Kind of wheels in the physics world; None for the plant.
 
     Returns:
         The row for the JSON. If the comparison fails, `fault` has the reason, and the measured
@@ -57,7 +62,7 @@ def energy_row(
     distance, bearing = goal
     row: dict[str, Any] = {"distance_m": distance, "bearing_deg": math.degrees(bearing)}
     try:
-        comparison: Comparison | None = compare(robot, distance, bearing, {}, all_limits)
+        comparison: Comparison | None = compare(robot, distance, bearing, {}, all_limits, wheels)
         row["fault"] = ""
     except StudyError as error:
         comparison, row["fault"] = None, str(error)

@@ -15,6 +15,7 @@ class Experiment:
         robot: Robot that is used if the command line names none.
         minutes: Approximate duration at the default size on two idle cores [min].
         caption: Caption of the picture.
+        in_world: Whether it can be driven in the physics world as well, `--world`.
     """
 
     name: str
@@ -22,11 +23,22 @@ class Experiment:
     robot: str
     minutes: int
     caption: str
+    in_world: bool = False
 
     @property
     def result_name(self) -> str:
         """Name of the results, without a suffix."""
-        return f"reproduce_{self.name}"
+        return result_name(self.name)
+
+
+def result_name(experiment: str, wheels: str | None = None) -> str:
+    """Return the name of the results of an experiment, without a suffix.
+
+    Args:
+        experiment: Name of the experiment.
+        wheels: Kind of wheels in the physics world; None for the plant.
+    """
+    return f"reproduce_{experiment}_{wheels}" if wheels else f"reproduce_{experiment}"
 
 
 EXPERIMENTS = {
@@ -38,6 +50,7 @@ EXPERIMENTS = {
             "omniman",
             9,
             "Coupling error along the path of CCTA 2017, Fig. 7, and what gain and delay do to it",
+            in_world=True,
         ),
         Experiment(
             "tool_path",
@@ -46,7 +59,7 @@ EXPERIMENTS = {
             1,
             "Error of the tool on its path, with and without correction by the arm",
         ),
-        Experiment("free", _CASES, "ig42", 1, "Free movement, MPC 2021, 4.1"),
+        Experiment("free", _CASES, "ig42", 1, "Free movement, MPC 2021, 4.1", in_world=True),
         Experiment(
             "free_paper",
             "omniman_ros.lab.reproduce.free_paper",
@@ -54,13 +67,14 @@ EXPERIMENTS = {
             1,
             "Free movement with the paper's own problem, MPC 2021, 4.1: what its weights decide",
         ),
-        Experiment("corridor", _CASES, "ig42", 1, "Narrow corridor, MPC 2021, 4.2"),
+        Experiment("corridor", _CASES, "ig42", 1, "Narrow corridor, MPC 2021, 4.2", in_world=True),
         Experiment(
             "moving",
             _CASES,
             "ig42",
             1,
             "Moving obstacles, MPC 2021, 4.3 (the film is beside this page)",
+            in_world=True,
         ),
         Experiment(
             "handover",
@@ -69,7 +83,9 @@ EXPERIMENTS = {
             2,
             "Two robots side by side in motion, as for handing over a load, MPC 2021, 5",
         ),
-        Experiment("workshop", _CASES, "ig42", 1, "A dead end and three doors, with a map"),
+        Experiment(
+            "workshop", _CASES, "ig42", 1, "A dead end and three doors, with a map", in_world=True
+        ),
         Experiment(
             "scenes",
             "omniman_ros.lab.reproduce.scenes",

@@ -3,7 +3,7 @@
 `omniman reproduce all` shows them in a table of their own.
 """
 
-from omniman_ros.lab.reproduce.findings import Finding, Results
+from omniman_ros.lab.reproduce.findings import Finding, Results, find_row
 from omniman_ros.lab.reproduce.published import Claim
 
 
@@ -35,6 +35,33 @@ def _coupling_margins(results: Results) -> Finding:
         "wheels off the floor: settles up to "
         + ", ".join(f"{1e3 * delay:.0f} ms at k = {gain}" for gain, delay in margins.items())
         + f"; computed as measured in {stability['agree']} of {stability['compared']} steps",
+    )
+
+
+def _modes(results: Results) -> Finding:
+    """Return what coupling control does to error and energy in each mode of the drives."""
+    study = results["coupling"]
+    gain = study["chosen_gain"]
+    values, texts = {}, []
+    for mode in ("P", "PI", "torque"):
+        off, on = (find_row(study, mode, k) for k in (0.0, gain))
+        ratio = on["epsilon_ratio"]["mean"]
+        energies = [row["energy"]["mean"] for row in (off, on)]
+        values[mode] = {"ratio": ratio, "energies_j": energies}
+        texts.append(f"{mode}: {ratio:.2f} of it, {energies[0]:.0f} → {energies[1]:.0f} J")
+    return Finding(values, f"k = {gain:g}, without the rollers' lag: " + ", ".join(texts))
+
+
+def _modes_with_lag(results: Results) -> Finding:
+    """Return what coupling control that knows the lag of the rollers does in each mode."""
+    aims = results["coupling"]["aims"]
+    return Finding(
+        {"aims": aims},
+        ", ".join(
+            f"{aim['group']} at k = {aim['k']:g}: {aim['error_ratio']:.2f} of the error, "
+            f"{aim['energy_ratio']:.2f} of the energy"
+            for aim in aims
+        ),
     )
 
 
@@ -125,6 +152,8 @@ def _arm_setpoints(results: Results) -> Finding:
 
 OWN_RESULTS: tuple[Claim, ...] = (
     Claim("Coupling control with late commands", "", "", ("coupling",), _coupling_margins),
+    Claim("Coupling control by mode of the drives", "", "", ("coupling",), _modes),
+    Claim("Coupling control with the rollers' lag", "", "", ("coupling",), _modes_with_lag),
     Claim("Random scenes", "", "", ("scenes",), _random_scenes),
     Claim("Demo: tracking error of the platform", "", "", ("demo",), _platform_tracking),
     Claim("Demo: drift of odometry", "", "", ("demo",), _odometry_drift),

@@ -57,6 +57,7 @@ def page(result: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
         counts=" · ".join(counts),
         warnings=warnings(result),
         comparisons=result["comparisons"],
+        world=result["world"],
         experiments=experiments,
         also=result["also"],
         own=result["own"],

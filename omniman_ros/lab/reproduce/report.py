@@ -10,11 +10,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from omniman_ros.lab.reproduce.experiments import EXPERIMENTS, result_name
 from omniman_ros.lab.reproduce.findings import Finding, Verdict
 from omniman_ros.lab.reproduce.own import OWN_RESULTS
 from omniman_ros.lab.reproduce.page import page
 from omniman_ros.lab.reproduce.provenance import machine, versions
 from omniman_ros.lab.reproduce.published import CLAIMS, Claim
+from omniman_ros.simulation.world.parameters import ROLLERS
 
 PAGE_NAME = "report.html"
 """File name of the page."""
@@ -68,14 +70,16 @@ def load(path: Path) -> dict[str, Any] | None:
 
 
 def summarize(
-    finished: Sequence[ExperimentResult], folder: Path, duration: float
+    finished: Sequence[ExperimentResult], folder: Path, duration: float, wheels: str = ROLLERS
 ) -> tuple[dict[str, Any], Path]:
     """Compare the results with the published claims, and write the page.
 
     Args:
         finished: Results of the experiments.
-        folder: Folder of the page; `OPTIONAL_RESULTS` are read from it.
+        folder: Folder of the page; `OPTIONAL_RESULTS` are read from it, and results from the
+            physics world.
         duration: Duration of all experiments together [s].
+        wheels: Kind of wheels in the physics world.
 
     Returns:
         The summary for publication as JSON, and the path of the page.
@@ -94,16 +98,33 @@ def summarize(
         if (loaded := load(folder / f"{name}.json")) is not None
     }
     results = {**optional, **reproduced}
+    world = {
+        experiment.name: loaded
+        for experiment in EXPERIMENTS.values()
+        if experiment.in_world
+        and (loaded := load(folder / f"{result_name(experiment.name, wheels)}.json")) is not None
+    }
     rows = [(claim, claim.find(results)) for claim in CLAIMS]
     own = [(claim, claim.find(results)) for claim in OWN_RESULTS]
-    own = [(claim, finding) for claim, finding in own if finding.verdict is not Verdict.MISSING]
+    own = [
+        (claim, finding)
+        for claim, finding in own
+        if {finding.verdict, claim.find(world).verdict} != {Verdict.MISSING}
+    ]
     result: dict[str, Any] = {
         "passed": all(experiment.passed for experiment in finished),
         "experiments": [experiment_row(experiment) for experiment in finished],
-        "also": {name: creation_time(loaded) for name, loaded in optional.items()},
+        "also": {
+            name: creation_time(loaded)
+            for name, loaded in (
+                *optional.items(),
+                *((f"{name} on {wheels}", loaded) for name, loaded in world.items()),
+            )
+        },
+        "world": wheels if world else None,
         "verdicts": dict(verdict_counts(rows)),
-        "comparisons": [claim_row(claim, finding) for claim, finding in rows],
-        "own": [claim_row(claim, finding) for claim, finding in own],
+        "comparisons": [claim_row(claim, finding, claim.find(world)) for claim, finding in rows],
+        "own": [claim_row(claim, finding, claim.find(world)) for claim, finding in own],
         "versions": versions(),
         "machine": machine(),
         "took_s": duration,
@@ -114,8 +135,14 @@ def summarize(
     return result, path
 
 
-def claim_row(claim: Claim, finding: Finding) -> dict[str, Any]:
-    """Return the comparison of a claim with its finding, for the JSON."""
+def claim_row(claim: Claim, finding: Finding, in_world: Finding) -> dict[str, Any]:
+    """Return the comparison of a claim with its finding, for the JSON.
+
+    Args:
+        claim: The claim.
+        finding: Its finding on the plant.
+        in_world: Its finding in the physics world, which is not judged.
+    """
     return {
         "quantity": claim.quantity,
         "source": claim.source,
@@ -125,6 +152,7 @@ def claim_row(claim: Claim, finding: Finding) -> dict[str, Any]:
         "unlike": claim.unlike,
         "from": list(claim.needs),
         "measured": finding.text,
+        "in_world": "" if in_world.verdict is Verdict.MISSING else in_world.text,
         "values": dict(finding.values),
         "verdict": finding.verdict.value,
     }

@@ -1,6 +1,7 @@
 """Platform controller and simulated drives in a closed loop in simulated time."""
 
 from collections import deque
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,9 +9,12 @@ from numpy.typing import NDArray
 from omniman_ros.control.platform import PlatformController
 from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.control.wheel_cascade import DriveMode, WheelCommand
-from omniman_ros.simulation.plant.body import Body
+from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 from omniman_ros.simulation.plant.simulated_drives import SimulatedDrives, WheelStates
+
+if TYPE_CHECKING:  # The command line must do without the engine.
+    from omniman_ros.simulation.world.world import World
 
 PERIOD = 0.005
 """Time between two ticks [s]."""
@@ -27,11 +31,12 @@ class ClosedLoop:
         simulation: Parameters of the drives.
         late: Number of ticks by which commands to the drives are delayed.
         torques: Whether the drives report torques, by which the controller detects dead wheels.
-        body: What the drives move; None for the plant.
+        world: World in which the robot drives; None for the plant.
 
     Attributes:
         controller: The controller.
         drives: The drives.
+        world: The world below the drives; None if they are on the plant.
         states: Measurements of the drives in the latest tick.
         truth: (3,) true pose of base_link in the world at the time of `states` [m, m, rad].
         tick: Number of ticks so far.
@@ -43,10 +48,12 @@ class ClosedLoop:
         simulation: SimulationParameters,
         late: int = 0,
         torques: bool = True,
-        body: Body | None = None,
+        world: WorldChoice | None = None,
     ) -> None:
         self.controller = PlatformController(parameters)
-        self.drives = SimulatedDrives(parameters.robot, simulation, body=body)
+        robot = parameters.robot
+        self.world: World | None = None if world is None else world.body(robot, simulation)
+        self.drives = SimulatedDrives(robot, simulation, body=self.world)
         self.tick = 0
         self._late = late
         self._torques = torques

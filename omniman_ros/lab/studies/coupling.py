@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from omniman_ros.control.coupling_controller import CouplingController, CouplingParameters
 from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.core.arbiter import Source
 from omniman_ros.core.arrays import Array
@@ -13,6 +14,7 @@ from omniman_ros.core.errors import OmnimanError, ParameterError
 from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
 from omniman_ros.lab.studies.closed_loop import PERIOD, ClosedLoop
+from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.motion.figure7 import Figure7
 from omniman_ros.simulation.plant.parameters import MismatchParameters, SimulationParameters
 
@@ -67,19 +69,22 @@ ICE = {
 GROUPS: Mapping[str, Group] = {
     "P": Group("P velocity loops", P_LOOPS),
     "PI": Group("PI velocity loops"),
+    "torque": Group("torque mode", {"drive.mode": "torque"}),
     "radii": Group("P velocity loops, wheel radii off by up to 0.5 %", P_LOOPS, 0.005),
     "ice": Group("torque mode, across a patch of ice", ICE),
     "late": Group("P velocity loops, commands 50 ms late", P_LOOPS, delay=0.05),
 }
 """Groups of drives, by name."""
-OWN_CONTROLLER, PAPER_CONTROLLER = "package", "paper"
+OWN_CONTROLLER, PAPER_CONTROLLER, LAG_CONTROLLER = "package", "paper", "package, with lag"
 """Names of the coupling controllers."""
 CONTROLLERS: Mapping[str, Mapping[str, Any]] = {
     OWN_CONTROLLER: {},
     PAPER_CONTROLLER: {"coupling.reset_at_rest": False, "coupling.authority": 1.0},
+    LAG_CONTROLLER: {},
 }
 """Changed parameters of each coupling controller. The paper's integrates from 0 to t, (24), and
 has no bound of its own; its correction is the gain times that integral, (25), through J_a of (14).
+The package's with lag knows the lag of the rollers, `Setup.roller_lag`; the others do not.
 """
 
 
@@ -109,6 +114,8 @@ class Setup:
     Attributes:
         robot: Parameters of the robot, full names to values.
         figure: The path as a function of time.
+        world: World in which the robot drives; None for the plant.
+        roller_lag: Time by which its rollers take over late [s].
 
     Raises:
         ParameterError: The robot has three wheels, and therefore no coupling error.
@@ -116,6 +123,8 @@ class Setup:
 
     robot: Mapping[str, Any]
     figure: Figure7
+    world: WorldChoice | None = None
+    roller_lag: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "robot", dict(self.robot))  # so that it can be pickled
@@ -130,6 +139,7 @@ class Outcome:
     Attributes:
         epsilon_max: Largest |epsilon| by CCTA 2017 (24), from the encoders [rad].
         epsilon_rms: RMS of |epsilon| by CCTA 2017 (24), from the encoders [rad].
+        error_max: Largest |epsilon|, less what the lag of the rollers explains [rad].
         slip: Energy dissipated by slip of the rollers on the floor [J].
         copper: Energy dissipated in the windings of the motors [J].
         losses: All dissipated energy, including these two [J].
@@ -149,6 +159,7 @@ class Outcome:
 
     epsilon_max: float
     epsilon_rms: float
+    error_max: float
     slip: float
     copper: float
     losses: float
@@ -224,8 +235,12 @@ def drive(setup: Setup, case: Case) -> Run:
     """
     # Without reported torques, dead wheels are not detected, so this cannot affect the experiment.
     late = round(GROUPS[case.group].delay / PERIOD)
-    loop = ClosedLoop(*_parameters(setup, case), late, torques=False)
+    loop = ClosedLoop(*_parameters(setup, case), late, torques=False, world=setup.world)
     core, drives = loop.controller, loop.drives
+    rolling = CouplingController(
+        core.cascade.kinematics, CouplingParameters(roller_lag=setup.roller_lag)
+    )
+    explained = np.zeros_like(rolling.error)
     pending = list(setup.figure.legs(loop.now))
     ticks = round(setup.figure.duration / PERIOD)
     rows: list[tuple[Array, ...]] = []
@@ -245,11 +260,13 @@ def drive(setup: Setup, case: Case) -> Run:
             tracking = max(tracking, float(np.hypot(*core.tracking_error[:2])))
         states = loop.states
         errors = np.array(core.odometry.pose) - loop.truth
-        rows.append(
-            (core.odometry.coupling_error, states.velocity, core.cascade.reference, errors)
-        )
-    epsilon, speed, command, errors = (np.array(column) for column in zip(*rows, strict=True))
-    outcome = _outcome(loop, epsilon, speed, command, errors, tracking)
+        yaw_rate = float(core.odometry.twist[2])
+        explained = explained + PERIOD * rolling.expected_rate(states.velocity, yaw_rate)
+        epsilon = core.odometry.coupling_error
+        command = core.cascade.reference
+        rows.append((epsilon, explained, states.velocity, command, errors))
+    epsilon, due, speed, command, errors = (np.array(column) for column in zip(*rows, strict=True))
+    outcome = _outcome(loop, epsilon, due, speed, command, errors, tracking)
     time: Array = PERIOD * np.arange(ticks, dtype=np.float64)
     return Run(case, outcome, time[::TRACE_STRIDE], epsilon[::TRACE_STRIDE])
 
@@ -262,19 +279,27 @@ def _parameters(setup: Setup, case: Case) -> tuple[PlatformParameters, Simulatio
         **NO_FOLLOWING_ERROR_STOP,
         **CONTROLLERS[case.controller],
         "coupling.k_epsilon": case.gain,
+        "coupling.roller_lag": setup.roller_lag if case.controller == LAG_CONTROLLER else 0.0,
     }
     simulation = build(SimulationParameters, values)
     return build(PlatformParameters, values), replace(simulation, mismatch=case.mismatch)
 
 
 def _outcome(
-    loop: ClosedLoop, epsilon: Array, speed: Array, command: Array, errors: Array, tracking: float
+    loop: ClosedLoop,
+    epsilon: Array,
+    explained: Array,
+    speed: Array,
+    command: Array,
+    errors: Array,
+    tracking: float,
 ) -> Outcome:
     """Return the figures of a completed drive.
 
     Args:
         loop: Controller and drives after the drive.
         epsilon: (k, m) coupling errors without resets [rad].
+        explained: (k, m) part of them that the lag of the rollers explains [rad].
         speed: (k, n) measured wheel speeds [rad/s].
         command: (k, n) commanded wheel speeds [rad/s].
         errors: (k, 3) errors of the pose by odometry [m, m, rad].
@@ -287,6 +312,7 @@ def _outcome(
     return Outcome(
         epsilon_max=float(size.max()),
         epsilon_rms=float(np.sqrt(np.mean(size**2))),
+        error_max=float(np.linalg.norm(epsilon - explained, axis=1).max()),
         slip=losses["slip"],
         copper=losses["copper"],
         losses=sum(losses.values()),

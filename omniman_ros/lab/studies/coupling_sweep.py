@@ -32,6 +32,8 @@ PAPER_GAIN = 2.0
 """k_epsilon in Fig. 7 of CCTA 2017 [1/s]."""
 AIM = 0.1
 """Aim: largest ratio of the coupling error to the one without coupling control [-]."""
+RATIOS = {"epsilon": "epsilon_max", "error": "error_max", "energy": "energy"}
+"""Figures of a drive that are related to those without coupling control, by name of the ratio."""
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -98,7 +100,7 @@ QUICK = Plan(Figure7(length=1.0), {"P": ()}, samples=1, step_gains=(30.0,), dela
 """Sweep of a quick run: a short path and one set of wheels."""
 STANDARD = Plan(
     Figure7(),
-    {"P": (5.0, 20.0, 30.0), "PI": (5.0, 30.0), "radii": (), "ice": (), "late": ()},
+    {"P": (5.0, 20.0, 30.0), "PI": (5.0, 30.0), "torque": (), "radii": (), "ice": (), "late": ()},
     samples=10,
     step_gains=_STEP_GAINS,
     delays=_STEP_DELAYS,
@@ -109,6 +111,7 @@ FULL = Plan(
     {
         "P": _FINE_GAINS,
         "PI": _FINE_GAINS,
+        "torque": (5.0, 30.0),
         "radii": (5.0, 30.0),
         "ice": (5.0, 30.0),
         "late": (5.0, 30.0),
@@ -302,8 +305,9 @@ def _mean_and_worst(values: Sequence[float]) -> dict[str, float]:
 def summary(runs: Sequence[Run]) -> list[dict[str, Any]]:
     """Return mean and worst value of each figure over the samples, by group and gain.
 
-    Each row belongs to one group, controller and gain. `epsilon_ratio` is the ratio of a sample's
-    `epsilon_max` to the one of the same wheels without coupling control.
+    Each row belongs to one group, controller and gain. `epsilon_ratio`, `error_ratio` and
+    `energy_ratio` are the ratios of a sample's `epsilon_max`, `error_max` and `energy` to those of
+    the same wheels without coupling control.
     """
     table: dict[str, dict[tuple[str, float], list[Run]]] = {}
     for run in runs:
@@ -311,14 +315,22 @@ def summary(runs: Sequence[Run]) -> list[dict[str, Any]]:
         table.setdefault(run.case.group, {}).setdefault(key, []).append(run)
     rows = []
     for group, by_gain in table.items():
-        off = [run.outcome.epsilon_max for run in by_gain[OWN_CONTROLLER, 0.0]]
+        off = by_gain[OWN_CONTROLLER, 0.0]
         for (controller, gain), same in sorted(by_gain.items()):
             largest = [run.outcome.epsilon_max for run in same]
             figures = {
                 name: _mean_and_worst([getattr(run.outcome, name) for run in same])
                 for name in asdict(same[0].outcome)
             }
-            ratio = [new / old for new, old in zip(largest, off, strict=True)]
+            ratios = {
+                f"{name}_ratio": _mean_and_worst(
+                    [
+                        getattr(new.outcome, figure) / getattr(old.outcome, figure)
+                        for new, old in zip(same, off, strict=True)
+                    ]
+                )
+                for name, figure in RATIOS.items()
+            }
             rows.append(
                 {
                     "group": group,
@@ -326,7 +338,7 @@ def summary(runs: Sequence[Run]) -> list[dict[str, Any]]:
                     "controller": controller,
                     "k": gain,
                     **figures,
-                    "epsilon_ratio": _mean_and_worst(ratio),
+                    **ratios,
                     "epsilon_max_samples": largest,
                 }
             )

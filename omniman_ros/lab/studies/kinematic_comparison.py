@@ -17,6 +17,7 @@ from omniman_ros.lab.studies.mpc_cases import Scene
 from omniman_ros.lab.studies.mpc_loop import MotionRecord
 from omniman_ros.lab.studies.planned_drives import RECORDING_TAIL, drive_with_planner
 from omniman_ros.lab.studies.recorded_drive import Drive, StudyError
+from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.motion.path.parameters import TICK, PathParameters
 from omniman_ros.motion.path.trajectory import Trajectory
 from omniman_ros.planning.cases import Pose
@@ -46,7 +47,12 @@ class KinematicDrive:
 
 
 def drive_straight(
-    robot: Mapping[str, Any], start: Pose, goal: Pose, speed: float, limit_scale: float = 1.0
+    robot: Mapping[str, Any],
+    start: Pose,
+    goal: Pose,
+    speed: float,
+    limit_scale: float = 1.0,
+    wheels: str | None = None,
 ) -> KinematicDrive:
     """Drive a straight line with path planner and platform controller, without a dynamic model.
 
@@ -56,11 +62,14 @@ def drive_straight(
         goal: Pose of the goal in odom [m, m, rad].
         speed: Largest speed [m/s].
         limit_scale: Factor on all limits of the path planner.
+        wheels: Kind of wheels in the physics world; None for the plant.
     """
     options = {**robot, "path.linear_velocity": speed, "path.angular_velocity": 50.0}
     planner = build(PathParameters, options).planner().slower(limit_scale)
     plan = planner.plan(np.array([start, goal]))
-    loop = ClosedLoop(build(PlatformParameters, robot), build(SimulationParameters, {}))
+    world = WorldChoice.of(robot, wheels) if wheels else None
+    simulation = build(SimulationParameters, {})
+    loop = ClosedLoop(build(PlatformParameters, robot), simulation, world=world)
     loop.drives.set_pose(start)
     loop.controller.set_pose(start)
     for _ in range(4):
@@ -80,7 +89,12 @@ def drive_straight(
 
 
 def drive_straight_in_time(
-    robot: Mapping[str, Any], start: Pose, goal: Pose, arrival: float, scale_all: bool = False
+    robot: Mapping[str, Any],
+    start: Pose,
+    goal: Pose,
+    arrival: float,
+    scale_all: bool = False,
+    wheels: str | None = None,
 ) -> KinematicDrive | None:
     """Drive a straight line with the kinematic controller so that it arrives at a given time.
 
@@ -92,6 +106,7 @@ def drive_straight_in_time(
         goal: Pose of the goal in odom [m, m, rad].
         arrival: Requested arrival time since the start [s].
         scale_all: Whether all limits are scaled, instead of the speed alone.
+        wheels: Kind of wheels in the physics world; None for the plant.
 
     Returns:
         The drive with the requested arrival time; None if the controller cannot be that fast.
@@ -105,8 +120,8 @@ def drive_straight_in_time(
     def drive_scaled(scale: float) -> KinematicDrive:
         """Drive at a fraction of the largest speed or of all limits."""
         if scale_all:
-            return drive_straight(robot, start, goal, fastest, scale)
-        return drive_straight(robot, start, goal, scale * fastest)
+            return drive_straight(robot, start, goal, fastest, scale, wheels)
+        return drive_straight(robot, start, goal, scale * fastest, wheels=wheels)
 
     best = drive_scaled(1.0)
     # Pairs of scale and arrival time that bracket the requested time: too early and too late.
@@ -172,6 +187,7 @@ def compare(
     bearing: float,
     changes: Mapping[str, Any],
     both: bool = True,
+    wheels: str | None = None,
 ) -> Comparison:
     """Drive to one goal with the planner and with the kinematic controller, and compare them.
 
@@ -183,18 +199,19 @@ def compare(
         bearing: Bearing of the goal [rad].
         changes: Parameters of the planner that differ from the robot's, full names to values.
         both: Whether the line is also driven with all limits scaled, besides the speed alone.
+        wheels: Kind of wheels in the physics world; None for the plant.
 
     Raises:
         StudyError: One of the two does not arrive, or not at the same time as the other.
     """
     goal = (distance * math.cos(bearing), distance * math.sin(bearing), 0.0)
-    drive = drive_with_planner(robot, Scene("free", goal, changes=changes)).drive
+    drive = drive_with_planner(robot, Scene("free", goal, changes=changes), wheels=wheels).drive
     if not math.isfinite(drive.arrival):
         raise StudyError(f"the planner did not arrive ({distance:g} m, {bearing:.2f} rad)")
     start = (0.0, 0.0, 0.0)
     variants = (False, True) if both else (False,)
     kinematic = [
-        drive_straight_in_time(robot, start, goal, drive.arrival, scale_all)
+        drive_straight_in_time(robot, start, goal, drive.arrival, scale_all, wheels)
         for scale_all in variants
     ]
     rides = [other.drive for other in kinematic if other is not None]

@@ -10,6 +10,7 @@ from omniman_ros.core.arbiter import Source
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.preview import Preview
 from omniman_ros.lab.studies.closed_loop import LATENCY, PERIOD, ClosedLoop
+from omniman_ros.lab.studies.worlds import WorldChoice, move_person
 from omniman_ros.planning.cycle import CycleReport, MeasuredState, PlannerState
 from omniman_ros.planning.goals import Goal
 from omniman_ros.planning.obstacles.ellipses import Ellipses
@@ -40,6 +41,11 @@ class MovingObstacle:
     semi_axes: tuple[float, float]
     place: Callable[[float], Array]
     angle: float = 0.0
+
+    @property
+    def is_fixed(self) -> bool:
+        """Whether it stands still in the first second."""
+        return not np.ptp([self.place(0.0), self.place(1.0)], axis=0).any()
 
 
 @dataclass
@@ -116,6 +122,8 @@ class LoopOptions:
         seed: Seed of the noise.
         timer: Function that returns a time [s], by which the duration of planning is measured;
             None if it is not measured.
+        world: World in which the robot drives; None for the plant. Its persons are the moving
+            obstacles, in their order.
     """
 
     start: Sequence[float] = (0.0, 0.0, 0.0)
@@ -125,6 +133,7 @@ class LoopOptions:
     noise: float = 0.0
     seed: int = 0
     timer: Callable[[], float] | None = None
+    world: WorldChoice | None = None
 
 
 class MpcLoop:
@@ -143,6 +152,7 @@ class MpcLoop:
         obstacles: Obstacles as they truly move.
         trace: Record of the planner's cycles.
         motion_record: Record of the robot's motion.
+        touched: What the robot has touched in the world, in this order.
     """
 
     def __init__(
@@ -153,7 +163,7 @@ class MpcLoop:
         options: LoopOptions | None = None,
     ) -> None:
         options = options or LoopOptions()
-        self.loop = ClosedLoop(platform, simulation)
+        self.loop = ClosedLoop(platform, simulation, world=options.world)
         x, y, theta = map(float, options.start)
         self.loop.drives.set_pose((x, y, theta))
         self.loop.controller.set_pose((x, y, theta))
@@ -162,6 +172,10 @@ class MpcLoop:
         self.planner = Planner(planner, anchored=not options.voltages)
         self.observed = ObstacleSet(planner.obstacles)
         self.obstacles = list(options.obstacles)
+        self.touched: list[str] = []
+        persons = options.world.scene.persons if options.world else ()
+        moving = [obstacle for obstacle in self.obstacles if not obstacle.is_fixed]
+        self._persons = list(zip(persons, moving, strict=True)) if options.world else []
         self.trace, self.motion_record = Trace(), MotionRecord()
         self._timer = options.timer or (lambda: 0.0)
         self._planning_time = 0.0
@@ -228,8 +242,21 @@ class MpcLoop:
         """Run one tick of controller and plant, and record it."""
         if self._voltages and self.loop.tick % 2 == 0:
             self._apply()
+        self._move_persons()
         self.loop.step()
         self.motion_record.add(self.loop)
+        if self.loop.world is not None:
+            things = [contact.thing for contact in self.loop.world.contacts]
+            self.touched += sorted(set(things) - set(self.touched))
+
+    def _move_persons(self) -> None:
+        """Move the persons of the world with the obstacles that they are, up to the next tick."""
+        world, begin = self.loop.world, self.now - PERIOD
+        if world is None:
+            return
+        for person, obstacle in self._persons:
+            place = obstacle.place(begin)
+            move_person(world, person, place, (obstacle.place(self.now) - place) / PERIOD)
 
     def _publish(self) -> None:
         """Pass the planner's motion to the controller as a preview, unless voltages drive it."""

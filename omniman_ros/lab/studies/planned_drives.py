@@ -11,6 +11,7 @@ from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import build
+from omniman_ros.lab.studies.case_worlds import case_world
 from omniman_ros.lab.studies.mpc_cases import Scene
 from omniman_ros.lab.studies.mpc_loop import LoopOptions, MpcLoop, Trace
 from omniman_ros.lab.studies.recorded_drive import Drive
@@ -33,12 +34,19 @@ class PlannedDrive:
         trace: Record of the planner's cycles; its times count from when the goal was sent.
         state: State of the planner when it finished.
         since: Time at which the goal was sent, on the clock of loop, plans and obstacles [s].
+        touched: What the robot touched according to the physics world.
     """
 
     drive: Drive
     trace: Trace
     state: PlannerState
     since: float
+    touched: tuple[str, ...] = ()
+
+    @property
+    def collided(self) -> bool:
+        """Whether the robot touched anything, by the true gaps or by the physics world."""
+        return self.drive.collided or bool(self.touched)
 
     def figures(self) -> dict[str, Any]:
         """Return the figures of the drive for a result; their units are in their names."""
@@ -49,7 +57,8 @@ class PlannedDrive:
         reached = math.isfinite(drive.arrival)
         return {
             "reached": reached,
-            "collided": drive.collided,
+            "collided": self.collided,
+            "touched": list(self.touched),
             "state": self.state.value,
             "time_s": drive.arrival,
             "energy_j": drive.energy_until_rest() if reached else math.nan,
@@ -89,6 +98,7 @@ def drive_with_planner(
     voltages: bool = False,
     seed: int = 0,
     timer: Callable[[], float] | None = None,
+    wheels: str | None = None,
 ) -> PlannedDrive:
     """Drive through a scene with the planner until it arrives, is blocked or runs out of time.
 
@@ -102,6 +112,8 @@ def drive_with_planner(
         seed: Seed of the observation noise.
         timer: Function that returns a time [s], by which the duration of planning is measured;
             None if it is not measured.
+        wheels: Kind of wheels in the physics world, in which the scene then stands; None for the
+            plant.
     """
     values = {**robot, **scene.changes}
     parameters = build(PlannerParameters, values)
@@ -116,6 +128,7 @@ def drive_with_planner(
             noise=scene.noise,
             seed=seed,
             timer=timer,
+            world=case_world(robot, wheels, scene) if wheels else None,
         ),
     )
     loop.planner.set_map(scene.grid)
@@ -123,9 +136,7 @@ def drive_with_planner(
     loop.drive(PoseGoal(np.array(scene.goal)))
     final_states = (PlannerState.ARRIVED, PlannerState.BLOCKED)
     # With a map, the search for another route may still succeed.
-    unchanging = scene.grid is None and not any(
-        np.ptp([o.place(0.0), o.place(1.0)], axis=0).any() for o in loop.obstacles
-    )
+    unchanging = scene.grid is None and all(o.is_fixed for o in loop.obstacles)
     # Where obstacles move, the way of a blocked robot may become free again.
     end_states = final_states if unchanging else final_states[:1]
     loop.run(scene.time_limit, until=lambda: loop.planner.state in end_states)
@@ -141,4 +152,4 @@ def drive_with_planner(
         scene.obstacles,
         scene.walls,
     )
-    return PlannedDrive(drive, trace, state, since)
+    return PlannedDrive(drive, trace, state, since, tuple(loop.touched))

@@ -11,6 +11,7 @@ from html.parser import HTMLParser
 import pytest
 
 from omniman_ros.cli.main import main, make_parser
+from omniman_ros.extras import WORLD
 from omniman_ros.lab.reproduce import provenance
 from omniman_ros.lab.reproduce.experiments import EXPERIMENTS
 from test.lab.reproduce.reproduced import EVERYTHING
@@ -38,14 +39,15 @@ class Launch:
         name = arguments[1]
         code = self.codes.get(name, 0)
         if code != "crashed":
-            self.write(name, passed=code == 0)
+            wheels = f"_{arguments[-1]}" if "--world" in arguments else ""
+            self.write(name, wheels, passed=code == 0)
         return 1 if code == "crashed" else code
 
-    def write(self, name, **changes):
-        picture = self.folder / f"reproduce_{name}.png"
+    def write(self, name, wheels="", **changes):
+        picture = self.folder / f"reproduce_{name}{wheels}.png"
         picture.write_bytes(PNG)
         result = EVERYTHING[name] | {"picture": str(picture)} | changes
-        (self.folder / f"reproduce_{name}.json").write_text(json.dumps(result))
+        (self.folder / f"reproduce_{name}{wheels}.json").write_text(json.dumps(result))
 
 
 def arguments(folder, *more):
@@ -106,6 +108,27 @@ def test_options_are_passed_on_and_scene_options_to_scenes_only(tmp_path):
     assert vars(free) == vars(chosen) | {"name": "free", "count": None, "solve_time": None}
     scenes = make_parser().parse_args(reproduce_all.experiment_arguments(chosen, "scenes"))
     assert (scenes.count, scenes.solve_time, scenes.seeds) == (5, 0.01, None)
+
+
+def test_with_world_what_can_is_driven_there_as_well_and_stands_beside_the_plants_figures(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr(type(WORLD), "is_available", True)
+    in_world = [name for name, experiment in EXPERIMENTS.items() if experiment.in_world]
+    code, result, page, launch = run(tmp_path, "--world", corridor=0)
+    assert code == 0
+    assert launch.names == [*EXPERIMENTS, *in_world]
+    assert all(asked[-2:] == ["--world", "rollers"] for asked in launch.asked[len(EXPERIMENTS) :])
+    row = compared(result, "Three cases, defaults")
+    assert row["in_world"] == row["measured"]
+    assert "coupling on rollers" in result["also"]
+    assert "In the physics world, wheels: rollers" in page
+
+
+def test_without_results_from_the_world_the_page_has_no_column_for_it(tmp_path):
+    _, result, page, _ = run(tmp_path)
+    assert result["world"] is None
+    assert "physics world" not in page
 
 
 def test_failed_experiment_is_reported_and_the_others_run(tmp_path, capsys):

@@ -199,7 +199,7 @@ def case(monkeypatch, tmp_path, ride, name="corridor", **options):
     """Run a case in which every drive yields one recorded drive."""
     asked = []
 
-    def driven(robot, scene, voltages, seed, timer):
+    def driven(robot, scene, voltages, seed, timer, wheels):
         asked.append((dict(scene.changes), voltages, seed))
         return ride(len(asked)) if callable(ride) else ride
 
@@ -207,6 +207,7 @@ def case(monkeypatch, tmp_path, ride, name="corridor", **options):
     short = replace(cases.CASES[name], scene=lambda: replace(SHORT, name=name))
     monkeypatch.setitem(cases.CASES, name, short)
     args = {"robot": None, "quick": True, "full": False, "seed": 3, "results": str(tmp_path)}
+    args["world"] = None
     code = command.run(argparse.Namespace(name=name, **(args | options)))
     return code, json.loads((tmp_path / f"reproduce_{name}.json").read_text()), asked
 
@@ -292,7 +293,7 @@ class Here:
 
 
 def test_free_case_has_the_table_of_energies(monkeypatch, tmp_path, ride, capsys):
-    def compared(robot, distance, bearing, changes, both):
+    def compared(robot, distance, bearing, changes, both, wheels):
         if distance > 2.0:
             raise StudyError("not at the same time")
         return Comparison(distance, bearing, 3.0, 30.0, 0.1, 40.0, float("nan"), 0.01)

@@ -1,0 +1,76 @@
+"""Physics worlds in which studies drive, instead of on the plant."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.parameters import build
+from omniman_ros.core.robot import Robot
+from omniman_ros.description.parameters import DescriptionParameters
+from omniman_ros.simulation.plant.parameters import SimulationParameters
+from omniman_ros.simulation.world.model.things import person_joints
+from omniman_ros.simulation.world.parameters import WorldParameters
+from omniman_ros.simulation.world.scene import Person, Scene
+
+if TYPE_CHECKING:  # The command line must do without the engine.
+    from omniman_ros.simulation.world.world import World
+
+
+@dataclass(frozen=True)
+class WorldChoice:
+    """A physics world: the robot's body and arm, its wheels, and what is around it.
+
+    Attributes:
+        description: Robot, arm, and the mount of the arm.
+        parameters: Wheels, and what happens in contacts.
+        scene: What is around the robot.
+    """
+
+    description: DescriptionParameters
+    parameters: WorldParameters
+    scene: Scene = field(default_factory=Scene)
+
+    @staticmethod
+    def of(robot: Mapping[str, Any], wheels: str, scene: Scene | None = None) -> "WorldChoice":
+        """Return the world of a robot. Persons in it apply no force: a study moves them.
+
+        Args:
+            robot: Parameters of the robot, full names to values.
+            wheels: Kind of wheels, see :class:`WorldParameters`.
+            scene: What is around the robot; None for an empty floor.
+        """
+        parameters = build(WorldParameters, {"wheels": wheels, "person_force": 0.0})
+        return WorldChoice(build(DescriptionParameters, robot), parameters, scene or Scene())
+
+    def body(self, robot: Robot, simulation: SimulationParameters) -> "World":
+        """Return a new world in its initial state.
+
+        Args:
+            robot: The robot; arm and mount are those of the description.
+            simulation: Parameters of floor, motors, mismatch and faults.
+
+        Raises:
+            ParameterError: A parameter is refused, or the robot would start in something.
+        """
+        from omniman_ros.simulation.world.world import World
+
+        description = replace(self.description, robot=robot)
+        return World(description, simulation, self.parameters, self.scene)
+
+
+def move_person(world: "World", person: Person, place: Array, velocity: Array) -> None:
+    """Put a person at a place, from where it moves on.
+
+    Args:
+        world: The world.
+        person: The person, an element of its scene.
+        place: Position (2,) in the world [m].
+        velocity: Velocity (2,) in the world [m/s].
+    """
+    start = person.x[0], person.y[0]
+    engine = world.engine
+    for k, joint in enumerate(person_joints(person.name)):
+        engine.coordinates[engine.coordinate(joint)] = place[k] - start[k]
+        engine.velocities[engine.dof(joint)] = velocity[k]
+    engine.refresh()
