@@ -244,7 +244,7 @@ def rides(monkeypatch):
     asked = []
 
     def stand_in(law):
-        def ride(robot, start, goal, speed, share=1.0):
+        def ride(robot, start, goal, speed, share=1.0, wheels=None):
             used = share * speed / 0.9
             asked.append(used)
             until = law(used)
