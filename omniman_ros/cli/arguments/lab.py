@@ -3,7 +3,6 @@
 import argparse
 
 from omniman_ros.cli.arguments.common import ROBOT_HELP, add_parameters, add_results, add_robot
-from omniman_ros.simulation.world.parameters import IDEAL, ROLLERS
 
 BENCHMARKS = {
     "control": "time of a control tick, CPU of the nodes, latency (default)",
@@ -30,6 +29,9 @@ EXPERIMENTS = {
     "all": "all experiments in turn, and a page that compares measured with published figures",
 }
 """Description of each experiment, for the help text."""
+
+WORLD_WHEELS = ("rollers", "ideal")
+"""Kinds of wheels of the physics world, the default first; their module is too heavy for help."""
 
 
 def add_bench(parser: argparse.ArgumentParser) -> None:
@@ -94,8 +96,8 @@ def add_reproduce(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--world",
         nargs="?",
-        choices=(ROLLERS, IDEAL),
-        const=ROLLERS,
+        choices=WORLD_WHEELS,
+        const=WORLD_WHEELS[0],
         help="drive in the physics world instead of on the plant, on wheels with rollers or on "
         "ideal ones; with all: there as well; default wheels: %(const)s",
     )

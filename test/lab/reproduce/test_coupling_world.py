@@ -4,11 +4,14 @@ import json
 
 import pytest
 
+from omniman_ros.cli.arguments.lab import WORLD_WHEELS
 from omniman_ros.cli.main import main
 from omniman_ros.console.errors import CommandError
+from omniman_ros.core.parameters import specs
 from omniman_ros.lab.reproduce import command, coupling_world
 from omniman_ros.lab.reproduce.coupling_world import STANDARD, aim, cases
 from omniman_ros.lab.studies.coupling import LAG_CONTROLLER, OWN_CONTROLLER
+from omniman_ros.simulation.world.parameters import WorldParameters
 from test import robots
 
 IN_WORLD = pytest.mark.skipif(importlib.util.find_spec("mujoco") is None, reason="needs mujoco")
@@ -48,6 +51,11 @@ def test_the_aim_is_judged_at_the_gain_that_leaves_least_within_the_energy():
     assert (reached["k"], reached["error_met"], reached["energy_met"]) == (8.0, True, True)
     reached = aim([row(5.0, 0.3, 1.02), row(15.0, 0.1, 1.1)], "PI")
     assert (reached["k"], reached["error_met"], reached["energy_met"]) == (5.0, False, False)
+
+
+def test_the_kinds_of_wheels_on_the_command_line_are_those_of_the_world():
+    (wheels,) = (spec for spec in specs(WorldParameters) if spec.name == "wheels")
+    assert set(WORLD_WHEELS) == set(wheels.choices)
 
 
 def test_experiments_that_have_no_world_refuse_it(capsys):
