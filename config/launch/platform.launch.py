@@ -49,6 +49,12 @@ UR_PORTS = {
     "rtde": 30004,
 }
 """Ports of a UR controller, which the simulated controller of the first robot uses as well."""
+ARM_PORT = 30110
+"""Port at which the world of the first robot moves its arm."""
+SERVO_LAG = 0.042
+"""Lag of a simulated arm whose joints are its own [s]."""
+WORLD_SERVO_LAG = 0.062
+"""Lag of a simulated arm whose joints are in a world [s]."""
 
 ARGUMENTS = [
     DeclareLaunchArgument(
@@ -151,15 +157,25 @@ def generate_launch_description() -> LaunchDescription:
         executable="simulated_drive",
         namespace=LaunchConfiguration("namespace"),
         parameters=[{"robot": robot, "publish_clock": sim_time}],
+        remappings=TF,
         output="screen",
         condition=IfCondition(AndSubstitution(is_simulated, has_no_world)),
     )
     scene = ParameterValue(LaunchConfiguration("world"), value_type=str)
+    # The joints of a simulated arm are in the world, if there is one.
+    is_arm_simulated = EqualsSubstitution(LaunchConfiguration("arm"), "simulated")
+    is_arm_in_world = AndSubstitution(
+        AndSubstitution(is_simulated, NotSubstitution(has_no_world)), is_arm_simulated
+    )
+    arm_port = _chosen(is_arm_in_world, f"{ARM_PORT} + ", LaunchConfiguration("number"), "0", int)
+    servo_lag = _chosen(is_arm_in_world, str(WORLD_SERVO_LAG), "", str(SERVO_LAG), float)
     simulated_world = Node(
         package="omniman_ros",
         executable="simulated_world",
         namespace=LaunchConfiguration("namespace"),
-        parameters=[{"robot": robot, "publish_clock": sim_time, "scene": scene}],
+        parameters=[
+            {"robot": robot, "publish_clock": sim_time, "scene": scene, "arm_port": arm_port}
+        ],
         remappings=TF,
         output="screen",
         condition=IfCondition(AndSubstitution(is_simulated, NotSubstitution(has_no_world))),
@@ -239,9 +255,10 @@ def generate_launch_description() -> LaunchDescription:
                 "ur.reverse_port": 0,
                 "use_sim_time": sim_time,
                 "simulated_controller": True,
+                "ur.servo_lag": servo_lag,
             }
         ],
-        condition=IfCondition(EqualsSubstitution(LaunchConfiguration("arm"), "simulated")),
+        condition=IfCondition(is_arm_simulated),
     )
     simulated_ur = Node(
         package="omniman_ros",
@@ -251,10 +268,11 @@ def generate_launch_description() -> LaunchDescription:
             {
                 **{f"ports.{name}": port for name, port in ports.items()},
                 "use_sim_time": sim_time,
+                "simulated_arm.world_port": arm_port,
             }
         ],
         output="screen",
-        condition=IfCondition(EqualsSubstitution(LaunchConfiguration("arm"), "simulated")),
+        condition=IfCondition(is_arm_simulated),
     )
     # The interpolator plans within the arm's limits, which the controller's file sets.
     interpolator = {
@@ -380,6 +398,22 @@ def _numbered(first: int, step: int) -> ParameterValue:
     """Return `first + step * number`, which is different for each robot on this machine."""
     number = PythonExpression([f"{first} + {step} * ", LaunchConfiguration("number")])
     return ParameterValue(number, value_type=int)
+
+
+def _chosen(
+    condition: object, first: str, number: object, other: str, kind: type
+) -> ParameterValue:
+    """Return the value of an expression if a condition holds, and of another one if not.
+
+    Args:
+        condition: Is "true" or "false".
+        first: Expression if it holds, before `number`.
+        number: End of that expression.
+        other: Expression if it does not hold.
+        kind: Type of the value.
+    """
+    choice = PythonExpression([first, number, " if '", condition, f"' == 'true' else {other}"])
+    return ParameterValue(choice, value_type=kind)
 
 
 def _text_of(command: list[object]) -> ParameterValue:

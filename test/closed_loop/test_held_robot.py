@@ -12,6 +12,7 @@ from omniman_ros.core.imu_mount import ImuMount
 from omniman_ros.core.parameters import build
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.lab.studies.closed_loop import PERIOD, ClosedLoop
+from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.motion.figure7 import Figure7
 from omniman_ros.simulation.plant.imu import ImuSensorParameters, SimulatedImu
 from omniman_ros.simulation.plant.parameters import SimulationParameters
@@ -22,7 +23,6 @@ from test.closed_loop.test_closed_loop import MISMATCHED, MODES
 
 pytest.importorskip("mujoco")
 
-from omniman_ros.simulation.world.world import World
 
 LATEST = 1.0
 """Longest time from the contact to the stop [s]."""
@@ -47,19 +47,16 @@ class Ride:
         values = robots.values(name, plain)
         description = build(DescriptionParameters, values)
         simulation = build(SimulationParameters, values)
-        self.world = World(
-            description,
-            simulation,
-            build(WorldParameters, {**values, "world.wheels": wheels}, "world."),
-            scene_of(scene or {}, "scene"),
-        )
+        parameters = build(WorldParameters, {**values, "world.wheels": wheels}, "world.")
+        choice = WorldChoice(description, parameters, scene_of(scene or {}, "scene"))
         self.loop = ClosedLoop(
             robots.parameters(name, {"drive.mode": mode, **plain}),
             simulation,
             0,
             torques,
-            self.world,
+            choice,
         )
+        self.world = self.loop.world
         self.core = self.loop.controller
         self.imu = None
         if imu:

@@ -1,5 +1,6 @@
 """The launch files against small stand-ins for `launch` and `launch_ros`, which PyPI lacks."""
 
+import re
 import runpy
 import shlex
 import sys
@@ -13,7 +14,7 @@ import pytest
 import setuptools
 
 from omniman_ros.cli.main import main
-from omniman_ros.core.parameters import specs
+from omniman_ros.core.parameters import build, specs
 from omniman_ros.nodes import registry
 from omniman_ros.nodes.arm_streamer_parameters import ArmStreamerParameters
 from omniman_ros.nodes.can_bridge_parameters import CanBridgeParameters
@@ -21,6 +22,8 @@ from omniman_ros.nodes.simulated_can_drives_parameters import SimulatedCanDrives
 from omniman_ros.nodes.simulated_drive_parameters import SimulatedDriveParameters
 from omniman_ros.nodes.simulated_ur_parameters import SimulatedUrParameters
 from omniman_ros.nodes.simulated_world_parameters import SimulatedWorldParameters
+from omniman_ros.processes import arm_options
+from omniman_ros.ur.parameters import UrParameters
 
 ROOT = Path(__file__).resolve().parents[2]
 LAUNCH_FILES = sorted((ROOT / "config" / "launch").glob("*.launch.py"))
@@ -135,8 +138,8 @@ class ParameterValue:
         text = value(self.raw, arguments)
         if self.value_type is bool:
             return {"true": True, "false": False}[text]
-        assert self.value_type in (str, int)
-        return text if self.value_type is str else int(text)
+        assert self.value_type in (str, int, float)
+        return self.value_type(text)
 
 
 @dataclass
@@ -356,7 +359,27 @@ def test_in_a_world_the_world_takes_the_place_of_the_drive(platform):
     _, nodes = platform(world="/my scenes/hall.yaml", use_sim_time="true", robot="ig42")
     assert "simulated_drive" not in nodes
     scene = {"robot": "ig42", "publish_clock": True, "scene": "/my scenes/hall.yaml"}
+    scene["arm_port"] = 0
     assert nodes["simulated_world"] == ("", scene)
+
+
+@pytest.mark.parametrize("number", ["0", "3"])
+def test_the_joints_of_a_simulated_arm_are_in_the_world(platform, number):
+    _, nodes = platform(world="hall", arm="simulated", number=number)
+    ports = {
+        nodes["simulated_world"][1]["arm_port"],
+        nodes["simulated_ur"][1]["simulated_arm.world_port"],
+    }
+    assert ports == {30110 + int(number)}
+    assert nodes["arm_streamer"][1]["ur.servo_lag"] == arm_options.WORLD_SERVO_LAG
+
+
+def test_without_a_world_a_simulated_arm_has_joints_of_its_own(platform):
+    _, nodes = platform(arm="simulated")
+    assert nodes["simulated_ur"][1]["simulated_arm.world_port"] == 0
+    assert nodes["arm_streamer"][1]["ur.servo_lag"] == build(UrParameters, {}).servo_lag
+    _, nodes = platform(world="hall")
+    assert nodes["simulated_world"][1]["arm_port"] == 0
 
 
 def test_drives_on_a_bus_are_in_no_world(platform):
@@ -407,6 +430,7 @@ def test_a_simulated_arm_gets_a_simulated_controller(platform):
         "ur.reverse_port": 0,
         "use_sim_time": False,
         "simulated_controller": True,
+        "ur.servo_lag": 0.042,
     }
     controller = {
         "ports.dashboard": 29999,
@@ -415,6 +439,7 @@ def test_a_simulated_arm_gets_a_simulated_controller(platform):
         "ports.realtime": 30003,
         "ports.rtde": 30004,
         "use_sim_time": False,
+        "simulated_arm.world_port": 0,
     }
     assert nodes["arm_streamer"] == ("robot1", client)
     assert nodes["simulated_ur"] == ("robot1", controller)
@@ -469,11 +494,22 @@ TF = [("/tf", "tf"), ("/tf_static", "tf_static")]
 
 def test_transforms_are_published_and_received_in_the_namespace(file_of):
     source = {file.stem: file.read_text() for file in (ROOT / "omniman_ros/nodes").glob("*.py")}
-    interfaces = [name for name, text in source.items() if "tf2_msgs.msg import" in text]
+
+    def imported(name):
+        """Return all modules of the room that a module imports, itself included."""
+        found, new = set(), {name}
+        while new:
+            found |= new
+            texts = (source.get(each, "") for each in new)
+            new = set(re.findall(r"omniman_ros\.nodes\.(\w+) import", "".join(texts))) - found
+        return found
+
     ours = {
-        name for name in registry.NODES if any(each in source.get(name, "") for each in interfaces)
+        name
+        for name in registry.NODES
+        if any("tf2_msgs.msg import" in source.get(each, "") for each in imported(name))
     }
-    assert ours == {"platform_controller", "odometry", "simulated_world"}
+    assert ours == {"platform_controller", "odometry", "simulated_drive", "simulated_world"}
     for arm in ("none", "ur"):
         _, nodes = started(
             file_of("platform"), rviz="true", description="true", arm=arm, odometry="node"
