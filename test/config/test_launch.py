@@ -139,7 +139,7 @@ class ParameterValue:
         if self.value_type is bool:
             return {"true": True, "false": False}[text]
         assert self.value_type in (str, int, float)
-        return self.value_type(text)
+        return text if self.value_type is str else self.value_type(text)
 
 
 @dataclass
