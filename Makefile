@@ -49,8 +49,8 @@ tests: $(TESTING) ## Run the tests
 	.ci/tests $(BIN)/python $(ARGS)
 
 test-all: $(TESTING) ## Run the exhaustive tests, too
-	.ci/tests $(BIN)/python
-	time .ci/tests $(BIN)/python -m exhaustive --durations=20
+	ROS_PYTHON_CHECK_FIELDS=1 .ci/tests $(BIN)/python
+	time env ROS_PYTHON_CHECK_FIELDS=1 .ci/tests $(BIN)/python -m exhaustive --durations=20
 
 fuzz: $(TESTING) ## Give each codec of CAN drives a million frames of any content
 	OMNIMAN_FUZZ=1000000 .ci/tests $(BIN)/python test/can_drives -n auto -k 'no_frame and raises' $(ARGS)

@@ -14,12 +14,17 @@ from omniman_ros.motion.whole_body.model import Mount
 from omniman_ros.robots import load_robot, robot_file
 from omniman_ros.share import share_path
 from omniman_ros.simulation.plant.parameters import SimulationParameters
+from omniman_ros.simulation.ur.arm import UrArmParameters
 from test import robots
 
 FILES = sorted(share_path("config").glob("*.yaml")) + sorted(robots.CONFIG.glob("*.yaml"))
-KNOWN = {
-    spec.name: spec for cls in (PlatformParameters, SimulationParameters) for spec in specs(cls)
-} | {spec.name: spec for spec in specs(Mount, "mount.")}
+GROUPS = (
+    *specs(PlatformParameters),
+    *specs(SimulationParameters),
+    *specs(Mount, "mount."),
+    *specs(UrArmParameters, "simulated_arm."),
+)
+KNOWN = {spec.name: spec for spec in GROUPS}
 
 
 def test_all_robots_are_here():
