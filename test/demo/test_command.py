@@ -219,6 +219,7 @@ def test_the_end_of_a_node_ends_the_demo_with_its_name(tmp_path):
     assert "error: simulated_drive was killed by SIGKILL" in demo.output
 
 
+@pytest.mark.exhaustive
 def test_ctrl_c_ends_the_demo_and_its_nodes(tmp_path):
     with Running(command("demo", "--results", str(tmp_path)), environment()) as demo:
         demo.wait_for("starting")

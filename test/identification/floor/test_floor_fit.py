@@ -233,6 +233,7 @@ def test_the_command_identifies_a_simulated_robot(tmp_path):
     assert (tmp_path / "floor.yaml").exists()
 
 
+@pytest.mark.exhaustive
 @pytest.mark.processes
 def test_ctrl_c_stops_the_robot_and_keeps_nothing_of_half_a_drive(tmp_path):
     arguments = ("identify", "floor", "--simulate", "--results", str(tmp_path))

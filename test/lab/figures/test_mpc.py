@@ -182,6 +182,7 @@ def test_free_case_is_drawn_with_and_without_figures(tmp_path, missing):
     assert is_png(tmp_path / "free.png")
 
 
+@pytest.mark.exhaustive
 def test_film_lasts_one_second_longer_than_the_drive(tmp_path):
     from PIL import Image
 

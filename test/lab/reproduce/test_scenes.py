@@ -59,6 +59,7 @@ def loop_in():
 # ---- the node in its loop -----------------------------------------------------------------------
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("seed", representative([4, 8, 27, 31]))
 def test_node_drives_through_a_random_scene(seed):
     outcome = drive_scene(SceneRunSettings(solve_time=0.01), seed)

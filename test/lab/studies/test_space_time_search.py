@@ -318,6 +318,7 @@ def test_robot_close_to_contact_can_still_escape(gap):
     check(find_path(MOVER, world, start, WEST, 0.0, 9.0), world, start, WEST)
 
 
+@pytest.mark.exhaustive
 def test_escape_does_not_pass_through_an_obstacle_close_to_contact():
     world = World((disc(0.05, 0.39, 0.25 + 0.05 + 0.002),))
     search = SearchNodes(MOVER, world, np.zeros(3), 0.0, 2.0, COARSE[0], (-2.0, -2.0, 2.0, 2.0))

@@ -92,6 +92,7 @@ def test_correction_removes_most_of_the_error_of_the_platform():
     assert with_it.platform == pytest.approx(without.platform, abs=1e-9)
 
 
+@pytest.mark.exhaustive
 def test_errors_are_those_of_platform_and_arm_on_one_time():
     run, motion = harsh(False), planned("S")
     # The arm is as planned: the tool is where the plan has it from where the platform is.
