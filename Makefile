@@ -23,6 +23,8 @@ export PYTHON
 # A ROS in this shell must not mix with the wheels in .venv.
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH COLCON_PREFIX_PATH
 unexport CMAKE_PREFIX_PATH RMW_IMPLEMENTATION ROS_DISTRO ROS_VERSION ROS_PYTHON_VERSION
+# Set by the wheels' Python for its children, which then do not look for their libraries.
+unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 # Without cached bytecode, every node compiles the package anew when it starts.
 unexport PYTHONDONTWRITEBYTECODE
 
