@@ -308,7 +308,6 @@ def test_space_stops_a_robot_whose_key_is_held(page, robot):
     page.get_by_text(re.compile("driven by none")).wait_for()
 
 
-@pytest.mark.exhaustive
 def test_robot_drives_to_a_dragged_goal_and_the_knob_turns_the_goal(page, robot, camera):
     wait_for_rest(robot)
     wait_until_shown(page, robot)
@@ -395,7 +394,6 @@ def test_pictures_of_a_page_with_the_resolution_of_a_users(page, open_page, robo
     wait_for_rest(robot)
 
 
-@pytest.mark.exhaustive
 def test_case_waits_for_go_and_can_be_paused_and_resumed(page, robot):
     case = CASES["moving"].fitting(BODY.length, BODY.width)
     sent = len(robot.goals)
