@@ -1,14 +1,13 @@
 """Frames of the link: setpoints of the joints one way, their measured state the other way.
 
-A frame has a fixed size, in network byte order::
+A frame has a fixed size, in network byte order:
 
-    4 bytes   MAGIC, which includes the version
-    uint8     kind: 1 a setpoint, 2 a state
-    uint8     flags of a setpoint: bit 0 begins anew, bit 1 braked; 0 in a state
-    2 bytes   zero
-    uint32    sequence
-    float64   setpoint: due, six angles, six speeds
-              state: six angles, six speeds, six torques
+* 4 bytes: MAGIC, which includes the version;
+* uint8: kind, 1 for a setpoint, 2 for a state;
+* uint8: flags of a setpoint, bit 0 for one that begins anew, bit 1 for a braked one; 0 in a state;
+* 2 bytes: zero;
+* uint32: sequence;
+* float64: due, six angles and six speeds of a setpoint; six angles, speeds and torques of a state.
 """
 
 import math
