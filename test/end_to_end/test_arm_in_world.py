@@ -17,7 +17,7 @@ from omniman_ros.console.session import Session
 from test.nodes.harness import free_domain
 
 pytest.importorskip("mujoco")
-pytestmark = [pytest.mark.processes, pytest.mark.exhaustive]
+pytestmark = pytest.mark.processes
 
 PATIENCE = 120.0
 """Real time for what a test waits for [s]."""

@@ -1,5 +1,6 @@
 """Controller with its ports, run by a thread on absolute deadlines."""
 
+import math
 import re
 import threading
 
@@ -102,6 +103,9 @@ class ControllerServer:
 
     def _run(self) -> None:
         pace = self._pace
+        # Cycles before the first known time would have to catch up with it, and be late.
+        while math.isinf(pace.now()) and not self._closing.is_set():
+            pace.wait(0.0)
         self.done = due = pace.now()
         while not self._closing.is_set():
             skipped = pace.now() - due

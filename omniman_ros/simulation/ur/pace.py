@@ -1,5 +1,6 @@
 """The time on which a simulated controller runs: real, or simulated and given by another."""
 
+import math
 import threading
 import time
 from typing import Protocol
@@ -46,11 +47,11 @@ class SimulatedTime:
     """Time that passes when another thread says so."""
 
     def __init__(self) -> None:
-        self._now = 0.0
+        self._now = -math.inf
         self._changed = threading.Condition()
 
     def now(self) -> float:
-        """Return the time that was last given [s]."""
+        """Return the time that was last given [s]; minus infinity before the first one."""
         return self._now
 
     def set(self, now: float) -> None:

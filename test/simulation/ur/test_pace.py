@@ -65,6 +65,7 @@ class CountingTime(SimulatedTime):
 
 def test_cycles_that_are_late_run_at_once_because_time_waits_for_them():
     pace = CountingTime()
+    pace.set(0.0)
     server = CountingServer(pace)
     server.start()
     try:
@@ -92,9 +93,29 @@ def test_cycles_go_on_where_simulated_time_begins_anew():
         server.close()
 
 
-def test_the_thread_ends_while_time_stands():
-    server = CountingServer(SimulatedTime())
+def test_the_first_cycle_is_that_of_the_first_known_time():
+    """A controller that joins later has no cycles to catch up with, which would all be late."""
+    pace = SimulatedTime()
+    server = CountingServer(pace)
     server.start()
-    server.until(1)
+    try:
+        pace.wait(0.0)  # cycles before the first time would run meanwhile
+        pace.set(0.9)
+        server.until(1)
+        assert server.times == [0.9]
+        assert server.done == pytest.approx(0.9 + CYCLE)
+    finally:
+        server.close()
+
+
+@pytest.mark.parametrize("begun", [True, False])
+def test_the_thread_ends_while_time_stands(begun):
+    pace = SimulatedTime()
+    if begun:
+        pace.set(0.0)
+    server = CountingServer(pace)
+    server.start()
+    if begun:
+        server.until(1)
     server.close()
     assert not server._thread.is_alive()
