@@ -23,6 +23,7 @@ class SteppedRobot:
 
     def __init__(self, world: World) -> None:
         self.world, self.node = world, world.probe
+        world.executor.has_clients_elsewhere = True
         self._lead = world.time - time.monotonic()
 
     def spin(self, seconds: float) -> None:

@@ -20,6 +20,7 @@ from omniman_ros.simulation.scene_files import scene_of
 from omniman_ros.simulation.world.parameters import WorldParameters
 from test import robots
 from test.closed_loop.test_closed_loop import MISMATCHED, MODES
+from test.tiers import exhaustive
 
 pytest.importorskip("mujoco")
 
@@ -241,7 +242,11 @@ def roam(ride, seconds, seed):
 
 @pytest.mark.parametrize(
     ("trouble", "mode"),
-    [("none", "velocity"), ("parts differ", "torque"), ("slippery floor", "voltage")],
+    [
+        exhaustive("none", "velocity"),
+        ("parts differ", "torque"),
+        exhaustive("slippery floor", "voltage"),
+    ],
 )
 def test_free_driving_is_no_alarm(trouble, mode):
     ride = Ride(mode=mode, scene=LOADS, imu=True, **TROUBLES[trouble])

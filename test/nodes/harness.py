@@ -4,7 +4,6 @@ The test advances one period at a time: it sets every node's clock and serves wh
 the wait for matched endpoints sleeps; it has its own timeout.
 """
 
-import inspect
 import itertools
 import os
 import time
@@ -12,7 +11,6 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from functools import partial
 from typing import Any, TypeVar
-from weakref import WeakKeyDictionary
 
 import rclpy
 from rclpy.event_handler import EventHandler, SubscriptionEventCallbacks
@@ -48,12 +46,17 @@ class SteppedExecutor(SingleThreadedExecutor):
     """Serves what is ready.
 
     rclpy makes a wait set of all entities for each pass, which took most of the time of a test of
-    thousands of passes. Timers, subscriptions and services are therefore asked directly, in the
-    same order (rclpy 7.1, `_wait_for_ready_callbacks` and the `_take` methods of its executors),
-    once each. Where a node has other kinds of entities, rclpy serves all of them.
+    thousands of passes. Timers and subscriptions are therefore asked directly, in the same order
+    (rclpy 7.1, `_wait_for_ready_callbacks` and the `_take` methods of its executors), once each.
+    Where a node has other kinds of entities, a client among them, rclpy serves all of them;
+    services are asked directly only for clients of other processes.
+
+    Attributes:
+        has_clients_elsewhere: Whether other processes call the nodes' services.
     """
 
     is_serving_by_rclpy = False
+    has_clients_elsewhere = False
 
     def can_execute(self, entity: Any) -> bool:
         # Every endpoint has several events (mismatched QoS, matched, ...), which nobody waits for.
@@ -68,7 +71,10 @@ class SteppedExecutor(SingleThreadedExecutor):
         if is_busy or any(map(_has_other_entities, nodes)):
             self._serve_by_rclpy()
             return
-        for callback in [callback for node in nodes for callback in _ready_callbacks(node)]:
+        callbacks = [callback for node in nodes for callback in _ready_callbacks(node)]
+        if self.has_clients_elsewhere:
+            callbacks += [answer for node in nodes for answer in _requests(node)]
+        for callback in callbacks:
             with suppress(InvalidHandle):  # another callback has destroyed the entity
                 callback()
 
@@ -87,27 +93,14 @@ class SteppedExecutor(SingleThreadedExecutor):
 
 
 def _has_other_entities(node: Node) -> bool:
-    """Return whether a node has entities besides timers, subscriptions, services and events."""
-    return (
-        any(True for _ in itertools.chain(node.guards, node.clients))
-        or not all(isinstance(waitable, EventHandler) for waitable in node.waitables)
-        or any(map(_is_asynchronous, node.services))
+    """Return whether a node has entities besides timers, subscriptions, idle services, events."""
+    return any(True for _ in itertools.chain(node.guards, node.clients)) or not all(
+        isinstance(waitable, EventHandler) for waitable in node.waitables
     )
 
 
-def _is_asynchronous(service: Service) -> bool:
-    """Return whether a service's callback is a coroutine, which takes long to find out."""
-    known = _asynchronous.get(service)
-    if known is None:
-        known = _asynchronous[service] = inspect.iscoroutinefunction(service.callback)
-    return known
-
-
-_asynchronous: WeakKeyDictionary[Service, bool] = WeakKeyDictionary()
-
-
 def _ready_callbacks(node: Node) -> Iterator[Callable[[], None]]:
-    """Take what is ready in a node: its timers, and one message or request of each endpoint."""
+    """Take what is ready in a node: its timers, and one message of each subscription."""
     for timer in node.timers:
         if timer.handle.is_timer_ready():
             yield partial(_call_timer, timer)
@@ -115,6 +108,10 @@ def _ready_callbacks(node: Node) -> Iterator[Callable[[], None]]:
         taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
         if taken is not None:
             yield partial(_receive, subscription, taken)
+
+
+def _requests(node: Node) -> Iterator[Callable[[], None]]:
+    """Take one request of each of a node's services."""
     for service in node.services:
         request, header = service.handle.service_take_request(service.srv_type.Request)
         if request is not None:

@@ -17,6 +17,7 @@ from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.simulated_clock import SimulatedClock
 from omniman_ros.nodes.simulated_drive import SimulatedDriveNode
 from test.nodes.harness import World, last
+from test.tiers import exhaustive
 
 NAMES = ["front_left", "front_right", "rear_left", "rear_right"]
 NAN, INF = float("nan"), float("inf")
@@ -130,7 +131,7 @@ def nan_commands(drive: Drive) -> None:
 @pytest.mark.parametrize(
     "way", [silence, service, emergency, shutdown, nan_commands], ids=lambda way: way.__name__
 )
-@pytest.mark.parametrize("mode", ["velocity", "torque", "voltage"])
+@pytest.mark.parametrize("mode", ["velocity", "torque", exhaustive("voltage")])
 def test_every_cause_of_a_stop_stops_every_wheel(drive, way, mode):
     speeds = [4.0, 3.0, 3.0, 4.0]
     drive.command(1.0, speeds)

@@ -401,7 +401,11 @@ def test_robot_without_solutions_comes_to_rest():
 
 @pytest.mark.parametrize(
     "error",
-    [SolverError("no luck"), RuntimeError("casadi says"), ValueError("x"), ZeroDivisionError("y")],
+    [
+        SolverError("no luck"),
+        RuntimeError("casadi says"),
+        *map(exhaustive, (ValueError("x"), ZeroDivisionError("y"))),
+    ],
 )
 def test_exception_in_the_solver_is_reported_and_recovered_from(monkeypatch, error):
     sim = a_run()
