@@ -58,6 +58,7 @@ EXPERIMENTS = {
             "omniman",
             1,
             "Error of the tool on its path, with and without correction by the arm",
+            in_world=True,
         ),
         Experiment("free", _CASES, "ig42", 1, "Free movement, MPC 2021, 4.1", in_world=True),
         Experiment(

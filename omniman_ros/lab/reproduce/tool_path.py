@@ -9,6 +9,7 @@ import os
 import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,25 +21,29 @@ from omniman_ros.console.terminal import table
 from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import build
+from omniman_ros.lab.reproduce.experiments import result_name
 from omniman_ros.lab.reproduce.pipeline import collect, publish
 from omniman_ros.lab.studies.tool_courses import COURSES, start, tool_poses
 from omniman_ros.lab.studies.tool_path import MOST_DEMANDING, WHEELS, Case, Run, ToolPathLoop, rms
+from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.lab.verdicts import verdict
 from omniman_ros.motion.path.parameters import PathParameters
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.motion.whole_body.model import Mount, WholeBodyModel
 from omniman_ros.motion.whole_body.parameters import ToolPathOptions
 from omniman_ros.motion.whole_body.tool_planner import ToolPlanner
+from omniman_ros.processes.arm_options import WORLD_SERVO_LAG
 from omniman_ros.robots import load_robot
+from omniman_ros.simulation.arm_link.direct_link import DirectLink
 from omniman_ros.simulation.ur.arm import SimulatedArm, UrArmParameters
+from omniman_ros.simulation.ur.arm_body import ArmBody
 from omniman_ros.simulation.ur.motion import ServoJ, Target
+from omniman_ros.simulation.ur.world_arm import WorldArm
 from omniman_ros.ur.joint_preview import JointPreview
 from omniman_ros.ur.parameters import PERIOD, UrParameters
 from omniman_ros.ur.setpoint_generator import GeneratorSettings, JointSetpointGenerator
 from omniman_ros.ur.streaming_supervisor import joint_limits
 
-NAME = "reproduce_tool_path"
-"""Name of the results, without a suffix."""
 RMS_BOUND = 0.002
 """Bound of the RMS distance of the tool from its reference position at each time, in odom [m]."""
 MAX_BOUND = 0.005
@@ -53,7 +58,7 @@ class StreamedArm:
     """Setpoint generator of the streamer, connected directly to the servo of a simulated arm.
 
     Args:
-        angles: (6,) joint angles at which the arm is at rest [rad].
+        body: Joints, at rest.
         arm: Parameters of the arm.
         ur: Parameters of the streamer.
 
@@ -63,13 +68,13 @@ class StreamedArm:
 
     period = PERIOD
 
-    def __init__(self, angles: Array, arm: ArmParameters, ur: UrParameters) -> None:
+    def __init__(self, body: ArmBody, arm: ArmParameters, ur: UrParameters) -> None:
         self._ur = ur
         settings = GeneratorSettings(ur.start_distance, ur.servo_lag)
         self._generator = JointSetpointGenerator(joint_limits(arm, ur), settings, PERIOD)
-        self._generator.begin(angles, 0.0)
-        self._arm = SimulatedArm(UrArmParameters(initial=tuple(angles.tolist())))
-        self._target = Target(angles.copy())
+        self._generator.begin(body.q, 0.0)
+        self._body = body
+        self._target = Target(body.q.copy())
 
     def preview(
         self, times: Array, positions: Array, velocities: Array, accelerations: Array, now: float
@@ -92,13 +97,14 @@ class StreamedArm:
         """Send the setpoint of a time [s], and simulate the servo for one period.
 
         Returns:
-            (6,) joint angles of the arm at the end of the period [rad].
+            (6,) joint angles of the arm at that time [rad].
         """
-        setpoint = self._generator.tick(now, self._arm.q)
+        self._body.measure(now)
+        setpoint = self._generator.tick(now, self._body.q)
         servo = ServoJ(setpoint, PERIOD, self._ur.lookahead_time, self._ur.gain)
         servo.advance(self._target, PERIOD)
-        self._arm.follow(self._target.q, PERIOD)
-        return self._arm.q
+        self._body.follow(self._target.q, PERIOD)
+        return self._body.q
 
 
 def run(args: argparse.Namespace) -> int:
@@ -119,13 +125,15 @@ def run(args: argparse.Namespace) -> int:
     progress.headline(
         f"tool0 along paths of {length:g} m at {speed:g} m/s, platform and arm together: "
         f"{len(selected)} drives, robot '{args.robot}'"
+        + (f", in the physics world on wheels '{args.world}'" if args.world else "")
     )
     with ProcessPoolExecutor(min(len(selected), os.cpu_count() or 1)) as pool:
-        generator = pool.map(partial(drive, dict(robot), length), selected)
+        generator = pool.map(partial(drive, dict(robot), length, args.world), selected)
         runs = collect(progress, "drives", generator, len(selected), "drives")
     rows = [drive_row(driven) for driven in runs]
     result: dict[str, Any] = {
         "robot": args.robot,
+        "world": args.world,
         "quick": args.quick,
         "seed": args.seed,
         "length_m": length,
@@ -134,9 +142,10 @@ def run(args: argparse.Namespace) -> int:
         "drives": rows,
         "passed": all(row["kept"] for row in rows if row["correction"]),
     }
-    picture = draw(runs, Path(args.results))
+    name = result_name("tool_path", args.world)
+    picture = draw(runs, Path(args.results) / f"{name}.png")
     result["picture"] = picture and str(picture)
-    publish(NAME, result, report, started, args.results)
+    publish(name, result, report, started, args.results)
     return 0 if result["passed"] else 1
 
 
@@ -164,12 +173,19 @@ def options(correction: bool) -> ToolPathOptions:
     return build(ToolPathOptions, {"correction": correction})
 
 
-def drive(robot: Mapping[str, Any], length: float, course_and_case: tuple[str, Case]) -> Run:
+def drive(
+    robot: Mapping[str, Any],
+    length: float,
+    wheels: str | None,
+    course_and_case: tuple[str, Case],
+) -> Run:
     """Plan and drive one tool path.
 
     Args:
         robot: Parameters of the robot, full names to values.
         length: Length of the tool's path, projected onto the floor [m].
+        wheels: Kind of wheels in the physics world, in which the arm's joints are then, too; None
+            for the plant.
         course_and_case: Course of the path, and case to drive.
 
     Raises:
@@ -182,8 +198,19 @@ def drive(robot: Mapping[str, Any], length: float, course_and_case: tuple[str, C
     motion = ToolPlanner(model, limits, case.options).plan(
         tool_poses(model, course, length), start()
     )
-    arm = StreamedArm(motion.curve.positions[0, 3:], joints, UrParameters())
-    return ToolPathLoop(robot, case, course, motion, model, arm).run()
+    angles = tuple(motion.curve.positions[0, 3:].tolist())
+    parameters, ur = UrArmParameters(initial=angles), UrParameters()
+    body: ArmBody
+    if wheels is None:
+        platform, body = case.platform(robot), SimulatedArm(parameters)
+    else:
+        platform = case.platform(robot, WorldChoice.of(robot, wheels, posture=angles))
+        assert platform.world is not None and platform.world.arm is not None
+        body = WorldArm(parameters, DirectLink(platform.world.arm), is_lockstep=True)
+        body.measure(0.0)
+        ur = replace(ur, servo_lag=WORLD_SERVO_LAG)
+    arm = StreamedArm(body, joints, ur)
+    return ToolPathLoop(platform, case, course, motion, model, arm).run()
 
 
 def drive_row(run: Run) -> dict[str, Any]:
@@ -209,13 +236,12 @@ def drive_row(run: Run) -> dict[str, Any]:
     }
 
 
-def draw(runs: Sequence[Run], folder: Path) -> Path | None:
+def draw(runs: Sequence[Run], path: Path) -> Path | None:
     """Draw the drives as a PNG file; return its path, or None if matplotlib is not installed."""
     try:
         from omniman_ros.lab.figures import tool_path as tool_path_picture
     except ImportError:
         return None
-    path = folder / f"{NAME}.png"
     tool_path_picture.draw(runs, RMS_BOUND, MAX_BOUND, path)
     return path
 

@@ -19,10 +19,11 @@ from omniman_ros.core.errors import InputError, OmnimanError
 from omniman_ros.core.parameters import build
 from omniman_ros.core.preview import Preview
 from omniman_ros.lab.studies.closed_loop import LATENCY, PERIOD, ClosedLoop
+from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.motion.path.timed_curve import TimedCurve
 from omniman_ros.motion.whole_body.correction import PlatformCorrection, corrected_arm_motion
-from omniman_ros.motion.whole_body.model import WholeBodyModel
+from omniman_ros.motion.whole_body.model import WholeBodyModel, planar_transform
 from omniman_ros.motion.whole_body.parameters import ToolPathOptions
 from omniman_ros.simulation.plant.parameters import MismatchParameters, SimulationParameters
 
@@ -118,6 +119,20 @@ class Case:
     options: ToolPathOptions = field(default_factory=ToolPathOptions)
     seed: int = 0
 
+    def platform(self, robot: Mapping[str, Any], world: WorldChoice | None = None) -> ClosedLoop:
+        """Return the controller and the drives.
+
+        Args:
+            robot: Parameters of the robot, full names to values.
+            world: World in which the robot drives; None for the plant.
+        """
+        values = {**robot, **self.changes}
+        simulation = build(SimulationParameters, values)
+        simulation = replace(simulation, mismatch=build(MismatchParameters, self.mismatch))
+        # Without reported torques, dead wheels are not detected, so this cannot affect the study.
+        parameters = build(PlatformParameters, values)
+        return ClosedLoop(parameters, simulation, torques=False, world=world)
+
 
 @dataclass(frozen=True)
 class Wheels:
@@ -186,7 +201,8 @@ class Run:
         reference: (k, 3) reference positions of the tool in odom [m].
         odom: (k, 3) positions of the tool in odom, from the arm's true joint angles and the
             measured pose of the platform [m].
-        truth: (k, 3) true positions of the tool in the world [m].
+        truth: (k, 3) true positions of the tool in the world [m]; where the platform is a body in
+            a physics world, with its tilt.
         base: (k, 3) measured poses of base_link in odom [m, m, rad].
         platform: (k, 3) errors of these poses relative to the reference [m, m, rad].
         turned: (k,) errors of the tool's orientation in odom: angles to its reference [rad].
@@ -219,7 +235,7 @@ class ToolPathLoop:
     """Runs platform, arm and interpolator along one planned motion.
 
     Args:
-        robot: Parameters of the robot, full names to values.
+        platform: Controller and drives, see `Case.platform`.
         case: The case.
         course: Name of the path.
         motion: Planned motion of all axes.
@@ -229,19 +245,14 @@ class ToolPathLoop:
 
     def __init__(
         self,
-        robot: Mapping[str, Any],
+        platform: ClosedLoop,
         case: Case,
         course: str,
         motion: Motion,
         model: WholeBodyModel,
         arm: FollowingArm,
     ) -> None:
-        values = {**robot, **case.changes}
-        simulation = build(SimulationParameters, values)
-        simulation = replace(simulation, mismatch=build(MismatchParameters, case.mismatch))
-        # Without reported torques, dead wheels are not detected, so this cannot affect the study.
-        self._platform = ClosedLoop(build(PlatformParameters, values), simulation, torques=False)
-        self._case, self._course = case, course
+        self._platform, self._case, self._course = platform, case, course
         self._motion, self._model, self._arm = motion, model, arm
         self._correction = PlatformCorrection(case.options)
         self._random = np.random.default_rng(case.seed)
@@ -267,6 +278,7 @@ class ToolPathLoop:
             while self._previews and self._previews[0][0] <= now:
                 self._follow(self._previews.popleft()[1], now)
             if now >= arm_due:
+                self._platform.drives.advance(arm_due)  # the joints may be in its world
                 self._arm_rows.append(np.array([arm_due, *self._arm.cycle(arm_due)]))
                 arm_due += self._arm.period
         return self._completed_run()
@@ -285,18 +297,29 @@ class ToolPathLoop:
             if refusal:
                 raise StudyError(f"path/reference was refused: {refusal}")
         measured = loop.now
+        loop.drives.advance(measured)
+        base = self._base_frame()
         loop.step()
         core = loop.controller
         stopped = core.cancelled or core.latch.status.reason or loop.drives.stop_reason
         if stopped:
             raise StudyError(f"{self._case.about}: {stopped}")
         pose = np.array(core.odometry.pose)
-        self._platform_rows.append(np.array([measured, *pose, *loop.truth]))
+        self._platform_rows.append(np.array([measured, *pose, *base[:3].ravel()]))
         if round(measured / PERIOD) % round(ODOM_PERIOD / PERIOD) == 0:
             arrival = measured + LATENCY + self._random.uniform(*ODOM_LATENCY)
             if self._poses:
                 arrival = max(arrival, self._poses[-1][0])  # poses arrive in the order of sending
             self._poses.append((arrival, measured, pose))
+
+    def _base_frame(self) -> Array:
+        """Return the true pose (4, 4) of base_link in the world."""
+        drives, world = self._platform.drives, self._platform.world
+        if world is None:
+            return planar_transform(drives.ground_truth()[0])
+        frame = np.eye(4)
+        frame[:3, 3], frame[:3, :3] = world.base_frame
+        return frame
 
     def _interpolate(self, now: float) -> None:
         """Process the measured poses that have arrived, and send the arm's preview when due."""
@@ -345,7 +368,9 @@ class ToolPathLoop:
         )
         reference = self._motion.tool(times - MOTION_START)
         measured = self._model.forward(np.hstack([poses[:, :3], joints]))
-        true = self._model.forward(np.hstack([poses[:, 3:], joints]))
+        base = poses[:, 3:].reshape(-1, 3, 4)
+        in_base = self._model.forward(np.hstack([np.zeros((len(times), 3)), joints]))
+        true = base @ in_base
         errors = poses[:, :3] - self._motion.curve.sample(times - MOTION_START)[0][:, :3]
         errors[:, 2] = np.remainder(errors[:, 2] + np.pi, 2.0 * np.pi) - np.pi
         trace = np.einsum("kij,kij->k", measured[:, :3, :3], reference[:, :3, :3])

@@ -1,6 +1,6 @@
 """Physics worlds in which studies drive, instead of on the plant."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -32,15 +32,24 @@ class WorldChoice:
     scene: Scene = field(default_factory=Scene)
 
     @staticmethod
-    def of(robot: Mapping[str, Any], wheels: str, scene: Scene | None = None) -> "WorldChoice":
+    def of(
+        robot: Mapping[str, Any],
+        wheels: str,
+        scene: Scene | None = None,
+        posture: Sequence[float] | None = None,
+    ) -> "WorldChoice":
         """Return the world of a robot. Persons in it apply no force: a study moves them.
 
         Args:
             robot: Parameters of the robot, full names to values.
             wheels: Kind of wheels, see :class:`WorldParameters`.
             scene: What is around the robot; None for an empty floor.
+            posture: (6,) angles at which the arm is at first [rad]; None for the default.
         """
-        parameters = build(WorldParameters, {"wheels": wheels, "person_force": 0.0})
+        values: dict[str, Any] = {"wheels": wheels, "person_force": 0.0}
+        if posture is not None:
+            values["posture"] = [*posture]
+        parameters = build(WorldParameters, values)
         return WorldChoice(build(DescriptionParameters, robot), parameters, scene or Scene())
 
     def body(self, robot: Robot, simulation: SimulationParameters) -> "World":

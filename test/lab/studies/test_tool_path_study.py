@@ -63,7 +63,8 @@ def planned(course):
 def drive(case, course="S", arm=None):
     motion = planned(course)
     arm = arm or Arm(motion.curve.positions[0, 3:])
-    return ToolPathLoop(load_robot("omniman"), case, course, motion, MODEL, arm).run()
+    platform = case.platform(load_robot("omniman"))
+    return ToolPathLoop(platform, case, course, motion, MODEL, arm).run()
 
 
 @cache

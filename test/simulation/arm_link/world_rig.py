@@ -2,12 +2,7 @@
 
 import numpy as np
 
-from omniman_ros.simulation.arm_link.frames import (
-    SetpointReader,
-    StateReader,
-    encode_setpoint,
-    encode_state,
-)
+from omniman_ros.simulation.arm_link.direct_link import DirectLink
 from omniman_ros.simulation.ur.arm import CYCLE, UrArmParameters
 from omniman_ros.simulation.ur.controller import Controller
 from omniman_ros.simulation.ur.world_arm import WorldArm
@@ -18,44 +13,28 @@ CYCLE_STEPS = round(CYCLE / STEP)
 """Steps of the world in a cycle of the controller."""
 
 
-class DirectLink:
-    """A link without sockets: bytes go to the world's arm, and come from there, at once.
+class TestedLink(DirectLink):
+    """A link that the test may cut.
 
     Attributes:
-        is_open: Whether there is a connection; the test may cut it.
         is_refused: Whether a new connection is refused.
         sent: Number of setpoints.
     """
 
     def __init__(self, servo):
+        super().__init__(servo)
         self._servo = servo
-        self._greeting = []
-        self.is_open, self.is_refused, self.failure, self.sent = False, False, "not yet", 0
+        self.is_refused, self.sent = False, 0
 
     def open(self):
-        if self.is_refused:
-            return False
-        self.is_open, self.failure = True, ""
-        self._setpoints, self._states = SetpointReader(), StateReader()
-        self._greeting = [self._servo.state()]
-        return True
-
-    def receive(self):
-        states, self._greeting = [*self._greeting, *self._servo.take_states()], []
-        if not self.is_open:
-            return []
-        return self._states.receive(b"".join(map(encode_state, states)))
+        return not self.is_refused and super().open()
 
     def send(self, setpoint):
         self.sent += 1
-        for read in self._setpoints.receive(encode_setpoint(setpoint)):
-            self._servo.follow(read)
+        super().send(setpoint)
 
     def wait(self, timeout):
         raise AssertionError("the world has answered everything that was due")
-
-    def close(self, reason):
-        self.is_open, self.failure = False, reason
 
     def cut(self):
         """Lose the connection, which the world notices as well."""
@@ -75,7 +54,7 @@ class WorldRig:
 
     def __init__(self, bench, payload=2.0, **parameters):
         self.bench, self.world = bench, bench.world
-        self.link = DirectLink(self.world.arm)
+        self.link = TestedLink(self.world.arm)
         values = UrArmParameters(payload=payload, **parameters)
         arm = WorldArm(values, self.link, is_lockstep=True)
         self.scripts = {}
