@@ -83,6 +83,7 @@ EXPERIMENTS = {
             "omniman",
             2,
             "Two robots side by side in motion, as for handing over a load, MPC 2021, 5",
+            in_world=True,
         ),
         Experiment(
             "workshop", _CASES, "ig42", 1, "A dead end and three doors, with a map", in_world=True

@@ -19,6 +19,7 @@ from omniman_ros.console.progress import Progress
 from omniman_ros.console.terminal import table
 from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
+from omniman_ros.lab.reproduce.experiments import result_name
 from omniman_ros.lab.reproduce.pipeline import collect, publish
 from omniman_ros.lab.studies.handover import (
     HANDOVER_WHEELS,
@@ -35,8 +36,6 @@ from omniman_ros.lab.studies.tool_path import rms
 from omniman_ros.lab.verdicts import verdict
 from omniman_ros.robots import load_robot
 
-NAME = "reproduce_handover"
-"""Name of the results, without a suffix."""
 POSITION_BOUND = 0.02
 """Bound of the true distance from the station [m]."""
 HEADING_BOUND = math.radians(1.0)
@@ -64,13 +63,15 @@ def run(args: argparse.Namespace) -> int:
     progress.headline(
         f"Two robots '{args.robot}' side by side at {SPEED:g} m/s, {SIDE_GAP:g} m apart: "
         f"{len(selected)} drives"
+        + (f", in the physics world on wheels '{args.world}'" if args.world else "")
     )
     with ProcessPoolExecutor(min(len(selected), os.cpu_count() or 1)) as pool:
-        generator = pool.map(partial(drive, dict(robot)), selected)
+        generator = pool.map(partial(drive, dict(robot), args.world), selected)
         runs = collect(progress, "drives", generator, len(selected), "drives")
     rows = [drive_row(driven) for driven in runs]
     result: dict[str, Any] = {
         "robot": args.robot,
+        "world": args.world,
         "quick": args.quick,
         "full": args.full,
         "seed": args.seed,
@@ -85,9 +86,10 @@ def run(args: argparse.Namespace) -> int:
         "drives": rows,
         "passed": all(row["kept"] for row in rows if row["is_aim"]),
     }
-    picture = draw(build(Robot, robot), runs, Path(args.results))
+    name = result_name("handover", args.world)
+    picture = draw(build(Robot, robot), runs, Path(args.results) / f"{name}.png")
     result["picture"] = picture and str(picture)
-    publish(NAME, result, report, started, args.results)
+    publish(name, result, report, started, args.results)
     return 0 if result["passed"] else 1
 
 
@@ -144,13 +146,12 @@ def drive_row(run: Run) -> dict[str, Any]:
     }
 
 
-def draw(robot: Robot, runs: Sequence[Run], folder: Path) -> Path | None:
+def draw(robot: Robot, runs: Sequence[Run], path: Path) -> Path | None:
     """Draw the drives as a PNG file; return its path, or None if matplotlib is not installed."""
     try:
         from omniman_ros.lab.figures import handover as handover_picture
     except ImportError:
         return None
-    path = folder / f"{NAME}.png"
     handover_picture.draw(robot, runs, POSITION_BOUND, HEADING_BOUND, path)
     return path
 

@@ -40,6 +40,7 @@ from omniman_ros.lab.studies.tool_path import (
     PREVIEW_LATENCY,
     StudyError,
 )
+from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.motion.path.interpolator import PathInterpolator
 from omniman_ros.motion.path.parameters import PathParameters
 from omniman_ros.motion.path.window import Window
@@ -60,8 +61,10 @@ REQUEST = 1.5
 """Time at which the follower is sent to the station [s]."""
 REST_TIME = 1.0
 """Time for which the leader is recorded at the end of its path [s]."""
+LEADER_START: Triple = (0.0, 0.0, 0.0)
+"""Pose of the leader at the start [m, m, rad]."""
 FOLLOWER_START: Triple = (-1.0, -3.0, 1.2)
-"""Pose of the follower at the start; that of the leader is the origin [m, m, rad]."""
+"""Pose of the follower at the start [m, m, rad]."""
 SETTLING_TIME = 1.0
 """Time from the follower's report that it keeps the station to the judged time [s]."""
 PARTING = 1.2
@@ -89,11 +92,49 @@ class LedDrive:
     sample: Callable[[Array], tuple[Array, Array, Array]]
 
 
-def drive(robot: Mapping[str, Any], case: Case) -> Run:
+@dataclass(frozen=True)
+class SimulatedRobot:
+    """One of the two robots.
+
+    Attributes:
+        values: Parameters of the robot, full names to values.
+        mismatch: Errors of its wheels, names to factors by wheel.
+        start: Pose at the start [m, m, rad].
+        wheels: Kind of wheels in a physics world of the robot's own; None for the plant.
+    """
+
+    values: Mapping[str, Any]
+    mismatch: Mapping[str, Any]
+    start: Triple
+    wheels: str | None = None
+
+    @property
+    def simulation(self) -> SimulationParameters:
+        """Parameters of the drives."""
+        simulation = build(SimulationParameters, self.values)
+        return replace(simulation, mismatch=build(MismatchParameters, self.mismatch))
+
+    @property
+    def world(self) -> WorldChoice | None:
+        """World in which the robot drives; None for the plant."""
+        return None if self.wheels is None else WorldChoice.of(self.values, self.wheels)
+
+    def closed_loop(self) -> ClosedLoop:
+        """Return controller and drives, at the start."""
+        parameters = build(PlatformParameters, self.values)
+        loop = ClosedLoop(parameters, self.simulation, torques=False, world=self.world)
+        loop.drives.set_pose(self.start)
+        loop.controller.set_pose(self.start)
+        return loop
+
+
+def drive(robot: Mapping[str, Any], world: str | None, case: Case) -> Run:
     """Drive leader and follower of a case.
 
     Args:
         robot: Parameters of both robots, full names to values.
+        world: Kind of wheels in the physics world; None for the plant. Each robot has a world of
+            its own, as neither touches the other.
         case: The case.
 
     Raises:
@@ -105,13 +146,15 @@ def drive(robot: Mapping[str, Any], case: Case) -> Run:
     body = build(Robot, values).body
     offset: Triple = (0.0, -(body.width + SIDE_GAP), 0.0)
     leader = drive_leader(
-        values, wheels.mismatch, COURSES[case.course](*_distances())[:, [0, 1, 3]]
+        SimulatedRobot(values, wheels.mismatch, LEADER_START, world),
+        COURSES[case.course](*_distances())[:, [0, 1, 3]],
     )
     reverse = {name: list(factors)[::-1] for name, factors in wheels.mismatch.items()}
+    behind = SimulatedRobot(values, reverse, FOLLOWER_START, world)
     if case.follower == "mpc_planner":
-        follower, kept_since = plan_beside(values, reverse, leader, offset)
+        follower, kept_since = plan_beside(behind, leader, offset)
     else:
-        keeping = StationDrive(values, reverse, leader.record, offset, case.seed)
+        keeping = StationDrive(behind, leader.record, offset, case.seed)
         follower, kept_since = keeping.run()
     if kept_since is None:
         raise StudyError(f"{case.follower}, {case.course}: the station was not reached")
@@ -121,11 +164,6 @@ def drive(robot: Mapping[str, Any], case: Case) -> Run:
 
 def _distances() -> tuple[Array, float]:
     return np.linspace(0.0, LENGTH, round(LENGTH / PATH_SPACING) + 1), LENGTH
-
-
-def _simulation(values: Mapping[str, Any], mismatch: Mapping[str, Any]) -> SimulationParameters:
-    simulation = build(SimulationParameters, values)
-    return replace(simulation, mismatch=build(MismatchParameters, mismatch))
 
 
 def _step(loop: ClosedLoop, record: MotionRecord) -> None:
@@ -153,22 +191,19 @@ def _preview(loop: ClosedLoop, source: Source, window: Window) -> None:
         raise StudyError(f"{source.value}/reference was refused: {refusal}")
 
 
-def drive_leader(values: Mapping[str, Any], mismatch: Mapping[str, Any], poses: Array) -> LedDrive:
-    """Drive the leader along its path, from rest at the origin to rest.
+def drive_leader(robot: SimulatedRobot, poses: Array) -> LedDrive:
+    """Drive the leader along its path, from rest to rest.
 
     Args:
-        values: Parameters of the robot, full names to values.
-        mismatch: Errors of its wheels, names to factors by wheel.
+        robot: The leader.
         poses: (k, 3) poses of the path [m, m, rad].
 
     Raises:
         StudyError: The robot stopped.
     """
     speeds = {"path.linear_velocity": SPEED, "path.angular_velocity": 10.0}
-    path = PathInterpolator(build(PathParameters, {**values, **speeds}))
-    loop = ClosedLoop(
-        build(PlatformParameters, values), _simulation(values, mismatch), torques=False
-    )
+    path = PathInterpolator(build(PathParameters, {**robot.values, **speeds}))
+    loop = robot.closed_loop()
     record = MotionRecord()
     while loop.now < DEPARTURE:
         _step(loop, record)
@@ -187,30 +222,21 @@ class StationDrive:
     """Drive of a follower with the station keeper, beside a leader whose drive is known.
 
     Args:
-        values: Parameters of the robot, full names to values.
-        mismatch: Errors of its wheels, names to factors by wheel.
+        robot: The follower.
         leader: Record of the leader's motion.
         offset: Pose of the station in base_link of the leader [m, m, rad].
         seed: Seed of the latencies.
     """
 
     def __init__(
-        self,
-        values: Mapping[str, Any],
-        mismatch: Mapping[str, Any],
-        leader: MotionRecord,
-        offset: Triple,
-        seed: int,
+        self, robot: SimulatedRobot, leader: MotionRecord, offset: Triple, seed: int
     ) -> None:
         self._leader, self._offset = leader, offset
-        simulation = _simulation(values, mismatch)
-        self._loop = ClosedLoop(build(PlatformParameters, values), simulation, torques=False)
-        self._loop.drives.set_pose(FOLLOWER_START)
-        self._loop.controller.set_pose(FOLLOWER_START)
-        self._keeper = StationKeeper(build(StationParameters, values))
+        self._loop = robot.closed_loop()
+        self._keeper = StationKeeper(build(StationParameters, robot.values))
         self._random = np.random.default_rng(seed)
         self._arriving: deque[tuple[float, Callable[[], None]]] = deque()
-        self._measured = 0.0, FOLLOWER_START
+        self._measured = 0.0, robot.start
         self._kept_since: float | None = None
         self._requests = deque([(REQUEST, self._approach)])
         self._record = MotionRecord()
@@ -282,13 +308,12 @@ class StationDrive:
 
 
 def plan_beside(
-    values: Mapping[str, Any], mismatch: Mapping[str, Any], leader: LedDrive, offset: Triple
+    robot: SimulatedRobot, leader: LedDrive, offset: Triple
 ) -> tuple[MotionRecord, float | None]:
     """Drive a follower with the planner, whose goal moves with the station.
 
     Args:
-        values: Parameters of the robot, full names to values.
-        mismatch: Errors of its wheels, names to factors by wheel.
+        robot: The follower.
         leader: Drive of the leader, whose reference the planner knows.
         offset: Pose of the station in base_link of the leader [m, m, rad].
 
@@ -296,12 +321,12 @@ def plan_beside(
         The record from the request on, and the time at which the station was kept [s].
     """
     loop = MpcLoop(
-        build(PlannerParameters, values),
-        build(PlatformParameters, values),
-        _simulation(values, mismatch),
-        LoopOptions(start=FOLLOWER_START),
+        build(PlannerParameters, robot.values),
+        build(PlatformParameters, robot.values),
+        robot.simulation,
+        LoopOptions(start=robot.start, world=robot.world),
     )
-    options = build(StationParameters, values).station
+    options = build(StationParameters, robot.values).station
     end = leader.record.times[-1]
     loop.run(REQUEST - loop.now, lambda: False)
     loop.motion_record = MotionRecord()

@@ -62,7 +62,7 @@ def test_drives_with_an_aim_come_first():
 def test_without_matplotlib_there_is_no_picture(tmp_path, monkeypatch):
     monkeypatch.delattr("omniman_ros.lab.figures.handover", raising=False)
     monkeypatch.setitem(sys.modules, "omniman_ros.lab.figures.handover", None)
-    assert handover.draw(None, [made()], tmp_path) is None
+    assert handover.draw(None, [made()], tmp_path / "p.png") is None
 
 
 @pytest.mark.exhaustive

@@ -9,7 +9,12 @@ import pytest
 from omniman_ros.core import se2
 from omniman_ros.lab.studies.closed_loop import PERIOD
 from omniman_ros.lab.studies.handover import KEPT_TIME, SPEED, Case, Run, station_error
-from omniman_ros.lab.studies.handover_drives import drive, drive_leader
+from omniman_ros.lab.studies.handover_drives import (
+    LEADER_START,
+    SimulatedRobot,
+    drive,
+    drive_leader,
+)
 from omniman_ros.lab.studies.mpc_loop import MotionRecord
 from omniman_ros.lab.studies.scene_geometry import Box
 from omniman_ros.lab.studies.tool_path import DEMO_MISMATCH, StudyError
@@ -75,7 +80,8 @@ def test_only_the_station_keeper_with_known_radii_has_an_aim():
 
 def test_leader_drives_its_path_at_its_speed_from_rest_to_rest():
     poses = np.column_stack([np.linspace(0.0, 0.6, 13), np.zeros(13), np.zeros(13)])
-    led = drive_leader(load_robot("omniman"), DEMO_MISMATCH, poses)
+    robot = SimulatedRobot(load_robot("omniman"), DEMO_MISMATCH, LEADER_START)
+    led = drive_leader(robot, poses)
     record = led.record
     assert record.poses[-1] == pytest.approx([0.6, 0.0, 0.0], abs=5e-3)
     assert max(np.hypot(*twist[:2]) for twist in record.twists) == pytest.approx(SPEED, abs=0.01)
@@ -86,7 +92,7 @@ def test_leader_drives_its_path_at_its_speed_from_rest_to_rest():
 @pytest.mark.exhaustive
 @pytest.mark.parametrize("follower", ["station_keeper", "mpc_planner"])
 def test_follower_meets_the_leader_keeps_its_station_and_parts(follower):
-    run = drive(load_robot("omniman"), Case(follower, "straight", "PI"))
+    run = drive(load_robot("omniman"), None, Case(follower, "straight", "PI"))
     errors = run.errors()
     assert np.abs(errors[run.kept]).max() < 0.015
     assert run.gaps().min() > 0.5 and np.hypot(*errors[-1, :2]) > 1.0
@@ -97,4 +103,4 @@ def test_follower_meets_the_leader_keeps_its_station_and_parts(follower):
 def test_station_that_is_never_reached_is_reported():
     slow = load_robot("omniman") | {"station.linear_velocity": 0.25}
     with pytest.raises(StudyError, match="was not reached"):
-        drive(slow, Case("station_keeper", "circle", "PI"))
+        drive(slow, None, Case("station_keeper", "circle", "PI"))
