@@ -240,6 +240,7 @@ class Odometry:
         wheel_speeds: Array,
         dt: float,
         inertial: InertialStep | None = None,
+        unknown: Array | None = None,
     ) -> Array:
         """Add the motion of the wheels during `dt`.
 
@@ -248,6 +249,8 @@ class Odometry:
             wheel_speeds: Speed (n,) of each wheel now [rad/s], for the twist.
             dt: Time since the last update [s], above 0.
             inertial: Rotation measured in that time, or None if it was not measured.
+            unknown: Rotation (n,) of each wheel that may be missing [rad], if the way of the
+                motion from the last update to this one is not known; else None.
 
         Returns:
             Step (m,) of the coupling error epsilon [rad], CCTA 2017 (12).
@@ -279,15 +282,34 @@ class Odometry:
         p, slipped = self._parameters, slip * dt
         travel = math.hypot(east, north)
         variance = p.noise_translation * travel + p.noise_slip * slipped
+        yaw_variance = 0.0
+        if unknown is not None:
+            way, yaw_variance = self._unknown_way(unknown, travel, dtheta)
+            variance += way
         if inertial is not None and measured:
             yaw_variance = inertial.noise + inertial.scale_error
             self._covariance.propagate(east, north, variance, yaw_variance)
             self._covariance.rotate_by_rate(dt)
         else:
-            yaw_variance = p.noise_rotation * abs(dtheta) + p.noise_drift * travel
+            yaw_variance += p.noise_rotation * abs(dtheta) + p.noise_drift * travel
             yaw_variance += p.noise_slip * slipped
             self._covariance.propagate(east, north, variance, yaw_variance)
         return step
+
+    def _unknown_way(self, unknown: Array, travel: float, turn: float) -> tuple[float, float]:
+        """Return the variances of position [m^2] and heading [rad^2] by a way that is not known.
+
+        The ends of an arc and of a straight way with the turn before or after it are half of
+        travel times turn apart.
+
+        Args:
+            unknown: Rotation (n,) of each wheel that may be missing [rad].
+            travel: Distance between the ends of the way [m].
+            turn: Change of the heading [rad].
+        """
+        x, y, theta = (np.abs(self._forward[:3]) @ unknown).tolist()
+        bend = 0.5 * travel * min(abs(turn), math.pi)
+        return x * x + y * y + bend * bend, theta * theta
 
     def _measured_turn(self, inertial: InertialStep, dt: float) -> bool:
         """Return whether a measured rotation counts; else the robot rests: it shows the bias."""

@@ -22,7 +22,7 @@ MAX_DISAGREEMENT_SHARE = 0.2
 It is a share of the rotation at the reported speed in `DISAGREEMENT_TIME`.
 """
 MAX_GAP = 0.5
-"""Longest time between two reports over which the motion is integrated [s]."""
+"""Longest time between two reports over which speeds tell the motion [s]."""
 MAX_JUMP = 0.3
 """Rotation in excess of twice that at the largest speed above which positions jumped [rad]."""
 
@@ -35,12 +35,15 @@ class WheelStep:
         moved: Rotation of each wheel (n,) [rad].
         speeds: Speed of each wheel (n,) at the second report [rad/s].
         dt: Time between the reports [s].
-        warning: Reason why the rotation is unknown and given as zero, or empty.
+        unknown: Rotation of each wheel (n,) that may be missing in `moved` [rad]; None if the
+            reports follow each other closely.
+        warning: What is not known of the motion, or empty.
     """
 
     moved: Array
     speeds: Array
     dt: float
+    unknown: Array | None
     warning: str
 
 
@@ -120,15 +123,45 @@ class WheelFeedback:
         if first:
             return None
         if fault:
-            warning = f"wheel_states: {fault}, the motion since the last report is ignored"
-            return WheelStep(np.zeros(self._count), self.speeds, dt, warning)
+            return self._step_over(fault, moved, last_speeds, dt)
         integrated = (0.5 * dt) * (last_speeds + self.speeds)
         if moved is None:
             moved = integrated
         else:
             largest = dt * np.maximum(np.abs(last_speeds), np.abs(self.speeds))
             self._compare(integrated - moved, largest, dt)
-        return WheelStep(moved, self.speeds, dt, "")
+        return WheelStep(moved, self.speeds, dt, None, "")
+
+    def _step_over(
+        self, fault: str, moved: Array | None, last_speeds: Array, dt: float
+    ) -> WheelStep:
+        """Return the step over a discontinuity.
+
+        Encoders count on while nobody listens. The change of the positions is the motion if each
+        wheel has turned as if at speeds between those before and after, and zero: those of drives
+        that went on, or came to rest. Positions that the drives have begun anew differ from that.
+
+        Args:
+            fault: What is discontinuous.
+            moved: Change of the positions (n,) [rad], or None if they are not reported.
+            last_speeds: Speeds (n,) at the report before [rad/s].
+            dt: Time since that report [s].
+        """
+        still = np.zeros(self._count)
+        low, high = (
+            dt * extreme.reduce((last_speeds, self.speeds, still))
+            for extreme in (np.minimum, np.maximum)
+        )
+        is_known = moved is not None and bool(
+            ((moved >= low - MAX_JUMP) & (moved <= high + MAX_JUMP)).all()
+        )
+        if self._unwrapper is not None and float((high - low).max()) > 0.5 * self._span:
+            is_known = False  # whole turns may be missing
+        if moved is not None and is_known:
+            warning = f"wheel_states: {fault}, the positions tell the motion since then"
+            return WheelStep(moved, self.speeds, dt, still, warning)
+        warning = f"wheel_states: {fault}, the motion since the last report is ignored"
+        return WheelStep(still, self.speeds, dt, high - low, warning)
 
     def _validate(self, time: float, position: Array | None, velocity: Array | None) -> None:
         """Check the content of a report, and that it is newer than the last one.

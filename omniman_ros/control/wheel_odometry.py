@@ -127,7 +127,11 @@ class WheelOdometry:
             self._restart_coupling()
             return restarted
         self.coupling_error = self.coupling_error + self.odometry.update(
-            step.moved, step.speeds, step.dt, self.imu.take(self.feedback.time, now, step.speeds)
+            step.moved,
+            step.speeds,
+            step.dt,
+            self.imu.take(self.feedback.time, now, step.speeds),
+            step.unknown,
         )
         if self.odometry.rest >= REST_TIME:
             self._restart_coupling()

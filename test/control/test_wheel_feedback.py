@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from omniman_ros.control.wheel_feedback import MAX_GAP, WheelFeedback
+from omniman_ros.control.wheel_feedback import WheelFeedback
 from omniman_ros.core.errors import InputError
 
 DT = 0.005
@@ -121,14 +121,47 @@ def test_position_jump_does_not_appear_as_speed():
     np.testing.assert_allclose(step.speeds, [2, -2], atol=1e-3)
 
 
-@pytest.mark.parametrize("positions", [True, False])
-def test_long_gap_is_skipped_with_a_warning(positions):
-    feedback, speeds = make(), np.array([5.0, 5])
-    feedback.update(1.0, 1.0, np.zeros(2) if positions else None, speeds)
-    late = 1.01 + MAX_GAP
-    step = feedback.update(late, late, np.ones(2) if positions else None, speeds)
+GAP = 0.7
+
+
+def over_a_gap(before, after, moved, span=0.0):
+    """Return the step of two wheels over a gap; positions may be missing."""
+    feedback = make(span=span)
+    feedback.update(1.0, 1.0, np.zeros(2) if moved is not None else None, np.array(before))
+    position = None if moved is None else np.array(moved, dtype=float)
+    step = feedback.update(1.0 + GAP, 1.0 + GAP, position, np.array(after))
     assert "no report for" in step.warning
+    return step
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "moved"),
+    [
+        ([5.0, -5.0], [5.0, -5.0], [3.5, -3.5]),  # at its speed
+        ([5.0, -5.0], [0.0, 0.0], [1.2, -1.2]),  # to rest
+        ([0.0, 0.0], [5.0, 5.0], [2.0, 1.0]),  # from rest
+        ([2.0, 2.0], [-2.0, -2.0], [0.4, -0.4]),  # there and back
+    ],
+)
+def test_positions_tell_the_motion_in_a_gap(before, after, moved):
+    step = over_a_gap(before, after, moved)
+    np.testing.assert_array_equal(step.moved, moved)
+    np.testing.assert_array_equal(step.unknown, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("moved", "span"),
+    [
+        (None, 0.0),
+        ([-20.0, -20.0], 0.0),  # the drives began anew
+        ([2.0, -2.0], 0.0),  # a wheel has turned against its speed
+        ([2.0, 2.0], 6.0),  # or a whole turn more
+    ],
+)
+def test_motion_in_a_gap_that_nothing_tells_is_missing(moved, span):
+    step = over_a_gap([5.0, 5.0], [-1.0, 0.0], moved, span)
     assert not step.moved.any()
+    np.testing.assert_allclose(step.unknown, [GAP * 6.0, GAP * 5.0])
 
 
 def agree(seconds, position_of, speed_of):

@@ -21,6 +21,7 @@ from test.tiers import representative
 CALIBRATION = {"odometry.scale_y": 0.97, "odometry.yaw_per_x": 0.01}
 TURNING = (2.0, 3.0, 1.0, 5.0)
 """Speeds of wheels that slip [rad/s]."""
+GAP = MAX_GAP + 0.2
 
 
 def parameters(robot="omniman", changes=None):
@@ -181,13 +182,28 @@ def test_stamps_that_go_back_on_a_clock_that_does_not_are_accepted_after_the_lar
     assert 0.0 < moved < 0.5 * 0.2
 
 
-def test_motion_in_a_gap_is_ignored_with_a_warning():
+def test_a_gap_in_a_steady_motion_leaves_the_pose_right_and_its_way_uncertain():
+    begun, whole = odometry(), odometry()
+    end = feed(begun)
+    feed(whole, end - START + GAP)
+    speeds = np.array(TURNING)
+    told = begun.update_wheels(end + GAP, end + GAP, (end + GAP - START) * speeds, speeds)
+    assert "no report" in told
+    assert begun.odometry.pose == pytest.approx(whole.odometry.pose, abs=1e-9)
+    more = begun.odometry.covariance - whole.odometry.covariance
+    assert more[0, 0] > 1e-4 and more[1, 1] > 1e-4
+
+
+def test_motion_in_a_gap_that_is_ignored_is_in_the_covariance():
     core = odometry()
     end = feed(core)
-    pose = core.odometry.pose
-    late = end + MAX_GAP + 0.2
-    told = core.update_wheels(late, late, np.full(4, 50.0), np.ones(4))
-    assert "no report" in told and core.odometry.pose == pose
+    pose, before = core.odometry.pose, core.odometry.covariance
+    late = end + GAP
+    told = core.update_wheels(late, late, np.full(4, 50.0), np.array(TURNING))
+    assert "ignored" in told and core.odometry.pose == pose
+    more = np.sqrt(np.diag(core.odometry.covariance - before))
+    twist = core.odometry.twist
+    assert (more >= 0.99 * GAP * np.abs([np.hypot(*twist[:2]) / 2**0.5] * 2 + [twist[2]])).all()
 
 
 # ---- parameters ---------------------------------------------------------------------------------

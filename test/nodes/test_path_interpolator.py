@@ -1,5 +1,6 @@
 """Tests of the node over real topics in simulated time, with a fake and the real controller."""
 
+import itertools
 import math
 import re
 from collections.abc import Callable, Sequence
@@ -240,6 +241,10 @@ class RealControllerWorld(InterpolatorWorld):
         self.assert_silent(seconds)
         assert self.drive.drives.ground_truth()[0] == pytest.approx(place, abs=2e-3)
 
+    def drivers(self) -> list[str]:
+        """Return who drove, in turn; the middleware may deliver the first, latched one twice."""
+        return [source for source, _ in itertools.groupby(m.data for m in self.sources)]
+
     def refused_previews(self) -> int:
         """Return the number of previews that the controller has refused."""
         return self.controller._throttle.counts.get("path/reference refused", 0)
@@ -288,7 +293,7 @@ def test_the_robot_follows_within_5_mm_at_half_a_metre_per_second():
         assert previews[-1].sample(math.inf).pose == pytest.approx(BENT[-1], abs=1e-12)
         assert world.controller.core.odometry.pose == pytest.approx(BENT[-1], abs=3e-3)
         world.run(0.8)
-        assert [m.data for m in world.sources] == ["none", "path", "none"]
+        assert world.drivers() == ["none", "path", "none"]
         assert world.refused_previews() == 0
         status = world.status()
         assert status.level == DiagnosticStatus.OK and status.message == "idle"
@@ -699,7 +704,7 @@ def test_cmd_vel_takes_over_and_a_later_path_is_driven(robot):
     assert robot.controller.core.odometry.pose[0] == pytest.approx(x - 0.2, abs=3e-3)
     robot.run(0.8)
     assert robot.refused_previews() == refused <= 1
-    assert [m.data for m in robot.sources] == ["none", "path", "cmd_vel", "none", "path", "none"]
+    assert robot.drivers() == ["none", "path", "cmd_vel", "none", "path", "none"]
 
 
 def publish_emergency_stop(qos: Any) -> Callable[[InterpolatorWorld], None]:
