@@ -37,6 +37,8 @@ def run(args: argparse.Namespace) -> int:
         with BagReader(path) as bag:
             namespace = choose_namespace(bag.topic_types, args.namespace.strip("/"))
             say(f"{path}: {bag.duration:.1f} s, {len(bag.topic_types)} topics")
+            if bag.is_unfinished:
+                say("It has no end, as its process was killed: the last moments are missing.")
             log = read_robot_log(bag, namespace)
         _ = log.span  # raises if the recording contains no data of the robot
     except InputError as error:

@@ -2,7 +2,9 @@
 
 import struct
 from collections.abc import Collection, Iterator
+from contextlib import ExitStack
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import Any, Self
 
@@ -12,6 +14,7 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
 from omniman_ros.core.errors import InputError
+from omniman_ros.recording.unfinished import finish_copy, is_unfinished
 
 _DAMAGE_ERRORS = (
     AnyReaderError,
@@ -29,11 +32,15 @@ _DAMAGE_ERRORS = (
 class BagReader:
     """Reader of a recording, as a context manager.
 
+    A recording whose process was killed is read up to the last complete record on the disk, from a
+    temporary copy.
+
     Args:
         path: Folder of the recording, or its only file.
 
     Attributes:
         topic_types: Message type of each topic that has messages.
+        is_unfinished: Whether the process that recorded was killed.
 
     Raises:
         InputError: There is no recording at the path, or it cannot be read.
@@ -41,17 +48,25 @@ class BagReader:
 
     def __init__(self, path: Path) -> None:
         self._path = path
+        self._copies = ExitStack()
         try:
+            unfinished = _unfinished_file(path)
+            self.is_unfinished = unfinished is not None
+            if unfinished is not None:
+                path = Path(self._copies.enter_context(TemporaryDirectory())) / unfinished.name
+                finish_copy(unfinished, path)
             # SQLite recordings of older releases contain no definitions.
             self._reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY))
-        except (AnyReaderError, FileNotFoundError) as error:
-            raise InputError(f"{path} is not a recording: {error}") from error
+        except (AnyReaderError, OSError) as error:
+            self._copies.close()
+            raise InputError(f"{self._path} is not a recording: {error}") from error
         self.topic_types: dict[str, str] = {}
 
     def __enter__(self) -> Self:
         try:
             self._reader.open()
         except _DAMAGE_ERRORS as error:
+            self._copies.close()
             raise InputError(f"{self._path} cannot be read: {error}") from error
         self.topic_types = {c.topic: c.msgtype for c in self._reader.connections if c.msgcount}
         return self
@@ -63,6 +78,7 @@ class BagReader:
         trace: TracebackType | None,
     ) -> None:
         self._reader.close()
+        self._copies.close()
 
     @property
     def duration(self) -> float:
@@ -90,3 +106,16 @@ class BagReader:
                 yield connection.topic, stamp * 1e-9, message
         except _DAMAGE_ERRORS as error:
             raise InputError(f"{self._path} is damaged: {error}") from error
+
+
+def _unfinished_file(path: Path) -> Path | None:
+    """Return the file of a recording whose process was killed, or None.
+
+    Raises:
+        OSError: A file cannot be read.
+    """
+    if path.is_dir() and not (path / "metadata.yaml").exists():
+        files = sorted(path.glob("*.mcap"))
+    else:
+        files = [path] if path.suffix == ".mcap" else []
+    return files[0] if len(files) == 1 and is_unfinished(files[0]) else None
