@@ -1,6 +1,7 @@
 """Events that a page sends to the node: pressed buttons, dragged objects, entered numbers."""
 
-import queue
+import threading
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -9,7 +10,9 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.viewer.obstacle_paths import Motion, ObstaclePath
 
 MAX_EVENTS = 1000
-"""Largest number of events that are processed at once."""
+"""Largest number of events that are processed at once, and that wait to be processed."""
+STOP = "stop"
+"""Action of the button that stops the robot."""
 
 Pose = tuple[float, float, float]
 """x, y [m], heading [rad] in `odom`."""
@@ -168,16 +171,25 @@ Event = (
 
 
 class EventQueue:
-    """Passes events from the threads of the page to the thread of the node."""
+    """Passes events from the threads of the page to the thread of the node.
+
+    A stop is served next, and what was requested before it is discarded: neither many events of
+    one page nor slow handlers delay the Stop of another. Of too many events, the new ones are
+    discarded; a button that is held is released without its events.
+    """
 
     def __init__(self) -> None:
-        self._queue: queue.SimpleQueue[Event] = queue.SimpleQueue()
+        self._lock = threading.Lock()
+        self._events: deque[Event] = deque()
         self._closed = False
 
     def post(self, event: Event) -> None:
-        """Append an event; may be called from any thread and never blocks."""
-        if not self._closed:
-            self._queue.put(event)
+        """Append an event; may be called from any thread and hardly ever waits."""
+        with self._lock:
+            if event == ButtonPressed(STOP):
+                self._events.clear()
+            if not self._closed and len(self._events) < MAX_EVENTS:
+                self._events.append(event)
 
     def process(
         self, handlers: Mapping[type, Callable[[Any, float], None]], now: float
@@ -192,10 +204,10 @@ class EventQueue:
             The errors of the handlers that refused an event, as they occur.
         """
         for _ in range(MAX_EVENTS):
-            try:
-                event = self._queue.get_nowait()
-            except queue.Empty:
-                return
+            with self._lock:
+                if not self._events:
+                    return
+                event = self._events.popleft()
             try:
                 handlers[type(event)](event, now)
             except InputError as error:
@@ -203,5 +215,6 @@ class EventQueue:
 
     def close(self) -> None:
         """Discard all events, queued and future ones."""
-        self._closed = True
-        self._queue = queue.SimpleQueue()
+        with self._lock:
+            self._closed = True
+            self._events.clear()

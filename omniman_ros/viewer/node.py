@@ -94,7 +94,7 @@ class ViewerNode(OmnimanNode):
     def _button_actions(self) -> dict[str, Callable[[float], None]]:
         """Return the function for each button that is clicked, called with the time [s]."""
         return {
-            "stop": lambda now: self._stop_or_reset("stop", now),
+            events.STOP: lambda now: self._stop_or_reset(events.STOP, now),
             "reset": lambda now: self._stop_or_reset("reset", now),
             "pause": self._poses.pause,
             "resume": self._poses.resume,
