@@ -47,6 +47,14 @@ class ExternalForceObserver:
 
     def configure(self, kinematics: PlatformKinematics, dynamics: PlatformDynamics) -> None:
         """Set new models, and begin anew."""
+        self.set_dynamics(kinematics, dynamics)
+        self.restart()
+
+    def set_dynamics(self, kinematics: PlatformKinematics, dynamics: PlatformDynamics) -> None:
+        """Set models with masses that have moved on the platform, and go on.
+
+        Their momentum has changed with them, as that of the robot has.
+        """
         self._dynamics = dynamics
         forward, twist = kinematics.J.T, kinematics.J_pinv
         self._forward = forward
@@ -54,7 +62,6 @@ class ExternalForceObserver:
         wheels, rollers = np.eye(kinematics.wheel_count), dynamics.rolling @ twist
         # One product with the wheel speeds gives all that is linear in them.
         self._of_speeds = np.vstack([twist, dynamics.momentum_map(), viscous, wheels, rollers])
-        self.restart()
 
     def restart(self) -> None:
         """Begin anew, as after a gap in the torques."""

@@ -12,6 +12,7 @@ from omniman_ros.control.imu import ImuFeedback
 from omniman_ros.control.limits import TwistLimiter, ramp_down, ratio
 from omniman_ros.control.odometry import REST_SPEED, Odometry
 from omniman_ros.control.platform_parameters import PlatformParameters
+from omniman_ros.control.stability import StabilityLimiter, SupportModel
 from omniman_ros.control.wheel_cascade import DriveMode, WheelCascade, WheelCommand
 from omniman_ros.control.wheel_feedback import WheelFeedback
 from omniman_ros.control.wheel_health import (
@@ -24,6 +25,7 @@ from omniman_ros.core.arbiter import NEVER, PREVIEW_SOURCES, Arbiter, Source
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError, ParameterError
 from omniman_ros.core.preview import Preview
+from omniman_ros.core.robot import Arm
 from omniman_ros.core.stop import StopLatch
 
 MAX_TICK = 0.1
@@ -60,6 +62,8 @@ class PlatformController:
         imu: Measurements of an inertial sensor; unused as long as there are none.
         wheel_health: Faults of wheels, wheels that do not drive, and the limits that remain.
         held_robot: External force on the robot, by which a robot that is held is noticed.
+        stability: What the arm's posture leaves of the limits.
+        limits: Limits of the twist: those of wheel_health, lowered for stability.
         latch: Latch that stops the platform.
         arbiter: Decides which source drives.
         setpoint: Twist (3,) of the last tick in base_link [m/s, m/s, rad/s].
@@ -81,9 +85,12 @@ class PlatformController:
             robot.wheel_count, parameters.odometry.encoder_span, robot.motor.max_speed
         )
         self.imu = ImuFeedback(parameters.imu)
+        self.stability = StabilityLimiter()
+        self.limits = self.wheel_health.limits
         self.setpoint: Array = np.zeros(3)
         self.cancelled = ""
-        self._limiter = TwistLimiter(self.wheel_health.limits)
+        self._limiter = TwistLimiter(self.limits)
+        self._adopt_limits()
         self._follower = PreviewFollower(parameters.position)
         self._target: Array = np.zeros(3)
         self._volts: Array | None = None
@@ -121,7 +128,27 @@ class PlatformController:
             self.parameters.held, self.cascade.kinematics, self.cascade.dynamics
         )
         self.odometry.configure(self.cascade.kinematics, self.parameters.odometry)
-        self._limiter.limits = self.wheel_health.limits
+        self._adopt_limits()
+
+    def _adopt_limits(self) -> None:
+        """Set the limits of the twist to what wheels and stability leave."""
+        cascade = self.cascade
+        support = None
+        if cascade.robot.arm.mass > 0.0:
+            support = SupportModel(cascade.robot, cascade.whole, cascade.dynamics.mass_matrix)
+        self.limits = self._limiter.limits = self.stability.configure(
+            self.parameters.stability, support, self.wheel_health.limits
+        )
+
+    def set_arm(self, arm: Arm) -> None:
+        """Use the arm as a body at rest in its present posture, in motion, too.
+
+        Args:
+            arm: Mass, centre of mass and inertia of the arm.
+        """
+        self.cascade.set_arm(arm)
+        self.held_robot.observer.set_dynamics(self.cascade.kinematics, self.cascade.dynamics)
+        self._adopt_limits()
 
     # ---- inputs: each returns the reason why it is not used, a warning, or an empty string --
 
@@ -481,7 +508,7 @@ class PlatformController:
             self._is_recovering = False
             return True
         if self.feedback.time < self._stall_end:
-            self.setpoint = ramp_down(self.setpoint, self.wheel_health.limits.deceleration, dt)
+            self.setpoint = ramp_down(self.setpoint, self.limits.deceleration, dt)
             return False
         self.setpoint = self.cascade.kinematics.J_pinv @ self.feedback.speeds
         if not self.feedback.speeds.any():
@@ -492,7 +519,7 @@ class PlatformController:
 
     def _too_fast(self, measured: Array) -> bool:
         """Return whether wheels or platform exceed their limits, which voltages do not respect."""
-        limits, motor = self.wheel_health.limits, self.parameters.robot.motor
+        limits, motor = self.limits, self.parameters.robot.motor
         wheels = float(np.abs(measured).max()) > OVERSPEED * motor.max_speed
         return wheels or ratio(self.setpoint, limits.velocity) > OVERSPEED
 
@@ -500,7 +527,7 @@ class PlatformController:
         """Return the twist within the wheels' speed; a limit lowered in motion is ramped to."""
         reachable = self.cascade.reachable(twist)
         if self.cascade.saturated:
-            deceleration = self.wheel_health.limits.deceleration
+            deceleration = self.limits.deceleration
             slowest = ramp_down(before, deceleration, dt)
             if ratio(slowest, deceleration) > ratio(reachable, deceleration):
                 return slowest
@@ -513,7 +540,7 @@ class PlatformController:
         self._limiter.restart()
         followed = None if source is None else self._follow(source, now, dt)
         if followed is None:
-            return ramp_down(self.setpoint, self.wheel_health.limits.deceleration, dt), None
+            return ramp_down(self.setpoint, self.limits.deceleration, dt), None
         return followed
 
     def _follow(self, source: Source, now: float, dt: float) -> tuple[Array, Array] | None:
@@ -524,7 +551,7 @@ class PlatformController:
                 self.odometry,
                 self.feedback.time,
                 self.setpoint,
-                self.wheel_health.limits,
+                self.limits,
                 now,
                 dt,
             )

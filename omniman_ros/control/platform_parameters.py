@@ -9,6 +9,7 @@ from omniman_ros.control.imu import ImuParameters
 from omniman_ros.control.limits import TwistLimits
 from omniman_ros.control.odometry import OdometryParameters
 from omniman_ros.control.position_controller import PositionGains
+from omniman_ros.control.stability import StabilityParameters
 from omniman_ros.control.wheel_controller import WheelGains
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import inline, parameter
@@ -118,6 +119,7 @@ class PlatformParameters:
     drive: DriveParameters
     health: WheelHealthParameters
     held: HeldRobotParameters
+    stability: StabilityParameters
     position: PositionGains
     coupling: CouplingParameters
     wheel: WheelGains

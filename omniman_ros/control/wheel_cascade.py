@@ -1,7 +1,7 @@
 """Cascade from a twist to a command for the drives (right-hand half of CCTA 2017 Fig. 6)."""
 
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -15,6 +15,7 @@ from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.control.wheel_controller import WheelController
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import ParameterError
+from omniman_ros.core.robot import Arm
 
 
 class DriveMode(Enum):
@@ -56,7 +57,9 @@ class WheelCascade:
         ParameterError: The wheels that are not idle do not determine the twist.
 
     Attributes:
+        robot: The robot with calibrated wheel radii, and the arm in its last known posture.
         kinematics: Kinematics with calibrated wheel radii.
+        whole: The same without idle wheels.
         dynamics: Dynamics with calibrated wheel radii; idle wheels get no torque.
         coupling: Controller of the coupling error epsilon.
         reference: Wheel speeds (n,) that the last command demands [rad/s].
@@ -67,6 +70,7 @@ class WheelCascade:
 
     def __init__(self, parameters: PlatformParameters, idle: Collection[int] = ()) -> None:
         n = parameters.robot.wheel_count
+        self._arm: Arm | None = None
         self._set_models(parameters, idle)
         self.coupling = CouplingController(self.kinematics, parameters.coupling)
         self._wheels = WheelController(
@@ -83,8 +87,10 @@ class WheelCascade:
         if idle and whole.remaining_share(idle) < MIN_REMAINING_SHARE:
             reason = "must leave wheels that determine the twist"
             raise ParameterError("drive.dead", parameters.drive.dead, reason)
+        self.whole = whole
         self.kinematics = PlatformKinematics(robot.wheels, idle) if idle else whole
-        self.dynamics = PlatformDynamics(robot, self.kinematics)
+        self.robot = robot if self._arm is None else replace(robot, arm=self._arm)
+        self.dynamics = PlatformDynamics(self.robot, self.kinematics)
         self._parameters = parameters
 
     def configure(self, parameters: PlatformParameters, idle: Collection[int] = ()) -> None:
@@ -102,6 +108,15 @@ class WheelCascade:
         self.coupling.configure(self.kinematics, parameters.coupling)
         self._wheels.configure(
             self.dynamics.wheel_inertia, self.dynamics.torque_limit, parameters.wheel
+        )
+
+    def set_arm(self, arm: Arm) -> None:
+        """Set the arm as a body at rest in another posture; all else goes on."""
+        self._arm = arm
+        self.robot = replace(self.robot, arm=arm)
+        self.dynamics = PlatformDynamics(self.robot, self.kinematics)
+        self._wheels.configure(
+            self.dynamics.wheel_inertia, self.dynamics.torque_limit, self._parameters.wheel
         )
 
     def reachable(self, twist: Array) -> Array:

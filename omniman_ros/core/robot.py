@@ -81,6 +81,13 @@ class Body:
     )
     com_x: float = parameter(0.0, "Centre of mass, forward.", unit="m", low=-5, high=5)
     com_y: float = parameter(0.0, "Centre of mass, left.", unit="m", low=-5, high=5)
+    com_z: float = parameter(
+        0.0,
+        "Height of the centre of mass above the floor; 0 means unknown: no load transfer by it.",
+        unit="m",
+        low=0,
+        high=5,
+    )
     length: float = parameter(
         REQUIRED, "Length of the bounding box.", unit="m", low=0.05, high=20, read_only=True
     )
@@ -91,7 +98,13 @@ class Body:
 
 @dataclass(frozen=True, kw_only=True)
 class Arm:
-    """The arm as a body at rest on the platform; mass 0 means that there is none."""
+    """The arm as a body at rest on the platform; mass 0 means that there is none.
+
+    Inertia and centre of mass are those of one posture, for as long as no other is known.
+
+    Raises:
+        ParameterError: The centre of the tool has not three coordinates.
+    """
 
     mass: float = parameter(0.0, "Mass, tool and load included.", unit="kg", low=0, high=1e4)
     inertia: float = parameter(
@@ -103,6 +116,26 @@ class Arm:
     )
     com_x: float = parameter(0.0, "Centre of mass, forward.", unit="m", low=-5, high=5)
     com_y: float = parameter(0.0, "Centre of mass, left.", unit="m", low=-5, high=5)
+    com_z: float = parameter(
+        0.0,
+        "Height of the centre of mass above the floor; 0 means unknown: no load transfer by it.",
+        unit="m",
+        low=0,
+        high=10,
+    )
+    tool_centre: Floats = parameter(
+        (0.0, 0.0, 0.05),
+        "Centre of mass of tool and load in tool0: x, y, z. Their mass is what mass has beyond "
+        "the arm's links.",
+        unit="m",
+        low=-2,
+        high=2,
+    )
+
+    def __post_init__(self) -> None:
+        if len(self.tool_centre) != 3:
+            reason = "must have three coordinates"
+            raise ParameterError("arm.tool_centre", self.tool_centre, reason)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -79,6 +79,9 @@ def rest_of_body(robot: Robot, masses: tuple[float, ...], bottom: float, top: fl
     about the vertical. In the other directions it is a box, which is always physically possible:
     half the sum of the moments exceeds each of them.
 
+    The centre of mass is in the middle of the box or, if the robot's file has a height, where body
+    and wheels together have it.
+
     Args:
         robot: Configuration of the robot.
         masses: Masses of the wheels [kg].
@@ -94,4 +97,8 @@ def rest_of_body(robot: Robot, masses: tuple[float, ...], bottom: float, top: fl
     long = body.length**2 / (body.length**2 + body.width**2)
     vertical = mass * (top - bottom) ** 2 / 12.0
     moments = (upright * (1.0 - long) + vertical, upright * long + vertical, upright)
-    return Inertia(mass, moments, (x, y, 0.5 * (bottom + top)))
+    z = 0.5 * (bottom + top)
+    if body.com_z > 0.0:
+        z = body.mass * body.com_z - sum(m * r for m, r in zip(masses, wheels.radius, strict=True))
+        z /= mass
+    return Inertia(mass, moments, (x, y, z))

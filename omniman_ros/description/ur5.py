@@ -31,8 +31,8 @@ MOVING_MASSES = (3.7, 8.393, 2.33, 1.219, 1.219, 0.1879)
 """Masses of the moving links, from the base on [kg]."""
 TOOL = "tool"
 """Name of what is mounted at the flange."""
-TOOL_CENTRE = 0.05
-"""Assumed distance of the centre of mass of tool and load from the flange [m]."""
+TOOL_CENTRE: Vector = (0.0, 0.0, 0.05)
+"""Assumed centre of mass of tool and load in the frame of the flange, `tool0` [m]."""
 TOOL_GYRATION = 0.04
 """Assumed radius of gyration of tool and load about each axis [m]."""
 FLANGE = 0.03
@@ -110,14 +110,15 @@ BASE = Link(
 """Fixed link of the arm, in `arm_base_link`; its frame is the base of the DH table."""
 
 
-def tool_inertia(mass: float) -> Inertia:
+def tool_inertia(mass: float, centre: Vector = TOOL_CENTRE) -> Inertia:
     """Return the inertia of a tool with its load in the frame of the flange, `tool0`.
 
     Args:
         mass: Mass [kg].
+        centre: Centre of mass [m].
     """
     moment = mass * TOOL_GYRATION**2
-    return Inertia(mass, (moment, moment, moment), (0.0, 0.0, TOOL_CENTRE))
+    return Inertia(mass, (moment, moment, moment), centre)
 
 
 def links(table: DhTable = UR5) -> tuple[Link, ...]:

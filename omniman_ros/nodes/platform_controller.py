@@ -162,7 +162,7 @@ class PlatformControllerNode(OmnimanNode):
     @property
     def stop_timeout(self) -> float:
         """How long the platform may take to come to rest from now on [s], with a margin of 1 s."""
-        return 1.0 + ratio(self.core.setpoint, self.core.parameters.limits.deceleration)
+        return 1.0 + ratio(self.core.setpoint, self.core.limits.deceleration)
 
     @property
     def final_publishers(self) -> tuple[Publisher, ...]:

@@ -156,10 +156,14 @@ class Rig:
 
 
 def with_robot(made: Any) -> PlatformParameters:
-    """Return parameters for another robot with wheels fast enough for the limits."""
+    """Return parameters for another robot with wheels fast enough for the limits.
+
+    It may have its mass anywhere, even beside its wheels: it cannot tip over.
+    """
     known = parameters("omniman")
     motor = replace(made.motor, max_speed=1000.0)
-    return replace(known, robot=replace(made, motor=motor))
+    stability = replace(known.stability, limit=False)
+    return replace(known, robot=replace(made, motor=motor), stability=stability)
 
 
 def finite(command: WheelCommand) -> bool:

@@ -37,7 +37,7 @@ def masses_and_centres(q, mount):
         place = place + turn @ np.array(link.place)
         turn = turn @ rotation(link.rpy) @ rotation((0.0, 0.0, angle))
         found.append((link.mass, place + turn @ np.array(link.centre)))
-    found.append((TOOL_MASS, place + turn @ np.array([0.0, 0.0, TOOL_CENTRE])))
+    found.append((TOOL_MASS, place + turn @ np.array(TOOL_CENTRE)))
     return found
 
 

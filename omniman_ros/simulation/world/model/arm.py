@@ -4,6 +4,7 @@ from xml.etree.ElementTree import Element
 
 from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.core.robot import Robot
+from omniman_ros.description.inertia import Inertia
 from omniman_ros.description.ur5 import (
     ARM_MASS,
     BASE,
@@ -24,19 +25,20 @@ from omniman_ros.simulation.world.model.mjcf import (
 )
 
 
-def tool_mass(robot: Robot) -> float:
-    """Return the mass of the arm's tool [kg]: what the robot's arm has beyond its links."""
-    return max(robot.arm.mass - ARM_MASS, 0.0)
+def tool_of(robot: Robot) -> Inertia:
+    """Return mass and centre of the arm's tool: what the robot's arm has beyond its links."""
+    x, y, z = robot.arm.tool_centre
+    return tool_inertia(max(robot.arm.mass - ARM_MASS, 0.0), (x, y, z))
 
 
-def add_arm(base: Element, arm: ArmParameters, mount: Mount, tool: float) -> None:
+def add_arm(base: Element, arm: ArmParameters, mount: Mount, tool: Inertia) -> None:
     """Add the arm to the platform.
 
     Args:
         base: Body of base_link.
         arm: Names of the joints.
         mount: Pose of the arm's base.
-        tool: Mass of the tool [kg], which has no shape.
+        tool: Inertia of the tool, which has no shape.
     """
     position, rotation = (mount.x, mount.y, mount.z), (0.0, 0.0, mount.yaw)
     parent = add(base, "body", name=ARM_BASE, pos=position, euler=rotation)
@@ -45,8 +47,8 @@ def add_arm(base: Element, arm: ArmParameters, mount: Mount, tool: float) -> Non
         parent = _add_link(parent, link)
         axis = (0.0, 0.0, 1.0)
         add(parent, "joint", name=name, axis=axis, armature=rotor, **HINGE_FRICTION)
-    if tool > 0.0:
-        add_inertia(add(parent, "body", name=TOOL), tool_inertia(tool))
+    if tool.mass > 0.0:
+        add_inertia(add(parent, "body", name=TOOL), tool)
 
 
 def _add_link(parent: Element, link: Link) -> Element:

@@ -10,7 +10,7 @@ from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.description.ur5 import ARM_MASS
 from omniman_ros.description.urdf import carries_arm
 from omniman_ros.simulation.plant.parameters import SimulationParameters
-from omniman_ros.simulation.world.model.arm import add_arm, tool_mass
+from omniman_ros.simulation.world.model.arm import add_arm, tool_of
 from omniman_ros.simulation.world.model.floor import Tyres, add_floor, tyres_of
 from omniman_ros.simulation.world.model.mjcf import add
 from omniman_ros.simulation.world.model.platform import add_platform, deck_height
@@ -62,8 +62,8 @@ def world_model(
         raise ParameterError("plant.lifted", True, "a physics world has no blocks to stand on")
     armed = carries_arm(robot)
     mount = description.mount.z if armed else None
-    tool = tool_mass(robot)
-    mass = robot.body.mass + (ARM_MASS + tool if armed else 0.0)
+    tool = tool_of(robot)
+    mass = robot.body.mass + (ARM_MASS + tool.mass if armed else 0.0)
     mass += sum(load.mass for load in scene.loads)
     tyres = tyres_of(robot, mass, plant, parameters.tyre_stiffness)
 

@@ -1,0 +1,77 @@
+"""Mass, centre of mass and inertia of the arm on the platform, by posture."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.robot import Arm
+from omniman_ros.description.inertia import Inertia
+from omniman_ros.description.transforms import transform
+from omniman_ros.description.ur5 import ARM_MASS, BASE, links, tool_inertia
+from omniman_ros.motion.whole_body.model import Mount
+
+
+class ArmMass:
+    """Composes the arm's links and its tool to the body that the platform carries.
+
+    The links have the masses of the description. The tool with its load has what the mass of the
+    arm exceeds theirs by; an arm that is lighter than the links has them all lighter by one
+    factor.
+
+    Args:
+        arm: Mass of the arm and centre of its tool; all else is that of a fixed posture.
+        mount: Pose of the arm on the platform.
+    """
+
+    def __init__(self, arm: Arm, mount: Mount) -> None:
+        self._arm = arm
+        moving, share = links(), min(1.0, arm.mass / ARM_MASS)
+        x, y, z = arm.tool_centre
+        tool = tool_inertia(max(arm.mass - ARM_MASS, 0.0), (x, y, z))
+        base = mount.pose @ transform(BASE.place, BASE.rpy)
+        self._base = base
+        self._places = [transform(link.place, link.rpy) for link in moving]
+        # The tool is fixed to the last link: the same frame twice.
+        bodies = [BASE.inertia, *(link.inertia for link in moving)]
+        self._masses = np.array([share * body.mass for body in bodies] + [tool.mass])
+        self._centres = np.array([[*body.centre, 1.0] for body in (*bodies, tool)])
+        scale = [share] * len(bodies) + [1.0]
+        self._tensors = np.array(
+            [k * _tensor(body) for k, body in zip(scale, (*bodies, tool), strict=True)]
+        )
+
+    def at(self, q: Array) -> Arm:
+        """Return the arm as a body at rest in a posture.
+
+        Args:
+            q: Joint angles (6,) [rad].
+        """
+        frame = self._base
+        frames = [frame]
+        for place, angle in zip(self._places, q.tolist(), strict=True):
+            c, s = math.cos(angle), math.sin(angle)
+            frame = frame @ place
+            x, y = frame[:, 0].copy(), frame[:, 1].copy()
+            frame[:, 0], frame[:, 1] = c * x + s * y, c * y - s * x
+            frames.append(frame)
+        frames.append(frame)
+        poses = np.array(frames)
+        points = np.einsum("kij,kj->ki", poses, self._centres)[:, :3]
+        mass = float(self._masses.sum())
+        centre = self._masses @ points / mass
+        upright = poses[:, 2, :3]  # The vertical in each body's own axes.
+        own = np.einsum("ki,kij,kj->", upright, self._tensors, upright)
+        apart = self._masses @ ((points[:, :2] - centre[:2]) ** 2).sum(axis=1)
+        com_x, com_y, com_z = centre.tolist()
+        return replace(
+            self._arm, com_x=com_x, com_y=com_y, com_z=com_z, inertia=float(own + apart)
+        )
+
+
+def _tensor(body: Inertia) -> Array:
+    """Return the tensor of inertia about the centre of mass, in the link's axes (3, 3)."""
+    axes = transform(body.centre, body.rpy)[:3, :3]
+    tensor: Array = axes @ np.diag(body.moments) @ axes.T
+    return tensor
