@@ -67,6 +67,8 @@ class PlatformController:
         latch: Latch that stops the platform.
         arbiter: Decides which source drives.
         setpoint: Twist (3,) of the last tick in base_link [m/s, m/s, rad/s].
+        rate: Derivative (3,) of its components in the last tick, zero under voltages
+            [m/s^2, m/s^2, rad/s^2].
         cancelled: Reason why a source lost control in the last tick, or empty.
     """
 
@@ -88,6 +90,7 @@ class PlatformController:
         self.stability = StabilityLimiter()
         self.limits = self.wheel_health.limits
         self.setpoint: Array = np.zeros(3)
+        self.rate: Array = np.zeros(3)
         self.cancelled = ""
         self._limiter = TwistLimiter(self.limits)
         self._adopt_limits()
@@ -337,6 +340,16 @@ class PlatformController:
         """Error (3,) of the last tick that followed a preview [m, m, rad]."""
         return self._follower.error
 
+    @property
+    def acceleration(self) -> Array:
+        """Acceleration (3,) in space that the last tick demands, in base_link.
+
+        It is that of base_link's origin [m/s^2, m/s^2] and of the yaw [rad/s^2].
+        """
+        vx, vy, w = self.setpoint.tolist()
+        result: Array = self.rate + np.array([-w * vy, w * vx, 0.0])
+        return result
+
     # ---- stops ------------------------------------------------------------------------------
 
     @property
@@ -474,6 +487,7 @@ class PlatformController:
         if source is Source.MPC and self._volts is not None:
             self.setpoint = self.cascade.kinematics.J_pinv @ measured
             self._limiter.restart()
+            self.rate = np.zeros(3)
             if not self._too_fast(measured):
                 return self.cascade.voltage_command(
                     self._volts, measured, self.wheel_health.probe(now)
@@ -486,7 +500,7 @@ class PlatformController:
         reachable = self._reachable(twist, before, dt)
         if self.cascade.saturated or rate is None:
             rate = (reachable - before) / dt if dt > 0.0 else np.zeros(3)
-        self.setpoint = reachable
+        self.setpoint, self.rate = reachable, rate
         driven = self.arbiter.active is not None
         if not driven and not reachable.any():
             return self.cascade.rest_command(measured)

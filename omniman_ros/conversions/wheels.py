@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -18,29 +19,50 @@ from omniman_ros.core.errors import InputError
 
 LIMIT_SCALE_KEY = "limits"
 """Key in `wheel_health` of the share of the limits that remains if a wheel is dead."""
+POSTURE_SCALE_KEY = "posture_limits"
+"""Key in `wheel_health` of the share of the limits that the arm's posture bears."""
 
 
-def reported_limit_scale(message: DiagnosticStatus) -> float:
-    """Return the share of the limits that `wheel_health` reports as left.
+@dataclass(frozen=True)
+class LimitScales:
+    """Shares of the limits that `wheel_health` reports as left, above 0 and up to 1.
 
-    Returns:
-        The share, above 0 and up to 1; 1 if the message does not report it.
+    Attributes:
+        wheels: Share that dead wheels leave. Where it grows, the controller was reset.
+        posture: Share that the arm's posture bears.
+    """
+
+    wheels: float = 1.0
+    posture: float = 1.0
+
+    @property
+    def total(self) -> float:
+        """Share of velocity and acceleration that both leave."""
+        return self.wheels * self.posture
+
+
+def reported_limit_scales(message: DiagnosticStatus) -> LimitScales:
+    """Return the shares of the limits that `wheel_health` reports as left; 1 if it does not.
 
     Raises:
-        InputError: The value is not a number above 0 and up to 1.
+        InputError: A value is not a number above 0 and up to 1.
     """
-    for item in message.values:
-        if item.key == LIMIT_SCALE_KEY:
-            try:
-                limit_scale = float(item.value)
-            except ValueError:
-                limit_scale = math.nan
-            if not 0.0 < limit_scale <= 1.0:
-                raise InputError(
-                    f"{LIMIT_SCALE_KEY} '{item.value[:40]}' must be above 0 and up to 1"
-                )
-            return limit_scale
-    return 1.0
+    values = {item.key: item.value for item in message.values}
+    wheels, posture = (
+        _scale(key, values.get(key, "1")) for key in (LIMIT_SCALE_KEY, POSTURE_SCALE_KEY)
+    )
+    return LimitScales(wheels, posture)
+
+
+def _scale(key: str, text: str) -> float:
+    """Return a share of the limits above 0 and up to 1 [-]; raises an InputError."""
+    try:
+        scale = float(text)
+    except ValueError:
+        scale = math.nan
+    if not 0.0 < scale <= 1.0:
+        raise InputError(f"{key} '{text[:40]}' must be above 0 and up to 1")
+    return scale
 
 
 def reported_idle_wheels(message: DiagnosticStatus, names: Sequence[str]) -> tuple[int, ...]:

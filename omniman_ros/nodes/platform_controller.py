@@ -17,6 +17,9 @@ from omniman_ros.conversions.joints import joint_arrays, require_array
 from omniman_ros.conversions.trajectories import preview_from_message
 from omniman_ros.core import plausible
 from omniman_ros.core.arbiter import PREVIEW_SOURCES, Source
+from omniman_ros.core.arrays import Array
+from omniman_ros.description.arm_mass import ArmMass
+from omniman_ros.nodes.arm_posture import ArmPostureInput
 from omniman_ros.nodes.odometry_interface import OdometryInputs, OdometryOutputs
 from omniman_ros.nodes.odometry_parameters import OdometryTopicParameters
 from omniman_ros.nodes.omniman_node import OmnimanNode
@@ -41,14 +44,16 @@ class PlatformControllerNode(OmnimanNode):
         self.settings = ParameterSet(self, PlatformControllerParameters)
         p = self.settings.value
         self.core = PlatformController(p.platform)
-        self.settings.on_change(lambda new: self.core.configure(new.platform))
+        self._arm_mass = ArmMass(p.platform.robot.arm, p.mount)
+        self.settings.on_change(self._configure)
         self._names = p.platform.robot.wheels.names
         self._ticks = 0
         self._finish_tick = 0
         self._waiting: dict[Source, Callable[[], None]] = {}
         self._odom_every = max(1, round(p.control_rate / p.topics.odom_rate))
         self._monitor_every = max(1, round(p.control_rate / p.topics.monitor_rate))
-        self._outputs = PlatformOutputs(self, self.core)
+        self._posture = ArmPostureInput(self, p.arm.joints, self._on_posture)
+        self._outputs = PlatformOutputs(self, self.core, self._posture)
         self._odometry = OdometryOutputs(self, self.core, self._topics) if p.publish_odom else None
         self._odometry_inputs = OdometryInputs(self, self.core, self._names, self._topics)
         self._make_inputs(p)
@@ -56,6 +61,11 @@ class PlatformControllerNode(OmnimanNode):
         self._outputs.publish_active_source()
         self._outputs.publish_wheel_health()
         self.every(1.0 / p.control_rate, self.tick)
+
+    def _configure(self, new: PlatformControllerParameters) -> None:
+        self.core.configure(new.platform)
+        self._arm_mass = ArmMass(new.platform.robot.arm, new.mount)
+        self._posture.repeat()
 
     def _make_inputs(self, p: PlatformControllerParameters) -> None:
         def subscribe(
@@ -99,6 +109,10 @@ class PlatformControllerNode(OmnimanNode):
             self._waiting[source] = lambda: handler(message)
 
         return keep
+
+    def _on_posture(self, posture: Array) -> None:
+        if self.core.parameters.robot.arm.mass > 0.0:
+            self.core.set_arm(self._arm_mass.at(posture))
 
     def _on_voltages(self, message: JointState) -> str:
         _, _, effort = joint_arrays(message, self._names)

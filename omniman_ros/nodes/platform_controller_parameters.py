@@ -3,7 +3,9 @@
 from dataclasses import dataclass
 
 from omniman_ros.control.platform_parameters import PlatformParameters
+from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.core.parameters import inline, parameter
+from omniman_ros.motion.whole_body.model import Mount
 from omniman_ros.nodes.odometry_parameters import OdometryTopicParameters
 
 
@@ -13,6 +15,8 @@ class PlatformControllerParameters:
 
     platform: PlatformParameters = inline()
     topics: OdometryTopicParameters = inline()
+    arm: ArmParameters
+    mount: Mount
     control_rate: float = parameter(
         200.0, "Rate of the control tick.", unit="Hz", low=25, high=1000, read_only=True
     )

@@ -4,11 +4,16 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
-from std_msgs.msg import String
+from std_msgs.msg import Float64, String
 
 from omniman_ros.control.platform import PlatformController
 from omniman_ros.control.wheel_cascade import DriveMode, WheelCommand
-from omniman_ros.conversions.wheels import LIMIT_SCALE_KEY, fill_wheel_command
+from omniman_ros.conversions.wheels import (
+    LIMIT_SCALE_KEY,
+    POSTURE_SCALE_KEY,
+    fill_wheel_command,
+)
+from omniman_ros.nodes.arm_posture import PERIOD, ArmPostureInput
 from omniman_ros.nodes.odometry_interface import imu_fault, imu_values
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.stop_interface import LATCHED
@@ -23,19 +28,25 @@ class PlatformOutputs:
     Args:
         node: Node that owns the publishers.
         core: Platform controller to report on.
+        posture: Posture of the arm.
 
     Attributes:
         active: Value that was last published on `active_source`.
     """
 
-    def __init__(self, node: OmnimanNode, core: PlatformController) -> None:
+    def __init__(
+        self, node: OmnimanNode, core: PlatformController, posture: ArmPostureInput
+    ) -> None:
         self._node = node
         self._core = core
+        self._posture = posture
         self._names = core.parameters.robot.wheels.names
         self._commands = node.create_publisher(JointState, "wheel_commands", SETPOINT)
         self._voltages = node.create_publisher(JointState, "wheel_voltages", SETPOINT)
         self._active_source = node.create_publisher(String, "active_source", LATCHED)
         self._health = node.create_publisher(DiagnosticStatus, "wheel_health", LATCHED)
+        self._margin = node.create_publisher(Float64, "tip_over_margin", 10)
+        node.every(PERIOD, self._publish_margin)
         self._command_message = JointState(name=list(self._names))
         self.active = ""
         self._published_health: object = None
@@ -63,7 +74,8 @@ class PlatformOutputs:
     def publish_wheel_health(self) -> None:
         """Publish the health of the wheels if it has changed, and log any notice about it."""
         monitor = self._core.wheel_health
-        health = (monitor.dead, monitor.idle, monitor.torque_reported)
+        share = self._core.stability.share
+        health = (monitor.dead, monitor.idle, monitor.torque_reported, share)
         if health == self._published_health:
             return
         self._published_health = health
@@ -73,6 +85,7 @@ class PlatformOutputs:
         values = [(name, monitor.state(i)) for i, name in enumerate(self._names)]
         values.append(("torque", "measured" if monitor.torque_reported else "not reported"))
         values.append((LIMIT_SCALE_KEY, f"{monitor.limit_scale:g}"))
+        values.append((POSTURE_SCALE_KEY, f"{share:g}"))
         if monitor.notice and not monitor.stopping:
             self._node.get_logger().warning(monitor.notice)
         self._health.publish(
@@ -83,6 +96,13 @@ class PlatformOutputs:
                 values=[KeyValue(key=key, value=value) for key, value in values],
             )
         )
+
+    def _publish_margin(self) -> None:
+        """Publish the tip-over margin of a robot with an arm."""
+        support, core = self._core.stability.support, self._core
+        if support is not None:
+            margin = support.margin(core.acceleration, float(core.setpoint[2]))
+            self._margin.publish(Float64(data=margin))
 
     def status(self) -> tuple[bytes, str, list[tuple[str, object]]]:
         """Return level, message and values of the controller for the diagnostics."""
@@ -105,9 +125,32 @@ class PlatformOutputs:
             *imu_values(core),
             ("held", core.held),
             ("external_force_N_N_Nm", core.held_robot.observer.external.round(1).tolist()),
+            *self._stability_values(),
             *((name, monitor.state(i)) for i, name in enumerate(self._names)),
         ]
         return level, message, values
+
+    def _stability_values(self) -> list[tuple[str, object]]:
+        """Return values about loads and posture for the diagnostics."""
+        core, support = self._core, self._core.stability.support
+        if support is None:
+            return []
+        acceleration, yaw_rate = core.acceleration, float(core.setpoint[2])
+        return [
+            ("arm_posture", self._posture.state),
+            ("tip_over_margin_m", round(support.margin(acceleration, yaw_rate), 3)),
+            ("tip_over_margin_at_rest_m", round(support.rest_margin, 3)),
+            ("wheel_loads_N", support.loads(acceleration, yaw_rate).round(0).tolist()),
+            (POSTURE_SCALE_KEY, core.stability.share),
+        ]
+
+    @property
+    def _tipping(self) -> str:
+        """Return a clause on a robot that is close to tipping over at rest; empty if it is not."""
+        support, margin = self._core.stability.support, self._core.parameters.stability.margin
+        if support is None or support.rest_margin >= margin:
+            return ""
+        return f"the tip-over margin at rest is below {margin:g} m"
 
     def _level(self) -> tuple[bytes, str]:
         """Return level and message of the most severe condition."""
@@ -122,6 +165,6 @@ class PlatformOutputs:
         if core.wheel_health.notice:
             return DiagnosticStatus.WARN, core.wheel_health.notice
         doubt = imu_fault(core) or ("the wheels slip" if core.odometry.slipping else "")
-        if doubt:
+        if doubt := self._tipping or doubt:
             return DiagnosticStatus.WARN, doubt
         return DiagnosticStatus.OK, "running"

@@ -2,9 +2,11 @@
 
 from dataclasses import dataclass
 
+from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.core.imu_mount import ImuMount
 from omniman_ros.core.parameters import inline, parameter
 from omniman_ros.core.robot import Robot
+from omniman_ros.motion.whole_body.model import Mount
 from omniman_ros.simulation.plant.imu import ImuSensorParameters
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 
@@ -14,6 +16,8 @@ class SimulatedDriveParameters:
     """Parameters of the node: robot, simulation, rates and time."""
 
     robot: Robot = inline()
+    arm: ArmParameters
+    mount: Mount
     simulation: SimulationParameters = inline()
     imu: ImuMount
     imu_sensor: ImuSensorParameters

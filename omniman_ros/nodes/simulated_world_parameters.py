@@ -2,11 +2,9 @@
 
 from dataclasses import dataclass
 
-from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import parameter
 from omniman_ros.description.parameters import DescriptionParameters
-from omniman_ros.motion.whole_body.model import Mount
 from omniman_ros.nodes.simulated_drive_parameters import SimulatedDriveParameters
 from omniman_ros.simulation.world.parameters import WorldParameters
 from omniman_ros.simulation.world.scanner_parameters import ScannerParameters
@@ -17,10 +15,8 @@ CONTROLLER_RATE = 125.0
 
 @dataclass(frozen=True, kw_only=True)
 class SimulatedWorldParameters(SimulatedDriveParameters):
-    """Parameters of the node: those of `simulated_drive`, the arm, the world and the scanners."""
+    """Parameters of the node: those of `simulated_drive`, the world and the scanners."""
 
-    arm: ArmParameters
-    mount: Mount
     world: WorldParameters
     scanners: tuple[ScannerParameters, ...]
     scene: str = parameter(

@@ -8,7 +8,7 @@ from geometry_msgs.msg import PoseStamped
 from std_srvs.srv import Trigger
 
 from omniman_ros.conversions.poses import goal_pose_from_message
-from omniman_ros.conversions.wheels import reported_limit_scale
+from omniman_ros.conversions.wheels import LimitScales, reported_limit_scales
 from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError, ParameterError
@@ -44,6 +44,7 @@ class StationKeeperNode(OmnimanNode):
         self.stream = StationStream(self, self.settings, self.core)
         self._leader = OdomFeed(self, p.leader_topic, p.leader_frame, self._on_leader)
         self._is_ending = False
+        self._limit_scales = LimitScales()
         for kind, topic, handler, qos in (
             (PoseStamped, "station", self._on_station, 10),
             (DiagnosticStatus, "wheel_health", self._on_health, LATCHED),
@@ -63,11 +64,12 @@ class StationKeeperNode(OmnimanNode):
         self.core.update_leader(at, (x, y, theta), se2.to_robot(theta, self._leader.velocity))
 
     def _on_health(self, message: DiagnosticStatus) -> None:
-        scale = reported_limit_scale(message)
-        if scale > self.core.limit_scale:  # the controller was reset, and expects a silence
+        scales, before = reported_limit_scales(message), self._limit_scales
+        self._limit_scales = scales
+        if scales.wheels > before.wheels:  # the controller was reset, and expects a silence
             self.stream.monitor.restart(self.now())
-        if scale != self.core.limit_scale:
-            self.core.scale_limits(scale)
+        if scales.total != self.core.limit_scale:
+            self.core.scale_limits(scales.total)
 
     def _on_station(self, message: PoseStamped) -> str:
         if self._is_ending:

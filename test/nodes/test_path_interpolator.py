@@ -868,10 +868,10 @@ class WheelHealthPublisher:
         self._publisher = world.publisher(DiagnosticStatus, "wheel_health", LATCHED)
         self._world = world
 
-    def publish_limits(self, limits: str | None) -> None:
+    def publish_limits(self, limits: str | None, key: str = "limits") -> None:
         message = DiagnosticStatus(name="/platform_controller")
         if limits is not None:
-            message.values = [KeyValue(key="limits", value=limits)]
+            message.values = [KeyValue(key=key, value=limits)]
         self._publisher.publish(message)
         self._world.run(2 * PERIOD)
 
@@ -923,6 +923,22 @@ def test_a_path_with_a_dead_wheel_is_slowed_and_driven_to_its_end():
         world.drive_path([(0.7, 0.5, 0.5)])
         _, x, v, _ = world.assert_smooth(since)
         assert speeds(v).max() > 0.45, "the next path runs at full speed again"
+
+
+def test_a_posture_slows_the_path_and_its_end_does_not_interrupt_it(world):
+    """A dead wheel's limits return by a reset only, which expects a silence of the stream."""
+    health = WheelHealthPublisher(world)
+    world.send(BENT)
+    world.run(0.5)
+    health.publish_limits("0.5", "posture_limits")
+    assert world.core.limit_scale == 0.5
+    world.run_until(lambda: world.core.state is PathState.FOLLOWING, 2.5, "a rest")
+    world.run(0.5)
+    health.publish_limits("1", "posture_limits")
+    assert world.core.limit_scale == 1.0 and world.core.state is PathState.FOLLOWING
+    world.run_to_end()
+    world.assert_smooth()
+    assert world.warnings == []
 
 
 def test_malformed_limits_cause_a_warning_and_change_nothing(world):

@@ -13,6 +13,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import Trigger
 
+from omniman_ros.core.arm_parameters import UR_JOINTS
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.simulated_clock import SimulatedClock
 from omniman_ros.nodes.simulated_drive import SimulatedDriveNode
@@ -340,6 +341,28 @@ def test_stopped_drive_warns_only_of_commands_to_move(drive):
     assert "wheel_commands refused" not in drive.node.warning_counts
     drive.command(0.2, [1.0] * 4)
     assert drive.node.warning_counts["wheel_commands refused"] > 30
+
+
+def test_the_plants_mass_is_where_the_arm_is():
+    with Drive({"robot": "omniman", "arm.mass": 40.0}) as drive:
+        arm, plant = drive.publisher(JointState, "arm/joint_states"), drive.node.drives._plant
+        loads = []
+        for pan in (0.0, math.pi / 2, math.nan):
+            message = JointState(name=list(UR_JOINTS), position=[pan, 0.0, 0.0, 0.0, 0.0, 0.0])
+            message.header.stamp = drive.stamp()
+            arm.publish(message)
+            drive.run(0.06)
+            loads.append(np.array(plant._loads))
+        ahead, left, held = loads
+        assert ahead[:2].sum() > 1.8 * ahead[2:].sum()
+        assert left[[0, 2]].sum() > 1.8 * left[[1, 3]].sum()
+        np.testing.assert_array_equal(left, held)
+        assert drive.node.warning_counts["arm/joint_states"] == 1
+        assert drive.set("friction.mu", 0.3).successful  # other parameters leave the posture
+        np.testing.assert_array_equal(plant._loads, left)
+        assert drive.set("arm.mass", 200.0).successful  # beside the wheels: the plant cannot tip
+        assert drive.node.warning_counts["posture"] == 1
+        assert np.isfinite(plant._loads).all()
 
 
 def test_negative_stamps_are_stale(drive):

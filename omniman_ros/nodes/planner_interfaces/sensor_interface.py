@@ -9,7 +9,7 @@ from visualization_msgs.msg import MarkerArray
 
 from omniman_ros.conversions.geometry import twist_array, yaw_from_quaternion
 from omniman_ros.conversions.headers import check_frame
-from omniman_ros.conversions.wheels import reported_limit_scale
+from omniman_ros.conversions.wheels import LimitScales, reported_limit_scales
 from omniman_ros.core.stream_monitor import StreamMonitor
 from omniman_ros.nodes import map_interface, obstacle_interface
 from omniman_ros.nodes.omniman_node import OmnimanNode
@@ -47,6 +47,7 @@ class SensorInterface:
         self._node, self._settings = node, settings
         self._planner, self._monitor = planner, monitor
         self.measured: MeasuredState | None = None
+        self._limit_scales = LimitScales()
         self.obstacles = ObstacleSet(settings.value.core.obstacles)
         for kind, topic, handler, qos in (
             (MarkerArray, "obstacles", self._on_obstacles, 50),
@@ -104,9 +105,10 @@ class SensorInterface:
         self._node.get_logger().info(f"map received: {length:.1f} x {width:.1f} m")
 
     def _on_health(self, message: DiagnosticStatus) -> None:
-        """Apply the fraction of the limits that the controller keeps while a wheel is dead."""
-        limit_scale = reported_limit_scale(message)
+        """Apply the fraction of the limits that dead wheels and the arm's posture leave."""
+        scales, before = reported_limit_scales(message), self._limit_scales
+        self._limit_scales = scales
         # A scale that grows shows that the controller was reset and expects a pause of the stream.
-        if limit_scale > self._planner.limits.limit_scale:
+        if scales.wheels > before.wheels:
             self._monitor.restart(self._node.now())
-        self._planner.set_limit_scale(limit_scale)
+        self._planner.set_limit_scale(scales.total)

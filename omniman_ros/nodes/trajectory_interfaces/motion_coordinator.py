@@ -3,7 +3,7 @@
 from diagnostic_msgs.msg import DiagnosticStatus
 from std_msgs.msg import Float64
 
-from omniman_ros.conversions.wheels import reported_limit_scale
+from omniman_ros.conversions.wheels import LimitScales, reported_limit_scales
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.stream_monitor import StreamMonitor
 from omniman_ros.motion.path.axis_limits import AxisLimits
@@ -89,6 +89,7 @@ class MotionCoordinator:
         self.whole_body = WholeBodyInterface(self.context, whole_body)
         self.tool = ToolInterface(self.context, self.whole_body)
         TrajectoryInput(self.context, self.arm, self.whole_body)
+        self._limit_scales = LimitScales()
         on_health = node.guarded("wheel_health", self._on_health)
         node.create_subscription(DiagnosticStatus, "wheel_health", on_health, LATCHED)
         StreamMonitorInterface(node, self.context.stream_monitor, self._check_control)
@@ -120,9 +121,10 @@ class MotionCoordinator:
         self.whole_body.check_following()
 
     def _on_health(self, message: DiagnosticStatus) -> None:
-        """Apply the fraction of the limits that the controller keeps while a wheel is dead."""
-        limit_scale, core = reported_limit_scale(message), self.path.core
-        if limit_scale > core.limit_scale:  # the controller was reset, and expects a silence
+        """Apply the fraction of the limits that dead wheels and the arm's posture leave."""
+        scales, before, core = reported_limit_scales(message), self._limit_scales, self.path.core
+        self._limit_scales, limit_scale = scales, scales.total
+        if scales.wheels > before.wheels:  # the controller was reset, and expects a silence
             self.context.stream_monitor.restart(self._node.now())
         if limit_scale != core.limit_scale:
             self.whole_body.limit_scale = limit_scale

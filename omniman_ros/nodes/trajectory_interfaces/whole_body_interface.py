@@ -34,7 +34,7 @@ class WholeBodyInterface(JointInterface):
 
     Attributes:
         pending: Motion that waits for the robot.
-        limit_scale: Fraction of the platform's limits that is left while a wheel is dead.
+        limit_scale: Fraction of the platform's limits that dead wheels and the posture leave.
     """
 
     def __init__(self, context: MotionContext, core: JointInterpolator) -> None:
