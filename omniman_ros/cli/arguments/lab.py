@@ -12,6 +12,7 @@ BENCHMARKS = {
     "arm": "setpoints at 125 Hz in the whole running robot next to a bare loop",
     "collision": "CPU time of distances between the robot's parts, and from what stands around it",
     "whole_body": "time of planning tool paths, CPU of their stream, inverse kinematics",
+    "stability": "tracking and lifted wheels with the arm stretched, posture known or not",
     "world": "speed of the physics world over real time, CPU of a laser scan",
 }
 """Measured quantities of each benchmark, for the help text."""

@@ -11,6 +11,7 @@ BENCHMARKS = {
     "arm": "omniman_ros.lab.bench.arm",
     "whole_body": "omniman_ros.lab.bench.whole_body",
     "world": "omniman_ros.lab.bench.world",
+    "stability": "omniman_ros.lab.bench.stability",
     "collision": "omniman_ros.lab.bench.collision",
 }
 """Module of each benchmark, by name; it has a function `run(args)` and is imported on demand."""

@@ -1,0 +1,44 @@
+import json
+
+import pytest
+
+from omniman_ros.cli.main import main
+from omniman_ros.lab.bench import stability as bench
+
+TRACKING = {"speed_error": 0.05, "yaw_error": 0.004}
+TIPPING = {"share": 0.4, "speed": 0.6, "least_load": 100.0, "lifted": 0.0, "tilt": 0.001}
+
+
+def result(**changes):
+    made = {"tracking": {}, "tipping": {}}
+    for side in ("unknown", "known"):
+        made["tracking"][side] = dict(TRACKING, yaw_error=0.01 if side == "unknown" else 0.004)
+        made["tipping"][side] = {**TIPPING, "stop_way": 0.169}
+    for key, value in changes.items():
+        case = "tracking" if key in TRACKING else "tipping"
+        made[case]["known"][key] = value
+    return {**made, "aims": bench.aims(made)}
+
+
+@pytest.mark.parametrize(
+    ("changes", "missed"),
+    [
+        ({}, set()),
+        ({"yaw_error": 0.006}, {"yaw_error"}),
+        ({"lifted": 0.005}, {"no_wheel_lifted"}),
+        ({"stop_way": 0.18}, {"stop_way"}),
+    ],
+)
+def test_a_missed_aim_is_reported_as_missed(changes, missed):
+    made = result(**changes)
+    assert {key for key, good in made["aims"].items() if not good} == missed
+    assert sum("MISSED" in line for line in bench.report(made)) == len(missed)
+
+
+@pytest.mark.exhaustive
+def test_the_benchmark_meets_its_aims(tmp_path):
+    pytest.importorskip("mujoco")
+    assert main(["bench", "stability", "--results", str(tmp_path)]) == 0
+    written = json.loads((tmp_path / "bench_stability.json").read_text())
+    assert all(written["aims"].values())
+    assert written["tipping"]["unknown"]["lifted"] > 0.3
