@@ -12,17 +12,19 @@ MIN_LIMIT_SCALE = 0.01
 class EffectiveLimits:
     """Planner parameters with the scale of the motion limits resolved.
 
-    Plans use `(1 - reserve) * limit_scale` of the velocity and acceleration limits. Braking is
-    not scaled: it always uses `1 - reserve` of the deceleration limits.
+    Plans use `(1 - reserve) * limit_scale` of the velocity and acceleration limits. Braking uses
+    `(1 - reserve) * braking_scale` of the deceleration limits.
 
     Attributes:
         parameters: Parameters of the planner.
-        limit_scale: Factor on velocity and acceleration limits [-]; 1 unless a wheel is dead.
-            Values below MIN_LIMIT_SCALE are raised to it.
+        limit_scale: Factor on velocity and acceleration limits [-]; 1 unless a wheel is dead, or
+            the arm's posture bears less. Values below MIN_LIMIT_SCALE are raised to it.
+        braking_scale: Factor on deceleration limits [-]; 1 unless the posture bears less.
     """
 
     parameters: PlannerParameters
     limit_scale: float = 1.0
+    braking_scale: float = 1.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "limit_scale", max(self.limit_scale, MIN_LIMIT_SCALE))
@@ -46,7 +48,7 @@ class EffectiveLimits:
 
     @property
     def decelerations(self) -> tuple[float, float]:
-        """Linear [m/s^2] and angular deceleration [rad/s^2] of braking, not scaled."""
-        unreserved = 1.0 - self.parameters.reserve
+        """Linear [m/s^2] and angular deceleration [rad/s^2] of braking."""
+        factor = (1.0 - self.parameters.reserve) * self.braking_scale
         linear, angular = self.parameters.limits.deceleration
-        return unreserved * linear, unreserved * angular
+        return factor * linear, factor * angular

@@ -5,6 +5,8 @@ and `take` selects the plan, the rest of the last motion, or braking. The robot 
 until the next cycle. Time is always an argument.
 """
 
+from dataclasses import replace
+
 from omniman_ros.core.arrays import Array
 from omniman_ros.planning.cycle import CycleReport, MeasuredState, PlannerState
 from omniman_ros.planning.effective_limits import EffectiveLimits
@@ -119,11 +121,11 @@ class Planner:
         """Use other weights, limits and clearances from the next cycle on."""
         if parameters.robot != self.parameters.robot:
             self.model = PlanningModel.of(parameters.robot)
-        self._apply(EffectiveLimits(parameters, self.limits.limit_scale))
+        self._apply(replace(self.limits, parameters=parameters))
 
-    def set_limit_scale(self, limit_scale: float) -> None:
-        """Scale the velocity and acceleration limits from now on."""
-        self._apply(EffectiveLimits(self.parameters, limit_scale))
+    def set_limit_scale(self, limit_scale: float, braking_scale: float = 1.0) -> None:
+        """Scale velocity and acceleration limits, and those of the deceleration, from now on."""
+        self._apply(replace(self.limits, limit_scale=limit_scale, braking_scale=braking_scale))
 
     def _apply(self, limits: EffectiveLimits) -> None:
         """Pass limits and model on to the collaborators."""

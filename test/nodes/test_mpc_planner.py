@@ -1276,8 +1276,9 @@ def test_backward_time_jump_at_rest_is_tolerated(alone):
 def test_dead_wheel_slows_the_robot(alone):
     health = alone.publisher(DiagnosticStatus, "wheel_health", LATCHED)
 
-    def say(limits: str) -> None:
+    def say(limits: str, posture: str = "1") -> None:
         values = [KeyValue(key="limits", value=limits)]
+        values.append(KeyValue(key="posture_limits", value=posture))
         health.publish(DiagnosticStatus(name="/platform_controller", values=values))
         alone.run(2 * PERIOD)
 
@@ -1293,6 +1294,9 @@ def test_dead_wheel_slows_the_robot(alone):
     assert alone.core.limits.limit_scale == 0.6 and "limits 'nonsense'" in alone.warnings[-1]
     alone.arrive()
     assert max(alone.speeds[slow_from:]) <= 0.6 * 0.85 * 1.035
+    say("0.6", posture="0.5")
+    assert alone.core.limits.limit_scale == 0.3
+    assert alone.core.limits.braking_scale == 0.5
 
 
 def fastest(world: PlannerWithFakeController) -> float:

@@ -610,6 +610,17 @@ def test_reduced_limit_scale_is_reached_and_never_exceeded(share):
     assert speeds(sim)[-400:, 0].max() > slowed[-1] + 0.05
 
 
+def test_braking_is_as_slow_as_the_posture_demands_also_with_new_parameters():
+    made = planner()
+    full = made.limits.decelerations
+    made.set_limit_scale(0.4)  # a dead wheel: the controller brakes as ever
+    assert made.limits.decelerations == full
+    made.set_limit_scale(0.4, 0.5)
+    made.configure(parameters(limits__linear_velocity=0.4))
+    assert made.limits.decelerations == pytest.approx([0.5 * limit for limit in full])
+    assert made.limits.speeds[0] == pytest.approx(0.4 * 0.4 * 0.85)
+
+
 # ---- what is reported -------------------------------------------------------------------------
 
 

@@ -111,4 +111,4 @@ class SensorInterface:
         # A scale that grows shows that the controller was reset and expects a pause of the stream.
         if scales.wheels > before.wheels:
             self._monitor.restart(self._node.now())
-        self._planner.set_limit_scale(scales.total)
+        self._planner.set_limit_scale(scales.total, scales.posture)
