@@ -214,6 +214,7 @@ def test_three_wheels_drive_on_until_repair_and_reset():
             "rear_right": "driving",
             "torque": "measured",
             "limits": "0.5",
+            "posture_limits": "1",
         }
         ours = [s for m in report for s in m.status if "platform_controller" in s.name][-1]
         assert (ours.level, ours.message) == (DiagnosticStatus.WARN, note)
