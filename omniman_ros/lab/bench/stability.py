@@ -52,6 +52,8 @@ def measure(robot: Mapping[str, Any], seconds: float) -> dict[str, Any]:
     Raises:
         CommandError: The controller stopped, or the robot has no arm.
     """
+    if not robot.get("arm.mass", 0.0):
+        raise CommandError("the robot has no arm")
     # The command line must do without the engine.
     from omniman_ros.lab.studies.arm_posture import drive
 

@@ -67,14 +67,13 @@ def drive(
             bears; else the arm is a mass at a fixed place.
 
     Raises:
-        CommandError: The controller stopped, or the robot has no arm.
+        CommandError: The controller stopped.
     """
     parameters = build(PlatformParameters, {**robot, "stability.limit": knows_posture})
     choice = WorldChoice.of(robot, IDEAL)
     loop = ClosedLoop(parameters, build(SimulationParameters, robot), world=choice)
     core, world = loop.controller, loop.world
-    if world is None or world.arm is None:
-        raise CommandError("the robot has no arm")
+    assert world is not None and world.arm is not None  # as chosen, and by the arm's mass
     world.arm.place(LEFT)
     if knows_posture:
         description = choice.description

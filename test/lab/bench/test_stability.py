@@ -3,7 +3,9 @@ import json
 import pytest
 
 from omniman_ros.cli.main import main
+from omniman_ros.console.errors import CommandError
 from omniman_ros.lab.bench import stability as bench
+from omniman_ros.robots import load_robot
 
 TRACKING = {"speed_error": 0.05, "yaw_error": 0.004}
 TIPPING = {"share": 0.4, "speed": 0.6, "least_load": 100.0, "lifted": 0.0, "tilt": 0.001}
@@ -33,6 +35,11 @@ def test_a_missed_aim_is_reported_as_missed(changes, missed):
     made = result(**changes)
     assert {key for key, good in made["aims"].items() if not good} == missed
     assert sum("MISSED" in line for line in bench.report(made)) == len(missed)
+
+
+def test_a_robot_without_an_arm_is_refused():
+    with pytest.raises(CommandError, match="no arm"):
+        bench.measure(load_robot("ig42"), 1.0)
 
 
 @pytest.mark.exhaustive
