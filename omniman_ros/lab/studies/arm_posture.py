@@ -19,10 +19,14 @@ from omniman_ros.simulation.world.parameters import IDEAL
 
 LEFT = (math.pi / 2, 0.0, 0.0, 0.0, 0.0, 0.0)
 """Posture with the arm stretched to the left [rad]."""
+FOLDED = (math.pi / 2, -2.6, 2.6, 0.0, 0.0, 0.0)
+"""Posture with the arm folded above its base, from which it stretches to the left [rad]."""
 SETTLING_TIME = 0.5
 """Time before the first twist, in which the robot comes to rest on its tyres [s]."""
 STOP_TIME = 1.5
 """Time for which the last stop is watched [s]."""
+POSTURE_TICKS = 8
+"""Number of ticks between two postures that the controller gets."""
 
 
 @dataclass(frozen=True)
@@ -50,12 +54,118 @@ class Figures:
     share: float
 
 
+@dataclass(frozen=True)
+class Swing:
+    """The arm stretches from folded to the left after the last twist, which goes on meanwhile.
+
+    Attributes:
+        duration: Duration of the swing [s].
+        stop: Time of the stop after its beginning [s].
+    """
+
+    duration: float
+    stop: float
+
+    def posture(self, time: float) -> Array:
+        """Return the posture (6,) at a time after the beginning [s]; angles [rad]."""
+        u = min(time / self.duration, 1.0)
+        folded, left = np.array(FOLDED), np.array(LEFT)
+        result: Array = folded + u * u * (3.0 - 2.0 * u) * (left - folded)
+        return result
+
+
+class ArmDrive:
+    """A robot in the physics world, its arm, and what is seen of them.
+
+    Args:
+        robot: Parameters of a robot with an arm, full names to values.
+        posture: Posture of the arm at first [rad].
+        knows_posture: Whether the controller knows the arm's posture, and limits itself to what it
+            bears; else the arm is a mass at a fixed place.
+
+    Attributes:
+        loop: Controller and world.
+        errors: Commanded minus true wheel speeds (n,) of each tick [rad/s].
+        yaw_errors: Commanded minus true yaw rate [rad/s].
+        loads: Smallest load of a wheel [N].
+        tilts: Angle between the platform's vertical and the true one [rad].
+    """
+
+    def __init__(
+        self, robot: Mapping[str, Any], posture: Sequence[float], *, knows_posture: bool
+    ) -> None:
+        parameters = build(PlatformParameters, {**robot, "stability.limit": knows_posture})
+        choice = WorldChoice.of(robot, IDEAL)
+        self.loop = ClosedLoop(parameters, build(SimulationParameters, robot), world=choice)
+        assert self.loop.world is not None and self.loop.world.arm is not None
+        self._world, self._arm = self.loop.world, self.loop.world.arm
+        self._arm.place(posture)
+        self._mass = None
+        if knows_posture:
+            description = choice.description
+            self._mass = ArmMass(description.robot.arm, description.mount)
+        self.errors: list[Array] = []
+        self.yaw_errors: list[float] = []
+        self.loads: list[float] = []
+        self.tilts: list[float] = []
+        self._swing: Swing | None = None
+        self._swing_start = 0.0
+        self.watch(SETTLING_TIME, None)
+        for seen in (self.errors, self.yaw_errors, self.loads, self.tilts):
+            seen.clear()
+
+    def begin(self, swing: Swing) -> None:
+        """Begin to swing the arm."""
+        self._swing, self._swing_start = swing, self.loop.now
+
+    def watch(self, duration: float, twist: Sequence[float] | None) -> None:
+        """Run for a duration [s], by a twist (3,) of `cmd_vel` if there is one."""
+        loop, core, world = self.loop, self.loop.controller, self._world
+        for _ in range(round(duration / PERIOD)):
+            if self._swing is not None:
+                self._arm.command(self._swing.posture(loop.now - self._swing_start))
+            if self._mass is not None and loop.tick % POSTURE_TICKS == 0:
+                core.set_arm(self._mass.at(self._arm.positions))
+            if twist is not None:
+                core.set_twist(np.array(twist, dtype=float), loop.now)
+            loop.step()
+            speeds = [wheel.speed for wheel in world.wheels]
+            self.errors.append(core.cascade.reference - speeds)
+            self.yaw_errors.append(float(core.setpoint[2] - world.twist[2]))
+            self.loads.append(float(world.wheel_loads.min()))
+            self.tilts.append(math.acos(min(1.0, float(world.base_frame[1][2, 2]))))
+
+    def stop(self) -> Figures:
+        """Stop, and return what the whole drive showed.
+
+        Raises:
+            CommandError: The controller has stopped by itself.
+        """
+        core, world = self.loop.controller, self._world
+        if not core.latch.released:
+            raise CommandError(f"the controller stopped: {core.latch.status.reason}")
+        speed, start = math.hypot(*world.twist[:2]), world.pose
+        core.latch.stop("end of the drive")
+        self.watch(STOP_TIME, None)
+        return Figures(
+            speed_error=_rms(self.errors),
+            yaw_error=_rms(self.yaw_errors),
+            least_load=min(self.loads),
+            lifted=PERIOD * sum(load <= 0.0 for load in self.loads),
+            tilt=max(self.tilts),
+            speed=speed,
+            stop_way=math.dist(world.pose[:2], start[:2]),
+            share=core.stability.share,
+        )
+
+
 def drive(
     robot: Mapping[str, Any],
     twists: Sequence[Sequence[float]],
     seconds: float,
     *,
     knows_posture: bool,
+    swing: Swing | None = None,
 ) -> Figures:
     """Drive twists one after another with the arm stretched to the left, and stop.
 
@@ -63,54 +173,19 @@ def drive(
         robot: Parameters of a robot with an arm, full names to values.
         twists: Twists (k, 3) of `cmd_vel` [m/s, m/s, rad/s].
         seconds: Duration of each [s].
-        knows_posture: Whether the controller knows the arm's posture, and limits itself to what it
-            bears; else the arm is a mass at a fixed place.
+        knows_posture: See :class:`ArmDrive`.
+        swing: How the arm stretches after the twists; None if it is stretched from the beginning.
 
     Raises:
-        CommandError: The controller stopped.
+        CommandError: The controller has stopped by itself.
     """
-    parameters = build(PlatformParameters, {**robot, "stability.limit": knows_posture})
-    choice = WorldChoice.of(robot, IDEAL)
-    loop = ClosedLoop(parameters, build(SimulationParameters, robot), world=choice)
-    core, world = loop.controller, loop.world
-    assert world is not None and world.arm is not None  # as chosen, and by the arm's mass
-    world.arm.place(LEFT)
-    if knows_posture:
-        description = choice.description
-        core.set_arm(ArmMass(description.robot.arm, description.mount).at(np.array(LEFT)))
-    errors: list[Array] = []
-    yaw_errors, loads, tilts = [], [], []
-
-    def watch(duration: float, twist: Sequence[float] | None) -> None:
-        for _ in range(round(duration / PERIOD)):
-            if twist is not None:
-                core.set_twist(np.array(twist, dtype=float), loop.now)
-            loop.step()
-            errors.append(core.cascade.reference - [wheel.speed for wheel in world.wheels])
-            yaw_errors.append(core.setpoint[2] - world.twist[2])
-            loads.append(float(world.wheel_loads.min()))
-            tilts.append(math.acos(min(1.0, float(world.base_frame[1][2, 2]))))
-
-    watch(SETTLING_TIME, None)
-    for seen in (errors, yaw_errors, loads, tilts):
-        seen.clear()
+    made = ArmDrive(robot, FOLDED if swing else LEFT, knows_posture=knows_posture)
     for twist in twists:
-        watch(seconds, twist)
-    if not core.latch.released:
-        raise CommandError(f"the controller stopped: {core.latch.status.reason}")
-    speed, start = math.hypot(*world.twist[:2]), world.pose
-    core.latch.stop("end of the drive")
-    watch(STOP_TIME, None)
-    return Figures(
-        speed_error=_rms(errors),
-        yaw_error=_rms(yaw_errors),
-        least_load=min(loads),
-        lifted=PERIOD * sum(load <= 0.0 for load in loads),
-        tilt=max(tilts),
-        speed=speed,
-        stop_way=math.dist(world.pose[:2], start[:2]),
-        share=core.stability.share,
-    )
+        made.watch(seconds, twist)
+    if swing is not None:
+        made.begin(swing)
+        made.watch(swing.stop, twists[-1])
+    return made.stop()
 
 
 def _rms(values: Sequence[Array] | Sequence[float]) -> float:

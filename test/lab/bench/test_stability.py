@@ -11,14 +11,13 @@ TRACKING = {"speed_error": 0.05, "yaw_error": 0.004}
 TIPPING = {"share": 0.4, "speed": 0.6, "least_load": 100.0, "lifted": 0.0, "tilt": 0.001}
 
 
-def result(**changes):
-    made = {"tracking": {}, "tipping": {}}
+def result(case="tipping", **changes):
+    made = {"tracking": {}, "tipping": {}, "swing": {}}
     for side in ("unknown", "known"):
         made["tracking"][side] = dict(TRACKING, yaw_error=0.01 if side == "unknown" else 0.004)
-        made["tipping"][side] = {**TIPPING, "stop_way": 0.169}
-    for key, value in changes.items():
-        case = "tracking" if key in TRACKING else "tipping"
-        made[case]["known"][key] = value
+        for stop in ("tipping", "swing"):
+            made[stop][side] = {**TIPPING, "stop_way": 0.169}
+    made[case]["known"].update(changes)
     return {**made, "aims": bench.aims(made)}
 
 
@@ -26,9 +25,11 @@ def result(**changes):
     ("changes", "missed"),
     [
         ({}, set()),
-        ({"yaw_error": 0.006}, {"yaw_error"}),
-        ({"lifted": 0.005}, {"no_wheel_lifted"}),
-        ({"stop_way": 0.18}, {"stop_way"}),
+        ({"case": "tracking", "yaw_error": 0.006}, {"yaw_error"}),
+        ({"lifted": 0.005}, {"tipping_lifted"}),
+        ({"stop_way": 0.18}, {"tipping_stop_way"}),
+        ({"case": "swing", "stop_way": 0.18}, set()),
+        ({"case": "swing", "stop_way": 0.19, "lifted": 0.1}, {"swing_stop_way", "swing_lifted"}),
     ],
 )
 def test_a_missed_aim_is_reported_as_missed(changes, missed):
@@ -49,3 +50,4 @@ def test_the_benchmark_meets_its_aims(tmp_path):
     written = json.loads((tmp_path / "bench_stability.json").read_text())
     assert all(written["aims"].values())
     assert written["tipping"]["unknown"]["lifted"] > 0.3
+    assert written["swing"]["unknown"]["tilt"] > 0.05
