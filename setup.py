@@ -43,7 +43,7 @@ SHARED = {
     "config/can": "config/can/*.yaml",
     "config/ur": "config/ur/*.yaml",
     "config/worlds": "config/worlds/*.yaml",
-    "launch": "config/launch/*.launch.py",
+    "launch": "config/launch/*.py",
     "config/nav2": "config/nav2/*.yaml",
     "rviz": "config/rviz/*",
     "plotjuggler": "config/plotjuggler/*",

@@ -8,39 +8,42 @@ Transforms are published on tf and tf_static in the namespace: frames have no pr
 transforms of two robots would mix on one /tf. All robots of a ROS domain share /diagnostics, where
 each node appears with its full name, and /clock: in simulated time, a domain can hold only one
 robot.
+
+All that can be wrong with the arguments is looked up before the first node starts. supervision.py
+says what happens when a node ends.
 """
 
-from ament_index_python.packages import get_package_prefix
-from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument
-from launch.conditions import IfCondition, UnlessCondition
-from launch.substitutions import (
-    AndSubstitution,
-    Command,
-    EqualsSubstitution,
-    LaunchConfiguration,
-    NotSubstitution,
-    PathJoinSubstitution,
-    PythonExpression,
-)
-from launch_ros.actions import Node
+import subprocess
+from collections.abc import Mapping
+from functools import partial
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from typing import Any
+
+from ament_index_python.packages import get_package_prefix, get_package_share_directory
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch_ros.parameter_descriptions import ParameterValue
-from launch_ros.substitutions import ExecutableInPackage, FindPackageShare
+from launch_ros.substitutions import ExecutableInPackage
 
+_SPEC = spec_from_file_location("omniman_supervision", Path(__file__).with_name("supervision.py"))
+supervision = module_from_spec(_SPEC)
+_SPEC.loader.exec_module(supervision)
 
-def has_robot_state_publisher() -> bool:
-    """Return whether robot_state_publisher is installed, which the robot itself does not need."""
-    try:
-        get_package_prefix("robot_state_publisher")
-    except LookupError:
-        return False
-    return True
-
-
+PACKAGE = "omniman_ros"
+"""Name of this package."""
+BOOLEANS = ["true", "false", "True", "False"]
+"""Values of an argument that is true or false."""
 TF = [("/tf", "tf"), ("/tf_static", "tf_static")]
-"""Remappings of every node that publishes or receives transforms."""
+"""Remappings that keep the transforms of a robot in its namespace."""
 BUS = ("239.74.163.2", 43113)
 """Multicast group and port of the first robot's bus, a UDP bus of python-can."""
+BUS_TIMEOUTS = {
+    "can.missed_periods": 40,
+    "can.drive_heartbeat": 0.1,
+    "can.heartbeat_timeout": 0.3,
+}
+"""Timeouts of the bus for simulated drives, which may have to wait on a busy machine."""
 UR_PORTS = {
     "dashboard": 29999,
     "primary": 30001,
@@ -66,10 +69,16 @@ ARGUMENTS = [
         "namespace", default_value="", description="Namespace of all nodes and topics"
     ),
     DeclareLaunchArgument(
+        "params_file",
+        default_value="",
+        description="Path of a ROS parameter file, whose values take precedence; its keys select "
+        "the nodes, such as /**/platform_controller",
+    ),
+    DeclareLaunchArgument(
         "use_sim_time",
         default_value="false",
         description="Run on the time of /clock, which the simulated drive then publishes",
-        choices=["true", "false"],
+        choices=BOOLEANS,
     ),
     DeclareLaunchArgument(
         "drive",
@@ -85,10 +94,9 @@ ARGUMENTS = [
     ),
     DeclareLaunchArgument(
         "installation",
-        default_value=PathJoinSubstitution(
-            [FindPackageShare("omniman_ros"), "config", "can", "cia402.yaml"]
-        ),
-        description="Path of the YAML file of the drives on the bus, with drive:=can or real",
+        default_value="cia402",
+        description="Drives on the bus, with drive:=can or real: a name in "
+        "share/omniman_ros/config/can, or path of a YAML file",
     ),
     DeclareLaunchArgument(
         "arm",
@@ -98,10 +106,9 @@ ARGUMENTS = [
     ),
     DeclareLaunchArgument(
         "controller",
-        default_value=PathJoinSubstitution(
-            [FindPackageShare("omniman_ros"), "config", "ur", "ur5.yaml"]
-        ),
-        description="Path of the YAML file of the arm's controller, with arm:=ur",
+        default_value="ur5",
+        description="The arm's controller, with arm:=ur: a name in share/omniman_ros/config/ur, "
+        "or path of a YAML file",
     ),
     DeclareLaunchArgument(
         "odometry",
@@ -113,19 +120,19 @@ ARGUMENTS = [
         "mpc",
         default_value="true",
         description="Whether to start the planner among obstacles; needs casadi",
-        choices=["true", "false"],
+        choices=BOOLEANS,
     ),
     DeclareLaunchArgument(
         "viewer",
         default_value="false",
         description="Whether to serve the page for a browser; needs viser",
-        choices=["true", "false"],
+        choices=BOOLEANS,
     ),
     DeclareLaunchArgument(
         "rviz",
         default_value="false",
         description="Whether to start RViz with share/omniman_ros/rviz/omniman.rviz",
-        choices=["true", "false"],
+        choices=BOOLEANS,
     ),
     DeclareLaunchArgument(
         "number",
@@ -136,286 +143,251 @@ ARGUMENTS = [
     ),
     DeclareLaunchArgument(
         "description",
-        default_value="true" if has_robot_state_publisher() else "false",
+        default_value="auto",
         description="Whether to start robot_state_publisher with the URDF; if not, only the URDF "
-        "is published, on robot_description",
-        choices=["true", "false"],
+        "is published, on robot_description; auto: if it is installed",
+        choices=["auto", *BOOLEANS],
+    ),
+    DeclareLaunchArgument(
+        "respawn",
+        default_value="false",
+        description="Whether a node that moves nothing is started again when it has ended; the "
+        "end of any other one stops the robot",
+        choices=BOOLEANS,
+    ),
+    DeclareLaunchArgument(
+        "respawn_delay",
+        default_value="2.0",
+        description="Time before a node is started again, in seconds",
     ),
 ]
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Return the arguments and the nodes."""
-    robot = ParameterValue(LaunchConfiguration("robot"), value_type=str)
-    sim_time = ParameterValue(LaunchConfiguration("use_sim_time"), value_type=bool)
+    """Return the arguments, and the function that makes the nodes once they are known."""
+    return LaunchDescription([*ARGUMENTS, OpaqueFunction(function=start)])
 
-    # In simulated time, the drive publishes the clock that the other nodes run on.
-    is_simulated = EqualsSubstitution(LaunchConfiguration("drive"), "simulated")
-    has_no_world = EqualsSubstitution(LaunchConfiguration("world"), "")
-    simulated_drive = Node(
-        package="omniman_ros",
-        executable="simulated_drive",
-        namespace=LaunchConfiguration("namespace"),
-        parameters=[{"robot": robot, "publish_clock": sim_time}],
-        remappings=TF,
-        output="screen",
-        condition=IfCondition(AndSubstitution(is_simulated, has_no_world)),
+
+def start(context: LaunchContext) -> list[Any]:
+    """Return the nodes of the robot.
+
+    Raises:
+        RuntimeError: An argument names a robot, a file or a package that does not exist.
+    """
+    names = [argument.name for argument in ARGUMENTS]
+    given = {name: context.launch_configurations[name] for name in names}
+    robot = _name_or_path(given, "robot", "")
+    has_description = _has_description(given)
+    if _is_true(given, "rviz"):
+        _require_package("rviz:=true", "rviz2")
+    own = [_file(given, "params_file", None)] if given["params_file"] else []
+    common = {"robot": _text(robot), "use_sim_time": _is_true(given, "use_sim_time")}
+    node = partial(_node, supervision.Crew(), given, own)
+    nodes = [*_drive(given, node, robot), *_arm(given, node)]
+
+    # Only one node publishes the odometry.
+    is_separate = given["odometry"] == "node"
+    nodes.append(node("platform_controller", {**common, "publish_odom": not is_separate}))
+    if is_separate:
+        nodes.append(node("odometry", common))
+    # These nodes know the arm's limits, which the file of its controller sets.
+    limits = [_file(given, "controller", "ur")] if given["arm"] == "ur" else []
+    nodes.append(node("path_interpolator", *limits, common))
+    # The URDF has joints that somebody publishes only, and one node publishes it.
+    is_armed = given["arm"] != "none"
+    of_joints = {"publish_description": not has_description, "describe_arm": is_armed}
+    nodes.append(
+        node("joint_state_broadcaster", *limits, {**common, **of_joints}, essential=False)
     )
-    scene = ParameterValue(LaunchConfiguration("world"), value_type=str)
-    # The joints of a simulated arm are in the world, if there is one.
-    is_arm_simulated = EqualsSubstitution(LaunchConfiguration("arm"), "simulated")
-    is_arm_in_world = AndSubstitution(
-        AndSubstitution(is_simulated, NotSubstitution(has_no_world)), is_arm_simulated
-    )
-    arm_port = _chosen(is_arm_in_world, f"{ARM_PORT} + ", LaunchConfiguration("number"), "0", int)
-    servo_lag = _chosen(is_arm_in_world, str(WORLD_SERVO_LAG), "", str(SERVO_LAG), float)
-    simulated_world = Node(
-        package="omniman_ros",
-        executable="simulated_world",
-        namespace=LaunchConfiguration("namespace"),
-        parameters=[
-            {"robot": robot, "publish_clock": sim_time, "scene": scene, "arm_port": arm_port}
-        ],
-        remappings=TF,
-        output="screen",
-        condition=IfCondition(AndSubstitution(is_simulated, NotSubstitution(has_no_world))),
-    )
-    # With drive:=can, simulated drives are on a bus of UDP multicast on this machine.
-    installation = LaunchConfiguration("installation")
+    if _is_true(given, "mpc"):
+        nodes.append(node("mpc_planner", common))
+    if _is_true(given, "viewer"):
+        nodes.append(node("viewer", common, essential=False))
+    sim_time = {"use_sim_time": common["use_sim_time"]}
+    watching = partial(node, essential=False)
+    if has_description:
+        urdf = {"robot_description": _text(_urdf(context, robot, limits, is_armed))}
+        publisher = "robot_state_publisher"
+        nodes.append(watching(publisher, {**urdf, **sim_time}, package=publisher))
+    if _is_true(given, "rviz"):
+        view = str(Path(get_package_share_directory(PACKAGE), "rviz", "omniman.rviz"))
+        nodes.append(watching("rviz2", sim_time, package="rviz2", arguments=["-d", view]))
+    return nodes
+
+
+def _drive(given: Mapping[str, str], node: Any, robot: str) -> list[Any]:
+    """Return the nodes that turn the wheels; in simulated time, they publish the clock."""
+    simulated = {"robot": _text(robot), "publish_clock": _is_true(given, "use_sim_time")}
+    if given["drive"] == "simulated" and given["world"]:
+        world = {
+            "scene": _text(_name_or_path(given, "world", "worlds")),
+            "arm_port": _arm_port(given),
+        }
+        return [node("simulated_world", {**simulated, **world}, stage=3)]
+    if given["drive"] == "simulated":
+        return [node("simulated_drive", simulated, stage=3)]
+    installation = _file(given, "installation", "can")
+    on_bus: dict[str, Any] = {"robot": _text(robot)}
+    if given["drive"] == "real":
+        return [node("can_bridge", installation, on_bus, stage=1)]
+    # Simulated drives are on a bus of UDP multicast on this machine.
     group, port = BUS
-    private_bus = {
-        "can.interface": "udp_multicast",
-        "can.channel": group,
-        "can.port": _numbered(port, 1000),
-    }
-    bridge = {
-        "package": "omniman_ros",
-        "executable": "can_bridge",
-        "output": "screen",
-        "namespace": LaunchConfiguration("namespace"),
-    }
-    can_bridge = Node(
-        **bridge,
-        parameters=[installation, {"robot": robot}],
-        condition=IfCondition(EqualsSubstitution(LaunchConfiguration("drive"), "real")),
-    )
-    can_bridge_on_private_bus = Node(
-        **bridge,
-        parameters=[installation, {"robot": robot, **private_bus}],
-        condition=IfCondition(EqualsSubstitution(LaunchConfiguration("drive"), "can")),
-    )
-    simulated_can_drives = Node(
-        package="omniman_ros",
-        executable="simulated_can_drives",
-        namespace=LaunchConfiguration("namespace"),
-        parameters=[installation, {"robot": robot, **private_bus}],
-        output="screen",
-        condition=IfCondition(EqualsSubstitution(LaunchConfiguration("drive"), "can")),
-    )
-    # Only one of the two nodes below publishes the odometry.
-    separate_odometry = EqualsSubstitution(LaunchConfiguration("odometry"), "node")
-    publish_odom = ParameterValue(NotSubstitution(separate_odometry), value_type=bool)
-    platform_controller = Node(
-        package="omniman_ros",
-        executable="platform_controller",
-        namespace=LaunchConfiguration("namespace"),
-        parameters=[{"robot": robot, "use_sim_time": sim_time, "publish_odom": publish_odom}],
-        remappings=TF,
-        output="screen",
-    )
-    odometry = Node(
-        package="omniman_ros",
-        executable="odometry",
-        namespace=LaunchConfiguration("namespace"),
-        parameters=[{"robot": robot, "use_sim_time": sim_time}],
-        remappings=TF,
-        output="screen",
-        condition=IfCondition(separate_odometry),
-    )
-    streamer = {
-        "package": "omniman_ros",
-        "executable": "arm_streamer",
-        "output": "screen",
-        "namespace": LaunchConfiguration("namespace"),
-    }
-    arm_streamer = Node(
-        **streamer,
-        parameters=[LaunchConfiguration("controller")],
-        condition=IfCondition(EqualsSubstitution(LaunchConfiguration("arm"), "ur")),
-    )
-    ports = {name: _numbered(port, 10) for name, port in UR_PORTS.items()}
-    arm_streamer_of_simulated_ur = Node(
-        **streamer,
-        parameters=[
-            {
-                "ur.host": "127.0.0.1",
-                "ur.dashboard_port": ports["dashboard"],
-                "ur.script_port": ports["secondary"],
-                "ur.rtde_port": ports["rtde"],
-                "ur.reverse_port": 0,
-                "use_sim_time": sim_time,
-                "simulated_controller": True,
-                "ur.servo_lag": servo_lag,
-            }
-        ],
-        condition=IfCondition(is_arm_simulated),
-    )
-    simulated_ur = Node(
-        package="omniman_ros",
-        executable="simulated_ur",
-        namespace=LaunchConfiguration("namespace"),
-        parameters=[
-            {
-                **{f"ports.{name}": port for name, port in ports.items()},
-                "use_sim_time": sim_time,
-                "simulated_arm.world_port": arm_port,
-            }
-        ],
-        output="screen",
-        condition=IfCondition(is_arm_simulated),
-    )
-    # The interpolator plans within the arm's limits, which the controller's file sets.
-    interpolator = {
-        "package": "omniman_ros",
-        "executable": "path_interpolator",
-        "namespace": LaunchConfiguration("namespace"),
-        "output": "screen",
-    }
-    with_ur = EqualsSubstitution(LaunchConfiguration("arm"), "ur")
-    path_interpolator = Node(
-        **interpolator,
-        parameters=[{"robot": robot, "use_sim_time": sim_time}],
-        condition=UnlessCondition(with_ur),
-    )
-    path_interpolator_with_ur = Node(
-        **interpolator,
-        parameters=[LaunchConfiguration("controller"), {"robot": robot, "use_sim_time": sim_time}],
-        condition=IfCondition(with_ur),
-    )
-    # Only one of the two nodes below publishes the URDF on robot_description.
-    description = LaunchConfiguration("description")
-    of_joints = {
-        "robot": robot,
-        "use_sim_time": sim_time,
-        "publish_description": ParameterValue(NotSubstitution(description), value_type=bool),
-    }
-    broadcaster = {
-        "package": "omniman_ros",
-        "executable": "joint_state_broadcaster",
-        "namespace": LaunchConfiguration("namespace"),
-        "output": "screen",
-    }
-    joint_state_broadcaster = Node(
-        **broadcaster, parameters=[of_joints], condition=UnlessCondition(with_ur)
-    )
-    joint_state_broadcaster_with_ur = Node(
-        **broadcaster,
-        parameters=[LaunchConfiguration("controller"), of_joints],
-        condition=IfCondition(with_ur),
-    )
-    # The quotes are needed because launch splits the line into words as a shell does.
-    urdf = [
-        "'",
-        ExecutableInPackage(executable="omniman", package="omniman_ros"),
-        "'",
-        " urdf --robot '",
-        LaunchConfiguration("robot"),
-        "'",
+    on_bus["can.interface"] = "udp_multicast"
+    on_bus["can.channel"] = _text(group)
+    on_bus["can.port"] = port + 1000 * int(given["number"])
+    on_bus |= BUS_TIMEOUTS
+    return [
+        node("simulated_can_drives", installation, on_bus, stage=2),
+        node("can_bridge", installation, on_bus, stage=1),
     ]
-    publisher = {
-        "package": "robot_state_publisher",
-        "executable": "robot_state_publisher",
-        "namespace": LaunchConfiguration("namespace"),
-        "output": "screen",
-        "remappings": TF,
+
+
+def _arm(given: Mapping[str, str], node: Any) -> list[Any]:
+    """Return the nodes that move the arm."""
+    if given["arm"] == "ur":
+        return [node("arm_streamer", _file(given, "controller", "ur"), stage=1)]
+    if given["arm"] == "none":
+        return []
+    sim_time = {"use_sim_time": _is_true(given, "use_sim_time")}
+    ports = {name: port + 10 * int(given["number"]) for name, port in UR_PORTS.items()}
+    world_port = _arm_port(given)
+    controller = {f"ports.{name}": port for name, port in ports.items()}
+    client = {
+        "ur.host": "127.0.0.1",
+        "ur.dashboard_port": ports["dashboard"],
+        "ur.script_port": ports["secondary"],
+        "ur.rtde_port": ports["rtde"],
+        "ur.reverse_port": 0,
+        "simulated_controller": True,
+        "ur.servo_lag": WORLD_SERVO_LAG if world_port else SERVO_LAG,
     }
-    robot_state_publisher = Node(
-        **publisher,
-        parameters=[{"robot_description": _text_of(urdf), "use_sim_time": sim_time}],
-        condition=IfCondition(AndSubstitution(description, NotSubstitution(with_ur))),
-    )
-    of_controller = [*urdf, " --params-file '", LaunchConfiguration("controller"), "'"]
-    robot_state_publisher_with_ur = Node(
-        **publisher,
-        parameters=[{"robot_description": _text_of(of_controller), "use_sim_time": sim_time}],
-        condition=IfCondition(AndSubstitution(description, with_ur)),
-    )
-    mpc_planner = Node(
-        package="omniman_ros",
-        executable="mpc_planner",
-        namespace=LaunchConfiguration("namespace"),
-        parameters=[{"robot": robot, "use_sim_time": sim_time}],
-        output="screen",
-        condition=IfCondition(LaunchConfiguration("mpc")),
-    )
-    viewer = Node(
-        package="omniman_ros",
-        executable="viewer",
-        namespace=LaunchConfiguration("namespace"),
-        parameters=[{"robot": robot, "use_sim_time": sim_time}],
-        output="screen",
-        condition=IfCondition(LaunchConfiguration("viewer")),
-    )
-    rviz = Node(
-        package="rviz2",
-        executable="rviz2",
-        namespace=LaunchConfiguration("namespace"),
-        arguments=[
-            "-d",
-            PathJoinSubstitution([FindPackageShare("omniman_ros"), "rviz", "omniman.rviz"]),
-        ],
-        parameters=[{"use_sim_time": sim_time}],
+    return [
+        node(
+            "simulated_ur",
+            {**controller, **sim_time, "simulated_arm.world_port": world_port},
+            stage=2,
+        ),
+        node("arm_streamer", {**client, **sim_time}, stage=1),
+    ]
+
+
+def _arm_port(given: Mapping[str, str]) -> int:
+    """Return the port at which a world moves the joints of a simulated arm; 0 if it does not."""
+    is_in_world = given["drive"] == "simulated" and given["world"] and given["arm"] == "simulated"
+    return ARM_PORT + int(given["number"]) if is_in_world else 0
+
+
+def _node(
+    crew: Any,
+    given: Mapping[str, str],
+    own: list[str],
+    executable: str,
+    *parameters: Any,
+    stage: int = 0,
+    essential: bool = True,
+    package: str = PACKAGE,
+    **options: Any,
+) -> Any:
+    """Return a node; the parameters in the files `own` take precedence over the others."""
+    if not essential:
+        options["respawn"] = _is_true(given, "respawn")
+        options["respawn_delay"] = float(given["respawn_delay"])
+    return supervision.SupervisedNode(
+        crew=crew,
+        stage=stage,
+        essential=essential,
+        is_ours=package == PACKAGE,
+        package=package,
+        executable=executable,
+        namespace=given["namespace"],
+        parameters=[*parameters, *own],
         remappings=TF,
-        condition=IfCondition(LaunchConfiguration("rviz")),
-    )
-    return LaunchDescription(
-        [
-            *ARGUMENTS,
-            simulated_drive,
-            simulated_world,
-            can_bridge,
-            can_bridge_on_private_bus,
-            simulated_can_drives,
-            arm_streamer,
-            arm_streamer_of_simulated_ur,
-            simulated_ur,
-            platform_controller,
-            odometry,
-            path_interpolator,
-            path_interpolator_with_ur,
-            joint_state_broadcaster,
-            joint_state_broadcaster_with_ur,
-            robot_state_publisher,
-            robot_state_publisher_with_ur,
-            mpc_planner,
-            viewer,
-            rviz,
-        ]
+        output="screen",
+        **options,
     )
 
 
-def _numbered(first: int, step: int) -> ParameterValue:
-    """Return `first + step * number`, which is different for each robot on this machine."""
-    number = PythonExpression([f"{first} + {step} * ", LaunchConfiguration("number")])
-    return ParameterValue(number, value_type=int)
+def _is_true(given: Mapping[str, str], name: str) -> bool:
+    """Return the value of an argument that is true or false."""
+    return given[name].lower() == "true"
 
 
-def _chosen(
-    condition: object, first: str, number: object, other: str, kind: type
-) -> ParameterValue:
-    """Return the value of an expression if a condition holds, and of another one if not.
+def _text(value: str) -> ParameterValue:
+    """Return a parameter of type string; without the type, launch would parse it as YAML."""
+    return ParameterValue(value, value_type=str)
+
+
+def _file(given: Mapping[str, str], name: str, folder: str | None) -> str:
+    """Return the path of the file that an argument names, by its path or by its name.
 
     Args:
-        condition: Is "true" or "false".
-        first: Expression if it holds, before `number`.
-        number: End of that expression.
-        other: Expression if it does not hold.
-        kind: Type of the value.
+        given: The arguments.
+        name: Name of the argument.
+        folder: Folder in share/omniman_ros/config of the files that have a name; None for none.
+
+    Raises:
+        RuntimeError: There is no such file.
     """
-    choice = PythonExpression([first, number, " if '", condition, f"' == 'true' else {other}"])
-    return ParameterValue(choice, value_type=kind)
+    path = Path(given[name]).expanduser()
+    if folder is None or path.suffix in (".yaml", ".yml"):
+        if path.is_file():
+            return str(path.resolve())
+        raise RuntimeError(f"{name}:={given[name]}: there is no such file")
+    shared = Path(get_package_share_directory(PACKAGE), "config", folder)
+    known = {file.stem: file for file in sorted(shared.glob("*.yaml"))}
+    if given[name] not in known:
+        names = ", ".join(known)
+        raise RuntimeError(
+            f"{name}:={given[name]}: must be one of {names}, or path of a YAML file"
+        )
+    return str(known[given[name]])
 
 
-def _text_of(command: list[object]) -> ParameterValue:
-    """Return the output of a command; without the type, launch would parse a URDF as YAML."""
-    return ParameterValue(Command(command, on_stderr="warn"), value_type=str)
+def _name_or_path(given: Mapping[str, str], name: str, folder: str) -> str:
+    """Return the value of an argument whose file the nodes find themselves; see :func:`_file`."""
+    path = _file(given, name, folder)
+    return path if Path(given[name]).suffix else given[name]
+
+
+def _has_description(given: Mapping[str, str]) -> bool:
+    """Return whether robot_state_publisher is started.
+
+    Raises:
+        RuntimeError: It is to be started, but is not installed.
+    """
+    if given["description"] != "auto":
+        if _is_true(given, "description"):
+            _require_package("description:=true", "robot_state_publisher")
+        return _is_true(given, "description")
+    try:
+        get_package_prefix("robot_state_publisher")
+    except LookupError:
+        return False
+    return True
+
+
+def _require_package(argument: str, package: str) -> None:
+    """Raise RuntimeError if a package that an argument needs is not installed."""
+    try:
+        get_package_prefix(package)
+    except LookupError as error:
+        name = f"ros-jazzy-{package.replace('_', '-')}"
+        raise RuntimeError(
+            f"{argument}: the package {package} is not installed: apt install {name}"
+        ) from error
+
+
+def _urdf(context: LaunchContext, robot: str, limits: list[str], is_armed: bool) -> str:
+    """Return the URDF of the robot.
+
+    Raises:
+        RuntimeError: It cannot be made.
+    """
+    program = ExecutableInPackage(executable="omniman", package=PACKAGE).perform(context)
+    files = [word for file in limits for word in ("--params-file", file)]
+    command = [program, "urdf", "--robot", robot, *files]
+    command += ["-p", f"describe_arm:={str(is_armed).lower()}"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    if done.returncode:
+        raise RuntimeError(f"no URDF: {done.stderr.strip() or done.stdout.strip()}")
+    return done.stdout

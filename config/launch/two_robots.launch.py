@@ -38,19 +38,32 @@ BOTH = [
         "mpc",
         default_value="true",
         description="Whether to start the planners among obstacles; they need casadi",
-        choices=["true", "false"],
+        choices=["true", "false", "True", "False"],
     ),
     DeclareLaunchArgument(
         "viewer",
         default_value="false",
         description="Whether to serve a page for each robot; the second takes the next free port",
-        choices=["true", "false"],
+        choices=["true", "false", "True", "False"],
     ),
     DeclareLaunchArgument(
         "rviz",
         default_value="false",
         description="Whether to start RViz for each robot",
-        choices=["true", "false"],
+        choices=["true", "false", "True", "False"],
+    ),
+    DeclareLaunchArgument(
+        "respawn",
+        default_value="false",
+        description="Whether a node that moves nothing is started again when it has ended; the "
+        "end of any other one stops both robots",
+        choices=["true", "false", "True", "False"],
+    ),
+    DeclareLaunchArgument(
+        "params_file",
+        default_value="",
+        description="Path of a ROS parameter file, whose values take precedence; its keys select "
+        "the nodes, such as /robot1/platform_controller",
     ),
 ]
 """Arguments that are passed on to both robots."""

@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 from omniman_ros.core.arm_parameters import ArmParameters
-from omniman_ros.core.parameters import inline
+from omniman_ros.core.parameters import inline, parameter
 from omniman_ros.core.robot import Robot
-from omniman_ros.description.urdf import require_joint_names, urdf
+from omniman_ros.description.urdf import carries_arm, require_joint_names, urdf
 from omniman_ros.motion.whole_body.model import Mount
 
 
@@ -16,6 +16,12 @@ class DescriptionParameters:
     robot: Robot = inline()
     arm: ArmParameters
     mount: Mount
+    describe_arm: bool = parameter(
+        True,
+        "Whether the URDF has the arm of a robot that carries one; not where nothing moves it, as "
+        "its joints are then in no joint_states.",
+        read_only=True,
+    )
 
     def __post_init__(self) -> None:
         """Check that the names of the joints are valid in a URDF and in joint states.
@@ -28,4 +34,5 @@ class DescriptionParameters:
     @property
     def urdf(self) -> str:
         """The URDF of this robot."""
-        return urdf(self.robot, self.arm, self.mount)
+        with_arm = self.describe_arm and carries_arm(self.robot)
+        return urdf(self.robot, self.arm, self.mount, with_arm=with_arm)

@@ -17,6 +17,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from omniman_ros.core.errors import OmnimanError
 from omniman_ros.nodes.omniman_node import OmnimanNode
+from omniman_ros.nodes.parent_process import obey_supervisor
 from omniman_ros.nodes.rclpy_compat import (
     TAKE_DOWN_TIMEOUT,
     RCLError,
@@ -37,7 +38,8 @@ def run(make: Callable[[], OmnimanNode], args: list[str] | None = None) -> int:
     """Run a node until SIGINT or SIGTERM; it comes to rest before it ends.
 
     rclpy's own signal handlers would shut the context down first, so that a last stop could not
-    be sent. A second signal ends the node at once.
+    be sent. A second signal ends the node at once. Under a supervisor that the environment names,
+    the node ends with it; see `nodes.parent_process`.
 
     Args:
         make: Makes the node.
@@ -49,6 +51,7 @@ def run(make: Callable[[], OmnimanNode], args: list[str] | None = None) -> int:
         the process is ended by SIGALRM if the node had come to rest, and with exit code 1 if it
         had not.
     """
+    obey_supervisor()
     signals: list[int] = []
 
     def on_signal(number: int, frame: FrameType | None) -> None:

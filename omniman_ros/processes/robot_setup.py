@@ -209,6 +209,8 @@ def _arm_arguments(
     arm: str, setup: RobotSetup, robot: str, chosen: Sequence[NodeKind]
 ) -> dict[str, list[str]]:
     """Return the arguments that concern the arm, by the name of the node."""
+    if arm == "none" and not setup.only:
+        return {"joint_state_broadcaster": ["-p", "describe_arm:=false"]}
     if not any(kind.arms for kind in chosen):
         return {}
     shared: list[str] = []

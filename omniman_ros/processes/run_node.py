@@ -5,29 +5,10 @@ SIGINT to this process when the parent has died for any reason, SIGKILL included
 is left behind; the node then comes to rest and ends as it does on Ctrl-C.
 """
 
-import ctypes
 import importlib
-import os
-import signal
 import sys
 
-PR_SET_PDEATHSIG = 1
-"""Option of prctl(2) that sets the signal a process gets when its parent dies."""
-
-
-def follow_parent(parent: int) -> None:
-    """Have the kernel send SIGINT to this process when its parent dies.
-
-    To the kernel, the parent is the thread that started this process, here the main thread. Only
-    Linux offers this; elsewhere the call does nothing.
-
-    Args:
-        parent: Process id of the parent. This process exits if the parent has died already.
-    """
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, int(signal.SIGINT), 0, 0, 0)
-        if os.getppid() != parent:  # the parent died before the call
-            sys.exit("the process that started this node is gone")
+from omniman_ros.nodes.parent_process import follow_parent
 
 
 def main() -> int:

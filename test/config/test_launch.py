@@ -1,12 +1,14 @@
 """The launch files against small stand-ins for `launch` and `launch_ros`, which PyPI lacks."""
 
-import re
+import logging
+import os
 import runpy
-import shlex
+import subprocess
 import sys
-from dataclasses import dataclass, field
+from concurrent.futures import Future
+from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any
 from xml.etree import ElementTree
 
@@ -15,65 +17,34 @@ import setuptools
 
 from omniman_ros.cli.main import main
 from omniman_ros.core.parameters import build, specs
-from omniman_ros.nodes import registry
 from omniman_ros.nodes.arm_streamer_parameters import ArmStreamerParameters
 from omniman_ros.nodes.can_bridge_parameters import CanBridgeParameters
+from omniman_ros.nodes.parent_process import PARENT_VARIABLE
 from omniman_ros.nodes.simulated_can_drives_parameters import SimulatedCanDrivesParameters
 from omniman_ros.nodes.simulated_drive_parameters import SimulatedDriveParameters
 from omniman_ros.nodes.simulated_ur_parameters import SimulatedUrParameters
 from omniman_ros.nodes.simulated_world_parameters import SimulatedWorldParameters
 from omniman_ros.processes import arm_options
+from omniman_ros.processes.robot_setup import ROBOT_NODES, SIMULATED_BUS_TIMEOUTS
 from omniman_ros.ur.parameters import UrParameters
 
 ROOT = Path(__file__).resolve().parents[2]
 LAUNCH_FILES = sorted((ROOT / "config" / "launch").glob("*.launch.py"))
 
 
+@dataclass
+class LaunchContext:
+    launch_configurations: dict
+    is_shutdown: bool = False
+
+
 @dataclass(frozen=True)
 class LaunchConfiguration:
     name: str
+    default: str = ""
 
     def value(self, arguments):
         return arguments[self.name]
-
-
-@dataclass(frozen=True)
-class EqualsSubstitution:
-    left: Any
-    right: Any
-
-    def value(self, arguments):
-        return str(value(self.left, arguments) == value(self.right, arguments)).lower()
-
-
-@dataclass(frozen=True)
-class NotSubstitution:
-    raw: Any
-
-    def value(self, arguments):
-        return {"true": "false", "false": "true"}[value(self.raw, arguments)]
-
-
-@dataclass(frozen=True)
-class AndSubstitution:
-    left: Any
-    right: Any
-
-    def value(self, arguments):
-        sides = [value(side, arguments) for side in (self.left, self.right)]
-        assert set(sides) <= {"true", "false"}
-        return str(sides == ["true", "true"]).lower()
-
-
-@dataclass(frozen=True)
-class Command:
-    """Stands for a command: its value is the command line rather than its output."""
-
-    command: list
-    on_stderr: str = "fail"
-
-    def value(self, arguments):
-        return shlex.split("".join(value(part, arguments) for part in self.command))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,7 +52,7 @@ class ExecutableInPackage:
     executable: str
     package: str
 
-    def value(self, arguments):
+    def perform(self, context):
         return f"/my ws/lib/{self.package}/{self.executable}"
 
 
@@ -102,44 +73,16 @@ class PathJoinSubstitution:
 
 
 @dataclass(frozen=True)
-class PythonExpression:
-    expression: list
-
-    def value(self, arguments):
-        return str(eval("".join(value(part, arguments) for part in self.expression), {}, {}))
-
-
-@dataclass(frozen=True)
-class IfCondition:
-    predicate: Any
-
-    def value(self, arguments):
-        return {"true": True, "false": False}[value(self.predicate, arguments)]
-
-
-@dataclass(frozen=True)
-class UnlessCondition:
-    predicate: Any
-
-    def value(self, arguments):
-        return not IfCondition(self.predicate).value(arguments)
-
-
-@dataclass(frozen=True)
 class ParameterValue:
     raw: Any
     value_type: type
 
     def __init__(self, value, *, value_type):
+        assert value_type is str
         object.__setattr__(self, "raw", value)
-        object.__setattr__(self, "value_type", value_type)
 
     def value(self, arguments):
-        text = value(self.raw, arguments)
-        if self.value_type is bool:
-            return {"true": True, "false": False}[text]
-        assert self.value_type in (str, int, float)
-        return text if self.value_type is str else self.value_type(text)
+        return self.raw
 
 
 @dataclass
@@ -153,16 +96,55 @@ class DeclareLaunchArgument:
         assert self.choices is None or self.default_value in self.choices
 
 
-@dataclass(kw_only=True)
+@dataclass
+class OpaqueFunction:
+    function: Any
+
+
 class Node:
-    package: str
-    executable: str
-    namespace: Any = None
-    parameters: list = field(default_factory=list)
-    arguments: list = field(default_factory=list)
-    remappings: list = field(default_factory=list)
-    output: str = "log"
-    condition: Any = None
+    """Stands for a process of launch; `end` is what its exit would do."""
+
+    def __init__(self, *, package, executable, on_exit, sigterm_timeout, **options):
+        self.package, self.executable, self.on_exit = package, executable, on_exit
+        self.namespace = options.pop("namespace")
+        self.parameters = options.pop("parameters")
+        self.remappings = options.pop("remappings")
+        self.arguments = options.pop("arguments", [])
+        self.options = options
+        self.asked = []
+        self._future = None
+
+    def begin(self):
+        self._future = Future()
+
+    def get_asyncio_future(self):
+        return self._future
+
+    def _shutdown_process(self, context, *, send_sigint):
+        self.asked.append(send_sigint)
+        return []
+
+    def end(self, context, code):
+        """Return the actions that the exit leads to; as in launch, the future is done later."""
+        event = SimpleNamespace(process_name=f"{self.executable}-1", returncode=code)
+        actions = list(self.on_exit(event, context))
+        if not (self.options.get("respawn") and not context.is_shutdown):
+            self._future.set_result(None)
+        return actions
+
+
+@dataclass(frozen=True)
+class EmitEvent:
+    event: Any
+
+
+@dataclass(frozen=True)
+class ShutdownProcess:
+    process_matcher: Any
+
+
+def matches_action(node):
+    return node
 
 
 @dataclass(frozen=True)
@@ -192,19 +174,19 @@ def value(item, arguments):
 
 
 STAND_INS = {
-    "launch": [LaunchDescription],
-    "launch.actions": [DeclareLaunchArgument, GroupAction, IncludeLaunchDescription],
-    "launch.conditions": [IfCondition, UnlessCondition],
-    "launch.launch_description_sources": [PythonLaunchDescriptionSource],
-    "launch.substitutions": [
-        AndSubstitution,
-        Command,
-        EqualsSubstitution,
-        LaunchConfiguration,
-        NotSubstitution,
-        PathJoinSubstitution,
-        PythonExpression,
+    "launch": [LaunchContext, LaunchDescription],
+    "launch.actions": [
+        DeclareLaunchArgument,
+        EmitEvent,
+        GroupAction,
+        IncludeLaunchDescription,
+        OpaqueFunction,
     ],
+    "launch.events": [matches_action],
+    "launch.events.process": [type("ProcessExited", (), {}), ShutdownProcess],
+    "launch.launch_description_sources": [PythonLaunchDescriptionSource],
+    "launch.logging": [logging.getLogger],
+    "launch.substitutions": [LaunchConfiguration, PathJoinSubstitution],
     "launch_ros": [],
     "launch_ros.actions": [Node],
     "launch_ros.parameter_descriptions": [ParameterValue],
@@ -218,6 +200,19 @@ def installed():
     return set()
 
 
+@pytest.fixture
+def urdf_commands(monkeypatch):
+    """Command lines that a launch file has run."""
+    commands = []
+
+    def run(command, **options):
+        commands.append(command)
+        return subprocess.CompletedProcess(command, 0, stdout="<robot/>", stderr="")
+
+    monkeypatch.setattr(subprocess, "run", run)
+    return commands
+
+
 @pytest.fixture(autouse=True)
 def stand_ins(monkeypatch, installed):
     def get_package_prefix(package):
@@ -227,11 +222,14 @@ def stand_ins(monkeypatch, installed):
 
     index = ModuleType("ament_index_python.packages")
     index.get_package_prefix = get_package_prefix
+    index.get_package_share_directory = lambda package: ROOT
     monkeypatch.setitem(sys.modules, "ament_index_python.packages", index)
     for name, members in STAND_INS.items():
         module = ModuleType(name)
         for member in members:
-            setattr(module, member.__name__, member)
+            setattr(
+                module, {"getLogger": "get_logger"}.get(member.__name__, member.__name__), member
+            )
         monkeypatch.setitem(sys.modules, name, module)
 
 
@@ -255,13 +253,13 @@ def load(file, **given):
 def started(file, **given):
     """Return the values of the arguments, and the nodes that would start, by executable."""
     arguments, entities = load(file, **given)
+    (action,) = (e for e in entities if isinstance(e, OpaqueFunction))
     nodes = {}
-    for node in (e for e in entities if isinstance(e, Node)):
-        if node.condition is None or value(node.condition, arguments):
-            assert node.executable not in nodes
-            package = node.executable if node.executable in THIRD_PARTY_NODES else "omniman_ros"
-            assert node.package == package
-            nodes[node.executable] = node
+    for node in action.function(LaunchContext(arguments)):
+        assert node.executable not in nodes
+        package = node.executable if node.executable in THIRD_PARTY_NODES else "omniman_ros"
+        assert node.package == package
+        nodes[node.executable] = node
     return arguments, nodes
 
 
@@ -269,7 +267,7 @@ def settings(node, arguments):
     """Return the namespace and the parameters of a node."""
     parameters = {}
     for group in node.parameters:
-        parameters |= group if isinstance(group, dict) else {"file": group}
+        parameters |= group if isinstance(group, dict) else {"file": Path(group).name}
     return (
         value(node.namespace, arguments),
         {name: value(v, arguments) for name, v in parameters.items()},
@@ -311,19 +309,23 @@ def test_platform_starts_the_simulated_drive_and_the_controller_by_default(platf
     assert arguments == {
         "robot": "omniman",
         "namespace": "",
+        "params_file": "",
         "use_sim_time": "false",
         "drive": "simulated",
         "world": "",
-        "installation": "/share/omniman_ros/config/can/cia402.yaml",
+        "installation": "cia402",
         "arm": "none",
-        "controller": "/share/omniman_ros/config/ur/ur5.yaml",
+        "controller": "ur5",
         "odometry": "controller",
         "mpc": "true",
         "viewer": "false",
         "rviz": "false",
         "number": "0",
-        "description": "false",
+        "description": "auto",
+        "respawn": "false",
+        "respawn_delay": "2.0",
     }
+    joints = {"publish_description": True, "describe_arm": False}
     assert nodes == {
         "simulated_drive": ("", {"robot": "omniman", "publish_clock": False}),
         "platform_controller": (
@@ -333,17 +335,56 @@ def test_platform_starts_the_simulated_drive_and_the_controller_by_default(platf
         "path_interpolator": ("", {"robot": "omniman", "use_sim_time": False}),
         "joint_state_broadcaster": (
             "",
-            {"robot": "omniman", "use_sim_time": False, "publish_description": True},
+            {"robot": "omniman", "use_sim_time": False, **joints},
         ),
         "mpc_planner": ("", {"robot": "omniman", "use_sim_time": False}),
     }
 
 
-def test_platform_passes_robot_and_namespace_to_every_node(platform):
-    _, nodes = platform(robot="/tmp/mine.yaml", namespace="robot1", viewer="true")
+@pytest.fixture
+def file(tmp_path):
+    """Return the path of an existing YAML file."""
+    path = tmp_path / "my own.yaml"
+    path.touch()
+    return str(path)
+
+
+def test_platform_passes_robot_and_namespace_to_every_node(platform, file):
+    _, nodes = platform(robot=file, namespace="robot1", viewer="true")
     for namespace, parameters in nodes.values():
         assert namespace == "robot1"
-        assert parameters["robot"] == "/tmp/mine.yaml"
+        assert parameters["robot"] == file
+
+
+def test_the_users_parameter_file_comes_last_for_every_node(file_of, file):
+    for given in ({"arm": "ur", "drive": "real"}, {"arm": "simulated", "drive": "can"}):
+        _, nodes = started(file_of("platform"), params_file=file, **given)
+        for node in nodes.values():
+            assert node.parameters[-1] == file
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"robot": "nope"}, "robot:=nope: must be one of ig42, omniman"),
+        ({"robot": "/no/robot.yaml"}, "robot:=/no/robot.yaml: there is no such file"),
+        ({"world": "nowhere"}, "world:=nowhere: must be one of"),
+        ({"drive": "real", "installation": "nope"}, "must be one of cia402, odrive, vesc"),
+        ({"arm": "ur", "controller": "/no.yaml"}, "controller:=/no.yaml: there is no such file"),
+        ({"params_file": "/no.yaml"}, "params_file:=/no.yaml: there is no such file"),
+        ({"rviz": "True"}, "apt install ros-jazzy-rviz2"),
+        ({"description": "true"}, "apt install ros-jazzy-robot-state-publisher"),
+    ],
+)
+def test_what_does_not_exist_is_named_before_any_node_is_made(file_of, given, message):
+    with pytest.raises(RuntimeError, match=message):
+        started(file_of("platform"), **given)
+
+
+def test_booleans_are_accepted_in_either_case(platform):
+    assert set(platform(mpc="False", viewer="True")[1]) == set(
+        platform(mpc="false", viewer="true")[1]
+    )
 
 
 def test_in_simulated_time_the_drive_publishes_the_clock_and_the_others_follow_it(platform):
@@ -355,10 +396,10 @@ def test_in_simulated_time_the_drive_publishes_the_clock_and_the_others_follow_i
         assert parameters["use_sim_time"] is True
 
 
-def test_in_a_world_the_world_takes_the_place_of_the_drive(platform):
-    _, nodes = platform(world="/my scenes/hall.yaml", use_sim_time="true", robot="ig42")
+def test_in_a_world_the_world_takes_the_place_of_the_drive(platform, file):
+    _, nodes = platform(world=file, use_sim_time="true", robot="ig42")
     assert "simulated_drive" not in nodes
-    scene = {"robot": "ig42", "publish_clock": True, "scene": "/my scenes/hall.yaml"}
+    scene = {"robot": "ig42", "publish_clock": True, "scene": file}
     scene["arm_port"] = 0
     assert nodes["simulated_world"] == ("", scene)
 
@@ -398,25 +439,37 @@ def test_the_odometry_is_a_process_of_its_own_on_request(platform):
     assert nodes["platform_controller"][1]["publish_odom"] is False
 
 
-BUS = {"can.interface": "udp_multicast", "can.channel": "239.74.163.2", "can.port": 43113}
+BUS = {
+    "can.interface": "udp_multicast",
+    "can.channel": "239.74.163.2",
+    "can.port": 43113,
+    "can.missed_periods": 40,
+    "can.drive_heartbeat": 0.1,
+    "can.heartbeat_timeout": 0.3,
+}
 
 
-def test_real_drives_get_a_bridge_with_their_installation_and_no_simulation(platform):
-    _, nodes = platform(drive="real", mpc="false", installation="/mine.yaml")
+def test_simulated_drives_have_the_timeouts_of_omniman_up():
+    words = [word for word in SIMULATED_BUS_TIMEOUTS if word != "-p"]
+    pairs = [word.split(":=") for word in words]
+    assert {name: float(value) for name, value in pairs}.items() <= BUS.items()
+
+
+def test_real_drives_get_a_bridge_with_their_installation_and_no_simulation(platform, file):
+    _, nodes = platform(drive="real", mpc="false", installation=file)
     assert set(nodes) == {
         "platform_controller",
         "path_interpolator",
         "joint_state_broadcaster",
         "can_bridge",
     }
-    assert nodes["can_bridge"] == ("", {"file": "/mine.yaml", "robot": "omniman"})
+    assert nodes["can_bridge"] == ("", {"file": "my own.yaml", "robot": "omniman"})
 
 
 def test_simulated_drives_on_a_bus_share_installation_and_bus_with_the_bridge(platform):
     _, nodes = platform(drive="can", mpc="false", robot="ig42")
     assert "simulated_drive" not in nodes
-    file = "/share/omniman_ros/config/can/cia402.yaml"
-    expected = ("", {"file": file, "robot": "ig42", **BUS})
+    expected = ("", {"file": "cia402.yaml", "robot": "ig42", **BUS})
     assert nodes["can_bridge"] == nodes["simulated_can_drives"] == expected
 
 
@@ -471,7 +524,7 @@ def test_simulated_robots_of_two_numbers_share_no_bus_and_no_port(platform):
     def own(number):
         _, nodes = platform(drive="can", arm="simulated", number=number)
         numbers = [
-            [v for v in parameters.values() if type(v) is int and v > 0]
+            [v for v in parameters.values() if type(v) is int and v > 1024]
             for _, parameters in nodes.values()
         ]
         return {n for group in numbers for n in group}
@@ -492,42 +545,24 @@ def test_the_client_of_a_simulated_arm_uses_the_ports_of_its_controller(platform
 TF = [("/tf", "tf"), ("/tf_static", "tf_static")]
 
 
-def test_transforms_are_published_and_received_in_the_namespace(file_of):
-    source = {file.stem: file.read_text() for file in (ROOT / "omniman_ros/nodes").glob("*.py")}
-
-    def imported(name):
-        """Return all modules of the room that a module imports, itself included."""
-        found, new = set(), {name}
-        while new:
-            found |= new
-            texts = (source.get(each, "") for each in new)
-            new = set(re.findall(r"omniman_ros\.nodes\.(\w+) import", "".join(texts))) - found
-        return found
-
-    ours = {
-        name
-        for name in registry.NODES
-        if any("tf2_msgs.msg import" in source.get(each, "") for each in imported(name))
-    }
-    assert ours == {"platform_controller", "odometry", "simulated_drive", "simulated_world"}
+def test_transforms_are_published_and_received_in_the_namespace(file_of, installed, urdf_commands):
+    installed.update(THIRD_PARTY_NODES)
     for arm in ("none", "ur"):
         _, nodes = started(
             file_of("platform"), rviz="true", description="true", arm=arm, odometry="node"
         )
-        assert {name for name, node in nodes.items() if node.remappings == TF} == (
-            ours & set(nodes)
-        ) | THIRD_PARTY_NODES
-        assert all(node.remappings in ([], TF) for node in nodes.values())
+        assert set(nodes) > THIRD_PARTY_NODES
+        assert all(node.remappings == TF for node in nodes.values())
 
 
-def test_rviz_is_started_on_request_with_the_installed_configuration(file_of):
+def test_rviz_is_started_on_request_with_the_installed_configuration(file_of, installed):
+    installed.add("rviz2")
     arguments, nodes = started(
         file_of("platform"), rviz="true", namespace="robot1", use_sim_time="true"
     )
     rviz = nodes["rviz2"]
     assert settings(rviz, arguments) == ("robot1", {"use_sim_time": True})
-    option, place = (value(word, arguments) for word in rviz.arguments)
-    assert (option, place) == ("-d", "/share/omniman_ros/rviz/omniman.rviz")
+    assert rviz.arguments == ["-d", f"{ROOT}/rviz/omniman.rviz"]
     assert (ROOT / "config" / "rviz" / "omniman.rviz").is_file()
     assert "rviz2" not in started(file_of("platform"))[1]
 
@@ -565,56 +600,159 @@ def test_two_robots_pass_on_all_their_arguments(file_of, platform):
         assert set(arguments) < set(given)
 
 
-def test_a_real_arm_and_the_nodes_that_know_its_limits_get_the_controllers_file(platform):
-    _, nodes = platform(arm="ur", mpc="false", controller="/mine.yaml")
+def test_a_real_arm_and_the_nodes_that_know_its_limits_get_the_controllers_file(platform, file):
+    _, nodes = platform(arm="ur", mpc="false", controller=file)
     assert "simulated_ur" not in nodes
-    assert nodes["arm_streamer"] == ("", {"file": "/mine.yaml"})
+    assert nodes["arm_streamer"] == ("", {"file": "my own.yaml"})
     assert nodes["path_interpolator"][1] == {
-        "file": "/mine.yaml",
+        "file": "my own.yaml",
         "robot": "omniman",
         "use_sim_time": False,
     }
-    assert nodes["joint_state_broadcaster"][1]["file"] == "/mine.yaml"
+    assert nodes["joint_state_broadcaster"][1]["file"] == "my own.yaml"
 
 
 OMNIMAN = "/my ws/lib/omniman_ros/omniman"
 
 
-def test_robot_state_publisher_is_started_if_it_is_installed(platform, installed):
+def test_robot_state_publisher_is_started_if_it_is_installed(platform, installed, urdf_commands):
+    assert "robot_state_publisher" not in platform()[1]
     installed.add("robot_state_publisher")
-    arguments, nodes = platform()
-    assert arguments["description"] == "true"
-    assert "robot_state_publisher" in nodes
+    assert "robot_state_publisher" in platform()[1]
     assert "robot_state_publisher" not in platform(description="false")[1]
 
 
-def test_robot_state_publisher_gets_the_urdf_of_the_same_robot_in_its_namespace(platform):
-    _, nodes = platform(
-        description="true", robot="/a b/mine.yaml", namespace="robot1", use_sim_time="true"
-    )
-    namespace, parameters = nodes["robot_state_publisher"]
-    assert namespace == "robot1"
-    assert parameters["robot_description"] == [OMNIMAN, "urdf", "--robot", "/a b/mine.yaml"]
-    assert parameters["use_sim_time"] is True
+def test_robot_state_publisher_gets_the_urdf_of_the_same_robot_in_its_namespace(
+    platform, installed, urdf_commands, file
+):
+    installed.add("robot_state_publisher")
+    _, nodes = platform(robot=file, namespace="robot1", use_sim_time="true", arm="simulated")
+    parameters = {"robot_description": "<robot/>", "use_sim_time": True}
+    assert nodes["robot_state_publisher"] == ("robot1", parameters)
+    of_arm = ["-p", "describe_arm:=true"]
+    assert urdf_commands == [[OMNIMAN, "urdf", "--robot", file, *of_arm]]
 
 
-def test_the_urdf_of_a_real_arm_has_the_limits_of_the_controllers_file(platform):
-    _, nodes = platform(description="true", arm="ur", controller="/my lab.yaml")
-    command = nodes["robot_state_publisher"][1]["robot_description"]
-    assert command == [OMNIMAN, "urdf", "--robot", "omniman", "--params-file", "/my lab.yaml"]
+def test_the_urdf_of_a_real_arm_has_the_limits_of_the_controllers_file(
+    platform, installed, urdf_commands, file
+):
+    installed.add("robot_state_publisher")
+    platform(arm="ur", controller=file)
+    words = ["--robot", "omniman", "--params-file", file, "-p", "describe_arm:=true"]
+    assert urdf_commands == [[OMNIMAN, "urdf", *words]]
+
+
+def test_a_urdf_that_cannot_be_made_ends_the_launch(platform, installed, monkeypatch):
+    installed.add("robot_state_publisher")
+    failed = subprocess.CompletedProcess([], 2, stdout="", stderr="no such wheel")
+    monkeypatch.setattr(subprocess, "run", lambda command, **options: failed)
+    with pytest.raises(RuntimeError, match="no URDF: no such wheel"):
+        platform()
 
 
 @pytest.mark.parametrize("arm", ["none", "simulated", "ur"])
 @pytest.mark.parametrize("described", ["true", "false"])
-def test_the_urdf_is_published_by_one_node(platform, described, arm):
+def test_one_node_publishes_the_urdf_which_has_the_joints_that_are_published(
+    platform, installed, urdf_commands, described, arm
+):
+    installed.add("robot_state_publisher")
     _, nodes = platform(description=described, arm=arm)
-    ours = nodes["joint_state_broadcaster"][1]["publish_description"]
-    assert ours is not ("robot_state_publisher" in nodes)
+    joints = nodes["joint_state_broadcaster"][1]
+    assert joints["publish_description"] is not ("robot_state_publisher" in nodes)
+    assert joints["describe_arm"] is (arm != "none")
+    for command in urdf_commands:
+        assert command[-1] == f"describe_arm:={str(arm != 'none').lower()}"
 
 
-def test_the_command_that_launch_runs_prints_a_urdf(platform, capsys):
-    _, nodes = platform(description="true", arm="ur", controller=str(ROOT / "config/ur/ur5.yaml"))
-    program, *words = nodes["robot_state_publisher"][1]["robot_description"]
+def test_the_command_that_launch_runs_prints_a_urdf(platform, installed, urdf_commands, capsys):
+    installed.add("robot_state_publisher")
+    platform(arm="ur")
+    ((program, *words),) = urdf_commands
     assert Path(program).name == "omniman"
     assert main(words) == 0
     assert ElementTree.fromstring(capsys.readouterr().out).tag == "robot"
+
+
+# ---- supervision --------------------------------------------------------------------------------
+
+
+def running(file, **given):
+    """Return the context of a launch and its nodes by executable, all of which run."""
+    _, nodes = started(file, **given)
+    for node in nodes.values():
+        node.begin()
+    return LaunchContext({}), nodes
+
+
+def ask_all(nodes, context, *, send_sigint=True):
+    """Do what launch does at every shutdown."""
+    context.is_shutdown = True
+    for node in nodes.values():
+        node._shutdown_process(context, send_sigint=send_sigint)
+
+
+def targets(actions):
+    """Return the executables of the nodes that actions shut down."""
+    return {action.event.process_matcher.executable for action in actions}
+
+
+def test_the_stages_of_all_nodes_are_those_of_omniman_up(file_of):
+    stages = {kind.name: kind.stage for kind in ROBOT_NODES}
+    for given in ({"drive": "can", "arm": "simulated"}, {"drive": "real"}, {"world": "hall"}, {}):
+        _, nodes = started(file_of("platform"), viewer="true", odometry="node", **given)
+        assert {name: node.stage for name, node in nodes.items()} == {n: stages[n] for n in nodes}
+
+
+def test_a_stop_reaches_each_stage_once_the_earlier_ones_have_ended(file_of):
+    context, nodes = running(file_of("platform"), drive="can", mpc="false")
+    ask_all(nodes, context, send_sigint=False)
+    first = {"platform_controller", "path_interpolator", "joint_state_broadcaster"}
+    assert {name for name, node in nodes.items() if node.asked} == first
+    # A terminal's Ctrl-C does not reach our nodes: they get a signal of their own.
+    assert all(nodes[name].asked == [True] for name in first)
+    assert not targets(nodes["path_interpolator"].end(context, 0)) - first
+    assert not targets(nodes["joint_state_broadcaster"].end(context, 0)) - first
+    assert targets(nodes["platform_controller"].end(context, 0)) == {"can_bridge"}
+    assert targets(nodes["can_bridge"].end(context, 0)) == {"simulated_can_drives"}
+    assert not nodes["simulated_can_drives"].end(context, -14)  # at rest, see `nodes.runtime`
+
+
+def test_the_end_of_a_node_that_the_robot_needs_is_a_failure_of_the_launch(file_of):
+    context, nodes = running(file_of("platform"))
+    with pytest.raises(
+        RuntimeError, match=r"simulated_drive-1 .* exit code 1: stopping the robot"
+    ):
+        nodes["simulated_drive"].end(context, 1)
+    ask_all(nodes, context)
+    assert nodes["platform_controller"].asked
+
+
+def test_a_node_that_does_not_come_to_rest_is_a_failure_once_all_have_ended(file_of):
+    context, nodes = running(file_of("platform"), mpc="false")
+    ask_all(nodes, context)
+    for name in ("path_interpolator", "joint_state_broadcaster"):
+        nodes[name].end(context, 0)
+    assert targets(nodes["platform_controller"].end(context, 1)) == {"simulated_drive"}
+    with pytest.raises(RuntimeError, match="not stopped in order: platform_controller-1"):
+        nodes["simulated_drive"].end(context, 0)
+
+
+def test_only_nodes_that_move_nothing_are_started_again(file_of, installed, urdf_commands):
+    installed.update(THIRD_PARTY_NODES)
+    given = {"rviz": "true", "viewer": "true", "respawn": "true", "respawn_delay": "3"}
+    context, nodes = running(file_of("platform"), **given)
+    again = {name for name, node in nodes.items() if node.options.get("respawn")}
+    assert again == {"joint_state_broadcaster", "viewer", *THIRD_PARTY_NODES}
+    assert {nodes[name].options["respawn_delay"] for name in again} == {3.0}
+    viewer = nodes["viewer"]
+    assert viewer.end(context, 1) == []  # no exception: the robot runs on
+    ask_all(nodes, context)
+    assert viewer.asked == [True]
+
+
+def test_only_our_nodes_are_told_whom_to_follow(file_of, installed, urdf_commands):
+    installed.update(THIRD_PARTY_NODES)
+    _, nodes = started(file_of("platform"), rviz="true")
+    for name, node in nodes.items():
+        expected = None if name in THIRD_PARTY_NODES else {PARENT_VARIABLE: str(os.getpid())}
+        assert node.options.get("additional_env") == expected
