@@ -28,9 +28,7 @@ def update_obstacles(
         Why each of the invalid changes was ignored.
     """
     now = node.now()
-    changes, faults = marker_changes(
-        message, frames, lambda stamp: now - max(node.age(stamp), 0.0)
-    )
+    changes, faults = marker_changes(message, frames, lambda stamp: min(node.instant(stamp), now))
     is_alive = not message.markers
     for change in changes:
         if isinstance(change, Observation):

@@ -119,7 +119,7 @@ class OdometryInputs:
     def _on_wheel_states(self, message: JointState) -> str:
         position, velocity, effort = joint_arrays(message, self._names)
         now = self._node.now()
-        time = now - self._node.age(message.header.stamp)
+        time = self._node.instant(message.header.stamp)
         warning = self._core.update_wheels(time, now, position, velocity, effort)
         if self._on_report is not None:
             self._on_report(message.header.stamp)
@@ -128,7 +128,7 @@ class OdometryInputs:
     def _on_imu(self, message: Imu) -> None:
         rate, acceleration = imu_arrays(message, self._core.imu.parameters.mount.frame)
         now = self._node.now()
-        time = now - self._node.age(message.header.stamp)
+        time = self._node.instant(message.header.stamp)
         self._core.imu.update(time, now, rate, acceleration)
 
     def _on_set_pose(self, message: PoseWithCovarianceStamped) -> None:

@@ -7,6 +7,7 @@ from typing import Any, ParamSpec
 
 from builtin_interfaces.msg import Time as TimeMsg
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.msg import ParameterDescriptor, ParameterType
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -48,6 +49,15 @@ class OmnimanNode(Node):
     def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, **options)
         simulated = self.get_parameter("use_sim_time").value
+        # A node has one clock for its whole life: with another one, all its times would be wrong.
+        self.set_descriptor(
+            "use_sim_time",
+            ParameterDescriptor(
+                type=ParameterType.PARAMETER_BOOL,
+                description="Whether to run on /clock.",
+                read_only=True,
+            ),
+        )
         self.clock = self.get_clock() if simulated else Clock(clock_type=ClockType.STEADY_TIME)
         self._throttle = Throttle(WARNING_PERIOD)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -146,6 +156,9 @@ class OmnimanNode(Node):
 
     def instant(self, stamp: TimeMsg, max_lead: float = MAX_LEAD) -> float:
         """Return the instant of the node's clock that a stamp means [s]; now for a zero stamp.
+
+        Unlike the present minus the age, it does not depend on what this process or another one
+        does between the readings of two clocks: messages keep their order.
 
         Args:
             stamp: Stamp of a message.

@@ -1,6 +1,7 @@
 """Parameter dataclasses as ROS parameters: declared, described, validated and live."""
 
 import difflib
+from array import array
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Generic, TypeVar
 
@@ -82,10 +83,16 @@ class ParameterSet(Generic[T]):
         self._apply: Callable[[T], None] | None = None
         self._specs = {spec.name: spec for spec in specs(cls)}
         self._overrides = parameter_overrides(node)
+        # rclpy declares an empty array in no type but that of bytes: it is declared without a value.
+        self._empty = {name for name, given in self._overrides.items() if self._means_none(given)}
+        for name in self._empty:
+            del self._overrides[name]
         defaults = self._robot_defaults() if robot else {}
         for spec in self._specs.values():
-            self._declare(spec, defaults.get(spec.name, spec.default))
+            default = defaults.get(spec.name, spec.default)
+            self._declare(spec, () if spec.name in self._empty else default)
         self.value: T = build(cls, self._current())
+        node.add_pre_set_parameters_callback(self._with_typed_empty_arrays)
         node.add_on_set_parameters_callback(self._on_set)
         for sentence in unknown_names(self._overrides, known_names()):
             node.get_logger().warning(sentence)
@@ -135,11 +142,33 @@ class ParameterSet(Generic[T]):
             spec.check(tuple(value) if spec.item else value)
             raise ParameterError(spec.name, value, str(error)) from error
 
+    def _means_none(self, given: Parameter) -> bool:
+        """Return whether a given parameter is an array without items.
+
+        `[]` does not tell of what type its items would be: rcl reads it as no value, and
+        `ros2 param set` sends an array of booleans. `['']` means no word, too.
+        """
+        spec = self._specs.get(given.name)
+        if spec is None or spec.item is None:
+            return False
+        return given.value is None or (
+            isinstance(given.value, list | tuple | array) and list(given.value) in ([], [""])
+        )
+
+    def _with_typed_empty_arrays(self, changes: list[Parameter]) -> list[Parameter]:
+        """Return changes of parameters, with each empty array in the type of its declaration."""
+        return [
+            Parameter(change.name, _PARAMETER_TYPES[tuple, self._specs[change.name].item], [])
+            if change.type_ is not Parameter.Type.NOT_SET and self._means_none(change)
+            else change
+            for change in changes
+        ]
+
     def _current(self) -> dict[str, Any]:
         """Return the values of the parameters that are set, by name."""
         # rclpy's annotation says that it returns values, but it returns Parameter objects.
         parameters: dict[str, Any] = self._node.get_parameters_by_prefix("")
-        return {
+        return dict.fromkeys(self._empty, ()) | {
             name: parameters[name].value
             for name in self._specs
             if name in parameters and parameters[name].type_ is not Parameter.Type.NOT_SET

@@ -98,10 +98,11 @@ class PlatformControllerNode(OmnimanNode):
         """
 
         def handle(message: MultiDOFJointTrajectory) -> str:
-            now = self.now()
-            start = now - self.age(message.header.stamp)
+            start = self.instant(message.header.stamp)
             preview = preview_from_message(message, start, self._topics().frames)
-            return self.core.set_preview(source, preview, now, is_stamped(message.header.stamp))
+            return self.core.set_preview(
+                source, preview, self.now(), is_stamped(message.header.stamp)
+            )
 
         handler = self.guarded(f"{source.value}/reference", handle)
 

@@ -5,7 +5,7 @@ All of them are for rclpy 7.1, the version of ROS 2 Jazzy.
 
 import functools
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import rclpy
@@ -28,12 +28,13 @@ TransitionCallback = Callable[[Any, LifecycleState], TransitionCallbackReturn]
 """Callback of a lifecycle node for one of its transitions, as a function of the node."""
 
 
-def parameter_overrides(node: Node) -> Mapping[str, Parameter]:
+def parameter_overrides(node: Node) -> dict[str, Parameter]:
     """Return the parameters given on the command line and in files, declared or not.
 
-    rclpy 7.1 keeps them in a private attribute, and ignores undeclared ones silently.
+    rclpy 7.1 keeps them in a private attribute, and ignores undeclared ones silently. A change of
+    the dictionary changes what the node declares.
     """
-    overrides: Mapping[str, Parameter] = node._parameter_overrides
+    overrides: dict[str, Parameter] = node._parameter_overrides
     return overrides
 
 

@@ -1,13 +1,16 @@
 """Parameter sets as ROS parameters: unknown names and robots from files."""
 
 import pytest
+import rclpy
+from rclpy.parameter import Parameter
 
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.nodes.parameters import unknown_names
 from omniman_ros.nodes.platform_controller import PlatformControllerNode
 from omniman_ros.nodes.registry import NODES, known_names, node_specs
+from omniman_ros.nodes.simulated_drive import SimulatedDriveNode
 from omniman_ros.robots import robot_file
-from test.nodes.harness import World
+from test.nodes.harness import World, free_domain
 
 
 def test_mistyped_name_is_reported_with_the_closest_known_one():
@@ -37,6 +40,64 @@ def test_robot_file_of_the_user_is_accepted(tmp_path):
     path.write_text(robot_file("ig42").read_text().replace("mass: 25.0", "mass: 26.5"))
     with World(PlatformControllerNode, parameters={"robot": str(path)}) as world:
         assert world.nodes[0].settings.value.platform.robot.body.mass == 26.5
+
+
+EMPTY = [
+    Parameter("x", Parameter.Type.BOOL_ARRAY, []),  # what `ros2 param set` makes of `[]`
+    Parameter("x", Parameter.Type.BYTE_ARRAY, []),
+    Parameter("x", Parameter.Type.DOUBLE_ARRAY, []),
+    Parameter("x", Parameter.Type.STRING_ARRAY, []),
+    Parameter("x", Parameter.Type.STRING_ARRAY, [""]),
+]
+
+
+@pytest.mark.parametrize("empty", EMPTY, ids=lambda given: f"{given.type_.name}-{given.value}")
+def test_an_empty_array_of_any_type_means_none(empty):
+    stuck = {"faults.stuck_wheel": ["front_left"]}
+    with World(SimulatedDriveNode, parameters=stuck) as world:
+        (node,) = world.nodes
+        assert node.get_parameter("faults.stuck_wheel").value == ["front_left"]
+        none = Parameter("faults.stuck_wheel", empty.type_, empty.value)
+        result = node.set_parameters_atomically([none])
+        assert result.successful, result.reason
+        assert list(node.get_parameter("faults.stuck_wheel").value) == []
+
+
+def node_with(arguments):
+    """Return the parameters of a node with a command line."""
+    context = rclpy.Context()
+    context.init(args=["--ros-args", *arguments], domain_id=free_domain())
+    try:
+        node = SimulatedDriveNode(context=context)
+        value = node.settings.value
+        node.destroy_node()
+    finally:
+        context.shutdown()
+    return value
+
+
+@pytest.mark.parametrize("text", ["[]", "['']"])
+def test_an_empty_array_on_the_command_line_means_none(text):
+    assert node_with(["-p", f"faults.stuck_wheel:={text}"]).simulation.faults.stuck_wheel == ()
+    with pytest.raises(ParameterError, match=r"'wheels\.radius' = \(\)"):
+        node_with(["-p", f"wheels.radius:={text}"])
+
+
+def test_a_wrong_type_that_is_not_empty_is_still_refused():
+    with World(SimulatedDriveNode) as world:
+        (node,) = world.nodes
+        wrong = Parameter("faults.stuck_wheel", value=[True])
+        assert "Wrong parameter type" in node.set_parameters_atomically([wrong]).reason
+
+
+def test_the_clock_of_a_running_node_is_fixed():
+    with World(PlatformControllerNode) as world:
+        (node,) = world.nodes
+        other = Parameter("use_sim_time", value=False)
+        result = node.set_parameters_atomically([other])
+        assert not result.successful
+        assert "read-only" in result.reason
+        assert node.get_parameter("use_sim_time").value is True
 
 
 def test_names_are_unique_and_every_parameter_has_a_description():

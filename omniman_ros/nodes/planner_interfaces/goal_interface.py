@@ -53,9 +53,9 @@ class GoalInterface:
         return StateGoal(pose, velocity) if velocity.any() else PoseGoal(pose)
 
     def _trajectory_goal(self, message: MultiDOFJointTrajectory) -> Goal:
-        now = self._node.now()
-        start = now - self._node.age(message.header.stamp)
+        start = self._node.instant(message.header.stamp)
         preview = preview_from_message(message, start, self._settings.value.input_frames)
+        now = self._node.now()
         if preview.end < now:
             raise InputError(f"the trajectory ended {now - preview.end:.2f} s ago")
         return TrajectoryGoal(preview)

@@ -83,7 +83,7 @@ class SensorInterface:
         check_frame(message.header.frame_id, self._settings.value.odom_frame)
         pose = message.pose.pose
         self.measured = MeasuredState(
-            self._node.now() - max(self._node.age(message.header.stamp), 0.0),
+            min(self._node.instant(message.header.stamp), self._node.now()),
             np.array([pose.position.x, pose.position.y, yaw_from_quaternion(pose.orientation)]),
             twist_array(message.twist.twist),
         )

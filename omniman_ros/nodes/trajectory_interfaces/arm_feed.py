@@ -81,8 +81,9 @@ class ArmFeed:
         else:
             plausible.demand(velocity, plausible.SPEED, "velocity")
             self.velocity = velocity
-        self.silence = max(self._node.age(message.header.stamp), 0.0)
-        self.time = min(self._node.now() - self.silence, self._received)
+        instant, now = self._node.instant(message.header.stamp), self._node.now()
+        self.silence = max(now - instant, 0.0)
+        self.time = min(instant, now, self._received)
 
     def state(self) -> tuple[Array, Array] | None:
         """Return the last usable joint angles [rad] and rates [rad/s], (6,) each, if any."""

@@ -53,8 +53,9 @@ class OdomFeed:
             yaw_from_quaternion(message.pose.pose.orientation),
         )
         plausible.demand(np.array([position.x, position.y]), plausible.LENGTH, "position")
-        self.silence = max(self._node.age(message.header.stamp), 0.0)
-        self.time = self._node.now() - self.silence
+        instant, now = self._node.instant(message.header.stamp), self._node.now()
+        self.time = min(instant, now)
+        self.silence = now - self.time
         self.pose = (position.x, position.y, theta)
         self.velocity = se2.to_world(theta, twist)
         self._on_pose(np.array(self.pose), self.time)

@@ -1,0 +1,55 @@
+"""The base of all nodes: times of messages on a steady clock, which is not that of their stamps."""
+
+from types import SimpleNamespace
+
+import pytest
+from rclpy.time import Time
+from sensor_msgs.msg import JointState
+
+from omniman_ros.nodes.odometry import OdometryNode
+from test.nodes.harness import World
+
+ROS_TIME_LEAD = 1_000_000_000
+"""By how much ROS time is ahead of the steady clock [ns]."""
+
+
+class HeldUp:
+    """Two clocks of a process that is held up for 8 ms in every seventh reading of either."""
+
+    def __init__(self):
+        self.time, self.readings = 5_000_000_000, 0
+
+    def _read(self, lead):
+        self.readings += 1
+        self.time += 8_000_000 if self.readings % 7 == 0 else 2_000
+        return Time(nanoseconds=self.time + lead)
+
+    def of(self, lead):
+        return SimpleNamespace(now=lambda: self._read(lead))
+
+
+@pytest.fixture
+def node(monkeypatch):
+    with World(OdometryNode, parameters={"use_sim_time": False}) as world:
+        (node,) = world.nodes
+        clocks = HeldUp()
+        node.clock, ros = clocks.of(0), clocks.of(ROS_TIME_LEAD)
+        with monkeypatch.context() as patch:
+            patch.setattr(node, "get_clock", lambda: ros)
+            node.clocks = clocks
+            yield node
+
+
+def test_wheel_states_keep_their_order_when_the_node_is_held_up_between_two_clocks(node):
+    (subscription,) = (s for s in node.subscriptions if s.topic_name == "/wheel_states")
+    names = list(node.settings.value.core.robot.wheels.names)
+    due = node.clocks.time
+    for k in range(1, 60):
+        due += 5_000_000
+        node.clocks.time = max(node.clocks.time, due)
+        message = JointState(name=names, position=[0.001 * k] * 4, velocity=[0.2] * 4)
+        message.header.stamp = Time(nanoseconds=due + ROS_TIME_LEAD).to_msg()
+        subscription.callback(message)
+        feedback = node.core.feedback
+        assert feedback.time == pytest.approx(1e-9 * due, abs=1e-4)
+    assert not node.warning_counts
