@@ -168,13 +168,16 @@ class ArmStreamerNode(HardwareNode):
         self.streaming.send_stop(not self.latch.released, status.reason if stopped else "")
 
     def reset_hardware(self) -> None:
-        """Reset the latch, and replace a streaming process that has ended."""
+        """Reset the latch, and replace a streaming process that has ended or hangs.
+
+        By then, the program on the controller has stopped the arm for want of setpoints.
+        """
         if not (self.is_configured and self.is_active):
             self.latch.reset(at_rest=True)
             return
         self.receive()
         p = self.settings.value
-        if self.streaming.failure:
+        if self.streaming.failure or self.streaming.hang_reason:
             self.streaming.replace(p.arm, p.ur)
         if self._reports.in_protective_stop and not self.latch.emergency:
             with self.clock_released():

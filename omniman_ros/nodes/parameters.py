@@ -83,7 +83,7 @@ class ParameterSet(Generic[T]):
         self._apply: Callable[[T], None] | None = None
         self._specs = {spec.name: spec for spec in specs(cls)}
         self._overrides = parameter_overrides(node)
-        # rclpy declares an empty array in no type but that of bytes: it is declared without a value.
+        # rclpy takes an empty array for one of bytes: it is declared without a value instead.
         self._empty = {name for name, given in self._overrides.items() if self._means_none(given)}
         for name in self._empty:
             del self._overrides[name]

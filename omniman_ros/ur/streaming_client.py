@@ -58,7 +58,7 @@ class StreamingClient:
         return process
 
     def replace(self, arm: ArmParameters, ur: UrParameters) -> None:
-        """Replace a process that has ended; the new one is stopped until a reset."""
+        """Replace a process that has ended or hangs; the new one is stopped until a reset."""
         self.close()
         self.open(arm, ur)
         self.send(Command.RESUME)

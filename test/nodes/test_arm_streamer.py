@@ -488,17 +488,33 @@ def test_fixed_parameters_are_read_only_and_live_ones_change_at_runtime():
         bench.assert_stands("velocity")
 
 
-def test_hanging_streaming_process_is_reported_and_a_reset_refused():
+def test_granted_reset_replaces_a_streaming_process_that_hangs():
     with Bench() as bench:
         bench.swing()
-        bench.arm.process.is_frozen = True
+        hanging = bench.arm.process
+        hanging.is_frozen = True
         bench.move(HANG_TIMEOUT + 0.1)
         bench.assert_stands("the streaming process has not reported")
+        bench.arm.blocking_reason = "connection refused"
         answer = bench.trigger("reset")
-        assert "still present: the streaming process has not reported" in answer.message
-        bench.arm.process.is_frozen = False
+        assert "still present: connection refused" in answer.message
+        assert bench.arm.process is not hanging
+        bench.arm.blocking_reason = ""
+        bench.run(0.1)
+        bench.assert_goes_on()
+
+
+def test_a_streaming_process_that_reports_again_is_kept():
+    with Bench() as bench:
+        bench.swing()
+        process = bench.arm.process
+        process.is_frozen = True
+        bench.move(HANG_TIMEOUT + 0.1)
+        bench.assert_stands("the streaming process has not reported")
+        process.is_frozen = False
         bench.run(0.2)
         bench.assert_goes_on()
+        assert bench.arm.process is process
 
 
 def test_granted_reset_replaces_an_ended_streaming_process():

@@ -1,4 +1,4 @@
-"""The base of all nodes: times of messages on a steady clock, which is not that of their stamps."""
+"""The base of all nodes: times of messages, whose stamps are of another clock than the node."""
 
 from types import SimpleNamespace
 
