@@ -71,6 +71,11 @@ class CanBridgeNode(HardwareNode):
         """Whether no drive has power on its motor."""
         return self.link is None or self.link.is_off
 
+    @property
+    def start_fault(self) -> str:
+        """Why the drives are stopped: a new configuration listens to the bus and resets faults."""
+        return "" if self.link is None else self.link.stop_reason
+
     def open_hardware(self) -> str:
         """Open the bus and configure the drives."""
         # Imported here, so that this module's parameters can be read without python-can.
@@ -141,7 +146,7 @@ class CanBridgeNode(HardwareNode):
             self.link.update_parameters(new.robot, new.can)
 
     def _publish(self, link: "CanLink") -> None:
-        if link.stop_reason:
+        if link.stop_reason and not self.is_starting:
             self.latch.stop(link.stop_reason)
         states = link.take_states()
         if states is not None and self.is_active:

@@ -29,6 +29,11 @@ class HardwareHooks(ABC):
     def is_hardware_off(self) -> bool:
         """Whether the open hardware has come to its end: no power, or no program that runs."""
 
+    @property
+    def start_fault(self) -> str:
+        """Why open hardware must be configured anew before it can be enabled, or empty."""
+        return ""
+
     @abstractmethod
     def open_hardware(self) -> str:
         """Open the hardware and wait until it is configured.

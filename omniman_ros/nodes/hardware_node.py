@@ -15,6 +15,8 @@ from omniman_ros.nodes.stop_interface import StopInterface
 
 RETRY_PERIOD = 2.0
 """Time between two automatic attempts to start, until the first success [s]."""
+START_ATTEMPTS = 5
+"""Number of automatic activations that may fail before a fault of the hardware is a stop."""
 
 
 class HardwareNode(OmnimanNode, LifecycleNodeMixin, HardwareHooks):
@@ -50,6 +52,7 @@ class HardwareNode(OmnimanNode, LifecycleNodeMixin, HardwareHooks):
         self.latch = StopLatch()
         self.is_active = False
         self._next_attempt: float | None = None
+        self._failed_activations = 0
 
     def begin(self, autostart: bool) -> None:
         """Open the stop interface; a subclass calls this at the end of its constructor.
@@ -58,9 +61,7 @@ class HardwareNode(OmnimanNode, LifecycleNodeMixin, HardwareHooks):
             autostart: Configure and activate the node automatically, and retry until the first
                 success.
         """
-        self.stop_interface = StopInterface(
-            self, self.latch, self.reset_hardware, self.follow_latch
-        )
+        self.stop_interface = StopInterface(self, self.latch, self._reset, self.follow_latch)
         if autostart:
             self._next_attempt = self.now()
             self.every(0.1, self._start)
@@ -87,6 +88,7 @@ class HardwareNode(OmnimanNode, LifecycleNodeMixin, HardwareHooks):
             text = self.enable_hardware()
         except HardwareError as error:
             self.warn("activate", f"not activated: {error}")
+            self._failed_activations += self.latch.status.state is not StopState.STOPPED
             lost = isinstance(error, HardwareLostError)
             return TransitionCallbackReturn.ERROR if lost else TransitionCallbackReturn.FAILURE
         self.is_active = True
@@ -137,6 +139,11 @@ class HardwareNode(OmnimanNode, LifecycleNodeMixin, HardwareHooks):
 
     # ---- automatic start ----------------------------------------------------------------------
 
+    @property
+    def is_starting(self) -> bool:
+        """Whether a fault leads to another attempt to start: nothing has moved yet."""
+        return self._next_attempt is not None and self._failed_activations < START_ATTEMPTS
+
     def cancel_autostart(self) -> None:
         """End the automatic start: the node was active once, or was taken down by hand."""
         self._next_attempt = None
@@ -148,8 +155,17 @@ class HardwareNode(OmnimanNode, LifecycleNodeMixin, HardwareHooks):
             self.trigger_configure()
         if self.is_configured:
             self.trigger_activate()
-        if self._next_attempt is not None:
-            self._next_attempt = self.now() + RETRY_PERIOD
+        if self._next_attempt is None:
+            return
+        is_stopped = self.latch.status.state is StopState.STOPPED
+        if self.start_fault and self.is_starting and not is_stopped:
+            self.trigger_cleanup()
+        self._next_attempt = self.now() + RETRY_PERIOD
+
+    def _reset(self) -> None:
+        """Reset the hardware, after which the automatic start has all its attempts again."""
+        self.reset_hardware()
+        self._failed_activations = 0
 
     # ---- running ------------------------------------------------------------------------------
 

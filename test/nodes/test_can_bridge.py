@@ -8,6 +8,7 @@ from collections import deque
 
 import can
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.parameter import Parameter
@@ -22,7 +23,8 @@ from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
 from omniman_ros.nodes.can_bridge import CanBridgeNode
-from omniman_ros.nodes.hardware_node import RETRY_PERIOD
+from omniman_ros.nodes.hardware_node import RETRY_PERIOD, START_ATTEMPTS
+from omniman_ros.nodes.stop_interface import ALL_LATCHED
 from omniman_ros.robots import load_robot
 from omniman_ros.simulation.can_drives.network import SimulatedBus
 from omniman_ros.simulation.can_drives.parameters import CanFaultParameters
@@ -191,6 +193,70 @@ def test_the_bridge_retries_until_the_drives_are_switched_on():
         assert bench.run_until(
             lambda: bench.node.status()[1] == "driving", RETRY_PERIOD + 2.0, "driving"
         )
+
+
+REFUSED = CanFaultParameters(refuse_enable=("rear_left",))
+BRIEF = {"can.enable_timeout": 0.5}
+
+
+def test_a_fault_while_the_bridge_starts_leads_to_another_attempt_and_to_no_stop():
+    with Bench(**BRIEF) as bench:
+        bench.bus.simulated.set_faults(REFUSED)
+        states = bench.listen(DiagnosticStatus, "stop_state", ALL_LATCHED)
+        bench.until(lambda: bench.node.warning_counts.get("activate"), "a failure")
+        assert not bench.node.is_active
+        assert bench.node.latch.released
+        assert max(map(abs, bench.bus.speeds)) < 1e-3
+        bench.bus.simulated.set_faults(CanFaultParameters())
+        bench.until_driving()
+        assert {state.message for state in states} == {"running"}
+
+
+def test_an_emergency_message_between_two_transitions_of_the_start_is_no_stop(monkeypatch):
+    with Bench() as bench:
+        enable, faults = bench.node.enable_hardware, bench.bus.simulated.set_faults
+        attempts = []
+
+        def late_enable():
+            attempts.append(bench.node.link.stop_reason)
+            if len(attempts) == 1:
+                faults(CanFaultParameters(fault=("front_left",)))
+                # The message arrives before anything is enabled.
+                bench.node.link.run_until(lambda: False, 0.2)
+                faults(CanFaultParameters())
+            return enable()
+
+        monkeypatch.setattr(bench.node, "enable_hardware", late_enable)
+        bench.until_driving()
+        assert attempts == ["", ""]
+        assert bench.node.warning_counts.get("activate") == 1
+        assert bench.node.latch.released
+
+
+def test_a_fault_that_stays_is_a_stop_after_some_attempts_and_a_reset_starts_again():
+    with Bench(**BRIEF) as bench:
+        bench.bus.simulated.set_faults(REFUSED)
+        attempts = START_ATTEMPTS * (RETRY_PERIOD + 2.0)
+        bench.run_until(lambda: not bench.node.latch.released, attempts, "the stop")
+        assert bench.node.latch.status.reason.startswith("not enabled: rear_left")
+        bench.bus.simulated.set_faults(CanFaultParameters())
+        bench.run(3 * RETRY_PERIOD)
+        assert not bench.node.is_active
+        assert bench.trigger("reset").success
+        bench.until_driving()
+
+
+def test_a_stop_while_the_bridge_starts_stays_until_a_reset():
+    with Bench(**BRIEF) as bench:
+        bench.bus.simulated.set_faults(REFUSED)
+        bench.until(lambda: bench.node.warning_counts.get("activate"), "a failure")
+        assert bench.trigger("stop").success
+        bench.bus.simulated.set_faults(CanFaultParameters())
+        bench.run(3 * RETRY_PERIOD)
+        assert not bench.node.is_active
+        assert bench.node.latch.status.reason == "~/stop"
+        assert bench.trigger("reset").success
+        bench.until_driving()
 
 
 def test_the_life_cycle_opens_enables_disables_and_closes():
