@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool
@@ -61,9 +62,13 @@ class StopInterface:
         self._published: StopStatus | None = None
         node.create_service(Trigger, "~/stop", self._on_stop_service)
         node.create_service(Trigger, "~/reset", self._on_reset_service)
-        # A transient-local subscription alone does not match volatile publishers.
-        for qos in (LATCHED, QoSProfile(depth=10)):
-            node.create_subscription(Bool, "emergency_stop", self._on_emergency, qos)
+        # A transient-local subscription alone does not match volatile publishers, of which it is
+        # not to warn, and a volatile one alone does not get what was published before.
+        silent = SubscriptionEventCallbacks(incompatible_qos=lambda event: None)
+        for qos, events in ((LATCHED, silent), (QoSProfile(depth=10), None)):
+            node.create_subscription(
+                Bool, "emergency_stop", self._on_emergency, qos, event_callbacks=events
+            )
         node.create_subscription(DiagnosticStatus, STOP_STATE, self._on_peer, ALL_LATCHED)
         self._publisher = node.create_publisher(DiagnosticStatus, STOP_STATE, LATCHED)
         node.every(1.0, self._check_peers)

@@ -3,10 +3,15 @@
 from types import SimpleNamespace
 
 import pytest
+from rclpy.event_handler import QoSSubscriptionEventType
+from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile
 from rclpy.time import Time
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool
 
 from omniman_ros.nodes.odometry import OdometryNode
+from omniman_ros.nodes.simulated_drive import SimulatedDriveNode
+from omniman_ros.nodes.stop_interface import LATCHED
 from test.nodes.harness import World
 
 ROS_TIME_LEAD = 1_000_000_000
@@ -53,3 +58,31 @@ def test_wheel_states_keep_their_order_when_the_node_is_held_up_between_two_cloc
         feedback = node.core.feedback
         assert feedback.time == pytest.approx(1e-9 * due, abs=1e-4)
     assert not node.warning_counts
+
+
+@pytest.mark.parametrize("qos", [LATCHED, QoSProfile(depth=10)], ids=["latched", "volatile"])
+def test_an_emergency_stop_is_received_from_any_publisher(qos):
+    with World(SimulatedDriveNode) as world:
+        (node,) = world.nodes
+        world.publisher(Bool, "emergency_stop", qos).publish(Bool(data=True))
+        world.run_until(lambda: not node.latch.released, 1.0, "the stop")
+
+
+def test_a_volatile_publisher_of_emergency_stop_is_no_reason_to_warn(capfd):
+    # The harness serves no events of the middleware: what they would call is called here.
+    incompatible = QoSSubscriptionEventType.RCL_SUBSCRIPTION_REQUESTED_INCOMPATIBLE_QOS
+    event = SimpleNamespace(last_policy_kind=QoSPolicyKind.DURABILITY)
+    with World(SimulatedDriveNode) as world:
+        (node,) = world.nodes
+        handlers = {
+            subscription.qos_profile.durability: handler
+            for subscription in node.subscriptions
+            if subscription.topic_name == "/emergency_stop"
+            for handler in subscription.event_handlers
+            if handler.event_type == incompatible
+        }
+        capfd.readouterr()
+        handlers[DurabilityPolicy.TRANSIENT_LOCAL].callback(event)
+        assert not capfd.readouterr().err
+        handlers[DurabilityPolicy.VOLATILE].callback(event)  # of a reliability that matches none
+        assert "incompatible QoS" in capfd.readouterr().err
