@@ -3,8 +3,11 @@
 Check this before importing a module that needs the library.
 """
 
+import sys
+import sysconfig
 from dataclasses import dataclass
 from importlib.util import find_spec
+from pathlib import Path
 
 
 @dataclass(frozen=True)
@@ -13,30 +16,40 @@ class Extra:
 
     Attributes:
         modules: Modules that must be importable.
-        hint: What the feature is and how to install it, for error messages.
+        need: What the feature is and which libraries it needs, for error messages.
+        packages: What pip installs for it.
     """
 
     modules: tuple[str, ...]
-    hint: str
+    need: str
+    packages: str
 
     @property
     def is_available(self) -> bool:
         """Whether all the modules are installed."""
         return all(find_spec(module) is not None for module in self.modules)
 
+    @property
+    def hint(self) -> str:
+        """What the feature needs and how to install it, for error messages."""
+        return f"{self.need}: {pip_install()} {self.packages}"
+
+
+def pip_install() -> str:
+    """Return the command with which pip installs packages for this interpreter.
+
+    Debian and Ubuntu refuse packages of pip for the system's interpreter unless they are asked
+    explicitly (PEP 668).
+    """
+    is_managed = Path(sysconfig.get_path("stdlib"), "EXTERNALLY-MANAGED").is_file()
+    is_system = sys.prefix == sys.base_prefix
+    return "pip install --break-system-packages" if is_managed and is_system else "pip install"
+
 
 CAN = Extra(
-    ("can", "canopen"),
-    "drives on a CAN bus need python-can and canopen: pip install python-can canopen",
+    ("can", "canopen"), "drives on a CAN bus need python-can and canopen", "python-can canopen"
 )
-PLANNING = Extra(("casadi",), "the planner needs casadi: pip install casadi")
-RECORDING = Extra(
-    ("rosbags",),
-    "recordings need rosbags: pip install 'omniman_ros[record]', or pip install rosbags",
-)
-VIEWER = Extra(("viser",), "the viewer needs viser: pip install 'viser==1.1.*' websockets")
-WORLD = Extra(
-    ("mujoco",),
-    "the physics world needs mujoco-core: pip install 'omniman_ros[world]', or "
-    "pip install 'mujoco-core==4.*'",
-)
+PLANNING = Extra(("casadi",), "the planner needs casadi", "casadi")
+RECORDING = Extra(("rosbags",), "recordings need rosbags", "rosbags")
+VIEWER = Extra(("viser",), "the viewer needs viser", "'viser==1.1.*' websockets")
+WORLD = Extra(("mujoco",), "the physics world needs mujoco-core", "'mujoco-core==4.*'")

@@ -21,14 +21,14 @@ DISTRIBUTIONS = {
     "numpy": ("numpy", "python3-numpy"),
     "PyYAML": ("yaml", "python3-yaml"),
     "python-can": ("can", "python3-can"),
-    "canopen": ("canopen", None),
+    "canopen": ("canopen", "canopen-pip"),
     "msgpack": ("msgpack", "python3-msgpack"),
-    "casadi": ("casadi", "python3-casadi-pip"),
+    "casadi": ("casadi", "casadi-pip"),
     "jinja2": ("jinja2", "python3-jinja2"),
     "lark-parser": ("lark", "python3-lark-parser"),
     "mujoco-core": ("mujoco", None),
     "matplotlib": ("matplotlib", "python3-matplotlib"),
-    "rosbags": ("rosbags", None),
+    "rosbags": ("rosbags", "python3-rosbags-pip"),
     "viser": ("viser", None),
     "websockets": ("websockets", "python3-websockets"),
 }
@@ -92,9 +92,13 @@ def test_required_distributions_are_in_package_xml(package_xml, setup_py):
         assert key is None or key in keys
 
 
-def test_the_readme_names_the_debian_package_that_rosdep_does_not_know():
-    readme = (ROOT / "README.md").read_text()
-    assert "`apt install python3-canopen`" in readme
+def test_the_documentation_names_the_keys_of_rosdep_and_what_ubuntu_needs_for_them(package_xml):
+    keys = {depend.name for depend in package_xml.exec_depends if depend.name.endswith("-pip")}
+    assert keys == {"canopen-pip", "casadi-pip", "python3-rosbags-pip"}
+    for page in (ROOT / "README.md", ROOT / "docs" / "ros.md"):
+        text = page.read_text()
+        assert all(f"`{key}`" in text for key in keys), page
+        assert "PIP_BREAK_SYSTEM_PACKAGES=1 rosdep install" in text, page
 
 
 def test_the_wheels_of_rclpy_are_not_required(setup_py):

@@ -8,7 +8,7 @@ from pathlib import Path
 from omniman_ros.console.errors import CommandError
 from omniman_ros.console.terminal import say
 from omniman_ros.core.errors import InputError
-from omniman_ros.extras import RECORDING
+from omniman_ros.extras import RECORDING, pip_install
 
 
 def run(args: argparse.Namespace) -> int:
@@ -27,7 +27,7 @@ def run(args: argparse.Namespace) -> int:
     if not RECORDING.is_available:
         raise CommandError(RECORDING.hint)
     if find_spec("matplotlib") is None:
-        raise CommandError("figures need matplotlib: pip install 'omniman_ros[plot]'")
+        raise CommandError(f"figures need matplotlib: {pip_install()} matplotlib")
     from omniman_ros.recording.figures import FIGURES, draw_figures
     from omniman_ros.recording.reader import BagReader
     from omniman_ros.recording.robot_log import read_robot_log

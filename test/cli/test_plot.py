@@ -202,4 +202,4 @@ def test_figures_are_opened_with_show(drive, tmp_path, monkeypatch):
 def test_without_the_library_the_error_says_how_to_install_it(drive, monkeypatch, capsys):
     monkeypatch.setattr(extras, "find_spec", lambda name: None)
     assert main(["plot", str(drive)]) == 1
-    assert "pip install 'omniman_ros[record]'" in capsys.readouterr().err
+    assert "pip install rosbags" in capsys.readouterr().err

@@ -158,7 +158,7 @@ def test_the_demo_drives_in_a_world_on_request(arguments, world):
 def test_a_demo_in_a_world_without_the_engine_says_what_to_install(own_domain, monkeypatch, capfd):
     monkeypatch.setattr(extras, "find_spec", lambda name: None)
     assert main(["demo", "--world"]) == 1
-    assert "pip install 'omniman_ros[world]'" in capfd.readouterr().err
+    assert "pip install 'mujoco-core==4.*'" in capfd.readouterr().err
 
 
 def test_drives_on_a_bus_are_refused_in_a_world(own_domain, capfd):

@@ -310,4 +310,4 @@ def test_a_bad_change_is_refused_and_changes_nothing(robot, name, value):
 def test_without_the_engine_the_node_says_what_to_install(monkeypatch, capsys):
     monkeypatch.setattr(extras, "find_spec", lambda name: None)
     assert simulated_world.main() == 1
-    assert "pip install 'omniman_ros[world]'" in capsys.readouterr().err
+    assert "pip install 'mujoco-core==4.*'" in capsys.readouterr().err

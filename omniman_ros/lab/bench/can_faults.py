@@ -213,7 +213,8 @@ def _parameter_fault(
     def remove(rig: Rig) -> None:
         rig.set_fault(flag, ())
 
-    return Fault(name, inject, bound, reason, evidence, remove=remove, **options)  # type: ignore[arg-type]
+    what = (name, inject, bound, reason, evidence)
+    return Fault(*what, remove=remove, **options)  # type: ignore[arg-type]
 
 
 def _silent_fault(name: str, flag: str, **options: bool) -> Fault:

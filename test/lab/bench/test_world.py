@@ -31,9 +31,9 @@ def test_everything_is_measured():
 
 
 def test_without_the_engine_the_command_says_what_to_install(monkeypatch, tmp_path, capsys):
-    monkeypatch.setattr(bench, "WORLD", Extra(("no_such_engine",), WORLD.hint))
+    monkeypatch.setattr(bench, "WORLD", Extra(("no_such_engine",), WORLD.need, WORLD.packages))
     assert main(["bench", "world", "--results", str(tmp_path)]) != 0
-    assert "pip install 'omniman_ros[world]'" in capsys.readouterr().err
+    assert "pip install 'mujoco-core==4.*'" in capsys.readouterr().err
 
 
 @pytest.mark.exhaustive
