@@ -49,6 +49,10 @@ class BodyGeometry:
         pairs: Names of the two parts of each pair that may collide.
         levers: (P, 6) largest travel of one part of each pair relative to the other, per angle of
             each joint [m/rad].
+        part_radii: (N,) bounds of the horizontal distance of each part's points from the z axis of
+            base_link, at all joint angles [m].
+        part_levers: (N, 6) largest travel of each part relative to the platform, per angle of each
+            joint [m/rad].
     """
 
     def __init__(
@@ -67,12 +71,15 @@ class BodyGeometry:
         self.parts: tuple[str, ...] = (PLATFORM,)
         self.pairs: tuple[tuple[str, str], ...] = ()
         self.levers: Array = np.zeros((0, JOINTS))
+        self.part_radii: Array = np.array([np.hypot(*self._half)])
+        self.part_levers: Array = np.zeros((1, JOINTS))
         self._arm: ArmSegments | None = None
         self._load: LoadBox | None = None
         if has_arm:
             self._arm = ArmSegments(mount, tool or ToolShape())
             self._load = LoadBox(load) if load is not None and load.is_carried else None
             self._find_pairs(self._arm)
+            self._bound_parts(self._arm, float(np.hypot(mount.x, mount.y)))
 
     def _find_pairs(self, arm: ArmSegments) -> None:
         """Find which parts may collide with which."""
@@ -100,6 +107,17 @@ class BodyGeometry:
             firsts = (0, *range(LINKS_BEFORE_WRIST))
             levers += [arm.levers(first, JOINTS, self._load.extent) for first in firsts]
         self.levers = np.array(levers)
+
+    def _bound_parts(self, arm: ArmSegments, offset: float) -> None:
+        """Bound where the parts can be; the arm stands `offset` [m] from the z axis."""
+        links = range(len(arm.names))
+        levers = [arm.levers(0, min(link, JOINTS), arm.extent(link)) for link in links]
+        if self._load is not None:
+            levers.append(arm.levers(0, JOINTS, self._load.extent))
+        self.part_levers = np.vstack((self.part_levers, levers))
+        # Each link but the first turns about the upright axis of the first joint.
+        reach = np.maximum(np.array(levers)[:, 0], arm.extent(0))
+        self.part_radii = np.append(self.part_radii, offset + reach)
 
     def self_distances(self, q: Array, reach: float = np.inf) -> Array:
         """Return the distances between the parts of the robot.

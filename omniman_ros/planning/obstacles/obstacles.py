@@ -235,6 +235,11 @@ class ObstacleSet:
         growth = np.where(moving, table.growth, 0.0)
         return Ellipses(now, centers, velocities, table.semi_axes, table.angles, growth)
 
+    @property
+    def keys(self) -> tuple[Key, ...]:
+        """Keys of the obstacles, in the order of `ellipses` at the same time."""
+        return tuple(self._obstacles)
+
     def _drop_expired(self, now: float) -> None:
         """Delete the obstacles whose lifetime is over."""
         expired = [key for key, known in self._obstacles.items() if known.expiry <= now]

@@ -1,0 +1,346 @@
+"""Limit of the speed at which the robot can still come to rest before it touches anything."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omniman_ros.collision.body_geometry import BodyGeometry
+from omniman_ros.collision.curve import curve_poses
+from omniman_ros.collision.solids import UprightSolids
+from omniman_ros.collision.speed_limits import SpeedLimits
+from omniman_ros.collision.surroundings import Surroundings
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.parameters import parameter
+
+STEPS = 16
+"""Number of intervals into which the predicted motion is divided; they grow with the distance."""
+RESTING = 1e-3
+"""Share of the speed limits up to which a motion counts as rest."""
+SLOWEST_PASS = 0.1
+"""Share of the speed limits at which the robot at least passes the predicted motion, as far as the
+motion of obstacles is concerned: at rest it would never come to where it goes."""
+TOLERANCE = 1e-6
+"""Decrease of a distance that is rounding [m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MonitorParameters:
+    """Distances and times of the limit of the speed."""
+
+    margin: float = parameter(
+        0.03,
+        "Distance from everything that the robot keeps: the gap that must remain, and what the "
+        "robot does not know about where it and the obstacles are.",
+        unit="m",
+        low=0.0,
+        high=1.0,
+    )
+    reaction_time: float = parameter(
+        0.1,
+        "Time from an observation until the robot begins to brake, for which it goes on at full "
+        "speed.",
+        unit="s",
+        low=0.0,
+        high=1.0,
+    )
+    slow_down_time: float = parameter(
+        1.0,
+        "Time at full speed to the margin from which on the robot slows down: its share of the "
+        "speed limits is at most the time that is left over this one.",
+        unit="s",
+        low=0.05,
+        high=10.0,
+    )
+    contact_speed: float = parameter(
+        0.05,
+        "Share of the speed limits that is left where something seems to touch the robot already, "
+        "so that no motion can be told to lead away; 0: stop.",
+        low=0.0,
+        high=1.0,
+    )
+
+
+@dataclass(frozen=True)
+class RobotMotion:
+    """Where the robot is and how it moves.
+
+    Attributes:
+        pose: Pose (3,) of base_link in the frame of the surroundings [m, m, rad].
+        joints: Joint angles (6,) [rad]; zeros without an arm.
+        motion: Twist in base_link and joint rates (9,) [m/s, m/s, rad/s, rad/s ...].
+    """
+
+    pose: Array
+    joints: Array
+    motion: Array
+
+
+@dataclass(frozen=True)
+class Encounter:
+    """What limits the speed.
+
+    Attributes:
+        part: Name of the robot's part.
+        solid: Index of the solid among the surroundings.
+        distance: Present distance between the two [m].
+    """
+
+    part: str
+    solid: int
+    distance: float
+
+
+@dataclass(frozen=True)
+class SpeedLimit:
+    """Largest share of the speed limits, 0 to 1, for platform and arm, and why.
+
+    Attributes:
+        platform: Share for the platform.
+        arm: Share for the arm.
+        encounter: What limits the speed; None if nothing does.
+        in_contact: Whether something seems to touch the robot already.
+    """
+
+    platform: float = 1.0
+    arm: float = 1.0
+    encounter: Encounter | None = None
+    in_contact: bool = False
+
+
+@dataclass(frozen=True)
+class _Course:
+    """A motion at full speed, and whose speed its limit applies to."""
+
+    motion: Array
+    is_platform: bool
+    is_arm: bool
+
+
+class CollisionMonitor:
+    """Limits the speed so that the robot comes to rest before contact, whichever source drives.
+
+    A stop keeps the robot on its curve: platform and joints slow down together, at a constant
+    ratio of their rates. Where the robot can be until it is at rest therefore depends on the
+    direction of its motion only, and how far it gets on the curve on its speed. Each direction in
+    which the robot moves, or is asked to move, is followed at full speed, in `STEPS` intervals.
+    The time after which the robot would be nearer to something than the margin, the free time,
+    gives the share of full speed that is allowed: the free time over `slow_down_time`, and at most
+    the share s from which the robot can stop within it. In the reaction time T and the time B of a
+    stop from full speed it gets as far as in s T + s^2 B / 2 at full speed.
+
+    Between two samples, the square of the distance d of two convex bodies that move relative to
+    one another by h is at most h^2 / 4 below that at the nearer sample: its second derivative is
+    at most 2 (h / dt)^2, as half the squared distance from a convex set has a gradient that is
+    1-Lipschitz. Where the body turns by the angle b meanwhile, its points are accelerated by
+    h b / dt^2, and d h b / 4 comes in addition.
+
+    A pair that is nearer than the margin already may not come nearer, but may part: a robot that
+    has parked at a wall can leave it.
+
+    Args:
+        geometry: Shape of the robot.
+        limits: Limits of speed and deceleration.
+        parameters: Distances and times.
+
+    Attributes:
+        parameters: As above; may be changed at any time.
+        limits: As above; may be changed at any time.
+        geometry: As above; may be changed at any time.
+    """
+
+    def __init__(
+        self, geometry: BodyGeometry, limits: SpeedLimits, parameters: MonitorParameters
+    ) -> None:
+        self.geometry, self.limits, self.parameters = geometry, limits, parameters
+
+    def limit(
+        self, robot: RobotMotion, demands: Sequence[Array], surroundings: Surroundings
+    ) -> SpeedLimit:
+        """Return the limit of the speed.
+
+        Args:
+            robot: Present state of the robot.
+            demands: Motions (9,) that sources ask for, in the units of the present one; only
+                their directions count.
+            surroundings: What is around the robot.
+
+        Raises:
+            InputError: A pose or an angle is not finite.
+        """
+        courses = list(self._courses([robot.motion, *demands]))
+        if not courses or not len(surroundings):
+            return SpeedLimit()
+        full = np.array([course.motion for course in courses])
+        stop_times = np.array([self.limits.stop_time(motion) for motion in full])
+        p = self.parameters
+        horizon = max(p.slow_down_time, p.reaction_time + 0.5 * float(stop_times.max()))
+        speed = max(self.limits.share(robot.motion), SLOWEST_PASS)
+        time_left = p.reaction_time + self.limits.stop_time(robot.motion)
+        far = float(self.geometry.part_radii.max()) + 2.0 * p.margin
+        far += horizon * self.limits.velocity[0]
+        near = surroundings.within(robot.pose, far, time_left)
+        if not near.any():
+            return SpeedLimit()
+        prediction = _Prediction(
+            self.geometry,
+            robot,
+            full,
+            horizon * (np.arange(STEPS + 1.0) / STEPS) ** 2,
+            surroundings.select(near),
+            speed,
+            time_left,
+            p.margin,
+        )
+        return self._judge(courses, stop_times, prediction, np.flatnonzero(near))
+
+    def _courses(self, motions: Sequence[Array]) -> Iterator[_Course]:
+        """Yield the motions at full speed: of the platform, of the arm, and of both together."""
+        for motion in motions:
+            platform, arm = motion.copy(), motion.copy()
+            platform[3:] = arm[:3] = 0.0
+            parts = [(platform, True, False), (arm, False, True)]
+            moving = [part for part in parts if self.limits.share(part[0]) > RESTING]
+            if len(moving) == 2:
+                moving.append((motion, True, True))
+            for part, is_platform, is_arm in moving:
+                yield _Course(part / self.limits.share(part), is_platform, is_arm)
+
+    def _judge(
+        self,
+        courses: Sequence[_Course],
+        stop_times: Array,
+        prediction: "_Prediction",
+        indices: NDArray[np.intp],
+    ) -> SpeedLimit:
+        """Return the limit from the predicted distances of the solids with these indices."""
+        platform = arm = least = 1.0
+        culprit: tuple[int, int] | None = None
+        for course, stop_time, free in zip(
+            courses, stop_times.tolist(), prediction.free_times(), strict=True
+        ):
+            share = self._share(free.time, stop_time)
+            platform = min(platform, share) if course.is_platform else platform
+            arm = min(arm, share) if course.is_arm else arm
+            if share < least:
+                least, culprit = share, free.pair
+        now = prediction.present
+        in_contact = bool((now <= 0.0).any())
+        if in_contact:
+            bound = self.parameters.contact_speed
+            platform, arm = min(platform, bound), min(arm, bound)
+            if bound <= least:
+                part, solid = np.argwhere(now <= 0.0)[0]
+                culprit = int(part), int(solid)
+        if culprit is None:
+            return SpeedLimit(platform, arm, None, in_contact)
+        part, solid = culprit
+        encounter = Encounter(
+            self.geometry.parts[part], int(indices[solid]), float(now[part, solid])
+        )
+        return SpeedLimit(platform, arm, encounter, in_contact)
+
+    def _share(self, free_time: float, stop_time: float) -> float:
+        """Return the share of full speed that a free time allows, see the class."""
+        if free_time == math.inf:
+            return 1.0
+        p = self.parameters
+        half = 0.5 * p.reaction_time
+        # s T + s^2 B / 2 = free time, in a form without a difference of nearly equal numbers.
+        stopping = free_time / (half + math.sqrt(half * half + 0.5 * stop_time * free_time))
+        share = min(1.0, free_time / p.slow_down_time, stopping)
+        return share if share > RESTING else 0.0
+
+
+@dataclass(frozen=True)
+class _FreeTime:
+    """Time at full speed until something is too near, and the part and the solid that are."""
+
+    time: float
+    pair: tuple[int, int] | None
+
+
+class _Prediction:
+    """Distances of the robot's parts from solids, along courses at full speed.
+
+    Args:
+        geometry: Shape of the robot.
+        robot: Where it is.
+        courses: Motions (C, 9) at full speed.
+        times: Times (K,) at full speed [s]; the first is zero.
+        surroundings: M solids.
+        speed: Share of full speed at which solids that move are met.
+        time_left: Time after which the robot could be at rest, so that nothing moves on [s].
+        margin: Distance that is kept [m].
+
+    Attributes:
+        present: Present distances (N, M) of the N parts [m].
+    """
+
+    def __init__(
+        self,
+        geometry: BodyGeometry,
+        robot: RobotMotion,
+        courses: Array,
+        times: Array,
+        surroundings: Surroundings,
+        speed: float,
+        time_left: float,
+        margin: float,
+    ) -> None:
+        passing = np.minimum(times / speed, time_left)
+        travel = (
+            np.hypot(courses[:, 0], courses[:, 1])[:, None]
+            + np.abs(courses[:, 2, None]) * geometry.part_radii
+            + np.abs(courses[:, 3:]) @ geometry.part_levers.T
+        )
+        drift = np.diff(passing)[:, None, None] * np.hypot(*surroundings.velocity)
+        steps = np.diff(times)[:, None, None] * travel[:, None, :, None] + drift
+        angles = np.abs(courses[:, 2]) + np.abs(courses[:, 3:]).sum(axis=1)
+        turns = (angles[:, None] * np.diff(times))[..., None, None]
+        self._bound = np.sqrt(margin * margin + 0.25 * steps * (steps + margin * turns))
+        self._times = times
+        self._poses: Array = np.stack([curve_poses(robot.pose, c[:3], times) for c in courses])
+        self._joints = robot.joints + times[:, None] * courses[:, None, 3:]
+        self._measure(geometry, surroundings, passing)
+        self.present: Array = self._distances[0, 0]
+
+    def _measure(self, geometry: BodyGeometry, surroundings: Surroundings, passing: Array) -> None:
+        """Find the distances (C, K, N, M) while solids that move do so at times (K,) [s]."""
+        poses, joints, reach = self._poses, self._joints, float(self._bound.max())
+        is_moving = surroundings.is_moving
+        parts = len(geometry.parts)
+        self._distances: Array = np.empty((*poses.shape[:2], parts, len(surroundings)))
+        still = surroundings.select(~is_moving).solids
+        if len(still):
+            self._distances[..., ~is_moving] = geometry.distances(poses, joints, still, reach)
+        moving = surroundings.select(is_moving)
+        if len(moving):
+            # The solids at all times with all poses, of which those of the same time count.
+            solids = UprightSolids.join([moving.after(time) for time in passing.tolist()])
+            found = geometry.distances(poses, joints, solids, reach)
+            found = found.reshape(*poses.shape[:2], parts, len(passing), len(moving))
+            k = np.arange(len(passing))
+            self._distances[..., is_moving] = np.moveaxis(found[:, k, :, k], 0, 1)
+
+    def free_times(self) -> Iterator[_FreeTime]:
+        """Yield the free time of each course; infinite if nothing comes too near."""
+        bound = np.minimum(self._bound, self.present) - TOLERANCE
+        before = self._distances[:, :-1] - bound
+        after = self._distances[:, 1:] - bound
+        is_near = np.minimum(before, after) < 0.0
+        for course, first in enumerate(is_near.any(axis=(2, 3)).argmax(axis=1).tolist()):
+            chosen = is_near[course, first]
+            if not chosen.any():
+                yield _FreeTime(math.inf, None)
+                continue
+            left, right = before[course, first], after[course, first]
+            # The part of the interval before the bound is reached.
+            falling = np.maximum(left - right, np.finfo(np.float64).tiny)
+            part = np.where(chosen, np.clip(left / falling, 0.0, 1.0), np.inf)
+            worst = np.unravel_index(int(part.argmin()), part.shape)
+            begin, end = self._times[first : first + 2].tolist()
+            time = begin + float(part[worst]) * (end - begin)
+            yield _FreeTime(time, (int(worst[0]), int(worst[1])))
