@@ -33,6 +33,7 @@ EXECUTABLES = {
     "joint_state_broadcaster": "omniman_ros.nodes.joint_state_broadcaster:main",
     "odometry": "omniman_ros.nodes.odometry:main",
     "station_keeper": "omniman_ros.nodes.station_keeper:main",
+    "collision_monitor": "omniman_ros.nodes.collision_monitor:main",
     "viewer": "omniman_ros.viewer.node:main",
 }
 

@@ -36,6 +36,7 @@ def run(args: argparse.Namespace) -> int:
         arm=args.arm,
         controller=args.controller,
         world=args.world,
+        collision_monitor=args.collision_monitor,
     )
     specs = robot_processes(setup)
     names = [spec.name for spec in specs]

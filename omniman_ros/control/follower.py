@@ -22,11 +22,13 @@ class PreviewFollower:
     Attributes:
         gains: Gains of the position controller; may be changed at any time.
         error: Following error (3,) of the last step in odom [m, m, rad].
+        target: Twist (3,) in base_link that the last step aimed for [m/s, m/s, rad/s].
     """
 
     def __init__(self, gains: PositionGains) -> None:
         self._position = PositionController(gains)
         self.error: Array = np.zeros(3)
+        self.target: Array = np.zeros(3)
 
     @property
     def gains(self) -> PositionGains:
@@ -71,6 +73,7 @@ class PreviewFollower:
         self.error = error
         reference = preview.sample(now)
         target = clamp(self._position.velocity(reference, error), limits.velocity)
+        self.target = se2.to_robot(theta, target)
         # The velocity in the world frame one tick ago; the platform has rotated since. Its change
         # in that frame is the acceleration in space, to which the limits apply.
         before = se2.to_world(theta - dt * float(setpoint[2]), setpoint)

@@ -9,7 +9,7 @@ import numpy as np
 from omniman_ros.control.follower import FollowingError, PreviewFollower
 from omniman_ros.control.held_robot import HeldRobotDetector
 from omniman_ros.control.imu import ImuFeedback
-from omniman_ros.control.limits import TwistLimiter, ramp_down, ratio
+from omniman_ros.control.limits import TwistLimiter, ramp_down, ratio, slowed
 from omniman_ros.control.odometry import REST_SPEED, Odometry
 from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.control.stability import StabilityLimiter, SupportModel
@@ -24,6 +24,7 @@ from omniman_ros.core import plausible
 from omniman_ros.core.arbiter import NEVER, PREVIEW_SOURCES, Arbiter, Source
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError, ParameterError
+from omniman_ros.core.motion_limit import MotionLimit
 from omniman_ros.core.preview import Preview
 from omniman_ros.core.robot import Arm
 from omniman_ros.core.stop import StopLatch
@@ -66,9 +67,13 @@ class PlatformController:
         limits: Limits of the twist: those of wheel_health, lowered for stability.
         latch: Latch that stops the platform.
         arbiter: Decides which source drives.
+        motion_limit: Limit of the speed that a collision monitor sets, for every source.
         setpoint: Twist (3,) of the last tick in base_link [m/s, m/s, rad/s].
         rate: Derivative (3,) of its components in the last tick, zero under voltages
             [m/s^2, m/s^2, rad/s^2].
+        demand: Twist (3,) in base_link that the active source asked for in the last tick, before
+            the limits of acceleration and of a collision monitor [m/s, m/s, rad/s]; zero under
+            voltages.
         cancelled: Reason why a source lost control in the last tick, or empty.
     """
 
@@ -77,6 +82,7 @@ class PlatformController:
         self.parameters = parameters
         self.latch = StopLatch()
         self.arbiter = Arbiter(_silences(parameters))
+        self.motion_limit = MotionLimit(parameters.collision_monitor)
         self.cascade = WheelCascade(parameters, dead_wheel_indices(parameters))
         self.wheel_health = WheelHealthMonitor(parameters, self.cascade)
         self.held_robot = HeldRobotDetector(
@@ -91,6 +97,7 @@ class PlatformController:
         self.limits = self.wheel_health.limits
         self.setpoint: Array = np.zeros(3)
         self.rate: Array = np.zeros(3)
+        self.demand: Array = np.zeros(3)
         self.cancelled = ""
         self._limiter = TwistLimiter(self.limits)
         self._adopt_limits()
@@ -119,6 +126,7 @@ class PlatformController:
         self.cascade.configure(parameters, self.wheel_health.idle_wheels(parameters))
         self.parameters = parameters
         self.arbiter.silence = _silences(parameters)
+        self.motion_limit.parameters = parameters.collision_monitor
         self.feedback.max_speed = parameters.robot.motor.max_speed
         self._follower.gains = parameters.position
         self.imu.configure(parameters.imu)
@@ -488,7 +496,8 @@ class PlatformController:
             self.setpoint = self.cascade.kinematics.J_pinv @ measured
             self._limiter.restart()
             self.rate = np.zeros(3)
-            if not self._too_fast(measured):
+            self.demand = np.zeros(3)
+            if not self._too_fast(measured, now):
                 return self.cascade.voltage_command(
                     self._volts, measured, self.wheel_health.probe(now)
                 )
@@ -496,10 +505,13 @@ class PlatformController:
                 source, "mpc/voltages drove a wheel or the platform above its speed limit"
             )
             source, before = None, self.setpoint
-        twist, rate = self._motion(source, now, dt)
+        wanted, rate = self._motion(source, now, dt)
+        twist = slowed(wanted, before, self.parameters.limits, self.motion_limit.share(now), dt)
         reachable = self._reachable(twist, before, dt)
-        if self.cascade.saturated or rate is None:
+        if self.cascade.saturated or rate is None or twist is not wanted:
             rate = (reachable - before) / dt if dt > 0.0 else np.zeros(3)
+        if twist is not wanted:
+            self._limiter.restart(rate)
         self.setpoint, self.rate = reachable, rate
         driven = self.arbiter.active is not None
         if not driven and not reachable.any():
@@ -531,11 +543,13 @@ class PlatformController:
         self._is_recovering = False
         return True
 
-    def _too_fast(self, measured: Array) -> bool:
+    def _too_fast(self, measured: Array, now: float) -> bool:
         """Return whether wheels or platform exceed their limits, which voltages do not respect."""
         limits, motor = self.limits, self.parameters.robot.motor
         wheels = float(np.abs(measured).max()) > OVERSPEED * motor.max_speed
-        return wheels or ratio(self.setpoint, limits.velocity) > OVERSPEED
+        return wheels or (
+            ratio(self.setpoint, limits.velocity) > OVERSPEED * self.motion_limit.share(now)
+        )
 
     def _reachable(self, twist: Array, before: Array, dt: float) -> Array:
         """Return the twist within the wheels' speed; a limit lowered in motion is ramped to."""
@@ -549,12 +563,15 @@ class PlatformController:
 
     def _motion(self, source: Source | None, now: float, dt: float) -> tuple[Array, Array | None]:
         """Return the twist (3,) in base_link for this tick; its rate if the source knows it."""
+        self.demand = np.zeros(3)
         if source is Source.CMD_VEL:
+            self.demand = self._target
             return self._limiter.step(self.setpoint, self._target, dt), None
         self._limiter.restart()
         followed = None if source is None else self._follow(source, now, dt)
         if followed is None:
             return ramp_down(self.setpoint, self.limits.deceleration, dt), None
+        self.demand = self._follower.target
         return followed
 
     def _follow(self, source: Source, now: float, dt: float) -> tuple[Array, Array] | None:

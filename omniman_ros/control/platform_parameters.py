@@ -12,6 +12,7 @@ from omniman_ros.control.position_controller import PositionGains
 from omniman_ros.control.stability import StabilityParameters
 from omniman_ros.control.wheel_controller import WheelGains
 from omniman_ros.core.errors import ParameterError
+from omniman_ros.core.motion_limit import MotionLimitParameters
 from omniman_ros.core.parameters import inline, parameter
 from omniman_ros.core.robot import Robot
 
@@ -126,6 +127,7 @@ class PlatformParameters:
     odometry: OdometryParameters
     imu: ImuParameters
     timeouts: Timeouts
+    collision_monitor: MotionLimitParameters
 
     def __post_init__(self) -> None:
         self.odometry.require_wheel_count(self.robot.wheel_count)

@@ -14,6 +14,7 @@ from omniman_ros.control.platform import PlatformController
 from omniman_ros.conversions.geometry import stamped_twist_array, twist_array
 from omniman_ros.conversions.headers import is_stamped
 from omniman_ros.conversions.joints import joint_arrays, require_array
+from omniman_ros.conversions.motion_limits import motion_limit_shares
 from omniman_ros.conversions.trajectories import preview_from_message
 from omniman_ros.core import plausible
 from omniman_ros.core.arbiter import PREVIEW_SOURCES, Source
@@ -30,6 +31,8 @@ from omniman_ros.nodes.rclpy_compat import subscribe_with_source_time
 from omniman_ros.nodes.runtime import run
 from omniman_ros.nodes.stop_interface import StopInterface
 
+DEMAND_RATE = 50.0
+"""Rate of `motion_demand`, as near as whole numbers of ticks allow [Hz]."""
 FINAL_ZEROS = 3
 """Number of zero setpoints that the drives get before the node ends."""
 
@@ -52,6 +55,7 @@ class PlatformControllerNode(OmnimanNode):
         self._waiting: dict[Source, Callable[[], None]] = {}
         self._odom_every = max(1, round(p.control_rate / p.topics.odom_rate))
         self._monitor_every = max(1, round(p.control_rate / p.topics.monitor_rate))
+        self._demand_every = max(1, round(p.control_rate / DEMAND_RATE))
         self._posture = ArmPostureInput(self, p.arm.joints, self._on_posture)
         self._outputs = PlatformOutputs(self, self.core, self._posture)
         self._odometry = OdometryOutputs(self, self.core, self._topics) if p.publish_odom else None
@@ -81,6 +85,7 @@ class PlatformControllerNode(OmnimanNode):
             handler = self._reference_handler(source)
             self.create_subscription(MultiDOFJointTrajectory, topic, handler, SETPOINT)
         subscribe(JointState, "mpc/voltages", self._on_voltages, SETPOINT)
+        subscribe(JointState, "motion_limit", self._on_motion_limit, SETPOINT)
 
     # ---- inputs: each handler returns why the message is not used, or nothing ------------------
 
@@ -120,6 +125,10 @@ class PlatformControllerNode(OmnimanNode):
         volts = require_array(effort, plausible.EFFORT, "effort (volts)")
         return self.core.set_voltages(volts, self.now(), self._stated_age(message))
 
+    def _on_motion_limit(self, message: JointState) -> None:
+        platform, _ = motion_limit_shares(message)
+        self.core.motion_limit.update(platform, self.now(), self.age(message.header.stamp))
+
     def _stated_age(self, message: TwistStamped | JointState) -> float | None:
         """Return the age of a message by its stamp [s]; None for a zero stamp."""
         stamp = message.header.stamp
@@ -146,6 +155,8 @@ class PlatformControllerNode(OmnimanNode):
         self._outputs.publish_active_source()
         self._outputs.publish_wheel_health()
         self._ticks += 1
+        if self._ticks % self._demand_every == 0:
+            self._outputs.publish_demand(self._topics().base_frame)
         if self._odometry is not None:
             self._publish_odometry(self._odometry)
 

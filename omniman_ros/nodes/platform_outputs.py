@@ -8,6 +8,7 @@ from std_msgs.msg import Float64, String
 
 from omniman_ros.control.platform import PlatformController
 from omniman_ros.control.wheel_cascade import DriveMode, WheelCommand
+from omniman_ros.conversions.motion_limits import motion_demand_message
 from omniman_ros.conversions.wheels import (
     LIMIT_SCALE_KEY,
     POSTURE_SCALE_KEY,
@@ -47,6 +48,7 @@ class PlatformOutputs:
         self._health = node.create_publisher(DiagnosticStatus, "wheel_health", LATCHED)
         self._margin = node.create_publisher(Float64, "tip_over_margin", 10)
         node.every(PERIOD, self._publish_margin)
+        self._demand = node.create_publisher(JointState, "motion_demand", SETPOINT)
         self._command_message = JointState(name=list(self._names))
         self.active = ""
         self._published_health: object = None
@@ -61,6 +63,16 @@ class PlatformOutputs:
         publisher = self._voltages if command.mode is DriveMode.VOLTAGE else self._commands
         fill_wheel_command(self._command_message, command, self._node.stamp())
         publisher.publish(self._command_message)
+
+    def publish_demand(self, frame: str) -> None:
+        """Publish the twist that the active source asks for, for a collision monitor in use.
+
+        Args:
+            frame: Name of base_link.
+        """
+        if self._core.parameters.collision_monitor.use:
+            motion = self._core.demand.tolist()
+            self._demand.publish(motion_demand_message((), motion, self._node.stamp(), frame))
 
     def publish_active_source(self) -> None:
         """Publish the active source if it has changed."""
@@ -113,6 +125,7 @@ class PlatformOutputs:
         values: list[tuple[str, object]] = [
             ("active_source", self.active),
             ("wheel_speed_saturated", core.cascade.saturated),
+            ("motion_limit", round(core.motion_limit.share(self._node.now()), 3)),
             ("wheels_slipping", core.odometry.slipping),
             (
                 "slip_not_observable",
@@ -159,12 +172,15 @@ class PlatformOutputs:
             return DiagnosticStatus.ERROR, core.latch.status.reason
         if not core.feedback.received:
             return DiagnosticStatus.WARN, "waiting for wheel_states"
-        for topic in ("wheel_commands", "wheel_voltages", "wheel_states"):
+        for topic in ("wheel_commands", "wheel_voltages", "wheel_states", "motion_limit"):
             if self._node.count_publishers(topic) > 1:
                 return DiagnosticStatus.WARN, f"{topic} has more than one publisher"
         if core.wheel_health.notice:
             return DiagnosticStatus.WARN, core.wheel_health.notice
-        doubt = imu_fault(core) or ("the wheels slip" if core.odometry.slipping else "")
-        if doubt := self._tipping or doubt:
+        is_unlimited = core.motion_limit.is_silent(self._node.now())
+        silence = "no fresh motion_limit: does collision_monitor run?" if is_unlimited else ""
+        slip = "the wheels slip" if core.odometry.slipping else ""
+        doubt = silence or imu_fault(core) or self._tipping or slip
+        if doubt:
             return DiagnosticStatus.WARN, doubt
         return DiagnosticStatus.OK, "running"

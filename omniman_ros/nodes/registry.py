@@ -17,6 +17,7 @@ NODES = {
     "path_interpolator": "nodes.trajectory_interfaces.parameters.PathInterpolatorParameters",
     "mpc_planner": "nodes.planner_interfaces.parameters.MpcPlannerParameters",
     "station_keeper": "nodes.station_keeper_parameters.StationKeeperParameters",
+    "collision_monitor": "nodes.collision_monitor_parameters.CollisionMonitorParameters",
     "joint_state_broadcaster": (
         "nodes.joint_state_broadcaster_parameters.JointStateBroadcasterParameters"
     ),

@@ -56,6 +56,9 @@ class NodeKind:
 WORLD_DRIVE = "world"
 """Kind of the drives of a robot in a world, beside those in `DRIVES`."""
 
+COLLISION_MONITOR = "collision_monitor"
+"""Name of the node that limits the speed before contact."""
+
 ROBOT_NODES = (
     NodeKind("platform_controller", stage=0),
     NodeKind("path_interpolator", stage=0),
@@ -63,6 +66,7 @@ ROBOT_NODES = (
     NodeKind("joint_state_broadcaster", stage=0, essential=False),
     NodeKind("odometry", stage=0, on_request=True),
     NodeKind("station_keeper", stage=0, on_request=True),
+    NodeKind(COLLISION_MONITOR, stage=0, essential=False, on_request=True),
     NodeKind("simulated_drive", stage=3, sim_time="publish_clock", drives=("simulated",)),
     NodeKind("simulated_world", stage=3, sim_time="publish_clock", drives=(WORLD_DRIVE,)),
     NodeKind("can_bridge", stage=1, drives=("can", "real")),
@@ -73,8 +77,11 @@ ROBOT_NODES = (
 )
 """All nodes that a robot may consist of."""
 
-ARM_AWARE_NODES = ("path_interpolator", "joint_state_broadcaster")
-"""Nodes that plan within the arm's limits or publish them.
+LIMITED_NODES = ("platform_controller",)
+"""Nodes that obey the collision monitor, and stop without it, where it is started."""
+
+ARM_AWARE_NODES = ("path_interpolator", "joint_state_broadcaster", COLLISION_MONITOR)
+"""Nodes that plan within the arm's limits, predict by them or publish them.
 
 Like the nodes of the arm, they get the parameters in the file of the arm's controller."""
 
@@ -113,6 +120,8 @@ class RobotSetup:
         arm: Kind of arm, a key of `ARMS`; None selects the one that fits drive and time.
         controller: Name of an arm's controller, or path of its file.
         world: Name of a scene, or path of its file, if the robot is simulated in a world.
+        collision_monitor: Whether a collision monitor limits the robot's speed. With `only`, one
+            does if it is among these nodes.
     """
 
     robot: str = "omniman"
@@ -126,6 +135,12 @@ class RobotSetup:
     arm: str | None = None
     controller: str = "ur5"
     world: str | None = None
+    collision_monitor: bool = False
+
+    @property
+    def is_limited(self) -> bool:
+        """Whether a collision monitor is started."""
+        return COLLISION_MONITOR in self.only if self.only else self.collision_monitor
 
     @property
     def wheel_drive(self) -> str:
@@ -200,6 +215,8 @@ def _check_world(setup: RobotSetup, world: str) -> None:
 def _is_chosen(kind: NodeKind, setup: RobotSetup, arm: str) -> bool:
     if setup.only:
         return kind.name in setup.only
+    if kind.name == COLLISION_MONITOR:
+        return setup.is_limited
     drives = kind.drives
     fits = (not drives or setup.wheel_drive in drives) and (not kind.arms or arm in kind.arms)
     return kind.is_available() and fits and not kind.on_request
@@ -268,6 +285,8 @@ def _ros_arguments(
         if setup.drive == "can":
             arguments += [*private_bus_arguments(setup.namespace), *SIMULATED_BUS_TIMEOUTS]
     arguments += arm_arguments
+    if setup.is_limited and kind.name in LIMITED_NODES:
+        arguments += ["-p", "collision_monitor.use:=true"]
     if setup.params_file is not None:
         arguments += ["--params-file", setup.params_file]
     for text in setup.params:

@@ -317,6 +317,7 @@ def test_platform_starts_the_simulated_drive_and_the_controller_by_default(platf
         "arm": "none",
         "controller": "ur5",
         "odometry": "controller",
+        "collision_monitor": "false",
         "mpc": "true",
         "viewer": "false",
         "rviz": "false",
@@ -330,7 +331,12 @@ def test_platform_starts_the_simulated_drive_and_the_controller_by_default(platf
         "simulated_drive": ("", {"robot": "omniman", "publish_clock": False}),
         "platform_controller": (
             "",
-            {"robot": "omniman", "use_sim_time": False, "publish_odom": True},
+            {
+                "robot": "omniman",
+                "use_sim_time": False,
+                "publish_odom": True,
+                "collision_monitor.use": False,
+            },
         ),
         "path_interpolator": ("", {"robot": "omniman", "use_sim_time": False}),
         "joint_state_broadcaster": (
@@ -431,6 +437,16 @@ def test_drives_on_a_bus_are_in_no_world(platform):
 def test_the_viewer_is_started_on_request(platform):
     _, nodes = platform(viewer="true", use_sim_time="true")
     assert nodes["viewer"] == ("", {"robot": "omniman", "use_sim_time": True})
+
+
+@pytest.mark.parametrize("arm", ["simulated", "ur"])
+def test_the_controller_needs_the_collision_monitor_where_it_is_started(platform, arm):
+    _, nodes = platform(collision_monitor="true", arm=arm, robot="ig42")
+    assert nodes["collision_monitor"][1]["robot"] == "ig42"
+    assert nodes["platform_controller"][1]["collision_monitor.use"] is True
+    _, nodes = platform(arm=arm)
+    assert "collision_monitor" not in nodes
+    assert nodes["platform_controller"][1]["collision_monitor.use"] is False
 
 
 def test_the_odometry_is_a_process_of_its_own_on_request(platform):

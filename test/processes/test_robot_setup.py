@@ -48,6 +48,16 @@ def test_the_viewer_is_left_out_if_its_library_is_not_installed(monkeypatch):
     assert "viewer" in specs_by_name(RobotSetup())
 
 
+def test_the_controller_needs_the_collision_monitor_where_there_is_one():
+    used = "-p collision_monitor.use:=true"
+    assert used in arguments(RobotSetup(collision_monitor=True), "platform_controller")
+    nodes = ["platform_controller", "collision_monitor"]
+    assert used in arguments(RobotSetup(only=nodes), "platform_controller")
+    for setup in (RobotSetup(), RobotSetup(only=nodes[:1], collision_monitor=True)):
+        assert "collision_monitor" not in specs_by_name(setup)
+        assert used not in arguments(setup, "platform_controller")
+
+
 def test_the_drive_publishes_the_clock_that_the_other_nodes_follow():
     setup = RobotSetup(sim_time=True)
     assert "-p publish_clock:=true" in arguments(setup, "simulated_drive")

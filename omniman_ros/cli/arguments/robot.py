@@ -32,6 +32,13 @@ def add_up(parser: argparse.ArgumentParser) -> None:
         "that a busy machine holds up; default: if all of the robot is simulated, without a bus "
         "and without a namespace",
     )
+    parser.add_argument(
+        "--collision-monitor",
+        action=argparse.BooleanOptionalAction,
+        default=True,
+        help="limit the speed before contact, and stop where the monitor is silent; default: yes, "
+        "and with --only if the node is among them",
+    )
     add_parameters(parser)
     parser.add_argument("--params-file", metavar="FILE", help="a ROS parameter file for all nodes")
     add_drive(parser, tuple(DRIVES))

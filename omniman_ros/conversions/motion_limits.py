@@ -1,0 +1,67 @@
+"""Convert limits of the speed, and motions that are asked for, to and from joint states."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from sensor_msgs.msg import JointState
+
+from omniman_ros.conversions.joints import joint_arrays, require_array
+from omniman_ros.core import plausible
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.errors import InputError
+
+LIMITED = ("platform", "arm")
+"""Names in `motion_limit`; the velocities are shares of the speed limits, 0 to 1."""
+TWIST = ("base_x", "base_y", "base_theta")
+"""Names of the platform's twist in `motion_demand`: along x and y of base_link, and about z."""
+
+
+def motion_limit_message(platform: float, arm: float, stamp: Time) -> JointState:
+    """Return the message of the shares of the speed limits that platform and arm may use."""
+    message = JointState(name=list(LIMITED), velocity=[platform, arm])
+    message.header.stamp = stamp
+    return message
+
+
+def motion_limit_shares(message: JointState) -> tuple[float, float]:
+    """Return the shares of the speed limits in a message, for platform and arm.
+
+    Raises:
+        InputError: A name or a value is missing, or a value is not 0 to 1.
+    """
+    _, velocity, _ = joint_arrays(message, LIMITED)
+    shares = require_array(velocity, 1.0, "velocity (share)")
+    if float(shares.min()) < 0.0:
+        raise InputError(f"the shares {shares.tolist()} must be 0 to 1")
+    platform, arm = shares.tolist()
+    return platform, arm
+
+
+def motion_demand_message(
+    joints: Sequence[str], motion: Sequence[float], stamp: Time, frame: str
+) -> JointState:
+    """Return the message of a motion that is asked for.
+
+    Args:
+        joints: Names of the joints that it has rates of, in their order; may be empty.
+        motion: Twist in base_link and rates of these joints [m/s, m/s, rad/s, rad/s ...].
+        stamp: When it is asked for.
+        frame: Name of base_link.
+    """
+    message = JointState(name=[*TWIST, *joints], velocity=list(motion))
+    message.header.stamp, message.header.frame_id = stamp, frame
+    return message
+
+
+def demanded_motion(message: JointState, joints: Sequence[str]) -> Array:
+    """Return the motion (9,) in a message: twist in base_link, and joint rates, zero if absent.
+
+    Raises:
+        InputError: The twist, or some but not all joints are missing, or a value is implausible.
+    """
+    has_joints = len(message.name) > len(TWIST)
+    names = (*TWIST, *joints) if has_joints else TWIST
+    _, velocity, _ = joint_arrays(message, names)
+    motion = require_array(velocity, plausible.SPEED, "velocity")
+    return motion if has_joints else np.append(motion, np.zeros(len(joints)))

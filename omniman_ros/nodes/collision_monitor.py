@@ -1,0 +1,133 @@
+"""Node `collision_monitor`: limits the speed so that the robot stops before contact."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import JointState
+
+from omniman_ros.collision.monitor import CollisionMonitor, SpeedLimit
+from omniman_ros.conversions.motion_limits import motion_limit_message
+from omniman_ros.nodes.collision_monitor_inputs import CollisionMonitorInputs
+from omniman_ros.nodes.collision_monitor_parameters import CollisionMonitorParameters
+from omniman_ros.nodes.omniman_node import OmnimanNode
+from omniman_ros.nodes.parameters import ParameterSet
+from omniman_ros.nodes.runtime import run
+from omniman_ros.nodes.stop_interface import LATCHED
+
+
+@dataclass(frozen=True)
+class MonitorState:
+    """What the monitor does, and why.
+
+    Attributes:
+        name: `free`, `slowing`, `stopping` or `blind`.
+        reason: Why it limits the speed; empty if it does not.
+        limit: The limit of the speed.
+    """
+
+    name: str
+    reason: str
+    limit: SpeedLimit
+
+
+class CollisionMonitorNode(OmnimanNode):
+    """Connects a collision monitor to its topics.
+
+    Attributes:
+        settings: Parameters of the node.
+        core: The monitor.
+        inputs: What is known of the robot and its surroundings.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("collision_monitor", **options)
+        self.settings = ParameterSet(self, CollisionMonitorParameters)
+        p = self.settings.value
+        self._platform, self._whole = p.geometry(with_arm=False), p.geometry(with_arm=True)
+        self.core = CollisionMonitor(self._platform, p.speed_limits, p.monitor)
+        self.inputs = CollisionMonitorInputs(self, self.settings)
+        self.settings.on_change(self._configure)
+        self._limits = self.create_publisher(JointState, "motion_limit", QoSProfile(depth=1))
+        self._states = self.create_publisher(DiagnosticStatus, "collision_state", LATCHED)
+        self.state = MonitorState("blind", "no odom", SpeedLimit())
+        self._published: MonitorState | None = None
+        self.every(1.0 / p.rate, self.tick)
+        self.every(1.0 / p.state_rate, self._publish_state)
+
+    def _configure(self, new: CollisionMonitorParameters) -> None:
+        """Use new parameters."""
+        self._whole = new.geometry(with_arm=True)
+        self.core.limits, self.core.parameters = new.speed_limits, new.monitor
+        self.inputs.configure(new)
+
+    def tick(self) -> None:
+        """Publish the limit of the speed."""
+        self.state = self._judge()
+        limit = self.state.limit
+        self._limits.publish(motion_limit_message(limit.platform, limit.arm, self.stamp()))
+        if self._published is None or self._published.name != self.state.name:
+            self._publish_state()
+
+    def _judge(self) -> MonitorState:
+        """Return the limit for the present motion, and why there is one."""
+        inputs, robot = self.inputs, self.inputs.robot()
+        blind, faults = self.settings.value.blind_speed, inputs.faults()
+        if robot is None:
+            return MonitorState("blind", "; ".join(faults), SpeedLimit(blind, blind))
+        self.core.geometry = self._whole if inputs.sees_arm else self._platform
+        limit = self.core.limit(robot, inputs.demands(), inputs.surroundings())
+        if faults:
+            bounded = SpeedLimit(min(limit.platform, blind), min(limit.arm, blind))
+            return MonitorState("blind", "; ".join(faults), bounded)
+        encounter = limit.encounter
+        if encounter is None:
+            return MonitorState("free", "", limit)
+        reason = (
+            f"{encounter.part} is {encounter.distance:.2f} m from {inputs.label(encounter.solid)}"
+        )
+        is_stopping = min(limit.platform, limit.arm) <= 0.0
+        return MonitorState("stopping" if is_stopping else "slowing", reason, limit)
+
+    # ---- status -------------------------------------------------------------------------------
+
+    def _publish_state(self) -> None:
+        """Publish what the monitor does if that has changed."""
+        if self.state == self._published:
+            return
+        self._published = self.state
+        level, message, values = self.status()
+        self._states.publish(
+            DiagnosticStatus(
+                level=level,
+                name=self.get_fully_qualified_name(),
+                message=message,
+                values=[KeyValue(key=key, value=str(value)) for key, value in values],
+            )
+        )
+
+    def status(self) -> tuple[bytes, str, list[tuple[str, object]]]:
+        """Return level, message and values for the diagnostics."""
+        state, limit = self.state, self.state.limit
+        values: list[tuple[str, object]] = [
+            ("state", state.name),
+            ("reason", state.reason),
+            ("platform", round(limit.platform, 3)),
+            ("arm", round(limit.arm, 3)),
+            ("watches", "platform and arm" if self.inputs.sees_arm else "platform"),
+        ]
+        if limit.encounter is not None:
+            values += [
+                ("part", limit.encounter.part),
+                ("obstacle", self.inputs.label(limit.encounter.solid)),
+                ("distance_m", round(limit.encounter.distance, 3)),
+            ]
+        if not state.reason:
+            return DiagnosticStatus.OK, state.name, values
+        return DiagnosticStatus.WARN, f"{state.name}: {state.reason}", values
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node: entry point of `ros2 run omniman_ros collision_monitor`."""
+    return run(CollisionMonitorNode, args)

@@ -1,0 +1,135 @@
+"""Topics from which a collision monitor learns about the robot and what is around it."""
+
+import numpy as np
+from nav_msgs.msg import OccupancyGrid
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import JointState
+from visualization_msgs.msg import MarkerArray
+
+from omniman_ros.collision.monitor import RobotMotion
+from omniman_ros.collision.solids import UprightSolids
+from omniman_ros.collision.surroundings import Surroundings
+from omniman_ros.conversions.motion_limits import demanded_motion
+from omniman_ros.core import se2
+from omniman_ros.core.arm_model import JOINTS
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.errors import InputError
+from omniman_ros.description.urdf import carries_arm
+from omniman_ros.nodes import map_interface, obstacle_interface
+from omniman_ros.nodes.collision_monitor_parameters import CollisionMonitorParameters
+from omniman_ros.nodes.omniman_node import OmnimanNode
+from omniman_ros.nodes.parameters import ParameterSet
+from omniman_ros.nodes.stop_interface import LATCHED
+from omniman_ros.nodes.trajectory_interfaces.arm_feed import ArmFeed
+from omniman_ros.nodes.trajectory_interfaces.odom_feed import OdomFeed
+from omniman_ros.planning.obstacles.obstacles import ObstacleSet
+from omniman_ros.planning.obstacles.surroundings import ellipse_surroundings, grid_solids
+
+MAP = "map"
+"""What an occupied part of the map is called."""
+
+
+class CollisionMonitorInputs:
+    """Subscribes to `odom`, `arm/joint_states`, `obstacles`, `map` and `motion_demand`.
+
+    Args:
+        node: Node that receives the messages.
+        settings: Parameters of the node.
+    """
+
+    def __init__(
+        self, node: OmnimanNode, settings: ParameterSet[CollisionMonitorParameters]
+    ) -> None:
+        self._node, self._settings = node, settings
+        p = settings.value
+        self._joints = p.description.arm.joints
+        self._has_arm = carries_arm(p.description.robot)
+        self._odom = OdomFeed(node, "odom", p.odom_frame, lambda pose, at: None)
+        self._arm = ArmFeed(node, self._joints, lambda: False, lambda: None)
+        self._obstacles = ObstacleSet(p.obstacles)
+        self._map = UprightSolids.join([])
+        self._demands: dict[tuple[str, ...], tuple[float, Array]] = {}
+        for kind, topic, handler, qos in (
+            (MarkerArray, "obstacles", self._on_obstacles, QoSProfile(depth=50)),
+            (OccupancyGrid, "map", self._on_map, LATCHED),
+            (JointState, "motion_demand", self._on_demand, QoSProfile(depth=10)),
+        ):
+            node.create_subscription(kind, topic, node.guarded(topic, handler), qos)
+
+    def configure(self, new: CollisionMonitorParameters) -> None:
+        """Use other parameters."""
+        self._obstacles.configure(new.obstacles)
+
+    # ---- messages -------------------------------------------------------------------------------
+
+    def _on_obstacles(self, message: MarkerArray) -> str:
+        faults = obstacle_interface.update_obstacles(
+            self._node, message, self._obstacles, self._settings.value.input_frames
+        )
+        more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
+        return faults[0] + more if faults else ""
+
+    def _on_map(self, message: OccupancyGrid) -> None:
+        p = self._settings.value
+        grid = map_interface.grid_map(
+            message, p.input_frames, p.map_threshold, p.map_unknown_is_free
+        )
+        self._map = grid_solids(grid)
+
+    def _on_demand(self, message: JointState) -> None:
+        motion = demanded_motion(message, self._joints)
+        age = max(self._node.age(message.header.stamp), 0.0)
+        if age > self._settings.value.demand_timeout:
+            raise InputError(f"stale, {age:.3f} s old")
+        self._demands[tuple(sorted(message.name))] = self._node.now() - age, motion
+
+    # ---- state ----------------------------------------------------------------------------------
+
+    @property
+    def sees_arm(self) -> bool:
+        """Whether the robot has an arm whose joint angles are known."""
+        return self._has_arm and self._arm.state() is not None
+
+    def faults(self) -> list[str]:
+        """Return which inputs are missing or silent, and how long they have been."""
+        timeout = self._settings.value.input_timeout
+        faults = []
+        if self._odom.pose is None:
+            faults.append("no odom")
+        elif self._odom.age > timeout:
+            faults.append(f"odom is {self._odom.age:.2f} s old")
+        if self.sees_arm and self._arm.age > timeout:
+            faults.append(f"arm/joint_states are {self._arm.age:.2f} s old")
+        silence = self._obstacles.silence_reason(self._node.now())
+        return [*faults, silence] if silence else faults
+
+    def robot(self) -> RobotMotion | None:
+        """Return where the robot is and how it moves, as last measured; None without odometry."""
+        if self._odom.pose is None:
+            return None
+        twist = se2.to_robot(self._odom.pose[2], self._odom.velocity)
+        position = rates = np.zeros(JOINTS)
+        state = self._arm.state() if self._has_arm else None
+        if state is not None:
+            position, rates = state
+        return RobotMotion(np.array(self._odom.pose), position, np.append(twist, rates))
+
+    def demands(self) -> list[Array]:
+        """Return the motions (9,) that sources ask for now."""
+        timeout, now = self._settings.value.demand_timeout, self._node.now()
+        return [motion for at, motion in self._demands.values() if 0.0 <= now - at <= timeout]
+
+    def surroundings(self) -> Surroundings:
+        """Return the obstacles as they are predicted for now, and then the map."""
+        ellipses = self._obstacles.ellipses(self._node.now())
+        return Surroundings.join(
+            [ellipse_surroundings(ellipses), Surroundings.standing(self._map)]
+        )
+
+    def label(self, solid: int) -> str:
+        """Return what one of the surroundings is called."""
+        keys = self._obstacles.keys
+        if solid >= len(keys):
+            return MAP
+        namespace, number = keys[solid]
+        return f"obstacle {namespace[:40]} {number}"

@@ -1,0 +1,184 @@
+"""Monitor, controller and simulated drive as nodes that share only their topics.
+
+Contacts are judged by the true pose of the drive and the corners of the body, not by the geometry
+that the monitor uses.
+"""
+
+import itertools
+import math
+
+import numpy as np
+from builtin_interfaces.msg import Duration
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import Twist
+from nav_msgs.msg import OccupancyGrid, Odometry
+from sensor_msgs.msg import JointState
+from visualization_msgs.msg import Marker, MarkerArray
+
+from omniman_ros.core.arm_parameters import UR_JOINTS
+from omniman_ros.nodes.collision_monitor import CollisionMonitorNode
+from omniman_ros.nodes.platform_controller import PlatformControllerNode
+from omniman_ros.nodes.simulated_drive import SimulatedDriveNode
+from omniman_ros.nodes.stop_interface import LATCHED
+from test.nodes.harness import PERIOD, World, last
+from test.nodes.rig import twist
+
+GAP = 0.02
+USED = {"collision_monitor.use": True}
+HALF = np.array([0.5, 0.35])
+
+
+class Robot(World):
+    """Monitor, controller and drive; posts are reported ten times a second."""
+
+    def __init__(self, parameters=None, posts=()):
+        super().__init__(
+            SimulatedDriveNode,
+            PlatformControllerNode,
+            CollisionMonitorNode,
+            parameters=USED | (parameters or {}),
+        )
+        self.drive, self.controller, self.monitor = self.nodes
+        self.core = self.controller.core
+        self.cmd_vel = self.publisher(Twist, "cmd_vel")
+        self.markers = self.publisher(MarkerArray, "obstacles")
+        self.states = self.listen(DiagnosticStatus, "collision_state", LATCHED)
+        self.posts, self.velocities = np.array(posts, dtype=float).reshape(-1, 3), None
+        self.gaps, self.twists = [], []
+        self._ticks = itertools.count()
+        self.hooks.append(self._each_period)
+        self.run(0.3)
+
+    def _each_period(self):
+        if self.velocities is not None:
+            self.posts[:, :2] += PERIOD * self.velocities
+        if next(self._ticks) % 20 == 0:
+            self.markers.publish(MarkerArray(markers=[self.marker(i) for i in range(self.count)]))
+        self.gaps.append(self.gap())
+        self.twists.append(self.core.setpoint)
+
+    @property
+    def count(self):
+        return len(self.posts)
+
+    def marker(self, i):
+        x, y, radius = self.posts[i].tolist()
+        marker = Marker(ns="post", id=i, type=Marker.CYLINDER, action=Marker.ADD)
+        marker.header.frame_id, marker.header.stamp = "odom", self.stamp()
+        marker.pose.position.x, marker.pose.position.y = x, y
+        marker.scale.x = marker.scale.y = 2.0 * radius
+        marker.lifetime = Duration(sec=1)
+        return marker
+
+    def true_pose(self):
+        return self.drive.drives.ground_truth()[0]
+
+    def gap(self):
+        """Return the distance of the true body from the nearest post [m]."""
+        if not self.count:
+            return math.inf
+        x, y, theta = self.true_pose()
+        c, s = math.cos(theta), math.sin(theta)
+        offset = self.posts[:, :2] - (x, y)
+        local = np.abs(offset @ np.array([[c, -s], [s, c]]))
+        return float(
+            (np.linalg.norm(np.maximum(local - HALF, 0), axis=1) - self.posts[:, 2]).min()
+        )
+
+    def go(self, x, y=0.0, turn=0.0, seconds=1.0):
+        self.run(seconds, lambda: self.cmd_vel.publish(twist(x, y, turn)))
+
+    def speed(self):
+        return float(np.linalg.norm(self.core.setpoint))
+
+    def state(self):
+        return {item.key: item.value for item in last(self.states).values}
+
+    def assert_decelerates_within_limits(self):
+        limits = self.core.parameters.limits
+        for before, after in itertools.pairwise(self.twists):
+            fall = np.linalg.norm(before[:2]) - np.linalg.norm(after[:2])
+            assert fall <= limits.linear_deceleration * PERIOD + 1e-9
+            assert abs(before[2]) - abs(after[2]) <= limits.angular_deceleration * PERIOD + 1e-9
+
+
+def test_teleop_stops_before_a_post_and_drives_away_from_it():
+    with Robot(posts=[(1.05, 0.1, 0.2)]) as world:
+        world.go(0.5, seconds=1.5)
+        assert world.state()["part"] == "platform"
+        assert world.state()["obstacle"] == "obstacle post 0"
+        assert GAP <= min(world.gaps) <= world.gaps[-1] < 0.15
+        assert world.speed() < 0.1
+        world.assert_decelerates_within_limits()
+        start = world.true_pose()
+        world.go(-0.5, seconds=0.8)
+        assert world.true_pose()[0] < start[0] - 0.1
+        assert world.state()["state"] == "free"
+
+
+def test_a_silent_monitor_stops_the_robot_and_a_returning_one_lets_it_go_on():
+    with Robot() as world:
+        world.go(0.5, seconds=0.8)
+        assert world.speed() > 0.3
+        world.monitor._limits.publish = lambda message: None
+        world.twists.clear()
+        world.go(0.5, seconds=0.9)
+        assert world.speed() == 0.0
+        assert world.core.latch.released
+        assert "motion_limit" in world.controller.status()[1]
+        world.assert_decelerates_within_limits()
+        del world.monitor._limits.publish
+        world.go(0.5, seconds=0.3)
+        assert world.speed() > 0.05
+
+
+def test_without_odometry_or_with_a_silent_arm_the_monitor_is_blind():
+    with World(CollisionMonitorNode) as world:
+        limits = world.listen(JointState, "motion_limit")
+        arm = world.publisher(JointState, "arm/joint_states")
+        odom = world.publisher(Odometry, "odom")
+        world.run(0.1)
+        assert list(last(limits).velocity) == [0.1, 0.1]
+        assert world.nodes[0].state.reason == "no odom"
+        joints = JointState(name=list(UR_JOINTS), position=[0.0] * 6, velocity=[0.0] * 6)
+
+        def measure():
+            message = Odometry()
+            message.header.frame_id = "odom"
+            message.header.stamp = joints.header.stamp = world.stamp()
+            message.pose.pose.orientation.w = 1.0
+            odom.publish(message)
+
+        world.run(0.1, measure)
+        assert list(last(limits).velocity) == [1.0, 1.0]
+        assert ("watches", "platform") in world.nodes[0].status()[2]
+        world.run(0.1, lambda: (measure(), arm.publish(joints)))
+        assert ("watches", "platform and arm") in world.nodes[0].status()[2]
+        world.run(0.3, measure)
+        assert world.nodes[0].state.name == "blind"
+        assert "arm/joint_states" in world.nodes[0].state.reason
+
+
+def test_a_map_stops_the_robot_and_unusable_messages_do_not_move_or_stop_it():
+    with Robot() as world:
+        grid = OccupancyGrid()
+        grid.header.frame_id, grid.info.resolution = "odom", 0.05
+        grid.info.width, grid.info.height, grid.info.origin.orientation.w = 2, 40, 1.0
+        grid.info.origin.position.x, grid.info.origin.position.y = 0.7, -1.0
+        grid.data = [100] * 80
+        world.publisher(OccupancyGrid, "map", LATCHED).publish(grid)
+        world.run(0.1)
+        world.go(1.0, seconds=1.5)
+        assert world.state()["obstacle"] == "map"
+        assert GAP < 0.7 - 0.5 - world.true_pose()[0] < 0.1
+        world.go(-1.0, seconds=0.5)
+        limits = world.publisher(JointState, "motion_limit")
+        demands = world.publisher(JointState, "motion_demand")
+        for value in (math.nan, math.inf, -1.0, 2.0):
+            limits.publish(JointState(name=["platform", "arm"], velocity=[value, 1.0]))
+            demands.publish(JointState(name=["base_x"], velocity=[value]))
+            limits.publish(JointState(name=["platform"], velocity=[0.0]))
+            world.go(-1.0, seconds=0.02)
+        assert world.core.motion_limit.share(world.time) == 1.0
+        assert world.controller.warning_counts["motion_limit"] >= 4
+        assert world.monitor.warning_counts["motion_demand"] >= 1
