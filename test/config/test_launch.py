@@ -338,7 +338,10 @@ def test_platform_starts_the_simulated_drive_and_the_controller_by_default(platf
                 "collision_monitor.use": False,
             },
         ),
-        "path_interpolator": ("", {"robot": "omniman", "use_sim_time": False}),
+        "path_interpolator": (
+            "",
+            {"robot": "omniman", "use_sim_time": False, "collision_monitor.use": False},
+        ),
         "joint_state_broadcaster": (
             "",
             {"robot": "omniman", "use_sim_time": False, **joints},
@@ -624,6 +627,7 @@ def test_a_real_arm_and_the_nodes_that_know_its_limits_get_the_controllers_file(
         "file": "my own.yaml",
         "robot": "omniman",
         "use_sim_time": False,
+        "collision_monitor.use": False,
     }
     assert nodes["joint_state_broadcaster"][1]["file"] == "my own.yaml"
 

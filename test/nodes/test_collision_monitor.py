@@ -8,15 +8,19 @@ import itertools
 import math
 
 import numpy as np
+import pytest
 from builtin_interfaces.msg import Duration
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Twist
-from nav_msgs.msg import OccupancyGrid, Odometry
+from nav_msgs.msg import OccupancyGrid, Odometry, Path
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import Marker, MarkerArray
 
+from omniman_ros.conversions.poses import path_message
 from omniman_ros.core.arm_parameters import UR_JOINTS
+from omniman_ros.motion.path.interpolator import PathState
 from omniman_ros.nodes.collision_monitor import CollisionMonitorNode
+from omniman_ros.nodes.path_interpolator import PathInterpolatorNode
 from omniman_ros.nodes.platform_controller import PlatformControllerNode
 from omniman_ros.nodes.simulated_drive import SimulatedDriveNode
 from omniman_ros.nodes.stop_interface import LATCHED
@@ -31,14 +35,15 @@ HALF = np.array([0.5, 0.35])
 class Robot(World):
     """Monitor, controller and drive; posts are reported ten times a second."""
 
-    def __init__(self, parameters=None, posts=()):
+    def __init__(self, *others, posts=()):
         super().__init__(
             SimulatedDriveNode,
             PlatformControllerNode,
             CollisionMonitorNode,
-            parameters=USED | (parameters or {}),
+            *others,
+            parameters=USED,
         )
-        self.drive, self.controller, self.monitor = self.nodes
+        self.drive, self.controller, self.monitor = self.nodes[:3]
         self.core = self.controller.core
         self.cmd_vel = self.publisher(Twist, "cmd_vel")
         self.markers = self.publisher(MarkerArray, "obstacles")
@@ -103,16 +108,16 @@ class Robot(World):
 
 
 def test_teleop_stops_before_a_post_and_drives_away_from_it():
-    with Robot(posts=[(1.05, 0.1, 0.2)]) as world:
-        world.go(0.5, seconds=1.5)
+    with Robot(posts=[(0.95, 0.1, 0.2)]) as world:
+        world.go(0.5, seconds=1.2)
         assert world.state()["part"] == "platform"
         assert world.state()["obstacle"] == "obstacle post 0"
         assert GAP <= min(world.gaps) <= world.gaps[-1] < 0.15
         assert world.speed() < 0.1
         world.assert_decelerates_within_limits()
         start = world.true_pose()
-        world.go(-0.5, seconds=0.8)
-        assert world.true_pose()[0] < start[0] - 0.1
+        world.go(-0.5, seconds=0.5)
+        assert world.true_pose()[0] < start[0] - 0.05
         assert world.state()["state"] == "free"
 
 
@@ -168,10 +173,10 @@ def test_a_map_stops_the_robot_and_unusable_messages_do_not_move_or_stop_it():
         grid.data = [100] * 80
         world.publisher(OccupancyGrid, "map", LATCHED).publish(grid)
         world.run(0.1)
-        world.go(1.0, seconds=1.5)
+        world.go(1.0, seconds=1.0)
         assert world.state()["obstacle"] == "map"
-        assert GAP < 0.7 - 0.5 - world.true_pose()[0] < 0.1
-        world.go(-1.0, seconds=0.5)
+        assert GAP < 0.7 - 0.5 - world.true_pose()[0] < 0.12
+        world.go(-1.0, seconds=0.2)
         limits = world.publisher(JointState, "motion_limit")
         demands = world.publisher(JointState, "motion_demand")
         for value in (math.nan, math.inf, -1.0, 2.0):
@@ -182,3 +187,21 @@ def test_a_map_stops_the_robot_and_unusable_messages_do_not_move_or_stop_it():
         assert world.core.motion_limit.share(world.time) == 1.0
         assert world.controller.warning_counts["motion_limit"] >= 4
         assert world.monitor.warning_counts["motion_demand"] >= 1
+
+
+def test_a_path_waits_before_a_post_without_losing_its_reference_and_goes_on():
+    with Robot(PathInterpolatorNode, posts=[(0.85, 0.1, 0.2)]) as world:
+        interpolator = world.nodes[3].motions
+        poses = np.array([(0.0, 0.0, 0.0), (0.3, 0.0, 0.0)])
+        world.publisher(Path, "path").publish(path_message(poses, "odom"))
+        world.run(1.5)
+        assert min(world.gaps) >= GAP
+        assert world.speed() < 0.05
+        assert interpolator.path.core.state is PathState.FOLLOWING
+        assert interpolator.context.time_base.pace.rate(world.time) < 0.3
+        errors = np.linalg.norm(world.core.tracking_error[:2])
+        assert errors < 0.02
+        world.posts[:, 0] = 9.0
+        world.run_until(lambda: interpolator.path.core.state is PathState.IDLE, 2.5, "arrival")
+        assert world.true_pose()[0] == pytest.approx(0.3, abs=0.01)
+        world.assert_decelerates_within_limits()

@@ -11,12 +11,14 @@ from omniman_ros.motion.path.interpolator import PathInterpolator
 from omniman_ros.motion.path.joint_interpolator import JointInterpolator
 from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
+from omniman_ros.motion.whole_body.model import JOINT_COLUMNS, PLATFORM_COLUMNS
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.stop_interface import LATCHED
 from omniman_ros.nodes.stream_monitor_interface import StreamMonitorInterface
 from omniman_ros.nodes.trajectory_interfaces.arm_feed import ArmFeed
 from omniman_ros.nodes.trajectory_interfaces.arm_interface import ArmInterface
+from omniman_ros.nodes.trajectory_interfaces.limit_interface import LimitInterface
 from omniman_ros.nodes.trajectory_interfaces.motion_context import MotionContext
 from omniman_ros.nodes.trajectory_interfaces.motion_status import MotionEvent
 from omniman_ros.nodes.trajectory_interfaces.motion_time_base import MotionTimeBase
@@ -50,6 +52,7 @@ class MotionCoordinator:
         whole_body: Trajectories of platform and arm together.
         tool: Paths of the tool, which the whole body drives.
         scaling: Speed scaling of the arm's controller.
+        limits: Limit of the speed before contact.
         is_ending: Whether the node is shutting down, so that nothing new is accepted.
     """
 
@@ -59,7 +62,7 @@ class MotionCoordinator:
         p = settings.value
         self._node, self._settings, self.is_ending = node, settings, False
         self._progress = node.create_publisher(Float64, "path_progress", 10)
-        self.scaling = ScalingInterface(node, self._on_scaling)
+        self.scaling = ScalingInterface(node, self._on_slowed)
         path, options = PathInterpolator(p.core), p.joint_trajectory
         self._self_collision = self_collision_check(p)
         arm = JointInterpolator(AxisLimits.of_arm(p.arm), options)
@@ -84,6 +87,8 @@ class MotionCoordinator:
             conflict=self._conflict,
             is_ending=lambda: self.is_ending,
         )
+        motions = ((path, PLATFORM_COLUMNS), (arm, JOINT_COLUMNS), (whole_body, slice(None)))
+        self.limits = LimitInterface(node, settings, motions, self._on_slowed)
         self.path = PathInterface(self.context, path)
         self.arm = ArmInterface(self.context, arm)
         self.whole_body = WholeBodyInterface(self.context, whole_body)
@@ -106,6 +111,7 @@ class MotionCoordinator:
         self.arm.configure(new.arm, new.joint_trajectory)
         self.whole_body.configure(new)
         self.path.core.parameters = new.core
+        self.limits.configure(new)
         self.context.stream_monitor.silence = new.restart
 
     # ---- inputs -------------------------------------------------------------------------------
@@ -131,7 +137,7 @@ class MotionCoordinator:
             core.scale_limits(limit_scale, self.context.time_base.now())
             self.tick()
 
-    def _on_scaling(self) -> None:
+    def _on_slowed(self) -> None:
         """Slow down at once; further changes within a tick wait for the next one."""
         if not self.context.time_base.idle and self._node.now() - self._scaled_at >= TICK:
             self._scaled_at = self._node.now()
@@ -208,7 +214,9 @@ class MotionCoordinator:
         if time_base.idle:
             return
         self._progress.publish(Float64(data=time_base.progress()))
-        time_base.limit_pace(self.whole_body.max_pace)
+        motion_time = time_base.now()
+        self.limits.publish_demand(motion_time)
+        time_base.limit_pace(min(self.whole_body.max_pace, self.limits.max_pace(motion_time)))
         for interface in (self.path, self.arm, self.whole_body):
             interface.tick()
 

@@ -6,6 +6,7 @@ from omniman_ros.collision.body_geometry import BodyGeometry
 from omniman_ros.collision.parameters import LoadShape, ToolShape
 from omniman_ros.collision.self_collision import SelfCollisionCheck, SelfCollisionOptions
 from omniman_ros.core.arm_parameters import ArmParameters
+from omniman_ros.core.motion_limit import MotionLimitParameters
 from omniman_ros.core.parameters import inline, parameter
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.motion.path.joint_parameters import JointTrajectoryOptions
@@ -28,6 +29,7 @@ class PathInterpolatorParameters:
     joint_trajectory: JointTrajectoryOptions
     tool_path: ToolPathOptions
     trajectory_action: TrajectoryActionOptions
+    collision_monitor: MotionLimitParameters
     arm_action: str = parameter(
         "arm_controller/follow_joint_trajectory", "Name of the arm's action.", read_only=True
     )

@@ -1,0 +1,44 @@
+"""Pace at which a motion keeps to shares of the limits of speed."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from omniman_ros.core.arrays import Array
+
+HEADROOM = 0.95
+"""Part of the allowed speed that the motion uses; the rest is left to feedback."""
+
+
+@dataclass(frozen=True)
+class SpeedBound:
+    """Limits of speed to which the shares of a motion limit refer.
+
+    Attributes:
+        linear: Linear speed of the platform [m/s].
+        angular: Yaw rate [rad/s].
+        rates: Rate (6,) of each joint of the arm [rad/s].
+    """
+
+    linear: float
+    angular: float
+    rates: Array
+
+    def pace(self, velocities: Array, platform: float, arm: float) -> float:
+        """Return the largest pace, 0 to 1, at which platform and arm keep to their shares.
+
+        Args:
+            velocities: Velocities (k, 9) of platform and joints at full pace
+                [m/s, m/s, rad/s, rad/s ...].
+            platform: Share of the platform's limits, 0 to 1.
+            arm: Share of the joints' limits, 0 to 1.
+        """
+        v = np.abs(velocities)
+        linear = float(np.hypot(v[:, 0], v[:, 1]).max())
+        platform_use = max(linear / self.linear, float(v[:, 2].max()) / self.angular)
+        arm_use = float((v[:, 3:] / self.rates).max())
+        pace = 1.0
+        for use, share in ((platform_use, platform), (arm_use, arm)):
+            if share < 1.0 and use > 0.0:
+                pace = min(pace, HEADROOM * share / use)
+        return pace

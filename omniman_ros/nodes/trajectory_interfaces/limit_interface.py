@@ -1,0 +1,127 @@
+"""Limit of the speed before contact, and what motions ask for."""
+
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+import numpy as np
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import JointState
+
+from omniman_ros.conversions.motion_limits import motion_demand_message, motion_limit_shares
+from omniman_ros.core import se2
+from omniman_ros.core.arm_model import JOINTS
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.motion_limit import MotionLimit
+from omniman_ros.motion.path.interpolator import PathState
+from omniman_ros.motion.path.speed_bound import SpeedBound
+from omniman_ros.motion.whole_body.model import HEADING_COLUMN, JOINT_COLUMNS, PLATFORM_COLUMNS
+from omniman_ros.nodes.omniman_node import OmnimanNode
+from omniman_ros.nodes.parameters import ParameterSet
+from omniman_ros.nodes.trajectory_interfaces.parameters import PathInterpolatorParameters
+
+LOOK_AHEAD = np.linspace(0.0, 0.4, 9)
+"""Times from now at which the speed of a motion is compared with the limit [s]."""
+CHANGE = 0.01
+"""Smallest change of a share that is acted upon at once; others wait for the next tick."""
+REST = 1e-6
+"""Speed up to which a motion rests [m/s, rad/s]."""
+
+
+class SampledMotion(Protocol):
+    """Motion of the platform, the arm or both."""
+
+    state: PathState
+
+    def sample(self, times: Array) -> tuple[Array, Array, Array]:
+        """Return x, x', x'' (k, d) at motion times (k,) [s]."""
+        ...
+
+
+class LimitInterface:
+    """Subscribes to `motion_limit`, and publishes the demand of motions on `motion_demand`.
+
+    A motion that stands because of the limit still asks for its direction: the limit depends on
+    it.
+
+    Args:
+        node: Node that owns the topics.
+        settings: Parameters of the node.
+        motions: Motions, each with the axes of the whole body that it moves.
+        on_change: Called when a share has changed.
+    """
+
+    def __init__(
+        self,
+        node: OmnimanNode,
+        settings: ParameterSet[PathInterpolatorParameters],
+        motions: Sequence[tuple[SampledMotion, slice]],
+        on_change: Callable[[], None],
+    ) -> None:
+        self._node, self._settings = node, settings
+        self._motions, self._on_change = tuple(motions), on_change
+        options = settings.value.collision_monitor
+        self._platform, self._arm = MotionLimit(options), MotionLimit(options)
+        self._acted_on = (1.0, 1.0)
+        handler = node.guarded("motion_limit", self._on_limit)
+        node.create_subscription(JointState, "motion_limit", handler, QoSProfile(depth=1))
+        self._demands = node.create_publisher(JointState, "motion_demand", QoSProfile(depth=1))
+
+    def configure(self, new: PathInterpolatorParameters) -> None:
+        """Use other parameters."""
+        self._platform.parameters = self._arm.parameters = new.collision_monitor
+
+    def _on_limit(self, message: JointState) -> None:
+        platform, arm = motion_limit_shares(message)
+        now, age = self._node.now(), self._node.age(message.header.stamp)
+        self._platform.update(platform, now, age)
+        self._arm.update(arm, now, age)
+        change = np.abs(np.array(self.shares) - self._acted_on).max()
+        if change > CHANGE:
+            self._acted_on = self.shares
+            self._on_change()
+
+    @property
+    def shares(self) -> tuple[float, float]:
+        """Shares of the speed limits that platform and arm may use now, 0 to 1."""
+        now = self._node.now()
+        return self._platform.share(now), self._arm.share(now)
+
+    def max_pace(self, motion_time: float) -> float:
+        """Return the highest pace, 0 to 1, at which the motions keep to the limit.
+
+        Args:
+            motion_time: Present motion time [s].
+        """
+        shares = self.shares
+        if min(shares) >= 1.0:
+            return 1.0
+        p = self._settings.value
+        bound = SpeedBound(*p.core.limits.velocity, np.array(p.arm.each("velocity")))
+        return bound.pace(self._velocities(motion_time)[1], *shares)
+
+    def publish_demand(self, motion_time: float) -> None:
+        """Publish what the motions ask for at full pace, where a limit is used."""
+        p = self._settings.value
+        if not p.collision_monitor.use:
+            return
+        heading, velocities = self._velocities(motion_time)
+        # At its begin a motion rests: it asks for what comes next.
+        moving = np.flatnonzero(np.abs(velocities).max(axis=1) > REST)
+        k = int(moving[0]) if len(moving) else 0
+        twist = se2.to_robot(float(heading[k]), velocities[k, PLATFORM_COLUMNS])
+        motion = [*twist.tolist(), *velocities[k, JOINT_COLUMNS].tolist()]
+        message = motion_demand_message(p.arm.joints, motion, self._node.stamp(), "base_link")
+        self._demands.publish(message)
+
+    def _velocities(self, motion_time: float) -> tuple[Array, Array]:
+        """Return headings (k,) [rad] and velocities (k, 9) in odom over the next times."""
+        times = motion_time + LOOK_AHEAD
+        heading = np.zeros(len(times))
+        velocities = np.zeros((len(times), PLATFORM_COLUMNS.stop + JOINTS))
+        for motion, columns in self._motions:
+            if motion.state is not PathState.IDLE:
+                position, velocity, _ = motion.sample(times)
+                velocities[:, columns] = velocity
+                if columns.start is None:
+                    heading = position[:, HEADING_COLUMN]
+        return heading, velocities
