@@ -123,6 +123,13 @@ ARGUMENTS = [
         choices=BOOLEANS,
     ),
     DeclareLaunchArgument(
+        "collision_monitor",
+        default_value="false",
+        description="Whether to limit the speed before contact, and to stop where the monitor is "
+        "silent",
+        choices=BOOLEANS,
+    ),
+    DeclareLaunchArgument(
         "viewer",
         default_value="false",
         description="Whether to serve the page for a browser; needs viser",
@@ -187,12 +194,16 @@ def start(context: LaunchContext) -> list[Any]:
 
     # Only one node publishes the odometry.
     is_separate = given["odometry"] == "node"
-    nodes.append(node("platform_controller", {**common, "publish_odom": not is_separate}))
+    limited = _limited(given)
+    of_platform = {**common, **limited, "publish_odom": not is_separate}
+    nodes.append(node("platform_controller", of_platform))
     if is_separate:
         nodes.append(node("odometry", common))
     # These nodes know the arm's limits, which the file of its controller sets.
     limits = [_file(given, "controller", "ur")] if given["arm"] == "ur" else []
-    nodes.append(node("path_interpolator", *limits, common))
+    nodes.append(node("path_interpolator", *limits, {**common, **limited}))
+    if _is_true(given, "collision_monitor"):
+        nodes.append(node("collision_monitor", *limits, common, essential=False))
     # The URDF has joints that somebody publishes only, and one node publishes it.
     is_armed = given["arm"] != "none"
     of_joints = {"publish_description": not has_description, "describe_arm": is_armed}
@@ -245,7 +256,7 @@ def _drive(given: Mapping[str, str], node: Any, robot: str) -> list[Any]:
 def _arm(given: Mapping[str, str], node: Any) -> list[Any]:
     """Return the nodes that move the arm."""
     if given["arm"] == "ur":
-        return [node("arm_streamer", _file(given, "controller", "ur"), stage=1)]
+        return [node("arm_streamer", _file(given, "controller", "ur"), _limited(given), stage=1)]
     if given["arm"] == "none":
         return []
     sim_time = {"use_sim_time": _is_true(given, "use_sim_time")}
@@ -267,8 +278,13 @@ def _arm(given: Mapping[str, str], node: Any) -> list[Any]:
             {**controller, **sim_time, "simulated_arm.world_port": world_port},
             stage=2,
         ),
-        node("arm_streamer", {**client, **sim_time}, stage=1),
+        node("arm_streamer", {**client, **sim_time, **_limited(given)}, stage=1),
     ]
+
+
+def _limited(given: Mapping[str, str]) -> dict[str, bool]:
+    """Return the parameter of the nodes that obey a collision monitor."""
+    return {"collision_monitor.use": _is_true(given, "collision_monitor")}
 
 
 def _arm_port(given: Mapping[str, str]) -> int:

@@ -58,10 +58,14 @@ def demanded_motion(message: JointState, joints: Sequence[str]) -> Array:
     """Return the motion (9,) in a message: twist in base_link, and joint rates, zero if absent.
 
     Raises:
-        InputError: The twist, or some but not all joints are missing, or a value is implausible.
+        InputError: There is neither a twist nor joints, a part of them is missing, or a value is
+            implausible.
     """
-    has_joints = len(message.name) > len(TWIST)
-    names = (*TWIST, *joints) if has_joints else TWIST
+    parts = [part for part in (TWIST, joints) if not set(part).isdisjoint(message.name)]
+    names = [name for part in parts or (TWIST,) for name in part]
     _, velocity, _ = joint_arrays(message, names)
     motion = require_array(velocity, plausible.SPEED, "velocity")
-    return motion if has_joints else np.append(motion, np.zeros(len(joints)))
+    result: Array = np.zeros(len(TWIST) + len(joints))
+    begin = 0 if TWIST in parts else len(TWIST)
+    result[begin : begin + len(motion)] = motion
+    return result

@@ -10,6 +10,7 @@ from trajectory_msgs.msg import JointTrajectory
 from omniman_ros.conversions import arm as arm_conversions
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.stop import StopState
+from omniman_ros.nodes.arm_limit import ArmLimit
 from omniman_ros.nodes.arm_reports import ArmReportPublisher
 from omniman_ros.nodes.arm_streamer_parameters import ArmStreamerParameters
 from omniman_ros.nodes.hardware_hooks import HardwareError, HardwareLostError
@@ -57,6 +58,8 @@ class ArmStreamerNode(HardwareNode):
         self.streaming = StreamingClient(self.now, self.wake, self._receive_waiting, start_process)
         self._joint_names = list(p.arm.joints)
         self._reports = ArmReportPublisher(self, self._joint_names)
+        send = partial(self.streaming.send, Command.LIMIT)
+        self.limit = ArmLimit(self, self._joint_names, p.collision_monitor, send)
         handler = self.guarded("arm/joint_reference", self._on_preview)
         self.create_subscription(
             JointTrajectory, "arm/joint_reference", handler, QoSProfile(depth=1)
@@ -139,6 +142,7 @@ class ArmStreamerNode(HardwareNode):
     def _check_process(self) -> None:
         """Publish reports, send messages that had to wait, and stop if the process hangs."""
         self.receive()
+        self.limit.send()
         self.streaming.flush()
         if self.is_active and self.streaming.hang_reason:
             self.latch.stop(self.streaming.hang_reason)
@@ -152,11 +156,13 @@ class ArmStreamerNode(HardwareNode):
             return "the streamer is not active"
         if not self.latch.released:
             return f"{self.latch.status.state.value}: {self.latch.status.reason}"
+        self.limit.ask(arrays[2])
         self.streaming.send(Command.PREVIEW, *arrays)
         return ""
 
     def _configure(self, new: ArmStreamerParameters) -> None:
         joint_limits(new.arm, new.ur)
+        self.limit.configure(new.collision_monitor)
         self.streaming.send(Command.CONFIGURE, new.arm, new.ur)
 
     # ---- stops ----------------------------------------------------------------------------------
@@ -196,6 +202,7 @@ class ArmStreamerNode(HardwareNode):
         if process is None:
             return DiagnosticStatus.WARN, "unconfigured", []
         report, values = process.report, self._reports.diagnostics(process)
+        values = [*values, ("motion_limit", round(self.limit.share, 3))]
         if process.failure:
             return DiagnosticStatus.ERROR, process.failure, values
         stop = self.stop_diagnostics()

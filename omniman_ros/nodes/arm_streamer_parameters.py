@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from omniman_ros.core.arm_parameters import ArmParameters
+from omniman_ros.core.motion_limit import MotionLimitParameters
 from omniman_ros.core.parameters import parameter
 from omniman_ros.ur.parameters import UrParameters
 
@@ -13,6 +14,7 @@ class ArmStreamerParameters:
 
     arm: ArmParameters
     ur: UrParameters
+    collision_monitor: MotionLimitParameters
     simulated_controller: bool = parameter(
         False,
         "Whether the controller is `simulated_ur` on the same /clock; use_sim_time needs it.",

@@ -77,7 +77,7 @@ ROBOT_NODES = (
 )
 """All nodes that a robot may consist of."""
 
-LIMITED_NODES = ("platform_controller", "path_interpolator")
+LIMITED_NODES = ("platform_controller", "path_interpolator", "arm_streamer")
 """Nodes that obey the collision monitor, and stop without it, where it is started."""
 
 ARM_AWARE_NODES = ("path_interpolator", "joint_state_broadcaster", COLLISION_MONITOR)

@@ -8,6 +8,7 @@ import numpy as np
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
+from omniman_ros.ur.allowed_speed import REACTION_TIME, AllowedSpeed
 from omniman_ros.ur.blended_preview import (
     FIRM_FRACTION,
     GENTLE_FRACTION,
@@ -78,6 +79,9 @@ class JointSetpointGenerator:
     Each setpoint is that of the time at which the arm will reach it, one lead after it is sent. A
     motion that begins earlier is joined in motion.
 
+    Where less than the whole speed is allowed, the generator brakes along a preview that is
+    faster, and refuses previews that stay so.
+
     Args:
         limits: Limits of the joints; each setpoint is checked by a :class:`JointGuard`.
         settings: Settings of the generator.
@@ -86,10 +90,12 @@ class JointSetpointGenerator:
     Attributes:
         state: State of the setpoints.
         settings: Settings of the generator.
+        allowed: Share of the speed limits that is allowed.
     """
 
     def __init__(self, limits: JointLimits, settings: GeneratorSettings, period: float) -> None:
         self.settings = settings
+        self.allowed = AllowedSpeed()
         self.state = GeneratorState.HOLDING
         self._guard = JointGuard(limits, period)
         self._limits = limits
@@ -169,6 +175,10 @@ class JointSetpointGenerator:
         begin = max(preview.start, self._time)
         previous = self._current_motion()
         self._check_distance(preview, begin, previous(begin)[0])
+        if self.allowed.is_exceeded(preview.sample(begin + REACTION_TIME)[1], self._limits):
+            raise InputError(
+                f"faster than {self.allowed.value:.0%} of the speed limits, which are left"
+            )
         reference = self._join(preview, begin, previous)
         if preview.start > self._newest_start:  # a repeated preview is no sign of life
             arrival = now + self.settings.lead
@@ -263,9 +273,13 @@ class JointSetpointGenerator:
         """
         reference = self._reference
         now = self._time = now + self.settings.lead
+        self.allowed.step(self._limits, self._period)
         if reference is None:
             return self._checked(self.setpoint, measured)
-        if self.state is GeneratorState.FOLLOWING and self._runs_out(reference, now):
+        if self.state is GeneratorState.FOLLOWING and (
+            self._runs_out(reference, now)
+            or self.allowed.is_exceeded(reference.sample(now)[1], self._limits)
+        ):
             self.state = GeneratorState.BRAKING
         if self.state is GeneratorState.BRAKING:
             return self._brake(reference, measured)

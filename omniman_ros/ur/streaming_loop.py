@@ -108,6 +108,7 @@ class StreamingLoop:
             Command.FINISH: supervisor.finish,
             Command.STOP: supervisor.stop,
             Command.HOLD: supervisor.hold,
+            Command.LIMIT: supervisor.limit_speed,
             Command.RESET: self._reset,
             Command.CONFIGURE: supervisor.configure,
         }

@@ -24,6 +24,8 @@ class Command(Enum):
     """Latch a stop, with its reason."""
     HOLD = auto()
     """Bring the arm to rest and refuse previews (True), or accept them again (False)."""
+    LIMIT = auto()
+    """Keep to a share of the joints' speed limits, 0 to 1."""
     RESET = auto()
     """Clear the stop, with the number of the reset."""
     TIME = auto()

@@ -119,6 +119,10 @@ class StreamingSupervisor:
         elif self.phase is StreamingPhase.STREAMING:
             self._generator.release()
 
+    def limit_speed(self, share: float) -> None:
+        """Keep to a share of the joints' speed limits, 0 to 1, from now on."""
+        self._generator.allowed.target = share
+
     def reset(self, now: float) -> None:
         """Clear the stop if the arm can be moved, and start a program if one was requested."""
         if self.blocking_reason or not self.at_rest:

@@ -537,3 +537,32 @@ def test_shutdown_brings_the_arm_to_rest_and_ends_the_program():
         assert not bench.node.finished
         bench.run_until(lambda: bench.node.finished, bench.node.stop_timeout, "the end")
         bench.until(lambda: bench.arm.rests() and not bench.arm.plays(), "rest")
+
+
+def test_the_arm_obeys_a_motion_limit_and_comes_to_rest_without_one():
+    with Bench(**{"collision_monitor.use": True}) as bench:
+        limits = bench.publisher(JointState, "motion_limit", 1)
+        demands = bench.listen(JointState, "motion_demand")
+        share = [1.0]
+
+        def limit():
+            if share:
+                message = JointState(name=["platform", "arm"], velocity=[0.0, share[0]])
+                message.header.stamp = bench.stamp()
+                limits.publish(message)
+
+        bench.hooks.append(limit)
+        bench.swing()
+        assert tuple(demands[-1].name) == UR_JOINTS
+        assert max(map(abs, demands[-1].velocity)) > 0.1
+        share.clear()  # the monitor has died
+        bench.move(1.0)
+        bench.run(1.0)  # the simulated arm swings out
+        place = bench.arm.place
+        bench.move(0.3)
+        assert np.abs(bench.arm.place - place).max() < STILL
+        assert bench.node.latch.released
+        assert ("motion_limit", 0.0) in bench.node.status()[2]
+        share.append(1.0)
+        bench.run(0.1)
+        bench.swing()

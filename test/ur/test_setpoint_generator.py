@@ -456,3 +456,54 @@ def test_lead_does_not_delay_the_detection_of_a_silent_source():
 
     # On the same path, earlier only by the time by which the path is left earlier.
     assert braked(Run()) - braked(leading()) == pytest.approx(LEAD, abs=2 * DT)
+
+
+def follow_as_allowed(run, motion, seconds):
+    """Feed previews that may be refused; return the number of refusals."""
+    refused = 0
+    for k in range(round(seconds / DT)):
+        if k % 5 == 0:
+            try:
+                run.stream.follow(preview(motion, run.now + 0.002), run.now + 0.003)
+            except InputError:
+                refused += 1
+        run.tick()
+    return refused
+
+
+def test_a_source_that_ignores_its_limit_is_braked_on_its_path_and_refused():
+    run, motion = Run(), swing(amplitude=1.0, omega=1.0)
+    follow_as_allowed(run, motion, 0.6)
+    assert np.abs(run.velocities[-1]).max() > 0.3
+    run.stream.allowed.target = 0.0
+    assert follow_as_allowed(run, motion, 1.0) > 0
+    assert run.stream.at_rest
+    assert np.abs(run.accelerations).max() <= ACCELERATION * (1 + 1e-6)
+    assert run.off_the_path(motion) < 1e-3
+    rest = run.sent[-1]
+    assert follow_as_allowed(run, motion, 0.4) > 0
+    np.testing.assert_array_equal(run.sent[-1], rest)
+
+
+def test_a_source_that_keeps_to_its_limit_is_not_interfered_with():
+    slow, run = swing(omega=0.1), Run()
+    run.stream.allowed.target = 0.1
+    assert follow_as_allowed(run, slow, 1.0) == 0
+    assert run.stream.state is GeneratorState.FOLLOWING
+    expected = [slow(t - T0)[0] for t in run.times]
+    assert np.allclose(run.sent[5:], expected[5:], rtol=0, atol=1e-4)
+
+
+def test_a_limit_that_opens_lets_the_next_preview_move_the_arm():
+    run = Run()
+    run.stream.allowed.target = 0.0
+    run.tick(200)
+    motion = swing()
+    later = run.now - T0
+    assert follow_as_allowed(run, lambda t: motion(t - later), 0.3) > 0
+    assert run.stream.at_rest
+    run.stream.allowed.target = 1.0
+    run.tick()
+    begin = run.now - T0
+    assert follow_as_allowed(run, lambda t: motion(t - begin), 0.5) == 0
+    assert np.abs(run.velocities[-1]).max() > 0.1

@@ -1,0 +1,70 @@
+"""Limit of the arm's speed before contact, and what references of the arm ask for."""
+
+from collections.abc import Callable
+
+import numpy as np
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import JointState
+
+from omniman_ros.conversions.motion_limits import motion_limit_shares
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.motion_limit import MotionLimit, MotionLimitParameters
+from omniman_ros.nodes.omniman_node import OmnimanNode
+
+
+class ArmLimit:
+    """Subscribes to `motion_limit`, and publishes on `motion_demand` what previews ask for.
+
+    Args:
+        node: Node that owns the topics.
+        joints: Names of the joints.
+        options: Whether there is a limit, and what applies without its messages.
+        send: Sends a share of the speed limits to the streaming process.
+    """
+
+    def __init__(
+        self,
+        node: OmnimanNode,
+        joints: list[str],
+        options: MotionLimitParameters,
+        send: Callable[[float], None],
+    ) -> None:
+        self._node, self._joints, self._send = node, joints, send
+        self._limit, self._sent = MotionLimit(options), 1.0
+        handler = node.guarded("motion_limit", self._on_limit)
+        node.create_subscription(JointState, "motion_limit", handler, QoSProfile(depth=1))
+        self._demands = node.create_publisher(JointState, "motion_demand", QoSProfile(depth=1))
+
+    def configure(self, options: MotionLimitParameters) -> None:
+        """Use other parameters."""
+        self._limit.parameters = options
+
+    def _on_limit(self, message: JointState) -> None:
+        _, arm = motion_limit_shares(message)
+        self._limit.update(arm, self._node.now(), self._node.age(message.header.stamp))
+        self.send()
+
+    @property
+    def share(self) -> float:
+        """Share of the speed limits that the arm may use now, 0 to 1."""
+        return self._limit.share(self._node.now())
+
+    def send(self) -> None:
+        """Send the share that applies now; again and again, as the process may be a new one."""
+        share = self.share
+        if self._limit.parameters.use or share != self._sent:
+            self._sent = share
+            self._send(share)
+
+    def ask(self, velocities: Array) -> None:
+        """Publish the joint rates that a preview with velocities (k, n) [rad/s] asks for first.
+
+        It asks for them even if it is refused because of the limit.
+        """
+        if not self._limit.parameters.use:
+            return
+        moving = np.flatnonzero(np.abs(velocities).max(axis=1) > 0.0)
+        first = velocities[moving[0] if len(moving) else 0]
+        message = JointState(name=self._joints, velocity=first.tolist())
+        message.header.stamp = self._node.stamp()
+        self._demands.publish(message)
