@@ -15,13 +15,16 @@ from omniman_ros.collision.surroundings import Surroundings
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import parameter
 
-STEPS = 16
+STEPS = 12
 """Number of intervals into which the predicted motion is divided; they grow with the distance."""
 RESTING = 1e-3
 """Share of the speed limits up to which a motion counts as rest."""
 SLOWEST_PASS = 0.1
 """Share of the speed limits at which the robot at least passes the predicted motion, as far as the
 motion of obstacles is concerned: at rest it would never come to where it goes."""
+COPIES = 40
+"""Number of moving solids, each counted once for each time, with which distances are computed
+together: a few calls cost less than many, and superfluous pairs of poses and solids more."""
 TOLERANCE = 1e-6
 """Decrease of a distance that is rounding [m]."""
 
@@ -317,13 +320,17 @@ class _Prediction:
         if len(still):
             self._distances[..., ~is_moving] = geometry.distances(poses, joints, still, reach)
         moving = surroundings.select(is_moving)
-        if len(moving):
-            # The solids at all times with all poses, of which those of the same time count.
-            solids = UprightSolids.join([moving.after(time) for time in passing.tolist()])
-            found = geometry.distances(poses, joints, solids, reach)
-            found = found.reshape(*poses.shape[:2], parts, len(passing), len(moving))
-            k = np.arange(len(passing))
-            self._distances[..., is_moving] = np.moveaxis(found[:, k, :, k], 0, 1)
+        size = max(1, COPIES // max(len(moving), 1))
+        for begin in range(0, len(passing) if len(moving) else 0, size):
+            # The solids at several times with the poses at these times: those of one time count.
+            some = slice(begin, begin + size)
+            solids = [moving.after(time) for time in passing[some].tolist()]
+            found = geometry.distances(
+                poses[:, some], joints[:, some], UprightSolids.join(solids), reach
+            )
+            found = found.reshape(*found.shape[:3], len(solids), len(moving))
+            k = np.arange(len(solids))
+            self._distances[:, some, :, is_moving] = np.moveaxis(found[:, k, :, k], 0, 1)
 
     def free_times(self) -> Iterator[_FreeTime]:
         """Yield the free time of each course; infinite if nothing comes too near."""

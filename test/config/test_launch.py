@@ -503,6 +503,7 @@ def test_a_simulated_arm_gets_a_simulated_controller(platform):
         "use_sim_time": False,
         "simulated_controller": True,
         "ur.servo_lag": 0.042,
+        "collision_monitor.use": False,
     }
     controller = {
         "ports.dashboard": 29999,
@@ -622,7 +623,8 @@ def test_two_robots_pass_on_all_their_arguments(file_of, platform):
 def test_a_real_arm_and_the_nodes_that_know_its_limits_get_the_controllers_file(platform, file):
     _, nodes = platform(arm="ur", mpc="false", controller=file)
     assert "simulated_ur" not in nodes
-    assert nodes["arm_streamer"] == ("", {"file": "my own.yaml"})
+    streamer = {"file": "my own.yaml", "collision_monitor.use": False}
+    assert nodes["arm_streamer"] == ("", streamer)
     assert nodes["path_interpolator"][1] == {
         "file": "my own.yaml",
         "robot": "omniman",
