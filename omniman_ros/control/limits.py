@@ -112,24 +112,27 @@ def ramp_down(twist: Array, deceleration: Pair, dt: float) -> Array:
     return twist * (1.0 - dt / stop_time) if stop_time > dt else np.zeros(3)
 
 
-def slowed(twist: Array, before: Array, limits: TwistLimits, share: float, dt: float) -> Array:
+def slowed(
+    twist: Array, before: Array, velocity: Pair, deceleration: Pair, share: float, dt: float
+) -> Array:
     """Return a twist (3,) scaled down to a share of the velocity limits, which may fall suddenly.
 
     Args:
         twist: Twist (3,) to limit [m/s, m/s, rad/s].
-        before: Twist (3,) of the last step, which decelerates within the limits.
-        limits: Limits of the twist.
+        before: Twist (3,) of the last step, from which it decelerates.
+        velocity: Linear and angular limit of the velocity [m/s, rad/s].
+        deceleration: Linear and angular limit of the deceleration [m/s^2, rad/s^2].
         share: Share of the velocity limits, 0 to 1.
         dt: Time step [s].
 
     Returns:
         The same twist if it is within the share of the limits.
     """
-    used = ratio(twist, limits.velocity)
+    used = ratio(twist, velocity)
     if used <= share:
         return twist
-    slowest = ramp_down(before, limits.deceleration, dt)
-    return slowest if ratio(slowest, limits.velocity) > share else twist * (share / used)
+    slowest = ramp_down(before, deceleration, dt)
+    return slowest if ratio(slowest, velocity) > share else twist * (share / used)
 
 
 def slew(twist: Array, target: Array, limits: TwistLimits, dt: float) -> Array:

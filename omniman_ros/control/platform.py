@@ -506,7 +506,8 @@ class PlatformController:
             )
             source, before = None, self.setpoint
         wanted, rate = self._motion(source, now, dt)
-        twist = slowed(wanted, before, self.parameters.limits, self.motion_limit.share(now), dt)
+        velocity, share = self.parameters.limits.velocity, self.motion_limit.share(now)
+        twist = slowed(wanted, before, velocity, self.limits.deceleration, share, dt)
         reachable = self._reachable(twist, before, dt)
         if self.cascade.saturated or rate is None or twist is not wanted:
             rate = (reachable - before) / dt if dt > 0.0 else np.zeros(3)
