@@ -13,7 +13,7 @@ from omniman_ros.core.arm_model import JOINTS
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.description.parameters import DescriptionParameters
-from omniman_ros.description.platform_shape import platform_boxes
+from omniman_ros.description.platform_shape import platform_top
 from omniman_ros.description.urdf import carries_arm
 from omniman_ros.motion.whole_body.model import planar_transform
 
@@ -63,8 +63,7 @@ class BodyGeometry:
     ) -> None:
         robot, mount = description.robot, description.mount
         has_arm = carries_arm(robot)
-        deck = platform_boxes(robot, mount.z if has_arm else None)[0]
-        self._heights = 0.0, deck.centre[2] + 0.5 * deck.size[2]
+        self._heights = 0.0, platform_top(robot, mount.z if has_arm else None)
         length, width = robot.body.length, robot.body.width
         self._half: Array = np.array((0.5 * length, 0.5 * width))
         self._platform = UprightSolids.box((0.0, 0.0, 0.0), length, width, self._heights)

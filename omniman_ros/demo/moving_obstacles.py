@@ -9,6 +9,7 @@ from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
+from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.planar import Triple
@@ -102,5 +103,6 @@ class MovingObstacles:
             half_size: Half length and half width of the box [m].
         """
         centers = np.array([self.at(time) for time in rows[:, 0].tolist()])
+        box = Rectangles.centred(np.array(half_size))
         axes = np.broadcast_to(self.radii[:, None], (len(rows), len(self.radii), 2))
-        return box_gap(rows[:, 1:4], np.array(half_size), centers, axes, np.zeros(len(self.radii)))
+        return box_gap(rows[:, 1:4], box, centers, axes, np.zeros(len(self.radii)))

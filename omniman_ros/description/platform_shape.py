@@ -56,6 +56,12 @@ def platform_boxes(robot: Robot, mount: float | None) -> tuple[Box, ...]:
     return deck, _box(length, width, CLEARANCE * radius, bottom)
 
 
+def platform_top(robot: Robot, mount: float | None) -> float:
+    """Return the height of the deck's upper side [m]; see `platform_boxes`."""
+    deck = platform_boxes(robot, mount)[0]
+    return deck.centre[2] + 0.5 * deck.size[2]
+
+
 def _box(length: float, width: float, bottom: float, top: float) -> Box:
     """Return a centred box of a length and a width [m] between two heights [m]."""
     return Box((0.0, 0.0, 0.5 * (bottom + top)), (length, width, top - bottom))

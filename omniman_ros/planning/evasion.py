@@ -7,7 +7,7 @@ import numpy as np
 from omniman_ros.core.arrays import Array
 from omniman_ros.planning.mpc.problem import Problem
 from omniman_ros.planning.mpc.solver import Solver
-from omniman_ros.planning.obstacles.ellipses import Ellipses
+from omniman_ros.planning.obstacles.pairs import Pairs
 from omniman_ros.planning.obstacles.separation import box_gap
 
 RANKED_DIRECTIONS = 16
@@ -28,7 +28,7 @@ class EvasionGuesses:
         self._count = 0
 
     def next(
-        self, problem: Problem, solver: Solver, start: Array, due: float, obstacles: Ellipses
+        self, problem: Problem, solver: Solver, start: Array, due: float, pairs: Pairs
     ) -> Array:
         """Return the next guess.
 
@@ -37,7 +37,7 @@ class EvasionGuesses:
             solver: Solver that will start from the guess.
             start: (6,) state where the plan begins: pose in odom, body twist.
             due: Time at which it begins [s].
-            obstacles: One obstacle or more.
+            pairs: Parts of the robot and obstacles, one pair or more.
 
         Returns:
             (N, n) motor currents [A].
@@ -45,15 +45,17 @@ class EvasionGuesses:
         self._count += 1
         if self._count % 2:
             return problem.evasion(start, self._count * DIRECTION_STEP)
-        return _most_promising(problem, solver, start, due, obstacles)
+        return _most_promising(problem, solver, start, due, pairs)
 
 
 def _most_promising(
-    problem: Problem, solver: Solver, start: Array, due: float, obstacles: Ellipses
+    problem: Problem, solver: Solver, start: Array, due: float, pairs: Pairs
 ) -> Array:
     """Return the guess (N, n) that touches an obstacle latest or, if equal, has the widest gap."""
-    distances = np.hypot(*(obstacles.centers - start[:2]).T) - obstacles.semi_axes.max(axis=1)
-    near = obstacles.select(np.argsort(distances)[:NEAREST_OBSTACLES])
+    known = pairs.ellipses
+    distances = np.hypot(*(known.centers - start[:2]).T) - known.semi_axes.max(axis=1)
+    nearest = pairs.select(np.argsort(distances)[:NEAREST_OBSTACLES])
+    near = nearest.ellipses
     guesses = [problem.evasion(start, k * DIRECTION_STEP) for k in range(RANKED_DIRECTIONS)]
     paths = [solver.states(start, guess)[1:, :3] for guess in guesses]
     step = problem.limits.parameters.horizon.step
@@ -62,7 +64,7 @@ def _most_promising(
         np.tile(values, (RANKED_DIRECTIONS, 1, 1))
         for values in (near.centers_at(times), near.axes_at(times))
     )
-    gaps = box_gap(np.concatenate(paths), problem.model.half, centers, axes, near.angles)
+    gaps = box_gap(np.concatenate(paths), nearest.boxes, centers, axes, near.angles)
     gaps = gaps.min(axis=1).reshape(RANKED_DIRECTIONS, -1)
     touched = gaps <= 0.0
     free_steps = np.where(touched.any(axis=1), touched.argmax(axis=1), gaps.shape[1])

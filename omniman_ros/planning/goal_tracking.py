@@ -158,15 +158,14 @@ class GoalTracker:
             self.state = PlannerState.BLOCKED
 
 
-def require_reachable(goal: Goal, half: Array, environment: Environment) -> None:
+def require_reachable(goal: Goal, environment: Environment) -> None:
     """Check that the robot fits at the pose of a goal.
 
     A trajectory is not checked, as the obstacles at its time are not known.
 
     Args:
         goal: Goal.
-        half: (2,) half length and half width of the robot's box [m].
-        environment: Obstacles, moving ones included, workspace and map.
+        environment: Outline of the robot, obstacles, moving ones included, workspace and map.
 
     Raises:
         InputError: The robot would not be within the workspace, or touch an obstacle at rest.
@@ -181,7 +180,9 @@ def require_reachable(goal: Goal, half: Array, environment: Environment) -> None
     standing = known.select(is_tracked & (np.hypot(*known.velocities.T) < AT_REST))
     x, y, theta = poses[0]
     pose_text = f"({x:.2f} m, {y:.2f} m, {theta:.2f} rad)"
-    free = Surroundings(half, Ellipses.none(known.time), environment.workspace, 0.0)
+    free = Surroundings(
+        environment.footprint, Ellipses.none(known.time), environment.workspace, 0.0
+    )
     if free.outside(rest.poses[:1]) > 0.0:
         raise InputError(f"the robot at the goal {pose_text} is not within the workspace")
     occupied = replace(free, ellipses=standing, walls=environment.walls)

@@ -103,12 +103,17 @@ class MotionSelector:
         difference = se2.wrap(float(measured.pose[2]) - heading)
         return np.append(measured.pose[:2], heading + difference)
 
-    def deviation(self, measured: MeasuredState) -> float:
-        """Return the largest distance of a corner of the robot from its planned position [m]."""
+    def deviation(self, measured: MeasuredState, radius: float) -> float:
+        """Return the largest distance of a point of the robot from its planned position [m].
+
+        Args:
+            measured: State of the robot.
+            radius: Distance of its farthest point from base_link [m].
+        """
         pose, _ = self.motion.sample(measured.time)
         error = measured.pose - pose
         heading_error = abs(se2.wrap(float(error[2])))
-        return math.hypot(error[0], error[1]) + heading_error * math.hypot(*self.model.half)
+        return math.hypot(error[0], error[1]) + heading_error * radius
 
     def state_at(self, due: float, measured: MeasuredState, anchored: bool) -> Array:
         """Predict the state (6,) at which a plan begins.

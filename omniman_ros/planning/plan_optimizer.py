@@ -1,8 +1,8 @@
 """Optimisation of plans: the improved last plan and, if that is unsatisfactory, an evasion."""
 
-import math
 from dataclasses import dataclass
 
+from omniman_ros.collision.footprint import Footprint
 from omniman_ros.core.arrays import Array
 from omniman_ros.planning.effective_limits import EffectiveLimits
 from omniman_ros.planning.evasion import EvasionGuesses
@@ -13,6 +13,7 @@ from omniman_ros.planning.mpc.problem import Problem
 from omniman_ros.planning.mpc.solver import Solution, Solver, SolverError
 from omniman_ros.planning.mpc.transcription import Transcription
 from omniman_ros.planning.obstacles.ellipses import Ellipses
+from omniman_ros.planning.obstacles.pairs import Pairs
 from omniman_ros.planning.obstacles.walls import REACH, Walls
 from omniman_ros.planning.parameters import Horizon
 
@@ -54,6 +55,7 @@ class PlanRequest:
         start: (6,) state at which the plan begins: pose in odom, body twist.
         due: Time at which the plan begins [s].
         goal: Goal of the plan.
+        footprint: Outline of the robot.
         obstacles: Obstacles as they are known now.
         walls: Occupied cells of the map.
         clearance: Gap to keep [m]; None means that of the parameters.
@@ -62,6 +64,7 @@ class PlanRequest:
     start: Array
     due: float
     goal: Goal
+    footprint: Footprint
     obstacles: Ellipses
     walls: Walls
     clearance: float | None = None
@@ -125,24 +128,25 @@ class PlanOptimizer:
             SolverError: The last plan could not be improved.
         """
         start, due = request.start, request.due
-        walls = self._walls_near(request.walls, start)
+        walls = self._walls_near(request)
         obstacles = request.obstacles
         solver = self._solvers.select(len(obstacles) > 0, len(walls) > 0)
         if len(walls):
             obstacles = obstacles.joined(walls.ellipses(obstacles.time))
+        pairs = Pairs.of(request.footprint, obstacles)
         if self._warm_start is None:
             guess, iterations = solver.cold(), COLD_ITERATIONS
         else:
             since, currents = self._warm_start
             guess, iterations = solver.shifted(currents, due - since), 1
-        solution = self._improved(solver, request, obstacles, guess, iterations)
+        solution = self._improved(solver, request, pairs, guess, iterations)
         self.keep(due, solution)
-        if not len(obstacles) or not evade:
+        if not len(pairs) or not evade:
             return (solution,)
-        guess = self._evasions.next(self._problem, solver, start, due, obstacles)
+        guess = self._evasions.next(self._problem, solver, start, due, pairs)
         iterations = EVASION_ITERATIONS_AT_WALLS if len(walls) else EVASION_ITERATIONS
         try:
-            return solution, self._improved(solver, request, obstacles, guess, iterations)
+            return solution, self._improved(solver, request, pairs, guess, iterations)
         except SolverError:
             return (solution,)
 
@@ -150,7 +154,7 @@ class PlanOptimizer:
         self,
         solver: Solver,
         request: PlanRequest,
-        obstacles: Ellipses,
+        pairs: Pairs,
         guess: Array,
         iterations: int,
     ) -> Solution:
@@ -158,15 +162,14 @@ class PlanOptimizer:
         start, step = request.start, self._problem.limits.parameters.horizon.step
         motion = Motion.of_states(request.due, step, solver.states(start, guess), guess)
         slots = solver.transcription.slots
-        stage = self._problem.stage(
-            start, motion, request.goal, obstacles, slots, request.clearance
-        )
+        stage = self._problem.stage(start, motion, request.goal, pairs, slots, request.clearance)
         return solver.solve(start, guess, stage, iterations)
 
-    def _walls_near(self, walls: Walls, start: Array) -> Walls:
-        """Select the walls that a plan from a state (6,) can reach."""
+    def _walls_near(self, request: PlanRequest) -> Walls:
+        """Select the walls that a plan can reach."""
+        walls = request.walls
         if not len(walls):
             return walls
         p = self._problem.limits.parameters
         reach = p.limits.linear_velocity * p.horizon.duration
-        return walls.near(start, reach + math.hypot(*self._problem.model.half) + REACH)
+        return walls.near(request.start, reach + request.footprint.radius + REACH)

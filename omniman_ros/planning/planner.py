@@ -7,6 +7,7 @@ until the next cycle. Time is always an argument.
 
 from dataclasses import replace
 
+from omniman_ros.collision.footprint import Footprint
 from omniman_ros.core.arrays import Array
 from omniman_ros.planning.cycle import CycleReport, MeasuredState, PlannerState
 from omniman_ros.planning.effective_limits import EffectiveLimits
@@ -43,6 +44,8 @@ class Planner:
         model: Model of the robot.
         anchored: Whether plans begin on the last motion, whose follower corrects deviations;
             otherwise they begin at the measured pose of the robot.
+        footprint: Outline of the robot, by default that of its platform at all heights; it may be
+            replaced between two cycles.
         grid: Map, or None.
     """
 
@@ -55,6 +58,7 @@ class Planner:
         self.limits = EffectiveLimits(parameters)
         self.model = PlanningModel.of(parameters.robot)
         self.anchored = anchored
+        self.footprint = Footprint(self.model.half)
         self.grid: GridMap | None = None
         self._walls = Walls.none()
         self._tracker = GoalTracker()
@@ -121,6 +125,7 @@ class Planner:
         """Use other weights, limits and clearances from the next cycle on."""
         if parameters.robot != self.parameters.robot:
             self.model = PlanningModel.of(parameters.robot)
+            self.footprint = Footprint(self.model.half)
         self._apply(replace(self.limits, parameters=parameters))
 
     def set_limit_scale(self, limit_scale: float, braking_scale: float = 1.0) -> None:
@@ -151,7 +156,7 @@ class Planner:
         else:
             heading = float(self.motion.poses[-1, 2])
         goal = goal.near(heading)
-        require_reachable(goal, self.model.half, self._environment(obstacles))
+        require_reachable(goal, self._environment(obstacles))
         if not self.active:
             self._begin_at_rest(measured)
         self._tracker.accept(goal, self.model, self.limits)
@@ -220,7 +225,7 @@ class Planner:
         goal = self._tracker.target(start, due, self.limits)
         route = self.route_planner
         clearance = None if route is None else route.clearance(self.limits)
-        request = PlanRequest(start, due, goal, obstacles, self._walls, clearance)
+        request = PlanRequest(start, due, goal, self.footprint, obstacles, self._walls, clearance)
         return self._optimizer.solve(request, evade=self._selector.is_troubled)
 
     def take(
@@ -229,10 +234,10 @@ class Planner:
         """Follow the plan if it is in time and clear, else the last motion, or brake."""
         p = self.parameters
         surroundings = Surroundings(
-            self.model.half,
+            self.footprint,
             obstacles,
             p.workspace.bounds,
-            p.safety.least_clearance + self._selector.deviation(measured),
+            p.safety.least_clearance + self._selector.deviation(measured, self.footprint.radius),
             now + p.horizon.duration,
             self._walls,
         )
@@ -271,4 +276,4 @@ class Planner:
     def _environment(self, obstacles: Ellipses) -> Environment:
         """Return the obstacles together with workspace and map."""
         bounds = self.parameters.workspace.bounds
-        return Environment(obstacles, bounds, self.grid, self._walls)
+        return Environment(self.footprint, obstacles, bounds, self.grid, self._walls)

@@ -2,12 +2,15 @@
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
+from omniman_ros.collision.footprint import Footprint
 from omniman_ros.core.arrays import Array
 from omniman_ros.planning.motion import Motion
 from omniman_ros.planning.obstacles.ellipses import Ellipses
+from omniman_ros.planning.obstacles.pairs import Pairs
 from omniman_ros.planning.obstacles.separation import (
     Workspace,
     box_gap,
@@ -32,7 +35,7 @@ class Surroundings:
     """Obstacles, workspace and map that a motion is checked against.
 
     Attributes:
-        half: (2,) half length and half width of the robot's box [m].
+        footprint: Outline of the robot.
         ellipses: Obstacles as they are known now.
         workspace: (x_min, y_min, x_max, y_max) in odom [m].
         margin: Gap to keep to obstacles, workspace edge and walls [m].
@@ -40,29 +43,38 @@ class Surroundings:
         walls: Occupied cells of the map.
     """
 
-    half: Array
+    footprint: Footprint
     ellipses: Ellipses
     workspace: Workspace
     margin: float
     until: float = -math.inf
     walls: Walls = field(default_factory=Walls.none)
 
+    @cached_property
+    def _pairs(self) -> Pairs:
+        """Parts of the robot and obstacles at the same height."""
+        return Pairs.of(self.footprint, self.ellipses)
+
     def outside(self, poses: Array) -> float:
-        """Return the distance by which a box at poses (K, 3) leaves the workspace [m].
+        """Return the distance by which the robot at poses (K, 3) leaves the workspace [m].
 
         The margin is included.
         """
-        return float(outside_by(poses, self.half, self.workspace).max()) + self.margin
+        return float(outside_by(poses, self.footprint.whole, self.workspace).max()) + self.margin
 
     def overlap(self, poses: Array) -> float:
-        """Return the depth by which a box at poses (K, 3) is too close to an obstacle now [m]."""
-        e = self.ellipses
-        into = self.margin - float(self.walls.gaps(poses, self.half).min())
+        """Return the depth by which the robot at poses (K, 3) is too close to an obstacle [m].
+
+        The obstacles are where they are now.
+        """
+        pairs = self._pairs
+        e = pairs.ellipses
+        into = self.margin - float(self.walls.gaps(poses, self.footprint.whole).min())
         if not len(e):
             return into if len(self.walls) else -math.inf
         times = np.full(len(poses), e.time)
         axes = e.axes_at(times, self.margin)
-        gaps = box_gap(poses, self.half, e.centers_at(times), axes, e.angles)
+        gaps = box_gap(poses, pairs.boxes, e.centers_at(times), axes, e.angles)
         return max(-float(gaps.min()), into if len(self.walls) else -math.inf)
 
     def contact(self, motion: Motion, now: float) -> float:
@@ -76,22 +88,23 @@ class Surroundings:
         """
         times, poses, velocities = motion.fine(now, self.until, SPAN_PARTS)
         first = math.inf
-        out = outside_by(poses, self.half, self.workspace) + self.margin
+        out = outside_by(poses, self.footprint.whole, self.workspace) + self.margin
         allowed = max(float(out[0]) + 1e-3, 0.0) if math.isfinite(out[0]) else -math.inf
         left = ~(out <= allowed)
         if left.any():
             first = float(times[int(left.argmax())])
         first = min(first, self._at_wall(motion, now, self.margin))
-        reached = within_reach(times, poses, velocities, self.half, self.ellipses, self.margin)
+        boxes, known = self._pairs.boxes, self._pairs.ellipses
+        reached = within_reach(times, poses, velocities, boxes, known, self.margin)
         if not reached.any():
             return first
-        near = self.ellipses.select(reached)
-        gaps = swept_gap(times, poses, velocities, self.half, near, self.margin)
+        boxes, near = boxes.select(reached), known.select(reached)
+        gaps = swept_gap(times, poses, velocities, boxes, near, self.margin)
         allowed = np.minimum(
             np.maximum(gaps[0] - MARGIN_TOLERANCE, -min(MARGIN_TOLERANCE, self.margin)), 0.0
         )
         nodes = box_gap(
-            poses, self.half, near.centers_at(times), near.axes_at(times, self.margin), near.angles
+            poses, boxes, near.centers_at(times), near.axes_at(times, self.margin), near.angles
         )
         leaves = (nodes[0] <= 0.0) & (nodes[1:] >= nodes[0] - GAP_TOLERANCE)
         touched = ~((gaps > allowed) | leaves).all(axis=1)
@@ -105,7 +118,7 @@ class Surroundings:
         if not len(self.walls):
             return math.inf
         times, poses, velocities = motion.fine(now, -math.inf, WALL_SPAN_PARTS)
-        nodes, gaps = self.walls.swept(times, poses, velocities, self.half)
+        nodes, gaps = self.walls.swept(times, poses, velocities, self.footprint.whole)
         allowed = margin + min(
             max(float(gaps[0]) - margin - MARGIN_TOLERANCE, -min(MARGIN_TOLERANCE, margin)), 0.0
         )
@@ -122,11 +135,12 @@ class Surroundings:
         """
         wall = self._at_wall(motion, now, 0.0)
         times, poses, velocities = motion.fine(now, self.until, SPAN_PARTS)
-        certain = replace(self.ellipses, growth=np.zeros(len(self.ellipses)))
-        reached = within_reach(times, poses, velocities, self.half, certain, MARGIN_TOLERANCE)
+        boxes, known = self._pairs.boxes, self._pairs.ellipses
+        certain = replace(known, growth=np.zeros(len(known)))
+        reached = within_reach(times, poses, velocities, boxes, certain, MARGIN_TOLERANCE)
         if not reached.any():
             return wall, MARGIN_TOLERANCE if wall == math.inf else 0.0
-        gaps = swept_gap(times, poses, velocities, self.half, certain.select(reached))
+        gaps = swept_gap(times, poses, velocities, boxes.select(reached), certain.select(reached))
         least = gaps.min(axis=1)
         touched = ~(least > 0.0)
         first = int(touched.argmax()) if touched.any() else len(least) - 1

@@ -160,8 +160,8 @@ class PlannerWorld(World):
         if self.obstacles_present:
             centers = np.array([[thing.place(self.time) for thing in self.obstacles_present]])
             axes = np.array([[(thing.radius, thing.radius) for thing in self.obstacles_present]])
-            half, flat = self.core.model.half, np.zeros(len(self.obstacles_present))
-            gaps = box_gap(self.true_pose()[None, :], half, centers, axes, flat)
+            box, flat = self.core.footprint.platform, np.zeros(len(self.obstacles_present))
+            gaps = box_gap(self.true_pose()[None, :], box, centers, axes, flat)
             self.gap = min(self.gap, float(gaps.min()))
 
     def marks(self) -> list[Marker]:
@@ -1447,7 +1447,7 @@ def wall_gap(world: PlannerWorld) -> float:
     lower = np.array([(0.9 + dx, y) for dx in edge for y in np.arange(-1.2, 0.001, 0.025)])
     upper = np.array([(0.9 + dx, y) for dx in edge for y in np.arange(1.0, 1.201, 0.025)])
     walls = Walls(np.vstack([lower, upper]), 0.0)
-    return float(walls.gaps(world.true_pose()[None], world.core.model.half)[0])
+    return float(walls.gaps(world.true_pose()[None], world.core.footprint.platform)[0])
 
 
 def test_goal_behind_a_wall_is_reached_through_its_door(alone):

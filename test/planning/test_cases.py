@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
 from omniman_ros.planning.cases import CASES, RADIUS, TwoVelocityPath
@@ -23,7 +24,7 @@ def gaps(pose, case, body, time=0.0):
     centers = np.array([way(time) for way in case.ways]).reshape(1, -1, 2)
     return box_gap(
         np.array([pose]),
-        np.array([body.length, body.width]) / 2.0,
+        Rectangles.centred(np.array([body.length, body.width]) / 2.0),
         centers,
         np.full_like(centers, case.radius),
         np.zeros(centers.shape[1]),

@@ -705,7 +705,7 @@ def wall_gap(sim, grid):
     points = (np.column_stack([columns, rows])[:, None] + spots).reshape(-1, 2) * CELL
     walls = Walls(np.unique(points, axis=0) + grid.origin[:2], 0.0)
     few = slice(None, None, 5)
-    return float(walls.gaps(np.array(sim.poses)[few], sim.planner.model.half).min())
+    return float(walls.gaps(np.array(sim.poses)[few], sim.planner.footprint.whole).min())
 
 
 @pytest.mark.exhaustive

@@ -3,6 +3,8 @@ import math
 import numpy as np
 import pytest
 
+from omniman_ros.collision.footprint import Footprint
+from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.planning.motion import Motion
 from omniman_ros.planning.obstacles.separation import outside_by
 from omniman_ros.planning.safety import MARGIN_TOLERANCE, Surroundings
@@ -15,7 +17,7 @@ NOW = 5.0
 
 
 def around(known=None, margin=0.02, workspace=WIDE):
-    return Surroundings(HALF, ellipses() if known is None else known, workspace, margin)
+    return Surroundings(Footprint(HALF), ellipses() if known is None else known, workspace, margin)
 
 
 def a_motion(random, count=21, step=0.1):
@@ -124,7 +126,8 @@ def test_leaving_the_workspace_is_a_contact_at_that_time():
     contact = around(workspace=(-9, -9, 0.45, 9), margin=0.0).contact(turning, NOW)
     times = np.arange(0.0, 2.0, 0.001)
     poses = np.column_stack([0 * times, 0 * times, times])
-    sampled = NOW + times[np.argmax(outside_by(poses, HALF, (-9, -9, 0.45, 9)) > 0.0)]
+    outside = outside_by(poses, Rectangles.centred(HALF), (-9, -9, 0.45, 9))
+    sampled = NOW + times[np.argmax(outside > 0.0)]
     assert contact == pytest.approx(sampled, abs=0.026)
 
 
@@ -142,7 +145,7 @@ def test_input_that_is_not_finite_is_a_contact():
 def test_approaching_obstacle_hits_a_robot_at_rest(until):
     motion = Motion.rest(NOW - 1.0, np.zeros(3), 4)
     known = ellipses((2.7, 0.0, 0.3), time=NOW, velocities=[(-1.0, 0.0)])
-    stands = Surroundings(HALF, known, WIDE, 0.0, until)
+    stands = Surroundings(Footprint(HALF), known, WIDE, 0.0, until)
     contact = stands.contact(motion, NOW)
     assert contact == pytest.approx(NOW + 2.0, abs=0.11) if until > 0 else contact == math.inf
 
@@ -222,7 +225,7 @@ def test_earlier_braking_may_lead_to_contact():
     known = ellipses(
         (0.5, 3.5, 0.35), (2.4, 0.0, 0.2, 3.0, 0.0), time=NOW, velocities=[(0, -1.6), (0, 0)]
     )
-    surroundings = Surroundings(HALF, known, WIDE, 0.02, NOW + 4.0)
+    surroundings = Surroundings(Footprint(HALF), known, WIDE, 0.02, NOW + 4.0)
     for late in (0.1, 0.5):
         early = motion.braked(NOW + late, DECELERATION)
         assert surroundings.contact(early, NOW) < math.inf

@@ -11,6 +11,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from omniman_ros.collision.footprint import Footprint
+from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import build
 from omniman_ros.planning.effective_limits import EffectiveLimits
@@ -21,6 +23,7 @@ from omniman_ros.planning.mpc.problem import Problem
 from omniman_ros.planning.mpc.solver import Solver, SolverError
 from omniman_ros.planning.mpc.transcription import Stage, Transcription
 from omniman_ros.planning.obstacles.ellipses import Ellipses
+from omniman_ros.planning.obstacles.pairs import Pairs
 from omniman_ros.planning.obstacles.separation import box_gap
 from omniman_ros.planning.parameters import PlannerParameters, Workspace
 from omniman_ros.planning.plan_optimizer import COLD_ITERATIONS
@@ -88,7 +91,7 @@ def draw_scene(seed: int, obstacles: int, half: Array) -> Scene:
     start = np.array([0.0, 0.0, random.uniform(-math.pi, math.pi)])
     heading = start[2] + random.uniform(-1.5, 1.5)
     goal = np.append(distance * along, heading)
-    places = np.vstack([start, goal])
+    places, box = np.vstack([start, goal]), Rectangles.centred(half)
     drawn: list[tuple[Array, Array, Array, float]] = []
     for _ in range(MAX_DRAWS):
         if len(drawn) == obstacles:
@@ -103,7 +106,7 @@ def draw_scene(seed: int, obstacles: int, half: Array) -> Scene:
         speed, course = random.uniform(0.1, MAX_SPEED), random.uniform(-math.pi, math.pi)
         velocity = moves * speed * np.array([math.cos(course), math.sin(course)])
         gaps = box_gap(
-            places, half, np.tile(center, (2, 1, 1)), np.tile(axes, (2, 1, 1)), np.array([angle])
+            places, box, np.tile(center, (2, 1, 1)), np.tile(axes, (2, 1, 1)), np.array([angle])
         )[:, 0]
         if gaps[0] > MIN_GAPS[0] and (moves or gaps[1] > MIN_GAPS[1]):
             drawn.append((center, velocity, axes, angle))
@@ -289,6 +292,7 @@ class Rig:
         """
         bounds = Workspace(*scene.workspace)
         problem = Problem(self.model, EffectiveLimits(replace(self._parameters, workspace=bounds)))
+        pairs = Pairs.of(Footprint(self.model.half), scene.ellipses)
         goal, solver, slots = PoseGoal(scene.goal), self.solver, self.transcription.slots
         x, currents = np.concatenate([scene.start, np.zeros(3)]), solver.cold()
         for k, noise in enumerate(disturbances(scene.seed, count)):
@@ -296,7 +300,7 @@ class Rig:
             guess = solver.shifted(currents, STEP) if k else currents
             states = solver.states(x, guess)
             expected = Motion.of_states(k * STEP, STEP, states, guess)
-            stage = problem.stage(x, expected, goal, scene.ellipses, slots)
+            stage = problem.stage(x, expected, goal, pairs, slots)
             task = Task(k == 0, x, guess, states, stage)
             between = clock()
             currents, solved = controller.plan(task)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import OmnimanError
 from omniman_ros.lab.studies.mpc_loop import MotionRecord, MovingObstacle
@@ -168,7 +169,9 @@ def true_gaps(
         return np.zeros((len(times), 0))
     centers = np.array([[o.place(time) for o in obstacles] for time in times.tolist()])
     axes = np.tile(np.array([o.semi_axes for o in obstacles]), (len(times), 1, 1))
-    return box_gap(poses, half, centers, axes, np.array([o.angle for o in obstacles]))
+    return box_gap(
+        poses, Rectangles.centred(half), centers, axes, np.array([o.angle for o in obstacles])
+    )
 
 
 def wall_gaps(poses: Array, half: Array, walls: Sequence[Wall]) -> Array:

@@ -5,13 +5,15 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.core.arrays import Array
 from omniman_ros.planning.effective_limits import EffectiveLimits
 from omniman_ros.planning.goals import Goal
 from omniman_ros.planning.motion import Motion
 from omniman_ros.planning.mpc.model import PlanningModel
-from omniman_ros.planning.mpc.transcription import OBSTACLE, SIDES, Stage
+from omniman_ros.planning.mpc.transcription import EXTREMES, OBSTACLE, SIDES, Stage
 from omniman_ros.planning.obstacles.ellipses import Ellipses, inflated
+from omniman_ros.planning.obstacles.pairs import Pairs
 from omniman_ros.planning.obstacles.separation import box_gap, within_reach
 
 FAR_AWAY = 1e3
@@ -50,7 +52,7 @@ class Problem:
         start: Array,
         guess: Motion,
         goal: Goal,
-        ellipses: Ellipses,
+        pairs: Pairs,
         slots: int,
         clearance: float | None = None,
     ) -> Stage:
@@ -61,8 +63,8 @@ class Problem:
             guess: Motion of N + 1 nodes around which gaps are linearised; the plan begins at
                 the first.
             goal: Goal of the plan.
-            ellipses: Obstacles.
-            slots: Number of obstacles in the problem.
+            pairs: Parts of the robot, and the obstacles at their heights.
+            slots: Number of pairs in the problem.
             clearance: Gap to keep [m]; None means that of the parameters.
         """
         p = self.limits.parameters
@@ -73,13 +75,14 @@ class Problem:
         gap = p.safety.clearance if clearance is None else clearance
         x_min, y_min, x_max, y_max = p.workspace.bounds
         return Stage(
-            limits=self._limits(start, direction, self._caution(guess, ellipses)),
+            limits=self._limits(start, direction, self._caution(guess, pairs)),
             workspace=np.array([x_min + gap, y_min + gap, x_max - gap, y_max - gap]),
             target=targets,
             weights=self._weights(goal.moves, len(times)),
             energy=p.weights.energy,
             slack=(SLACK_FACTOR * gradient, SLACK_FACTOR * gradient / 0.1),
-            obstacles=self._obstacles(guess, ellipses, slots, gap),
+            obstacles=self._obstacles(guess, pairs, slots, gap),
+            extremes=farthest_points(guess.poses[1:, 2], pairs.footprint.whole),
             direction=direction,
         )
 
@@ -147,38 +150,44 @@ class Problem:
         volts = max(model.max_voltage, model.emf * wheels * (1.0 + VOLTAGE_HEADROOM))
         return np.hstack([limits, np.tile([volts, a, b], (steps, 1))])
 
-    def _obstacles(self, guess: Motion, ellipses: Ellipses, slots: int, clearance: float) -> Array:
-        """Return the nearest obstacles (N, M, 7) along a guess, with their margins."""
+    def _obstacles(self, guess: Motion, pairs: Pairs, slots: int, clearance: float) -> Array:
+        """Return the nearest pairs (N, M, 13) along a guess, the obstacles with their margins."""
         times = guess.times[1:]
         table = np.zeros((len(times), slots, OBSTACLE))
         table[..., :2] = FAR_AWAY
         table[..., 2], table[..., 5], table[..., 6] = 1.0, 1.0, 1.0
-        if not slots or not len(ellipses):
+        table[..., 9], table[..., 11:] = 1.0, self.model.half
+        if not slots or not len(pairs):
             return table
-        reachable = self._reachable(guess, ellipses)
+        reachable = self._reachable(guess, pairs)
         if not reachable.any():
             return table
-        near = ellipses.select(reachable)
+        chosen_pairs = pairs.select(reachable)
+        near, boxes = chosen_pairs.ellipses, chosen_pairs.boxes
         centers, axes = near.centers_at(times), near.axes_at(times, clearance + self._berth(near))
         angles = np.broadcast_to(near.angles, centers.shape[:2])
         velocities = np.broadcast_to(near.velocities, centers.shape)
         if len(near) > slots:
-            chosen = self._beside(guess.poses[1:], near, centers, axes, slots)
+            chosen = self._beside(guess.poses[1:], chosen_pairs, centers, axes, slots)
             centers, axes, velocities = (
                 np.take_along_axis(values, chosen[..., None], axis=1)
                 for values in (centers, axes, velocities)
             )
             angles = np.take_along_axis(angles, chosen, axis=1)
-        axes = inflated(axes, self._sag(guess, velocities, axes))
+            boxes = boxes.select(chosen)
+        axes = inflated(axes, self._sag(guess, boxes.radius, velocities, axes))
         cos, sin = np.cos(angles), np.sin(angles)
         m = centers.shape[1]
         table[:, :m, :2] = centers
         table[:, :m, 2], table[:, :m, 3] = cos / axes[..., 0], sin / axes[..., 0]
         table[:, :m, 4], table[:, :m, 5] = -sin / axes[..., 1], cos / axes[..., 1]
         table[:, :m, 6] = axes.min(axis=-1)
+        table[:, :m, 7:9] = boxes.centre
+        table[:, :m, 9], table[:, :m, 10] = np.cos(boxes.yaw), np.sin(boxes.yaw)
+        table[:, :m, 11:] = boxes.half
         return table
 
-    def _caution(self, guess: Motion, ellipses: Ellipses) -> Array:
+    def _caution(self, guess: Motion, pairs: Pairs) -> Array:
         """Return speeds (N,) [m/s] from which the robot can avoid an obstacle that approaches it.
 
         The robot approaches the obstacle at the speed c along the line between them. If the
@@ -187,14 +196,15 @@ class Problem:
         c t + c^2 / (2 a) + u (t + c / a) + u^2 / (2 a) = gap.
         """
         result = np.full(len(guess.times) - 1, math.inf)
-        speeds = np.hypot(ellipses.velocities[:, 0], ellipses.velocities[:, 1])
+        known = pairs.ellipses
+        speeds = np.hypot(known.velocities[:, 0], known.velocities[:, 1])
         moving = speeds > STANDING_SPEED
         if not moving.any():
             return result
-        near, u = ellipses.select(moving), speeds[moving]
+        near, boxes, u = known.select(moving), pairs.boxes.select(moving), speeds[moving]
         times, poses, velocities = guess.times[1:], guess.poses[1:], guess.velocities[1:]
         centers = near.centers_at(times)
-        gaps = box_gap(poses, self.model.half, centers, near.axes_at(times), near.angles)
+        gaps = box_gap(poses, boxes, centers, near.axes_at(times), near.angles)
         offset = centers - poses[:, None, :2]
         distance = np.maximum(np.hypot(offset[..., 0], offset[..., 1]), 1e-6)
         closing = (offset * velocities[:, None, :2]).sum(axis=-1) / distance
@@ -214,9 +224,9 @@ class Problem:
         return np.minimum(self.limits.parameters.safety.berth * speeds, MAX_BERTH)
 
     def _beside(
-        self, poses: Array, ellipses: Ellipses, centers: Array, axes: Array, slots: int
+        self, poses: Array, pairs: Pairs, centers: Array, axes: Array, slots: int
     ) -> NDArray[np.intp]:
-        """Return indices (N, slots) of the most relevant obstacles at each pose.
+        """Return indices (N, slots) of the most relevant pairs at each pose.
 
         The nearest obstacle in each of `slots` sectors around the robot comes first, then the
         nearest of the others: a wall consists of many discs, which must not displace the obstacles
@@ -225,15 +235,16 @@ class Problem:
         size = axes.max(axis=-1)
         offset = centers - poses[:, None, :2]
         rough_gaps = np.hypot(offset[..., 0], offset[..., 1]) - size
-        if len(ellipses) > DETAILED_OBSTACLES:
+        if len(pairs) > DETAILED_OBSTACLES:
             near = np.argpartition(rough_gaps, DETAILED_OBSTACLES, axis=1)[:, :DETAILED_OBSTACLES]
         else:
-            near = np.broadcast_to(np.arange(len(ellipses)), rough_gaps.shape)
+            near = np.broadcast_to(np.arange(len(pairs)), rough_gaps.shape)
         offset, near_centers, near_axes = (
             np.take_along_axis(values, near[..., None], axis=1)
             for values in (offset, centers, axes)
         )
-        gaps = box_gap(poses, self.model.half, near_centers, near_axes, ellipses.angles[near])
+        boxes, angles = pairs.boxes.select(near), pairs.ellipses.angles[near]
+        gaps = box_gap(poses, boxes, near_centers, near_axes, angles)
         cos, sin = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])
         a, b = self.model.half
         forward = (cos * offset[..., 0] + sin * offset[..., 1]) / a
@@ -250,8 +261,8 @@ class Problem:
         result: NDArray[np.intp] = np.take_along_axis(near, chosen, axis=1)
         return result
 
-    def _reachable(self, guess: Motion, ellipses: Ellipses) -> NDArray[np.bool_]:
-        """Return (M,) bool: obstacles that can come near, whatever the plan is."""
+    def _reachable(self, guess: Motion, pairs: Pairs) -> NDArray[np.bool_]:
+        """Return (M,) bool: pairs that can come near, whatever the plan is."""
         p = self.limits.parameters
         fastest = max(p.limits.linear_velocity, float(np.abs(guess.velocities).max()))
         # A motion there and back at twice the speed reaches as far as one that does not return.
@@ -260,13 +271,15 @@ class Problem:
             guess.times[[0, -1]],
             np.tile(guess.poses[0], (2, 1)),
             there_and_back,
-            self.model.half,
-            ellipses,
+            pairs.boxes,
+            pairs.ellipses,
             p.safety.clearance,
         )
 
-    def _sag(self, guess: Motion, velocities: Array, axes: Array) -> Array:
+    def _sag(self, guess: Motion, radius: Array, velocities: Array, axes: Array) -> Array:
         """Return the depth (N, M) [m] to which the robot could enter an obstacle between nodes.
+
+        The points of the robot are within `radius` [m], one for all or (N, M), of base_link.
 
         The smallest distance of a chord of length L from the centre of its circle of radius r is
         sqrt(r^2 - L^2 / 4). On the circle of radius sqrt(c^2 + L^2 / 4) this is c, the smallest
@@ -274,8 +287,25 @@ class Problem:
         """
         span = np.diff(guess.times)[:, None]
         relative = guess.velocities[1:, None, :2] - velocities
-        corner_speed = math.hypot(*self.model.half) * np.abs(guess.velocities[1:, 2:])
+        corner_speed = radius * np.abs(guess.velocities[1:, 2:])
         travel = span * (np.hypot(relative[..., 0], relative[..., 1]) + corner_speed)
-        radius = axes.min(axis=-1) ** 2 / axes.max(axis=-1)
-        result: Array = np.sqrt(radius**2 + 0.25 * travel**2) - radius
+        bend = axes.min(axis=-1) ** 2 / axes.max(axis=-1)
+        result: Array = np.sqrt(bend**2 + 0.25 * travel**2) - bend
         return result
+
+
+def farthest_points(headings: Array, outline: Rectangles) -> Array:
+    """Return the two points that are the farthest towards each side of the workspace.
+
+    Args:
+        headings: (N,) headings of the robot in odom [rad].
+        outline: Outline of the robot.
+
+    Returns:
+        (N, 8, 2) points in base_link [m]: two for each of x_min, x_max, y_min and y_max.
+    """
+    corners = outline.corners.reshape(-1, 2)
+    c, s = np.cos(headings)[:, None], np.sin(headings)[:, None]
+    x, y = c * corners[:, 0] - s * corners[:, 1], s * corners[:, 0] + c * corners[:, 1]
+    order = np.argsort(np.stack((x, -x, y, -y), axis=1), axis=-1)[..., : EXTREMES // 4]
+    return corners[order].reshape(len(headings), EXTREMES, 2)

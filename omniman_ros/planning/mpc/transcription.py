@@ -17,9 +17,13 @@ from omniman_ros.planning.mpc.model import STATES, PlanningModel
 Indices = NDArray[np.intp]
 """Array of indices into the entries of a program."""
 
-OBSTACLE = 7
-"""Number of values of an obstacle at a node: centre, whitening matrix (row by row), scale."""
-FIXED = 25
+OBSTACLE = 13
+"""Number of values of an obstacle at a node: centre, whitening matrix (row by row) and scale; and
+of the box of the robot that keeps clear of it: centre, direction (cosine and sine), half length
+and half width."""
+EXTREMES = 8
+"""Number of points of the outline that are kept in the workspace: two for each of its sides."""
+FIXED = 25 + 2 * EXTREMES
 """Number of a stage's parameters before those of its obstacles."""
 SIDES = 12
 """Number of sides of the polygon inside the circle of a linear limit: it is at most 3.4 % smaller.
@@ -42,7 +46,9 @@ class Stage:
         slack: Weights of the slack, linear [J/m] and quadratic [J/m^2].
         direction: Direction in odom in which the limits of linear speed and acceleration are
             fully available [rad]; elsewhere a polygon replaces their circle.
-        obstacles: (N, M, 7) obstacles, see OBSTACLE.
+        obstacles: (N, M, 13) obstacles and boxes, see OBSTACLE.
+        extremes: (N, 8, 2) points of the robot in base_link that are the farthest towards x_min,
+            x_max, y_min and y_max, two each [m].
     """
 
     limits: Array
@@ -52,14 +58,16 @@ class Stage:
     energy: float
     slack: tuple[float, float]
     obstacles: Array
+    extremes: Array
     direction: float = 0.0
 
     def table(self) -> Array:
-        """Return the parameters (N, FIXED + 7 M) in the layout of `Transcription.program`."""
+        """Return the parameters (N, FIXED + 13 M) in the layout of `Transcription.program`."""
         steps = len(self.limits)
         same = np.concatenate([self.workspace, [self.energy], self.slack, [self.direction]])
         head = np.hstack([self.limits, self.target, self.weights, np.tile(same, (steps, 1))])
-        return np.hstack([head, self.obstacles.reshape(steps, -1)])
+        rest = self.extremes.reshape(steps, -1), self.obstacles.reshape(steps, -1)
+        return np.hstack([head, *rest])
 
 
 class Transcription:
@@ -246,30 +254,20 @@ class Transcription:
         within(rate[2], limits[5])
         self.relaxed = sum(entry[0].size1() for entry in rows)
         low, high = p[17:19], p[19:21]
-        corners = self._corners(y)
-        for corner in corners:
-            for axis in (0, 1):
-                out = corner[axis] - y[axis]
-                gap = ca.if_else(out > 0, high[axis] - corner[axis], corner[axis] - low[axis])
-                rows.append((gap, ca.SX(0), ca.SX(ca.inf)))
+        for k in range(EXTREMES):
+            at, (axis, side) = 25 + 2 * k, divmod(k // 2, 2)
+            point = y[:2] + _rotated(y[2], p[at : at + 2])
+            gap = high[axis] - point[axis] if side else point[axis] - low[axis]
+            rows.append((gap, ca.SX(0), ca.SX(ca.inf)))
         for k in range(self.slots):
             at = FIXED + OBSTACLE * k
-            for gap in self._gaps(y, corners, p[at : at + OBSTACLE]):
+            for gap in self._gaps(y, p[at : at + OBSTACLE]):
                 rows.append((gap, ca.SX(0), ca.SX(ca.inf)))
         value, low_end, high_end = (ca.vertcat(*part) for part in zip(*rows, strict=True))
         return value, low_end, high_end
 
-    def _corners(self, y: ca.SX) -> list[ca.SX]:
-        """Return the corners of the bounding box in odom, counter-clockwise."""
-        a, b = self.model.half
-        c, s = ca.cos(y[2]), ca.sin(y[2])
-        return [
-            y[:2] + ca.vertcat(c * w - s * h, s * w + c * h)
-            for w, h in ((a, b), (-a, b), (-a, -b), (a, -b))
-        ]
-
-    def _gaps(self, y: ca.SX, corners: list[ca.SX], obstacle: ca.SX) -> list[ca.SX]:
-        """Return the gap between each edge of the box and the ellipse [m], four rows.
+    def _gaps(self, y: ca.SX, obstacle: ca.SX) -> list[ca.SX]:
+        """Return the gap between each edge of the obstacle's box and the ellipse [m], four rows.
 
         In the plane whitened by the ellipse, the distance of its centre from an edge, which is a
         segment, is exact. If the centre is inside the box, only the nearest edge counts, which has
@@ -278,18 +276,27 @@ class Transcription:
         centre, scale = obstacle[:2], obstacle[6]
         white = ca.reshape(obstacle[2:6], 2, 2).T
         c, s = ca.cos(y[2]), ca.sin(y[2])
-        offset = centre - y[:2]
-        a, b = self.model.half
-        body = ca.vertcat(c * offset[0] + s * offset[1], c * offset[1] - s * offset[0])
+        # Direction of the box in odom, and its centre.
+        along = ca.vertcat(c * obstacle[9] - s * obstacle[10], s * obstacle[9] + c * obstacle[10])
+        across = ca.vertcat(-along[1], along[0])
+        middle = y[:2] + ca.vertcat(
+            c * obstacle[7] - s * obstacle[8], s * obstacle[7] + c * obstacle[8]
+        )
+        a, b = obstacle[11], obstacle[12]
+        corners = [
+            middle + side * a * along + edge * b * across
+            for side, edge in ((1, 1), (-1, 1), (-1, -1), (1, -1))
+        ]
+        body = ca.vertcat(ca.dot(along, centre - middle), ca.dot(across, centre - middle))
         depths = ca.vertcat(b - body[1], a + body[0], b + body[1], a - body[0])
         nearest = ca.mmin(depths)
         inside = nearest > 0
         gaps = []
         for k in range(4):
             start = white @ (corners[k] - centre)
-            along = white @ (corners[(k + 1) % 4] - corners[k])
-            share = ca.fmin(ca.fmax(-ca.dot(start, along) / ca.dot(along, along), 0), 1)
-            distance = ca.sqrt(ca.sumsqr(start + share * along) + 1e-9)
+            edge = white @ (corners[(k + 1) % 4] - corners[k])
+            share = ca.fmin(ca.fmax(-ca.dot(start, edge) / ca.dot(edge, edge), 0), 1)
+            distance = ca.sqrt(ca.sumsqr(start + share * edge) + 1e-9)
             within = ca.if_else(depths[k] <= nearest, -distance, INACTIVE_GAP)
             gaps.append(scale * (ca.if_else(inside, within, distance) - 1))
         return gaps

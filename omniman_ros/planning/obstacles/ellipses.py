@@ -1,6 +1,6 @@
 """Obstacles as moving ellipses, and prediction of their positions."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,9 @@ class Ellipses:
         semi_axes: (M, 2) semi-axes along the ellipses' own x and y axes [m], above zero.
         angles: (M,) angles of the ellipses' x axes in odom [rad].
         growth: (M,) rates at which the margin around each grows with predicted time [m/s].
+        lower: (M,) heights of the obstacles' lower sides above the floor [m]; by default minus
+            infinity.
+        upper: (M,) heights of their upper sides [m]; by default infinity.
     """
 
     time: float
@@ -28,6 +31,13 @@ class Ellipses:
     semi_axes: Array
     angles: Array
     growth: Array
+    lower: Array = field(default_factory=lambda: np.zeros(0))
+    upper: Array = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        for name, value in (("lower", -np.inf), ("upper", np.inf)):
+            if not len(getattr(self, name)):
+                object.__setattr__(self, name, np.full(len(self), value))
 
     def __len__(self) -> int:
         return len(self.centers)
@@ -47,6 +57,8 @@ class Ellipses:
             self.semi_axes[indices],
             self.angles[indices],
             self.growth[indices],
+            self.lower[indices],
+            self.upper[indices],
         )
 
     def joined(self, others: "Ellipses") -> "Ellipses":
@@ -58,6 +70,8 @@ class Ellipses:
             np.concatenate([self.semi_axes, others.semi_axes]),
             np.concatenate([self.angles, others.angles]),
             np.concatenate([self.growth, others.growth]),
+            np.concatenate([self.lower, others.lower]),
+            np.concatenate([self.upper, others.upper]),
         )
 
     def centers_at(self, times: Array) -> Array:

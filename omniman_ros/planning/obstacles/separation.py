@@ -1,4 +1,7 @@
-"""Distance of the robot's box from moving ellipses, at poses and in the motion between them."""
+"""Distance of the robot's boxes from moving ellipses, at poses and in the motion between them.
+
+A box is a rectangle that is fixed to base_link. There is one for all obstacles, or one for each.
+"""
 
 import math
 from dataclasses import dataclass
@@ -6,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.planning.obstacles.ellipses import Ellipses
@@ -16,7 +20,9 @@ Workspace = tuple[float, float, float, float]
 """Bounds x_min, y_min, x_max, y_max in odom [m]."""
 
 
-def box_gap(poses: Array, half: Array, centers: Array, semi_axes: Array, angles: Array) -> Array:
+def box_gap(
+    poses: Array, box: Rectangles, centers: Array, semi_axes: Array, angles: Array
+) -> Array:
     """Return a lower bound of the distance from the box to each ellipse, both filled.
 
     Whitened by the ellipse, this is a unit disc and the box a parallelogram; d is the signed
@@ -27,8 +33,8 @@ def box_gap(poses: Array, half: Array, centers: Array, semi_axes: Array, angles:
     which is returned where d <= 1: there the two touch or overlap.
 
     Args:
-        poses: (K, 3) x, y, theta of the box's centre in odom [m, m, rad].
-        half: (2,) half length and half width of the box [m], above zero.
+        poses: (K, 3) poses of base_link in odom [m, m, rad].
+        box: One box, or boxes (M,) or (K, M).
         centers: (K, M, 2) of the ellipses in odom [m].
         semi_axes: (K, M, 2) [m], above zero.
         angles: (M,) or (K, M) of the ellipses' x axes in odom [rad].
@@ -39,22 +45,23 @@ def box_gap(poses: Array, half: Array, centers: Array, semi_axes: Array, angles:
         contains the other; -inf where an input is not finite, so that every comparison fails.
     """
     with np.errstate(invalid="ignore", over="ignore"):
-        return _finite(_nearest(_placed(poses, half, centers, angles), semi_axes).gap)
+        return _finite(_nearest(_placed(poses, box, centers, angles), semi_axes).gap)
 
 
 def swept_gap(
     times: Array,
     poses: Array,
     velocities: Array,
-    half: Array,
+    box: Rectangles,
     ellipses: Ellipses,
     margin: float = 0.0,
 ) -> Array:
     """Return a lower bound of the distance of `box_gap` over each interval between two samples.
 
-    The box's linear and angular acceleration are assumed to be constant between two samples. Its
-    speeds relative to an obstacle then are convex in time: none exceeds the larger of its values
-    at the two ends. Two bounds hold; the larger is returned, but no more than the gap at an end:
+    The linear and angular acceleration of base_link are assumed to be constant between two
+    samples. Its speeds relative to an obstacle then are convex in time: none exceeds the larger of
+    its values at the two ends. Two bounds hold; the larger is returned, but no more than the gap
+    at an end:
 
     * (g0 + g1 - L) / 2, where g0 and g1 are the gaps at the ends and L is the largest travel of
       any point of the box relative to the obstacle plus the growth of the obstacle, as the
@@ -65,9 +72,9 @@ def swept_gap(
 
     Args:
         times: (K,) increasing [s], two or more.
-        poses: (K, 3) x, y, theta of the box's centre in odom [m, m, rad].
-        velocities: (K, 3) of the box's centre in odom [m/s, m/s, rad/s].
-        half: (2,) half length and half width of the box [m], above zero.
+        poses: (K, 3) poses of base_link in odom [m, m, rad].
+        velocities: (K, 3) of base_link in odom [m/s, m/s, rad/s].
+        box: One box, or boxes (M,).
         ellipses: M obstacles.
         margin: Margin around each obstacle in addition to its growth [m].
 
@@ -81,13 +88,14 @@ def swept_gap(
     dt = _intervals(times)[:, None]
     with np.errstate(invalid="ignore", over="ignore"):
         axes = ellipses.axes_at(times, margin)
-        box = _placed(poses, half, ellipses.centers_at(times), ellipses.angles)
-        near = _nearest(box, axes)
-        start, end, before, after = near.gap[:-1], near.gap[1:], box[:-1], box[1:]
+        placed = _placed(poses, box, ellipses.centers_at(times), ellipses.angles)
+        near = _nearest(placed, axes)
+        start, end = near.gap[:-1], near.gap[1:]
+        before, after = placed[:-1], placed[1:]
         # An ellipse whose axes grow by this stays within this distance of the original one.
         growth = np.abs(np.diff(axes, axis=0)).max(axis=-1, initial=0.0)
 
-        radius = math.hypot(*half)
+        radius = box.radius
         relative = velocities[:, None, :2] - ellipses.velocities
         speed = np.hypot(relative[..., 0], relative[..., 1])
         yaw_rate = np.abs(velocities[:, 2:])
@@ -113,7 +121,7 @@ def within_reach(
     times: Array,
     poses: Array,
     velocities: Array,
-    half: Array,
+    box: Rectangles,
     ellipses: Ellipses,
     margin: float = 0.0,
 ) -> Mask:
@@ -137,7 +145,7 @@ def within_reach(
     speed = np.hypot(velocities[:, 0], velocities[:, 1])
     detour = 0.5 * float((dt * np.maximum(speed[:-1], speed[1:])).max())
     offset = positions - middle
-    radius = float(np.hypot(offset[:, 0], offset[:, 1]).max()) + math.hypot(*half) + detour
+    radius = float(np.hypot(offset[:, 0], offset[:, 1]).max()) + box.radius + detour
     ends = times[[0, -1]]
     first, last = ellipses.centers_at(ends) - middle
     travel = last - first
@@ -153,7 +161,7 @@ def first_contact(
     times: Array,
     poses: Array,
     velocities: Array,
-    half: Array,
+    box: Rectangles,
     ellipses: Ellipses,
     margin: float = 0.0,
 ) -> float:
@@ -172,22 +180,23 @@ def first_contact(
     fit = np.isfinite(poses).all(axis=1) & np.isfinite(velocities).all(axis=1)
     count = len(times) if fit.all() else int(np.argmin(fit))
     if count >= 2:
-        known = times[:count], poses[:count], velocities[:count], half
-        close = ellipses.select(within_reach(*known, ellipses, margin))
-        contact = ~(swept_gap(*known, close, margin) > 0.0).all(axis=1)
+        known = times[:count], poses[:count], velocities[:count]
+        near = within_reach(*known, box, ellipses, margin)
+        gaps = swept_gap(*known, box.select(near), ellipses.select(near), margin)
+        contact = ~(gaps > 0.0).all(axis=1)
         if contact.any():
             return float(times[np.argmax(contact)])
     return math.inf if count == len(times) else float(times[max(count - 1, 0)])
 
 
-def outside_by(poses: Array, half: Array, workspace: Workspace) -> Array:
-    """Return the distance by which the box leaves the workspace.
+def outside_by(poses: Array, boxes: Rectangles, workspace: Workspace) -> Array:
+    """Return the distance by which the boxes leave the workspace.
 
     MPC 2021 (29) and (30), the latter corrected.
 
     Args:
-        poses: (K, 3) x, y, theta of the box's centre in odom [m, m, rad].
-        half: (2,) half length and half width of the box [m].
+        poses: (K, 3) poses of base_link in odom [m, m, rad].
+        boxes: One box, or boxes (P,).
         workspace: x_min, y_min, x_max, y_max in odom [m].
 
     Returns:
@@ -195,11 +204,15 @@ def outside_by(poses: Array, half: Array, workspace: Workspace) -> Array:
         corners from the nearest side inside; inf for a pose that is not finite.
     """
     with np.errstate(invalid="ignore"):
-        c, s = np.abs(np.cos(poses[:, 2])), np.abs(np.sin(poses[:, 2]))
-        extent = np.stack((half[0] * c + half[1] * s, half[0] * s + half[1] * c), axis=1)
         low, high = np.array(workspace[:2]), np.array(workspace[2:])
-        beyond = np.maximum(low - poses[:, :2], poses[:, :2] - high) + extent
-    result: Array = beyond.max(axis=1)
+        result: Array = np.full(len(poses), -np.inf)
+        for box in boxes.each():
+            own = box.poses(poses)
+            c, s = np.abs(np.cos(own[:, 2])), np.abs(np.sin(own[:, 2]))
+            a, b = box.half
+            extent = np.stack((a * c + b * s, a * s + b * c), axis=1)
+            beyond = np.maximum(low - own[:, :2], own[:, :2] - high) + extent
+            result = np.maximum(result, beyond.max(axis=1))
     return np.where(np.isfinite(result), result, np.inf)
 
 
@@ -232,14 +245,17 @@ class _Nearest:
         return _Nearest(self.gap[rows], self.x[rows], self.y[rows])
 
 
-def _placed(poses: Array, half: Array, centers: Array, angles: Array) -> _Placed:
+def _placed(poses: Array, box: Rectangles, centers: Array, angles: Array) -> _Placed:
     """Express the box in the axes of the ellipses: rotated by their angles, not scaled yet."""
-    dx, dy = poses[:, :1] - centers[..., 0], poses[:, 1:2] - centers[..., 1]
+    cos, sin = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])
+    x, y = box.centre[..., 0], box.centre[..., 1]
+    dx = poses[:, :1] + (cos * x - sin * y) - centers[..., 0]
+    dy = poses[:, 1:2] + (sin * x + cos * y) - centers[..., 1]
     c, s = np.cos(angles), np.sin(angles)
-    heading = poses[:, 2:] - angles
+    heading = poses[:, 2:] + box.yaw - angles
     ch, sh = np.cos(heading), np.sin(heading)
-    length = half[0] * ch, half[0] * sh
-    return _Placed(c * dx + s * dy, c * dy - s * dx, length, (-half[1] * sh, half[1] * ch))
+    a, b = box.half[..., 0], box.half[..., 1]
+    return _Placed(c * dx + s * dy, c * dy - s * dx, (a * ch, a * sh), (-b * sh, b * ch))
 
 
 def _nearest(box: _Placed, semi_axes: Array) -> _Nearest:

@@ -1,10 +1,11 @@
-"""Occupied cells of a map as discs of one radius, with a fast clearance of a box from them."""
+"""Occupied cells of a map as discs of one radius, with a fast clearance of boxes from them."""
 
 import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.core.arrays import Array
 from omniman_ros.planning.obstacles.ellipses import Ellipses
 
@@ -50,25 +51,26 @@ class Walls:
         axes = np.full((count, 2), self.radius)
         return Ellipses(time, self.centers, np.zeros((count, 2)), axes, none, none)
 
-    def gaps(self, poses: Array, half: Array) -> Array:
-        """Return the distance from a box to the nearest disc, pose by pose.
+    def gaps(self, poses: Array, boxes: Rectangles) -> Array:
+        """Return the distance from boxes to the nearest disc, pose by pose.
 
         Args:
-            poses: (K, 3) poses of the box's centre in odom [m, m, rad].
-            half: (2,) half length and half width of the box [m].
+            poses: (K, 3) poses of base_link in odom [m, m, rad].
+            boxes: One box, or boxes (P,).
 
         Returns:
-            (K,) distances [m], at most REACH; negative by the depth to which a disc enters the
+            (K,) distances [m], at most REACH; negative by the depth to which a disc enters a
             box; -inf where a pose is not finite.
         """
         finite = np.isfinite(poses).all(axis=1)
         result = np.where(finite, REACH, -math.inf)
         if len(self) and finite.any():
-            result[finite] = self._gaps(poses[finite], half)
+            each = [self._gaps(box.poses(poses[finite]), box.half) for box in boxes.each()]
+            result[finite] = np.min(each, axis=0)
         return result
 
     def _gaps(self, poses: Array, half: Array) -> Array:
-        """Return the distances of :meth:`gaps` for one or more poses, all finite."""
+        """Return the distances of one box, half (2,) [m], at poses of its centre, all finite."""
         result = np.full(len(poses), REACH)
         cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
         size = math.hypot(*half) + self.radius + REACH
@@ -97,25 +99,25 @@ class Walls:
         return Walls(strip[beside], self.radius)
 
     def swept(
-        self, times: Array, poses: Array, velocities: Array, half: Array
+        self, times: Array, poses: Array, velocities: Array, boxes: Rectangles
     ) -> tuple[Array, Array]:
         """Return gaps at samples of a motion, and lower bounds over the intervals between them.
 
-        The distance changes by no more than L, the largest travel of any point of the box: between
+        The distance changes by no more than L, the largest travel of any point of a box: between
         two samples it is (g0 + g1 - L) / 2 or more.
 
         Args:
             times: (K,) increasing times [s].
-            poses: (K, 3) poses in odom [m, m, rad].
+            poses: (K, 3) poses of base_link in odom [m, m, rad].
             velocities: (K, 3) velocities in odom [m/s, m/s, rad/s]; between two samples no speed
                 is above those at both of them.
-            half: (2,) half length and half width of the box [m].
+            boxes: One box, or boxes (P,).
 
         Returns:
             Gaps (K,) at the samples, and lower bounds (K - 1,) between them [m].
         """
-        gaps = self.gaps(poses, half)
+        gaps = self.gaps(poses, boxes)
         speed = np.hypot(velocities[:, 0], velocities[:, 1])
-        speed = speed + math.hypot(*half) * np.abs(velocities[:, 2])
+        speed = speed + boxes.radius.max() * np.abs(velocities[:, 2])
         travel = np.diff(times) * np.maximum(speed[:-1], speed[1:])
         return gaps, 0.5 * (gaps[:-1] + gaps[1:] - travel)

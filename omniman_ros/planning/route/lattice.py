@@ -143,13 +143,15 @@ class Lattice:
     Args:
         frame: Frame of the nodes.
         region: Nodes to use.
-        headings: Number of headings per revolution, even, up to 128.
+        headings: Number of headings per revolution, even, up to 128, or 64 without symmetry.
         ends: (2, 3) start and goal in odom [m, m, rad].
+        is_symmetric: Whether the robot covers the same area after half a revolution.
 
     Attributes:
         ends: (2, 3) start and goal in the frame of the lattice.
         turn: Angle from a heading to the next [rad].
-        bits: Number of headings in half a revolution, after which the box covers the same area.
+        bits: Number of headings after which the robot covers the same area: those in half a
+            revolution with symmetry, else all.
         turns: (bits,) these headings [rad].
         x: (columns,) x of the nodes [m].
         y: (rows,) y of the nodes [m].
@@ -157,11 +159,13 @@ class Lattice:
         ways: (9,) lengths of these moves [m].
     """
 
-    def __init__(self, frame: Frame, region: Region, headings: int, ends: Array) -> None:
+    def __init__(
+        self, frame: Frame, region: Region, headings: int, ends: Array, is_symmetric: bool = True
+    ) -> None:
         self.frame, self.region, self.headings = frame, region, headings
         self.ends = frame.own(ends)
         self.turn = math.tau / headings
-        self.bits = headings // 2
+        self.bits = headings // 2 if is_symmetric else headings
         self.turns = self.turn * np.arange(self.bits, dtype=np.float64)
         self.x = frame.edge * (region.first[0] + np.arange(region.columns))
         self.y = frame.edge * (region.first[1] + np.arange(region.rows))

@@ -1,8 +1,8 @@
 """Occupancy of a lattice: a word of headings for each node and each level of the gap.
 
-A set bit means that the box at the node is closer to an obstacle or the workspace's edge than the
-level allows: bit k stands for the heading k and, as the box covers the same area after half a
-revolution, for its opposite.
+A set bit means that the robot at the node is closer to an obstacle or the workspace's edge than
+the level allows: bit k stands for the heading k and, if the robot covers the same area after half
+a revolution, for its opposite.
 """
 
 import math
@@ -11,9 +11,11 @@ from collections.abc import Generator
 import numpy as np
 from numpy.typing import NDArray
 
+from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.core.arrays import Array
 from omniman_ros.planning.obstacles.ellipses import inflated
 from omniman_ros.planning.obstacles.grid_map import GridMap
+from omniman_ros.planning.obstacles.pairs import Pairs
 from omniman_ros.planning.obstacles.separation import box_gap
 from omniman_ros.planning.route.lattice import Lattice, Work
 from omniman_ros.planning.route.problem import LEAST_ROOM, RouteProblem
@@ -29,8 +31,8 @@ ONE = np.uint64(1)
 """Word whose first bit is set."""
 
 EASED_RADII = 3.0
-"""Distance within which a tight start or goal lowers the margin [radii of the box], which suffices
-for the box to leave it entirely."""
+"""Distance within which a tight start or goal lowers the margin [radii of the robot], which
+suffices for the robot to leave it entirely."""
 PIECE = 40_000
 """Approximate number of poses in each piece in which an obstacle is marked."""
 MAX_KINDS = 200
@@ -64,7 +66,7 @@ class HeadingOccupancy:
         self._tight = lattice.ends[tight, :2]
         self._eased = float(0.5 * room[tight].min(initial=2.0 * rooms.floor))
         self._thresholds = np.array([*rooms.levels, self._eased][: 5 if tight.any() else 4])
-        self._far = problem.radius + float(self._thresholds.max())
+        self._reach = float(self._thresholds.max())
         self.full = np.uint64((1 << lattice.bits) - 1)
         self.words: Words = np.zeros((len(self._thresholds), region.size), dtype=np.uint64)
         self._view = self.words.reshape(-1, region.rows, region.columns)
@@ -72,12 +74,15 @@ class HeadingOccupancy:
     def fill(self) -> Work:
         """Mark the states that are too close to an obstacle, the map or the workspace's edge."""
         problem, frame = self._problem, self._lattice.frame
-        known = problem.obstacles
+        pairs = Pairs.of(problem.footprint, problem.obstacles)
+        known = pairs.ellipses
         centers, angles = frame.own(known.centers), known.angles - frame.yaw
-        for center, axes, angle in zip(centers, known.semi_axes, angles, strict=True):
-            yield from self._stamp(center, axes, float(angle))
-        if problem.grid is not None:  # the box cannot pass the cells at the boundary
-            yield from self._stamp_cells(problem.grid)
+        for k, (center, angle) in enumerate(zip(centers, angles.tolist(), strict=True)):
+            box = pairs.boxes.select(np.array(k))
+            yield from self._stamp(box, center, known.semi_axes[k], angle)
+        if problem.grid is not None:  # the robot cannot pass the cells at the boundary
+            for box in problem.footprint.whole.each():
+                yield from self._stamp_cells(box, problem.grid)
         self._bound()
         self._ease()
         least = self._view[0]
@@ -86,7 +91,7 @@ class HeadingOccupancy:
         yield self._lattice.region.size // 100
 
     def taken(self, nodes: Index, headings: Index) -> Mask:
-        """Return (N,) bool: nodes (N,) and headings (N,) at which the box is too close."""
+        """Return (N,) bool: nodes (N,) and headings (N,) at which the robot is too close."""
         shift = (headings % self._lattice.bits).astype(np.uint64)
         result: Mask = (self.words[0, nodes] >> shift & ONE).astype(bool)
         return result
@@ -107,10 +112,10 @@ class HeadingOccupancy:
 
     # ---- one obstacle -----------------------------------------------------------------------
 
-    def _stamp(self, center: Array, axes: Array, angle: float) -> Work:
+    def _stamp(self, box: Rectangles, center: Array, axes: Array, angle: float) -> Work:
         """Mark an ellipse by its centre (2,), semi-axes (2,) and angle in the lattice's frame."""
         edge, region = self._lattice.frame.edge, self._lattice.region
-        a, b = inflated(axes, self._far)
+        a, b = inflated(axes, self._far(box))
         c, s = math.cos(angle), math.sin(angle)
         extent = np.array([math.hypot(a * c, b * s), math.hypot(a * s, b * c)])
         low = np.ceil((center - extent) / edge).astype(np.intp) - region.first
@@ -124,57 +129,60 @@ class HeadingOccupancy:
         rows = max(1, PIECE // (effort * self._lattice.bits * int(high[0] - low[0])))
         for first in range(int(low[1]), int(high[1]), rows):
             last = min(first + rows, int(high[1]))
-            marks, work = self._marks(
-                center, axes, angle, np.array([low[0], first]), np.array([high[0], last])
-            )
+            nodes = np.array([[low[0], first], [high[0], last]])
+            marks, work = self._marks(box, center, axes, angle, nodes)
             self._view[:, first:last, low[0] : high[0]] |= marks
             yield 50 + effort * work
 
+    def _far(self, box: Rectangles) -> float:
+        """Return the distance from base_link beyond which an obstacle marks nothing [m]."""
+        return float(box.radius) + self._reach
+
     def _marks(
-        self, center: Array, axes: Array, angle: float, low: Index, high: Index
+        self, box: Rectangles, center: Array, axes: Array, angle: float, nodes: Index
     ) -> tuple[Words, int]:
         """Return the words of an ellipse for some nodes.
 
         Args:
+            box: Part of the robot.
             center: (2,) centre in the lattice's frame [m].
             axes: (2,) semi-axes [m].
             angle: Angle of its x axis in the lattice's frame [rad].
-            low: (2,) column and row of the first node.
-            high: (2,) column and row after those of the last one.
+            nodes: (2, 2) column and row of the first node, and those after the last one.
 
         Returns:
             Words (levels, rows, columns), and the work that was done [expansions].
         """
-        lattice, half = self._lattice, self._problem.half
+        lattice, (low, high) = self._lattice, nodes
         edge, first = lattice.frame.edge, lattice.region.first
         x = edge * (first[0] + np.arange(low[0], high[0])) - center[0]
         y = edge * (first[1] + np.arange(low[1], high[1])) - center[1]
         c, s = math.cos(angle), math.sin(angle)
         u, v = c * x + s * y[:, None], c * y[:, None] - s * x
-        a, b = inflated(axes, self._far)
-        # The box contains a disc: within the axes plus its radius the box touches the ellipse.
-        inner = axes + 0.999 * half.min()
-        within = (u / inner[0]) ** 2 + (v / inner[1]) ** 2 < 1.0
+        a, b = inflated(axes, self._far(box))
+        # A centred box contains a disc: within the axes plus its radius it touches the ellipse.
+        inner = axes + 0.999 * float(box.half.min())
+        within = (u / inner[0]) ** 2 + (v / inner[1]) ** 2 < float(not box.centre.any())
         ring = ~within & ((u / a) ** 2 + (v / b) ** 2 < 1.0)
         result: Words = np.zeros((len(self._thresholds), len(y), len(x)), dtype=np.uint64)
         result[:, within] = self.full
-        gap = _gaps(u[ring], v[ring], lattice.turns - angle, half, axes)
+        gap = _gaps(u[ring], v[ring], lattice.turns - angle, box, axes)
         for level, threshold in enumerate(self._thresholds):
             result[level, ring] = _packed(gap < threshold)
         return result, gap.size // 80
 
     # ---- the cells of a map -----------------------------------------------------------------
 
-    def _stamp_cells(self, grid: GridMap) -> Work:
+    def _stamp_cells(self, box: Rectangles, grid: GridMap) -> Work:
         """Mark the occupied cells, all cells with the same offset from a node together."""
         edge, region = self._lattice.frame.edge, self._lattice.region
-        reach = math.ceil((self._far + grid.radius) / edge) + 1
+        reach = math.ceil((self._far(box) + grid.radius) / edge) + 1
         corners, kind, shifts = yield from self._kinds(reach)
         axes = np.array([grid.radius, grid.radius])
-        low = np.array([-reach, -reach])
+        nodes = np.array([[-reach, -reach], [reach + 1, reach + 1]])
         for number, shift in enumerate(shifts):
             center = edge * (shift + region.first)
-            marks, work = self._marks(center, axes, 0.0, low, low + 2 * reach + 1)
+            marks, work = self._marks(box, center, axes, 0.0, nodes)
             yield 50 + work
             yield from self._repeat(marks, corners[kind == number])
 
@@ -223,20 +231,19 @@ class HeadingOccupancy:
 
     def _bound(self) -> None:
         """Mark everything beyond the workspace."""
-        lattice, half = self._lattice, self._problem.half
+        lattice, whole = self._lattice, self._problem.footprint.whole
         yaw = lattice.frame.yaw
         x_min, y_min, x_max, y_max = self._problem.workspace
         headings = lattice.turns + yaw
-        cos, sin = np.abs(np.cos(headings)), np.abs(np.sin(headings))
-        along_x, along_y = half[0] * cos + half[1] * sin, half[0] * sin + half[1] * cos
+        towards = [whole.support(0.5 * math.pi * quarter - headings) for quarter in range(4)]
         corner = lattice.frame.odom(np.array([[lattice.x[0], lattice.y[0], 0.0]]))[0]
         c, s = math.cos(yaw), math.sin(yaw)
         dx, dy = lattice.x - lattice.x[0], (lattice.y - lattice.y[0])[:, None]
         sides = (
-            (corner[0] - x_min, c, -s, along_x),
-            (x_max - corner[0], -c, s, along_x),
-            (corner[1] - y_min, s, c, along_y),
-            (y_max - corner[1], -s, -c, along_y),
+            (corner[0] - x_min, c, -s, towards[2]),
+            (x_max - corner[0], -c, s, towards[0]),
+            (corner[1] - y_min, s, c, towards[3]),
+            (y_max - corner[1], -s, -c, towards[1]),
         )
         for base, by_x, by_y, extents in sides:
             inward = base + by_x * dx + by_y * dy
@@ -266,23 +273,24 @@ def _packed(bits: Mask) -> Words:
     return joined.view("<u8")[:, 0].astype(np.uint64)
 
 
-def _gaps(u: Array, v: Array, headings: Array, half: Array, axes: Array) -> Array:
-    """Return gaps (N, n) [m] from the box to an ellipse that does not contain its centre.
+def _gaps(u: Array, v: Array, headings: Array, box: Rectangles, axes: Array) -> Array:
+    """Return gaps (N, n) [m] from a box to an ellipse.
 
     Args:
-        u: (N,) positions of the box along the ellipse's x axis [m].
-        v: (N,) positions of the box along its y axis [m].
-        headings: (n,) headings of the box relative to these axes [rad].
-        half: (2,) half length and half width of the box [m].
+        u: (N,) positions of base_link along the ellipse's x axis [m].
+        v: (N,) positions along its y axis [m].
+        headings: (n,) headings of base_link relative to these axes [rad].
+        box: The box.
         axes: (2,) semi-axes [m].
     """
     if axes[0] == axes[1]:
-        cos, sin = np.cos(headings), np.sin(headings)
-        forward = np.abs(np.outer(u, cos) + np.outer(v, sin)) - half[0]
-        lateral = np.abs(np.outer(v, cos) - np.outer(u, sin)) - half[1]
+        cos, sin = np.cos(headings + box.yaw), np.sin(headings + box.yaw)
+        ahead, beside = box.own_centre
+        forward = np.abs(np.outer(u, cos) + np.outer(v, sin) + ahead) - box.half[0]
+        lateral = np.abs(np.outer(v, cos) - np.outer(u, sin) + beside) - box.half[1]
         gap: Array = np.hypot(np.maximum(forward, 0.0), np.maximum(lateral, 0.0)) - axes[0]
         return gap
     count = len(headings)
     poses = np.column_stack([np.repeat(u, count), np.repeat(v, count), np.tile(headings, len(u))])
     center = np.zeros((1, 1, 2))
-    return box_gap(poses, half, center, axes[None, None], np.zeros(1)).reshape(-1, count)
+    return box_gap(poses, box, center, axes[None, None], np.zeros(1)).reshape(-1, count)

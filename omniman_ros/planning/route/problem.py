@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from omniman_ros.collision.footprint import Footprint
 from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
@@ -18,7 +19,7 @@ NODE_GAP_FACTOR = 0.75
 PATH_GAP_FACTOR = 0.5
 """Ratio of the smallest gap between the nodes to the margin [-]."""
 LEAST_ROOM = 1e-3
-"""Gap below which the box counts as touching, without any margin [m]."""
+"""Gap below which the robot counts as touching, without any margin [m]."""
 COSTLY_GAPS = (0.05, 0.15)
 """Gaps in addition to the margin below which a route costs more, in two steps [m]."""
 FACTORS = np.array([1.0, 1.25, 1.75, 3.0], dtype=np.float32)
@@ -63,12 +64,12 @@ class RouteProblem:
     Attributes:
         start: (3,) start in odom [m, m, rad].
         goal: (3,) goal in odom [m, m, rad], its heading on any branch.
-        half: (2,) half length and half width of the box [m].
-        margin: Gap that is kept around the box where there is room [m].
+        footprint: Outline of the robot.
+        margin: Gap that is kept around the robot where there is room [m].
         speeds: Largest linear [m/s] and angular speed [rad/s].
         obstacles: All static obstacles but those of the map.
         grid: Map, or None.
-        workspace: (x_min, y_min, x_max, y_max) in odom that the box must not leave [m]; it is
+        workspace: (x_min, y_min, x_max, y_max) in odom that the robot must not leave [m]; it is
             widened if the start is outside of it by up to MAX_OUTSIDE.
         rooms: Gaps that follow from the margin.
         around: Obstacles, and discs that cover the map's occupied cells.
@@ -80,7 +81,7 @@ class RouteProblem:
 
     start: Array
     goal: Array
-    half: Array
+    footprint: Footprint
     margin: float
     speeds: tuple[float, float]
     obstacles: Ellipses
@@ -96,11 +97,9 @@ class RouteProblem:
                 raise InputError(f"route: {name} has shape {pose.shape}, expected (3,)")
             plausible.demand(pose[:2], plausible.LENGTH, f"route: {name}")
             plausible.demand(pose[2:], plausible.ANGLE, f"route: heading of the {name}")
-        half = self.half
-        if half.shape != (2,) or not (half.min() >= 0.01 and half.max() <= 10.0):
-            raise InputError(
-                f"route: half extents {half.tolist()} m must be two values from 0.01 to 10"
-            )
+        half = self.footprint.whole.half
+        if not (half.min() >= 0.01 and half.max() <= 10.0):
+            raise InputError(f"route: half extents {half.tolist()} m must be from 0.01 to 10")
         if not 0.0 <= self.margin <= 2.0:
             raise InputError(f"route: margin {self.margin} m must be from 0 to 2")
         if not all(0.0 < speed < math.inf for speed in self.speeds):
@@ -109,7 +108,7 @@ class RouteProblem:
         rooms, workspace = Rooms.of(self.margin), self._widened()
         cells = Ellipses.none() if self.grid is None else self.grid.ellipses()
         around = self.obstacles.joined(cells)
-        clearance = Clearance(half, around, workspace, rooms.levels[-1] + LEAST_ROOM)
+        clearance = Clearance(self.footprint, around, workspace, rooms.levels[-1] + LEAST_ROOM)
         for name, value in (
             ("workspace", workspace),
             ("rooms", rooms),
@@ -130,8 +129,8 @@ class RouteProblem:
 
     @property
     def radius(self) -> float:
-        """Radius of the disc that just covers the box [m]."""
-        return math.hypot(*self.half)
+        """Radius of the disc around base_link that just covers the robot [m]."""
+        return self.footprint.radius
 
     def room(self) -> Array:
         """Return the gaps (2,) at start and goal [m]; negative inside an occupied area."""
@@ -147,7 +146,7 @@ class RouteProblem:
 
     def _widened(self) -> Workspace:
         """Return the workspace, widened if the start is slightly outside."""
-        excess = float(outside_by(self.start[None], self.half, self.workspace)[0])
+        excess = float(outside_by(self.start[None], self.footprint.whole, self.workspace)[0])
         extra = excess + LEAST_ROOM if 0.0 < excess <= MAX_OUTSIDE else 0.0
         x_min, y_min, x_max, y_max = self.workspace
         return x_min - extra, y_min - extra, x_max + extra, y_max + extra

@@ -7,17 +7,20 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from omniman_ros.collision.footprint import Footprint
+from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.core import plausible, se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.planning.obstacles.ellipses import Ellipses
+from omniman_ros.planning.obstacles.pairs import Pairs
 from omniman_ros.planning.obstacles.separation import Workspace, box_gap, outside_by
 
 Index = NDArray[np.intp]
 """Array of indices of obstacles."""
 
 SPACING = 0.02
-"""Largest distance that a point of the box moves between two poses that are checked [m]."""
+"""Largest distance that a point of the robot moves between two poses that are checked [m]."""
 FINE_TURN = 0.5
 """Rotation above which a piece is divided for the projection [rad]."""
 LEVER = 0.3
@@ -126,39 +129,39 @@ class Route:
         return float(knots[best] + share[best] * (knots[best + 1] - knots[best]))
 
     def samples(
-        self, half: Array, first: float = 0.0, last: float = math.inf
+        self, radius: float, first: float = 0.0, last: float = math.inf
     ) -> tuple[Array, Array]:
         """Return positions (N,) [s] and poses (N, 3) of a part of the route.
 
-        No point of the box, half (2,) [m], moves by more than SPACING between two of them.
+        No point within `radius` [m] of base_link moves by more than SPACING between two of them.
         """
         first = min(max(first, 0.0), self.duration)
         last = max(min(last, self.duration), first)
         knots = self._knots(first, last)
-        fine = refined(self.at(knots), half)
+        fine = refined(self.at(knots), radius)
         return np.interp(fine, np.arange(len(knots)), knots), along(self.at(knots), fine)
 
     def clear(
         self,
-        half: Array,
+        footprint: Footprint,
         around: Ellipses,
         workspace: Workspace,
         margin: float = 0.0,
         first: float = 0.0,
         last: float = math.inf,
     ) -> bool:
-        """Return whether the box keeps a gap on a part of the route.
+        """Return whether the robot keeps a gap on a part of the route.
 
         Args:
-            half: (2,) half length and half width of the box [m].
+            footprint: Outline of the robot.
             around: Obstacles, which count as being at rest at their centres.
             workspace: (x_min, y_min, x_max, y_max) in odom [m].
             margin: Gap that both must exceed on all of the part [m].
             first: Position at which the part begins [s].
             last: Position at which it ends [s].
         """
-        _, poses = self.samples(half, first, last)
-        clearance = Clearance(half, around, workspace, margin + REACH_RESERVE)
+        _, poses = self.samples(footprint.radius, first, last)
+        clearance = Clearance(footprint, around, workspace, margin + REACH_RESERVE)
         return bool((clearance.gaps(poses) > margin).all())
 
     def _knots(self, first: float, last: float) -> Array:
@@ -188,24 +191,31 @@ def durations(steps: Array, speeds: tuple[float, float]) -> Array:
 
 
 class Clearance:
-    """Gaps between a box and static obstacles, fast for many poses among many obstacles.
+    """Gaps between the robot and static obstacles, fast for many poses among many obstacles.
 
     Obstacles are looked up by tiles of the ground, each created for the first pose on it.
 
     Args:
-        half: (2,) half length and half width of the box [m].
+        footprint: Outline of the robot.
         around: M obstacles, which count as being at rest at their centres.
         workspace: (x_min, y_min, x_max, y_max) in odom [m].
         reach: Distance above which obstacles may be ignored [m].
     """
 
     def __init__(
-        self, half: Array, around: Ellipses, workspace: Workspace, reach: float = math.inf
+        self,
+        footprint: Footprint,
+        around: Ellipses,
+        workspace: Workspace,
+        reach: float = math.inf,
     ) -> None:
-        self._half, self._around, self._workspace = half, around, workspace
-        self._size = around.semi_axes.max(axis=1, initial=0.0) + reach + math.hypot(*half)
-        self._tiled = len(around) > UNTILED_OBSTACLES and math.isfinite(reach)
-        self._all = np.arange(len(around))
+        pairs = Pairs.of(footprint, around)
+        self._whole, self._workspace = footprint.whole, workspace
+        self._boxes, self._around = pairs.boxes, pairs.ellipses
+        axes = self._around.semi_axes.max(axis=1, initial=0.0)
+        self._size = axes + reach + self._boxes.radius
+        self._tiled = len(pairs) > UNTILED_OBSTACLES and math.isfinite(reach)
+        self._all = np.arange(len(pairs))
         self._tiles: dict[tuple[float, int, int], Index] = {}
 
     def gaps(self, poses: Array) -> Array:
@@ -216,9 +226,9 @@ class Clearance:
 
         Returns:
             (K,) smallest of `box_gap` and of the distance to the workspace's edge [m]; not above
-            zero where the box touches an obstacle or the edge.
+            zero where the robot touches an obstacle or the edge.
         """
-        result: Array = -outside_by(poses, self._half, self._workspace)
+        result: Array = -outside_by(poses, self._whole, self._workspace)
         if not len(self._around):
             return result
         if not self._tiled or not np.isfinite(poses).all():
@@ -256,23 +266,29 @@ class Clearance:
         near = ~((offset * offset).sum(axis=2) > size * size)  # NaN counts as near
         k, j = np.nonzero(near)
         if len(k):
-            gap = _pairs(offset[k, j], poses[k, 2], self._half, self._around, indices[j])
+            boxes = self._boxes.select(indices[j])
+            gap = _pairs(offset[k, j], poses[k, 2], boxes, self._around, indices[j])
             np.minimum.at(result, k, gap)
 
 
 def _pairs(
-    offset: Array, headings: Array, half: Array, obstacles: Ellipses, indices: Index
+    offset: Array, headings: Array, boxes: Rectangles, obstacles: Ellipses, indices: Index
 ) -> Array:
-    """Return gaps (N,) [m] of boxes at offsets (N, 2) from obstacles of these indices (N,)."""
+    """Return gaps (N,) [m] of boxes, one or (N,), from obstacles of these indices (N,).
+
+    Base_link is at offsets (N, 2) from the obstacles.
+    """
     axes = obstacles.semi_axes[indices]
     angles = obstacles.angles[indices]
     gap = np.empty(len(offset))
     disc = axes[:, 0] == axes[:, 1]
     if disc.any():  # outside of a disc, this is the result of `box_gap`
         (x, y), heading = offset[disc].T, headings[disc]
-        c, s = np.cos(heading), np.sin(heading)
-        forward = np.maximum(np.abs(c * x + s * y) - half[0], 0.0)
-        lateral = np.maximum(np.abs(c * y - s * x) - half[1], 0.0)
+        box = boxes.select(disc)
+        c, s = np.cos(heading + box.yaw), np.sin(heading + box.yaw)
+        ahead, beside = box.own_centre
+        forward = np.maximum(np.abs(c * x + s * y + ahead) - box.half[..., 0], 0.0)
+        lateral = np.maximum(np.abs(c * y - s * x + beside) - box.half[..., 1], 0.0)
         gap[disc] = np.hypot(forward, lateral) - axes[disc, 0]
     other = ~disc
     if other.any():  # each pair is expressed in the axes of its ellipse
@@ -280,7 +296,10 @@ def _pairs(
         c, s = np.cos(angle), np.sin(angle)
         poses = np.column_stack([c * x + s * y, c * y - s * x, headings[other] - angle])
         centers = np.zeros((len(poses), 1, 2))
-        gap[other] = box_gap(poses, half, centers, axes[other][:, None], np.zeros(1))[:, 0]
+        box = boxes.select(other)
+        if not box.is_single:  # a column
+            box = box.select(np.arange(len(poses))[:, None])
+        gap[other] = box_gap(poses, box, centers, axes[other][:, None], np.zeros(1))[:, 0]
     return np.where(np.isfinite(gap), gap, -np.inf)
 
 
@@ -290,13 +309,13 @@ def along(poses: Array, index: Array) -> Array:
     return np.column_stack([np.interp(index, whole, axis) for axis in poses.T])
 
 
-def refined(poses: Array, half: Array) -> Array:
+def refined(poses: Array, radius: float) -> Array:
     """Return fractional indices (N,) of a polyline (K, 3), all whole ones among them.
 
-    No point of the box, half (2,) [m], moves by more than SPACING between two of them.
+    No point within `radius` [m] of base_link moves by more than SPACING between two of them.
     """
     steps = np.abs(np.diff(poses, axis=0))
-    moved = np.hypot(steps[:, 0], steps[:, 1]) + math.hypot(*half) * steps[:, 2]
+    moved = np.hypot(steps[:, 0], steps[:, 1]) + radius * steps[:, 2]
     return _divided(np.arange(len(poses), dtype=np.float64), np.ceil(moved / SPACING))
 
 

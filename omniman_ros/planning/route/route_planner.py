@@ -232,11 +232,11 @@ class RoutePlanner:
 
     def _check(self, pose: Array, environment: Environment, limits: EffectiveLimits) -> None:
         """Keep the route if it is clear; else use a clear straight line, or begin a search."""
-        half, safety = self._model.half, limits.parameters.safety
+        radius, safety = environment.footprint.radius, limits.parameters.safety
 
         def is_clear(route: Route, margin: float, first: float = 0.0) -> bool:
-            _, poses = route.samples(half, first)
-            return bool(environment.gaps(poses, half, margin + GAP_RESERVE).min() > margin)
+            _, poses = route.samples(radius, first)
+            return bool(environment.gaps(poses, margin + GAP_RESERVE).min() > margin)
 
         same = self._is_direct or self._searched_clearance == safety.clearance
         kept = (
@@ -266,7 +266,7 @@ class RoutePlanner:
                 RouteProblem(
                     pose,
                     self.goal,
-                    self._model.half,
+                    environment.footprint,
                     margin,
                     limits.speeds,
                     environment.ellipses,
@@ -307,6 +307,5 @@ class RoutePlanner:
         self.route, self._is_direct, self._position = route, is_direct, 0.0
         self._gaps = np.array([[0.0], [math.inf]])
         if environment is not None:
-            half = self._model.half
-            positions, poses = route.samples(half)
-            self._gaps = np.stack([positions, environment.gaps(poses, half, WIDE_GAP)])
+            positions, poses = route.samples(environment.footprint.radius)
+            self._gaps = np.stack([positions, environment.gaps(poses, WIDE_GAP)])

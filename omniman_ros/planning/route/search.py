@@ -23,6 +23,8 @@ UNLIMITED: Workspace = (-1e3, -1e3, 1e3, 1e3)
 
 FINEST = 120
 """Largest number of headings per revolution: half of them fit into a word."""
+FINEST_WHOLE = 64
+"""Largest number of headings of a robot that half a revolution changes: all fit into a word."""
 SLOT = 0.1
 """Gap below which a start or goal may be in a slot, and lattices along it are tried [m]."""
 PAD = 2.0
@@ -45,8 +47,9 @@ class RouteSearch:
     Args:
         problem: Start, goal, obstacles and the gaps to keep.
         resolution: Edge of the lattice [m], or less, to fit the map's cells.
-        headings: Number of headings per revolution, even, up to FINEST. If no route is found, both
-            are refined by a factor of two once, headings up to FINEST.
+        headings: Number of headings per revolution, even, up to FINEST; there are at most
+            FINEST_WHOLE where half a revolution changes the outline of the robot. If no route is
+            found, both are refined by a factor of two once, as far as possible.
 
     Attributes:
         problem: Problem to solve.
@@ -69,7 +72,8 @@ class RouteSearch:
                 f"route: number of headings {headings} must be even and from 8 to {FINEST}"
             )
         self.problem = problem
-        self._resolution, self._headings = resolution, headings
+        self._most = FINEST if problem.footprint.is_symmetric else FINEST_WHOLE
+        self._resolution, self._headings = resolution, min(headings, self._most)
         self.route: Route | None = None
         self.finished = False
         self.reason = ""
@@ -118,7 +122,7 @@ class RouteSearch:
         """Use the straight line as the route if all gaps on it are wide."""
         problem = self.problem
         line = straight(problem.start, problem.goal, problem.speeds)
-        _, poses = line.samples(problem.half)
+        _, poses = line.samples(problem.radius)
         for k in range(0, len(poses), PART):
             gaps = problem.clearance.gaps(poses[k : k + PART])
             yield 400
@@ -133,7 +137,7 @@ class RouteSearch:
         for pose, gap in zip(problem.ends, room, strict=True):
             if gap < SLOT:
                 yield Frame(pose[:2], float(pose[2]), edge), headings
-        yield Frame.of(problem.start, problem.grid, 0.5 * edge), min(2 * headings, FINEST)
+        yield Frame.of(problem.start, problem.grid, 0.5 * edge), min(2 * headings, self._most)
 
     def _on_lattice(self, frame: Frame, headings: int, room: Array) -> Work:
         """Search ever larger regions until one contains everything or its edge is not reached."""
@@ -144,7 +148,9 @@ class RouteSearch:
             if region.size > MAX_NODES:
                 self.reason = f"the region to search has {region.size} nodes, too many"
                 return
-            lattice = Lattice(frame, region, headings, self.problem.ends)
+            lattice = Lattice(
+                frame, region, headings, self.problem.ends, self.problem.footprint.is_symmetric
+            )
             at_edge = yield from self._in_region(lattice, room)
             if self.route is not None or region.whole or not at_edge:
                 return

@@ -74,7 +74,7 @@ class Straightener:
 
     def check(self, path: Array) -> Generator[int, None, Checked]:
         """Compute the exact gaps of a path (N, 3)."""
-        fine = refined(path, self._problem.half)
+        fine = refined(path, self._problem.radius)
         poses = along(path, fine)
         gap = np.empty(len(poses))
         for k in range(0, len(poses), PART):
@@ -131,7 +131,7 @@ class Straightener:
     def _line(self, line: Array, least: float) -> tuple[float, float]:
         """Return cost [s] and least gap [m] of a line (2, 3); cost infinity if below `least`."""
         problem = self._problem
-        index = refined(line, problem.half)
+        index = refined(line, problem.radius)
         poses = along(line, index)
         stride = max(len(index) // FIRST_LOOKS, 1)
         coarse = self._gaps(poses[stride // 2 :: stride])

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.lab.studies.mpc_general_solvers import (
     OPTIONS,
     ConvergedController,
@@ -231,7 +232,7 @@ def test_scenes_are_reproducible_from_a_seed_and_leave_room():
         assert np.array_equal(e.centers, second.ellipses.centers)
         places = np.vstack([first.start, first.goal])
         at = np.zeros(2)
-        gaps = box_gap(places, half, e.centers_at(at), e.axes_at(at), e.angles)
+        gaps = box_gap(places, Rectangles.centred(half), e.centers_at(at), e.axes_at(at), e.angles)
         standing = ~e.velocities.any(axis=1)
         assert gaps[0].min() > MIN_GAPS[0]
         assert gaps[1][standing].min(initial=1.0) > MIN_GAPS[1]

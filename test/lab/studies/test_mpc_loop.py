@@ -42,7 +42,7 @@ def test_slipping_plant_reaches_the_goal_past_an_obstacle(voltages):
     places = np.array(trace.obstacles)
     assert places.shape == (len(times), 1, 2)
     axes = np.tile([0.2, 0.15], (len(times), 1, 1))
-    gaps = box_gap(poses, loop.planner.model.half, places, axes, np.array([0.4]))
+    gaps = box_gap(poses, loop.planner.footprint.whole, places, axes, np.array([0.4]))
     assert gaps.min() > 0.0
     # Most solutions are used, and energy is consumed.
     used = [report.used for report in trace.reports]

@@ -3,12 +3,15 @@ import math
 import numpy as np
 import pytest
 
+from omniman_ros.collision.footprint import Footprint
+from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.planning.effective_limits import EffectiveLimits
 from omniman_ros.planning.goals import PoseGoal, StateGoal
 from omniman_ros.planning.motion import Motion
 from omniman_ros.planning.mpc.problem import Problem
-from omniman_ros.planning.mpc.transcription import SIDES
+from omniman_ros.planning.mpc.transcription import OBSTACLE, SIDES
 from omniman_ros.planning.obstacles.ellipses import inflated
+from omniman_ros.planning.obstacles.pairs import Pairs
 from omniman_ros.planning.obstacles.separation import box_gap
 from test.planning.support import ellipses, model, parameters
 
@@ -34,7 +37,7 @@ def stage_of(problem, start=None, guess=None, goal=None, around=None):
         begin,
         guess or a_line(),
         goal or PoseGoal(np.array([1.0, 0.0, 0.0])),
-        ellipses() if around is None else around,
+        Pairs.of(Footprint(problem.model.half), ellipses() if around is None else around),
         SLOTS,
     )
 
@@ -188,7 +191,8 @@ def test_slots_hold_the_nearest_obstacle_on_every_side_at_every_step():
     stage = stage_of(a_problem(), guess=guess, around=known)
     half = model("ig42").half
     axes = known.axes_at(guess.times[1:])
-    gaps = box_gap(guess.poses[1:], half, known.centers_at(guess.times[1:]), axes, known.angles)
+    box, centers = Rectangles.centred(half), known.centers_at(guess.times[1:])
+    gaps = box_gap(guess.poses[1:], box, centers, axes, known.angles)
     for k, (x, y, _) in enumerate(guess.poses[1:]):
         ahead, aside = (known.centers - [x, y]).T / half[:, None]  # the guess has heading zero
         sector = np.floor(np.arctan2(aside, ahead) % math.tau / (math.tau / SLOTS)).astype(int)
@@ -211,9 +215,11 @@ def test_empty_slots_hold_an_obstacle_far_away():
     stage = stage_of(a_problem(), around=ellipses((1.0, 0.8, 0.2)))
     assert np.hypot(*stage.obstacles[0, 0, :2]) < 2.0
     assert (np.abs(stage.obstacles[:, 1:, :2]) > 100.0).all()
-    np.testing.assert_allclose(stage.obstacles[:, 1:, 2:], np.tile([1, 0, 0, 1, 1], (STEPS, 2, 1)))
+    np.testing.assert_allclose(
+        stage.obstacles[:, 1:, 2:7], np.tile([1, 0, 0, 1, 1], (STEPS, 2, 1))
+    )
     none = stage_of(a_problem())
-    assert none.obstacles.shape == (STEPS, SLOTS, 7)
+    assert none.obstacles.shape == (STEPS, SLOTS, OBSTACLE)
 
 
 def test_no_reachable_obstacle_is_left_out():

@@ -5,6 +5,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from omniman_ros.collision.footprint import Footprint
 from omniman_ros.planning.effective_limits import EffectiveLimits
 from omniman_ros.planning.goals import PoseGoal, StateGoal
 from omniman_ros.planning.motion import Motion
@@ -12,6 +13,7 @@ from omniman_ros.planning.mpc.model import PlanningModel
 from omniman_ros.planning.mpc.problem import Problem
 from omniman_ros.planning.mpc.solver import TRUST_RADIUS, Solution, Solver, SolverError
 from omniman_ros.planning.mpc.transcription import Transcription
+from omniman_ros.planning.obstacles.pairs import Pairs
 from test.planning.support import ellipses, model, parameters
 
 STEPS, STEP, SLOTS = 20, 0.1, 2
@@ -43,7 +45,8 @@ def stage_of(name, goal, start=None, around=None, **changes):
     along = Motion.of_states(0.0, STEP, np.tile(begin, (STEPS + 1, 1)), np.zeros((STEPS, 1)))
     p = parameters(name, **changes)
     problem = Problem(PlanningModel.of(p.robot), EffectiveLimits(p))
-    return problem.stage(begin, along, goal, around or ellipses(), SLOTS)
+    pairs = Pairs.of(Footprint(problem.model.half), around or ellipses())
+    return problem.stage(begin, along, goal, pairs, SLOTS)
 
 
 def pose(x, y, theta):

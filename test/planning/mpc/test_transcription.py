@@ -1,10 +1,13 @@
+from dataclasses import replace
 from functools import cache
 
 import casadi as ca
 import numpy as np
 import pytest
 
+from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.planning.mpc.model import STATES
+from omniman_ros.planning.mpc.problem import farthest_points
 from omniman_ros.planning.mpc.solver import Solver
 from omniman_ros.planning.mpc.transcription import OBSTACLE, SIDES, Stage, Transcription
 from test import robots
@@ -23,7 +26,8 @@ def transcription(name="ig42", steps=STEPS, step=STEP, slots=SLOTS, damping=1.0)
 def obstacle(x, y, a, b, angle=0.0):
     """Return an obstacle in the layout of a stage."""
     c, s = np.cos(angle), np.sin(angle)
-    return np.array([x, y, c / a, s / a, -s / b, c / b, min(a, b)])
+    box = 0.0, 0.0, 1.0, 0.0, *model("ig42").half
+    return np.array([x, y, c / a, s / a, -s / b, c / b, min(a, b), *box])
 
 
 def a_stage(steps=STEPS, limits=WIDE, obstacles=(), slots=SLOTS, target=(0.4, 0.2, 0.3), box=9.0):
@@ -42,6 +46,7 @@ def a_stage(steps=STEPS, limits=WIDE, obstacles=(), slots=SLOTS, target=(0.4, 0.
         energy=0.8,
         slack=(3e3, 3e4),
         obstacles=table,
+        extremes=farthest_points(np.zeros(steps), Rectangles.centred(model("ig42").half)),
     )
 
 
@@ -478,7 +483,8 @@ def test_workspace_rows_cover_all_four_corners():
     inside = 0
     for _ in range(200):
         pose = random.uniform(-1, 1, 3) * [0.9, 0.9, 4.0]
-        rows, _ = relaxed_rows(pose, stage)
+        points = farthest_points(np.full(STEPS, pose[2]), Rectangles.centred(half))
+        rows, _ = relaxed_rows(pose, replace(stage, extremes=points))
         c, s = np.cos(pose[2]), np.sin(pose[2])
         u = np.linspace(-1, 1, 21)
         edge = (

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from omniman_ros.collision.footprint import Footprint
 from omniman_ros.planning.motion import Motion
 from omniman_ros.planning.obstacles.environment import Environment
 from omniman_ros.planning.obstacles.walls import Walls
@@ -12,6 +13,8 @@ from omniman_ros.planning.safety import MARGIN_TOLERANCE, Surroundings
 from test.planning.support import ellipses, true_gaps
 
 HALF = np.array([0.4, 0.25])
+FOOTPRINT = Footprint(HALF)
+BOX = FOOTPRINT.whole
 WIDE = (-9.0, -9.0, 9.0, 9.0)
 DECELERATION = (1.5, 4.0)
 NOW = 5.0
@@ -33,7 +36,7 @@ AHEAD = a_wall((1.5, -1.0), (1.5, 1.0))
 
 def around(walls=AHEAD, known=None, margin=MARGIN, until=-math.inf):
     known = ellipses() if known is None else known
-    return Surroundings(HALF, known, WIDE, margin, until, walls)
+    return Surroundings(FOOTPRINT, known, WIDE, margin, until, walls)
 
 
 def a_line(*velocity, start=(0.0, 0.0, 0.0), seconds=2.0):
@@ -59,11 +62,11 @@ def test_gap_is_to_the_nearest_of_walls_obstacles_and_workspace():
     walls = a_wall((-3.0, -2.0), (3.0, -2.0))
     poses = random.uniform(-1.0, 1.0, (200, 3)) * [3.5, 3.5, 4.0]
     room = (-3.2, -3.2, 3.2, 3.2)
-    found = Environment(known, room, None, walls).gaps(poses, HALF, 0.2)
+    found = Environment(FOOTPRINT, known, room, None, walls).gaps(poses, 0.2)
     parts = (
-        Environment(known, WIDE, None, Walls.none()).gaps(poses, HALF, 0.2),
-        Environment(ellipses(), room, None, Walls.none()).gaps(poses, HALF, 0.2),
-        walls.gaps(poses, HALF),
+        Environment(FOOTPRINT, known, WIDE, None, Walls.none()).gaps(poses, 0.2),
+        Environment(FOOTPRINT, ellipses(), room, None, Walls.none()).gaps(poses, 0.2),
+        walls.gaps(poses, BOX),
     )
     # Walls beyond their reach report that reach; nearer objects are still exact.
     np.testing.assert_allclose(np.minimum(found, 0.2), np.minimum(np.min(parts, axis=0), 0.2))
@@ -99,7 +102,7 @@ def test_time_of_contact_matches_dense_samples(seed):
         walls = Walls(random.uniform(-2.0, 2.0, (12, 2)), RADIUS)
         motion = a_stop(*random.uniform(-0.8, 0.8, 2), random.uniform(-1.5, 1.5))
         times = np.arange(NOW, motion.end, 0.005)
-        gaps = walls.gaps(motion.at(times)[0], HALF)
+        gaps = walls.gaps(motion.at(times)[0], BOX)
         if gaps[0] < 0.1:
             continue
         contact = around(walls, margin=0.0).contact(motion, NOW)
@@ -135,7 +138,7 @@ def test_repeated_small_approaches_to_a_wall_end_before_contact():
             break
         x += 0.1 * speed
     assert x < 1.5 - RADIUS - HALF[0] - MARGIN + MARGIN_TOLERANCE + 1e-3
-    assert a_wall((1.5, -1.0), (1.5, 1.0)).gaps(np.array([[x, 0, 0]]), HALF)[0] > -1e-3
+    assert a_wall((1.5, -1.0), (1.5, 1.0)).gaps(np.array([[x, 0, 0]]), BOX)[0] > -1e-3
 
 
 def test_walls_far_from_the_motion_cause_no_contact():
@@ -223,7 +226,7 @@ def test_walls_give_the_same_result_as_their_discs():
     for _ in range(60):
         walls = Walls(random.uniform(-2.0, 2.0, (6, 2)), RADIUS)
         motion = a_stop(*random.uniform(-0.8, 0.8, 2), 0.0)
-        if walls.gaps(motion.poses[:1], HALF)[0] < 0.1:
+        if walls.gaps(motion.poses[:1], BOX)[0] < 0.1:
             continue
         as_walls = around(walls).contact(motion, NOW)
         discs = walls.ellipses(NOW)

@@ -4,10 +4,12 @@ import math
 import numpy as np
 import pytest
 
+from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.planning.motion import Motion
 from omniman_ros.planning.obstacles.walls import CHUNK, REACH, Walls
 
 HALF = np.array([0.4, 0.25])
+BOX = Rectangles.centred(HALF)
 
 
 def some_walls(random, count=60, spread=3.0, radius=0.036):
@@ -51,7 +53,7 @@ def test_gaps_are_exact_up_to_their_reach(seed):
     random = np.random.default_rng(seed)
     walls, poses = some_walls(random), some_poses(random)
     expected = true_gaps(walls, poses)
-    found = walls.gaps(poses, HALF)
+    found = walls.gaps(poses, BOX)
     np.testing.assert_allclose(found, np.minimum(expected, REACH), atol=1e-12)
     assert (expected > REACH).any() and (expected < 0.0).any()
 
@@ -69,19 +71,19 @@ def test_gap_to_one_disc_matches_values_computed_by_hand():
         ]
     )
     np.testing.assert_allclose(
-        walls.gaps(poses, HALF), [0.15, 0.1, 0.1, 0.0, -0.15, REACH], atol=1e-12
+        walls.gaps(poses, BOX), [0.15, 0.1, 0.1, 0.0, -0.15, REACH], atol=1e-12
     )
     far = np.tile(poses[-1], (CHUNK, 1))
-    np.testing.assert_array_equal(walls.gaps(far, HALF), REACH)
-    assert walls.gaps(np.vstack([far, poses]), HALF)[CHUNK] == pytest.approx(0.15)
+    np.testing.assert_array_equal(walls.gaps(far, BOX), REACH)
+    assert walls.gaps(np.vstack([far, poses]), BOX)[CHUNK] == pytest.approx(0.15)
 
 
 @pytest.mark.parametrize("count", [1, CHUNK - 1, CHUNK, CHUNK + 1, 3 * CHUNK + 5])
 def test_gap_of_a_pose_does_not_depend_on_other_poses(count):
     random = np.random.default_rng(count)
     walls, poses = some_walls(random, 2000), some_poses(random, count)
-    alone = [walls.gaps(pose[None], HALF)[0] for pose in poses]
-    np.testing.assert_array_equal(walls.gaps(poses, HALF), alone)
+    alone = [walls.gaps(pose[None], BOX)[0] for pose in poses]
+    np.testing.assert_array_equal(walls.gaps(poses, BOX), alone)
 
 
 def test_gaps_to_many_discs_are_exact():
@@ -93,7 +95,7 @@ def test_gaps_to_many_discs_are_exact():
         true_gaps(Walls(walls.centers[beside], walls.radius), pose[None])[0]
         for pose, beside in zip(poses, near, strict=True)
     ]
-    np.testing.assert_allclose(walls.gaps(poses, HALF), np.minimum(expected, REACH), atol=1e-12)
+    np.testing.assert_allclose(walls.gaps(poses, BOX), np.minimum(expected, REACH), atol=1e-12)
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
@@ -103,18 +105,18 @@ def test_pose_that_is_not_finite_has_no_gap_and_does_not_affect_others(bad):
     for axis in range(3):
         poses = np.vstack([good, good])
         poses[2, axis] = bad
-        found = walls.gaps(poses, HALF)
+        found = walls.gaps(poses, BOX)
         np.testing.assert_allclose(found[[0, 1, 3]], [0.15, -0.3, -0.3])
         assert found[2] == -math.inf
-        assert Walls.none().gaps(poses, HALF)[2] == -math.inf
+        assert Walls.none().gaps(poses, BOX)[2] == -math.inf
 
 
 def test_gaps_without_walls_or_poses_are_defined():
     none = Walls.none()
     assert len(none) == 0 and len(none.ellipses(1.0)) == 0 and len(none.near(np.zeros(2), 9)) == 0
-    np.testing.assert_array_equal(none.gaps(np.zeros((3, 3)), HALF), [REACH] * 3)
-    assert Walls(np.zeros((1, 2)), 0.1).gaps(np.zeros((0, 3)), HALF).shape == (0,)
-    assert none.gaps(np.zeros((0, 3)), HALF).shape == (0,)
+    np.testing.assert_array_equal(none.gaps(np.zeros((3, 3)), BOX), [REACH] * 3)
+    assert Walls(np.zeros((1, 2)), 0.1).gaps(np.zeros((0, 3)), BOX).shape == (0,)
+    assert none.gaps(np.zeros((0, 3)), BOX).shape == (0,)
 
 
 def test_near_selects_discs_in_a_square():
@@ -138,11 +140,11 @@ def test_swept_gap_is_a_lower_bound_of_fine_samples(seed):
     random = np.random.default_rng(seed)
     walls, motion = some_walls(random, 25), a_swing(random)
     times, poses, velocities = motion.fine(0.0, -math.inf, 4)
-    nodes, between = walls.swept(times, poses, velocities, HALF)
+    nodes, between = walls.swept(times, poses, velocities, BOX)
     assert between.shape == (len(times) - 1,)
-    np.testing.assert_allclose(nodes, walls.gaps(poses, HALF))
+    np.testing.assert_allclose(nodes, walls.gaps(poses, BOX))
     for k, (first, last) in enumerate(itertools.pairwise(times)):
-        fine = walls.gaps(motion.at(np.linspace(first, last, 30))[0], HALF)
+        fine = walls.gaps(motion.at(np.linspace(first, last, 30))[0], BOX)
         assert between[k] <= fine.min() + 1e-12
         # The bound is conservative by at most the distance travelled meanwhile.
         moved = np.abs(velocities[k : k + 2]).max(axis=0) @ [1.0, 1.0, np.hypot(*HALF)]
@@ -153,5 +155,5 @@ def test_speed_that_is_not_finite_has_no_bound():
     walls = Walls(np.array([[5.0, 0.0]]), 0.05)
     velocities = np.zeros((3, 3))
     velocities[1, 0] = math.nan
-    _, between = walls.swept(np.arange(3.0), np.zeros((3, 3)), velocities, HALF)
+    _, between = walls.swept(np.arange(3.0), np.zeros((3, 3)), velocities, BOX)
     assert not (between > 0.0).any()

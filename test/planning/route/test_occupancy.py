@@ -3,6 +3,7 @@ import math
 import numpy as np
 import pytest
 
+from omniman_ros.collision.footprint import Footprint
 from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.obstacles.grid_map import GridMap
 from omniman_ros.planning.route.lattice import Frame, Lattice, Region
@@ -12,6 +13,7 @@ from omniman_ros.planning.route.route import Clearance
 from test.planning.support import ellipses
 
 HALF = np.array([0.4, 0.25])
+FOOTPRINT = Footprint(HALF)
 EDGE = (-1.5, -1.2, 3.4, 2.6)
 HEADINGS = 24
 
@@ -19,7 +21,7 @@ HEADINGS = 24
 def filled(obstacles, grid, yaw, room=(1.0, 1.0)):
     start, goal = np.array([-0.5, 0.3, 0.1]), np.array([2.5, 0.2, 1.0])
     known = Ellipses.none() if obstacles is None else obstacles
-    problem = RouteProblem(start, goal, HALF, 0.1, (1.0, 1.0), known, grid, EDGE)
+    problem = RouteProblem(start, goal, FOOTPRINT, 0.1, (1.0, 1.0), known, grid, EDGE)
     frame = Frame.of(start, grid, 0.05) if grid else Frame(start[:2], yaw, 0.05)
     region = Region.around(frame.own(problem.ends), 2.0, frame.extent(problem), frame.edge)
     lattice = Lattice(frame, region, HEADINGS, problem.ends)
@@ -53,7 +55,7 @@ def test_bit_is_set_exactly_where_the_gap_is_below_the_level(obstacles, grid, ya
     problem, lattice, marks = filled(obstacles, grid, yaw)
     nodes, headings = inner_states(lattice)
     poses = lattice.frame.odom(lattice.poses(nodes, headings))
-    gaps = Clearance(HALF, problem.around, EDGE).gaps(poses)
+    gaps = Clearance(FOOTPRINT, problem.around, EDGE).gaps(poses)
     for level, threshold in enumerate(problem.rooms.levels):
         bit = marks.words[level, nodes] >> (headings % lattice.bits).astype(np.uint64)
         sure = np.abs(gaps - threshold) > 1e-9

@@ -3,12 +3,14 @@ import math
 import numpy as np
 import pytest
 
+from omniman_ros.collision.footprint import Footprint
 from omniman_ros.core.errors import InputError
 from omniman_ros.planning.obstacles.separation import box_gap, outside_by
 from omniman_ros.planning.route.route import Clearance, Route, straight
 from test.planning.support import ellipses, true_gaps
 
 HALF = np.array([0.4, 0.25])
+FOOTPRINT = Footprint(HALF)
 SPEEDS = (0.8, 1.5)
 WIDE = (-1e3, -1e3, 1e3, 1e3)
 ROOM = (-3.0, -2.0, 3.0, 2.0)
@@ -55,7 +57,7 @@ def test_route_of_one_pose_is_a_point():
     assert known.duration == 0 and known.length == 0
     np.testing.assert_array_equal(known.at(np.array([0.0, 1])), [[1, 2, 3]] * 2)
     assert known.project(np.array([5.0, 5, 0])) == 0
-    assert known.clear(HALF, ellipses((1, 2.6, 0.1)), WIDE) is True
+    assert known.clear(FOOTPRINT, ellipses((1, 2.6, 0.1)), WIDE) is True
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -99,7 +101,7 @@ def test_pose_outside_a_corner_is_projected_onto_the_corner():
 @pytest.mark.parametrize("first, last", [(0, math.inf), (1.3, 4.2), (3, 3), (-1, 1e9)])
 def test_points_of_the_box_move_little_between_two_samples(first, last):
     known = winding(2)
-    times, poses = known.samples(HALF, first, last)
+    times, poses = known.samples(FOOTPRINT.radius, first, last)
     assert times[0] == max(first, 0)
     assert times[-1] == min(last, known.duration)
     np.testing.assert_allclose(known.at(times), poses, atol=1e-9)
@@ -166,11 +168,11 @@ def test_gaps_are_the_minimum_of_box_gap_and_workspace(count, reach):
     rng = np.random.default_rng(count)
     known = crowd(rng, count)
     poses = np.cumsum(rng.uniform(-0.3, 0.3, (400, 3)), axis=0)
-    found = Clearance(HALF, known, (-5, -4, 5, 4), reach).gaps(poses)
+    found = Clearance(FOOTPRINT, known, (-5, -4, 5, 4), reach).gaps(poses)
     centers = np.tile(known.centers, (len(poses), 1, 1))
     axes = np.tile(known.semi_axes, (len(poses), 1, 1))
-    each = box_gap(poses, HALF, centers, axes, known.angles).min(axis=1, initial=np.inf)
-    each = np.minimum(each, -outside_by(poses, HALF, (-5, -4, 5, 4)))
+    each = box_gap(poses, FOOTPRINT.whole, centers, axes, known.angles).min(axis=1, initial=np.inf)
+    each = np.minimum(each, -outside_by(poses, FOOTPRINT.whole, (-5, -4, 5, 4)))
     touching = each <= 0
     np.testing.assert_array_equal(found <= 0, touching)
     tells = ~touching & (each <= reach)
@@ -183,8 +185,8 @@ def test_gaps_do_not_depend_on_the_order_of_obstacles_and_poses():
     rng = np.random.default_rng(5)
     known, poses = crowd(rng, 80), rng.uniform(-6, 6, (200, 3))
     order, other = rng.permutation(80), rng.permutation(200)
-    one = Clearance(HALF, known, WIDE, 0.5).gaps(poses)
-    two = Clearance(HALF, known.select(order), WIDE, 0.5).gaps(poses[other])
+    one = Clearance(FOOTPRINT, known, WIDE, 0.5).gaps(poses)
+    two = Clearance(FOOTPRINT, known.select(order), WIDE, 0.5).gaps(poses[other])
     # Whether a far obstacle is reported depends on its tile.
     np.testing.assert_allclose(np.minimum(two, 0.5), np.minimum(one[other], 0.5), atol=1e-12)
 
@@ -193,31 +195,31 @@ def test_gaps_do_not_depend_on_the_order_of_obstacles_and_poses():
 def test_pose_or_obstacle_that_is_not_finite_is_not_free(count):
     known = crowd(np.random.default_rng(1), count)
     poses = np.array([[0, math.nan, 0], [0, 0, math.inf], [40, 0, 0]])
-    found = Clearance(HALF, known, WIDE, 0.3).gaps(poses)
+    found = Clearance(FOOTPRINT, known, WIDE, 0.3).gaps(poses)
     assert found[0] == -math.inf and found[1] == -math.inf and found[2] > 0.3
 
 
 def test_route_is_clear_until_an_obstacle_comes_within_the_margin():
     known = route([-2, 0, 0], [2, 0, 0])
     beside = ellipses((0.5, 0.25 + 0.05 + 0.1, 0.1))
-    assert known.clear(HALF, beside, WIDE, 0.0499)
-    assert not known.clear(HALF, beside, WIDE, 0.0501)
+    assert known.clear(FOOTPRINT, beside, WIDE, 0.0499)
+    assert not known.clear(FOOTPRINT, beside, WIDE, 0.0501)
 
 
 def test_only_the_given_part_of_a_route_is_checked():
     known = route([-2, 0, 0], [2, 0, 0])
     upon = ellipses((0.5, 0, 0.1))
-    assert known.clear(HALF, upon, WIDE, last=2.4)
-    assert not known.clear(HALF, upon, WIDE, last=2.6)
-    assert known.clear(HALF, upon, WIDE, first=3.8)
-    assert not known.clear(HALF, upon, WIDE, first=3.7)
+    assert known.clear(FOOTPRINT, upon, WIDE, last=2.4)
+    assert not known.clear(FOOTPRINT, upon, WIDE, last=2.6)
+    assert known.clear(FOOTPRINT, upon, WIDE, first=3.8)
+    assert not known.clear(FOOTPRINT, upon, WIDE, first=3.7)
 
 
 def test_route_that_leaves_the_workspace_is_not_clear():
     known = route([-2, 0, 0], [2, 0, 0], [2, 0, math.pi / 2], [2, 1.59, math.pi / 2])
-    assert known.clear(HALF, ellipses(), ROOM)
-    assert not known.clear(HALF, ellipses(), ROOM, 0.02)
-    assert known.clear(HALF, ellipses(), ROOM, 0.02, last=known.times[-2])
+    assert known.clear(FOOTPRINT, ellipses(), ROOM)
+    assert not known.clear(FOOTPRINT, ellipses(), ROOM, 0.02)
+    assert known.clear(FOOTPRINT, ellipses(), ROOM, 0.02, last=known.times[-2])
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -227,4 +229,4 @@ def test_clear_route_has_no_contact_and_other_routes_come_close(seed):
     times = np.linspace(0, known.duration, 1500)
     gaps = true_gaps(times, known.at(times), HALF, around).min()
     # `box_gap` is a lower bound, and a point between two samples may be a little closer.
-    assert gaps > 0.04 if known.clear(HALF, around, WIDE, 0.05) else gaps < 0.4
+    assert gaps > 0.04 if known.clear(FOOTPRINT, around, WIDE, 0.05) else gaps < 0.4

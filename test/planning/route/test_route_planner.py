@@ -3,6 +3,7 @@ import math
 import numpy as np
 import pytest
 
+from omniman_ros.collision.footprint import Footprint
 from omniman_ros.core import se2
 from omniman_ros.planning.effective_limits import EffectiveLimits
 from omniman_ros.planning.obstacles.environment import Environment
@@ -64,7 +65,7 @@ class FollowedRoute:
     @property
     def environment(self):
         walls = Walls.none() if self.grid is None else Walls(*self.grid.obstacles())
-        return Environment(self.known, self.p.workspace.bounds, self.grid, walls)
+        return Environment(Footprint(HALF), self.known, self.p.workspace.bounds, self.grid, walls)
 
     @property
     def limits(self):
@@ -110,7 +111,7 @@ class FollowedRoute:
 
     def gaps(self):
         """Return the gaps along the route."""
-        return self.environment.gaps(self.route.samples(HALF)[1], HALF, 0.3)
+        return self.environment.gaps(self.route.samples(np.hypot(*HALF))[1], 0.3)
 
 
 # ---- the straight line ------------------------------------------------------------------------

@@ -3,6 +3,7 @@ import math
 import numpy as np
 import pytest
 
+from omniman_ros.collision.footprint import Footprint
 from omniman_ros.core.errors import InputError
 from omniman_ros.planning.obstacles.grid_map import GridMap
 from omniman_ros.planning.obstacles.separation import outside_by
@@ -13,6 +14,7 @@ from test.planning.support import ellipses
 from test.tiers import exhaustive, representative
 
 HALF = np.array([0.4, 0.25])
+FOOTPRINT = Footprint(HALF)
 RADIUS = math.hypot(0.4, 0.25)
 SPEEDS = (0.8, 1.5)
 MARGIN = 0.02
@@ -42,7 +44,7 @@ def pose_turned(pose, angle):
 def made(start, goal, obstacles=None, grid=None, workspace=WIDE, margin=MARGIN, **more):
     start, goal = np.array(start, float), np.array(goal, float)
     known = ellipses() if obstacles is None else obstacles
-    problem = RouteProblem(start, goal, HALF, margin, SPEEDS, known, grid, workspace)
+    problem = RouteProblem(start, goal, FOOTPRINT, margin, SPEEDS, known, grid, workspace)
     return RouteSearch(problem, **more)
 
 
@@ -62,7 +64,7 @@ def checked(search, start, goal, margin=MARGIN):
     np.testing.assert_array_equal(route.poses[-1, :2], goal[:2])
     assert abs(math.remainder(route.poses[-1, 2] - goal[2], math.tau)) < 1e-9
     grid = search.problem.grid
-    clearance = Clearance(HALF, search.problem.around, search.problem.workspace, 0.5)
+    clearance = Clearance(FOOTPRINT, search.problem.around, search.problem.workspace, 0.5)
     steps = np.abs(np.diff(route.poses, axis=0))
     count = int((np.hypot(steps[:, 0], steps[:, 1]) + RADIUS * steps[:, 2]).sum() / 0.004)
     poses = route.at(np.linspace(0, route.duration, max(count, 50)))
@@ -106,8 +108,8 @@ def test_route_around_one_disc_is_short_and_keeps_a_distance():
     known = ellipses((2, 0.1, 0.5))
     route = find((0, 0, 0), (4, 0, 0), known)
     assert 4 < route.length < 5
-    _, poses = route.samples(HALF)
-    assert Clearance(HALF, known, WIDE).gaps(poses).min() > MARGIN + 0.02
+    _, poses = route.samples(FOOTPRINT.radius)
+    assert Clearance(FOOTPRINT, known, WIDE).gaps(poses).min() > MARGIN + 0.02
 
 
 # ---- traps ------------------------------------------------------------------------------------
@@ -150,8 +152,8 @@ def test_box_stays_in_the_workspace():
     known = ellipses((2, 0.9, 1))
     edge = (-1, -0.6, 5, 1e3)
     route = find((0, 0, 0), (4, 0, 0), known, workspace=edge)
-    _, poses = route.samples(HALF)
-    assert outside_by(poses, HALF, edge).max() <= -0.5 * MARGIN
+    _, poses = route.samples(FOOTPRINT.radius)
+    assert outside_by(poses, FOOTPRINT.whole, edge).max() <= -0.5 * MARGIN
     assert poses[:, 1].max() > 1  # there is no room below the disc
 
 
@@ -297,8 +299,8 @@ def test_start_just_outside_the_workspace_has_a_route_inside():
     start, goal = (0.35, 0.4, 0), (4, 4, 0)
     known = ellipses((2, 2, 0.5))
     search = searched(start, goal, known, workspace=edge)
-    _, poses = checked(search, start, goal).samples(HALF)
-    out = outside_by(poses, HALF, edge)
+    _, poses = checked(search, start, goal).samples(FOOTPRINT.radius)
+    out = outside_by(poses, FOOTPRINT.whole, edge)
     assert out.max() < 0.055
     assert out[len(out) // 2 :].max() < 0
     assert searched((0.1, 0.4, 0), goal, known, workspace=edge).failed
@@ -385,7 +387,7 @@ def scattered(seed, count=12):
         a, b = rng.uniform(0.05, 0.5, 2)
         rows.append((x, y, a, a, 0.0) if k % 2 else (x, y, a, b, rng.uniform(-3, 3)))
     known = ellipses(*rows)
-    clearance = Clearance(HALF, known, WIDE)
+    clearance = Clearance(FOOTPRINT, known, WIDE)
     while True:
         ends = rng.uniform((0, 0, -4), (6, 5, 4), (2, 3))
         if clearance.gaps(ends).min() > 0.002 and np.hypot(*(ends[0] - ends[1])[:2]) > 3:
@@ -463,7 +465,7 @@ def test_route_keeps_a_zero_or_a_large_margin():
         ({"start": np.array([0, math.nan, 0])}, "start.*nan"),
         ({"start": np.zeros(2)}, r"start.*\(2,\)"),
         ({"goal": np.array([0, 0, math.inf])}, "goal.*inf"),
-        ({"half": np.array([0.4, 0.0])}, "0.0"),
+        ({"footprint": Footprint(np.array([0.4, 0.0]))}, "0.0"),
         ({"margin": -0.1}, "-0.1"),
         ({"margin": math.nan}, "nan"),
         ({"speeds": (0.0, 1.0)}, "0.0"),
@@ -477,7 +479,7 @@ def test_invalid_input_is_refused_with_its_value(changes, named):
     valid = {
         "start": np.zeros(3),
         "goal": np.ones(3),
-        "half": HALF,
+        "footprint": FOOTPRINT,
         "margin": 0.02,
         "speeds": SPEEDS,
         "obstacles": ellipses(),

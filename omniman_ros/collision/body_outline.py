@@ -1,0 +1,98 @@
+"""Footprints of a robot with an arm, from the postures of the arm."""
+
+import numpy as np
+
+from omniman_ros.collision.arm_segments import ArmSegments
+from omniman_ros.collision.footprint import Footprint, Limbs
+from omniman_ros.collision.load_box import LoadBox
+from omniman_ros.collision.parameters import LoadShape, ToolShape
+from omniman_ros.core.arm_model import JOINTS
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.errors import InputError
+from omniman_ros.description.parameters import DescriptionParameters
+from omniman_ros.description.platform_shape import platform_top
+from omniman_ros.description.urdf import carries_arm
+
+FIRST_WRIST = 4
+"""Number of the link, from the arm's base, from which on links share a rectangle with tool and
+load; the links before it share another one."""
+SWEEP_ANGLE = 0.1
+"""Largest sum of all joints' rotations between two postures that are looked at [rad]."""
+
+
+class BodyOutline:
+    """Makes footprints of a robot from the postures of its arm.
+
+    Args:
+        description: Shapes of platform and arm, and where the arm is mounted.
+        tool: Shape of the tool.
+        load: Shape of the load.
+    """
+
+    def __init__(
+        self,
+        description: DescriptionParameters,
+        tool: ToolShape | None = None,
+        load: LoadShape | None = None,
+    ) -> None:
+        robot, mount = description.robot, description.mount
+        self.has_arm = carries_arm(robot)
+        self._half: Array = np.array((0.5 * robot.body.length, 0.5 * robot.body.width))
+        self._heights = 0.0, platform_top(robot, mount.z if self.has_arm else None)
+        self._arm = ArmSegments(mount, tool or ToolShape())
+        self._load = LoadBox(load) if load is not None and load.is_carried else None
+        last = len(self._arm.names) - 1
+        extent = max(self._arm.extent(last), self._load.extent if self._load else 0.0)
+        self._lever = float(self._arm.levers(0, JOINTS, extent).max())
+
+    def footprint(self, postures: Array, margin: float) -> Footprint:
+        """Return the footprint of the robot while its arm goes through postures.
+
+        Between two postures the joints move along a straight line. A point of the arm is then
+        never farther from the chord between its places at two postures than d s^2 / 8, where d is
+        its largest distance from an axis and s is the sum of all joints' rotations: its
+        acceleration is at most d times the square of the sum of their rates.
+
+        Args:
+            postures: (k, 6) joint angles, one posture or more [rad]; not used without an arm.
+            margin: Vertical gap up to which an obstacle counts as being at the height of a part
+                [m].
+
+        Raises:
+            InputError: The shape is wrong, or an angle is not finite.
+        """
+        if not self.has_arm:
+            return Footprint(self._half, self._heights, None, margin)
+        if postures.ndim != 2 or postures.shape[1] != JOINTS or not len(postures):
+            raise InputError(f"postures have shape {postures.shape}, expected (k, {JOINTS})")
+        if not np.isfinite(postures).all():
+            raise InputError("joint angles must be finite")
+        return Footprint(self._half, self._heights, self._limbs(postures), margin)
+
+    def _limbs(self, postures: Array) -> Limbs:
+        """Return the limbs in all postures (k, 6) and between them."""
+        fine = _refined(postures)
+        sag = 0.125 * self._lever * SWEEP_ANGLE**2 if len(fine) > 1 else 0.0
+        arm, count = self._arm, len(fine)
+        frames = arm.frames(fine)
+        axes = arm.capsules(frames)
+        parts = [(axes, arm.radius + sag, np.where(arm.link < FIRST_WRIST, 0, 1))]
+        if self._load is not None:
+            edges = self._load.edges(frames[:, -1])
+            each = edges.start.shape[-1]
+            parts.append((edges, np.full(each, sag), np.ones(each, dtype=np.intp)))
+        return Limbs(
+            np.concatenate([segments.start.reshape(3, -1) for segments, _, _ in parts], axis=1),
+            np.concatenate([segments.end.reshape(3, -1) for segments, _, _ in parts], axis=1),
+            np.concatenate([np.tile(radius, count) for _, radius, _ in parts]),
+            np.concatenate([np.tile(group, count) for _, _, group in parts]),
+        )
+
+
+def _refined(postures: Array) -> Array:
+    """Return postures (n, 6), between two of which the joints rotate by at most SWEEP_ANGLE."""
+    sums = np.abs(np.diff(postures, axis=0)).sum(axis=1)
+    along = np.concatenate([[0.0], np.cumsum(np.ceil(sums / SWEEP_ANGLE))])
+    steps = np.arange(along[-1] + 1.0)
+    keep = np.concatenate([[True], np.diff(along) > 0.0])
+    return np.column_stack([np.interp(steps, along[keep], axis[keep]) for axis in postures.T])

@@ -1,0 +1,89 @@
+"""Rectangles in base_link, by which the robot is bounded from above."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from omniman_ros.collision.solids import Indices, Mask
+from omniman_ros.core.arrays import Array
+
+
+@dataclass(frozen=True)
+class Rectangles:
+    """One rectangle, or an array of them, fixed to base_link.
+
+    Attributes:
+        centre: (..., 2) centres in base_link [m].
+        yaw: (...) directions of their lengths in base_link [rad].
+        half: (..., 2) half lengths and half widths [m], above zero.
+    """
+
+    centre: Array
+    yaw: Array
+    half: Array
+
+    @staticmethod
+    def centred(half: Array) -> "Rectangles":
+        """Return one rectangle around the origin of base_link, half length and width (2,) [m]."""
+        return Rectangles(np.zeros(2), np.zeros(()), np.asarray(half, dtype=np.float64))
+
+    @property
+    def is_single(self) -> bool:
+        """Whether this is one rectangle, not an array."""
+        return self.yaw.ndim == 0
+
+    def select(self, index: Indices | Mask) -> "Rectangles":
+        """Return the rectangles with some indices, or those of a mask; one stays as it is."""
+        if self.is_single:
+            return self
+        return Rectangles(self.centre[index], self.yaw[index], self.half[index])
+
+    def each(self) -> list["Rectangles"]:
+        """Return the rectangles of an array (P,) one by one."""
+        if self.is_single:
+            return [self]
+        return [self.select(np.array(k)) for k in range(len(self.yaw))]
+
+    @property
+    def own_centre(self) -> tuple[Array, Array]:
+        """Centres (...) along the rectangles' own lengths and widths [m]."""
+        c, s = np.cos(self.yaw), np.sin(self.yaw)
+        x, y = self.centre[..., 0], self.centre[..., 1]
+        return c * x + s * y, c * y - s * x
+
+    @property
+    def corners(self) -> Array:
+        """Corners (..., 4, 2) in base_link, counter-clockwise [m]."""
+        signs = np.array([(1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)])
+        local = self.half[..., None, :] * signs
+        c, s = np.cos(self.yaw)[..., None], np.sin(self.yaw)[..., None]
+        x, y = local[..., 0], local[..., 1]
+        turned = np.stack((c * x - s * y, s * x + c * y), axis=-1)
+        result: Array = self.centre[..., None, :] + turned
+        return result
+
+    @property
+    def radius(self) -> Array:
+        """Distances (...) of their farthest points from the origin of base_link [m]."""
+        corners = self.corners
+        result: Array = np.hypot(corners[..., 0], corners[..., 1]).max(axis=-1)
+        return result
+
+    def poses(self, poses: Array) -> Array:
+        """Return the poses (K, 3) of one rectangle's centre at poses (K, 3) of base_link."""
+        c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        x, y = self.centre
+        return np.column_stack(
+            (poses[:, 0] + c * x - s * y, poses[:, 1] + s * x + c * y, poses[:, 2] + self.yaw)
+        )
+
+    def support(self, directions: Array) -> Array:
+        """Return the farthest extents (...) of all of them along directions (...) [m].
+
+        Args:
+            directions: Angles in base_link [rad].
+        """
+        corners = self.corners.reshape(-1, 2)
+        along = np.stack((np.cos(directions), np.sin(directions)), axis=-1) @ corners.T
+        result: Array = along.max(axis=-1)
+        return result

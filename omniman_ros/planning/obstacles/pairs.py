@@ -1,0 +1,38 @@
+"""Pairs of an obstacle and a part of the robot at the same height."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from numpy.typing import NDArray
+
+from omniman_ros.collision.footprint import Footprint
+from omniman_ros.collision.rectangles import Rectangles
+from omniman_ros.planning.obstacles.ellipses import Ellipses
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """M pairs of a rectangle of the robot and an obstacle, which may touch each other.
+
+    Attributes:
+        footprint: Outline of the robot.
+        boxes: Rectangles (M,) of the robot, or one for all pairs.
+        ellipses: Obstacles (M,); one obstacle may be in several pairs, or in none.
+    """
+
+    footprint: Footprint
+    boxes: Rectangles
+    ellipses: Ellipses
+
+    def __len__(self) -> int:
+        return len(self.ellipses)
+
+    @staticmethod
+    def of(footprint: Footprint, ellipses: Ellipses) -> "Pairs":
+        """Return the pairs of the robot and obstacles."""
+        boxes, index = footprint.against(ellipses.lower, ellipses.upper)
+        return Pairs(footprint, boxes, ellipses.select(index))
+
+    def select(self, indices: NDArray[Any]) -> "Pairs":
+        """Return the pairs with these indices, in their order, or those of a mask."""
+        return Pairs(self.footprint, self.boxes.select(indices), self.ellipses.select(indices))
