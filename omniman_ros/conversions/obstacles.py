@@ -35,7 +35,9 @@ def marker_changes(
 ) -> tuple[list[Observation | MarkerDeletion], list[str]]:
     """Return the changes that markers make to the obstacles, in order, and the complaints.
 
-    A CYLINDER or a SPHERE is an ellipse whose diameters along its own x and y are its scale.
+    A CYLINDER or a SPHERE is an ellipse whose diameters along its own x and y are its scale. It
+    extends by half of its scale's z above and below its position; if that is 0, its height is
+    unknown, and it has no ends.
     ADD (and MODIFY) places it, DELETE removes it, and DELETEALL removes all of its namespace, or
     all obstacles if it has no namespace. The frame and type of a deletion are ignored.
 
@@ -80,6 +82,9 @@ def _observation(
         raise InputError(f"position ({position.x}, {position.y}, {position.z}) is not finite")
     if not (scale.x > 0.0 and scale.y > 0.0):
         raise InputError(f"scale ({scale.x}, {scale.y}) m must be two diameters above 0")
+    if not 0.0 <= scale.z < math.inf:
+        raise InputError(f"scale.z {scale.z} m must be a height, or 0 if it is unknown")
+    low, high = position.z - 0.5 * scale.z, position.z + 0.5 * scale.z
     return Observation(
         (marker.ns, marker.id),
         clock(marker.header.stamp),
@@ -88,6 +93,7 @@ def _observation(
         yaw_from_quaternion(marker.pose.orientation),
         (0.5 * scale.x, 0.5 * scale.y),
         time_seconds(marker.lifetime),
+        (low, high) if scale.z > 0.0 else (-math.inf, math.inf),
     )
 
 

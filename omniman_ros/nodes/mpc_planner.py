@@ -17,6 +17,7 @@ from omniman_ros.nodes.planner_interfaces.motion_publisher import MotionPublishe
 from omniman_ros.nodes.planner_interfaces.parameters import MpcPlannerParameters
 from omniman_ros.nodes.planner_interfaces.plan_publisher import PlanPublisher
 from omniman_ros.nodes.planner_interfaces.planner_loop import PlannerLoop
+from omniman_ros.nodes.planner_interfaces.posture_interface import PostureInterface
 from omniman_ros.nodes.planner_interfaces.sensor_interface import SensorInterface
 from omniman_ros.nodes.runtime import run
 from omniman_ros.nodes.stream_monitor_interface import StreamMonitorInterface
@@ -30,6 +31,7 @@ class MpcPlannerNode(OmnimanNode):
         settings: Parameters of the node.
         core: The planner.
         sensors: State of the robot, and obstacles.
+        posture: Posture of the arm.
         loop: Planning cycle and its requests.
         publisher: Streams that move the robot.
     """
@@ -46,10 +48,11 @@ class MpcPlannerNode(OmnimanNode):
         self.core = Planner(p.core, anchored=p.output == "reference")
         self._monitor = StreamMonitor(p.restart, "mpc", ("path",))
         self.sensors = SensorInterface(self, self.settings, self.core, self._monitor)
+        self.posture = PostureInterface(self, self.settings)
         self.publisher = MotionPublisher(self, self.settings, self.core, self._monitor)
         plans = PlanPublisher(self, p.odom_frame, self.core)
         self.loop = PlannerLoop(
-            self, self.core, self.sensors, self.publisher, plans, self._monitor
+            self, self.core, self.sensors, self.posture, self.publisher, plans, self._monitor
         )
         self.settings.on_change(self._configure)
         self._status_publisher = self.create_publisher(DiagnosticStatus, "mpc/status", 10)
@@ -74,6 +77,7 @@ class MpcPlannerNode(OmnimanNode):
                 "robot", "new data", "cannot change during a motion: cancel it first"
             )
         self.core.configure(new.core)
+        self.posture.configure(new)
         self.core.anchored = new.output == "reference"
         self.sensors.obstacles.configure(new.core.obstacles)
         self._monitor.silence = new.restart
@@ -127,6 +131,7 @@ class MpcPlannerNode(OmnimanNode):
             ("cost_j", round(report.cost, 1)),
             ("energy_j", round(core.energy(), 1)),
             ("obstacles", len(self.sensors.obstacles)),
+            ("arm", self.posture.source(self.now()).value),
             ("led_by", "the goal" if route is None else route.source.value),
             ("plan_used", report.used),
             ("why", loop.silence or report.reason),

@@ -548,6 +548,13 @@ def test_marker_converts_to_an_observation():
     assert (made.semi_axes, made.lifetime) == ((0.5, 0.25), 1.25)
 
 
+def test_heights_of_a_marker_end_half_its_scale_from_its_position():
+    (made,), _ = changed(marker(pose__position__z=1.2, scale__z=0.5))
+    assert made.heights == pytest.approx((0.95, 1.45))
+    (made,), _ = changed(marker(pose__position__z=1.2, scale__z=0.0))
+    assert made.heights == (-INF, INF)
+
+
 def test_spheres_other_allowed_frames_and_zero_stamps_are_accepted():
     made, complaints = changed(
         marker(type=Marker.SPHERE), marker(1, header__frame_id="/map"), frames=("odom", "map")
@@ -603,6 +610,9 @@ def test_frame_shape_and_pose_of_a_deletion_are_ignored():
         ({"pose__orientation__z": NAN}, "quaternion of length nan"),
         ({"pose__orientation": Quaternion(x=0.0, y=0.0, z=0.0, w=0.0)}, "quaternion of length 0"),
         ({"pose__orientation": Quaternion(x=1.0, y=0.0, z=0.0, w=0.0)}, "about the vertical"),
+        ({"scale__z": -0.1}, r"scale\.z -0.1 m must be a height"),
+        ({"scale__z": NAN}, r"scale\.z nan m"),
+        ({"scale__z": INF}, r"scale\.z inf m"),
         ({"lifetime": Duration(sec=-1)}, "lifetime -1.0 s"),
         ({"header__stamp": Time(sec=100)}, "stamp is 50.000 s ahead"),
     ],

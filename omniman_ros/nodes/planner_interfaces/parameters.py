@@ -1,10 +1,54 @@
 """Parameters of the node `mpc_planner`."""
 
+import math
 from dataclasses import dataclass
 
+from omniman_ros.collision.body_outline import BodyOutline
+from omniman_ros.collision.parameters import LoadShape, ToolShape
+from omniman_ros.core.arm_model import JOINTS
+from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import inline, parameter
+from omniman_ros.description.parameters import DescriptionParameters
+from omniman_ros.motion.whole_body.model import Mount
 from omniman_ros.planning.parameters import PlannerParameters
+
+
+@dataclass(frozen=True, kw_only=True)
+class FootprintOptions:
+    """Posture of the arm in the footprint, and heights of obstacles."""
+
+    posture: tuple[float, ...] = parameter(
+        (math.pi, -math.pi / 2, math.pi / 2, -math.pi / 2, -math.pi / 2, 0.0),
+        "Joint angles that are assumed until arm/joint_states are received; by default the arm is "
+        "folded backwards, above the deck of `omniman`.",
+        unit="rad",
+        low=-math.tau,
+        high=math.tau,
+    )
+    required: bool = parameter(
+        False,
+        "Whether the robot waits for arm/joint_states before it moves, and stops if they end.",
+    )
+    states_timeout: float = parameter(
+        0.5,
+        "Age of arm/joint_states from which on they count as silent; the last posture is kept.",
+        unit="s",
+        low=0.02,
+        high=60,
+    )
+    height_margin: float = parameter(
+        0.05,
+        "Vertical gap up to which an obstacle counts as being at the height of a part of the "
+        "robot.",
+        unit="m",
+        low=0,
+        high=1,
+    )
+
+    def __post_init__(self) -> None:
+        if len(self.posture) != JOINTS:
+            raise ParameterError("footprint.posture", self.posture, f"must have {JOINTS} angles")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -12,6 +56,11 @@ class MpcPlannerParameters:
     """Parameters of the planner, of the streams, and of frames and maps."""
 
     core: PlannerParameters = inline()
+    arm: ArmParameters
+    mount: Mount
+    tool: ToolShape
+    load: LoadShape
+    footprint: FootprintOptions
     output: str = parameter(
         "reference",
         "What drives the robot: `mpc/reference`, which the platform controller "
@@ -66,3 +115,10 @@ class MpcPlannerParameters:
     def input_frames(self) -> tuple[str, ...]:
         """Frames that goals, obstacles and maps may be in."""
         return (self.odom_frame, "map") if self.map_is_odom else (self.odom_frame,)
+
+
+def body_outline(parameters: MpcPlannerParameters) -> BodyOutline:
+    """Return the outline of the robot with arm, tool and load."""
+    p = parameters
+    description = DescriptionParameters(robot=p.core.robot, arm=p.arm, mount=p.mount)
+    return BodyOutline(description, p.tool, p.load)

@@ -11,6 +11,7 @@ from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.planner_interfaces.goal_log import GoalLog
 from omniman_ros.nodes.planner_interfaces.motion_publisher import MotionPublisher
 from omniman_ros.nodes.planner_interfaces.plan_publisher import PlanPublisher
+from omniman_ros.nodes.planner_interfaces.posture_interface import PostureInterface
 from omniman_ros.nodes.planner_interfaces.sensor_interface import SensorInterface
 from omniman_ros.planning.cycle import MeasuredState, PlannerState
 from omniman_ros.planning.goals import Goal
@@ -29,13 +30,15 @@ class PlannerLoop:
         node: Node whose clock is used.
         planner: Planner that is run.
         sensors: State of the robot, and obstacles.
+        posture: Posture of the arm.
         publisher: Streams that move the robot.
         plans: Topics that show plans.
         monitor: Monitor of the stream.
 
     Attributes:
         goals: Outcome of the latest goal.
-        silence: Why the obstacles are not known, while the robot waits for them, or empty.
+        silence: Why the obstacles or the arm's posture are not known, while the robot waits for
+            them, or empty.
         solve_time: Duration of the last planning [s]; NaN before the first.
     """
 
@@ -44,11 +47,13 @@ class PlannerLoop:
         node: OmnimanNode,
         planner: "Planner",
         sensors: SensorInterface,
+        posture: PostureInterface,
         publisher: MotionPublisher,
         plans: PlanPublisher,
         monitor: StreamMonitor,
     ) -> None:
         self._node, self._planner, self._sensors = node, planner, sensors
+        self._posture = posture
         self._publisher, self._plans, self._monitor = publisher, plans, monitor
         self.goals = GoalLog()
         self.silence = ""
@@ -137,12 +142,19 @@ class PlannerLoop:
             return fault
         if self._monitor.waiting_time(now) > 0.0:
             return "control was lost a moment ago"
-        return self._sensors.obstacles.silence_reason(now)
+        return self._silence_reason(now)
+
+    def _silence_reason(self, now: float) -> str:
+        """Return why the obstacles or the arm's posture are not known, or an empty string."""
+        posture = self._posture.silence_reason(now)
+        return self._sensors.obstacles.silence_reason(now) or posture
 
     def _start(self, goal: Goal) -> None:
         measured = self._sensors.measured
         assert measured is not None
-        obstacles = self._sensors.obstacles.ellipses(self._node.now())
+        now = self._node.now()
+        self._planner.footprint = self._posture.footprint(now)
+        obstacles = self._sensors.obstacles.ellipses(now)
         self._planner.drive(goal, measured, obstacles)
 
     def give_up_if_lost(self) -> None:
@@ -181,6 +193,7 @@ class PlannerLoop:
         if elapsed < -TIME_JUMP:
             self._restart(now)
         self.give_up_if_lost()
+        self._planner.footprint = self._posture.footprint(now)
         refusal = self._attempt_start()
         if refusal:
             self._node.warn("goal refused", f"goal not used: {refusal}")
@@ -198,17 +211,18 @@ class PlannerLoop:
         self._give_up("time went back")
         self._monitor.restart(now)
         self._sensors.measured = None
+        self._posture.forget()
         self._pending.restart_timeout()
 
     def _cycle(self, now: float, measured: MeasuredState) -> None:
         planner = self._planner
-        silence = self._sensors.obstacles.silence_reason(now)
+        silence = self._silence_reason(now)
         obstacles = self._sensors.obstacles.ellipses(now)
         if silence:
             if not self.silence:
                 planner.brake(now)
             self.silence = silence
-            self._node.warn("obstacles silent", f"the robot stops: {silence}")
+            self._node.warn("silent", f"the robot stops: {silence}")
             self._publisher.send(now)
             return
         self.silence = ""
@@ -230,7 +244,7 @@ class PlannerLoop:
         """Finish a motion without a goal, still watching the obstacles."""
         measured, obstacles = self._sensors.measured, self._sensors.obstacles
         if self._planner.motion.end > now and measured is not None:
-            if obstacles.silence_reason(now):
+            if self._silence_reason(now):
                 self._planner.brake(now)
             else:
                 self._planner.coast(now, measured, obstacles.ellipses(now))

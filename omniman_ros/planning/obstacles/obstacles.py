@@ -69,10 +69,12 @@ class Observation:
         angle: Angle of the ellipse's x axis in odom [rad].
         semi_axes: (a, b) semi-axes along the ellipse's x and y axes [m].
         lifetime: Time for which it stays without being observed again [s]; 0 means for ever.
+        heights: Heights of its lower and its upper side above the floor [m]; by default it has
+            no ends.
 
     Raises:
         InputError: A value is not finite or implausible, a semi-axis is not above 1 mm and below
-            100 m, or the lifetime is negative.
+            100 m, the lifetime is negative, or the upper side is below the lower one.
     """
 
     key: Key
@@ -82,6 +84,7 @@ class Observation:
     angle: float
     semi_axes: tuple[float, float]
     lifetime: float = 0.0
+    heights: tuple[float, float] = (-math.inf, math.inf)
 
     def __post_init__(self) -> None:
         if not math.isfinite(self.time):
@@ -97,6 +100,8 @@ class Observation:
             )
         if not 0.0 <= self.lifetime < math.inf:
             raise InputError(f"lifetime {self.lifetime} s must be finite and not negative")
+        if not self.heights[0] <= self.heights[1]:
+            raise InputError(f"heights {self.heights} m must be a lower and an upper one")
 
 
 @dataclass(slots=True)
@@ -119,6 +124,8 @@ class _Table:
     semi_axes: Array
     angles: Array
     growth: Array
+    lower: Array
+    upper: Array
     first_expiry: float
     first_doubted: float
 
@@ -233,7 +240,16 @@ class ObstacleSet:
             moving[:, None], table.centers + ages[:, None] * velocities, table.observed
         )
         growth = np.where(moving, table.growth, 0.0)
-        return Ellipses(now, centers, velocities, table.semi_axes, table.angles, growth)
+        return Ellipses(
+            now,
+            centers,
+            velocities,
+            table.semi_axes,
+            table.angles,
+            growth,
+            table.lower,
+            table.upper,
+        )
 
     @property
     def keys(self) -> tuple[Key, ...]:
@@ -276,11 +292,12 @@ class ObstacleSet:
                     *seen.semi_axes,
                     seen.angle,
                     growth,
+                    *seen.heights,
                 )
             )
             doubted = min(doubted, track.doubted)
             expiry = min(expiry, known.expiry)
-        array = np.array(rows, dtype=float).reshape(-1, 11)
+        array = np.array(rows, dtype=float).reshape(-1, 13)
         array.flags.writeable = False
         return _Table(
             times=array[:, 0],
@@ -290,6 +307,8 @@ class ObstacleSet:
             semi_axes=array[:, 7:9],
             angles=array[:, 9],
             growth=array[:, 10],
+            lower=array[:, 11],
+            upper=array[:, 12],
             first_expiry=expiry,
             first_doubted=doubted + CONFIRMATION_TIME,
         )

@@ -10,6 +10,7 @@ from omniman_ros.planning.mpc.model import STATES
 from omniman_ros.planning.mpc.problem import farthest_points
 from omniman_ros.planning.mpc.solver import Solver
 from omniman_ros.planning.mpc.transcription import OBSTACLE, SIDES, Stage, Transcription
+from omniman_ros.planning.obstacles.separation import box_gap
 from test import robots
 from test.planning.support import ellipses, model, true_gaps
 
@@ -424,6 +425,26 @@ def test_sign_of_obstacle_rows_matches_sampled_shapes():
             assert rows.min() < 0.0
             cut += 1
     assert clear > 60 and cut > 60
+
+
+def test_rows_of_a_box_beside_base_link_are_those_of_its_gap():
+    random, met = np.random.default_rng(16), 0
+    for _ in range(200):
+        box = Rectangles(
+            random.uniform(-0.6, 0.6, 2),
+            np.array(random.uniform(-3, 3)),
+            random.uniform(0.05, 0.5, 2),
+        )
+        x, y, radius = *random.uniform(-1.2, 1.2, 2), random.uniform(0.05, 0.5)
+        row = obstacle(x, y, radius, radius)
+        row[7:] = *box.centre, np.cos(box.yaw), np.sin(box.yaw), *box.half
+        pose = np.append(random.uniform(-0.3, 0.3, 2), random.uniform(-3, 3))
+        _, rows = relaxed_rows(pose, a_stage(obstacles=[row], slots=1))
+        centers, axes = np.array([[[x, y]]]), np.full((1, 1, 2), radius)
+        gap = box_gap(pose[None], box, centers, axes, np.zeros(1)).item()
+        assert rows.min() == pytest.approx(gap, abs=1e-3)
+        met += gap < 0.0
+    assert 40 < met < 160
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.7, -2.0])

@@ -110,6 +110,18 @@ def test_shapes_and_positions_keep_the_order_of_the_obstacles():
     assert made.velocities.shape == (3, 2) and made.growth.shape == (3,)
 
 
+def test_heights_follow_the_last_observation():
+    found = obstacles()
+    found.add(seen(), 0.0)
+    found.add(replace(seen(key=B), heights=(0.7, 0.75)), 0.0)
+    np.testing.assert_array_equal(found.ellipses(0.0).lower, [-math.inf, 0.7])
+    np.testing.assert_array_equal(found.ellipses(0.0).upper, [math.inf, 0.75])
+    found.add(replace(seen(time=0.1), heights=(0.0, 0.2)), 0.1)
+    np.testing.assert_array_equal(found.ellipses(0.1).upper, [0.2, 0.75])
+    with pytest.raises(InputError, match="heights"):
+        replace(seen(), heights=(0.2, 0.1))
+
+
 def test_moving_obstacle_is_extrapolated_to_now():
     found = obstacles()
     watch(found, 0.0, 2.0, (0.8, -0.4))

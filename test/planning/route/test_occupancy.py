@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from omniman_ros.collision.footprint import Footprint
+from omniman_ros.collision.footprint import Footprint, Limbs
 from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.obstacles.grid_map import GridMap
 from omniman_ros.planning.route.lattice import Frame, Lattice, Region
@@ -14,17 +14,24 @@ from test.planning.support import ellipses
 
 HALF = np.array([0.4, 0.25])
 FOOTPRINT = Footprint(HALF)
+LIMBS = Limbs(
+    np.array([[0.2, 0.7], [0.0, 0.1], [0.6, 0.6]]),
+    np.array([[0.7, 0.7], [0.1, 0.35], [0.6, 0.6]]),
+    np.array([0.06, 0.05]),
+    np.array([0, 1]),
+)
+WITH_ARM = Footprint(HALF, (0.0, 0.5), LIMBS)
 EDGE = (-1.5, -1.2, 3.4, 2.6)
 HEADINGS = 24
 
 
-def filled(obstacles, grid, yaw, room=(1.0, 1.0)):
+def filled(obstacles, grid, yaw, room=(1.0, 1.0), footprint=FOOTPRINT):
     start, goal = np.array([-0.5, 0.3, 0.1]), np.array([2.5, 0.2, 1.0])
     known = Ellipses.none() if obstacles is None else obstacles
-    problem = RouteProblem(start, goal, FOOTPRINT, 0.1, (1.0, 1.0), known, grid, EDGE)
+    problem = RouteProblem(start, goal, footprint, 0.1, (1.0, 1.0), known, grid, EDGE)
     frame = Frame.of(start, grid, 0.05) if grid else Frame(start[:2], yaw, 0.05)
     region = Region.around(frame.own(problem.ends), 2.0, frame.extent(problem), frame.edge)
-    lattice = Lattice(frame, region, HEADINGS, problem.ends)
+    lattice = Lattice(frame, region, HEADINGS, problem.ends, footprint.is_symmetric)
     marks = HeadingOccupancy(problem, lattice, np.array(room))
     assert sum(marks.fill()) > 0
     return problem, lattice, marks
@@ -43,6 +50,7 @@ CELLS[18:20, 10:30] = True
 KNOWN = ellipses((1.0, 0.6, 0.4), (0.2, -0.5, 0.6, 0.15, 0.8))
 
 
+@pytest.mark.parametrize("footprint", [FOOTPRINT, WITH_ARM], ids=["platform", "with arm"])
 @pytest.mark.parametrize(
     ("obstacles", "grid", "yaw"),
     [
@@ -51,11 +59,12 @@ KNOWN = ellipses((1.0, 0.6, 0.4), (0.2, -0.5, 0.6, 0.15, 0.8))
         (None, GridMap(CELLS, 0.05, np.array([-0.3, -0.4, 0.5])), 0.5),
     ],
 )
-def test_bit_is_set_exactly_where_the_gap_is_below_the_level(obstacles, grid, yaw):
-    problem, lattice, marks = filled(obstacles, grid, yaw)
+def test_bit_is_set_exactly_where_the_gap_is_below_the_level(obstacles, grid, yaw, footprint):
+    problem, lattice, marks = filled(obstacles, grid, yaw, footprint=footprint)
+    assert lattice.bits == (HEADINGS if footprint is WITH_ARM else HEADINGS // 2)
     nodes, headings = inner_states(lattice)
     poses = lattice.frame.odom(lattice.poses(nodes, headings))
-    gaps = Clearance(FOOTPRINT, problem.around, EDGE).gaps(poses)
+    gaps = Clearance(footprint, problem.around, EDGE).gaps(poses)
     for level, threshold in enumerate(problem.rooms.levels):
         bit = marks.words[level, nodes] >> (headings % lattice.bits).astype(np.uint64)
         sure = np.abs(gaps - threshold) > 1e-9

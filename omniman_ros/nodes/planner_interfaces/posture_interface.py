@@ -1,0 +1,163 @@
+"""Posture of the arm, measured and in the near future, and the footprint that follows from it."""
+
+from enum import Enum
+
+import numpy as np
+from rclpy.qos import QoSProfile
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import JointTrajectory
+
+from omniman_ros.collision.body_outline import BodyOutline
+from omniman_ros.collision.footprint import Footprint
+from omniman_ros.conversions.arm import joint_preview
+from omniman_ros.conversions.joints import joint_arrays, require_array
+from omniman_ros.core import plausible
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.errors import InputError
+from omniman_ros.nodes.omniman_node import OmnimanNode
+from omniman_ros.nodes.parameters import ParameterSet
+from omniman_ros.nodes.planner_interfaces.parameters import MpcPlannerParameters, body_outline
+
+STATES, REFERENCE = "arm/joint_states", "arm/joint_reference"
+"""Names of the topics."""
+
+
+class PostureSource(Enum):
+    """Source of the arm's posture; the values are those of the key `arm` of `mpc/status`."""
+
+    NO_ARM = "no arm"
+    MEASURED = "measured"
+    LAST_MEASURED = "last measured"
+    ASSUMED = "assumed"
+
+
+class PostureInterface:
+    """Subscribes to `arm/joint_states` and `arm/joint_reference`.
+
+    The messages stay serialized until a cycle needs them.
+
+    Args:
+        node: Node that receives the messages.
+        settings: Parameters of the node.
+    """
+
+    def __init__(self, node: OmnimanNode, settings: ParameterSet[MpcPlannerParameters]) -> None:
+        self._node, self._settings = node, settings
+        self._states: bytes | None = None
+        self._reference: bytes | None = None
+        self._made: tuple[Array, Footprint] | None = None
+        self._has_logged = False
+        self.forget()
+        self.configure(settings.value)
+        once = QoSProfile(depth=1)
+        for kind, topic, handler in (
+            (JointState, STATES, self._on_states),
+            (JointTrajectory, REFERENCE, self._on_reference),
+        ):
+            node.create_subscription(kind, topic, node.guarded(topic, handler), once, raw=True)
+
+    def configure(self, parameters: MpcPlannerParameters) -> None:
+        """Use other shapes and another margin from the next cycle on."""
+        self._outline: BodyOutline = body_outline(parameters)
+        self._made = None
+
+    def forget(self) -> None:
+        """Forget all that was received, because time went back."""
+        self._states = self._reference = None
+        self._measured: tuple[float, Array] | None = None
+        self._expected: tuple[Array, Array] | None = None
+
+    def source(self, now: float) -> PostureSource:
+        """Return where the posture comes from at the time `now` [s]."""
+        if not self._outline.has_arm:
+            return PostureSource.NO_ARM
+        if self._measured is None:
+            return PostureSource.ASSUMED
+        is_fresh = now - self._measured[0] <= self._settings.value.footprint.states_timeout
+        return PostureSource.MEASURED if is_fresh else PostureSource.LAST_MEASURED
+
+    def silence_reason(self, now: float) -> str:
+        """Return why the robot must wait for the arm's posture, or an empty string."""
+        if not self._settings.value.footprint.required:
+            return ""
+        if self.source(now) is PostureSource.ASSUMED:
+            return f"no {STATES} yet"
+        if self._measured is None or self.source(now) is not PostureSource.LAST_MEASURED:
+            return ""
+        return f"{STATES} are {now - self._measured[0]:.1f} s old"
+
+    def footprint(self, now: float) -> Footprint:
+        """Return the footprint of the robot, from now [s] on to the end of the known preview."""
+        postures = self._postures(now)
+        if self._made is None or not np.array_equal(self._made[0], postures):
+            margin = self._settings.value.footprint.height_margin
+            self._made = postures, self._outline.footprint(postures, margin)
+        return self._made[1]
+
+    def _postures(self, now: float) -> Array:
+        """Return the measured or assumed posture, and those that the arm goes to, (k, 6)."""
+        if not self._outline.has_arm:
+            return np.zeros((0, 6))
+        self._read_states()
+        self._read_reference(now)
+        if self._measured is None:
+            self._log_assumption()
+            here = np.array(self._settings.value.footprint.posture)
+        else:
+            here = self._measured[1]
+        if self.source(now) is PostureSource.LAST_MEASURED:
+            self._node.warn(STATES, f"no {STATES}: the arm counts as being where it was last")
+        if self._expected is None:
+            return here[None]
+        times, positions = self._expected
+        return np.concatenate([here[None], positions[times > now]])
+
+    # ---- messages -----------------------------------------------------------------------------
+
+    def _log_assumption(self) -> None:
+        """Warn once that the posture is assumed."""
+        if not self._has_logged:
+            self._has_logged = True
+            text = "footprint.posture is the arm's posture until arm/joint_states are received"
+            self._node.get_logger().warning(text)
+
+    def _on_states(self, data: bytes) -> None:
+        self._states = data
+
+    def _on_reference(self, data: bytes) -> None:
+        self._reference = data
+
+    def _read_states(self) -> None:
+        """Read the states that were received last, unless they have been read already."""
+        data, self._states = self._states, None
+        if data is None:
+            return
+        try:
+            message = deserialize_message(data, JointState)
+            position, _, _ = joint_arrays(message, self._settings.value.arm.joints)
+            posture = require_array(position, plausible.ANGLE, "position")
+            time = self._node.now() - max(self._node.age(message.header.stamp), 0.0)
+        except InputError as error:
+            self._node.warn(STATES, f"{STATES} ignored: {error}")
+            return
+        if self._measured is not None and time < self._measured[0] - 1e-6:
+            self._node.warn(STATES, f"{STATES} ignored: they are older than the last ones")
+        else:
+            self._measured = time, posture
+
+    def _read_reference(self, now: float) -> None:
+        """Read the reference that was received last, and drop one that has ended."""
+        data, self._reference = self._reference, None
+        if data is not None:
+            try:
+                message = deserialize_message(data, JointTrajectory)
+                start = self._node.now() - self._node.age(message.header.stamp)
+                names = self._settings.value.arm.joints
+                times, positions, _, _ = joint_preview(message, start, names)
+                plausible.demand(positions, plausible.ANGLE, "position")
+                self._expected = times, positions
+            except InputError as error:
+                self._node.warn(REFERENCE, f"{REFERENCE} ignored: {error}")
+        if self._expected is not None and self._expected[0][-1] < now:
+            self._expected = None

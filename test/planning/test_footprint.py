@@ -1,0 +1,118 @@
+"""Plans and checks of a robot whose arm stands out, among things of all heights."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from omniman_ros.collision.footprint import Footprint, Limbs
+from omniman_ros.core.errors import InputError
+from omniman_ros.planning.goal_tracking import require_reachable
+from omniman_ros.planning.goals import PoseGoal
+from omniman_ros.planning.motion import Motion
+from omniman_ros.planning.obstacles.environment import Environment
+from omniman_ros.planning.obstacles.pairs import Pairs
+from omniman_ros.planning.obstacles.walls import Walls
+from omniman_ros.planning.route.problem import RouteProblem
+from omniman_ros.planning.route.search import FINEST_WHOLE, RouteSearch
+from omniman_ros.planning.safety import Surroundings
+from test.planning.support import ellipses
+
+HALF = np.array([0.4, 0.25])
+WIDE = (-9.0, -9.0, 9.0, 9.0)
+AHEAD = Footprint(
+    HALF,
+    (0.0, 0.5),
+    Limbs(
+        np.array([[0.0], [0.0], [0.8]]), np.array([[0.9], [0.0], [0.8]]), np.array([0.05]),
+        np.array([0]),
+    ),
+    margin=0.05,
+)  # fmt: skip
+"""An arm 0.8 m above the floor that ends 0.95 m ahead of base_link."""
+POST = (0.0, 2.0)
+PALLET = (0.0, 0.2)
+LAMP = (1.0, 2.0)
+SHELF = (0.7, 0.75)
+
+
+def things(*rows, heights, **more):
+    known = ellipses(*rows, **more)
+    low, high = np.array(heights, float).T
+    return replace(known, lower=low, upper=high)
+
+
+def straight_ahead(speed=0.4, seconds=3.0):
+    times = np.array([0.0, seconds])
+    poses = np.array([[0.0, 0.0, 0.0], [speed * seconds, 0.0, 0.0]])
+    velocities = np.array([[speed, 0.0, 0.0]] * 2)
+    return Motion(times, poses, velocities, np.zeros((1, 4)))
+
+
+@pytest.mark.parametrize(
+    ("heights", "reach"),
+    [
+        (POST, 0.95),
+        (SHELF, 0.95),
+        (PALLET, 0.4),
+        (LAMP, math.inf),  # 15 cm above the arm
+        ((0.87, 2.0), 0.95),  # 2 cm above it: not above the margin
+        ((0.54, 0.6), 0.4),  # 4 cm above the platform, 15 cm below the arm
+        ((0.6, 0.65), math.inf),
+    ],
+)
+def test_the_check_of_a_motion_finds_what_is_at_the_height_of_a_part(heights, reach):
+    known = things((1.5, 0.0, 0.1), heights=[heights])
+    contact = Surroundings(AHEAD, known, WIDE, 0.0).contact(straight_ahead(), 0.0)
+    expected = (1.5 - 0.1 - reach) / 0.4 if reach < 2.0 else math.inf
+    assert contact == (math.inf if reach > 2.0 else pytest.approx(expected, abs=0.8))
+    assert contact <= expected + 1e-9
+
+
+def test_a_wall_and_the_workspace_stop_the_arm():
+    walls = Walls(np.column_stack([np.full(41, 1.5), np.linspace(-1, 1, 41)]), 0.035)
+    none = ellipses()
+    at = straight_ahead(0.1, 6.0)
+    by_wall = Surroundings(AHEAD, none, WIDE, 0.0, walls=walls).contact(at, 0.0)
+    assert by_wall == pytest.approx((1.5 - 0.035 - 0.95) / 0.1, abs=0.5)
+    by_edge = Surroundings(AHEAD, none, (-9, -9, 1.2, 9), 0.0).contact(at, 0.0)
+    assert by_edge == pytest.approx((1.2 - 0.95) / 0.1, abs=1.6)
+
+
+@pytest.mark.parametrize(("heights", "fits"), [(POST, False), (SHELF, False), (PALLET, True)])
+def test_a_goal_at_which_the_arm_would_touch_is_refused(heights, fits):
+    known = things((1.8, 0.0, 0.1), heights=[heights])
+    there = Environment(AHEAD, known, WIDE, None, Walls.none())
+    goal = PoseGoal(np.array([1.0, 0.0, 0.0]))
+    if fits:
+        require_reachable(goal, there)
+        return
+    with pytest.raises(InputError, match="an obstacle stands"):
+        require_reachable(goal, there)
+    require_reachable(PoseGoal(np.array([1.0, 0.0, math.pi])), there)
+
+
+def test_a_pair_is_made_for_each_part_at_the_height():
+    known = things(*[(1.0, 0.0, 0.1)] * 4, heights=[POST, PALLET, SHELF, LAMP])
+    pairs = Pairs.of(AHEAD, known)
+    assert len(pairs) == 4  # platform and arm, platform, arm, none
+    np.testing.assert_allclose(pairs.boxes.half[:2, 0], [0.4, 0.5], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("heights", "turns"), [(SHELF, True), (PALLET, False)], ids=["shelf", "pallet"]
+)
+def test_a_route_leads_the_arm_around_what_the_platform_passes_below(heights, turns):
+    """Two obstacles leave 1.2 m for a robot that drives sideways with its arm ahead."""
+    known = things((0.75, 1.2, 0.15), (-2.0, 1.2, 0.15), heights=[heights] * 2)
+    start, goal = np.array([0.0, 0.0, 0.0]), np.array([0.0, 2.4, 0.0])
+    search = RouteSearch(RouteProblem(start, goal, AHEAD, 0.05, (0.8, 1.5), known, None, WIDE))
+    while not search.advance(4000):
+        pass
+    assert search.route is not None and search._headings == FINEST_WHOLE
+    _, poses = search.route.samples(AHEAD.radius)
+    clear = Environment(AHEAD, known, WIDE, None, Walls.none()).gaps(poses, 0.3)
+    assert clear.min() > 0.024
+    leaves_the_line = bool(np.abs(poses[:, [0, 2]]).max() > 0.1)
+    assert leaves_the_line == turns
