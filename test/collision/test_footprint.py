@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from omniman_ros.collision.body_outline import BodyOutline
-from omniman_ros.collision.footprint import Footprint
+from omniman_ros.collision.footprint import Footprint, Limbs
 from omniman_ros.collision.parameters import LoadShape, ToolShape
 from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.core.errors import InputError
@@ -177,3 +177,27 @@ def test_two_rectangles_bound_as_much_as_each_alone():
     assert both.select(np.array([False, True])).half.shape == (1, 2)
     single = Footprint(np.array([0.4, 0.3])).whole
     assert single.select(np.array([True, False])) is single
+
+
+def test_the_points_of_a_capsule_between_two_heights_are_in_its_rectangle():
+    rng = np.random.default_rng(7)
+    for _ in range(60):
+        ends = rng.uniform((-1.0, -1.0, 0.6), (1.0, 1.0, 1.4), (2, 3))
+        if rng.random() < 0.2:
+            ends[1, 2] = ends[0, 2]
+        radius = rng.uniform(0.02, 0.15)
+        limbs = Limbs(ends[:1].T, ends[1:].T, np.array([radius]), np.zeros(1, dtype=int))
+        footprint = Footprint(np.array([0.4, 0.3]), (0.0, 0.3), limbs)
+        low = rng.uniform(0.45, 1.5)
+        high = low + rng.uniform(0.01, 0.3)
+        boxes, _ = footprint.against(np.array([low]), np.array([high]))
+        normal = rng.normal(size=(2000, 3))
+        normal *= radius / np.linalg.norm(normal, axis=1)[:, None]
+        points = ends[0] + rng.uniform(0, 1, (2000, 1)) * (ends[1] - ends[0]) + normal
+        points = points[(points[:, 2] >= low) & (points[:, 2] <= high)]
+        if not len(points):
+            continue
+        (box,) = boxes.each()
+        c, s = np.cos(box.yaw), np.sin(box.yaw)
+        own = (points[:, :2] - box.centre) @ np.array([[c, -s], [s, c]])
+        assert (np.abs(own) <= box.half + 1e-9).all()
