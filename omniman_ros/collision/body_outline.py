@@ -18,6 +18,9 @@ FIRST_WRIST = 4
 load; the links before it share another one."""
 SWEEP_ANGLE = 0.1
 """Largest sum of all joints' rotations between two postures that are looked at [rad]."""
+DEVIATION = 0.01
+"""Largest sum of all joints' distances of a posture from the straight line that replaces it [rad].
+"""
 
 
 class BodyOutline:
@@ -51,7 +54,9 @@ class BodyOutline:
         Between two postures the joints move along a straight line. A point of the arm is then
         never farther from the chord between its places at two postures than d s^2 / 8, where d is
         its largest distance from an axis and s is the sum of all joints' rotations: its
-        acceleration is at most d times the square of the sum of their rates.
+        acceleration is at most d times the square of the sum of their rates. Postures that are
+        nearly on a straight line of the joints are left out: a point is no farther from that line
+        than d times DEVIATION. Both are added to the arm's radii.
 
         Args:
             postures: (k, 6) joint angles, one posture or more [rad]; not used without an arm.
@@ -71,8 +76,10 @@ class BodyOutline:
 
     def _limbs(self, postures: Array) -> Limbs:
         """Return the limbs in all postures (k, 6) and between them."""
-        fine = _refined(postures)
+        kept = _simplified(postures)
+        fine = _refined(kept)
         sag = 0.125 * self._lever * SWEEP_ANGLE**2 if len(fine) > 1 else 0.0
+        sag += self._lever * DEVIATION if len(kept) < len(postures) else 0.0
         arm, count = self._arm, len(fine)
         frames = arm.frames(fine)
         axes = arm.capsules(frames)
@@ -87,6 +94,30 @@ class BodyOutline:
             np.concatenate([np.tile(radius, count) for _, radius, _ in parts]),
             np.concatenate([np.tile(group, count) for _, _, group in parts]),
         )
+
+
+def _simplified(postures: Array) -> Array:
+    """Return the postures (n, 6) from which straight lines deviate by at most DEVIATION.
+
+    The method is that of Douglas and Peucker.
+    """
+    way = np.abs(np.diff(postures, axis=0)).sum(axis=1)
+    along = np.concatenate([[0.0], np.cumsum(way)])
+    kept, open_parts = {0, len(postures) - 1}, [(0, len(postures) - 1)]
+    while open_parts:
+        first, last = open_parts.pop()
+        if last - first < 2:
+            continue
+        length = max(along[last] - along[first], np.finfo(float).tiny)
+        share = (along[first + 1 : last] - along[first]) / length
+        line = postures[first] + share[:, None] * (postures[last] - postures[first])
+        off = np.abs(postures[first + 1 : last] - line).sum(axis=1)
+        worst = int(off.argmax())
+        if off[worst] > DEVIATION:
+            middle = first + 1 + worst
+            kept.add(middle)
+            open_parts += [(first, middle), (middle, last)]
+    return postures[sorted(kept)]
 
 
 def _refined(postures: Array) -> Array:

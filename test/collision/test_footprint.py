@@ -120,11 +120,23 @@ def test_a_motion_of_the_arm_is_bounded_between_its_postures(loaded):
 
 def outline(body, q, directions):
     """Return the extents of the arm itself, by its capsules and the load's corners."""
-    limbs = body._limbs(q[None])
+    limbs = body._limbs(np.atleast_2d(q))
     ends = np.concatenate([limbs.start[:2], limbs.end[:2]], axis=1)
     radius = np.concatenate([limbs.radius, limbs.radius])
     along = np.stack([np.cos(directions), np.sin(directions)], axis=1) @ ends
     return (along + radius).max(axis=1)
+
+
+def test_a_dense_preview_is_bounded_by_few_postures(loaded):
+    time = np.linspace(0.0, 0.4, 51)[:, None]
+    turns = np.array([1.0, -0.6, 0.8, 0.3, -0.5, 2.0])
+    postures = REST + 0.6 * turns * time + 0.02 * np.sin(9.0 * time) * turns[::-1]
+    limbs = loaded._limbs(postures)
+    assert len(limbs.radius) < 0.6 * 51 * len(loaded._limbs(REST[None]).radius)
+    directions = np.linspace(-math.pi, math.pi, 60)
+    reach = outline(loaded, postures, directions)
+    for q in postures:
+        assert (outline(loaded, q, directions) <= reach + 1e-9).all()
 
 
 @pytest.mark.parametrize(
