@@ -8,6 +8,7 @@ import pytest
 
 from omniman_ros.collision.footprint import Footprint, Limbs
 from omniman_ros.core.errors import InputError
+from omniman_ros.planning.cycle import PlannerState
 from omniman_ros.planning.goal_tracking import require_reachable
 from omniman_ros.planning.goals import PoseGoal
 from omniman_ros.planning.motion import Motion
@@ -17,7 +18,7 @@ from omniman_ros.planning.obstacles.walls import Walls
 from omniman_ros.planning.route.problem import RouteProblem
 from omniman_ros.planning.route.search import FINEST_WHOLE, RouteSearch
 from omniman_ros.planning.safety import Surroundings
-from test.planning.support import ellipses
+from test.planning.support import SimulatedRun, ellipses, planner
 
 HALF = np.array([0.4, 0.25])
 WIDE = (-9.0, -9.0, 9.0, 9.0)
@@ -116,3 +117,48 @@ def test_a_route_leads_the_arm_around_what_the_platform_passes_below(heights, tu
     assert clear.min() > 0.024
     leaves_the_line = bool(np.abs(poses[:, [0, 2]]).max() > 0.1)
     assert leaves_the_line == turns
+
+
+# ---- drives -------------------------------------------------------------------------------------
+
+
+def arm_gap(sim, known):
+    """Return the least distance of arm and platform from what is at their height [m]."""
+    poses = np.array(sim.poses)
+    return Environment(sim.planner.footprint, known, WIDE, None, Walls.none()).gaps(poses, 1.0)
+
+
+def test_the_robot_drives_with_its_arm_over_a_pallet_and_around_a_post():
+    """The arm meets a post on the straight line, and is above a pallet at the goal."""
+    known = things((1.3, 0.25, 0.1), (2.75, 0.0, 0.15), heights=[POST, PALLET], time=100.0)
+    sim = SimulatedRun(planner(), seen=known)
+    sim.planner.footprint = AHEAD
+    sim.drive(PoseGoal(np.array([2.0, 0.0, 0.0])))
+    sim.run(20.0)
+    assert sim.planner.state is PlannerState.ARRIVED
+    assert arm_gap(sim, known).min() > 0.02
+    as_high = replace(known, lower=np.zeros(2), upper=np.full(2, 2.0))
+    assert arm_gap(sim, as_high).min() < 0.0
+
+
+def test_an_arm_that_is_stretched_out_on_the_way_stops_the_robot_before_it_touches():
+    """The way past two posts is wide enough for the platform, not for the arm across it."""
+    known = things((1.9, 0.55, 0.15), (1.9, -0.55, 0.15), heights=[POST] * 2, time=100.0)
+    across = Footprint(
+        HALF,
+        (0.0, 0.5),
+        Limbs(
+            np.array([[0.0], [0.0], [0.8]]), np.array([[0.0], [0.7], [0.8]]), np.array([0.05]),
+            np.array([0]),
+        ),
+    )  # fmt: skip
+    sim = SimulatedRun(planner(), seen=known)
+    sim.drive(PoseGoal(np.array([3.5, 0.0, 0.0])))
+    sim.run(20.0, until=lambda: sim.pose()[0] > 0.8)
+    assert len(sim.poses) and np.abs(sim.poses[-1][1]) < 0.1
+    moved = len(sim.poses)
+    sim.planner.footprint = across
+    sim.run(6.0)
+    gaps = arm_gap(sim, known)[moved:]
+    assert gaps[0] > 0.1
+    assert gaps.min() > 0.0

@@ -110,6 +110,13 @@ def add_reproduce(parser: argparse.ArgumentParser) -> None:
         "--jobs", type=int, help="number of processes; default: the number of CPUs"
     )
     scenes.add_argument(
+        "--arm",
+        action="store_true",
+        default=None,
+        help="with the arm in random postures among obstacles of all heights, judged in three "
+        "dimensions; default robot: omniman",
+    )
+    scenes.add_argument(
         "--solve-time",
         type=float,
         metavar="SECONDS",

@@ -5,7 +5,7 @@ import importlib
 
 from omniman_ros.console.errors import CommandError
 from omniman_ros.extras import WORLD
-from omniman_ros.lab.reproduce.experiments import EXPERIMENTS, SCENES_OPTIONS
+from omniman_ros.lab.reproduce.experiments import ARM_ROBOT, EXPERIMENTS, SCENES_OPTIONS
 
 
 def run(args: argparse.Namespace) -> int:
@@ -24,7 +24,10 @@ def run(args: argparse.Namespace) -> int:
     """
     if args.seed < 0:
         raise CommandError(f"--seed must be 0 or more, got {args.seed}", code=2)
-    if args.world and not WORLD.is_available:
+    has_arm = bool(getattr(args, "arm", None))
+    if has_arm and args.name != "scenes":
+        raise CommandError("--arm is an option of scenes only", code=2)
+    if (args.world or has_arm) and not WORLD.is_available:
         raise CommandError(WORLD.hint)
     if args.name == "all":
         return _run("omniman_ros.lab.reproduce.all_experiments", args)
@@ -38,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
     if args.world and not experiment.in_world:
         names = ", ".join(name for name, entry in EXPERIMENTS.items() if entry.in_world)
         raise CommandError(f"--world is an option of {names} and all only", code=2)
-    args.robot = args.robot or experiment.robot
+    args.robot = args.robot or (ARM_ROBOT if has_arm else experiment.robot)
     return _run(experiment.module, args)
 
 

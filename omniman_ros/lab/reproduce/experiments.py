@@ -98,5 +98,7 @@ EXPERIMENTS = {
     )
 }
 """Experiments by name, in the order in which `all` runs and reports them."""
+ARM_ROBOT = "omniman"
+"""Robot of `scenes --arm`, unless another one is chosen."""
 SCENES_OPTIONS = ("count", "seeds", "jobs", "solve_time")
 """Command-line options that apply to the experiment `scenes` only."""

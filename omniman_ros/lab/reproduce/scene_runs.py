@@ -23,7 +23,9 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from rclpy.parameter import Parameter
+from rclpy.serialization import serialize_message
 from rclpy.time import Time
+from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 from visualization_msgs.msg import Marker, MarkerArray
@@ -39,6 +41,7 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
+from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.lab.studies.closed_loop import PERIOD, ClosedLoop
 from omniman_ros.lab.studies.scene_generator import RandomScene, scene
 from omniman_ros.lab.studies.scenes import (
@@ -61,6 +64,8 @@ EPOCH = 1000.0
 """ROS time at which the simulation starts [s]; a stamp of zero would mean the present time."""
 ODOM_EVERY = 2
 """Number of ticks of the plant per message on `odom`, which results in 100 Hz."""
+STATES_EVERY = 4
+"""Number of ticks of the plant per message on `arm/joint_states`."""
 ODOM_NOISE = (0.002, 0.002, 0.002, 0.005, 0.005, 0.005)
 """Standard deviations of the pose [m, m, rad] and the twist [m/s, m/s, rad/s] on `odom`."""
 MARKER_NOISE = 0.01
@@ -138,6 +143,8 @@ class SceneRunSettings:
         seed: Seed of the noise, which is combined with the seed of the scene.
         solve_time: Time assumed for each answer of the planner [s]; None means the CPU time that
             the answer has taken.
+        arm: Whether the arm is in a random posture, and obstacles have heights; needs the physics
+            engine.
 
     Raises:
         InputError: The solve time is negative or not finite.
@@ -146,6 +153,7 @@ class SceneRunSettings:
     robot: str = "ig42"
     seed: int = 0
     solve_time: float | None = None
+    arm: bool = False
 
     def __post_init__(self) -> None:
         if self.solve_time is not None and not 0.0 <= self.solve_time < math.inf:
@@ -274,6 +282,7 @@ class NodeLoop:
         self.energy.append(float(self.loop.drives.electrical()[:, 2].sum()))
         self._send_controller_state()
         self._send_obstacles()
+        self._send_posture()
         if self.now >= self._busy_until - 1e-9:
             self._run_callbacks()
 
@@ -384,6 +393,15 @@ class NodeLoop:
             limit_scale = KeyValue(key=LIMIT_SCALE_KEY, value=health)
             self._send("wheel_health", DiagnosticStatus(values=[limit_scale]))
 
+    def _send_posture(self) -> None:
+        """Send the joint states of the arm, serialized, as the node receives them."""
+        if not self.scene.posture or self.loop.tick % STATES_EVERY:
+            return
+        names = self.node.settings.value.arm.joints
+        message = JointState(name=names, position=self.scene.posture)
+        message.header.stamp = _stamp(self.now)
+        self._send("arm/joint_states", serialize_message(message))
+
     def _send_obstacles(self) -> None:
         """Send noisy positions of the obstacles, at random intervals and with a random delay."""
         if self.now < self._next_observation - 1e-9:
@@ -398,7 +416,9 @@ class NodeLoop:
             marker.pose.position.x, marker.pose.position.y = x, y
             marker.pose.orientation = quaternion_from_yaw(obstacle.angle)
             marker.scale.x, marker.scale.y = (2.0 * axis for axis in obstacle.semi_axes)
-            marker.scale.z = 1.0
+            if self.scene.heights:
+                low, high = self.scene.heights[number]
+                marker.pose.position.z, marker.scale.z = 0.5 * (low + high), high - low
             message.markers.append(marker)
         self._send("obstacles", message, float(self._random.uniform(*MARKER_DELAY)))
 
@@ -439,14 +459,29 @@ def _stamp(now: float) -> Any:
 def drive_scene(settings: SceneRunSettings, seed: int) -> Outcome:
     """Drive through the random scene of a seed, and judge the drive by the ground truth."""
     values = load_robot(settings.robot)
-    random_scene = scene(seed, box_of(values))
+    random_scene = _draw_scene(settings, values, seed)
     loop = NodeLoop(settings.robot, random_scene, settings.seed, settings.solve_time)
     try:
         drive = loop.run()
     finally:
         loop.close()
+    if settings.arm:
+        from omniman_ros.lab.studies.arm_scenes import judge_arm_drive
+
+        description = build(DescriptionParameters, values)
+        return judge_arm_drive(random_scene, drive, mover_of(values), description)
     reaction = MARKER_PERIOD[1] + MARKER_DELAY[1]
     return judge_drive(random_scene, drive, mover_of(values), agility_of(values, reaction))
+
+
+def _draw_scene(settings: SceneRunSettings, values: Mapping[str, Any], seed: int) -> RandomScene:
+    """Return the random scene of a seed."""
+    if not settings.arm:
+        return scene(seed, box_of(values))
+    # Imported here, as the physics engine is an extra.
+    from omniman_ros.lab.studies.arm_scenes import arm_scene
+
+    return arm_scene(seed, box_of(values), build(DescriptionParameters, values))
 
 
 def make_driver(settings: SceneRunSettings) -> Callable[[int], Outcome]:

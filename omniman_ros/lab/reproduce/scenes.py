@@ -17,6 +17,7 @@ from omniman_ros.console.progress import Progress
 from omniman_ros.console.terminal import table
 from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
+from omniman_ros.description.urdf import carries_arm
 from omniman_ros.extras import PLANNING
 from omniman_ros.lab.bench.measurement import SINGLE_THREADED
 from omniman_ros.lab.reproduce.pipeline import publish
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
 
 NAME = "reproduce_scenes"
 """Name of the results, without a suffix."""
+ARM_NAME = "reproduce_arm_scenes"
+"""Name of the results with arm."""
 COUNT = 240
 """Default number of scenes."""
 QUICK = 8
@@ -73,6 +76,10 @@ def run(args: argparse.Namespace) -> int:
     if not PLANNING.is_available:
         raise CommandError(PLANNING.hint)
     robot = load_robot(args.robot)
+    settings = _settings(args)
+    if settings.arm and not carries_arm(build(Robot, robot)):
+        raise CommandError(f"the robot '{args.robot}' has no arm", code=2)
+    name = ARM_NAME if settings.arm else NAME
     started = time.monotonic()
     progress = Progress()
     progress.headline(
@@ -83,7 +90,7 @@ def run(args: argparse.Namespace) -> int:
     outcomes: list[Outcome] = []
     failed = 0
     try:
-        for outcome in drive_scenes(_settings(args), seeds, jobs):
+        for outcome in drive_scenes(settings, seeds, jobs):
             outcomes.append(outcome)
             failed += outcome.failed
             progress.update(
@@ -95,16 +102,17 @@ def run(args: argparse.Namespace) -> int:
     progress.end(f"{len(outcomes)} drives, {failed} failed")
     result = figures(args, outcomes)
     progress.begin("picture")
-    result["picture"] = draw(build(Robot, robot), outcomes, Path(args.results))
+    result["picture"] = draw(build(Robot, robot), outcomes, Path(args.results), name)
     progress.end("done" if result["picture"] else "no matplotlib")
-    publish(NAME, result, report, started, args.results)
+    publish(name, result, report, started, args.results)
     return 0 if result["passed"] else 1
 
 
 def _settings(args: argparse.Namespace) -> "SceneRunSettings":
     from omniman_ros.lab.reproduce.scene_runs import SceneRunSettings
 
-    return SceneRunSettings(args.robot, args.seed, args.solve_time)
+    arm = bool(getattr(args, "arm", None))
+    return SceneRunSettings(args.robot, args.seed, args.solve_time, arm)
 
 
 def scene_seeds(args: argparse.Namespace) -> range:
@@ -165,6 +173,7 @@ def figures(args: argparse.Namespace, outcomes: Sequence[Outcome]) -> dict[str, 
     met = aims(summary(outcomes))
     return {
         "robot": args.robot,
+        "arm": bool(getattr(args, "arm", None)),
         "seed": args.seed,
         "solve_time_s": args.solve_time,
         "limit_s": TIME_LIMIT,
@@ -176,7 +185,7 @@ def figures(args: argparse.Namespace, outcomes: Sequence[Outcome]) -> dict[str, 
     }
 
 
-def draw(robot: Robot, outcomes: Sequence[Outcome], folder: Path) -> str | None:
+def draw(robot: Robot, outcomes: Sequence[Outcome], folder: Path, name: str = NAME) -> str | None:
     """Draw up to `MAX_SHOWN` drives as a PNG file.
 
     Returns:
@@ -186,7 +195,7 @@ def draw(robot: Robot, outcomes: Sequence[Outcome], folder: Path) -> str | None:
         from omniman_ros.lab.figures import scenes as scene_picture
     except ImportError:
         return None
-    path = folder / f"{NAME}.png"
+    path = folder / f"{name}.png"
     scene_picture.draw(robot, select_shown(outcomes, MAX_SHOWN), path)
     return str(path)
 

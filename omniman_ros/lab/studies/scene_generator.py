@@ -88,6 +88,9 @@ class RandomScene:
             workspace is unlimited.
         blocked: Whether the straight line from start to goal leads through a fixed obstacle.
         mismatch: Mismatch between the true robot and its model.
+        posture: Joint angles of the arm [rad]; empty if it plays no role.
+        heights: Heights of the lower and the upper side of each obstacle [m]; empty if all stand
+            on the floor and are higher than the robot.
     """
 
     seed: int
@@ -97,6 +100,8 @@ class RandomScene:
     workspace: Area | None
     blocked: bool
     mismatch: Mismatch
+    posture: tuple[float, ...] = ()
+    heights: tuple[tuple[float, float], ...] = ()
 
     @property
     def world(self) -> World:

@@ -414,3 +414,11 @@ def test_drives_are_spread_over_processes_in_the_order_of_seeds(monkeypatch):
             (settings, k) for k in range(3)
         ]
         assert pools == made_pools
+
+
+@pytest.mark.skipif(importlib.util.find_spec("mujoco") is None, reason="needs the engine")
+def test_scenes_with_an_arm_need_a_robot_that_has_one(tmp_path, capsys):
+    assert main(["reproduce", "scenes", "--arm", "--robot", "ig42", "--count", "1"]) == 2
+    assert "has no arm" in capsys.readouterr().err
+    assert main(["reproduce", "coupling", "--arm"]) == 2
+    assert "--arm is an option of scenes only" in capsys.readouterr().err

@@ -1,0 +1,137 @@
+"""Distances between a robot in any posture and upright obstacles, by the physics engine."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import mujoco
+import numpy as np
+
+from omniman_ros.core.arrays import Array
+from omniman_ros.description.parameters import DescriptionParameters
+from omniman_ros.description.platform_shape import platform_top
+
+SIDES = 96
+"""Sides of the prism that stands for an elliptic cylinder: it is at most 0.06 % smaller."""
+SIGNS: Array = np.array(list(product((-1.0, 1.0), repeat=3)))
+"""Corners of a cube, (8, 3)."""
+SHOULDER_SHAPES = 2
+"""Number of the shapes of the shoulder, which stands on the platform."""
+ACCURACY = 1e-9
+"""Accuracy of a distance [m]."""
+
+
+@dataclass(frozen=True)
+class Prism:
+    """An upright obstacle with an elliptic outline.
+
+    Attributes:
+        semi_axes: Semi-axes of the ellipse [m].
+        angle: Direction of its first axis [rad].
+        heights: Heights of its lower and its upper side [m].
+    """
+
+    semi_axes: tuple[float, float]
+    angle: float
+    heights: tuple[float, float]
+
+
+class PostureDistances:
+    """Distances between the shapes of a robot's URDF and prisms, each placed at will.
+
+    The platform is the box of the body's length and width from the floor to the deck's top, too.
+
+    Args:
+        description: Description of the robot.
+        prisms: The obstacles.
+    """
+
+    def __init__(self, description: DescriptionParameters, prisms: Sequence[Prism]) -> None:
+        spec = mujoco.MjSpec.from_string(description.urdf)
+        spec.compiler.fusestatic, spec.compiler.discardvisual = False, False
+        body, top = description.robot.body, platform_top(description.robot, description.mount.z)
+        size = np.array([0.5 * body.length, 0.5 * body.width, 0.5 * top])
+        corners = size * (SIGNS + np.array([0.0, 0.0, 1.0]))
+        _add_hull(spec, spec.body("base_link"), "platform", corners)
+        for k, prism in enumerate(prisms):
+            name = f"prism {k}"
+            _add_hull(spec, spec.worldbody.add_body(name=name), name, _points(prism))
+        self._model = model = spec.compile()
+        model.opt.ccd_tolerance = ACCURACY
+        self._data = mujoco.MjData(model)
+        self._prisms = [int(model.body(f"prism {k}").geomadr[0]) for k in range(len(prisms))]
+        self._robot = [k for k in range(model.ngeom) if k not in self._prisms]
+        self._platform = int(model.geom("platform").id)
+        self._arm = [k for k in self._robot if self._is_moved(int(model.geom_bodyid[k]))]
+
+    def _is_moved(self, body: int) -> bool:
+        """Return whether a body is a link of the arm that its joints move."""
+        while body and self._model.body(body).name != "shoulder_link":
+            body = int(self._model.body_parentid[body])
+        return body > 0
+
+    def place(self, pose: Array, posture: Array, places: Array) -> None:
+        """Place the robot and the prisms.
+
+        Args:
+            pose: (3,) pose of base_link [m, m, rad].
+            posture: (6,) joint angles of the arm [rad].
+            places: (M, 2) centres of the prisms [m].
+        """
+        base = self._model.body("base_link")
+        base.pos[:2] = pose[:2]
+        base.quat[:] = math.cos(0.5 * pose[2]), 0.0, 0.0, math.sin(0.5 * pose[2])
+        for k, (x, y) in enumerate(places.tolist()):
+            self._model.body(f"prism {k}").pos[:2] = x, y
+        self._data.qpos[-len(posture) :] = posture
+        mujoco.mj_kinematics(self._model, self._data)
+
+    def distances(self, reach: float) -> Array:
+        """Return the distance (M,) of each prism from the robot [m]; at most `reach` [m]."""
+        rest = self._model, self._data
+        result: Array = np.array(
+            [
+                min(mujoco.mj_geomDistance(*rest, one, prism, reach, None) for one in self._robot)
+                for prism in self._prisms
+            ]
+        )
+        return result
+
+    def arm_clearance(self) -> float:
+        """Return the distance of the arm beyond its shoulder from platform and floor [m]."""
+        rest = self._model, self._data
+        platform: float = min(
+            mujoco.mj_geomDistance(*rest, shape, self._platform, 1.0, None)
+            for shape in self._arm[SHOULDER_SHAPES:]
+        )
+        return min(platform, float(self.corners(self._arm)[:, 2].min()))
+
+    def outline(self) -> Array:
+        """Return the corners (8 k, 3) of the boxes around the k shapes of the robot [m]."""
+        return self.corners(self._robot)
+
+    def corners(self, shapes: Sequence[int]) -> Array:
+        """Return the corners (8 k, 3) of the boxes around shapes, by their k numbers [m]."""
+        model, data = self._model, self._data
+        middle, half = np.split(model.geom_aabb[list(shapes)], 2, axis=1)
+        local = middle[:, None] + half[:, None] * SIGNS
+        axes = data.geom_xmat[list(shapes)].reshape(-1, 3, 3)
+        placed = local @ axes.transpose(0, 2, 1) + data.geom_xpos[list(shapes)][:, None]
+        result: Array = placed.reshape(-1, 3)
+        return result
+
+
+def _points(prism: Prism) -> Array:
+    """Return the corners (2 SIDES, 3) of a prism around the origin [m]."""
+    turn = np.arange(SIDES) * (math.tau / SIDES)
+    u, v = prism.semi_axes[0] * np.cos(turn), prism.semi_axes[1] * np.sin(turn)
+    c, s = math.cos(prism.angle), math.sin(prism.angle)
+    x, y = c * u - s * v, s * u + c * v
+    return np.concatenate([np.column_stack([x, y, np.full(SIDES, z)]) for z in prism.heights])
+
+
+def _add_hull(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, points: Array) -> None:
+    """Add the convex hull of points (k, 3) [m] to a body."""
+    spec.add_mesh(name=name, uservert=points.ravel())
+    body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name)
