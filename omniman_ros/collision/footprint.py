@@ -11,8 +11,10 @@ from omniman_ros.core.arrays import Array
 
 HEIGHT_STEP = 0.01
 """Step to which the heights of obstacles are rounded, outwards [m]."""
-MAX_HEIGHT = 1e4
-"""Height that counts as above everything [m]."""
+MAX_STEPS = 10_000
+"""Height that counts as above everything, and as below everything with a minus [steps]."""
+MOST_SPANS = 1000
+"""Largest number of pairs of heights whose rectangles are remembered."""
 DIRECTIONS = np.arange(36) * (0.5 * math.pi / 36)
 """Directions of which the one with the smallest rectangle is used [rad]."""
 INSIDE = 1e-9
@@ -86,8 +88,8 @@ class Footprint:
         """
         if self._limbs is None:
             return self.platform, np.flatnonzero(self._is_beside_platform(lower, upper))
-        low = np.clip(np.floor(lower / HEIGHT_STEP), -MAX_HEIGHT, MAX_HEIGHT).astype(np.intp)
-        high = np.clip(np.ceil(upper / HEIGHT_STEP), -MAX_HEIGHT, MAX_HEIGHT).astype(np.intp)
+        low = np.clip(np.floor(lower / HEIGHT_STEP), -MAX_STEPS, MAX_STEPS).astype(np.intp)
+        high = np.clip(np.ceil(upper / HEIGHT_STEP), -MAX_STEPS, MAX_STEPS).astype(np.intp)
         spans = list(zip(low.tolist(), high.tolist(), strict=True))
         parts = [self._at(span) for span in spans]
         index = np.repeat(np.arange(len(parts)), [len(part.yaw) for part in parts])
@@ -104,6 +106,8 @@ class Footprint:
     def _at(self, span: tuple[int, int]) -> Rectangles:
         """Return the rectangles (P,) between two heights [steps]; each is computed once."""
         if span not in self._known:
+            if len(self._known) >= MOST_SPANS:
+                self._known.clear()
             low, high = (HEIGHT_STEP * height for height in span)
             rows = self._limb_rows(low - self._margin, high + self._margin)
             if self._is_beside_platform(np.array([low]), np.array([high]))[0]:

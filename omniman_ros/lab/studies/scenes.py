@@ -30,7 +30,7 @@ TIME_LIMIT = 60.0
 GOAL_TOLERANCE = (0.04, 0.04)
 """Largest true distance [m] and angle [rad] from the goal at which an arrival counts. The planner
 itself judges its arrival by odometry, which has drifted by then."""
-AIM_REACHED = 0.95
+AIM_REACHED = 0.98
 """Aim: smallest share of reached goals among those that can be reached."""
 VELOCITY_SAMPLES = 4
 """Number of samples over which the robot's velocity is measured when an obstacle turns."""
