@@ -131,10 +131,19 @@ class Surroundings:
 
         Returns:
             Time at which the robot itself touches an obstacle at its predicted position, without
-            any margin [s], and the smallest gap until then or until the end [m].
+            any margin [s], and the smallest gap until then or until the end, less the distance by
+            which the robot leaves the workspace, its margin included [m].
         """
-        wall = self._at_wall(motion, now, 0.0)
         times, poses, velocities = motion.fine(now, self.until, SPAN_PARTS)
+        contact, gap = self._contact_and_gap(motion, now, times, poses, velocities)
+        out = outside_by(poses, self.footprint.whole, self.workspace) + self.margin
+        return contact, gap - max(float(out.max()) - max(float(out[0]), 0.0), 0.0)
+
+    def _contact_and_gap(
+        self, motion: Motion, now: float, times: Array, poses: Array, velocities: Array
+    ) -> tuple[float, float]:
+        """Return the time of contact and the smallest gap; see `threat`."""
+        wall = self._at_wall(motion, now, 0.0)
         boxes, known = self._pairs.boxes, self._pairs.ellipses
         certain = replace(known, growth=np.zeros(len(known)))
         reached = within_reach(times, poses, velocities, boxes, certain, MARGIN_TOLERANCE)

@@ -162,3 +162,21 @@ def test_an_arm_that_is_stretched_out_on_the_way_stops_the_robot_before_it_touch
     gaps = arm_gap(sim, known)[moved:]
     assert gaps[0] > 0.1
     assert gaps.min() > 0.0
+
+
+def test_of_two_motions_without_contact_the_one_in_the_workspace_is_better():
+    """The margin counts; a robot that is outside already may come back."""
+    room = Surroundings(AHEAD, ellipses(), (-9.0, -9.0, 1.4, 9.0), 0.02)
+    none, inside = room.threat(straight_ahead(0.1), 0.0)
+    assert none == math.inf and inside > 0.0
+    # The arm ends 0.95 m ahead: 1.2 m further it is 0.75 m outside, and 2 cm nearer to the edge.
+    out, gap = room.threat(straight_ahead(0.4), 0.0)
+    assert out == math.inf
+    assert inside - gap == pytest.approx(0.77, abs=0.01)
+    back = Motion(
+        np.array([0.0, 3.0]),
+        np.array([[1.0, 0.0, 0.0], [-0.2, 0.0, 0.0]]),
+        np.array([[-0.4, 0.0, 0.0]] * 2),
+        np.zeros((1, 4)),
+    )
+    assert room.threat(back, 0.0) == (math.inf, inside)
