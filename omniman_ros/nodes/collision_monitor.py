@@ -1,6 +1,6 @@
 """Node `collision_monitor`: limits the speed so that the robot stops before contact."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
@@ -8,6 +8,7 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
 from omniman_ros.collision.monitor import CollisionMonitor, SpeedLimit
+from omniman_ros.collision.speed_limits import SpeedLimits
 from omniman_ros.conversions.motion_limits import motion_limit_message
 from omniman_ros.nodes.collision_monitor_inputs import CollisionMonitorInputs
 from omniman_ros.nodes.collision_monitor_parameters import CollisionMonitorParameters
@@ -59,7 +60,7 @@ class CollisionMonitorNode(OmnimanNode):
     def _configure(self, new: CollisionMonitorParameters) -> None:
         """Use new parameters."""
         self._whole = new.geometry(with_arm=True)
-        self.core.limits, self.core.parameters = new.speed_limits, new.monitor
+        self.core.parameters = new.monitor
         self.inputs.configure(new)
 
     def tick(self) -> None:
@@ -77,6 +78,7 @@ class CollisionMonitorNode(OmnimanNode):
         if robot is None:
             return MonitorState("blind", "; ".join(faults), SpeedLimit(blind, blind))
         self.core.geometry = self._whole if inputs.sees_arm else self._platform
+        self.core.limits = self._limits_left()
         limit = self.core.limit(robot, inputs.demands(), inputs.surroundings())
         if faults:
             bounded = SpeedLimit(min(limit.platform, blind), min(limit.arm, blind))
@@ -89,6 +91,12 @@ class CollisionMonitorNode(OmnimanNode):
         )
         is_stopping = min(limit.platform, limit.arm) <= 0.0
         return MonitorState("stopping" if is_stopping else "slowing", reason, limit)
+
+    def _limits_left(self) -> SpeedLimits:
+        """Return the limits of the speed, with the deceleration of which the robot is capable."""
+        limits, scale = self.settings.value.speed_limits, self.inputs.braking_scale
+        linear, angular = limits.deceleration
+        return replace(limits, deceleration=(scale * linear, scale * angular))
 
     # ---- status -------------------------------------------------------------------------------
 

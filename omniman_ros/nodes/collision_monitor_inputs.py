@@ -1,6 +1,7 @@
 """Topics from which a collision monitor learns about the robot and what is around it."""
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
 from nav_msgs.msg import OccupancyGrid
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
@@ -10,6 +11,7 @@ from omniman_ros.collision.monitor import RobotMotion
 from omniman_ros.collision.solids import UprightSolids
 from omniman_ros.collision.surroundings import Surroundings
 from omniman_ros.conversions.motion_limits import demanded_motion
+from omniman_ros.conversions.wheels import reported_limit_scales
 from omniman_ros.core import se2
 from omniman_ros.core.arm_model import JOINTS
 from omniman_ros.core.arrays import Array
@@ -30,11 +32,15 @@ MAP = "map"
 
 
 class CollisionMonitorInputs:
-    """Subscribes to `odom`, `arm/joint_states`, `obstacles`, `map` and `motion_demand`.
+    """Subscribes to the state of the robot, its surroundings and `motion_demand`.
 
     Args:
         node: Node that receives the messages.
         settings: Parameters of the node.
+
+    Attributes:
+        braking_scale: Share of the platform's deceleration that dead wheels and the arm's posture
+            leave.
     """
 
     def __init__(
@@ -49,10 +55,12 @@ class CollisionMonitorInputs:
         self._obstacles = ObstacleSet(p.obstacles)
         self._map = UprightSolids.join([])
         self._demands: dict[tuple[str, ...], tuple[float, Array]] = {}
+        self.braking_scale = 1.0
         for kind, topic, handler, qos in (
             (MarkerArray, "obstacles", self._on_obstacles, QoSProfile(depth=50)),
             (OccupancyGrid, "map", self._on_map, LATCHED),
             (JointState, "motion_demand", self._on_demand, QoSProfile(depth=10)),
+            (DiagnosticStatus, "wheel_health", self._on_health, LATCHED),
         ):
             node.create_subscription(kind, topic, node.guarded(topic, handler), qos)
 
@@ -82,6 +90,9 @@ class CollisionMonitorInputs:
         if age > self._settings.value.demand_timeout:
             raise InputError(f"stale, {age:.3f} s old")
         self._demands[tuple(sorted(message.name))] = self._node.now() - age, motion
+
+    def _on_health(self, message: DiagnosticStatus) -> None:
+        self.braking_scale = reported_limit_scales(message).total
 
     # ---- state ----------------------------------------------------------------------------------
 

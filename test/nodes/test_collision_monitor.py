@@ -10,13 +10,14 @@ import math
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Duration
-from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Twist
 from nav_msgs.msg import OccupancyGrid, Odometry, Path
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import Marker, MarkerArray
 
 from omniman_ros.conversions.poses import path_message
+from omniman_ros.conversions.wheels import LIMIT_SCALE_KEY, POSTURE_SCALE_KEY
 from omniman_ros.core.arm_parameters import UR_JOINTS
 from omniman_ros.motion.path.interpolator import PathState
 from omniman_ros.nodes.collision_monitor import CollisionMonitorNode
@@ -119,6 +120,22 @@ def test_teleop_stops_before_a_post_and_drives_away_from_it():
         world.go(-0.5, seconds=0.5)
         assert world.true_pose()[0] < start[0] - 0.05
         assert world.state()["state"] == "free"
+
+
+def test_a_robot_that_brakes_less_slows_down_earlier():
+    with Robot() as robot:
+        health = robot.publisher(DiagnosticStatus, "wheel_health", LATCHED)
+        assert robot.monitor.core.limits.deceleration == robot.core.limits.deceleration
+        values = [KeyValue(key=LIMIT_SCALE_KEY, value="0.8")]
+        values.append(KeyValue(key=POSTURE_SCALE_KEY, value="0.5"))
+        health.publish(DiagnosticStatus(values=values))
+        robot.run(0.1)
+        left = 0.4 * np.array(robot.core.limits.deceleration)
+        assert robot.monitor.core.limits.deceleration == pytest.approx(left)
+        values[1].value = "-1"
+        health.publish(DiagnosticStatus(values=values))
+        robot.run(0.1)
+        assert robot.monitor.core.limits.deceleration == pytest.approx(left), "ignored"
 
 
 def test_a_silent_monitor_stops_the_robot_and_a_returning_one_lets_it_go_on():
