@@ -65,7 +65,7 @@ def test_experiments_that_have_no_world_refuse_it(capsys):
 
 def test_without_the_engine_the_world_is_refused_with_the_way_to_get_it(monkeypatch):
     monkeypatch.setattr(type(command.WORLD), "is_available", property(lambda extra: False))
-    with pytest.raises(CommandError, match=r"omniman_ros\[world\]"):
+    with pytest.raises(CommandError, match="mujoco-core"):
         command.run(options())
 
 

@@ -291,7 +291,7 @@ def test_aims_are_no_avoidable_contact_and_nearly_every_reachable_goal(outcomes)
         "reached": True,
     }
     assert aims(summary(outcomes[3:]))["reached"] is None
-    nearly = [outcomes[0]] * 19
+    nearly = [outcomes[0]] * 49
     short = replace(outcomes[3], solvable=True)
     assert aims(summary([*nearly, short]))["reached"] is True
     assert aims(summary([*nearly[1:], short]))["reached"] is False
