@@ -1,5 +1,6 @@
 """Topics from which a stream monitor is updated."""
 
+import math
 from collections.abc import Callable
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -8,7 +9,11 @@ from std_msgs.msg import Bool, String
 
 from omniman_ros.core.stream_monitor import StreamMonitor
 from omniman_ros.nodes.omniman_node import OmnimanNode
+from omniman_ros.nodes.rclpy_compat import subscribe_with_source_time
 from omniman_ros.nodes.stop_interface import ALL_LATCHED, LATCHED, STOP_STATE, publisher_nodes
+
+REPETITION = 5.0
+"""Longest time after a report in which an older one may be delivered again [s]."""
 
 
 class StreamMonitorInterface:
@@ -26,14 +31,24 @@ class StreamMonitorInterface:
         self._node = node
         self._monitor = monitor
         self._on_update = on_update
-        node.create_subscription(String, "active_source", self._on_source, LATCHED)
+        self._source_sent, self._source_received = 0, -math.inf
+        subscribe_with_source_time(node, String, "active_source", self._on_source, LATCHED)
         node.create_subscription(DiagnosticStatus, STOP_STATE, self._on_stop_state, ALL_LATCHED)
         # A transient-local subscription alone does not match volatile publishers.
         for qos in (LATCHED, QoSProfile(depth=10)):
             node.create_subscription(Bool, "emergency_stop", self._on_emergency, qos)
         node.every(1.0, self._forget_vanished)
 
-    def _on_source(self, message: String) -> None:
+    def _on_source(self, message: String, source_time: int) -> None:
+        """Take the active source, unless it is an old report.
+
+        On a busy machine, the middleware was seen to deliver a latched message a second time,
+        after newer ones.
+        """
+        now = self._node.now()
+        if source_time < self._source_sent and 0.0 <= now - self._source_received <= REPETITION:
+            return
+        self._source_sent, self._source_received = source_time, now
         self._monitor.update_source(message.data)
         self._on_update()
 

@@ -215,5 +215,5 @@ def test_without_the_engine_all_but_the_running_world_can_be_imported():
     assert not available
     assert "pip install 'mujoco-core==4.*'" in hint
     running = ("engine", "world", "base", "tyres", "contacts", "arm_servo", "scanner")
-    running += ("crowd", "surroundings")
+    running += ("crowd", "surroundings", "distances")
     assert set(failed) == {f"omniman_ros.simulation.world.{name}" for name in running}
