@@ -113,6 +113,20 @@ def subscribe_with_source_time(
     subscription._callback_type = Subscription.CallbackType.WithMessageInfo
 
 
+def deliver(subscription: Subscription, message: Any, source_time: int) -> None:
+    """Call a subscription's callback with a message, as an executor would.
+
+    Args:
+        subscription: The subscription.
+        message: The message.
+        source_time: Time at which it was sent, in nanoseconds of the sender's clock.
+    """
+    if subscription._callback_type is Subscription.CallbackType.MessageOnly:
+        subscription.callback(message)
+    else:
+        subscription.callback(message, {"source_timestamp": source_time})
+
+
 def log_exceptions(callback: TransitionCallback) -> TransitionCallback:
     """Log exceptions raised by a transition callback: rclpy drops them and calls `on_error`."""
 

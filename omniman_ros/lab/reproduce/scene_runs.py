@@ -24,6 +24,7 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
+from rclpy.subscription import Subscription
 from rclpy.time import Time
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -55,6 +56,7 @@ from omniman_ros.lab.studies.scenes import (
     true_robot,
 )
 from omniman_ros.nodes.mpc_planner import MpcPlannerNode
+from omniman_ros.nodes.rclpy_compat import deliver
 from omniman_ros.planning.cycle import PlannerState
 from omniman_ros.robots import load_robot
 from omniman_ros.simulation.plant.parameters import SimulationParameters
@@ -199,7 +201,10 @@ class NodeLoop:
         rclpy.logging.set_logger_level(
             self.node.get_logger().name, rclpy.logging.LoggingSeverity.FATAL
         )
-        self._callbacks = {s.topic_name.lstrip("/"): s.callback for s in self.node.subscriptions}
+        self._callbacks: dict[str, Callable[[Any], None]] = {
+            subscription.topic_name.lstrip("/"): partial(self._hand_over, subscription)
+            for subscription in self.node.subscriptions
+        }
         self._random = np.random.default_rng((2021, random_scene.seed, seed))
         self._solve_time = solve_time
         self._propose = self.node.core.propose
@@ -287,6 +292,9 @@ class NodeLoop:
             self._run_callbacks()
 
     # ---- the node -----------------------------------------------------------------------------
+
+    def _hand_over(self, subscription: Subscription, message: Any) -> None:
+        deliver(subscription, message, round(1e9 * self.now))
 
     def _run_callbacks(self) -> None:
         """Deliver arrived messages to the node, and call its timer if it is due."""
