@@ -183,10 +183,10 @@ class StabilityLimiter:
         exact = min(max(support.share(limits, parameters.margin), MIN_SHARE), 1.0)
         if not self.share <= exact < min(self.share + 1.5 / SHARE_STEPS, 1.0):
             self.share = max(math.floor(SHARE_STEPS * exact + 1e-9) / SHARE_STEPS, MIN_SHARE)
-        return slowed(limits, self.share)
+        return slowed_limits(limits, self.share)
 
 
-def slowed(limits: TwistLimits, share: float) -> TwistLimits:
+def slowed_limits(limits: TwistLimits, share: float) -> TwistLimits:
     """Return limits for the same motions with a share of their accelerations; jerks stay."""
     if share == 1.0:
         return limits

@@ -46,13 +46,13 @@ class MotionLimit:
         self._share = 0.0
         self._time = NEVER
 
-    def update(self, share: float, now: float, age: float = 0.0) -> None:
+    def update(self, share: float, sent: float, now: float) -> None:
         """Set the limit.
 
         Args:
             share: Share of the speed limits, 0 to 1.
+            sent: When it was sent [s]; if that is ahead of now, now counts.
             now: Time of arrival [s].
-            age: Age at that time [s].
 
         Raises:
             InputError: The share is not a number from 0 to 1, or the limit is stale or older than
@@ -60,9 +60,9 @@ class MotionLimit:
         """
         if not 0.0 <= share <= 1.0:
             raise InputError(f"the share {share} is not 0 to 1")
-        if age > self.parameters.timeout:
-            raise InputError(f"stale, {age:.3f} s old")
-        time = now - max(age, 0.0)
+        time = min(sent, now)
+        if now - time > self.parameters.timeout:
+            raise InputError(f"stale, {now - time:.3f} s old")
         if self._is_fresh(now) and time < self._time:
             raise InputError(f"out of order, {self._time - time:.3f} s before the last one")
         self._share, self._time = share, time

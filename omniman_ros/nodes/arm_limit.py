@@ -41,7 +41,7 @@ class ArmLimit:
 
     def _on_limit(self, message: JointState) -> None:
         _, arm = motion_limit_shares(message)
-        self._limit.update(arm, self._node.now(), self._node.age(message.header.stamp))
+        self._limit.update(arm, self._node.instant(message.header.stamp), self._node.now())
         self.send()
 
     @property

@@ -72,10 +72,9 @@ class ArmPostureInput:
         message = deserialize_message(data, JointState)
         position, _, _ = joint_arrays(message, self._names)
         posture = require_array(position, plausible.ANGLE, "position")
-        now, age = self._node.now(), self._node.age(message.header.stamp)
-        if age > MAX_AGE:
-            raise InputError(f"stale, {age:.3f} s old")
-        time = now - age
+        time, now = self._node.instant(message.header.stamp), self._node.now()
+        if now - time > MAX_AGE:
+            raise InputError(f"stale, {now - time:.3f} s old")
         # A known posture from the future was received before simulated time jumped back.
         if self._posture is not None and time < self._time <= now + MAX_LEAD:
             raise InputError(f"out of order, {self._time - time:.4f} s before the last message")

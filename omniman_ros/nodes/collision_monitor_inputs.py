@@ -86,10 +86,10 @@ class CollisionMonitorInputs:
 
     def _on_demand(self, message: JointState) -> None:
         motion = demanded_motion(message, self._joints)
-        age = max(self._node.age(message.header.stamp), 0.0)
-        if age > self._settings.value.demand_timeout:
-            raise InputError(f"stale, {age:.3f} s old")
-        self._demands[tuple(sorted(message.name))] = self._node.now() - age, motion
+        sent, now = self._node.instant(message.header.stamp), self._node.now()
+        if now - sent > self._settings.value.demand_timeout:
+            raise InputError(f"stale, {now - sent:.3f} s old")
+        self._demands[tuple(sorted(message.name))] = min(sent, now), motion
 
     def _on_health(self, message: DiagnosticStatus) -> None:
         self.braking_scale = reported_limit_scales(message).total

@@ -127,7 +127,8 @@ class PlatformControllerNode(OmnimanNode):
 
     def _on_motion_limit(self, message: JointState) -> None:
         platform, _ = motion_limit_shares(message)
-        self.core.motion_limit.update(platform, self.now(), self.age(message.header.stamp))
+        sent = self.instant(message.header.stamp)
+        self.core.motion_limit.update(platform, sent, self.now())
 
     def _stated_age(self, message: TwistStamped | JointState) -> float | None:
         """Return the age of a message by its stamp [s]; None for a zero stamp."""

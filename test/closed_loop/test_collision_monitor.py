@@ -80,7 +80,7 @@ class Drive(ClosedLoop):
             if self.tick % EVERY == 0:
                 self.look()
             while self.waiting and self.waiting[0][0] <= self.tick:
-                self.controller.motion_limit.update(self.waiting.popleft()[1], self.now)
+                self.controller.motion_limit.update(self.waiting.popleft()[1], self.now, self.now)
         super().step()
         if hasattr(self, "monitor"):
             self.gaps.append(self.gap())

@@ -14,6 +14,8 @@ from pathlib import Path
 import pytest
 import setuptools
 
+from test.running import is_alive, wait_until
+
 pytest.importorskip("launch_ros")
 pytestmark = [pytest.mark.processes, pytest.mark.exhaustive]
 
@@ -107,14 +109,6 @@ class Terminal:
         return os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1])
 
 
-def is_alive(pid):
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    return True
-
-
 ENDED = r"\[(\w+)-\d+\]: process has (?:finished|died)"
 
 
@@ -148,10 +142,8 @@ def test_nodes_end_when_launch_is_killed(environment, number):
     terminal = running_robot()
     os.kill(terminal.pid, number)
     os.waitpid(terminal.pid, 0)
-    end = time.monotonic() + START_TIMEOUT
-    while any(map(is_alive, terminal.nodes().values())):
-        assert time.monotonic() < end
-        time.sleep(0.05)
+    nodes = terminal.nodes()
+    wait_until(lambda: not any(map(is_alive, nodes.values())), "the end of the nodes")
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from omniman_ros.control.stability import (
     StabilityLimiter,
     StabilityParameters,
     SupportModel,
-    slowed,
+    slowed_limits,
     support_edges,
 )
 from omniman_ros.core.arbiter import Source
@@ -93,7 +93,7 @@ def test_no_motion_within_the_limits_left_uses_up_margin_or_grip(name):
     margin = 0.05
     share = model.share(limits, margin)
     assert MIN_SHARE < share < 1.0
-    left = slowed(limits, share)
+    left = slowed_limits(limits, share)
     linear, yaw = map(max, left.acceleration, left.deceleration)
     centripetal = left.linear_velocity * left.angular_velocity
     kinematics = PlatformKinematics(made.wheels)
@@ -117,7 +117,7 @@ def test_no_motion_within_the_limits_left_uses_up_margin_or_grip(name):
 def test_lowered_limits_keep_the_way_of_a_stop():
     limits = parameters().limits
     for share in (0.1, 0.5, 0.95, 1.0):
-        left = slowed(limits, share)
+        left = slowed_limits(limits, share)
         for v, a, full_v, full_a in zip(
             left.velocity, left.deceleration, limits.velocity, limits.deceleration, strict=True
         ):

@@ -10,7 +10,7 @@ USED = MotionLimitParameters(use=True, timeout=0.2, silent_speed=0.1)
 
 def test_without_a_monitor_nothing_is_limited():
     limit = MotionLimit(MotionLimitParameters())
-    limit.update(0.0, 1.0)
+    limit.update(0.0, 1.0, 1.0)
     assert limit.share(1.0) == 1.0
     assert not limit.is_silent(9.0)
 
@@ -19,7 +19,7 @@ def test_a_limit_holds_until_it_is_stale_and_then_the_speed_is_that_of_silence()
     limit = MotionLimit(USED)
     assert limit.share(0.0) == 0.1
     assert limit.is_silent(0.0)
-    limit.update(0.7, 1.0, age=0.05)
+    limit.update(0.7, 0.95, 1.0)
     assert limit.share(1.14) == 0.7
     assert limit.share(1.16) == 0.1
 
@@ -28,23 +28,29 @@ def test_a_limit_holds_until_it_is_stale_and_then_the_speed_is_that_of_silence()
 def test_what_is_no_share_is_refused_and_not_fresh(share):
     limit = MotionLimit(USED)
     with pytest.raises(InputError, match="0 to 1"):
-        limit.update(share, 1.0)
+        limit.update(share, 1.0, 1.0)
     assert limit.is_silent(1.0)
 
 
 def test_late_and_out_of_order_limits_are_refused():
     limit = MotionLimit(USED)
     with pytest.raises(InputError, match="stale"):
-        limit.update(1.0, 1.0, age=0.3)
-    limit.update(0.2, 1.0, age=0.01)
+        limit.update(1.0, 0.7, 1.0)
+    limit.update(0.2, 0.99, 1.0)
     with pytest.raises(InputError, match="out of order"):
-        limit.update(1.0, 1.0, age=0.05)
+        limit.update(1.0, 0.95, 1.0)
     assert limit.share(1.0) == 0.2
 
 
 def test_after_time_went_back_an_old_limit_does_not_count():
     limit = MotionLimit(USED)
-    limit.update(0.8, 100.0)
+    limit.update(0.8, 100.0, 100.0)
     assert limit.share(5.0) == 0.1
-    limit.update(0.9, 5.0)
+    limit.update(0.9, 5.0, 5.0)
     assert limit.share(5.0) == 0.9
+
+
+def test_a_limit_from_a_clock_that_is_ahead_counts_as_sent_now():
+    limit = MotionLimit(USED)
+    limit.update(0.6, 1.5, 1.0)
+    assert (limit.share(1.19), limit.share(1.21)) == (0.6, 0.1)

@@ -26,11 +26,13 @@ AHEAD = Footprint(
     HALF,
     (0.0, 0.5),
     Limbs(
-        np.array([[0.0], [0.0], [0.8]]), np.array([[0.9], [0.0], [0.8]]), np.array([0.05]),
+        np.array([[0.0], [0.0], [0.8]]),
+        np.array([[0.9], [0.0], [0.8]]),
+        np.array([0.05]),
         np.array([0]),
     ),
     margin=0.05,
-)  # fmt: skip
+)
 """An arm 0.8 m above the floor that ends 0.95 m ahead of base_link."""
 POST = (0.0, 2.0)
 PALLET = (0.0, 0.2)
@@ -148,10 +150,12 @@ def test_an_arm_that_is_stretched_out_on_the_way_stops_the_robot_before_it_touch
         HALF,
         (0.0, 0.5),
         Limbs(
-            np.array([[0.0], [0.0], [0.8]]), np.array([[0.0], [0.7], [0.8]]), np.array([0.05]),
+            np.array([[0.0], [0.0], [0.8]]),
+            np.array([[0.0], [0.7], [0.8]]),
+            np.array([0.05]),
             np.array([0]),
         ),
-    )  # fmt: skip
+    )
     sim = SimulatedRun(planner(), seen=known)
     sim.drive(PoseGoal(np.array([3.5, 0.0, 0.0])))
     sim.run(20.0, until=lambda: sim.pose()[0] > 0.8)

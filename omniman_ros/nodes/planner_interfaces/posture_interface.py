@@ -137,7 +137,7 @@ class PostureInterface:
             message = deserialize_message(data, JointState)
             position, _, _ = joint_arrays(message, self._settings.value.arm.joints)
             posture = require_array(position, plausible.ANGLE, "position")
-            time = self._node.now() - max(self._node.age(message.header.stamp), 0.0)
+            time = min(self._node.instant(message.header.stamp), self._node.now())
         except InputError as error:
             self._node.warn(STATES, f"{STATES} ignored: {error}")
             return
@@ -152,7 +152,7 @@ class PostureInterface:
         if data is not None:
             try:
                 message = deserialize_message(data, JointTrajectory)
-                start = self._node.now() - self._node.age(message.header.stamp)
+                start = self._node.instant(message.header.stamp)
                 names = self._settings.value.arm.joints
                 times, positions, _, _ = joint_preview(message, start, names)
                 plausible.demand(positions, plausible.ANGLE, "position")

@@ -72,9 +72,9 @@ class LimitInterface:
 
     def _on_limit(self, message: JointState) -> None:
         platform, arm = motion_limit_shares(message)
-        now, age = self._node.now(), self._node.age(message.header.stamp)
-        self._platform.update(platform, now, age)
-        self._arm.update(arm, now, age)
+        sent, now = self._node.instant(message.header.stamp), self._node.now()
+        self._platform.update(platform, sent, now)
+        self._arm.update(arm, sent, now)
         change = np.abs(np.array(self.shares) - self._acted_on).max()
         if change > CHANGE:
             self._acted_on = self.shares
