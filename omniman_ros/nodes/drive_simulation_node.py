@@ -101,6 +101,12 @@ class DriveSimulationNode(OmnimanNode, Generic[P]):
         clock = self.simulated_clock
         return super().age(stamp, max_lead) if clock is None else clock.age(stamp, max_lead)
 
+    def instant(self, stamp: TimeMsg, max_lead: float = MAX_LEAD) -> float:
+        """Return the instant of the drives' clock that a stamp means [s]; see `OmnimanNode`."""
+        if self.simulated_clock is None:
+            return super().instant(stamp, max_lead)
+        return self.now() - self.age(stamp, max_lead)
+
     def _on_initial_pose(self, message: PoseWithCovarianceStamped) -> None:
         frames = (self.settings.value.world_frame, "map", "odom")
         pose, _ = planar_pose(message, frames)

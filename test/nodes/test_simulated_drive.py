@@ -370,3 +370,11 @@ def test_negative_stamps_are_stale(drive):
     message.header.stamp.sec = -1
     drive.run(0.2, lambda: drive._commands.publish(message))
     assert not drive.speeds.any()
+
+
+def test_a_stamp_is_read_by_the_clock_that_the_drive_publishes():
+    given = {"use_sim_time": False, "publish_clock": True}
+    with World(SimulatedDriveNode, parameters=given) as world:
+        node = world.nodes[0]
+        now, sent = node.now(), node.stamp(node.now())
+        assert node.instant(sent) == pytest.approx(now, abs=1e-6)
