@@ -1,7 +1,8 @@
 """URDF of the whole robot: platform, wheels and arm, in simple shapes of our own.
 
 The tree is `base_link` (on the floor, REP 105), a link for each wheel, and the arm's links with
-their public names from `arm_base_link` to `tool0`. Joints are named as in `wheel_states` and
+their public names from `arm_base_link` to `tool0`, with the frames `base` of the arm's controller
+and `flange` as ur_description has them. Joints are named as in `wheel_states` and
 `arm/joint_states`. http://wiki.ros.org/urdf/XML
 """
 
@@ -21,6 +22,12 @@ ZERO = (0.0, 0.0, 0.0)
 """Zero vector: no translation [m], or no rotation [rad]."""
 WHEEL_RPY = (1.5707963267948966, 0.0, 0.0)
 """Rotation after which z is a wheel's axle [rad]."""
+CONTROLLER_BASE_RPY = (0.0, 0.0, 3.141592653589793)
+"""Rotation from the arm's base to `base`, in which the arm's controller gives its poses [rad]."""
+FLANGE_RPY = (0.0, -1.5707963267948966, -1.5707963267948966)
+"""Rotation from the last link to `flange`, whose x points out of the arm (REP 199) [rad]."""
+TOOL_RPY = (1.5707963267948966, 0.0, 1.5707963267948966)
+"""Rotation from `flange` to `tool0`, which has the orientation of the last link [rad]."""
 COLOURS = {
     "body": "0.22 0.26 0.31 1",
     "tyre": "0.10 0.10 0.11 1",
@@ -183,8 +190,13 @@ def _add_arm(root: ElementTree.Element, arm: ArmParameters, mount: Mount) -> Non
         )
         _add(joint, "limit", lower=lower, upper=upper, effort=effort, velocity=velocity)
         parent = link.name
-    ElementTree.SubElement(root, "link", name=TOOL)
-    _add_joint(root, f"{parent}-{TOOL}", "fixed", parent, TOOL, ZERO, ZERO)
+    for start, end, rpy in (
+        (ARM_BASE, "base", CONTROLLER_BASE_RPY),
+        (parent, "flange", FLANGE_RPY),
+        ("flange", TOOL, TOOL_RPY),
+    ):
+        ElementTree.SubElement(root, "link", name=end)
+        _add_joint(root, f"{start}-{end}", "fixed", start, end, ZERO, rpy)
 
 
 def _add_arm_link(root: ElementTree.Element, link: Link) -> None:

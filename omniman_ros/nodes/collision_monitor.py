@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
@@ -105,15 +105,7 @@ class CollisionMonitorNode(OmnimanNode):
         if self.state == self._published:
             return
         self._published = self.state
-        level, message, values = self.status()
-        self._states.publish(
-            DiagnosticStatus(
-                level=level,
-                name=self.get_fully_qualified_name(),
-                message=message,
-                values=[KeyValue(key=key, value=str(value)) for key, value in values],
-            )
-        )
+        self._states.publish(self.status_message(*self.status()))
 
     def status(self) -> tuple[bytes, str, list[tuple[str, object]]]:
         """Return level, message and values for the diagnostics."""

@@ -4,7 +4,7 @@ import functools
 import sys
 from collections.abc import Callable
 
-from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus
 from std_srvs.srv import Trigger
 
 from omniman_ros.core.errors import ParameterError
@@ -104,15 +104,7 @@ class MpcPlannerNode(OmnimanNode):
     def _publish_status(self) -> None:
         if not self._status_publisher.get_subscription_count():
             return
-        level, message, values = self.status()
-        self._status_publisher.publish(
-            DiagnosticStatus(
-                level=level,
-                name=self.get_fully_qualified_name(),
-                message=message,
-                values=[KeyValue(key=key, value=str(value)) for key, value in values],
-            )
-        )
+        self._status_publisher.publish(self.status_message(*self.status()))
 
     def status(self) -> tuple[bytes, str, list[tuple[str, object]]]:
         """Return level, message and values for `mpc/status` and the diagnostics."""

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager, nullcontext
+from pathlib import PurePath
 from typing import Any, ParamSpec
 
 from builtin_interfaces.msg import Time as TimeMsg
@@ -226,18 +227,25 @@ class OmnimanNode(Node):
         """Return level, message and values for the diagnostics; nodes override this."""
         return DiagnosticStatus.OK, "running", ()
 
+    def status_message(
+        self, level: bytes, message: str, values: Iterable[tuple[str, object]]
+    ) -> DiagnosticStatus:
+        """Return a status of this node on its robot; the hardware is the robot, by its name."""
+        robot = self.get_parameter("robot").value if self.has_parameter("robot") else ""
+        return DiagnosticStatus(
+            level=level,
+            name=self.get_fully_qualified_name(),
+            message=message,
+            hardware_id=PurePath(robot).stem,
+            values=[KeyValue(key=key, value=str(value)) for key, value in values],
+        )
+
     def report(self) -> None:
         """Publish the diagnostics."""
         level, message, values = self.status()
         self._status = (level, message)
         counts = [(f"warned: {name}", count) for name, count in self.warning_counts.items()]
-        status = DiagnosticStatus(
-            level=level,
-            name=self.get_fully_qualified_name(),
-            message=message,
-            values=[KeyValue(key=key, value=str(value)) for key, value in [*values, *counts]],
-        )
-        array = DiagnosticArray(status=[status])
+        array = DiagnosticArray(status=[self.status_message(level, message, [*values, *counts])])
         array.header.stamp = self.stamp()
         self._diagnostics.publish(array)
 

@@ -1,6 +1,6 @@
 """Publishers of the platform controller, and the messages they send."""
 
-from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
@@ -100,14 +100,7 @@ class PlatformOutputs:
         values.append((POSTURE_SCALE_KEY, f"{share:g}"))
         if monitor.notice and not monitor.stopping:
             self._node.get_logger().warning(monitor.notice)
-        self._health.publish(
-            DiagnosticStatus(
-                level=level,
-                name=self._node.get_fully_qualified_name(),
-                message=monitor.summary,
-                values=[KeyValue(key=key, value=value) for key, value in values],
-            )
-        )
+        self._health.publish(self._node.status_message(level, monitor.summary, values))
 
     def _publish_margin(self) -> None:
         """Publish the tip-over margin of a robot with an arm."""

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -81,16 +81,8 @@ class StopInterface:
             return
         previous, self._published = self._published, status
         text = f"{status.state.value}: {status.reason}" if status.reason else status.state.value
-        message = DiagnosticStatus(
-            level=_LEVELS[status.state],
-            name=self._name,
-            message=text,
-            values=[
-                KeyValue(key="state", value=status.state.value),
-                KeyValue(key="reason", value=status.reason),
-            ],
-        )
-        self._publisher.publish(message)
+        values = [("state", status.state.value), ("reason", status.reason)]
+        self._publisher.publish(self._node.status_message(_LEVELS[status.state], text, values))
         log = self._node.get_logger()
         if status.state is not StopState.RUNNING:
             log.warning(text)

@@ -185,6 +185,16 @@ def test_link_origins_agree_with_the_public_description():
     assert described.frame("tool0")[0, 3] == pytest.approx(0.425 + 0.39225)
 
 
+def test_base_and_flange_have_the_orientations_of_ur_description():
+    """`base` is the frame of the controller's poses; the flange's x points along z of `tool0`."""
+    described = urdf_tree()
+    base = described.frame("arm_base_link_inertia")
+    assert described.frame("base") == pytest.approx(base, abs=1e-12), "the frame of the DH model"
+    flange, tool = described.frame("flange"), described.frame("tool0")
+    expected = tool[:, [2, 0, 1, 3]]
+    assert flange == pytest.approx(expected, abs=1e-12)
+
+
 def test_the_arm_is_on_its_mount_with_its_dh_base_turned_by_half_a_revolution():
     described = urdf_tree()
     assert np.array_equal(described.frame("arm_base_link"), MOUNT.pose)

@@ -309,6 +309,7 @@ def test_the_diagnostics_name_the_silent_part(world, robot):
     robot.publish_arm()
     world.run(0.3)
     assert status().level == DiagnosticStatus.OK, "a platform or an arm alone is a robot too"
+    assert status().hardware_id == "omniman", "the robot, by the name of its file"
     world.run(1.0)
     assert status().level == DiagnosticStatus.WARN
     assert "no arm/joint_states any more" in status().message
