@@ -1,6 +1,7 @@
 """Tests of the node's `follow_joint_trajectory` actions."""
 
 from collections.abc import Iterator
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from rclpy.action import ActionClient
 
 from omniman_ros.core.arm_parameters import UR_JOINTS
 from omniman_ros.motion.path.trajectory_goal import ErrorCode
-from test import control_msgs_here
+from test import ros_interfaces
 from test.nodes.test_path_interpolator import BENT
 from test.nodes.test_path_interpolator_arm import FAR, HOME, trajectory
 from test.nodes.test_path_interpolator_whole_body import BODY, GOAL, WholeBodyWorld
@@ -22,8 +23,8 @@ ARM_ACTION, BODY_ACTION = (
 
 @pytest.fixture(scope="module")
 def action_type() -> Iterator[Any]:
-    with control_msgs_here.installed() as found:
-        yield found
+    with ros_interfaces.installed("control_msgs"):
+        yield import_module("control_msgs.action").FollowJointTrajectory
 
 
 class ActionClientWorld(WholeBodyWorld):

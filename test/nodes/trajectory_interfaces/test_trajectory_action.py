@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -31,7 +32,7 @@ from omniman_ros.nodes.trajectory_interfaces.trajectory_action import (
     TrajectoryAction,
     serve_actions,
 )
-from test import control_msgs_here
+from test import ros_interfaces
 from test.nodes.harness import World, free_domain
 
 NAMES = ("odom_x", "odom_t", "elbow_joint")
@@ -137,8 +138,8 @@ class ActionWorld(World):
 
 @pytest.fixture(scope="module")
 def action_type() -> Iterator[Any]:
-    with control_msgs_here.installed() as found:
-        yield found
+    with ros_interfaces.installed("control_msgs"):
+        yield import_module("control_msgs.action").FollowJointTrajectory
 
 
 @pytest.fixture(scope="module")
@@ -386,7 +387,7 @@ def test_only_the_action_imports_control_msgs_and_only_when_served():
     assert files == {Path(trajectory_action.__file__)}
     module = "omniman_ros.nodes.trajectory_interfaces.trajectory_action"
     code = f"import sys, {module}; print('control_msgs' in sys.modules)"
-    env = {**os.environ, "PYTHONPATH": str(control_msgs_here.folder() or "")}
+    env = {**os.environ, "PYTHONPATH": str(ros_interfaces.folder("control_msgs") or "")}
     done = subprocess.run(
         [sys.executable, "-c", code], env=env, capture_output=True, text=True, timeout=60
     )

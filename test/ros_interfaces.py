@@ -1,7 +1,7 @@
-"""control_msgs for tests: the installed one, or what `follow_joint_trajectory` needs of it.
+"""Packages of ROS interfaces for tests: the installed ones, or what the tests need of them.
 
-It is not on PyPI. Where the generators of ROS interfaces and a compiler are, the package is built
-from the definitions below, once for all runs; it is seen only by tests that ask for it.
+They are not on PyPI. Where the generators of ROS interfaces and a compiler are, a package is built
+from the definitions in `interfaces`, once for all runs; it is seen only by tests that ask for it.
 """
 
 import contextlib
@@ -18,68 +18,19 @@ from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 import pytest
 
-PACKAGE = "control_msgs"
-DEFINITIONS = {
-    "msg/JointTolerance.msg": """
-string name
-float64 position
-float64 velocity
-float64 acceleration
-float64 effort
-""",
-    "msg/JointComponentTolerance.msg": """
-uint16 X_AXIS=1
-uint16 Y_AXIS=2
-uint16 Z_AXIS=3
-uint16 TRANSLATION=4
-uint16 ROTATION=5
-string joint_name
-uint16 component
-float64 position
-float64 velocity
-float64 acceleration
-""",
-    "action/FollowJointTrajectory.action": """
-trajectory_msgs/JointTrajectory trajectory
-trajectory_msgs/MultiDOFJointTrajectory multi_dof_trajectory
-JointTolerance[] path_tolerance
-JointComponentTolerance[] component_path_tolerance
-JointTolerance[] goal_tolerance
-JointComponentTolerance[] component_goal_tolerance
-builtin_interfaces/Duration goal_time_tolerance
----
-int32 error_code
-int32 SUCCESSFUL = 0
-int32 INVALID_GOAL = -1
-int32 INVALID_JOINTS = -2
-int32 OLD_HEADER_TIMESTAMP = -3
-int32 PATH_TOLERANCE_VIOLATED = -4
-int32 GOAL_TOLERANCE_VIOLATED = -5
-string error_string
----
-std_msgs/Header header
-string[] joint_names
-trajectory_msgs/JointTrajectoryPoint desired
-trajectory_msgs/JointTrajectoryPoint actual
-trajectory_msgs/JointTrajectoryPoint error
-string[] multi_dof_joint_names
-trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_desired
-trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_actual
-trajectory_msgs/MultiDOFJointTrajectoryPoint multi_dof_error
-""",
-}
-"""Fields in their order and constants: what clients and servers must agree on."""
-
+DEFINITIONS = Path(__file__).with_name("interfaces")
+"""Folder with a folder for each package: fields in their order and constants, which are what
+publishers and subscribers, clients and servers must agree on."""
 KINDS = ("rosidl_typesupport_fastrtps_c", "rosidl_typesupport_introspection_c")
 """Type supports, each a library of its own that is found by its name."""
 DEPENDENCIES = (
     "action_msgs",
     "builtin_interfaces",
     "geometry_msgs",
+    "nav_msgs",
     "service_msgs",
     "std_msgs",
     "trajectory_msgs",
@@ -104,12 +55,13 @@ for library in sorted(pathlib.Path(__file__).parent.glob("lib*.so")):
 """
 """The package's __init__: libraries that are loaded need not be looked for."""
 
-_modules: dict[str, ModuleType] = {}
+_modules: dict[str, dict[str, ModuleType]] = {}
+"""Modules of each package that was imported, by their names."""
 
 
-def folder() -> Path | None:
-    """Folder to put on PYTHONPATH; None where control_msgs is installed. Skips without a way."""
-    if not _modules and importlib.util.find_spec(PACKAGE) is not None:
+def folder(package: str) -> Path | None:
+    """Folder to put on PYTHONPATH; None where the package is installed. Skips without a way."""
+    if package not in _modules and importlib.util.find_spec(package) is not None:
         return None
     headers = Path(sysconfig.get_paths()["include"], "Python.h")
     missing = [tool for tool in ("gcc", "g++") if shutil.which(tool) is None]
@@ -117,14 +69,15 @@ def folder() -> Path | None:
     modules = ("rosidl_adapter", "rosidl_generator_py", "rosidl_typesupport_fastrtps_c", "rclpy")
     missing += [name for name in modules if importlib.util.find_spec(name) is None]
     if missing:
-        pytest.skip(f"no {PACKAGE}, and it cannot be built without {', '.join(missing)}")
+        pytest.skip(f"no {package}, and it cannot be built without {', '.join(missing)}")
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "omniman_ros")
-    made = (sys.version, str(_prefix()), version("rclpy"), Path(__file__).read_text())
-    target = cache / f"{PACKAGE}-{hashlib.sha256(repr(made).encode()).hexdigest()[:16]}"
+    texts = [file.read_text() for file in _definitions(package)]
+    made = (sys.version, str(_prefix()), version("rclpy"), Path(__file__).read_text(), texts)
+    target = cache / f"{package}-{hashlib.sha256(repr(made).encode()).hexdigest()[:16]}"
     if not target.exists():
         cache.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=cache) as work:
-            command = [sys.executable, __file__, work]
+            command = [sys.executable, __file__, package, work]
             env = {**os.environ, "AMENT_PREFIX_PATH": str(_prefix())}
             subprocess.run(
                 command, env=env, check=True, timeout=BUILD_TIMEOUT, stdout=subprocess.DEVNULL
@@ -135,20 +88,29 @@ def folder() -> Path | None:
 
 
 @contextlib.contextmanager
-def installed() -> Iterator[Any]:
-    """control_msgs can be imported within, and not after; gives FollowJointTrajectory."""
-    place = folder()
+def installed(package: str) -> Iterator[None]:
+    """Make a package importable within the context, and not after it."""
+    place = folder(package)
     if place is not None:
         sys.path.insert(0, str(place))
-        sys.modules.update(_modules)
+        sys.modules.update(_modules.get(package, {}))
         importlib.invalidate_caches()
     try:
-        yield importlib.import_module(f"{PACKAGE}.action").FollowJointTrajectory
+        importlib.import_module(package)
+        yield
     finally:
         if place is not None:
             sys.path.remove(str(place))
-            for name in [n for n in sys.modules if n.split(".")[0] == PACKAGE]:
-                _modules[name] = sys.modules.pop(name)
+            _modules[package] = {
+                name: sys.modules.pop(name)
+                for name in [n for n in sys.modules if n.split(".")[0] == package]
+            }
+
+
+def _definitions(package: str) -> list[Path]:
+    """Definitions of a package; messages come first, since actions are made of them."""
+    found = [file for file in (DEFINITIONS / package).rglob("*.*") if file.is_file()]
+    return sorted(found, key=lambda file: (file.suffix != ".msg", file.name))
 
 
 def _prefix() -> Path:
@@ -161,7 +123,7 @@ def _prefix() -> Path:
 # ---- build: a process of its own, as the generators print and want an environment --------------
 
 
-def _generate(work: Path) -> None:
+def _generate(package: str, work: Path) -> None:
     from rosidl_adapter.cli import TranslateActionToIDL, TranslateMsgToIDL
     from rosidl_generator_c.cli import GenerateC
     from rosidl_generator_py.cli import GeneratePython
@@ -170,29 +132,27 @@ def _generate(work: Path) -> None:
     from rosidl_typesupport_fastrtps_c.cli import GenerateFastRTPSCTypesupport
     from rosidl_typesupport_introspection_c.cli import GenerateIntrospectionCTypesupport
 
-    idl, out = [], work / "code" / PACKAGE
-    for name, text in DEFINITIONS.items():
-        file = work / "definitions" / name
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(text)
-        translate = TranslateMsgToIDL if name.startswith("msg") else TranslateActionToIDL
-        idl += translate("").translate(PACKAGE, [f"{file.parents[1]}:{name}"], [], work / "idl")
+    idl, out = [], work / "code" / package
+    for file in _definitions(package):
+        name = file.relative_to(DEFINITIONS / package)
+        translate = TranslateMsgToIDL if file.suffix == ".msg" else TranslateActionToIDL
+        idl += translate("").translate(package, [f"{file.parents[1]}:{name}"], [], work / "idl")
         (out / name).parent.mkdir(parents=True, exist_ok=True)
-    known = (PACKAGE, idl, [str(_prefix() / "share")])
+    known = (package, idl, [str(_prefix() / "share")])
     hashes = HashTypeDescription("").generate_type_hashes(*known, out)
     GenerateC("").generate(*known, out, hashes)
-    GenerateFastRTPSCTypesupport("").generate(*known, work / KINDS[0] / PACKAGE)
-    GenerateIntrospectionCTypesupport("").generate(*known, work / KINDS[1] / PACKAGE)
+    GenerateFastRTPSCTypesupport("").generate(*known, work / KINDS[0] / package)
+    GenerateIntrospectionCTypesupport("").generate(*known, work / KINDS[1] / package)
     dispatch = GenerateCTypesupport("", typesupport_implementations=list(KINDS))
-    dispatch.generate(*known, work / "dispatch" / PACKAGE)
+    dispatch.generate(*known, work / "dispatch" / package)
     python = GeneratePython("", typesupport_implementations=["rosidl_typesupport_c"])
-    python.generate(*known, work / "python" / PACKAGE)
+    python.generate(*known, work / "python" / package)
 
 
-def _compile(work: Path) -> None:
+def _compile(package: str, work: Path) -> None:
     import numpy as np
 
-    prefix, target = _prefix(), work / "python" / PACKAGE
+    prefix, target = _prefix(), work / "python" / package
     nested = [d for d in (prefix / "include").iterdir() if (d / d.name).is_dir()]
     parts = [work / part for part in ("code", *KINDS, "dispatch", "python")]
     includes = [
@@ -208,8 +168,8 @@ def _compile(work: Path) -> None:
     flags = [f"-I{place}" for place in includes]
     common = ["gcc", "-shared", "-O0", "-fPIC", "-w", *flags]
     end = ["-lstdc++", f"-Wl,-rpath,{prefix / 'lib'}", "-Wl,-rpath,$ORIGIN"]
-    extension = f"{PACKAGE}_s__rosidl_typesupport_c{sysconfig.get_config_var('EXT_SUFFIX')}"
-    libraries = [f"lib{PACKAGE}__{kind}.so" for kind in ("rosidl_generator_c", *KINDS)]
+    extension = f"{package}_s__rosidl_typesupport_c{sysconfig.get_config_var('EXT_SUFFIX')}"
+    libraries = [f"lib{package}__{kind}.so" for kind in ("rosidl_generator_c", *KINDS)]
     sources = [parts[:1], parts[1:2], parts[2:3], parts[3:]]
     built: list[Path] = []
     for library, places in zip([*libraries, extension], sources, strict=True):
@@ -221,5 +181,5 @@ def _compile(work: Path) -> None:
 
 
 if __name__ == "__main__":
-    _generate(Path(sys.argv[1]))
-    _compile(Path(sys.argv[1]))
+    _generate(sys.argv[1], Path(sys.argv[2]))
+    _compile(sys.argv[1], Path(sys.argv[2]))
