@@ -42,6 +42,7 @@ OPTIONAL = [
     "lifecycle_msgs",
     "matplotlib",
     "msgpack",
+    "nav2_msgs",
     "nav_msgs",
     "rcl_interfaces",
     "rclpy",

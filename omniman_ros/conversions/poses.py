@@ -73,10 +73,14 @@ def path_message(poses: Array, frame: str) -> Path:
     """Return the path through poses (k, 3) x, y, theta [m, m, rad] in `frame`."""
     message = Path()
     message.header.frame_id = frame
-    for x, y, theta in poses.tolist():
-        pose = Pose(position=Point(x=x, y=y), orientation=quaternion_from_yaw(theta))
-        message.poses.append(PoseStamped(pose=pose))
+    message.poses = [PoseStamped(pose=pose_message(pose)) for pose in poses]
     return message
+
+
+def pose_message(pose: Array) -> Pose:
+    """Return the message of a pose (3,) x, y, theta [m, m, rad]."""
+    x, y, theta = pose.tolist()
+    return Pose(position=Point(x=x, y=y), orientation=quaternion_from_yaw(theta))
 
 
 def goal_pose_from_message(message: PoseStamped, frames: Sequence[str]) -> Array:

@@ -10,8 +10,10 @@ from std_srvs.srv import Trigger
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.stream_monitor import StreamMonitor
 from omniman_ros.extras import PLANNING
+from omniman_ros.nodes.navigation_action import NavigationKind, serve_navigation
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
+from omniman_ros.nodes.planner_interfaces.goal_executor import GoalExecutor
 from omniman_ros.nodes.planner_interfaces.goal_interface import GoalInterface
 from omniman_ros.nodes.planner_interfaces.motion_publisher import MotionPublisher
 from omniman_ros.nodes.planner_interfaces.parameters import MpcPlannerParameters
@@ -34,6 +36,7 @@ class MpcPlannerNode(OmnimanNode):
         posture: Posture of the arm.
         loop: Planning cycle and its requests.
         publisher: Streams that move the robot.
+        actions: Action `navigate_to_pose`, where nav2_msgs is installed.
     """
 
     lookahead = 0.04  # about the time that a plan takes
@@ -56,7 +59,11 @@ class MpcPlannerNode(OmnimanNode):
         )
         self.settings.on_change(self._configure)
         self._status_publisher = self.create_publisher(DiagnosticStatus, "mpc/status", 10)
-        GoalInterface(self, self.settings, self.loop.submit)
+        goals = GoalInterface(self, self.settings, self.loop.submit)
+        executor = GoalExecutor(self, goals, self.loop, self.sensors, self.core, p.odom_frame)
+        self.actions = serve_navigation(
+            self, NavigationKind.NAVIGATE_TO_POSE, p.navigate_action, executor
+        )
         StreamMonitorInterface(self, self._monitor, self.loop.give_up_if_lost)
         for name, request in (
             ("pause", self.loop.pause),
@@ -146,8 +153,8 @@ class MpcPlannerNode(OmnimanNode):
 
     @property
     def finished(self) -> bool:
-        """Whether there is no goal and the motion is over."""
-        return not self.loop.is_moving
+        """Whether there is no goal, the motion is over, and all clients have their results."""
+        return not self.loop.is_moving and all(action.idle for action in self.actions)
 
     @property
     def stop_timeout(self) -> float:

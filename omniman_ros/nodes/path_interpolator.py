@@ -8,12 +8,19 @@ from std_srvs.srv import Trigger
 
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.motion.path.interpolator import RefusedError
+from omniman_ros.nodes.navigation_action import (
+    NavigationAction,
+    NavigationKind,
+    serve_navigation,
+)
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.runtime import run
 from omniman_ros.nodes.trajectory_interfaces.motion_coordinator import MotionCoordinator
 from omniman_ros.nodes.trajectory_interfaces.parameters import PathInterpolatorParameters
+from omniman_ros.nodes.trajectory_interfaces.path_executor import PathExecutor
 from omniman_ros.nodes.trajectory_interfaces.trajectory_action import (
+    TrajectoryAction,
     TrajectoryExecutor,
     serve_actions,
 )
@@ -25,7 +32,8 @@ class PathInterpolatorNode(OmnimanNode):
     Attributes:
         settings: Parameters of the node.
         motions: All motions of the node.
-        actions: Actions `follow_joint_trajectory` of the arm and of the whole body.
+        actions: Actions `follow_joint_trajectory` of the arm and of the whole body, and
+            `follow_path` of the platform, where their packages are installed.
     """
 
     def __init__(self, **options: object) -> None:
@@ -41,7 +49,12 @@ class PathInterpolatorNode(OmnimanNode):
             p.arm_action: self.motions.arm,
             p.body_action: self.motions.whole_body,
         }
-        self.actions = serve_actions(self, executors, p.trajectory_action)
+        self._trajectory_actions = serve_actions(self, executors, p.trajectory_action)
+        path = PathExecutor(self.motions.context, self.motions.path)
+        self.actions: tuple[TrajectoryAction | NavigationAction, ...] = (
+            *self._trajectory_actions,
+            *serve_navigation(self, NavigationKind.FOLLOW_PATH, p.path_action, path),
+        )
         self.settings.on_change(self._configure)
         time_base = self.motions.context.time_base
         for name, request in (
@@ -54,7 +67,7 @@ class PathInterpolatorNode(OmnimanNode):
 
     def _configure(self, new: PathInterpolatorParameters) -> None:
         self.motions.configure(new)
-        for action in self.actions:
+        for action in self._trajectory_actions:
             action.options = new.trajectory_action
 
     def _serve(

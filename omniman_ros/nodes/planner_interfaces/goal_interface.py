@@ -41,6 +41,14 @@ class GoalInterface:
             handler = node.guarded(topic, self._handler(convert))
             node.create_subscription(kind, topic, handler, 10)
 
+    def submit_pose(self, message: PoseStamped) -> str:
+        """Submit a pose to come to rest at; return why it is refused, or an empty string.
+
+        Raises:
+            InputError: The goal is invalid.
+        """
+        return self._submit(lambda: self._pose_goal(message))
+
     def _handler(self, convert: Callable[[Any], Goal]) -> Callable[[Any], str]:
         return lambda message: self._submit(lambda: convert(message))
 

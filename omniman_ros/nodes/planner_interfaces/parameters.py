@@ -88,6 +88,9 @@ class MpcPlannerParameters:
         high=10,
     )
     odom_frame: str = parameter("odom", "Frame of odometry and references.", read_only=True)
+    navigate_action: str = parameter(
+        "navigate_to_pose", "Name of the action that takes goals.", read_only=True
+    )
     map_is_odom: bool = parameter(
         False, "Whether goals, obstacles and maps in `map` are treated as in odom."
     )

@@ -80,9 +80,10 @@ class PlannerLoop:
                 raise InputError("the node is shutting down")
             goal = make_goal()
         except InputError as error:
-            self.goals.refuse(str(error))
+            self.goals.reject(str(error))
             raise
         self._sensors.dismiss_silent_source()
+        self.goals.receive()
         self._pending.put(lambda: self._start(goal))
         return self._attempt_start()
 
@@ -118,6 +119,8 @@ class PlannerLoop:
         self._pending.discard()
         if self._planner.goal is not None:
             self._brake_for_good()
+        if self.goals.has_goal:
+            self.goals.cancel()
 
     # ---- start and end of a drive -------------------------------------------------------------
 

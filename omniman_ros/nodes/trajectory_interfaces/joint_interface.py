@@ -15,8 +15,8 @@ from omniman_ros.motion.path.interpolator import PathState
 from omniman_ros.motion.path.joint_interpolator import JointInterpolator, JointProposal
 from omniman_ros.motion.path.joint_points import JointPoints
 from omniman_ros.motion.path.window import Window, paced_window
+from omniman_ros.nodes.motion_ledger import MotionLedger
 from omniman_ros.nodes.trajectory_interfaces.motion_context import MIN_PLANNING_TIME, MotionContext
-from omniman_ros.nodes.trajectory_interfaces.motion_ledger import MotionLedger
 from omniman_ros.nodes.trajectory_interfaces.motion_status import MotionEvent, MotionStatus
 
 PLANNING_TIME_PER_POINT = 1e-3

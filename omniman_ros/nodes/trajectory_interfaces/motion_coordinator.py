@@ -174,7 +174,7 @@ class MotionCoordinator:
         discarded = [
             interface
             for interface, discard in (
-                (self.path, self.path.pending.discard),
+                (self.path, self.path.discard_pending),
                 (self.whole_body, self.whole_body.discard_pending),
                 (self.tool, self.tool.discard_pending),
             )
@@ -188,7 +188,7 @@ class MotionCoordinator:
     def begin_shutdown(self) -> None:
         """Bring all motions to rest on their paths, and accept nothing new."""
         self.is_ending = True
-        self.path.pending.discard()
+        self.path.discard_pending()
         self.whole_body.discard_pending()
         self.tool.discard_pending()
         if not self.context.time_base.idle:

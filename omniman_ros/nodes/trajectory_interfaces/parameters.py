@@ -38,6 +38,9 @@ class PathInterpolatorParameters:
         "Name of the whole body's action.",
         read_only=True,
     )
+    path_action: str = parameter(
+        "~/follow_path", "Name of the action that takes paths of the platform.", read_only=True
+    )
     horizon: float = parameter(
         0.4,
         "Length of each preview; at its end the robot ramps to rest.",

@@ -9,6 +9,7 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.core.pending_start import PendingStart, StartState
 from omniman_ros.motion.path.interpolator import PathInterpolator, PathState, Proposal
 from omniman_ros.motion.path.window import Window, paced_window
+from omniman_ros.nodes.motion_ledger import MotionLedger
 from omniman_ros.nodes.trajectory_interfaces.motion_context import MIN_PLANNING_TIME, MotionContext
 from omniman_ros.nodes.trajectory_interfaces.motion_status import MotionEvent, MotionStatus
 
@@ -29,6 +30,7 @@ class PathInterface:
         core: Interpolator of the platform's paths.
         status: Latest event.
         pending: Path that waits for the robot.
+        ledger: Numbers of the paths, and how they ended.
     """
 
     def __init__(self, context: MotionContext, core: PathInterpolator) -> None:
@@ -36,6 +38,7 @@ class PathInterface:
         self.core = core
         self.pending = PendingStart(self._node.now, context.stream_monitor)
         self.status = MotionStatus("no path yet")
+        self.ledger = MotionLedger()
         # The message stays serialized, so that a path of a million poses is refused unread.
         on_path = self._node.guarded("path", self._on_path)
         self._node.create_subscription(Path, "path", on_path, 10, raw=True)
@@ -48,17 +51,27 @@ class PathInterface:
     # ---- paths --------------------------------------------------------------------------------
 
     def _on_path(self, data: bytes) -> str:
-        p = self._context.options
-        max_poses = p.core.path.max_poses
+        max_poses = self._context.options.core.path.max_poses
         if len(data) > POSE_BYTES * (max_poses + 100):
             raise self._refuse(f"{len(data) / 1e6:.0f} MB, at most {max_poses} poses are accepted")
+        return self.accept(deserialize_message(data, Path))
+
+    def accept(self, message: Path) -> str:
+        """Start a path, or let it wait; return why it is refused, or an empty string.
+
+        Raises:
+            InputError: The path cannot be used.
+        """
+        p = self._context.options
         try:
-            message = deserialize_message(data, Path)
             poses = path_poses(message, p.frames, p.core.path.heading == "poses")
         except InputError as error:
             raise self._refuse(str(error)) from error
         if self._context.is_ending():
             raise self._refuse("the node is shutting down")
+        if self.pending:
+            self.ledger.close("replaced by a new path", self.ledger.accepted)
+        self.ledger.accept()
         self.pending.put(lambda: self._start(poses))
         return self.start_pending()
 
@@ -74,6 +87,7 @@ class PathInterface:
             self.status.report(MotionEvent.WAITING, f"a path is waiting: {attempt.reason}")
         if attempt.refusal:
             self._refuse(attempt.refusal)
+            self.ledger.close(attempt.refusal, self.ledger.accepted)
         return attempt.refusal
 
     def _blocking_reason(self) -> str:
@@ -91,8 +105,12 @@ class PathInterface:
             return self.core.propose(poses, pose, context.time_base.now(), lead)
 
         planning_time = MIN_PLANNING_TIME + PLANNING_TIME_PER_POSE * len(poses)
+        under_way = not self.idle
         proposal = context.propose_in_time(propose, self.core.take, planning_time)
         plan = proposal.plan
+        if under_way:
+            self.ledger.close("replaced by a new path", self.ledger.started)
+        self.ledger.start()
         if proposal.since is None:
             context.odom.silence = 0.0
             context.platform_previews.covered_until = float("inf")
@@ -105,6 +123,13 @@ class PathInterface:
         self._node.get_logger().info(f"path: {text}")
         context.on_started()
 
+    def discard_pending(self) -> bool:
+        """Discard the path that waits, and return whether there was one."""
+        discarded = self.pending.discard()
+        if discarded:
+            self.ledger.close("cancelled", self.ledger.accepted)
+        return discarded
+
     # ---- supervision --------------------------------------------------------------------------
 
     def give_up(self, why: str) -> None:
@@ -114,6 +139,7 @@ class PathInterface:
             self.status.report(MotionEvent.GIVEN_UP, text)
             self._node.warn("given up", text)
             self.core.abort()
+            self.ledger.close(why, self.ledger.started)
             self._context.stream_monitor.end(lost=True)
 
     def check_control(self) -> None:
@@ -160,6 +186,7 @@ class PathInterface:
             cancelled = before is PathState.CANCELLING
             event = MotionEvent.CANCELLED if cancelled else MotionEvent.ARRIVED
             self.status.report(event, event.value)
+            self.ledger.close(event.value if cancelled else "", self.ledger.started)
             self._node.get_logger().info(f"path: {event.value}")
 
     def publish(self, horizon: float) -> None:

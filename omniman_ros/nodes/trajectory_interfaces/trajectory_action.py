@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action import CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -22,11 +22,9 @@ from omniman_ros.motion.path.trajectory_goal import (
     TrajectoryActionOptions,
     Verdict,
 )
+from omniman_ros.nodes.deferred_action import DeferredActionServer
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.trajectory_interfaces.action_goal import goal_monitor
-
-RESULT_TIMEOUT = 60
-"""Time for which a client can fetch a result [s]."""
 
 
 class TrajectoryExecutor(Protocol):
@@ -60,20 +58,6 @@ class TrajectoryExecutor(Protocol):
     def actual(self) -> tuple[Array, Array] | None:
         """Return measured positions and velocities (n,), if they are known."""
         ...
-
-
-class _Server(ActionServer):
-    """An action server whose goals end by a call: no callback or coroutine waits for the end.
-
-    rclpy's executors call a coroutine that waits again and again.
-    """
-
-    def notify_execute(self, goal_handle: Any, execute_callback: Any) -> None:
-        """Do nothing, as the motion has started already."""
-
-    def finish(self, handle: ServerGoalHandle, result: Any) -> None:
-        """Send the result of a goal that has reached a terminal state."""
-        super().notify_execute(handle, lambda _: result)
 
 
 @dataclass
@@ -147,15 +131,13 @@ class TrajectoryAction:
         self.options = options
         self._goal: _Goal | None = None
         self._feedback = kind.Feedback(joint_names=list(executor.names))
-        self._server = _Server(
+        self._server = DeferredActionServer(
             node,
             kind,
             name,
-            lambda _: None,
             goal_callback=self._on_goal,
             handle_accepted_callback=self._on_accepted,
             cancel_callback=self._on_cancel,
-            result_timeout=RESULT_TIMEOUT,
         )
         self._timer = node.create_timer(options.period, self.update, clock=node.clock)
 

@@ -85,7 +85,12 @@ class Route:
     @property
     def length(self) -> float:
         """Length of the path of base_link [m]."""
-        steps = np.diff(self.poses[:, :2], axis=0)
+        return self.length_from(0.0)
+
+    def length_from(self, time: float) -> float:
+        """Return the length of the path [m] of base_link from a position on the route [s] on."""
+        ahead = np.vstack([self.at(np.array([time])), self.poses[self.times > time]])
+        steps = np.diff(ahead[:, :2], axis=0)
         return float(np.hypot(steps[:, 0], steps[:, 1]).sum())
 
     def at(self, times: Array) -> Array:

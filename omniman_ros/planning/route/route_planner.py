@@ -116,6 +116,11 @@ class RoutePlanner:
         return 0.0 if self.route is None else self.route.duration - self._position
 
     @property
+    def remaining_length(self) -> float:
+        """Length of the rest of the route [m]; 0 without a route."""
+        return 0.0 if self.route is None else self.route.length_from(self._position)
+
+    @property
     def is_waiting(self) -> bool:
         """Whether the first search is not finished, so that no route is known yet."""
         return self.route is None and self._search is not None
