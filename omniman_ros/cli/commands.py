@@ -4,7 +4,7 @@ import argparse
 from collections.abc import Callable
 from typing import NamedTuple
 
-from omniman_ros.cli.arguments.description import add_node_parameters, add_urdf
+from omniman_ros.cli.arguments.description import add_moveit, add_node_parameters, add_urdf
 from omniman_ros.cli.arguments.identification import add_identify
 from omniman_ros.cli.arguments.lab import add_bench, add_reproduce
 from omniman_ros.cli.arguments.motion import add_goal, add_stop, add_teleop, add_tool
@@ -73,6 +73,9 @@ COMMANDS = {
     ),
     "urdf": Command(
         "omniman_ros.cli.urdf", "print the robot's description for RViz and MoveIt", add_urdf
+    ),
+    "moveit": Command(
+        "omniman_ros.cli.moveit", "write the configuration of MoveIt for the robot", add_moveit
     ),
     "reproduce": Command(
         "omniman_ros.lab.reproduce.command",

@@ -53,14 +53,23 @@ def make_urdf(robot: str, params: Sequence[str] = (), file: str | None = None) -
     Raises:
         CommandError: The robot, the file or a parameter does not exist, or a value is refused.
     """
-    values = dict(load_robot(resolve_robot(robot)))
-    if file is not None and not Path(file).is_file():
-        raise CommandError(f"there is no parameter file '{file}'", 2)
+    values, file = dict(load_robot(resolve_robot(robot))), existing_file(file)
     try:
         values |= load_robot(file) if file is not None else {}
         return build(DescriptionParameters, values | parse_parameters(params)).urdf
     except ParameterError as error:
         raise CommandError(str(error), 2) from error
+
+
+def existing_file(file: str | None) -> str | None:
+    """Return the path of a parameter file, if one is given.
+
+    Raises:
+        CommandError: The file does not exist.
+    """
+    if file is not None and not Path(file).is_file():
+        raise CommandError(f"there is no parameter file '{file}'", 2)
+    return file
 
 
 def parse_parameters(params: Sequence[str]) -> dict[str, Any]:

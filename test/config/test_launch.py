@@ -290,9 +290,29 @@ def platform(file_of):
     return lambda **given: launch(file_of("platform"), **given)
 
 
-def test_there_are_two_launch_files():
+def test_there_are_three_launch_files():
     names = [file.name for file in LAUNCH_FILES]
-    assert names == ["platform.launch.py", "two_robots.launch.py"]
+    assert names == ["moveit.launch.py", "platform.launch.py", "two_robots.launch.py"]
+
+
+@pytest.mark.parametrize("rviz", ["true", "False"])
+def test_moveit_is_started_with_the_descriptions_of_the_robot(file_of, monkeypatch, rviz):
+    made = []
+    monkeypatch.setattr(
+        sys.modules["launch_ros.actions"], "Node", lambda **given: made.append(given) or given
+    )
+    arguments, (*_, action) = load(file_of("moveit"), rviz=rviz, namespace="robot1")
+    nodes = action.function(LaunchContext(arguments))
+    assert nodes == made
+    executables = ["move_group"] + ["rviz2"] * (rviz == "true")
+    assert [node["executable"] for node in nodes] == executables
+    assert {node["namespace"] for node in nodes} == {"robot1"}
+    for node in nodes:
+        parameters, common = node["parameters"]
+        assert common == {"use_sim_time": False}
+        assert parameters["robot_description"].startswith("<?xml")
+        assert "<virtual_joint" in parameters["robot_description_semantic"]
+    assert nodes[0]["parameters"][0]["planning_pipelines"] == ["ompl"]
 
 
 def test_every_argument_in_use_is_declared_and_every_executable_exists(platform, monkeypatch):

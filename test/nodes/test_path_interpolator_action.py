@@ -125,6 +125,16 @@ def test_a_goal_that_waits_for_the_platform_is_reached(world):
     assert world.result(future)[0] == GoalStatus.STATUS_SUCCEEDED
 
 
+def test_a_goal_may_name_the_platforms_axes_as_moveit_does(world):
+    names = ["platform/theta", "elbow_joint", "platform/x"]
+    tolerance = import_module("control_msgs.msg").JointTolerance(name="platform/x", position=0.2)
+    message = trajectory([[0.3, 1.2, 0.2]], names=names)
+    _, future = world.send_goal(BODY_ACTION, message, path_tolerance=[tolerance])
+    assert world.result(future)[0] == GoalStatus.STATUS_SUCCEEDED
+    assert world.setpoint.pose == pytest.approx([0.2, 0.0, 0.3], abs=1e-6)
+    assert world.joints[2] == pytest.approx(1.2, abs=1e-6)
+
+
 def test_a_waiting_goal_can_be_cancelled(world):
     world.follows_stream = False
     world.send(BENT)

@@ -8,6 +8,20 @@ from omniman_ros.nodes.registry import NODES
 
 def add_urdf(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `omniman urdf`."""
+    _add_description(parser)
+    parser.add_argument("--output", metavar="FILE", help="file to write; default: stdout")
+
+
+def add_moveit(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `omniman moveit`."""
+    _add_description(parser)
+    parser.add_argument(
+        "--output", metavar="FOLDER", default="moveit", help="folder to write to; default: moveit"
+    )
+
+
+def _add_description(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments that say what robot is described."""
     add_robot(parser)
     add_parameters(parser, "a parameter of the robot, its arm or the mount; may be repeated")
     parser.add_argument(
@@ -15,7 +29,6 @@ def add_urdf(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="a ROS parameter file, such as that of the arm's controller",
     )
-    parser.add_argument("--output", metavar="FILE", help="file to write; default: stdout")
 
 
 def add_node_parameters(parser: argparse.ArgumentParser) -> None:

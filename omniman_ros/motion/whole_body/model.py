@@ -17,6 +17,10 @@ from omniman_ros.core.parameters import parameter
 
 PLATFORM_AXES = ("odom_x", "odom_y", "odom_t")
 """Names of the platform's axes in trajectories."""
+PLANAR_JOINT = "platform"
+"""Name of the planar joint between odom and base_link that stands for these axes in MoveIt."""
+PLANAR_VARIABLES = tuple(f"{PLANAR_JOINT}/{label}" for label in ("x", "y", "theta"))
+"""Names of these axes as the variables of this joint."""
 AXES = len(PLATFORM_AXES) + JOINTS
 """Number of axes of the whole body."""
 PLATFORM_COLUMNS = slice(None, len(PLATFORM_AXES))

@@ -34,7 +34,10 @@ def goal_monitor(
     """
     multi_dof = goal.multi_dof_trajectory
     if multi_dof.joint_names or multi_dof.points:
-        raise InputError("multi_dof_trajectory must be empty: the platform's axes are joints here")
+        raise InputError(
+            "multi_dof_trajectory must be empty: the platform's axes are joints here "
+            "(trajectory_execution.control_multi_dof_joint_variables of MoveIt)"
+        )
     if goal.component_path_tolerance or goal.component_goal_tolerance:
         raise InputError("component tolerances must be empty, as multi_dof_trajectory is")
     given = list(goal.trajectory.joint_names)

@@ -13,6 +13,7 @@ from rclpy.action import CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from omniman_ros.conversions.joints import axis_names
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.motion.path.trajectory_goal import (
@@ -162,6 +163,9 @@ class TrajectoryAction:
         return GoalResponse.ACCEPT
 
     def _monitor(self, goal: Any) -> GoalMonitor:
+        goal.trajectory.joint_names = axis_names(goal.trajectory.joint_names)
+        for tolerance in (*goal.path_tolerance, *goal.goal_tolerance):
+            (tolerance.name,) = axis_names([tolerance.name])
         now = self._node.get_clock().now().nanoseconds * 1e-9
         return goal_monitor(goal, self._executor.names, self.options, now)
 

@@ -3,6 +3,7 @@
 from rclpy.serialization import deserialize_message
 from trajectory_msgs.msg import JointTrajectory
 
+from omniman_ros.conversions.joints import axis_names
 from omniman_ros.core.errors import InputError
 from omniman_ros.motion.whole_body.model import AXES, PLATFORM_AXES
 from omniman_ros.nodes.trajectory_interfaces.arm_interface import ArmInterface
@@ -39,6 +40,7 @@ class TrajectoryInput:
                 f"{len(data) / 1e6:.0f} MB, at most {max_points} points are accepted"
             )
         message = deserialize_message(data, JointTrajectory)
+        message.joint_names = axis_names(message.joint_names)
         if not message.points:
             self._arm.stop()
             self._whole_body.discard_pending()

@@ -1,0 +1,49 @@
+"""`omniman moveit`: write the configuration of MoveIt for a robot."""
+
+import argparse
+from pathlib import Path
+
+import yaml
+
+from omniman_ros.cli.urdf import existing_file, parse_parameters
+from omniman_ros.console.errors import CommandError
+from omniman_ros.console.terminal import say
+from omniman_ros.core.errors import ParameterError
+from omniman_ros.processes.moveit_setup import moveit_configuration
+from omniman_ros.processes.robot_setup import resolve_robot
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run `omniman moveit`.
+
+    Args:
+        args: Command line.
+
+    Returns:
+        The exit code, 0.
+
+    Raises:
+        CommandError: The options cannot be used, or a file cannot be written.
+    """
+    folder = Path(args.output)
+    robot, file = resolve_robot(args.robot), existing_file(args.params_file)
+    try:
+        configuration = moveit_configuration(robot, file, parse_parameters(args.param))
+    except ParameterError as error:
+        raise CommandError(str(error), 2) from error
+    texts = {"omniman.urdf": configuration.description.urdf, "omniman.srdf": configuration.srdf}
+    tables = {
+        "kinematics.yaml": configuration.kinematics,
+        "joint_limits.yaml": configuration.joint_limits,
+        "moveit_controllers.yaml": configuration.controllers,
+        "ompl_planning.yaml": configuration.planning["ompl"],
+    }
+    texts |= {name: yaml.safe_dump(table, sort_keys=False) for name, table in tables.items()}
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, text in texts.items():
+            (folder / name).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise CommandError(f"--output {args.output}: {error.strerror}") from error
+    say(f"{', '.join(texts)} written to {folder}")
+    return 0

@@ -1,0 +1,29 @@
+"""Configuration of MoveIt for a robot by its name and parameter files."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from omniman_ros.core.parameters import build
+from omniman_ros.description.parameters import DescriptionParameters
+from omniman_ros.motion.path.parameters import PathParameters
+from omniman_ros.moveit.configuration import MoveItConfiguration
+from omniman_ros.robots import load_robot
+
+
+def moveit_configuration(
+    robot: str, file: str | None = None, values: Mapping[str, Any] | None = None
+) -> MoveItConfiguration:
+    """Return the configuration of MoveIt for a robot.
+
+    Args:
+        robot: Name of a robot of the package, or path of a robot's file.
+        file: Path of a ROS parameter file, whose values go before those of the robot.
+        values: Values of single parameters by name, which go before both.
+
+    Raises:
+        ParameterError: A file does not exist, a value is refused, or the robot has no arm.
+    """
+    found = dict(load_robot(robot))
+    found |= {} if file is None else load_robot(file)
+    found |= values or {}
+    return MoveItConfiguration(build(DescriptionParameters, found), build(PathParameters, found))
