@@ -154,31 +154,74 @@ def test_a_silent_monitor_stops_the_robot_and_a_returning_one_lets_it_go_on():
         assert world.speed() > 0.05
 
 
+class Watcher(World):
+    """A monitor without a robot, which the test reports to."""
+
+    def __init__(self):
+        super().__init__(CollisionMonitorNode)
+        self.limits = self.listen(JointState, "motion_limit")
+        self.arm = self.publisher(JointState, "arm/joint_states")
+        self.odom = self.publisher(Odometry, "odom")
+        self.joints = JointState(name=list(UR_JOINTS), position=[0.0] * 6, velocity=[0.0] * 6)
+
+    def measure_odom(self):
+        message = Odometry()
+        message.header.frame_id, message.header.stamp = "odom", self.stamp()
+        message.pose.pose.orientation.w = 1.0
+        self.odom.publish(message)
+
+    def measure(self):
+        self.measure_odom()
+        self.joints.header.stamp = self.stamp()
+        self.arm.publish(self.joints)
+
+    @property
+    def shares(self):
+        """Shares of platform and arm."""
+        return list(last(self.limits).velocity)
+
+
 def test_without_odometry_or_with_a_silent_arm_the_monitor_is_blind():
-    with World(CollisionMonitorNode) as world:
-        limits = world.listen(JointState, "motion_limit")
-        arm = world.publisher(JointState, "arm/joint_states")
-        odom = world.publisher(Odometry, "odom")
+    with Watcher() as world:
         world.run(0.1)
-        assert list(last(limits).velocity) == [0.1, 0.1]
+        assert world.shares == [0.1, 0.1]
         assert world.nodes[0].state.reason == "no odom"
-        joints = JointState(name=list(UR_JOINTS), position=[0.0] * 6, velocity=[0.0] * 6)
-
-        def measure():
-            message = Odometry()
-            message.header.frame_id = "odom"
-            message.header.stamp = joints.header.stamp = world.stamp()
-            message.pose.pose.orientation.w = 1.0
-            odom.publish(message)
-
-        world.run(0.1, measure)
-        assert list(last(limits).velocity) == [1.0, 1.0]
+        world.run(0.1, world.measure_odom)
+        assert world.shares == [1.0, 1.0]
         assert ("watches", "platform") in world.nodes[0].status()[2]
-        world.run(0.1, lambda: (measure(), arm.publish(joints)))
+        world.run(0.1, world.measure)
         assert ("watches", "platform and arm") in world.nodes[0].status()[2]
-        world.run(0.3, measure)
+        world.run(0.3, world.measure_odom)
         assert world.nodes[0].state.name == "blind"
         assert "arm/joint_states" in world.nodes[0].state.reason
+
+
+@pytest.mark.parametrize(
+    ("heights", "is_free"),
+    [((0.0, 0.0), False), ((0.0, 0.35), True), ((0.0, 0.6), False), ((1.0, 2.0), True)],
+    ids=["of unknown height", "table", "high table", "lamp"],
+)
+def test_the_robot_passes_below_and_above_what_is_not_at_its_height(heights, is_free):
+    """The stretched arm is 0.55 to 0.8 m above the floor, ahead of the platform."""
+    low, high = heights
+    with Watcher() as world:
+        marker = Marker(type=Marker.CYLINDER, action=Marker.ADD)
+        marker.header.frame_id = "odom"
+        marker.pose.position.x, marker.pose.position.z = 1.15, 0.5 * (low + high)
+        marker.scale.x = marker.scale.y = 0.4
+        marker.scale.z = high - low
+        world.publisher(MarkerArray, "obstacles").publish(MarkerArray(markers=[marker]))
+        demands = world.publisher(JointState, "motion_demand")
+        names = ["base_x", "base_y", "base_theta", *UR_JOINTS]
+        swing = JointState(name=names, velocity=[0.0, 0.0, 0.1, 0.5, *[0.0] * 5])
+
+        def ask():
+            world.measure()
+            swing.header.stamp = world.stamp()
+            demands.publish(swing)
+
+        world.run(0.1, ask)
+        assert (world.shares == [1.0, 1.0]) == is_free
 
 
 def test_a_map_stops_the_robot_and_unusable_messages_do_not_move_or_stop_it():

@@ -1,7 +1,4 @@
-"""Obstacles and maps as upright solids, to which distances of the whole robot can be computed.
-
-Neither says how high anything is: all of it reaches from the floor to above the robot.
-"""
+"""Obstacles and maps as upright solids, to which distances of the whole robot can be computed."""
 
 import math
 
@@ -12,12 +9,13 @@ from omniman_ros.collision.surroundings import Surroundings
 from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.obstacles.grid_map import GridMap
 
-UPPER = 10.0
-"""Height of the upper side of what is seen from above only [m]."""
+FARTHEST = 10.0
+"""Height above the floor, and depth below it, that are beyond every part of the robot [m]: there,
+an obstacle of unknown height and the cells of a map end."""
 
 
 def ellipse_surroundings(ellipses: Ellipses) -> Surroundings:
-    """Return walls with round ends that contain ellipses, and that move like them.
+    """Return walls with round ends that contain obstacles, at their heights, and move like them.
 
     An ellipse with the semi-axes a >= b lies within the distance b of the segment from -(a - b) to
     a - b on its longer axis. A circle is contained exactly.
@@ -29,14 +27,14 @@ def ellipse_surroundings(ellipses: Ellipses) -> Surroundings:
         ellipses.angles + 0.5 * math.pi * is_across,
         np.stack((long - short, np.zeros(len(ellipses)))),
         short,
-        np.zeros(len(ellipses)),
-        np.full(len(ellipses), UPPER),
+        np.clip(ellipses.lower, -FARTHEST, FARTHEST),
+        np.clip(ellipses.upper, -FARTHEST, FARTHEST),
     )
     return Surroundings(solids, ellipses.velocities.T)
 
 
 def grid_solids(grid: GridMap) -> UprightSolids:
-    """Return boxes that cover the occupied cells of a map exactly.
+    """Return boxes that cover the occupied cells of a map exactly, at all heights.
 
     The cells of a row that follow one another are joined, and then rows that are occupied between
     the same columns. Walls along the axes of the map become one box each.
@@ -62,6 +60,6 @@ def grid_solids(grid: GridMap) -> UprightSolids:
         np.full(count, yaw),
         0.5 * grid.resolution * (high - low).astype(np.float64),
         np.zeros(count),
-        np.zeros(count),
-        np.full(count, UPPER),
+        np.full(count, -FARTHEST),
+        np.full(count, FARTHEST),
     )

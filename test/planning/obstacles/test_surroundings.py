@@ -37,6 +37,24 @@ def test_a_solid_contains_its_ellipse_and_is_not_longer_or_wider(axes):
     np.testing.assert_allclose(found.velocity[:, 0], (0.3, -0.1))
 
 
+def test_a_solid_has_the_heights_of_its_obstacle_and_reaches_past_the_robot_without_any():
+    ellipses = Ellipses(
+        0.0,
+        np.zeros((3, 2)),
+        np.zeros((3, 2)),
+        np.full((3, 2), 0.2),
+        np.zeros(3),
+        np.zeros(3),
+        np.array([-np.inf, 0.6, -0.1]),
+        np.array([np.inf, 0.8, 0.1]),
+    )
+    found = ellipse_surroundings(ellipses)
+    np.testing.assert_array_equal(found.solids.lower[1:], (0.6, -0.1))
+    np.testing.assert_array_equal(found.solids.upper[1:], (0.8, 0.1))
+    assert found.solids.lower[0] < -5.0 < 5.0 < found.solids.upper[0] < np.inf
+    assert found.within(np.zeros(2), 0.1, 0.0).all()
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_boxes_cover_exactly_the_occupied_cells(seed):
     rng = np.random.default_rng(seed)
