@@ -1,5 +1,6 @@
 """Limit of the speed that a collision monitor sets, as those who move the robot receive it."""
 
+from bisect import insort
 from dataclasses import dataclass
 
 from omniman_ros.core.errors import InputError
@@ -32,7 +33,9 @@ class MotionLimitParameters:
 class MotionLimit:
     """Share of the speed limits that a collision monitor allows, while its messages are fresh.
 
-    A limit is never latched: the motion goes on as soon as it allows that.
+    A limit is never latched: the motion goes on as soon as it allows that. Where there are several
+    publishers, whose messages cannot be told apart, the smallest share of all fresh messages
+    counts: no publisher can loosen the limit of another one.
 
     Args:
         parameters: Whether there is a limit, and what applies without its messages.
@@ -43,41 +46,53 @@ class MotionLimit:
 
     def __init__(self, parameters: MotionLimitParameters) -> None:
         self.parameters = parameters
-        self._share = 0.0
-        self._time = NEVER
+        # Times and shares of the messages that count, both rising: a message that allows more than
+        # a later one never will.
+        self._kept: list[tuple[float, float]] = []
+        self._shared = NEVER
 
-    def update(self, share: float, sent: float, now: float) -> None:
+    def update(self, share: float, sent: float, now: float, publishers: int = 1) -> None:
         """Set the limit.
 
         Args:
             share: Share of the speed limits, 0 to 1.
             sent: When it was sent [s]; if that is ahead of now, now counts.
             now: Time of arrival [s].
+            publishers: Number of publishers from which it may have come.
 
         Raises:
-            InputError: The share is not a number from 0 to 1, or the limit is stale or older than
-                the last one.
+            InputError: The share is not a number from 0 to 1, or the limit is stale or, with a
+                single publisher, older than the last one.
         """
         if not 0.0 <= share <= 1.0:
             raise InputError(f"the share {share} is not 0 to 1")
         time = min(sent, now)
         if now - time > self.parameters.timeout:
             raise InputError(f"stale, {now - time:.3f} s old")
-        if self._is_fresh(now) and time < self._time:
-            raise InputError(f"out of order, {self._time - time:.3f} s before the last one")
-        self._share, self._time = share, time
+        if publishers > 1:
+            self._shared = now
+        if abs(now - self._shared) > self.parameters.timeout:
+            newest = self._kept[-1][0] if self._fresh(now) else NEVER
+            if time < newest:
+                raise InputError(f"out of order, {newest - time:.3f} s before the last one")
+            self._kept = [(time, share)]
+            return
+        self._kept = [kept for kept in self._fresh(now) if kept[0] > time or kept[1] < share]
+        if not any(kept[0] >= time and kept[1] <= share for kept in self._kept):
+            insort(self._kept, (time, share))
 
-    def _is_fresh(self, now: float) -> bool:
-        """Return whether the last limit counts; not if time has gone back behind it."""
+    def _fresh(self, now: float) -> list[tuple[float, float]]:
+        """Return the messages that count at a time [s]; none if time went back behind them."""
         timeout = self.parameters.timeout
-        return -timeout <= now - self._time <= timeout
+        return [kept for kept in self._kept if -timeout <= now - kept[0] <= timeout]
 
     def is_silent(self, now: float) -> bool:
         """Return whether a limit is expected at a time [s], and there is no fresh one."""
-        return self.parameters.use and not self._is_fresh(now)
+        return self.parameters.use and not self._fresh(now)
 
     def share(self, now: float) -> float:
         """Return the share of the speed limits that is allowed at a time [s], 0 to 1."""
         if not self.parameters.use:
             return 1.0
-        return self._share if self._is_fresh(now) else self.parameters.silent_speed
+        fresh = self._fresh(now)
+        return fresh[0][1] if fresh else self.parameters.silent_speed

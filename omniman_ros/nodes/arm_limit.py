@@ -6,9 +6,9 @@ import numpy as np
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
-from omniman_ros.conversions.motion_limits import motion_limit_shares
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.motion_limit import MotionLimit, MotionLimitParameters
+from omniman_ros.nodes.motion_limit_input import subscribe_to_motion_limit
 from omniman_ros.nodes.omniman_node import OmnimanNode
 
 
@@ -31,18 +31,12 @@ class ArmLimit:
     ) -> None:
         self._node, self._joints, self._send = node, joints, send
         self._limit, self._sent = MotionLimit(options), 1.0
-        handler = node.guarded("motion_limit", self._on_limit)
-        node.create_subscription(JointState, "motion_limit", handler, QoSProfile(depth=1))
+        subscribe_to_motion_limit(node, arm=self._limit, on_update=self.send)
         self._demands = node.create_publisher(JointState, "motion_demand", QoSProfile(depth=1))
 
     def configure(self, options: MotionLimitParameters) -> None:
         """Use other parameters."""
         self._limit.parameters = options
-
-    def _on_limit(self, message: JointState) -> None:
-        _, arm = motion_limit_shares(message)
-        self._limit.update(arm, self._node.instant(message.header.stamp), self._node.now())
-        self.send()
 
     @property
     def share(self) -> float:

@@ -14,13 +14,13 @@ from omniman_ros.control.platform import PlatformController
 from omniman_ros.conversions.geometry import stamped_twist_array, twist_array
 from omniman_ros.conversions.headers import is_stamped
 from omniman_ros.conversions.joints import joint_arrays, require_array
-from omniman_ros.conversions.motion_limits import motion_limit_shares
 from omniman_ros.conversions.trajectories import preview_from_message
 from omniman_ros.core import plausible
 from omniman_ros.core.arbiter import PREVIEW_SOURCES, Source
 from omniman_ros.core.arrays import Array
 from omniman_ros.description.arm_mass import ArmMass
 from omniman_ros.nodes.arm_posture import ArmPostureInput
+from omniman_ros.nodes.motion_limit_input import subscribe_to_motion_limit
 from omniman_ros.nodes.odometry_interface import OdometryInputs, OdometryOutputs
 from omniman_ros.nodes.odometry_parameters import OdometryTopicParameters
 from omniman_ros.nodes.omniman_node import OmnimanNode
@@ -85,7 +85,7 @@ class PlatformControllerNode(OmnimanNode):
             handler = self._reference_handler(source)
             self.create_subscription(MultiDOFJointTrajectory, topic, handler, SETPOINT)
         subscribe(JointState, "mpc/voltages", self._on_voltages, SETPOINT)
-        subscribe(JointState, "motion_limit", self._on_motion_limit, SETPOINT)
+        subscribe_to_motion_limit(self, platform=self.core.motion_limit)
 
     # ---- inputs: each handler returns why the message is not used, or nothing ------------------
 
@@ -124,11 +124,6 @@ class PlatformControllerNode(OmnimanNode):
         _, _, effort = joint_arrays(message, self._names)
         volts = require_array(effort, plausible.EFFORT, "effort (volts)")
         return self.core.set_voltages(volts, self.now(), self._stated_age(message))
-
-    def _on_motion_limit(self, message: JointState) -> None:
-        platform, _ = motion_limit_shares(message)
-        sent = self.instant(message.header.stamp)
-        self.core.motion_limit.update(platform, sent, self.now())
 
     def _stated_age(self, message: TwistStamped | JointState) -> float | None:
         """Return the age of a message by its stamp [s]; None for a zero stamp."""

@@ -1,5 +1,6 @@
 import math
 
+import numpy as np
 import pytest
 
 from omniman_ros.core.errors import InputError
@@ -54,3 +55,43 @@ def test_a_limit_from_a_clock_that_is_ahead_counts_as_sent_now():
     limit = MotionLimit(USED)
     limit.update(0.6, 1.5, 1.0)
     assert (limit.share(1.19), limit.share(1.21)) == (0.6, 0.1)
+
+
+def test_of_two_publishers_the_smaller_share_counts_until_it_is_stale():
+    limit = MotionLimit(USED)
+    limit.update(0.3, 0.9, 1.0)
+    limit.update(1.0, 1.0, 1.0, publishers=2)
+    assert limit.share(1.09) == 0.3
+    assert limit.share(1.11) == 1.0
+
+
+def test_the_last_message_of_a_publisher_that_has_left_does_not_loosen_the_limit():
+    limit = MotionLimit(USED)
+    limit.update(0.3, 1.0, 1.0, publishers=2)
+    limit.update(1.0, 1.01, 1.01, publishers=1)
+    assert limit.share(1.01) == 0.3
+    limit.update(0.8, 1.3, 1.3)
+    assert limit.share(1.3) == 0.8
+    limit.update(0.9, 1.31, 1.31)
+    assert limit.share(1.31) == 0.9
+
+
+def test_a_stricter_publisher_whose_messages_are_older_counts():
+    limit = MotionLimit(USED)
+    limit.update(1.0, 1.0, 1.0, publishers=2)
+    limit.update(0.2, 0.95, 1.01, publishers=2)
+    assert limit.share(1.01) == 0.2
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_whatever_publishers_send_the_smallest_fresh_share_counts(seed):
+    """The judge keeps all messages."""
+    rng = np.random.default_rng(seed)
+    limit, sent = MotionLimit(USED), []
+    for now in np.cumsum(rng.uniform(0.0, 0.05, 300)):
+        message = now - rng.uniform(0.0, 0.1), rng.uniform()
+        sent.append(message)
+        limit.update(message[1], message[0], now, publishers=2)
+        later = now + rng.uniform(0.0, 0.25)
+        fresh = [share for time, share in sent if later - time <= 0.2]
+        assert limit.share(later) == min(fresh, default=0.1)

@@ -16,6 +16,7 @@ from nav_msgs.msg import OccupancyGrid, Odometry, Path
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import Marker, MarkerArray
 
+from omniman_ros.conversions.motion_limits import motion_limit_message
 from omniman_ros.conversions.poses import path_message
 from omniman_ros.conversions.wheels import LIMIT_SCALE_KEY, POSTURE_SCALE_KEY
 from omniman_ros.core.arm_parameters import UR_JOINTS
@@ -152,6 +153,21 @@ def test_a_silent_monitor_stops_the_robot_and_a_returning_one_lets_it_go_on():
         del world.monitor._limits.publish
         world.go(0.5, seconds=0.3)
         assert world.speed() > 0.05
+
+
+def test_a_second_publisher_cannot_loosen_the_limit():
+    with Robot(PathInterpolatorNode, posts=[(0.95, 0.1, 0.2)]) as world:
+        other = world.publisher(JointState, "motion_limit")
+        world.run(0.1)
+
+        def loosen():
+            other.publish(motion_limit_message(1.0, 1.0, world.stamp()))
+            world.cmd_vel.publish(twist(0.5, 0.0, 0.0))
+
+        world.run(1.2, loosen)
+        assert min(world.gaps) >= GAP
+        assert world.nodes[3].motions.limits.shares[0] < 0.5
+        assert "motion_limit has more than one publisher" in world.controller.status()[1]
 
 
 class Watcher(World):

@@ -7,7 +7,7 @@ import numpy as np
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
-from omniman_ros.conversions.motion_limits import motion_demand_message, motion_limit_shares
+from omniman_ros.conversions.motion_limits import motion_demand_message
 from omniman_ros.core import se2
 from omniman_ros.core.arm_model import JOINTS
 from omniman_ros.core.arrays import Array
@@ -15,6 +15,7 @@ from omniman_ros.core.motion_limit import MotionLimit
 from omniman_ros.motion.path.interpolator import PathState
 from omniman_ros.motion.path.speed_bound import SpeedBound
 from omniman_ros.motion.whole_body.model import HEADING_COLUMN, JOINT_COLUMNS, PLATFORM_COLUMNS
+from omniman_ros.nodes.motion_limit_input import subscribe_to_motion_limit
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.trajectory_interfaces.parameters import PathInterpolatorParameters
@@ -62,19 +63,17 @@ class LimitInterface:
         options = settings.value.collision_monitor
         self._platform, self._arm = MotionLimit(options), MotionLimit(options)
         self._acted_on = (1.0, 1.0)
-        handler = node.guarded("motion_limit", self._on_limit)
-        node.create_subscription(JointState, "motion_limit", handler, QoSProfile(depth=1))
+        subscribe_to_motion_limit(
+            node, platform=self._platform, arm=self._arm, on_update=self._act
+        )
         self._demands = node.create_publisher(JointState, "motion_demand", QoSProfile(depth=1))
 
     def configure(self, new: PathInterpolatorParameters) -> None:
         """Use other parameters."""
         self._platform.parameters = self._arm.parameters = new.collision_monitor
 
-    def _on_limit(self, message: JointState) -> None:
-        platform, arm = motion_limit_shares(message)
-        sent, now = self._node.instant(message.header.stamp), self._node.now()
-        self._platform.update(platform, sent, now)
-        self._arm.update(arm, sent, now)
+    def _act(self) -> None:
+        """Report a change of a share that is large enough."""
         change = np.abs(np.array(self.shares) - self._acted_on).max()
         if change > CHANGE:
             self._acted_on = self.shares
