@@ -1,5 +1,7 @@
 """Share of the joints' speed limits that is left, which falls no faster than a motion can."""
 
+from collections import deque
+
 from omniman_ros.core.arrays import Array
 from omniman_ros.ur.joint_guard import JointLimits
 
@@ -15,7 +17,8 @@ class AllowedSpeed:
     """Follows a share of the speed limits that may fall suddenly.
 
     A source that obeys the share itself, and slows down on its path, is left to do so: the share
-    falls after `REACTION_TIME`, and then as fast as the joints can brake.
+    follows `REACTION_TIME` later, and falls from the speed that is used as fast as the joints can
+    brake.
 
     Attributes:
         target: Share that applies in the end, 0 to 1; may be changed at any time.
@@ -24,21 +27,32 @@ class AllowedSpeed:
 
     def __init__(self) -> None:
         self.target = self.value = 1.0
-        self._time_left = REACTION_TIME
+        self._targets = deque([1.0])
 
-    def step(self, limits: JointLimits, dt: float) -> None:
-        """Let a time pass [s]; the joints brake within their limits."""
-        if self.target >= self.value:
-            self.value, self._time_left = self.target, REACTION_TIME
-        elif self._time_left > 0.0:
-            self._time_left -= dt
-        else:
+    def step(self, velocity: Array, limits: JointLimits, dt: float) -> None:
+        """Let a time pass [s].
+
+        Args:
+            velocity: Velocities (n,) of the joints [rad/s].
+            limits: Limits within which they brake.
+            dt: The time [s], always the same.
+        """
+        self._targets.append(self.target)
+        while len(self._targets) * dt > REACTION_TIME + dt:
+            self._targets.popleft()
+        latest = max(self._targets)
+        if latest < self.value:
             fall = float((limits.acceleration / limits.velocity).min()) * dt
-            self.value = max(self.target, self.value - fall)
+            latest = max(latest, min(self.value, _used(velocity, limits)) - fall)
+        self.value = latest
 
     def is_exceeded(self, velocity: Array, limits: JointLimits) -> bool:
         """Return whether joints with velocities (n,) [rad/s] are faster than is allowed."""
         if self.value >= 1.0:
             return False
-        used = float((abs(velocity) / limits.velocity).max())
-        return used > self.value * (1.0 + RELATIVE_TOLERANCE) + TOLERANCE
+        return _used(velocity, limits) > self.value * (1.0 + RELATIVE_TOLERANCE) + TOLERANCE
+
+
+def _used(velocity: Array, limits: JointLimits) -> float:
+    """Return the share of the speed limits that joints with velocities (n,) [rad/s] use."""
+    return float((abs(velocity) / limits.velocity).max())

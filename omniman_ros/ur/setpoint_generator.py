@@ -273,7 +273,7 @@ class JointSetpointGenerator:
         """
         reference = self._reference
         now = self._time = now + self.settings.lead
-        self.allowed.step(self._limits, self._period)
+        self.allowed.step(self._guard.velocity, self._limits, self._period)
         if reference is None:
             return self._checked(self.setpoint, measured)
         if self.state is GeneratorState.FOLLOWING and (

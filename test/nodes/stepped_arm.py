@@ -20,14 +20,17 @@ REST_SPEED = 0.01
 class SteppedArm(SteppedLink):
     """A simulated controller, and the streaming process that a node starts for it.
 
+    Args:
+        options: Options of the link: the joints, and their parameters.
+
     Attributes:
         process: The streaming process that was started last; None before the first.
         start_failure: Why a streaming process ends as soon as it is started, or an empty string.
         pass_time: Called by what waits, with a time [s]; it has to call :meth:`advance`.
     """
 
-    def __init__(self):
-        super().__init__(START)
+    def __init__(self, **options):
+        super().__init__(START, **options)
         self.process = None
         self.start_failure = ""
         self.pass_time = None

@@ -39,14 +39,15 @@ class SteppedLink:
 
     Args:
         now: Time of the beginning [s].
+        make_body: Makes the joints from their parameters.
         arm: Parameters of the simulated arm.
     """
 
-    def __init__(self, now, **arm):
+    def __init__(self, now, make_body=SimulatedArm, **arm):
         self.now = now
         self.pipe = Pipe()
         parameters = UrArmParameters(**arm)
-        self.controller = Controller(parameters, SimulatedArm(parameters), launch, self.pipe)
+        self.controller = Controller(parameters, make_body(parameters), launch, self.pipe)
         self.parameters = None
         self.address = ("10.0.0.2", 50001)
         self.blocking_reason, self.program_loss_reason = "", CLOSED
@@ -58,6 +59,7 @@ class SteppedLink:
         """Run one cycle of the controller, which then sends a sample."""
         self.now += CYCLE
         controller = self.controller
+        controller.arm.measure(self.now)
         controller.cycle(self.now)
         if self.blocking_reason:
             return
