@@ -8,6 +8,7 @@ torque includes the gear. Friction follows CCTA (23) and MPC 2021 (24).
 import numpy as np
 
 from omniman_ros.control.kinematics import PlatformKinematics
+from omniman_ros.control.limits import ratio
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.robot import Robot
 
@@ -223,3 +224,25 @@ class PlatformDynamics:
         limit = motor.max_voltage
         result: Array = np.minimum(np.maximum(volts, -limit), limit)
         return result
+
+    def limited_voltage(
+        self, volts: Array, twist: Array, wheel_speeds: Array, limit: tuple[float, float]
+    ) -> Array:
+        """Return motor voltages (n,) [V] that accelerate the platform no faster than a limit.
+
+        What the torques leave beyond those that hold the present twist accelerates platform, arm
+        and wheels, (M + J' I J) x'' = J' (torque beyond). It is scaled down where x'' is too
+        large, so the direction of the acceleration is kept.
+
+        Args:
+            volts: Motor voltages (n,) [V].
+            twist: Twist (3,) in base_link [m/s, m/s, rad/s].
+            wheel_speeds: Wheel speeds (n,) [rad/s].
+            limit: Linear and angular limit of the rate of the twist [m/s^2, rad/s^2].
+        """
+        hold = self.platform_torque(twist, np.zeros(3)) + self.friction_torque(twist, wheel_speeds)
+        beyond = self.torque_of(volts, wheel_speeds) - hold
+        forward = self._kinematics.J
+        rate: Array = np.linalg.solve(self.momentum_map() @ forward, forward.T @ beyond)
+        excess = ratio(rate, limit)
+        return volts if excess <= 1.0 else self.voltage(hold + beyond / excess, wheel_speeds)

@@ -498,9 +498,8 @@ class PlatformController:
             self.rate = np.zeros(3)
             self.demand = np.zeros(3)
             if not self._too_fast(measured, now):
-                return self.cascade.voltage_command(
-                    self._volts, measured, self.wheel_health.probe(now)
-                )
+                volts = self._borne(self._volts, measured)
+                return self.cascade.voltage_command(volts, measured, self.wheel_health.probe(now))
             self._cancel(
                 source, "mpc/voltages drove a wheel or the platform above its speed limit"
             )
@@ -543,6 +542,18 @@ class PlatformController:
         self._limiter.restart()
         self._is_recovering = False
         return True
+
+    def _borne(self, volts: Array, measured: Array) -> Array:
+        """Return voltages (n,) [V] that the arm's posture bears, if it lowers the limits.
+
+        Accelerations and decelerations are limited by the larger of the two limits, as they are
+        counted for the share of the limits.
+        """
+        if self.stability.share == 1.0:
+            return volts
+        linear, angular = map(max, self.limits.acceleration, self.limits.deceleration)
+        limited = self.cascade.dynamics.limited_voltage
+        return limited(volts, self.setpoint, measured, (linear, angular))
 
     def _too_fast(self, measured: Array, now: float) -> bool:
         """Return whether wheels or platform exceed their limits, which voltages do not respect."""

@@ -179,3 +179,25 @@ def test_odometry_reports_slip_when_a_wheel_spins_on_a_slippery_patch():
         variance[name] = loop.controller.odometry.covariance[0, 0]
     assert slipped == {"dry": False, "wet": True}
     assert variance["wet"] > 1.5 * variance["dry"]
+
+
+@pytest.mark.parametrize("source_twist", [(1.0, 1.0, 1.0, 1.0), (-1.0, 1.0, 1.0, -1.0)])
+def test_voltages_accelerate_within_what_the_posture_leaves(source_twist):
+    """The plant judges; a large margin stands for a posture that bears little."""
+    volts = 12.0 * np.array(source_twist)
+    peaks = []
+    for margin in (0.0, 0.25):
+        loop = Loop("omniman", {"stability.margin": margin})
+        core, twists = loop.controller, []
+        for _ in range(80):
+            core.set_voltages(volts, loop.now)
+            loop.step()
+            twists.append(loop.drives.ground_truth()[1])
+        rates = np.diff(np.array(twists)[::8], axis=0) / 0.04
+        peaks.append(float(np.hypot(rates[:, 0], rates[:, 1]).max()))
+    share, limit = (
+        core.stability.share,
+        max(core.limits.linear_acceleration, core.limits.linear_deceleration),
+    )
+    assert share < 1.0
+    assert peaks[1] < 1.15 * limit < peaks[0]

@@ -5,6 +5,7 @@ import pytest
 
 from omniman_ros.control.dynamics import GRAVITY, SIGN_WIDTH, PlatformDynamics, smooth_sign
 from omniman_ros.control.kinematics import PlatformKinematics
+from omniman_ros.control.limits import ratio
 from omniman_ros.core import se2
 from test.robots import ALL, kinematics, random_robot, robot
 
@@ -279,3 +280,32 @@ def test_torque_limits_follow_from_the_voltage_limit(name):
             at_current = np.isclose(np.abs(amps), motor.max_current)
             assert (at_voltage | at_current).all()
             assert (np.abs(amps) <= motor.max_current * (1 + 1e-9)).all()
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_limited_voltages_accelerate_at_the_limit_in_the_same_direction(name):
+    """The acceleration is checked by the inverse dynamics, CCTA (19)."""
+    _, model, dynamics = make(name)
+    rng, limit = np.random.default_rng(3), (0.2, 0.3)
+    forward = dynamics.momentum_map() @ model.J
+
+    def rate(volts, twist, speeds):
+        torque = dynamics.torque_of(volts, speeds) - dynamics.friction_torque(twist, speeds)
+        residual = torque - dynamics.platform_torque(twist, np.zeros(3))
+        result = np.linalg.solve(forward, model.J.T @ residual)
+        at_rate = dynamics.platform_torque(twist, result)
+        assert model.J.T @ at_rate == pytest.approx(model.J.T @ torque, abs=1e-6)
+        return result
+
+    for _ in range(20):
+        twist = rng.uniform(-0.3, 0.3, 3)
+        speeds = model.J @ twist
+        direction = rng.uniform(-1.0, 1.0, 3)
+        torque = dynamics.platform_torque(twist, 2.0 * direction)
+        volts = dynamics.voltage(torque + dynamics.friction_torque(twist, speeds), speeds)
+        free, kept = rate(volts, twist, speeds), ratio(rate(volts, twist, speeds), limit)
+        limited = dynamics.limited_voltage(volts, twist, speeds, limit)
+        if kept <= 1.0:
+            np.testing.assert_array_equal(limited, volts)
+        else:
+            np.testing.assert_allclose(rate(limited, twist, speeds), free / kept, atol=1e-6)

@@ -15,6 +15,7 @@ pytest.importorskip("mujoco")
 from omniman_ros.collision.body_geometry import BodyGeometry
 from test.collision.reference import description
 from test.motion.whole_body.tool_support import MODEL
+from test.nodes.harness import PERIOD
 from test.nodes.test_path_interpolator_arm import trajectory
 from test.nodes.test_path_interpolator_tool import READY, tool_path
 from test.nodes.whole_robot import GAP, Judge, Post, Wall, WholeRobot
@@ -26,6 +27,10 @@ CLEAR = 0.15
 """Gap that a motion begins with, at least [m]."""
 REST = 0.02
 """Speed at which the robot counts as standing [m/s, rad/s]."""
+LATENCY, DECELERATION = 0.3, 0.8
+"""What is assumed of the robot where something appears before it [s, m/s^2]."""
+REACH, LEVERS = 1.3, np.array([0.95, 0.95, 0.55, 0.2, 0.1, 0.0])
+"""Largest distances of the arm's points from base_link's z axis, and from each joint's [m]."""
 SAMPLES = np.linspace(0.0, 1.0, 25)
 PREVIEW = np.linspace(0.0, 0.4, 11)
 ROBOT = BodyGeometry(description())
@@ -127,31 +132,61 @@ class Trial(WholeRobot):
         assert min(self.gaps) >= GAP
 
 
-def stop_before(source, seed, **options):
-    """Send a robot into something, and return the trial when it stands before it."""
+def draw(source, seed, platform=0.0):
+    """Return the start (9,) of a motion, what sends a trial on it, and a thing on its way."""
     rng = np.random.default_rng(seed)
     if source == "tool_path":
         offsets, thing = tool_path_into_something(rng)
         start = np.concatenate([np.zeros(3), READY])
-    else:
-        start, goal, thing = motion_into_something(rng)
-    with Trial(start[3:], [thing], **options) as trial:
-        if source == "tool_path":
-            trial.send_tool_path(offsets)
-        elif source == "previews":
-            trial.send_previews(start, goal)
-        else:
-            trial.send_trajectory(start, goal)
+        return start, lambda trial: trial.send_tool_path(offsets), thing
+    start, goal, thing = motion_into_something(rng, platform)
+    send = Trial.send_previews if source == "previews" else Trial.send_trajectory
+    return start, lambda trial: send(trial, start, goal), thing
+
+
+def stop_before(source, seed):
+    """Send a robot into something, and return the trial when it stands before it."""
+    start, send, thing = draw(source, seed)
+    with Trial(start[3:], [thing]) as trial:
+        send(trial)
         trial.run(2.0)
         trial.assert_stopped()
         return trial
 
 
-def every(source, sample):
+def stop_before_what_appears(source, seed):
+    """Have something appear on the way of a robot as late as it can be avoided, and wait for rest.
+
+    The robot is in the physics world. What appears is as far as all its parts can come within
+    `LATENCY` and while they brake by `DECELERATION` from the bound of their present speeds.
+    """
+    start, send, thing = draw(source, seed, platform=1.0)
+    judge = Judge([thing])
+    with Trial(start[3:], is_in_world=True) as trial:
+        before = trial.angles
+
+        def is_due():
+            nonlocal before
+            linear, angular, _ = trial.speeds
+            rates = np.abs(trial.angles - before) / PERIOD
+            before = trial.angles
+            speed = linear + angular * REACH + float(rates @ LEVERS)
+            way = LATENCY * speed + speed * speed / (2.0 * DECELERATION)
+            return judge.gap(trial.pose, trial.angles) < way + 0.05
+
+        send(trial)
+        trial.run_until(is_due, 10.0, "the appearance")
+        trial.show([thing])
+        trial.run(0.5)
+        trial.assert_stopped()
+        return trial
+
+
+def every(source, sample, count=0):
     """Mark all trials of a source but the first ones as exhaustive."""
     return [
         pytest.param(source, seed, marks=[pytest.mark.exhaustive] if seed >= sample else [])
-        for seed in range(TRIALS[source])
+        for seed in range(count or TRIALS[source])
     ]
 
 
@@ -161,3 +196,10 @@ def every(source, sample):
 )
 def test_a_motion_of_the_arm_into_something_is_stopped_before_it(source, seed):
     stop_before(source, seed)
+
+
+@pytest.mark.parametrize(
+    ("source", "seed"), [*every("joint_trajectory", 0, 30), *every("tool_path", 0, 30)]
+)
+def test_platform_and_arm_stop_before_what_appears_on_their_way(source, seed):
+    stop_before_what_appears(source, seed)

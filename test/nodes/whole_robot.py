@@ -169,7 +169,14 @@ class WholeRobot(World):
         self.time += seconds
         for node in [*self.nodes, self.probe]:
             self._set_time(node)
+        self.nodes[0].tick()  # the joints may be in the world
         self.arm.advance(self.time)
+
+    def close(self):
+        """End the streaming process, which would wait for time to pass, and then the nodes."""
+        if self.arm is not None and self.arm.process is not None:
+            self.arm.process.kill()
+        super().close()
 
     def show(self, things):
         """Have these things around the robot from now on."""
@@ -177,14 +184,19 @@ class WholeRobot(World):
         for thing in things:
             if isinstance(thing, Wall):
                 self._maps.publish(thing.map())
+        self._report()
+
+    def _report(self):
+        """Publish the posts."""
+        posts = [thing for thing in self.things if isinstance(thing, Post)]
+        stamp = self.stamp()
+        markers = [post.marker(number, stamp) for number, post in enumerate(posts)]
+        self._markers.publish(MarkerArray(markers=markers))
 
     def _each_period(self):
         self.arm.advance(self.time)
         if next(self._ticks) % REPORT_TICKS == 0:
-            posts = [thing for thing in self.things if isinstance(thing, Post)]
-            stamp = self.stamp()
-            markers = [post.marker(number, stamp) for number, post in enumerate(posts)]
-            self._markers.publish(MarkerArray(markers=markers))
+            self._report()
         if self._judge is not None:
             self.gaps.append(self._judge.gap(self.pose, self.angles))
 
