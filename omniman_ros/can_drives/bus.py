@@ -2,6 +2,7 @@
 
 import select
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any
@@ -18,6 +19,9 @@ READ_TIMEOUT = 0.1
 """Longest time for which a read of the thread waits, which bounds the time of closing [s]."""
 MAX_TAKEN_FRAMES = 256
 """Largest number of frames processed at once: a flood must not delay the periods."""
+
+CLOSED = "closed"
+"""Failure of a bus that was closed."""
 
 
 class BusError(OmnimanError):
@@ -125,8 +129,11 @@ class CanBus:
     def take(self) -> Iterator[Frame | str]:
         """Yield up to :data:`MAX_TAKEN_FRAMES` received frames, or descriptions of bus failures.
 
-        After a failure, the remaining frames wait until the thread wakes the receiver again.
+        After a failure, the remaining frames wait until the thread wakes the receiver again. A
+        bus that is closed has none.
         """
+        if self._closing.is_set():
+            return
         if self._socket < 0:
             self._event.clear()
             for _ in range(min(len(self._received), MAX_TAKEN_FRAMES)):
@@ -146,7 +153,9 @@ class CanBus:
 
     def wait(self, timeout: float) -> None:
         """Wait for a frame, up to `timeout` seconds."""
-        if self._socket < 0:
+        if self._closing.is_set():
+            time.sleep(max(timeout, 0.0))
+        elif self._socket < 0:
             self._event.wait(max(timeout, 0.0))
         else:
             select.select([self._socket], [], [], max(timeout, 0.0))
@@ -155,6 +164,8 @@ class CanBus:
 
     def send(self, frames: Iterable[Frame]) -> str:
         """Send all frames, even if one fails; return the last failure, or an empty string."""
+        if self._closing.is_set():
+            return CLOSED
         failure = ""
         for frame in frames:
             message = can.Message(
@@ -172,6 +183,8 @@ class CanBus:
     @property
     def failure(self) -> str:
         """Failure that the interface reports, or an empty string."""
+        if self._closing.is_set():
+            return CLOSED
         try:
             return "off" if self._bus.state is can.BusState.ERROR else ""
         except NotImplementedError:
@@ -180,7 +193,9 @@ class CanBus:
             return f"does not report its state: {error}"
 
     def close(self) -> None:
-        """Close the bus and end the thread."""
+        """Close the bus and end the thread; its file descriptor may be that of another file then."""
+        if self._closing.is_set():
+            return
         self._closing.set()
         self._event.set()
         if self._thread.is_alive():

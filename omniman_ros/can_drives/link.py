@@ -1,6 +1,7 @@
 """Policy over the drives on an open bus, as the node `can_bridge` uses it."""
 
 from collections.abc import Callable, Iterable
+from functools import partial
 
 from omniman_ros.can_drives.bus import CanBus
 from omniman_ros.can_drives.drives import CanDrives, Phase
@@ -57,7 +58,9 @@ class CanLink:
         self._period = p.period
         self._clock = clock
         self.sent = self.received = 0
-        self.bus = open_bus(p, wake)
+        self._open_bus = partial(open_bus, p, wake)
+        self.bus = self._open_bus()
+        self._has_bus_failed = False
 
     # ---- requests -----------------------------------------------------------------------------
 
@@ -96,6 +99,17 @@ class CanLink:
     def reset(self) -> None:
         """Clear a stop; nothing moves."""
         self.drives.reset(self._clock())
+
+    def reopen_failed_bus(self) -> None:
+        """Open the bus anew if it has failed: an interface that is back needs a new connection.
+
+        Raises:
+            BusError: The bus cannot be opened; the next call tries again.
+        """
+        if self._has_bus_failed:
+            self.bus.close()
+            self.bus = self._open_bus()
+            self._has_bus_failed = False
 
     def set_command(self, command: WheelCommand, age: float) -> str:
         """Set the command to follow; see :meth:`CanDrives.set_command`.
@@ -187,7 +201,7 @@ class CanLink:
         """Process the received frames; if one makes the drives stop, send the stop at once."""
         for item in self.bus.take():
             if isinstance(item, str):
-                self.send(self.drives.on_bus_failure(item, self._clock()))
+                self.send(self._on_bus_failure(item))
                 continue
             self.received += 1
             stop_frames = self.drives.receive(item, self._clock())
@@ -198,7 +212,7 @@ class CanLink:
         """Run one period: receive frames, check the bus, and send the frames of the drives."""
         self.receive()
         if self.bus.failure:
-            self.send(self.drives.on_bus_failure(self.bus.failure, self._clock()))
+            self.send(self._on_bus_failure(self.bus.failure))
         self.send(self.drives.tick(self._clock()))
 
     def send(self, frames: Iterable[Frame]) -> None:
@@ -207,7 +221,12 @@ class CanLink:
         self.sent += len(frames)
         failure = self.bus.send(frames)
         if failure:
-            self.bus.send(self.drives.on_bus_failure(failure, self._clock()))
+            self.bus.send(self._on_bus_failure(failure))
+
+    def _on_bus_failure(self, reason: str) -> list[Frame]:
+        """Stop all drives because of the bus; return the frames to send at once."""
+        self._has_bus_failed = True
+        return self.drives.on_bus_failure(reason, self._clock())
 
     def run_until(self, done: Callable[[], bool], timeout: float) -> bool:
         """Run periods until a condition holds.

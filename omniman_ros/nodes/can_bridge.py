@@ -111,8 +111,16 @@ class CanBridgeNode(HardwareNode):
         self.link = None
 
     def reset_hardware(self) -> None:
-        """Reset the latch, then the drives."""
-        self.latch.reset(at_rest=self.link is None or self.link.at_rest)
+        """Open a bus that has failed anew, reset the latch, then the drives."""
+        from omniman_ros.can_drives.bus import BusError
+
+        at_rest, fault = self.link is None or self.link.at_rest, ""
+        if self.link is not None and at_rest:
+            try:
+                self.link.reopen_failed_bus()
+            except BusError as error:
+                fault = str(error)
+        self.latch.reset(at_rest=at_rest, fault=fault)
         if self.link is not None:
             self.link.reset()
 

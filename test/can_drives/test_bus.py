@@ -218,3 +218,12 @@ def test_closing_ends_the_thread_and_the_bus(bus):
     assert bus.fake.closed
     assert not bus._thread.is_alive()
     bus.fake._pipe = None  # closed
+
+
+def test_closed_bus_neither_reads_nor_writes_and_may_be_closed_again(bus):
+    bus.fake.put(message(0x182))
+    bus.close()
+    assert list(bus.take()) == []
+    assert bus.send([Frame(0x201, b"abc")]) == bus.failure == "closed"
+    assert bus.fake.sent == []
+    bus.close()

@@ -17,6 +17,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import Trigger
 
+from omniman_ros.can_drives.bus import BusError
 from omniman_ros.can_drives.frame import Frame
 from omniman_ros.core.can_parameters import CanParameters
 from omniman_ros.core.errors import ParameterError
@@ -58,13 +59,19 @@ class SteppedBus:
         self.simulated = SimulatedBus(robot, plant, build(CanParameters, values, "can."))
         self.world = None
         self.is_on = True
-        self.is_open = False
+        self.is_open = self.is_lost = self.is_unplugged = False
         self._wake = None
         self._inbox = deque()
 
     def open(self, parameters, wake):
-        self.is_open, self._wake = True, wake
+        if self.is_unplugged:
+            raise BusError("bus stepped cannot be opened: no such device")
+        self.is_open, self.is_lost, self._wake = True, False, wake
         return self
+
+    def unplug(self):
+        """Take the interface away: what is open stays lost, even if the interface is back."""
+        self.is_lost = self.is_unplugged = True
 
     def close(self):
         self.is_open = False
@@ -88,6 +95,8 @@ class SteppedBus:
             self._deliver(self.simulated.advance(self.world.time))
 
     def send(self, frames):
+        if self.is_lost:
+            return "frame not sent: no such device"
         for frame in frames:
             message = can.Message(
                 arbitration_id=frame.id,
@@ -100,7 +109,7 @@ class SteppedBus:
         return ""
 
     def _deliver(self, messages):
-        if self.is_open:
+        if self.is_open and not self.is_lost:
             self._inbox.extend(Frame(m.arbitration_id, bytes(m.data)) for m in messages)
 
     @property
@@ -277,6 +286,24 @@ def test_the_life_cycle_opens_enables_disables_and_closes():
         assert bench.change(Transition.TRANSITION_CLEANUP)
         assert bench.node.link is None
         assert bench.state == State.PRIMARY_STATE_UNCONFIGURED
+
+
+def test_an_interface_that_went_away_comes_back_with_a_reset():
+    with Bench() as bench:
+        bench.drive()
+        bench.bus.unplug()
+        bench.until(lambda: not bench.node.latch.released, "the stop")
+        assert bench.node.latch.status.reason.startswith("bus: ")
+        bench.until(lambda: bench.bus.at_rest, "rest")
+        bench.run(bench.node.link.stop_timeout)  # the drives are silent: the stop has to be over
+        refused = bench.trigger("reset")
+        assert not refused.success
+        assert "no such device" in refused.message
+        assert not bench.node.latch.released
+        bench.bus.is_unplugged = False
+        assert bench.trigger("reset").success
+        bench.until_driving()
+        bench.until(lambda: min(bench.bus.speeds) > 2.0, "the speed")
 
 
 def test_invalid_transition_is_refused_and_driving_continues():
