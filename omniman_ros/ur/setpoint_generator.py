@@ -1,5 +1,6 @@
 """Joint setpoints of the arm, one per period: along previews, and to rest when they end."""
 
+import contextlib
 import math
 from dataclasses import dataclass, replace
 from enum import Enum
@@ -79,6 +80,9 @@ class JointSetpointGenerator:
     Each setpoint is that of the time at which the arm will reach it, one lead after it is sent. A
     motion that begins earlier is joined in motion.
 
+    A setpoint that comes too late is not that of the reference: the arm has gone on by its last
+    step meanwhile. :meth:`coast` follows it, and the next tick joins the reference from there.
+
     Where less than the whole speed is allowed, the generator brakes along a preview that is
     faster, and refuses previews that stay so.
 
@@ -106,6 +110,8 @@ class JointSetpointGenerator:
         self._time = self._progress = 0.0
         self._rate = 1.0  # rate of progress on the reference
         self._off_path = False  # whether each joint brakes by itself
+        self._has_coasted = False  # whether the last setpoint continued the last step
+        self._rejoined = -math.inf  # when the reference is joined that was left by coasting
         self._newest_start = -math.inf
         self._arrival, self._interval = -math.inf, math.inf
 
@@ -180,14 +186,19 @@ class JointSetpointGenerator:
                 f"faster than {self.allowed.value:.0%} of the speed limits, which are left"
             )
         reference = self._join(preview, begin, previous)
+        if self._has_coasted or self._time < self._rejoined:
+            self._rejoined = reference.joined
         if preview.start > self._newest_start:  # a repeated preview is no sign of life
             arrival = now + self.settings.lead
             self._interval = max(arrival - self._arrival, preview.start - self._newest_start)
             self._arrival = arrival
-        self._newest_start, self._reference = preview.start, reference
-        # On the new reference, progress equals time again.
-        self._progress, self._rate, self.state = self._time, 1.0, GeneratorState.FOLLOWING
-        self._off_path = False
+        self._newest_start = preview.start
+        self._adopt(reference)
+
+    def _adopt(self, reference: BlendedPreview) -> None:
+        """Follow a reference that begins with the present motion: progress equals time again."""
+        self._reference, self._progress, self._rate = reference, self._time, 1.0
+        self.state, self._off_path, self._has_coasted = GeneratorState.FOLLOWING, False, False
 
     def _join(self, preview: JointPreview, begin: float, previous: Motion) -> BlendedPreview:
         """Return the preview, joined as gently as the guard allows.
@@ -219,7 +230,9 @@ class JointSetpointGenerator:
             raise InputError(f"must be {position.size} joint angles, got {start.size}")
         distance = np.abs(start - position)
         k = int(distance.argmax())
-        if distance[k] > self.settings.start_distance:
+        is_rejoining = self._has_coasted or self._time < self._rejoined
+        allowed = self._limits.distance if is_rejoining else self.settings.start_distance
+        if (distance > allowed).any():
             name = self._guard.limits.names[k]
             raise InputError(
                 f"{name}: {start[k]:.4g} rad is {distance[k]:.3g} rad away from the setpoint"
@@ -229,6 +242,8 @@ class JointSetpointGenerator:
         """Return the present motion, continued without braking."""
         reference, progress = self._reference, self._progress
         rate, start = self._rate, self._time
+        if self._has_coasted:
+            return straight_preview(self.setpoint, self._guard.velocity, start).sample
         if reference is None:
             position, zero = self.setpoint, np.zeros_like(self.setpoint)
             return lambda time: (position, zero, zero)
@@ -271,6 +286,8 @@ class JointSetpointGenerator:
             GuardError: The next setpoint must not be sent. The generator then brakes from the last
                 setpoint on: call again with `measured` None.
         """
+        if self._has_coasted:
+            self._rejoin()
         reference = self._reference
         now = self._time = now + self.settings.lead
         self.allowed.step(self._guard.velocity, self._limits, self._period)
@@ -288,6 +305,37 @@ class JointSetpointGenerator:
         if now >= reference.end and not self._guard.velocity.any():
             self._come_to_rest()
         return setpoint
+
+    def coast(self, now: float) -> Array:
+        """Return the setpoint (n,) [rad] of a time that has passed: one more step like the last.
+
+        Args:
+            now: When the setpoint was due, one period after the last one [s].
+
+        Raises:
+            GuardError: A joint limit is too near; call :meth:`tick` with `measured` None then.
+        """
+        if self._reference is None:
+            return self.tick(now, None)
+        self._time = now + self.settings.lead
+        self.allowed.step(self._limits, self._period)
+        setpoint = self.setpoint + self._period * self._guard.velocity
+        self._guard.examine(setpoint[None])
+        self._has_coasted = True
+        return self._guard.check(setpoint, None)
+
+    def _rejoin(self) -> None:
+        """Join the reference from where the arm has coasted to; brake if that is impossible."""
+        reference, previous = self._reference, self._current_motion()
+        assert reference is not None
+        self._has_coasted = False
+        if self.state is GeneratorState.FOLLOWING:
+            with contextlib.suppress(InputError):
+                self._adopt(self._join(reference.preview, self._time, previous))
+                assert self._reference is not None
+                self._rejoined = self._reference.joined
+                return
+        self._leave_path(self.setpoint, self._guard.velocity)
 
     def _runs_out(self, reference: BlendedPreview, now: float) -> bool:
         if now >= reference.end:

@@ -24,6 +24,10 @@ LOSS_REASON_DELAY = 0.02
 """How long data that name the cause are awaited after the program's connection has ended [s]."""
 REST_SPEED = 0.01
 """Measured joint speed below which the arm counts as standing [rad/s]."""
+COASTING_DELAY = 8.5 * PERIOD
+"""Delay of a setpoint beyond which the arm has gone on by its last step instead [s].
+
+Shorter ones are caught up with, as the arm's lag hides them."""
 SEND_TIMES = 256
 """Number of setpoints whose send times are kept: more than the program can leave unread."""
 
@@ -208,7 +212,10 @@ class StreamingSupervisor:
         if now - due > self._ur.read_timeout:
             return self._abort(f"a setpoint was delayed by {now - due:.3f} s")
         try:
-            setpoint = self._generator.tick(due, self._measured())
+            if now - due > COASTING_DELAY:
+                setpoint = self._generator.coast(due)
+            else:
+                setpoint = self._generator.tick(due, self._measured())
         except GuardError as error:
             self._ignore_feedback = True
             self.stop(str(error))
