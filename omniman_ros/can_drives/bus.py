@@ -193,7 +193,7 @@ class CanBus:
             return f"does not report its state: {error}"
 
     def close(self) -> None:
-        """Close the bus and end the thread; its file descriptor may be that of another file then."""
+        """Close the bus and end the thread; its descriptor may be that of another file then."""
         if self._closing.is_set():
             return
         self._closing.set()
