@@ -4,6 +4,7 @@ Directives:
 
 * ``parameters NODE``: the parameters of a node, without those that describe the robot.
 * ``robot-parameters``: the parameters that describe the robot, which all nodes share.
+* ``faults``: the table of faults that `omniman bench faults` plays.
 * ``figures NAME``: the table of ``results/NAME.json``.
 
 The pages of the API reference, one per package, are written to ``api/`` before the build, and the
@@ -110,6 +111,18 @@ class RobotParameters(Table):
             from omniman_ros.nodes import registry
 
             yield from registry.markdown(next(iter(registry.NODES)), robot=True)
+
+
+class Faults(Table):
+    """The table of faults."""
+
+    def lines(self) -> Iterator[str]:
+        """Yield a table for each kind of thing that fails."""
+        with mock(self.config.autodoc_mock_imports):
+            from omniman_ros.lab.faults import page, table
+
+            self.env.note_dependency(table.__file__)
+            yield from page.markdown()
 
 
 class Figures(Table):
@@ -299,6 +312,7 @@ def setup(app: Sphinx) -> dict[str, Any]:
     """Register the directives and the writer of the API pages."""
     app.add_directive("parameters", Parameters)
     app.add_directive("robot-parameters", RobotParameters)
+    app.add_directive("faults", Faults)
     app.add_directive("figures", Figures)
     app.connect("config-inited", add_stand_ins)
     app.connect("builder-inited", write_api_pages)

@@ -13,6 +13,7 @@ BENCHMARKS = {
     "collision": "CPU time of distances between the robot's parts, and from what stands around it",
     "whole_body": "time of planning tool paths, CPU of their stream, inverse kinematics",
     "stability": "tracking and lifted wheels with the arm stretched, posture known or not",
+    "faults": "reactions of the whole running robot to each row of the table of faults",
     "world": "speed of the physics world over real time, CPU of a laser scan",
 }
 """Measured quantities of each benchmark, for the help text."""
@@ -51,6 +52,16 @@ def add_bench(parser: argparse.ArgumentParser) -> None:
     effort.add_argument("--full", action="store_true", help="mpc: more steps, scenes and horizons")
     add_robot(parser)
     add_results(parser)
+    faults = parser.add_argument_group("faults only")
+    faults.add_argument(
+        "--row",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="play this row of the table; may be repeated; default: all rows",
+    )
+    faults.add_argument("--trials", type=int, metavar="N", help="plays of each row; default: 3")
+    faults.add_argument("--list", action="store_true", help="list the rows, and play none")
     arm = parser.add_argument_group("arm only")
     arm.add_argument("--pairs", type=int, metavar="N", help="pairs of blocks; default: 5")
     arm.add_argument("--seconds", type=float, metavar="S", help="length of each block; default: 8")

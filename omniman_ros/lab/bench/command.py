@@ -13,6 +13,7 @@ BENCHMARKS = {
     "world": "omniman_ros.lab.bench.world",
     "stability": "omniman_ros.lab.bench.stability",
     "collision": "omniman_ros.lab.bench.collision",
+    "faults": "omniman_ros.lab.bench.faults",
 }
 """Module of each benchmark, by name; it has a function `run(args)` and is imported on demand."""
 
@@ -24,7 +25,8 @@ def run(args: argparse.Namespace) -> int:
         args: Parsed command line; `name` is the name of the benchmark.
 
     Returns:
-        0 if the measurement succeeded, independent of the figures.
+        0 if the measurement succeeded, independent of the figures; `faults` returns 1 if a row
+        failed.
 
     Raises:
         CommandError: The measurement failed.

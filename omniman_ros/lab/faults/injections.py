@@ -1,0 +1,130 @@
+"""Ways to inject a fault into the running robot, as data; `player` carries them out."""
+
+import signal
+from dataclasses import dataclass
+from enum import Enum
+
+CONTROLLER = "platform_controller"
+"""Node that computes the wheel commands."""
+BRIDGE = "can_bridge"
+"""Node between the wheel commands and the bus."""
+DRIVES = "simulated_can_drives"
+"""Node that simulates the drives and the plant."""
+STREAMER = "arm_streamer"
+"""Node that streams the arm's setpoints."""
+ARM = "simulated_ur"
+"""Node that simulates the arm's controller."""
+INTERPOLATOR = "path_interpolator"
+"""Node that sends paths and trajectories as previews."""
+MONITOR = "collision_monitor"
+"""Node that limits the speed before contact."""
+STREAMING_PROCESS = "streaming process"
+"""Child process of the streamer that sends the setpoints."""
+
+
+@dataclass(frozen=True)
+class Signal:
+    """A signal to a process.
+
+    Attributes:
+        process: Name of the process.
+        number: Number of the signal. A process that was killed is started again before the next
+            row.
+        resume: Time after which a suspended process goes on [s]; None until the judgement.
+    """
+
+    process: str
+    number: signal.Signals
+    resume: float | None = None
+
+
+@dataclass(frozen=True)
+class Restart:
+    """A process is killed and at once started again."""
+
+    process: str
+
+
+@dataclass(frozen=True)
+class Second:
+    """A second copy of a process is started."""
+
+    process: str
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A fault that a simulated device simulates itself.
+
+    Attributes:
+        node: Node of the simulated device.
+        parameter: Name of the parameter.
+        value: Value with the fault.
+        cleared: Value without it.
+        afterwards: Commands to the dashboard of the arm's controller once it is cleared.
+    """
+
+    node: str
+    parameter: str
+    value: bool | float | tuple[str, ...]
+    cleared: bool | float | tuple[str, ...]
+    afterwards: tuple[str, ...] = ()
+
+
+class TwistFault(Enum):
+    """What becomes of the stream of twists on `cmd_vel`."""
+
+    SILENT = "silent"
+    NAN = "NaN"
+    INFINITE = "infinite"
+    JUMP = "a hundred times too fast"
+    OPPOSED = "a second publisher sends the opposite"
+    FLOOD = "a thousand times a second"
+
+
+class Garbage(Enum):
+    """Messages on a topic beside those of its own publisher."""
+
+    NAN = "NaN"
+    INFINITE = "infinite"
+    EMPTY = "empty"
+    WRONG_NAMES = "wrong names"
+    WRONG_FRAME = "wrong frame"
+    HUGE = "1e300"
+
+
+@dataclass(frozen=True)
+class Publication:
+    """A second publisher of a topic sends garbage 100 times a second.
+
+    Attributes:
+        topic: Name of the topic, a key of `player.GARBAGE_TOPICS`.
+        content: What it sends.
+    """
+
+    topic: str
+    content: Garbage
+
+
+@dataclass(frozen=True)
+class EmergencyStop:
+    """The emergency stop is pressed.
+
+    Attributes:
+        others_release: Whether a second publisher sends false all the while.
+    """
+
+    others_release: bool = False
+
+
+@dataclass(frozen=True)
+class ServiceStop:
+    """A node's `~/stop` is called."""
+
+    node: str
+
+
+Injection = (
+    Signal | Restart | Second | Setting | TwistFault | Publication | EmergencyStop | ServiceStop
+)
+"""Any way to inject a fault."""

@@ -1,0 +1,111 @@
+"""A row of the table of faults: what fails, and what must happen then."""
+
+from dataclasses import dataclass
+from enum import Enum
+
+from omniman_ros.lab.faults.injections import Injection, Publication
+
+
+class Subject(Enum):
+    """Kind of thing that fails."""
+
+    SOURCE = "source"
+    PROCESS = "process"
+    LINK = "link"
+    SENSOR = "sensor"
+    DRIVE = "drive"
+    ARM = "arm"
+    PERSON = "person"
+
+
+class Motion(Enum):
+    """What the robot does when the fault begins."""
+
+    TWIST = "twist"
+    """The platform follows `cmd_vel`, the arm a trajectory."""
+    TRAJECTORY = "trajectory"
+    """Platform and arm follow one trajectory."""
+
+
+class Outcome(Enum):
+    """What must become of the motion."""
+
+    LATCHED = "stops until a reset"
+    """Platform and arm come to rest, and nothing moves again before a reset."""
+    PAUSED = "stops, goes on"
+    """The platform comes to rest, and goes on when the fault has gone."""
+    ENDED = "stops for this motion"
+    """All come to rest; the motion is over, and the next command moves again without a reset."""
+    LIMITED = "stays within the limits"
+    """Neither speed nor acceleration exceed the limits, whatever is asked for."""
+    UNHARMED = "drives on"
+    """The motion goes on as if nothing had happened."""
+
+
+class GoingOn(Enum):
+    """What a user does to drive on."""
+
+    NOTHING = "nothing"
+    COMMAND = "send the next command"
+    RESET = "`omniman reset`"
+    PENDANT = "switch the arm on at its pendant, then `omniman reset`"
+    RESTART = "start the node again, then `omniman reset`"
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row of the table of faults.
+
+    Attributes:
+        name: Name of the row, for `--row`.
+        subject: What fails.
+        fault: Fault, in words for the documentation.
+        injection: How it is injected.
+        motion: Motion of the robot when the fault begins.
+        outcome: What must become of the motion.
+        going_on: What a user does to drive on.
+        unnoticed: Time from the injection within which nobody can know of the fault: the time-out
+            by which it becomes evident [s].
+        timeout: What sets this time, mostly a parameter; empty if there is none.
+        reaction: Longest permitted time from then until platform and arm begin to brake [s].
+        slowly: Time by which the stop may last longer than the hardest one, as platform and arm
+            stay on their path [s].
+        leftover: Largest motion once the fault has gone, before a reset [m or rad].
+        platform: Whether the platform has to react.
+        arm: Whether the arm has to react.
+        stopped: Names of the nodes whose `stop_state` must be `stopped`.
+        source: Required value of `active_source`; empty if any will do.
+    """
+
+    name: str
+    subject: Subject
+    fault: str
+    injection: Injection
+    outcome: Outcome
+    going_on: GoingOn
+    motion: Motion = Motion.TWIST
+    unnoticed: float = 0.0
+    timeout: str = ""
+    reaction: float = 0.12
+    slowly: float = 0.0
+    leftover: float = 2e-3
+    platform: bool = True
+    arm: bool = True
+    stopped: tuple[str, ...] = ()
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        if self.outcome is Outcome.LATCHED and not self.stopped:
+            raise ValueError(f"row '{self.name}': nobody is named who is stopped")
+        if (self.unnoticed > 0.0) != bool(self.timeout):
+            raise ValueError(f"row '{self.name}': a time-out needs its name, and a name its time")
+
+    @property
+    def told(self) -> str:
+        """What tells a user of it, as Markdown; empty if nothing does."""
+        if self.stopped:
+            nodes = ", ".join(f"`{name}`" for name in self.stopped)
+            return f"`stop_state` of {nodes}: `stopped`"
+        if self.source:
+            return f"`active_source`: `{self.source}`"
+        return "a warning in the log" if isinstance(self.injection, Publication) else ""
