@@ -6,9 +6,11 @@ All of them are for rclpy 7.1, the version of ROS 2 Jazzy.
 import functools
 import traceback
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import rclpy
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.executors import Executor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
@@ -87,10 +89,29 @@ def spin_for(executor: Executor, seconds: float) -> None:
     executor.spin_until_future_complete(rclpy.Future(), timeout_sec=seconds)
 
 
-def subscribe_with_source_time(
-    node: Node, kind: type, topic: str, callback: Callable[[Any, int], None], qos: QoSProfile
+@dataclass(frozen=True)
+class MessageOrigin:
+    """What the middleware tells of a message.
+
+    Attributes:
+        sent: Time at which it was sent, in nanoseconds of the sending host's system clock.
+        number: Its number among the messages of its publisher, from 1 on; None if the middleware
+            does not count them.
+    """
+
+    sent: int
+    number: int | None
+
+
+def subscribe_with_origin(
+    node: Node,
+    kind: type,
+    topic: str,
+    callback: Callable[[Any, MessageOrigin], None],
+    qos: QoSProfile,
+    events: SubscriptionEventCallbacks | None = None,
 ) -> None:
-    """Subscribe to a topic with a callback that also gets the source timestamp.
+    """Subscribe to a topic with a callback that also gets the origin of each message.
 
     A callback for the message's information gets message and information as two arguments from the
     executors of rclpy 7.1, but from EventsExecutor as one, a tuple. rclpy takes one that can be
@@ -100,17 +121,36 @@ def subscribe_with_source_time(
         node: Node that subscribes.
         kind: Type of the messages.
         topic: Name of the topic.
-        callback: Called with a message and the time at which it was sent, in nanoseconds of the
-            sending host's system clock.
+        callback: Called with a message and its origin.
         qos: Quality of service.
+        events: Callbacks for events of the middleware; None for those of rclpy.
     """
 
     def receive(*taken: Any) -> None:
         message, info = taken[0] if len(taken) == 1 else taken
-        callback(message, info["source_timestamp"])
+        number = info.get("publication_sequence_number")
+        callback(message, MessageOrigin(info["source_timestamp"], number))
 
-    subscription = node.create_subscription(kind, topic, receive, qos)
+    subscription = node.create_subscription(kind, topic, receive, qos, event_callbacks=events)
     subscription._callback_type = Subscription.CallbackType.WithMessageInfo
+
+
+def subscribe_with_source_time(
+    node: Node, kind: type, topic: str, callback: Callable[[Any, int], None], qos: QoSProfile
+) -> None:
+    """Subscribe to a topic with a callback that also gets the time of sending.
+
+    Args:
+        node: Node that subscribes.
+        kind: Type of the messages.
+        topic: Name of the topic.
+        callback: Called with a message and the time at which it was sent, in nanoseconds of the
+            sending host's system clock.
+        qos: Quality of service.
+    """
+    subscribe_with_origin(
+        node, kind, topic, lambda message, origin: callback(message, origin.sent), qos
+    )
 
 
 def deliver(subscription: Subscription, message: Any, source_time: int) -> None:

@@ -3,13 +3,12 @@
 from collections.abc import Callable
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from omniman_ros.core.stop import ResetRefusedError, StopLatch, StopState, StopStatus
+from omniman_ros.nodes.emergency_interface import EmergencyInterface
 from omniman_ros.nodes.omniman_node import OmnimanNode
 
 STOP_STATE = "stop_state"
@@ -62,13 +61,7 @@ class StopInterface:
         self._published: StopStatus | None = None
         node.create_service(Trigger, "~/stop", self._on_stop_service)
         node.create_service(Trigger, "~/reset", self._on_reset_service)
-        # A transient-local subscription alone does not match volatile publishers, of which it is
-        # not to warn, and a volatile one alone does not get what was published before.
-        silent = SubscriptionEventCallbacks(incompatible_qos=lambda event: None)
-        for qos, events in ((LATCHED, silent), (QoSProfile(depth=10), None)):
-            node.create_subscription(
-                Bool, "emergency_stop", self._on_emergency, qos, event_callbacks=events
-            )
+        self._emergency = EmergencyInterface(node, self._on_emergency)
         node.create_subscription(DiagnosticStatus, STOP_STATE, self._on_peer, ALL_LATCHED)
         self._publisher = node.create_publisher(DiagnosticStatus, STOP_STATE, LATCHED)
         node.every(1.0, self._check_peers)
@@ -103,6 +96,7 @@ class StopInterface:
     def _on_reset_service(
         self, request: Trigger.Request, response: Trigger.Response
     ) -> Trigger.Response:
+        self._emergency.check()
         try:
             self._reset()
         except ResetRefusedError as error:
@@ -114,8 +108,8 @@ class StopInterface:
         self.publish()
         return response
 
-    def _on_emergency(self, message: Bool) -> None:
-        self._latch.set_emergency(message.data)
+    def _on_emergency(self, pressed: bool) -> None:
+        self._latch.set_emergency(pressed)
         self.publish()
 
     def _on_peer(self, message: DiagnosticStatus) -> None:

@@ -4,10 +4,10 @@ import math
 from collections.abc import Callable
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.qos import QoSProfile
-from std_msgs.msg import Bool, String
+from std_msgs.msg import String
 
 from omniman_ros.core.stream_monitor import StreamMonitor
+from omniman_ros.nodes.emergency_interface import EmergencyInterface
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.rclpy_compat import subscribe_with_source_time
 from omniman_ros.nodes.stop_interface import ALL_LATCHED, LATCHED, STOP_STATE, publisher_nodes
@@ -34,9 +34,7 @@ class StreamMonitorInterface:
         self._source_sent, self._source_received = 0, -math.inf
         subscribe_with_source_time(node, String, "active_source", self._on_source, LATCHED)
         node.create_subscription(DiagnosticStatus, STOP_STATE, self._on_stop_state, ALL_LATCHED)
-        # A transient-local subscription alone does not match volatile publishers.
-        for qos in (LATCHED, QoSProfile(depth=10)):
-            node.create_subscription(Bool, "emergency_stop", self._on_emergency, qos)
+        EmergencyInterface(node, self._on_emergency)
         node.every(1.0, self._forget_vanished)
 
     def _on_source(self, message: String, source_time: int) -> None:
@@ -57,8 +55,8 @@ class StreamMonitorInterface:
         self._monitor.update_stop_state(message.name, stopped, message.message)
         self._on_update()
 
-    def _on_emergency(self, message: Bool) -> None:
-        self._monitor.update_emergency(message.data)
+    def _on_emergency(self, pressed: bool) -> None:
+        self._monitor.update_emergency(pressed)
         self._on_update()
 
     def _forget_vanished(self) -> None:

@@ -282,6 +282,20 @@ def test_reset_is_refused_while_the_emergency_stop_is_true(rig):
     assert rig.call(Trigger, "platform_controller/reset").success
 
 
+def test_reset_is_refused_while_one_of_two_emergency_stops_is_true(rig):
+    buttons = [rig.probe.create_publisher(Bool, "emergency_stop", LATCHED) for _ in range(2)]
+    rig.run_until(lambda: all(b.get_subscription_count() == 2 for b in buttons), 5.0, "a match")
+    buttons[0].publish(Bool(data=True))
+    rig.run(0.1)
+    for _ in range(3):
+        buttons[1].publish(Bool(data=False))
+        rig.run(0.1)
+    assert not rig.call(Trigger, "platform_controller/reset").success
+    buttons[0].publish(Bool(data=False))
+    rig.run(0.1)
+    assert rig.call(Trigger, "platform_controller/reset").success
+
+
 def test_reset_is_refused_while_the_drive_is_dead(rig):
     rig.drive(0.3, seconds=0.3)
     rig.drive_alive = False

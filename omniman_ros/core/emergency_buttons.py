@@ -1,0 +1,88 @@
+"""The emergency stop of several publishers: it is pressed as long as one of them says so.
+
+The middleware does not tell which publisher has sent a message, but numbers the messages of each
+publisher one after the other. A message with number k + 1 comes from one of the publishers whose
+last message had number k.
+"""
+
+from collections import deque
+from dataclasses import dataclass
+
+MAX_GROUPS = 64
+"""Largest number of groups of publishers, gone ones included, that are kept."""
+UNNUMBERED = -2
+"""Stands for the number of a message without one, which no other message continues."""
+REMEMBERED = 64
+"""Number of messages that are recognised when they are delivered a second time."""
+
+
+@dataclass
+class _Group:
+    """Publishers whose last messages have the same number.
+
+    Attributes:
+        size: Number of publishers.
+        pressing: Largest number of them that may have said true last.
+    """
+
+    size: int = 0
+    pressing: int = 0
+
+
+class EmergencyButtons:
+    """Combines the messages of several publishers.
+
+    It is released when it is certain that no publisher presses. Where two of them have sent
+    equally many messages, and one says false, nobody knows which one it was: it stays pressed
+    until the other one has said false, too.
+
+    A single publisher needs no numbers: its last message counts, and that of one that is gone.
+    """
+
+    def __init__(self) -> None:
+        self._last = False
+        self._groups: dict[int, _Group] = {}
+        self._seen: deque[tuple[int, int]] = deque(maxlen=REMEMBERED)
+
+    def update(self, pressed: bool, number: int | None, sent: int) -> None:
+        """Register a message; one that was registered before changes nothing.
+
+        Args:
+            pressed: Content of the message.
+            number: Its number among the messages of its publisher; None if it is unknown. Then
+                the last message counts, whoever sent it.
+            sent: Time at which it was sent, in nanoseconds of the sender's clock.
+        """
+        if number is None:
+            self._groups.clear()
+            number = UNNUMBERED
+        elif (number, sent) in self._seen:
+            return
+        self._seen.append((number, sent))
+        self._last = pressed
+        before = self._groups.get(number - 1)
+        if before is not None:
+            before.size -= 1
+            before.pressing = min(before.pressing, before.size)
+            if not before.size:
+                del self._groups[number - 1]
+        group = self._groups.setdefault(number, _Group())
+        group.size += 1
+        group.pressing += pressed
+        if len(self._groups) > MAX_GROUPS:
+            self._forget_one()
+
+    def _forget_one(self) -> None:
+        """Forget the oldest group that is released, or the oldest one."""
+        released = (number for number, group in self._groups.items() if not group.pressing)
+        del self._groups[next(released, next(iter(self._groups)))]
+
+    def is_pressed(self, publishers: int) -> bool:
+        """Return whether a publisher may say that the emergency stop is pressed.
+
+        Args:
+            publishers: Number of publishers that there are now.
+        """
+        if publishers <= 1 and not self._last:
+            self._groups.clear()
+        return any(group.pressing for group in self._groups.values())
