@@ -2,7 +2,8 @@
 
 The wheels have rollers, or are ideal ones. The lag of the rollers is measured first, by a rotation
 in place; then the path is driven with random wheels, without coupling control, with it, and with
-it and the lag.
+it and the lag. Both forms of control have an aim for the error that they take out, and one for the
+energy.
 """
 
 import argparse
@@ -36,10 +37,14 @@ from omniman_ros.robots import load_robot
 
 MODES = ("P", "PI", "torque")
 """Groups of drives: the ways in which the drives hold a wheel's speed."""
-LAG_GAINS = (5.0, 8.0)
-"""Gains of coupling control with lag, beside the robot's own [1/s]."""
+GAINS = (5.0,)
+"""Gains of coupling control, with and without lag, beside the robot's own [1/s]."""
+MEASURES = {OWN_CONTROLLER: "epsilon_ratio", LAG_CONTROLLER: "error_ratio"}
+"""The error that each form of coupling control takes out, as the ratio to that without control:
+epsilon by CCTA 2017 (24), and, of the form that knows the lag, epsilon less what the lag
+explains."""
 ERROR_AIM = 0.25
-"""Aim: largest ratio of max |epsilon|, less what the lag explains, to that without control [-]."""
+"""Aim: largest ratio of the largest error to that without coupling control [-]."""
 ENERGY_AIM = 1.01
 """Aim: largest ratio of the energy to that without coupling control [-]."""
 
@@ -51,23 +56,23 @@ class Extent:
     Attributes:
         figure: The path as a function of time.
         modes: Groups of drives, keys of `GROUPS`.
-        lag_gains: Gains of coupling control with lag, beside the robot's own [1/s].
+        gains: Gains of coupling control, with and without lag, beside the robot's own [1/s].
         samples: Number of sets of random wheels.
         rotation: Duration of the rotation that measures the lag [s].
     """
 
     figure: Figure7
     modes: Sequence[str]
-    lag_gains: Sequence[float]
+    gains: Sequence[float]
     samples: int
     rotation: float
 
 
 QUICK = Extent(Figure7(length=1.0), ("PI",), (), samples=1, rotation=2.0)
 """Extent of a quick run: a short path, one set of wheels and one way to hold a wheel's speed."""
-STANDARD = Extent(Figure7(), MODES, LAG_GAINS, samples=10, rotation=6.0)
+STANDARD = Extent(Figure7(), MODES, GAINS, samples=10, rotation=6.0)
 """Extent of a standard run."""
-FULL = Extent(Figure7(), MODES, (2.0, *LAG_GAINS, 30.0), samples=20, rotation=6.0)
+FULL = Extent(Figure7(), MODES, (2.0, *GAINS, 8.0, 30.0), samples=20, rotation=6.0)
 """Extent of a full run."""
 
 
@@ -81,8 +86,9 @@ def cases(extent: Extent, robot: Mapping[str, Any], own_gain: float, seed: int) 
         seed: Seed of the random wheels.
     """
     wheels = build(Robot, robot).wheel_count
-    controllers = [(OWN_CONTROLLER, 0.0), (OWN_CONTROLLER, own_gain)]
-    controllers += [(LAG_CONTROLLER, gain) for gain in sorted({own_gain, *extent.lag_gains})]
+    gains = sorted({own_gain, *extent.gains})
+    controllers = [(form, gain) for form in MEASURES for gain in gains]
+    controllers.insert(0, (OWN_CONTROLLER, 0.0))
     return [
         Case(mode, sample, gain, draw_mismatch(mode, seed, sample, wheels), controller)
         for mode in extent.modes
@@ -127,32 +133,35 @@ def run(args: argparse.Namespace) -> int:
         "spread": MISMATCH_SPREAD,
         "roller_lag_s": lag,
         "table": rows,
-        "aims": [aim(rows, mode) for mode in extent.modes],
+        "aims": [aim(rows, mode, form) for mode in extent.modes for form in MEASURES],
     }
     publish(result_name(args.name, args.world), result, report, started, args.results)
     return 0
 
 
-def aim(rows: Sequence[Mapping[str, Any]], mode: str) -> dict[str, Any]:
-    """Return how near coupling control comes to its aims in one mode.
+def aim(rows: Sequence[Mapping[str, Any]], mode: str, form: str) -> dict[str, Any]:
+    """Return how near a form of coupling control comes to its aims in one mode.
 
-    Of the gains with lag that meet the aim for the energy, the one that leaves the smallest part
-    of the error is taken; if none does, the one with the least energy.
+    Of the gains that meet the aim for the energy, the one that leaves the smallest part of the
+    error is taken; if none does, the one with the least energy.
 
     Args:
         rows: Rows of the table.
         mode: Group of the drives.
+        form: Name of the coupling controller, a key of `MEASURES`.
     """
-    own = [row for row in rows if row["group"] == mode and row["controller"] == LAG_CONTROLLER]
-    cheap = [row for row in own if row["energy_ratio"]["mean"] <= ENERGY_AIM]
+    measure = MEASURES[form]
+    driven = [r for r in rows if r["group"] == mode and r["controller"] == form and r["k"] > 0.0]
+    cheap = [row for row in driven if row["energy_ratio"]["mean"] <= ENERGY_AIM]
     best = (
-        min(cheap, key=lambda row: float(row["error_ratio"]["mean"]))
+        min(cheap, key=lambda row: float(row[measure]["mean"]))
         if cheap
-        else min(own, key=lambda row: float(row["energy_ratio"]["mean"]))
+        else min(driven, key=lambda row: float(row["energy_ratio"]["mean"]))
     )
-    error, energy = best["error_ratio"]["mean"], best["energy_ratio"]["mean"]
+    error, energy = best[measure]["mean"], best["energy_ratio"]["mean"]
     return {
         "group": mode,
+        "controller": form,
         "k": best["k"],
         "error_ratio": error,
         "energy_ratio": energy,
@@ -170,7 +179,7 @@ def report(result: dict[str, Any]) -> list[str]:
                 "coupling control",
                 "max |eps|",
                 "less lag",
-                "ratio to off",
+                "ratios to off",
                 "worst",
                 "energy",
                 "ratio to off",
@@ -186,10 +195,13 @@ def report(result: dict[str, Any]) -> list[str]:
     lines += ["", f"Lag of the rollers, measured by a rotation in place: {lag:.1f} ms"]
     for reached in result["aims"]:
         met = verdict(reached["error_met"] and reached["energy_met"])
+        with_lag = reached["controller"] == LAG_CONTROLLER
+        form = "with lag, " if with_lag else ""
+        error = "epsilon less lag" if with_lag else "epsilon"
         lines.append(
-            f"{reached['group']}, with lag and k = {reached['k']:g}: "
-            f"{reached['error_ratio']:.2f} of the error (aim {ERROR_AIM:g}), "
-            f"{reached['energy_ratio']:.2f} of the energy (aim {ENERGY_AIM:g}): {met}"
+            f"{reached['group']}, {form}k = {reached['k']:g}: "
+            f"{reached['error_ratio']:.2f} of {error} (aim {ERROR_AIM:g}), "
+            f"{reached['energy_ratio']:.3f} of the energy (aim {ENERGY_AIM:g}): {met}"
         )
     return lines
 
@@ -201,8 +213,8 @@ def _cells(row: Mapping[str, Any]) -> tuple[str, ...]:
         f"k = {row['k']:g}{lag}" if row["k"] or lag else "off",
         f"{mean['epsilon_max']:.3f} rad",
         f"{mean['error_max']:.3f} rad",
-        f"{mean['error_ratio']:.2f}",
-        f"{row['error_ratio']['worst']:.2f}",
+        f"{mean['epsilon_ratio']:.2f}, {mean['error_ratio']:.2f}",
+        f"{row['epsilon_ratio']['worst']:.2f}, {row['error_ratio']['worst']:.2f}",
         f"{mean['energy']:.0f} J",
         f"{mean['energy_ratio']:.3f}",
         f"{mean['copper']:.0f} J",

@@ -5,6 +5,7 @@
 
 from omniman_ros.lab.reproduce.findings import Finding, Results, find_row
 from omniman_ros.lab.reproduce.published import Claim
+from omniman_ros.lab.studies.coupling import LAG_CONTROLLER
 
 
 def _random_scenes(results: Results) -> Finding:
@@ -54,7 +55,8 @@ def _modes(results: Results) -> Finding:
 
 def _modes_with_lag(results: Results) -> Finding:
     """Return what coupling control that knows the lag of the rollers does in each mode."""
-    aims = results["coupling"]["aims"]
+    every = results["coupling"]["aims"]
+    aims = [aim for aim in every if aim["controller"] == LAG_CONTROLLER]
     return Finding(
         {"aims": aims},
         ", ".join(
