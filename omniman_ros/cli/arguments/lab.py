@@ -20,6 +20,7 @@ BENCHMARKS = {
 
 EXPERIMENTS = {
     "coupling": "CCTA 2017 Fig. 7, coupling control on and off (default)",
+    "odometry": "odometry after the path of CCTA 2017 Fig. 7, by the wheels and with imu",
     "tool_path": "platform and arm in step, with and without the arm's correction",
     "free": "the free case of MPC 2021",
     "free_paper": "the same with the paper's own problem: weights, friction, mass, voltages out",
@@ -98,7 +99,8 @@ def add_reproduce(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--robot",
-        help=f"{ROBOT_HELP}; default: omniman for coupling, tool_path and handover, else ig42",
+        help=f"{ROBOT_HELP}; default: omniman for coupling, odometry, tool_path and handover, "
+        "else ig42",
     )
     parser.add_argument(
         "--reuse",

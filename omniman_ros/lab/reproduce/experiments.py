@@ -53,6 +53,14 @@ EXPERIMENTS = {
             in_world=True,
         ),
         Experiment(
+            "odometry",
+            "omniman_ros.lab.reproduce.odometry",
+            "omniman",
+            1,
+            "Odometry after the path of CCTA 2017, Fig. 7, by the wheels and with imu",
+            in_world=True,
+        ),
+        Experiment(
             "tool_path",
             "omniman_ros.lab.reproduce.tool_path",
             "omniman",

@@ -128,6 +128,15 @@ EVERYTHING = {
             {"correction": False, "rms_mm": 9.0, "max_mm": 10.0},
         ],
     },
+    "odometry": {
+        "robot": "omniman",
+        "quick": False,
+        "full": False,
+        "seed": 0,
+        "drives": [{"group": "PI"}],
+        "took_s": 10.0,
+        "about": ABOUT,
+    },
     "handover": {
         "robot": "omniman",
         "quick": False,

@@ -78,7 +78,7 @@ def test_every_experiment_is_run_once_and_a_page_and_json_are_written(tmp_path, 
     assert launch.names == list(EXPERIMENTS)
     assert result["passed"] is True
     assert set(verdicts(result).values()) == {"passed"}
-    assert [row["drives"] for row in result["experiments"]] == [18, 2, 3, 3, 3, 3, 2, 3, 8]
+    assert [row["drives"] for row in result["experiments"]] == [18, 1, 2, 3, 3, 3, 3, 2, 3, 8]
     assert json.loads(capsys.readouterr().out.splitlines()[-1]) == result
     assert all(f"<b>{name}</b>" in page for name in EXPERIMENTS)
 

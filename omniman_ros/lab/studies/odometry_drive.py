@@ -1,0 +1,153 @@
+"""Odometry after the path of CCTA 2017, Fig. 7, by the wheels alone and with an inertial sensor.
+
+Both odometries hear the same wheels in the same drive, so that they differ by the sensor alone.
+The controller drives by the wheels.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from omniman_ros.control.platform_parameters import PlatformParameters
+from omniman_ros.control.wheel_odometry import WheelOdometry, WheelOdometryParameters
+from omniman_ros.core.arbiter import Source
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.imu_mount import ImuMount
+from omniman_ros.core.parameters import build
+from omniman_ros.core.se2 import wrap
+from omniman_ros.lab.studies.closed_loop import LATENCY, PERIOD, ClosedLoop
+from omniman_ros.lab.studies.coupling import (
+    GROUPS,
+    NO_FOLLOWING_ERROR_STOP,
+    StudyError,
+    draw_mismatch,
+)
+from omniman_ros.lab.studies.worlds import WorldChoice
+from omniman_ros.motion.figure7 import Figure7
+from omniman_ros.simulation.plant.imu import ImuSensorParameters, SimulatedImu, planar_motion
+from omniman_ros.simulation.plant.parameters import SimulationParameters
+
+REST = 1.5
+"""Time of rest before the path, which shows the bias of the yaw rate, and after it [s]."""
+IMU_STRIDE = 2
+"""Number of ticks from one measurement of the inertial sensor to the next, which gives 100 Hz."""
+
+
+@dataclass(frozen=True)
+class OdometryCase:
+    """One drive.
+
+    Attributes:
+        group: How the drives hold a wheel's speed, a key of `GROUPS`.
+        sample: Index of the set of random wheels.
+        roller_lag: Lag of the rollers that coupling control knows [s].
+        seed: Seed of the random wheels.
+    """
+
+    group: str
+    sample: int
+    roller_lag: float
+    seed: int
+
+
+@dataclass(frozen=True)
+class OdometryErrors:
+    """Errors (3,) of both odometries at the end [m, m, rad], and the wheels' on the way.
+
+    Attributes:
+        wheels: By the wheels alone.
+        imu: With the inertial sensor.
+        largest: Largest distance of the pose by the wheels alone from the true pose [m].
+    """
+
+    wheels: Array
+    imu: Array
+    largest: float
+
+
+def drive_odometry(
+    robot: Mapping[str, Any], world: WorldChoice | None, figure: Figure7, case: OdometryCase
+) -> OdometryErrors:
+    """Drive along the path once.
+
+    Args:
+        robot: Parameters of the robot with its calibration, full names to values.
+        world: World in which the robot drives; None for the plant.
+        figure: The path as a function of time.
+        case: Mode of the drives, wheels and form of coupling control.
+
+    Raises:
+        StudyError: The robot stopped before the end, or refused the path.
+    """
+    values = {
+        **robot,
+        **GROUPS[case.group].changes,
+        **NO_FOLLOWING_ERROR_STOP,
+        "coupling.roller_lag": case.roller_lag,
+    }
+    parameters, simulation = build(PlatformParameters, values), build(SimulationParameters, values)
+    wheels = parameters.robot.wheel_count
+    mismatch = draw_mismatch(case.group, case.seed, case.sample, wheels)
+    loop = ClosedLoop(
+        parameters, replace(simulation, mismatch=mismatch), torques=False, world=world
+    )
+    observer = _Observer(values, loop)
+    observer.run(REST)
+    for leg in figure.legs(loop.now):
+        observer.run(leg.begin - loop.now)
+        refusal = loop.controller.set_preview(Source.PATH, leg.preview, loop.now)
+        if refusal:
+            raise StudyError(f"path/reference was refused: {refusal}")
+        observer.run(leg.preview.end - loop.now)
+    observer.run(REST)
+    stopped = loop.controller.latch.status.reason or loop.drives.stop_reason
+    if stopped:
+        raise StudyError(f"{case}: {stopped}")
+    return OdometryErrors(
+        _error(loop.controller.odometry.pose, loop.truth),
+        _error(observer.core.odometry.pose, loop.truth),
+        observer.largest,
+    )
+
+
+class _Observer:
+    """An odometry with an inertial sensor beside a closed loop."""
+
+    def __init__(self, values: Mapping[str, Any], loop: ClosedLoop) -> None:
+        self._loop, self.largest = loop, 0.0
+        self.core = WheelOdometry(build(WheelOdometryParameters, values))
+        self._imu = SimulatedImu(
+            build(ImuMount, values, "imu."),
+            build(ImuSensorParameters, values, "imu_sensor."),
+            build(SimulationParameters, values).plant.gravity,
+        )
+
+    def run(self, seconds: float) -> None:
+        """Run loop and odometry for a time [s]."""
+        loop = self._loop
+        for _ in range(round(seconds / PERIOD)):
+            now = loop.now
+            loop.step()
+            if loop.tick % IMU_STRIDE == 0:
+                motion = (
+                    planar_motion(loop.drives.ground_truth()[1])
+                    if loop.world is None
+                    else loop.world.base_motion
+                )
+                measured = self._imu.measure(now, motion)
+                if measured is not None:
+                    self.core.imu.update(now, now, *measured)
+            states = loop.states
+            self.core.update_wheels(now, now + LATENCY, states.position, states.velocity)
+            error = _error(loop.controller.odometry.pose, loop.truth)
+            self.largest = max(self.largest, math.hypot(error[0], error[1]))
+
+
+def _error(pose: tuple[float, float, float], truth: Array) -> Array:
+    """Return the error (3,) of a pose [m, m, rad]."""
+    error: Array = np.array(pose) - truth
+    error[2] = wrap(float(error[2]))
+    return error
