@@ -11,6 +11,7 @@ from omniman_ros.core.parameters import specs
 from omniman_ros.share import share_path
 from omniman_ros.simulation.world.clutter import Clutter, clutter_posts
 from omniman_ros.simulation.world.scene import (
+    Column,
     Crate,
     Element,
     Load,
@@ -25,6 +26,7 @@ from omniman_ros.simulation.world.scene import (
 KINDS: dict[str, type[Element]] = {
     "walls": Wall,
     "posts": Post,
+    "columns": Column,
     "tables": Table,
     "pallets": Pallet,
     "crates": Crate,

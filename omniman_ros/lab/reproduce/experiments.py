@@ -102,6 +102,7 @@ EXPERIMENTS = {
             "ig42",
             7,
             "Random scenes: failed drives first, then those with the smallest gaps",
+            in_world=True,
         ),
     )
 }

@@ -1,4 +1,4 @@
-"""The planner's node in simulated time, in closed loop with the controller and the slipping plant.
+"""The planner's node in simulated time, in closed loop with the controller and the simulation.
 
 The node is created as usual, but not spun. Instead, the loop calls the callbacks of its
 subscriptions with messages, calls its timer when it is due, and collects what it publishes. The
@@ -13,7 +13,7 @@ import re
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache, partial
 from typing import Any
 
@@ -45,6 +45,7 @@ from omniman_ros.core.robot import Robot
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.lab.studies.closed_loop import PERIOD, ClosedLoop
 from omniman_ros.lab.studies.scene_generator import RandomScene, scene
+from omniman_ros.lab.studies.scene_worlds import scene_world
 from omniman_ros.lab.studies.scenes import (
     TIME_LIMIT,
     Outcome,
@@ -55,12 +56,13 @@ from omniman_ros.lab.studies.scenes import (
     mover_of,
     true_robot,
 )
+from omniman_ros.lab.studies.worlds import place_column
 from omniman_ros.nodes.mpc_planner import MpcPlannerNode
 from omniman_ros.nodes.rclpy_compat import deliver
 from omniman_ros.planning.cycle import PlannerState
 from omniman_ros.robots import load_robot
 from omniman_ros.simulation.plant.parameters import SimulationParameters
-from omniman_ros.simulation.plant.simulated_drives import SimulatedDrives
+from omniman_ros.simulation.world.scene import Column
 
 EPOCH = 1000.0
 """ROS time at which the simulation starts [s]; a stamp of zero would mean the present time."""
@@ -147,6 +149,8 @@ class SceneRunSettings:
             the answer has taken.
         arm: Whether the arm is in a random posture, and obstacles have heights; needs the physics
             engine.
+        wheels: Kind of wheels in the physics world; None for the plant.
+        scales: Calibration of the odometry, full names to values.
 
     Raises:
         InputError: The solve time is negative or not finite.
@@ -156,6 +160,8 @@ class SceneRunSettings:
     seed: int = 0
     solve_time: float | None = None
     arm: bool = False
+    wheels: str | None = None
+    scales: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.solve_time is not None and not 0.0 <= self.solve_time < math.inf:
@@ -163,18 +169,16 @@ class SceneRunSettings:
 
 
 class NodeLoop:
-    """Closed loop of the planner's node, the controller and the plant in one scene.
+    """Closed loop of the planner's node, the controller and the simulation in one scene.
 
     Args:
-        robot: Name of the robot, or path of its file.
         random_scene: The scene.
-        seed: Seed of the noise.
-        solve_time: Time assumed for each answer of the planner [s]; None means that the CPU time
-            is measured.
+        settings: Robot, seed of the noise, time of the answers, and where the robot drives.
 
     Attributes:
         scene: The scene.
-        loop: Controller and plant.
+        loop: Controller, and plant or world.
+        touched: Time [s] of the first contact in the world, and the index of the obstacle.
         node: The planner's node.
         times: Time of each tick on the plant's clock [s].
         poses: True pose (3,) in odom at each tick [m, m, rad].
@@ -185,16 +189,13 @@ class NodeLoop:
             replaced by `#`.
     """
 
-    def __init__(
-        self, robot: str, random_scene: RandomScene, seed: int = 0, solve_time: float | None = None
-    ) -> None:
-        values = load_robot(robot)
+    def __init__(self, random_scene: RandomScene, settings: SceneRunSettings) -> None:
         self.scene = random_scene
-        self.loop = _closed_loop(values, random_scene)
+        self.loop, self._columns = _closed_loop(random_scene, settings)
         self.node = CallbackPlanner(
             self._on_reference,
             context=context(),
-            parameter_overrides=_overrides(robot, random_scene),
+            parameter_overrides=_overrides(settings.robot, random_scene),
             enable_rosout=False,
             start_parameter_services=False,
         )
@@ -205,8 +206,8 @@ class NodeLoop:
             subscription.topic_name.lstrip("/"): partial(self._hand_over, subscription)
             for subscription in self.node.subscriptions
         }
-        self._random = np.random.default_rng((2021, random_scene.seed, seed))
-        self._solve_time = solve_time
+        self._random = np.random.default_rng((2021, random_scene.seed, settings.seed))
+        self._solve_time = settings.solve_time
         self._propose = self.node.core.propose
         self.node.core.propose = self._timed_propose  # type: ignore[assignment,method-assign]
         self._tick_started: float | None = None
@@ -224,6 +225,7 @@ class NodeLoop:
         self.answers: list[float] = []
         self.late = 0
         self.rejections: Counter[str] = Counter()
+        self.touched: tuple[float, int] | None = None
 
     def close(self) -> None:
         """Destroy the node."""
@@ -276,13 +278,16 @@ class NodeLoop:
             core.state.value,
             message if message == last else f"{message}; {last}",
             dict(self.rejections.most_common(5)),
+            self.touched,
         )
 
     def step(self) -> None:
         """Run one tick of the plant, and the callbacks of the node that are due after it."""
         self._deliver()
+        self._move_columns()
         self.loop.step()
         self.times.append(self.now - PERIOD)
+        self._hear_contacts()
         self.poses.append(self.loop.truth.copy())
         self.energy.append(float(self.loop.drives.electrical()[:, 2].sum()))
         self._send_controller_state()
@@ -290,6 +295,25 @@ class NodeLoop:
         self._send_posture()
         if self.now >= self._busy_until - 1e-9:
             self._run_callbacks()
+
+    # ---- the world ----------------------------------------------------------------------------
+
+    def _move_columns(self) -> None:
+        """Put the obstacles of the world where they are when the next tick is measured."""
+        world = self.loop.world
+        if world is not None:
+            for column, obstacle in zip(self._columns, self.scene.obstacles, strict=True):
+                place_column(world, column, obstacle.place(self.now))
+
+    def _hear_contacts(self) -> None:
+        """Note the first contact with an obstacle in the world."""
+        world = self.loop.world
+        if world is None or self.touched is not None or not world.contacts:
+            return
+        names = [column.name for column in self._columns]
+        met = [names.index(each.thing) for each in world.contacts if each.thing in names]
+        if met:
+            self.touched = self.times[-1], met[0]
 
     # ---- the node -----------------------------------------------------------------------------
 
@@ -431,15 +455,26 @@ class NodeLoop:
         self._send("obstacles", message, float(self._random.uniform(*MARKER_DELAY)))
 
 
-def _closed_loop(values: Mapping[str, Any], random_scene: RandomScene) -> ClosedLoop:
-    """Return a loop with the controller of the nominal robot and the drives of the true robot."""
+def _closed_loop(
+    random_scene: RandomScene, settings: SceneRunSettings
+) -> tuple[ClosedLoop, tuple[Column, ...]]:
+    """Return a loop with the controller of the nominal robot and the drives of the true robot.
+
+    Returns:
+        The loop, and the columns that are the obstacles in its world; none on the plant.
+    """
+    values = {**load_robot(settings.robot), **settings.scales}
     true_values, changes = true_robot(values, random_scene.mismatch)
-    simulation = build(SimulationParameters, changes)
-    loop = ClosedLoop(build(PlatformParameters, values), simulation)
-    loop.drives = SimulatedDrives(build(Robot, true_values), simulation)
+    world = settings.wheels and scene_world(true_values, settings.wheels, random_scene)
+    loop = ClosedLoop(
+        build(PlatformParameters, values),
+        build(SimulationParameters, changes),
+        world=world or None,
+        robot=build(Robot, true_values),
+    )
     loop.drives.set_pose(random_scene.start)
     loop.controller.set_pose(random_scene.start)
-    return loop
+    return loop, world.scene.columns if world else ()
 
 
 def _overrides(robot: str, random_scene: RandomScene) -> list[Parameter]:
@@ -468,7 +503,7 @@ def drive_scene(settings: SceneRunSettings, seed: int) -> Outcome:
     """Drive through the random scene of a seed, and judge the drive by the ground truth."""
     values = load_robot(settings.robot)
     random_scene = _draw_scene(settings, values, seed)
-    loop = NodeLoop(settings.robot, random_scene, settings.seed, settings.solve_time)
+    loop = NodeLoop(random_scene, settings)
     try:
         drive = loop.run()
     finally:

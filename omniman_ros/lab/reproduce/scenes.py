@@ -1,6 +1,7 @@
 """`omniman reproduce scenes`: the planner's node drives through random scenes.
 
-Each drive is judged by the ground truth; see `studies.scenes`.
+Each drive is judged by the ground truth; see `studies.scenes`. In the physics world, the engine's
+contacts count as well, and the odometry is calibrated first: what it is off is not the planner's.
 """
 
 import argparse
@@ -20,9 +21,12 @@ from omniman_ros.core.robot import Robot
 from omniman_ros.description.urdf import carries_arm
 from omniman_ros.extras import PLANNING
 from omniman_ros.lab.bench.measurement import SINGLE_THREADED
+from omniman_ros.lab.reproduce.experiments import result_name
 from omniman_ros.lab.reproduce.pipeline import publish
+from omniman_ros.lab.studies.odometry_scales import measure_scales
 from omniman_ros.lab.studies.scene_generator import SceneError
 from omniman_ros.lab.studies.scenes import AIM_REACHED, TIME_LIMIT, Outcome, aims, groups, summary
+from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.lab.verdicts import verdict
 from omniman_ros.robots import load_robot
 
@@ -76,16 +80,19 @@ def run(args: argparse.Namespace) -> int:
     if not PLANNING.is_available:
         raise CommandError(PLANNING.hint)
     robot = load_robot(args.robot)
-    settings = _settings(args)
-    if settings.arm and not carries_arm(build(Robot, robot)):
+    if args.arm and args.world:
+        raise CommandError("--arm and --world exclude each other", code=2)
+    if args.arm and not carries_arm(build(Robot, robot)):
         raise CommandError(f"the robot '{args.robot}' has no arm", code=2)
-    name = ARM_NAME if settings.arm else NAME
+    name = ARM_NAME if args.arm else result_name("scenes", args.world)
     started = time.monotonic()
     progress = Progress()
     progress.headline(
         f"{len(seeds)} random scenes, at most {TIME_LIMIT:g} s each, robot '{args.robot}', "
         "the planner's node with noisy odometry and noisy obstacle positions"
+        + (f", in the physics world on wheels '{args.world}'" if args.world else "")
     )
+    settings = _settings(args, robot)
     progress.begin("drives")
     outcomes: list[Outcome] = []
     failed = 0
@@ -100,7 +107,7 @@ def run(args: argparse.Namespace) -> int:
         progress.abandon()
         raise CommandError(str(error)) from error
     progress.end(f"{len(outcomes)} drives, {failed} failed")
-    result = figures(args, outcomes)
+    result = figures(args, outcomes) | {"scales": dict(settings.scales)}
     progress.begin("picture")
     result["picture"] = draw(build(Robot, robot), outcomes, Path(args.results), name)
     progress.end("done" if result["picture"] else "no matplotlib")
@@ -108,11 +115,14 @@ def run(args: argparse.Namespace) -> int:
     return 0 if result["passed"] else 1
 
 
-def _settings(args: argparse.Namespace) -> "SceneRunSettings":
+def _settings(args: argparse.Namespace, robot: Mapping[str, Any]) -> "SceneRunSettings":
+    """Return the settings of the drives; in a world, the robot drives first to be calibrated."""
     from omniman_ros.lab.reproduce.scene_runs import SceneRunSettings
 
-    arm = bool(getattr(args, "arm", None))
-    return SceneRunSettings(args.robot, args.seed, args.solve_time, arm)
+    world = WorldChoice.of(robot, args.world) if args.world else None
+    scales = {} if world is None else measure_scales(robot, world)
+    arm = bool(args.arm)
+    return SceneRunSettings(args.robot, args.seed, args.solve_time, arm, args.world, scales)
 
 
 def scene_seeds(args: argparse.Namespace) -> range:
@@ -173,7 +183,8 @@ def figures(args: argparse.Namespace, outcomes: Sequence[Outcome]) -> dict[str, 
     met = aims(summary(outcomes))
     return {
         "robot": args.robot,
-        "arm": bool(getattr(args, "arm", None)),
+        "arm": bool(args.arm),
+        "world": args.world,
         "seed": args.seed,
         "solve_time_s": args.solve_time,
         "limit_s": TIME_LIMIT,

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from omniman_ros.control.platform import PlatformController
 from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.control.wheel_cascade import DriveMode, WheelCommand
+from omniman_ros.core.robot import Robot
 from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 from omniman_ros.simulation.plant.simulated_drives import SimulatedDrives, WheelStates
@@ -27,11 +28,12 @@ class ClosedLoop:
     """Runs controller and drives one tick at a time, without waiting and without a real clock.
 
     Args:
-        parameters: Parameters of the controller, and of the robot that the drives move.
+        parameters: Parameters of the controller.
         simulation: Parameters of the drives.
         late: Number of ticks by which commands to the drives are delayed.
         torques: Whether the drives report torques, by which the controller detects dead wheels.
         world: World in which the robot drives; None for the plant.
+        robot: The true robot; None if it is that of the controller.
 
     Attributes:
         controller: The controller.
@@ -49,9 +51,10 @@ class ClosedLoop:
         late: int = 0,
         torques: bool = True,
         world: WorldChoice | None = None,
+        robot: Robot | None = None,
     ) -> None:
         self.controller = PlatformController(parameters)
-        robot = parameters.robot
+        robot = robot or parameters.robot
         self.world: World | None = None if world is None else world.body(robot, simulation)
         self.drives = SimulatedDrives(robot, simulation, body=self.world)
         self.tick = 0

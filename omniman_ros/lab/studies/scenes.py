@@ -135,6 +135,8 @@ class SceneDrive:
         state: State of the planner at the end.
         last_status: Last status text of the planner.
         rejections: Reasons why plans were not used, each with the number of such plans.
+        touched: Time [s] of the first contact by the physics engine, and the index of the
+            obstacle; None without a contact, and on the plant.
 
     Raises:
         InputError: There is no sample, or a shape is wrong.
@@ -150,6 +152,7 @@ class SceneDrive:
     state: str
     last_status: str
     rejections: Mapping[str, int] = field(default_factory=dict)
+    touched: tuple[float, int] | None = None
 
     def __post_init__(self) -> None:
         if len(self.times) < 1 or self.poses.shape != (len(self.times), 3):
@@ -262,7 +265,7 @@ class Outcome:
 
 
 def judge_drive(scene: RandomScene, drive: SceneDrive, mover: Mover, agility: Agility) -> Outcome:
-    """Judge a drive through a scene.
+    """Judge a drive through a scene; a contact by the engine counts beside one by the judge.
 
     Args:
         scene: The scene.
@@ -272,6 +275,9 @@ def judge_drive(scene: RandomScene, drive: SceneDrive, mover: Mover, agility: Ag
     """
     world = scene.world
     verdict = judge(drive.times, drive.poses, mover.box, world)
+    if drive.touched is not None and drive.touched[0] < verdict.contact:
+        contact, index = drive.touched
+        verdict = replace(verdict, contact=contact, touched=("obstacle", index))
     could_avoid = was_surprised = False
     if verdict.collided:
         path = find_avoiding_path(mover, world, drive.times, drive.poses, verdict.contact)

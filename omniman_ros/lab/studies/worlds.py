@@ -11,7 +11,7 @@ from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 from omniman_ros.simulation.world.model.things import person_joints
 from omniman_ros.simulation.world.parameters import WorldParameters
-from omniman_ros.simulation.world.scene import Person, Scene
+from omniman_ros.simulation.world.scene import Column, Person, Scene
 
 if TYPE_CHECKING:  # The command line must do without the engine.
     from omniman_ros.simulation.world.world import World
@@ -83,3 +83,14 @@ def move_person(world: "World", person: Person, place: Array, velocity: Array) -
         engine.coordinates[engine.coordinate(joint)] = place[k] - start[k]
         engine.velocities[engine.dof(joint)] = velocity[k]
     engine.refresh()
+
+
+def place_column(world: "World", column: Column, place: Array) -> None:
+    """Put a column at a place.
+
+    Args:
+        world: The world.
+        column: The column, an element of its scene.
+        place: Position (2,) in the world [m].
+    """
+    world.engine.place(world.engine.body(column.name), float(place[0]), float(place[1]))

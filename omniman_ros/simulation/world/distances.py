@@ -11,9 +11,8 @@ import numpy as np
 from omniman_ros.core.arrays import Array
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.description.platform_shape import platform_top
+from omniman_ros.simulation.world.solids import ellipse_corners
 
-SIDES = 96
-"""Sides of the prism that stands for an elliptic cylinder: it is at most 0.06 % smaller."""
 SIGNS: Array = np.array(list(product((-1.0, 1.0), repeat=3)))
 """Corners of a cube, (8, 3)."""
 SHOULDER_SHAPES = 2
@@ -123,12 +122,9 @@ class PostureDistances:
 
 
 def _points(prism: Prism) -> Array:
-    """Return the corners (2 SIDES, 3) of a prism around the origin [m]."""
-    turn = np.arange(SIDES) * (math.tau / SIDES)
-    u, v = prism.semi_axes[0] * np.cos(turn), prism.semi_axes[1] * np.sin(turn)
-    c, s = math.cos(prism.angle), math.sin(prism.angle)
-    x, y = c * u - s * v, s * u + c * v
-    return np.concatenate([np.column_stack([x, y, np.full(SIDES, z)]) for z in prism.heights])
+    """Return the corners (k, 3) of a prism around the origin [m]."""
+    outline = ellipse_corners(prism.semi_axes, prism.angle)
+    return np.concatenate([np.insert(outline, 2, z, axis=1) for z in prism.heights])
 
 
 def _add_hull(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, points: Array) -> None:

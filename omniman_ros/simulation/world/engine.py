@@ -52,6 +52,7 @@ class Engine:
         self._model, self._data = self._compile(model)
         self._data.qpos[:], self._data.qvel[:] = old.qpos, old.qvel
         self._data.qacc_warmstart[:] = old.qacc_warmstart
+        self._data.mocap_pos[:] = old.mocap_pos
         self._data.time = old.time
         self.refresh()
 
@@ -171,6 +172,10 @@ class Engine:
         """Return the direction of a body's x axis on the floor, within pi of zero [rad]."""
         rotation = self._data.xmat
         return math.atan2(rotation.item(body, 3), rotation.item(body, 0))
+
+    def place(self, body: int, x: float, y: float) -> None:
+        """Place a body that nothing else moves, see `add_things`, at (x, y) in the world [m]."""
+        self._data.mocap_pos[self._model.body_mocapid[body], :2] = x, y
 
     def inertia(self, dofs: slice) -> Array:
         """Return the joints' inertia, the other joints held, (k, k), until the next call."""

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.simulation.world.scene import Scene
-from omniman_ros.simulation.world.solids import Box, Solid, fixed_solids
+from omniman_ros.simulation.world.solids import Box, EllipticPrism, Solid, fixed_solids
 
 MAX_CELLS = 4_000_000
 """Largest number of cells of a grid."""
@@ -80,6 +80,8 @@ def _bounds(solid: Solid) -> list[float]:
         c, s = abs(math.cos(solid.yaw)), abs(math.sin(solid.yaw))
         dx = 0.5 * (c * solid.size[0] + s * solid.size[1])
         dy = 0.5 * (s * solid.size[0] + c * solid.size[1])
+    elif isinstance(solid, EllipticPrism):
+        dx, dy = solid.outline.max(axis=0).tolist()
     else:
         dx = dy = solid.radius
     return [x - dx, y - dy, x + dx, y + dy]
@@ -101,6 +103,14 @@ def _touches(solid: Solid, x: Array, y: Array, half: float) -> NDArray[np.bool_]
         inside = along < 0.5 * solid.size[0] + reach
         touched: NDArray[np.bool_] = inside & (across < 0.5 * solid.size[1] + reach)
         return touched
+    if isinstance(solid, EllipticPrism):
+        normals = solid.outline / np.hypot(*solid.outline.T)[:, None]
+        reaches = (solid.outline @ normals.T).max(axis=0) + half * np.abs(normals).sum(axis=1)
+        sides = [
+            nx * dx + ny * dy < reach for (nx, ny), reach in zip(normals, reaches, strict=True)
+        ]
+        prism: NDArray[np.bool_] = np.logical_and.reduce(sides)
+        return prism
     nearest = np.hypot(np.maximum(np.abs(dx) - half, 0.0), np.maximum(np.abs(dy) - half, 0.0))
     disc: NDArray[np.bool_] = nearest < solid.radius
     return disc

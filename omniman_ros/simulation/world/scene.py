@@ -108,6 +108,18 @@ class Post(Element):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Column(Element):
+    """An upright column with an elliptic outline that stands fixed."""
+
+    x: float = _coordinate("Position of the axis, x.")
+    y: float = _coordinate("Position of the axis, y.")
+    yaw: float = _yaw()
+    length: float = _length(0.4, "Diameter of the ellipse along x at a yaw of zero.")
+    width: float = _length(0.2, "Diameter of the ellipse across it.")
+    height: float = _length(2.0, "Height.")
+
+
+@dataclass(frozen=True, kw_only=True)
 class Table(Element):
     """A table top on four legs at its corners, fixed to the floor.
 
@@ -204,7 +216,7 @@ class Scene:
 
     Attributes:
         start: Pose (x, y, heading) of base_link at the start [m, m, rad].
-        walls, posts, tables, pallets: What stands fixed.
+        walls, posts, columns, tables, pallets: What stands fixed.
         crates: What can be pushed.
         loads: What lies on the platform.
         persons: Who walks or stands there.
@@ -216,6 +228,7 @@ class Scene:
     start: tuple[float, float, float] = (0.0, 0.0, 0.0)
     walls: tuple[Wall, ...] = ()
     posts: tuple[Post, ...] = ()
+    columns: tuple[Column, ...] = ()
     tables: tuple[Table, ...] = ()
     pallets: tuple[Pallet, ...] = ()
     crates: tuple[Crate, ...] = ()

@@ -63,7 +63,7 @@ def test_the_kinds_of_wheels_on_the_command_line_are_those_of_the_world():
 
 
 def test_experiments_that_have_no_world_refuse_it(capsys):
-    assert main(["reproduce", "scenes", "--world"]) == 2
+    assert main(["reproduce", "free_paper", "--world"]) == 2
     assert "--world is an option of coupling" in capsys.readouterr().err
 
 

@@ -32,6 +32,7 @@ from omniman_ros.planning.cycle import PlannerState
 from test.tiers import exhaustive, representative
 
 DRAWS = importlib.util.find_spec("matplotlib") is not None
+IN_WORLD = pytest.mark.skipif(importlib.util.find_spec("mujoco") is None, reason="needs mujoco")
 CYCLE, DEADLINE = 0.05, 0.04
 MOVING = Ellipse((0.2, 0.3), PolylineMotion.straight((2.0, 2.5), (0.3, 0.0)), 0.4)
 STANDING = Ellipse((0.2, 0.2), PolylineMotion.still(1.5, 1.2))
@@ -48,7 +49,7 @@ def loop_in():
     loops = []
 
     def make(there, **options):
-        loops.append(NodeLoop("ig42", there, **options))
+        loops.append(NodeLoop(there, SceneRunSettings(**options)))
         return loops[-1]
 
     yield make
@@ -254,6 +255,8 @@ def args(tmp_path=None, **given):
         "seeds": None,
         "jobs": 1,
         "solve_time": None,
+        "arm": None,
+        "world": None,
         "results": str(tmp_path),
     }
     return argparse.Namespace(**(values | given))
@@ -416,7 +419,53 @@ def test_drives_are_spread_over_processes_in_the_order_of_seeds(monkeypatch):
         assert pools == made_pools
 
 
-@pytest.mark.skipif(importlib.util.find_spec("mujoco") is None, reason="needs the engine")
+@IN_WORLD
+def test_in_the_world_a_contact_by_the_engine_counts(loop_in):
+    """The front of ig42 is 0.4 m ahead of base_link; the obstacle drives into it."""
+    chaser = Ellipse((0.2, 0.1), PolylineMotion.straight((0.75, 0.0), (-0.5, 0.0)))
+    loop = loop_in(made(STANDING, chaser), wheels="ideal")
+    while loop.touched is None and loop.now < 0.6:
+        loop.step()
+    when, index = loop.touched
+    assert index == 1
+    assert when == pytest.approx(0.15 / 0.5, abs=0.02)
+    drive = SceneDrive(
+        np.array([0.0, 0.4]), np.zeros((2, 3)), 1.0, True, np.array([0.01]), 0, 0.0, "", ""
+    )
+    mover, agility = Mover(Box(0.8, 0.5), 0.85, 1.2), Agility(1.0, 0.15)
+    there = made(STANDING)
+    assert not judge_drive(there, drive, mover, agility).verdict.collided
+    verdict = judge_drive(there, replace(drive, touched=(0.2, 0)), mover, agility).verdict
+    assert (verdict.contact, verdict.touched) == (0.2, ("obstacle", 0))
+
+
+@IN_WORLD
+def test_the_robot_in_the_world_is_the_true_one_at_the_start_of_the_scene(loop_in):
+    there = made(STANDING, start=(0.5, -0.3, 0.7), mismatch=Mismatch(mass=1.2))
+    loop = loop_in(there, wheels="ideal")
+    np.testing.assert_allclose(loop.loop.truth, there.start, atol=1e-3)
+    weight = 9.81 * 1.2 * 25.0
+    for _ in range(40):
+        loop.loop.step()
+    assert loop.loop.world.wheel_loads.sum() == pytest.approx(weight, rel=0.05)
+
+
+@IN_WORLD
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("wheels", ["ideal", "rollers"])
+def test_a_random_scene_is_driven_through_in_the_world(wheels):
+    outcome = drive_scene(SceneRunSettings(solve_time=0.01, wheels=wheels), 8)
+    assert outcome.drive.arrived
+    assert not outcome.verdict.collided
+
+
+@IN_WORLD
+def test_an_arm_in_a_random_posture_has_no_world(capsys):
+    assert main(["reproduce", "scenes", "--arm", "--world", "--count", "1"]) == 2
+    assert "exclude each other" in capsys.readouterr().err
+
+
+@IN_WORLD
 def test_scenes_with_an_arm_need_a_robot_that_has_one(tmp_path, capsys):
     assert main(["reproduce", "scenes", "--arm", "--robot", "ig42", "--count", "1"]) == 2
     assert "has no arm" in capsys.readouterr().err

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from omniman_ros.simulation.world.scene import Crate, Pallet, Person, Post, Scene, Table
+from omniman_ros.simulation.world.scene import Column, Crate, Pallet, Person, Post, Scene, Table
 from test.simulation.world.support import NO_FRICTION, STEP, ideal, rollers
 
 POST = Post(name="post", x=1.2, y=0.1, radius=0.1)
@@ -145,3 +145,18 @@ def test_the_speed_of_a_part_is_that_of_the_point_that_touches():
     contact = first_contact(ideal("omniman", Scene(posts=(post,)), arm__mass=0.0), (0, 0, 0.5))
     reach = np.hypot(*contact.place[:2])
     assert contact.part_speed == pytest.approx(0.5 * reach, rel=0.05)
+
+
+def test_a_column_is_touched_where_its_ellipse_is_and_can_be_placed_elsewhere():
+    """The front of omniman is 0.5 m ahead of base_link, its sides are 0.35 m beside it."""
+    shape = {"yaw": 0.5 * math.pi, "length": 1.0, "width": 0.4, "height": 0.35}
+    column = Column(name="column", x=0.75, y=0.0, **shape)
+    bench = ideal("omniman", Scene(columns=(column,)))
+    body = bench.world.engine.body("column")
+    bench.wait(STEP)
+    assert not bench.world.contacts
+    for place, touches in (((0.69, 0.0), True), ((0.0, 0.86), False), ((0.0, 0.84), True)):
+        bench.world.engine.place(body, *place)
+        bench.wait(2 * STEP)
+        touched = {contact.thing for contact in bench.world.contacts if contact.touches}
+        assert touched == ({"column"} if touches else set()), place

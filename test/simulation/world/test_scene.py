@@ -9,7 +9,7 @@ import pytest
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.simulation.world.clutter import Clutter, clutter_posts
 from omniman_ros.simulation.world.occupancy import occupancy
-from omniman_ros.simulation.world.scene import Crate, Person, Post, Scene, Table, Wall
+from omniman_ros.simulation.world.scene import Column, Crate, Person, Post, Scene, Table, Wall
 from omniman_ros.simulation.world.solids import table_solids, wall_solids
 
 
@@ -90,6 +90,14 @@ def test_a_disc_occupies_the_cells_that_it_touches():
     rows, columns = np.nonzero(grid.occupied)
     centre = grid.origin + 0.01 * (np.array([columns.mean(), rows.mean()]) + 0.5)
     np.testing.assert_allclose(centre, [1.0, 2.0], atol=0.005)
+
+
+def test_a_column_occupies_its_turned_ellipse():
+    column = Column(name="column", x=1.0, y=2.0, yaw=0.5 * math.pi, length=1.0, width=0.4)
+    grid = occupancy(Scene(columns=(column,)), 0.01)
+    area = grid.occupied.sum() * 0.01**2
+    assert area == pytest.approx(math.pi * 0.5 * 0.2, rel=0.06)
+    assert at(grid, 1.0, 2.49) and at(grid, 1.0, 1.51) and not at(grid, 1.22, 2.0)
 
 
 def test_a_turned_wall_is_turned_in_the_grid():

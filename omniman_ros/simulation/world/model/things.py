@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from xml.etree.ElementTree import Element
 
+import numpy as np
+
 from omniman_ros.simulation.world.model.mjcf import (
     LOOSE,
     PERSON,
@@ -12,8 +14,8 @@ from omniman_ros.simulation.world.model.mjcf import (
     Value,
     add,
 )
-from omniman_ros.simulation.world.scene import Crate, Load, Person, Scene
-from omniman_ros.simulation.world.solids import Box, Solid, fixed_solids
+from omniman_ros.simulation.world.scene import Column, Crate, Load, Person, Scene
+from omniman_ros.simulation.world.solids import Box, Cylinder, column_solid, plain_solids
 
 MEETS = str(ROBOT | WHEEL | LOOSE | PERSON)
 """What fixed and loose things collide with."""
@@ -24,18 +26,23 @@ def person_joints(name: str) -> tuple[str, str]:
     return f"{name}_x", f"{name}_y"
 
 
-def add_things(world: Element, scene: Scene, deck: float) -> None:
+def add_things(assets: Element, world: Element, scene: Scene, deck: float) -> None:
     """Add the elements of a scene, each as a body of its name; loads on the robot at the origin.
 
+    A column is a body that a study may place elsewhere (`mocap`); nothing else moves it.
+
     Args:
+        assets: Element of the meshes.
         world: Element of the world.
         scene: The scene.
         deck: Height of the platform's upper side, on which loads lie [m].
     """
-    for name, solids in fixed_solids(scene):
+    for name, solids in plain_solids(scene):
         body = add(world, "body", name=name)
         for solid in solids:
             _add_solid(body, solid)
+    for column in scene.columns:
+        _add_column(assets, world, column)
     for crate in scene.crates:
         _add_loose(world, crate, (crate.x, crate.y, 0.5 * crate.height), crate.yaw)
     for load in scene.loads:
@@ -49,7 +56,7 @@ def _add_shape(body: Element, contype: int, **shape: Value) -> None:
     add(body, "geom", contype=str(contype), conaffinity=MEETS, group=str(WORLD_GROUP), **shape)
 
 
-def _add_solid(body: Element, solid: Solid) -> None:
+def _add_solid(body: Element, solid: Box | Cylinder) -> None:
     """Add a fixed solid."""
     if isinstance(solid, Box):
         half = [0.5 * edge for edge in solid.size]
@@ -58,6 +65,16 @@ def _add_solid(body: Element, solid: Solid) -> None:
     else:
         size = (solid.radius, 0.5 * solid.height)
         _add_shape(body, 0, type="cylinder", pos=solid.centre, size=size)
+
+
+def _add_column(assets: Element, world: Element, column: Column) -> None:
+    """Add a column, and its mesh."""
+    solid, name = column_solid(column), column.name
+    outline, half = solid.outline, 0.5 * solid.height
+    corners = np.concatenate([np.insert(outline, 2, z, axis=1) for z in (-half, half)])
+    add(assets, "mesh", name=name, vertex=corners.ravel().tolist())
+    body = add(world, "body", name=name, pos=solid.centre, mocap="true")
+    _add_shape(body, 0, type="mesh", mesh=name)
 
 
 def _add_loose(world: Element, box: Crate | Load, centre: Sequence[float], yaw: float) -> None:

@@ -82,12 +82,12 @@ def world_model(
     )
     # A state that is not finite is told, and not silently replaced by the first one.
     add(option, "flag", autoreset="disable")
-    world = add(root, "worldbody")
+    assets, world = add(root, "asset"), add(root, "worldbody")
     add_floor(world)
     base = add_platform(world, robot, simulation.mismatch, mount, tyres, parameters)
     if armed:
         add_arm(base, description.arm, description.mount, tool)
-    add_things(world, scene, deck_height(robot, mount))
+    add_things(assets, world, scene, deck_height(robot, mount))
     _require_unique_names(world)
     return WorldModel(ElementTree.tostring(root, encoding="unicode"), tyres)
 
