@@ -1,6 +1,7 @@
 """`omniman reproduce handover`: two robots meet in motion, drive side by side, and part again.
 
-MPC 2021, 5, proposes it: a load could be transferred between two robots that move in parallel.
+MPC 2021, 5, proposes it: a load could be transferred between two robots that move in parallel. In
+the physics world, the odometry of both is calibrated first, as neither sees what rollers take.
 """
 
 import argparse
@@ -31,8 +32,10 @@ from omniman_ros.lab.studies.handover import (
     Run,
 )
 from omniman_ros.lab.studies.handover_drives import LENGTH, drive
+from omniman_ros.lab.studies.odometry_scales import measure_scales
 from omniman_ros.lab.studies.tool_courses import COURSES
 from omniman_ros.lab.studies.tool_path import rms
+from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.lab.verdicts import verdict
 from omniman_ros.robots import load_robot
 
@@ -65,6 +68,8 @@ def run(args: argparse.Namespace) -> int:
         f"{len(selected)} drives"
         + (f", in the physics world on wheels '{args.world}'" if args.world else "")
     )
+    scales = measure_scales(robot, WorldChoice.of(robot, args.world)) if args.world else {}
+    robot = {**robot, **scales}
     with ProcessPoolExecutor(min(len(selected), os.cpu_count() or 1)) as pool:
         generator = pool.map(partial(drive, dict(robot), args.world), selected)
         runs = collect(progress, "drives", generator, len(selected), "drives")
@@ -79,6 +84,7 @@ def run(args: argparse.Namespace) -> int:
         "length_m": LENGTH,
         "side_gap_m": SIDE_GAP,
         "kept_s": KEPT_TIME,
+        "scales": scales,
         "bounds": {
             "position_mm": 1e3 * POSITION_BOUND,
             "heading_deg": math.degrees(HEADING_BOUND),

@@ -1,8 +1,8 @@
 """`omniman reproduce odometry`: what odometry is off after the path of CCTA 2017, Fig. 7.
 
-The odometry is calibrated first, by a way ahead, one sideways and a rotation in place. Then the
-path is driven with random wheels, in each mode of the drives, with the lag of the rollers known to
-coupling control and unknown.
+The odometry is calibrated first: the scales by a way ahead, one sideways and a rotation in place,
+the lag of the rollers by a rotation, too. Then the path is driven with random wheels, in each mode
+of the drives, with the lag known to coupling control and unknown.
 """
 
 import argparse
@@ -60,15 +60,15 @@ def run(args: argparse.Namespace) -> int:
         f"Odometry after the path of CCTA 2017, Fig. 7, robot '{args.robot}'{where}: calibration, "
         f"then drives of {figure.duration:.0f} s"
     )
-    scales = measure_scales(robot, world)
-    lag = measure_roller_lag(robot, world)
+    lag = measure_roller_lag(robot, world) if world else 0.0
+    calibration = measure_scales(robot, world) | {"odometry.roller_lag": lag}
     selected = [
         OdometryCase(mode, sample, known, args.seed)
         for mode in modes
-        for known in ((0.0, lag) if world else (0.0,))
+        for known in ((0.0, lag) if lag else (0.0,))
         for sample in range(samples)
     ]
-    generator = _in_parallel(dict(robot) | scales, world, figure, selected)
+    generator = _in_parallel({**robot, **calibration}, world, figure, selected)
     driven = collect(progress, "drives", generator, len(selected), "drives")
     rows = [row(case, errors) for case, errors in zip(selected, driven, strict=True)]
     result = {
@@ -77,8 +77,7 @@ def run(args: argparse.Namespace) -> int:
         "quick": args.quick,
         "full": args.full,
         "seed": args.seed,
-        "scales": scales,
-        "roller_lag_s": lag,
+        "calibration": calibration,
         "aim_mm": 1e3 * AIM,
         "drives": rows,
         "aims": {kind: all(r[kind]["end_mm"] <= 1e3 * AIM for r in rows) for kind in SENSORS},
@@ -136,10 +135,11 @@ def report(result: Mapping[str, Any]) -> list[str]:
         )
         for each in result["drives"]
     ]
-    scales = ", ".join(
-        f"{name.removeprefix('odometry.')} {value:.4f}" for name, value in result["scales"].items()
+    calibration = ", ".join(
+        f"{name.removeprefix('odometry.')} {value:.4f}"
+        for name, value in result["calibration"].items()
     )
-    lines = ["", f"Calibration: {scales}", *table(rows), ""]
+    lines = ["", f"Calibration: {calibration}", *table(rows), ""]
     for kind, about in SENSORS.items():
         ends = [each[kind]["end_mm"] for each in result["drives"]]
         lines.append(
