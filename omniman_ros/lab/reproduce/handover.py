@@ -32,7 +32,7 @@ from omniman_ros.lab.studies.handover import (
     Run,
 )
 from omniman_ros.lab.studies.handover_drives import LENGTH, drive
-from omniman_ros.lab.studies.odometry_scales import measure_scales
+from omniman_ros.lab.studies.odometry_calibration import calibrate
 from omniman_ros.lab.studies.tool_courses import COURSES
 from omniman_ros.lab.studies.tool_path import rms
 from omniman_ros.lab.studies.worlds import WorldChoice
@@ -68,8 +68,8 @@ def run(args: argparse.Namespace) -> int:
         f"{len(selected)} drives"
         + (f", in the physics world on wheels '{args.world}'" if args.world else "")
     )
-    scales = measure_scales(robot, WorldChoice.of(robot, args.world)) if args.world else {}
-    robot = {**robot, **scales}
+    calibration = calibrate(robot, WorldChoice.of(robot, args.world)) if args.world else {}
+    robot = {**robot, **calibration}
     with ProcessPoolExecutor(min(len(selected), os.cpu_count() or 1)) as pool:
         generator = pool.map(partial(drive, dict(robot), args.world), selected)
         runs = collect(progress, "drives", generator, len(selected), "drives")
@@ -84,7 +84,7 @@ def run(args: argparse.Namespace) -> int:
         "length_m": LENGTH,
         "side_gap_m": SIDE_GAP,
         "kept_s": KEPT_TIME,
-        "scales": scales,
+        "calibration": calibration,
         "bounds": {
             "position_mm": 1e3 * POSITION_BOUND,
             "heading_deg": math.degrees(HEADING_BOUND),

@@ -150,7 +150,7 @@ class SceneRunSettings:
         arm: Whether the arm is in a random posture, and obstacles have heights; needs the physics
             engine.
         wheels: Kind of wheels in the physics world; None for the plant.
-        scales: Calibration of the odometry, full names to values.
+        calibration: Calibration of the odometry, full names to values.
 
     Raises:
         InputError: The solve time is negative or not finite.
@@ -161,7 +161,7 @@ class SceneRunSettings:
     solve_time: float | None = None
     arm: bool = False
     wheels: str | None = None
-    scales: Mapping[str, float] = field(default_factory=dict)
+    calibration: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.solve_time is not None and not 0.0 <= self.solve_time < math.inf:
@@ -463,7 +463,7 @@ def _closed_loop(
     Returns:
         The loop, and the columns that are the obstacles in its world; none on the plant.
     """
-    values = {**load_robot(settings.robot), **settings.scales}
+    values = {**load_robot(settings.robot), **settings.calibration}
     true_values, changes = true_robot(values, random_scene.mismatch)
     world = settings.wheels and scene_world(true_values, settings.wheels, random_scene)
     loop = ClosedLoop(

@@ -23,7 +23,7 @@ from omniman_ros.extras import PLANNING
 from omniman_ros.lab.bench.measurement import SINGLE_THREADED
 from omniman_ros.lab.reproduce.experiments import result_name
 from omniman_ros.lab.reproduce.pipeline import publish
-from omniman_ros.lab.studies.odometry_scales import measure_scales
+from omniman_ros.lab.studies.odometry_calibration import calibrate
 from omniman_ros.lab.studies.scene_generator import SceneError
 from omniman_ros.lab.studies.scenes import AIM_REACHED, TIME_LIMIT, Outcome, aims, groups, summary
 from omniman_ros.lab.studies.worlds import WorldChoice
@@ -107,7 +107,7 @@ def run(args: argparse.Namespace) -> int:
         progress.abandon()
         raise CommandError(str(error)) from error
     progress.end(f"{len(outcomes)} drives, {failed} failed")
-    result = figures(args, outcomes) | {"scales": dict(settings.scales)}
+    result = figures(args, outcomes) | {"calibration": dict(settings.calibration)}
     progress.begin("picture")
     result["picture"] = draw(build(Robot, robot), outcomes, Path(args.results), name)
     progress.end("done" if result["picture"] else "no matplotlib")
@@ -120,9 +120,9 @@ def _settings(args: argparse.Namespace, robot: Mapping[str, Any]) -> "SceneRunSe
     from omniman_ros.lab.reproduce.scene_runs import SceneRunSettings
 
     world = WorldChoice.of(robot, args.world) if args.world else None
-    scales = {} if world is None else measure_scales(robot, world)
+    calibration = calibrate(robot, world) if world else {}
     arm = bool(args.arm)
-    return SceneRunSettings(args.robot, args.seed, args.solve_time, arm, args.world, scales)
+    return SceneRunSettings(args.robot, args.seed, args.solve_time, arm, args.world, calibration)
 
 
 def scene_seeds(args: argparse.Namespace) -> range:

@@ -2,7 +2,7 @@ import importlib.util
 
 import pytest
 
-from omniman_ros.lab.studies.odometry_scales import RUNS, measure_scales
+from omniman_ros.lab.studies.odometry_calibration import RUNS, measure_scales
 from omniman_ros.lab.studies.worlds import WorldChoice
 from test import robots
 
