@@ -243,6 +243,7 @@ class PlatformDynamics:
         hold = self.platform_torque(twist, np.zeros(3)) + self.friction_torque(twist, wheel_speeds)
         beyond = self.torque_of(volts, wheel_speeds) - hold
         forward = self._kinematics.J
-        rate: Array = np.linalg.solve(self.momentum_map() @ forward, forward.T @ beyond)
+        inertia = self.momentum_map() @ forward
+        rate = np.asarray(np.linalg.solve(inertia, forward.T @ beyond), dtype=np.float64)
         excess = ratio(rate, limit)
         return volts if excess <= 1.0 else self.voltage(hold + beyond / excess, wheel_speeds)

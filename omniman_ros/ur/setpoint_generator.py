@@ -318,7 +318,7 @@ class JointSetpointGenerator:
         if self._reference is None:
             return self.tick(now, None)
         self._time = now + self.settings.lead
-        self.allowed.step(self._limits, self._period)
+        self.allowed.step(self._guard.velocity, self._limits, self._period)
         setpoint = self.setpoint + self._period * self._guard.velocity
         self._guard.examine(setpoint[None])
         self._has_coasted = True
