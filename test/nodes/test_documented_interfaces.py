@@ -5,13 +5,20 @@ import importlib
 import pytest
 from rclpy.node import Node
 
-from omniman_ros.nodes.registry import NODES, node_module
+from omniman_ros.nodes.registry import NODES, node_module, node_specs
+from test.config import sros2
 from test.config.documented import ROOT, documented_interface
 from test.nodes.harness import World
 
 # Not of the page: what every node of ROS has, what all nodes here have, and simulated time.
 COMMON = {"/parameter_events", "/rosout", "/diagnostics", "/clock", "/tf", "/tf_static"}
 REAL_TIME = {"can_bridge", "simulated_can_drives", "arm_streamer", "simulated_ur"}
+ELSEWHERE = {"/tf", "/tf_static", "/clock", "/clock/permits"}
+ACTIONS = [
+    spec.default
+    for spec in node_specs("path_interpolator")
+    if spec.name in ("arm_action", "body_action")
+]
 LIFECYCLE = {"change_state", "get_state", "get_available_states", "get_available_transitions"}
 LIFECYCLE |= {"get_transition_graph"}
 
@@ -95,3 +102,29 @@ def test_services_are_those_of_the_page(node):
     lifecycle = {service.srv_name.rpartition("/")[2] for service in running.services} & LIFECYCLE
     page = (ROOT / "docs" / "nodes" / f"{name}.md").read_text(encoding="utf-8")
     assert bool(lifecycle) == ("services of a lifecycle node" in page)
+
+
+def test_the_sros2_policy_allows_what_the_node_uses_and_little_else(node):
+    """Else: what is there later, what needs a package that PyPI has not, and simulated time."""
+    name, running = node
+    allowed, used = sros2.allowed(name), sros2.used(name, running)
+    later = {f"/{topic}" for topic in LATER.get(name, set())} | ELSEWHERE
+    for rule, names in used.items():
+        assert names <= allowed[rule], rule
+        if rule != ("services", "request"):
+            assert allowed[rule] - names <= later, rule
+    served = {f"/{action}" for action in ACTIONS} if name == "path_interpolator" else set()
+    assert allowed["actions", "execute"] == served
+
+
+def test_the_sros2_policy_has_every_node_and_the_page_may_stop_each_that_has_a_stop():
+    assert set(sros2.enclaves()) == {f"/omniman/{name}" for name in NODES}
+    stops = {
+        service
+        for name in NODES
+        for service in sros2.allowed(name)["services", "reply"]
+        if service.rpartition("/")[2] in ("stop", "reset", "pause", "resume", "cancel")
+    }
+    assert len(stops) > 10
+    requested = sros2.allowed("viewer")["services", "request"]
+    assert stops - requested <= {f"/station_keeper/{action}" for action in ("cancel", "pause")}
