@@ -14,6 +14,7 @@ BENCHMARKS = {
     "whole_body": "time of planning tool paths, CPU of their stream, inverse kinematics",
     "stability": "tracking and lifted wheels with the arm stretched, posture known or not",
     "faults": "reactions of the whole running robot to each row of the table of faults",
+    "soak": "memory, contacts and false stops of a robot that is driven and disturbed for hours",
     "world": "speed of the physics world over real time, CPU of a laser scan",
 }
 """Measured quantities of each benchmark, for the help text."""
@@ -63,6 +64,17 @@ def add_bench(parser: argparse.ArgumentParser) -> None:
     )
     faults.add_argument("--trials", type=int, metavar="N", help="plays of each row; default: 3")
     faults.add_argument("--list", action="store_true", help="list the rows, and play none")
+    soak = parser.add_argument_group("soak only")
+    duration = soak.add_mutually_exclusive_group()
+    duration.add_argument(
+        "--minutes", type=float, metavar="N", help="duration; default: 60, with --quick 3"
+    )
+    duration.add_argument(
+        "--hours", type=lambda text: 60.0 * float(text), dest="minutes", metavar="N"
+    )
+    soak.add_argument(
+        "--seed", type=int, default=0, help="seed of all choices; default: %(default)s"
+    )
     arm = parser.add_argument_group("arm only")
     arm.add_argument("--pairs", type=int, metavar="N", help="pairs of blocks; default: 5")
     arm.add_argument("--seconds", type=float, metavar="S", help="length of each block; default: 8")

@@ -14,6 +14,7 @@ BENCHMARKS = {
     "stability": "omniman_ros.lab.bench.stability",
     "collision": "omniman_ros.lab.bench.collision",
     "faults": "omniman_ros.lab.bench.faults",
+    "soak": "omniman_ros.lab.bench.soak",
 }
 """Module of each benchmark, by name; it has a function `run(args)` and is imported on demand."""
 
@@ -26,7 +27,7 @@ def run(args: argparse.Namespace) -> int:
 
     Returns:
         0 if the measurement succeeded, independent of the figures; `faults` returns 1 if a row
-        failed.
+        failed, `soak` if an aim was missed.
 
     Raises:
         CommandError: The measurement failed.

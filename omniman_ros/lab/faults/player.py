@@ -16,9 +16,11 @@ from std_msgs.msg import Bool
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from omniman_ros.console.preview_messages import twist_message
+from omniman_ros.conversions.geometry import yaw_from_quaternion
 from omniman_ros.conversions.motion_limits import LIMITED
 from omniman_ros.core.arm_parameters import UR_JOINTS
 from omniman_ros.core.arrays import Array
+from omniman_ros.core.planar import Triple
 from omniman_ros.lab.faults.injections import (
     EmergencyStop,
     Garbage,
@@ -117,7 +119,7 @@ class Player:
             topic: (node.create_publisher(kind, topic, NEWEST), make)
             for topic, (kind, make) in GARBAGE_TOPICS.items()
         }
-        self._twist_speed: float | None = None
+        self._twist: Triple | None = None
         self._twist_fault: TwistFault | None = None
         self._publication: Publication | None = None
         self._releasing = False
@@ -133,28 +135,38 @@ class Player:
         """Begin a motion that lasts for `RAMP` and `CRUISE`; the next one is backwards."""
         self.forwards = -self.forwards
         with_platform = motion is Motion.TRAJECTORY
-        self._twist_speed = None if with_platform else self.forwards * SPEED
+        self._twist = None if with_platform else (self.forwards * SPEED, 0.0, 0.0)
         self._send_trajectory(with_platform)
 
     def halt(self) -> None:
         """End the stream of twists with a zero twist."""
-        if self._twist_speed is not None:
+        if self._twist is not None:
             self._twists.publish(twist_message((0.0, 0.0, 0.0)))
-        self._twist_speed = None
+        self._twist = None
+
+    def begin_twist(self, twist: Triple) -> None:
+        """Send a twist x', y' [m/s], theta' [rad/s] until :meth:`halt`."""
+        self._twist = twist
+
+    @property
+    def pose(self) -> Array | None:
+        """Pose x, y, theta (3,) by odometry [m, m, rad]; None before the first."""
+        if self._odometry is None:
+            return None
+        pose = self._odometry.pose.pose
+        yaw = yaw_from_quaternion(pose.orientation)
+        return np.array([pose.position.x, pose.position.y, yaw])
 
     def _send_trajectory(self, with_platform: bool) -> None:
-        angles, odometry = self.robot.truth.angles, self._odometry
-        if angles is None or odometry is None:
+        angles, pose = self.robot.truth.angles, self.pose
+        if angles is None or pose is None:
             return
         times, ways, speeds = cruise(RAMP, CRUISE, STEP)
         names, start, rates = list(UR_JOINTS), angles, np.zeros(len(angles))
         rates[0] = -math.copysign(ARM_SPEED, angles[0])  # back and forth about zero
         if with_platform:
-            pose = odometry.pose.pose
-            yaw = 2.0 * math.atan2(pose.orientation.z, pose.orientation.w)
-            names = [*PLATFORM_JOINTS, *names]
-            start = np.array([pose.position.x, pose.position.y, yaw, *angles])
-            speed = self.forwards * SPEED
+            names, start = [*PLATFORM_JOINTS, *names], np.append(pose, angles)
+            speed, yaw = self.forwards * SPEED, float(pose[2])
             rates = np.array([speed * math.cos(yaw), speed * math.sin(yaw), 0.0, *rates])
         points = [
             JointTrajectoryPoint(
@@ -167,17 +179,19 @@ class Player:
         self._trajectories.publish(JointTrajectory(joint_names=names, points=points))
 
     def _send_twist(self) -> None:
-        speed, fault = self._twist_speed, self._twist_fault
-        if speed is None or fault is TwistFault.SILENT:
+        twist, fault = self._twist, self._twist_fault
+        if twist is None or fault is TwistFault.SILENT:
             return
+        x, y, yaw_rate = twist
+        opposed = (-x, -y, -yaw_rate)
         if fault in (TwistFault.NAN, TwistFault.INFINITE):
-            speed = math.nan if fault is TwistFault.NAN else math.inf
+            twist = (math.nan if fault is TwistFault.NAN else math.inf, y, yaw_rate)
         elif fault is TwistFault.JUMP:
-            speed *= JUMP
+            twist = (JUMP * x, JUMP * y, JUMP * yaw_rate)
         for _ in range(FLOOD if fault is TwistFault.FLOOD else 1):
-            self._twists.publish(twist_message((speed, 0.0, 0.0)))
+            self._twists.publish(twist_message(twist))
         if fault is TwistFault.OPPOSED:
-            self._opposed.publish(twist_message((-speed, 0.0, 0.0)))
+            self._opposed.publish(twist_message(opposed))
 
     def _send_garbage(self) -> None:
         if self._releasing:

@@ -5,7 +5,7 @@ import os
 import signal
 import socket
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -21,6 +21,7 @@ from std_srvs.srv import Trigger
 
 from omniman_ros.console.errors import CommandError
 from omniman_ros.console.session import Session
+from omniman_ros.conversions.geometry import yaw_from_quaternion
 from omniman_ros.conversions.headers import time_seconds
 from omniman_ros.core.arrays import Array
 from omniman_ros.lab.faults.injections import (
@@ -41,19 +42,6 @@ HARDWARE = (DRIVES, ARM)
 """Processes that simulate hardware, which on a real robot has processors of its own."""
 HARDWARE_NICENESS, NICENESS = -15, -10
 """Niceness of these and of the other processes, where the system permits it."""
-UNNEEDED = ("joint_state_broadcaster", "viewer", "mpc_planner")
-"""Nodes that are not started: no row is about them, and none needs them."""
-SHORT_TIMEOUTS = (
-    "can.missed_periods:=12",
-    "can.drive_heartbeat:=0.03",
-    "can.heartbeat_timeout:=0.1",
-    "ur.read_timeout:=0.08",
-    "ur.feedback_timeout:=0.1",
-)
-"""Time-outs near those of real installations, which `omniman up` lengthens further.
-
-The feedback of a wheel may be missing for 60 ms instead of 15 ms, and a setpoint of the arm for
-80 ms instead of 40 ms, as drives and arm are processes beside the nodes."""
 MOVERS = (CONTROLLER, BRIDGE, STREAMER)
 """Nodes whose stop states tell whether the robot can be driven."""
 DASHBOARD_PORT = "ports.dashboard:="
@@ -84,21 +72,22 @@ class GroundTruth:
         twist, position = message.twist.twist, message.pose.pose.position
         speed = np.hypot(twist.linear.x, twist.linear.y) + YAW_ARM * abs(twist.angular.z)
         at = time_seconds(message.header.stamp)
-        self._platform.append((at, float(speed), position.x, position.y))
+        yaw = yaw_from_quaternion(message.pose.pose.orientation)
+        self._platform.append((at, float(speed), position.x, position.y, yaw))
 
     def _on_joints(self, message: JointState) -> None:
         speed = max(map(abs, message.velocity))
         self._arm.append((time_seconds(message.header.stamp), speed, *message.position))
 
     def clear(self) -> None:
-        """Forget what was recorded."""
-        self._platform.clear()
-        self._arm.clear()
+        """Forget what was recorded, but for the last report."""
+        del self._platform[:-1]
+        del self._arm[:-1]
 
     @property
     def platform(self) -> Array:
-        """Times [s], speeds [m/s] and positions x, y [m] of the platform, (m, 4)."""
-        return np.array(self._platform).reshape(-1, 4)
+        """Times [s], speeds [m/s] and poses x, y [m], theta [rad] of the platform, (m, 5)."""
+        return np.array(self._platform).reshape(-1, 5)
 
     @property
     def arm(self) -> Array:
@@ -118,6 +107,11 @@ class GroundTruth:
         return platform, self._arm[-1][1] if self._arm else 0.0
 
     @property
+    def pose(self) -> Array | None:
+        """Last pose x, y, theta (3,) of the platform [m, m, rad]; None before the first."""
+        return np.array(self._platform[-1][2:]) if self._platform else None
+
+    @property
     def angles(self) -> Array | None:
         """Last angles of the arm (6,) [rad]; None before the first."""
         return np.array(self._arm[-1][2:]) if self._arm else None
@@ -128,7 +122,8 @@ class RunningRobot:
 
     Args:
         session: ROS session of this process.
-        robot: Name of the robot, or path of its file.
+        setup: Options of the robot.
+        left_out: Names of the nodes that are not started.
         on_line: Called with name and line for each line of output, from threads.
 
     Attributes:
@@ -139,10 +134,15 @@ class RunningRobot:
         source: Last `active_source`.
     """
 
-    def __init__(self, session: Session, robot: str, on_line: Callable[[str, str], None]) -> None:
+    def __init__(
+        self,
+        session: Session,
+        setup: RobotSetup,
+        left_out: Sequence[str],
+        on_line: Callable[[str, str], None],
+    ) -> None:
         self.session, self.truth = session, GroundTruth(session)
-        setup = RobotSetup(robot=robot, drive="can", collision_monitor=True, params=SHORT_TIMEOUTS)
-        processes = [spec for spec in robot_processes(setup) if spec.name not in UNNEEDED]
+        processes = [spec for spec in robot_processes(setup) if spec.name not in left_out]
         self._specs = {spec.name: spec for spec in processes}
         self._on_line = on_line
         self._groups: dict[str, ProcessGroup] = {}

@@ -1,0 +1,173 @@
+"""Random activities of the soak: motions, stops, faults and resets."""
+
+import math
+import random
+from collections.abc import Callable
+
+import numpy as np
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Path
+
+from omniman_ros.core import se2
+from omniman_ros.core.arrays import Array
+from omniman_ros.demo.moving_obstacles import MovingObstacles
+from omniman_ros.demo.robot_interface import RobotInterface
+from omniman_ros.lab.faults.injections import EmergencyStop, ServiceStop, Setting, Signal
+from omniman_ros.lab.faults.player import Player
+from omniman_ros.lab.faults.rows import GoingOn, Motion
+from omniman_ros.lab.faults.table import ROWS
+
+AREA = 2.5
+"""Half the edge of the square in which goals and paths are, about the origin of the truth [m]."""
+OBSTACLES = np.array([[3.2, 1.0, 0.3], [-0.5, 3.0, 0.25], [-3.0, -1.5, 0.3]])
+"""Positions [m] and radii [m] of what stands around, in the frame of the ground truth."""
+LARGEST_TWIST = (0.5, 0.4, 0.8)
+"""Largest components of a twist [m/s, m/s, rad/s]."""
+TOOL_STEP = 0.25
+"""Largest way of the tool along each axis [m]."""
+ARM_STEP = 0.5
+"""Largest change of a joint [rad]."""
+LASTING = (2.0, 8.0)
+"""Shortest and longest time for which a motion may last before the next activity [s]."""
+SUSPENSION = (0.02, 0.6)
+"""Shortest and longest time for which a process is suspended [s]."""
+
+FAULTS = [
+    row
+    for row in ROWS
+    if row.going_on is not GoingOn.RESTART
+    and isinstance(row.injection, (Setting, EmergencyStop, ServiceStop, Signal))
+]
+"""Rows of the table that the soak draws from; what is killed stays for `omniman bench faults`."""
+
+
+class Activities:
+    """Draws and performs activities.
+
+    Args:
+        player: Moves the running robot, and injects faults.
+        seed: Seed of all choices.
+
+    Attributes:
+        counts: Number of activities by name.
+        disturbed: Whether a fault is present, or was until the last reset.
+    """
+
+    def __init__(self, player: Player, seed: int) -> None:
+        self._player, self._robot = player, player.robot
+        self._draw = random.Random(seed)
+        node = player.robot.session.node
+        self._interface = RobotInterface(node, "can")
+        self._tool: PoseStamped | None = None
+        node.create_subscription(PoseStamped, "tool_pose", self._on_tool, 1)
+        self._surroundings = MovingObstacles(
+            0.0, OBSTACLES[:, :2], np.zeros((len(OBSTACLES), 2)), OBSTACLES[:, 2]
+        )
+        node.create_timer(0.1, self._show_obstacles)
+        self.counts: dict[str, int] = {}
+        self.disturbed = False
+        self._kinds: dict[str, tuple[float, Callable[[], None]]] = {
+            "twist": (3.0, self._twist),
+            "path": (2.0, self._path),
+            "trajectory": (2.0, lambda: self._player.drive(Motion.TRAJECTORY)),
+            "goal": (3.0, self._goal),
+            "arm": (1.0, self._arm),
+            "tool path": (2.0, self._tool_path),
+            "fault": (2.0, self._fault),
+        }
+
+    def _on_tool(self, message: PoseStamped) -> None:
+        self._tool = message
+
+    @property
+    def obstacles(self) -> MovingObstacles:
+        """What stands around, in the frame of the ground truth."""
+        return self._surroundings
+
+    def _show_obstacles(self) -> None:
+        """Publish the obstacles as a sensor on the robot sees them, whatever odometry says."""
+        truth, believed = self._robot.truth.pose, self._player.pose
+        if truth is None or believed is None:
+            return
+        positions = np.array([self._in_odom(place) for place in OBSTACLES[:, :2]])
+        seen = MovingObstacles(
+            0.0, positions, self._surroundings.velocities, self._surroundings.radii
+        )
+        stamp = self._robot.session.node.get_clock().now().to_msg()
+        self._interface.send_obstacles(seen.message(0.0, stamp))
+
+    def _in_odom(self, place: Array) -> Array:
+        """Return where odometry believes a place (2,) of the ground truth to be [m]."""
+        truth, believed = self._robot.truth.pose, self._player.pose
+        assert truth is not None and believed is not None
+        from_robot = se2.rotation(-truth[2])[:2, :2] @ (place - truth[:2])
+        result: Array = believed[:2] + se2.rotation(believed[2])[:2, :2] @ from_robot
+        return result
+
+    def perform(self) -> str:
+        """Begin a random activity, let it last for a random time, and return its name."""
+        names = list(self._kinds)
+        weights = [weight for weight, _ in self._kinds.values()]
+        name = self._draw.choices(names, weights)[0]
+        self.counts[name] = self.counts.get(name, 0) + 1
+        self._kinds[name][1]()
+        self._robot.pause(self._draw.uniform(*LASTING))
+        self._player.halt()
+        if self._draw.random() < 0.5:
+            for node in ("path_interpolator", "mpc_planner"):
+                self._robot.trigger(node, "cancel")
+        return name
+
+    def _twist(self) -> None:
+        x, y, yaw_rate = (self._draw.uniform(-limit, limit) for limit in LARGEST_TWIST)
+        self._player.begin_twist((x, y, yaw_rate))
+
+    def _place(self) -> Array:
+        """Return a random pose (3,) within the area, in odom [m, m, rad]."""
+        place = np.array([self._draw.uniform(-AREA, AREA) for _ in range(2)])
+        return np.append(self._in_odom(place), self._draw.uniform(-math.pi, math.pi))
+
+    def _goal(self) -> None:
+        if self._player.pose is not None and self._robot.truth.pose is not None:
+            self._interface.send_goal(self._place())
+
+    def _path(self) -> None:
+        start = self._player.pose
+        if start is None or self._robot.truth.pose is None:
+            return
+        end = self._place()
+        shares = np.linspace(0.0, 1.0, 8)[:, None]
+        self._interface.send_path(start + shares * (end - start))
+
+    def _arm(self) -> None:
+        angles = self._robot.truth.angles
+        if angles is not None:
+            step = [self._draw.uniform(-ARM_STEP, ARM_STEP) for _ in angles]
+            self._interface.send_arm_goal(angles + np.array(step))
+
+    def _tool_path(self) -> None:
+        if self._tool is None:
+            return
+        start = self._tool.pose.position
+        path = Path()
+        path.header.frame_id = "odom"
+        for share in (0.0, 1.0):
+            pose = PoseStamped()
+            position, orientation = pose.pose.position, pose.pose.orientation
+            for axis in "xyz":
+                way = share * self._draw.uniform(-TOOL_STEP, TOOL_STEP)
+                setattr(position, axis, getattr(start, axis) + way)
+            orientation.w = 0.0  # the tool keeps its orientation
+            path.poses.append(pose)
+        self._interface.send_tool_path(path)
+
+    def _fault(self) -> None:
+        """Drive, inject a fault, remove it, and reset the robot."""
+        row = self._draw.choice(FAULTS)
+        self.disturbed = True
+        self._player.prepare(row.injection)
+        self._player.drive(row.motion)
+        self._robot.pause(self._draw.uniform(0.0, 2.0))
+        self._player.inject(row.injection)
+        self._robot.pause(self._draw.uniform(*SUSPENSION))
+        self._player.remove(row.injection)
