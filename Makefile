@@ -54,8 +54,9 @@ test-all: $(TESTING) ## Run the exhaustive tests, too
 	ROS_PYTHON_CHECK_FIELDS=1 .ci/tests $(BIN)/python
 	time env ROS_PYTHON_CHECK_FIELDS=1 .ci/tests $(BIN)/python -m exhaustive --durations=20
 
-fuzz: $(TESTING) ## Give each codec of CAN drives a million frames of any content
+fuzz: $(TESTING) ## Give each codec a million frames of any content, and the nodes a million messages
 	OMNIMAN_FUZZ=1000000 .ci/tests $(BIN)/python test/can_drives -n auto -k 'no_frame and raises' $(ARGS)
+	OMNIMAN_FUZZ=1000000 .ci/tests $(BIN)/python test/nodes/test_fuzz.py -n auto -m '' $(ARGS)
 
 bench: $(RUNTIME) ## Measure how long the control cycle takes
 	$(OMNIMAN) bench $(ARGS)

@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from rclpy.qos import QoSProfile
-from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
 from omniman_ros.conversions.joints import joint_arrays, require_array
@@ -12,6 +11,7 @@ from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.nodes.omniman_node import MAX_LEAD, OmnimanNode
+from omniman_ros.nodes.rclpy_compat import deserialized
 
 PERIOD = 0.04
 """Period at which the posture is taken [s]; the fastest joint moves by 0.13 rad in it."""
@@ -69,7 +69,7 @@ class ArmPostureInput:
             self._read(data)
 
     def _on_states(self, data: bytes) -> None:
-        message = deserialize_message(data, JointState)
+        message = deserialized(data, JointState)
         position, _, _ = joint_arrays(message, self._names)
         posture = require_array(position, plausible.ANGLE, "position")
         time, now = self._node.instant(message.header.stamp), self._node.now()

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.qos import QoSProfile
-from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
@@ -22,6 +21,7 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.nodes.joint_state_broadcaster_parameters import JointStateBroadcasterParameters
 from omniman_ros.nodes.omniman_node import MAX_LEAD, OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
+from omniman_ros.nodes.rclpy_compat import deserialized
 from omniman_ros.nodes.runtime import run
 from omniman_ros.nodes.stop_interface import LATCHED
 
@@ -95,7 +95,7 @@ class JointStateBroadcasterNode(OmnimanNode):
         self.create_subscription(JointState, topic, keep, QoSProfile(depth=1), raw=True)
 
     def _on_states(self, topic: str, data: bytes) -> None:
-        message = deserialize_message(data, JointState)
+        message = deserialized(data, JointState)
         position, velocity, effort = joint_arrays(message, self._names[topic])
         position = require_array(position, plausible.WHEEL_ANGLE, "position")
         for array, bound, label in (

@@ -4,7 +4,6 @@ from enum import Enum
 
 import numpy as np
 from rclpy.qos import QoSProfile
-from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
@@ -18,6 +17,7 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.planner_interfaces.parameters import MpcPlannerParameters, body_outline
+from omniman_ros.nodes.rclpy_compat import deserialized
 
 STATES, REFERENCE = "arm/joint_states", "arm/joint_reference"
 """Names of the topics."""
@@ -134,7 +134,7 @@ class PostureInterface:
         if data is None:
             return
         try:
-            message = deserialize_message(data, JointState)
+            message = deserialized(data, JointState)
             position, _, _ = joint_arrays(message, self._settings.value.arm.joints)
             posture = require_array(position, plausible.ANGLE, "position")
             time = min(self._node.instant(message.header.stamp), self._node.now())
@@ -151,7 +151,7 @@ class PostureInterface:
         data, self._reference = self._reference, None
         if data is not None:
             try:
-                message = deserialize_message(data, JointTrajectory)
+                message = deserialized(data, JointTrajectory)
                 start = self._node.instant(message.header.stamp)
                 names = self._settings.value.arm.joints
                 times, positions, _, _ = joint_preview(message, start, names)

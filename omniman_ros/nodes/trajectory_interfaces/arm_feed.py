@@ -4,7 +4,6 @@ from collections import deque
 from collections.abc import Callable
 
 import numpy as np
-from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 
 from omniman_ros.conversions.joints import joint_arrays, require_array
@@ -13,6 +12,7 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.nodes.omniman_node import OmnimanNode
+from omniman_ros.nodes.rclpy_compat import deserialized
 from omniman_ros.nodes.trajectory_interfaces.odom_feed import AT_REST
 
 MAX_LAG = 0.2
@@ -73,7 +73,7 @@ class ArmFeed:
         data, self._data = self._data, None
         if data is None:
             return
-        message = deserialize_message(data, JointState)
+        message = deserialized(data, JointState)
         position, velocity, _ = joint_arrays(message, self._names)
         self.position = require_array(position, plausible.ANGLE, "position")
         if velocity is None:

@@ -1,7 +1,6 @@
 """Paths of the platform: `path` in, `path/reference` out."""
 
 from nav_msgs.msg import Path
-from rclpy.serialization import deserialize_message
 
 from omniman_ros.conversions.poses import path_poses
 from omniman_ros.core.arrays import Array
@@ -10,6 +9,7 @@ from omniman_ros.core.pending_start import PendingStart, StartState
 from omniman_ros.motion.path.interpolator import PathInterpolator, PathState, Proposal
 from omniman_ros.motion.path.window import Window, paced_window
 from omniman_ros.nodes.motion_ledger import MotionLedger
+from omniman_ros.nodes.rclpy_compat import deserialized
 from omniman_ros.nodes.trajectory_interfaces.motion_context import MIN_PLANNING_TIME, MotionContext
 from omniman_ros.nodes.trajectory_interfaces.motion_status import MotionEvent, MotionStatus
 
@@ -54,7 +54,11 @@ class PathInterface:
         max_poses = self._context.options.core.path.max_poses
         if len(data) > POSE_BYTES * (max_poses + 100):
             raise self._refuse(f"{len(data) / 1e6:.0f} MB, at most {max_poses} poses are accepted")
-        return self.accept(deserialize_message(data, Path))
+        try:
+            message = deserialized(data, Path)
+        except InputError as error:
+            raise self._refuse(str(error)) from error
+        return self.accept(message)
 
     def accept(self, message: Path) -> str:
         """Start a path, or let it wait; return why it is refused, or an empty string.

@@ -6,7 +6,6 @@ from concurrent.futures import Future
 
 import numpy as np
 from nav_msgs.msg import Path
-from rclpy.serialization import deserialize_message
 
 from omniman_ros.conversions import arm as arm_conversions
 from omniman_ros.core import se2
@@ -16,6 +15,7 @@ from omniman_ros.core.pending_start import PendingStart, StartState
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.motion.whole_body.tool_planner import ToolPlan, ToolPlanner
+from omniman_ros.nodes.rclpy_compat import deserialized
 from omniman_ros.nodes.trajectory_interfaces.motion_context import MotionContext
 from omniman_ros.nodes.trajectory_interfaces.motion_status import MotionEvent, MotionStatus
 from omniman_ros.nodes.trajectory_interfaces.path_interface import POSE_BYTES
@@ -70,8 +70,8 @@ class ToolInterface:
         why = self._refusal()
         if why:  # before unpacking, which would hold up the motion under way
             raise self._refuse(why)
-        message = deserialize_message(data, Path)
         try:
+            message = deserialized(data, Path)
             arm_conversions.tool_poses(message, p.frames, np.eye(3))
             if len(message.poses) > max_poses:
                 raise InputError(f"{len(message.poses)} poses, at most {max_poses} are accepted")

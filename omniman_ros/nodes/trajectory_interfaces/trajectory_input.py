@@ -1,11 +1,11 @@
 """Topic `joint_trajectory`, for the interface of the arm and that of the whole body."""
 
-from rclpy.serialization import deserialize_message
 from trajectory_msgs.msg import JointTrajectory
 
 from omniman_ros.conversions.joints import axis_names
 from omniman_ros.core.errors import InputError
 from omniman_ros.motion.whole_body.model import AXES, PLATFORM_AXES
+from omniman_ros.nodes.rclpy_compat import deserialized
 from omniman_ros.nodes.trajectory_interfaces.arm_interface import ArmInterface
 from omniman_ros.nodes.trajectory_interfaces.motion_context import MotionContext
 from omniman_ros.nodes.trajectory_interfaces.whole_body_interface import WholeBodyInterface
@@ -39,7 +39,7 @@ class TrajectoryInput:
             raise self._arm.refuse(
                 f"{len(data) / 1e6:.0f} MB, at most {max_points} points are accepted"
             )
-        message = deserialize_message(data, JointTrajectory)
+        message = deserialized(data, JointTrajectory)
         message.joint_names = axis_names(message.joint_names)
         if not message.points:
             self._arm.stop()
