@@ -11,7 +11,7 @@ from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.nodes.omniman_node import MAX_LEAD, OmnimanNode
-from omniman_ros.nodes.rclpy_compat import deserialized
+from omniman_ros.nodes.serialized import deserialized
 
 PERIOD = 0.04
 """Period at which the posture is taken [s]; the fastest joint moves by 0.13 rad in it."""

@@ -21,8 +21,8 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.nodes.joint_state_broadcaster_parameters import JointStateBroadcasterParameters
 from omniman_ros.nodes.omniman_node import MAX_LEAD, OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
-from omniman_ros.nodes.rclpy_compat import deserialized
 from omniman_ros.nodes.runtime import run
+from omniman_ros.nodes.serialized import deserialized
 from omniman_ros.nodes.stop_interface import LATCHED
 
 

@@ -7,7 +7,7 @@ import functools
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 import rclpy
 from rclpy.event_handler import SubscriptionEventCallbacks
@@ -17,15 +17,10 @@ from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 from rosgraph_msgs.msg import Clock as ClockMessage
 
-from omniman_ros.core.errors import InputError
-
-Message = TypeVar("Message")
-"""Type of a message."""
 RMWError = rclpy_implementation.RMWError
 """Error of the middleware about data. rclpy 7.1 raises it, but does not export it."""
 RCLError = rclpy_implementation.RCLError
@@ -158,23 +153,6 @@ def subscribe_with_source_time(
     subscribe_with_origin(
         node, kind, topic, lambda message, origin: callback(message, origin.sent), qos
     )
-
-
-def deserialized(data: bytes, kind: type[Message]) -> Message:
-    """Return the message that a raw subscription has received.
-
-    Args:
-        data: The message as it was on the wire.
-        kind: Type of the message.
-
-    Raises:
-        InputError: The data are no such message.
-    """
-    try:
-        message: Message = deserialize_message(data, kind)
-    except (RMWError, UnicodeError) as error:
-        raise InputError(f"{len(data)} bytes are no {kind.__name__}") from error
-    return message
 
 
 def deliver(subscription: Subscription, message: Any, source_time: int) -> None:

@@ -9,11 +9,8 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from rclpy.serialization import serialize_message
-from sensor_msgs.msg import JointState
 
-from omniman_ros.core.errors import InputError
-from omniman_ros.nodes.rclpy_compat import deserialized, spin_for, subscribe_with_source_time
+from omniman_ros.nodes.rclpy_compat import spin_for, subscribe_with_source_time
 from test.nodes.harness import free_domain
 
 TIMEOUT = 20.0
@@ -51,16 +48,3 @@ def test_each_executor_passes_the_source_time_of_a_message(make_executor, monkey
         executor.shutdown()
     finally:
         rclpy.try_shutdown()
-
-
-def test_data_that_are_no_message_are_refused_wherever_they_end():
-    whole = serialize_message(JointState(name=["a", "b"], position=[1.0, 2.0]))
-    assert deserialized(whole, JointState).position.tolist() == [1.0, 2.0]
-    refused = 0
-    for end in range(len(whole)):
-        try:
-            deserialized(whole[:end], JointState)
-        except InputError as error:
-            refused += 1
-            assert "no JointState" in str(error)
-    assert refused > len(whole) // 2

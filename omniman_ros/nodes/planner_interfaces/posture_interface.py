@@ -17,7 +17,7 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.planner_interfaces.parameters import MpcPlannerParameters, body_outline
-from omniman_ros.nodes.rclpy_compat import deserialized
+from omniman_ros.nodes.serialized import deserialized
 
 STATES, REFERENCE = "arm/joint_states", "arm/joint_reference"
 """Names of the topics."""

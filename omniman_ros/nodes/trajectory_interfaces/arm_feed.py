@@ -12,7 +12,7 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.nodes.omniman_node import OmnimanNode
-from omniman_ros.nodes.rclpy_compat import deserialized
+from omniman_ros.nodes.serialized import deserialized
 from omniman_ros.nodes.trajectory_interfaces.odom_feed import AT_REST
 
 MAX_LAG = 0.2

@@ -9,7 +9,7 @@ from omniman_ros.core.pending_start import PendingStart, StartState
 from omniman_ros.motion.path.interpolator import PathInterpolator, PathState, Proposal
 from omniman_ros.motion.path.window import Window, paced_window
 from omniman_ros.nodes.motion_ledger import MotionLedger
-from omniman_ros.nodes.rclpy_compat import deserialized
+from omniman_ros.nodes.serialized import deserialized
 from omniman_ros.nodes.trajectory_interfaces.motion_context import MIN_PLANNING_TIME, MotionContext
 from omniman_ros.nodes.trajectory_interfaces.motion_status import MotionEvent, MotionStatus
 

@@ -15,7 +15,7 @@ from omniman_ros.core.pending_start import PendingStart, StartState
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.motion.whole_body.tool_planner import ToolPlan, ToolPlanner
-from omniman_ros.nodes.rclpy_compat import deserialized
+from omniman_ros.nodes.serialized import deserialized
 from omniman_ros.nodes.trajectory_interfaces.motion_context import MotionContext
 from omniman_ros.nodes.trajectory_interfaces.motion_status import MotionEvent, MotionStatus
 from omniman_ros.nodes.trajectory_interfaces.path_interface import POSE_BYTES

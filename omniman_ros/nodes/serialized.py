@@ -1,0 +1,28 @@
+"""Messages that a node receives serialized, and unpacks when it needs them."""
+
+from typing import TypeVar
+
+from rclpy.serialization import deserialize_message
+
+from omniman_ros.core.errors import InputError
+from omniman_ros.nodes.rclpy_compat import RMWError
+
+Message = TypeVar("Message")
+"""Type of a message."""
+
+
+def deserialized(data: bytes, kind: type[Message]) -> Message:
+    """Return the message that a raw subscription has received.
+
+    Args:
+        data: The message as it was on the wire.
+        kind: Type of the message.
+
+    Raises:
+        InputError: The data are no such message.
+    """
+    try:
+        message: Message = deserialize_message(data, kind)
+    except (RMWError, UnicodeError) as error:
+        raise InputError(f"{len(data)} bytes are no {kind.__name__}") from error
+    return message
