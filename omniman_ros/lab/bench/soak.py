@@ -122,6 +122,7 @@ class Watch:
             "false_stops": self.false_stops,
             "held_up_stops": self.held_up_stops,
             "ended": self.ended,
+            "unanswered": self._robot.unanswered,
             "processes": {
                 name: usage_figures(longest_life(samples))
                 for name, samples in self.samples.items()
@@ -187,10 +188,13 @@ def soak(robot_name: str, seconds: float, seed: int) -> dict[str, Any]:
 
 
 def drive(robot: RunningRobot, activities: Activities, watch: Watch, seconds: float) -> str:
-    """Perform activities for a time [s]; return why the robot could not be reset, or "" ."""
+    """Perform activities for a time [s]; return why that could not go on, or an empty string."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:
-        activities.perform()
+        try:
+            activities.perform()
+        except CommandError as error:
+            return str(error)
         watch.look()
         watch.note_stops()
         robot.release(READY_TIMEOUT)
@@ -244,7 +248,8 @@ def report(result: Mapping[str, Any]) -> list[str]:
         f"fastest {result['fastest_m_s']:.2f} m/s, at most {result['speed_limit_m_s']:.2f} m/s: "
         f"{met['speed']}",
         f"processes that ended: {', '.join(result['ended']) or 'none'}: {met['processes']}",
-        f"resets: {result['stuck'] or 'all were granted'}: {met['reset']}",
+        f"resets and services: {result['stuck'] or 'all worked'}: {met['reset']}",
+        f"calls of services without an answer: {len(result['unanswered'])}",
         f"stops without a fault: {len(result['false_stops'])}: {met['false_stops']}; "
         f"{result['held_up_stops']} more while the machine held drives or arm up",
         f"descriptors and threads: {met['counts']}; memory: {met['memory']}; load "

@@ -48,6 +48,8 @@ DASHBOARD_PORT = "ports.dashboard:="
 """Beginning of the argument that gives the port of the dashboard."""
 SERVICE_TIMEOUT = 10.0
 """Longest time for the answer of a service [s]."""
+CALLS = 3
+"""Number of calls of a service that does not answer."""
 
 
 class GroundTruth:
@@ -132,6 +134,7 @@ class RunningRobot:
         stop_states: Level of the last `stop_state` by node.
         reasons: Text of the last `stop_state` by node.
         source: Last `active_source`.
+        unanswered: Names of services, once for each call that was not answered in time.
     """
 
     def __init__(
@@ -150,6 +153,7 @@ class RunningRobot:
         self.stop_states: dict[str, bytes] = {}
         self.reasons: dict[str, str] = {}
         self.source = ""
+        self.unanswered: list[str] = []
         self._clients: dict[str, Any] = {}
         node = session.node
         node.create_subscription(DiagnosticStatus, "stop_state", self._on_stop_state, ALL_LATCHED)
@@ -324,10 +328,13 @@ class RunningRobot:
         parameter = (
             Parameter(name, kind, listed) if kind is not None else Parameter(name, value=listed)
         )
-        future = client.call_async(
-            SetParameters.Request(parameters=[parameter.to_parameter_msg()])
-        )
-        if not self.wait(future.done, SERVICE_TIMEOUT):
+        request = SetParameters.Request(parameters=[parameter.to_parameter_msg()])
+        for _ in range(CALLS):
+            future = client.call_async(request)
+            if self.wait(future.done, SERVICE_TIMEOUT):
+                break
+            self.unanswered.append(service)
+        else:
             raise CommandError(f"{service} does not answer")
         answer = future.result().results[0]
         if not answer.successful:

@@ -15,7 +15,7 @@ def life(pid, memory, seconds=1200.0, descriptors=lambda t: 14, cpu=0.2):
 def result(**changes):
     figures = {"processes": {"node": usage_figures(life(1, lambda t: 80.0))}}
     figures |= {"least_gap_m": 0.1, "fastest_m_s": 1.0, "speed_limit_m_s": 1.1}
-    figures |= {"ended": [], "stuck": "", "false_stops": [], "held_up_stops": 0}
+    figures |= {"ended": [], "stuck": "", "false_stops": [], "held_up_stops": 0, "unanswered": []}
     figures |= {"activities": {"goal": 3}, "load": 1.0}
     return figures | changes
 
