@@ -77,15 +77,6 @@ class OdometryParameters:
         low=0.5,
         high=2,
     )
-    roller_lag: float = parameter(
-        0.0,
-        "Time by which the rollers take over late, as coupling.roller_lag: what the wheels then "
-        "tell wrongly of a platform that drives and rotates at once is left out. 0 for wheels "
-        "that touch the floor in their middle.",
-        unit="s",
-        low=0,
-        high=0.2,
-    )
     encoder_span: float = parameter(
         0.0,
         "Range after which wheel_states positions wrap; 0 if they do not.",
@@ -162,11 +153,6 @@ class OdometryParameters:
 class Odometry:
     """Integrates the motion of the wheels to the pose of base_link in odom.
 
-    With a lag t of the rollers, the mean contact of a wheel of speed phi' is off its middle, so
-    that on a platform with the yaw rate w the wheel turns by t s phi' w faster, where s = +-1 is
-    the sign of its roller angle, see `CouplingController.expected_rate`. Least squares leave that
-    out: v = J+ (phi' - t w s phi'). The coupling error stays that of (24).
-
     The augmented forward kinematics give the rate of the coupling error as well, CCTA 2017 (13);
     its integral from 0 to t, (24), is therefore kept here, beside the pose.
 
@@ -205,9 +191,7 @@ class Odometry:
         if kinematics.idle != self._idle:
             self.reset_coupling_error()
         self._idle = kinematics.idle
-        inverse = parameters.correction @ kinematics.J_pinv
-        self._forward = np.vstack([inverse, kinematics.T])
-        self._lag = parameters.roller_lag * inverse * kinematics.roller_side
+        self._forward = np.vstack([parameters.correction @ kinematics.J_pinv, kinematics.T])
         # Travel at the rim per radian of each constraint.
         self._rim = 1.0 / np.linalg.norm(kinematics.J[:, :2], axis=1).max()
         self._parameters = parameters
@@ -273,16 +257,15 @@ class Odometry:
         """
         steps = self._forward @ wheel_steps
         rates = self._forward @ wheel_speeds
-        self.twist = self.wheel_twist = self._without_lag(rates[:3], wheel_speeds, 1.0)
+        self.twist = self.wheel_twist = rates[:3]
         self.constraint_rate = rates[3:]
         resting = max(map(abs, wheel_speeds.tolist())) <= REST_SPEED
         self.rest = self.rest + dt if resting else 0.0
-        motion = self._without_lag(steps[:3], wheel_steps, dt)
+        motion = steps[:3]
         measured = inertial is not None and self._measured_turn(inertial, dt)
         if inertial is not None and measured:
             motion = np.array([motion[0], motion[1], inertial.rotation - self.yaw_bias * dt])
-            vx, vy, _ = self.wheel_twist
-            self.twist = np.array([vx, vy, motion[2] / dt])
+            self.twist = np.array([rates[0], rates[1], motion[2] / dt])
         x, y, theta = self.pose
         dx, dy, dtheta = se2.arc(motion)
         c, s = math.cos(theta), math.sin(theta)
@@ -312,23 +295,6 @@ class Odometry:
             yaw_variance += p.noise_slip * slipped
             self._covariance.propagate(east, north, variance, yaw_variance)
         return step
-
-    def _without_lag(self, motion: Array, wheels: Array, dt: float) -> Array:
-        """Return a motion (3,) without what the lag of the rollers adds to it.
-
-        The yaw rate w solves w = w_0 - w l, where w_0 and l are those of the least squares over
-        the wheel speeds, and over the speeds that the lag adds for a yaw rate of 1 rad/s.
-
-        Args:
-            motion: Motion by the wheels in the time `dt` [m, m, rad].
-            wheels: Rotations (n,) of the wheels in that time [rad].
-            dt: Time [s].
-        """
-        if not self._parameters.roller_lag:
-            return motion
-        added = self._lag @ wheels
-        rest: Array = motion - motion[2] / (dt + added[2]) * added
-        return rest
 
     def _unknown_way(self, unknown: Array, travel: float, turn: float) -> tuple[float, float]:
         """Return the variances of position [m^2] and heading [rad^2] by a way that is not known.

@@ -311,19 +311,6 @@ def test_calibration_corrects_only_the_twist():
     np.testing.assert_allclose(odometry.twist, correction @ plain.twist, atol=1e-12)
 
 
-@given(st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-1.2, 1.2)).map(np.array))
-def test_what_the_lag_of_the_rollers_adds_is_left_out(twist):
-    """A wheel turns by lag * side * phi' * w faster than (8) has it."""
-    odometry, model = make(roller_lag=0.01)
-    speeds = model.J @ twist / (1.0 - 0.01 * model.roller_side * twist[2])
-    step = odometry.update(speeds * 0.02, speeds, 0.02)
-    np.testing.assert_allclose(odometry.twist, twist, atol=1e-12)
-    expected = make()[0]
-    expected.update(model.J @ twist * 0.02, model.J @ twist, 0.02)
-    assert odometry.pose == pytest.approx(expected.pose, abs=1e-12)
-    np.testing.assert_allclose(step, model.T @ speeds * 0.02, atol=1e-15)
-
-
 def test_calibration_with_large_cross_terms_is_rejected():
     with pytest.raises(ParameterError, match="determinant"):
         OdometryParameters(scale_x=0.5, scale_y=0.5, x_per_y=0.5, y_per_x=0.5)

@@ -1,8 +1,8 @@
 """`omniman reproduce odometry`: what odometry is off after the path of CCTA 2017, Fig. 7.
 
-The odometry is calibrated first: the scales by a way ahead, one sideways and a rotation in place,
-the lag of the rollers by a rotation, too. Then the path is driven with random wheels, in each mode
-of the drives, with the lag known to coupling control and unknown.
+The odometry is calibrated first, by a way ahead, one sideways and a rotation in place. Then the
+path is driven with random wheels, in each mode of the drives, with the lag of the rollers known to
+coupling control and unknown.
 """
 
 import argparse
@@ -20,8 +20,9 @@ from omniman_ros.console.terminal import table
 from omniman_ros.lab.reproduce.experiments import result_name
 from omniman_ros.lab.reproduce.pipeline import collect, publish
 from omniman_ros.lab.studies.coupling import GROUPS
-from omniman_ros.lab.studies.odometry_calibration import calibrate, measure_scales
+from omniman_ros.lab.studies.odometry_calibration import calibrate
 from omniman_ros.lab.studies.odometry_drive import OdometryCase, OdometryErrors, drive_odometry
+from omniman_ros.lab.studies.roller_lag import measure_roller_lag
 from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.lab.verdicts import verdict
 from omniman_ros.motion.figure7 import Figure7
@@ -59,8 +60,8 @@ def run(args: argparse.Namespace) -> int:
         f"Odometry after the path of CCTA 2017, Fig. 7, robot '{args.robot}'{where}: calibration, "
         f"then drives of {figure.duration:.0f} s"
     )
-    calibration = calibrate(robot, world) if world else measure_scales(robot, None)
-    lag = calibration.get("odometry.roller_lag", 0.0)
+    calibration = calibrate(robot, world)
+    lag = measure_roller_lag(robot, world) if world else 0.0
     selected = [
         OdometryCase(mode, sample, known, args.seed)
         for mode in modes

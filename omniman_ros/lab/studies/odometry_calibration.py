@@ -1,8 +1,8 @@
 """The calibration of a robot's odometry by drives whose ends are measured.
 
-The robot drives straight ahead, sideways, and rotates in place; another rotation shows the lag of
-its rollers. Odometry assumes that a wheel touches the floor in its middle, with a roller's axis
-level there; wheels with rollers go less far sideways, and soft tyres less far altogether.
+The robot drives straight ahead, sideways, and rotates in place. Odometry assumes that a wheel
+touches the floor in its middle, with a roller's axis level there; wheels with rollers go less far
+sideways, and soft tyres less far altogether.
 """
 
 import math
@@ -14,7 +14,6 @@ import numpy as np
 from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.core.parameters import build
 from omniman_ros.lab.studies.closed_loop import PERIOD, ClosedLoop
-from omniman_ros.lab.studies.roller_lag import measure_roller_lag
 from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 
@@ -37,18 +36,7 @@ RUNS = (
 [m/s or rad/s] and the way by the setpoints [m or rad]."""
 
 
-def calibrate(robot: Mapping[str, Any], world: WorldChoice) -> dict[str, float]:
-    """Return the calibration of a robot in a world: its scales, and the lag of its rollers.
-
-    Args:
-        robot: Parameters of the robot, full names to values; its odometry is not calibrated.
-        world: World in which the robot drives.
-    """
-    lag = measure_roller_lag(robot, world)
-    return {**measure_scales(robot, world), "odometry.roller_lag": lag}
-
-
-def measure_scales(robot: Mapping[str, Any], world: WorldChoice | None) -> dict[str, float]:
+def calibrate(robot: Mapping[str, Any], world: WorldChoice | None) -> dict[str, float]:
     """Return the scales of the odometry: true over measured way.
 
     Args:
