@@ -30,10 +30,8 @@ from omniman_ros.motion.figure7 import Figure7
 from omniman_ros.simulation.plant.imu import ImuSensorParameters, SimulatedImu, planar_motion
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 
-INITIAL_REST = 5.0
-"""Time of rest before the path, which shows the bias of the yaw rate [s]."""
-FINAL_REST = 1.5
-"""Time of rest after the path [s]."""
+REST = 1.5
+"""Time of rest before the path, which shows the bias of the yaw rate, and after [s]."""
 IMU_STRIDE = 2
 """Number of ticks from one measurement of the inertial sensor to the next, which gives 100 Hz."""
 
@@ -97,14 +95,14 @@ def drive_odometry(
         parameters, replace(simulation, mismatch=mismatch), torques=False, world=world
     )
     observer = _Observer(values, loop)
-    observer.run(INITIAL_REST)
+    observer.run(REST)
     for leg in figure.legs(loop.now):
         observer.run(leg.begin - loop.now)
         refusal = loop.controller.set_preview(Source.PATH, leg.preview, loop.now)
         if refusal:
             raise StudyError(f"path/reference was refused: {refusal}")
         observer.run(leg.preview.end - loop.now)
-    observer.run(FINAL_REST)
+    observer.run(REST)
     stopped = loop.controller.latch.status.reason or loop.drives.stop_reason
     if stopped:
         raise StudyError(f"{case}: {stopped}")
