@@ -9,12 +9,12 @@ from geometry_msgs.msg import Pose
 from nav_msgs.msg import Path
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from omniman_ros.conversions.geometry import UNIT_TOLERANCE
 from omniman_ros.conversions.headers import check_frame, duration_message, time_seconds
 from omniman_ros.conversions.joints import abbreviate_names
 from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
+from omniman_ros.core.rigid import UNIT_TOLERANCE
 from omniman_ros.motion.path.joint_points import JointPoints
 from omniman_ros.motion.path.window import Window
 from omniman_ros.ur.joint_preview import MAX_POINTS

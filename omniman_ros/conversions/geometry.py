@@ -6,14 +6,9 @@ import numpy as np
 from geometry_msgs.msg import Quaternion, Twist, TwistStamped
 
 from omniman_ros.conversions.headers import check_frame
-from omniman_ros.core import plausible, se2
+from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
-from omniman_ros.core.errors import InputError
-
-UNIT_TOLERANCE = 0.01
-"""Largest deviation of a quaternion's length from 1 that is accepted."""
-TILT_TOLERANCE = 0.02
-"""Largest tilt of a planar pose that is accepted [rad, approximately]."""
+from omniman_ros.core.rigid import heading
 
 
 def yaw_from_quaternion(quaternion: Quaternion) -> float:
@@ -22,13 +17,7 @@ def yaw_from_quaternion(quaternion: Quaternion) -> float:
     Raises:
         InputError: The quaternion is not finite, not of unit length, or not about the vertical.
     """
-    x, y, z, w = quaternion.x, quaternion.y, quaternion.z, quaternion.w
-    length = math.sqrt(x * x + y * y + z * z + w * w)
-    if not abs(length - 1.0) <= UNIT_TOLERANCE:
-        raise InputError(f"it has a quaternion of length {length:.4g}, expected 1")
-    if 2.0 * math.hypot(x, y) > TILT_TOLERANCE:
-        raise InputError("it has a rotation that is not about the vertical")
-    return se2.wrap(2.0 * math.atan2(z, w))
+    return heading((quaternion.x, quaternion.y, quaternion.z, quaternion.w))
 
 
 def quaternion_from_yaw(theta: float) -> Quaternion:
