@@ -4,11 +4,12 @@ import math
 
 import numpy as np
 from geometry_msgs.msg import Quaternion, Twist, TwistStamped
+from geometry_msgs.msg import Transform as TransformMsg
 
 from omniman_ros.conversions.headers import check_frame
 from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
-from omniman_ros.core.rigid import heading
+from omniman_ros.core.rigid import Transform, heading
 
 
 def yaw_from_quaternion(quaternion: Quaternion) -> float:
@@ -23,6 +24,21 @@ def yaw_from_quaternion(quaternion: Quaternion) -> float:
 def quaternion_from_yaw(theta: float) -> Quaternion:
     """Return the rotation about the vertical by `theta` [rad]."""
     return Quaternion(x=0.0, y=0.0, z=math.sin(0.5 * theta), w=math.cos(0.5 * theta))
+
+
+def transform_from_message(message: TransformMsg) -> Transform:
+    """Return the transform of a message [m], as it is: nothing is checked."""
+    t, r = message.translation, message.rotation
+    return Transform((t.x, t.y, t.z), (r.x, r.y, r.z, r.w))
+
+
+def transform_message(transform: Transform) -> TransformMsg:
+    """Return the message of a transform [m]."""
+    message = TransformMsg()
+    t, r = message.translation, message.rotation
+    t.x, t.y, t.z = transform.translation
+    r.x, r.y, r.z, r.w = transform.rotation
+    return message
 
 
 def twist_array(message: Twist, bound: float = plausible.SPEED) -> Array:

@@ -1,8 +1,12 @@
 """Convert stamps and durations, and check the frames of message headers."""
 
+from collections.abc import Callable
+
 from builtin_interfaces.msg import Duration, Time
+from std_msgs.msg import Header
 
 from omniman_ros.core.errors import InputError
+from omniman_ros.core.transform_tree import Placement
 
 
 def time_seconds(stamp: Time | Duration) -> float:
@@ -19,6 +23,19 @@ def duration_message(seconds: float) -> Duration:
     """Convert a non-negative time [s] to a duration."""
     nanoseconds = round(seconds * 1e9)
     return Duration(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
+
+
+def within(*frames: str) -> Callable[[Header], Placement]:
+    """Return a function that places coordinates in odom, whose names are `frames`.
+
+    It raises an InputError for every other frame.
+    """
+
+    def place(header: Header) -> Placement:
+        check_frame(header.frame_id, *frames)
+        return Placement("")
+
+    return place
 
 
 def check_frame(frame: str, *allowed: str) -> None:

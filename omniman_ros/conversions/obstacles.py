@@ -1,7 +1,7 @@
 """Convert markers of obstacles to observations, and predicted obstacles to markers."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from builtin_interfaces.msg import Time
@@ -10,9 +10,11 @@ from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from omniman_ros.conversions.geometry import quaternion_from_yaw, yaw_from_quaternion
-from omniman_ros.conversions.headers import check_frame, time_seconds
+from omniman_ros.conversions.headers import time_seconds
+from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
+from omniman_ros.core.transform_tree import Placement
 from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.obstacles.obstacles import Observation
 
@@ -31,7 +33,7 @@ class MarkerDeletion:
 
 
 def marker_changes(
-    message: MarkerArray, frames: Sequence[str], clock: Callable[[Time], float]
+    message: MarkerArray, place: Callable[[Header], Placement], clock: Callable[[Time], float]
 ) -> tuple[list[Observation | MarkerDeletion], list[str]]:
     """Return the changes that markers make to the obstacles, in order, and the complaints.
 
@@ -43,7 +45,8 @@ def marker_changes(
 
     Args:
         message: Markers.
-        frames: Names of frames that count as odom.
+        place: Returns where the coordinates under a header are; an InputError that it raises
+            becomes a complaint.
         clock: Converts a stamp to the caller's clock [s]; a zero stamp means now. An InputError
             that it raises becomes a complaint.
 
@@ -56,7 +59,7 @@ def marker_changes(
     for marker in message.markers:
         try:
             if marker.action == Marker.ADD:
-                changes.append(_observation(marker, frames, clock))
+                changes.append(_observation(marker, place, clock))
             elif marker.action == Marker.DELETE:
                 changes.append(MarkerDeletion(marker.ns, marker.id))
             elif marker.action == Marker.DELETEALL:
@@ -71,10 +74,10 @@ def marker_changes(
 
 
 def _observation(
-    marker: Marker, frames: Sequence[str], clock: Callable[[Time], float]
+    marker: Marker, place: Callable[[Header], Placement], clock: Callable[[Time], float]
 ) -> Observation:
     """Return the observation of an obstacle that a marker shows."""
-    check_frame(marker.header.frame_id, *frames)
+    placement = place(marker.header)
     if marker.type not in (Marker.CYLINDER, Marker.SPHERE):
         raise InputError(f"it has type {marker.type}, expected CYLINDER or SPHERE")
     position, scale = marker.pose.position, marker.scale
@@ -84,16 +87,20 @@ def _observation(
         raise InputError(f"scale ({scale.x}, {scale.y}) m must be two diameters above 0")
     if not 0.0 <= scale.z < math.inf:
         raise InputError(f"scale.z {scale.z} m must be a height, or 0 if it is unknown")
-    low, high = position.z - 0.5 * scale.z, position.z + 0.5 * scale.z
+    plane, height = placement.transform.planar(), placement.transform.translation[2]
+    yaw = yaw_from_quaternion(marker.pose.orientation)
+    x, y, angle = se2.compose(plane, (position.x, position.y, yaw))
+    low, high = position.z + height - 0.5 * scale.z, position.z + height + 0.5 * scale.z
     return Observation(
         (marker.ns, marker.id),
         clock(marker.header.stamp),
-        position.x,
-        position.y,
-        yaw_from_quaternion(marker.pose.orientation),
+        x,
+        y,
+        angle,
         (0.5 * scale.x, 0.5 * scale.y),
         time_seconds(marker.lifetime),
         (low, high) if scale.z > 0.0 else (-math.inf, math.inf),
+        placement.frame,
     )
 
 

@@ -113,6 +113,10 @@ class Transform:
         return Transform((tx, ty, tz), (x, y, z, w))
 
 
+IDENTITY = Transform()
+"""Transform of a frame into itself."""
+
+
 def demand_unit(rotation: Quaternion) -> float:
     """Return the length of a quaternion, which is nearly 1.
 

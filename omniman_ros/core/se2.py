@@ -45,6 +45,40 @@ def compose(
     return pose[0] + c * x - s * y, pose[1] + s * x + c * y, pose[2] + theta
 
 
+def inverse(pose: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Return the pose of the origin in the frame of a pose [m, m, rad]."""
+    x, y, theta = pose
+    c, s = math.cos(theta), math.sin(theta)
+    return -c * x - s * y, s * x - c * y, -theta
+
+
+def displacement(
+    before: tuple[float, float, float],
+    after: tuple[float, float, float],
+    point: tuple[float, float, float],
+) -> tuple[float, float, float]:
+    """Return how far a pose moves that is fixed in a frame whose own pose changes.
+
+    Args:
+        before: Pose of the frame [m, m, rad].
+        after: Pose of the frame, changed.
+        point: The pose that it carries along, before the change.
+
+    Returns:
+        x, y [m] along the axes in which all poses are given, and the angle [rad], wrapped.
+    """
+    x, y, theta = compose(after, compose(inverse(before), point))
+    return x - point[0], y - point[1], wrap(theta - point[2])
+
+
+def displaced(poses: Array, frame: tuple[float, float, float]) -> Array:
+    """Return poses (..., 3) that are given in a frame, by the pose of that frame [m, m, rad]."""
+    c, s = math.cos(frame[2]), math.sin(frame[2])
+    x, y, theta = poses[..., 0], poses[..., 1], poses[..., 2]
+    rows = (frame[0] + c * x - s * y, frame[1] + s * x + c * y, frame[2] + theta)
+    return np.stack(rows, axis=-1)
+
+
 def arc(displacement: Array) -> tuple[float, float, float]:
     """Return the pose after a constant twist, relative to the pose before (exponential map).
 

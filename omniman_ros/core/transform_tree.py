@@ -13,7 +13,7 @@ import numpy as np
 
 from omniman_ros.core import plausible
 from omniman_ros.core.errors import InputError
-from omniman_ros.core.rigid import Transform, demand_unit
+from omniman_ros.core.rigid import IDENTITY, Transform, demand_unit
 
 CACHE_TIME = 10.0
 """Age, relative to the newest sample of its frame, up to which a sample is kept [s]; as tf2."""
@@ -51,6 +51,20 @@ class PastTransformError(TransformError):
     """The oldest transform that is kept is newer than the time asked for."""
 
     may_come = False
+
+
+@dataclass(frozen=True, slots=True)
+class Placement:
+    """Place of coordinates in the world.
+
+    Attributes:
+        frame: A frame that does not move with the robot: an ancestor of odom in the tree of
+            transforms, such as `map`; empty for odom itself.
+        transform: Transform of the coordinates into that frame.
+    """
+
+    frame: str
+    transform: Transform = IDENTITY
 
 
 @dataclass(slots=True)
@@ -114,6 +128,9 @@ class TransformTree:
     def __init__(self) -> None:
         self._frames: dict[str, _Frame] = {}
 
+    def __bool__(self) -> bool:
+        return bool(self._frames)
+
     def clear(self, *, keep_static: bool = True) -> None:
         """Forget the transforms; by default those that hold for ever are kept."""
         self._frames = {
@@ -162,7 +179,7 @@ class TransformTree:
             TransformError: There is none; the subclass says why.
         """
         if source == target:
-            return Transform()
+            return IDENTITY
         up, down = self._chain(source), self._chain(target)
         common = self._common(up, down, source, target)
         return self._to_ancestor(down, common, time).inverse @ self._to_ancestor(up, common, time)

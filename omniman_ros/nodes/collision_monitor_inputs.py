@@ -17,14 +17,18 @@ from omniman_ros.core.arm_model import JOINTS
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.description.urdf import carries_arm
-from omniman_ros.nodes import map_interface, obstacle_interface
+from omniman_ros.nodes import obstacle_interface
 from omniman_ros.nodes.collision_monitor_parameters import CollisionMonitorParameters
+from omniman_ros.nodes.frame_transforms import FrameTransforms
+from omniman_ros.nodes.map_interface import MapInterface
+from omniman_ros.nodes.obstacle_interface import marker_headers
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.stop_interface import LATCHED
 from omniman_ros.nodes.trajectory_interfaces.arm_feed import ArmFeed
 from omniman_ros.nodes.trajectory_interfaces.odom_feed import OdomFeed
-from omniman_ros.planning.obstacles.obstacles import ObstacleSet
+from omniman_ros.planning.obstacles.framed_obstacles import FramedObstacles
+from omniman_ros.planning.obstacles.grid_map import GridMap
 from omniman_ros.planning.obstacles.surroundings import ellipse_surroundings, grid_solids
 
 MAP = "map"
@@ -50,15 +54,19 @@ class CollisionMonitorInputs:
         p = settings.value
         self._joints = p.description.arm.joints
         self._has_arm = carries_arm(p.description.robot)
-        self._odom = OdomFeed(node, "odom", p.odom_frame, lambda pose, at: None)
+        self._odom = OdomFeed(node, "odom", p.frames.odom.odom_frame, lambda pose, at: None)
         self._arm = ArmFeed(node, self._joints, lambda: False, lambda: None)
-        self._obstacles = ObstacleSet(p.obstacles)
+        self._obstacles = FramedObstacles(p.obstacles)
         self._map = UprightSolids.join([])
+        self._frames = FrameTransforms(node, lambda: settings.value.frames)
+        self._grid = MapInterface(self._frames, self._use_map)
+        on_obstacles = self._frames.deferred("obstacles", marker_headers, self._on_obstacles)
+        on_map = self._frames.deferred("map", lambda message: [message.header], self._on_map)
         self._demands: dict[tuple[str, ...], tuple[float, Array]] = {}
         self.braking_scale = 1.0
         for kind, topic, handler, qos in (
-            (MarkerArray, "obstacles", self._on_obstacles, QoSProfile(depth=50)),
-            (OccupancyGrid, "map", self._on_map, LATCHED),
+            (MarkerArray, "obstacles", on_obstacles, QoSProfile(depth=50)),
+            (OccupancyGrid, "map", on_map, LATCHED),
             (JointState, "motion_demand", self._on_demand, QoSProfile(depth=10)),
             (DiagnosticStatus, "wheel_health", self._on_health, LATCHED),
         ):
@@ -72,16 +80,16 @@ class CollisionMonitorInputs:
 
     def _on_obstacles(self, message: MarkerArray) -> str:
         faults = obstacle_interface.update_obstacles(
-            self._node, message, self._obstacles, self._settings.value.input_frames
+            self._node, message, self._obstacles, self._frames.placement
         )
         more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
         return faults[0] + more if faults else ""
 
     def _on_map(self, message: OccupancyGrid) -> None:
         p = self._settings.value
-        grid = map_interface.grid_map(
-            message, p.input_frames, p.map_threshold, p.map_unknown_is_free
-        )
+        self._grid.receive(message, p.map_threshold, p.map_unknown_is_free)
+
+    def _use_map(self, grid: GridMap) -> None:
         self._map = grid_solids(grid)
 
     def _on_demand(self, message: JointState) -> None:
@@ -132,7 +140,12 @@ class CollisionMonitorInputs:
 
     def surroundings(self) -> Surroundings:
         """Return the obstacles as they are predicted for now, and then the map."""
-        ellipses = self._obstacles.ellipses(self._node.now())
+        if self._odom.pose is not None:
+            x, y, theta = self._odom.pose
+            self._grid.update((x, y, theta))
+        ellipses = self._obstacles.ellipses(
+            self._node.now(), lambda frame: self._frames.anchor(frame).planar()
+        )
         return Surroundings.join(
             [ellipse_surroundings(ellipses), Surroundings.standing(self._map)]
         )

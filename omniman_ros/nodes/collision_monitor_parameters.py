@@ -9,6 +9,7 @@ from omniman_ros.collision.speed_limits import SpeedLimits
 from omniman_ros.control.limits import TwistLimits
 from omniman_ros.core.parameters import inline, parameter
 from omniman_ros.description.parameters import DescriptionParameters
+from omniman_ros.nodes.frame_parameters import FrameParameters
 from omniman_ros.planning.obstacles.obstacles import ObstacleParameters
 
 
@@ -53,10 +54,7 @@ class CollisionMonitorParameters:
         low=0.0,
         high=1.0,
     )
-    odom_frame: str = parameter("odom", "Frame of odometry.", read_only=True)
-    map_is_odom: bool = parameter(
-        False, "Whether obstacles and maps in `map` are treated as in odom."
-    )
+    frames: FrameParameters = inline()
     map_threshold: int = parameter(
         50,
         "Occupancy from which on a cell of the map counts as occupied.",
@@ -68,11 +66,6 @@ class CollisionMonitorParameters:
     map_unknown_is_free: bool = parameter(
         True, "Whether the robot may drive through cells of unknown occupancy.", read_only=True
     )
-
-    @property
-    def input_frames(self) -> tuple[str, ...]:
-        """Frames that obstacles and maps may be in."""
-        return (self.odom_frame, "map") if self.map_is_odom else (self.odom_frame,)
 
     @property
     def speed_limits(self) -> SpeedLimits:

@@ -10,9 +10,11 @@ from std_srvs.srv import Trigger
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.stream_monitor import StreamMonitor
 from omniman_ros.extras import PLANNING
+from omniman_ros.nodes.frame_transforms import FrameTransforms
 from omniman_ros.nodes.navigation_action import NavigationKind, serve_navigation
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
+from omniman_ros.nodes.planner_interfaces.goal_anchor import GoalAnchor
 from omniman_ros.nodes.planner_interfaces.goal_executor import GoalExecutor
 from omniman_ros.nodes.planner_interfaces.goal_interface import GoalInterface
 from omniman_ros.nodes.planner_interfaces.motion_publisher import MotionPublisher
@@ -32,6 +34,7 @@ class MpcPlannerNode(OmnimanNode):
     Attributes:
         settings: Parameters of the node.
         core: The planner.
+        frames: Transforms into odom.
         sensors: State of the robot, and obstacles.
         posture: Posture of the arm.
         loop: Planning cycle and its requests.
@@ -50,17 +53,28 @@ class MpcPlannerNode(OmnimanNode):
         p = self.settings.value
         self.core = Planner(p.core, anchored=p.output == "reference")
         self._monitor = StreamMonitor(p.restart, "mpc", ("path",))
-        self.sensors = SensorInterface(self, self.settings, self.core, self._monitor)
+        self.frames = FrameTransforms(self, lambda: self.settings.value.frames)
+        self.sensors = SensorInterface(self, self.settings, self.frames, self.core, self._monitor)
         self.posture = PostureInterface(self, self.settings)
         self.publisher = MotionPublisher(self, self.settings, self.core, self._monitor)
-        plans = PlanPublisher(self, p.odom_frame, self.core)
+        plans = PlanPublisher(self, p.frames.odom.odom_frame, self.core)
+        anchor = GoalAnchor(self.core, self.frames)
         self.loop = PlannerLoop(
-            self, self.core, self.sensors, self.posture, self.publisher, plans, self._monitor
+            self,
+            self.core,
+            anchor,
+            self.sensors,
+            self.posture,
+            self.publisher,
+            plans,
+            self._monitor,
         )
         self.settings.on_change(self._configure)
         self._status_publisher = self.create_publisher(DiagnosticStatus, "mpc/status", 10)
-        goals = GoalInterface(self, self.settings, self.loop.submit)
-        executor = GoalExecutor(self, goals, self.loop, self.sensors, self.core, p.odom_frame)
+        goals = GoalInterface(self, self.settings, self.frames, self.loop.submit)
+        executor = GoalExecutor(
+            self, goals, self.loop, self.sensors, self.core, p.frames.odom.odom_frame
+        )
         self.actions = serve_navigation(
             self, NavigationKind.NAVIGATE_TO_POSE, p.navigate_action, executor
         )

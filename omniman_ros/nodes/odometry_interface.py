@@ -23,13 +23,9 @@ from omniman_ros.conversions.odometry import (
 )
 from omniman_ros.conversions.poses import planar_pose
 from omniman_ros.core.arrays import Array
+from omniman_ros.nodes import tf_messages
 from omniman_ros.nodes.odometry_parameters import OdometryTopicParameters
 from omniman_ros.nodes.omniman_node import OmnimanNode
-
-try:
-    from tf2_msgs.msg import TFMessage
-except ImportError:  # not among the wheels on PyPI
-    TFMessage = None
 
 Settings = Callable[[], OdometryTopicParameters]
 """Returns the present parameters of the topics."""
@@ -153,7 +149,9 @@ class OdometryOutputs:
         self._core = core
         self._settings = settings
         self._odom = node.create_publisher(OdometryMsg, "odom", 10)
-        self._tf = node.create_publisher(TFMessage, "/tf", 100) if TFMessage else None
+        self._tf = None
+        if tf_messages.TFMessage is not None:
+            self._tf = node.create_publisher(tf_messages.TFMessage, tf_messages.TOPIC, 100)
         self._coupling = node.create_publisher(JointState, "coupling_error", 10)
         p = settings()
         self._odom_message = OdometryMsg(child_frame_id=p.base_frame)
@@ -174,7 +172,7 @@ class OdometryOutputs:
         fill_odometry(message, odometry.pose, odometry.twist, odometry.covariance, stamp)
         self._odom.publish(message)
         if self._tf is not None and self._settings().publish_tf:
-            self._tf.publish(TFMessage(transforms=[odometry_transform(message)]))
+            self._tf.publish(tf_messages.TFMessage(transforms=[odometry_transform(message)]))
 
     def publish_coupling_error(self, stamp: Time) -> None:
         """Publish the coupling errors, since the last rest and without resets, and their rate.

@@ -8,10 +8,11 @@ import numpy as np
 from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
+from omniman_ros.core.rigid import PlanarPose
 from omniman_ros.planning import passing
 from omniman_ros.planning.cycle import AT_REST, MeasuredState, PlannerState
 from omniman_ros.planning.effective_limits import EffectiveLimits
-from omniman_ros.planning.goals import Goal, StateGoal, TrajectoryGoal
+from omniman_ros.planning.goals import Goal, PlanTarget, StateGoal, TrajectoryGoal
 from omniman_ros.planning.motion import Motion
 from omniman_ros.planning.mpc.model import PlanningModel
 from omniman_ros.planning.obstacles.ellipses import Ellipses
@@ -76,9 +77,19 @@ class GoalTracker:
         """Abandon the goal."""
         self.goal, self.state = None, PlannerState.IDLE
 
+    def displace(self, change: PlanarPose) -> None:
+        """Move the goal, as its frame has moved against odom.
+
+        Args:
+            change: Displacement in odom [m, m, rad]: the pose at which the odom frame would be if
+                it moved along.
+        """
+        if self.goal is not None:
+            self.goal = self.goal.displaced(change)
+
     # ---- during the motion ------------------------------------------------------------------
 
-    def target(self, start: Array, due: float, limits: EffectiveLimits) -> Goal:
+    def target(self, start: Array, due: float, limits: EffectiveLimits) -> PlanTarget:
         """Return the goal of the plan that begins at a state (6,) at the time `due` [s]."""
         assert self.goal is not None
         planner = self.route_planner
@@ -108,8 +119,11 @@ class GoalTracker:
             work: Largest work of a search in this call [expansions].
         """
         planner = self.route_planner
-        if planner is None:
+        if planner is None or self.goal is None:
             return
+        target = self.goal.targets(np.array([now]))[0][0]
+        if not planner.follows(target):
+            planner = self._route_planner = planner.restarted(target)
         known = environment.ellipses
         known = known.select(np.isfinite(known.centers.sum(axis=1)))
         # The robot waits for obstacles that move, but not for ever.

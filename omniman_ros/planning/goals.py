@@ -10,10 +10,11 @@ from omniman_ros.core import plausible, se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.preview import Preview
+from omniman_ros.core.rigid import PlanarPose
 
 
-class Goal(Protocol):
-    """Desired poses of the robot over time."""
+class PlanTarget(Protocol):
+    """Desired poses of the robot over time, at which a plan aims."""
 
     def targets(self, times: Array) -> tuple[Array, Array]:
         """Return the desired poses (N, 3) and velocities (N, 3) in odom at times (N,) [s]."""
@@ -26,8 +27,18 @@ class Goal(Protocol):
     def until(self) -> float:
         """Time at which the goal ends [s]; minus infinity if it does not move."""
 
+    def near(self, heading: float) -> "PlanTarget":
+        """Return the same target, its heading on the branch nearest to a heading [rad]."""
+
+
+class Goal(PlanTarget, Protocol):
+    """Goal of the robot: desired poses over time, which may move with their frame."""
+
     def near(self, heading: float) -> "Goal":
         """Return the same goal, its heading on the branch nearest to a heading [rad]."""
+
+    def displaced(self, frame: PlanarPose) -> "Goal":
+        """Return a goal that is given in a frame, by the pose of that frame [m, m, rad]."""
 
 
 def _pose(pose: Array) -> Array:
@@ -73,6 +84,10 @@ class PoseGoal:
         """See `Goal`."""
         return PoseGoal(np.append(self.pose[:2], _branch(self.pose[2], heading)))
 
+    def displaced(self, frame: PlanarPose) -> "PoseGoal":
+        """See `Goal`."""
+        return PoseGoal(se2.displaced(self.pose, frame))
+
 
 @dataclass(frozen=True)
 class TrajectoryGoal:
@@ -81,17 +96,20 @@ class TrajectoryGoal:
     Attributes:
         preview: Future motion to follow.
         turns: Angle that is added to its headings, a multiple of 2 pi [rad].
+        frame: Pose in odom of the frame in which the preview is given [m, m, rad].
     """
 
     preview: Preview
     turns: float = 0.0
+    frame: PlanarPose = (0.0, 0.0, 0.0)
 
     def targets(self, times: Array) -> tuple[Array, Array]:
         """See `Goal`."""
         points = [self.preview.sample(time) for time in times.tolist()]
-        poses = np.array([point.pose for point in points])
+        poses = se2.displaced(np.array([point.pose for point in points]), self.frame)
         poses[:, 2] += self.turns
-        return poses, np.array([point.velocity for point in points])
+        velocities = [se2.to_world(self.frame[2], point.velocity) for point in points]
+        return poses, np.array(velocities)
 
     @property
     def moves(self) -> bool:
@@ -105,8 +123,12 @@ class TrajectoryGoal:
 
     def near(self, heading: float) -> "TrajectoryGoal":
         """See `Goal`."""
-        first = float(self.preview.sample(self.preview.start).pose[2])
-        return TrajectoryGoal(self.preview, _branch(first, heading) - first)
+        first = float(self.preview.sample(self.preview.start).pose[2]) + self.frame[2]
+        return TrajectoryGoal(self.preview, _branch(first, heading) - first, self.frame)
+
+    def displaced(self, frame: PlanarPose) -> "TrajectoryGoal":
+        """See `Goal`."""
+        return TrajectoryGoal(self.preview, self.turns, se2.compose(frame, self.frame))
 
 
 @dataclass(frozen=True)
@@ -157,6 +179,11 @@ class StateGoal:
         """See `Goal`."""
         pose = np.append(self.pose[:2], _branch(self.pose[2], heading))
         return StateGoal(pose, self.velocity, self.arrival)
+
+    def displaced(self, frame: PlanarPose) -> "StateGoal":
+        """See `Goal`."""
+        velocity = se2.to_world(frame[2], self.velocity)
+        return StateGoal(se2.displaced(self.pose, frame), velocity, self.arrival)
 
 
 def _branch(angle: float, near: float) -> float:

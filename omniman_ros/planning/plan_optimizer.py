@@ -6,7 +6,7 @@ from omniman_ros.collision.footprint import Footprint
 from omniman_ros.core.arrays import Array
 from omniman_ros.planning.effective_limits import EffectiveLimits
 from omniman_ros.planning.evasion import EvasionGuesses
-from omniman_ros.planning.goals import Goal
+from omniman_ros.planning.goals import PlanTarget
 from omniman_ros.planning.motion import Motion
 from omniman_ros.planning.mpc.model import PlanningModel
 from omniman_ros.planning.mpc.problem import Problem
@@ -63,7 +63,7 @@ class PlanRequest:
 
     start: Array
     due: float
-    goal: Goal
+    goal: PlanTarget
     footprint: Footprint
     obstacles: Ellipses
     walls: Walls

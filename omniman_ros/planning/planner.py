@@ -9,6 +9,7 @@ from dataclasses import replace
 
 from omniman_ros.collision.footprint import Footprint
 from omniman_ros.core.arrays import Array
+from omniman_ros.core.rigid import PlanarPose
 from omniman_ros.planning.cycle import CycleReport, MeasuredState, PlannerState
 from omniman_ros.planning.effective_limits import EffectiveLimits
 from omniman_ros.planning.electrical import expected_energy, motor_voltages
@@ -161,6 +162,18 @@ class Planner:
             self._begin_at_rest(measured)
         self._tracker.accept(goal, self.model, self.limits)
         self.update_route(measured.time, obstacles, work=0)
+
+    def displace_goal(self, change: PlanarPose, now: float, obstacles: Ellipses) -> None:
+        """Move the goal, as its frame has moved against odom; the motion under way goes on.
+
+        Args:
+            change: Displacement in odom [m, m, rad]: the pose at which the odom frame would be if
+                it moved along.
+            now: Time [s].
+            obstacles: Obstacles.
+        """
+        self._tracker.displace(change)
+        self.update_route(now, obstacles, work=0)
 
     def _begin_at_rest(self, measured: MeasuredState) -> None:
         """Begin a motion at the measured state if the last motion is over."""

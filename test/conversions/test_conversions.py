@@ -39,7 +39,7 @@ from omniman_ros.conversions.geometry import (
     twist_array,
     yaw_from_quaternion,
 )
-from omniman_ros.conversions.headers import check_frame, is_stamped, time_seconds
+from omniman_ros.conversions.headers import check_frame, is_stamped, time_seconds, within
 from omniman_ros.conversions.joints import joint_arrays, require_array
 from omniman_ros.conversions.obstacles import MarkerDeletion, ellipse_markers, marker_changes
 from omniman_ros.conversions.odometry import fill_odometry, odometry_transform
@@ -530,7 +530,7 @@ def marker(number=0, ns="people", action=Marker.ADD, **changes):
 
 
 def changed(*markers, frames=("odom",)):
-    return marker_changes(MarkerArray(markers=markers), frames, clock)
+    return marker_changes(MarkerArray(markers=markers), within(*frames), clock)
 
 
 def test_marker_converts_to_an_observation():
@@ -633,7 +633,7 @@ def test_hundred_markers_take_little_longer_than_their_message():
         begin = process_time()
         message = MarkerArray(markers=[marker(i) for i in range(100)])
         built = process_time()
-        changes, _ = marker_changes(message, ("odom",), lambda stamp, now=now: now)
+        changes, _ = marker_changes(message, within("odom"), lambda stamp, now=now: now)
         for change in changes:
             found.add(change, now)
         building.append(built - begin)

@@ -12,7 +12,7 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from omniman_ros.nodes import odometry_interface
+from omniman_ros.nodes import tf_messages
 from omniman_ros.nodes.odometry import OdometryNode
 from omniman_ros.nodes.platform_controller import PlatformControllerNode
 from omniman_ros.nodes.simulated_drive import SimulatedDriveNode
@@ -236,7 +236,7 @@ def test_publish_tf_decides_on_the_transform(wheels, publish):
 
     wheels.node._outputs._tf = Publisher()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(odometry_interface, "TFMessage", FakeTransforms)
+        patch.setattr(tf_messages, "TFMessage", FakeTransforms)
         (result,) = wheels.node.set_parameters([Parameter("publish_tf", value=publish)])
         assert result.successful
         wheels.turn(0.2)

@@ -102,3 +102,27 @@ def test_wrong_sizes_are_refused():
         PoseGoal(np.zeros(2))
     with pytest.raises(InputError, match="velocity has 4 numbers"):
         StateGoal(np.zeros(3), np.zeros(4))
+
+
+@pytest.mark.parametrize(
+    "goal",
+    [
+        PoseGoal(np.array([1.0, 2.0, 0.3])),
+        StateGoal(np.array([1.0, 2.0, 0.3]), np.array([0.5, -0.2, 0.1])).arriving(2.0),
+        a_trajectory(),
+    ],
+)
+def test_a_displaced_goal_is_the_goal_seen_from_another_frame(goal):
+    frame = (0.5, -1.0, 2.0)
+    c, s = math.cos(2.0), math.sin(2.0)
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    poses, velocities = goal.targets(TIMES)
+    moved = goal.displaced(frame)
+    found, speeds = moved.targets(TIMES)
+    np.testing.assert_allclose(found, poses @ turn.T + frame)
+    np.testing.assert_allclose(speeds, velocities @ turn.T)
+    twice, _ = moved.displaced(frame).targets(TIMES)
+    np.testing.assert_allclose(twice, found @ turn.T + frame)
+    assert (moved.until, moved.moves) == (goal.until, goal.moves)
+    near, _ = moved.near(9.0).targets(TIMES)
+    assert abs(near[0, 2] - 9.0) <= math.pi

@@ -98,7 +98,9 @@ class BareStream:
         self._both = arm_conversions.joint_reference_message(
             p.arm.joints, int(p.horizon / TICK) + 1, TICK
         )
-        self._platform = reference_message(p.odom_frame, int(p.horizon / TICK) + 1, TICK)
+        self._platform = reference_message(
+            p.frames.odom.odom_frame, int(p.horizon / TICK) + 1, TICK
+        )
         self._pose, self._stamp = Pose(), Time()
         self._odom_time = 0.0
 

@@ -69,7 +69,11 @@ class MotionPublisher:
         # The preview lasts at least one period: one that ends in transit arrives stale.
         part = preview.between(now, max(preview.end, now + p.period))
         message = preview_message(
-            p.odom_frame, self._node.stamp(now), part.times, part.poses, part.velocities
+            p.frames.odom.odom_frame,
+            self._node.stamp(now),
+            part.times,
+            part.poses,
+            part.velocities,
         )
         self.reference.publish(message)
         self._note_sent(now)

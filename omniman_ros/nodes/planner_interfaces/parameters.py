@@ -11,6 +11,7 @@ from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import inline, parameter
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.motion.whole_body.model import Mount
+from omniman_ros.nodes.frame_parameters import FrameParameters
 from omniman_ros.planning.parameters import PlannerParameters
 
 
@@ -87,12 +88,9 @@ class MpcPlannerParameters:
         low=0.02,
         high=10,
     )
-    odom_frame: str = parameter("odom", "Frame of odometry and references.", read_only=True)
+    frames: FrameParameters = inline()
     navigate_action: str = parameter(
         "navigate_to_pose", "Name of the action that takes goals.", read_only=True
-    )
-    map_is_odom: bool = parameter(
-        False, "Whether goals, obstacles and maps in `map` are treated as in odom."
     )
     map_threshold: int = parameter(
         50,
@@ -113,11 +111,6 @@ class MpcPlannerParameters:
                 self.core.safety.deadline,
                 f"must be <= the period {self.period:g} s",
             )
-
-    @property
-    def input_frames(self) -> tuple[str, ...]:
-        """Frames that goals, obstacles and maps may be in."""
-        return (self.odom_frame, "map") if self.map_is_odom else (self.odom_frame,)
 
 
 def body_outline(parameters: MpcPlannerParameters) -> BodyOutline:

@@ -8,13 +8,13 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.core.pending_start import PendingStart, StartState
 from omniman_ros.core.stream_monitor import StreamMonitor
 from omniman_ros.nodes.omniman_node import OmnimanNode
+from omniman_ros.nodes.planner_interfaces.goal_anchor import GoalAnchor, PlacedGoal
 from omniman_ros.nodes.planner_interfaces.goal_log import GoalLog
 from omniman_ros.nodes.planner_interfaces.motion_publisher import MotionPublisher
 from omniman_ros.nodes.planner_interfaces.plan_publisher import PlanPublisher
 from omniman_ros.nodes.planner_interfaces.posture_interface import PostureInterface
 from omniman_ros.nodes.planner_interfaces.sensor_interface import SensorInterface
 from omniman_ros.planning.cycle import MeasuredState, PlannerState
-from omniman_ros.planning.goals import Goal
 
 if TYPE_CHECKING:
     from omniman_ros.planning.planner import Planner
@@ -29,6 +29,7 @@ class PlannerLoop:
     Args:
         node: Node whose clock is used.
         planner: Planner that is run.
+        anchor: Place of the goal in odom.
         sensors: State of the robot, and obstacles.
         posture: Posture of the arm.
         publisher: Streams that move the robot.
@@ -37,8 +38,8 @@ class PlannerLoop:
 
     Attributes:
         goals: Outcome of the latest goal.
-        silence: Why the obstacles or the arm's posture are not known, while the robot waits for
-            them, or empty.
+        silence: Why the obstacles, the arm's posture or the goal's place in odom are not known,
+            while the robot waits for them, or empty.
         solve_time: Duration of the last planning [s]; NaN before the first.
     """
 
@@ -46,6 +47,7 @@ class PlannerLoop:
         self,
         node: OmnimanNode,
         planner: "Planner",
+        anchor: GoalAnchor,
         sensors: SensorInterface,
         posture: PostureInterface,
         publisher: MotionPublisher,
@@ -53,7 +55,7 @@ class PlannerLoop:
         monitor: StreamMonitor,
     ) -> None:
         self._node, self._planner, self._sensors = node, planner, sensors
-        self._posture = posture
+        self._posture, self._anchor = posture, anchor
         self._publisher, self._plans, self._monitor = publisher, plans, monitor
         self.goals = GoalLog()
         self.silence = ""
@@ -69,7 +71,7 @@ class PlannerLoop:
 
     # ---- requests -----------------------------------------------------------------------------
 
-    def submit(self, make_goal: Callable[[], Goal]) -> str:
+    def submit(self, make_goal: Callable[[], PlacedGoal]) -> str:
         """Drive to a goal as soon as possible; return why it is refused, or an empty string.
 
         Raises:
@@ -152,13 +154,12 @@ class PlannerLoop:
         posture = self._posture.silence_reason(now)
         return self._sensors.obstacles.silence_reason(now) or posture
 
-    def _start(self, goal: Goal) -> None:
+    def _start(self, goal: PlacedGoal) -> None:
         measured = self._sensors.measured
         assert measured is not None
         now = self._node.now()
         self._planner.footprint = self._posture.footprint(now)
-        obstacles = self._sensors.obstacles.ellipses(now)
-        self._planner.drive(goal, measured, obstacles)
+        self._anchor.drive(goal, measured, self._sensors.ellipses(now))
 
     def give_up_if_lost(self) -> None:
         """Give the goal up if the robot does not follow this planner any more."""
@@ -197,6 +198,7 @@ class PlannerLoop:
             self._restart(now)
         self.give_up_if_lost()
         self._planner.footprint = self._posture.footprint(now)
+        self._sensors.update_map()
         refusal = self._attempt_start()
         if refusal:
             self._node.warn("goal refused", f"goal not used: {refusal}")
@@ -219,8 +221,8 @@ class PlannerLoop:
 
     def _cycle(self, now: float, measured: MeasuredState) -> None:
         planner = self._planner
-        silence = self._silence_reason(now)
-        obstacles = self._sensors.obstacles.ellipses(now)
+        silence = self._silence_reason(now) or self._anchor.silence_reason()
+        obstacles = self._sensors.ellipses(now)
         if silence:
             if not self.silence:
                 planner.brake(now)
@@ -229,6 +231,7 @@ class PlannerLoop:
             self._publisher.send(now)
             return
         self.silence = ""
+        self._anchor.update(now, obstacles)
         proposal = planner.propose(now, measured, obstacles)
         done = self._node.now()
         self.solve_time = done - now
@@ -245,10 +248,10 @@ class PlannerLoop:
 
     def _coast(self, now: float) -> None:
         """Finish a motion without a goal, still watching the obstacles."""
-        measured, obstacles = self._sensors.measured, self._sensors.obstacles
+        measured = self._sensors.measured
         if self._planner.motion.end > now and measured is not None:
             if self._silence_reason(now):
                 self._planner.brake(now)
             else:
-                self._planner.coast(now, measured, obstacles.ellipses(now))
+                self._planner.coast(now, measured, self._sensors.ellipses(now))
         self._publisher.send(now)

@@ -11,13 +11,17 @@ from omniman_ros.conversions.geometry import twist_array, yaw_from_quaternion
 from omniman_ros.conversions.headers import check_frame
 from omniman_ros.conversions.wheels import LimitScales, reported_limit_scales
 from omniman_ros.core.stream_monitor import StreamMonitor
-from omniman_ros.nodes import map_interface, obstacle_interface
+from omniman_ros.nodes import obstacle_interface
+from omniman_ros.nodes.frame_transforms import FrameTransforms
+from omniman_ros.nodes.map_interface import MapInterface
+from omniman_ros.nodes.obstacle_interface import marker_headers
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.planner_interfaces.parameters import MpcPlannerParameters
 from omniman_ros.nodes.stop_interface import LATCHED
 from omniman_ros.planning.cycle import MeasuredState
-from omniman_ros.planning.obstacles.obstacles import ObstacleSet
+from omniman_ros.planning.obstacles.ellipses import Ellipses
+from omniman_ros.planning.obstacles.framed_obstacles import FramedObstacles
 
 if TYPE_CHECKING:
     from omniman_ros.planning.planner import Planner
@@ -29,6 +33,7 @@ class SensorInterface:
     Args:
         node: Node that receives the messages.
         settings: Parameters of the node.
+        frames: Transforms of the node.
         planner: Planner that gets the map and the scale of the limits.
         monitor: Monitor of the planner's stream.
 
@@ -41,18 +46,22 @@ class SensorInterface:
         self,
         node: OmnimanNode,
         settings: ParameterSet[MpcPlannerParameters],
+        frames: FrameTransforms,
         planner: "Planner",
         monitor: StreamMonitor,
     ) -> None:
-        self._node, self._settings = node, settings
+        self._node, self._settings, self._frames = node, settings, frames
         self._planner, self._monitor = planner, monitor
         self.measured: MeasuredState | None = None
         self._limit_scales = LimitScales()
-        self.obstacles = ObstacleSet(settings.value.core.obstacles)
+        self.obstacles = FramedObstacles(settings.value.core.obstacles)
+        self._map = MapInterface(frames, planner.set_map)
+        on_obstacles = frames.deferred("obstacles", marker_headers, self._on_obstacles)
+        on_map = frames.deferred("map", lambda message: [message.header], self._on_map)
         for kind, topic, handler, qos in (
-            (MarkerArray, "obstacles", self._on_obstacles, 50),
+            (MarkerArray, "obstacles", on_obstacles, 50),
             (Odometry, "odom", self._on_odom, 1),
-            (OccupancyGrid, "map", self._on_map, LATCHED),
+            (OccupancyGrid, "map", on_map, LATCHED),
             (DiagnosticStatus, "wheel_health", self._on_health, LATCHED),
         ):
             node.create_subscription(kind, topic, node.guarded(topic, handler), qos)
@@ -63,6 +72,16 @@ class SensorInterface:
             return "no odom"
         age = now - self.measured.time
         return f"odom is {age:.2f} s old" if age > self._settings.value.odom_timeout else ""
+
+    def update_map(self) -> None:
+        """Move the map if its frame has moved against odom."""
+        if self.measured is not None:
+            x, y, theta = self.measured.pose.tolist()
+            self._map.update((x, y, theta))
+
+    def ellipses(self, now: float) -> Ellipses:
+        """Return the obstacles in odom at the time `now` [s]."""
+        return self.obstacles.ellipses(now, lambda frame: self._frames.anchor(frame).planar())
 
     def dismiss_silent_source(self) -> None:
         """Stop waiting for a silent source of obstacles that no longer exists.
@@ -80,7 +99,7 @@ class SensorInterface:
                 )
 
     def _on_odom(self, message: Odometry) -> None:
-        check_frame(message.header.frame_id, self._settings.value.odom_frame)
+        check_frame(message.header.frame_id, self._settings.value.frames.odom.odom_frame)
         pose = message.pose.pose
         self.measured = MeasuredState(
             min(self._node.instant(message.header.stamp), self._node.now()),
@@ -90,17 +109,14 @@ class SensorInterface:
 
     def _on_obstacles(self, message: MarkerArray) -> str:
         faults = obstacle_interface.update_obstacles(
-            self._node, message, self.obstacles, self._settings.value.input_frames
+            self._node, message, self.obstacles, self._frames.placement
         )
         more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
         return faults[0] + more if faults else ""
 
     def _on_map(self, message: OccupancyGrid) -> None:
         p = self._settings.value
-        grid = map_interface.grid_map(
-            message, p.input_frames, p.map_threshold, p.map_unknown_is_free
-        )
-        self._planner.set_map(grid)
+        grid = self._map.receive(message, p.map_threshold, p.map_unknown_is_free)
         length, width = grid.size
         self._node.get_logger().info(f"map received: {length:.1f} x {width:.1f} m")
 

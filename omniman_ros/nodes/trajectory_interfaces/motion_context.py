@@ -7,6 +7,7 @@ from typing import TypeVar
 from omniman_ros.collision.self_collision import SelfCollisionCheck
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.stream_monitor import StreamMonitor
+from omniman_ros.nodes.frame_transforms import FrameTransforms
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.trajectory_interfaces.arm_feed import ArmFeed
@@ -30,6 +31,7 @@ class MotionContext:
     Attributes:
         node: ROS node that owns topics, timers and the clock.
         settings: Parameters of the node.
+        frames: Transforms into odom.
         stream_monitor: Monitor of the source that drives the platform, and of stopped nodes.
         odom: Measured pose and velocity of the platform.
         arm_feed: Measured joint states of the arm.
@@ -46,6 +48,7 @@ class MotionContext:
 
     node: OmnimanNode
     settings: ParameterSet[PathInterpolatorParameters]
+    frames: FrameTransforms
     stream_monitor: StreamMonitor
     odom: OdomFeed
     arm_feed: ArmFeed

@@ -12,6 +12,7 @@ from omniman_ros.motion.path.joint_interpolator import JointInterpolator
 from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.motion.whole_body.model import JOINT_COLUMNS, PLATFORM_COLUMNS
+from omniman_ros.nodes.frame_transforms import FrameTransforms
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.stop_interface import LATCHED
@@ -60,6 +61,7 @@ class MotionCoordinator:
         self, node: OmnimanNode, settings: ParameterSet[PathInterpolatorParameters]
     ) -> None:
         p = settings.value
+        odom_frame = p.frames.odom.odom_frame
         self._node, self._settings, self.is_ending = node, settings, False
         self._progress = node.create_publisher(Float64, "path_progress", 10)
         self.scaling = ScalingInterface(node, self._on_slowed)
@@ -70,8 +72,9 @@ class MotionCoordinator:
         self.context = MotionContext(
             node=node,
             settings=settings,
+            frames=FrameTransforms(node, lambda: settings.value.frames),
             stream_monitor=StreamMonitor(p.restart),
-            odom=OdomFeed(node, "odom", p.odom_frame, self._on_pose),
+            odom=OdomFeed(node, "odom", odom_frame, self._on_pose),
             arm_feed=ArmFeed(node, p.arm.joints, self._is_arm_moving, self._on_joint_states),
             time_base=MotionTimeBase(
                 (path, arm, whole_body),
@@ -80,7 +83,7 @@ class MotionCoordinator:
                 lambda: settings.value.scaling_timeout,
             ),
             self_collision=lambda: self._self_collision,
-            platform_previews=platform_previews(node, "path/reference", p.odom_frame, p.horizon),
+            platform_previews=platform_previews(node, "path/reference", odom_frame, p.horizon),
             arm_previews=arm_previews(node, p.arm.joints, p.horizon),
             publish_all=self._publish_all,
             on_started=self._on_started,

@@ -14,6 +14,7 @@ from omniman_ros.motion.path.parameters import PathParameters
 from omniman_ros.motion.path.trajectory_goal import TrajectoryActionOptions
 from omniman_ros.motion.whole_body.model import Mount
 from omniman_ros.motion.whole_body.parameters import ToolPathOptions
+from omniman_ros.nodes.frame_parameters import FrameParameters
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,13 +75,7 @@ class PathInterpolatorParameters:
         low=0.05,
         high=60,
     )
-    odom_frame: str = parameter("odom", "Frame of odometry and references.", read_only=True)
-    map_is_odom: bool = parameter(False, "Whether the frame `map` is treated as odom.")
-
-    @property
-    def frames(self) -> tuple[str, ...]:
-        """Frames that are treated as odom."""
-        return (self.odom_frame, "map") if self.map_is_odom else (self.odom_frame,)
+    frames: FrameParameters = inline()
 
 
 def self_collision_check(parameters: PathInterpolatorParameters) -> SelfCollisionCheck:

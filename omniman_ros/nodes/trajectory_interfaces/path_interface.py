@@ -3,6 +3,7 @@
 from nav_msgs.msg import Path
 
 from omniman_ros.conversions.poses import path_poses
+from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.pending_start import PendingStart, StartState
@@ -41,6 +42,7 @@ class PathInterface:
         self.ledger = MotionLedger()
         # The message stays serialized, so that a path of a million poses is refused unread.
         on_path = self._node.guarded("path", self._on_path)
+        self._take = context.frames.deferred("path", lambda message: [message.header], self.accept)
         self._node.create_subscription(Path, "path", on_path, 10, raw=True)
 
     @property
@@ -50,7 +52,7 @@ class PathInterface:
 
     # ---- paths --------------------------------------------------------------------------------
 
-    def _on_path(self, data: bytes) -> str:
+    def _on_path(self, data: bytes) -> str | None:
         max_poses = self._context.options.core.path.max_poses
         if len(data) > POSE_BYTES * (max_poses + 100):
             raise self._refuse(f"{len(data) / 1e6:.0f} MB, at most {max_poses} poses are accepted")
@@ -58,17 +60,23 @@ class PathInterface:
             message = deserialized(data, Path)
         except InputError as error:
             raise self._refuse(str(error)) from error
-        return self.accept(message)
+        return self._take(message)
 
     def accept(self, message: Path) -> str:
-        """Start a path, or let it wait; return why it is refused, or an empty string.
+        """Start a path, or let it wait, in odom as its frame is known now: it stays there.
+
+        Returns:
+            Why it is refused, or an empty string.
 
         Raises:
             InputError: The path cannot be used.
         """
-        p = self._context.options
+        p, frames = self._context.options, self._context.frames
         try:
-            poses = path_poses(message, p.frames, p.core.path.heading == "poses")
+            place = frames.into_odom(message.header).planar()
+            names = p.frames.odom.beside(message.header.frame_id)
+            poses = path_poses(message, names, p.core.path.heading == "poses")
+            poses = se2.displaced(poses, place)
         except InputError as error:
             raise self._refuse(str(error)) from error
         if self._context.is_ending():

@@ -1,7 +1,5 @@
 """Paths of the tool: `tool_path` in, planned in the background, driven by the whole body."""
 
-import threading
-from collections.abc import Callable
 from concurrent.futures import Future
 
 import numpy as np
@@ -16,6 +14,7 @@ from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.motion.whole_body.tool_planner import ToolPlan, ToolPlanner
 from omniman_ros.nodes.serialized import deserialized
+from omniman_ros.nodes.trajectory_interfaces.background import in_background
 from omniman_ros.nodes.trajectory_interfaces.motion_context import MotionContext
 from omniman_ros.nodes.trajectory_interfaces.motion_status import MotionEvent, MotionStatus
 from omniman_ros.nodes.trajectory_interfaces.path_interface import POSE_BYTES
@@ -48,10 +47,15 @@ class ToolInterface:
         self._plan: Future[ToolPlan] | None = None
         self._running: Future[ToolPlan] | None = None
         self._start_position: Array = np.zeros(0)
-        self._tool_pose = ToolPosePublisher(self._node, "tool_pose", context.options.odom_frame)
+        self._tool_pose = ToolPosePublisher(
+            self._node, "tool_pose", context.options.frames.odom.odom_frame
+        )
         self._node.every(TOOL_POSE_PERIOD, self._publish_tool_pose)
         # The message stays serialized, so that a path of a million poses is refused unread.
         on_path = self._node.guarded("tool_path", self._on_path)
+        self._take = context.frames.deferred(
+            "tool_path", lambda message: [message.header], self._on_message
+        )
         self._node.create_subscription(Path, "tool_path", on_path, 10, raw=True)
 
     def _publish_tool_pose(self) -> None:
@@ -62,7 +66,7 @@ class ToolInterface:
         if measured is not None and self._node.now() - measured_at < timeout:
             self._tool_pose.send(measured_at, self._model.forward(measured[0]))
 
-    def _on_path(self, data: bytes) -> str:
+    def _on_path(self, data: bytes) -> str | None:
         p = self._context.options
         max_poses = p.tool_path.max_poses
         if len(data) > POSE_BYTES * (max_poses + 100):
@@ -72,7 +76,16 @@ class ToolInterface:
             raise self._refuse(why)
         try:
             message = deserialized(data, Path)
-            arm_conversions.tool_poses(message, p.frames, np.eye(3))
+        except InputError as error:
+            raise self._refuse(str(error)) from error
+        return self._take(message)
+
+    def _on_message(self, message: Path) -> str:
+        """Take a path, in odom as its frame is known now: it stays there."""
+        max_poses = self._context.options.tool_path.max_poses
+        try:
+            place = self._context.frames.into_odom(message.header).matrix()
+            self._poses(message, place, np.eye(3))
             if len(message.poses) > max_poses:
                 raise InputError(f"{len(message.poses)} poses, at most {max_poses} are accepted")
             if self._context.is_ending():
@@ -80,8 +93,23 @@ class ToolInterface:
         except InputError as error:
             raise self._refuse(str(error)) from error
         self.discard_pending()
-        self.pending.put(lambda: self._start_planning(message))
+        self.pending.put(lambda: self._start_planning(message, place))
         return self.start_pending()
+
+    def _poses(self, message: Path, place: Array, here: Array) -> Array:
+        """Return the poses (k, 4, 4) of a path in odom.
+
+        Args:
+            message: The path.
+            place: Pose (4, 4) of its frame in odom.
+            here: Rotation matrix (3, 3) in odom of poses that have none.
+
+        Raises:
+            InputError: See `tool_poses`.
+        """
+        names = self._context.options.frames.odom.beside(message.header.frame_id)
+        poses: Array = place @ arm_conversions.tool_poses(message, names, place[:3, :3].T @ here)
+        return poses
 
     @property
     def idle(self) -> bool:
@@ -136,10 +164,10 @@ class ToolInterface:
             return "a discarded path is still being planned"
         return self._whole_body.blocking_reason()
 
-    def _start_planning(self, message: Path) -> None:
+    def _start_planning(self, message: Path, place: Array) -> None:
         p, start = self._context.options, self._whole_body.rest_position()
         rotation = self._model.forward(start)[:3, :3]
-        poses = arm_conversions.tool_poses(message, p.frames, rotation)
+        poses = self._poses(message, place, rotation)
         limits = WholeBodyLimits.of_whole_body(p.core, p.arm)
         planner = ToolPlanner(self._model, limits, p.tool_path)
         self_collision = self._context.self_collision()
@@ -173,21 +201,3 @@ class ToolInterface:
         self._whole_body.follow_tool_path(stream)
         self.status.report(MotionEvent.STARTED, self._whole_body.status.text)
         return ""
-
-
-def in_background(plan: Callable[[], ToolPlan]) -> Future[ToolPlan]:
-    """Plan in a thread, because planning takes up to seconds and must not delay stops.
-
-    The thread does not delay the end of the process either: it is a daemon, which runs on if its
-    plan is discarded.
-    """
-    future: Future[ToolPlan] = Future()
-
-    def work() -> None:
-        try:
-            future.set_result(plan())
-        except BaseException as error:  # raised again by `result()`
-            future.set_exception(error)
-
-    threading.Thread(target=work, name="tool_path", daemon=True).start()
-    return future

@@ -46,7 +46,7 @@ class WholeBodyInterface(JointInterface):
         self._arm_reference: Array | None = None
         self._correction: Array = np.zeros(len(self.names[JOINT_COLUMNS]))
         self._tool_reference = ToolPosePublisher(
-            self._node, "tool_reference", context.options.odom_frame
+            self._node, "tool_reference", context.options.frames.odom.odom_frame
         )
 
     def configure(self, new: PathInterpolatorParameters) -> None:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.core.arrays import Array
 from omniman_ros.planning.effective_limits import EffectiveLimits
-from omniman_ros.planning.goals import Goal
+from omniman_ros.planning.goals import PlanTarget
 from omniman_ros.planning.motion import Motion
 from omniman_ros.planning.mpc.model import PlanningModel
 from omniman_ros.planning.mpc.transcription import EXTREMES, OBSTACLE, SIDES, Stage
@@ -51,7 +51,7 @@ class Problem:
         self,
         start: Array,
         guess: Motion,
-        goal: Goal,
+        goal: PlanTarget,
         pairs: Pairs,
         slots: int,
         clearance: float | None = None,
@@ -106,7 +106,7 @@ class Problem:
         result: Array = driven[:, None] * currents
         return result
 
-    def _targets(self, start: Array, times: Array, goal: Goal) -> tuple[Array, float]:
+    def _targets(self, start: Array, times: Array, goal: PlanTarget) -> tuple[Array, float]:
         """Return the targets (N, 6), and the largest gradient of the goal's cost [J/m]."""
         w, p = self.limits.parameters.weights, self.limits.parameters
         poses, velocities = goal.targets(times)

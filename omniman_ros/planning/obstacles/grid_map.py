@@ -7,9 +7,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from omniman_ros.core import plausible
+from omniman_ros.core import plausible, se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
+from omniman_ros.core.rigid import PlanarPose
 from omniman_ros.planning.obstacles.ellipses import Ellipses
 
 Mask = NDArray[np.bool_]
@@ -46,7 +47,7 @@ class GridMap:
     origin: Array
 
     def __post_init__(self) -> None:
-        cells = np.array(self.occupied, dtype=bool)
+        cells: Mask = np.asarray(self.occupied, dtype=bool)
         if cells.ndim != 2 or not 0 < cells.size <= MAX_CELLS:
             raise InputError(
                 f"map: the cells have shape {cells.shape}, expected rows and columns of 1 to "
@@ -62,7 +63,9 @@ class GridMap:
             raise InputError(f"map: the origin has shape {origin.shape}, expected (3,)")
         plausible.demand(origin[:2], plausible.LENGTH, "map: origin")
         plausible.demand(origin[2:], plausible.ANGLE, "map: yaw of the origin")
-        cells.setflags(write=False)
+        if cells.flags.writeable:  # the caller's, who may change it
+            cells = cells.copy()
+            cells.setflags(write=False)
         origin.setflags(write=False)
         object.__setattr__(self, "occupied", cells)
         object.__setattr__(self, "origin", origin)
@@ -130,11 +133,27 @@ class GridMap:
         """
         return self._discs, self.radius
 
+    def displaced(self, frame: PlanarPose) -> "GridMap":
+        """Return a map that is given in a frame, by the pose of that frame in odom [m, m, rad].
+
+        The cells are shared; what takes long to compute is not computed again.
+        """
+        moved = GridMap(self.occupied, self.resolution, se2.displaced(self.origin, frame))
+        moved.__dict__["_boundary"] = self._boundary
+        return moved
+
+    @cached_property
+    def _boundary(self) -> Array:
+        """Centres (M, 2) of the cells at the boundary in the map's own axes, which takes long."""
+        rows, columns = np.nonzero(self.occupied & ~self._within())
+        middles: Array = (np.column_stack([columns, rows]) + 0.5).astype(np.float64)
+        middles *= self.resolution
+        return middles
+
     @cached_property
     def _discs(self) -> Array:
-        """Centres of the discs, computed once, as this is slow for a large map."""
-        rows, columns = np.nonzero(self.occupied & ~self._within())
-        in_map = self.resolution * (np.column_stack([columns, rows]) + 0.5)
+        """Centres (M, 2) of the discs in odom [m]."""
+        in_map = self._boundary
         cos, sin = math.cos(self.origin[2]), math.sin(self.origin[2])
         centers: Array = self.origin[:2] + in_map @ np.array([[cos, sin], [-sin, cos]])
         centers.setflags(write=False)

@@ -65,12 +65,13 @@ class Observation:
     Attributes:
         key: Namespace and number of the obstacle.
         time: Time of the observation on the caller's clock [s].
-        x, y: Centre in odom [m].
-        angle: Angle of the ellipse's x axis in odom [rad].
+        x, y: Centre in `frame` [m].
+        angle: Angle of the ellipse's x axis in `frame` [rad].
         semi_axes: (a, b) semi-axes along the ellipse's x and y axes [m].
         lifetime: Time for which it stays without being observed again [s]; 0 means for ever.
         heights: Heights of its lower and its upper side above the floor [m]; by default it has
             no ends.
+        frame: Frame of the observation, which does not move with the robot; empty for odom.
 
     Raises:
         InputError: A value is not finite or implausible, a semi-axis is not above 1 mm and below
@@ -85,6 +86,7 @@ class Observation:
     semi_axes: tuple[float, float]
     lifetime: float = 0.0
     heights: tuple[float, float] = (-math.inf, math.inf)
+    frame: str = ""
 
     def __post_init__(self) -> None:
         if not math.isfinite(self.time):

@@ -57,6 +57,10 @@ WIDE_GAP = 0.2
 """Gap above which gaps of the route are not distinguished [m]."""
 MIN_KEPT_GAP = 0.01
 """Gap at which the rest of a route still counts as clear [m]."""
+MAX_BEND = 0.05
+"""Distance from the end of the route to a goal that moved, up to which the route is bent [m]."""
+MIN_BEND = 1e-4
+"""Distance from the end of the route to a goal that moved, below which it stays [m]."""
 PACE_SPAN = 0.05
 """Part of the route over which the pace of the robot is measured [s]."""
 
@@ -134,6 +138,28 @@ class RoutePlanner:
         """Return whether the robot has made no progress for STUCK_TIME."""
         return now > self._progress[0] + STUCK_TIME
 
+    def follows(self, goal: Array) -> bool:
+        """Lead to a goal (3,) that has moved; return whether that needs no other route.
+
+        Up to MAX_BEND, the route is bent: its end moves with the goal, its start stays. While a
+        search is under way, the route that it finds is bent later.
+        """
+        end = self.goal if self.route is None else self.route.poses[-1]
+        shift = goal - end
+        shift[2] = se2.wrap(float(shift[2]))
+        size = math.hypot(*shift[:2]) + LEVER * abs(float(shift[2]))
+        if size > MAX_BEND:
+            return False
+        if self._search is None and self.route is not None and size > MIN_BEND:
+            self.goal, route = goal, self.route
+            share = route.times / route.duration if route.duration > 0.0 else np.ones(1)
+            self._retime(Route(route.poses + share[:, None] * shift, route.speeds))
+        return True
+
+    def restarted(self, goal: Array) -> "RoutePlanner":
+        """Return a planner of the route of the same robot to another goal (3,)."""
+        return RoutePlanner(self._model, goal)
+
     # ---- for the next plan --------------------------------------------------------------------
 
     def goal_from(self, start: Array, due: float, limits: EffectiveLimits) -> RouteGoal:
@@ -167,13 +193,18 @@ class RoutePlanner:
         """Return the route at other speeds [m/s, rad/s], as limits may change at any time."""
         assert self.route is not None
         if self.route.speeds != speeds:
-            old, new = self.route, Route(self.route.poses, speeds)
-            here = np.array([self._position, self._progress[1]])
-            position, reached = np.interp(here, old.times, new.times).tolist()
-            self._position, self._progress = position, (self._progress[0], reached)
-            self._gaps[0] = np.interp(self._gaps[0], old.times, new.times)
-            self.route = new
+            self._retime(Route(self.route.poses, speeds))
         return self.route
+
+    def _retime(self, new: Route) -> None:
+        """Replace the route by one with as many poses, and keep the place on it."""
+        assert self.route is not None
+        old = self.route
+        here = np.array([self._position, self._progress[1]])
+        position, reached = np.interp(here, old.times, new.times).tolist()
+        self._position, self._progress = position, (self._progress[0], reached)
+        self._gaps[0] = np.interp(self._gaps[0], old.times, new.times)
+        self.route = new
 
     def _pace(self, route: Route, start: Array) -> float:
         """Return the pace of a state (6,) along the route [s of the route per s]."""

@@ -7,6 +7,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from nav_msgs.msg import Path
 from visualization_msgs.msg import MarkerArray
 
+from omniman_ros.conversions.headers import within
 from omniman_ros.conversions.obstacles import marker_changes
 from omniman_ros.core.parameters import build
 from omniman_ros.nodes import obstacle_interface
@@ -47,6 +48,7 @@ class PlannerTopics:
         self._node = node
         self._state = state
         self._frames = frames
+        self._place = within(*frames)
         self._is_own = is_own
         self._obstacles = ObstacleSet(build(ObstacleParameters, {}))
         self._route_received_at = -np.inf
@@ -76,7 +78,7 @@ class PlannerTopics:
         if message.markers and not others:
             return ""
         faults = obstacle_interface.update_obstacles(
-            self._node, MarkerArray(markers=others), self._obstacles, self._frames
+            self._node, MarkerArray(markers=others), self._obstacles, self._place
         )
         return faults[0] if faults else ""
 
@@ -88,7 +90,7 @@ class PlannerTopics:
         self._route_received_at = self._node.now()
 
     def _on_predicted(self, message: MarkerArray) -> str:
-        changes, faults = marker_changes(message, self._frames, lambda stamp: 0.0)
+        changes, faults = marker_changes(message, self._place, lambda stamp: 0.0)
         predicted = [change for change in changes if isinstance(change, Observation)]
         drawn = [predicted[i] for i in thinned(len(predicted), MAX_PREDICTED)]
         points = outlines(

@@ -155,3 +155,23 @@ def test_invalid_message_is_refused_with_its_value(data, width, height, more, na
 def test_32_bit_sizes_do_not_overflow():
     with pytest.raises(InputError, match="65536 x 65536"):
         message([], np.uint32(65536), np.uint32(65536))
+
+
+def test_a_displaced_map_is_the_map_seen_from_another_frame():
+    cells = np.random.default_rng(5).random((20, 30)) < 0.3
+    some = GridMap(cells, 0.1, np.array([1.0, -2.0, 0.4]))
+    frame = (0.5, 3.0, 2.0)
+    moved = some.displaced(frame)
+    c, s = math.cos(2.0), math.sin(2.0)
+    turn = np.array([[c, -s], [s, c]])
+    assert moved.obstacles()[0] == pytest.approx(some.obstacles()[0] @ turn.T + frame[:2])
+    points = np.random.default_rng(6).uniform(-4, 4, (500, 2))
+    found = moved.occupied_at(points @ turn.T + frame[:2])
+    assert (found == some.occupied_at(points)).mean() > 0.995  # all but some on the edges
+
+
+def test_a_map_does_not_change_with_the_callers_array():
+    cells = np.zeros((3, 3), dtype=bool)
+    some = GridMap(cells, 0.1, np.zeros(3))
+    cells[1, 1] = True
+    assert not some.occupied.any()

@@ -447,3 +447,40 @@ def test_input_that_prevents_a_search_is_reported_and_never_raised():
     assert "not finite or beyond" in led.planner.failure
     led.known = ellipses(*a_row(1.5, -1.5, 1.5))
     assert led.run(RETRY_DELAY + 5.0, lambda: led.has_a_route() and not led.planner.failure)
+
+
+# ---- goals that move with their frame ---------------------------------------------------------
+
+
+def test_a_route_is_bent_to_a_goal_that_drifts():
+    led = FollowedRoute((5.0, 0.0, 0.0))
+    led.run(2.0)
+    begin, position = led.route.poses[0].copy(), led.along().position
+    for i in range(100):
+        goal = np.array([5.0, 1e-3 * i, 1e-3 * i])
+        assert led.planner.follows(goal)
+    assert led.route.poses[-1] == pytest.approx(goal, abs=1e-3)
+    assert led.route.poses[0] == pytest.approx(begin)
+    assert led.along().position == pytest.approx(position, abs=0.05)
+    led.run(20.0)
+    assert led.pose == pytest.approx(goal, abs=1e-3)
+
+
+def test_a_goal_that_jumps_needs_another_route():
+    led = FollowedRoute((5.0, 0.0, 0.0))
+    led.run(2.0)
+    goal = np.array([5.0, 0.2, 0.0])
+    assert not led.planner.follows(goal)
+    led.planner = led.planner.restarted(goal)
+    led.run(20.0)
+    assert led.pose == pytest.approx(goal, abs=1e-6)
+
+
+def test_a_search_goes_on_while_the_goal_drifts():
+    led = FollowedRoute((4.0, 0.0, 0.0), ellipses(*a_row(2.0, -1.0, 1.0)))
+    led.look(work=0)
+    assert led.searches()
+    goal = np.array([4.0, 0.02, 0.0])
+    assert led.planner.follows(goal) and led.searches()
+    assert led.run(5.0, led.has_a_route)
+    assert led.planner.follows(goal) and led.route.poses[-1] == pytest.approx(goal)

@@ -10,7 +10,7 @@ from rclpy.node import Node
 from visualization_msgs.msg import Marker, MarkerArray
 
 from omniman_ros.conversions.geometry import quaternion_from_yaw, yaw_from_quaternion
-from omniman_ros.conversions.headers import time_seconds
+from omniman_ros.conversions.headers import time_seconds, within
 from omniman_ros.core.parameters import build
 from omniman_ros.nodes import obstacle_interface
 from omniman_ros.planning.cases import TwoVelocityPath
@@ -52,7 +52,7 @@ class Town:
 
     def _on_obstacles(self, message):
         self.messages.append((self.world.time, message))
-        obstacle_interface.update_obstacles(self.node, message, self.known, ("odom",))
+        obstacle_interface.update_obstacles(self.node, message, self.known, within("odom"))
 
     @property
     def around(self):

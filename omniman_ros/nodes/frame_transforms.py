@@ -1,0 +1,241 @@
+"""Transforms of a node's input into odom, by /tf and /tf_static."""
+
+from collections import deque
+from collections.abc import Callable, Iterable
+from typing import Any, TypeVar
+
+from geometry_msgs.msg import TransformStamped
+from std_msgs.msg import Header
+
+from omniman_ros.conversions.geometry import transform_from_message
+from omniman_ros.conversions.headers import check_frame, is_stamped, time_seconds
+from omniman_ros.core.errors import InputError
+from omniman_ros.core.rigid import Transform
+from omniman_ros.core.transform_tree import Placement, TransformError, TransformTree
+from omniman_ros.nodes import tf_messages
+from omniman_ros.nodes.frame_parameters import FrameParameters
+from omniman_ros.nodes.omniman_node import OmnimanNode
+
+M = TypeVar("M")
+
+ODOM = ""
+"""Frame of what is placed in odom."""
+RETRY_PERIOD = 0.05
+"""Period at which messages that wait for transforms are looked at, if none arrive [s]."""
+MOST_WAITING = 50
+"""Largest number of messages of a topic that wait; the oldest ones are dropped."""
+TIME_JUMP = 0.1
+"""Jump of ROS time into the past above which the transforms are forgotten [s]."""
+
+
+class FrameTransforms:
+    """Listens to transforms, and has messages wait for theirs.
+
+    What is given in a frame that moves with the robot, such as a sensor's, is transformed at its
+    stamp. What is given in a frame that does not, such as `map`, stays there; where it is in odom
+    is known from the newest transform only, as a localisation corrects itself.
+
+    Args:
+        node: Node that listens.
+        parameters: Returns the present parameters of the frames.
+    """
+
+    def __init__(self, node: OmnimanNode, parameters: Callable[[], FrameParameters]) -> None:
+        self._node, self._parameters = node, parameters
+        self._tree = TransformTree()
+        self._anchors: dict[str, Transform] = {}
+        self._queues: list[_Queue] = []
+        self._hopeless: set[str] = set()
+        self._latest = 0
+        if tf_messages.TFMessage is None:
+            node.get_logger().info("tf2_msgs is not installed: other frames than odom are refused")
+            return
+        for topic, qos, is_static in (
+            (tf_messages.TOPIC, tf_messages.LISTENER, False),
+            (tf_messages.STATIC_TOPIC, tf_messages.STATIC_LISTENER, True),
+        ):
+            handler = self._handler(topic, is_static)
+            node.create_subscription(tf_messages.TFMessage, topic, handler, qos)
+        node.every(RETRY_PERIOD, self._retry)
+
+    # ---- transforms -----------------------------------------------------------------------------
+
+    def _handler(self, topic: str, is_static: bool) -> Callable[[Any], None]:
+        insert = self._node.guarded(topic, lambda stamped: self._insert(stamped, is_static))
+
+        def handle(message: Any) -> None:
+            self._notice_jump()
+            for stamped in message.transforms:
+                insert(stamped)
+            self._retry()
+
+        return handle
+
+    def _insert(self, message: TransformStamped, is_static: bool) -> None:
+        parent = message.header.frame_id.lstrip("/")
+        child = message.child_frame_id.lstrip("/")
+        if {parent, child} == set(self._parameters().odom.names):
+            return  # odom and another name of it
+        if not self._tree.is_child(child):
+            self._hopeless.clear()
+        time = time_seconds(message.header.stamp)
+        transform = transform_from_message(message.transform)
+        self._tree.insert(parent, child, time, transform, is_static=is_static)
+
+    def _notice_jump(self) -> None:
+        """Forget the transforms if ROS time went back."""
+        now = self._node.get_clock().now().nanoseconds
+        if now < self._latest - TIME_JUMP * 1e9:
+            self._tree.clear()
+        self._latest = now
+
+    # ---- lookup ---------------------------------------------------------------------------------
+
+    def placement(self, header: Header) -> Placement:
+        """Return where the coordinates of a message with a header are.
+
+        Args:
+            header: Frame, and time at which the frame counts; a zero stamp means the newest.
+
+        Raises:
+            TransformError: Odom and the frame are not connected at that time.
+        """
+        odom = self._parameters().odom
+        frame = header.frame_id.lstrip("/")
+        if frame in odom.names:
+            return Placement(ODOM)
+        try:
+            fixed = self._tree.ancestor(frame, odom.odom_frame)
+            time = time_seconds(header.stamp) if is_stamped(header.stamp) else None
+            transform = self._tree.lookup(fixed, frame, time)
+            return Placement(ODOM if fixed == odom.odom_frame else fixed, transform)
+        except TransformError as error:
+            try:
+                check_frame(frame, *odom.names)
+            except InputError as expected:
+                raise type(error)(f"{expected}, or one that TF relates to it: {error}") from error
+            raise
+
+    def anchor(self, frame: str) -> Transform:
+        """Return the newest transform from a frame that does not move with the robot to odom.
+
+        After time went back, it is the last one that was used, until another one arrives.
+
+        Args:
+            frame: The frame of a placement.
+
+        Raises:
+            TransformError: There is none, and never was.
+        """
+        if frame == ODOM:
+            return Transform()
+        try:
+            self._anchors[frame] = self._tree.lookup(
+                self._parameters().odom.odom_frame, frame, None
+            )
+        except TransformError:
+            if frame not in self._anchors:
+                raise
+        return self._anchors[frame]
+
+    def into_odom(self, header: Header) -> Transform:
+        """Return the transform of a message's coordinates into odom as it is known now.
+
+        Raises:
+            TransformError: See `placement`.
+        """
+        place = self.placement(header)
+        return self.anchor(place.frame) @ place.transform
+
+    def silence_reason(self, frame: str) -> str:
+        """Return why the place of a frame in odom is not known any more, or an empty string."""
+        parameters = self._parameters()
+        odom, timeout = parameters.odom.odom_frame, parameters.tf.timeout
+        if frame == ODOM or not timeout:
+            return ""
+        try:
+            updated = self._tree.updated(odom, frame)
+        except TransformError as error:
+            return str(error)
+        age = self._node.get_clock().now().nanoseconds * 1e-9 - updated
+        return f"'{frame}' to '{odom}' is {age:.1f} s old" if age > timeout else ""
+
+    # ---- messages that wait ---------------------------------------------------------------------
+
+    def deferred(
+        self,
+        topic: str,
+        headers: Callable[[M], Iterable[Header]],
+        handler: Callable[[M], str | None],
+    ) -> Callable[[M], str | None]:
+        """Wrap a handler so that its messages wait for their transforms, in their order.
+
+        The handler is called in any case: after the wait, its own lookup says what is missing.
+
+        Args:
+            topic: Name of the messages in warnings.
+            headers: Returns the headers whose frames the handler looks up.
+            handler: Handles a message as in `OmnimanNode.guarded`.
+
+        Returns:
+            A handler for `OmnimanNode.guarded`.
+        """
+        queue = _Queue(headers, self._node.guarded(topic, handler))
+        self._queues.append(queue)
+
+        def handle(message: M) -> str | None:
+            if not queue.waiting and self._is_ready(queue.headers(message)):
+                return handler(message)
+            queue.waiting.append((self._node.now(), message))
+            return None
+
+        return handle
+
+    def _retry(self) -> None:
+        """Hand on the messages that have their transforms, or have waited for too long."""
+        now, wait = self._node.now(), self._parameters().tf.wait
+        for queue in self._queues:
+            while queue.waiting:
+                since, message = queue.waiting[0]
+                headers = list(queue.headers(message))
+                is_over = not 0.0 <= now - since < wait
+                if not is_over and not self._is_ready(headers):
+                    break
+                queue.waiting.popleft()
+                if is_over:
+                    self._give_up(headers)
+                queue.handle(message)
+
+    def _is_ready(self, headers: Iterable[Header]) -> bool:
+        """Return whether no transform is missing that may come yet."""
+        return not any(self._is_awaited(header) for header in headers)
+
+    def _is_awaited(self, header: Header) -> bool:
+        if tf_messages.TFMessage is None or not self._tree or header.frame_id in self._hopeless:
+            return False
+        try:
+            self.placement(header)
+        except TransformError as error:
+            return error.may_come
+        return False
+
+    def _give_up(self, headers: Iterable[Header]) -> None:
+        """Wait no more for frames that nothing relates to odom, until other frames come."""
+        odom = self._parameters().odom.odom_frame
+        for header in headers:
+            try:
+                self._tree.ancestor(header.frame_id.lstrip("/"), odom)
+            except TransformError:
+                self._hopeless.add(header.frame_id)
+
+
+class _Queue:
+    """Messages of a topic that wait, each with its time of arrival [s]."""
+
+    def __init__(
+        self,
+        headers: Callable[[Any], Iterable[Header]],
+        handle: Callable[[Any], None],
+    ) -> None:
+        self.headers, self.handle = headers, handle
+        self.waiting: deque[tuple[float, Any]] = deque(maxlen=MOST_WAITING)

@@ -1,0 +1,28 @@
+"""Messages and quality of service of /tf and /tf_static.
+
+The names are absolute, as tf2's are: to keep the transforms of a namespace in it, remap them
+(`-r /tf:=tf -r /tf_static:=tf_static`), as the launch file and `omniman up` do.
+"""
+
+from importlib import import_module
+from typing import Any
+
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+TFMessage: Any
+"""The messages' type; None where it is missing."""
+try:
+    TFMessage = import_module("tf2_msgs.msg").TFMessage
+except ImportError:  # not among the wheels on PyPI
+    TFMessage = None
+
+TOPIC = "/tf"
+"""Topic of transforms that change."""
+STATIC_TOPIC = "/tf_static"
+"""Topic of transforms that hold for ever."""
+LISTENER = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""Quality of service with which /tf is heard: any publisher matches."""
+STATIC_LISTENER = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+"""Quality of service with which /tf_static is heard: all publishers have one message each."""
+STATIC_PUBLISHER = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+"""Quality of service with which /tf_static is published."""
