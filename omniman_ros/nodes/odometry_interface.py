@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import PoseWithCovarianceStamped
+from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
 from nav_msgs.msg import Odometry as OdometryMsg
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Imu, JointState
@@ -26,6 +26,7 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.nodes import tf_messages
 from omniman_ros.nodes.odometry_parameters import OdometryTopicParameters
 from omniman_ros.nodes.omniman_node import OmnimanNode
+from omniman_ros.nodes.static_transforms import StaticTransforms
 
 Settings = Callable[[], OdometryTopicParameters]
 """Returns the present parameters of the topics."""
@@ -128,7 +129,7 @@ class OdometryInputs:
         self._core.imu.update(time, now, rate, acceleration)
 
     def _on_set_pose(self, message: PoseWithCovarianceStamped) -> None:
-        self._core.set_pose(*planar_pose(message, self._settings().frames))
+        self._core.set_pose(*planar_pose(message, self._settings().frame.names))
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._core.reset_odometry()
@@ -137,7 +138,7 @@ class OdometryInputs:
 
 
 class OdometryOutputs:
-    """Publishes `odom`, `/tf` and `coupling_error`.
+    """Publishes `odom`, `coupling_error` and, on `/tf` and `/tf_static`, transforms.
 
     Args:
         node: Node that owns the publishers.
@@ -155,12 +156,22 @@ class OdometryOutputs:
         self._coupling = node.create_publisher(JointState, "coupling_error", 10)
         p = settings()
         self._odom_message = OdometryMsg(child_frame_id=p.base_frame)
-        self._odom_message.header.frame_id = p.odom_frame
+        self._odom_message.header.frame_id = p.frame.odom_frame
         initialize_odometry(self._odom_message, p.twist_variance)
         names = coupling_names(len(core.coupling_error))
         self._coupling_message = JointState(name=names)
         if self._tf is None and p.publish_tf:
             node.get_logger().info("tf2_msgs is not installed: /tf is off, odom has the same pose")
+
+        if p.frame.map_is_odom and p.publish_tf:
+            self._publish_map(node, p.frame.odom_frame)
+
+    @staticmethod
+    def _publish_map(node: OmnimanNode, odom_frame: str) -> None:
+        """Publish that `map` and odom are one, for what knows only `map`."""
+        same = TransformStamped(child_frame_id=odom_frame)
+        same.header.frame_id, same.header.stamp = "map", node.stamp()
+        StaticTransforms(node, "map_is_odom and odom").publish([same])
 
     def publish_odometry(self, stamp: Time) -> None:
         """Publish the odometry and, if `publish_tf` is set, odom -> base_link on /tf.

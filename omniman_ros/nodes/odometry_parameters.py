@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from omniman_ros.control.wheel_odometry import WheelOdometryParameters
 from omniman_ros.core.parameters import inline, parameter
+from omniman_ros.nodes.frame_parameters import OdomFrame
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,15 +35,13 @@ class OdometryTopicParameters:
         high=100,
         read_only=True,
     )
-    odom_frame: str = parameter("odom", "Frame of poses and references.", read_only=True)
+    frame: OdomFrame = inline()
     base_frame: str = parameter("base_link", "Frame of twists.", read_only=True)
-    map_is_odom: bool = parameter(False, "Whether input in `map` counts as odom.")
-    publish_tf: bool = parameter(True, "Whether odom -> base_link is published on /tf.")
-
-    @property
-    def frames(self) -> tuple[str, ...]:
-        """Names of frames that count as odom."""
-        return (self.odom_frame, "map") if self.map_is_odom else (self.odom_frame,)
+    publish_tf: bool = parameter(
+        True,
+        "Whether odom -> base_link is published on /tf and, with map_is_odom from the start, "
+        "map -> odom on /tf_static.",
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -104,7 +104,7 @@ class PlatformControllerNode(OmnimanNode):
 
         def handle(message: MultiDOFJointTrajectory) -> str:
             start = self.instant(message.header.stamp)
-            preview = preview_from_message(message, start, self._topics().frames)
+            preview = preview_from_message(message, start, self._topics().frame.names)
             return self.core.set_preview(
                 source, preview, self.now(), is_stamped(message.header.stamp)
             )
