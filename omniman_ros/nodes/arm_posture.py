@@ -3,15 +3,10 @@
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from rclpy.qos import QoSProfile
-from sensor_msgs.msg import JointState
 
-from omniman_ros.conversions.joints import joint_arrays, require_array
-from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
-from omniman_ros.core.errors import InputError
-from omniman_ros.nodes.omniman_node import MAX_LEAD, OmnimanNode
-from omniman_ros.nodes.serialized import deserialized
+from omniman_ros.nodes.arm_states import ArmStatesReader
+from omniman_ros.nodes.omniman_node import OmnimanNode
 
 PERIOD = 0.04
 """Period at which the posture is taken [s]; the fastest joint moves by 0.13 rad in it."""
@@ -35,16 +30,10 @@ class ArmPostureInput:
     def __init__(
         self, node: OmnimanNode, names: Sequence[str], on_posture: Callable[[Array], None]
     ) -> None:
-        self._node = node
-        self._names = names
-        self._on_posture = on_posture
+        self._node, self._on_posture = node, on_posture
+        self._states = ArmStatesReader(node, names, max_age=MAX_AGE)
         self._posture: Array | None = None
         self._time = 0.0
-        self._unread: bytes | None = None
-        self._read = node.guarded("arm/joint_states", self._on_states)
-        # The arm reports more often than its mass is needed: only the last report is read.
-        qos = QoSProfile(depth=1)
-        node.create_subscription(JointState, "arm/joint_states", self._keep, qos, raw=True)
         node.every(PERIOD, self._take)
 
     @property
@@ -60,26 +49,12 @@ class ArmPostureInput:
         if self._posture is not None:
             self._on_posture(self._posture)
 
-    def _keep(self, data: bytes) -> None:
-        self._unread = data
-
     def _take(self) -> None:
-        data, self._unread = self._unread, None
-        if data is not None:
-            self._read(data)
-
-    def _on_states(self, data: bytes) -> None:
-        message = deserialized(data, JointState)
-        position, _, _ = joint_arrays(message, self._names)
-        posture = require_array(position, plausible.ANGLE, "position")
-        time, now = self._node.instant(message.header.stamp), self._node.now()
-        if now - time > MAX_AGE:
-            raise InputError(f"stale, {now - time:.3f} s old")
-        # A known posture from the future was received before simulated time jumped back.
-        if self._posture is not None and time < self._time <= now + MAX_LEAD:
-            raise InputError(f"out of order, {self._time - time:.4f} s before the last message")
-        self._time = time
-        known = self._posture
+        states = self._states.poll()
+        if states is None:
+            return
+        self._time = states.time
+        known, posture = self._posture, states.position
         if known is None or float(np.abs(posture - known).max()) > RESOLUTION:
             self._posture = posture
             self._on_posture(posture)

@@ -278,7 +278,7 @@ def test_a_jump_back_in_time_discards_the_joint_states(world):
     world.run(0.2)
     assert (
         world.node.motions.context.arm_feed.position is not None
-        or world.node.motions.context.arm_feed._data is not None
+        or world.node.motions.context.arm_feed._reader._data is not None
     )
     world.arm_reports = False
     world.time -= 500.0

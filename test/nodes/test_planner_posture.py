@@ -126,7 +126,7 @@ def test_states_out_of_order_or_from_the_future_are_ignored(world):
     before = world.ahead
     world.send(STRETCHED, stamp=early)
     assert world.ahead == before
-    assert "older" in world.warnings[-1]
+    assert "out of order" in world.warnings[-1]
     late = world.stamp()
     late.sec += 5
     world.send(STRETCHED, stamp=late)

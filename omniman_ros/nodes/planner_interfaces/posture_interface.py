@@ -3,24 +3,23 @@
 from enum import Enum
 
 import numpy as np
-from rclpy.qos import QoSProfile
-from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
 from omniman_ros.collision.body_outline import BodyOutline
 from omniman_ros.collision.footprint import Footprint
 from omniman_ros.conversions.arm import joint_preview
-from omniman_ros.conversions.joints import joint_arrays, require_array
 from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
+from omniman_ros.nodes.arm_states import TOPIC as STATES
+from omniman_ros.nodes.arm_states import ArmStatesReader
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.planner_interfaces.parameters import MpcPlannerParameters, body_outline
 from omniman_ros.nodes.serialized import deserialized
 
-STATES, REFERENCE = "arm/joint_states", "arm/joint_reference"
-"""Names of the topics."""
+REFERENCE = "arm/joint_reference"
+"""Name of the topic of the arm's previews."""
 
 
 class PostureSource(Enum):
@@ -44,18 +43,14 @@ class PostureInterface:
 
     def __init__(self, node: OmnimanNode, settings: ParameterSet[MpcPlannerParameters]) -> None:
         self._node, self._settings = node, settings
-        self._states: bytes | None = None
+        self._states = ArmStatesReader(node, settings.value.arm.joints)
         self._reference: bytes | None = None
         self._made: tuple[Array, Footprint] | None = None
         self._has_logged = False
         self.forget()
         self.configure(settings.value)
-        once = QoSProfile(depth=1)
-        for kind, topic, handler in (
-            (JointState, STATES, self._on_states),
-            (JointTrajectory, REFERENCE, self._on_reference),
-        ):
-            node.create_subscription(kind, topic, node.guarded(topic, handler), once, raw=True)
+        handler = node.guarded(REFERENCE, self._on_reference)
+        node.create_subscription(JointTrajectory, REFERENCE, handler, 1, raw=True)
 
     def configure(self, parameters: MpcPlannerParameters) -> None:
         """Use other shapes and another margin from the next cycle on."""
@@ -64,17 +59,17 @@ class PostureInterface:
 
     def forget(self) -> None:
         """Forget all that was received, because time went back."""
-        self._states = self._reference = None
-        self._measured: tuple[float, Array] | None = None
+        self._states.forget()
+        self._reference = None
         self._expected: tuple[Array, Array] | None = None
 
     def source(self, now: float) -> PostureSource:
         """Return where the posture comes from at the time `now` [s]."""
         if not self._outline.has_arm:
             return PostureSource.NO_ARM
-        if self._measured is None:
+        if self._states.last is None:
             return PostureSource.ASSUMED
-        is_fresh = now - self._measured[0] <= self._settings.value.footprint.states_timeout
+        is_fresh = now - self._states.last.time <= self._settings.value.footprint.states_timeout
         return PostureSource.MEASURED if is_fresh else PostureSource.LAST_MEASURED
 
     def silence_reason(self, now: float) -> str:
@@ -83,9 +78,10 @@ class PostureInterface:
             return ""
         if self.source(now) is PostureSource.ASSUMED:
             return f"no {STATES} yet"
-        if self._measured is None or self.source(now) is not PostureSource.LAST_MEASURED:
+        last = self._states.last
+        if last is None or self.source(now) is not PostureSource.LAST_MEASURED:
             return ""
-        return f"{STATES} are {now - self._measured[0]:.1f} s old"
+        return f"{STATES} are {now - last.time:.1f} s old"
 
     def footprint(self, now: float) -> Footprint:
         """Return the footprint of the robot, from now [s] on to the end of the known preview."""
@@ -99,13 +95,13 @@ class PostureInterface:
         """Return the measured or assumed posture, and those that the arm goes to, (k, 6)."""
         if not self._outline.has_arm:
             return np.zeros((0, 6))
-        self._read_states()
+        self._states.poll()
         self._read_reference(now)
-        if self._measured is None:
+        if self._states.last is None:
             self._log_assumption()
             here = np.array(self._settings.value.footprint.posture)
         else:
-            here = self._measured[1]
+            here = self._states.last.position
         if self.source(now) is PostureSource.LAST_MEASURED:
             self._node.warn(STATES, f"no {STATES}: the arm counts as being where it was last")
         if self._expected is None:
@@ -122,29 +118,8 @@ class PostureInterface:
             text = "footprint.posture is the arm's posture until arm/joint_states are received"
             self._node.get_logger().warning(text)
 
-    def _on_states(self, data: bytes) -> None:
-        self._states = data
-
     def _on_reference(self, data: bytes) -> None:
         self._reference = data
-
-    def _read_states(self) -> None:
-        """Read the states that were received last, unless they have been read already."""
-        data, self._states = self._states, None
-        if data is None:
-            return
-        try:
-            message = deserialized(data, JointState)
-            position, _, _ = joint_arrays(message, self._settings.value.arm.joints)
-            posture = require_array(position, plausible.ANGLE, "position")
-            time = min(self._node.instant(message.header.stamp), self._node.now())
-        except InputError as error:
-            self._node.warn(STATES, f"{STATES} ignored: {error}")
-            return
-        if self._measured is not None and time < self._measured[0] - 1e-6:
-            self._node.warn(STATES, f"{STATES} ignored: they are older than the last ones")
-        else:
-            self._measured = time, posture
 
     def _read_reference(self, now: float) -> None:
         """Read the reference that was received last, and drop one that has ended."""

@@ -4,15 +4,12 @@ from collections import deque
 from collections.abc import Callable
 
 import numpy as np
-from sensor_msgs.msg import JointState
 
-from omniman_ros.conversions.joints import joint_arrays, require_array
-from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.motion.path.parameters import TICK
+from omniman_ros.nodes.arm_states import ArmStates, ArmStatesReader
 from omniman_ros.nodes.omniman_node import OmnimanNode
-from omniman_ros.nodes.serialized import deserialized
 from omniman_ros.nodes.trajectory_interfaces.odom_feed import AT_REST
 
 MAX_LAG = 0.2
@@ -51,15 +48,10 @@ class ArmFeed:
         self.velocity: Array = np.zeros(len(names))
         self.silence, self.time = 0.0, float("-inf")
         self.rest_position: Array | None = None
-        self._received = float("-inf")
-        self._data: bytes | None = None
         self._references: deque[tuple[float, Array]] = deque()
-        # Messages stay serialized: at rest, states are needed only now and then.
-        on_data = node.guarded("arm/joint_states", self._on_data)
-        node.create_subscription(JointState, "arm/joint_states", on_data, 1, raw=True)
+        self._reader = ArmStatesReader(node, names, self._on_message)
 
-    def _on_data(self, data: bytes) -> None:
-        self._data, self._received = data, self._node.now()
+    def _on_message(self) -> None:
         if self._is_moving():
             self.measure()
             self._on_states()
@@ -70,27 +62,18 @@ class ArmFeed:
         Raises:
             InputError: The message cannot be used.
         """
-        data, self._data = self._data, None
-        if data is None:
-            return
-        message = deserialized(data, JointState)
-        position, velocity, _ = joint_arrays(message, self._names)
-        self.position = require_array(position, plausible.ANGLE, "position")
-        if velocity is None:
-            self.velocity = np.zeros(len(self._names))
-        else:
-            plausible.demand(velocity, plausible.SPEED, "velocity")
-            self.velocity = velocity
-        instant, now = self._node.instant(message.header.stamp), self._node.now()
-        self.silence = max(now - instant, 0.0)
-        self.time = min(instant, now, self._received)
+        self._adopt(self._reader.read())
+
+    def _adopt(self, states: ArmStates | None) -> None:
+        """Use states that have just been read, if there are any."""
+        if states is not None:
+            self.position, self.velocity = states.position, states.velocity
+            self.time = states.time
+            self.silence = max(self.age, 0.0)
 
     def state(self) -> tuple[Array, Array] | None:
         """Return the last usable joint angles [rad] and rates [rad/s], (6,) each, if any."""
-        try:
-            self.measure()
-        except InputError as error:
-            self._node.warn("arm/joint_states", f"arm/joint_states ignored: {error}")
+        self._adopt(self._reader.poll())
         return None if self.position is None else (self.position, self.velocity)
 
     @property
@@ -174,5 +157,5 @@ class ArmFeed:
 
     def forget(self) -> None:
         """Forget all measurements, because time went back."""
-        self.position = self._data = None
-        self.time = self._received = float("-inf")
+        self._reader.forget()
+        self.position, self.time = None, float("-inf")
