@@ -12,12 +12,12 @@ from rcl_interfaces.msg import ParameterDescriptor, ParameterType
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.time import Time
 
 from omniman_ros.conversions.headers import is_stamped
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.throttle import Throttle
 from omniman_ros.nodes.clock_follower import ClockFollower
+from omniman_ros.nodes.rclpy_compat import nanoseconds
 
 P = ParamSpec("P")
 
@@ -74,7 +74,7 @@ class OmnimanNode(Node):
 
     def now(self) -> float:
         """Return the time of the node's clock [s]."""
-        return self.clock.now().nanoseconds * 1e-9
+        return nanoseconds(self.clock) * 1e-9
 
     def every(self, period: float, callback: Callable[[], None]) -> None:
         """Call `callback` every `period` seconds of the node's clock."""
@@ -126,11 +126,11 @@ class OmnimanNode(Node):
         """
         if not is_stamped(stamp):
             return 0.0
-        if self.is_simulated and not self.clock.now().nanoseconds:
+        if self.is_simulated and not nanoseconds(self.clock):
             raise NoTimeError("there is no time on /clock yet")
         # Time.from_msg raises on negative seconds; a stamp that old is merely stale.
         sent = stamp.sec * 1_000_000_000 + stamp.nanosec
-        age: float = (self.get_clock().now().nanoseconds - sent) * 1e-9
+        age: float = (nanoseconds(self.get_clock()) - sent) * 1e-9
         if age < -max_lead:
             raise InputError(f"the stamp is {-age:.3f} s ahead")
         return age
@@ -151,9 +151,10 @@ class OmnimanNode(Node):
     def stamp(self, instant: float | None = None) -> TimeMsg:
         """Return the ROS time of an instant of the node's clock [s]; now if it is None."""
         if instant is None or not math.isfinite(instant):
-            return self.get_clock().now().to_msg()
-        nanoseconds = round(self._ros_time_lead() + instant * 1e9)
-        return Time(nanoseconds=max(nanoseconds, 0)).to_msg()
+            time = nanoseconds(self.get_clock())
+        else:
+            time = max(round(self._ros_time_lead() + instant * 1e9), 0)
+        return TimeMsg(sec=time // 10**9, nanosec=time % 10**9)
 
     def instant(self, stamp: TimeMsg, max_lead: float = MAX_LEAD) -> float:
         """Return the instant of the node's clock that a stamp means [s]; now for a zero stamp.
@@ -176,11 +177,13 @@ class OmnimanNode(Node):
 
     def _ros_time_lead(self) -> float:
         """Return how far ROS time is ahead of the node's clock [ns]."""
+        if self.is_simulated:
+            return 0.0
         shortest, offset = math.inf, 0.0
         for _ in range(CLOCK_READING_ATTEMPTS):
-            before, ros, after = self.now(), self.get_clock().now(), self.now()
+            before, ros, after = self.now(), nanoseconds(self.get_clock()), self.now()
             if after - before < shortest:
-                shortest, offset = after - before, ros.nanoseconds - 0.5e9 * (before + after)
+                shortest, offset = after - before, ros - 0.5e9 * (before + after)
             if shortest < CLOCK_READING_TIME:
                 break
         return offset

@@ -18,7 +18,7 @@ from rclpy.parameter import Parameter
 from omniman_ros.core.errors import OmnimanError, ParameterError
 from omniman_ros.core.parameters import Spec, build, specs
 from omniman_ros.nodes.rclpy_compat import parameter_overrides
-from omniman_ros.nodes.registry import known_names
+from omniman_ros.nodes.registry import known_names, names_of_no_node
 from omniman_ros.robots import load_robot
 
 T = TypeVar("T")
@@ -34,6 +34,8 @@ _PARAMETER_TYPES: dict[tuple[type, type | None], Parameter.Type] = {
     (tuple, int): Parameter.Type.INTEGER_ARRAY,
 }
 """Type of a ROS parameter by the Python type of its value and, for a tuple, of its items."""
+_OF_RCLPY = ("use_sim_time", "qos_overrides", "start_type_description_service")
+"""Beginnings of the names of parameters that rclpy declares for every node."""
 _UNBOUNDED = 1e300
 """Bound of a range that is open on one side; descriptors need both."""
 
@@ -94,7 +96,7 @@ class ParameterSet(Generic[T]):
         self.value: T = build(cls, self._current())
         node.add_pre_set_parameters_callback(self._with_typed_empty_arrays)
         node.add_on_set_parameters_callback(self._on_set)
-        for sentence in unknown_names(self._overrides, known_names()):
+        for sentence in unknown_names(self._overrides, self._specs):
             node.get_logger().warning(sentence)
 
     def on_change(self, apply: Callable[[T], None]) -> None:
@@ -111,7 +113,7 @@ class ParameterSet(Generic[T]):
         if "wheels.names" in self._overrides:
             return {}
         values = load_robot(name)
-        for sentence in unknown_names(values, known_names()):
+        for sentence in unknown_names(values, self._specs):
             raise ParameterError("robot", name, sentence)
         return values
 
@@ -189,17 +191,19 @@ class ParameterSet(Generic[T]):
         return SetParametersResult(successful=True)
 
 
-def unknown_names(given: Iterable[str], known: Iterable[str]) -> list[str]:
+def unknown_names(given: Iterable[str], own: Iterable[str] = ()) -> list[str]:
     """Return a sentence about each given parameter name that no node of the package has.
 
     rclpy ignores a mistyped name in a file silently.
+
+    Args:
+        given: Names of the given parameters.
+        own: Names that are known to be right, those of the node itself.
     """
-    names = {*known, "robot"}
+    strange = [name for name in {*given} - {*own, "robot"} if not name.startswith(_OF_RCLPY)]
     sentences = []
-    for name in sorted(set(given) - names):
-        if name.startswith(("use_sim_time", "qos_overrides", "start_type_description_service")):
-            continue
-        close = difflib.get_close_matches(name, names, 1)
+    for name in sorted(names_of_no_node(strange)):
+        close = difflib.get_close_matches(name, {*known_names(), "robot"}, 1)
         hint = f", did you mean '{close[0]}'?" if close else ""
         sentences.append(f"no node of omniman_ros has a parameter '{name}'{hint}")
     return sentences

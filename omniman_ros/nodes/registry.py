@@ -1,18 +1,18 @@
 """The nodes of the package, and tables of their parameters."""
 
 import importlib
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from functools import cache
 
 from omniman_ros.core.parameters import Spec, specs
 
 NODES = {
     "platform_controller": "nodes.platform_controller_parameters.PlatformControllerParameters",
+    "simulated_ur": "nodes.simulated_ur_parameters.SimulatedUrParameters",
     "simulated_drive": "nodes.simulated_drive_parameters.SimulatedDriveParameters",
     "simulated_world": "nodes.simulated_world_parameters.SimulatedWorldParameters",
     "can_bridge": "nodes.can_bridge_parameters.CanBridgeParameters",
     "simulated_can_drives": "nodes.simulated_can_drives_parameters.SimulatedCanDrivesParameters",
-    "simulated_ur": "nodes.simulated_ur_parameters.SimulatedUrParameters",
     "arm_streamer": "nodes.arm_streamer_parameters.ArmStreamerParameters",
     "path_interpolator": "nodes.trajectory_interfaces.parameters.PathInterpolatorParameters",
     "mpc_planner": "nodes.planner_interfaces.parameters.MpcPlannerParameters",
@@ -26,8 +26,9 @@ NODES = {
 }
 """Parameter dataclass of each executable, within the package.
 
-Each node looks up the parameters of all nodes when it starts, so the modules named here import
-nothing heavy; in particular, not the nodes themselves.
+A node that is given a name that it has no parameter of looks it up here when it starts, node after
+node, so the modules named here import nothing heavy; in particular, not the nodes themselves. The
+robots' files name parameters of the first.
 """
 
 
@@ -46,6 +47,23 @@ def node_specs(node: str) -> list[Spec]:
 def known_names() -> frozenset[str]:
     """Return the names of all parameters that any node of the package has."""
     return frozenset(spec.name for node in NODES for spec in node_specs(node))
+
+
+def names_of_no_node(given: Iterable[str]) -> set[str]:
+    """Return those names that no node of the package has a parameter of.
+
+    The nodes are asked one after the other, until all names are found: to import the parameters of
+    all of them takes as much time as to make a node.
+
+    Args:
+        given: Names of parameters.
+    """
+    left = set(given)
+    for node in NODES:
+        if not left:
+            break
+        left -= {spec.name for spec in node_specs(node)}
+    return left
 
 
 def markdown(node: str, *, robot: bool, listed: Collection[Spec] = ()) -> Iterator[str]:

@@ -70,6 +70,9 @@ def run(make: Callable[[], OmnimanNode], args: list[str] | None = None) -> int:
     follower = node.follow_clock()
     executor = EventsExecutor()
     executor.add_node(node)
+    # What the imports and the node have made lasts as long as the process.
+    gc.freeze()
+    gc.enable()
     exit_code = 1
     try:
         while not signals:
@@ -95,6 +98,7 @@ def run(make: Callable[[], OmnimanNode], args: list[str] | None = None) -> int:
         node.destroy_node()
         rclpy.try_shutdown()
         del executor, node
+        gc.unfreeze()
         gc.collect()
         signal.alarm(0)
         faulthandler.cancel_dump_traceback_later()

@@ -7,7 +7,7 @@ from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import parameter
 from omniman_ros.simulation.ur.arm import JOINTS, UrArmParameters
 from omniman_ros.simulation.ur.faults import UrFaultParameters
-from omniman_ros.simulation.ur.tcp_ports import UrPortParameters
+from omniman_ros.simulation.ur.port_parameters import UrPortParameters
 
 
 @dataclass(frozen=True, kw_only=True)

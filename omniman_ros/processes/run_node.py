@@ -5,6 +5,7 @@ SIGINT to this process when the parent has died for any reason, SIGKILL included
 is left behind; the node then comes to rest and ends as it does on Ctrl-C.
 """
 
+import gc
 import importlib
 import sys
 
@@ -16,6 +17,8 @@ def main() -> int:
     parent, name, *arguments = sys.argv[1:]
     try:
         follow_parent(int(parent))
+        # Nothing that the imports make is garbage; `nodes.runtime.run` enables the search for it.
+        gc.disable()
         # Imports take time, during which a signal must be handled here.
         from omniman_ros.nodes.registry import node_module
 

@@ -30,7 +30,7 @@ class HeldUp:
         return Time(nanoseconds=self.time + lead)
 
     def of(self, lead):
-        return SimpleNamespace(now=lambda: self._read(lead))
+        return SimpleNamespace(handle=SimpleNamespace(get_now=lambda: self._read(lead)))
 
 
 @pytest.fixture

@@ -1,5 +1,8 @@
 """Parameter sets as ROS parameters: unknown names and robots from files."""
 
+import subprocess
+import sys
+
 import pytest
 import rclpy
 from rclpy.parameter import Parameter
@@ -14,9 +17,27 @@ from test.nodes.harness import World, free_domain
 
 
 def test_mistyped_name_is_reported_with_the_closest_known_one():
-    (sentence,) = unknown_names(["coupling.k_epsilonn", "limits.linear_jerk"], known_names())
+    (sentence,) = unknown_names(["coupling.k_epsilonn", "limits.linear_jerk"])
     assert "coupling.k_epsilonn" in sentence and "'coupling.k_epsilon'" in sentence
-    assert unknown_names(["use_sim_time", "robot"], known_names()) == []
+    assert unknown_names(["use_sim_time", "robot"]) == []
+
+
+def test_the_names_of_all_nodes_are_known():
+    assert unknown_names(known_names()) == []
+
+
+def test_a_start_does_not_import_the_parameters_of_all_nodes():
+    """To import them took as much time as to make the node."""
+    code = (
+        "import sys, rclpy; from omniman_ros.nodes.platform_controller import *; rclpy.init(); "
+        "PlatformControllerNode().destroy_node(); rclpy.shutdown(); "
+        "print([name for name in sys.modules if name.endswith('parameters')])"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", code], check=True, timeout=60, capture_output=True, text=True
+    )
+    assert "omniman_ros.nodes.platform_controller_parameters" in ended.stdout
+    assert "omniman_ros.planning.parameters" not in ended.stdout
 
 
 def test_robot_file_with_a_mistyped_name_is_rejected(tmp_path):

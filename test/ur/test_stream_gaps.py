@@ -9,7 +9,7 @@ from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.simulation.ur.arm import CYCLE, UrArmParameters
 from omniman_ros.simulation.ur.controller_server import ControllerServer
 from omniman_ros.simulation.ur.modes import RuntimeState, SafetyMode
-from omniman_ros.simulation.ur.tcp_ports import UrPortParameters
+from omniman_ros.simulation.ur.port_parameters import UrPortParameters
 from omniman_ros.ur.joint_preview import JointPreview
 from omniman_ros.ur.parameters import UrParameters
 from omniman_ros.ur.reverse_interface import ProgramMode, pack

@@ -10,8 +10,9 @@ from omniman_ros.simulation.ur.arm_body import ArmBody
 from omniman_ros.simulation.ur.controller import Controller, RunningProgram
 from omniman_ros.simulation.ur.modes import RobotMode
 from omniman_ros.simulation.ur.pace import MAX_WAIT, Pace, RealTime
+from omniman_ros.simulation.ur.port_parameters import UrPortParameters
 from omniman_ros.simulation.ur.program_sockets import ProgramSockets
-from omniman_ros.simulation.ur.tcp_ports import ControllerPorts, UrPortParameters
+from omniman_ros.simulation.ur.tcp_ports import ControllerPorts
 from omniman_ros.simulation.ur.urscript.compiler import Program as Text
 from omniman_ros.simulation.ur.urscript.host import Host
 from omniman_ros.simulation.ur.urscript.machine import Machine

@@ -2,10 +2,8 @@
 
 import socket
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from omniman_ros.core.errors import InputError, ParameterError
-from omniman_ros.core.parameters import parameter
 from omniman_ros.simulation.ur.controller import Controller
 from omniman_ros.simulation.ur.port_clients import (
     DashboardClient,
@@ -13,6 +11,7 @@ from omniman_ros.simulation.ur.port_clients import (
     RtdeClient,
     ScriptClient,
 )
+from omniman_ros.simulation.ur.port_parameters import UrPortParameters
 from omniman_ros.simulation.ur.program_sockets import CHUNK, ProgramSockets, abort, prepare
 from omniman_ros.simulation.ur.rtde_server import RtdeError, RtdeServerSession
 
@@ -157,22 +156,6 @@ class TcpPort:
 
     def _drop_closed(self) -> None:
         self.connections = [connection for connection in self.connections if connection.open]
-
-
-@dataclass(frozen=True, kw_only=True)
-class UrPortParameters:
-    """Address and numbers of the controller's ports."""
-
-    address: str = parameter(
-        "127.0.0.1", "Address at which the ports listen; all if 0.0.0.0.", read_only=True
-    )
-    dashboard: int = parameter(
-        29999, "Dashboard; any free port if 0, as below.", low=0, high=65535, read_only=True
-    )
-    primary: int = parameter(30001, "Programs.", low=0, high=65535, read_only=True)
-    secondary: int = parameter(30002, "Programs.", low=0, high=65535, read_only=True)
-    realtime: int = parameter(30003, "Programs.", low=0, high=65535, read_only=True)
-    rtde: int = parameter(30004, "RTDE.", low=0, high=65535, read_only=True)
 
 
 class ControllerPorts:

@@ -11,7 +11,7 @@ from omniman_ros.simulation.arm_link.server import ArmLinkServer
 from omniman_ros.simulation.ur.arm import UrArmParameters
 from omniman_ros.simulation.ur.controller_server import ControllerServer
 from omniman_ros.simulation.ur.pace import SimulatedTime
-from omniman_ros.simulation.ur.tcp_ports import UrPortParameters
+from omniman_ros.simulation.ur.port_parameters import UrPortParameters
 from test.simulation.world.support import ideal
 
 pytestmark = pytest.mark.processes  # the controller runs in a thread

@@ -7,7 +7,7 @@ import pytest
 from omniman_ros.simulation.ur.arm import CYCLE, UrArmParameters
 from omniman_ros.simulation.ur.controller_server import ControllerServer
 from omniman_ros.simulation.ur.pace import SimulatedTime
-from omniman_ros.simulation.ur.tcp_ports import UrPortParameters
+from omniman_ros.simulation.ur.port_parameters import UrPortParameters
 
 pytestmark = pytest.mark.processes  # the controller runs in a thread
 

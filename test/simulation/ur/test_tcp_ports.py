@@ -12,7 +12,7 @@ from omniman_ros.simulation.ur.arm import CYCLE, UrArmParameters
 from omniman_ros.simulation.ur.controller_server import ControllerServer
 from omniman_ros.simulation.ur.faults import UrFaultParameters
 from omniman_ros.simulation.ur.modes import RuntimeState
-from omniman_ros.simulation.ur.tcp_ports import UrPortParameters
+from omniman_ros.simulation.ur.port_parameters import UrPortParameters
 
 ANSWER = 5.0
 """Time limit for the kernel to deliver data over the loopback [s]."""
