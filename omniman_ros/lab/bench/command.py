@@ -5,6 +5,7 @@ import importlib
 
 BENCHMARKS = {
     "control": "omniman_ros.lab.bench.control",
+    "nodes": "omniman_ros.lab.bench.nodes",
     "path": "omniman_ros.lab.bench.path",
     "mpc": "omniman_ros.lab.bench.mpc",
     "can": "omniman_ros.lab.bench.can_bus",
