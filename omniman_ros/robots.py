@@ -1,7 +1,10 @@
 """Read robots from files: config/NAME.yaml, which is a ROS parameter file as well."""
 
 from collections.abc import Mapping
+from copy import copy
+from functools import lru_cache
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import yaml
@@ -51,9 +54,15 @@ def load_robot(robot: str) -> Mapping[str, Any]:
     """
     path = robot_file(robot)
     try:
-        tree = yaml.load(path.read_text(encoding="utf-8"), Loader=_LOADER)
-        return flatten_mapping(tree["/**"]["ros__parameters"])
+        values = _parse(path.read_text(encoding="utf-8"))
+        return MappingProxyType({name: copy(value) for name, value in values.items()})
     except (yaml.YAMLError, TypeError, KeyError, AttributeError, OSError) as error:
         raise ParameterError(
             "robot", robot, f"{path.name} has no '/**: ros__parameters:' with values ({error!r})"
         ) from error
+
+
+@lru_cache(maxsize=8)
+def _parse(text: str) -> Mapping[str, Any]:
+    """Return the parameters in the text of a file."""
+    return flatten_mapping(yaml.load(text, Loader=_LOADER)["/**"]["ros__parameters"])

@@ -128,3 +128,13 @@ def test_helpers_make_what_they_say():
     assert robots.parameters("ig42", {"drive.mode": "torque"}).drive.mode == "torque"
     assert robots.robot("omniman", {"body.mass": 99.0}).body.mass == 99.0
     PlatformKinematics(robots.random_wheels(np.random.default_rng(1), 7))
+
+
+def test_a_robot_is_read_anew_after_a_change_of_what_was_read_or_of_the_file(tmp_path):
+    path = tmp_path / "mine.yaml"
+    path.write_text(robot_file("ig42").read_text())
+    first = load_robot(str(path))
+    first["wheels.y"].append(1.0)
+    assert load_robot(str(path))["wheels.y"] == first["wheels.y"][:-1]
+    path.write_text(path.read_text().replace("mass: 25.0", "mass: 26.5"))
+    assert load_robot(str(path))["body.mass"] == 26.5

@@ -135,6 +135,12 @@ def _group_of_several(hint: Any) -> type | None:
 
 def specs(cls: type, prefix: str = "") -> list[Spec]:
     """Return the parameters of a dataclass and of its groups, in order of declaration."""
+    return list(_specs(cls, prefix))
+
+
+@cache
+def _specs(cls: type, prefix: str) -> tuple[Spec, ...]:
+    """Return the parameters of a dataclass; every change of one builds all groups anew."""
     found: list[Spec] = []
     hints = _hints(cls)
     for entry in dataclasses.fields(cls):
@@ -158,7 +164,7 @@ def specs(cls: type, prefix: str = "") -> list[Spec]:
                 **entry.metadata,
             )
         )
-    return found
+    return tuple(found)
 
 
 def build(cls: type[T], values: Mapping[str, Any], prefix: str = "") -> T:
