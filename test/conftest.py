@@ -15,6 +15,7 @@ from hypothesis import HealthCheck, settings
 
 from omniman_ros.processes import ros_domain
 from omniman_ros.processes.ros_domain import free_domain
+from test import shared_memory
 
 # Seeded, without a database or wall time: the same examples on every machine.
 settings.register_profile(
@@ -39,6 +40,11 @@ WORKER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
 WORKERS = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
 ros_domain.HIGH_DOMAINS = ros_domain.HIGH_DOMAINS[WORKER::WORKERS]
 ros_domain.LOW_DOMAINS = range(1, 40)[WORKER::WORKERS]
+
+
+def pytest_sessionstart():
+    """Remove what killed participants of earlier runs have left: discovery waits for it."""
+    shared_memory.remove_abandoned()
 
 
 def pytest_collection_modifyitems(items):
