@@ -2,8 +2,8 @@
 
 A segment or a port of Fast DDS 2.14 is a file `fastrtps_NAME`, a lock `fastrtps_NAME_el` or `_sl`
 that its participants hold as long as they live (flock(2)), and for a port
-`sem.fastrtps_NAME_mutex`. None of them vanishes with a process that is killed: hundreds gather, and
-later participants open such ports again, the mutex as the killed process has left it.
+`sem.fastrtps_NAME_mutex`. None of them vanishes with a process that is killed: hundreds gather,
+and later participants open such ports again, the mutex as the killed process has left it.
 """
 
 import fcntl
