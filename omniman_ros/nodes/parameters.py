@@ -1,8 +1,7 @@
 """Parameter dataclasses as ROS parameters: declared, described, validated and live."""
 
-import difflib
 from array import array
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Generic, TypeVar
 
 from rcl_interfaces.msg import (
@@ -18,7 +17,7 @@ from rclpy.parameter import Parameter
 from omniman_ros.core.errors import OmnimanError, ParameterError
 from omniman_ros.core.parameters import Spec, build, specs
 from omniman_ros.nodes.rclpy_compat import parameter_overrides
-from omniman_ros.nodes.registry import known_names, names_of_no_node
+from omniman_ros.nodes.registry import unknown_names
 from omniman_ros.robots import load_robot
 
 T = TypeVar("T")
@@ -34,8 +33,6 @@ _PARAMETER_TYPES: dict[tuple[type, type | None], Parameter.Type] = {
     (tuple, int): Parameter.Type.INTEGER_ARRAY,
 }
 """Type of a ROS parameter by the Python type of its value and, for a tuple, of its items."""
-_OF_RCLPY = ("use_sim_time", "qos_overrides", "start_type_description_service")
-"""Beginnings of the names of parameters that rclpy declares for every node."""
 _UNBOUNDED = 1e300
 """Bound of a range that is open on one side; descriptors need both."""
 
@@ -189,21 +186,3 @@ class ParameterSet(Generic[T]):
             return SetParametersResult(successful=False, reason=str(error))
         self.value = value
         return SetParametersResult(successful=True)
-
-
-def unknown_names(given: Iterable[str], own: Iterable[str] = ()) -> list[str]:
-    """Return a sentence about each given parameter name that no node of the package has.
-
-    rclpy ignores a mistyped name in a file silently.
-
-    Args:
-        given: Names of the given parameters.
-        own: Names that are known to be right, those of the node itself.
-    """
-    strange = [name for name in {*given} - {*own, "robot"} if not name.startswith(_OF_RCLPY)]
-    sentences = []
-    for name in sorted(names_of_no_node(strange)):
-        close = difflib.get_close_matches(name, {*known_names(), "robot"}, 1)
-        hint = f", did you mean '{close[0]}'?" if close else ""
-        sentences.append(f"no node of omniman_ros has a parameter '{name}'{hint}")
-    return sentences

@@ -1,5 +1,6 @@
 """The nodes of the package, and tables of their parameters."""
 
+import difflib
 import importlib
 from collections.abc import Collection, Iterable, Iterator
 from functools import cache
@@ -30,6 +31,8 @@ A node that is given a name that it has no parameter of looks it up here when it
 node, so the modules named here import nothing heavy; in particular, not the nodes themselves. The
 robots' files name parameters of the first.
 """
+_OF_RCLPY = ("use_sim_time", "qos_overrides", "start_type_description_service")
+"""Beginnings of the names of parameters that rclpy declares for every node."""
 
 
 def node_module(name: str) -> str:
@@ -49,7 +52,7 @@ def known_names() -> frozenset[str]:
     return frozenset(spec.name for node in NODES for spec in node_specs(node))
 
 
-def names_of_no_node(given: Iterable[str]) -> set[str]:
+def _names_of_no_node(given: Iterable[str]) -> set[str]:
     """Return those names that no node of the package has a parameter of.
 
     The nodes are asked one after the other, until all names are found: to import the parameters of
@@ -64,6 +67,24 @@ def names_of_no_node(given: Iterable[str]) -> set[str]:
             break
         left -= {spec.name for spec in node_specs(node)}
     return left
+
+
+def unknown_names(given: Iterable[str], own: Iterable[str] = ()) -> list[str]:
+    """Return a sentence about each given parameter name that no node of the package has.
+
+    rclpy ignores a mistyped name in a file silently.
+
+    Args:
+        given: Names of the given parameters.
+        own: Names that are known to be right, those of the node itself.
+    """
+    strange = [name for name in {*given} - {*own, "robot"} if not name.startswith(_OF_RCLPY)]
+    sentences = []
+    for name in sorted(_names_of_no_node(strange)):
+        close = difflib.get_close_matches(name, {*known_names(), "robot"}, 1)
+        hint = f", did you mean '{close[0]}'?" if close else ""
+        sentences.append(f"no node of omniman_ros has a parameter '{name}'{hint}")
+    return sentences
 
 
 def markdown(node: str, *, robot: bool, listed: Collection[Spec] = ()) -> Iterator[str]:

@@ -8,9 +8,8 @@ import rclpy
 from rclpy.parameter import Parameter
 
 from omniman_ros.core.errors import ParameterError
-from omniman_ros.nodes.parameters import unknown_names
 from omniman_ros.nodes.platform_controller import PlatformControllerNode
-from omniman_ros.nodes.registry import NODES, known_names, node_specs
+from omniman_ros.nodes.registry import NODES, known_names, node_specs, unknown_names
 from omniman_ros.nodes.simulated_drive import SimulatedDriveNode
 from omniman_ros.robots import robot_file
 from test.nodes.harness import World, free_domain
