@@ -256,7 +256,7 @@ ROWS = (
         GoingOn.RESET,
         motion=Motion.TRAJECTORY,
         unnoticed=0.5,
-        timeout="ur.read_timeout",
+        timeout="the streamer waits for its process",
         stopped=(STREAMER,),
     ),
     Row(
