@@ -6,7 +6,7 @@ from functools import partial
 import pytest
 
 from omniman_ros.nodes import tf_messages
-from omniman_ros.nodes.mpc_planner import MpcPlannerNode
+from omniman_ros.nodes.collision_monitor import CollisionMonitorNode
 from omniman_ros.nodes.platform_controller import PlatformControllerNode
 from omniman_ros.processes.robot_setup import TRANSFORM_REMAPPING
 from test.nodes.harness import World
@@ -53,7 +53,7 @@ def test_map_to_odom_is_left_to_a_localisation_otherwise(parameters):
 def test_transforms_are_global_in_a_namespace_unless_remapped(remapping, prefix):
     made = [
         partial(kind, cli_args=[*NAMESPACE, *remapping])
-        for kind in (PlatformControllerNode, MpcPlannerNode)
+        for kind in (PlatformControllerNode, CollisionMonitorNode)
     ]
     with World(*made, parameters={"robot": "ig42", "map_is_odom": True}) as world:
         publisher, listener = world.nodes
