@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from omniman_ros.console.errors import CommandError
 from omniman_ros.lab.bench.measurement import cpu_time
 
 MEBIBYTE = 2**20
@@ -50,8 +51,10 @@ def usage(pid: int, at: float) -> Usage | None:
         descriptors = len(os.listdir(folder / "fd"))
         threads = len(os.listdir(folder / "task"))
         cpu = cpu_time(pid)
-    except (OSError, RuntimeError):
+    except (OSError, CommandError):
         return None
+    if not pages:
+        return None  # it has ended, and its parent does not know yet
     memory = pages * os.sysconf("SC_PAGE_SIZE") / MEBIBYTE
     return Usage(at, pid, memory, descriptors, threads, cpu)
 
