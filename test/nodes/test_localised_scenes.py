@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 from omniman_ros.core import se2
+from omniman_ros.planning.cycle import PlannerState
+from omniman_ros.planning.obstacles.separation import box_gap
 from test.nodes.test_mpc_planner import (
     TrueObstacle,
     built_once,  # noqa: F401  a fixture
@@ -23,7 +25,9 @@ SCENES = 60
 DRIFT = 0.05 / 60.0
 OBSTACLES = 3
 APART = 1.2
-"""Distance of all obstacles from start and goal [m]: a jump must not put the goal into one."""
+"""Distance of all obstacles from start and goal [m], which jumps may make less."""
+CLEARANCE = 0.05
+"""Gap at the goal below which it counts as occupied [m]: safety.clearance by default."""
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -54,6 +58,14 @@ class Scene(LocalisedPlanner):
                 self.obstacles_present.append(TrueObstacle(x, y, float(rng.uniform(0.1, 0.25))))
         self.seen = True
 
+    def gap_at_goal(self) -> float:
+        """Return the gap that the robot would have at its goal [m]."""
+        centers = np.array([[thing.origin for thing in self.obstacles_present]])
+        axes = np.array([[(thing.radius, thing.radius) for thing in self.obstacles_present]])
+        box, flat = self.core.footprint.platform, np.zeros(OBSTACLES)
+        pose = self.core.goal.targets(np.array([self.time]))[0]
+        return float(box_gap(pose, box, centers, axes, flat).min())
+
     def marks(self) -> list:
         """Return the obstacles as seen from the robot."""
         x, y, theta = self.true_pose().tolist()
@@ -74,8 +86,12 @@ def test_goals_in_a_map_that_drifts_and_jumps_are_reached_without_contact(seed):
         there = world.to_map(*world.target)
         world.goals.publish(goal(*there, frame="map"))
         world.begin()
-        world.arrive(60.0)
+        ended = (PlannerState.ARRIVED, PlannerState.BLOCKED)
+        world.run_until(lambda: world.state in ended, 60.0, "an end")
         assert world.gap > 0.0, "contact"
+        if world.state is PlannerState.BLOCKED:  # a jump has put the goal beside an obstacle
+            assert world.gap_at_goal() < CLEARANCE
+            return
         distance, angle = world.error_in_map(there)
         assert distance < 0.03 and angle < 0.03
         world.assert_no_step()
