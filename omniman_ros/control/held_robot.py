@@ -20,6 +20,10 @@ from omniman_ros.core.parameters import parameter
 
 MAX_REPORT_GAP = 0.1
 """Longest time between two reports of torques that the estimate bridges [s]."""
+IMPACT_TIME = 0.012
+"""Time for which a speed must be lost that the wheels still have [s]: rollers that slip while the
+robot reverses lose as much for a few milliseconds, a robot that meets something for 0.1 s and
+longer."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +59,7 @@ class HeldRobotParameters:
     speed: float = parameter(
         0.2,
         "Speed that the platform has lost and its wheels still have, by the accelerations of "
-        "`imu`, from which the robot counts as held at once.",
+        "`imu`, from which the robot counts as held, for more than 12 ms.",
         unit="m/s",
         low=0.001,
         high=100,
@@ -120,7 +124,7 @@ class HeldRobotDetector:
         self.torque_reported = False
         self.held = False
         self._parameters = parameters
-        self._pushed, self._turned, self._misled = (Persistence() for _ in range(3))
+        self._pushed, self._turned, self._misled, self._lost = (Persistence() for _ in range(4))
         self._time = -math.inf
 
     def configure(
@@ -143,6 +147,7 @@ class HeldRobotDetector:
         self._pushed.clear()
         self._turned.clear()
         self._misled.clear()
+        self._lost.clear()
 
     def update_wheels(self, time: float, speeds: Array, effort: Array | None) -> None:
         """Process a report of the drives.
@@ -208,11 +213,11 @@ class HeldRobotDetector:
     def _contradicted(self, dt: float) -> str:
         """Return why an inertial sensor says that the robot is held; empty if it does not."""
         p, comparison = self._parameters, self.comparison
-        lost_x, lost_y = comparison.velocity.tolist()
-        if math.hypot(lost_x, lost_y) > p.speed:
+        lost = math.hypot(*comparison.velocity.tolist())
+        if self._lost.update(lost > p.speed, dt) > IMPACT_TIME:
             return (
-                f"the robot is held: it has lost {math.hypot(lost_x, lost_y):.2f} m/s that its "
-                "wheels still have, as imu shows"
+                f"the robot is held: it has lost {lost:.2f} m/s that its wheels still have, as "
+                "imu shows"
             )
         difference = abs(comparison.yaw_rate)
         if self._misled.update(difference > p.yaw_rate, dt) > p.time:
