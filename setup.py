@@ -30,7 +30,7 @@ EXECUTABLES = {
     "arm_streamer": "omniman_ros.nodes.arm_streamer:main",
     "path_interpolator": "omniman_ros.nodes.path_interpolator:main",
     "mpc_planner": "omniman_ros.nodes.mpc_planner:main",
-    "joint_state_broadcaster": "omniman_ros.nodes.joint_state_broadcaster:main",
+    "joint_states_merger": "omniman_ros.nodes.joint_states_merger:main",
     "odometry": "omniman_ros.nodes.odometry:main",
     "station_keeper": "omniman_ros.nodes.station_keeper:main",
     "collision_monitor": "omniman_ros.nodes.collision_monitor:main",

@@ -207,9 +207,7 @@ def start(context: LaunchContext) -> list[Any]:
     # The URDF has joints that somebody publishes only, and one node publishes it.
     is_armed = given["arm"] != "none"
     of_joints = {"publish_description": not has_description, "describe_arm": is_armed}
-    nodes.append(
-        node("joint_state_broadcaster", *limits, {**common, **of_joints}, essential=False)
-    )
+    nodes.append(node("joint_states_merger", *limits, {**common, **of_joints}, essential=False))
     if _is_true(given, "mpc"):
         nodes.append(node("mpc_planner", common))
     if _is_true(given, "viewer"):

@@ -63,7 +63,7 @@ ROBOT_NODES = (
     NodeKind("platform_controller", stage=0),
     NodeKind("path_interpolator", stage=0),
     NodeKind("mpc_planner", stage=0, is_available=lambda: PLANNING.is_available),
-    NodeKind("joint_state_broadcaster", stage=0, essential=False),
+    NodeKind("joint_states_merger", stage=0, essential=False),
     NodeKind("odometry", stage=0, on_request=True),
     NodeKind("station_keeper", stage=0, on_request=True),
     NodeKind(COLLISION_MONITOR, stage=0, essential=False, on_request=True),
@@ -80,7 +80,7 @@ ROBOT_NODES = (
 LIMITED_NODES = ("platform_controller", "path_interpolator", "arm_streamer")
 """Nodes that obey the collision monitor, and stop without it, where it is started."""
 
-ARM_AWARE_NODES = ("path_interpolator", "joint_state_broadcaster", COLLISION_MONITOR)
+ARM_AWARE_NODES = ("path_interpolator", "joint_states_merger", COLLISION_MONITOR)
 """Nodes that plan within the arm's limits, predict by them or publish them.
 
 Like the nodes of the arm, they get the parameters in the file of the arm's controller."""
@@ -227,7 +227,7 @@ def _arm_arguments(
 ) -> dict[str, list[str]]:
     """Return the arguments that concern the arm, by the name of the node."""
     if arm == "none" and not setup.only:
-        return {"joint_state_broadcaster": ["-p", "describe_arm:=false"]}
+        return {"joint_states_merger": ["-p", "describe_arm:=false"]}
     if not any(kind.arms for kind in chosen):
         return {}
     shared: list[str] = []

@@ -362,7 +362,7 @@ def test_platform_starts_the_simulated_drive_and_the_controller_by_default(platf
             "",
             {"robot": "omniman", "use_sim_time": False, "collision_monitor.use": False},
         ),
-        "joint_state_broadcaster": (
+        "joint_states_merger": (
             "",
             {"robot": "omniman", "use_sim_time": False, **joints},
         ),
@@ -499,7 +499,7 @@ def test_real_drives_get_a_bridge_with_their_installation_and_no_simulation(plat
     assert set(nodes) == {
         "platform_controller",
         "path_interpolator",
-        "joint_state_broadcaster",
+        "joint_states_merger",
         "can_bridge",
     }
     assert nodes["can_bridge"] == ("", {"file": "my own.yaml", "robot": "omniman"})
@@ -651,7 +651,7 @@ def test_a_real_arm_and_the_nodes_that_know_its_limits_get_the_controllers_file(
         "use_sim_time": False,
         "collision_monitor.use": False,
     }
-    assert nodes["joint_state_broadcaster"][1]["file"] == "my own.yaml"
+    assert nodes["joint_states_merger"][1]["file"] == "my own.yaml"
 
 
 OMNIMAN = "/my ws/lib/omniman_ros/omniman"
@@ -699,7 +699,7 @@ def test_one_node_publishes_the_urdf_which_has_the_joints_that_are_published(
 ):
     installed.add("robot_state_publisher")
     _, nodes = platform(description=described, arm=arm)
-    joints = nodes["joint_state_broadcaster"][1]
+    joints = nodes["joint_states_merger"][1]
     assert joints["publish_description"] is not ("robot_state_publisher" in nodes)
     assert joints["describe_arm"] is (arm != "none")
     for command in urdf_commands:
@@ -748,12 +748,12 @@ def test_the_stages_of_all_nodes_are_those_of_omniman_up(file_of):
 def test_a_stop_reaches_each_stage_once_the_earlier_ones_have_ended(file_of):
     context, nodes = running(file_of("platform"), drive="can", mpc="false")
     ask_all(nodes, context, send_sigint=False)
-    first = {"platform_controller", "path_interpolator", "joint_state_broadcaster"}
+    first = {"platform_controller", "path_interpolator", "joint_states_merger"}
     assert {name for name, node in nodes.items() if node.asked} == first
     # A terminal's Ctrl-C does not reach our nodes: they get a signal of their own.
     assert all(nodes[name].asked == [True] for name in first)
     assert not targets(nodes["path_interpolator"].end(context, 0)) - first
-    assert not targets(nodes["joint_state_broadcaster"].end(context, 0)) - first
+    assert not targets(nodes["joint_states_merger"].end(context, 0)) - first
     assert targets(nodes["platform_controller"].end(context, 0)) == {"can_bridge"}
     assert targets(nodes["can_bridge"].end(context, 0)) == {"simulated_can_drives"}
     assert not nodes["simulated_can_drives"].end(context, -14)  # at rest, see `nodes.runtime`
@@ -772,7 +772,7 @@ def test_the_end_of_a_node_that_the_robot_needs_is_a_failure_of_the_launch(file_
 def test_a_node_that_does_not_come_to_rest_is_a_failure_once_all_have_ended(file_of):
     context, nodes = running(file_of("platform"), mpc="false")
     ask_all(nodes, context)
-    for name in ("path_interpolator", "joint_state_broadcaster"):
+    for name in ("path_interpolator", "joint_states_merger"):
         nodes[name].end(context, 0)
     assert targets(nodes["platform_controller"].end(context, 1)) == {"simulated_drive"}
     with pytest.raises(RuntimeError, match="not stopped in order: platform_controller-1"):
@@ -784,7 +784,7 @@ def test_only_nodes_that_move_nothing_are_started_again(file_of, installed, urdf
     given = {"rviz": "true", "viewer": "true", "respawn": "true", "respawn_delay": "3"}
     context, nodes = running(file_of("platform"), **given)
     again = {name for name, node in nodes.items() if node.options.get("respawn")}
-    assert again == {"joint_state_broadcaster", "viewer", *THIRD_PARTY_NODES}
+    assert again == {"joint_states_merger", "viewer", *THIRD_PARTY_NODES}
     assert {nodes[name].options["respawn_delay"] for name in again} == {3.0}
     viewer = nodes["viewer"]
     assert viewer.end(context, 1) == []  # no exception: the robot runs on

@@ -16,7 +16,7 @@ ALWAYS_STARTED = {
     "platform_controller",
     "path_interpolator",
     "mpc_planner",
-    "joint_state_broadcaster",
+    "joint_states_merger",
     "viewer",
 }
 

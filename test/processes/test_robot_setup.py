@@ -106,10 +106,10 @@ def test_without_an_arm_or_a_world_nothing_is_linked(with_engine, setup):
 
 def test_the_urdf_has_no_arm_where_nothing_moves_it():
     hidden = "-p describe_arm:=false"
-    assert hidden in arguments(RobotSetup(arm="none"), "joint_state_broadcaster")
-    assert hidden not in arguments(RobotSetup(), "joint_state_broadcaster")
-    only = RobotSetup(arm="none", only=["joint_state_broadcaster"])
-    assert hidden not in arguments(only, "joint_state_broadcaster"), "the arm may be elsewhere"
+    assert hidden in arguments(RobotSetup(arm="none"), "joint_states_merger")
+    assert hidden not in arguments(RobotSetup(), "joint_states_merger")
+    only = RobotSetup(arm="none", only=["joint_states_merger"])
+    assert hidden not in arguments(only, "joint_states_merger"), "the arm may be elsewhere"
 
 
 def test_a_scene_of_the_user_is_found_from_any_folder(with_engine, tmp_path, monkeypatch):

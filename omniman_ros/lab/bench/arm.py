@@ -66,7 +66,7 @@ LENIENT = (
 Simulated hardware has to share the CPU with the nodes, and must not stop the robot when it is
 late. The read time-out of the UR program is short, as its expiry is what the benchmark counts.
 """
-UNNEEDED_NODES = ("joint_state_broadcaster", "viewer")
+UNNEEDED_NODES = ("joint_states_merger", "viewer")
 """Nodes that are left out, as a robot moves without them."""
 HARDWARE_NODES = ("simulated_drive", "simulated_ur")
 """Nodes that simulate hardware; the hardware of a real robot has CPUs of its own."""

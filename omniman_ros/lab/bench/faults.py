@@ -25,7 +25,7 @@ from omniman_ros.processes.process_group import redirect_signals
 from omniman_ros.processes.robot_setup import RobotSetup
 from omniman_ros.processes.ros_domain import isolate_ros_domain
 
-UNNEEDED = ("joint_state_broadcaster", "viewer", "mpc_planner")
+UNNEEDED = ("joint_states_merger", "viewer", "mpc_planner")
 """Nodes that are not started: no row is about them, and none needs them."""
 SHORT_TIMEOUTS = (
     "can.missed_periods:=12",

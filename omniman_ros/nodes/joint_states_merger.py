@@ -1,4 +1,4 @@
-"""Node `joint_state_broadcaster`: wheels and arm together on `joint_states`, and the URDF.
+"""Node `joint_states_merger`: wheels and arm together on `joint_states`, and the URDF.
 
 These are the topics that robot_state_publisher, RViz and MoveIt expect of a robot.
 """
@@ -18,7 +18,7 @@ from omniman_ros.conversions.joints import joint_arrays, require_array
 from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
-from omniman_ros.nodes.joint_state_broadcaster_parameters import JointStateBroadcasterParameters
+from omniman_ros.nodes.joint_states_merger_parameters import JointStatesMergerParameters
 from omniman_ros.nodes.omniman_node import MAX_LEAD, OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.runtime import run
@@ -50,14 +50,14 @@ class JointSample:
         return self.stamp.sec, self.stamp.nanosec
 
 
-class JointStateBroadcasterNode(OmnimanNode):
+class JointStatesMergerNode(OmnimanNode):
     """Merges the joint states of wheels and arm, and publishes the URDF."""
 
     lookahead = math.inf
 
     def __init__(self, **options: object) -> None:
-        super().__init__("joint_state_broadcaster", **options)
-        self.settings = ParameterSet(self, JointStateBroadcasterParameters)
+        super().__init__("joint_states_merger", **options)
+        self.settings = ParameterSet(self, JointStatesMergerParameters)
         p = self.settings.value
         self._samples: dict[str, JointSample] = {}
         self._unread: dict[str, Callable[[], None]] = {}
@@ -77,7 +77,7 @@ class JointStateBroadcasterNode(OmnimanNode):
             self._subscribe(topic)
         self.every(1.0 / p.rate, self.tick)
 
-    def _publish_description(self, p: JointStateBroadcasterParameters) -> None:
+    def _publish_description(self, p: JointStatesMergerParameters) -> None:
         text = p.description.urdf
         if self._description is not None and text != self._urdf:
             self._description.publish(String(data=text))
@@ -167,5 +167,5 @@ def _concatenated(parts: Sequence[Array | None]) -> list[float]:
 
 
 def main(args: list[str] | None = None) -> int:
-    """Run the node: entry point of `ros2 run omniman_ros joint_state_broadcaster`."""
-    return run(JointStateBroadcasterNode, args)
+    """Run the node: entry point of `ros2 run omniman_ros joint_states_merger`."""
+    return run(JointStatesMergerNode, args)

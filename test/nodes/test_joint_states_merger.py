@@ -8,7 +8,7 @@ from std_msgs.msg import String
 
 from omniman_ros.core.arm_parameters import UR_JOINTS
 from omniman_ros.core.errors import ParameterError
-from omniman_ros.nodes.joint_state_broadcaster import JointStateBroadcasterNode
+from omniman_ros.nodes.joint_states_merger import JointStatesMergerNode
 from omniman_ros.nodes.stop_interface import LATCHED
 from test import robots
 from test.nodes.harness import PERIOD, World, last
@@ -50,7 +50,7 @@ class JointStateSources:
 
 @pytest.fixture
 def world():
-    with World(JointStateBroadcasterNode) as world:
+    with World(JointStatesMergerNode) as world:
         yield world
 
 
@@ -172,7 +172,7 @@ def test_the_rate_is_set_by_the_parameter(robot):
 
 def test_rate_and_timeout_can_be_changed():
     given = {"rate": 100.0, "timeout": 0.1}
-    with World(JointStateBroadcasterNode, parameters=given) as world:
+    with World(JointStatesMergerNode, parameters=given) as world:
         robot = JointStateSources(world)
         robot.publish_arm()
         robot.world.run(0.2, each=robot.publish_wheels)
@@ -245,7 +245,7 @@ def test_states_with_other_names_are_ignored_with_a_warning(robot, warnings, nam
 def test_an_arm_joint_with_the_name_of_a_wheel_is_refused_at_startup():
     names = [*UR_JOINTS[:5], "rear_left"]
     with pytest.raises(ParameterError, match="'rear_left' is also a wheel"):
-        World(JointStateBroadcasterNode, parameters={"arm.joints": names})
+        World(JointStatesMergerNode, parameters={"arm.joints": names})
 
 
 # ---- URDF -------------------------------------------------------------------------------------
@@ -262,7 +262,7 @@ def test_the_urdf_is_latched_and_contains_the_published_joints(world, robot):
 
 def test_the_urdf_describes_the_configured_robot():
     given = {"robot": robots.path("omni3"), "arm.mass": 20.0, "mount.z": 0.8, "mount.x": 0.05}
-    with World(JointStateBroadcasterNode, parameters=given) as world:
+    with World(JointStatesMergerNode, parameters=given) as world:
         (message,) = world.listen(String, "robot_description", LATCHED)
     root = ElementTree.fromstring(message.data)
     wheels = {j.get("name") for j in root.findall("joint") if j.get("type") == "continuous"}
@@ -284,7 +284,7 @@ def test_the_urdf_is_published_again_when_a_parameter_changes_it(world):
 
 
 def test_publishing_the_urdf_can_be_left_to_robot_state_publisher():
-    with World(JointStateBroadcasterNode, parameters={"publish_description": False}) as world:
+    with World(JointStatesMergerNode, parameters={"publish_description": False}) as world:
         topics = {name for name, _ in world.nodes[0].get_topic_names_and_types()}
         robot = JointStateSources(world)
         robot.publish_wheels()

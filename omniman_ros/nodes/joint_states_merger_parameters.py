@@ -1,4 +1,4 @@
-"""Parameters of the node `joint_state_broadcaster`."""
+"""Parameters of the node `joint_states_merger`."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from omniman_ros.description.parameters import DescriptionParameters
 
 
 @dataclass(frozen=True, kw_only=True)
-class JointStateBroadcasterParameters:
+class JointStatesMergerParameters:
     """Parameters of the node: those of the URDF, its rate and its timeout."""
 
     description: DescriptionParameters = inline()
