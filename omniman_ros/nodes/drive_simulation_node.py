@@ -12,11 +12,12 @@ from omniman_ros.core.stop import StopLatch, StopState
 from omniman_ros.nodes.drive_command_interface import DriveCommandInterface
 from omniman_ros.nodes.drive_reports import DriveReportPublisher
 from omniman_ros.nodes.imu_publisher import ImuPublisher
-from omniman_ros.nodes.omniman_node import MAX_LEAD, OmnimanNode
+from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.simulated_clock import AWAITED_KEY, PACE_KEY, SimulatedClock
 from omniman_ros.nodes.simulated_drive_parameters import SimulatedDriveParameters
 from omniman_ros.nodes.stop_interface import StopInterface
+from omniman_ros.nodes.timed_node import MAX_LEAD
 from omniman_ros.simulation.plant.body import Body
 from omniman_ros.simulation.plant.imu import BaseMotion, planar_motion
 from omniman_ros.simulation.plant.lossy_channel import LossyChannel

@@ -1,0 +1,176 @@
+"""Node with one clock for its whole life, and the times of messages on it."""
+
+import math
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from typing import Any
+
+from builtin_interfaces.msg import Time as TimeMsg
+from rcl_interfaces.msg import ParameterDescriptor, ParameterType
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+
+from omniman_ros.conversions.headers import is_stamped
+from omniman_ros.core.errors import InputError
+from omniman_ros.nodes.clock_follower import ClockFollower
+from omniman_ros.nodes.rclpy_compat import nanoseconds
+
+MAX_LEAD = 0.05
+"""Largest time that a stamp may be ahead of ROS time [s]."""
+CLOCK_READING_TIME = 1e-4
+"""Time within which two clocks count as read simultaneously [s]."""
+CLOCK_READING_ATTEMPTS = 5
+"""Number of attempts to read two clocks simultaneously: other threads may run in between."""
+
+
+class NoTimeError(InputError):
+    """A stamp cannot be judged, because simulated time has not begun."""
+
+
+class TimedNode(Node):
+    """A node with one clock for its timers and timeouts: steady, or ROS time in simulation.
+
+    Attributes:
+        clock: That clock.
+        lookahead: How far simulated time may be ahead of this node [s]: less than the lead that a
+            stamp may have, and less than any timeout. Short for what is in a control loop, so that
+            a busy machine does not change its figures; infinite for what only watches.
+    """
+
+    lookahead = 0.02
+
+    def __init__(self, name: str, **options: Any) -> None:
+        super().__init__(name, **options)
+        simulated = self.get_parameter("use_sim_time").value
+        # A node has one clock for its whole life: with another one, all its times would be wrong.
+        self.set_descriptor(
+            "use_sim_time",
+            ParameterDescriptor(
+                type=ParameterType.PARAMETER_BOOL,
+                description="Whether to run on /clock.",
+                read_only=True,
+            ),
+        )
+        self.clock = self.get_clock() if simulated else Clock(clock_type=ClockType.STEADY_TIME)
+        self._follower: ClockFollower | None = None
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether the node runs on /clock."""
+        return self.clock is self.get_clock()
+
+    def now(self) -> float:
+        """Return the time of the node's clock [s]."""
+        return nanoseconds(self.clock) * 1e-9
+
+    def every(self, period: float, callback: Callable[[], None]) -> None:
+        """Call `callback` every `period` seconds of the node's clock."""
+        self.create_timer(period, callback, clock=self.clock)
+
+    def time_passed(self) -> None:
+        """Hand simulated time on; a node that has threads or processes overrides this."""
+
+    def report_progress(self) -> None:
+        """Let simulated time go on, after work that was not done by a callback of the clock."""
+        if self._follower is not None:
+            self._follower.report()
+
+    def poll_clock(self) -> None:
+        """Let simulated time pass while a callback waits for something."""
+        if self._follower is not None:
+            self._follower.poll()
+
+    def clock_released(self) -> AbstractContextManager[None]:
+        """Let simulated time run freely while a callback blocks, as nobody waits for this node."""
+        return nullcontext() if self._follower is None else self._follower.released()
+
+    @property
+    def progress(self) -> float:
+        """Simulated time up to which this node has done its work [s]; /clock waits for it.
+
+        A node that has threads or processes at work overrides this.
+        """
+        return self.now()
+
+    def follow_clock(self) -> ClockFollower | None:
+        """Serve the timers by /clock instead of by an executor; None on a steady clock."""
+        if self.is_simulated:
+            self._follower = ClockFollower(
+                self, self.lookahead, self.time_passed, lambda: self.progress
+            )
+        return self._follower
+
+    def age(self, stamp: TimeMsg, max_lead: float = MAX_LEAD) -> float:
+        """Return the age of a stamp in ROS time [s]; 0 for a zero stamp, which means now.
+
+        Args:
+            stamp: Stamp of a message.
+            max_lead: Largest time that it may be ahead of now [s].
+
+        Raises:
+            InputError: The stamp is further ahead.
+            NoTimeError: The node runs on /clock, on which no time has come yet.
+        """
+        if not is_stamped(stamp):
+            return 0.0
+        if self.is_simulated and not nanoseconds(self.clock):
+            raise NoTimeError("there is no time on /clock yet")
+        # Time.from_msg raises on negative seconds; a stamp that old is merely stale.
+        sent = stamp.sec * 1_000_000_000 + stamp.nanosec
+        age: float = (nanoseconds(self.get_clock()) - sent) * 1e-9
+        if age < -max_lead:
+            raise InputError(f"the stamp is {-age:.3f} s ahead")
+        return age
+
+    def sent(self, source_time: int) -> float | None:
+        """Return the instant of the node's clock at which a message was sent [s].
+
+        It is right if both hosts' clocks agree. In simulation, whose time DDS does not know, it is
+        None.
+
+        Args:
+            source_time: Source timestamp of the message, in the sender's system time [ns].
+        """
+        if self.is_simulated:
+            return None
+        return (source_time - self._ros_time_lead()) * 1e-9
+
+    def stamp(self, instant: float | None = None) -> TimeMsg:
+        """Return the ROS time of an instant of the node's clock [s]; now if it is None."""
+        if instant is None or not math.isfinite(instant):
+            time = nanoseconds(self.get_clock())
+        else:
+            time = max(round(self._ros_time_lead() + instant * 1e9), 0)
+        return TimeMsg(sec=time // 10**9, nanosec=time % 10**9)
+
+    def instant(self, stamp: TimeMsg, max_lead: float = MAX_LEAD) -> float:
+        """Return the instant of the node's clock that a stamp means [s]; now for a zero stamp.
+
+        Unlike the present minus the age, it does not depend on what this process or another one
+        does between the readings of two clocks: messages keep their order.
+
+        Args:
+            stamp: Stamp of a message.
+            max_lead: Largest time that it may be ahead of now [s].
+
+        Raises:
+            InputError: The stamp is further ahead.
+        """
+        if not is_stamped(stamp):
+            return self.now()
+        self.age(stamp, max_lead)
+        instant: float = stamp.sec * 1_000_000_000 + stamp.nanosec - self._ros_time_lead()
+        return instant * 1e-9
+
+    def _ros_time_lead(self) -> float:
+        """Return how far ROS time is ahead of the node's clock [ns]."""
+        if self.is_simulated:
+            return 0.0
+        shortest, offset = math.inf, 0.0
+        for _ in range(CLOCK_READING_ATTEMPTS):
+            before, ros, after = self.now(), nanoseconds(self.get_clock()), self.now()
+            if after - before < shortest:
+                shortest, offset = after - before, ros - 0.5e9 * (before + after)
+            if shortest < CLOCK_READING_TIME:
+                break
+        return offset
