@@ -9,6 +9,7 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import Trigger
@@ -117,8 +118,10 @@ def service(drive: Drive) -> None:
     assert drive.call(Trigger, "simulated_drive/stop").success
 
 
-def emergency(drive: Drive) -> None:
-    drive.publisher(Bool, "emergency_stop").publish(Bool(data=True))
+def emergency(drive: Drive) -> Publisher:
+    button = drive.publisher(Bool, "emergency_stop")
+    button.publish(Bool(data=True))
+    return button
 
 
 def shutdown(drive: Drive) -> None:
@@ -152,13 +155,13 @@ def test_every_cause_of_a_stop_stops_every_wheel(drive, way, mode):
 @pytest.mark.parametrize("way", [service, emergency])
 def test_latched_stop_ignores_commands_until_a_reset(drive, way):
     drive.command(0.5, [3.0] * 4)
-    way(drive)
+    button = way(drive)
     assert not drive.call(Trigger, "simulated_drive/reset").success
     drive.command(1.5, [3.0] * 4)
     assert np.abs(drive.speeds).max() < 0.02
     if way is emergency:
         assert not drive.call(Trigger, "simulated_drive/reset").success
-        drive.publisher(Bool, "emergency_stop").publish(Bool(data=False))
+        button.publish(Bool(data=False))
         drive.run(0.1)
     assert drive.call(Trigger, "simulated_drive/reset").success
     drive.run(0.5)
