@@ -66,6 +66,10 @@ SIZE = {"width": 1300, "height": 780}
 BODY = robots.robot("omniman").body
 PLACE = 1.7, 0.5
 """Position to which the goal is dragged, ahead and beside the robot [m]."""
+POSITION = re.compile(r"odom ([+-]\d+\.\d\d)")
+"""Position x on the page."""
+DIGIT = 0.011
+"""Its resolution, with round-off [m]."""
 HAND = 0.15
 """Accuracy of placing an object by mouse in a page with few pixels [m]."""
 MOVED = 0.2
@@ -187,12 +191,19 @@ def is_zero(twist):
 
 
 def wait_for_rest(robot):
+    """Wait until the robot has been at rest from now on: what was received before may be old."""
+    robot.forget_rest()
     robot.wait(lambda: robot.at_rest, "the robot at rest")
 
 
 def wait_until_shown(page, robot):
-    """Wait until a page shows the position of the robot."""
-    page.get_by_text(re.compile(re.escape(f"odom {robot.x:+.2f}"))).wait_for()
+    """Wait until a page shows the position of the robot, to a digit that may be rounded up."""
+    shown = page.get_by_text(POSITION).first
+
+    def is_shown():
+        return abs(float(POSITION.search(shown.inner_text())[1]) - robot.x) < DIGIT
+
+    robot.wait(is_shown, "its position on the page")
 
 
 def near(robot, place):

@@ -59,6 +59,10 @@ class Robot:
             self._stands_since = stamp
         self.at_rest = stamp - self._stands_since > REST_TIME
 
+    def forget_rest(self):
+        """Let the time for which the robot has been standing begin with the next message."""
+        self.at_rest, self._stands_since = False, None
+
     def _on_goal(self, message):
         self.goals.append(_pose(message.pose))
 
