@@ -41,7 +41,7 @@ def description(name="omniman"):
 
 
 class EngineBody:
-    """Distances between the shapes of a URDF whose cylinders are capsules, and boxes beside them.
+    """Distances between the shapes of a URDF whose arm has capsules, and boxes beside them.
 
     Args:
         parameters: Description of the robot.
@@ -56,7 +56,8 @@ class EngineBody:
         spec.compiler.fusestatic = False
         spec.compiler.discardvisual = False
         for geom in spec.geoms:
-            if geom.type == mujoco.mjtGeom.mjGEOM_CYLINDER:
+            is_wheel = geom.parent.name.endswith("_wheel")
+            if geom.type == mujoco.mjtGeom.mjGEOM_CYLINDER and not is_wheel:
                 geom.type = mujoco.mjtGeom.mjGEOM_CAPSULE
         for number, shape in enumerate(extra):
             body = spec.body(shape.body) if shape.body else spec.worldbody
