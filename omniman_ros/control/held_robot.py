@@ -58,8 +58,8 @@ class HeldRobotParameters:
     )
     speed: float = parameter(
         0.2,
-        "Speed that the platform has lost and its wheels still have, by the accelerations of "
-        "`imu`, from which the robot counts as held, for more than 12 ms.",
+        "Speed from which the robot counts as held, if the platform has lost it by the "
+        "accelerations of `imu`, and its wheels have it still, for more than 12 ms.",
         unit="m/s",
         low=0.001,
         high=100,

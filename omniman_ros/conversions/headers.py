@@ -6,7 +6,7 @@ from builtin_interfaces.msg import Duration, Time
 from std_msgs.msg import Header
 
 from omniman_ros.core.errors import InputError
-from omniman_ros.core.transform_tree import Placement
+from omniman_ros.core.transform_tree import ODOM, Placement
 
 
 def time_seconds(stamp: Time | Duration) -> float:
@@ -33,7 +33,7 @@ def within(*frames: str) -> Callable[[Header], Placement]:
 
     def place(header: Header) -> Placement:
         check_frame(header.frame_id, *frames)
-        return Placement("")
+        return Placement(ODOM)
 
     return place
 

@@ -15,6 +15,8 @@ from omniman_ros.core import plausible
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.rigid import IDENTITY, Transform, demand_unit
 
+ODOM = ""
+"""Frame of what is placed in odom, by whatever name the odom frame goes."""
 CACHE_TIME = 10.0
 """Age, relative to the newest sample of its frame, up to which a sample is kept [s]; as tf2."""
 MAX_FRAMES = 1000

@@ -11,15 +11,13 @@ from omniman_ros.conversions.geometry import transform_from_message
 from omniman_ros.conversions.headers import check_frame, is_stamped, time_seconds
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.rigid import Transform
-from omniman_ros.core.transform_tree import Placement, TransformError, TransformTree
+from omniman_ros.core.transform_tree import ODOM, Placement, TransformError, TransformTree
 from omniman_ros.nodes import tf_messages
 from omniman_ros.nodes.frame_parameters import FrameParameters
 from omniman_ros.nodes.omniman_node import OmnimanNode
 
 M = TypeVar("M")
 
-ODOM = ""
-"""Frame of what is placed in odom."""
 RETRY_PERIOD = 0.05
 """Period at which messages that wait for transforms are looked at, if none arrive [s]."""
 MOST_WAITING = 50

@@ -106,10 +106,9 @@ class JointInterface(ABC):
 
     def outcome(self, motion: int) -> str | None:
         """Return why a motion ended: empty if it arrived; None while it waits or goes on."""
-        ledger = self._ledger
-        under_way = motion == ledger.started and not self.idle
-        waits = motion == ledger.accepted != ledger.started and self._is_pending()
-        return None if under_way or waits else ledger.outcome(motion)
+        return self._ledger.outcome_so_far(
+            motion, is_driven=not self.idle, is_pending=self._is_pending()
+        )
 
     def cancel(self, motion: int) -> None:
         """Bring a motion to rest on its path, unless it has ended already."""

@@ -39,10 +39,9 @@ class PathExecutor:
 
     def outcome(self, motion: int) -> str | None:
         """Return why a path ended: empty if it was driven; None while it waits or goes on."""
-        ledger = self._path.ledger
-        under_way = motion == ledger.started and not self._path.idle
-        waits = motion == ledger.accepted != ledger.started and self._path.pending
-        return None if under_way or waits else ledger.outcome(motion)
+        return self._path.ledger.outcome_so_far(
+            motion, is_driven=not self._path.idle, is_pending=bool(self._path.pending)
+        )
 
     def cancel(self, motion: int) -> None:
         """Discard the path if it waits, or bring the platform to rest on it."""

@@ -7,6 +7,7 @@ import numpy as np
 
 from omniman_ros.core import se2
 from omniman_ros.core.rigid import PlanarPose
+from omniman_ros.core.transform_tree import ODOM
 from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.obstacles.obstacles import (
     Key,
@@ -14,9 +15,6 @@ from omniman_ros.planning.obstacles.obstacles import (
     ObstacleParameters,
     ObstacleSet,
 )
-
-ODOM = ""
-"""Frame of obstacles that are observed in odom."""
 
 
 class FramedObstacles:
