@@ -12,6 +12,8 @@ from launch_ros.actions import Node
 
 from omniman_ros.processes.moveit_setup import moveit_configuration
 
+TRANSFORMS = [("/tf", "tf"), ("/tf_static", "tf_static")]
+"""Transforms stay in the namespace, as those of platform.launch.py do."""
 ARGUMENTS = [
     DeclareLaunchArgument(
         "robot",
@@ -51,6 +53,7 @@ def nodes(context, *_):
             package="moveit_ros_move_group",
             executable="move_group",
             namespace=given["namespace"],
+            remappings=TRANSFORMS,
             output="screen",
             parameters=[configuration.move_group, common],
         )
@@ -61,6 +64,7 @@ def nodes(context, *_):
                 package="rviz2",
                 executable="rviz2",
                 namespace=given["namespace"],
+                remappings=TRANSFORMS,
                 parameters=[configuration.panel, common],
             )
         )

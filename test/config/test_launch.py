@@ -308,6 +308,8 @@ def test_moveit_is_started_with_the_descriptions_of_the_robot(file_of, monkeypat
     assert [node["executable"] for node in nodes] == executables
     assert {node["namespace"] for node in nodes} == {"robot1"}
     for node in nodes:
+        assert dict(node["remappings"]) == {"/tf": "tf", "/tf_static": "tf_static"}
+    for node in nodes:
         parameters, common = node["parameters"]
         assert common == {"use_sim_time": False}
         assert parameters["robot_description"].startswith("<?xml")
