@@ -32,9 +32,11 @@ class _Group:
 class EmergencyButtons:
     """Combines the messages of several publishers.
 
-    It is released when it is certain that no publisher presses. Where two of them have sent
-    equally many messages, and one says false, nobody knows which one it was: it stays pressed
-    until the other one has said false, too.
+    It is released when no publisher whose messages have all been received presses. Where two of
+    them have sent equally many messages, and one says false, nobody knows which one it was: it
+    stays pressed until the other one has said false, too. A publisher of whom messages are
+    missing, because it is older than the subscription or they were lost, is taken for another one
+    if its next message has the number that the other one's would have.
 
     A single publisher needs no numbers: its last message counts, and that of one that is gone.
     """
