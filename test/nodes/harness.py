@@ -13,6 +13,7 @@ from functools import partial
 from typing import Any, TypeVar
 
 import rclpy
+from rclpy.duration import Duration
 from rclpy.event_handler import EventHandler, SubscriptionEventCallbacks
 from rclpy.executors import InvalidHandle, SingleThreadedExecutor, TimeoutException
 from rclpy.node import Node
@@ -193,7 +194,11 @@ class World:
         assert not self.context.ok()
 
     def _match_endpoints(self) -> None:
-        """Wait until the nodes under test have discovered each other's topics."""
+        """Wait until the nodes under test have discovered each other's topics.
+
+        The middleware repeats a latched message to a later subscription from a thread of its own,
+        now and then 70 ms after the match: this waits for it, too.
+        """
         for publisher in (publisher for node in self.nodes for publisher in node.publishers):
             matching = sum(
                 subscription.topic_name == publisher.topic_name
@@ -207,6 +212,9 @@ class World:
                 lambda p=publisher, n=matching: p.get_subscription_count() >= n,
                 f"the subscribers of {publisher.topic_name}",
             )
+            if publisher.qos_profile.durability is DurabilityPolicy.TRANSIENT_LOCAL:
+                is_delivered = publisher.wait_for_all_acked(Duration(seconds=MATCH_TIMEOUT))
+                assert is_delivered, f"the latched message of {publisher.topic_name} is missing"
 
     # ---- time ---------------------------------------------------------------------------------
 
