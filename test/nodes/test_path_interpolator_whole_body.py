@@ -12,7 +12,7 @@ from omniman_ros.core.arm_parameters import UR_JOINTS
 from omniman_ros.motion.path.interpolator import PathState
 from omniman_ros.motion.path.parameters import TICK
 from test.nodes.harness import PERIOD
-from test.nodes.test_path_interpolator import BENT
+from test.nodes.test_path_interpolator import BENT, suspend_node
 from test.nodes.test_path_interpolator_arm import FAR, HOME, ArmWorld, trajectory
 from test.tiers import exhaustive
 
@@ -224,6 +224,20 @@ def test_the_platform_brakes_when_the_arm_falls_silent(world):
     assert world.preview(-1).end_speed == 0.0
     assert world.joint_previews[-1][2].end_speed == 0.0
     assert any("no arm/joint_states" in text for text in world.warnings)
+
+
+def test_a_suspended_node_starts_nothing_again_when_the_arm_reports_first(world):
+    world.send_body([GOAL])
+    world.run(1.0)
+    suspend_node(world, 1.0)
+    world.joint_offset = HOME - world.joints  # the streamer has stopped the arm
+    for timer in world.node.timers:
+        timer.reset()  # messages wake the node up before its tick is due
+    sent = len(world.references), len(world.joint_previews)
+    world.run(0.3)
+    assert world.body.state is PathState.IDLE
+    assert (len(world.references), len(world.joint_previews)) == sent
+    assert "shoulder_pan_joint" in world.warnings[0]
 
 
 @pytest.mark.parametrize("scaling", [0.25, exhaustive(0.5)])

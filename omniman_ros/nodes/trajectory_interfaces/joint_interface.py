@@ -211,19 +211,25 @@ class JointInterface(ABC):
         Args:
             why: Reason, in words.
             brake: Whether to send a last preview that leads to rest on the path. Receivers that
-                are stopped come to rest by themselves.
+                are stopped come to rest by themselves, as do those that have run out of
+                references, which would start again.
         """
         if self.idle:
             return
         text = f"the trajectory was given up: {why}"
         self.status.report(MotionEvent.GIVEN_UP, text)
         self._node.warn("trajectory given up", text)
-        window = self._stop_window(self._node.now()) if brake else None
+        now = self._node.now()
+        window = self._stop_window(now) if brake and self._is_covered(now) else None
         self.core.abort()
         self._ledger.close(text, self._ledger.started)
         self._context.arm_feed.rest_position = None
         if window is not None:
             self._send(window)
+
+    def _is_covered(self, now: float) -> bool:
+        """Return whether the receivers still have a reference."""
+        return now <= self._context.arm_previews.covered_until
 
     def _stop_window(self, now: float) -> Window | None:
         return self.core.paced_stop_window(now, self._context.time_base.pace)
@@ -235,7 +241,7 @@ class JointInterface(ABC):
         context, silence = self._context, self._context.arm_feed.silence
         if context.stream_monitor.stop_reason:
             self.give_up(context.stream_monitor.stop_reason, brake=False)
-        elif self._node.now() > context.arm_previews.covered_until:
+        elif not self._is_covered(self._node.now()):
             self.give_up("no preview was sent in time", brake=False)
         elif silence > context.options.joint_trajectory.states_timeout:
             self.give_up(f"no arm/joint_states for {silence:.2f} s", brake=True)

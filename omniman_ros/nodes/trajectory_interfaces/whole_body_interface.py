@@ -177,6 +177,8 @@ class WholeBodyInterface(JointInterface):
         tool, pace = self._tool, self._context.time_base.pace
         if self.idle or tool is None or at <= tool.correction.time:
             return  # a controller that was held up repeats a measurement
+        if not self._is_covered(self._node.now()):
+            return  # the next tick gives the motion up
         reference = self.core.sample(np.array([pace.motion(at)]))[0][0, PLATFORM_COLUMNS]
         tool.correction.update(at, pose, reference)
         if tool.correction.error_ratio > 1.0:
@@ -209,6 +211,9 @@ class WholeBodyInterface(JointInterface):
             self._send_arm(stretch.window.columns(JOINT_COLUMNS))
 
     # ---- hooks --------------------------------------------------------------------------------
+
+    def _is_covered(self, now: float) -> bool:
+        return super()._is_covered(now) and now <= self._context.platform_previews.covered_until
 
     def _stop_window(self, now: float) -> Window | None:
         """Return the stretch that leads to rest, on which the arm keeps its present correction."""
@@ -266,7 +271,7 @@ class WholeBodyInterface(JointInterface):
         context = self._context
         if self.idle:
             return
-        if self._node.now() > context.platform_previews.covered_until:
+        if not self._is_covered(self._node.now()):
             self.give_up(f"no preview for {held_up:.2f} s", brake=False)
         elif context.odom.silence > context.options.odom_timeout:
             self.give_up(f"no odom for {context.odom.silence:.2f} s", brake=True)
