@@ -46,6 +46,7 @@ SHARED = {
     "config/worlds": "config/worlds/*.yaml",
     "launch": "config/launch/*.py",
     "config/nav2": "config/nav2/*.yaml",
+    "config/robot_localization": "config/robot_localization/*.yaml",
     "config/sros2": "config/sros2/*.xml",
     "rviz": "config/rviz/*",
     "plotjuggler": "config/plotjuggler/*",

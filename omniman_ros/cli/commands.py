@@ -4,7 +4,13 @@ import argparse
 from collections.abc import Callable
 from typing import NamedTuple
 
-from omniman_ros.cli.arguments.description import add_moveit, add_node_parameters, add_urdf
+from omniman_ros.cli.arguments.description import (
+    add_map,
+    add_moveit,
+    add_nav2,
+    add_node_parameters,
+    add_urdf,
+)
 from omniman_ros.cli.arguments.identification import add_identify
 from omniman_ros.cli.arguments.lab import add_bench, add_reproduce
 from omniman_ros.cli.arguments.motion import add_goal, add_stop, add_teleop, add_tool
@@ -77,6 +83,10 @@ COMMANDS = {
     "moveit": Command(
         "omniman_ros.cli.moveit", "write the configuration of MoveIt for the robot", add_moveit
     ),
+    "nav2": Command(
+        "omniman_ros.cli.nav2", "write the parameters of Nav2 for the robot", add_nav2
+    ),
+    "map": Command("omniman_ros.cli.scene_map", "write a scene as a map for Nav2", add_map),
     "reproduce": Command(
         "omniman_ros.lab.reproduce.command",
         "repeat a paper's experiment in simulation",

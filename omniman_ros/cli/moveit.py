@@ -5,11 +5,11 @@ from pathlib import Path
 
 import yaml
 
-from omniman_ros.cli.urdf import existing_file, parse_parameters
+from omniman_ros.cli.robot_values import existing_file, parse_parameters
 from omniman_ros.console.errors import CommandError
 from omniman_ros.console.terminal import say
 from omniman_ros.core.errors import ParameterError
-from omniman_ros.processes.moveit_setup import moveit_configuration
+from omniman_ros.processes.moveit_setup import PARAMETERS, moveit_configuration
 from omniman_ros.processes.robot_setup import resolve_robot
 
 
@@ -28,7 +28,8 @@ def run(args: argparse.Namespace) -> int:
     folder = Path(args.output)
     robot, file = resolve_robot(args.robot), existing_file(args.params_file)
     try:
-        configuration = moveit_configuration(robot, file, parse_parameters(args.param))
+        values = parse_parameters(args.param, PARAMETERS, "MoveIt")
+        configuration = moveit_configuration(robot, file, values)
     except ParameterError as error:
         raise CommandError(str(error), 2) from error
     texts = {"omniman.urdf": configuration.description.urdf, "omniman.srdf": configuration.srdf}

@@ -3,11 +3,16 @@
 from collections.abc import Mapping
 from typing import Any
 
-from omniman_ros.core.parameters import build
+from omniman_ros.core.parameters import build, specs
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.motion.path.parameters import PathParameters
 from omniman_ros.moveit.configuration import MoveItConfiguration
 from omniman_ros.robots import load_robot
+
+PARAMETERS = frozenset(
+    spec.name for kind in (DescriptionParameters, PathParameters) for spec in specs(kind)
+)
+"""Names of the parameters that the configuration depends on."""
 
 
 def moveit_configuration(

@@ -14,6 +14,7 @@ from xml.etree import ElementTree
 
 import pytest
 import setuptools
+import yaml
 
 from omniman_ros.cli.main import main
 from omniman_ros.core.parameters import build, specs
@@ -290,9 +291,79 @@ def platform(file_of):
     return lambda **given: launch(file_of("platform"), **given)
 
 
-def test_there_are_three_launch_files():
-    names = [file.name for file in LAUNCH_FILES]
-    assert names == ["moveit.launch.py", "platform.launch.py", "two_robots.launch.py"]
+def test_these_are_the_launch_files():
+    names = [file.name.removesuffix(".launch.py") for file in LAUNCH_FILES]
+    assert names == ["moveit", "nav2", "platform", "two_robots"]
+
+
+@pytest.fixture
+def nav2(file_of, monkeypatch):
+    """Return the keywords of the nodes that the launch file of Nav2 makes, by their names."""
+    monkeypatch.setattr(
+        sys.modules["launch_ros.actions"], "Node", lambda **given: SimpleNamespace(**given)
+    )
+
+    def start(**given):
+        arguments, (*_, action) = load(file_of("nav2"), **given)
+        nodes = {node.name: node for node in action.function(LaunchContext(arguments))}
+        for node in nodes.values():
+            assert node.namespace == arguments["namespace"]
+            assert {"use_sim_time": False} in node.parameters
+        return nodes
+
+    return start
+
+
+def managed(nodes, manager):
+    """Return the nodes that a lifecycle manager activates."""
+    *_, parameters = nodes[f"lifecycle_manager_{manager}"].parameters
+    assert parameters["autostart"]
+    return parameters["node_names"]
+
+
+def test_nav2_is_started_with_the_parameters_of_the_robot(nav2):
+    nodes = nav2(robot="ig42", map="hall.yaml", namespace="robot1")
+    assert managed(nodes, "localization") == ["map_server", "amcl"]
+    driving = managed(nodes, "navigation")
+    assert {*nodes} == {
+        *driving,
+        "map_server",
+        "amcl",
+        "lifecycle_manager_localization",
+        "lifecycle_manager_navigation",
+    }
+    assert "collision_monitor" not in nodes, "the name of a node of the robot"
+    assert {"yaml_filename": "hall.yaml"} in nodes["map_server"].parameters
+    file, *_ = nodes["controller_server"].parameters
+    assert file == nodes["amcl"].parameters[0]
+    assert set(driving) <= set(yaml.safe_load(Path(file).read_text())["robot1"])
+    Path(file).unlink()
+
+
+@pytest.mark.parametrize("monitor", ["true", "False"])
+def test_one_node_of_nav2_publishes_cmd_vel(nav2, monitor):
+    nodes = nav2(monitor=monitor, amcl="false")
+    assert managed(nodes, "navigation") == [name for name in nodes if "lifecycle" not in name]
+    is_monitored = monitor == "true"
+    assert ("nav2_collision_monitor" in nodes) is is_monitored
+    renamed = {name: dict(getattr(node, "remappings", [])) for name, node in nodes.items()}
+    for name in ("controller_server", "behavior_server", "velocity_smoother"):
+        assert renamed[name]["cmd_vel"] == "cmd_vel_nav"
+    smoothed = renamed["velocity_smoother"].get("cmd_vel_smoothed", "cmd_vel_smoothed")
+    assert smoothed == ("cmd_vel_smoothed" if is_monitored else "cmd_vel")
+    Path(nodes["controller_server"].parameters[0]).unlink()
+
+
+def test_zones_to_keep_out_of_have_servers_and_layers(nav2):
+    nodes = nav2(keepout="zones.yaml", amcl="false", nav2_params_file="mine.yaml")
+    zones = ["filter_mask_server", "costmap_filter_info_server"]
+    assert managed(nodes, "localization") == zones
+    assert {"yaml_filename": "zones.yaml"} in nodes["filter_mask_server"].parameters
+    file, mine, *_ = nodes["planner_server"].parameters
+    assert mine == "mine.yaml"
+    costmap = yaml.safe_load(Path(file).read_text())["global_costmap"]["global_costmap"]
+    assert costmap["ros__parameters"]["filters"] == ["keepout_filter"]
+    Path(file).unlink()
 
 
 @pytest.mark.parametrize("rviz", ["true", "False"])

@@ -1,8 +1,9 @@
-"""The Nav2 example against the robot's own file: no speed, no length is written twice unequal."""
+"""Nav2's parameters against the robot's own file."""
 
 import ast
 import math
 
+import numpy as np
 import pytest
 import rclpy
 import yaml
@@ -10,20 +11,26 @@ from rclpy.node import Node
 
 from omniman_ros.core.parameters import specs
 from omniman_ros.nodes.platform_controller_parameters import PlatformControllerParameters
+from omniman_ros.processes.nav2_setup import nav2_parameters
 from omniman_ros.robots import load_robot
-from test.config.documented import ROOT
 
-FILE = ROOT / "config" / "nav2" / "omniman.yaml"
+ROBOTS = ("omniman", "ig42")
+COSTMAPS = ["local_costmap", "global_costmap"]
+
+
+@pytest.fixture(scope="module", params=ROBOTS)
+def name(request):
+    return request.param
 
 
 @pytest.fixture(scope="module")
-def nav2():
-    return yaml.safe_load(FILE.read_text())
+def nav2(name):
+    return nav2_parameters(name)
 
 
 @pytest.fixture(scope="module")
-def robot():
-    return load_robot("omniman")
+def robot(name):
+    return load_robot(name)
 
 
 def parameters(nav2, *names):
@@ -42,10 +49,12 @@ def values_of(tree, wanted):
             yield from values_of(value, wanted)
 
 
-def test_rcl_reads_it(nav2):
+def test_rcl_reads_it(nav2, tmp_path):
     # rcl's own parser knows less of YAML than others do: no aliases.
+    file = tmp_path / "nav2.yaml"
+    file.write_text(yaml.safe_dump(nav2))
     context = rclpy.Context()
-    rclpy.init(args=["--ros-args", "--params-file", str(FILE)], context=context)
+    rclpy.init(args=["--ros-args", "--params-file", str(file)], context=context)
     try:
         options = {"context": context, "start_parameter_services": False}
         node = Node(
@@ -112,25 +121,50 @@ def test_the_horizon_runs_at_the_controllers_rate_and_stays_within_the_costmap(n
     assert min(local["width"], local["height"]) / 2 >= way + corner
 
 
+def corners(parameters_of_costmap):
+    return np.array(ast.literal_eval(parameters_of_costmap["footprint"]))
+
+
 def test_the_footprint_is_the_robots_body_and_inflation_reaches_around_it(nav2, robot):
     half = (robot["body.length"] / 2, robot["body.width"] / 2)
-    costmaps = [parameters(nav2, name, name) for name in ("local_costmap", "global_costmap")]
-    for costmap in costmaps:
-        corners = ast.literal_eval(costmap["footprint"])
-        assert sorted(map(tuple, corners)) == sorted(
+    for costmap in (parameters(nav2, name, name) for name in COSTMAPS):
+        assert sorted(map(tuple, corners(costmap))) == sorted(
             (sx * half[0], sy * half[1]) for sx in (1, -1) for sy in (1, -1)
         )
         assert costmap["inflation_layer"]["inflation_radius"] > math.hypot(*half)
+        assert "filters" not in costmap
+
+
+def test_an_arm_that_sticks_out_is_in_the_footprint():
+    stretched = {"footprint.posture": (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)}
+    costmap = parameters(nav2_parameters("omniman", values=stretched), *2 * COSTMAPS[:1])
+    # The UR5 reaches 0.85 m to its wrist, from its base 0.2 m before the middle.
+    assert 1.05 < corners(costmap)[:, 0].max() < 1.25
+    assert costmap["inflation_layer"]["inflation_radius"] > corners(costmap)[:, 0].max()
+
+
+def test_zones_to_keep_out_of_are_layers_of_both_costmaps_in_the_robots_namespace():
+    nav2 = nav2_parameters("omniman", namespace="robot1", keeps_out=True)
+    assert list(nav2) == ["robot1"]
+    nav2 = nav2["robot1"]
+    info = parameters(nav2, "costmap_filter_info_server")
+    mask = parameters(nav2, "filter_mask_server")
+    assert info["mask_topic"] == f"/robot1/{mask['topic_name']}"
+    for costmap in (parameters(nav2, name, name) for name in COSTMAPS):
+        (layer,) = costmap["filters"]
+        assert costmap[layer]["plugin"] == "nav2_costmap_2d::KeepoutFilter"
+        assert costmap[layer]["filter_info_topic"] == f"/robot1/{info['filter_info_topic']}"
+        assert costmap["obstacle_layer"]["scan"]["topic"] == "/robot1/scan"
 
 
 def test_frames_and_topics_are_ours(nav2):
     defaults = {spec.name: spec.default for spec in specs(PlatformControllerParameters)}
     odom, base = defaults["odom_frame"], defaults["base_frame"]
-    for key in ("robot_base_frame", "base_frame_id", "base_frame"):
+    for key in ("robot_base_frame", "base_frame_id"):
         assert set(values_of(nav2, key)) == {base}
-    for key in ("odom_frame_id", "local_frame", "fixed_frame", "odom_topic"):
+    for key in ("odom_frame_id", "local_frame", "odom_topic"):
         assert set(values_of(nav2, key)) == {odom}
-    assert parameters(nav2, "collision_monitor")["cmd_vel_out_topic"] == "cmd_vel"
+    assert parameters(nav2, "nav2_collision_monitor")["cmd_vel_out_topic"] == "cmd_vel"
 
 
 def test_all_that_drives_sends_the_twist_that_the_platform_takes(nav2):
@@ -140,8 +174,7 @@ def test_all_that_drives_sends_the_twist_that_the_platform_takes(nav2):
         "controller_server",
         "behavior_server",
         "velocity_smoother",
-        "collision_monitor",
-        "docking_server",
+        "nav2_collision_monitor",
     }
     for name in drivers:
         assert parameters(nav2, name)["enable_stamped_cmd_vel"] is False

@@ -20,6 +20,40 @@ def add_moveit(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_nav2(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `omniman nav2`."""
+    _add_description(parser)
+    parser.add_argument(
+        "--namespace", default="", help="namespace of the robot and of Nav2's nodes; default: none"
+    )
+    parser.add_argument(
+        "--keepout", action="store_true", help="have zones in the costmaps to keep out of"
+    )
+    parser.add_argument("--output", metavar="FILE", help="file to write; default: stdout")
+
+
+def add_map(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of `omniman map`."""
+    parser.add_argument(
+        "scene", metavar="SCENE", help="a scene of the package (workshop), or the path of a file"
+    )
+    parser.add_argument(
+        "--resolution", type=float, default=0.05, metavar="M", help="edge of a cell; default: 0.05"
+    )
+    parser.add_argument(
+        "--height",
+        type=float,
+        default=0.5,
+        metavar="M",
+        help="height of what shall pass; default: 0.5",
+    )
+    parser.add_argument(
+        "--output",
+        metavar="STEM",
+        help="files to write, without suffix; default: the scene's name",
+    )
+
+
 def _add_description(parser: argparse.ArgumentParser) -> None:
     """Add the arguments that say what robot is described."""
     add_robot(parser)

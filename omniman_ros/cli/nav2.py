@@ -1,0 +1,47 @@
+"""`omniman nav2`: write the parameters of Nav2 for a robot."""
+
+import argparse
+from pathlib import Path
+
+import yaml
+
+from omniman_ros.cli.robot_values import existing_file, parse_parameters
+from omniman_ros.console.errors import CommandError
+from omniman_ros.console.terminal import write_output
+from omniman_ros.core.errors import ParameterError
+from omniman_ros.processes.nav2_setup import PARAMETERS, nav2_parameters
+from omniman_ros.processes.robot_setup import resolve_robot
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run `omniman nav2`.
+
+    Args:
+        args: Command line.
+
+    Returns:
+        The exit code, 0.
+
+    Raises:
+        CommandError: The options cannot be used, or the file cannot be written.
+    """
+    robot, file = resolve_robot(args.robot), existing_file(args.params_file)
+    try:
+        parameters = nav2_parameters(
+            robot,
+            file,
+            parse_parameters(args.param, PARAMETERS, "Nav2"),
+            namespace=args.namespace,
+            keeps_out=args.keepout,
+        )
+    except ParameterError as error:
+        raise CommandError(str(error), 2) from error
+    text = yaml.safe_dump(parameters, sort_keys=False)
+    if args.output is None:
+        write_output(text)
+        return 0
+    try:
+        Path(args.output).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise CommandError(f"--output {args.output}: {error.strerror}") from error
+    return 0

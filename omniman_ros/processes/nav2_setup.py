@@ -1,0 +1,66 @@
+"""Parameters of Nav2 for a robot by its name and parameter files."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import yaml
+
+from omniman_ros.collision.body_outline import BodyOutline
+from omniman_ros.collision.parameters import LoadShape, ToolShape
+from omniman_ros.control.limits import TwistLimits
+from omniman_ros.core.parameters import build, inline, specs
+from omniman_ros.description.parameters import DescriptionParameters
+from omniman_ros.nav2.configuration import Nav2Configuration
+from omniman_ros.nodes.planner_interfaces.parameters import FootprintOptions
+from omniman_ros.robots import load_robot
+from omniman_ros.share import share_path
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Robot:
+    """What a robot's file says of what Nav2 needs to know."""
+
+    description: DescriptionParameters = inline()
+    limits: TwistLimits
+    tool: ToolShape
+    load: LoadShape
+    footprint: FootprintOptions
+
+
+PARAMETERS = frozenset(spec.name for spec in specs(_Robot))
+"""Names of the parameters that Nav2's depend on."""
+
+
+def nav2_parameters(
+    robot: str,
+    file: str | None = None,
+    values: Mapping[str, Any] | None = None,
+    *,
+    namespace: str = "",
+    keeps_out: bool = False,
+) -> dict[str, Any]:
+    """Return the parameters of Nav2's nodes for a robot.
+
+    Args:
+        robot: Name of a robot of the package, or path of a robot's file.
+        file: Path of a ROS parameter file, whose values go before those of the robot.
+        values: Values of single parameters by name, which go before both; `footprint.posture` is
+            the posture in which the arm is driven around.
+        namespace: Namespace of the robot and of Nav2's nodes; empty for none.
+        keeps_out: Whether the costmaps have zones that the robot keeps out of.
+
+    Raises:
+        ParameterError: A file does not exist, or a value is refused.
+    """
+    found = dict(load_robot(robot))
+    found |= {} if file is None else load_robot(file)
+    given = build(_Robot, found | dict(values or {}))
+    outline = BodyOutline(given.description, given.tool, given.load)
+    footprint = outline.footprint(np.array([given.footprint.posture]), 0.0)
+    common = yaml.safe_load(share_path("config", "nav2", "nav2.yaml").read_text(encoding="utf-8"))
+    configuration = Nav2Configuration(
+        footprint, given.limits, namespace=namespace.strip("/"), keeps_out=keeps_out
+    )
+    return configuration.complete(common)
