@@ -209,7 +209,8 @@ class RunningRobot:
             report=lambda text: None,
         )
         self._groups[label] = group.__enter__()
-        self.stop_states.pop(name, None)
+        if not copy:
+            self.stop_states.pop(name, None)
         niceness = HARDWARE_NICENESS if name in HARDWARE else NICENESS
         with contextlib.suppress(OSError):
             os.setpriority(os.PRIO_PROCESS, group.pid(label), niceness)
