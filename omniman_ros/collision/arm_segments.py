@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from omniman_ros.collision.convex_search import Indices
 from omniman_ros.collision.parameters import ToolShape
 from omniman_ros.collision.segments import dot
-from omniman_ros.collision.solids import Indices
 from omniman_ros.core.arm_model import JOINTS, ArmModel
 from omniman_ros.core.arrays import Array
 from omniman_ros.description.transforms import transform

@@ -5,10 +5,12 @@ from itertools import groupby
 import numpy as np
 
 from omniman_ros.collision.arm_segments import ArmSegments, Segments
+from omniman_ros.collision.convex_search import Indices
 from omniman_ros.collision.load_box import LoadBox
 from omniman_ros.collision.parameters import LoadShape, ToolShape
+from omniman_ros.collision.platform_body import platform_body
 from omniman_ros.collision.segments import segment_distances
-from omniman_ros.collision.solids import Indices, UprightSolids
+from omniman_ros.collision.solids import UprightSolids
 from omniman_ros.core.arm_model import JOINTS
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
@@ -34,10 +36,11 @@ tool, wrist_2 and the tool."""
 class BodyGeometry:
     """Distances of the surfaces of the robot's parts from one another and from solids.
 
-    The platform is a box with the length and the width of the body, from the floor to the upper
-    side of the deck. Links of the arm and the tool are capsules. The load is a box. Where two
-    parts overlap, their distance is minus the depth, if that is less than the radius of a capsule;
-    deeper, it is minus the radius. That of two boxes is zero then.
+    The platform is a box with the length and the width of the body, or a prism with the body's
+    outline, from the floor to the upper side of the deck. Links of the arm and the tool are
+    capsules. The load is a box. Where two parts overlap, their distance is minus the depth, if
+    that is less than the radius of a capsule; deeper, it is minus the radius. Between platform and
+    load, and from solids, it is zero then.
 
     Args:
         description: Shapes of platform and arm, and where the arm is mounted.
@@ -63,14 +66,12 @@ class BodyGeometry:
     ) -> None:
         robot, mount = description.robot, description.mount
         has_arm = carries_arm(robot)
-        self._heights = 0.0, platform_top(robot, mount.z if has_arm else None)
-        length, width = robot.body.length, robot.body.width
-        self._half: Array = np.array((0.5 * length, 0.5 * width))
-        self._platform = UprightSolids.box((0.0, 0.0, 0.0), length, width, self._heights)
+        heights = 0.0, platform_top(robot, mount.z if has_arm else None)
+        self._platform = platform_body(robot.body, heights)
         self.parts: tuple[str, ...] = (PLATFORM,)
         self.pairs: tuple[tuple[str, str], ...] = ()
         self.levers: Array = np.zeros((0, JOINTS))
-        self.part_radii: Array = np.array([np.hypot(*self._half)])
+        self.part_radii: Array = np.array([self._platform.radius])
         self.part_levers: Array = np.zeros((1, JOINTS))
         self._arm: ArmSegments | None = None
         self._load: LoadBox | None = None
@@ -144,10 +145,7 @@ class BodyGeometry:
         moving = axes.select(np.arange(self._link_begins[RIGID_LINKS], len(arm.link)))
         radius = arm.radius[self._link_begins[RIGID_LINKS] :]
         far = reach + arm.radius.max()
-        to_deck = (
-            self._platform.distances(moving.start[..., None], moving.end[..., None], far)[..., 0]
-            - radius
-        )
+        to_deck = self._platform.distances_from_segments(moving.start, moving.end, far) - radius
         begins = self._link_begins[RIGID_LINKS:] - self._link_begins[RIGID_LINKS]
         found = [
             np.minimum.reduceat(between, self._pair_begins, axis=-1),
@@ -160,7 +158,7 @@ class BodyGeometry:
             to_links = self._load.distances(flange, near, far) - arm.radius[:count]
             begins = self._link_begins[:LINKS_BEFORE_WRIST]
             found += [
-                self._load.distances_from_solids(flange, self._platform, reach),
+                self._platform.distances_from_load(self._load, flange, reach)[..., None],
                 np.minimum.reduceat(to_links, begins, axis=-1),
             ]
         return np.concatenate(found, axis=-1)
@@ -184,7 +182,7 @@ class BodyGeometry:
             InputError: A pose or an angle is not finite.
         """
         _require_finite("poses", poses)
-        found = [solids.box_distances(poses, self._half, self._heights)[..., None, :]]
+        found = [self._platform.distances_from_solids(poses, solids)[..., None, :]]
         arm = self._arm
         if arm is not None:
             _require_finite("joint angles", q)

@@ -6,6 +6,7 @@ from omniman_ros.collision.arm_segments import ArmSegments
 from omniman_ros.collision.footprint import Footprint, Limbs
 from omniman_ros.collision.load_box import LoadBox
 from omniman_ros.collision.parameters import LoadShape, ToolShape
+from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.core.arm_model import JOINTS
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
@@ -40,7 +41,7 @@ class BodyOutline:
     ) -> None:
         robot, mount = description.robot, description.mount
         self.has_arm = carries_arm(robot)
-        self._half: Array = np.array((0.5 * robot.body.length, 0.5 * robot.body.width))
+        self._platform = Rectangles.around(robot.body)
         self._heights = 0.0, platform_top(robot, mount.z if self.has_arm else None)
         self._arm = ArmSegments(mount, tool or ToolShape())
         self._load = LoadBox(load) if load is not None and load.is_carried else None
@@ -67,12 +68,12 @@ class BodyOutline:
             InputError: The shape is wrong, or an angle is not finite.
         """
         if not self.has_arm:
-            return Footprint(self._half, self._heights, None, margin)
+            return Footprint(self._platform, self._heights, None, margin)
         if postures.ndim != 2 or postures.shape[1] != JOINTS or not len(postures):
             raise InputError(f"postures have shape {postures.shape}, expected (k, {JOINTS})")
         if not np.isfinite(postures).all():
             raise InputError("joint angles must be finite")
-        return Footprint(self._half, self._heights, self._limbs(postures), margin)
+        return Footprint(self._platform, self._heights, self._limbs(postures), margin)
 
     def _limbs(self, postures: Array) -> Limbs:
         """Return the limbs in all postures (k, 6) and between them."""

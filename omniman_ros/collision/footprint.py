@@ -5,8 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from omniman_ros.collision.convex_search import Indices
 from omniman_ros.collision.rectangles import Rectangles
-from omniman_ros.collision.solids import Indices, Mask
+from omniman_ros.collision.solids import Mask
 from omniman_ros.core.arrays import Array
 
 HEIGHT_STEP = 0.01
@@ -41,30 +42,30 @@ class Limbs:
 class Footprint:
     """Bounds of the robot from above, at any heights.
 
-    What the robot has between two heights is bounded by rectangles: one for the platform, and one
-    for each group of limbs. Parts outside of these heights do not count. A rectangle contains its
-    part, so a distance from the rectangles is never above that from the robot.
+    What the robot has between two heights is bounded by rectangles: those of the platform, and
+    one for each group of limbs. Parts outside of these heights do not count. A rectangle contains
+    its part, so a distance from the rectangles is never above that from the robot.
 
     Args:
-        half: (2,) half length and half width of the platform [m].
+        platform: One rectangle, or several, whose union contains the platform.
         heights: Heights of the lower and the upper side of the platform [m].
         limbs: Arm, tool and load, or None.
         margin: Vertical gap up to which an obstacle counts as being at the height of a part [m].
 
     Attributes:
-        platform: The platform.
+        platform: As above.
         whole: (P,) or one: bounds of the robot at all heights.
         radius: Distance of the farthest point from the origin of base_link [m].
     """
 
     def __init__(
         self,
-        half: Array,
+        platform: Rectangles,
         heights: tuple[float, float] = (-math.inf, math.inf),
         limbs: Limbs | None = None,
         margin: float = 0.0,
     ) -> None:
-        self.platform = Rectangles.centred(half)
+        self.platform = platform
         self._heights, self._limbs, self._margin = heights, limbs, margin
         self._known: dict[tuple[int, int], Rectangles] = {}
         everywhere = np.array([-math.inf]), np.array([math.inf])
@@ -86,16 +87,16 @@ class Footprint:
         Returns:
             (N,) rectangles, or one for all; and the number (N,) of the obstacle of each.
         """
-        if self._limbs is None:
+        if self._limbs is None and self.platform.is_single:
             return self.platform, np.flatnonzero(self._is_beside_platform(lower, upper))
         low = np.clip(np.floor(lower / HEIGHT_STEP), -MAX_STEPS, MAX_STEPS).astype(np.intp)
         high = np.clip(np.ceil(upper / HEIGHT_STEP), -MAX_STEPS, MAX_STEPS).astype(np.intp)
         spans = list(zip(low.tolist(), high.tolist(), strict=True))
         parts = [self._at(span) for span in spans]
         index = np.repeat(np.arange(len(parts)), [len(part.yaw) for part in parts])
-        empty = [_platform_rows(self.platform)[:0]]
-        rows = np.concatenate([*empty, *(_rows(part) for part in parts)])
-        return _of_rows(rows), index
+        empty = [self.platform.rows[:0]]
+        rows = np.concatenate([*empty, *(part.rows for part in parts)])
+        return Rectangles.of_rows(rows), index
 
     def _is_beside_platform(self, lower: Array, upper: Array) -> Mask:
         """Return whether obstacles (M,) are at the height of the platform."""
@@ -112,16 +113,15 @@ class Footprint:
             rows = self._limb_rows(low - self._margin, high + self._margin)
             if self._is_beside_platform(np.array([low]), np.array([high]))[0]:
                 rows = rows[~self._is_on_platform(rows)]
-                rows = np.concatenate([_platform_rows(self.platform), rows])
-            self._known[span] = _of_rows(rows)
+                rows = np.concatenate([self.platform.rows, rows])
+            self._known[span] = Rectangles.of_rows(rows)
         return self._known[span]
 
     def _is_on_platform(self, rows: Array) -> Mask:
-        """Return which rectangles (P, 5) lie within the platform's."""
-        corners = np.abs(_of_rows(rows).corners)
-        beyond: Array = corners - self.platform.half
-        result: Mask = beyond.max(axis=(1, 2)) <= INSIDE
-        return result
+        """Return which rectangles (P, 5) lie within one of the platform's."""
+        corners = Rectangles.of_rows(rows).corners
+        within = [self.platform.contain(each, INSIDE).any() for each in corners]
+        return np.array(within, dtype=bool)
 
     def _limb_rows(self, low: float, high: float) -> Array:
         """Return the rectangles (P, 5) around the limbs between two heights [m].
@@ -130,7 +130,8 @@ class Footprint:
         axis between these heights, less and plus its radius.
         """
         limbs = self._limbs
-        assert limbs is not None
+        if limbs is None:
+            return np.zeros((0, 5))
         first, last = low - limbs.radius, high + limbs.radius
         z, rise = limbs.start[2], limbs.end[2] - limbs.start[2]
         level = np.abs(rise) < 1e-12
@@ -167,18 +168,3 @@ def _smallest(ends: Array, radius: Array) -> Array:
     c0, s0 = math.cos(yaw), math.sin(yaw)
     centre = c0 * middle[0] - s0 * middle[1], s0 * middle[0] + c0 * middle[1]
     return np.array([*centre, yaw, *(0.5 * size[:, k])])
-
-
-def _rows(rectangles: Rectangles) -> Array:
-    """Return rectangles (P,) as rows (P, 5): centre, yaw, half."""
-    return np.column_stack([rectangles.centre, rectangles.yaw, rectangles.half])
-
-
-def _platform_rows(platform: Rectangles) -> Array:
-    """Return the platform as one row (1, 5)."""
-    return np.concatenate([platform.centre, [platform.yaw], platform.half])[None]
-
-
-def _of_rows(rows: Array) -> Rectangles:
-    """Return the rectangles (P,) of rows (P, 5)."""
-    return Rectangles(rows[:, :2], rows[:, 2], rows[:, 3:])

@@ -4,6 +4,7 @@ import numpy as np
 
 from omniman_ros.collision.arm_segments import Segments
 from omniman_ros.collision.parameters import LoadShape
+from omniman_ros.collision.prism import ConvexPrism
 from omniman_ros.collision.solids import UprightSolids
 from omniman_ros.core.arrays import Array
 
@@ -77,6 +78,25 @@ class LoadBox:
         )
         other = other.reshape(*flange.shape[:-2], len(solids), len(EDGES[0])).min(axis=-1)
         result: Array = np.minimum(own, np.maximum(other - solids.rounding, 0.0))
+        return result
+
+    def distances_from_prism(self, flange: Array, prism: ConvexPrism, reach: float) -> Array:
+        """Return the distances (...) of a prism from the load [m].
+
+        Args:
+            flange: Poses (..., 4, 4) of the flange in the frame of the prism.
+            prism: The prism.
+            reach: Distance above which a lower bound is enough [m].
+        """
+        edges = self.edges(flange)
+        own = prism.distances(edges.start, edges.end, reach).min(axis=-1)
+        shape = (3, *flange.shape[:-2], prism.edges.start.shape[-1])
+        start, end = (
+            np.broadcast_to(points.reshape(3, *(1,) * (flange.ndim - 2), -1), shape)
+            for points in (prism.edges.start, prism.edges.end)
+        )
+        other = self.distances(flange, Segments(start, end), reach).min(axis=-1)
+        result: Array = np.minimum(own, other)
         return result
 
 

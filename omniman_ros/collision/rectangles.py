@@ -4,8 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from omniman_ros.collision.solids import Indices, Mask
+from omniman_ros.collision.convex_search import Indices
+from omniman_ros.collision.solids import Mask
 from omniman_ros.core.arrays import Array
+from omniman_ros.core.robot import Body
+from omniman_ros.description.platform_shape import platform_cover
+
+MOST_RECTANGLES = 4
+"""Largest number of rectangles that stand for a platform with an outline of its own."""
 
 
 @dataclass(frozen=True)
@@ -21,6 +27,19 @@ class Rectangles:
     centre: Array
     yaw: Array
     half: Array
+
+    @staticmethod
+    def around(body: Body) -> "Rectangles":
+        """Return one rectangle, or several, whose union contains a platform."""
+        rows = platform_cover(body, MOST_RECTANGLES)
+        if body.outline is None:
+            return Rectangles.centred(rows[0, 3:])
+        return Rectangles.of_rows(rows)
+
+    @staticmethod
+    def of_rows(rows: Array) -> "Rectangles":
+        """Return the rectangles (P,) of rows (P, 5): centre, yaw, half."""
+        return Rectangles(rows[:, :2], rows[:, 2], rows[:, 3:])
 
     @staticmethod
     def centred(half: Array) -> "Rectangles":
@@ -43,6 +62,27 @@ class Rectangles:
         if self.is_single:
             return [self]
         return [self.select(np.array(k)) for k in range(len(self.yaw))]
+
+    @property
+    def rows(self) -> Array:
+        """Rows (P, 5): centre, yaw, half; one rectangle is one row."""
+        rows = np.concatenate((self.centre, self.yaw[..., None], self.half), axis=-1)
+        return rows.reshape(-1, 5)
+
+    def contain(self, points: Array, tolerance: float) -> Mask:
+        """Return which of the rectangles (P,) contain all points (k, 2) in base_link.
+
+        Args:
+            points: The points [m].
+            tolerance: How far a point may be outside [m].
+        """
+        rows = self.rows[:, None]
+        c, s = np.cos(rows[..., 2]), np.sin(rows[..., 2])
+        x, y = (points[:, i] - rows[..., i] for i in (0, 1))
+        along, across = np.abs(c * x + s * y), np.abs(c * y - s * x)
+        is_within = (along <= rows[..., 3] + tolerance) & (across <= rows[..., 4] + tolerance)
+        result: Mask = np.all(is_within, axis=1)
+        return result
 
     @property
     def own_centre(self) -> tuple[Array, Array]:

@@ -9,17 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from omniman_ros.collision.convex_search import Indices, distances_along
 from omniman_ros.collision.segments import dot
 from omniman_ros.core.arrays import Array
 
-Indices = NDArray[np.intp]
-"""Array of indices."""
 Mask = NDArray[np.bool_]
 """Array of flags."""
-ACCURACY = 1e-8
-"""Accuracy of distances [m]."""
-MOST_STEPS = 100
-"""Largest number of steps of the search along a segment; about 10 are usual."""
 
 
 @dataclass(frozen=True)
@@ -138,10 +133,6 @@ class UprightSolids:
     def distances(self, start: Array, end: Array, reach: float) -> Array:
         """Return the distances between segments and solids; zero where they meet.
 
-        The distance from a convex solid is a convex function of the place on the segment. Where
-        its slope changes sign between the ends, the false position method (Illinois) finds the
-        minimum; as the function is convex, the slope there bounds the error.
-
         Args:
             start: Starts (3, ..., M) of the segments [m], one for each solid; a last axis of
                 length 1 stands for all solids.
@@ -152,23 +143,13 @@ class UprightSolids:
             Distances (..., M) [m]. Those above `reach` may be too small, but are not below it.
         """
         first = self._local(start)
-        along = self._local(end) - first
-        low, high = self._outward(first), self._outward(first + along)
-        slope_low, slope_high = dot(low, along), dot(high, along)
-        squared = np.where(slope_low >= 0.0, dot(low, low), dot(high, high))
-        is_between = (slope_low < 0.0) & (slope_high > 0.0)
-        # Nothing changes by more than a segment's half length around its middle.
-        middle = self._outward(first + 0.5 * along)
-        bound = np.sqrt(dot(middle, middle)) - 0.5 * np.sqrt(dot(along, along))
-        is_far = is_between & (bound > reach)
-        squared[is_far] = bound[is_far] ** 2
-        where = np.nonzero(is_between & ~is_far)
-        chosen: tuple[slice | Indices, ...] = (slice(None), *where)
-        squared[where] = self.select(where[-1])._least(
-            first[chosen], along[chosen], slope_low[where], slope_high[where]
+        return distances_along(
+            self._outward,
+            lambda where: self.select(where[-1])._outward,
+            first,
+            self._local(end) - first,
+            reach,
         )
-        result: Array = np.sqrt(squared)
-        return result
 
     def box_distances(self, poses: Array, half: Array, heights: tuple[float, float]) -> Array:
         """Return the distances of an upright box at several poses; zero where they meet.
@@ -194,32 +175,6 @@ class UprightSolids:
         vertical = np.maximum(np.maximum(self.lower - heights[1], heights[0] - self.upper), 0.0)
         result: Array = np.hypot(horizontal, vertical)
         return result
-
-    def _least(self, start: Array, along: Array, slope_low: Array, slope_high: Array) -> Array:
-        """Return the least squared distance of each solid from one segment in its frame.
-
-        Args:
-            start: Starts (3, M) [m].
-            along: Vectors (3, M) to the ends [m].
-            slope_low: Slopes (M,) of half the squared distance at the starts, below zero.
-            slope_high: Those at the ends, above zero.
-        """
-        low, high = np.zeros(len(self)), np.ones(len(self))
-        was_low = was_high = np.zeros(len(self), dtype=bool)
-        squared = np.empty(len(self))
-        for _ in range(MOST_STEPS):
-            middle = low + (high - low) * slope_low / (slope_low - slope_high)
-            outward = self._outward(start + middle * along)
-            squared, slope = dot(outward, outward), dot(outward, along)
-            if (np.abs(slope) <= ACCURACY * np.maximum(np.sqrt(squared), ACCURACY)).all():
-                break
-            is_low = slope < 0.0
-            low, high = np.where(is_low, middle, low), np.where(is_low, high, middle)
-            # An end that stays twice counts with half its slope, so that both ends move.
-            slope_low = np.where(is_low, slope, np.where(was_high, 0.5, 1.0) * slope_low)
-            slope_high = np.where(is_low, np.where(was_low, 0.5, 1.0) * slope_high, slope)
-            was_low, was_high = is_low, ~is_low
-        return squared
 
 
 def _corner_distances(

@@ -3,13 +3,23 @@
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
+import numpy as np
+
+from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import REQUIRED, flatten, parameter
+from omniman_ros.core.polygon import is_simple, signed_area
 
 Floats = tuple[float, ...]
 """Value of a parameter of all wheels: one for all of them, or one per wheel."""
 Group = TypeVar("Group", "Wheels", "Friction")
 """Parameter group whose arrays have one value per wheel."""
+MOST_CORNERS = 64
+"""Largest number of corners of the platform's outline."""
+LEAST_AREA = 0.0025
+"""Smallest area of the platform's outline [m^2]."""
+ROUND_OFF = 1e-9
+"""How far a corner may be outside of the bounding box [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +79,11 @@ class Wheels:
 
 @dataclass(frozen=True, kw_only=True)
 class Body:
-    """The platform without the arm."""
+    """The platform without the arm.
+
+    Raises:
+        ParameterError: The outline is not a simple polygon within the bounding box.
+    """
 
     mass: float = parameter(REQUIRED, "Mass, wheels included.", unit="kg", low=0.1, high=1e5)
     inertia: float = parameter(
@@ -89,11 +103,60 @@ class Body:
         high=5,
     )
     length: float = parameter(
-        REQUIRED, "Length of the bounding box.", unit="m", low=0.05, high=20, read_only=True
+        REQUIRED,
+        "Length of the bounding box, whose centre is base_link.",
+        unit="m",
+        low=0.05,
+        high=20,
+        read_only=True,
     )
     width: float = parameter(
         REQUIRED, "Width of the bounding box.", unit="m", low=0.05, high=20, read_only=True
     )
+    outline_x: Floats = parameter(
+        (),
+        "Corners of the platform's outline from above in base_link, forward: a polygon, convex or "
+        "not, in order around it. None: the bounding box.",
+        unit="m",
+        low=-10,
+        high=10,
+        read_only=True,
+    )
+    outline_y: Floats = parameter(
+        (),
+        "Corners of the platform's outline from above in base_link, left.",
+        unit="m",
+        low=-10,
+        high=10,
+        read_only=True,
+    )
+
+    def __post_init__(self) -> None:
+        x, y = self.outline_x, self.outline_y
+        if len(x) != len(y):
+            raise ParameterError("body.outline_y", y, f"has {len(y)} values, outline_x {len(x)}")
+        if not x:
+            return
+        if not 3 <= len(x) <= MOST_CORNERS:
+            raise ParameterError("body.outline_x", x, f"needs 3 to {MOST_CORNERS} corners")
+        for name, values, size in (("x", x, self.length), ("y", y, self.width)):
+            if max(map(abs, values)) > 0.5 * size + ROUND_OFF:
+                reason = f"leaves the bounding box, which ends at {0.5 * size:g} m"
+                raise ParameterError(f"body.outline_{name}", values, reason)
+        corners = np.column_stack((x, y))
+        if not is_simple(corners):
+            raise ParameterError("body.outline_x", x, "the sides of the outline cross or touch")
+        if abs(signed_area(corners)) < LEAST_AREA:
+            reason = f"the outline is smaller than {LEAST_AREA:g} m^2"
+            raise ParameterError("body.outline_x", x, reason)
+
+    @property
+    def outline(self) -> Array | None:
+        """Corners (K, 2) of the outline in base_link, counter-clockwise [m]; None: the box."""
+        if not self.outline_x:
+            return None
+        corners: Array = np.column_stack((self.outline_x, self.outline_y))
+        return corners if signed_area(corners) > 0.0 else corners[::-1]
 
 
 @dataclass(frozen=True, kw_only=True)

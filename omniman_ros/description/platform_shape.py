@@ -3,8 +3,12 @@
 import math
 from dataclasses import dataclass
 
-from omniman_ros.core.robot import Robot
+import numpy as np
+
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.robot import Body, Robot
 from omniman_ros.description.inertia import Vector
+from omniman_ros.description.outline_cover import outline_cover
 
 WHEEL_WIDTH = 0.5
 """Width of a wheel over its radius, as configurations have no width."""
@@ -18,26 +22,31 @@ MIN_DECK_THICKNESS = 0.1
 """Smallest thickness of a deck above the wheels, over the largest wheel's radius."""
 WHEEL_GAP = 0.05
 """Gap between the wheels and the box between them, over the largest wheel's radius."""
+MOST_BOXES = 12
+"""Largest number of boxes that represent a platform with an outline of its own."""
 
 
 @dataclass(frozen=True)
 class Box:
-    """A box along the axes of base_link.
+    """An upright box.
 
     Attributes:
-        centre: Centre of the box [m].
+        centre: Centre of the box in base_link [m].
         size: Lengths of the edges [m].
+        yaw: Direction of the first edge in base_link [rad].
     """
 
     centre: Vector
     size: Vector
+    yaw: float = 0.0
 
 
 def platform_boxes(robot: Robot, mount: float | None) -> tuple[Box, ...]:
     """Return the deck with the body's length and width, and a box between the wheels below it.
 
     Configurations have no heights. The deck extends from above the wheels to the base of the arm;
-    if that is too low, the deck starts between the wheels.
+    if that is too low, the deck starts between the wheels. A deck with an outline of its own is
+    covered by several boxes, and has no box below it.
 
     Args:
         robot: Configuration of the robot.
@@ -48,7 +57,9 @@ def platform_boxes(robot: Robot, mount: float | None) -> tuple[Box, ...]:
     top = bottom + DECK_THICKNESS * radius if mount is None or mount <= 0.0 else mount
     if top < bottom + MIN_DECK_THICKNESS * radius:
         bottom = min(CLEARANCE * radius, 0.5 * top)
-        return (_box(robot.body.length, robot.body.width, bottom, top),)
+        return _deck(robot.body, bottom, top)
+    if robot.body.outline_x:
+        return _deck(robot.body, bottom, top)
     deck = _box(robot.body.length, robot.body.width, bottom, top)
     length, width = _between_wheels(robot, WHEEL_GAP * radius)
     if length <= 0.0 or width <= 0.0:
@@ -60,6 +71,31 @@ def platform_top(robot: Robot, mount: float | None) -> float:
     """Return the height of the deck's upper side [m]; see `platform_boxes`."""
     deck = platform_boxes(robot, mount)[0]
     return deck.centre[2] + 0.5 * deck.size[2]
+
+
+def platform_cover(body: Body, most: int) -> Array:
+    """Return rectangles whose union contains the platform, from above.
+
+    Args:
+        body: The platform.
+        most: Largest number of rectangles.
+
+    Returns:
+        Rows (P, 5): centre in base_link, direction of the length, half length and half width
+        [m, m, rad, m, m]; one row, without rounding, if the platform is its bounding box.
+    """
+    if not body.outline_x:
+        return np.array([[0.0, 0.0, 0.0, 0.5 * body.length, 0.5 * body.width]])
+    return outline_cover(tuple(zip(body.outline_x, body.outline_y, strict=True)), most)
+
+
+def _deck(body: Body, bottom: float, top: float) -> tuple[Box, ...]:
+    """Return the boxes of the deck between two heights [m]."""
+    middle, height = 0.5 * (bottom + top), top - bottom
+    return tuple(
+        Box((x, y, middle), (2.0 * along, 2.0 * across, height), yaw)
+        for x, y, yaw, along, across in platform_cover(body, MOST_BOXES).tolist()
+    )
 
 
 def _box(length: float, width: float, bottom: float, top: float) -> Box:

@@ -131,7 +131,7 @@ def _add_platform(root: ElementTree.Element, robot: Robot, mount: float | None) 
     base = ElementTree.SubElement(root, "link", name="base_link")
     _add_inertia(base, rest_of_body(robot, masses, bottom, top))
     for box in boxes:
-        _add_shape(base, "body", "box", {"size": box.size}, box.centre)
+        _add_shape(base, "body", "box", {"size": box.size}, box.centre, (0.0, 0.0, box.yaw))
     for i, mass in enumerate(masses):
         _add_wheel(root, robot, i, mass)
 

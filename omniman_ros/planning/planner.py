@@ -8,6 +8,7 @@ until the next cycle. Time is always an argument.
 from dataclasses import replace
 
 from omniman_ros.collision.footprint import Footprint
+from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.rigid import PlanarPose
 from omniman_ros.planning.cycle import CycleReport, MeasuredState, PlannerState
@@ -59,7 +60,7 @@ class Planner:
         self.limits = EffectiveLimits(parameters)
         self.model = PlanningModel.of(parameters.robot)
         self.anchored = anchored
-        self.footprint = Footprint(self.model.half)
+        self.footprint = Footprint(Rectangles.around(parameters.robot.body))
         self.grid: GridMap | None = None
         self._walls = Walls.none()
         self._tracker = GoalTracker()
@@ -126,7 +127,7 @@ class Planner:
         """Use other weights, limits and clearances from the next cycle on."""
         if parameters.robot != self.parameters.robot:
             self.model = PlanningModel.of(parameters.robot)
-            self.footprint = Footprint(self.model.half)
+            self.footprint = Footprint(Rectangles.around(parameters.robot.body))
         self._apply(replace(self.limits, parameters=parameters))
 
     def set_limit_scale(self, limit_scale: float, braking_scale: float = 1.0) -> None:

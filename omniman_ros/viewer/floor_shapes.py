@@ -7,7 +7,7 @@ import numpy as np
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.robot import Body
-from omniman_ros.viewer.meshes import Mesh, joined, prism, revolved, rounded
+from omniman_ros.viewer.meshes import Mesh, joined, plate, prism, revolved, rounded
 
 OBSTACLE_HEIGHT = 0.6
 """Height of an obstacle [m]."""
@@ -43,24 +43,45 @@ def marker(body: Body) -> MarkerShape:
     """Return the marker of a platform's pose.
 
     Args:
-        body: Bounding box of the platform.
+        body: Shape of the platform.
     """
     length, width = body.length, body.width
     corner, edge = 0.12 * min(length, width), BORDER_WIDTH * width
-    outer = rounded(length, width, corner)
-    inner = rounded(length - 2.0 * edge, width - 2.0 * edge, corner)
+    if body.outline is None:
+        outer = rounded(length, width, corner)
+        inner = rounded(length - 2.0 * edge, width - 2.0 * edge, corner)
+    else:
+        outer = body.outline
+        inner = narrowed(outer, edge)
     tip, head, radius = 0.5 * length + ARROW_REACH * width, 0.3 * width, KNOB_RADIUS * width
     base = tip - radius - head
     shaft = np.array([[0.0, -edge], [base, -edge], [base, edge], [0.0, edge]])
     point = np.array([[base, -0.6 * head], [tip - radius, 0.0], [base, 0.6 * head]])
     low, high = 2.0 * LAYER_HEIGHT, 3.0 * LAYER_HEIGHT
     return MarkerShape(
-        prism(outer, LAYER_HEIGHT, low),
+        plate(outer, LAYER_HEIGHT, low),
         band(outer, inner, high),
         joined(prism(shaft, low, high), prism(point, low, high)),
         disc(radius, 0.1 * width).moved(tip, 0.0, 0.05 * width),
         tip,
     )
+
+
+def narrowed(outline: Array, edge: float) -> Array:
+    """Return an outline (k, 2) whose corners are moved inwards, so that its sides are.
+
+    Where two sides meet at an acute angle, the corner moves by at most three edges.
+
+    Args:
+        outline: Outline (k, 2), counter-clockwise [m].
+        edge: Distance of the sides from those of the outline [m].
+    """
+    sides = np.roll(outline, -1, axis=0) - outline
+    normals = np.column_stack((-sides[:, 1], sides[:, 0])) / np.hypot(*sides.T)[:, None]
+    between = normals + np.roll(normals, 1, axis=0)
+    length = np.maximum(0.5 * (between**2).sum(axis=1), 0.4)
+    result: Array = outline + edge * between / length[:, None]
+    return result
 
 
 def band(outer: Array, inner: Array, height: float) -> Mesh:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from omniman_ros.collision.convex_pieces import convex_pieces
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.robot import Robot
 
@@ -217,8 +218,11 @@ class BodyShape:
 
 
 def body(robot: Robot) -> BodyShape:
-    """Return the platform's meshes in its bounding box; heights are derived from the wheels."""
-    wheels, box = robot.wheels, robot.body
+    """Return the platform's meshes; heights are derived from the wheels.
+
+    A platform with an outline of its own is a plate above the wheels, with nothing below it.
+    """
+    wheels, box, outline = robot.wheels, robot.body, robot.body.outline
     radius = max(wheels.radius)
     inner = 2.0 * min(
         abs(y) - 0.5 * wheel_width(r, gamma) - 0.2 * r
@@ -230,9 +234,20 @@ def body(robot: Robot) -> BodyShape:
     size = 0.16 * min(box.length, box.width)
     front = 0.5 * box.length - 0.7 * size
     arrow = np.array([[front, 0.0], [front - size, size], [front - size, -size]])
-    return BodyShape(
-        prism(rounded(0.92 * box.length, width, corner), GROUND_CLEARANCE * radius, low),
-        prism(rounded(box.length, box.width, corner), low, high),
-        prism(arrow, high, high + 0.01 * box.length),
-        high,
-    )
+    if outline is None:
+        chassis = prism(rounded(0.92 * box.length, width, corner), GROUND_CLEARANCE * radius, low)
+        deck = prism(rounded(box.length, box.width, corner), low, high)
+    else:
+        middle = 0.5 * (low + high)
+        chassis, deck = plate(outline, low, middle), plate(outline, middle, high)
+    return BodyShape(chassis, deck, prism(arrow, high, high + 0.01 * box.length), high)
+
+
+def plate(outline: Array, bottom: float, top: float) -> Mesh:
+    """Return an upright prism with any outline.
+
+    Args:
+        outline: Outline (k, 2), convex or not, counter-clockwise [m].
+        bottom, top: Heights of its ends [m].
+    """
+    return joined(*(prism(piece, bottom, top) for piece in convex_pieces(outline)))

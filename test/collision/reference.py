@@ -13,6 +13,7 @@ from omniman_ros.robots import load_robot
 FAR = 100.0
 """Distance above which the engine need not find one [m]."""
 BOX, CYLINDER = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER
+MESH = mujoco.mjtGeom.mjGEOM_MESH
 """Shapes of the engine."""
 
 
@@ -23,7 +24,7 @@ class Shape:
     Attributes:
         body: Name of the body; "" for the world.
         kind: Shape of the engine.
-        size: Its sizes, as the engine takes them [m].
+        size: Its sizes, as the engine takes them; the corners of a convex mesh [m].
         position: Its centre in the frame of the body [m].
         yaw: Its rotation about z of the body [rad].
     """
@@ -61,11 +62,13 @@ class EngineBody:
                 geom.type = mujoco.mjtGeom.mjGEOM_CAPSULE
         for number, shape in enumerate(extra):
             body = spec.body(shape.body) if shape.body else spec.worldbody
-            if shape.kind == BOX:
-                corners = np.array(list(product(*((-x, x) for x in shape.size))))
+            if shape.kind in (BOX, MESH):
+                corners = np.array(shape.size)
+                if shape.kind == BOX:
+                    corners = np.array(list(product(*((-x, x) for x in shape.size))))
                 spec.add_mesh(name=f"box {number}", uservert=corners.ravel())
                 # The engine's own pair of capsule and box reports contacts, not the distance.
-                kind = {"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": f"box {number}"}
+                kind = {"type": MESH, "meshname": f"box {number}"}
             else:
                 kind = {"type": shape.kind, "size": [*shape.size, 0.0, 0.0][:3]}
             body.add_geom(

@@ -12,7 +12,8 @@ from omniman_ros.core.errors import InputError
 
 pytest.importorskip("mujoco", reason="the reference is a physics engine")
 
-from test.collision.reference import BOX, CYLINDER, EngineBody, Shape, description
+from test.collision.reference import BOX, CYLINDER, MESH, EngineBody, Shape, description
+from test.outlines import HAND_MADE, outlined
 
 ACCURACY = 1e-6
 """Largest difference from the reference [m]."""
@@ -41,6 +42,13 @@ def platform_shape(parameters):
     body, top = parameters.robot.body, parameters.mount.z
     size = 0.5 * body.length, 0.5 * body.width, 0.5 * top
     return Shape("base_link", BOX, size, (0.0, 0.0, 0.5 * top))
+
+
+def prism_shapes(parameters, pieces):
+    """Return prisms with convex outlines, up to the mount of the arm, as shapes of the engine."""
+    heights = 0.0, parameters.mount.z
+    corners = [[(x, y, z) for x, y in piece for z in heights] for piece in pieces]
+    return [Shape("base_link", MESH, tuple(each), (0.0, 0.0, 0.0)) for each in corners]
 
 
 def load_shape(load):
@@ -113,6 +121,46 @@ def test_distances_from_solids(load, count):
     require_equal(found[:, :8], reference[:, :8])
     slack = np.maximum(SOLIDS.rounding, 0.0)
     require_equal(found[:, 8:], reference[:, 8:], slack)
+
+
+@pytest.mark.parametrize(
+    "count", [60, pytest.param(10_000, marks=pytest.mark.exhaustive)], ids=["few", "many"]
+)
+@pytest.mark.parametrize("name", HAND_MADE)
+def test_distances_of_a_platform_with_an_outline(name, load, count):
+    """From solids, links of the arm and a load, those of its pieces that were found by hand."""
+    outline, pieces = HAND_MADE[name]
+    parameters = outlined(outline)
+    body = BodyGeometry(parameters, load=load)
+    prisms = prism_shapes(parameters, pieces)
+    extra = [*SOLID_SHAPES, *prisms] + ([load_shape(load)] if load else [])
+    engine = EngineBody(parameters, extra)
+    poses, q = configurations(count, seed=6)
+    solids = engine.extra[: len(SOLIDS)]
+    platform = engine.extra[len(SOLIDS) : len(SOLIDS) + len(prisms)]
+    shapes = {n: engine.shapes(n) for n in body.parts if n.endswith("link")}
+    if load:
+        shapes |= {"load": engine.extra[-1:], "wrist_3_link": shapes["wrist_3_link"][:-1]}
+    pairs = [k for k, pair in enumerate(body.pairs) if PLATFORM in pair]
+    others = [body.pairs[k][1] for k in pairs]
+    to_solids, to_parts = np.empty((count, len(SOLIDS))), np.empty((count, len(others)))
+    for k in range(count):
+        engine.place(poses[k], q[k])
+        to_solids[k] = [engine.distance(platform, [one]) for one in solids]
+        to_parts[k] = [engine.distance(platform, shapes[other]) for other in others]
+    assert (to_solids <= 0.0).any() and (to_parts <= 0.0).any(), "some touch"
+    require_equal(body.distances(poses, q, SOLIDS)[:, 0], to_solids)
+    require_equal(body.self_distances(q)[:, pairs], to_parts)
+
+
+def test_a_post_between_the_forks_is_clear_of_them():
+    """What stands in the recess of an outline is outside; what lies within it is touched."""
+    parameters = outlined(HAND_MADE["forks"][0])
+    body = BodyGeometry(parameters)
+    for x, gap in ((0.4, 0.1), (0.02, 0.0), (-0.3, 0.0)):
+        post = UprightSolids.cylinder(x, 0.0, 0.02, (0.0, 1.0))
+        found = body.distances(np.zeros(3), np.zeros(6), post)[0, 0]
+        assert found == pytest.approx(gap and 0.14 * math.cos(math.atan(0.1)) - 0.02, abs=1e-9)
 
 
 def test_a_lower_bound_is_enough_beyond_the_reach():

@@ -16,6 +16,7 @@ pytest.importorskip("mujoco", reason="the reference is a physics engine")
 
 from test.collision.reference import CYLINDER, EngineBody, Shape, description
 from test.collision.test_body_geometry import load_shape, platform_shape
+from test.outlines import FORKS, outlined
 
 LOAD = LoadShape(length=0.3, width=0.2, height=0.15, distance=0.04)
 MARGIN = 0.05
@@ -187,7 +188,7 @@ def test_two_rectangles_bound_as_much_as_each_alone():
     each = [outside_by(poses, box, room) for box in both.each()]
     np.testing.assert_allclose(outside_by(poses, both, room), np.max(each, axis=0))
     assert both.select(np.array([False, True])).half.shape == (1, 2)
-    single = Footprint(np.array([0.4, 0.3])).whole
+    single = Footprint(Rectangles.centred(np.array([0.4, 0.3]))).whole
     assert single.select(np.array([True, False])) is single
 
 
@@ -199,7 +200,7 @@ def test_the_points_of_a_capsule_between_two_heights_are_in_its_rectangle():
             ends[1, 2] = ends[0, 2]
         radius = rng.uniform(0.02, 0.15)
         limbs = Limbs(ends[:1].T, ends[1:].T, np.array([radius]), np.zeros(1, dtype=int))
-        footprint = Footprint(np.array([0.4, 0.3]), (0.0, 0.3), limbs)
+        footprint = Footprint(Rectangles.centred(np.array([0.4, 0.3])), (0.0, 0.3), limbs)
         low = rng.uniform(0.45, 1.5)
         high = low + rng.uniform(0.01, 0.3)
         boxes, _ = footprint.against(np.array([low]), np.array([high]))
@@ -213,3 +214,31 @@ def test_the_points_of_a_capsule_between_two_heights_are_in_its_rectangle():
         c, s = np.cos(box.yaw), np.sin(box.yaw)
         own = (points[:, :2] - box.centre) @ np.array([[c, -s], [s, c]])
         assert (np.abs(own) <= box.half + 1e-9).all()
+
+
+def test_an_outline_is_covered_by_rectangles_beside_those_of_the_arm():
+    """A post between the forks is apart from the footprint; one within the outline is not."""
+    body = BodyOutline(outlined(FORKS))
+    raised = np.array([0.0, -math.pi / 2, 0.0, -math.pi / 2, 0.0, 0.0])
+    footprint = body.footprint(raised[None], MARGIN)
+    still = np.zeros(3)
+    assert planar_gap(footprint, still, 0.4, 0.0, 0.03, 0.0, 0.3) > 0.05
+    assert planar_gap(footprint, still, 0.4, 0.3, 0.03, 0.0, 0.3) < 0.0
+    assert planar_gap(footprint, still, -0.3, 0.0, 0.03, 0.0, 0.3) < 0.0
+    assert not footprint.is_symmetric
+
+
+def test_a_platform_with_an_outline_and_no_arm_is_its_rectangles():
+    outline = [(x * 0.8, y * 0.7) for x, y in FORKS]
+    footprint = BodyOutline(outlined(outline, "ig42")).footprint(np.zeros((0, 6)), MARGIN)
+    low, index = footprint.against(np.array([0.0, 3.0]), np.array([0.1, 3.2]))
+    assert len(low.yaw) > 1 and set(index.tolist()) == {0}
+
+
+def test_parts_of_the_arm_above_one_rectangle_of_the_platform_are_within_it():
+    boxes = Rectangles(
+        np.array([(0.3, 0.0), (-0.3, 0.0)]), np.zeros(2), np.array([(0.2, 0.3), (0.2, 0.3)])
+    )
+    inside = np.array([(0.2, 0.1), (0.4, -0.1)])
+    np.testing.assert_array_equal(boxes.contain(inside, 0.0), [True, False])
+    np.testing.assert_array_equal(boxes.contain(np.vstack([inside, -inside]), 0.0), [False] * 2)

@@ -1018,6 +1018,8 @@ ELSEWHERE = {
     "motor.encoder_counts": "the drives",
     "body.length": "planner and viewer",
     "body.width": "planner and viewer",
+    "body.outline_x": "planner, monitor and viewer",
+    "body.outline_y": "planner, monitor and viewer",
     "friction.mu": "the simulated drives and the planner",
 }
 CHANGED = {

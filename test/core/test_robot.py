@@ -46,3 +46,29 @@ def test_errors_contain_name_and_value():
     with pytest.raises(ParameterError, match="3 values, 4 wheels") as caught:
         replace(made, wheels=replace(made.wheels, x=(0.1, 0.2, 0.3)))
     assert (caught.value.name, caught.value.value) == ("wheels.x", (0.1, 0.2, 0.3))
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "message"),
+    [
+        ([0.1, 0.2], [0.1], "has 1 values"),
+        ([0.1, 0.2], [0.1, 0.2], "needs 3 to 64 corners"),
+        ([0.0, 0.6, 0.0], [0.0, 0.0, 0.3], "ends at 0.5 m"),
+        ([0.0, 0.4, 0.0], [0.0, 0.0, 0.36], "ends at 0.35 m"),
+        ([0.0, 0.3, 0.3, 0.0], [0.0, 0.3, 0.0, 0.3], "cross or touch"),
+        ([0.0, 0.3, 0.0], [0.0, 0.0, 0.01], "smaller than 0.0025"),
+    ],
+)
+def test_an_outline_that_is_none_is_refused(x, y, message):
+    with pytest.raises(ParameterError, match=message) as caught:
+        robot(changes={"body.outline_x": x, "body.outline_y": y})
+    assert caught.value.name.startswith("body.outline_")
+
+
+def test_the_corners_of_an_outline_are_counter_clockwise_in_either_order():
+    x, y = [0.0, 0.3, 0.0], [0.0, 0.0, 0.3]
+    one = robot(changes={"body.outline_x": x, "body.outline_y": y}).body.outline
+    other = robot(changes={"body.outline_x": x[::-1], "body.outline_y": y[::-1]}).body.outline
+    np.testing.assert_array_equal(one, np.column_stack((x, y)))
+    np.testing.assert_array_equal(other, one)
+    assert robot().body.outline is None

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from omniman_ros.collision.footprint import Footprint, Limbs
+from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.core.errors import InputError
 from omniman_ros.planning.cycle import PlannerState
 from omniman_ros.planning.goal_tracking import require_reachable
@@ -23,7 +24,7 @@ from test.planning.support import SimulatedRun, ellipses, planner
 HALF = np.array([0.4, 0.25])
 WIDE = (-9.0, -9.0, 9.0, 9.0)
 AHEAD = Footprint(
-    HALF,
+    Rectangles.centred(HALF),
     (0.0, 0.5),
     Limbs(
         np.array([[0.0], [0.0], [0.8]]),
@@ -147,7 +148,7 @@ def test_an_arm_that_is_stretched_out_on_the_way_stops_the_robot_before_it_touch
     """The way past two posts is wide enough for the platform, not for the arm across it."""
     known = things((1.9, 0.55, 0.15), (1.9, -0.55, 0.15), heights=[POST] * 2, time=100.0)
     across = Footprint(
-        HALF,
+        Rectangles.centred(HALF),
         (0.0, 0.5),
         Limbs(
             np.array([[0.0], [0.0], [0.8]]),

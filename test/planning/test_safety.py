@@ -17,7 +17,12 @@ NOW = 5.0
 
 
 def around(known=None, margin=0.02, workspace=WIDE):
-    return Surroundings(Footprint(HALF), ellipses() if known is None else known, workspace, margin)
+    return Surroundings(
+        Footprint(Rectangles.centred(HALF)),
+        ellipses() if known is None else known,
+        workspace,
+        margin,
+    )
 
 
 def a_motion(random, count=21, step=0.1):
@@ -145,7 +150,7 @@ def test_input_that_is_not_finite_is_a_contact():
 def test_approaching_obstacle_hits_a_robot_at_rest(until):
     motion = Motion.rest(NOW - 1.0, np.zeros(3), 4)
     known = ellipses((2.7, 0.0, 0.3), time=NOW, velocities=[(-1.0, 0.0)])
-    stands = Surroundings(Footprint(HALF), known, WIDE, 0.0, until)
+    stands = Surroundings(Footprint(Rectangles.centred(HALF)), known, WIDE, 0.0, until)
     contact = stands.contact(motion, NOW)
     assert contact == pytest.approx(NOW + 2.0, abs=0.11) if until > 0 else contact == math.inf
 
@@ -225,7 +230,7 @@ def test_earlier_braking_may_lead_to_contact():
     known = ellipses(
         (0.5, 3.5, 0.35), (2.4, 0.0, 0.2, 3.0, 0.0), time=NOW, velocities=[(0, -1.6), (0, 0)]
     )
-    surroundings = Surroundings(Footprint(HALF), known, WIDE, 0.02, NOW + 4.0)
+    surroundings = Surroundings(Footprint(Rectangles.centred(HALF)), known, WIDE, 0.02, NOW + 4.0)
     for late in (0.1, 0.5):
         early = motion.braked(NOW + late, DECELERATION)
         assert surroundings.contact(early, NOW) < math.inf

@@ -292,7 +292,7 @@ class Rig:
         """
         bounds = Workspace(*scene.workspace)
         problem = Problem(self.model, EffectiveLimits(replace(self._parameters, workspace=bounds)))
-        pairs = Pairs.of(Footprint(self.model.half), scene.ellipses)
+        pairs = Pairs.of(Footprint(Rectangles.centred(self.model.half)), scene.ellipses)
         goal, solver, slots = PoseGoal(scene.goal), self.solver, self.transcription.slots
         x, currents = np.concatenate([scene.start, np.zeros(3)]), solver.cold()
         for k, noise in enumerate(disturbances(scene.seed, count)):

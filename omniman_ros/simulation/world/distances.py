@@ -9,12 +9,15 @@ import mujoco
 import numpy as np
 
 from omniman_ros.core.arrays import Array
+from omniman_ros.core.polygon import trapezoids
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.description.platform_shape import platform_top
-from omniman_ros.simulation.world.solids import ellipse_corners
+from omniman_ros.simulation.world.solids import ellipse_corners, prism_corners
 
 SIGNS: Array = np.array(list(product((-1.0, 1.0), repeat=3)))
 """Corners of a cube, (8, 3)."""
+CORNERS: Array = np.array([(1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)])
+"""Corners of a square, (4, 2)."""
 SHOULDER_SHAPES = 2
 """Number of the shapes of the shoulder, which stands on the platform."""
 ACCURACY = 1e-9
@@ -39,7 +42,8 @@ class Prism:
 class PostureDistances:
     """Distances between the shapes of a robot's URDF and prisms, each placed at will.
 
-    The platform is the box of the body's length and width from the floor to the deck's top, too.
+    The platform is the box of the body's length and width from the floor to the deck's top, too. A
+    platform with an outline of its own is a prism with this outline instead.
 
     Args:
         description: Description of the robot.
@@ -50,9 +54,10 @@ class PostureDistances:
         spec = mujoco.MjSpec.from_string(description.urdf)
         spec.compiler.fusestatic, spec.compiler.discardvisual = False, False
         body, top = description.robot.body, platform_top(description.robot, description.mount.z)
-        size = np.array([0.5 * body.length, 0.5 * body.width, 0.5 * top])
-        corners = size * (SIGNS + np.array([0.0, 0.0, 1.0]))
-        _add_hull(spec, spec.body("base_link"), "platform", corners)
+        base, box = spec.body("base_link"), 0.5 * np.array([body.length, body.width])
+        outlines = [box * CORNERS] if body.outline is None else trapezoids(body.outline)
+        for k, outline in enumerate(outlines):
+            _add_hull(spec, base, f"platform {k}", prism_corners(outline, (0.0, top)))
         for k, prism in enumerate(prisms):
             name = f"prism {k}"
             _add_hull(spec, spec.worldbody.add_body(name=name), name, _points(prism))
@@ -61,7 +66,10 @@ class PostureDistances:
         self._data = mujoco.MjData(model)
         self._prisms = [int(model.body(f"prism {k}").geomadr[0]) for k in range(len(prisms))]
         self._robot = [k for k in range(model.ngeom) if k not in self._prisms]
-        self._platform = int(model.geom("platform").id)
+        self._platform = [int(model.geom(f"platform {k}").id) for k in range(len(outlines))]
+        if body.outline is not None:  # boxes of the URDF cover it from outside
+            cover = set(np.flatnonzero(model.geom_bodyid == model.body("base_link").id))
+            self._robot = [k for k in self._robot if k not in cover - set(self._platform)]
         self._arm = [k for k in self._robot if self._is_moved(int(model.geom_bodyid[k]))]
 
     def _is_moved(self, body: int) -> bool:
@@ -101,8 +109,9 @@ class PostureDistances:
         """Return the distance of the arm beyond its shoulder from platform and floor [m]."""
         rest = self._model, self._data
         platform: float = min(
-            mujoco.mj_geomDistance(*rest, shape, self._platform, 1.0, None)
+            mujoco.mj_geomDistance(*rest, shape, piece, 1.0, None)
             for shape in self._arm[SHOULDER_SHAPES:]
+            for piece in self._platform
         )
         return min(platform, float(self.corners(self._arm)[:, 2].min()))
 
@@ -124,7 +133,7 @@ class PostureDistances:
 def _points(prism: Prism) -> Array:
     """Return the corners (k, 3) of a prism around the origin [m]."""
     outline = ellipse_corners(prism.semi_axes, prism.angle)
-    return np.concatenate([np.insert(outline, 2, z, axis=1) for z in prism.heights])
+    return prism_corners(outline, prism.heights)
 
 
 def _add_hull(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, points: Array) -> None:

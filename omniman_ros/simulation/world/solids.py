@@ -176,3 +176,8 @@ def pallet_solid(pallet: Pallet) -> Box:
     """Return the box of a pallet."""
     centre = (pallet.x, pallet.y, 0.5 * pallet.height)
     return Box(centre, (pallet.length, pallet.width, pallet.height), pallet.yaw)
+
+
+def prism_corners(outline: Array, heights: tuple[float, float]) -> Array:
+    """Return the corners (2 k, 3) of an upright prism between two heights [m]."""
+    return np.concatenate([np.insert(outline, 2, z, axis=1) for z in heights])

@@ -37,7 +37,10 @@ def stage_of(problem, start=None, guess=None, goal=None, around=None):
         begin,
         guess or a_line(),
         goal or PoseGoal(np.array([1.0, 0.0, 0.0])),
-        Pairs.of(Footprint(problem.model.half), ellipses() if around is None else around),
+        Pairs.of(
+            Footprint(Rectangles.centred(problem.model.half)),
+            ellipses() if around is None else around,
+        ),
         SLOTS,
     )
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from omniman_ros.collision.footprint import Footprint
+from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.planning.effective_limits import EffectiveLimits
 from omniman_ros.planning.goals import PoseGoal, StateGoal
 from omniman_ros.planning.motion import Motion
@@ -45,7 +46,7 @@ def stage_of(name, goal, start=None, around=None, **changes):
     along = Motion.of_states(0.0, STEP, np.tile(begin, (STEPS + 1, 1)), np.zeros((STEPS, 1)))
     p = parameters(name, **changes)
     problem = Problem(PlanningModel.of(p.robot), EffectiveLimits(p))
-    pairs = Pairs.of(Footprint(problem.model.half), around or ellipses())
+    pairs = Pairs.of(Footprint(Rectangles.centred(problem.model.half)), around or ellipses())
     return problem.stage(begin, along, goal, pairs, SLOTS)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from omniman_ros.collision.footprint import Footprint
+from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.planning.motion import Motion
 from omniman_ros.planning.obstacles.environment import Environment
 from omniman_ros.planning.obstacles.walls import Walls
@@ -13,7 +14,7 @@ from omniman_ros.planning.safety import MARGIN_TOLERANCE, Surroundings
 from test.planning.support import ellipses, true_gaps
 
 HALF = np.array([0.4, 0.25])
-FOOTPRINT = Footprint(HALF)
+FOOTPRINT = Footprint(Rectangles.centred(HALF))
 BOX = FOOTPRINT.whole
 WIDE = (-9.0, -9.0, 9.0, 9.0)
 DECELERATION = (1.5, 4.0)

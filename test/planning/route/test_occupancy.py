@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from omniman_ros.collision.footprint import Footprint, Limbs
+from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.obstacles.grid_map import GridMap
 from omniman_ros.planning.route.lattice import Frame, Lattice, Region
@@ -13,14 +14,14 @@ from omniman_ros.planning.route.route import Clearance
 from test.planning.support import ellipses
 
 HALF = np.array([0.4, 0.25])
-FOOTPRINT = Footprint(HALF)
+FOOTPRINT = Footprint(Rectangles.centred(HALF))
 LIMBS = Limbs(
     np.array([[0.2, 0.7], [0.0, 0.1], [0.6, 0.6]]),
     np.array([[0.7, 0.7], [0.1, 0.35], [0.6, 0.6]]),
     np.array([0.06, 0.05]),
     np.array([0, 1]),
 )
-WITH_ARM = Footprint(HALF, (0.0, 0.5), LIMBS)
+WITH_ARM = Footprint(Rectangles.centred(HALF), (0.0, 0.5), LIMBS)
 EDGE = (-1.5, -1.2, 3.4, 2.6)
 HEADINGS = 24
 

@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 
 from omniman_ros.collision.footprint import Footprint
+from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.core.errors import InputError
 from omniman_ros.planning.obstacles.separation import box_gap, outside_by
 from omniman_ros.planning.route.route import Clearance, Route, straight
 from test.planning.support import ellipses, true_gaps
 
 HALF = np.array([0.4, 0.25])
-FOOTPRINT = Footprint(HALF)
+FOOTPRINT = Footprint(Rectangles.centred(HALF))
 SPEEDS = (0.8, 1.5)
 WIDE = (-1e3, -1e3, 1e3, 1e3)
 ROOM = (-3.0, -2.0, 3.0, 2.0)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from omniman_ros.collision.footprint import Footprint
+from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.core import se2
 from omniman_ros.planning.effective_limits import EffectiveLimits
 from omniman_ros.planning.obstacles.environment import Environment
@@ -65,7 +66,13 @@ class FollowedRoute:
     @property
     def environment(self):
         walls = Walls.none() if self.grid is None else Walls(*self.grid.obstacles())
-        return Environment(Footprint(HALF), self.known, self.p.workspace.bounds, self.grid, walls)
+        return Environment(
+            Footprint(Rectangles.centred(HALF)),
+            self.known,
+            self.p.workspace.bounds,
+            self.grid,
+            walls,
+        )
 
     @property
     def limits(self):

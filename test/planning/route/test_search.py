@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from omniman_ros.collision.footprint import Footprint
+from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.core.errors import InputError
 from omniman_ros.planning.obstacles.grid_map import GridMap
 from omniman_ros.planning.obstacles.separation import outside_by
@@ -14,7 +15,7 @@ from test.planning.support import ellipses
 from test.tiers import exhaustive, representative
 
 HALF = np.array([0.4, 0.25])
-FOOTPRINT = Footprint(HALF)
+FOOTPRINT = Footprint(Rectangles.centred(HALF))
 RADIUS = math.hypot(0.4, 0.25)
 SPEEDS = (0.8, 1.5)
 MARGIN = 0.02
@@ -465,7 +466,7 @@ def test_route_keeps_a_zero_or_a_large_margin():
         ({"start": np.array([0, math.nan, 0])}, "start.*nan"),
         ({"start": np.zeros(2)}, r"start.*\(2,\)"),
         ({"goal": np.array([0, 0, math.inf])}, "goal.*inf"),
-        ({"footprint": Footprint(np.array([0.4, 0.0]))}, "0.0"),
+        ({"footprint": Footprint(Rectangles.centred(np.array([0.4, 0.0])))}, "0.0"),
         ({"margin": -0.1}, "-0.1"),
         ({"margin": math.nan}, "nan"),
         ({"speeds": (0.0, 1.0)}, "0.0"),

@@ -2,15 +2,17 @@
 
 from xml.etree.ElementTree import Element
 
+from omniman_ros.core.polygon import trapezoids
 from omniman_ros.core.robot import Robot
 from omniman_ros.description.inertia import rest_of_body, wheel, wheel_masses
 from omniman_ros.description.platform_shape import WHEEL_WIDTH, platform_boxes
 from omniman_ros.simulation.plant.contact import mounted_wheels
 from omniman_ros.simulation.plant.parameters import MismatchParameters
 from omniman_ros.simulation.world.model.floor import Tyres
-from omniman_ros.simulation.world.model.mjcf import ROBOT, ROBOT_GROUP, add, add_inertia
+from omniman_ros.simulation.world.model.mjcf import ROBOT, ROBOT_GROUP, Value, add, add_inertia
 from omniman_ros.simulation.world.model.wheels import add_wheel
 from omniman_ros.simulation.world.parameters import WorldParameters
+from omniman_ros.simulation.world.solids import prism_corners
 
 BASE = "base_link"
 """Name of the platform's body, and of its joint to the world."""
@@ -28,6 +30,7 @@ def deck_height(robot: Robot, mount: float | None) -> float:
 
 
 def add_platform(
+    assets: Element,
     world: Element,
     robot: Robot,
     mismatch: MismatchParameters,
@@ -38,6 +41,7 @@ def add_platform(
     """Add the platform, and return its body, whose frame is base_link.
 
     Args:
+        assets: Element of the meshes.
         world: Element of the world.
         robot: The robot.
         mismatch: How the real wheels differ.
@@ -54,18 +58,21 @@ def add_platform(
     deck = boxes[0]
     bottom, top = (deck.centre[2] + side * 0.5 * deck.size[2] for side in (-1.0, 1.0))
     add_inertia(base, rest_of_body(robot, masses, bottom, top))
-    for box in boxes:
-        add(
-            base,
-            "geom",
-            type="box",
-            pos=box.centre,
-            size=[0.5 * edge for edge in box.size],
-            contype=str(ROBOT),
-            conaffinity="0",
-            group=str(ROBOT_GROUP),
-        )
+    if robot.body.outline is None:
+        for box in boxes:
+            _add_shape(base, type="box", pos=box.centre, size=[0.5 * edge for edge in box.size])
+    else:
+        for k, piece in enumerate(trapezoids(robot.body.outline)):
+            name, corners = f"{BASE} {k}", prism_corners(piece, (bottom, top))
+            add(assets, "mesh", name=name, vertex=corners.ravel().tolist())
+            _add_shape(base, type="mesh", mesh=name)
     for k, mounting in enumerate(mounted_wheels(robot.wheels, mismatch)):
         inertia = wheel(robot, k, masses[k], WHEEL_WIDTH * mounting.radius)
         add_wheel(base, robot.wheels.names[k], mounting, inertia, tyres, parameters)
     return base
+
+
+def _add_shape(base: Element, **shape: Value) -> None:
+    """Add a shape of the platform."""
+    contype, group = str(ROBOT), str(ROBOT_GROUP)
+    add(base, "geom", contype=contype, conaffinity="0", group=group, **shape)

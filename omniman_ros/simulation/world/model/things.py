@@ -3,8 +3,6 @@
 from collections.abc import Sequence
 from xml.etree.ElementTree import Element
 
-import numpy as np
-
 from omniman_ros.simulation.world.model.mjcf import (
     LOOSE,
     PERSON,
@@ -15,7 +13,13 @@ from omniman_ros.simulation.world.model.mjcf import (
     add,
 )
 from omniman_ros.simulation.world.scene import Column, Crate, Load, Person, Scene
-from omniman_ros.simulation.world.solids import Box, Cylinder, column_solid, plain_solids
+from omniman_ros.simulation.world.solids import (
+    Box,
+    Cylinder,
+    column_solid,
+    plain_solids,
+    prism_corners,
+)
 
 MEETS = str(ROBOT | WHEEL | LOOSE | PERSON)
 """What fixed and loose things collide with."""
@@ -71,7 +75,7 @@ def _add_column(assets: Element, world: Element, column: Column) -> None:
     """Add a column, and its mesh."""
     solid, name = column_solid(column), column.name
     outline, half = solid.outline, 0.5 * solid.height
-    corners = np.concatenate([np.insert(outline, 2, z, axis=1) for z in (-half, half)])
+    corners = prism_corners(outline, (-half, half))
     add(assets, "mesh", name=name, vertex=corners.ravel().tolist())
     body = add(world, "body", name=name, pos=solid.centre, mocap="true")
     _add_shape(body, 0, type="mesh", mesh=name)

@@ -84,7 +84,7 @@ def world_model(
     add(option, "flag", autoreset="disable")
     assets, world = add(root, "asset"), add(root, "worldbody")
     add_floor(world)
-    base = add_platform(world, robot, simulation.mismatch, mount, tyres, parameters)
+    base = add_platform(assets, world, robot, simulation.mismatch, mount, tyres, parameters)
     if armed:
         add_arm(base, description.arm, description.mount, tool)
     add_things(assets, world, scene, deck_height(robot, mount))
