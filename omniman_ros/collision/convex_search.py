@@ -26,7 +26,7 @@ def distances_along(
     some_outward: Callable[[tuple[Indices, ...]], Outward],
     start: Array,
     along: Array,
-    reach: float,
+    reach: Array | float,
 ) -> Array:
     """Return the distances between segments and convex solids; zero where they meet.
 
@@ -39,7 +39,7 @@ def distances_along(
         some_outward: Returns the same function for the n segments with indices, each (n,).
         start: Starts (3, ...) of the segments [m].
         along: Vectors (3, ...) to their ends [m].
-        reach: Distance above which a lower bound is enough [m].
+        reach: Distance above which a lower bound is enough, one or (...) [m].
 
     Returns:
         Distances (...) [m]. Those above `reach` may be too small, but are not below it.

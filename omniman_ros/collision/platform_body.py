@@ -82,8 +82,11 @@ class PlatformPrism:
 
     def distances_from_segments(self, start: Array, end: Array, reach: float) -> Array:
         """Return the distances (...) from segments (3, ...) in base_link; zero where they meet."""
-        each = [piece.distances(start, end, reach) for piece in self._pieces]
-        result: Array = np.min(each, axis=0)
+        result: Array = np.full(start.shape[1:], np.inf)
+        for piece in self._pieces:
+            # Only a piece that may be nearer than those before matters.
+            found = piece.distances(start, end, np.minimum(result, reach))
+            np.minimum(result, found, out=result)
         return result
 
     def distances_from_load(self, load: LoadBox, flange: Array, reach: float) -> Array:

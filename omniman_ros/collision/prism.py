@@ -31,13 +31,13 @@ class ConvexPrism:
             np.concatenate((low, high, low)).T, np.concatenate((next_low, next_high, high)).T
         )
 
-    def distances(self, start: Array, end: Array, reach: float) -> Array:
+    def distances(self, start: Array, end: Array, reach: Array | float) -> Array:
         """Return the distances (...) from segments (3, ...); zero where they meet [m].
 
         Args:
             start: Starts of the segments [m].
             end: Their ends [m].
-            reach: Distance above which a lower bound is enough [m].
+            reach: Distance above which a lower bound is enough, one or (...) [m].
         """
         return distances_along(self._outward, lambda _: self._outward, start, end - start, reach)
 

@@ -19,6 +19,7 @@ from omniman_ros.planning.obstacles.walls import Walls
 from omniman_ros.planning.route.problem import RouteProblem
 from omniman_ros.planning.route.search import FINEST_WHOLE, RouteSearch
 from omniman_ros.planning.safety import Surroundings
+from test.outlines import outlined
 from test.planning.support import SimulatedRun, ellipses, planner
 
 HALF = np.array([0.4, 0.25])
@@ -185,3 +186,18 @@ def test_of_two_motions_without_contact_the_one_in_the_workspace_is_better():
         np.zeros((1, 4)),
     )
     assert room.threat(back, 0.0) == (math.inf, inside)
+
+
+def test_a_platform_with_forks_drives_up_to_a_post_between_them():
+    """The rectangle around the outline would overlap the post at the goal by 0.25 m."""
+    half = [(-0.4, 0.25), (0.4, 0.25), (0.4, 0.2), (0.0, 0.2)]
+    outline = [*half, *((x, -y) for x, y in reversed(half))]
+    forks = Rectangles.around(outlined(outline, "ig42").robot.body)
+    known = things((1.25, 0.0, 0.01), heights=[POST], time=100.0)
+    sim = SimulatedRun(planner(), seen=known)
+    sim.planner.footprint = Footprint(forks)
+    sim.drive(PoseGoal(np.array([1.0, 0.0, 0.0])))
+    sim.run(20.0)
+    assert sim.planner.state is PlannerState.ARRIVED
+    assert arm_gap(sim, known).min() > 0.0
+    assert sim.pose()[0] == pytest.approx(1.0, abs=0.02)

@@ -3,9 +3,12 @@ import math
 import numpy as np
 import pytest
 
+from omniman_ros.core.polygon import signed_area
 from omniman_ros.viewer import meshes
+from omniman_ros.viewer.floor_shapes import marker, narrowed
 from omniman_ros.viewer.meshes import rotation, wheel_rotations
 from test import robots
+from test.outlines import FORKS, OCTAGON, outlined
 
 ANGLES = [-0.7854, 0.7854, 0.5, 0.0]
 
@@ -110,3 +113,22 @@ def test_a_heading_turns_to_the_left():
     assert quaternion_matrix(rotation(0.5)) @ [1.0, 0.0, 0.0] == pytest.approx(
         [math.cos(0.5), math.sin(0.5), 0.0]
     )
+
+
+@pytest.mark.parametrize("outline", [OCTAGON, FORKS])
+def test_a_platform_with_an_outline_is_shown_with_it(outline):
+    robot, area = outlined(outline).robot, signed_area(np.array(outline))
+    shape = meshes.body(robot)
+    height = np.ptp(shape.deck.vertices[:, 2])
+    assert signed_volume(shape.deck) == pytest.approx(area * height)
+    plate = marker(robot.body).plate
+    assert signed_volume(plate) == pytest.approx(area * np.ptp(plate.vertices[:, 2]))
+
+
+def test_the_border_of_a_marker_has_one_width():
+    outline = np.array(OCTAGON)
+    inner = narrowed(outline, 0.03)
+    side = np.roll(outline, -1, axis=0) - outline
+    offset = inner - outline
+    depth = (side[:, 0] * offset[:, 1] - side[:, 1] * offset[:, 0]) / np.hypot(*side.T)
+    np.testing.assert_allclose(depth, 0.03)

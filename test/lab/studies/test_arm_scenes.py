@@ -17,6 +17,7 @@ from omniman_ros.lab.studies.scene_geometry import Ellipse, PolylineMotion
 from omniman_ros.lab.studies.scenes import SceneDrive, box_of, mover_of
 from omniman_ros.simulation.world.distances import PostureDistances, Prism
 from test import robots
+from test.outlines import FORKS, outlined
 from test.tiers import representative
 
 VALUES = robots.values("omniman")
@@ -83,6 +84,14 @@ def test_distances_from_a_platform_are_those_of_a_box():
     assert low == pytest.approx(math.hypot(0.65, 1.5) - 0.2, abs=1e-3)
     shapes.place(np.zeros(3), np.array(STRETCHED), np.array([[0.8, 0.1], [5.0, 0.0]]))
     assert shapes.distances(9.0)[0] == pytest.approx(0.1, abs=1e-3)
+
+
+def test_distances_from_a_platform_with_an_outline_are_those_of_the_outline():
+    """A prism between the forks is clear of them; boxes of the URDF do not count."""
+    shapes = PostureDistances(outlined(FORKS), [Prism((0.03, 0.03), 0.0, (0.0, 0.3))])
+    for x, gap in ((0.4, 0.14 * math.cos(math.atan(0.1)) - 0.03), (0.2, 0.089), (-0.3, 0.0)):
+        shapes.place(np.zeros(3), np.array(STRETCHED), np.array([[x, 0.0]]))
+        assert max(shapes.distances(9.0)[0], 0.0) == pytest.approx(gap, abs=2e-3)
 
 
 def test_a_scene_has_heights_and_a_posture_with_room():
