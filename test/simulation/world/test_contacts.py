@@ -166,7 +166,7 @@ def test_a_post_is_touched_by_the_slanted_side_of_a_platforms_nose():
     """Boxes around the outline would meet the post before."""
     nose = [(-0.5, -0.35), (0.0, -0.35), (0.5, 0.0), (0.0, 0.35), (-0.5, 0.35)]
     x, y = ([corner[axis] for corner in nose] for axis in (0, 1))
-    post = Post(name="post", x=0.95, y=0.25, radius=0.05)
+    post = Post(name="post", x=0.95, y=0.12, radius=0.05)
     bench = ideal(
         "omniman", Scene(posts=(post,)), body__outline_x=x, body__outline_y=y, arm__mass=0.0
     )
@@ -174,5 +174,5 @@ def test_a_post_is_touched_by_the_slanted_side_of_a_platforms_nose():
         assert bench.now < 4.0
         bench.drive((0.4, 0.0, 0.0), 0.01)
     # The post's centre is 0.05 m from the side, which leads from (0, 0.35) to (0.5, 0).
-    ahead = (0.05 * math.hypot(0.35, 0.5) + 0.1 * 0.5) / 0.35
+    ahead = (0.05 * math.hypot(0.35, 0.5) + 0.23 * 0.5) / 0.35
     assert bench.world.pose[0] == pytest.approx(0.95 - ahead, abs=0.01)
