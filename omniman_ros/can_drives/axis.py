@@ -87,6 +87,8 @@ class Feedback:
         bus_voltage: Supply voltage [V].
         at: Time at which position and velocity were last received [s].
         count: Number of times that position and velocity were received.
+        restarts: Number of times that the drive has restarted, as it told or as is inferred: the
+            position continues from where it was, whatever the shaft has done meanwhile.
     """
 
     position: float = math.nan
@@ -97,6 +99,7 @@ class Feedback:
     bus_voltage: float = math.nan
     at: float = -math.inf
     count: int = 0
+    restarts: int = 0
 
 
 @dataclass(frozen=True)

@@ -104,6 +104,11 @@ class AxisGroup:
         return ""
 
     @property
+    def restarts(self) -> tuple[int, ...]:
+        """Number of restarts of each drive so far."""
+        return tuple(axis.feedback.restarts for axis in self.axes)
+
+    @property
     def have_reported(self) -> bool:
         """Whether position and velocity were received from all drives."""
         return all(axis.feedback.count for axis in self.axes)

@@ -373,6 +373,11 @@ class CanDrives:
         """Whether no drive reports power on its motor."""
         return self._group.are_off
 
+    @property
+    def restarts(self) -> tuple[int, ...]:
+        """Number of restarts of each drive so far."""
+        return self._group.restarts
+
     def take_states(self) -> WheelStates | None:
         """Return the states of all wheels if all have reported since the last call, else None."""
         return self._feedback.take_states(self._last_tick, self._tick_before)

@@ -417,6 +417,7 @@ class OdriveAxis:
                     f"it restarted: its position jumped by {step:.6g} rev",
                 )
             revolutions, self._offset = previous, previous - reading
+            self.feedback.restarts += 1
         self._position_revolutions = revolutions
         self.feedback.position = revolutions * math.tau
         self.feedback.velocity = speed * math.tau

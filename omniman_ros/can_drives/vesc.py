@@ -149,6 +149,7 @@ class VescAxis:
         """See `Axis`: remote, 11-bit and short frames are malformed, as a VESC sends none."""
         if frame.id == self._boot_id and frame.extended and not frame.remote:
             self._tachometer.restart()
+            self.feedback.restarts += 1
             self._on_restart("it reports a boot")
             return Receipt.ACCEPTED
         handler = self._handlers.get(frame.id)
@@ -217,6 +218,7 @@ class VescAxis:
             step, now - self._tachometer_at, self.settings
         ):
             counter.value = previous  # the position continues from there
+            self.feedback.restarts += 1
             self._on_restart(f"its tachometer jumped by {step / math.tau:.1f} revolutions")
         self._tachometer_at = now
         self.feedback.position = counter.value * self._radians_per_count

@@ -61,6 +61,7 @@ class WheelFeedback:
         speeds: Last wheel speeds (n,) [rad/s].
         time: Time of their measurement [s].
         received: Whether a report was received since the start or the last `forget`.
+        restarted: Whether a drive is known to have restarted since the last discontinuity.
         suspect: Index of a wheel whose reported speed disagrees with its position (a frozen
             encoder), or None.
     """
@@ -76,7 +77,7 @@ class WheelFeedback:
 
     def forget(self) -> None:
         """Discard all reports: the next one counts as the first."""
-        self.received = False
+        self.received = self.restarted = False
         self.suspect: int | None = None
         self._drift: Array = np.zeros(self._count)
         self._uncertainty: Array = np.zeros(self._count)
@@ -85,6 +86,14 @@ class WheelFeedback:
         self._position: Array | None = None
         self._observer.reset()
         self.speeds = np.zeros(self._count)
+
+    def note_restart(self) -> None:
+        """Take note that a drive has restarted.
+
+        Its position may continue as if the wheel had rested meanwhile, so that the positions do
+        not tell the motion over the next discontinuity.
+        """
+        self.restarted = self.received
 
     def age(self, now: float) -> float:
         """Return the age of the last report at `now` [s], by its older time: arrival or stamp."""
@@ -139,7 +148,8 @@ class WheelFeedback:
 
         Encoders count on while nobody listens. The change of the positions is the motion if each
         wheel has turned as if at speeds between those before and after, and zero: those of drives
-        that went on, or came to rest. Positions that the drives have begun anew differ from that.
+        that went on, or came to rest. Positions that the drives have begun anew differ from that;
+        those of a drive that is known to have restarted do not count.
 
         Args:
             fault: What is discontinuous.
@@ -157,6 +167,9 @@ class WheelFeedback:
         )
         if self._unwrapper is not None and float((high - low).max()) > 0.5 * self._span:
             is_known = False  # whole turns may be missing
+        if self.restarted:
+            is_known, self.restarted = False, False
+            fault += ", a drive has restarted"
         if moved is not None and is_known:
             warning = f"wheel_states: {fault}, the positions tell the motion since then"
             return WheelStep(moved, self.speeds, dt, still, warning)

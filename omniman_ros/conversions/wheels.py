@@ -8,7 +8,7 @@ import numpy as np
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray, MultiArrayDimension
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension, UInt32MultiArray
 
 from omniman_ros.control.wheel_cascade import DriveMode, WheelCommand
 from omniman_ros.control.wheel_health import IDLE
@@ -121,6 +121,24 @@ def electrical_message(values: Array) -> Float64MultiArray:
         MultiArrayDimension(label="voltage,current,energy", size=columns, stride=columns),
     ]
     return message
+
+
+def restarts_message(restarts: Sequence[int]) -> UInt32MultiArray:
+    """Return the message for the numbers of restarts of n drives."""
+    message = UInt32MultiArray(data=[count % 2**32 for count in restarts])
+    message.layout.dim = [MultiArrayDimension(label="wheel", size=len(restarts), stride=1)]
+    return message
+
+
+def restarts_of_message(message: UInt32MultiArray, n: int) -> tuple[int, ...]:
+    """Return the numbers of restarts of n drives.
+
+    Raises:
+        InputError: The number of values is not n.
+    """
+    if len(message.data) != n:
+        raise InputError(f"wheel_restarts: {len(message.data)} values, {n} wheels")
+    return tuple(message.data)
 
 
 def electrical_arrays(message: Float64MultiArray, n: int) -> tuple[Array, Array]:

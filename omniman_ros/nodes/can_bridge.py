@@ -7,9 +7,13 @@ from typing import TYPE_CHECKING, Any
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Float64MultiArray, UInt32MultiArray
 
-from omniman_ros.conversions.wheels import electrical_message, wheel_command_from_message
+from omniman_ros.conversions.wheels import (
+    electrical_message,
+    restarts_message,
+    wheel_command_from_message,
+)
 from omniman_ros.core.stop import StopState
 from omniman_ros.extras import CAN
 from omniman_ros.nodes.can_bridge_parameters import CanBridgeParameters
@@ -17,6 +21,7 @@ from omniman_ros.nodes.hardware_hooks import HardwareError
 from omniman_ros.nodes.hardware_node import HardwareNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.runtime import run
+from omniman_ros.nodes.stop_interface import LATCHED
 
 if TYPE_CHECKING:
     from omniman_ros.can_drives.link import CanLink, OpenBus
@@ -57,6 +62,8 @@ class CanBridgeNode(HardwareNode):
     def _make_topics(self) -> None:
         self._states = self.create_publisher(JointState, "wheel_states", 5)
         self._electrical = self.create_publisher(Float64MultiArray, "wheel_electrical", 10)
+        self._restarts = self.create_publisher(UInt32MultiArray, "wheel_restarts", LATCHED)
+        self._published_restarts: tuple[int, ...] = ()
         for topic, is_voltage in (("wheel_commands", False), ("wheel_voltages", True)):
             handler = self.guarded(topic, partial(self._on_command, is_voltage=is_voltage))
             self.create_subscription(JointState, topic, handler, COMMAND_QOS)
@@ -156,6 +163,9 @@ class CanBridgeNode(HardwareNode):
     def _publish(self, link: "CanLink") -> None:
         if link.stop_reason and not self.is_starting:
             self.latch.stop(link.stop_reason)
+        if link.drives.restarts != self._published_restarts:
+            self._published_restarts = link.drives.restarts
+            self._restarts.publish(restarts_message(self._published_restarts))
         states = link.take_states()
         if states is not None and self.is_active:
             message = JointState(

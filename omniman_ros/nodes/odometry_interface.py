@@ -8,6 +8,7 @@ from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
 from nav_msgs.msg import Odometry as OdometryMsg
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Imu, JointState
+from std_msgs.msg import UInt32MultiArray
 from std_srvs.srv import Trigger
 
 from omniman_ros.control.imu import ImuFeedback
@@ -22,11 +23,13 @@ from omniman_ros.conversions.odometry import (
     odometry_transform,
 )
 from omniman_ros.conversions.poses import planar_pose
+from omniman_ros.conversions.wheels import restarts_of_message
 from omniman_ros.core.arrays import Array
 from omniman_ros.nodes import tf_messages
 from omniman_ros.nodes.odometry_parameters import OdometryTopicParameters
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.static_transforms import StaticTransforms
+from omniman_ros.nodes.stop_interface import LATCHED
 
 Settings = Callable[[], OdometryTopicParameters]
 """Returns the present parameters of the topics."""
@@ -79,7 +82,7 @@ def imu_values(core: OdometryCore) -> list[tuple[str, object]]:
 
 
 class OdometryInputs:
-    """Subscribes to `wheel_states`, `set_pose` and, with `imu.use`, `imu`; serves a reset.
+    """Subscribes to the wheels' topics, `set_pose` and, with `imu.use`, `imu`; serves a reset.
 
     Args:
         node: Node that owns the subscriptions.
@@ -102,7 +105,9 @@ class OdometryInputs:
         self._names = names
         self._settings = settings
         self._on_report = on_report
+        self._restarts: tuple[int, ...] | None = None
         for kind, topic, handler, depth in (
+            (UInt32MultiArray, "wheel_restarts", self._on_restarts, LATCHED),
             (JointState, "wheel_states", self._on_wheel_states, 5),
             (PoseWithCovarianceStamped, "set_pose", self._on_set_pose, 10),
         ):
@@ -121,6 +126,11 @@ class OdometryInputs:
         if self._on_report is not None:
             self._on_report(message.header.stamp)
         return warning
+
+    def _on_restarts(self, message: UInt32MultiArray) -> None:
+        known, self._restarts = self._restarts, restarts_of_message(message, len(self._names))
+        if known not in (None, self._restarts):
+            self._core.feedback.note_restart()
 
     def _on_imu(self, message: Imu) -> None:
         rate, acceleration = imu_arrays(message, self._core.imu.parameters.mount.frame)

@@ -472,6 +472,7 @@ def test_position_that_jumps_has_restarted_and_is_continued(state):
     axis.receive(encoder(0.25), DT)
     assert axis.state is AxisState.OFFLINE
     assert axis.fault_reason == "it restarted: its position jumped by -999.75 rev"
+    assert axis.feedback.restarts == 1
     assert axis.feedback.position == pytest.approx(1000 * math.tau)
     axis.receive(encoder(0.5, 1.0), 2 * DT)
     assert axis.feedback.position == pytest.approx(1000.25 * math.tau)

@@ -319,7 +319,7 @@ def test_tachometer_that_jumps_has_restarted(state):
     axis = in_state(state, tachometer=100_000)
     before = axis.feedback.position
     hear(axis, DT, tachometer=3)
-    assert axis.state is AxisState.OFFLINE
+    assert axis.state is AxisState.OFFLINE and axis.feedback.restarts == 1
     assert "restarted" in axis.fault_reason and "-2380.9 revolutions" in axis.fault_reason
     assert axis.feedback.position == before
     hear(axis, 2 * DT, tachometer=45)
@@ -332,7 +332,7 @@ def test_drive_that_reports_a_boot_has_restarted(state):
     axis = in_state(state, tachometer=100)
     before = axis.feedback.position
     assert axis.receive(Frame(0x3905, b"\x05", True), DT) is Receipt.ACCEPTED
-    assert axis.state is AxisState.OFFLINE
+    assert axis.state is AxisState.OFFLINE and axis.feedback.restarts == 1
     assert axis.fault_reason == "it restarted: it reports a boot"
     hear(axis, 2 * DT, tachometer=0)
     assert axis.feedback.position == before

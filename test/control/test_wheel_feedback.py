@@ -164,6 +164,21 @@ def test_motion_in_a_gap_that_nothing_tells_is_missing(moved, span):
     np.testing.assert_allclose(step.unknown, [GAP * 6.0, GAP * 5.0])
 
 
+def test_positions_of_a_drive_that_has_restarted_do_not_tell_the_motion_in_a_gap():
+    """Its wheel has coasted, but its position continues from where it was."""
+    feedback = make()
+    feedback.update(1.0, 1.0, np.zeros(2), np.array([5.0, 5.0]))
+    feedback.note_restart()
+    feedback.update(1.01, 1.01, np.array([0.05, 0.05]), np.array([5.0, 5.0]))
+    step = feedback.update(1.01 + GAP, 1.01 + GAP, np.array([0.05, 1.6]), np.zeros(2))
+    assert "a drive has restarted" in step.warning
+    assert not step.moved.any()
+    np.testing.assert_allclose(step.unknown, [GAP * 5.0, GAP * 5.0])
+    later = 1.01 + 2.0 * GAP
+    step = feedback.update(later, later, np.array([0.05, 1.6]), np.zeros(2))
+    assert "the positions tell the motion" in step.warning, "it counts for one gap"
+
+
 def agree(seconds, position_of, speed_of):
     """Return the feedback after some time; positions and speeds (2,) are functions of time."""
     feedback = make()

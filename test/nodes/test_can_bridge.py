@@ -7,6 +7,7 @@ end to end (test/end_to_end/test_can_processes.py).
 from collections import deque
 
 import can
+import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import State, Transition
@@ -14,7 +15,7 @@ from lifecycle_msgs.srv import ChangeState, GetState
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool, Float64MultiArray
+from std_msgs.msg import Bool, Float64MultiArray, UInt32MultiArray
 from std_srvs.srv import Trigger
 
 from omniman_ros.can_drives.bus import BusError
@@ -25,7 +26,7 @@ from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
 from omniman_ros.nodes.can_bridge import CanBridgeNode
 from omniman_ros.nodes.hardware_node import RETRY_PERIOD, START_ATTEMPTS
-from omniman_ros.nodes.stop_interface import ALL_LATCHED
+from omniman_ros.nodes.stop_interface import ALL_LATCHED, LATCHED
 from omniman_ros.robots import load_robot
 from omniman_ros.simulation.can_drives.network import SimulatedBus
 from omniman_ros.simulation.can_drives.parameters import CanFaultParameters
@@ -403,6 +404,18 @@ def test_fault_stops_all_wheels_and_appears_in_the_diagnostics():
         assert level == b"\x02"
         assert message.startswith("rear_left: EMCY 2310")
         bench.until(lambda: bench.bus.at_rest, "rest")
+
+
+def test_a_drive_that_boots_is_told_by_its_number_of_restarts():
+    with Bench() as bench:
+        counts = bench.listen(UInt32MultiArray, "wheel_restarts", LATCHED)
+        bench.drive()
+        before = list(counts[-1].data)
+        bench.bus.simulated.set_faults(CanFaultParameters(reboot=("front_right",)))
+        bench.until(lambda: not bench.node.latch.released, "the stop")
+        bench.run(0.02)
+        assert len(before) == 4
+        assert (np.array(counts[-1].data) - before).tolist() == [0, 1, 0, 0]
 
 
 INVALID_COMMANDS = {

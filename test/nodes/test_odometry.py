@@ -10,8 +10,10 @@ from geometry_msgs.msg import PoseWithCovarianceStamped, Twist
 from nav_msgs.msg import Odometry
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
+from std_msgs.msg import UInt32MultiArray
 from std_srvs.srv import Trigger
 
+from omniman_ros.control.wheel_feedback import MAX_GAP
 from omniman_ros.nodes import tf_messages
 from omniman_ros.nodes.odometry import OdometryNode
 from omniman_ros.nodes.platform_controller import PlatformControllerNode
@@ -185,6 +187,23 @@ def test_idle_wheels_are_left_out_and_come_back(wheels):
     health.publish(DiagnosticStatus(values=everything))
     wheels.run(PERIOD)
     assert wheels.core.idle == () and wheels.node.warning_counts["wheel_health"] == 1
+
+
+def test_after_a_restart_of_a_drive_a_gap_adds_to_the_covariance(wheels):
+    """Over a gap, positions tell the motion, unless a drive has restarted meanwhile."""
+    restarts = wheels.publisher(UInt32MultiArray, "wheel_restarts", LATCHED)
+    grown = []
+    for counts in ([0, 0, 0, 0], [0, 0, 0, 0], [0, 1, 0, 0], [0, 1, 0, 0]):
+        restarts.publish(UInt32MultiArray(data=counts))
+        wheels.turn(0.3)
+        before = wheels.core.odometry.covariance[0, 0]
+        wheels.run(MAX_GAP + PERIOD)
+        wheels.turn(PERIOD)
+        grown.append(wheels.core.odometry.covariance[0, 0] - before > 1e-3)
+    assert grown == [False, False, True, False]
+    restarts.publish(UInt32MultiArray(data=[0, 1]))
+    wheels.run(PERIOD)
+    assert wheels.node.warning_counts["wheel_restarts"] == 1
 
 
 # ---- invalid input and time ---------------------------------------------------------------------

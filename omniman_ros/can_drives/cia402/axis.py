@@ -127,7 +127,7 @@ class Cia402Axis:
     def configure(self, now: float) -> None:
         """See `axis.Axis`: NMT pre-operational, SDOs one at a time, NMT start, first reports."""
         if self._watch.loss(now):
-            self._counter.restart()  # the drive may have restarted unnoticed
+            self._restart_counter()  # the drive may have restarted unnoticed
         self._clear()
         self._is_reset_due = False
         self._begin()
@@ -197,8 +197,12 @@ class Cia402Axis:
             self._lose("NMT", f"left operational by itself: heartbeat reports {state}")
         return True
 
-    def _on_restart(self) -> None:
+    def _restart_counter(self) -> None:
         self._counter.restart()
+        self.feedback.restarts += 1
+
+    def _on_restart(self) -> None:
+        self._restart_counter()
         self._is_mapped = False
         if self.state is AxisState.CONFIGURING:
             self._begin()
@@ -353,7 +357,7 @@ class Cia402Axis:
         """Detect missing reports and ignored commands."""
         if loss := self._watch.loss(now):
             self._lose(*loss)
-            self._counter.restart()
+            self._restart_counter()
             return
         assert self._pds is not None
         modes = self._mode_shown, self._mode_requested

@@ -3,8 +3,9 @@
 Written for viser 1.1.1 and websockets 16.1 (`setup.py` pins `viser==1.1.*`); check each item below
 when either is updated. viser 1.1 offers no public way for any of them:
 
-* `guarded_server`: a check of the requests before viser accepts them, and encryption. viser calls
-  `websockets.asyncio.server.serve` with its own `process_request`, and without TLS.
+* `guarded_server`: a check of the requests before viser accepts them, encryption, and a pace for
+  the messages of each connection. viser calls `websockets.asyncio.server.serve` with its own
+  `process_request`, and without TLS; it reads each message by `recv` and queues what to do.
 * `restrict_to_values`: viser lets a browser set any attribute of a control.
 * `LocalServer`: viser lets a browser request a public URL.
 * * `camera_position`: viser raises an AssertionError while a camera is unknown.
@@ -13,6 +14,7 @@ when either is updated. viser 1.1 offers no public way for any of them:
 * `*_css`: the layout of panels and buttons, which only style sheets can change.
 """
 
+import asyncio
 import http
 import ssl
 from collections.abc import Callable, Iterable, Iterator
@@ -27,7 +29,9 @@ from viser.infra import ClientId
 from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
+from websockets.typing import Data
 
+from omniman_ros.viewer.page.message_pace import MessagePace
 from omniman_ros.viewer.page.request_guard import RequestGuard
 
 RequestHandler = Callable[[ServerConnection, Request], Response | None]
@@ -53,12 +57,30 @@ class LocalServer(viser.ViserServer):
         return None
 
 
+class PacedConnection(ServerConnection):
+    """A connection whose messages are read at a limited rate.
+
+    What a page sends beyond that waits in its own connection, and delays no other page.
+    """
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self._pace = MessagePace()
+
+    async def recv(self, decode: bool | None = None) -> Data:
+        """Return the next message, not before it may be read."""
+        delay = self._pace.delay(self.loop.time())
+        if delay > 0.0:
+            await asyncio.sleep(delay)
+        return await super().recv(decode)
+
+
 @contextmanager
 def guarded_server(guard: RequestGuard, tls: ssl.SSLContext | None = None) -> Iterator[None]:
-    """Have the servers that are started in this context check their requests.
+    """Have the servers that are started in this context check their requests and pace messages.
 
-    viser accepts neither a check nor TLS as an argument, so `serve` of websockets is replaced
-    meanwhile.
+    viser accepts neither a check nor TLS nor a pace as an argument, so `serve` of websockets is
+    replaced meanwhile.
 
     Args:
         guard: Decides about the requests.
@@ -68,7 +90,13 @@ def guarded_server(guard: RequestGuard, tls: ssl.SSLContext | None = None) -> It
 
     def guarded_serve(*args: Any, process_request: RequestHandler, **options: Any) -> Any:
         checked = partial(_process_request, guard, process_request)
-        return serve(*args, process_request=checked, ssl=tls, **options)
+        return serve(
+            *args,
+            process_request=checked,
+            ssl=tls,
+            create_connection=PacedConnection,
+            **options,
+        )
 
     # The replacement is a function in place of a class.
     websockets.asyncio.server.serve = guarded_serve  # type: ignore[assignment,misc]

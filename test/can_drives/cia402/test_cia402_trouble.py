@@ -60,9 +60,11 @@ def test_error_code_of_a_fault_is_reported():
 
 def test_boot_up_is_a_fault_at_reception_and_needs_a_configuration():
     bench = Bench().driving(MOVING)
+    before = bench.axis.feedback.restarts
     assert bench.tell(0x700, "00") is Receipt.ACCEPTED
     assert bench.axis.fault_reason == "restarted (boot-up)"
     assert bench.axis.state is AxisState.OFFLINE
+    assert bench.axis.feedback.restarts == before + 1
     still(bench, 3)
 
 

@@ -1,0 +1,34 @@
+"""Rate up to which the messages of one connection are read."""
+
+RATE = 200.0
+"""Largest rate of messages of a connection in the long run [1/s].
+
+A page that drags something sends up to 60.
+"""
+BURST = 200
+"""Number of messages of a connection that may come at once: a page that connects sends many."""
+ROUND_OFF = 1e-6
+"""Delay that does not count [s]."""
+
+
+class MessagePace:
+    """Tells when the next message of a connection may be read (a token bucket).
+
+    Args:
+        rate: Largest rate in the long run [1/s].
+        burst: Number of messages that may come at once.
+    """
+
+    def __init__(self, rate: float = RATE, burst: int = BURST) -> None:
+        self._interval, self._reserve = 1.0 / rate, burst / rate
+        self._spent_until = 0.0
+
+    def delay(self, now: float) -> float:
+        """Return how long to wait before the next message is read [s], and count it.
+
+        Args:
+            now: Time of any steady clock [s].
+        """
+        self._spent_until = max(self._spent_until, now) + self._interval
+        delay = self._spent_until - self._reserve - now
+        return delay if delay > ROUND_OFF else 0.0
