@@ -1,4 +1,5 @@
 import asyncio
+from functools import partial
 
 import pytest
 import websockets.asyncio.server
@@ -52,12 +53,13 @@ def test_a_flood_of_one_page_leaves_the_server_to_another():
     async def run():
         with guarded_server(RequestGuard("127.0.0.1", 0)):
             serving = websockets.asyncio.server.serve(
-                handle, "127.0.0.1", 0, process_request=lambda *_: None
+                handle, "127.0.0.1", 0, process_request=lambda *_: None, close_timeout=0.1
             )
         async with serving as server:
             port = server.sockets[0].getsockname()[1]
             address = f"ws://127.0.0.1:{port}"
-            async with connect(address) as one, connect(address) as other:
+            link = partial(connect, address, close_timeout=0.1)
+            async with link() as one, link() as other:
 
                 async def flood():
                     for _ in range(FLOOD):
