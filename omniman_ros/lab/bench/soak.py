@@ -1,6 +1,7 @@
 """`omniman bench soak`: drives and disturbs a robot at random for hours, and watches it."""
 
 import argparse
+import contextlib
 import math
 import os
 import time
@@ -21,6 +22,7 @@ from omniman_ros.lab.faults.running_robot import RunningRobot
 from omniman_ros.lab.faults.trial import LONGEST_GAP
 from omniman_ros.lab.soak.activities import Activities
 from omniman_ros.lab.soak.usage import Usage, longest_life, usage, usage_figures
+from omniman_ros.lab.soak.waiting import LONGEST_WAIT, WaitingWatch
 from omniman_ros.lab.verdicts import verdict
 from omniman_ros.processes.node_output import NodeOutputLog
 from omniman_ros.processes.process_group import redirect_signals
@@ -72,15 +74,19 @@ class Watch:
         self._sampled = -math.inf
         self.samples: dict[str, list[Usage]] = {}
         self.least_gap, self.fastest = math.inf, 0.0
-        self._held_up = 0.0
+        self._held_up = False
+        self._waiting = WaitingWatch()
+        robot.on_check = self._look_at_waiting
         self.false_stops: list[str] = []
         self.held_up_stops = 0
         self.ended: list[str] = []
 
     def look(self) -> None:
         """Evaluate the ground truth since the last call, and sample the processes."""
-        platform, self._held_up = self._robot.truth.platform, self._robot.truth.longest_gap
+        platform, gap = self._robot.truth.platform, self._robot.truth.longest_gap
+        self._held_up = gap > LONGEST_GAP or self._waiting.longest > LONGEST_WAIT
         self._robot.truth.clear()
+        self._waiting.clear()
         if len(platform):
             self.fastest = max(self.fastest, float(platform[:, 1].max()))
             self.least_gap = min(self.least_gap, self._gap(platform))
@@ -90,6 +96,14 @@ class Watch:
             self._sampled = now
             for name in [*self._robot.names, STREAMING_PROCESS]:
                 self._sample(name, now)
+
+    def _look_at_waiting(self) -> None:
+        """Sample how long the processes wait for a core."""
+        pids = []
+        for name in [*self._robot.names, STREAMING_PROCESS]:
+            with contextlib.suppress(CommandError, KeyError):
+                pids.append(self._robot.pid(name))
+        self._waiting.look(pids, time.monotonic())
 
     def _sample(self, name: str, now: float) -> None:
         try:
@@ -108,7 +122,7 @@ class Watch:
         stopped = self._robot.stopped
         if self._activities.disturbed or not stopped:
             return
-        if self._held_up > LONGEST_GAP:
+        if self._held_up:
             self.held_up_stops += 1
         else:
             self.false_stops += [f"{name}: {self._robot.reasons[name]}" for name in stopped]
@@ -251,7 +265,7 @@ def report(result: Mapping[str, Any]) -> list[str]:
         f"resets and services: {result['stuck'] or 'all worked'}: {met['reset']}",
         f"calls of services without an answer: {len(result['unanswered'])}",
         f"stops without a fault: {len(result['false_stops'])}: {met['false_stops']}; "
-        f"{result['held_up_stops']} more while the machine held drives or arm up",
+        f"{result['held_up_stops']} more while the machine held a process up",
         f"descriptors and threads: {met['counts']}; memory: {met['memory']}; load "
         f"{result['load']:.1f} on {os.cpu_count()} cores",
     ]

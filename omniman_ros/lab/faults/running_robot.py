@@ -134,6 +134,7 @@ class RunningRobot:
         stop_states: Level of the last `stop_state` by node.
         reasons: Text of the last `stop_state` by node.
         source: Last `active_source`.
+        on_check: Called again and again while this waits for something.
         unanswered: Names of services, once for each call that was not answered in time.
     """
 
@@ -150,6 +151,7 @@ class RunningRobot:
         self._on_line = on_line
         self._groups: dict[str, ProcessGroup] = {}
         self._interrupted = False
+        self.on_check: Callable[[], None] = lambda: None
         self.stop_states: dict[str, bytes] = {}
         self.reasons: dict[str, str] = {}
         self.source = ""
@@ -272,6 +274,7 @@ class RunningRobot:
         """
         if self._interrupted:
             raise KeyboardInterrupt
+        self.on_check()
 
     # ---- waiting and services -------------------------------------------------------------------
 

@@ -110,6 +110,7 @@ class ArmDrive:
         self.tilts: list[float] = []
         self._swing: Swing | None = None
         self._swing_start = 0.0
+        self._is_silent = False
         self.watch(SETTLING_TIME, None)
         for seen in (self.errors, self.yaw_errors, self.loads, self.tilts):
             seen.clear()
@@ -128,15 +129,19 @@ class ArmDrive:
                 core.set_arm(self._mass.at(self._arm.positions))
             if twist is not None:
                 core.set_twist(np.array(twist, dtype=float), loop.now)
-            loop.step()
+            step = loop.step_silent if self._is_silent else loop.step
+            step()
             speeds = [wheel.speed for wheel in world.wheels]
             self.errors.append(core.cascade.reference - speeds)
             self.yaw_errors.append(float(core.setpoint[2] - world.twist[2]))
             self.loads.append(float(world.wheel_loads.min()))
             self.tilts.append(math.acos(min(1.0, float(world.base_frame[1][2, 2]))))
 
-    def stop(self) -> Figures:
+    def stop(self, *, is_silent: bool = False) -> Figures:
         """Stop, and return what the whole drive showed.
+
+        Args:
+            is_silent: Whether the controller falls silent, so that the drives stop by themselves.
 
         Raises:
             CommandError: The controller has stopped by itself.
@@ -145,7 +150,9 @@ class ArmDrive:
         if not core.latch.released:
             raise CommandError(f"the controller stopped: {core.latch.status.reason}")
         speed, start = math.hypot(*world.twist[:2]), world.pose
-        core.latch.stop("end of the drive")
+        self._is_silent = is_silent
+        if not is_silent:
+            core.latch.stop("end of the drive")
         self.watch(STOP_TIME, None)
         return Figures(
             speed_error=_rms(self.errors),
@@ -166,6 +173,7 @@ def drive(
     *,
     knows_posture: bool,
     swing: Swing | None = None,
+    is_silent: bool = False,
 ) -> Figures:
     """Drive twists one after another with the arm stretched to the left, and stop.
 
@@ -175,6 +183,7 @@ def drive(
         seconds: Duration of each [s].
         knows_posture: See :class:`ArmDrive`.
         swing: How the arm stretches after the twists; None if it is stretched from the beginning.
+        is_silent: Whether the controller falls silent at the end, so that the drives stop.
 
     Raises:
         CommandError: The controller has stopped by itself.
@@ -185,7 +194,7 @@ def drive(
     if swing is not None:
         made.begin(swing)
         made.watch(swing.stop, twists[-1])
-    return made.stop()
+    return made.stop(is_silent=is_silent)
 
 
 def _rms(values: Sequence[Array] | Sequence[float]) -> float:

@@ -29,7 +29,6 @@ from viser.infra import ClientId
 from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
-from websockets.typing import Data
 
 from omniman_ros.viewer.page.message_pace import MessagePace
 from omniman_ros.viewer.page.request_guard import RequestGuard
@@ -67,7 +66,7 @@ class PacedConnection(ServerConnection):
         super().__init__(*args, **options)
         self._pace = MessagePace()
 
-    async def recv(self, decode: bool | None = None) -> Data:
+    async def recv(self, decode: bool | None = None) -> Any:
         """Return the next message, not before it may be read."""
         delay = self._pace.delay(self.loop.time())
         if delay > 0.0:

@@ -12,10 +12,10 @@ TIPPING = {"share": 0.4, "speed": 0.6, "least_load": 100.0, "lifted": 0.0, "tilt
 
 
 def result(case="tipping", **changes):
-    made = {"tracking": {}, "tipping": {}, "swing": {}}
+    made = {"tracking": {}, "tipping": {}, "swing": {}, "silence": {}}
     for side in ("unknown", "known"):
         made["tracking"][side] = dict(TRACKING, yaw_error=0.01 if side == "unknown" else 0.004)
-        for stop in ("tipping", "swing"):
+        for stop in ("tipping", "swing", "silence"):
             made[stop][side] = {**TIPPING, "stop_way": 0.169}
     made[case]["known"].update(changes)
     return {**made, "aims": bench.aims(made)}
@@ -29,6 +29,8 @@ def result(case="tipping", **changes):
         ({"lifted": 0.005}, {"tipping_lifted"}),
         ({"stop_way": 0.18}, {"tipping_stop_way"}),
         ({"case": "swing", "stop_way": 0.18}, set()),
+        ({"case": "silence", "stop_way": 0.3}, set()),
+        ({"case": "silence", "lifted": 0.005}, {"silence_lifted"}),
         ({"case": "swing", "stop_way": 0.19, "lifted": 0.1}, {"swing_stop_way", "swing_lifted"}),
     ],
 )
