@@ -41,6 +41,8 @@ class ArmServo:
         self.dofs = slice(first, first + len(joints))
         self._coordinates = slice(start, start + len(joints))
         self._limits = np.array(EFFORTS)
+        self._lowest = -self._limits
+        self._demanded: Array = np.zeros(len(engine.velocities))
         self.reference = ArmReference(self.positions)
         self.torques: Array = np.zeros(len(joints))
         self._impulse: Array = np.zeros(len(joints))
@@ -105,9 +107,13 @@ class ArmServo:
         else:
             error = reference.positions - engine.coordinates[self._coordinates]
             rate = reference.velocities - engine.velocities[self.dofs]
-            demanded = reference.accelerations + BANDWIDTH * (BANDWIDTH * error + 2.0 * rate)
-            torques = engine.inertia(self.dofs) @ demanded + engine.bias[self.dofs]
-            self.torques, friction = np.clip(torques, -self._limits, self._limits), 0.0
+            # The other joints are held: their accelerations stay zero.
+            self._demanded[self.dofs] = reference.accelerations + BANDWIDTH * (
+                BANDWIDTH * error + 2.0 * rate
+            )
+            torques = engine.inertial_forces(self._demanded)[self.dofs] + engine.bias[self.dofs]
+            self.torques = np.minimum(np.maximum(torques, self._lowest), self._limits)
+            friction = 0.0
         engine.applied[self.dofs] = self.torques
         engine.dry_friction[self.dofs] = friction
 

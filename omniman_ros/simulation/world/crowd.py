@@ -15,6 +15,8 @@ AGILITY = 12.0
 """Rate at which a person reaches the wanted velocity [1/s]."""
 PERIOD = 0.05
 """Time between two decisions of a person [s]."""
+FORCE_PERIOD = 0.005
+"""Time for which a person's force stays the same [s], short against 1 / AGILITY."""
 TINY = 1e-12
 """Force below which its direction does not matter [N]."""
 
@@ -51,6 +53,7 @@ class Crowd:
         ]
         self._neighbourhood = Neighbourhood(engine, scene)
         self._every = max(1, round(PERIOD / engine.step_time))
+        self._force_every = max(1, round(FORCE_PERIOD / engine.step_time))
         self._count = 0
 
     @property
@@ -69,9 +72,15 @@ class Crowd:
         """Set the forces of the next step."""
         if not self._persons:
             return
-        if self._count % self._every == 0:
-            self._decide()
+        count = self._count
         self._count += 1
+        if count % self._every == 0:
+            self._decide()
+        if count % self._force_every == 0:
+            self._push()
+
+    def _push(self) -> None:
+        """Set the forces until they are set anew."""
         forces = self._gains * (self._wanted - self.velocities)
         squares = forces * forces
         sizes = np.sqrt(squares[:, :1] + squares[:, 1:])

@@ -28,14 +28,32 @@ class Engine:
     Args:
         model: The model.
 
+    The arrays among the attributes are live views; :meth:`replace` makes new ones.
+
     Attributes:
         step_time: Length of a step [s].
+        coordinates: Coordinates of all joints; may be written before :meth:`refresh`.
+        velocities: Velocities of all joints; may be written before :meth:`refresh`.
+        applied: Forces and torques to apply at the joints in the next step; to be written.
+        bias: Forces and torques that hold the joints against gravity and Coriolis forces.
+        damping: Damping of all joints, implicit in a step; may be written.
+        dry_friction: Dry friction of all joints; may be written.
+        shape_friction: Coefficients of friction of all shapes; the first column may be written.
+        shape_positions: Positions of all shapes in the world [m], (m, 3).
     """
 
+    coordinates: Array
+    velocities: Array
+    applied: Array
+    bias: Array
+    damping: Array
+    dry_friction: Array
+    shape_friction: Array
+    shape_positions: Array
+
     def __init__(self, model: WorldModel) -> None:
-        self._model, self._data = self._compile(model)
+        self._use(*self._compile(model))
         self.step_time = float(self._model.opt.timestep)
-        self._inertia: Array = np.empty((self._model.nv, self._model.nv))
         self.refresh()
 
     @staticmethod
@@ -46,12 +64,23 @@ class Engine:
         model.body_invweight0[model.geom_bodyid[is_tyre], 0] = source.tyres.inverse_weight
         return model, mujoco.MjData(model)
 
+    def _use(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        """Step a compiled model from now on."""
+        self._model, self._data = model, data
+        self.coordinates, self.velocities = data.qpos, data.qvel
+        self.applied, self.bias = data.qfrc_applied, data.qfrc_bias
+        self.damping, self.dry_friction = model.dof_damping, model.dof_frictionloss
+        self.shape_friction, self.shape_positions = model.geom_friction, data.geom_xpos
+        self._rotations = data.xmat
+        self._product: Array = np.empty(model.nv)
+
     def replace(self, model: WorldModel) -> None:
         """Go on with another model that has the same joints."""
         old = self._data
-        self._model, self._data = self._compile(model)
+        self._use(*self._compile(model))
         self._data.qpos[:], self._data.qvel[:] = old.qpos, old.qvel
         self._data.qacc_warmstart[:] = old.qacc_warmstart
+        self._data.qfrc_applied[:] = old.qfrc_applied
         self._data.mocap_pos[:] = old.mocap_pos
         self._data.time = old.time
         self.refresh()
@@ -114,55 +143,7 @@ class Engine:
         corners: Array = places.reshape(-1, 3)
         return corners
 
-    # state: live views
-
-    @property
-    def coordinates(self) -> Array:
-        """Coordinates of all joints; may be written before :meth:`refresh`."""
-        values: Array = self._data.qpos
-        return values
-
-    @property
-    def velocities(self) -> Array:
-        """Velocities of all joints; may be written before :meth:`refresh`."""
-        values: Array = self._data.qvel
-        return values
-
-    @property
-    def applied(self) -> Array:
-        """Forces and torques to apply at the joints in the next step; to be written."""
-        values: Array = self._data.qfrc_applied
-        return values
-
-    @property
-    def bias(self) -> Array:
-        """Forces and torques that hold the joints against gravity and Coriolis forces."""
-        values: Array = self._data.qfrc_bias
-        return values
-
-    @property
-    def damping(self) -> Array:
-        """Damping of all joints, implicit in a step; may be written."""
-        values: Array = self._model.dof_damping
-        return values
-
-    @property
-    def dry_friction(self) -> Array:
-        """Dry friction of all joints; may be written."""
-        values: Array = self._model.dof_frictionloss
-        return values
-
-    @property
-    def shape_friction(self) -> Array:
-        """Coefficients of friction of all shapes; the first column may be written."""
-        values: Array = self._model.geom_friction
-        return values
-
-    @property
-    def shape_positions(self) -> Array:
-        """Positions of all shapes in the world [m], (m, 3)."""
-        values: Array = self._data.geom_xpos
-        return values
+    # state
 
     def pose(self, body: int) -> tuple[Array, Array]:
         """Return position (3,) [m] and rotation (3, 3) of a body in the world."""
@@ -170,17 +151,17 @@ class Engine:
 
     def heading(self, body: int) -> float:
         """Return the direction of a body's x axis on the floor, within pi of zero [rad]."""
-        rotation = self._data.xmat
-        return math.atan2(rotation.item(body, 3), rotation.item(body, 0))
+        rotations = self._rotations
+        return math.atan2(rotations.item(body, 3), rotations.item(body, 0))
 
     def place(self, body: int, x: float, y: float) -> None:
         """Place a body that nothing else moves, see `add_things`, at (x, y) in the world [m]."""
         self._data.mocap_pos[self._model.body_mocapid[body], :2] = x, y
 
-    def inertia(self, dofs: slice) -> Array:
-        """Return the joints' inertia, the other joints held, (k, k), until the next call."""
-        mujoco.mj_fullM(self._model, self._data, self._inertia)
-        return self._inertia[dofs, dofs]
+    def inertial_forces(self, accelerations: Array) -> Array:
+        """Return the forces and torques for accelerations of all joints, until the next call."""
+        mujoco.mj_mulM(self._model, self._data, self._product, accelerations)
+        return self._product
 
     def energies(self) -> tuple[float, float]:
         """Return potential and kinetic energy of all bodies [J]."""

@@ -1,15 +1,31 @@
 """What the floor does to the wheels: loads, the drag of rolling rollers, slippery patches."""
 
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.robot import Robot
 from omniman_ros.simulation.plant.parameters import PlantParameters
 from omniman_ros.simulation.world.engine import Engine
 from omniman_ros.simulation.world.model.wheels import body_name
+
+
+@dataclass(frozen=True, slots=True)
+class _Tyre:
+    """What rolls on the floor.
+
+    Attributes:
+        hinge: Index of the velocity of the hinge on which it rolls freely.
+        wheel: Number of its wheel.
+        radius: Its radius [m].
+    """
+
+    hinge: int
+    wheel: int
+    radius: float
 
 
 class TyreContacts:
@@ -23,26 +39,34 @@ class TyreContacts:
         names: Names of the wheels.
 
     Attributes:
-        loads: Load of each wheel in the latest step [N], (n,).
         drag_loss: Energy lost by the drag of the rollers since the start [J].
         slip_loss: Energy lost by slip on the floor since the start [J].
     """
 
     def __init__(self, engine: Engine, names: Sequence[str]) -> None:
         self._engine = engine
-        self.loads: Array = np.zeros(len(names))
+        self._loads = [0.0 for _ in names]
         self.drag_loss = self.slip_loss = 0.0
         parties = engine.parties()
         wheels = {body_name(name): k for k, name in enumerate(names)}
-        self._shapes, self._hinges, self._radii = engine.tyres()
-        self._wheels = np.array([wheels[parties[shape]] for shape in self._shapes])
-        # Tyre of each shape, -1 for other shapes.
-        self._tyre_of = np.full(len(parties), -1)
-        self._tyre_of[self._shapes] = np.arange(len(self._shapes))
+        self._shapes, hinges, radii = engine.tyres()
+        self._wheels = [wheels[parties[shape]] for shape in self._shapes]
+        # By shape; None for those that are not tyres.
+        self._tyres: list[_Tyre | None] = [None] * len(parties)
+        for shape, hinge, wheel, radius in zip(
+            self._shapes.tolist(), hinges.tolist(), self._wheels, radii.tolist(), strict=True
+        ):
+            self._tyres[shape] = _Tyre(hinge, wheel, radius)
+        self._rolling: list[int] = []
+
+    @property
+    def loads(self) -> Array:
+        """Load of each wheel in the latest step [N], (n,)."""
+        return np.array(self._loads)
 
     def configure(self, robot: Robot, plant: PlantParameters) -> None:
         """Set friction and drag of the wheels, and the slippery patch."""
-        self._drag = np.asarray(robot.friction.roller)[self._wheels] * self._radii**2
+        self._drag = tuple(robot.friction.roller)
         self._width = plant.roller_velocity
         self._friction = robot.friction.mu
         low = np.array([plant.patch_x_min, plant.patch_y_min])
@@ -60,33 +84,42 @@ class TyreContacts:
         grip = np.where(slippery, patch_friction, self._friction)
         self._engine.shape_friction[self._shapes, 0] = grip
 
-    def update(self) -> NDArray[np.intp]:
+    def update(self) -> list[int]:
         """Take loads and losses of the step, and set the drag for the next.
 
         Returns:
             Indices of the contacts that are not those of tyres.
         """
-        engine, step = self._engine, self._engine.step_time
+        engine, step, tyres = self._engine, self._engine.step_time, self._tyres
+        damping, velocities = engine.damping, engine.velocities
+        forces, slips = engine.forces.tolist(), engine.slips.tolist()
+        loads, others = [0.0] * len(self._loads), []
+        work, drag, square = 0.0, self._drag, self._width * self._width
+        # A few contacts: numbers are faster than arrays.
+        for hinge in self._rolling:
+            damping[hinge] = 0.0
+        rolling = self._rolling = []
         shapes, rows = engine.contacts()
-        parties = self._tyre_of[shapes]
-        tyres = np.maximum(parties[:, 0], parties[:, 1])
-        others = np.nonzero(tyres < 0)[0]
-        loaded = np.nonzero(np.minimum(tyres, rows) >= 0)[0]
-        if len(loaded) < len(tyres):
-            tyres, rows = tyres[loaded], rows[loaded]
-        forces, slips = engine.forces, engine.slips
-        normal = forces[rows]
-        loads = np.bincount(self._wheels[tyres], normal, len(self.loads))
-        self.loads = loads.astype(np.float64, copy=False)
-        along = rows + 1
-        across = rows + 2
-        work = forces[along] @ slips[along] + forces[across] @ slips[across]
-        self.slip_loss -= step * float(work)
-        hinges = self._hinges[tyres]
-        spin = engine.velocities[hinges]
-        speed = spin * self._radii[tyres]
-        damping = self._drag[tyres] * normal / np.sqrt(speed * speed + self._width**2)
-        engine.damping[self._hinges] = 0.0
-        engine.damping[hinges] = damping
-        self.drag_loss += step * float((damping * spin) @ spin)
+        for k, ((first, second), row) in enumerate(
+            zip(shapes.tolist(), rows.tolist(), strict=True)
+        ):
+            tyre = tyres[first] or tyres[second]
+            if tyre is None:
+                others.append(k)
+                continue
+            if row < 0:
+                continue
+            hinge, radius, normal = tyre.hinge, tyre.radius, forces[row]
+            loads[tyre.wheel] += normal
+            work += forces[row + 1] * slips[row + 1] + forces[row + 2] * slips[row + 2]
+            spin = velocities.item(hinge)
+            lever = radius * spin
+            drag_damping = (
+                drag[tyre.wheel] * radius * radius * normal / math.sqrt(lever * lever + square)
+            )
+            damping[hinge] = drag_damping
+            rolling.append(hinge)
+            self.drag_loss += step * drag_damping * spin * spin
+        self.slip_loss -= step * work
+        self._loads = loads
         return others

@@ -3,8 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError, ParameterError
 from omniman_ros.core.robot import Robot
@@ -90,10 +88,10 @@ class World:
         self._crowd = Crowd(engine, scene, parameters.person_force)
         self.arm = ArmServo(engine, description.arm.joints) if carries_arm(robot) else None
 
-        self._drives = np.array([engine.dof(name) for name in robot.wheels.names])
+        self._drives = [engine.dof(name) for name in robot.wheels.names]
         is_ideal = parameters.wheels == IDEAL
         hinges = [free_joint(name) for name in robot.wheels.names] if is_ideal else []
-        self._free = np.array([engine.coordinate(name) for name in hinges], dtype=np.intp)
+        self._free = [engine.coordinate(name) for name in hinges]
         deck = deck_height(robot, description.mount.z if self.arm else None)
         self._base = Base(engine, [load.name for load in scene.loads], deck)
         if self.arm is not None:
@@ -234,30 +232,32 @@ class World:
             OmnimanError: The state is no longer finite.
         """
         engine, wheels, drives = self.engine, self.wheels, self._drives
-        step = engine.step_time
-        for wheel, voltage in zip(wheels, voltages, strict=True):
-            wheel.begin(voltage, step)
+        applied, damping, dry_friction = engine.applied, engine.damping, engine.dry_friction
+        velocities, step = engine.velocities, engine.step_time
         if self.arm is not None:
             self.arm.update(self.time)
         self._crowd.update()
         self._tyres.update_grip()
-        engine.applied[drives] = 0.0
-        work = step * float(engine.applied @ engine.velocities)
-        engine.applied[drives] = [wheel.torque for wheel in wheels]
-        engine.damping[drives] = [wheel.damping for wheel in wheels]
-        engine.dry_friction[drives] = [wheel.dry for wheel in wheels]
+        for dof in drives:
+            applied[dof] = 0.0
+        work = step * float(applied @ velocities)
+        for wheel, dof, voltage in zip(wheels, drives, voltages, strict=True):
+            wheel.begin(voltage, step)
+            applied[dof], damping[dof] = wheel.torque, wheel.damping
+            dry_friction[dof] = wheel.dry
 
         engine.advance()
         self._contacts.update(self._tyres.update())
-        engine.coordinates[self._free] = 0.0
+        for index in self._free:
+            engine.coordinates[index] = 0.0
         engine.refresh()
         self._steps += 1
         if self.arm is not None:
             self.arm.measure(self.time)
 
         turnover = abs(work)
-        for wheel, speed in zip(wheels, engine.velocities[drives].tolist(), strict=True):
-            turnover += wheel.finish(step, speed)
+        for wheel, dof in zip(wheels, drives, strict=True):
+            turnover += wheel.finish(step, velocities.item(dof))
         self._turnover += turnover
         self._external += work
         self._base.follow()
