@@ -43,9 +43,9 @@ def fill_odometry(
     message.pose.pose.position.x = float(pose[0])
     message.pose.pose.position.y = float(pose[1])
     message.pose.pose.orientation = quaternion_from_yaw(float(pose[2]))
-    for i, row in enumerate(PLANAR_INDICES):
-        for j, column in enumerate(PLANAR_INDICES):
-            message.pose.covariance[6 * row + column] = covariance[i, j]
+    for row, values in zip(PLANAR_INDICES, covariance.tolist(), strict=True):
+        for column, value in zip(PLANAR_INDICES, values, strict=True):
+            message.pose.covariance[6 * row + column] = value
     vx, vy, yaw_rate = twist.tolist()
     message.twist.twist.linear.x = vx
     message.twist.twist.linear.y = vy

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import Point, Pose, TransformStamped, Vector3
+from geometry_msgs.msg import TransformStamped, Vector3
 from sensor_msgs.msg import LaserScan
 from std_msgs.msg import ColorRGBA, Float64MultiArray, Header, MultiArrayDimension
 from visualization_msgs.msg import Marker, MarkerArray
@@ -121,32 +121,45 @@ def scanner_transform(
     return result
 
 
-def obstacle_markers(obstacles: "Sequence[Obstacle]", frame: str, stamp: Time) -> MarkerArray:
+def obstacle_markers(obstacles: "Sequence[Obstacle]", frame: str) -> MarkerArray:
     """Return one marker per obstacle: a cylinder or a box of its true size.
 
     Args:
         obstacles: Obstacles; those of all messages are the same, in the same order.
         frame: Frame of the obstacles.
-        stamp: Stamp of the message.
 
     Returns:
-        Markers whose namespace is the obstacle's name, with number 0.
+        Markers whose namespace is the obstacle's name, with number 0; poses and stamp are still to
+        be written by :func:`fill_obstacle_markers`.
     """
-    header = Header(stamp=stamp, frame_id=frame)
-    return MarkerArray(markers=[_marker(obstacle, header) for obstacle in obstacles])
+    markers = []
+    for obstacle in obstacles:
+        length, width, height = obstacle.size
+        marker = Marker(
+            header=Header(frame_id=frame),
+            ns=obstacle.name,
+            type=Marker.CYLINDER if obstacle.is_round else Marker.CUBE,
+            action=Marker.ADD,
+            color=OBSTACLE_COLOR,
+            scale=Vector3(x=length, y=width, z=height),
+        )
+        marker.pose.position.z = 0.5 * height
+        markers.append(marker)
+    return MarkerArray(markers=markers)
 
 
-def _marker(obstacle: "Obstacle", header: Header) -> Marker:
-    x, y, heading = obstacle.pose
-    length, width, height = obstacle.size
-    return Marker(
-        header=header,
-        ns=obstacle.name,
-        type=Marker.CYLINDER if obstacle.is_round else Marker.CUBE,
-        action=Marker.ADD,
-        color=OBSTACLE_COLOR,
-        scale=Vector3(x=length, y=width, z=height),
-        pose=Pose(
-            position=Point(x=x, y=y, z=0.5 * height), orientation=quaternion_from_yaw(heading)
-        ),
-    )
+def fill_obstacle_markers(
+    message: MarkerArray, obstacles: "Sequence[Obstacle]", stamp: Time
+) -> None:
+    """Write the poses of obstacles.
+
+    Args:
+        message: Their markers, see :func:`obstacle_markers`.
+        obstacles: The same obstacles in the same order.
+        stamp: Stamp of the message.
+    """
+    for marker, obstacle in zip(message.markers, obstacles, strict=True):
+        x, y, heading = obstacle.pose
+        marker.header.stamp = stamp
+        marker.pose.position.x, marker.pose.position.y = x, y
+        marker.pose.orientation = quaternion_from_yaw(heading)

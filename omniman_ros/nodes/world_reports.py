@@ -9,6 +9,7 @@ from visualization_msgs.msg import MarkerArray
 
 from omniman_ros.conversions.world import (
     contacts_message,
+    fill_obstacle_markers,
     obstacle_markers,
     wheel_loads_message,
 )
@@ -38,6 +39,7 @@ class WorldReportPublisher:
         self._contacts = node.create_publisher(DiagnosticArray, "contacts", 10)
         self._loads = node.create_publisher(Float64MultiArray, "wheel_loads", 10)
         self._obstacles = node.create_publisher(MarkerArray, "ground_truth/obstacles", 10)
+        self._markers = obstacle_markers(world.obstacles, p.world_frame)
         self._count, self._is_touched = 0, False
 
     def publish(self, stamp: Time) -> None:
@@ -55,5 +57,5 @@ class WorldReportPublisher:
         if self._count % self._loads_every == 0:
             self._loads.publish(wheel_loads_message(self._world.wheel_loads))
         if self._count % self._obstacles_every == 0:
-            obstacles = self._world.obstacles
-            self._obstacles.publish(obstacle_markers(obstacles, p.world_frame, stamp))
+            fill_obstacle_markers(self._markers, self._world.obstacles, stamp)
+            self._obstacles.publish(self._markers)

@@ -16,7 +16,7 @@ BENCHMARKS = {
     "stability": "tracking and lifted wheels with the arm stretched, posture known or not",
     "faults": "reactions of the whole running robot to each row of the table of faults",
     "soak": "memory, contacts and false stops of a robot that is driven and disturbed for hours",
-    "world": "speed of the physics world over real time, CPU of a laser scan",
+    "world": "speed of the physics world over real time, CPU of its node and of a laser scan",
 }
 """Measured quantities of each benchmark, for the help text."""
 

@@ -1,12 +1,13 @@
-"""`omniman bench world`: how fast the physics world runs, and what a laser scan costs.
+"""`omniman bench world`: how fast the physics world runs, and what its node and a scan cost.
 
-All times are CPU times of this process, which computes on one core, as the machine may be busy
-with other work.
+All times are CPU times, of this process and of the node's, as the machine may be busy with other
+work.
 """
 
 import argparse
 import time
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.extras import WORLD
 from omniman_ros.lab.bench.harness import Rows, conclude, tables
 from omniman_ros.lab.bench.measurement import best_cpu
+from omniman_ros.lab.bench.world_node import NODE, node_share
 from omniman_ros.processes.robot_setup import resolve_robot
 from omniman_ros.robots import load_robot
 from omniman_ros.simulation.plant.parameters import SimulationParameters
@@ -39,6 +41,8 @@ AIMS = {IDEAL: 6.0, ROLLERS: 5.0}
 """Smallest speed of the simulation over real time, by the kind of wheels."""
 SCAN_AIM = 2.0
 """Largest share of a core for the scans [%]."""
+NODE_AIM = 30.0
+"""Largest share of a core for the node in real time [%]."""
 
 
 def real_time_factor(drives: SimulatedDrives, direction: Any, seconds: float) -> float:
@@ -109,14 +113,19 @@ def run(args: argparse.Namespace) -> int:
     """Run `omniman bench world`; return 0, the exit code of a successful measurement.
 
     Raises:
-        CommandError: The engine is not installed.
+        CommandError: The engine is not installed, or a node has ended.
     """
     if not WORLD.is_available:
         raise CommandError(WORLD.hint)
     say("plant, ideal wheels, rollers and scans ...")
-    robot = load_robot(resolve_robot(args.robot))
-    result = {"robot": args.robot, "quick": args.quick, "scene": SCENE}
-    result |= measure(robot, 0.5 if args.quick else 5.0)
+    name = resolve_robot(args.robot)
+    result: dict[str, Any] = {"robot": args.robot, "quick": args.quick, "scene": SCENE}
+    result |= measure(load_robot(name), 0.5 if args.quick else 5.0)
+    result["node"] = {}
+    for kind in (IDEAL, ROLLERS):
+        say(f"{NODE} in a running robot, {kind} ...")
+        share = node_share(name, SCENE, kind, 2.0 if args.quick else 15.0, SPEED)
+        result["node"][kind] = asdict(share)
     return conclude("world", result, report, args.results, aims)
 
 
@@ -125,6 +134,12 @@ def aims(result: dict[str, Any]) -> dict[str, bool]:
     met = {
         f"{kind} at least {aim:g} times real time": result["factor"][kind] >= aim
         for kind, aim in AIMS.items()
+    }
+    met |= {
+        f"{NODE}, {kind}, at most {NODE_AIM:g} % of a core": (
+            max(share["rest"], share["driving"]) <= NODE_AIM
+        )
+        for kind, share in result["node"].items()
     }
     label = f"scans at {SCAN_RATE:g} Hz at most {SCAN_AIM:g} % of a core"
     return {**met, label: result["scan"]["core_percent"] <= SCAN_AIM}
@@ -141,6 +156,9 @@ def report(result: dict[str, Any]) -> list[str]:
     ):
         aim = f"{AIMS[name]:g}" if name in AIMS else ""
         rows.append((f"{text}, times real time", f"{result['factor'][name]:.1f}", aim))
+    for kind, share in result["node"].items():
+        figures = f"{share['rest']:.1f} %, {share['driving']:.1f} %"
+        rows.append((f"{NODE}, {kind}: at rest, driving", figures, f"{NODE_AIM:g} %"))
     rows.append((f"scan of {scan['beams']} beams, CPU", f"{scan['cpu_us']:.0f} us", ""))
     share = f"{scan['core_percent']:.2f} %"
     rows.append((f"  at {SCAN_RATE:g} Hz, share of a core", share, f"{SCAN_AIM:g} %"))

@@ -103,9 +103,9 @@ class SimulatedImu:
             return None
         if p.frozen and self._measured is not None:
             return self._measured
-        velocities = [m.velocity + np.cross(m.rate, self._place) for m in (before, motion)]
+        velocities = [m.velocity + _cross(m.rate, self._place) for m in (before, motion)]
         mean_rate, mean_velocity = 0.5 * (before.rate + motion.rate), 0.5 * sum(velocities)
-        acceleration = (velocities[1] - velocities[0]) / dt + np.cross(mean_rate, mean_velocity)
+        acceleration = (velocities[1] - velocities[0]) / dt + _cross(mean_rate, mean_velocity)
         force = acceleration + motion.rotation.T @ self._gravity
         rate = motion.rate + self._random.normal(0.0, p.gyro_noise, 3)
         rate[2] += p.gyro_bias + self._walk
@@ -113,3 +113,10 @@ class SimulatedImu:
         force[:2] += p.acceleration_bias
         self._measured = self._to_sensor @ rate, force
         return self._measured
+
+
+def _cross(left: Array, right: Array) -> Array:
+    """Return the cross product (3,) of two vectors, for which numpy's takes ten times as long."""
+    a, b, c = left.tolist()
+    x, y, z = right.tolist()
+    return np.array([b * z - c * y, c * x - a * z, a * y - b * x])
