@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 from omniman_ros.core.errors import InputError
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.simulated_clock import SimulatedClock
-from omniman_ros.simulation.arm_link.connection import LinkError
 from omniman_ros.simulation.arm_link.server import ArmLinkServer
+from omniman_ros.simulation.link_connection import LinkError
 from omniman_ros.simulation.plant.simulated_drives import SimulatedDrives
 
 if TYPE_CHECKING:

@@ -3,13 +3,13 @@
 import socket
 
 from omniman_ros.core.errors import InputError
-from omniman_ros.simulation.arm_link.connection import LOOPBACK, LinkConnection, LinkError
 from omniman_ros.simulation.arm_link.frames import (
     ArmSetpoint,
     ArmState,
     StateReader,
     encode_setpoint,
 )
+from omniman_ros.simulation.link_connection import LOOPBACK, LinkConnection, LinkError
 
 CONNECT_TIMEOUT = 0.02
 """Longest time for connecting [s], during which the caller is blocked."""

@@ -1,15 +1,13 @@
 """The world's end of the link: it listens, and serves one arm controller at a time."""
 
-import socket
-
-from omniman_ros.core.errors import InputError, ParameterError
-from omniman_ros.simulation.arm_link.connection import LOOPBACK, LinkConnection, LinkError
+from omniman_ros.core.errors import InputError
 from omniman_ros.simulation.arm_link.frames import (
     ArmSetpoint,
     ArmState,
     SetpointReader,
     encode_state,
 )
+from omniman_ros.simulation.link_connection import LinkConnection, LinkError, LinkListener
 
 
 class ArmLinkServer:
@@ -20,26 +18,21 @@ class ArmLinkServer:
 
     Attributes:
         port: Number of the port.
-        refused: Number of controllers that were refused because one is connected.
 
     Raises:
         ParameterError: The port is not available.
     """
 
     def __init__(self, port: int) -> None:
-        self._listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-        try:
-            self._listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            self._listening.bind((LOOPBACK, port))
-            self._listening.listen(1)
-            self._listening.setblocking(False)
-        except OSError as error:
-            self._listening.close()
-            raise ParameterError("arm_port", port, f"cannot be used: {error}") from error
-        self.port = int(self._listening.getsockname()[1])
-        self.refused = 0
+        self._listener = LinkListener("arm_port", port)
+        self.port = self._listener.port
         self._connection: LinkConnection | None = None
         self._reader = SetpointReader()
+
+    @property
+    def refused(self) -> int:
+        """Number of controllers that were refused because one is connected."""
+        return self._listener.refused
 
     @property
     def is_connected(self) -> bool:
@@ -51,15 +44,10 @@ class ArmLinkServer:
 
         Where one is connected already, others are turned away.
         """
-        try:
-            accepted, _ = self._listening.accept()
-        except OSError:
+        accepted = self._listener.accept(refuse=self.is_connected)
+        if accepted is None:
             return False
-        if self._connection is not None:
-            self.refused += 1
-            accepted.close()
-            return False
-        self._connection, self._reader = LinkConnection(accepted), SetpointReader()
+        self._connection, self._reader = accepted, SetpointReader()
         return True
 
     def receive(self) -> list[ArmSetpoint]:
@@ -100,4 +88,4 @@ class ArmLinkServer:
     def close(self) -> None:
         """Close the connection and the port."""
         self.disconnect()
-        self._listening.close()
+        self._listener.close()

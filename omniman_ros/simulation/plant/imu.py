@@ -103,9 +103,9 @@ class SimulatedImu:
             return None
         if p.frozen and self._measured is not None:
             return self._measured
-        velocities = [m.velocity + _cross(m.rate, self._place) for m in (before, motion)]
-        mean_rate, mean_velocity = 0.5 * (before.rate + motion.rate), 0.5 * sum(velocities)
-        acceleration = (velocities[1] - velocities[0]) / dt + _cross(mean_rate, mean_velocity)
+        former, present = (m.velocity + _cross(m.rate, self._place) for m in (before, motion))
+        mean_rate, mean_velocity = 0.5 * (before.rate + motion.rate), 0.5 * (former + present)
+        acceleration = (present - former) / dt + _cross(mean_rate, mean_velocity)
         force = acceleration + motion.rotation.T @ self._gravity
         rate = motion.rate + self._random.normal(0.0, p.gyro_noise, 3)
         rate[2] += p.gyro_bias + self._walk

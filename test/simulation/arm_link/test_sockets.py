@@ -6,9 +6,9 @@ import pytest
 
 from omniman_ros.core.errors import InputError, ParameterError
 from omniman_ros.simulation.arm_link.client import ArmLinkClient
-from omniman_ros.simulation.arm_link.connection import LinkError
 from omniman_ros.simulation.arm_link.frames import ArmSetpoint, ArmState, encode_setpoint
 from omniman_ros.simulation.arm_link.server import ArmLinkServer
+from omniman_ros.simulation.link_connection import LinkError
 
 SIX = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
 TIMEOUT = 5.0
