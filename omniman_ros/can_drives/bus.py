@@ -5,7 +5,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any
+from typing import Any, Protocol
 
 import can
 
@@ -28,7 +28,33 @@ class BusError(OmnimanError):
     """The bus cannot be opened; the message names the bus and the reason."""
 
 
-class CanBus:
+class Bus(Protocol):
+    """A bus as the bridge uses it.
+
+    Attributes:
+        garbage: Number of received items that were not classic CAN frames.
+    """
+
+    garbage: int
+
+    def take(self) -> Iterator[Frame | str]:
+        """Yield received frames, or descriptions of bus failures."""
+
+    def wait(self, timeout: float) -> None:
+        """Wait for a frame, up to `timeout` seconds."""
+
+    def send(self, frames: Iterable[Frame]) -> str:
+        """Send all frames, even if one fails; return the last failure, or an empty string."""
+
+    @property
+    def failure(self) -> str:
+        """Failure of the bus, or an empty string."""
+
+    def close(self) -> None:
+        """Close the bus."""
+
+
+class CanBus(Bus):
     """A bus of python-can.
 
     If the interface has a file descriptor (socketcan, udp_multicast, serial lines), a thread waits

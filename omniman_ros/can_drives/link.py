@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable
 from functools import partial
 
-from omniman_ros.can_drives.bus import CanBus
+from omniman_ros.can_drives.bus import Bus, CanBus
 from omniman_ros.can_drives.drives import CanDrives, Phase
 from omniman_ros.can_drives.frame import Frame
 from omniman_ros.can_drives.wheel_feedback import WheelStates
@@ -20,7 +20,7 @@ POWER_OFF_MARGIN = 1.0
 
 Wake = Callable[[], None]
 """Called from another thread when frames have arrived."""
-OpenBus = Callable[[CanParameters, Wake | None], CanBus]
+OpenBus = Callable[[CanParameters, Wake | None], Bus]
 """Opens a bus; raises BusError if that fails."""
 
 

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -110,6 +111,40 @@ def wheel_command_from_message(
         return WheelCommand(DriveMode.VELOCITY, np.zeros(len(names)), speeds)
     torque = require_array(effort, plausible.EFFORT, "effort")
     return WheelCommand(DriveMode.VELOCITY, torque, speeds)
+
+
+class WheelValues(Protocol):
+    """Measurements of n wheels, whoever made them."""
+
+    @property
+    def position(self) -> Array:
+        """Angles (n,) [rad]."""
+
+    @property
+    def velocity(self) -> Array:
+        """Speeds (n,) [rad/s]."""
+
+    @property
+    def effort(self) -> Array:
+        """Torques (n,) [N m]."""
+
+
+def states_message(names: list[str], states: WheelValues, stamp: Time) -> JointState:
+    """Return the message for the states of n wheels.
+
+    Args:
+        names: Names of the wheels.
+        states: The states.
+        stamp: Stamp of the message.
+    """
+    message = JointState(
+        name=names,
+        position=states.position.tolist(),
+        velocity=states.velocity.tolist(),
+        effort=states.effort.tolist(),
+    )
+    message.header.stamp = stamp
+    return message
 
 
 def electrical_message(values: Array) -> Float64MultiArray:

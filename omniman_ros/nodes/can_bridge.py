@@ -9,14 +9,10 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, UInt32MultiArray
 
-from omniman_ros.conversions.wheels import (
-    electrical_message,
-    restarts_message,
-    wheel_command_from_message,
-)
+from omniman_ros.conversions import wheels
 from omniman_ros.core.stop import StopState
 from omniman_ros.extras import CAN
-from omniman_ros.nodes.can_bridge_parameters import CanBridgeParameters
+from omniman_ros.nodes.can_bridge_parameters import CanBridgeParameters, require_time_of_bus
 from omniman_ros.nodes.hardware_hooks import HardwareError
 from omniman_ros.nodes.hardware_node import HardwareNode
 from omniman_ros.nodes.parameters import ParameterSet
@@ -38,7 +34,7 @@ class CanBridgeNode(HardwareNode):
     wait for the drives; meanwhile only the bus is served.
 
     Args:
-        open_bus: Opens the bus, in place of `can_drives.bus.CanBus`.
+        open_bus: Opens the bus in place of `bus_opener`, on the time of the caller's choice.
         options: Options of `HardwareNode`.
 
     Attributes:
@@ -46,13 +42,14 @@ class CanBridgeNode(HardwareNode):
     """
 
     def __init__(self, *, open_bus: "OpenBus | None" = None, **options: Any) -> None:
-        super().__init__("can_bridge", **options)
+        super().__init__("can_bridge", allow_sim_time=True, **options)
         self.settings = ParameterSet(self, CanBridgeParameters)
         p = self.settings.value
+        if open_bus is None:
+            require_time_of_bus(p.simulated_bus_port, self.is_simulated)
         p.can.check(p.robot)
         self.link: CanLink | None = None
-        self._open_bus = open_bus
-        self._names = list(p.robot.wheels.names)
+        self._open_bus, self._names = open_bus, list(p.robot.wheels.names)
         self._make_topics()
         self.settings.on_change(self._update_parameters)
         self.every(p.can.period, self.tick)
@@ -86,12 +83,14 @@ class CanBridgeNode(HardwareNode):
     def open_hardware(self) -> str:
         """Open the bus and configure the drives."""
         # Imported here, so that this module's parameters can be read without python-can.
-        from omniman_ros.can_drives.bus import BusError, CanBus
+        from omniman_ros.can_drives.bus import BusError
         from omniman_ros.can_drives.link import CanLink
+        from omniman_ros.nodes.paced_bus import bus_opener
 
         p = self.settings.value
+        open_bus = self._open_bus or bus_opener(p.simulated_bus_port, self.now, self.poll_clock)
         try:
-            self.link = CanLink(p.robot, p.can, self.now, self.wake, self._open_bus or CanBus)
+            self.link = CanLink(p.robot, p.can, self.now, self.wake, open_bus)
         except BusError as error:
             raise HardwareError(str(error)) from error
         if reason := self.link.configure():
@@ -142,6 +141,14 @@ class CanBridgeNode(HardwareNode):
             self.link.receive()
             self._publish(self.link)
 
+    @property
+    def progress(self) -> float:
+        """Simulated time up to which frames were exchanged [s]; the drives are told, too."""
+        self.receive()
+        if self.link is not None:
+            self.link.send(())
+        return self.now()
+
     def tick(self) -> None:
         """Run the link for one period, and publish what the drives report."""
         if self.link is not None:
@@ -149,7 +156,7 @@ class CanBridgeNode(HardwareNode):
             self._publish(self.link)
 
     def _on_command(self, message: JointState, is_voltage: bool) -> str:
-        command = wheel_command_from_message(message, self._names, is_voltage)
+        command = wheels.wheel_command_from_message(message, self._names, is_voltage)
         age = self.age(message.header.stamp)
         if self.link is None or not self.is_active:
             values = command.effort if command.velocity is None else command.velocity
@@ -165,23 +172,17 @@ class CanBridgeNode(HardwareNode):
             self.latch.stop(link.stop_reason)
         if link.drives.restarts != self._published_restarts:
             self._published_restarts = link.drives.restarts
-            self._restarts.publish(restarts_message(self._published_restarts))
+            self._restarts.publish(wheels.restarts_message(self._published_restarts))
         states = link.take_states()
         if states is not None and self.is_active:
-            message = JointState(
-                name=self._names,
-                position=states.position.tolist(),
-                velocity=states.velocity.tolist(),
-                effort=states.effort.tolist(),
-            )
-            message.header.stamp = self.stamp(states.at)
+            message = wheels.states_message(self._names, states, self.stamp(states.at))
             self._states.publish(message)
         self.stop_interface.publish()
 
     def _publish_electrical(self) -> None:
         if self.link is not None and self.is_active:
             dt = 1.0 / self.settings.value.electrical_rate
-            self._electrical.publish(electrical_message(self.link.electrical(dt)))
+            self._electrical.publish(wheels.electrical_message(self.link.electrical(dt)))
 
     def status(self) -> tuple[bytes, str, list[tuple[str, object]]]:
         """Return level, message and values for the diagnostics."""

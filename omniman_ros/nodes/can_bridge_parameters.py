@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from omniman_ros.core.can_parameters import CanParameters
+from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import inline, parameter
 from omniman_ros.core.robot import Robot
 
@@ -18,6 +19,29 @@ class CanBridgeParameters:
         "Whether the node starts itself, and retries until the drives are there.",
         read_only=True,
     )
+    simulated_bus_port: int = parameter(
+        0,
+        "With use_sim_time, TCP port on this machine at which simulated_can_drives, with "
+        "publish_clock, takes the place of the bus; 0 for the bus of can.interface.",
+        low=0,
+        high=65535,
+        read_only=True,
+    )
     electrical_rate: float = parameter(
         50.0, "Rate of wheel_electrical.", unit="Hz", low=1, high=1000, read_only=True
     )
+
+
+def require_time_of_bus(port: int, is_simulated: bool) -> None:
+    """Require the time that the drives run on.
+
+    Args:
+        port: Value of `simulated_bus_port`.
+        is_simulated: Whether the node has `use_sim_time`.
+
+    Raises:
+        ParameterError: The node has it with real drives, or drives in simulated time without it.
+    """
+    if is_simulated is not bool(port):
+        reason = "a bus runs on real time, and the one at simulated_bus_port on /clock"
+        raise ParameterError("use_sim_time", is_simulated, reason)

@@ -1,6 +1,7 @@
 """A bus of python-can, and the thread that receives its frames."""
 
 import threading
+import time
 from collections import deque
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
@@ -13,6 +14,8 @@ if TYPE_CHECKING:
 
 RECEIVE_TIMEOUT = 0.1
 """Time that the receiver waits for a frame, or after an error of the bus [s]."""
+MAX_FRAME_AGE = 1.0
+"""Largest age of a frame that is believed [s]."""
 
 
 def open_bus(parameters: CanParameters) -> "can.BusABC":
@@ -31,6 +34,16 @@ def open_bus(parameters: CanParameters) -> "can.BusABC":
         return can.Bus(interface=parameters.interface, channel=parameters.channel, **more)
     except (can.CanError, OSError, ValueError, NotImplementedError, ImportError) as error:
         raise ParameterError("can.interface", parameters.interface, str(error)) from error
+
+
+def frame_age(message: "can.Message") -> float:
+    """Return how long ago a frame arrived [s]; 0 if the bus does not report it.
+
+    On a busy machine a process and its frames may wait: drives that considered the frames late
+    would stop, which real drives would not.
+    """
+    age: float = time.time() - message.timestamp
+    return age if 0.0 <= age <= MAX_FRAME_AGE else 0.0
 
 
 class CanReceiver:

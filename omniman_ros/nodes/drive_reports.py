@@ -7,7 +7,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from omniman_ros.conversions.odometry import fill_odometry
-from omniman_ros.conversions.wheels import electrical_message
+from omniman_ros.conversions.wheels import electrical_message, states_message
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.simulation.plant.lossy_channel import LossyChannel
 from omniman_ros.simulation.plant.parameters import FaultParameters
@@ -57,13 +57,7 @@ class DriveReportPublisher:
             stamp: Stamp of the messages.
         """
         states = drives.wheel_states(now)
-        message = JointState(
-            name=self._wheel_names,
-            position=states.position.tolist(),
-            velocity=states.velocity.tolist(),
-            effort=states.effort.tolist(),
-        )
-        message.header.stamp = stamp
+        message = states_message(self._wheel_names, states, stamp)
         self._channel.put(message, now, faults.lost_messages, faults.late_messages)
         for due in self._channel.due(now):
             self._states.publish(due)

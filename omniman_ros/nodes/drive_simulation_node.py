@@ -9,15 +9,13 @@ from geometry_msgs.msg import PoseWithCovarianceStamped
 
 from omniman_ros.conversions.poses import planar_pose
 from omniman_ros.core.stop import StopLatch, StopState
+from omniman_ros.nodes.clock_giver import ClockGiverNode
 from omniman_ros.nodes.drive_command_interface import DriveCommandInterface
 from omniman_ros.nodes.drive_reports import DriveReportPublisher
 from omniman_ros.nodes.imu_publisher import ImuPublisher
-from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
-from omniman_ros.nodes.simulated_clock import AWAITED_KEY, PACE_KEY, SimulatedClock
 from omniman_ros.nodes.simulated_drive_parameters import SimulatedDriveParameters
 from omniman_ros.nodes.stop_interface import StopInterface
-from omniman_ros.nodes.timed_node import MAX_LEAD
 from omniman_ros.simulation.plant.body import Body
 from omniman_ros.simulation.plant.imu import BaseMotion, planar_motion
 from omniman_ros.simulation.plant.lossy_channel import LossyChannel
@@ -27,13 +25,11 @@ P = TypeVar("P", bound=SimulatedDriveParameters)
 """Parameters of the node."""
 SHORTEST_PERIOD = 0.001
 """Shortest period of the simulation's timer [s]: less would leave time for nothing else."""
-PACE_PERIOD = 5.0
-"""Real time between two looks at the pace of simulated time [s]."""
 REST_SPEED = 0.05
 """Wheel speed below which the drives count as standing [rad/s]."""
 
 
-class DriveSimulationNode(OmnimanNode, Generic[P]):
+class DriveSimulationNode(ClockGiverNode, Generic[P]):
     """Commands a :class:`SimulatedDrives` from topics, and publishes feedback and ground truth.
 
     With `publish_clock`, the node advances simulated time itself, and publishes it on /clock.
@@ -45,12 +41,10 @@ class DriveSimulationNode(OmnimanNode, Generic[P]):
 
     Attributes:
         drives: The drives.
-        simulated_clock: Simulated time that the node advances; None without `publish_clock`.
     """
 
     def __init__(self, name: str, kind: type[P], **options: object) -> None:
         super().__init__(name, **options)
-        self.simulated_clock: SimulatedClock | None = None
         self.settings = ParameterSet(self, kind)
         p = self.settings.value
         self.drives = SimulatedDrives(p.robot, p.simulation, p.seed, self.make_body(p))
@@ -72,11 +66,7 @@ class DriveSimulationNode(OmnimanNode, Generic[P]):
         handler = self.guarded("initialpose", self._on_initial_pose)
         self.create_subscription(PoseWithCovarianceStamped, "initialpose", handler, 10)
         self._stop = StopInterface(self, self.latch, self._reset, self._halt)
-        if p.publish_clock:
-            self.simulated_clock = SimulatedClock(
-                self, 1.0 / p.state_rate, p.real_time_factor, p.clock_patience, super().now
-            )
-            self.every(PACE_PERIOD, self._report_pace)
+        self.give_clock(p, 1.0 / p.state_rate)
         rate = p.state_rate * (p.real_time_factor if p.publish_clock else 1.0)
         self._period = max(1.0 / rate, SHORTEST_PERIOD)
         self._timer = self.create_timer(self._period, self.tick_in_time, clock=self.clock)
@@ -87,26 +77,6 @@ class DriveSimulationNode(OmnimanNode, Generic[P]):
     def base_motion(self) -> BaseMotion:
         """Return the present motion of base_link."""
         return planar_motion(self.drives.ground_truth()[1])
-
-    def now(self) -> float:
-        """Return the time of the drives' clock [s]: with `publish_clock`, simulated time."""
-        return super().now() if self.simulated_clock is None else self.simulated_clock.now
-
-    def stamp(self, at: float | None = None) -> TimeMsg:
-        """Return the ROS time of an instant of the drives' clock [s]; now if it is None."""
-        clock = self.simulated_clock
-        return super().stamp(at) if clock is None else clock.stamp(at)
-
-    def age(self, stamp: TimeMsg, max_lead: float = MAX_LEAD) -> float:
-        """Return the age of a stamp [s]; see `OmnimanNode.age`."""
-        clock = self.simulated_clock
-        return super().age(stamp, max_lead) if clock is None else clock.age(stamp, max_lead)
-
-    def instant(self, stamp: TimeMsg, max_lead: float = MAX_LEAD) -> float:
-        """Return the instant of the drives' clock that a stamp means [s]; see `OmnimanNode`."""
-        if self.simulated_clock is None:
-            return super().instant(stamp, max_lead)
-        return self.now() - self.age(stamp, max_lead)
 
     def _on_initial_pose(self, message: PoseWithCovarianceStamped) -> None:
         frames = (self.settings.value.world_frame, "map", "odom")
@@ -154,11 +124,6 @@ class DriveSimulationNode(OmnimanNode, Generic[P]):
         for _ in self.simulated_clock.steps():
             self.report_step(self.now(), self.stamp())
 
-    def _report_pace(self) -> None:
-        report = self.simulated_clock.pace_report() if self.simulated_clock else ""
-        if report:
-            self.get_logger().info(report)
-
     def report_step(self, now: float, stamp: TimeMsg) -> None:
         """Advance the simulation, and publish one report.
 
@@ -183,9 +148,7 @@ class DriveSimulationNode(OmnimanNode, Generic[P]):
             ("electrical_energy_J", round(energy.electrical, 3)),
             *((f"{name}_loss_J", round(loss, 3)) for name, loss in energy.losses.items()),
         ]
-        if self.simulated_clock is not None:
-            values.append((PACE_KEY, round(self.simulated_clock.pace, 2)))
-            values.append((AWAITED_KEY, " ".join(self.simulated_clock.awaited)))
+        values += self.pace_values()
         if self.latch.status.state is StopState.STOPPED:
             return DiagnosticStatus.ERROR, self.latch.status.reason, values
         if not self.latch.released:
@@ -196,8 +159,7 @@ class DriveSimulationNode(OmnimanNode, Generic[P]):
         """Ramp every wheel to rest."""
         self.latch.stop(f"shutting down: {reason}")
         self._halt()
-        if self.simulated_clock is not None:
-            self.simulated_clock.release()
+        super().begin_shutdown(reason)
 
     @property
     def finished(self) -> bool:

@@ -1,7 +1,6 @@
 """Node `simulated_can_drives`: simulated drives on a CAN bus, and the robot that they move."""
 
 import sys
-import time
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,11 +12,13 @@ from omniman_ros.conversions.odometry import fill_odometry
 from omniman_ros.conversions.poses import planar_pose
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.extras import CAN
-from omniman_ros.nodes.can_receiver import CanReceiver, open_bus
-from omniman_ros.nodes.omniman_node import OmnimanNode
+from omniman_ros.nodes.can_receiver import CanReceiver, frame_age, open_bus
+from omniman_ros.nodes.clock_giver import ClockGiverNode
+from omniman_ros.nodes.paced_can_link import PacedCanLink
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.runtime import run
 from omniman_ros.nodes.simulated_can_drives_parameters import SimulatedCanDrivesParameters
+from omniman_ros.nodes.simulated_clock import SimulatedClock
 from omniman_ros.simulation.can_drives.parameters import FAULT_FLAGS
 
 if TYPE_CHECKING:
@@ -25,22 +26,24 @@ if TYPE_CHECKING:
 
 PERIOD = 0.001
 """Period of the drives' firmware [s]."""
-MAX_FRAME_AGE = 1.0
-"""Largest age of a frame that is believed [s]."""
+CLOCK_STEP = 0.005
+"""Step of simulated time [s]."""
 ECHOING_INTERFACES = ("udp_multicast",)
 """Interfaces of python-can that return the sender's own frames."""
 
 
-class SimulatedCanDrivesNode(OmnimanNode):
+class SimulatedCanDrivesNode(ClockGiverNode):
     """Connects a CAN bus to `simulation.can_drives.network.SimulatedBus`.
 
-    As real drives do, the simulated ones receive frames and no topics.
+    As real drives do, the simulated ones receive frames and no topics. With `publish_clock`, the
+    node gives simulated time, and a stream that bridge and drives wait for takes the place of the
+    bus.
     """
 
     def __init__(self, **options: object) -> None:
         super().__init__("simulated_can_drives", **options)
         if self.get_parameter("use_sim_time").value:
-            raise ParameterError("use_sim_time", True, "drives on a bus run on real time")
+            raise ParameterError("use_sim_time", True, "the drives give time, or run on real time")
         self.settings = ParameterSet(self, SimulatedCanDrivesParameters)
         p = self.settings.value
         # Here, so that a machine without python-can can import this module for its parameters.
@@ -55,10 +58,17 @@ class SimulatedCanDrivesNode(OmnimanNode):
         self._truth_message.header.frame_id = p.world_frame
         handler = self.guarded("initialpose", self._on_initial_pose)
         self.create_subscription(PoseWithCovarianceStamped, "initialpose", handler, 10)
-        self._bus = open_bus(p.can)
-        self._receiver = CanReceiver(self._bus, self._deliver)
+        self._link: PacedCanLink | None = None
+        self.give_clock(p, CLOCK_STEP)
+        if self.simulated_clock is None:
+            self._bus = open_bus(p.can)
+            self._receiver = CanReceiver(self._bus, self._deliver)
+            self.every(1.0 / p.truth_rate, self._publish_truth)
+        else:
+            self._link = PacedCanLink(self, p.bus_port, CLOCK_STEP, self.simulated_clock)
+            self._truth_every = max(1, round(1.0 / (p.truth_rate * CLOCK_STEP)))
+            self._steps = 0
         self.every(PERIOD, self.tick)
-        self.every(1.0 / p.truth_rate, self._publish_truth)
 
     # ---- bus ----------------------------------------------------------------------------------
 
@@ -70,9 +80,12 @@ class SimulatedCanDrivesNode(OmnimanNode):
 
     def tick(self) -> None:
         """Deliver the received frames, run the drives up to now, and send their frames."""
+        if self._link is not None and self.simulated_clock is not None:
+            self._step(self._link, self.simulated_clock)
+            return
         while self._receiver.received:
             message = self._receiver.received.popleft()
-            at = self._arrival_time(message)
+            at = self.now() - frame_age(message)
             if self._echo_filter is None or not self._echo_filter.is_echo(message, at):
                 self._send(self.drives.receive(message, at))
         self._send(self.drives.advance(self.now()))
@@ -81,14 +94,19 @@ class SimulatedCanDrivesNode(OmnimanNode):
         while self._receiver.errors:
             self.warn("bus", f"cannot receive: {self._receiver.errors.popleft()}")
 
-    def _arrival_time(self, message: "can.Message") -> float:
-        """Return when a frame arrived, on the node's clock [s]; now if the bus does not report it.
-
-        On a busy machine this process and its frames may wait: drives that considered the frames
-        late would stop, which real drives would not.
-        """
-        age = time.time() - message.timestamp
-        return self.now() - (age if 0.0 <= age <= MAX_FRAME_AGE else 0.0)
+    def _step(self, link: PacedCanLink, clock: SimulatedClock) -> None:
+        """Do as :meth:`tick`, as far as simulated time passes."""
+        messages, now = link.receive(), self.now()
+        if messages:
+            answers = [frame for each in messages for frame in self.drives.receive(each, now)]
+            link.send(answers, now)
+        for _ in clock.steps():
+            link.send(self.drives.advance(self.now()), self.now())
+            self._steps += 1
+            if self._steps % self._truth_every == 0:
+                self._publish_truth()
+        if self._is_shutting_down and self.drives.at_rest:
+            self.drives.release()
 
     def _send(self, messages: "list[can.Message]") -> None:
         import can
@@ -126,6 +144,7 @@ class SimulatedCanDrivesNode(OmnimanNode):
             ("frames_heard", self.drives.received),
             ("frames_sent", self.drives.sent),
             ("frames_lost_by_fault", self.drives.lost),
+            *self.pace_values(),
         ]
         played = {name: ", ".join(getattr(faults, name)) for name in (*FAULT_FLAGS, "reboot")}
         played |= {
@@ -143,6 +162,7 @@ class SimulatedCanDrivesNode(OmnimanNode):
         """Switch the drives off: each ramps its wheel to rest."""
         self._is_shutting_down = True
         self.drives.halt()
+        super().begin_shutdown(reason)
 
     @property
     def finished(self) -> bool:
@@ -157,8 +177,11 @@ class SimulatedCanDrivesNode(OmnimanNode):
 
     def destroy_node(self) -> None:
         """Close the bus, then destroy the node."""
-        self._receiver.close()
-        self._bus.shutdown()
+        if self._link is not None:
+            self._link.close()
+        else:
+            self._receiver.close()
+            self._bus.shutdown()
         super().destroy_node()
 
 

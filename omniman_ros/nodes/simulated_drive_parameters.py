@@ -7,12 +7,13 @@ from omniman_ros.core.imu_mount import ImuMount
 from omniman_ros.core.parameters import inline, parameter
 from omniman_ros.core.robot import Robot
 from omniman_ros.motion.whole_body.model import Mount
+from omniman_ros.nodes.clock_parameters import ClockParameters
 from omniman_ros.simulation.plant.imu import ImuSensorParameters
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 
 
 @dataclass(frozen=True, kw_only=True)
-class SimulatedDriveParameters:
+class SimulatedDriveParameters(ClockParameters):
     """Parameters of the node: robot, simulation, rates and time."""
 
     robot: Robot = inline()
@@ -50,22 +51,6 @@ class SimulatedDriveParameters:
     )
     command_timeout: float = parameter(
         0.1, "Age at which a stamped command is refused.", unit="s", low=0.005, high=10
-    )
-    publish_clock: bool = parameter(
-        False,
-        "Whether the node publishes simulated time on /clock, for nodes with use_sim_time.",
-        read_only=True,
-    )
-    real_time_factor: float = parameter(
-        1.0, "Speed of /clock over real time.", low=0.01, high=100, read_only=True
-    )
-    clock_patience: float = parameter(
-        5.0,
-        "Real time for which /clock waits for a node that does not keep up with it.",
-        unit="s",
-        low=0,
-        high=3600,
-        read_only=True,
     )
     world_frame: str = parameter("map", "Frame of the ground truth.", read_only=True)
     base_frame: str = parameter(

@@ -1,10 +1,7 @@
 """Choice of the arm's controller: a simulated one on this machine, a real one, or none."""
 
-import socket
-from collections.abc import Iterable
-from contextlib import ExitStack
-
 from omniman_ros.console.errors import CommandError
+from omniman_ros.processes.free_ports import are_free, find_free_ports
 
 ARMS = {
     "simulated": "a simulated UR5 controller on this machine",
@@ -60,8 +57,8 @@ def private_controller_arguments() -> list[str]:
     use.
     """
     ports = UR_PORTS
-    if not _are_free(UR_PORTS.values()):
-        ports = dict(zip(UR_PORTS, _find_free_ports(len(UR_PORTS)), strict=True))
+    if not are_free(UR_PORTS.values()):
+        ports = dict(zip(UR_PORTS, find_free_ports(len(UR_PORTS)), strict=True))
     parameters = [
         *(f"ports.{name}:={port}" for name, port in ports.items()),
         f"ur.dashboard_port:={ports['dashboard']}",
@@ -77,40 +74,9 @@ def private_controller_arguments() -> list[str]:
 
 def world_arm_arguments() -> dict[str, list[str]]:
     """Return the arguments of the nodes that move the arm of a world, by the node's name."""
-    (port,) = _find_free_ports(1)
+    (port,) = find_free_ports(1)
     return {
         "simulated_world": ["-p", f"arm_port:={port}"],
         "simulated_ur": ["-p", f"simulated_arm.world_port:={port}"],
         "arm_streamer": ["-p", f"ur.servo_lag:={WORLD_SERVO_LAG}"],
     }
-
-
-def _are_free(ports: Iterable[int]) -> bool:
-    """Return whether no process on this machine listens on any of the ports."""
-    try:
-        with ExitStack() as stack:
-            for port in ports:
-                stack.enter_context(_listen(port))
-    except OSError:
-        return False
-    return True
-
-
-def _find_free_ports(count: int) -> list[int]:
-    """Return different ports on which no process on this machine listens."""
-    with ExitStack() as stack:
-        listeners = [stack.enter_context(_listen(0)) for _ in range(count)]
-        return [listener.getsockname()[1] for listener in listeners]
-
-
-def _listen(port: int) -> socket.socket:
-    """Return a socket that listens on a port of this machine, or on any free one if it is 0."""
-    listener = socket.socket()
-    try:
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listener.bind(("127.0.0.1", port))
-        listener.listen()
-    except OSError:
-        listener.close()
-        raise
-    return listener

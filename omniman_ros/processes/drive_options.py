@@ -5,11 +5,12 @@ import zlib
 from pathlib import Path
 
 from omniman_ros.console.errors import CommandError
+from omniman_ros.processes.free_ports import find_free_ports
 from omniman_ros.share import share_path
 
 DRIVES = {
     "simulated": "simulated drives without a bus",
-    "can": "simulated drives on a bus of UDP multicast",
+    "can": "simulated drives on a bus",
     "real": "the drives on the bus of the installation",
 }
 """Descriptions of the values of `--drive`."""
@@ -22,6 +23,18 @@ PORTS_PER_NAMESPACE = 240
 """Number of ports reserved for each namespace slot: more than there are ROS domains."""
 NAMESPACE_SLOTS = 80
 """Number of slots over which the namespaces of one ROS domain are distributed."""
+
+SIMULATED_BUS_TIMEOUTS = (
+    "-p",
+    "can.missed_periods:=40",
+    "-p",
+    "can.drive_heartbeat:=0.1",
+    "-p",
+    "can.heartbeat_timeout:=0.3",
+)
+"""Arguments that lengthen the timeouts of the bus for simulated drives on real time.
+
+Unlike real drives, they are processes that may have to wait on a busy machine."""
 
 
 def find_settings_file(kind: str, folder: str, name: str) -> str:
@@ -72,3 +85,24 @@ def private_bus_arguments(namespace: str = "") -> list[str]:
         "-p",
         f"can.port:={FIRST_PORT + domain + PORTS_PER_NAMESPACE * slot}",
     ]
+
+
+def simulated_bus_arguments(namespace: str, sim_time: bool) -> dict[str, list[str]]:
+    """Return the arguments of bridge and simulated drives, by the node's name.
+
+    On real time, they are on a bus of UDP multicast. In simulated time, which waits for both, they
+    exchange frames over TCP, and all timeouts are those of the installation.
+
+    Args:
+        namespace: Namespace of the robot, with or without slashes at its ends.
+        sim_time: Whether the drives give simulated time.
+    """
+    bridge, drives = "can_bridge", "simulated_can_drives"
+    if not sim_time:
+        shared = [*private_bus_arguments(namespace), *SIMULATED_BUS_TIMEOUTS]
+        return {bridge: shared, drives: list(shared)}
+    (port,) = find_free_ports(1)
+    return {
+        bridge: ["-p", f"simulated_bus_port:={port}"],
+        drives: ["-p", f"bus_port:={port}"],
+    }

@@ -18,7 +18,7 @@ from omniman_ros.processes.arm_options import (
 from omniman_ros.processes.drive_options import (
     find_installation_file,
     find_settings_file,
-    private_bus_arguments,
+    simulated_bus_arguments,
 )
 from omniman_ros.processes.process_group import ProcessSpec
 from omniman_ros.robots import load_robot, robot_file
@@ -70,7 +70,7 @@ ROBOT_NODES = (
     NodeKind("simulated_drive", stage=3, sim_time="publish_clock", drives=("simulated",)),
     NodeKind("simulated_world", stage=3, sim_time="publish_clock", drives=(WORLD_DRIVE,)),
     NodeKind("can_bridge", stage=1, drives=("can", "real")),
-    NodeKind("simulated_can_drives", stage=2, drives=("can",)),
+    NodeKind("simulated_can_drives", stage=2, sim_time="publish_clock", drives=("can",)),
     NodeKind("arm_streamer", stage=1, arms=("simulated", "ur")),
     NodeKind("simulated_ur", stage=2, arms=("simulated",)),
     NodeKind("viewer", stage=0, is_available=lambda: VIEWER.is_available, essential=False),
@@ -90,18 +90,6 @@ TRANSFORM_REMAPPING = ("-r", "/tf:=tf", "-r", "/tf_static:=tf_static")
 
 The frames of other robots have the same names.
 """
-
-SIMULATED_BUS_TIMEOUTS = (
-    "-p",
-    "can.missed_periods:=40",
-    "-p",
-    "can.drive_heartbeat:=0.1",
-    "-p",
-    "can.heartbeat_timeout:=0.3",
-)
-"""Arguments that lengthen the timeouts of the bus for simulated drives.
-
-Unlike real drives, they are processes that may have to wait on a busy machine."""
 
 
 @dataclass(frozen=True)
@@ -166,13 +154,16 @@ def robot_processes(setup: RobotSetup) -> list[ProcessSpec]:
     robot = resolve_robot(setup.robot)
     arm = resolve_arm(setup.arm, setup.drive, setup.sim_time)
     chosen = [kind for kind in ROBOT_NODES if _is_chosen(kind, setup, arm)]
-    arm_arguments = _arm_arguments(arm, setup, robot, chosen)
+    more = _arm_arguments(arm, setup, robot, chosen)
+    if setup.drive == "can":
+        for name, arguments in simulated_bus_arguments(setup.namespace, setup.sim_time).items():
+            more.setdefault(name, []).extend(arguments)
     return [
         ProcessSpec(
             kind.name,
             node_command(
                 kind.name,
-                _ros_arguments(kind, robot, setup, arm_arguments.get(kind.name, ())),
+                _ros_arguments(kind, robot, setup, more.get(kind.name, ())),
             ),
             kind.stage,
             kind.essential or bool(setup.only),
@@ -192,8 +183,8 @@ def _check_options(setup: RobotSetup) -> None:
             raise CommandError(f"parameter '{text}' is not NAME:=VALUE", 2)
     if setup.params_file is not None and not Path(setup.params_file).is_file():
         raise CommandError(f"no parameter file '{setup.params_file}'", 2)
-    if setup.sim_time and setup.drive != "simulated":
-        raise CommandError(f"--sim-time: drives '{setup.drive}' run on real time", 2)
+    if setup.sim_time and setup.drive == "real":
+        raise CommandError("--sim-time: drives 'real' run on real time", 2)
     if setup.world is not None:
         _check_world(setup, setup.world)
 
@@ -274,7 +265,7 @@ def node_command(node: str, arguments: Sequence[str]) -> tuple[str, ...]:
 
 
 def _ros_arguments(
-    kind: NodeKind, robot: str, setup: RobotSetup, arm_arguments: Sequence[str]
+    kind: NodeKind, robot: str, setup: RobotSetup, more: Sequence[str]
 ) -> list[str]:
     """Return the ROS arguments of a node; a later value of a parameter overrides earlier ones."""
     arguments = ["--ros-args", "-p", f"robot:={robot}"]
@@ -282,9 +273,7 @@ def _ros_arguments(
         arguments += ["-p", f"scene:={scene_file(setup.world).resolve()}"]
     if set(kind.drives) & {"can", "real"}:
         arguments += ["--params-file", find_installation_file(setup.installation)]
-        if setup.drive == "can":
-            arguments += [*private_bus_arguments(setup.namespace), *SIMULATED_BUS_TIMEOUTS]
-    arguments += arm_arguments
+    arguments += more
     if setup.is_limited and kind.name in LIMITED_NODES:
         arguments += ["-p", "collision_monitor.use:=true"]
     if setup.params_file is not None:

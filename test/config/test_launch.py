@@ -26,7 +26,8 @@ from omniman_ros.nodes.simulated_drive_parameters import SimulatedDriveParameter
 from omniman_ros.nodes.simulated_ur_parameters import SimulatedUrParameters
 from omniman_ros.nodes.simulated_world_parameters import SimulatedWorldParameters
 from omniman_ros.processes import arm_options
-from omniman_ros.processes.robot_setup import ROBOT_NODES, SIMULATED_BUS_TIMEOUTS
+from omniman_ros.processes.drive_options import SIMULATED_BUS_TIMEOUTS
+from omniman_ros.processes.robot_setup import ROBOT_NODES
 from omniman_ros.ur.parameters import UrParameters
 
 ROOT = Path(__file__).resolve().parents[2]

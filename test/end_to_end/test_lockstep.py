@@ -5,6 +5,7 @@ import re
 import signal
 import subprocess
 import sys
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -31,6 +32,7 @@ SIMULATED_PARTS = (
     "arm_streamer",
     "simulated_ur",
 )
+PARTS_ON_A_BUS = ("simulated_can_drives", "can_bridge", "platform_controller")
 
 
 class Robot:
@@ -83,13 +85,13 @@ class Robot:
             return file.read()
 
 
-@pytest.fixture(scope="module")
-def robot(tmp_path_factory):
-    """Return a robot whose wheels turn; each test leaves it so."""
+@contextmanager
+def running(folder, parts, *options):
+    """Run a robot whose wheels turn; each test leaves it so."""
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     os.environ["ROS_DOMAIN_ID"] = str(free_domain())
-    with open(tmp_path_factory.mktemp("up") / "log", "w") as log:
-        command = ["up", "--sim-time", "--only", *SIMULATED_PARTS]
+    with open(folder / "log", "w") as log:
+        command = ["up", "--sim-time", *options, "--only", *parts]
         up = subprocess.Popen(
             [sys.executable, "-m", "omniman_ros.cli.main", *command],
             stdout=log,
@@ -99,7 +101,11 @@ def robot(tmp_path_factory):
         try:
             with Session("probe") as session:
                 it = Robot(session, up)
-                it.until(lambda: it.arm and it.speeds and it.speeds[-1] > 1.0, "motion")
+                has_arm = "simulated_ur" in parts
+                it.until(
+                    lambda: (it.arm or not has_arm) and it.speeds and it.speeds[-1] > 1.0,
+                    "motion",
+                )
                 it.advance(1.0)
                 yield it
         finally:
@@ -108,8 +114,32 @@ def robot(tmp_path_factory):
     assert code == 0
 
 
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory):
+    with running(tmp_path_factory.mktemp("up"), SIMULATED_PARTS) as robot:
+        yield robot
+
+
+@pytest.fixture(scope="module")
+def robot_on_a_bus(tmp_path_factory):
+    with running(tmp_path_factory.mktemp("up"), PARTS_ON_A_BUS, "--drive", "can") as robot:
+        yield robot
+
+
 @pytest.mark.parametrize("name", SIMULATED_PARTS)
 def test_time_waits_for_a_process_that_is_stopped_and_the_robot_drives_on(robot, name):
+    stop_for_a_while(robot, name)
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("name", PARTS_ON_A_BUS)
+def test_time_waits_for_a_process_that_is_stopped_on_a_bus(robot_on_a_bus, name):
+    """The timeouts of the bus are those of real drives: three reports of 5 ms."""
+    stop_for_a_while(robot_on_a_bus, name)
+
+
+def stop_for_a_while(robot, name):
+    """Stop a process until simulated time has stood for a while; nothing else must happen."""
     before = robot.log()
     robot.speeds.clear()
     os.kill(robot.pid(name), signal.SIGSTOP)

@@ -18,7 +18,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64MultiArray, UInt32MultiArray
 from std_srvs.srv import Trigger
 
-from omniman_ros.can_drives.bus import BusError
+from omniman_ros.can_drives.bus import BusError, CanBus
 from omniman_ros.can_drives.frame import Frame
 from omniman_ros.core.can_parameters import CanParameters
 from omniman_ros.core.errors import ParameterError
@@ -135,7 +135,7 @@ class Bench(World):
         self.speed = None
 
     def _make(self, **options):
-        return CanBridgeNode(allow_sim_time=True, open_bus=self.bus.open, **options)
+        return CanBridgeNode(open_bus=self.bus.open, **options)
 
     def send(self, speed, names=None, **fields):
         if self._commands is None:
@@ -450,7 +450,7 @@ def test_stale_command_causes_a_warning_and_no_motion():
 
 def test_bus_that_cannot_be_opened_causes_a_warning_and_the_node_keeps_running():
     def make(**options):
-        return CanBridgeNode(allow_sim_time=True, **options)
+        return CanBridgeNode(open_bus=CanBus, **options)
 
     with World(make, parameters=PARAMETERS | {"can.interface": "no_such_interface"}) as world:
         node = world.nodes[0]

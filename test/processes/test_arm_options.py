@@ -1,7 +1,5 @@
 """Options of the arm: which nodes are started, and with which parameters."""
 
-import socket
-
 import pytest
 import yaml
 
@@ -60,17 +58,6 @@ def test_the_nodes_of_a_real_arm_and_its_interpolator_get_the_controllers_file(t
     assert "/config/ur/ur5.yaml" in commands(arm="ur")["arm_streamer"]
     with pytest.raises(CommandError, match="no controller 'ur99'; there are ur5"):
         commands(arm="ur", controller="ur99")
-
-
-def test_a_port_in_use_is_not_free_and_free_ports_differ():
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
-        port = taken.getsockname()[1]
-        assert not arm_options._are_free([port])
-    assert arm_options._are_free([port])
-    numbers = arm_options._find_free_ports(5)
-    assert len(set(numbers)) == 5
 
 
 def test_client_and_controller_get_the_same_ports():

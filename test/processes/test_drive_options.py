@@ -1,3 +1,5 @@
+import re
+
 import pytest
 
 from omniman_ros.cli.main import main, make_parser
@@ -113,10 +115,25 @@ def test_robots_in_different_namespaces_have_different_buses(monkeypatch):
     assert private_bus_arguments("/robot1/") == private_bus_arguments("robot1")
 
 
-@pytest.mark.parametrize("drive", ["can", "real"])
-def test_drives_on_a_bus_are_refused_in_simulated_time(drive):
-    with pytest.raises(CommandError, match=f"--sim-time: drives '{drive}'"):
-        robot_processes(RobotSetup(drive=drive, sim_time=True))
+def test_real_drives_are_refused_in_simulated_time():
+    with pytest.raises(CommandError, match="--sim-time: drives 'real'"):
+        robot_processes(RobotSetup(drive="real", sim_time=True))
+
+
+def test_in_simulated_time_bridge_and_drives_meet_at_a_port_with_the_timeouts_of_real_drives():
+    specs = robot_processes(RobotSetup(drive="can", sim_time=True))
+    bridge, drives = (
+        " ".join(spec.command)
+        for name in ("can_bridge", "simulated_can_drives")
+        for spec in specs
+        if spec.name == name
+    )
+    (port,) = re.findall(r"-p simulated_bus_port:=(\d+)", bridge)
+    assert f"-p bus_port:={port}" in drives
+    assert "use_sim_time:=true" in bridge and "publish_clock:=true" in drives
+    assert "use_sim_time" not in drives
+    for words in (bridge, drives):
+        assert "udp_multicast" not in words and "missed_periods" not in words
 
 
 def test_up_and_demo_have_the_same_options_but_the_demo_refuses_real_drives(capsys):
