@@ -24,6 +24,7 @@ from omniman_ros.core import plausible
 from omniman_ros.core.arbiter import NEVER, PREVIEW_SOURCES, Arbiter, Source
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError, ParameterError
+from omniman_ros.core.late_delivery import LateDelivery
 from omniman_ros.core.motion_limit import MotionLimit
 from omniman_ros.core.preview import Preview
 from omniman_ros.core.robot import Arm
@@ -47,6 +48,8 @@ RESET_REST_SPEED = 0.1
 [rad/s]."""
 WAITED = "it may have waited while the controller had stalled"
 """Reason why an input without a stamp is not used after a stall."""
+LATE = "it was delivered late, or its sender's clock is behind"
+"""Reason why a twist without a stamp is not used that is old by the sender's clock."""
 PREVIEW_REST_SPEED = 1e-6
 """Speed at the end of a preview up to which it ends at rest [m/s, rad/s]: then the platform has
 arrived; otherwise the preview has run out."""
@@ -108,6 +111,7 @@ class PlatformController:
         self._last_tick: float | None = None
         self._stall_end = NEVER
         self._is_recovering = False
+        self._delivery = LateDelivery()
 
     def configure(self, parameters: PlatformParameters) -> None:
         """Set new limits and gains while running; a motion continues without a jump.
@@ -208,8 +212,8 @@ class PlatformController:
     ) -> str:
         """Set the target of `cmd_vel`.
 
-        A twist without a stamp counts from its arrival; it is not used if it may have waited
-        while the caller had stalled, unless it is zero.
+        A twist without a stamp counts from its arrival. Unless it is zero, it is not used if it
+        may have waited while the caller had stalled, or if the middleware has delivered it late.
 
         Args:
             twist: Body twist (3,) [m/s, m/s, rad/s].
@@ -226,10 +230,13 @@ class PlatformController:
         if twist.shape != (3,):
             raise InputError(f"cmd_vel: has {twist.size} numbers, expected 3")
         plausible.demand(twist, plausible.SPEED, "cmd_vel: twist")
-        until = _fresh_until("cmd_vel", now, age or 0.0, self.parameters.timeouts.cmd_vel)
-        neutral = not twist.any()
-        waited = age is None and self._may_have_waited(now, sent)
-        refusal = self._offer(Source.CMD_VEL, now, until, waited and not neutral, neutral)
+        timeout = self.parameters.timeouts.cmd_vel
+        until = _fresh_until("cmd_vel", now, age or 0.0, timeout)
+        neutral, doubt = not twist.any(), ""
+        if age is None:
+            is_late = sent is not None and self._delivery.is_late(sent, now, timeout)
+            doubt = WAITED if self._may_have_waited(now, sent) else LATE if is_late else ""
+        refusal = self._offer(Source.CMD_VEL, now, until, "" if neutral else doubt, neutral)
         if not refusal:
             self._target = np.array(twist)
         return refusal
@@ -237,7 +244,7 @@ class PlatformController:
     def set_preview(
         self, source: Source, preview: Preview, now: float, stamped: bool = True
     ) -> str:
-        """Set the preview of a source; it is valid until it ends.
+        """Set the preview of a source; it is valid until it ends or `timeouts.preview` is over.
 
         A preview without a stamp begins at its arrival; it is not used if it may have waited
         while the caller had stalled.
@@ -260,9 +267,11 @@ class PlatformController:
             age = now - preview.end
             raise InputError(f"{source.value}/reference: stale, it ended {age:.3f} s ago")
         ends_at_rest = preview.end_speed <= PREVIEW_REST_SPEED
-        hold_time = self.parameters.timeouts.reference if ends_at_rest else 0.0
-        waited = not stamped and self._may_have_waited(now)
-        refusal = self._offer(source, now, preview.end + hold_time, waited)
+        timeouts = self.parameters.timeouts
+        hold_time = timeouts.reference if ends_at_rest else 0.0
+        fresh_until = min(preview.end + hold_time, now + timeouts.preview)
+        doubt = WAITED if not stamped and self._may_have_waited(now) else ""
+        refusal = self._offer(source, now, fresh_until, doubt)
         if not refusal:
             self._previews[source] = preview
             self._volts = None if source is Source.MPC else self._volts
@@ -295,8 +304,8 @@ class PlatformController:
         if self.wheel_health.idle:
             raise InputError(f"mpc/voltages: {self._voltages_refusal}")
         until = _fresh_until("mpc/voltages", now, age or 0.0, self.parameters.timeouts.voltages)
-        waited = age is None and self._may_have_waited(now)
-        refusal = self._offer(Source.MPC, now, until, waited)
+        doubt = WAITED if age is None and self._may_have_waited(now) else ""
+        refusal = self._offer(Source.MPC, now, until, doubt)
         if not refusal:
             limit = self.parameters.robot.motor.max_voltage
             self._volts = np.clip(volts, -limit, limit)
@@ -309,16 +318,20 @@ class PlatformController:
         return f"computed for all wheels, but {idle} dead"
 
     def _offer(
-        self, source: Source, now: float, fresh_until: float, waited: bool, neutral: bool = False
+        self, source: Source, now: float, fresh_until: float, doubt: str, neutral: bool = False
     ) -> str:
-        """Offer a setpoint to the arbiter; return why it is not used, or an empty string."""
+        """Offer a setpoint to the arbiter, unless there is a doubt whether it is still meant.
+
+        Returns:
+            Why it is not used, or an empty string.
+        """
         if not self.latch.released:
             status = self.latch.status
             return self.arbiter.refuse(source, now, f"{status.state.value}: {status.reason}")
         if not self.feedback.received:
             return "no wheel_states yet"
-        if waited:
-            return self.arbiter.ignore(source, now, WAITED)
+        if doubt:
+            return self.arbiter.ignore(source, now, doubt)
         return self.arbiter.offer(source, now, fresh_until, neutral)
 
     def _may_have_waited(self, now: float, sent: float | None = None) -> bool:

@@ -86,6 +86,14 @@ class Timeouts:
         low=0.02,
         high=10,
     )
+    preview: float = parameter(
+        3600.0,
+        "Age from which a preview is stale although it goes on. Where its sender is on another "
+        "host, set it to a few of the sender's periods.",
+        unit="s",
+        low=0.02,
+        high=3600,
+    )
     voltages: float = parameter(
         0.1, "Age from which mpc/voltages are stale.", unit="s", low=0.01, high=10
     )

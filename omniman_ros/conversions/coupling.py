@@ -7,13 +7,9 @@ first, so that they can also be read by index.
 """
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from omniman_ros.core.arrays import Array
-
-if TYPE_CHECKING:
-    from builtin_interfaces.msg import Time
-    from sensor_msgs.msg import JointState
 
 TOTAL_SUFFIX = "_total"
 """End of the names of errors that are integrated without resets."""
@@ -25,21 +21,16 @@ def coupling_names(count: int) -> list[str]:
     return names + [name + TOTAL_SUFFIX for name in names]
 
 
-def fill_coupling_error(
-    message: "JointState", controlled: Array, total: Array, rate: Array, stamp: "Time"
-) -> None:
-    """Write coupling errors into a message whose names are those of :func:`coupling_names`.
+def coupling_error_numbers(controlled: Array, total: Array, rate: Array) -> list[float]:
+    """Return the positions and then the velocities of a message with :func:`coupling_names`.
 
     Args:
-        message: Message to write to.
         controlled: Errors (m,) that the coupling controller corrects [rad].
         total: Errors (m,) by CCTA 2017 (24), without resets [rad].
         rate: Rates (m,) of the errors, which both have in common [rad/s].
-        stamp: ROS time of the measurement.
     """
-    message.header.stamp = stamp
-    message.position = [*controlled.tolist(), *total.tolist()]
-    message.velocity = 2 * rate.tolist()
+    rates = rate.tolist()
+    return [*controlled.tolist(), *total.tolist(), *rates, *rates]
 
 
 def total_coupling_error(message: Any) -> Sequence[float]:

@@ -1,6 +1,7 @@
 """Convert stamps and durations, and check the frames of message headers."""
 
 from collections.abc import Callable
+from typing import NamedTuple, Protocol
 
 from builtin_interfaces.msg import Duration, Time
 from std_msgs.msg import Header
@@ -9,12 +10,43 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.core.transform_tree import ODOM, Placement
 
 
+class SerializedStamp(NamedTuple):
+    """Stamp that was read without a message, with the fields of one.
+
+    Attributes:
+        sec: Seconds [s].
+        nanosec: Nanoseconds beyond these [ns].
+    """
+
+    sec: int
+    nanosec: int
+
+    @property
+    def nanoseconds(self) -> int:
+        """The whole time [ns]."""
+        return self.sec * 1_000_000_000 + self.nanosec
+
+
+class Stamp(Protocol):
+    """Stamp of a message, of `builtin_interfaces/Time` or read without a message."""
+
+    @property
+    def sec(self) -> int:
+        """Seconds [s]."""
+        ...
+
+    @property
+    def nanosec(self) -> int:
+        """Nanoseconds beyond these [ns]."""
+        ...
+
+
 def time_seconds(stamp: Time | Duration) -> float:
     """Convert a stamp or a duration to seconds."""
     return float(stamp.sec) + 1e-9 * float(stamp.nanosec)
 
 
-def is_stamped(stamp: Time) -> bool:
+def is_stamped(stamp: Stamp) -> bool:
     """Return whether a stamp states a time; a zero stamp does not."""
     return bool(stamp.sec or stamp.nanosec)
 

@@ -1,17 +1,19 @@
 """Convert odometry of the platform to messages."""
 
+import math
 from collections.abc import Sequence
 
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import Odometry
 
-from omniman_ros.conversions.geometry import quaternion_from_yaw
 from omniman_ros.conversions.poses import PLANAR_INDICES
 from omniman_ros.core.arrays import Array
 
 UNMEASURED_VARIANCE = 1e6
 """Variance of z, roll and pitch, which a planar platform does not measure."""
+ODOMETRY_NUMBERS = 16
+"""Count of the numbers of an odometry message that change."""
 
 
 def initialize_odometry(message: Odometry, twist_variance: float) -> None:
@@ -27,10 +29,40 @@ def initialize_odometry(message: Odometry, twist_variance: float) -> None:
         message.pose.covariance[7 * i] = 0.0 if measured else UNMEASURED_VARIANCE
 
 
+def odometry_numbers(pose: Sequence[float], twist: Array, covariance: Array) -> tuple[float, ...]:
+    """Return the numbers that change, in the order of :func:`set_odometry_numbers`.
+
+    Args:
+        pose: Pose x, y, theta in the header's frame [m, m, rad].
+        twist: Twist (3,) in the child frame [m/s, m/s, rad/s].
+        covariance: Covariance (3, 3) of the pose.
+    """
+    x, y, theta = pose
+    half = 0.5 * theta
+    return (x, y, math.sin(half), math.cos(half), *twist.tolist(), *covariance.ravel().tolist())
+
+
+def set_odometry_numbers(message: Odometry, numbers: Sequence[float]) -> None:
+    """Write :func:`odometry_numbers` into a message.
+
+    Args:
+        message: Message to write to.
+        numbers: As many as `ODOMETRY_NUMBERS`.
+    """
+    pose, twist = message.pose.pose, message.twist.twist
+    pose.position.x, pose.position.y = numbers[:2]
+    pose.orientation.z, pose.orientation.w = numbers[2:4]
+    twist.linear.x, twist.linear.y, twist.angular.z = numbers[4:7]
+    rest = iter(numbers[7:])
+    for row in PLANAR_INDICES:
+        for column in PLANAR_INDICES:
+            message.pose.covariance[6 * row + column] = next(rest)
+
+
 def fill_odometry(
     message: Odometry, pose: Sequence[float], twist: Array, covariance: Array, stamp: Time
 ) -> None:
-    """Write the parts that change.
+    """Write the parts that change; see :func:`odometry_numbers`.
 
     Args:
         message: Message to write to.
@@ -40,16 +72,7 @@ def fill_odometry(
         stamp: ROS time of the measurement.
     """
     message.header.stamp = stamp
-    message.pose.pose.position.x = float(pose[0])
-    message.pose.pose.position.y = float(pose[1])
-    message.pose.pose.orientation = quaternion_from_yaw(float(pose[2]))
-    for row, values in zip(PLANAR_INDICES, covariance.tolist(), strict=True):
-        for column, value in zip(PLANAR_INDICES, values, strict=True):
-            message.pose.covariance[6 * row + column] = value
-    vx, vy, yaw_rate = twist.tolist()
-    message.twist.twist.linear.x = vx
-    message.twist.twist.linear.y = vy
-    message.twist.twist.angular.z = yaw_rate
+    set_odometry_numbers(message, odometry_numbers(pose, twist, covariance))
 
 
 def odometry_transform(message: Odometry) -> TransformStamped:

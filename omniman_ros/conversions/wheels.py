@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, UInt32MultiArray
@@ -77,13 +76,6 @@ def reported_idle_wheels(message: DiagnosticStatus, names: Sequence[str]) -> tup
     """
     state = {item.key: item.value for item in message.values}
     return tuple(i for i, name in enumerate(names) if state.get(name) == IDLE)
-
-
-def fill_wheel_command(message: JointState, command: WheelCommand, stamp: Time) -> None:
-    """Write a command into a joint state: velocity and effort, or effort alone [N m or V]."""
-    message.header.stamp = stamp
-    message.effort = command.effort.tolist()
-    message.velocity = [] if command.velocity is None else command.velocity.tolist()
 
 
 def wheel_command_from_message(

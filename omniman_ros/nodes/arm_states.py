@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from sensor_msgs.msg import JointState
 
-from omniman_ros.conversions.joints import joint_arrays, require_array
+from omniman_ros.conversions.joints import require_array
 from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
+from omniman_ros.nodes.joint_state_reader import JointStateReader
 from omniman_ros.nodes.omniman_node import OmnimanNode
-from omniman_ros.nodes.serialized import deserialized
 from omniman_ros.nodes.timed_node import MAX_LEAD
 
 TOPIC = "arm/joint_states"
@@ -58,7 +58,8 @@ class ArmStatesReader:
         on_message: Callable[[], None] = lambda: None,
         max_age: float = math.inf,
     ) -> None:
-        self._node, self._names, self._max_age = node, names, max_age
+        self._node, self._max_age = node, max_age
+        self._count, self._reader = len(names), JointStateReader(names)
         self._data: bytes | None = None
         self._received = -math.inf
         self.last: ArmStates | None = None
@@ -84,13 +85,12 @@ class ArmStatesReader:
         data, self._data = self._data, None
         if data is None:
             return None
-        message = deserialized(data, JointState)
-        position, velocity, _ = joint_arrays(message, self._names)
+        stamp, position, velocity, _ = self._reader.read(data)
         angles = require_array(position, plausible.ANGLE, "position")
         if velocity is None:
-            velocity = np.zeros(len(self._names))
+            velocity = np.zeros(self._count)
         plausible.demand(velocity, plausible.SPEED, "velocity")
-        time = min(self._node.instant(message.header.stamp), self._received)
+        time = min(self._node.instant(stamp), self._received)
         last, now = self.last, self._node.now()
         if now - time > self._max_age:
             raise InputError(f"stale, {now - time:.3f} s old")

@@ -6,12 +6,11 @@ It serves recordings and foreign controllers, and those who want the pieces apar
 from collections.abc import Iterable
 from typing import Any
 
-from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from omniman_ros.control.wheel_feedback import MAX_GAP
 from omniman_ros.control.wheel_odometry import WheelOdometry
-from omniman_ros.conversions.headers import is_stamped
+from omniman_ros.conversions.headers import SerializedStamp, is_stamped
 from omniman_ros.conversions.wheels import reported_idle_wheels
 from omniman_ros.nodes.odometry_interface import (
     OdometryInputs,
@@ -69,15 +68,14 @@ class OdometryNode(OmnimanNode):
     def _on_wheel_health(self, message: DiagnosticStatus) -> None:
         self.core.leave_out(reported_idle_wheels(message, self._names))
 
-    def _publish(self, stamp: Time) -> None:
+    def _publish(self, stamp: SerializedStamp) -> None:
         """Publish what is due after a report of the wheels, with the stamp of the report."""
         time = self.core.feedback.time
-        if not is_stamped(stamp):
-            stamp = self.stamp(time)
+        ros_time = stamp.nanoseconds if is_stamped(stamp) else self.ros_time(time)
         if self._odom_cadence.is_due(time):
-            self._outputs.publish_odometry(stamp)
+            self._outputs.publish_odometry(ros_time)
         if self._coupling_cadence.is_due(time):
-            self._outputs.publish_coupling_error(stamp)
+            self._outputs.publish_coupling_error(ros_time)
 
     def status(self) -> tuple[bytes, str, Iterable[tuple[str, object]]]:
         """Return level, message and values for the diagnostics."""

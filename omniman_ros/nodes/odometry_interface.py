@@ -3,7 +3,6 @@
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
-from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
 from nav_msgs.msg import Odometry as OdometryMsg
 from rclpy.qos import qos_profile_sensor_data
@@ -14,18 +13,22 @@ from std_srvs.srv import Trigger
 from omniman_ros.control.imu import ImuFeedback
 from omniman_ros.control.odometry import Odometry
 from omniman_ros.control.wheel_feedback import WheelFeedback
-from omniman_ros.conversions.coupling import coupling_names, fill_coupling_error
+from omniman_ros.conversions.coupling import coupling_error_numbers, coupling_names
+from omniman_ros.conversions.headers import SerializedStamp
 from omniman_ros.conversions.imu import imu_arrays
-from omniman_ros.conversions.joints import joint_arrays
 from omniman_ros.conversions.odometry import (
-    fill_odometry,
+    ODOMETRY_NUMBERS,
     initialize_odometry,
+    odometry_numbers,
     odometry_transform,
+    set_odometry_numbers,
 )
 from omniman_ros.conversions.poses import planar_pose
 from omniman_ros.conversions.wheels import restarts_of_message
 from omniman_ros.core.arrays import Array
 from omniman_ros.nodes import tf_messages
+from omniman_ros.nodes.joint_state_reader import JointStateReader
+from omniman_ros.nodes.message_template import STAMP, MessageTemplate, marks
 from omniman_ros.nodes.odometry_parameters import OdometryTopicParameters
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.static_transforms import StaticTransforms
@@ -98,37 +101,37 @@ class OdometryInputs:
         core: OdometryCore,
         names: Sequence[str],
         settings: Settings,
-        on_report: Callable[[Time], None] | None = None,
+        on_report: Callable[[SerializedStamp], None] | None = None,
     ) -> None:
         self._node = node
         self._core = core
-        self._names = names
+        self._reader, self._count = JointStateReader(names), len(names)
         self._settings = settings
         self._on_report = on_report
         self._restarts: tuple[int, ...] | None = None
-        for kind, topic, handler, depth in (
-            (UInt32MultiArray, "wheel_restarts", self._on_restarts, LATCHED),
-            (JointState, "wheel_states", self._on_wheel_states, 5),
-            (PoseWithCovarianceStamped, "set_pose", self._on_set_pose, 10),
-        ):
-            node.create_subscription(kind, topic, node.guarded(topic, handler), depth)
+        on_restarts = node.guarded("wheel_restarts", self._on_restarts)
+        node.create_subscription(UInt32MultiArray, "wheel_restarts", on_restarts, LATCHED)
+        on_states = node.guarded("wheel_states", self._on_wheel_states)
+        node.create_subscription(JointState, "wheel_states", on_states, 5, raw=True)
+        on_pose = node.guarded("set_pose", self._on_set_pose)
+        node.create_subscription(PoseWithCovarianceStamped, "set_pose", on_pose, 10)
         if core.imu.parameters.use:
             on_imu = node.guarded("imu", self._on_imu)
             # Sensors may be published with best effort, which a reliable subscription refuses.
             node.create_subscription(Imu, "imu", on_imu, qos_profile_sensor_data)
         node.create_service(Trigger, "~/reset_odometry", self._on_reset)
 
-    def _on_wheel_states(self, message: JointState) -> str:
-        position, velocity, effort = joint_arrays(message, self._names)
+    def _on_wheel_states(self, data: bytes) -> str:
+        stamp, position, velocity, effort = self._reader.read(data)
         now = self._node.now()
-        time = self._node.instant(message.header.stamp)
+        time = self._node.instant(stamp)
         warning = self._core.update_wheels(time, now, position, velocity, effort)
         if self._on_report is not None:
-            self._on_report(message.header.stamp)
+            self._on_report(stamp)
         return warning
 
     def _on_restarts(self, message: UInt32MultiArray) -> None:
-        known, self._restarts = self._restarts, restarts_of_message(message, len(self._names))
+        known, self._restarts = self._restarts, restarts_of_message(message, self._count)
         if known not in (None, self._restarts):
             self._core.feedback.note_restart()
 
@@ -165,11 +168,19 @@ class OdometryOutputs:
             self._tf = node.create_publisher(tf_messages.TFMessage, tf_messages.TOPIC, 100)
         self._coupling = node.create_publisher(JointState, "coupling_error", 10)
         p = settings()
-        self._odom_message = OdometryMsg(child_frame_id=p.base_frame)
-        self._odom_message.header.frame_id = p.frame.odom_frame
-        initialize_odometry(self._odom_message, p.twist_variance)
+        message = OdometryMsg(child_frame_id=p.base_frame)
+        message.header.frame_id, message.header.stamp = p.frame.odom_frame, STAMP
+        initialize_odometry(message, p.twist_variance)
+        set_odometry_numbers(message, marks(ODOMETRY_NUMBERS))
+        self._odom_template = MessageTemplate(message)
+        if tf_messages.TFMessage is not None:
+            transforms = tf_messages.TFMessage(transforms=[odometry_transform(message)])
+            self._tf_template = MessageTemplate(transforms)
         names = coupling_names(len(core.coupling_error))
-        self._coupling_message = JointState(name=names)
+        n = len(names)
+        coupling = JointState(name=names, position=marks(n), velocity=marks(n, n))
+        coupling.header.stamp = STAMP
+        self._coupling_template = MessageTemplate(coupling)
         if self._tf is None and p.publish_tf:
             node.get_logger().info("tf2_msgs is not installed: /tf is off, odom has the same pose")
 
@@ -183,30 +194,26 @@ class OdometryOutputs:
         same.header.frame_id, same.header.stamp = "map", node.stamp()
         StaticTransforms(node, "map_is_odom and odom").publish([same])
 
-    def publish_odometry(self, stamp: Time) -> None:
+    def publish_odometry(self, stamp: int) -> None:
         """Publish the odometry and, if `publish_tf` is set, odom -> base_link on /tf.
 
         Args:
-            stamp: ROS time of the last report of the wheels.
+            stamp: ROS time of the last report of the wheels [ns].
         """
-        odometry, message = self._core.odometry, self._odom_message
-        fill_odometry(message, odometry.pose, odometry.twist, odometry.covariance, stamp)
-        self._odom.publish(message)
+        odometry = self._core.odometry
+        numbers = odometry_numbers(odometry.pose, odometry.twist, odometry.covariance)
+        self._odom.publish(self._odom_template.pack(stamp, numbers))
         if self._tf is not None and self._settings().publish_tf:
-            self._tf.publish(tf_messages.TFMessage(transforms=[odometry_transform(message)]))
+            self._tf.publish(self._tf_template.pack(stamp, numbers))
 
-    def publish_coupling_error(self, stamp: Time) -> None:
+    def publish_coupling_error(self, stamp: int) -> None:
         """Publish the coupling errors, since the last rest and without resets, and their rate.
 
         Args:
-            stamp: ROS time of the last report of the wheels.
+            stamp: ROS time of the last report of the wheels [ns].
         """
         odometry = self._core.odometry
-        fill_coupling_error(
-            self._coupling_message,
-            self._core.coupling_error,
-            odometry.coupling_error,
-            odometry.constraint_rate,
-            stamp,
+        numbers = coupling_error_numbers(
+            self._core.coupling_error, odometry.coupling_error, odometry.constraint_rate
         )
-        self._coupling.publish(self._coupling_message)
+        self._coupling.publish(self._coupling_template.pack(stamp, numbers))

@@ -159,9 +159,9 @@ class PlatformControllerNode(OmnimanNode):
     def _publish_odometry(self, outputs: OdometryOutputs) -> None:
         feedback = self.core.feedback
         if self._ticks % self._odom_every == 0 and feedback.received:
-            outputs.publish_odometry(self.stamp(feedback.time))
+            outputs.publish_odometry(self.ros_time(feedback.time))
         if self._ticks % self._monitor_every == 0:
-            outputs.publish_coupling_error(self.stamp(feedback.time))
+            outputs.publish_coupling_error(self.ros_time(feedback.time))
 
     def status(self) -> tuple[bytes, str, Iterable[tuple[str, object]]]:
         """Return level, message and values for the diagnostics."""

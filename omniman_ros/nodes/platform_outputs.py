@@ -1,5 +1,7 @@
 """Publishers of the platform controller, and the messages they send."""
 
+from collections.abc import Iterator
+
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
@@ -12,9 +14,9 @@ from omniman_ros.conversions.motion_limits import motion_demand_message
 from omniman_ros.conversions.wheels import (
     LIMIT_SCALE_KEY,
     POSTURE_SCALE_KEY,
-    fill_wheel_command,
 )
 from omniman_ros.nodes.arm_posture import PERIOD, ArmPostureInput
+from omniman_ros.nodes.message_template import STAMP, MessageTemplate, marks
 from omniman_ros.nodes.odometry_interface import imu_fault, imu_values
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.stop_interface import LATCHED
@@ -49,7 +51,9 @@ class PlatformOutputs:
         self._margin = node.create_publisher(Float64, "tip_over_margin", 10)
         node.every(PERIOD, self._publish_margin)
         self._demand = node.create_publisher(JointState, "motion_demand", SETPOINT)
-        self._command_message = JointState(name=list(self._names))
+        n = len(self._names)
+        self._effort_template = self._command_template(effort=marks(n))
+        self._velocity_template = self._command_template(velocity=marks(n), effort=marks(n, n))
         self.active = ""
         self._published_health: object = None
 
@@ -58,11 +62,20 @@ class PlatformOutputs:
         """Publishers of the commands to the drives."""
         return self._commands, self._voltages
 
+    def _command_template(self, **fields: list[float]) -> MessageTemplate:
+        message = JointState(name=list(self._names), **fields)
+        message.header.stamp = STAMP
+        return MessageTemplate(message)
+
     def publish_command(self, command: WheelCommand) -> None:
-        """Publish a command to the drives."""
+        """Publish a command to the drives: velocity and effort, or effort alone [N m or V]."""
         publisher = self._voltages if command.mode is DriveMode.VOLTAGE else self._commands
-        fill_wheel_command(self._command_message, command, self._node.stamp())
-        publisher.publish(self._command_message)
+        stamp, effort = self._node.ros_time(), command.effort.tolist()
+        if command.velocity is None:
+            publisher.publish(self._effort_template.pack(stamp, effort))
+        else:
+            numbers = command.velocity.tolist() + effort
+            publisher.publish(self._velocity_template.pack(stamp, numbers))
 
     def publish_demand(self, frame: str) -> None:
         """Publish the twist that the active source asks for, for a collision monitor in use.
@@ -109,13 +122,19 @@ class PlatformOutputs:
             margin = support.margin(core.acceleration, float(core.setpoint[2]))
             self._margin.publish(Float64(data=margin))
 
-    def status(self) -> tuple[bytes, str, list[tuple[str, object]]]:
-        """Return level, message and values of the controller for the diagnostics."""
+    def status(self) -> tuple[bytes, str, Iterator[tuple[str, object]]]:
+        """Return level, message and values of the controller for the diagnostics.
+
+        The values are made when they are needed: level and message are compared more often.
+        """
+        return *self._level(), self._values()
+
+    def _values(self) -> Iterator[tuple[str, object]]:
+        """Yield the values for the diagnostics."""
         core = self._core
-        level, message = self._level()
         monitor = core.wheel_health
         no_torque = "not reported: a dead wheel that the floor drives goes unnoticed"
-        values: list[tuple[str, object]] = [
+        yield from (
             ("active_source", self.active),
             ("wheel_speed_saturated", core.cascade.saturated),
             ("motion_limit", round(core.motion_limit.share(self._node.now()), 3)),
@@ -133,8 +152,7 @@ class PlatformOutputs:
             ("external_force_N_N_Nm", core.held_robot.observer.external.round(1).tolist()),
             *self._stability_values(),
             *((name, monitor.state(i)) for i, name in enumerate(self._names)),
-        ]
-        return level, message, values
+        )
 
     def _stability_values(self) -> list[tuple[str, object]]:
         """Return values about loads and posture for the diagnostics."""

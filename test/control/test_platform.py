@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from omniman_ros.control.limits import ratio
-from omniman_ros.control.platform import LATE_DELIVERY, MAX_TICK, WAITED
+from omniman_ros.control.platform import LATE, LATE_DELIVERY, MAX_TICK, WAITED
 from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.control.wheel_cascade import DriveMode
 from omniman_ros.core import se2
@@ -301,7 +301,7 @@ def test_twist_sent_before_the_end_of_a_stall_is_not_used_however_late_it_comes(
     rig.run(2.0)
     assert rig.twist(*CRUISE, sent=end - 0.01) == WAITED
     assert rig.twist(0, 0, 0, sent=end - 0.01) == ""
-    assert rig.twist(*CRUISE, sent=end + 0.01) == ""
+    assert rig.twist(*CRUISE, sent=rig.now - 0.01) == ""
     assert rig.twist(*CRUISE, age=0.1, sent=end - 0.01) == "", "a stamp takes precedence"
 
 
@@ -313,6 +313,15 @@ def test_sender_whose_clock_is_behind_drives_again_some_time_after_a_stall():
     assert not rig.core.setpoint.any() and rig.now < end + LATE_DELIVERY
     rig.run(0.2, lambda: rig.twist(*CRUISE, sent=rig.now - 60.0))
     assert rig.core.setpoint.any()
+
+
+def test_twist_that_is_delivered_late_is_not_used_unless_it_is_zero():
+    rig = Rig().run(0.1)
+    late = rig.now - rig.core.parameters.timeouts.cmd_vel - 0.01
+    assert rig.twist(*CRUISE, sent=late) == LATE
+    assert rig.twist(0, 0, 0, sent=late) == ""
+    assert rig.twist(*CRUISE, age=0.1, sent=late) == "", "a stamp takes precedence"
+    assert rig.twist(*CRUISE, sent=rig.now) == ""
 
 
 def test_silence_of_the_wheels_counts_from_the_end_of_a_stall():
@@ -507,6 +516,19 @@ def test_preview_that_ends_in_motion_ramps_down_at_once():
     while rig.core.arbiter.active is not None:
         rig.tick()
     assert rig.now == pytest.approx(1000.1 + 3.5, abs=2 * DT)
+    decelerates(rig.run(1.5), len(rig.commands) - 1)
+    assert rig.core.latch.released
+
+
+def test_preview_whose_sender_falls_silent_ramps_down_before_its_end():
+    rig = Rig(changes={"timeouts.preview": 0.2}).run(0.1)
+    preview = rig.line((0.4, 0.2, 0.3), 5.0)
+    rig.run(2.0, lambda: rig.core.set_preview(Source.MPC, preview, rig.now))
+    assert rig.core.arbiter.active is Source.MPC
+    last = rig.now
+    while rig.core.arbiter.active is not None:
+        rig.tick()
+    assert 0.2 - 4 * DT <= rig.now - last <= 0.2 + 2 * DT
     decelerates(rig.run(1.5), len(rig.commands) - 1)
     assert rig.core.latch.released
 

@@ -7,7 +7,7 @@ import os
 import pytest
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.serialization import serialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 
 from omniman_ros.core.arm_parameters import UR_JOINTS
 from omniman_ros.nodes.rclpy_compat import deliver
@@ -60,7 +60,8 @@ def test_no_message_ends_a_node_or_makes_it_command_what_is_not_finite(name, mon
 
     def record(self, message):
         if self.topic_name.lstrip("/") in COMMANDS:
-            sent.append(message)
+            is_packed = isinstance(message, bytes)
+            sent.append(deserialize_message(message, self.msg_type) if is_packed else message)
         publish(self, message)
 
     monkeypatch.setattr(Publisher, "publish", record)

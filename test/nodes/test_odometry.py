@@ -14,6 +14,7 @@ from std_msgs.msg import UInt32MultiArray
 from std_srvs.srv import Trigger
 
 from omniman_ros.control.wheel_feedback import MAX_GAP
+from omniman_ros.conversions.odometry import odometry_transform
 from omniman_ros.nodes import tf_messages
 from omniman_ros.nodes.odometry import OdometryNode
 from omniman_ros.nodes.platform_controller import PlatformControllerNode
@@ -22,6 +23,7 @@ from omniman_ros.nodes.stop_interface import LATCHED
 from test.nodes.bad_wheel_states import CASES, bad_wheel_states
 from test.nodes.harness import PERIOD, World, last
 from test.nodes.rig import twist
+from test.nodes.transforms import tf_installed
 from test.tiers import exhaustive
 
 SPEEDS = np.array([2.0, 3.0, 1.0, 4.0])
@@ -239,29 +241,18 @@ def test_recording_in_a_loop_continues_the_pose(wheels):
 # ---- parameters ---------------------------------------------------------------------------------
 
 
-class FakeTransforms:
-    """Stands in for tf2_msgs/TFMessage, which is not among the wheels on PyPI."""
-
-    def __init__(self, transforms=()):
-        self.transforms = transforms
-
-
 @pytest.mark.parametrize("publish", [True, False])
-def test_publish_tf_decides_on_the_transform(wheels, publish):
-    sent = []
-
-    class Publisher:
-        publish = sent.append
-
-    wheels.node._outputs._tf = Publisher()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(tf_messages, "TFMessage", FakeTransforms)
+def test_publish_tf_decides_on_the_transform(publish):
+    with tf_installed(), Wheels() as wheels:
+        wheels.listen(tf_messages.TFMessage, tf_messages.TOPIC)
         (result,) = wheels.node.set_parameters([Parameter("publish_tf", value=publish)])
         assert result.successful
         wheels.turn(0.2)
+        sent, odom = wheels.received[tf_messages.TOPIC], last(wheels.odom)
     assert bool(sent) is publish
     if sent:
         (transform,) = last(sent).transforms
+        assert transform == odometry_transform(odom)
         assert (transform.header.frame_id, transform.child_frame_id) == ("odom", "base_link")
 
 

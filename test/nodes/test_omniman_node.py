@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import pytest
 from rclpy.event_handler import QoSSubscriptionEventType
 from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile
+from rclpy.serialization import serialize_message
 from rclpy.time import Time
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool
@@ -27,22 +28,19 @@ class HeldUp:
     def _read(self, lead):
         self.readings += 1
         self.time += 8_000_000 if self.readings % 7 == 0 else 2_000
-        return Time(nanoseconds=self.time + lead)
+        return self.time + lead
 
     def of(self, lead):
-        return SimpleNamespace(handle=SimpleNamespace(get_now=lambda: self._read(lead)))
+        return lambda: self._read(lead)
 
 
 @pytest.fixture
-def node(monkeypatch):
+def node():
     with World(OdometryNode, parameters={"use_sim_time": False}) as world:
         (node,) = world.nodes
-        clocks = HeldUp()
-        node.clock, ros = clocks.of(0), clocks.of(ROS_TIME_LEAD)
-        with monkeypatch.context() as patch:
-            patch.setattr(node, "get_clock", lambda: ros)
-            node.clocks = clocks
-            yield node
+        node.clocks = HeldUp()
+        node._read_clock, node._read_ros_time = map(node.clocks.of, (0, ROS_TIME_LEAD))
+        yield node
 
 
 def test_wheel_states_keep_their_order_when_the_node_is_held_up_between_two_clocks(node):
@@ -54,7 +52,7 @@ def test_wheel_states_keep_their_order_when_the_node_is_held_up_between_two_cloc
         node.clocks.time = max(node.clocks.time, due)
         message = JointState(name=names, position=[0.001 * k] * 4, velocity=[0.2] * 4)
         message.header.stamp = Time(nanoseconds=due + ROS_TIME_LEAD).to_msg()
-        subscription.callback(message)
+        subscription.callback(serialize_message(message))
         feedback = node.core.feedback
         assert feedback.time == pytest.approx(1e-9 * due, abs=1e-4)
     assert not node.warning_counts

@@ -1,0 +1,98 @@
+"""Messages that are serialized once, and of which only numbers change afterwards.
+
+rclpy converts a message to C and serializes it each time it is published, and the reverse each
+time it is received. In a control loop of 200 Hz that is a fifth of the node's CPU time.
+"""
+
+import struct
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
+from builtin_interfaces.msg import Time
+from rclpy.serialization import serialize_message
+
+STAMP = Time(sec=0x5A3C1E78, nanosec=0x12B4D6F0)
+"""Mark of a stamp that is to change."""
+_STAMP = struct.Struct("=iI")
+_STAMP_MARK = _STAMP.pack(STAMP.sec, STAMP.nanosec)
+_NUMBER = struct.Struct("=d")
+_UNIT = 2.0**-1000
+"""Number whose multiples no message contains otherwise."""
+
+
+def marks(count: int, start: int = 0) -> list[float]:
+    """Return marks of numbers that are to change.
+
+    Args:
+        count: Number of marks.
+        start: Number of marks that the message has already; marks are numbered in the order in
+            which :class:`MessageTemplate` takes their numbers.
+    """
+    return [_UNIT * (start + k + 1) for k in range(count)]
+
+
+class MessageTemplate:
+    """A serialized message whose stamps and numbers can be exchanged.
+
+    Args:
+        message: Message with `STAMP` where its stamp is to change, and with :func:`marks` where
+            its numbers are.
+
+    Attributes:
+        size: Size of the serialized message [bytes].
+        runs: Place of the first byte, and count, of numbers that follow each other in the order of
+            their marks.
+    """
+
+    def __init__(self, message: Any) -> None:
+        self._data = bytearray(serialize_message(message))
+        self.size = len(self._data)
+        places, count = [], 0
+        while (place := self._data.find(_NUMBER.pack(_UNIT * (count + 1)))) >= 0:
+            places.append(place)
+            count += 1
+        begins = [k for k in range(count) if k == 0 or places[k] != places[k - 1] + _NUMBER.size]
+        self.runs = [(places[a], b - a) for a, b in pairwise([*begins, count])]
+        self._numbers = [
+            (struct.Struct(f"={n}d"), place, slice(a, a + n))
+            for (place, n), a in zip(self.runs, begins, strict=True)
+        ]
+        self.stamps = _places(self._data, _STAMP_MARK)
+
+    def pack(self, stamp: int, numbers: Sequence[float]) -> bytes:
+        """Return the serialized message with other contents.
+
+        Args:
+            stamp: ROS time for the stamps [ns].
+            numbers: A number for each mark, in their order.
+        """
+        data = self._data
+        sec, nanosec = divmod(stamp, 10**9)
+        for place in self.stamps:
+            _STAMP.pack_into(data, place, sec, nanosec)
+        for layout, place, part in self._numbers:
+            layout.pack_into(data, place, *numbers[part])
+        return bytes(data)
+
+    def constant_parts(self) -> list[tuple[int, bytes]]:
+        """Return all that does not change: the place of the first byte, and the bytes."""
+        changing = sorted(
+            [(place, _STAMP.size) for place in self.stamps]
+            + [(place, _NUMBER.size * count) for place, count in self.runs]
+        )
+        parts, begin = [], 0
+        for place, size in [*changing, (self.size, 0)]:
+            if place > begin:
+                parts.append((begin, bytes(self._data[begin:place])))
+            begin = place + size
+        return parts
+
+
+def _places(data: bytearray, mark: bytes) -> list[int]:
+    places = []
+    place = data.find(mark)
+    while place >= 0:
+        places.append(place)
+        place = data.find(mark, place + len(mark))
+    return places

@@ -1,0 +1,52 @@
+import math
+
+import pytest
+from builtin_interfaces.msg import Time
+from nav_msgs.msg import Odometry
+from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import JointState
+
+from omniman_ros.conversions.odometry import ODOMETRY_NUMBERS, set_odometry_numbers
+from omniman_ros.nodes.message_template import STAMP, MessageTemplate, marks
+
+
+def joint_state(names, velocity, effort, stamp):
+    message = JointState(name=names, velocity=velocity, effort=effort)
+    message.header.stamp, message.header.frame_id = stamp, "somewhere"
+    return message
+
+
+@pytest.mark.parametrize("names", [["a"], ["ab", "c", "def"], [f"joint_{k}" for k in range(9)]])
+def test_packed_message_is_the_serialized_one(names):
+    n = len(names)
+    template = MessageTemplate(joint_state(names, marks(n), marks(n, n), STAMP))
+    for k in (0, 3):
+        numbers = [k + 0.1 * i for i in range(2 * n - 1)] + [-math.inf]
+        expected = joint_state(names, numbers[:n], numbers[n:], Time(sec=k, nanosec=999_999_999))
+        assert template.pack(k * 10**9 + 999_999_999, numbers) == serialize_message(expected)
+
+
+def test_scattered_numbers_are_packed_into_their_places():
+    marked, expected = Odometry(child_frame_id="base"), Odometry(child_frame_id="base")
+    marked.header.stamp = STAMP
+    set_odometry_numbers(marked, marks(ODOMETRY_NUMBERS))
+    numbers = [1.5 * k for k in range(ODOMETRY_NUMBERS)]
+    expected.header.stamp.nanosec = 7
+    set_odometry_numbers(expected, numbers)
+    packed = MessageTemplate(marked).pack(7, numbers)
+    assert deserialize_message(packed, Odometry) == expected
+
+
+def test_too_few_numbers_are_refused():
+    template = MessageTemplate(joint_state(["a", "b"], marks(2), marks(2, 2), STAMP))
+    with pytest.raises(Exception, match="expected 2 items"):
+        template.pack(0, [1.0, 2.0, 3.0])
+
+
+def test_constant_parts_are_all_but_stamp_and_numbers():
+    template = MessageTemplate(joint_state(["a", "b"], marks(2), marks(2, 2), STAMP))
+    one, other = (template.pack(k, [float(k)] * 4) for k in (1, 2))
+    constant = template.constant_parts()
+    assert sum(len(part) for _, part in constant) == template.size - 8 - 4 * 8
+    for place, part in constant:
+        assert one[place : place + len(part)] == other[place : place + len(part)] == part
