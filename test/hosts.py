@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator, Mapping
+from itertools import pairwise
 from pathlib import Path
 from typing import Self
 
@@ -20,6 +21,7 @@ CABLE = "lan"
 """Name of the network interface of each host."""
 REST = 0.005
 """Speed below which the robot counts as standing [m/s]."""
+_ROUTE = f"route add 224.0.0.0/4 dev {CABLE}"
 _ALONE = ("unshare", "--net", "--mount", "--propagation", "private")
 _AS_ROOT = ("--user", "--map-root-user")
 _KEEP = "mount -t tmpfs none /dev/shm && ip link set lo up && echo ready && exec sleep 86400"
@@ -87,29 +89,40 @@ class Cable:
     """
 
     def __init__(self, robot: Host, desk: Host, multicast: bool) -> None:
-        self._desk, self._multicast = desk, multicast
+        self._multicast = multicast
         peer = ("peer", "name", CABLE, "netns", str(desk.pid))
         robot.ip("link", "add", CABLE, "type", "veth", *peer)
         for host, address in ((robot, ROBOT_ADDRESS), (desk, DESK_ADDRESS)):
             host.ip("address", "add", f"{address}/24", "dev", CABLE)
             host.ip("link", "set", CABLE, "up")
-            self._route_multicast(host)
-
-    def _route_multicast(self, host: Host) -> None:
-        if self._multicast:
-            host.ip("route", "add", "224.0.0.0/4", "dev", CABLE)
+            if multicast:
+                host.ip(*_ROUTE.split())
+        # A process that waits for commands: starting one would take too long.
+        self._ip = subprocess.Popen(
+            [*desk.inside, "ip", "-batch", "-"], stdin=subprocess.PIPE, text=True, bufsize=1
+        )
 
     def pull(self) -> float:
         """Pull the cable; return the time of the steady clock before that [s]."""
         before = time.monotonic()
-        self._desk.ip("link", "set", CABLE, "down")
+        self._do(f"link set {CABLE} down")
         return before
 
-    def plug(self) -> float:
-        """Plug the cable in again; return the time of the steady clock after that [s]."""
-        self._desk.ip("link", "set", CABLE, "up")
-        self._route_multicast(self._desk)  # the kernel forgets routes of an interface that is down
-        return time.monotonic()
+    def plug(self) -> None:
+        """Plug the cable in again."""
+        self._do(f"link set {CABLE} up")
+        if self._multicast:
+            self._do(_ROUTE)  # the kernel forgets routes of an interface that is down
+
+    def _do(self, command: str) -> None:
+        assert self._ip.stdin is not None
+        self._ip.stdin.write(command + "\n")
+        self._ip.stdin.flush()
+
+    def close(self) -> None:
+        """End the process that pulls and plugs."""
+        self._ip.kill()
+        self._ip.wait()
 
 
 @contextlib.contextmanager
@@ -120,7 +133,9 @@ def two_hosts(multicast: bool = True) -> Iterator[tuple[Host, Host, Cable]]:
         stack.callback(robot.close)
         desk = Host(robot)
         stack.callback(desk.close)
-        yield robot, desk, Cable(robot, desk, multicast)
+        cable = Cable(robot, desk, multicast)
+        stack.callback(cable.close)
+        yield robot, desk, cable
 
 
 class Observer:
@@ -185,3 +200,8 @@ class Observer:
         """Return the time since `after` from which the robot has been at rest [s]."""
         moving = [time for time, speed, _ in self.truth if speed > REST and time > after]
         return max(moving, default=after) - after
+
+    def longest_gap(self, after: float) -> float:
+        """Return the longest time without a report from `after` on [s]."""
+        times = [time for time, _, _ in self.truth if time > after]
+        return max((b - a for a, b in pairwise(times)), default=math.inf)

@@ -12,28 +12,24 @@ from pathlib import Path
 
 import pytest
 
-from omniman_ros.demo.command import RELAXED_TIMEOUTS
 from test.hosts import DESK_ADDRESS, ROBOT_ADDRESS, Observer, missing_permission, two_hosts
 from test.running import PATIENCE, Running, command, wait_until
 
 pytestmark = pytest.mark.exhaustive
 
-ROBOT_NODES = (
-    "platform_controller",
-    "path_interpolator",
-    "collision_monitor",
-    "joint_states_merger",
-    "simulated_drive",
-    "arm_streamer",
-    "simulated_ur",
-)
+ROBOT_NODES = ("platform_controller", "path_interpolator", "simulated_drive")
 DESK_NODES = ("mpc_planner", "viewer")
-SHORT = ("timeouts.cmd_vel:=0.2", "timeouts.preview:=0.2")
-"""Parameters of a robot whose commands come from another host."""
+SHORT = ("timeouts.cmd_vel:=0.2", "timeouts.preview:=0.15", "timeouts.wheel_states:=2.0")
+"""Parameters of a robot whose commands come from another host, on a machine that may stand still
+for a moment."""
 SPEED = 0.3
 """Commanded speed [m/s]."""
 AIM = 0.5
 """Largest time from the cut to rest [s]."""
+HOLD_UP = 0.03
+"""Time without a report above which the machine has held a process up [s]."""
+TRIALS = 6
+"""Largest number of trials of each cut."""
 CALM = 4.0
 """Time for which nothing may move after the cable is in again [s]: DDS has told all by then."""
 LEASE = 22.0
@@ -89,7 +85,7 @@ class Scene:
         def start(host, env, *arguments):
             return stack.enter_context(Running([*host.inside, *command(*arguments)], env))
 
-        words = [word for text in (*RELAXED_TIMEOUTS, *SHORT) for word in ("-p", text)]
+        words = [word for text in SHORT for word in ("-p", text)]
         self.up = start(
             robot,
             here,
@@ -134,13 +130,30 @@ class Scene:
         self.operator.tell("twist", SPEED)
         self.until(self.moves, "motion by cmd_vel")
 
-    def pull(self, what):
-        """Pull the cable, and assert that the robot comes to rest in time."""
-        pulled = self.cable.pull()
-        time.sleep(2.0)
-        rest = self.watch.time_of_rest(pulled)
-        sys.stdout.write(f"{what}: at rest {rest:.2f} s after the cut\n")
-        assert rest <= AIM, what
+    def pull(self, start, what):
+        """Start a motion and pull the cable: the robot comes to rest in time.
+
+        A trial in which the machine held a process up does not count.
+        """
+        for _ in range(TRIALS):
+            start()
+            pulled = self.cable.pull()
+            time.sleep(2.0)
+            rest, held = self.watch.time_of_rest(pulled), self.watch.longest_gap(pulled - 0.3)
+            sys.stdout.write(f"{what}: at rest {rest:.2f} s after the cut, held up {held:.2f} s\n")
+            if rest <= AIM:
+                return
+            assert held > HOLD_UP, what
+            self.operator.tell("silent")
+            self.cable.plug()
+            self.stays(CALM)
+        pytest.skip(f"the machine held processes up in each of {TRIALS} trials")
+
+    def go(self, distance):
+        """Drive to a goal ahead, by the planner at the desk."""
+        self.until(lambda: self.watch.source == "none", "the end of other motions")
+        self.operator.tell("goal", self.watch.position + distance, 0.0)
+        self.until(self.moves, "motion to a goal")
 
     def reset(self):
         """Reset all nodes from the desk."""
@@ -160,8 +173,7 @@ def test_a_robot_rests_without_its_other_host_and_comes_back_without_a_false_sta
         scene.desk_up.wait_for("the page is at")
 
         # Twists of the desk: those that were sent into the cut must not come later.
-        scene.drive()
-        scene.pull("cmd_vel")
+        scene.pull(scene.drive, "cmd_vel")
         scene.operator.tell("silent")
         scene.cable.plug()
         scene.stays(CALM)
@@ -169,27 +181,24 @@ def test_a_robot_rests_without_its_other_host_and_comes_back_without_a_false_sta
         scene.operator.tell("twist", 0.0)
         scene.until(scene.rests, "rest")
         scene.operator.tell("silent")
-        scene.until(lambda: scene.watch.source == "none", "the end of cmd_vel")
 
         # A goal of the planner there is given up.
-        start = scene.watch.position
-        scene.operator.tell("goal", start + 3.0, 0.0)
-        scene.until(scene.moves, "motion to a goal")
-        scene.pull("goal")
+        scene.pull(lambda: scene.go(2.0), "goal")
         scene.cable.plug()
         scene.stays(CALM)
-        scene.operator.tell("goal", scene.watch.position - 0.5, 0.0)
-        scene.until(lambda: scene.watch.speed > 0.1, "motion to a new goal")
+        scene.go(1.0)
         scene.until(scene.rests, "arrival")
 
         # An emergency stop that was pressed meanwhile holds, even after a long time.
-        scene.drive()
-        scene.pull("cmd_vel, for long")
+        scene.pull(scene.drive, "cmd_vel, for long")
+        scene.operator.tell("silent")
         scene.operator.tell("emergency", True)
         time.sleep(LEASE)
         scene.cable.plug()
-        scene.until(lambda: scene.watch.source == "stop", "the emergency stop")
         scene.stays(CALM)
+        scene.until(lambda: scene.watch.source == "stop", "the emergency stop")
+        scene.operator.tell("twist", SPEED)
+        scene.stays(1.0)
         scene.operator.tell("silent")
         scene.operator.tell("emergency", False)
         scene.stays(1.0)
@@ -199,6 +208,7 @@ def test_a_robot_rests_without_its_other_host_and_comes_back_without_a_false_sta
         scene.operator.tell("twist", 0.0)
         scene.until(scene.rests, "rest")
 
-        for process in (scene.record, scene.desk_up, scene.up):
+        for process, code in ((scene.record, 1), (scene.desk_up, 0), (scene.up, 0)):
             process.process.send_signal(signal.SIGINT)
-            assert process.finish() == 0, process.output
+            assert process.finish() == code, process.output
+        assert "messages lost on the way here" in scene.record.output
