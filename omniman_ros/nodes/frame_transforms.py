@@ -1,6 +1,5 @@
 """Transforms of a node's input into odom, by /tf and /tf_static."""
 
-from collections import deque
 from collections.abc import Callable, Iterable
 from typing import Any, TypeVar
 
@@ -14,16 +13,11 @@ from omniman_ros.core.rigid import Transform
 from omniman_ros.core.transform_tree import ODOM, Placement, TransformError, TransformTree
 from omniman_ros.nodes import tf_messages
 from omniman_ros.nodes.frame_parameters import FrameParameters
+from omniman_ros.nodes.message_filter import RETRY_PERIOD, MessageFilter
 from omniman_ros.nodes.omniman_node import OmnimanNode
+from omniman_ros.nodes.timed_node import TIME_JUMP
 
 M = TypeVar("M")
-
-RETRY_PERIOD = 0.05
-"""Period at which messages that wait for transforms are looked at, if none arrive [s]."""
-MOST_WAITING = 50
-"""Largest number of messages of a topic that wait; the oldest ones are dropped."""
-TIME_JUMP = 0.1
-"""Jump of ROS time into the past above which the transforms are forgotten [s]."""
 
 
 class FrameTransforms:
@@ -42,7 +36,7 @@ class FrameTransforms:
         self._node, self._parameters = node, parameters
         self._tree = TransformTree()
         self._anchors: dict[str, Transform] = {}
-        self._queues: list[_Queue] = []
+        self._filters: list[MessageFilter] = []
         self._hopeless: set[str] = set()
         self._latest = 0
         if tf_messages.TFMessage is None:
@@ -127,10 +121,9 @@ class FrameTransforms:
         """
         if frame == ODOM:
             return Transform()
+        odom = self._parameters().odom.odom_frame
         try:
-            self._anchors[frame] = self._tree.lookup(
-                self._parameters().odom.odom_frame, frame, None
-            )
+            self._anchors[frame] = self._tree.lookup(odom, frame, None)
         except TransformError:
             if frame not in self._anchors:
                 raise
@@ -178,35 +171,15 @@ class FrameTransforms:
         Returns:
             A handler for `OmnimanNode.guarded`.
         """
-        queue = _Queue(headers, self._node.guarded(topic, handler))
-        self._queues.append(queue)
-
-        def handle(message: M) -> str | None:
-            if not queue.waiting and self._is_ready(queue.headers(message)):
-                return handler(message)
-            queue.waiting.append((self._node.now(), message))
-            return None
-
-        return handle
+        handle_later = self._node.guarded(topic, handler)
+        waiting = MessageFilter(headers, self._is_awaited, self._give_up, handler, handle_later)
+        self._filters.append(waiting)
+        return lambda message: waiting.handle(message, self._node.now())
 
     def _retry(self) -> None:
         """Hand on the messages that have their transforms, or have waited for too long."""
-        now, wait = self._node.now(), self._parameters().tf.wait
-        for queue in self._queues:
-            while queue.waiting:
-                since, message = queue.waiting[0]
-                headers = list(queue.headers(message))
-                is_over = not 0.0 <= now - since < wait
-                if not is_over and not self._is_ready(headers):
-                    break
-                queue.waiting.popleft()
-                if is_over:
-                    self._give_up(headers)
-                queue.handle(message)
-
-    def _is_ready(self, headers: Iterable[Header]) -> bool:
-        """Return whether no transform is missing that may come yet."""
-        return not any(self._is_awaited(header) for header in headers)
+        for waiting in self._filters:
+            waiting.retry(self._node.now(), self._parameters().tf.wait)
 
     def _is_awaited(self, header: Header) -> bool:
         if tf_messages.TFMessage is None or not self._tree or header.frame_id in self._hopeless:
@@ -225,15 +198,3 @@ class FrameTransforms:
                 self._tree.ancestor(header.frame_id.lstrip("/"), odom)
             except TransformError:
                 self._hopeless.add(header.frame_id)
-
-
-class _Queue:
-    """Messages of a topic that wait, each with its time of arrival [s]."""
-
-    def __init__(
-        self,
-        headers: Callable[[Any], Iterable[Header]],
-        handle: Callable[[Any], None],
-    ) -> None:
-        self.headers, self.handle = headers, handle
-        self.waiting: deque[tuple[float, Any]] = deque(maxlen=MOST_WAITING)

@@ -8,11 +8,10 @@ from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.station_keeper_parameters import StationKeeperParameters
 from omniman_ros.nodes.stream_monitor_interface import StreamMonitorInterface
+from omniman_ros.nodes.timed_node import TIME_JUMP
 from omniman_ros.nodes.trajectory_interfaces.odom_feed import OdomFeed
 from omniman_ros.nodes.trajectory_interfaces.previews import platform_previews
 
-TIME_JUMP_BACK = 0.1
-"""Jump of simulated time into the past above which everything received is forgotten [s]."""
 
 
 class StationStream:
@@ -101,7 +100,7 @@ class StationStream:
         """Supervise the motion, start a station that waits, and publish the next preview."""
         now = self._node.now()
         elapsed, self._ticked_at = now - self._ticked_at, now
-        if elapsed < -TIME_JUMP_BACK:
+        if elapsed < -TIME_JUMP:
             self._start_over(now)
         # While this node is held up, odom is not silent.
         self.odom.pass_time(min(max(elapsed, 0.0), 2.0 * self._settings.value.period))

@@ -18,6 +18,8 @@ from omniman_ros.nodes.rclpy_compat import nanoseconds
 
 MAX_LEAD = 0.05
 """Largest time that a stamp may be ahead of ROS time [s]."""
+TIME_JUMP = 0.1
+"""Jump of simulated time into the past above which what was received counts no more [s]."""
 CLOCK_READING_TIME = 1e-4
 """Time within which two clocks count as read simultaneously [s]."""
 CLOCK_READING_ATTEMPTS = 5

@@ -14,6 +14,7 @@ from omniman_ros.extras import VIEWER
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.runtime import run
+from omniman_ros.nodes.timed_node import TIME_JUMP
 from omniman_ros.viewer import events
 from omniman_ros.viewer.ros.lazy_subscriptions import LazySubscriptions
 from omniman_ros.viewer.ros.manual_drive import ManualDrive
@@ -28,8 +29,6 @@ from omniman_ros.viewer.view_state import ViewState
 
 PERIOD = 0.05
 """Period of `cmd_vel`, and of processing the events of the page [s]."""
-TIME_JUMP = 0.1
-"""Jump of simulated time into the past from which it counts as a new simulation [s]."""
 
 
 class ViewerNode(OmnimanNode):

@@ -14,13 +14,12 @@ from omniman_ros.nodes.planner_interfaces.motion_publisher import MotionPublishe
 from omniman_ros.nodes.planner_interfaces.plan_publisher import PlanPublisher
 from omniman_ros.nodes.planner_interfaces.posture_interface import PostureInterface
 from omniman_ros.nodes.planner_interfaces.sensor_interface import SensorInterface
+from omniman_ros.nodes.timed_node import TIME_JUMP
 from omniman_ros.planning.cycle import MeasuredState, PlannerState
 
 if TYPE_CHECKING:
     from omniman_ros.planning.planner import Planner
 
-TIME_JUMP = 0.1
-"""Jump of simulated time into the past above which a motion ends [s]."""
 
 
 class PlannerLoop:

@@ -17,6 +17,7 @@ from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.stop_interface import LATCHED
 from omniman_ros.nodes.stream_monitor_interface import StreamMonitorInterface
+from omniman_ros.nodes.timed_node import TIME_JUMP
 from omniman_ros.nodes.trajectory_interfaces.arm_feed import ArmFeed
 from omniman_ros.nodes.trajectory_interfaces.arm_interface import ArmInterface
 from omniman_ros.nodes.trajectory_interfaces.limit_interface import LimitInterface
@@ -35,8 +36,6 @@ from omniman_ros.nodes.trajectory_interfaces.tool_interface import ToolInterface
 from omniman_ros.nodes.trajectory_interfaces.trajectory_input import TrajectoryInput
 from omniman_ros.nodes.trajectory_interfaces.whole_body_interface import WholeBodyInterface
 
-TIME_JUMP_BACK = 0.1
-"""Jump of simulated time into the past above which all motions end [s]."""
 
 
 class MotionCoordinator:
@@ -232,7 +231,7 @@ class MotionCoordinator:
 
     def _check_time(self, since_tick: float) -> None:
         """Give up motions that cannot continue after the time since the last tick [s]."""
-        if since_tick < -TIME_JUMP_BACK:
+        if since_tick < -TIME_JUMP:
             self._start_over()
         else:
             self.path.check_time(since_tick)

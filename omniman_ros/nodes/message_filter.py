@@ -1,0 +1,73 @@
+"""Messages of a topic that wait for the transforms of their frames."""
+
+from collections import deque
+from collections.abc import Callable, Iterable
+from typing import Any
+
+from std_msgs.msg import Header
+
+MOST_WAITING = 50
+"""Largest number of messages of a topic that wait; the oldest ones are dropped."""
+RETRY_PERIOD = 0.05
+"""Period at which messages that wait for transforms are looked at, if none arrive [s]."""
+
+
+class MessageFilter:
+    """Hands the messages of a topic on in their order, each when its transforms are known.
+
+    Args:
+        headers: Returns the headers whose frames are looked up for a message.
+        is_awaited: Returns whether the transform of a header is missing, but may come.
+        give_up: Called with the headers of a message that has waited for too long.
+        handle_now: Handles a message that need not wait; its result is that of `handle`.
+        handle_later: Handles a message that has waited, whether its transforms came or not.
+    """
+
+    def __init__(
+        self,
+        headers: Callable[[Any], Iterable[Header]],
+        is_awaited: Callable[[Header], bool],
+        give_up: Callable[[Iterable[Header]], None],
+        handle_now: Callable[[Any], str | None],
+        handle_later: Callable[[Any], None],
+    ) -> None:
+        self._headers, self._is_awaited, self._give_up = headers, is_awaited, give_up
+        self._handle_now, self._handle_later = handle_now, handle_later
+        self._waiting: deque[tuple[float, Any]] = deque(maxlen=MOST_WAITING)
+
+    def handle(self, message: Any, now: float) -> str | None:
+        """Handle a message, or have it wait.
+
+        Args:
+            message: The message that has arrived.
+            now: Time of its arrival [s].
+
+        Returns:
+            What the handler returns; None while the message waits.
+        """
+        if not self._waiting and self._is_ready(self._headers(message)):
+            return self._handle_now(message)
+        self._waiting.append((now, message))
+        return None
+
+    def retry(self, now: float, max_wait: float) -> None:
+        """Hand on the messages that have their transforms, or have waited for too long.
+
+        Args:
+            now: Present time, on the same clock as the arrivals [s].
+            max_wait: Time after which a message is handed on without its transforms [s].
+        """
+        while self._waiting:
+            arrival, message = self._waiting[0]
+            headers = list(self._headers(message))
+            is_over = not 0.0 <= now - arrival < max_wait
+            if not is_over and not self._is_ready(headers):
+                return
+            self._waiting.popleft()
+            if is_over:
+                self._give_up(headers)
+            self._handle_later(message)
+
+    def _is_ready(self, headers: Iterable[Header]) -> bool:
+        """Return whether no transform is missing that may come yet."""
+        return not any(self._is_awaited(header) for header in headers)
