@@ -37,7 +37,7 @@ class MpcPlannerNode(OmnimanNode):
         frames: Transforms into odom.
         sensors: State of the robot, and obstacles.
         posture: Posture of the arm.
-        loop: Planning cycle and its requests.
+        loop: Drives to goals: requests, supervision and planning cycle.
         publisher: Streams that move the robot.
         actions: Action `navigate_to_pose`, where nav2_msgs is installed.
     """
@@ -139,7 +139,7 @@ class MpcPlannerNode(OmnimanNode):
             ("refused", loop.goals.refused),
             ("distance_m", round(distance, 3)),
             ("angle_rad", round(angle, 3)),
-            ("solve_ms", round(1e3 * loop.solve_time, 2)),
+            ("solve_ms", round(1e3 * loop.cycle.solve_time, 2)),
             ("slack_m", round(report.slack, 4)),
             ("cost_j", round(report.cost, 1)),
             ("energy_j", round(core.energy(), 1)),
@@ -147,11 +147,11 @@ class MpcPlannerNode(OmnimanNode):
             ("arm", self.posture.source(self.now()).value),
             ("led_by", "the goal" if route is None else route.source.value),
             ("plan_used", report.used),
-            ("why", loop.silence or report.reason),
+            ("why", loop.cycle.silence or report.reason),
             ("last", loop.goals.text),
         ]
-        if loop.silence:
-            return DiagnosticStatus.WARN, f"waits: {loop.silence}", values
+        if loop.cycle.silence:
+            return DiagnosticStatus.WARN, f"waits: {loop.cycle.silence}", values
         if core.state is PlannerState.BLOCKED:
             reason = (route.failure if route is not None else "") or "no clear way found"
             return DiagnosticStatus.WARN, f"blocked: {reason}", values

@@ -20,7 +20,7 @@ class GoalExecutor:
     Args:
         node: Node whose clock stamps the feedback.
         goals: Conversion of the goals.
-        loop: Planning cycle.
+        loop: Drives to goals.
         sensors: State of the robot.
         planner: Planner that drives to the goals.
         frame: Frame of odometry.

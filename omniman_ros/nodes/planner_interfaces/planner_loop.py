@@ -1,29 +1,27 @@
-"""Planning cycle of the node, from the acceptance of a goal until the robot is at rest."""
+"""Drives of the node, from the request of a goal until the robot is at rest."""
 
-import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from omniman_ros.core.errors import InputError
-from omniman_ros.core.pending_start import PendingStart, StartState
+from omniman_ros.core.pending_start import StartAttempt, StartState
 from omniman_ros.core.stream_monitor import StreamMonitor
 from omniman_ros.nodes.omniman_node import OmnimanNode
+from omniman_ros.nodes.planner_interfaces.goal_admission import GoalAdmission
 from omniman_ros.nodes.planner_interfaces.goal_anchor import GoalAnchor, PlacedGoal
 from omniman_ros.nodes.planner_interfaces.goal_log import GoalLog
 from omniman_ros.nodes.planner_interfaces.motion_publisher import MotionPublisher
 from omniman_ros.nodes.planner_interfaces.plan_publisher import PlanPublisher
+from omniman_ros.nodes.planner_interfaces.planning_cycle import PlanningCycle
 from omniman_ros.nodes.planner_interfaces.posture_interface import PostureInterface
 from omniman_ros.nodes.planner_interfaces.sensor_interface import SensorInterface
 from omniman_ros.nodes.timed_node import TIME_JUMP
-from omniman_ros.planning.cycle import MeasuredState, PlannerState
 
 if TYPE_CHECKING:
     from omniman_ros.planning.planner import Planner
 
 
-
 class PlannerLoop:
-    """Runs one cycle per tick: plan, check, send.
+    """Serves requests, supervises the drive, and runs one planning cycle per tick.
 
     Args:
         node: Node whose clock is used.
@@ -37,9 +35,7 @@ class PlannerLoop:
 
     Attributes:
         goals: Outcome of the latest goal.
-        silence: Why the obstacles, the arm's posture or the goal's place in odom are not known,
-            while the robot waits for them, or empty.
-        solve_time: Duration of the last planning [s]; NaN before the first.
+        cycle: Planning, checking and sending.
     """
 
     def __init__(
@@ -54,13 +50,14 @@ class PlannerLoop:
         monitor: StreamMonitor,
     ) -> None:
         self._node, self._planner, self._sensors = node, planner, sensors
-        self._posture, self._anchor = posture, anchor
-        self._publisher, self._plans, self._monitor = publisher, plans, monitor
+        self._posture, self._publisher, self._monitor = posture, publisher, monitor
         self.goals = GoalLog()
-        self.silence = ""
-        self.solve_time = math.nan
-        self._pending = PendingStart(node.now, monitor)
-        self._is_ending = False
+        self.cycle = PlanningCycle(
+            node, planner, anchor, sensors, posture, publisher, plans, self.goals
+        )
+        self._admission = GoalAdmission(
+            node, planner, anchor, sensors, posture, monitor, self.goals, self.cycle.silence_reason
+        )
         self._last_tick = node.now()
 
     @property
@@ -76,23 +73,19 @@ class PlannerLoop:
         Raises:
             InputError: The goal is invalid, or the node is shutting down.
         """
-        try:
-            if self._is_ending:
-                raise InputError("the node is shutting down")
-            goal = make_goal()
-        except InputError as error:
-            self.goals.reject(str(error))
-            raise
-        self._sensors.dismiss_silent_source()
-        self.goals.receive()
-        self._pending.put(lambda: self._start(goal))
-        return self._attempt_start()
+        return self._attended(self._admission.submit(make_goal))
+
+    def _attended(self, attempt: StartAttempt) -> str:
+        """Return why a goal is refused; one that starts ends the silence of the one before."""
+        if attempt.state is StartState.STARTED:
+            self.cycle.silence = ""
+        return attempt.refusal
 
     def pause(self) -> str:
         """Bring the robot to rest and keep the goal; return any reason for refusal, or ""."""
         if not self._planner.active:
             return f"nothing to pause: {self._planner.state.value}"
-        self.silence = ""
+        self.cycle.silence = ""
         now = self._node.now()
         self._planner.pause(now)
         self._publisher.send(now)
@@ -107,58 +100,22 @@ class PlannerLoop:
 
     def cancel(self) -> str:
         """Bring the robot to rest and discard the goal; return any reason for refusal, or ""."""
-        if not self._pending and self._planner.goal is None:
+        if not self._admission.is_pending and self._planner.goal is None:
             return f"nothing to cancel: {self._planner.state.value}"
-        self._pending.discard()
+        self._admission.discard()
         self._brake_for_good()
         self.goals.cancel()
         return ""
 
     def begin_shutdown(self) -> None:
         """Bring the robot to rest, and accept no other goal."""
-        self._is_ending = True
-        self._pending.discard()
+        self._admission.close()
         if self._planner.goal is not None:
             self._brake_for_good()
         if self.goals.has_goal:
             self.goals.cancel()
 
-    # ---- start and end of a drive -------------------------------------------------------------
-
-    def _attempt_start(self) -> str:
-        """Start the pending goal if possible; return why it is refused, or an empty string."""
-        attempt = self._pending.attempt(self._monitor.blocking_reason, self._blocking_reason)
-        if attempt.state is StartState.WAITING:
-            self.goals.wait(attempt.reason)
-        elif attempt.state is StartState.REFUSED:
-            self.goals.refuse(attempt.reason)
-        elif attempt.state is StartState.STARTED:
-            self.silence = ""
-            self.goals.accept()
-            self._node.get_logger().info("goal accepted")
-        return attempt.refusal
-
-    def _blocking_reason(self) -> str:
-        """Return why no goal can be driven to yet, or an empty string."""
-        now = self._node.now()
-        fault = self._sensors.odom_fault(now)
-        if fault:
-            return fault
-        if self._monitor.waiting_time(now) > 0.0:
-            return "control was lost a moment ago"
-        return self._silence_reason(now)
-
-    def _silence_reason(self, now: float) -> str:
-        """Return why the obstacles or the arm's posture are not known, or an empty string."""
-        posture = self._posture.silence_reason(now)
-        return self._sensors.obstacles.silence_reason(now) or posture
-
-    def _start(self, goal: PlacedGoal) -> None:
-        measured = self._sensors.measured
-        assert measured is not None
-        now = self._node.now()
-        self._planner.footprint = self._posture.footprint(now)
-        self._anchor.drive(goal, measured, self._sensors.ellipses(now))
+    # ---- end of a drive ------------------------------------------------------------------------
 
     def give_up_if_lost(self) -> None:
         """Give the goal up if the robot does not follow this planner any more."""
@@ -176,13 +133,13 @@ class PlannerLoop:
         self._monitor.end(lost=True)
 
     def _log_given_up(self, reason: str) -> None:
-        self.silence = ""
+        self.cycle.silence = ""
         if self._planner.goal is not None:
             self.goals.give_up(reason)
             self._node.warn("given up", self.goals.text)
 
     def _brake_for_good(self) -> None:
-        self.silence = ""
+        self.cycle.silence = ""
         now = self._node.now()
         self._planner.cancel(now)
         self._publisher.send(now)
@@ -190,7 +147,7 @@ class PlannerLoop:
     # ---- a cycle ------------------------------------------------------------------------------
 
     def tick(self) -> None:
-        """Run one cycle: plan, check, send."""
+        """Supervise the drive, start the goal that waits, and run one planning cycle."""
         now = self._node.now()
         elapsed, self._last_tick = now - self._last_tick, now
         if elapsed < -TIME_JUMP:
@@ -198,17 +155,17 @@ class PlannerLoop:
         self.give_up_if_lost()
         self._planner.footprint = self._posture.footprint(now)
         self._sensors.update_map()
-        refusal = self._attempt_start()
+        refusal = self._attended(self._admission.attempt())
         if refusal:
             self._node.warn("goal refused", f"goal not used: {refusal}")
         measured, fault = self._sensors.measured, self._sensors.odom_fault(now)
         if not self._planner.active or measured is None:
-            self._coast(now)
+            self.cycle.coast(now)
         elif fault:
             self._log_given_up(fault)
             self._brake_for_good()
         else:
-            self._cycle(now, measured)
+            self.cycle.run(now, measured)
 
     def _restart(self, now: float) -> None:
         """Discard everything that was received, because time went back."""
@@ -216,41 +173,4 @@ class PlannerLoop:
         self._monitor.restart(now)
         self._sensors.measured = None
         self._posture.forget()
-        self._pending.restart_timeout()
-
-    def _cycle(self, now: float, measured: MeasuredState) -> None:
-        planner = self._planner
-        silence = self._silence_reason(now) or self._anchor.silence_reason()
-        obstacles = self._sensors.ellipses(now)
-        if silence:
-            if not self.silence:
-                planner.brake(now)
-            self.silence = silence
-            self._node.warn("silent", f"the robot stops: {silence}")
-            self._publisher.send(now)
-            return
-        self.silence = ""
-        self._anchor.update(now, obstacles)
-        proposal = planner.propose(now, measured, obstacles)
-        done = self._node.now()
-        self.solve_time = done - now
-        planner.take(proposal, done, measured, obstacles)
-        if planner.report.reason:
-            self.goals.reject_plan(planner.report.reason)
-            self._node.warn("plan", self.goals.text)
-        if planner.state is PlannerState.ARRIVED:
-            self.goals.arrive()
-            self._node.get_logger().info("goal reached")
-        self._publisher.send(done)
-        self._plans.publish(done, obstacles)
-        planner.update_route(done, obstacles)
-
-    def _coast(self, now: float) -> None:
-        """Finish a motion without a goal, still watching the obstacles."""
-        measured = self._sensors.measured
-        if self._planner.motion.end > now and measured is not None:
-            if self._silence_reason(now):
-                self._planner.brake(now)
-            else:
-                self._planner.coast(now, measured, self._sensors.ellipses(now))
-        self._publisher.send(now)
+        self._admission.restart_timeout()
