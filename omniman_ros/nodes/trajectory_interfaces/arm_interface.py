@@ -24,7 +24,7 @@ class ArmInterface(JointInterface):
         points, delay = self.points(message), self.start_delay(message.header.stamp)
         why = self._blocking_reason()
         if not why:
-            self._ledger.accept()
+            self._log.accept(replaces_pending=False)
             self.start(points, delay)
         return why
 

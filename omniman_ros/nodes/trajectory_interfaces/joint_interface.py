@@ -15,9 +15,8 @@ from omniman_ros.motion.path.interpolator import PathState
 from omniman_ros.motion.path.joint_interpolator import JointInterpolator, JointProposal
 from omniman_ros.motion.path.joint_points import JointPoints
 from omniman_ros.motion.path.window import Window, paced_window
-from omniman_ros.nodes.motion_ledger import MotionLedger
 from omniman_ros.nodes.trajectory_interfaces.motion_context import MIN_PLANNING_TIME, MotionContext
-from omniman_ros.nodes.trajectory_interfaces.motion_status import MotionEvent, MotionStatus
+from omniman_ros.nodes.trajectory_interfaces.motion_log import MotionLog
 
 PLANNING_TIME_PER_POINT = 1e-3
 """Planning time that is expected for each point of a trajectory [s]."""
@@ -42,8 +41,8 @@ class JointInterface(ABC):
     def __init__(self, context: MotionContext, core: JointInterpolator) -> None:
         self._context, self._node = context, context.node
         self.core = core
-        self.status = MotionStatus("no trajectory yet")
-        self._ledger = MotionLedger()
+        self._log = MotionLog(self._node, "trajectory")
+        self.status, self._ledger = self._log.status, self._log.ledger
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -98,10 +97,10 @@ class JointInterface(ABC):
             InputError: The trajectory is refused; the motion under way goes on.
         """
         if self._context.is_ending():
-            raise self.refuse("the node is shutting down")
+            raise self._log.refuse("the node is shutting down")
         why = self.trajectory(message)
         if why:
-            raise self.refuse(why)
+            raise self._log.refuse(why)
         return self._ledger.accepted
 
     def outcome(self, motion: int) -> str | None:
@@ -142,8 +141,7 @@ class JointInterface(ABC):
 
     def refuse(self, why: str) -> InputError:
         """Report a refusal; return the error for it."""
-        self.status.report(MotionEvent.REFUSED, f"a trajectory was refused: {why}")
-        return InputError(why)
+        return self._log.refuse(why)
 
     def stop(self) -> None:
         """Bring the motion to rest on its path, as a trajectory without points asks for."""
@@ -192,15 +190,12 @@ class JointInterface(ABC):
     ) -> JointProposal:
         from_rest = self.idle
         proposal = self._context.propose_in_time(propose, self.core.take, planning_time)
-        if not from_rest:
-            self._ledger.close("replaced", self._ledger.started)
-        self._ledger.start()
+        self._log.start(replaces_driven=not from_rest)
         self._on_start(from_rest=from_rest)
         return proposal
 
     def _announce(self, text: str) -> None:
-        self.status.report(MotionEvent.STARTED, text)
-        self._node.get_logger().info(f"trajectory: {text}")
+        self._log.announce(text)
         self._context.on_started()
 
     # ---- supervision --------------------------------------------------------------------------
@@ -216,13 +211,10 @@ class JointInterface(ABC):
         """
         if self.idle:
             return
-        text = f"the trajectory was given up: {why}"
-        self.status.report(MotionEvent.GIVEN_UP, text)
-        self._node.warn("trajectory given up", text)
         now = self._node.now()
         window = self._stop_window(now) if brake and self._is_covered(now) else None
         self.core.abort()
-        self._ledger.close(text, self._ledger.started)
+        self._log.give_up(why)
         self._context.arm_feed.rest_position = None
         if window is not None:
             self._send(window)
@@ -269,12 +261,8 @@ class JointInterface(ABC):
         if self.core.state is PathState.CANCELLING and time_base.pace.stands(self._node.now()):
             self.core.finish(motion_time)
         if self.idle:
-            cancelled = before is PathState.CANCELLING
-            event = MotionEvent.CANCELLED if cancelled else MotionEvent.ARRIVED
-            self.status.report(event, event.value)
-            self._ledger.close(event.value if cancelled else "", self._ledger.started)
+            self._log.end(cancelled=before is PathState.CANCELLING)
             self._on_rest()
-            self._node.get_logger().info(f"trajectory: {event.value}")
 
     def publish(self, horizon: float) -> None:
         """Publish a preview of the motion under way that is `horizon` long [s]."""

@@ -9,13 +9,11 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.core.pending_start import PendingStart, StartState
 from omniman_ros.motion.path.interpolator import PathInterpolator, PathState, Proposal
 from omniman_ros.motion.path.window import Window, paced_window
-from omniman_ros.nodes.motion_ledger import MotionLedger
-from omniman_ros.nodes.serialized import deserialized
 from omniman_ros.nodes.trajectory_interfaces.motion_context import MIN_PLANNING_TIME, MotionContext
-from omniman_ros.nodes.trajectory_interfaces.motion_status import MotionEvent, MotionStatus
+from omniman_ros.nodes.trajectory_interfaces.motion_log import MotionLog
+from omniman_ros.nodes.trajectory_interfaces.motion_status import MotionEvent
+from omniman_ros.nodes.trajectory_interfaces.path_input import PathInput
 
-POSE_BYTES = 160
-"""Upper bound of the size of a pose in a serialized path [bytes]."""
 PLANNING_TIME_PER_POSE = 1e-4
 """Planning time that is expected for each pose of a path [s]."""
 
@@ -38,12 +36,16 @@ class PathInterface:
         self._context, self._node = context, context.node
         self.core = core
         self.pending = PendingStart(self._node.now, context.stream_monitor)
-        self.status = MotionStatus("no path yet")
-        self.ledger = MotionLedger()
-        # The message stays serialized, so that a path of a million poses is refused unread.
-        on_path = self._node.guarded("path", self._on_path)
-        self._take = context.frames.deferred("path", lambda message: [message.header], self.accept)
-        self._node.create_subscription(Path, "path", on_path, 10, raw=True)
+        self._log = MotionLog(self._node, "path")
+        self.status, self.ledger = self._log.status, self._log.ledger
+        PathInput(
+            context,
+            "path",
+            max_poses=lambda: context.options.core.path.max_poses,
+            refusal=lambda: "",
+            accept=self.accept,
+            refuse=self._log.refuse,
+        )
 
     @property
     def idle(self) -> bool:
@@ -51,16 +53,6 @@ class PathInterface:
         return self.core.state is PathState.IDLE
 
     # ---- paths --------------------------------------------------------------------------------
-
-    def _on_path(self, data: bytes) -> str | None:
-        max_poses = self._context.options.core.path.max_poses
-        if len(data) > POSE_BYTES * (max_poses + 100):
-            raise self._refuse(f"{len(data) / 1e6:.0f} MB, at most {max_poses} poses are accepted")
-        try:
-            message = deserialized(data, Path)
-        except InputError as error:
-            raise self._refuse(str(error)) from error
-        return self._take(message)
 
     def accept(self, message: Path) -> str:
         """Start a path, or let it wait, in odom as its frame is known now: it stays there.
@@ -78,28 +70,21 @@ class PathInterface:
             poses = path_poses(message, names, p.core.path.heading == "poses")
             poses = se2.displaced(poses, place)
         except InputError as error:
-            raise self._refuse(str(error)) from error
+            raise self._log.refuse(str(error)) from error
         if self._context.is_ending():
-            raise self._refuse("the node is shutting down")
-        if self.pending:
-            self.ledger.close("replaced by a new path", self.ledger.accepted)
-        self.ledger.accept()
+            raise self._log.refuse("the node is shutting down")
+        self._log.accept(replaces_pending=bool(self.pending))
         self.pending.put(lambda: self._start(poses))
         return self.start_pending()
-
-    def _refuse(self, why: str) -> InputError:
-        self.status.report(MotionEvent.REFUSED, f"a path was refused: {why}")
-        return InputError(why)
 
     def start_pending(self) -> str:
         """Start the path that waits if possible; return why it is refused, or an empty string."""
         refusal = self._context.stream_monitor.blocking_reason or self._context.conflict(self)
         attempt = self.pending.attempt(refusal, self._blocking_reason)
         if attempt.state is StartState.WAITING:
-            self.status.report(MotionEvent.WAITING, f"a path is waiting: {attempt.reason}")
+            self._log.wait(attempt.reason)
         if attempt.refusal:
-            self._refuse(attempt.refusal)
-            self.ledger.close(attempt.refusal, self.ledger.accepted)
+            self._log.refuse_pending(attempt.refusal)
         return attempt.refusal
 
     def _blocking_reason(self) -> str:
@@ -120,9 +105,7 @@ class PathInterface:
         under_way = not self.idle
         proposal = context.propose_in_time(propose, self.core.take, planning_time)
         plan = proposal.plan
-        if under_way:
-            self.ledger.close("replaced by a new path", self.ledger.started)
-        self.ledger.start()
+        self._log.start(replaces_driven=under_way)
         if proposal.since is None:
             context.odom.silence = 0.0
             context.platform_previews.covered_until = float("inf")
@@ -131,15 +114,14 @@ class PathInterface:
             f"{len(poses)} poses in {plan.duration:.2f} s, {plan.duration / plan.bound:.3f} times "
             "the shortest duration without jerk limits"
         )
-        self.status.report(MotionEvent.STARTED, text)
-        self._node.get_logger().info(f"path: {text}")
+        self._log.announce(text)
         context.on_started()
 
     def discard_pending(self) -> bool:
         """Discard the path that waits, and return whether there was one."""
         discarded = self.pending.discard()
         if discarded:
-            self.ledger.close("cancelled", self.ledger.accepted)
+            self._log.discard_pending()
         return discarded
 
     # ---- supervision --------------------------------------------------------------------------
@@ -147,11 +129,8 @@ class PathInterface:
     def give_up(self, why: str) -> None:
         """Discard the path, because the platform no longer follows it."""
         if not self.idle:
-            text = f"the path was given up: {why}"
-            self.status.report(MotionEvent.GIVEN_UP, text)
-            self._node.warn("given up", text)
+            self._log.give_up(why)
             self.core.abort()
-            self.ledger.close(why, self.ledger.started)
             self._context.stream_monitor.end(lost=True)
 
     def check_control(self) -> None:
@@ -195,11 +174,7 @@ class PathInterface:
             self.core.abort()
         if self.idle:
             self._context.stream_monitor.end(lost=False)
-            cancelled = before is PathState.CANCELLING
-            event = MotionEvent.CANCELLED if cancelled else MotionEvent.ARRIVED
-            self.status.report(event, event.value)
-            self.ledger.close(event.value if cancelled else "", self.ledger.started)
-            self._node.get_logger().info(f"path: {event.value}")
+            self._log.end(cancelled=before is PathState.CANCELLING)
 
     def publish(self, horizon: float) -> None:
         """Publish a preview of the path under way that is `horizon` long [s]."""

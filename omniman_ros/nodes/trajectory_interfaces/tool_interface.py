@@ -13,11 +13,10 @@ from omniman_ros.core.pending_start import PendingStart, StartState
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.motion.whole_body.tool_planner import ToolPlan, ToolPlanner
-from omniman_ros.nodes.serialized import deserialized
 from omniman_ros.nodes.trajectory_interfaces.background import in_background
 from omniman_ros.nodes.trajectory_interfaces.motion_context import MotionContext
 from omniman_ros.nodes.trajectory_interfaces.motion_status import MotionEvent, MotionStatus
-from omniman_ros.nodes.trajectory_interfaces.path_interface import POSE_BYTES
+from omniman_ros.nodes.trajectory_interfaces.path_input import PathInput
 from omniman_ros.nodes.trajectory_interfaces.tool_stream import ToolPosePublisher, ToolStream
 from omniman_ros.nodes.trajectory_interfaces.whole_body_interface import WholeBodyInterface
 
@@ -51,12 +50,14 @@ class ToolInterface:
             self._node, "tool_pose", context.options.frames.odom.odom_frame
         )
         self._node.every(TOOL_POSE_PERIOD, self._publish_tool_pose)
-        # The message stays serialized, so that a path of a million poses is refused unread.
-        on_path = self._node.guarded("tool_path", self._on_path)
-        self._take = context.frames.deferred(
-            "tool_path", lambda message: [message.header], self._on_message
+        PathInput(
+            context,
+            "tool_path",
+            max_poses=lambda: context.options.tool_path.max_poses,
+            refusal=self._refusal,
+            accept=self._accept,
+            refuse=self._refuse,
         )
-        self._node.create_subscription(Path, "tool_path", on_path, 10, raw=True)
 
     def _publish_tool_pose(self) -> None:
         """Publish the pose of the tool if platform and arm are measured."""
@@ -66,21 +67,7 @@ class ToolInterface:
         if measured is not None and self._node.now() - measured_at < timeout:
             self._tool_pose.send(measured_at, self._model.forward(measured[0]))
 
-    def _on_path(self, data: bytes) -> str | None:
-        p = self._context.options
-        max_poses = p.tool_path.max_poses
-        if len(data) > POSE_BYTES * (max_poses + 100):
-            raise self._refuse(f"{len(data) / 1e6:.0f} MB, at most {max_poses} poses are accepted")
-        why = self._refusal()
-        if why:  # before unpacking, which would hold up the motion under way
-            raise self._refuse(why)
-        try:
-            message = deserialized(data, Path)
-        except InputError as error:
-            raise self._refuse(str(error)) from error
-        return self._take(message)
-
-    def _on_message(self, message: Path) -> str:
+    def _accept(self, message: Path) -> str:
         """Take a path, in odom as its frame is known now: it stays there."""
         max_poses = self._context.options.tool_path.max_poses
         try:

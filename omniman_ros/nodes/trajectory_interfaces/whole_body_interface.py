@@ -17,7 +17,6 @@ from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.motion.whole_body.model import HEADING_COLUMN, JOINT_COLUMNS, PLATFORM_COLUMNS
 from omniman_ros.nodes.trajectory_interfaces.joint_interface import JointInterface
 from omniman_ros.nodes.trajectory_interfaces.motion_context import MotionContext
-from omniman_ros.nodes.trajectory_interfaces.motion_status import MotionEvent
 from omniman_ros.nodes.trajectory_interfaces.parameters import PathInterpolatorParameters
 from omniman_ros.nodes.trajectory_interfaces.tool_stream import ToolPosePublisher, ToolStream
 
@@ -71,9 +70,7 @@ class WholeBodyInterface(JointInterface):
         self.start_delay(message.header.stamp)
         if self._tool is not None and not self.idle:
             return "a path of the tool is under way; ~/cancel ends it"
-        if self.pending:
-            self._ledger.close("replaced", self._ledger.accepted)
-        self._ledger.accept()
+        self._log.accept(replaces_pending=bool(self.pending))
         self.pending.put(lambda: self._start(points, message))
         return self.start_pending()
 
@@ -102,7 +99,7 @@ class WholeBodyInterface(JointInterface):
         """Discard the motion that waits, and return whether there was one."""
         discarded = self.pending.discard()
         if discarded:
-            self._ledger.close("cancelled", self._ledger.accepted)
+            self._log.discard_pending()
         return discarded
 
     def start_pending(self) -> str:
@@ -110,11 +107,9 @@ class WholeBodyInterface(JointInterface):
         refusal = self._context.stream_monitor.blocking_reason or self._context.conflict(self)
         attempt = self.pending.attempt(refusal, self.blocking_reason)
         if attempt.state is StartState.WAITING:
-            text = f"a trajectory is waiting: {attempt.reason}"
-            self.status.report(MotionEvent.WAITING, text)
+            self._log.wait(attempt.reason)
         if attempt.refusal:
-            self.refuse(attempt.refusal)
-            self._ledger.close(attempt.refusal, self._ledger.accepted)
+            self._log.refuse_pending(attempt.refusal)
         return attempt.refusal
 
     def blocking_reason(self) -> str:
@@ -162,7 +157,7 @@ class WholeBodyInterface(JointInterface):
 
     def follow_tool_path(self, tool: ToolStream) -> None:
         """Start a path of the tool that was planned from the robot's present position."""
-        self._ledger.accept()
+        self._log.accept(replaces_pending=False)
         self._take(lambda _: JointProposal(tool.plan.curve, None, None), 0.0)
         self._tool = tool
         self._announce(f"{tool.plan.length:.2f} m of the tool in {tool.plan.curve.duration:.2f} s")

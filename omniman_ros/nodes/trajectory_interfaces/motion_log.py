@@ -1,0 +1,81 @@
+"""What happens to the motions of an interface: for its status, for clients and for the log."""
+
+from omniman_ros.core.errors import InputError
+from omniman_ros.nodes.motion_ledger import MotionLedger
+from omniman_ros.nodes.omniman_node import OmnimanNode
+from omniman_ros.nodes.trajectory_interfaces.motion_status import MotionEvent, MotionStatus
+
+
+class MotionLog:
+    """Records each event of an interface's motions where it is asked for.
+
+    Args:
+        node: Node whose log is written.
+        kind: What the interface drives, such as "path".
+
+    Attributes:
+        status: Latest event.
+        ledger: Numbers of the motions, and how they ended.
+    """
+
+    def __init__(self, node: OmnimanNode, kind: str) -> None:
+        self._node, self._kind = node, kind
+        self.status = MotionStatus(f"no {kind} yet")
+        self.ledger = MotionLedger()
+
+    # ---- before the start ---------------------------------------------------------------------
+
+    def refuse(self, why: str) -> InputError:
+        """Record a refusal; return the error for it."""
+        self.status.report(MotionEvent.REFUSED, f"a {self._kind} was refused: {why}")
+        return InputError(why)
+
+    def accept(self, *, replaces_pending: bool) -> None:
+        """Number a motion that was accepted, in place of the one that waits, if there is one."""
+        if replaces_pending:
+            self.ledger.close(self._replaced, self.ledger.accepted)
+        self.ledger.accept()
+
+    def wait(self, reason: str) -> None:
+        """Record why the motion that was accepted last waits."""
+        self.status.report(MotionEvent.WAITING, f"a {self._kind} is waiting: {reason}")
+
+    def refuse_pending(self, why: str) -> None:
+        """Record that the motion that waited was refused."""
+        self.refuse(why)
+        self.ledger.close(why, self.ledger.accepted)
+
+    def discard_pending(self) -> None:
+        """Record that the motion that waited was discarded."""
+        self.ledger.close(MotionEvent.CANCELLED.value, self.ledger.accepted)
+
+    # ---- from the start on --------------------------------------------------------------------
+
+    def start(self, *, replaces_driven: bool) -> None:
+        """Record that the motion that was accepted last has started."""
+        if replaces_driven:
+            self.ledger.close(self._replaced, self.ledger.started)
+        self.ledger.start()
+
+    def announce(self, text: str) -> None:
+        """Describe the motion that has started."""
+        self.status.report(MotionEvent.STARTED, text)
+        self._node.get_logger().info(f"{self._kind}: {text}")
+
+    def give_up(self, why: str) -> None:
+        """Record that the motion under way was given up."""
+        text = f"the {self._kind} was given up: {why}"
+        self.status.report(MotionEvent.GIVEN_UP, text)
+        self._node.warn(f"{self._kind} given up", text)
+        self.ledger.close(text, self.ledger.started)
+
+    def end(self, *, cancelled: bool) -> None:
+        """Record that the motion under way came to rest by itself."""
+        event = MotionEvent.CANCELLED if cancelled else MotionEvent.ARRIVED
+        self.status.report(event, event.value)
+        self.ledger.close(event.value if cancelled else "", self.ledger.started)
+        self._node.get_logger().info(f"{self._kind}: {event.value}")
+
+    @property
+    def _replaced(self) -> str:
+        return f"replaced by a new {self._kind}"
