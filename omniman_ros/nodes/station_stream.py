@@ -13,7 +13,6 @@ from omniman_ros.nodes.trajectory_interfaces.odom_feed import OdomFeed
 from omniman_ros.nodes.trajectory_interfaces.previews import platform_previews
 
 
-
 class StationStream:
     """Starts, supervises and publishes the motion of a station keeper.
 

@@ -212,39 +212,19 @@ class JointInterface(ABC):
         if self.idle:
             return
         now = self._node.now()
-        window = self._stop_window(now) if brake and self._is_covered(now) else None
+        window = self._stop_window(now) if brake and self.is_covered(now) else None
         self.core.abort()
         self._log.give_up(why)
         self._context.arm_feed.rest_position = None
         if window is not None:
             self._send(window)
 
-    def _is_covered(self, now: float) -> bool:
+    def is_covered(self, now: float) -> bool:
         """Return whether the receivers still have a reference."""
         return now <= self._context.arm_previews.covered_until
 
     def _stop_window(self, now: float) -> Window | None:
         return self.core.paced_stop_window(now, self._context.time_base.pace)
-
-    def check_arm(self) -> None:
-        """Give the motion up if the arm cannot follow it."""
-        if self.idle:
-            return
-        context, silence = self._context, self._context.arm_feed.silence
-        if context.stream_monitor.stop_reason:
-            self.give_up(context.stream_monitor.stop_reason, brake=False)
-        elif not self._is_covered(self._node.now()):
-            self.give_up("no preview was sent in time", brake=False)
-        elif silence > context.options.joint_trajectory.states_timeout:
-            self.give_up(f"no arm/joint_states for {silence:.2f} s", brake=True)
-
-    def check_following(self) -> None:
-        """Give the motion up if the arm is too far from its reference."""
-        if not self.idle:
-            max_error = self._context.options.joint_trajectory.following_error
-            error = self._context.arm_feed.following_error(max_error)
-            if error:
-                self.give_up(error, brake=True)
 
     # ---- output -------------------------------------------------------------------------------
 

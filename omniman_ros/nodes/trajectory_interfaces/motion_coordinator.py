@@ -1,9 +1,7 @@
 """Coordination of all motions of the node: their inputs, their cycle and their common requests."""
 
-from diagnostic_msgs.msg import DiagnosticStatus
 from std_msgs.msg import Float64
 
-from omniman_ros.conversions.wheels import LimitScales, reported_limit_scales
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.stream_monitor import StreamMonitor
 from omniman_ros.motion.path.axis_limits import AxisLimits
@@ -15,14 +13,15 @@ from omniman_ros.motion.whole_body.model import JOINT_COLUMNS, PLATFORM_COLUMNS
 from omniman_ros.nodes.frame_transforms import FrameTransforms
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
-from omniman_ros.nodes.stop_interface import LATCHED
 from omniman_ros.nodes.stream_monitor_interface import StreamMonitorInterface
 from omniman_ros.nodes.timed_node import TIME_JUMP
 from omniman_ros.nodes.trajectory_interfaces.arm_feed import ArmFeed
 from omniman_ros.nodes.trajectory_interfaces.arm_interface import ArmInterface
+from omniman_ros.nodes.trajectory_interfaces.health_input import HealthInput
 from omniman_ros.nodes.trajectory_interfaces.limit_interface import LimitInterface
 from omniman_ros.nodes.trajectory_interfaces.motion_context import MotionContext
 from omniman_ros.nodes.trajectory_interfaces.motion_status import MotionEvent
+from omniman_ros.nodes.trajectory_interfaces.motion_supervisor import MotionSupervisor
 from omniman_ros.nodes.trajectory_interfaces.motion_time_base import MotionTimeBase
 from omniman_ros.nodes.trajectory_interfaces.odom_feed import OdomFeed
 from omniman_ros.nodes.trajectory_interfaces.parameters import (
@@ -35,7 +34,6 @@ from omniman_ros.nodes.trajectory_interfaces.scaling_interface import ScalingInt
 from omniman_ros.nodes.trajectory_interfaces.tool_interface import ToolInterface
 from omniman_ros.nodes.trajectory_interfaces.trajectory_input import TrajectoryInput
 from omniman_ros.nodes.trajectory_interfaces.whole_body_interface import WholeBodyInterface
-
 
 
 class MotionCoordinator:
@@ -74,7 +72,9 @@ class MotionCoordinator:
             frames=FrameTransforms(node, lambda: settings.value.frames),
             stream_monitor=StreamMonitor(p.restart),
             odom=OdomFeed(node, "odom", odom_frame, self._on_pose),
-            arm_feed=ArmFeed(node, p.arm.joints, self._is_arm_moving, self._on_joint_states),
+            arm_feed=ArmFeed(
+                node, p.arm.joints, self._is_arm_moving, lambda: self._supervisor.check_following()
+            ),
             time_base=MotionTimeBase(
                 (path, arm, whole_body),
                 node.now,
@@ -96,10 +96,16 @@ class MotionCoordinator:
         self.whole_body = WholeBodyInterface(self.context, whole_body)
         self.tool = ToolInterface(self.context, self.whole_body)
         TrajectoryInput(self.context, self.arm, self.whole_body)
-        self._limit_scales = LimitScales()
-        on_health = node.guarded("wheel_health", self._on_health)
-        node.create_subscription(DiagnosticStatus, "wheel_health", on_health, LATCHED)
-        StreamMonitorInterface(node, self.context.stream_monitor, self._check_control)
+        self._startable: dict[str, PathInterface | WholeBodyInterface | ToolInterface] = {
+            "path": self.path,
+            "trajectory": self.whole_body,
+            "tool path": self.tool,
+        }
+        HealthInput(self.context, path, self.whole_body, self.tick)
+        self._supervisor = MotionSupervisor(
+            self.context, self.scaling, self.path, self.arm, self.whole_body
+        )
+        StreamMonitorInterface(node, self.context.stream_monitor, self._supervisor.check_control)
         self._scaled_at, self._ticked_at = float("-inf"), node.now()
 
     def configure(self, new: PathInterpolatorParameters) -> None:
@@ -123,21 +129,6 @@ class MotionCoordinator:
 
     def _is_arm_moving(self) -> bool:
         return not (self.arm.idle and self.whole_body.idle)
-
-    def _on_joint_states(self) -> None:
-        self.arm.check_following()
-        self.whole_body.check_following()
-
-    def _on_health(self, message: DiagnosticStatus) -> None:
-        """Apply the fraction of the limits that dead wheels and the arm's posture leave."""
-        scales, before, core = reported_limit_scales(message), self._limit_scales, self.path.core
-        self._limit_scales, limit_scale = scales, scales.total
-        if scales.wheels > before.wheels:  # the controller was reset, and expects a silence
-            self.context.stream_monitor.restart(self._node.now())
-        if limit_scale != core.limit_scale:
-            self.whole_body.limit_scale = limit_scale
-            core.scale_limits(limit_scale, self.context.time_base.now())
-            self.tick()
 
     def _on_slowed(self) -> None:
         """Slow down at once; further changes within a tick wait for the next one."""
@@ -173,26 +164,17 @@ class MotionCoordinator:
         Raises:
             RefusedError: Nothing is pending or under way.
         """
-        discarded = [
-            interface
-            for interface, discard in (
-                (self.path, self.path.discard_pending),
-                (self.whole_body, self.whole_body.discard_pending),
-                (self.tool, self.tool.discard_pending),
-            )
-            if discard()
-        ]
-        for interface in discarded:
-            interface.status.report(MotionEvent.CANCELLED, MotionEvent.CANCELLED.value)
+        discarded = [motion for motion in self._startable.values() if motion.discard_pending()]
+        for motion in discarded:
+            motion.status.report(MotionEvent.CANCELLED, MotionEvent.CANCELLED.value)
         if not self.context.time_base.idle or not discarded:
             self.context.time_base.cancel()
 
     def begin_shutdown(self) -> None:
         """Bring all motions to rest on their paths, and accept nothing new."""
         self.is_ending = True
-        self.path.discard_pending()
-        self.whole_body.discard_pending()
-        self.tool.discard_pending()
+        for motion in self._startable.values():
+            motion.discard_pending()
         if not self.context.time_base.idle:
             self.context.time_base.cancel()
             self.tick()
@@ -202,13 +184,12 @@ class MotionCoordinator:
     def tick(self) -> None:
         """Supervise all motions, start pending ones, and publish previews and progress."""
         since_tick, self._ticked_at = self._node.now() - self._ticked_at, self._node.now()
-        self._check_time(since_tick)
-        self._check_control()
-        for motion, kind in (
-            (self.path, "path"),
-            (self.whole_body, "trajectory"),
-            (self.tool, "tool path"),
-        ):
+        self._supervisor.check_time(since_tick)
+        if since_tick < -TIME_JUMP:
+            for motion in self._startable.values():
+                motion.pending.restart_timeout()
+        self._supervisor.check_control()
+        for kind, motion in self._startable.items():
             refusal = motion.start_pending()
             if refusal:
                 self._node.warn(f"{kind} refused", f"{kind} not used: {refusal}")
@@ -221,38 +202,3 @@ class MotionCoordinator:
         time_base.limit_pace(min(self.whole_body.max_pace, self.limits.max_pace(motion_time)))
         for interface in (self.path, self.arm, self.whole_body):
             interface.tick()
-
-    def _check_control(self) -> None:
-        """Give up motions whose robot is stopped or no longer follows."""
-        self.path.check_control()
-        self.whole_body.check_control()
-        self.arm.check_arm()
-        self.whole_body.check_arm()
-
-    def _check_time(self, since_tick: float) -> None:
-        """Give up motions that cannot continue after the time since the last tick [s]."""
-        if since_tick < -TIME_JUMP:
-            self._start_over()
-        else:
-            self.path.check_time(since_tick)
-            self.whole_body.check_time(since_tick)
-        # While this node is held up, the other nodes are not silent.
-        elapsed = min(max(since_tick, 0.0), 2.0 * self._settings.value.period)
-        self.context.odom.pass_time(elapsed)
-        self.scaling.pass_time(elapsed)
-        self.context.arm_feed.pass_time(elapsed)
-        if self.scaling.silence > self._settings.value.scaling_timeout:
-            why = f"no arm/speed_scaling for {self.scaling.silence:.2f} s"
-            for interface in (self.arm, self.whole_body):
-                interface.give_up(why, brake=True)
-
-    def _start_over(self) -> None:
-        """Forget all that was received, because time went back."""
-        self.path.give_up("time went back")
-        for interface in (self.arm, self.whole_body):
-            interface.give_up("time went back", brake=False)
-        self.context.stream_monitor.restart(self._node.now())
-        self.context.odom.forget()
-        self.context.arm_feed.forget()
-        for waiting in (self.path, self.whole_body, self.tool):
-            waiting.pending.restart_timeout()

@@ -133,25 +133,6 @@ class PathInterface:
             self.core.abort()
             self._context.stream_monitor.end(lost=True)
 
-    def check_control(self) -> None:
-        """Give the path up if the platform no longer follows it."""
-        if not self.idle:
-            why = self._context.stream_monitor.loss_reason(self._node.now())
-            if why:
-                self.give_up(why)
-
-    def check_time(self, held_up: float) -> None:
-        """Give the path up if it cannot be followed any more.
-
-        Args:
-            held_up: Time since the last tick of the node [s].
-        """
-        odom = self._context.odom
-        if self._node.now() > self._context.platform_previews.covered_until:
-            self.give_up(f"no preview for {held_up:.2f} s")
-        elif odom.silence > self._context.options.odom_timeout:
-            self.give_up(f"no odom for {odom.silence:.2f} s")
-
     # ---- output -------------------------------------------------------------------------------
 
     def tick(self) -> None:

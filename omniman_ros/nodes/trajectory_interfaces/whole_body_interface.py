@@ -172,7 +172,7 @@ class WholeBodyInterface(JointInterface):
         tool, pace = self._tool, self._context.time_base.pace
         if self.idle or tool is None or at <= tool.correction.time:
             return  # a controller that was held up repeats a measurement
-        if not self._is_covered(self._node.now()):
+        if not self.is_covered(self._node.now()):
             return  # the next tick gives the motion up
         reference = self.core.sample(np.array([pace.motion(at)]))[0][0, PLATFORM_COLUMNS]
         tool.correction.update(at, pose, reference)
@@ -207,8 +207,8 @@ class WholeBodyInterface(JointInterface):
 
     # ---- hooks --------------------------------------------------------------------------------
 
-    def _is_covered(self, now: float) -> bool:
-        return super()._is_covered(now) and now <= self._context.platform_previews.covered_until
+    def is_covered(self, now: float) -> bool:
+        return super().is_covered(now) and now <= self._context.platform_previews.covered_until
 
     def _stop_window(self, now: float) -> Window | None:
         """Return the stretch that leads to rest, on which the arm keeps its present correction."""
@@ -249,24 +249,3 @@ class WholeBodyInterface(JointInterface):
         if not self.idle:
             super().give_up(why, brake=brake)
             self._context.stream_monitor.end(lost=True)
-
-    def check_control(self) -> None:
-        """Give the motion up if the platform no longer follows it; the arm brakes on its path."""
-        if not self.idle:
-            why = self._context.stream_monitor.loss_reason(self._node.now())
-            if why:
-                self.give_up(why, brake=not self._context.stream_monitor.stop_reason)
-
-    def check_time(self, held_up: float) -> None:
-        """Give the motion up if it cannot be followed any more.
-
-        Args:
-            held_up: Time since the last tick of the node [s].
-        """
-        context = self._context
-        if self.idle:
-            return
-        if not self._is_covered(self._node.now()):
-            self.give_up(f"no preview for {held_up:.2f} s", brake=False)
-        elif context.odom.silence > context.options.odom_timeout:
-            self.give_up(f"no odom for {context.odom.silence:.2f} s", brake=True)

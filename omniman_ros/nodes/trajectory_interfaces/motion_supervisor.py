@@ -1,0 +1,107 @@
+"""Supervision of the motions of the node: what ends one that the robot can no longer follow."""
+
+from omniman_ros.nodes.timed_node import TIME_JUMP
+from omniman_ros.nodes.trajectory_interfaces.arm_interface import ArmInterface
+from omniman_ros.nodes.trajectory_interfaces.joint_interface import JointInterface
+from omniman_ros.nodes.trajectory_interfaces.motion_context import MotionContext
+from omniman_ros.nodes.trajectory_interfaces.path_interface import PathInterface
+from omniman_ros.nodes.trajectory_interfaces.scaling_interface import ScalingInterface
+from omniman_ros.nodes.trajectory_interfaces.whole_body_interface import WholeBodyInterface
+
+
+class MotionSupervisor:
+    """Gives motions up whose robot is stopped, silent, overruled or too far from its reference.
+
+    A motion brakes on its path where its receivers still listen. Receivers that are stopped, or
+    have been without a preview, come to rest by themselves.
+
+    Args:
+        context: Services of the node.
+        scaling: Speed scaling of the arm's controller.
+        path: Paths of the platform.
+        arm: Trajectories of the arm.
+        whole_body: Motions of platform and arm together.
+    """
+
+    def __init__(
+        self,
+        context: MotionContext,
+        scaling: ScalingInterface,
+        path: PathInterface,
+        arm: ArmInterface,
+        whole_body: WholeBodyInterface,
+    ) -> None:
+        self._context, self._node, self._scaling = context, context.node, scaling
+        self._path, self._arm, self._whole_body = path, arm, whole_body
+
+    def check_control(self) -> None:
+        """Give up motions whose robot is stopped or no longer follows."""
+        monitor = self._context.stream_monitor
+        why = monitor.loss_reason(self._node.now())
+        if why:
+            self._path.give_up(why)
+            self._whole_body.give_up(why, brake=not monitor.stop_reason)
+        self._check_arm(self._arm)
+        self._check_arm(self._whole_body)
+
+    def _check_arm(self, motion: JointInterface) -> None:
+        """Give a motion up whose previews the arm does not get, or that it does not report on."""
+        context, silence = self._context, self._context.arm_feed.silence
+        if motion.idle:
+            return
+        if context.stream_monitor.stop_reason:
+            motion.give_up(context.stream_monitor.stop_reason, brake=False)
+        elif not motion.is_covered(self._node.now()):
+            motion.give_up("no preview was sent in time", brake=False)
+        elif silence > context.options.joint_trajectory.states_timeout:
+            motion.give_up(f"no arm/joint_states for {silence:.2f} s", brake=True)
+
+    def check_following(self) -> None:
+        """Give up motions whose arm is too far from its reference."""
+        max_error = self._context.options.joint_trajectory.following_error
+        for motion in (self._arm, self._whole_body):
+            error = "" if motion.idle else self._context.arm_feed.following_error(max_error)
+            if error:
+                motion.give_up(error, brake=True)
+
+    def check_time(self, since_tick: float) -> None:
+        """Give up motions that cannot continue after a time, and let that time pass for inputs.
+
+        Args:
+            since_tick: Time since the last tick of the node [s]; negative if time went back.
+        """
+        context = self._context
+        if since_tick < -TIME_JUMP:
+            self._restart()
+        else:
+            self._check_platform(since_tick)
+        # While this node is held up, the other nodes are not silent.
+        elapsed = min(max(since_tick, 0.0), 2.0 * context.options.period)
+        for feed in (context.odom, self._scaling, context.arm_feed):
+            feed.pass_time(elapsed)
+        if self._scaling.silence > context.options.scaling_timeout:
+            why = f"no arm/speed_scaling for {self._scaling.silence:.2f} s"
+            self._arm.give_up(why, brake=True)
+            self._whole_body.give_up(why, brake=True)
+
+    def _check_platform(self, since_tick: float) -> None:
+        """Give up motions whose previews the platform does not get, or that it is silent about."""
+        context = self._context
+        if self._node.now() > context.platform_previews.covered_until:
+            why, can_brake = f"no preview for {since_tick:.2f} s", False
+        elif context.odom.silence > context.options.odom_timeout:
+            why, can_brake = f"no odom for {context.odom.silence:.2f} s", True
+        else:
+            return
+        self._path.give_up(why)
+        self._whole_body.give_up(why, brake=can_brake)
+
+    def _restart(self) -> None:
+        """Forget all that was received, because time went back."""
+        why = "time went back"
+        self._path.give_up(why)
+        self._arm.give_up(why, brake=False)
+        self._whole_body.give_up(why, brake=False)
+        self._context.stream_monitor.restart(self._node.now())
+        self._context.odom.forget()
+        self._context.arm_feed.forget()
