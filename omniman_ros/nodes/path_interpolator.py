@@ -16,14 +16,15 @@ from omniman_ros.nodes.navigation_action import (
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.runtime import run
+from omniman_ros.nodes.trajectory_interfaces.joint_executor import JointExecutor
 from omniman_ros.nodes.trajectory_interfaces.motion_coordinator import MotionCoordinator
 from omniman_ros.nodes.trajectory_interfaces.parameters import PathInterpolatorParameters
 from omniman_ros.nodes.trajectory_interfaces.path_executor import PathExecutor
 from omniman_ros.nodes.trajectory_interfaces.trajectory_action import (
     TrajectoryAction,
-    TrajectoryExecutor,
     serve_actions,
 )
+from omniman_ros.nodes.trajectory_interfaces.trajectory_executor import TrajectoryExecutor
 
 
 class PathInterpolatorNode(OmnimanNode):
@@ -46,8 +47,8 @@ class PathInterpolatorNode(OmnimanNode):
             )
         self.motions = MotionCoordinator(self, self.settings)
         executors: dict[str, TrajectoryExecutor] = {
-            p.arm_action: self.motions.arm,
-            p.body_action: self.motions.whole_body,
+            p.arm_action: JointExecutor(self.motions.context, self.motions.arm),
+            p.body_action: JointExecutor(self.motions.context, self.motions.whole_body),
         }
         self._trajectory_actions = serve_actions(self, executors, p.trajectory_action)
         path = PathExecutor(self.motions.context, self.motions.path)

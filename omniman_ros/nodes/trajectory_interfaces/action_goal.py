@@ -1,9 +1,11 @@
-"""Conversion of a goal of `follow_joint_trajectory` into its monitor, and its validation."""
+"""Conversion and validation of the goals of `follow_joint_trajectory`, and its feedback."""
 
+from array import array
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from builtin_interfaces.msg import Time
 from trajectory_msgs.msg import JointTrajectory
 
 from omniman_ros.conversions.headers import time_seconds
@@ -16,6 +18,9 @@ from omniman_ros.motion.path.trajectory_goal import (
     GoalTolerances,
     TrajectoryActionOptions,
 )
+
+PARTS = ("positions", "velocities", "accelerations")
+"""Fields of a point of a trajectory, in the order of their derivatives."""
 
 
 def goal_monitor(
@@ -74,3 +79,29 @@ def _last_positions(trajectory: JointTrajectory, now: float) -> Array:
     positions = np.array(last.positions)
     plausible.demand(positions, plausible.ANGLE, "positions")
     return positions
+
+
+def fill_feedback(
+    feedback: Any,
+    stamp: Time,
+    desired: tuple[Array, ...],
+    actual: tuple[Array, ...],
+    errors: tuple[Array, ...],
+) -> None:
+    """Write the motion of n axes into a feedback of the action.
+
+    Args:
+        feedback: A `control_msgs/action/FollowJointTrajectory` feedback.
+        stamp: ROS time of the feedback.
+        desired: Reference positions, velocities and accelerations, (n,) each.
+        actual: Measured positions and velocities, (n,) each.
+        errors: Errors of positions and velocities, (n,) each.
+    """
+    feedback.header.stamp = stamp
+    for point, arrays in (
+        (feedback.desired, desired),
+        (feedback.actual, actual),
+        (feedback.error, errors),
+    ):
+        for label, values in zip(PARTS, arrays, strict=False):
+            setattr(point, label, array("d", values.tobytes()))

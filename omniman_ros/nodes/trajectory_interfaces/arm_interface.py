@@ -21,10 +21,10 @@ class ArmInterface(JointInterface):
 
     def trajectory(self, message: JointTrajectory) -> str:
         """Start a trajectory; see the base class."""
-        points, delay = self.points(message), self.start_delay(message.header.stamp)
+        points, delay = self.points(message), self._context.start_delay(message.header.stamp)
         why = self._blocking_reason()
         if not why:
-            self._log.accept(replaces_pending=False)
+            self.log.accept(replaces_pending=False)
             self.start(points, delay)
         return why
 

@@ -4,13 +4,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 
 import numpy as np
-from builtin_interfaces.msg import Time
 from trajectory_msgs.msg import JointTrajectory
 
 from omniman_ros.conversions import arm as arm_conversions
-from omniman_ros.conversions.headers import is_stamped
 from omniman_ros.core.arrays import Array
-from omniman_ros.core.errors import InputError
 from omniman_ros.motion.path.interpolator import PathState
 from omniman_ros.motion.path.joint_interpolator import JointInterpolator, JointProposal
 from omniman_ros.motion.path.joint_points import JointPoints
@@ -20,14 +17,10 @@ from omniman_ros.nodes.trajectory_interfaces.motion_log import MotionLog
 
 PLANNING_TIME_PER_POINT = 1e-3
 """Planning time that is expected for each point of a trajectory [s]."""
-MAX_STAMP_AGE = 0.5
-"""Age of a stamp up to which a trajectory is accepted, and starts at once [s]."""
 
 
 class JointInterface(ABC):
     """Connects a `JointInterpolator` to the messages of the node.
-
-    Motions have numbers, by which an action asks for the outcome that its client waits for.
 
     Args:
         context: Services of the node.
@@ -35,14 +28,14 @@ class JointInterface(ABC):
 
     Attributes:
         core: Interpolator of the axes.
+        log: What happens to the motions.
         status: Latest event.
     """
 
     def __init__(self, context: MotionContext, core: JointInterpolator) -> None:
-        self._context, self._node = context, context.node
-        self.core = core
-        self._log = MotionLog(self._node, "trajectory")
-        self.status, self._ledger = self._log.status, self._log.ledger
+        self._context, self._node, self.core = context, context.node, core
+        self.log = MotionLog(self._node, "trajectory")
+        self.status = self.log.status
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -84,36 +77,14 @@ class JointInterface(ABC):
     def _on_rest(self) -> None:
         """React to a motion that came to rest by itself."""
 
-    def _is_pending(self) -> bool:
-        """Return whether the motion that was accepted last still waits to be started."""
+    @property
+    def is_pending(self) -> bool:
+        """Whether the motion that was accepted last still waits to be started."""
         return False
 
-    # ---- for actions --------------------------------------------------------------------------
-
-    def send(self, message: JointTrajectory) -> int:
-        """Accept a trajectory; return the number of its motion.
-
-        Raises:
-            InputError: The trajectory is refused; the motion under way goes on.
-        """
-        if self._context.is_ending():
-            raise self._log.refuse("the node is shutting down")
-        why = self.trajectory(message)
-        if why:
-            raise self._log.refuse(why)
-        return self._ledger.accepted
-
-    def outcome(self, motion: int) -> str | None:
-        """Return why a motion ended: empty if it arrived; None while it waits or goes on."""
-        return self._ledger.outcome_so_far(
-            motion, is_driven=not self.idle, is_pending=self._is_pending()
-        )
-
-    def cancel(self, motion: int) -> None:
-        """Bring a motion to rest on its path, unless it has ended already."""
-        if motion == self._ledger.started and not self.idle:
-            self.stop()
-            self._context.on_started()
+    def discard_pending(self) -> bool:
+        """Discard the motion that waits, and return whether there was one."""
+        return False
 
     def desired(self) -> tuple[Array, Array, Array] | None:
         """Return the references of the instant at which :meth:`actual` was measured.
@@ -139,31 +110,10 @@ class JointInterface(ABC):
         max_points = self._context.options.joint_trajectory.max_points
         return arm_conversions.joint_points(message, self.names, max_points)
 
-    def refuse(self, why: str) -> InputError:
-        """Report a refusal; return the error for it."""
-        return self._log.refuse(why)
-
     def stop(self) -> None:
         """Bring the motion to rest on its path, as a trajectory without points asks for."""
         if not self.idle:
             self.core.cancel(self._context.time_base.now())
-
-    def start_delay(self, stamp: Time) -> float | None:
-        """Return the time until a stamp [s]; None for a zero stamp, which means now.
-
-        Raises:
-            InputError: The stamp is too old, or too far ahead.
-        """
-        if not is_stamped(stamp):
-            return None
-        now = self._node.get_clock().now().nanoseconds
-        delay = float((stamp.sec * 1_000_000_000 + stamp.nanosec - now) * 1e-9)
-        max_delay = self._context.options.joint_trajectory.max_delay
-        if delay < -MAX_STAMP_AGE:
-            raise InputError(f"the stamp is {-delay:.2f} s old")
-        if delay > max_delay:
-            raise InputError(f"the stamp is {delay:.2f} s ahead, at most {max_delay:g} s")
-        return max(delay, 0.0)
 
     def start(self, points: JointPoints, delay: float | None) -> None:
         """Plan a trajectory and start it after a delay [s], or at once if it is None.
@@ -190,12 +140,12 @@ class JointInterface(ABC):
     ) -> JointProposal:
         from_rest = self.idle
         proposal = self._context.propose_in_time(propose, self.core.take, planning_time)
-        self._log.start(replaces_driven=not from_rest)
+        self.log.start(replaces_driven=not from_rest)
         self._on_start(from_rest=from_rest)
         return proposal
 
     def _announce(self, text: str) -> None:
-        self._log.announce(text)
+        self.log.announce(text)
         self._context.on_started()
 
     # ---- supervision --------------------------------------------------------------------------
@@ -214,7 +164,7 @@ class JointInterface(ABC):
         now = self._node.now()
         window = self._stop_window(now) if brake and self.is_covered(now) else None
         self.core.abort()
-        self._log.give_up(why)
+        self.log.give_up(why)
         self._context.arm_feed.rest_position = None
         if window is not None:
             self._send(window)
@@ -241,7 +191,7 @@ class JointInterface(ABC):
         if self.core.state is PathState.CANCELLING and time_base.pace.stands(self._node.now()):
             self.core.finish(motion_time)
         if self.idle:
-            self._log.end(cancelled=before is PathState.CANCELLING)
+            self.log.end(cancelled=before is PathState.CANCELLING)
             self._on_rest()
 
     def publish(self, horizon: float) -> None:

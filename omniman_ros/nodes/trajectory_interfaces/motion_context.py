@@ -4,7 +4,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
 
+from builtin_interfaces.msg import Time
+
 from omniman_ros.collision.self_collision import SelfCollisionCheck
+from omniman_ros.conversions.headers import is_stamped
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.stream_monitor import StreamMonitor
 from omniman_ros.nodes.frame_transforms import FrameTransforms
@@ -18,6 +21,8 @@ from omniman_ros.nodes.trajectory_interfaces.previews import Previews
 
 PLANNING_ATTEMPTS = 3
 """Number of attempts to plan from a motion under way, each with twice the time of the last."""
+MAX_STAMP_AGE = 0.5
+"""Age of a stamp up to which a trajectory is accepted, and starts at once [s]."""
 MIN_PLANNING_TIME = 0.03
 """Shortest planning time that is expected of a motion [s]."""
 
@@ -70,6 +75,23 @@ class MotionContext:
         """Return why a new stream must wait for the platform controller, or an empty string."""
         waits = self.stream_monitor.waiting_time(self.node.now()) > 0.0
         return "control was lost a moment ago" if waits else ""
+
+    def start_delay(self, stamp: Time) -> float | None:
+        """Return the time until a stamp [s]; None for a zero stamp, which means now.
+
+        Raises:
+            InputError: The stamp is too old, or too far ahead.
+        """
+        if not is_stamped(stamp):
+            return None
+        now = self.node.get_clock().now().nanoseconds
+        delay = float((stamp.sec * 1_000_000_000 + stamp.nanosec - now) * 1e-9)
+        max_delay = self.options.joint_trajectory.max_delay
+        if delay < -MAX_STAMP_AGE:
+            raise InputError(f"the stamp is {-delay:.2f} s old")
+        if delay > max_delay:
+            raise InputError(f"the stamp is {delay:.2f} s ahead, at most {max_delay:g} s")
+        return max(delay, 0.0)
 
     def propose_in_time(
         self,

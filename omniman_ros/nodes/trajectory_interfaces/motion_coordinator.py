@@ -57,8 +57,7 @@ class MotionCoordinator:
     def __init__(
         self, node: OmnimanNode, settings: ParameterSet[PathInterpolatorParameters]
     ) -> None:
-        p = settings.value
-        odom_frame = p.frames.odom.odom_frame
+        p, odom_frame = settings.value, settings.value.frames.odom.odom_frame
         self._node, self._settings, self.is_ending = node, settings, False
         self._progress = node.create_publisher(Float64, "path_progress", 10)
         self.scaling = ScalingInterface(node, self._on_slowed)

@@ -6,13 +6,13 @@ from omniman_ros.conversions.poses import path_poses
 from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
-from omniman_ros.core.pending_start import PendingStart, StartState
 from omniman_ros.motion.path.interpolator import PathInterpolator, PathState, Proposal
 from omniman_ros.motion.path.window import Window, paced_window
 from omniman_ros.nodes.trajectory_interfaces.motion_context import MIN_PLANNING_TIME, MotionContext
 from omniman_ros.nodes.trajectory_interfaces.motion_log import MotionLog
 from omniman_ros.nodes.trajectory_interfaces.motion_status import MotionEvent
 from omniman_ros.nodes.trajectory_interfaces.path_input import PathInput
+from omniman_ros.nodes.trajectory_interfaces.pending_motion import PendingMotion
 
 PLANNING_TIME_PER_POSE = 1e-4
 """Planning time that is expected for each pose of a path [s]."""
@@ -35,9 +35,11 @@ class PathInterface:
     def __init__(self, context: MotionContext, core: PathInterpolator) -> None:
         self._context, self._node = context, context.node
         self.core = core
-        self.pending = PendingStart(self._node.now, context.stream_monitor)
         self._log = MotionLog(self._node, "path")
         self.status, self.ledger = self._log.status, self._log.ledger
+        self.pending = PendingMotion(
+            context, self._log, lambda: context.conflict(self), self._blocking_reason
+        )
         PathInput(
             context,
             "path",
@@ -73,19 +75,11 @@ class PathInterface:
             raise self._log.refuse(str(error)) from error
         if self._context.is_ending():
             raise self._log.refuse("the node is shutting down")
-        self._log.accept(replaces_pending=bool(self.pending))
-        self.pending.put(lambda: self._start(poses))
-        return self.start_pending()
+        return self.pending.accept(lambda: self._start(poses))
 
     def start_pending(self) -> str:
         """Start the path that waits if possible; return why it is refused, or an empty string."""
-        refusal = self._context.stream_monitor.blocking_reason or self._context.conflict(self)
-        attempt = self.pending.attempt(refusal, self._blocking_reason)
-        if attempt.state is StartState.WAITING:
-            self._log.wait(attempt.reason)
-        if attempt.refusal:
-            self._log.refuse_pending(attempt.refusal)
-        return attempt.refusal
+        return self.pending.start()
 
     def _blocking_reason(self) -> str:
         if not self.idle:
@@ -119,10 +113,7 @@ class PathInterface:
 
     def discard_pending(self) -> bool:
         """Discard the path that waits, and return whether there was one."""
-        discarded = self.pending.discard()
-        if discarded:
-            self._log.discard_pending()
-        return discarded
+        return self.pending.discard()
 
     # ---- supervision --------------------------------------------------------------------------
 

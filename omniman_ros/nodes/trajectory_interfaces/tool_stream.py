@@ -1,6 +1,7 @@
 """A tool path under way, whose joint angles are corrected for the platform's measured pose."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
@@ -32,12 +33,10 @@ class CorrectedStretch:
     Attributes:
         window: All axes (k, 9) at the times of the stretch.
         tool: (4, 4) planned pose of `tool0` in odom at the first time.
-        correction: (6,) corrected minus planned joint angles at the first time [rad].
     """
 
     window: Window
     tool: Array
-    correction: Array
 
 
 class ToolStream:
@@ -63,7 +62,8 @@ class ToolStream:
     ) -> None:
         self._model, self.plan, self._velocity = model, plan, np.array(velocity)
         self.correction = PlatformCorrection(options)
-        self._joint_pace = 1.0
+        self._joint_pace: float = 1.0
+        self._arm_offset: Array = np.zeros(len(velocity))
 
     @property
     def max_pace(self) -> float:
@@ -88,8 +88,22 @@ class ToolStream:
         plan_times = core.plan_times(paced.motion)
         planned = paced_window(pace, core.sample, padded)
         window = self.window(planned, plan_times, float(paced.rate[0]))
-        correction = window.positions[0, JOINT_COLUMNS] - planned.positions[1, JOINT_COLUMNS]
-        return CorrectedStretch(window, self.plan.tool(plan_times[1:2])[0], correction)
+        offset = window.positions[0, JOINT_COLUMNS] - planned.positions[1, JOINT_COLUMNS]
+        self._arm_offset = offset
+        return CorrectedStretch(window, self.plan.tool(plan_times[1:2])[0])
+
+    def offset(self, planned: Window) -> Window:
+        """Return a planned motion (k, 9) whose arm keeps the correction of the last stretch."""
+        positions = planned.positions.copy()
+        positions[:, JOINT_COLUMNS] += self._arm_offset
+        return replace(planned, positions=positions)
+
+    def deviation(self) -> str:
+        """Return how far the platform is off its path, if that is too far, or an empty string."""
+        if self.correction.error_ratio <= 1.0:
+            return ""
+        x, y, theta = self.correction.error
+        return f"{math.hypot(x, y):.3f} m and {theta:.3f} rad"
 
     def window(self, planned: Window, plan_times: Array, rate: float) -> Window:
         """Replace the arm's part of a planned motion by the corrected one.

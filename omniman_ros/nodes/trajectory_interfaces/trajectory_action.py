@@ -4,14 +4,12 @@ control_msgs is imported here only, and only when an action is to be served, so 
 works without it.
 """
 
-from array import array
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 from rclpy.action import CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
-from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from omniman_ros.conversions.joints import axis_names
 from omniman_ros.core.arrays import Array
@@ -25,40 +23,8 @@ from omniman_ros.motion.path.trajectory_goal import (
 )
 from omniman_ros.nodes.deferred_action import DeferredActionServer
 from omniman_ros.nodes.omniman_node import OmnimanNode
-from omniman_ros.nodes.trajectory_interfaces.action_goal import goal_monitor
-
-
-class TrajectoryExecutor(Protocol):
-    """An interface that drives trajectories, whose motions are identified by numbers."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Return the names of the n axes."""
-        ...
-
-    def send(self, message: JointTrajectory) -> int:
-        """Accept a trajectory, and return the number of its motion.
-
-        Raises:
-            InputError: The trajectory is refused; the motion under way goes on.
-        """
-        ...
-
-    def outcome(self, motion: int) -> str | None:
-        """Return why a motion ended: empty if it arrived; None while it goes on."""
-        ...
-
-    def cancel(self, motion: int) -> None:
-        """Bring a motion to rest on its path, unless it has ended already."""
-        ...
-
-    def desired(self) -> tuple[Array, Array, Array] | None:
-        """Return the reference positions, velocities and accelerations (n,), if there are any."""
-        ...
-
-    def actual(self) -> tuple[Array, Array] | None:
-        """Return measured positions and velocities (n,), if they are known."""
-        ...
+from omniman_ros.nodes.trajectory_interfaces.action_goal import fill_feedback, goal_monitor
+from omniman_ros.nodes.trajectory_interfaces.trajectory_executor import TrajectoryExecutor
 
 
 @dataclass
@@ -212,13 +178,9 @@ class TrajectoryAction:
             self._executor.cancel(goal.motion)
 
     def _publish(self, goal: _Goal, desired: tuple[Array, ...], actual: tuple[Array, ...]) -> None:
-        feedback = self._feedback
-        feedback.header.stamp = self._node.stamp()
         errors = goal.monitor.error(desired[0], actual[0]), desired[1] - actual[1]
-        _fill(feedback.desired, desired)
-        _fill(feedback.actual, actual)
-        _fill(feedback.error, errors)
-        goal.handle.publish_feedback(feedback)
+        fill_feedback(self._feedback, self._node.stamp(), desired, actual, errors)
+        goal.handle.publish_feedback(self._feedback)
 
     def _finish(self, handle: ServerGoalHandle, verdict: Verdict) -> None:
         end = {
@@ -234,8 +196,3 @@ class TrajectoryAction:
             self._node.get_logger().info(text)
         result = self._kind.Result(error_code=int(verdict.code), error_string=verdict.text)
         self._server.finish(handle, result)
-
-
-def _fill(point: JointTrajectoryPoint, arrays: tuple[Array, ...]) -> None:
-    for label, values in zip(("positions", "velocities", "accelerations"), arrays, strict=False):
-        setattr(point, label, array("d", values.tobytes()))

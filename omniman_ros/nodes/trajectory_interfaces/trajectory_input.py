@@ -36,7 +36,7 @@ class TrajectoryInput:
     def _on_data(self, data: bytes) -> str:
         max_points = self._context.options.joint_trajectory.max_points
         if len(data) > (POINT_BYTES + 32 * AXES) * (max_points + 100):
-            raise self._arm.refuse(
+            raise self._arm.log.refuse(
                 f"{len(data) / 1e6:.0f} MB, at most {max_points} points are accepted"
             )
         message = deserialized(data, JointTrajectory)
@@ -55,9 +55,9 @@ class TrajectoryInput:
                 raise InputError("the node is shutting down")
             why = interface.trajectory(message)
         except InputError as error:
-            raise interface.refuse(str(error)) from error
+            raise interface.log.refuse(str(error)) from error
         if why:
-            interface.refuse(why)
+            interface.log.refuse(why)
         return why
 
     def _interface_of(self, message: JointTrajectory) -> ArmInterface | WholeBodyInterface:

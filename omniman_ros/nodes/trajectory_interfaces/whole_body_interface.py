@@ -1,14 +1,10 @@
 """Trajectories of the whole body: platform and arm on one time base, in previews of both."""
 
-import math
-from dataclasses import replace
-
 import numpy as np
 from trajectory_msgs.msg import JointTrajectory
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
-from omniman_ros.core.pending_start import PendingStart, StartState
 from omniman_ros.motion.path.joint_interpolator import JointInterpolator, JointProposal
 from omniman_ros.motion.path.joint_points import JointPlanner, JointPoints
 from omniman_ros.motion.path.parameters import TICK
@@ -18,6 +14,7 @@ from omniman_ros.motion.whole_body.model import HEADING_COLUMN, JOINT_COLUMNS, P
 from omniman_ros.nodes.trajectory_interfaces.joint_interface import JointInterface
 from omniman_ros.nodes.trajectory_interfaces.motion_context import MotionContext
 from omniman_ros.nodes.trajectory_interfaces.parameters import PathInterpolatorParameters
+from omniman_ros.nodes.trajectory_interfaces.pending_motion import PendingMotion
 from omniman_ros.nodes.trajectory_interfaces.tool_stream import ToolPosePublisher, ToolStream
 
 MIN_CORRECTION_PERIOD = 0.018
@@ -38,12 +35,13 @@ class WholeBodyInterface(JointInterface):
 
     def __init__(self, context: MotionContext, core: JointInterpolator) -> None:
         super().__init__(context, core)
-        self.pending = PendingStart(self._node.now, context.stream_monitor)
+        self.pending = PendingMotion(
+            context, self.log, lambda: context.conflict(self), self.blocking_reason
+        )
         self.limit_scale = 1.0
         self._tool: ToolStream | None = None
         self._corrected_at = float("-inf")
         self._arm_reference: Array | None = None
-        self._correction: Array = np.zeros(len(self.names[JOINT_COLUMNS]))
         self._tool_reference = ToolPosePublisher(
             self._node, "tool_reference", context.options.frames.odom.odom_frame
         )
@@ -67,15 +65,14 @@ class WholeBodyInterface(JointInterface):
     def trajectory(self, message: JointTrajectory) -> str:
         """Start a trajectory, or let it wait for the robot; see the base class."""
         points = self.points(message)
-        self.start_delay(message.header.stamp)
+        self._context.start_delay(message.header.stamp)
         if self._tool is not None and not self.idle:
             return "a path of the tool is under way; ~/cancel ends it"
-        self._log.accept(replaces_pending=bool(self.pending))
-        self.pending.put(lambda: self._start(points, message))
-        return self.start_pending()
+        return self.pending.accept(lambda: self._start(points, message))
 
     def _start(self, points: JointPoints, message: JointTrajectory) -> None:
-        self.start(self._unwrapped(points), self.start_delay(message.header.stamp))
+        delay = self._context.start_delay(message.header.stamp)
+        self.start(self._unwrapped(points), delay)
 
     def _unwrapped(self, points: JointPoints) -> JointPoints:
         """Shift the heading by whole revolutions so that it starts near the robot's heading."""
@@ -86,31 +83,18 @@ class WholeBodyInterface(JointInterface):
             heading = self.core.sample(now)[0][0, HEADING_COLUMN]
         return points.turned_near(HEADING_COLUMN, float(heading))
 
-    def _is_pending(self) -> bool:
+    @property
+    def is_pending(self) -> bool:
+        """Whether the motion that was accepted last still waits to be started."""
         return bool(self.pending)
-
-    def cancel(self, motion: int) -> None:
-        """Bring a motion to rest on its path; see the base class."""
-        if motion == self._ledger.accepted and self.discard_pending():
-            return
-        super().cancel(motion)
 
     def discard_pending(self) -> bool:
         """Discard the motion that waits, and return whether there was one."""
-        discarded = self.pending.discard()
-        if discarded:
-            self._log.discard_pending()
-        return discarded
+        return self.pending.discard()
 
     def start_pending(self) -> str:
         """Start the waiting motion if possible; return why it is refused, or an empty string."""
-        refusal = self._context.stream_monitor.blocking_reason or self._context.conflict(self)
-        attempt = self.pending.attempt(refusal, self.blocking_reason)
-        if attempt.state is StartState.WAITING:
-            self._log.wait(attempt.reason)
-        if attempt.refusal:
-            self._log.refuse_pending(attempt.refusal)
-        return attempt.refusal
+        return self.pending.start()
 
     def blocking_reason(self) -> str:
         """Return why no motion can start yet, or an empty string."""
@@ -157,7 +141,7 @@ class WholeBodyInterface(JointInterface):
 
     def follow_tool_path(self, tool: ToolStream) -> None:
         """Start a path of the tool that was planned from the robot's present position."""
-        self._log.accept(replaces_pending=False)
+        self.log.accept(replaces_pending=False)
         self._take(lambda _: JointProposal(tool.plan.curve, None, None), 0.0)
         self._tool = tool
         self._announce(f"{tool.plan.length:.2f} m of the tool in {tool.plan.curve.duration:.2f} s")
@@ -176,10 +160,9 @@ class WholeBodyInterface(JointInterface):
             return  # the next tick gives the motion up
         reference = self.core.sample(np.array([pace.motion(at)]))[0][0, PLATFORM_COLUMNS]
         tool.correction.update(at, pose, reference)
-        if tool.correction.error_ratio > 1.0:
-            x, y, theta = tool.correction.error
-            distance = f"{math.hypot(x, y):.3f} m and {theta:.3f} rad"
-            self.give_up(f"the platform is {distance} off its path", brake=True)
+        deviation = tool.deviation()
+        if deviation:
+            self.give_up(f"the platform is {deviation} off its path", brake=True)
         elif self._node.now() - self._corrected_at >= MIN_CORRECTION_PERIOD:
             self.publish(self._context.options.horizon, platform=False)
 
@@ -198,7 +181,6 @@ class WholeBodyInterface(JointInterface):
             self.give_up(str(error), brake=True)
             return
         self._tool_reference.send(float(times[0]), stretch.tool)
-        self._correction = stretch.correction
         self._corrected_at = self._node.now()
         if platform:
             self._send(stretch.window)
@@ -208,16 +190,13 @@ class WholeBodyInterface(JointInterface):
     # ---- hooks --------------------------------------------------------------------------------
 
     def is_covered(self, now: float) -> bool:
+        """Return whether the receivers of both parts still have a reference."""
         return super().is_covered(now) and now <= self._context.platform_previews.covered_until
 
     def _stop_window(self, now: float) -> Window | None:
         """Return the stretch that leads to rest, on which the arm keeps its present correction."""
         window = super()._stop_window(now)
-        if window is None or self._tool is None:
-            return window
-        positions = window.positions.copy()
-        positions[:, JOINT_COLUMNS] += self._correction
-        return replace(window, positions=positions)
+        return window if window is None or self._tool is None else self._tool.offset(window)
 
     def _on_start(self, *, from_rest: bool) -> None:
         context, self._tool = self._context, None
