@@ -34,6 +34,7 @@ EXECUTABLES = {
     "odometry": "omniman_ros.nodes.odometry:main",
     "station_keeper": "omniman_ros.nodes.station_keeper:main",
     "collision_monitor": "omniman_ros.nodes.collision_monitor:main",
+    "obstacle_tracker": "omniman_ros.nodes.obstacle_tracker:main",
     "viewer": "omniman_ros.viewer.node:main",
 }
 
@@ -113,6 +114,7 @@ setup(
         "numpy",
         "python-can",
         "PyYAML",
+        "scipy",
     ],
     extras_require={
         "ros": ["ros-jazzy-rclpy[fastrtps]", "ros-jazzy-common-interfaces"],

@@ -51,5 +51,6 @@ CAN = Extra(
 )
 PLANNING = Extra(("casadi",), "the planner needs casadi", "casadi")
 RECORDING = Extra(("rosbags",), "recordings need rosbags", "rosbags")
+TRACKING = Extra(("scipy",), "the obstacle tracker needs scipy", "scipy")
 VIEWER = Extra(("viser",), "the viewer needs viser", "'viser==1.1.*' websockets")
 WORLD = Extra(("mujoco",), "the physics world needs mujoco-core", "'mujoco-core==4.*'")

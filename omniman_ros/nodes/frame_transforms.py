@@ -108,6 +108,14 @@ class FrameTransforms:
                 raise type(error)(f"{expected}, or one that TF relates to it: {error}") from error
             raise
 
+    def mount(self, frame: str, base: str) -> Transform:
+        """Return the newest pose of a frame, such as a sensor's, in that of the robot.
+
+        Raises:
+            TransformError: Nothing relates the two.
+        """
+        return self._tree.lookup(base, frame.lstrip("/"), None)
+
     def anchor(self, frame: str) -> Transform:
         """Return the newest transform from a frame that does not move with the robot to odom.
 

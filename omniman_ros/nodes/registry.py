@@ -19,6 +19,7 @@ NODES = {
     "mpc_planner": "nodes.planner_interfaces.parameters.MpcPlannerParameters",
     "station_keeper": "nodes.station_keeper_parameters.StationKeeperParameters",
     "collision_monitor": "nodes.collision_monitor_parameters.CollisionMonitorParameters",
+    "obstacle_tracker": "nodes.obstacle_tracker_parameters.ObstacleTrackerParameters",
     "joint_states_merger": ("nodes.joint_states_merger_parameters.JointStatesMergerParameters"),
     "odometry": "nodes.odometry_parameters.OdometryNodeParameters",
     "viewer": "viewer.ros.parameters.ViewerParameters",

@@ -150,6 +150,8 @@ class ObstacleTrack:
         position: (x, y) at `time` [m].
         velocity: (vx, vy) [m/s], not above `max_speed`.
         velocity_deviation: Standard deviation of either component [m/s].
+        covariance: Variance of either component of the position [m^2], its covariance with that of
+            the velocity [m^2/s], and the latter's variance [m^2/s^2].
         time: Time of the last observation that was used [s].
         observed: (x, y) of that observation, unfiltered [m].
         doubted: Time of an observation that waits for confirmation [s], or infinity.
@@ -192,6 +194,7 @@ class ObstacleTrack:
         self.position = (state.x, state.y)
         self.velocity = _bounded(state.vx, state.vy, self._parameters.max_speed)
         self.velocity_deviation = min(math.sqrt(state.vv), self._parameters.max_speed)
+        self.covariance = (state.pp, state.pv, state.vv)
 
     def observe(self, time: float, x: float, y: float) -> bool:
         """Use an observation; return False if it is ignored, as it is not newer than the last one.

@@ -1,0 +1,179 @@
+"""Rolling map of what stands around the robot, by the log-odds of its cells.
+
+Source: H. Moravec and A. Elfes, "High Resolution Maps from Wide Angle Sonar" (ICRA 1985), in the
+additive form of log-odds with bounds (K. Yguel et al., 2007; A. Hornung et al., OctoMap, 2013). A
+cell is looked up in the view, in place of a ray drawn through the cells: no cell is missed where
+rays are farther apart than cells.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omniman_ros.core.arrays import Array
+from omniman_ros.perception.parameters import MapParameters
+from omniman_ros.perception.scan import Mask, View
+
+HIT, MISS = 0.9, 0.4
+"""What a beam that ends in a cell adds to its log-odds, and one that passes takes away."""
+LOWEST, HIGHEST = -2.0, 3.5
+"""Bounds of the log-odds: a change of the world is believed after some beams."""
+STANDS = 1.6
+"""Log-odds from which a cell belongs to something that stands: two beams that ended there."""
+FREE = -0.7
+"""Log-odds up to which a cell was seen free: two beams that passed."""
+_AROUND = [(row, column) for row in (-1, 0, 1) for column in (-1, 0, 1)]
+
+
+class LocalMap:
+    """Square grid in odom that follows the robot by whole cells.
+
+    Args:
+        parameters: Size of the map and of its cells.
+
+    Attributes:
+        resolution: Edge of a cell [m].
+        corner: (2,) column and row of the first cell in odom, counted from the origin of odom.
+        log_odds: (n, n) of the cells, rows along y; 0 where nothing is known.
+    """
+
+    def __init__(self, parameters: MapParameters) -> None:
+        self.resolution = parameters.resolution
+        count = math.ceil(parameters.size / parameters.resolution)
+        self.log_odds: NDArray[np.float32] = np.zeros((count, count), dtype=np.float32)
+        self.corner = np.zeros(2, dtype=np.intp)
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self.log_odds[:] = 0.0
+        self.corner[:] = -(len(self.log_odds) // 2)
+
+    @property
+    def origin(self) -> Array:
+        """Corner (2,) of the first cell in odom [m]."""
+        origin: Array = self.resolution * self.corner
+        return origin
+
+    def follow(self, center: Array) -> bool:
+        """Move the map if the robot has left its middle; return whether it was moved.
+
+        Args:
+            center: (2,) position of the robot in odom [m].
+        """
+        count = len(self.log_odds)
+        corner = np.floor(center / self.resolution).astype(np.intp) - count // 2
+        shift = corner - self.corner
+        if np.abs(shift).max() <= count // 16:
+            return False
+        moved = np.zeros_like(self.log_odds)
+        if np.abs(shift).max() < count:
+            columns, rows = shift.tolist()
+            moved[_span(-rows, count), _span(-columns, count)] = self.log_odds[
+                _span(rows, count), _span(columns, count)
+            ]
+        self.log_odds, self.corner = moved, corner
+        return True
+
+    def update(self, view: View, hits: Array, reach: float) -> None:
+        """Enter what was seen.
+
+        Args:
+            view: How far one sees.
+            hits: (M, 2) points in odom of what stands [m].
+            reach: Distance up to which free space counts [m].
+        """
+        count = len(self.log_odds)
+        middles = self.resolution * (np.arange(count, dtype=np.float32) + 0.5)
+        x = middles + np.float32(self.origin[0] - view.origin[0])
+        y = middles + np.float32(self.origin[1] - view.origin[1])
+        columns, rows = (_within(axis, reach) for axis in (x, y))
+        x, y = x[None, columns], y[rows, None]
+        distances = np.sqrt(x * x + y * y)
+        limits = view.clear - 0.75 * self.resolution
+        clear = limits[view.sectors(np.arctan2(y, x))]
+        passed = distances < np.minimum(clear, reach)
+        cells, inside = self._cells(hits)
+        met = np.unique(cells[inside])
+        before = self.log_odds.ravel()[met]
+        window = self.log_odds[rows, columns]
+        window[passed] -= MISS
+        flat = self.log_odds.ravel()
+        flat[met] = before + HIT
+        np.clip(self.log_odds, LOWEST, HIGHEST, out=self.log_odds)
+
+    def stands(self, points: Array) -> Mask:
+        """Return whether points (M, 2) in odom lie in or beside cells that stand, (M,)."""
+        flat, count = self.log_odds.ravel(), len(self.log_odds)
+        cells, inside = self._cells(points, edge=1)
+        cells[~inside] = count + 1
+        found = np.zeros(len(points), dtype=bool)
+        for row, column in _AROUND:
+            found |= flat[cells + row * count + column] >= STANDS
+        return found & inside
+
+    def was_free(self, points: Array) -> Mask:
+        """Return whether points (M, 2) in odom lie in cells that were seen free, (M,)."""
+        cells, inside = self._cells(points)
+        cells[~inside] = 0
+        result: Mask = (self.log_odds.ravel()[cells] <= FREE) & inside
+        return result
+
+    def forget(self, center: Array, radius: float) -> None:
+        """Forget the occupied cells of a disc in odom that do not belong to what stands [m]."""
+        rows, columns, inside = self._disc(center, radius)
+        window = self.log_odds[rows, columns]
+        window[inside & (window > 0.0) & (window < HIGHEST)] = 0.0
+
+    def occupancy(self, centers: Array, radii: Array) -> NDArray[np.int8]:
+        """Return the occupancy (n, n) of the cells [%], -1 where nothing is known.
+
+        Args:
+            centers: (K, 2) discs in odom that move, and do not belong to the map [m].
+            radii: (K,) their radii [m].
+        """
+        odds = self.log_odds
+        percent = np.rint(100.0 / (1.0 + np.exp(-odds))).astype(np.int8)
+        percent[odds == 0.0] = -1
+        for center, radius in zip(centers, radii.tolist(), strict=True):
+            rows, columns, inside = self._disc(center, radius + self.resolution)
+            window = percent[rows, columns]
+            window[inside & (self.log_odds[rows, columns] < HIGHEST)] = 0
+        return percent
+
+    def _cells(self, points: Array, edge: int = 0) -> tuple[NDArray[np.intp], Mask]:
+        """Return the flat numbers of the cells of points (M, 2), and whether they are inside.
+
+        Args:
+            points: The points in odom [m].
+            edge: Number of cells at the border that do not count as inside.
+        """
+        count = len(self.log_odds)
+        index = np.floor(points / self.resolution).astype(np.intp) - self.corner
+        inside: Mask = ((index >= edge) & (index < count - edge)).all(axis=1)
+        return index[:, 1] * count + index[:, 0], inside
+
+    def _disc(self, center: Array, radius: float) -> tuple[slice, slice, Mask]:
+        """Return the rows and columns around a disc [m], and which of these cells are in it."""
+        count = len(self.log_odds)
+        low = np.floor((center - radius) / self.resolution).astype(np.intp) - self.corner
+        high = np.ceil((center + radius) / self.resolution).astype(np.intp) - self.corner
+        low, high = np.clip(low, 0, count), np.clip(high, 0, count)
+        x, y = (
+            self.resolution * (np.arange(low[k], high[k]) + 0.5 + self.corner[k]) - center[k]
+            for k in (0, 1)
+        )
+        rows, columns = slice(int(low[1]), int(high[1])), slice(int(low[0]), int(high[0]))
+        return rows, columns, np.hypot(x[None, :], y[:, None]) <= radius
+
+
+def _span(shift: int, count: int) -> slice:
+    """Return the part of an axis that is still there after a shift."""
+    return slice(max(shift, 0), min(count + shift, count))
+
+
+def _within(axis: NDArray[np.float32], reach: float) -> slice:
+    """Return the part of an ascending axis that is nearer than a distance."""
+    first, last = np.searchsorted(axis, (-reach, reach)).tolist()
+    return slice(first, last)

@@ -1,0 +1,364 @@
+"""From scans to a map of what stands and tracks of what moves."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from omniman_ros.collision.footprint import Footprint
+from omniman_ros.core.arrays import Array
+from omniman_ros.perception.clusters import NONE, Clusters, Outlines, fitted_centers
+from omniman_ros.perception.local_map import LocalMap
+from omniman_ros.perception.parameters import MapParameters, TrackerParameters
+from omniman_ros.perception.pose_history import PoseHistory
+from omniman_ros.perception.scan import Indices, Mask, Scan, View, placed
+from omniman_ros.perception.track import Track, TrackedObstacle
+from omniman_ros.planning.obstacles.tracking import TrackingParameters
+
+OWN_MARGIN = 0.05
+"""Distance around the robot's own parts within which points are its own [m]."""
+NEAR = 0.15
+"""Distance from the outline of a track up to which points are its own, whatever the map says
+[m]."""
+SPLIT = 0.3
+"""Distance from the outline of a track up to which points are not those of another one [m]."""
+LEAST_POINTS = 3
+"""Number of points with which a track begins."""
+LEAST_SHARE = 0.2
+"""Share of a thing's points that must lie where free space was seen, as evidence of motion."""
+ABSORBING = 0.1
+"""Distance outside of a track up to which the middle of points is a part of it [m]."""
+BEHIND = 0.4
+"""Distance behind the middle of a disc, in its radius, from which on a point cannot be on it."""
+MOSTLY = 0.6
+"""Share of a thing's points in what stands from which it is not somebody who walks."""
+LEFT_RADIUS = 0.1
+"""Radius of the place that a thing must have left, as evidence of motion [m]."""
+ENDLESS = 1e6
+"""Cost of a pair that is not possible."""
+
+
+@dataclass(frozen=True)
+class _Points:
+    """Points of a scan in odom, in the order of their beams.
+
+    Attributes:
+        places: (N, 2) [m].
+        gaps: (N,) distances from which each does not belong to the one before [m].
+        stand: (N,) whether the map says that something stands there.
+        is_wide: (N,) whether they are a part of something wide.
+    """
+
+    places: Array
+    gaps: Array
+    stand: Mask
+    is_wide: Mask
+
+
+class ObstacleTracker:
+    """Follows what moves around a robot, and maps what stands.
+
+    Points are taken into odom by the pose of the robot at the time of each beam, and its own parts
+    are taken out. What is narrow is followed by its disc; the map takes what does not move.
+    Nothing here reads a clock: the same odometry and scans give the same tracks.
+
+    Args:
+        parameters: What counts as moving, and as the same thing as before.
+        map_parameters: Extent of the map.
+        motion: Noise and acceleration for the filters of the tracks.
+
+    Attributes:
+        parameters: As above; may be replaced.
+        motion: As above; tracks keep what they began with.
+        map: Map of what stands.
+        time: Time up to which scans were used [s].
+        robot: (2,) position of the robot in odom at that time [m].
+    """
+
+    def __init__(
+        self,
+        parameters: TrackerParameters,
+        map_parameters: MapParameters,
+        motion: TrackingParameters,
+    ) -> None:
+        self.parameters, self.map_parameters, self.motion = parameters, map_parameters, motion
+        self.map = LocalMap(map_parameters)
+        self.poses = PoseHistory()
+        self.time = -np.inf
+        self.robot = np.zeros(2)
+        self._tracks: list[Track] = []
+        self._next = 1
+        self._mapped: dict[int, float] = {}
+
+    def clear(self) -> None:
+        """Forget everything, because time went back or the odometry was reset."""
+        self.map.clear()
+        self.poses = PoseHistory()
+        self.time = -np.inf
+        self._tracks.clear()
+        self._mapped.clear()
+
+    # ---- results --------------------------------------------------------------------------------
+
+    @property
+    def count(self) -> int:
+        """Number of all things that are followed, most of which stand."""
+        return len(self._tracks)
+
+    def obstacles(self, time: float) -> list[TrackedObstacle]:
+        """Return what moves, or has moved and rests, as expected at a time [s]."""
+        return [track.state(time) for track in self._tracks if track.is_moving]
+
+    def occupancy(self) -> "np.ndarray[tuple[int, int], np.dtype[np.int8]]":
+        """Return the occupancy of the map's cells without what moves; see `LocalMap`."""
+        moving = [track for track in self._tracks if track.is_moving]
+        centers = np.array([track.place for track in moving]).reshape(-1, 2)
+        return self.map.occupancy(centers, np.array([track.radius for track in moving]))
+
+    # ---- odometry -------------------------------------------------------------------------------
+
+    def add_pose(self, time: float, pose: Array, velocity: Array) -> str:
+        """Use a pose (3,) of the robot in odom at a time [s], and its rate (3,) in odom.
+
+        Returns:
+            Why all was forgotten, since map and tracks are in another odom now; or nothing.
+        """
+        reason = self.poses.jump(time, pose)
+        if reason:
+            self.clear()
+        self.poses.add(time, pose, velocity)
+        return reason
+
+    # ---- scans ----------------------------------------------------------------------------------
+
+    def add_scan(self, scan: Scan, own: Footprint, scanner: int = 0) -> None:
+        """Use a scan.
+
+        Args:
+            scan: The scan.
+            own: Footprint of the robot in its present posture.
+            scanner: Number of the scanner.
+
+        Raises:
+            InputError: The odometry does not cover the time of the scan; nothing is changed then.
+        """
+        poses = self.poses.at(scan.times)
+        beams = scan.hits
+        local = scan.local_points(beams)
+        known = ~self._is_own(local, scan, own)
+        places = placed(local, poses[beams])
+        x, y, theta = poses[-1].tolist()
+        view = View.of(scan, (x, y, theta), beams, places, known)
+        self.time, self.robot = max(self.time, scan.end), poses[-1, :2]
+        self.map.follow(self.robot)
+        places, ranges = places[known], scan.ranges[beams[known]]
+        points = self._judged(places, ranges, scan)
+        moving = self._follow(points, scan.end, view)
+        due = self._mapped.get(scanner, -np.inf) + 0.9 / self.map_parameters.rate
+        if not self._mapped.get(scanner, -np.inf) <= scan.end < due:
+            self._mapped[scanner] = scan.end
+            reach = min(scan.range_max, self.parameters.range)
+            self.map.update(view, places[~moving], reach)
+
+    def _is_own(self, local: Array, scan: Scan, own: Footprint) -> Mask:
+        """Return which points (N, 2) in base_link are on the robot itself."""
+        low, high = np.array([scan.heights[0]]), np.array([scan.heights[1]])
+        result: Mask = np.zeros(len(local), dtype=bool)
+        near = np.flatnonzero(np.hypot(local[:, 0], local[:, 1]) < own.radius + OWN_MARGIN)
+        if not len(near):
+            return result
+        parts, _ = own.against(low, high)
+        for part in parts.each():
+            c, s = np.cos(part.yaw), np.sin(part.yaw)
+            x, y = (local[near] - part.centre).T
+            beside = np.column_stack((np.abs(c * x + s * y), np.abs(c * y - s * x)))
+            result[near] |= (beside <= part.half + OWN_MARGIN).all(axis=1)
+        return result
+
+    def _judged(self, places: Array, ranges: Array, scan: Scan) -> _Points:
+        """Return points (N, 2) with what the map and their neighbours say of them."""
+        p = self.parameters
+        gaps = np.maximum(p.gap, 3.0 * abs(scan.increment) * ranges)
+        is_wide = np.zeros(len(places), dtype=bool)
+        if len(places):
+            all_things = Clusters.of(places, gaps)
+            is_wide = (all_things.widths(places) > p.max_diameter)[all_things.number]
+        return _Points(places, gaps, self.map.stands(places), is_wide)
+
+    # ---- tracks ---------------------------------------------------------------------------------
+
+    def _follow(self, points: _Points, time: float, view: View) -> Mask:
+        """Bring all tracks up to a time; return which points (N,) belong to what moves."""
+        places, tracks = points.places, self._tracks
+        expected = np.array([track.expect(time) for track in tracks]).reshape(-1, 2)
+        radii = np.array([track.radius for track in tracks])
+        surface = _distances(places, expected, radii, view.origin)
+        moving = np.zeros(len(places), dtype=bool)
+        label = np.full(len(places), NONE, dtype=np.intp)
+        is_near = np.zeros(len(places), dtype=bool)
+        if tracks and len(places):
+            nearest = surface.argmin(axis=0)
+            least = surface[nearest, np.arange(len(places))]
+            label[least < SPLIT] = nearest[least < SPLIT]
+            is_near = least < NEAR
+        kept = np.flatnonzero(~points.stand | is_near)
+        kept = kept[np.hypot(*(places[kept] - view.origin).T) < self.parameters.range]
+        things = Clusters.of(places[kept], points.gaps[kept], label[kept])
+        owner = np.full(len(things), NONE, dtype=np.intp)
+        is_found = np.zeros(len(tracks), dtype=bool)
+        if len(things):
+            gates = np.array([track.gate(time) for track in tracks])
+            stand = things.means(points.stand[kept].astype(float)) > MOSTLY
+            walks = np.array([track.is_walking for track in tracks], dtype=bool)
+            costs = things.means(surface[:, kept])
+            costs[walks[:, None] & stand] = ENDLESS
+            owner = self._assigned(costs, gates, things.counts)
+            outlines = Outlines.of(things, places[kept], view, self.parameters.partial_radius)
+            found = np.flatnonzero(owner != NONE)
+            is_found[owner[found]] = True
+            is_wide = points.is_wide[kept]
+            self._observe(things, owner, outlines, places[kept], is_wide, view, time)
+            self._absorb(things, owner, places[kept])
+            self._begin(things, owner, outlines, places[kept], time)
+            owned = owner[things.number]
+            flags = np.array([track.is_moving for track in self._tracks] + [False])
+            moving[kept] = flags[owned]
+        for k in np.flatnonzero(~is_found).tolist():
+            self._search(tracks[k], time, expected[k], view)
+        self._tracks = [track for track in self._tracks if not track.is_gone]
+        return moving
+
+    @staticmethod
+    def _assigned(costs: Array, gates: Array, counts: Indices) -> Indices:
+        """Return the number of the track of each cluster (C,), or NONE.
+
+        Args:
+            costs: (T, C) mean distances of the points of each cluster from each outline [m].
+            gates: (T,) largest costs [m].
+            counts: (C,) number of points of each cluster.
+        """
+        owner = np.full(costs.shape[1], NONE, dtype=np.intp)
+        possible = (costs < gates[:, None]) & (counts > 1)
+        rows, columns = np.flatnonzero(possible.any(axis=1)), np.flatnonzero(possible.any(axis=0))
+        if len(rows):
+            part = np.where(possible, costs, ENDLESS)[np.ix_(rows, columns)]
+            first, second = linear_sum_assignment(part)
+            is_real = part[first, second] < ENDLESS
+            owner[columns[second[is_real]]] = rows[first[is_real]]
+        return owner
+
+    def _observe(
+        self,
+        things: Clusters,
+        owner: Indices,
+        outlines: Outlines,
+        places: Array,
+        is_wide: Mask,
+        view: View,
+        time: float,
+    ) -> None:
+        """Correct tracks by the clusters that are theirs."""
+        found = np.flatnonzero(owner != NONE)
+        if not len(found):
+            return
+        p, tracks = self.parameters, self._tracks
+        for cluster in found.tolist():
+            radius, is_whole = outlines.radii[cluster], bool(outlines.is_whole[cluster])
+            limit = 0.5 * p.max_diameter
+            tracks[owner[cluster]].measure_radius(min(float(radius), limit), is_whole)
+        number = np.full(len(things), NONE, dtype=np.intp)
+        number[found] = np.arange(len(found))
+        each = number[things.number]
+        mine = each != NONE
+        expected = np.array([tracks[owner[cluster]].expect(time) for cluster in found])
+        middles = np.column_stack([things.means(axis) for axis in places.T])[found]
+        is_before = ((middles - expected) * (expected - view.origin)).sum(axis=1) > 0.0
+        expected[is_before] = outlines.centers[found[is_before]]
+        radii = np.array([tracks[owner[cluster]].radius for cluster in found])
+        centers, _ = fitted_centers(places[mine], each[mine], expected, radii)
+        is_free = things.means(self.map.was_free(places).astype(float))[found]
+        wide = things.means(is_wide.astype(float))[found]
+        for k, cluster in enumerate(found.tolist()):
+            track = tracks[owner[cluster]]
+            track.observe(time, centers[k])
+            if track.resembles_structure(bool(wide[k] > 0.5)):
+                track.is_gone = True
+            elif track.judge(time, is_free[k] >= LEAST_SHARE or has_left(track, view), p):
+                self.map.forget(track.birth, track.radius + NEAR)
+
+    def _absorb(self, things: Clusters, owner: Indices, places: Array) -> None:
+        """Give clusters without a track to a track that they are a part of, such as a leg."""
+        free = np.flatnonzero(owner == NONE)
+        owned = np.unique(owner[owner != NONE])
+        if not len(free) or not len(owned):
+            return
+        middles = np.column_stack([things.means(axis) for axis in places.T])[free]
+        centers = np.array([self._tracks[k].place for k in owned])
+        reach = np.array([self._tracks[k].radius for k in owned]) + ABSORBING
+        far = np.hypot(*(middles[:, None] - centers[None]).transpose(2, 0, 1)) - reach
+        nearest = far.argmin(axis=1)
+        is_part = far[np.arange(len(free)), nearest] < 0.0
+        owner[free[is_part]] = owned[nearest[is_part]]
+
+    def _begin(
+        self,
+        things: Clusters,
+        owner: Indices,
+        outlines: Outlines,
+        places: Array,
+        time: float,
+    ) -> None:
+        """Begin tracks of clusters that are nobody's, are narrow, and have enough points."""
+        p = self.parameters
+        narrow = (things.widths(places) < p.max_diameter) & (things.counts >= LEAST_POINTS)
+        for cluster in np.flatnonzero((owner == NONE) & narrow).tolist():
+            if len(self._tracks) >= p.most:
+                return
+            begin, count = int(things.begins[cluster]), int(things.counts[cluster])
+            front = places[begin + count // 2].copy()
+            radius = min(float(outlines.radii[cluster]), 0.5 * p.max_diameter)
+            center = outlines.centers[cluster].copy()
+            owner[cluster] = len(self._tracks)
+            self._tracks.append(Track(self._next, time, center, radius, front, self.motion))
+            self._next += 1
+
+    def _search(self, track: Track, time: float, expected: Array, view: View) -> None:
+        """Decide what has become of a track that was not found.
+
+        What is hidden is expected where it is hidden: not farther than to where it would be seen.
+        """
+        through = view.sees_through(expected, track.radius)
+        if through:
+            expected = track.place
+            through = view.sees_through(expected, track.radius)
+        if through:
+            track.is_gone = track.miss()
+        else:
+            track.wait(time, expected)
+            track.is_gone = time - track.seen > self.parameters.occlusion_time
+
+
+def has_left(track: Track, view: View) -> bool:
+    """Return whether the place where a track was first seen is free now."""
+    return bool(view.sees_through(track.front, LEFT_RADIUS))
+
+
+def _distances(places: Array, centers: Array, radii: Array, origin: Array) -> Array:
+    """Return the distances (T, N) of points from the sides of discs that face the scanner [m].
+
+    Args:
+        places: (N, 2) points [m].
+        centers: (T, 2) centres of the discs [m].
+        radii: (T,) their radii [m].
+        origin: (2,) place of the scanner [m].
+    """
+    if not len(centers):
+        return np.zeros((0, len(places)))
+    away = centers - origin
+    ux, uy = away.T / np.maximum(np.hypot(away[:, 0], away[:, 1]), 1e-6)
+    x = places[None, :, 0] - centers[:, :1]
+    y = places[None, :, 1] - centers[:, 1:]
+    off, own = np.hypot(x, y), radii[:, None]
+    is_behind = x * ux[:, None] + y * uy[:, None] > BEHIND * own
+    distances: Array = np.where(is_behind, off + own, np.abs(off - own))
+    return distances
