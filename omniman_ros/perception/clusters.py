@@ -69,7 +69,8 @@ class Clusters:
         """Return the diagonals (C,) of the boxes around the points (N, 2) [m]."""
         high = np.maximum.reduceat(points, self.begins)
         sides = high - np.minimum.reduceat(points, self.begins)
-        return np.hypot(sides[:, 0], sides[:, 1])
+        widths: Array = np.hypot(sides[:, 0], sides[:, 1])
+        return widths
 
 
 @dataclass(frozen=True)

@@ -53,7 +53,7 @@ class LocalMap:
     @property
     def origin(self) -> Array:
         """Corner (2,) of the first cell in odom [m]."""
-        origin: Array = self.resolution * self.corner
+        origin: Array = self.resolution * self.corner.astype(np.float64)
         return origin
 
     def follow(self, center: Array) -> bool:
@@ -108,7 +108,7 @@ class LocalMap:
         flat, count = self.log_odds.ravel(), len(self.log_odds)
         cells, inside = self._cells(points, edge=1)
         cells[~inside] = count + 1
-        found = np.zeros(len(points), dtype=bool)
+        found: Mask = np.zeros(len(points), dtype=bool)
         for row, column in _AROUND:
             found |= flat[cells + row * count + column] >= STANDS
         return found & inside
@@ -151,7 +151,7 @@ class LocalMap:
         """
         count = len(self.log_odds)
         index = np.floor(points / self.resolution).astype(np.intp) - self.corner
-        inside: Mask = ((index >= edge) & (index < count - edge)).all(axis=1)
+        inside: Mask = np.all((index >= edge) & (index < count - edge), axis=1)
         return index[:, 1] * count + index[:, 0], inside
 
     def _disc(self, center: Array, radius: float) -> tuple[slice, slice, Mask]:
@@ -165,7 +165,9 @@ class LocalMap:
             for k in (0, 1)
         )
         rows, columns = slice(int(low[1]), int(high[1])), slice(int(low[0]), int(high[0]))
-        return rows, columns, np.hypot(x[None, :], y[:, None]) <= radius
+        distances: Array = np.hypot(x[None, :], y[:, None])
+        inside: Mask = np.asarray(distances <= radius)
+        return rows, columns, inside
 
 
 def _span(shift: int, count: int) -> slice:

@@ -20,14 +20,17 @@ OWN_MARGIN = 0.05
 NEAR = 0.15
 """Distance from the outline of a track up to which points are its own, whatever the map says
 [m]."""
-SPLIT = 0.3
-"""Distance from the outline of a track up to which points are not those of another one [m]."""
+SPLIT, STANDING_SPLIT = 0.3, 0.1
+"""Distance from the outline of a track that walks, and of one that stands, up to which points are
+not those of another one [m]."""
 LEAST_POINTS = 3
 """Number of points with which a track begins."""
 LEAST_SHARE = 0.2
 """Share of a thing's points that must lie where free space was seen, as evidence of motion."""
 ABSORBING = 0.1
 """Distance outside of a track up to which the middle of points is a part of it [m]."""
+OVERLAP = 0.5
+"""Distance of two discs, in the sum of their radii, below which they are in one place."""
 BEHIND = 0.4
 """Distance behind the middle of a disc, in its radius, from which on a point cannot be on it."""
 MOSTLY = 0.6
@@ -192,6 +195,7 @@ class ObstacleTracker:
         places, tracks = points.places, self._tracks
         expected = np.array([track.expect(time) for track in tracks]).reshape(-1, 2)
         radii = np.array([track.radius for track in tracks])
+        walks = np.array([track.is_walking for track in tracks], dtype=bool)
         surface = _distances(places, expected, radii, view.origin)
         moving = np.zeros(len(places), dtype=bool)
         label = np.full(len(places), NONE, dtype=np.intp)
@@ -199,7 +203,8 @@ class ObstacleTracker:
         if tracks and len(places):
             nearest = surface.argmin(axis=0)
             least = surface[nearest, np.arange(len(places))]
-            label[least < SPLIT] = nearest[least < SPLIT]
+            is_split = least < np.where(walks, SPLIT, STANDING_SPLIT)[nearest]
+            label[is_split] = nearest[is_split]
             is_near = least < NEAR
         kept = np.flatnonzero(~points.stand | is_near)
         kept = kept[np.hypot(*(places[kept] - view.origin).T) < self.parameters.range]
@@ -209,7 +214,6 @@ class ObstacleTracker:
         if len(things):
             gates = np.array([track.gate(time) for track in tracks])
             stand = things.means(points.stand[kept].astype(float)) > MOSTLY
-            walks = np.array([track.is_walking for track in tracks], dtype=bool)
             costs = things.means(surface[:, kept])
             costs[walks[:, None] & stand] = ENDLESS
             owner = self._assigned(costs, gates, things.counts)
@@ -225,8 +229,21 @@ class ObstacleTracker:
             moving[kept] = flags[owned]
         for k in np.flatnonzero(~is_found).tolist():
             self._search(tracks[k], time, expected[k], view)
+        self._part()
         self._tracks = [track for track in self._tracks if not track.is_gone]
         return moving
+
+    def _part(self) -> None:
+        """End what is in the place of something else: two things cannot be in one place."""
+        tracks = [track for track in self._tracks if not track.is_gone]
+        if len(tracks) < 2:
+            return
+        places = np.array([track.place for track in tracks])
+        radii = np.array([track.radius for track in tracks])
+        apart = np.hypot(*(places[:, None] - places[None]).transpose(2, 0, 1))
+        overlap = apart < OVERLAP * (radii[:, None] + radii)
+        for i, k in np.argwhere(np.triu(overlap, 1)).tolist():
+            min(tracks[i], tracks[k], key=_precedence).is_gone = True
 
     @staticmethod
     def _assigned(costs: Array, gates: Array, counts: Indices) -> Indices:
@@ -336,6 +353,11 @@ class ObstacleTracker:
         else:
             track.wait(time, expected)
             track.is_gone = time - track.seen > self.parameters.occlusion_time
+
+
+def _precedence(track: Track) -> tuple[float, bool, int]:
+    """Return what decides which of two tracks in one place stays: the one with the larger."""
+    return track.seen, track.is_moving, -track.number
 
 
 def has_left(track: Track, view: View) -> bool:

@@ -67,7 +67,7 @@ class Scan:
     @property
     def times(self) -> Array:
         """Times (N,) of the beams [s]."""
-        times: Array = self.time + self.beam_time * np.arange(len(self.ranges))
+        times: Array = self.time + self.beam_time * np.arange(float(len(self.ranges)))
         return times
 
     @property

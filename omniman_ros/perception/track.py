@@ -21,9 +21,12 @@ WALKING = 0.3
 """Speed from which something moves right now [m/s]."""
 MOST_LIKE_STRUCTURE = 10
 """Number of scans in a row as a part of something wide after which a thing belongs to it."""
-GATE, GATE_GROWTH, WIDEST_GATE = 0.25, 0.8, 1.2
-"""Mean distance of points from the outline up to which they may be a track's [m], its growth
-with the time since the track was seen [m/s], and its largest value [m]."""
+GATE, STANDING_GATE = 0.25, 0.15
+"""Mean distance of points from the outline up to which they may be a track's [m]: of one that
+walks, and of one that stands."""
+GATE_GROWTH, WIDEST_GATE = 0.8, 1.2
+"""Growth of that distance with the time since the track was seen [m/s], and its largest value
+[m]."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +116,8 @@ class Track:
 
     def gate(self, time: float) -> float:
         """Return how far points may be from its outline at a time [m]."""
-        return min(GATE + GATE_GROWTH * max(time - self.seen, 0.0), WIDEST_GATE)
+        least = GATE if self.is_walking else STANDING_GATE
+        return min(least + GATE_GROWTH * max(time - self.seen, 0.0), WIDEST_GATE)
 
     def observe(self, time: float, center: Array) -> None:
         """Use a centre (2,) that was seen at a time."""
