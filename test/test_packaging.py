@@ -26,6 +26,7 @@ DISTRIBUTIONS = {
     "casadi": ("casadi", "casadi-pip"),
     "jinja2": ("jinja2", "python3-jinja2"),
     "lark-parser": ("lark", "python3-lark-parser"),
+    "scipy": ("scipy", "python3-scipy"),
     "mujoco-core": ("mujoco", None),
     "matplotlib": ("matplotlib", "python3-matplotlib"),
     "rosbags": ("rosbags", "python3-rosbags-pip"),

@@ -130,6 +130,12 @@ ARGUMENTS = [
         choices=BOOLEANS,
     ),
     DeclareLaunchArgument(
+        "obstacle_tracker",
+        default_value="false",
+        description="Whether to turn the scans on `scan` into obstacles and a map; needs scipy",
+        choices=BOOLEANS,
+    ),
+    DeclareLaunchArgument(
         "viewer",
         default_value="false",
         description="Whether to serve the page for a browser; needs viser",
@@ -204,6 +210,8 @@ def start(context: LaunchContext) -> list[Any]:
     nodes.append(node("path_interpolator", *limits, {**common, **limited}))
     if _is_true(given, "collision_monitor"):
         nodes.append(node("collision_monitor", *limits, common, essential=False))
+    if _is_true(given, "obstacle_tracker"):
+        nodes.append(node("obstacle_tracker", *limits, common, essential=False))
     # The URDF has joints that somebody publishes only, and one node publishes it.
     is_armed = given["arm"] != "none"
     of_joints = {"publish_description": not has_description, "describe_arm": is_armed}

@@ -37,6 +37,7 @@ def run(args: argparse.Namespace) -> int:
         controller=args.controller,
         world=args.world,
         collision_monitor=args.collision_monitor,
+        obstacle_tracker=args.obstacle_tracker,
     )
     specs = robot_processes(setup)
     names = [spec.name for spec in specs]

@@ -59,6 +59,9 @@ WORLD_DRIVE = "world"
 COLLISION_MONITOR = "collision_monitor"
 """Name of the node that limits the speed before contact."""
 
+OBSTACLE_TRACKER = "obstacle_tracker"
+"""Name of the node that turns laser scans into obstacles and a map."""
+
 ROBOT_NODES = (
     NodeKind("platform_controller", stage=0),
     NodeKind("path_interpolator", stage=0),
@@ -67,6 +70,7 @@ ROBOT_NODES = (
     NodeKind("odometry", stage=0, on_request=True),
     NodeKind("station_keeper", stage=0, on_request=True),
     NodeKind(COLLISION_MONITOR, stage=0, essential=False, on_request=True),
+    NodeKind(OBSTACLE_TRACKER, stage=0, essential=False, on_request=True),
     NodeKind("simulated_drive", stage=3, sim_time="publish_clock", drives=("simulated",)),
     NodeKind("simulated_world", stage=3, sim_time="publish_clock", drives=(WORLD_DRIVE,)),
     NodeKind("can_bridge", stage=1, drives=("can", "real")),
@@ -80,8 +84,13 @@ ROBOT_NODES = (
 LIMITED_NODES = ("platform_controller", "path_interpolator", "arm_streamer")
 """Nodes that obey the collision monitor, and stop without it, where it is started."""
 
-ARM_AWARE_NODES = ("path_interpolator", "joint_states_merger", COLLISION_MONITOR)
-"""Nodes that plan within the arm's limits, predict by them or publish them.
+ARM_AWARE_NODES = (
+    "path_interpolator",
+    "joint_states_merger",
+    COLLISION_MONITOR,
+    OBSTACLE_TRACKER,
+)
+"""Nodes that plan within the arm's limits, predict by them or publish them, or know its joints.
 
 Like the nodes of the arm, they get the parameters in the file of the arm's controller."""
 
@@ -110,6 +119,8 @@ class RobotSetup:
         world: Name of a scene, or path of its file, if the robot is simulated in a world.
         collision_monitor: Whether a collision monitor limits the robot's speed. With `only`, one
             does if it is among these nodes.
+        obstacle_tracker: Whether laser scans are turned into obstacles and a map; with `only`,
+            likewise.
     """
 
     robot: str = "omniman"
@@ -124,6 +135,7 @@ class RobotSetup:
     controller: str = "ur5"
     world: str | None = None
     collision_monitor: bool = False
+    obstacle_tracker: bool = False
 
     @property
     def is_limited(self) -> bool:
@@ -208,6 +220,8 @@ def _is_chosen(kind: NodeKind, setup: RobotSetup, arm: str) -> bool:
         return kind.name in setup.only
     if kind.name == COLLISION_MONITOR:
         return setup.is_limited
+    if kind.name == OBSTACLE_TRACKER:
+        return setup.obstacle_tracker
     drives = kind.drives
     fits = (not drives or setup.wheel_drive in drives) and (not kind.arms or arm in kind.arms)
     return kind.is_available() and fits and not kind.on_request
@@ -264,13 +278,20 @@ def node_command(node: str, arguments: Sequence[str]) -> tuple[str, ...]:
     return (sys.executable, "-m", runner, str(os.getpid()), node, *arguments)
 
 
+def _world_arguments(kind: NodeKind, world: str) -> list[str]:
+    """Return the ROS arguments of a node in a world, whose scanners are where parameters say."""
+    if WORLD_DRIVE in kind.drives:
+        return ["-p", f"scene:={scene_file(world).resolve()}"]
+    return ["-p", "scanners_by_tf:=false"] if kind.name == OBSTACLE_TRACKER else []
+
+
 def _ros_arguments(
     kind: NodeKind, robot: str, setup: RobotSetup, more: Sequence[str]
 ) -> list[str]:
     """Return the ROS arguments of a node; a later value of a parameter overrides earlier ones."""
     arguments = ["--ros-args", "-p", f"robot:={robot}"]
-    if setup.world is not None and WORLD_DRIVE in kind.drives:
-        arguments += ["-p", f"scene:={scene_file(setup.world).resolve()}"]
+    if setup.world is not None:
+        arguments += _world_arguments(kind, setup.world)
     if set(kind.drives) & {"can", "real"}:
         arguments += ["--params-file", find_installation_file(setup.installation)]
     arguments += more

@@ -412,6 +412,7 @@ def test_platform_starts_the_simulated_drive_and_the_controller_by_default(platf
         "controller": "ur5",
         "odometry": "controller",
         "collision_monitor": "false",
+        "obstacle_tracker": "false",
         "mpc": "true",
         "viewer": "false",
         "rviz": "false",
@@ -544,6 +545,11 @@ def test_the_controller_needs_the_collision_monitor_where_it_is_started(platform
     _, nodes = platform(arm=arm)
     assert "collision_monitor" not in nodes
     assert nodes["platform_controller"][1]["collision_monitor.use"] is False
+
+
+def test_the_obstacle_tracker_is_started_on_request(platform):
+    _, nodes = platform(obstacle_tracker="true", world="hall", use_sim_time="true")
+    assert nodes["obstacle_tracker"] == ("", {"robot": "omniman", "use_sim_time": True})
 
 
 def test_the_odometry_is_a_process_of_its_own_on_request(platform):

@@ -58,6 +58,16 @@ def test_the_controller_needs_the_collision_monitor_where_there_is_one():
         assert used not in arguments(setup, "platform_controller")
 
 
+def test_the_obstacle_tracker_is_started_on_request(with_engine):
+    assert "obstacle_tracker" not in specs_by_name(RobotSetup())
+    assert "obstacle_tracker" in specs_by_name(RobotSetup(obstacle_tracker=True))
+    by_parameters = "-p scanners_by_tf:=false"
+    in_world = RobotSetup(obstacle_tracker=True, world="hall")
+    assert by_parameters in arguments(in_world, "obstacle_tracker")
+    outside = RobotSetup(only=["obstacle_tracker"])
+    assert by_parameters not in arguments(outside, "obstacle_tracker")
+
+
 def test_the_drive_publishes_the_clock_that_the_other_nodes_follow():
     setup = RobotSetup(sim_time=True)
     assert "-p publish_clock:=true" in arguments(setup, "simulated_drive")

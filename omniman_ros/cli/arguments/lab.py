@@ -12,6 +12,7 @@ BENCHMARKS = {
     "can": "round trips over a CAN bus of UDP next to a bare echo, CPU, bus load",
     "arm": "setpoints at 125 Hz in the whole running robot next to a bare loop",
     "collision": "CPU time of distances between the robot's parts, and from what stands around it",
+    "tracker": "people in the physics world as the obstacle tracker sees them: velocity, identity",
     "whole_body": "time of planning tool paths, CPU of their stream, inverse kinematics",
     "stability": "tracking and lifted wheels with the arm stretched, posture known or not",
     "faults": "reactions of the whole running robot to each row of the table of faults",

@@ -39,6 +39,12 @@ def add_up(parser: argparse.ArgumentParser) -> None:
         help="limit the speed before contact, and stop where the monitor is silent; default: yes, "
         "and with --only if the node is among them",
     )
+    parser.add_argument(
+        "--obstacle-tracker",
+        action="store_true",
+        help="turn the scans on `scan` into obstacles and a map, as with --world; with --only if "
+        "the node is among them; default: no",
+    )
     add_parameters(parser)
     parser.add_argument("--params-file", metavar="FILE", help="a ROS parameter file for all nodes")
     add_drive(parser, tuple(DRIVES))

@@ -14,6 +14,7 @@ BENCHMARKS = {
     "world": "omniman_ros.lab.bench.world",
     "stability": "omniman_ros.lab.bench.stability",
     "collision": "omniman_ros.lab.bench.collision",
+    "tracker": "omniman_ros.lab.bench.tracker",
     "faults": "omniman_ros.lab.bench.faults",
     "soak": "omniman_ros.lab.bench.soak",
 }
