@@ -148,6 +148,18 @@ def test_two_who_cross_keep_their_identities():
     assert hidden, "the one behind was not hidden"
 
 
+def test_two_who_come_near_each_other_stay_two():
+    def walkers(times):
+        return [
+            (np.column_stack((np.full(BEAMS, 2.2), -1.2 + 0.8 * times)), 0.25),
+            (np.column_stack((np.full(BEAMS, 2.2), 0.55 - 0.4 * times)), 0.25),
+        ]
+
+    stage = Stage()
+    found = sorted(o.center[1] for o in stage.run(1.0, walkers))
+    assert found == pytest.approx([-1.2 + 0.8 * stage.end, 0.55 - 0.4 * stage.end], abs=0.05)
+
+
 def test_who_stays_behind_something_is_forgotten_in_the_end():
     stage = Stage(occlusion_time=1.0)
     wall = [(np.array((1.5, 1.0)), 0.6)]
