@@ -262,11 +262,17 @@ class SimulatedBus:
     ) -> None:
         """Replace parameters of robot and plant, also in motion, and faults; keep the drives.
 
+        A drive whose motor is not dead any more uses it again: no frame tells the host of an open
+        circuit, so that the host cannot reset it.
+
         Raises:
             ParameterError: One of them is invalid; nothing is changed then.
         """
         drive_faults(faults, self._names)
         self._wheels.configure(robot, simulation)
+        repaired = set(self._simulation.faults.dead_motor) - set(simulation.faults.dead_motor)
+        for name in repaired:
+            self._wheels.reset(self._names.index(name))
         self._simulation = simulation
         self.set_faults(faults)
 

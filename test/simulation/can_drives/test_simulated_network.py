@@ -2,6 +2,7 @@
 
 import math
 import struct
+from dataclasses import replace
 
 import can
 import numpy as np
@@ -403,3 +404,18 @@ def test_echo_that_never_came_is_forgotten():
     assert len(own._sent) < 200
     own.record_sent(message(), 20.0)
     assert not own.is_echo(message(), 20.6)
+
+
+def test_a_wheel_whose_motor_is_repaired_drives_again():
+    """Its unit has switched off for the open circuit, which no frame tells the host."""
+    host = Host(plant__lifted=True)
+    host.configure()
+    host.drive(1.0, [3.0] * 4)
+    whole = host.bus._simulation
+    broken = replace(whole, faults=replace(whole.faults, dead_motor=("rear_right",)))
+    host.bus.configure(host.robot, broken, faults())
+    host.drive(2.0, [3.0] * 4)
+    assert host.bus.wheels.velocity(3) < 0.5
+    host.bus.configure(host.robot, whole, faults())
+    host.drive(2.0, [3.0] * 4)
+    assert host.bus.wheels.velocity(3) == pytest.approx(3.0, rel=0.05)
