@@ -18,7 +18,6 @@ from rclpy.qos import QoSProfile
 from std_srvs.srv import Trigger
 
 from omniman_ros.console.session import Session
-from omniman_ros.demo.command import RELAXED_TIMEOUTS
 from omniman_ros.lab.bench.can_rig import BusRecorder
 from omniman_ros.nodes.stop_interface import ALL_LATCHED
 from omniman_ros.processes.drive_options import FIRST_PORT
@@ -37,9 +36,17 @@ pytestmark = pytest.mark.processes
 
 NODES = ("platform_controller", "can_bridge", "simulated_can_drives")
 CONTROLLER, BRIDGE, DRIVES = NODES
-OPTIONS = [
-    word for text in (*RELAXED_TIMEOUTS, "timeouts.wheel_states:=2.0") for word in ("-p", text)
-]
+TIMEOUTS = (
+    "timeouts.wheel_states:=2.0",
+    "firmware.watchdog:=0.5",
+    "safety.deadline:=0.05",
+    "can.missed_periods:=100",
+    "can.drive_heartbeat:=0.2",
+    "can.heartbeat_timeout:=0.5",
+    "can.command_timeout:=0.5",
+)
+"""Parameters that relax timeouts for a busy machine: no real robot moves while a process waits."""
+OPTIONS = [word for text in TIMEOUTS for word in ("-p", text)]
 SPEED = 0.3
 """Commanded speed of the platform [m/s]."""
 REST = 0.005
