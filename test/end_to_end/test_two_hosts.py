@@ -125,6 +125,11 @@ class Scene:
         assert self.watch.time_of_rest(begin) == 0.0, "the robot moves"
         assert abs(self.watch.position - position) < 1e-3
 
+    def let_go(self):
+        """Let the driver send nothing from now on, surely before what comes next."""
+        self.operator.tell("silent")
+        time.sleep(0.3)
+
     def drive(self):
         """Drive by hand from the desk."""
         self.operator.tell("twist", SPEED)
@@ -144,7 +149,7 @@ class Scene:
             if rest <= AIM:
                 return
             assert held > HOLD_UP, what
-            self.operator.tell("silent")
+            self.let_go()
             self.cable.plug()
             self.stays(CALM)
         pytest.skip(f"the machine held processes up in each of {TRIALS} trials")
@@ -174,7 +179,7 @@ def test_a_robot_rests_without_its_other_host_and_comes_back_without_a_false_sta
 
         # Twists of the desk: those that were sent into the cut must not come later.
         scene.pull(scene.drive, "cmd_vel")
-        scene.operator.tell("silent")
+        scene.let_go()
         scene.cable.plug()
         scene.stays(CALM)
         scene.drive()
@@ -191,7 +196,7 @@ def test_a_robot_rests_without_its_other_host_and_comes_back_without_a_false_sta
 
         # An emergency stop that was pressed meanwhile holds, even after a long time.
         scene.pull(scene.drive, "cmd_vel, for long")
-        scene.operator.tell("silent")
+        scene.let_go()
         scene.operator.tell("emergency", True)
         time.sleep(LEASE)
         scene.cable.plug()
