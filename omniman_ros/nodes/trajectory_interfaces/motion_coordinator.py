@@ -2,7 +2,6 @@
 
 from std_msgs.msg import Float64
 
-from omniman_ros.core.arrays import Array
 from omniman_ros.core.stream_monitor import StreamMonitor
 from omniman_ros.motion.path.axis_limits import AxisLimits
 from omniman_ros.motion.path.interpolator import PathInterpolator
@@ -58,7 +57,7 @@ class MotionCoordinator:
         self, node: OmnimanNode, settings: ParameterSet[PathInterpolatorParameters]
     ) -> None:
         p, odom_frame = settings.value, settings.value.frames.odom.odom_frame
-        self._node, self._settings, self.is_ending = node, settings, False
+        self._node, self.is_ending = node, False
         self._progress = node.create_publisher(Float64, "path_progress", 10)
         self.scaling = ScalingInterface(node, self._on_slowed)
         path, options = PathInterpolator(p.core), p.joint_trajectory
@@ -70,7 +69,7 @@ class MotionCoordinator:
             settings=settings,
             frames=FrameTransforms(node, lambda: settings.value.frames),
             stream_monitor=StreamMonitor(p.restart),
-            odom=OdomFeed(node, "odom", odom_frame, self._on_pose),
+            odom=OdomFeed(node, "odom", odom_frame, lambda *it: self.whole_body.update_pose(*it)),
             arm_feed=ArmFeed(
                 node, p.arm.joints, self._is_arm_moving, lambda: self._supervisor.check_following()
             ),
@@ -122,9 +121,6 @@ class MotionCoordinator:
         self.context.stream_monitor.silence = new.restart
 
     # ---- inputs -------------------------------------------------------------------------------
-
-    def _on_pose(self, pose: Array, at: float) -> None:
-        self.whole_body.update_pose(pose, at)
 
     def _is_arm_moving(self) -> bool:
         return not (self.arm.idle and self.whole_body.idle)
