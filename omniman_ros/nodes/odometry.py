@@ -1,6 +1,7 @@
 """Node `odometry`: the platform's odometry without a controller.
 
-It serves recordings and foreign controllers, and those who want the pieces apart.
+It serves recordings, controllers other than `platform_controller`, and robots whose odometry shall
+run in a process of its own.
 """
 
 from collections.abc import Iterable

@@ -44,7 +44,7 @@ NODE_TIMEOUT = 0.5
 A node that hangs could not stop it.
 """
 ROUNDING = 1e-6
-"""Time by which a given clock is ahead [s]: a cycle is due although two times were rounded."""
+"""Time that a `GivenClock` adds to what it is given [s], so that rounding delays no due cycle."""
 SUSPEND_TIME = 10.0
 """Delay of a cycle from which on the machine counts as having been suspended [s]."""
 
@@ -112,7 +112,7 @@ class StreamingLoop:
             Command.RESET: self._reset,
             Command.CONFIGURE: supervisor.configure,
         }
-        self._is_awaited = isinstance(clock, GivenClock)
+        self._is_simulated = isinstance(clock, GivenClock)
         if isinstance(clock, GivenClock):
             self._handlers[Command.TIME] = partial(self._pass_time, clock)
 
@@ -120,7 +120,7 @@ class StreamingLoop:
         """Run cycles until the node ends the loop; then bring the arm to rest and close."""
         while self._running:
             self.cycle()
-        if self._is_awaited:  # nobody gives the time any more: the program's timeout stops the arm
+        if self._is_simulated:  # without a clock, the timeout of the program stops the arm
             self._link.close()
             return
         self._supervisor.finish()
@@ -139,7 +139,7 @@ class StreamingLoop:
             node = [self._channel.fileno()] if self._running else []
             if self._link.wait(self._due, node):
                 self._receive()
-            if self._is_awaited and not self._running:
+            if self._is_simulated and not self._running:
                 return
             now = self._clock()
             samples = self._link.take_samples()
@@ -153,7 +153,7 @@ class StreamingLoop:
         self._supervisor.tick(self._due, now)
         self._measure_interval(phase_before)
         self._sent_until = self._due + PERIOD
-        if self._is_awaited:
+        if self._is_simulated:
             self._report([], now)
 
     def _measure_interval(self, phase_before: StreamingPhase) -> None:
@@ -223,7 +223,7 @@ class StreamingLoop:
             report.at_rest,
         )
         has_news = bool(samples or report.refusals) or state != self._reported_state
-        has_news |= self._is_awaited and report.sent_until > self._reported_until
+        has_news |= self._is_simulated and report.sent_until > self._reported_until
         if not has_news and now - self._report_time < REPORT_PERIOD:
             return
         self._reported_state, self._report_time = state, now

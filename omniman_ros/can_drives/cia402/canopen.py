@@ -214,7 +214,7 @@ def parse_sdo(data: bytes) -> SdoAnswer | None:
         return None
     command, index, sub = struct.unpack_from("<BHB", data)
     match command >> 5:
-        case 2 if command & 0x2:  # expedited upload; s = 0 does not tell the length
+        case 2 if command & 0x2:  # expedited upload; with s = 0 the length is not stated
             unused = command >> 2 & 3 if command & 0x1 else 0
             return SdoAnswer(index, sub, data[4 : 8 - unused])
         case 3:

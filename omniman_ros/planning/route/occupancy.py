@@ -1,8 +1,8 @@
-"""Occupancy of a lattice: a word of headings for each node and each level of the gap.
+"""Occupancy of the route planner's lattice, as bit masks of headings ("words").
 
-A set bit means that the robot at the node is closer to an obstacle or the workspace's edge than
-the level allows: bit k stands for the heading k and, if the robot covers the same area after half
-a revolution, for its opposite.
+Each node has a word for each level of clearance. A set bit means that the robot at the node is
+closer to an obstacle or the workspace's edge than the level allows: bit k stands for the heading k
+and, if the robot covers the same area after half a revolution, for its opposite.
 """
 
 import math
@@ -23,7 +23,7 @@ from omniman_ros.planning.route.problem import LEAST_ROOM, RouteProblem
 Index = NDArray[np.intp]
 """Array of indices of nodes, headings, columns or rows."""
 Words = NDArray[np.uint64]
-"""Array of words, one per node, with a bit for each heading."""
+"""Array of bit masks, one per node, with a bit for each heading."""
 Mask = NDArray[np.bool_]
 """Array of flags."""
 
@@ -36,11 +36,11 @@ suffices for the robot to leave it entirely."""
 PIECE = 40_000
 """Approximate number of poses in each piece in which an obstacle is marked."""
 MAX_KINDS = 200
-"""Number of different offsets between cells and nodes above which these are rounded coarsely."""
+"""Number of different offsets of cells from their nodes above which they are rounded coarsely."""
 FINE_PARTS = 1000
-"""Parts of an edge to which the offset of a cell from a node is rounded at first."""
+"""Divisions of a lattice edge to which the offset of a cell from a node is first rounded."""
 COARSE_PARTS = 8
-"""Parts of an edge to which it is rounded if there are too many different offsets."""
+"""Divisions of a lattice edge to which it is rounded if there are too many different offsets."""
 
 
 class HeadingOccupancy:

@@ -85,7 +85,7 @@ class UrArmParameters:
     )
     payload: float = parameter(
         0.0,
-        "Mass of tool and load that the controller reckons with.",
+        "Mass of tool and load that the controller assumes.",
         unit="kg",
         low=0,
         high=10,
@@ -110,8 +110,8 @@ class UrArmParameters:
     )
     world_port: int = parameter(
         0,
-        "Port of a simulated world on this machine in which the joints are; joints of its own if "
-        "0.",
+        "Port on this machine of the simulated world that moves the joints; if 0, the arm moves "
+        "them itself.",
         low=0,
         high=65535,
         read_only=True,
@@ -141,7 +141,8 @@ class UrArmParameters:
 class SimulatedArm:
     """Six independent joints, each of second order with limited acceleration; an `ArmBody`.
 
-    Nothing but their limits keeps them from their reference, which they are themselves.
+    Nothing loads or obstructs the joints. They are therefore their own reference, and the
+    deviations from a reference are zero.
 
     Attributes:
         q: Angles [rad].
@@ -182,7 +183,7 @@ class SimulatedArm:
         self.q, self.qd, self.qdd = q.copy(), qd.copy(), np.zeros(JOINTS)
 
     def measure(self, time: float) -> None:
-        """Do nothing: angles and speeds are what they are."""
+        """Do nothing: angles and speeds are up to date after each step."""
 
     def lock(self) -> None:
         """Hold the joints by their brakes for a cycle."""
