@@ -37,7 +37,12 @@ help: ## Show this list
 demo: $(RUNTIME) ## Run the demo
 	$(OMNIMAN) demo $(ARGS)
 
-test: lint types tests ## Check style and types and run all tests
+# The types are checked beside the tests, which wait for processes at first.
+test: lint ## Check style and types and run all tests
+	@nice $(BIN)/mypy >$(VENV)/types.log 2>&1 & types=$$!; \
+	.ci/tests $(BIN)/python $(ARGS); tests=$$?; \
+	wait $$types; types=$$?; \
+	cat $(VENV)/types.log; exit $$((tests | types))
 
 lint: $(TESTING) ## Check the style
 	$(BIN)/ruff check
