@@ -20,6 +20,7 @@ from test.running import (
     is_alive,
     wait_until,
 )
+from test.tiers import exhaustive
 
 pytestmark = pytest.mark.processes
 
@@ -110,12 +111,10 @@ def moving_robot(*options):
 
 
 @pytest.mark.parametrize(
-    ("number", "options"), [(signal.SIGINT, ()), (signal.SIGTERM, ONLY_NODES)], ids=["INT", "TERM"]
+    "number", [signal.SIGINT, exhaustive(signal.SIGTERM)], ids=["INT", "TERM"]
 )
-def test_a_signal_brings_the_moving_robot_to_rest_and_ends_up_with_code_0(
-    own_domain, number, options
-):
-    with moving_robot("--robot", "ig42", *options) as (up, probe, pids):
+def test_a_signal_brings_the_moving_robot_to_rest_and_ends_up_with_code_0(own_domain, number):
+    with moving_robot("--robot", "ig42", *ONLY_NODES) as (up, probe, pids):
         assert len(pids) == 2
         up.process.send_signal(number)
         probe.await_end(up.process)

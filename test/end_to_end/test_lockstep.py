@@ -15,6 +15,7 @@ from sensor_msgs.msg import JointState
 
 from omniman_ros.console.session import Session
 from test.nodes.harness import free_domain
+from test.tiers import representative
 
 pytestmark = pytest.mark.processes
 
@@ -126,7 +127,7 @@ def robot_on_a_bus(tmp_path_factory):
         yield robot
 
 
-@pytest.mark.parametrize("name", SIMULATED_PARTS)
+@pytest.mark.parametrize("name", representative(SIMULATED_PARTS, 2))
 def test_time_waits_for_a_process_that_is_stopped_and_the_robot_drives_on(robot, name):
     stop_for_a_while(robot, name)
 

@@ -17,6 +17,7 @@ from sensor_msgs.msg import JointState
 
 from omniman_ros.control.platform import LATE_DELIVERY
 from test.nodes.harness import free_domain
+from test.tiers import exhaustive
 
 PATIENCE = 30.0
 PATIENT = {
@@ -84,7 +85,7 @@ class NodeProcesses:
         return self.truth[-1].twist.twist.linear.x if self.truth else 0.0
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, exhaustive(signal.SIGTERM)])
 def test_on_a_signal_the_controller_ramps_the_wheels_down_before_it_ends(number):
     with NodeProcesses() as robot:
         drive = robot.start("simulated_drive")
@@ -160,8 +161,8 @@ def test_nodes_run_on_the_clock_that_the_drive_publishes():
     [
         ("robot:=nobody", "nobody"),
         ("limits.linear_velocity:=-1.0", "limits.linear_velocity"),
-        ("coupling.k_epsilon:=2", "coupling.k_epsilon"),
-        ("drive.mode:=magic", "drive.mode"),
+        exhaustive("coupling.k_epsilon:=2", "coupling.k_epsilon"),
+        exhaustive("drive.mode:=magic", "drive.mode"),
     ],
 )
 def test_an_invalid_parameter_ends_the_node_with_a_message_that_names_it(parameter, word):
