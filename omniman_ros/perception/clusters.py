@@ -125,9 +125,7 @@ class Outlines:
         return Outlines(radii, is_whole, centers)
 
 
-def fitted_centers(
-    points: Array, number: Indices, expected: Array, radii: Array
-) -> tuple[Array, Array]:
+def fitted_centers(points: Array, number: Indices, expected: Array, radii: Array) -> Array:
     """Fit discs of known radii to their points, by Gauss and Newton.
 
     Args:
@@ -137,8 +135,7 @@ def fitted_centers(
         radii: (K,) radii [m].
 
     Returns:
-        Centres (K, 2), and the root mean squares (K,) of the distances of the points from the
-        outlines [m].
+        Centres (K, 2) [m].
     """
     count = len(expected)
     centers = expected.copy()
@@ -161,7 +158,4 @@ def fitted_centers(
         centers = centers + np.column_stack(
             ((yy * bx - xy * by) / determinant, (xx * by - xy * bx) / determinant)
         )
-    away = points - centers[number]
-    error = np.hypot(away[:, 0], away[:, 1]) - wanted
-    squares = np.bincount(number, weights=error * error, minlength=count)
-    return centers, np.sqrt(squares / sums)
+    return centers

@@ -292,7 +292,7 @@ class ObstacleTracker:
         is_before = ((middles - expected) * (expected - view.origin)).sum(axis=1) > 0.0
         expected[is_before] = outlines.centers[found[is_before]]
         radii = np.array([tracks[owner[cluster]].radius for cluster in found])
-        centers, _ = fitted_centers(places[mine], each[mine], expected, radii)
+        centers = fitted_centers(places[mine], each[mine], expected, radii)
         is_free = things.means(self.map.was_free(places).astype(float))[found]
         wide = things.means(is_wide.astype(float))[found]
         for k, cluster in enumerate(found.tolist()):
