@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from omniman_ros.collision.footprint import Footprint
+from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.core.errors import InputError
 from omniman_ros.perception.obstacle_tracker import ObstacleTracker
 from omniman_ros.perception.parameters import MapParameters, TrackerParameters
@@ -15,7 +16,7 @@ from omniman_ros.planning.obstacles.tracking import TrackingParameters
 
 BEAMS = 720
 ANGLES = np.linspace(-0.5 * math.pi, 0.5 * math.pi, BEAMS)
-OWN = Footprint(np.array([0.2, 0.15]), (0.0, 0.4))
+OWN = Footprint(Rectangles.centred(np.array([0.2, 0.15])), (0.0, 0.4))
 NOISE = 0.005
 
 
