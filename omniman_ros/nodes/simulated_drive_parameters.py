@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from omniman_ros.core.arm_parameters import ArmParameters
+from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.imu_mount import ImuMount
 from omniman_ros.core.parameters import inline, parameter
 from omniman_ros.core.robot import Robot
@@ -10,6 +11,9 @@ from omniman_ros.motion.whole_body.model import Mount
 from omniman_ros.nodes.clock_parameters import ClockParameters
 from omniman_ros.simulation.plant.imu import ImuSensorParameters
 from omniman_ros.simulation.plant.parameters import SimulationParameters
+
+SLOWEST_CLOCK = 100.0
+"""Rate of /clock [Hz] below which a step is longer than some nodes let it be ahead of them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,3 +63,13 @@ class SimulatedDriveParameters(ClockParameters):
     seed: int = parameter(
         0, "Seed of the noise and of lost messages.", low=0, high=2**31, read_only=True
     )
+
+    def __post_init__(self) -> None:
+        """Check the steps of simulated time.
+
+        Raises:
+            ParameterError: The nodes that follow /clock would not let it make such a step.
+        """
+        if self.publish_clock and self.state_rate < SLOWEST_CLOCK:
+            reason = f"must be at least {SLOWEST_CLOCK:g} Hz with publish_clock"
+            raise ParameterError("state_rate", self.state_rate, reason)

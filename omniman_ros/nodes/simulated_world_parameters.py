@@ -48,6 +48,7 @@ class SimulatedWorldParameters(SimulatedDriveParameters):
             ParameterError: A joint's name is used twice, or cannot be written; two scanners have
                 the same name; or the arm's controller would have to run faster than it does.
         """
+        super().__post_init__()
         _ = self.description
         if self.arm_port and self.publish_clock and self.state_rate < CONTROLLER_RATE:
             reason = f"must be at least {CONTROLLER_RATE:g} Hz with publish_clock and arm_port"

@@ -1,5 +1,8 @@
 """Lockstep of simulated time with the processes that live in it."""
 
+ROUND_OFF = 1e-6
+"""Time by which a permit may be exceeded, since clocks on messages count nanoseconds [s]."""
+
 
 class Lockstep:
     """Decides whether simulated time may go on, by how far its participants have come.
@@ -33,7 +36,7 @@ class Lockstep:
 
     def laggards(self, until: float) -> list[str]:
         """Return the names of the participants for which the time `until` [s] has to wait."""
-        return [name for name, permit in self._permits.items() if permit < until]
+        return [name for name, permit in self._permits.items() if permit < until - ROUND_OFF]
 
     def drop_dead(self, until: float, now: float) -> list[str]:
         """Drop the participants that have held simulated time up for too long.

@@ -15,6 +15,7 @@ from std_msgs.msg import Bool, Float64MultiArray
 from std_srvs.srv import Trigger
 
 from omniman_ros.core.arm_parameters import UR_JOINTS
+from omniman_ros.core.errors import ParameterError
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.simulated_clock import SimulatedClock
 from omniman_ros.nodes.simulated_drive import SimulatedDriveNode
@@ -381,3 +382,9 @@ def test_a_stamp_is_read_by_the_clock_that_the_drive_publishes():
         node = world.nodes[0]
         now, sent = node.now(), node.stamp(node.now())
         assert node.instant(sent) == pytest.approx(now, abs=1e-6)
+
+
+def test_steps_of_simulated_time_that_no_node_would_permit_are_refused():
+    given = {"use_sim_time": False, "publish_clock": True, "state_rate": 99.0}
+    with pytest.raises(ParameterError, match=r"state_rate.*at least 100 Hz"):
+        World(SimulatedDriveNode, parameters=given)

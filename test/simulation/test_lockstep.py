@@ -27,6 +27,14 @@ def test_time_goes_on_up_to_the_lowest_permit(lockstep):
     assert lockstep.laggards(2.1) == []
 
 
+def test_a_step_may_be_as_long_as_a_participant_permits(lockstep):
+    now, step = 0.0, 0.01
+    for _ in range(1000):
+        lockstep.permit("node", round(1e9 * now) * 1e-9 + step)
+        assert lockstep.laggards(now + step) == []
+        now += step
+
+
 def test_participant_that_leaves_is_not_waited_for_until_its_next_permit(lockstep):
     lockstep.permit("node", 1.0)
     lockstep.leave("node")
