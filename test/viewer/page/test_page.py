@@ -138,8 +138,8 @@ def test_with_a_certificate_the_page_is_encrypted(make_page, certificate):
 async def first_message(address, tls, cookie):
     """Return the first message of an encrypted page.
 
-    One thread does it all: the client of `websockets.sync` reads and writes in two, which the ssl of
-    Python 3.11 does not stand (2 of 100 connections hung).
+    One thread does it all: the client of `websockets.sync` reads and writes in two, which the ssl
+    of Python 3.11 does not stand (2 of 100 connections hung).
     """
     async with open_connection(
         address,
