@@ -75,6 +75,7 @@ class CollisionMonitorInputs:
     def configure(self, new: CollisionMonitorParameters) -> None:
         """Use other parameters."""
         self._obstacles.configure(new.obstacles)
+        self._grid.configure(new.map_threshold, new.map_unknown_is_free)
 
     # ---- messages -------------------------------------------------------------------------------
 

@@ -61,10 +61,9 @@ class CollisionMonitorParameters:
         unit="%",
         low=1,
         high=100,
-        read_only=True,
     )
     map_unknown_is_free: bool = parameter(
-        True, "Whether the robot may drive through cells of unknown occupancy.", read_only=True
+        True, "Whether the robot may drive through cells of unknown occupancy."
     )
 
     @property

@@ -58,6 +58,8 @@ class MapInterface:
     def __init__(self, frames: FrameTransforms, use: Callable[[GridMap], None]) -> None:
         self._frames, self._use = frames, use
         self._grid: GridMap | None = None
+        self._received: tuple[OccupancyGrid, Placement] | None = None
+        self._rule: tuple[int, bool] | None = None
         self._frame = ""
         self._anchor: PlanarPose = (0.0, 0.0, 0.0)
 
@@ -70,9 +72,25 @@ class MapInterface:
         placement = self._frames.placement(message.header)
         grid = grid_map(message, placement, threshold, unknown_is_free)
         anchor = self._frames.anchor(placement.frame).planar()
+        self._received, self._rule = (message, placement), (threshold, unknown_is_free)
         self._grid, self._frame = grid, placement.frame
         self._place(anchor)
         return grid
+
+    def configure(self, threshold: int, unknown_is_free: bool) -> None:
+        """Read the cells of the last map by another threshold, or unknown cells otherwise.
+
+        A latched map may be sent only once, so the one that is kept has to follow its parameters.
+
+        Args:
+            threshold: Occupancy from which on a cell counts as occupied, 1 to 100 [%].
+            unknown_is_free: Whether cells of unknown occupancy are free.
+        """
+        rule = (threshold, unknown_is_free)
+        if self._received is None or rule == self._rule:
+            return
+        self._grid, self._rule = grid_map(*self._received, *rule), rule
+        self._place(self._anchor)
 
     def update(self, robot: PlanarPose) -> None:
         """Move the map if its frame has moved against odom.

@@ -100,7 +100,7 @@ class MpcPlannerNode(OmnimanNode):
         self.core.configure(new.core)
         self.posture.configure(new)
         self.core.anchored = new.output == "reference"
-        self.sensors.obstacles.configure(new.core.obstacles)
+        self.sensors.configure(new)
         self._monitor.silence = new.restart
 
     def _serve(

@@ -13,6 +13,7 @@ from builtin_interfaces.msg import Duration
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Twist
 from nav_msgs.msg import OccupancyGrid, Odometry, Path
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -240,14 +241,29 @@ def test_the_robot_passes_below_and_above_what_is_not_at_its_height(heights, is_
         assert (world.shares == [1.0, 1.0]) == is_free
 
 
+def strip_of_cells(value: int) -> OccupancyGrid:
+    """Return a map of 0.1 x 2 m ahead of the robot, from x = 0.7 m on, of cells with one value."""
+    grid = OccupancyGrid(data=[value] * 80)
+    grid.header.frame_id, grid.info.resolution = "odom", 0.05
+    grid.info.width, grid.info.height, grid.info.origin.orientation.w = 2, 40, 1.0
+    grid.info.origin.position.x, grid.info.origin.position.y = 0.7, -1.0
+    return grid
+
+
+def test_unknown_cells_of_the_kept_map_stop_the_robot_once_they_are_not_free():
+    with Robot() as world:
+        world.publisher(OccupancyGrid, "map", LATCHED).publish(strip_of_cells(-1))
+        world.run(0.1)
+        [result] = world.monitor.set_parameters([Parameter("map_unknown_is_free", value=False)])
+        assert result.successful, result.reason
+        world.go(1.0, seconds=1.0)
+        assert world.state()["obstacle"] == "map"
+        assert GAP < 0.7 - 0.5 - world.true_pose()[0] < 0.12
+
+
 def test_a_map_stops_the_robot_and_unusable_messages_do_not_move_or_stop_it():
     with Robot() as world:
-        grid = OccupancyGrid()
-        grid.header.frame_id, grid.info.resolution = "odom", 0.05
-        grid.info.width, grid.info.height, grid.info.origin.orientation.w = 2, 40, 1.0
-        grid.info.origin.position.x, grid.info.origin.position.y = 0.7, -1.0
-        grid.data = [100] * 80
-        world.publisher(OccupancyGrid, "map", LATCHED).publish(grid)
+        world.publisher(OccupancyGrid, "map", LATCHED).publish(strip_of_cells(100))
         world.run(0.1)
         world.go(1.0, seconds=1.0)
         assert world.state()["obstacle"] == "map"

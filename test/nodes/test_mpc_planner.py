@@ -1546,6 +1546,25 @@ def test_map_in_frame_map_is_accepted_where_map_equals_odom():
         assert np.flatnonzero(world.core.grid.occupied).tolist() == [2]
 
 
+def test_the_kept_map_follows_its_threshold_and_what_unknown_cells_mean(alone):
+    message = a_map(alone, wall=False)
+    message.data[0], message.data[1], message.data[2] = -1, 79, 80
+    alone.publisher(OccupancyGrid, "map", LATCHED).publish(message)
+    alone.run(2 * TICK)
+    for name, value, occupied in (
+        ("map_threshold", 80, [0, 2]),
+        ("map_unknown_is_free", True, [2]),
+        ("map_threshold", 79, [1, 2]),
+        ("map_unknown_is_free", False, [0, 1, 2]),
+    ):
+        assert alone.set(name, value).successful
+        assert np.flatnonzero(alone.core.grid.occupied).tolist() == occupied, name
+    kept = alone.core.grid
+    assert not alone.set("map_threshold", 0).successful
+    assert alone.set("weights.energy", 10.0).successful
+    assert alone.core.grid is kept
+
+
 def test_goal_in_a_wall_is_refused_and_a_new_wall_stops_the_robot(alone):
     maps = alone.publisher(OccupancyGrid, "map", LATCHED)
     alone.send(1.9, -0.5, 0.0)

@@ -98,10 +98,9 @@ class MpcPlannerParameters:
         unit="%",
         low=1,
         high=100,
-        read_only=True,
     )
     map_unknown_is_free: bool = parameter(
-        False, "Whether the robot may drive through cells of unknown occupancy.", read_only=True
+        False, "Whether the robot may drive through cells of unknown occupancy."
     )
 
     def __post_init__(self) -> None:

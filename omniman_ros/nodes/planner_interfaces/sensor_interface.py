@@ -66,6 +66,11 @@ class SensorInterface:
         ):
             node.create_subscription(kind, topic, node.guarded(topic, handler), qos)
 
+    def configure(self, new: MpcPlannerParameters) -> None:
+        """Use other parameters."""
+        self.obstacles.configure(new.core.obstacles)
+        self._map.configure(new.map_threshold, new.map_unknown_is_free)
+
     def odom_fault(self, now: float) -> str:
         """Return why the odometry cannot be used at the time `now` [s], or an empty string."""
         if self.measured is None:
