@@ -13,7 +13,7 @@ from omniman_ros.core.rigid import Transform
 from omniman_ros.core.transform_tree import ODOM, Placement, TransformError, TransformTree
 from omniman_ros.nodes import tf_messages
 from omniman_ros.nodes.frame_parameters import FrameParameters
-from omniman_ros.nodes.message_filter import RETRY_PERIOD, MessageFilter
+from omniman_ros.nodes.message_filter import RETRY_PERIOD, MessageFilters
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.timed_node import TIME_JUMP
 
@@ -36,8 +36,7 @@ class FrameTransforms:
         self._node, self._parameters = node, parameters
         self._tree = TransformTree()
         self._anchors: dict[str, Transform] = {}
-        self._filters: list[MessageFilter] = []
-        self._hopeless: set[str] = set()
+        self._filters = MessageFilters(node, self._may_come, self._is_related)
         self._latest = 0
         if tf_messages.TFMessage is None:
             node.get_logger().info("tf2_msgs is not installed: other frames than odom are refused")
@@ -69,7 +68,7 @@ class FrameTransforms:
         if {parent, child} == set(self._parameters().odom.names):
             return  # odom and another name of it
         if not self._tree.is_child(child):
-            self._hopeless.clear()
+            self._filters.reconsider()
         time = time_seconds(message.header.stamp)
         transform = transform_from_message(message.transform)
         self._tree.insert(parent, child, time, transform, is_static=is_static)
@@ -167,30 +166,15 @@ class FrameTransforms:
         headers: Callable[[M], Iterable[Header]],
         handler: Callable[[M], str | None],
     ) -> Callable[[M], str | None]:
-        """Wrap a handler so that its messages wait for their transforms, in their order.
-
-        The handler is called in any case: after the wait, its own lookup says what is missing.
-
-        Args:
-            topic: Name of the messages in warnings.
-            headers: Returns the headers whose frames the handler looks up.
-            handler: Handles a message as in `OmnimanNode.guarded`.
-
-        Returns:
-            A handler for `OmnimanNode.guarded`.
-        """
-        handle_later = self._node.guarded(topic, handler)
-        waiting = MessageFilter(headers, self._is_awaited, self._give_up, handler, handle_later)
-        self._filters.append(waiting)
-        return lambda message: waiting.handle(message, self._node.now())
+        """Wrap a handler so that its messages wait for their transforms; see `MessageFilters`."""
+        return self._filters.deferred(topic, headers, handler)
 
     def _retry(self) -> None:
-        """Hand on the messages that have their transforms, or have waited for too long."""
-        for waiting in self._filters:
-            waiting.retry(self._node.now(), self._parameters().tf.wait)
+        self._filters.retry(self._parameters().tf.wait)
 
-    def _is_awaited(self, header: Header) -> bool:
-        if tf_messages.TFMessage is None or not self._tree or header.frame_id in self._hopeless:
+    def _may_come(self, header: Header) -> bool:
+        """Return whether the transform of a header is missing, but may arrive yet."""
+        if tf_messages.TFMessage is None or not self._tree:
             return False
         try:
             self.placement(header)
@@ -198,11 +182,10 @@ class FrameTransforms:
             return error.may_come
         return False
 
-    def _give_up(self, headers: Iterable[Header]) -> None:
-        """Wait no more for frames that nothing relates to odom, until other frames come."""
-        odom = self._parameters().odom.odom_frame
-        for header in headers:
-            try:
-                self._tree.ancestor(header.frame_id.lstrip("/"), odom)
-            except TransformError:
-                self._hopeless.add(header.frame_id)
+    def _is_related(self, header: Header) -> bool:
+        """Return whether transforms relate the frame of a header to odom, at whatever time."""
+        try:
+            self._tree.ancestor(header.frame_id.lstrip("/"), self._parameters().odom.odom_frame)
+        except TransformError:
+            return False
+        return True

@@ -2,9 +2,13 @@
 
 from collections import deque
 from collections.abc import Callable, Iterable
-from typing import Any
+from typing import Any, TypeVar
 
 from std_msgs.msg import Header
+
+from omniman_ros.nodes.omniman_node import OmnimanNode
+
+M = TypeVar("M")
 
 MOST_WAITING = 50
 """Largest number of messages of a topic that wait; the oldest ones are dropped."""
@@ -71,3 +75,66 @@ class MessageFilter:
     def _is_ready(self, headers: Iterable[Header]) -> bool:
         """Return whether no transform is missing that may come yet."""
         return not any(self._is_awaited(header) for header in headers)
+
+
+class MessageFilters:
+    """The message filters of a node, and the frames for which they do not wait any more.
+
+    Args:
+        node: Node whose messages wait.
+        may_come: Returns whether the transform of a header is missing, but may arrive yet.
+        is_related: Returns whether transforms relate the frame of a header to odom.
+    """
+
+    def __init__(
+        self,
+        node: OmnimanNode,
+        may_come: Callable[[Header], bool],
+        is_related: Callable[[Header], bool],
+    ) -> None:
+        self._node, self._may_come, self._is_related = node, may_come, is_related
+        self._filters: list[MessageFilter] = []
+        self._abandoned: set[str] = set()
+
+    def deferred(
+        self,
+        topic: str,
+        headers: Callable[[M], Iterable[Header]],
+        handler: Callable[[M], str | None],
+    ) -> Callable[[M], str | None]:
+        """Wrap a handler so that its messages wait for their transforms, in their order.
+
+        The handler is called in any case: after the wait, its own lookup says what is missing.
+
+        Args:
+            topic: Name of the messages in warnings.
+            headers: Returns the headers whose frames the handler looks up.
+            handler: Handles a message as in `OmnimanNode.guarded`.
+
+        Returns:
+            A handler for `OmnimanNode.guarded`.
+        """
+        handle_later = self._node.guarded(topic, handler)
+        waiting = MessageFilter(headers, self._is_awaited, self._give_up, handler, handle_later)
+        self._filters.append(waiting)
+        return lambda message: waiting.handle(message, self._node.now())
+
+    def retry(self, max_wait: float) -> None:
+        """Hand on the messages that have their transforms, or have waited for too long.
+
+        Args:
+            max_wait: Time after which a message is handed on without its transforms [s].
+        """
+        for waiting in self._filters:
+            waiting.retry(self._node.now(), max_wait)
+
+    def reconsider(self) -> None:
+        """Wait for all frames again, because there is a new one that may relate them to odom."""
+        self._abandoned.clear()
+
+    def _is_awaited(self, header: Header) -> bool:
+        return header.frame_id not in self._abandoned and self._may_come(header)
+
+    def _give_up(self, headers: Iterable[Header]) -> None:
+        """Wait no more for frames that nothing relates to odom, until there are other frames."""
+        self._abandoned.update(h.frame_id for h in headers if not self._is_related(h))
