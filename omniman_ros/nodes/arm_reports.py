@@ -5,6 +5,7 @@ from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, Float64MultiArray, MultiArrayDimension
 
@@ -63,8 +64,25 @@ class ArmReportPublisher:
         """Whether the last sample reports a protective stop."""
         return self._safety_mode == SafetyMode.PROTECTIVE_STOP
 
-    def diagnostics(self, process: StreamingProcess) -> list[tuple[str, object]]:
-        """Return the values of a streaming process for the diagnostics."""
+    def status(
+        self, process: StreamingProcess, stop: tuple[bytes, str] | None
+    ) -> tuple[bytes, str, list[tuple[str, object]]]:
+        """Return level, message and values of a streaming process for the diagnostics.
+
+        Args:
+            process: The process.
+            stop: Level and message while the node's latch forbids motion, else None.
+        """
+        report, values = process.report, self._values(process)
+        if process.failure:
+            return DiagnosticStatus.ERROR, process.failure, values
+        if stop is not None:
+            return *stop, values
+        if report.phase is not StreamingPhase.STREAMING:
+            return DiagnosticStatus.WARN, report.blocking_reason or report.phase.value, values
+        return DiagnosticStatus.OK, "streaming", values
+
+    def _values(self, process: StreamingProcess) -> list[tuple[str, object]]:
         report = process.report
         return [
             ("phase", report.phase.value),

@@ -4,28 +4,23 @@ from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.qos import QoSProfile
-from trajectory_msgs.msg import JointTrajectory
 
-from omniman_ros.conversions import arm as arm_conversions
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.stop import StopState
 from omniman_ros.nodes.arm_limit import ArmLimit
+from omniman_ros.nodes.arm_preview_input import ArmPreviewInput
 from omniman_ros.nodes.arm_reports import ArmReportPublisher
 from omniman_ros.nodes.arm_streamer_parameters import ArmStreamerParameters
 from omniman_ros.nodes.hardware_hooks import HardwareError, HardwareLostError
 from omniman_ros.nodes.hardware_node import HardwareNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.runtime import run
-from omniman_ros.ur.joint_preview import JointPreview
 from omniman_ros.ur.reverse_interface import JOINTS
 from omniman_ros.ur.streaming_client import KEEP_ALIVE_PERIOD, StartProcess, StreamingClient
 from omniman_ros.ur.streaming_messages import Command, StreamingPhase
 from omniman_ros.ur.streaming_process import StreamingProcess
 from omniman_ros.ur.streaming_supervisor import joint_limits
 
-MAX_STAMP_LEAD = 1.0
-"""How far in the future the stamp of a preview may be [s]."""
 SHUTDOWN_TIMEOUT = 6.0
 """How long the arm and its program may take to stop on shutdown [s]."""
 
@@ -56,14 +51,10 @@ class ArmStreamerNode(HardwareNode):
         if self.is_simulated:
             start_process = partial(start_process, clock=self.now)
         self.streaming = StreamingClient(self.now, self.wake, self._receive_waiting, start_process)
-        self._joint_names = list(p.arm.joints)
-        self._reports = ArmReportPublisher(self, self._joint_names)
+        self._reports = ArmReportPublisher(self, p.arm.joints)
         send = partial(self.streaming.send, Command.LIMIT)
-        self.limit = ArmLimit(self, self._joint_names, p.collision_monitor, send)
-        handler = self.guarded("arm/joint_reference", self._on_preview)
-        self.create_subscription(
-            JointTrajectory, "arm/joint_reference", handler, QoSProfile(depth=1)
-        )
+        self.limit = ArmLimit(self, list(p.arm.joints), p.collision_monitor, send)
+        ArmPreviewInput(self, p.arm.joints, self.limit, self.streaming)
         self.settings.on_change(self._configure)
         self.every(0.02, self._check_process)
         self.every(KEEP_ALIVE_PERIOD, lambda: self.streaming.send(Command.KEEP_ALIVE))
@@ -148,18 +139,6 @@ class ArmStreamerNode(HardwareNode):
             self.latch.stop(self.streaming.hang_reason)
             self.stop_interface.publish()
 
-    def _on_preview(self, message: JointTrajectory) -> str:
-        start = self.instant(message.header.stamp, MAX_STAMP_LEAD)
-        arrays = arm_conversions.joint_preview(message, start, self._joint_names)
-        JointPreview(*arrays)  # raises here as well, so that a refusal is logged at once
-        if not self.is_active:
-            return "the streamer is not active"
-        if not self.latch.released:
-            return f"{self.latch.status.state.value}: {self.latch.status.reason}"
-        self.limit.ask(arrays[2])
-        self.streaming.send(Command.PREVIEW, *arrays)
-        return ""
-
     def _configure(self, new: ArmStreamerParameters) -> None:
         joint_limits(new.arm, new.ur)
         self.limit.configure(new.collision_monitor)
@@ -201,16 +180,8 @@ class ArmStreamerNode(HardwareNode):
         process = self.streaming.process
         if process is None:
             return DiagnosticStatus.WARN, "unconfigured", []
-        report, values = process.report, self._reports.diagnostics(process)
-        values = [*values, ("motion_limit", round(self.limit.share, 3))]
-        if process.failure:
-            return DiagnosticStatus.ERROR, process.failure, values
-        stop = self.stop_diagnostics()
-        if stop is not None:
-            return *stop, values
-        if report.phase is not StreamingPhase.STREAMING:
-            return DiagnosticStatus.WARN, report.blocking_reason or report.phase.value, values
-        return DiagnosticStatus.OK, "streaming", values
+        level, text, values = self._reports.status(process, self.stop_diagnostics())
+        return level, text, [*values, ("motion_limit", round(self.limit.share, 3))]
 
     @property
     def stop_timeout(self) -> float:

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Any
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray, UInt32MultiArray
 
-from omniman_ros.conversions import wheels
+from omniman_ros.conversions.wheels import wheel_command_from_message
 from omniman_ros.core.stop import StopState
 from omniman_ros.extras import CAN
 from omniman_ros.nodes.can_bridge_parameters import CanBridgeParameters, require_time_of_bus
@@ -17,7 +16,7 @@ from omniman_ros.nodes.hardware_hooks import HardwareError
 from omniman_ros.nodes.hardware_node import HardwareNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.runtime import run
-from omniman_ros.nodes.stop_interface import LATCHED
+from omniman_ros.nodes.wheel_reports import WheelReportPublisher
 
 if TYPE_CHECKING:
     from omniman_ros.can_drives.link import CanLink, OpenBus
@@ -50,20 +49,14 @@ class CanBridgeNode(HardwareNode):
         p.can.check(p.robot)
         self.link: CanLink | None = None
         self._open_bus, self._names = open_bus, list(p.robot.wheels.names)
-        self._make_topics()
+        self._reports = WheelReportPublisher(self, self._names)
+        for topic, is_voltage in (("wheel_commands", False), ("wheel_voltages", True)):
+            handler = self.guarded(topic, partial(self._on_command, is_voltage=is_voltage))
+            self.create_subscription(JointState, topic, handler, COMMAND_QOS)
         self.settings.on_change(self._update_parameters)
         self.every(p.can.period, self.tick)
         self.every(1.0 / p.electrical_rate, self._publish_electrical)
         self.begin(p.autostart)
-
-    def _make_topics(self) -> None:
-        self._states = self.create_publisher(JointState, "wheel_states", 5)
-        self._electrical = self.create_publisher(Float64MultiArray, "wheel_electrical", 10)
-        self._restarts = self.create_publisher(UInt32MultiArray, "wheel_restarts", LATCHED)
-        self._published_restarts: tuple[int, ...] = ()
-        for topic, is_voltage in (("wheel_commands", False), ("wheel_voltages", True)):
-            handler = self.guarded(topic, partial(self._on_command, is_voltage=is_voltage))
-            self.create_subscription(JointState, topic, handler, COMMAND_QOS)
 
     @property
     def is_configured(self) -> bool:
@@ -143,7 +136,7 @@ class CanBridgeNode(HardwareNode):
 
     @property
     def progress(self) -> float:
-        """Simulated time up to which frames were exchanged [s]; the drives are told, too."""
+        """Simulated time up to which frames were exchanged [s]; the drives learn it, too."""
         self.receive()
         if self.link is not None:
             self.link.send(())
@@ -156,7 +149,7 @@ class CanBridgeNode(HardwareNode):
             self._publish(self.link)
 
     def _on_command(self, message: JointState, is_voltage: bool) -> str:
-        command = wheels.wheel_command_from_message(message, self._names, is_voltage)
+        command = wheel_command_from_message(message, self._names, is_voltage)
         age = self.age(message.header.stamp)
         if self.link is None or not self.is_active:
             values = command.effort if command.velocity is None else command.velocity
@@ -170,19 +163,12 @@ class CanBridgeNode(HardwareNode):
     def _publish(self, link: "CanLink") -> None:
         if link.stop_reason and not self.is_starting:
             self.latch.stop(link.stop_reason)
-        if link.drives.restarts != self._published_restarts:
-            self._published_restarts = link.drives.restarts
-            self._restarts.publish(wheels.restarts_message(self._published_restarts))
-        states = link.take_states()
-        if states is not None and self.is_active:
-            message = wheels.states_message(self._names, states, self.stamp(states.at))
-            self._states.publish(message)
+        self._reports.publish(link, self.is_active)
         self.stop_interface.publish()
 
     def _publish_electrical(self) -> None:
         if self.link is not None and self.is_active:
-            dt = 1.0 / self.settings.value.electrical_rate
-            self._electrical.publish(wheels.electrical_message(self.link.electrical(dt)))
+            self._reports.publish_electrical(self.link, 1.0 / self.settings.value.electrical_rate)
 
     def status(self) -> tuple[bytes, str, list[tuple[str, object]]]:
         """Return level, message and values for the diagnostics."""
