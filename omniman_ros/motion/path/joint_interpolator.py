@@ -91,13 +91,11 @@ class JointInterpolator:
     Attributes:
         planner: Planner of the motions; a new one counts from the next trajectory.
         state: Present state.
-        held: (d,) position at which the last motion came to rest; None if it was aborted.
     """
 
     def __init__(self, limits: AxisLimits, options: JointTrajectoryOptions) -> None:
         self.planner = JointPlanner(limits, options, TICK)
         self.state = PathState.IDLE
-        self.held: Array | None = None
         self._motion: JointMotion | None = None
         # Motions that were replaced, each after the time at which it was replaced [s].
         self._before: list[tuple[float, JointMotion]] = []
@@ -204,17 +202,10 @@ class JointInterpolator:
         self.state = PathState.FOLLOWING
 
     def abort(self) -> None:
-        """Forget the motion at once, as it stands or the receiver stops it."""
-        self._motion = self.held = None
+        """Forget the motion at once: it is at rest, or the receiver stops it."""
+        self._motion = None
         self._before.clear()
         self.state = PathState.IDLE
-
-    def finish(self, now: float) -> None:
-        """End a motion that is at rest, at its present position."""
-        if self._motion is not None:
-            here = self.sample(np.array([now]))[0][0]
-            self.abort()
-            self.held = here
 
     def _aim(self, target: float, now: float) -> None:
         """Set the pace that the motion under way changes to."""
@@ -232,12 +223,12 @@ class JointInterpolator:
             self._before.pop(0)
         if self.state is PathState.FOLLOWING:
             if motion.pace.motion(now) >= motion.end + END_HOLD_TIME:
-                self.finish(now)
+                self.abort()
         elif now >= self._since and motion.pace.stands(now):
             if self.state is PathState.PAUSING:
                 self.state = PathState.PAUSED
             elif self.state is PathState.CANCELLING:
-                self.finish(now)
+                self.abort()
 
     def sample(self, times: Array) -> tuple[Array, Array, Array]:
         """Return x, x', x'' (k, d) of the motion under way at increasing times (k,) [s]."""

@@ -7,6 +7,7 @@ import numpy as np
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
+from omniman_ros.motion.path.joint_parameters import JointTrajectoryOptions
 from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.nodes.arm_states import ArmStates, ArmStatesReader
 from omniman_ros.nodes.omniman_node import OmnimanNode
@@ -131,15 +132,15 @@ class ArmFeed:
             return measured
         return rest if np.abs(rest - measured).max() <= tolerance else measured
 
-    def blocking_reason(self, timeout: float, tolerance: float, *, idle: bool) -> str:
+    def blocking_reason(self, options: JointTrajectoryOptions, *, idle: bool) -> str:
         """Return why no motion of the arm can start, or an empty string.
 
         It is such a reason that the last message cannot be used. This method may be called outside
         of message callbacks.
 
         Args:
-            timeout: Age at which the joint states are too old [s].
-            tolerance: Distance from the last motion's end up to which the arm rests there [rad].
+            options: Age at which the joint states are too old, and distance from the last
+                motion's end up to which the arm counts as resting there.
             idle: Whether the arm follows no motion of the caller.
         """
         try:
@@ -149,9 +150,9 @@ class ArmFeed:
         if self.position is None:
             return "no arm/joint_states"
         age = max(self.age, self.silence) if idle else self.silence
-        if age > timeout:
+        if age > options.states_timeout:
             return f"arm/joint_states are {age:.2f} s old"
-        if not idle or self.start_position(tolerance) is self.rest_position:
+        if not idle or self.start_position(options.start_tolerance) is self.rest_position:
             return ""
         return "" if float(np.abs(self.velocity).max()) <= AT_REST else "the arm moves"
 

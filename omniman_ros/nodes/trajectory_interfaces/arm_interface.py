@@ -5,15 +5,25 @@ from trajectory_msgs.msg import JointTrajectory
 from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.core.arrays import Array
 from omniman_ros.motion.path.axis_limits import AxisLimits
+from omniman_ros.motion.path.joint_interpolator import JointInterpolator
 from omniman_ros.motion.path.joint_parameters import JointTrajectoryOptions
 from omniman_ros.motion.path.joint_points import JointPlanner
 from omniman_ros.motion.path.parameters import TICK
-from omniman_ros.motion.path.window import Window
 from omniman_ros.nodes.trajectory_interfaces.joint_interface import JointInterface
+from omniman_ros.nodes.trajectory_interfaces.motion_context import MotionContext
+from omniman_ros.nodes.trajectory_interfaces.motion_outputs import ArmOutput
 
 
 class ArmInterface(JointInterface):
-    """Trajectories of the arm, which may run beside paths of the platform."""
+    """Trajectories of the arm, which may run beside paths of the platform.
+
+    Args:
+        context: Services of the node.
+        core: Interpolator of the six joints.
+    """
+
+    def __init__(self, context: MotionContext, core: JointInterpolator) -> None:
+        super().__init__(context, core, ArmOutput(context))
 
     def configure(self, arm: ArmParameters, options: JointTrajectoryOptions) -> None:
         """Set new parameters, which apply from the next trajectory on."""
@@ -31,9 +41,7 @@ class ArmInterface(JointInterface):
     def _blocking_reason(self) -> str:
         options, context = self._context.options.joint_trajectory, self._context
         why = context.stream_monitor.stop_reason or context.conflict(self)
-        return why or context.arm_feed.blocking_reason(
-            options.states_timeout, options.start_tolerance, idle=self.idle
-        )
+        return why or context.arm_feed.blocking_reason(options, idle=self.idle)
 
     def actual(self) -> tuple[Array, Array] | None:
         """Return measured joint angles and rates (6,); see the base class."""
@@ -45,15 +53,3 @@ class ArmInterface(JointInterface):
         position = self._context.arm_feed.start_position(tolerance)
         assert position is not None
         return position
-
-    def _on_start(self, *, from_rest: bool) -> None:
-        if from_rest:
-            self._context.arm_feed.start_motion()
-            self._context.arm_previews.covered_until = float("inf")
-
-    def _on_rest(self) -> None:
-        self._context.arm_feed.rest_position = self.core.held
-
-    def _send(self, window: Window) -> None:
-        self._context.arm_feed.record_reference(window.positions[0])
-        self._context.arm_previews.send(window)

@@ -14,6 +14,7 @@ from omniman_ros.motion.path.joint_points import JointPoints
 from omniman_ros.motion.path.window import Window, paced_window
 from omniman_ros.nodes.trajectory_interfaces.motion_context import MIN_PLANNING_TIME, MotionContext
 from omniman_ros.nodes.trajectory_interfaces.motion_log import MotionLog
+from omniman_ros.nodes.trajectory_interfaces.motion_outputs import ArmOutput
 
 PLANNING_TIME_PER_POINT = 1e-3
 """Planning time that is expected for each point of a trajectory [s]."""
@@ -25,15 +26,18 @@ class JointInterface(ABC):
     Args:
         context: Services of the node.
         core: Interpolator of the axes.
+        output: Where the motions are sent.
 
     Attributes:
         core: Interpolator of the axes.
         log: What happens to the motions.
+        output: Where the motions are sent.
         status: Latest event.
     """
 
-    def __init__(self, context: MotionContext, core: JointInterpolator) -> None:
-        self._context, self._node, self.core = context, context.node, core
+    def __init__(self, context: MotionContext, core: JointInterpolator, output: ArmOutput) -> None:
+        self._context, self._node = context, context.node
+        self.core, self.output = core, output
         self.log = MotionLog(self._node, "trajectory")
         self.status = self.log.status
 
@@ -64,18 +68,6 @@ class JointInterface(ABC):
     @abstractmethod
     def actual(self) -> tuple[Array, Array] | None:
         """Return measured positions and velocities (d,) of the axes; None if they are unknown."""
-
-    @abstractmethod
-    def _send(self, window: Window) -> None:
-        """Publish a stretch of the stream."""
-
-    @abstractmethod
-    def _on_start(self, *, from_rest: bool) -> None:
-        """React to the start of a motion."""
-
-    @abstractmethod
-    def _on_rest(self) -> None:
-        """React to a motion that came to rest by itself."""
 
     @property
     def is_pending(self) -> bool:
@@ -141,7 +133,7 @@ class JointInterface(ABC):
         from_rest = self.idle
         proposal = self._context.propose_in_time(propose, self.core.take, planning_time)
         self.log.start(replaces_driven=not from_rest)
-        self._on_start(from_rest=from_rest)
+        self.output.begin(from_rest=from_rest)
         return proposal
 
     def _announce(self, text: str) -> None:
@@ -162,16 +154,12 @@ class JointInterface(ABC):
         if self.idle:
             return
         now = self._node.now()
-        window = self._stop_window(now) if brake and self.is_covered(now) else None
+        window = self._stop_window(now) if brake and self.output.is_covered(now) else None
         self.core.abort()
         self.log.give_up(why)
-        self._context.arm_feed.rest_position = None
         if window is not None:
-            self._send(window)
-
-    def is_covered(self, now: float) -> bool:
-        """Return whether the receivers still have a reference."""
-        return now <= self._context.arm_previews.covered_until
+            self.output.send(window)
+        self.output.give_up()
 
     def _stop_window(self, now: float) -> Window | None:
         return self.core.paced_stop_window(now, self._context.time_base.pace)
@@ -189,14 +177,14 @@ class JointInterface(ABC):
         motion_time = time_base.now()
         self.core.update(motion_time)
         if self.core.state is PathState.CANCELLING and time_base.pace.stands(self._node.now()):
-            self.core.finish(motion_time)
+            self.core.abort()
         if self.idle:
             self.log.end(cancelled=before is PathState.CANCELLING)
-            self._on_rest()
+            self.output.end()
 
     def publish(self, horizon: float) -> None:
         """Publish a preview of the motion under way that is `horizon` long [s]."""
         if not self.idle:
             time_base = self._context.time_base
             times = time_base.sample_times(horizon)
-            self._send(paced_window(time_base.pace, self.core.sample, times))
+            self.output.send(paced_window(time_base.pace, self.core.sample, times))

@@ -51,7 +51,7 @@ class MotionSupervisor:
             return
         if context.stream_monitor.stop_reason:
             motion.give_up(context.stream_monitor.stop_reason, brake=False)
-        elif not motion.is_covered(self._node.now()):
+        elif not motion.output.is_covered(self._node.now()):
             motion.give_up("no preview was sent in time", brake=False)
         elif silence > context.options.joint_trajectory.states_timeout:
             motion.give_up(f"no arm/joint_states for {silence:.2f} s", brake=True)

@@ -98,8 +98,18 @@ class ToolStream:
         positions[:, JOINT_COLUMNS] += self._arm_offset
         return replace(planned, positions=positions)
 
-    def deviation(self) -> str:
-        """Return how far the platform is off its path, if that is too far, or an empty string."""
+    def correct(self, time: float, pose: Array, reference: Array) -> str:
+        """Correct the arm for a measured pose of the platform from now on.
+
+        Args:
+            time: Time of the measurement on the node's clock [s].
+            pose: (3,) measured pose of the platform in odom [m, m, rad].
+            reference: (3,) planned pose at that time.
+
+        Returns:
+            How far the platform is off its path if that is too far, or an empty string.
+        """
+        self.correction.update(time, pose, reference)
         if self.correction.error_ratio <= 1.0:
             return ""
         x, y, theta = self.correction.error

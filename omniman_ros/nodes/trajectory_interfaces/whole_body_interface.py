@@ -1,5 +1,7 @@
 """Trajectories of the whole body: platform and arm on one time base, in previews of both."""
 
+from collections.abc import Callable
+
 import numpy as np
 from trajectory_msgs.msg import JointTrajectory
 
@@ -13,6 +15,7 @@ from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.motion.whole_body.model import HEADING_COLUMN, JOINT_COLUMNS, PLATFORM_COLUMNS
 from omniman_ros.nodes.trajectory_interfaces.joint_interface import JointInterface
 from omniman_ros.nodes.trajectory_interfaces.motion_context import MotionContext
+from omniman_ros.nodes.trajectory_interfaces.motion_outputs import WholeBodyOutput
 from omniman_ros.nodes.trajectory_interfaces.parameters import PathInterpolatorParameters
 from omniman_ros.nodes.trajectory_interfaces.pending_motion import PendingMotion
 from omniman_ros.nodes.trajectory_interfaces.tool_stream import ToolPosePublisher, ToolStream
@@ -34,14 +37,13 @@ class WholeBodyInterface(JointInterface):
     """
 
     def __init__(self, context: MotionContext, core: JointInterpolator) -> None:
-        super().__init__(context, core)
+        super().__init__(context, core, WholeBodyOutput(context))
         self.pending = PendingMotion(
             context, self.log, lambda: context.conflict(self), self.blocking_reason
         )
         self.limit_scale = 1.0
         self._tool: ToolStream | None = None
         self._corrected_at = float("-inf")
-        self._arm_reference: Array | None = None
         self._tool_reference = ToolPosePublisher(
             self._node, "tool_reference", context.options.frames.odom.odom_frame
         )
@@ -99,11 +101,7 @@ class WholeBodyInterface(JointInterface):
     def blocking_reason(self) -> str:
         """Return why no motion can start yet, or an empty string."""
         options, context = self._context.options, self._context
-        why = context.arm_feed.blocking_reason(
-            options.joint_trajectory.states_timeout,
-            options.joint_trajectory.start_tolerance,
-            idle=self.idle,
-        )
+        why = context.arm_feed.blocking_reason(options.joint_trajectory, idle=self.idle)
         if why or not self.idle:
             return why
         why = context.odom.blocking_reason(options.odom_timeout)
@@ -156,12 +154,10 @@ class WholeBodyInterface(JointInterface):
         tool, pace = self._tool, self._context.time_base.pace
         if self.idle or tool is None or at <= tool.correction.time:
             return  # a controller that was held up repeats a measurement
-        if not self.is_covered(self._node.now()):
+        if not self.output.is_covered(self._node.now()):
             return  # the next tick gives the motion up
         reference = self.core.sample(np.array([pace.motion(at)]))[0][0, PLATFORM_COLUMNS]
-        tool.correction.update(at, pose, reference)
-        deviation = tool.deviation()
-        if deviation:
+        if deviation := tool.correct(at, pose, reference):
             self.give_up(f"the platform is {deviation} off its path", brake=True)
         elif self._node.now() - self._corrected_at >= MIN_CORRECTION_PERIOD:
             self.publish(self._context.options.horizon, platform=False)
@@ -183,48 +179,21 @@ class WholeBodyInterface(JointInterface):
         self._tool_reference.send(float(times[0]), stretch.tool)
         self._corrected_at = self._node.now()
         if platform:
-            self._send(stretch.window)
+            self.output.send(stretch.window)
         else:
-            self._send_arm(stretch.window.columns(JOINT_COLUMNS))
+            self.output.send_arm(stretch.window.columns(JOINT_COLUMNS))
 
     # ---- hooks --------------------------------------------------------------------------------
 
-    def is_covered(self, now: float) -> bool:
-        """Return whether the receivers of both parts still have a reference."""
-        return super().is_covered(now) and now <= self._context.platform_previews.covered_until
+    def _take(
+        self, propose: Callable[[float], JointProposal], planning_time: float
+    ) -> JointProposal:
+        """Start a motion, which is one of the tool only if that is said afterwards."""
+        proposal = super()._take(propose, planning_time)
+        self._tool = None
+        return proposal
 
     def _stop_window(self, now: float) -> Window | None:
         """Return the stretch that leads to rest, on which the arm keeps its present correction."""
         window = super()._stop_window(now)
         return window if window is None or self._tool is None else self._tool.offset(window)
-
-    def _on_start(self, *, from_rest: bool) -> None:
-        context, self._tool = self._context, None
-        if from_rest:
-            context.arm_feed.start_motion()
-            context.odom.silence = 0.0
-            context.arm_previews.covered_until = float("inf")
-            context.platform_previews.covered_until = float("inf")
-        context.stream_monitor.begin(self._node.now())
-
-    def _on_rest(self) -> None:
-        self._context.arm_feed.rest_position = self._arm_reference
-        self._context.stream_monitor.end(lost=False)
-
-    def _send(self, window: Window) -> None:
-        self._context.platform_previews.send(window.columns(PLATFORM_COLUMNS))
-        self._context.stream_monitor.sent(self._node.now())
-        self._send_arm(window.columns(JOINT_COLUMNS))
-
-    def _send_arm(self, window: Window) -> None:
-        self._arm_reference = window.positions[0]
-        self._context.arm_feed.record_reference(self._arm_reference)
-        self._context.arm_previews.send(window)
-
-    # ---- supervision --------------------------------------------------------------------------
-
-    def give_up(self, why: str, *, brake: bool) -> None:
-        """End the motion of platform and arm; see the base class."""
-        if not self.idle:
-            super().give_up(why, brake=brake)
-            self._context.stream_monitor.end(lost=True)

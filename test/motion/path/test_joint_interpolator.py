@@ -45,8 +45,6 @@ class Arm:
                 self.rows.append(np.concatenate([x[0], v[0], a[0]]))
             self.now += DT
             self.core.update(self.now)
-            if self.core.held is not None:
-                self.here = self.core.held
         return np.array(self.rows[first:])
 
     def run_to_the_end(self) -> np.ndarray:
