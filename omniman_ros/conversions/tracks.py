@@ -19,12 +19,14 @@ from omniman_ros.perception.track import TrackedObstacle
 NAMESPACE = "tracked"
 """Namespace of the markers."""
 SEEN = ColorRGBA(r=0.9, g=0.3, b=0.2, a=0.8)
+"""Color of an obstacle that is seen."""
 HIDDEN = ColorRGBA(r=0.6, g=0.6, b=0.6, a=0.5)
-"""Colors of what is seen, and of what is hidden and expected."""
+"""Color of an obstacle that is hidden, where it is expected."""
 FIELDS = (
-    "x", "y", "z", "vx", "vy", "radius", "position_variance", "position_velocity_covariance",
-    "velocity_variance", "age", "silence", "id",
-)  # fmt: skip
+    *("x", "y", "z", "vx", "vy", "radius"),
+    *("position_variance", "position_velocity_covariance", "velocity_variance"),
+    *("age", "silence", "id"),
+)
 """Fields of a point in the cloud of tracks, FLOAT32 each."""
 
 
