@@ -8,6 +8,7 @@
 import gc
 import os
 import signal
+import sys
 from pathlib import Path
 
 import pytest
@@ -59,6 +60,19 @@ def pytest_collection_finish():
     """Exempt thousands of test items from garbage collection, which they would slow down."""
     gc.collect()
     gc.freeze()
+
+
+@pytest.fixture(autouse=True, scope="session")
+def problems_built_once():
+    """Let planners share their optimisation problems; see `test/transcriptions.py`."""
+    if "omniman_ros.planning.plan_optimizer" not in sys.modules:
+        yield  # no test of this session has a planner
+        return
+    from test import transcriptions
+
+    with pytest.MonkeyPatch.context() as patch:
+        transcriptions.share(patch)
+        yield
 
 
 @pytest.fixture

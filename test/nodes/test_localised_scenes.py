@@ -14,7 +14,6 @@ from omniman_ros.planning.cycle import PlannerState
 from omniman_ros.planning.obstacles.separation import box_gap
 from test.nodes.test_mpc_planner import (
     TrueObstacle,
-    built_once,  # noqa: F401  a fixture
     goal,
 )
 from test.nodes.test_planner_frames import LocalisedPlanner

@@ -36,10 +36,8 @@ from omniman_ros.nodes.path_interpolator import PathInterpolatorNode
 from omniman_ros.nodes.platform_controller import PlatformControllerNode
 from omniman_ros.nodes.simulated_drive import SimulatedDriveNode
 from omniman_ros.nodes.stop_interface import LATCHED
-from omniman_ros.planning import plan_optimizer
 from omniman_ros.planning.cycle import PlannerState
 from omniman_ros.planning.mpc.solver import SolverError
-from omniman_ros.planning.mpc.transcription import Transcription
 from omniman_ros.planning.obstacles.separation import box_gap
 from omniman_ros.planning.obstacles.walls import Walls
 from omniman_ros.planning.planner import Planner
@@ -335,22 +333,6 @@ class PlannerWithRealController(PlannerWorld):
         """Return the number of references and voltages refused by the controller."""
         counts = self.controller._throttle.counts
         return sum(n for subject, n in counts.items() if subject.startswith("mpc/"))
-
-
-@pytest.fixture(autouse=True, scope="module")
-def built_once():
-    """Build the problem of a robot and a horizon once for all planners of this file."""
-    built: dict[tuple[Any, ...], Transcription] = {}
-
-    def make(model: Any, steps: int, step: float, slots: int) -> Transcription:
-        key = (*model.half, *model.inertia.flat, *model.J.flat, steps, step, slots)
-        if key not in built:
-            built[key] = Transcription(model, steps, step, slots)
-        return built[key]
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(plan_optimizer, "Transcription", make)
-        yield
 
 
 @pytest.fixture

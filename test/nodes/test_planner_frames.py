@@ -15,7 +15,6 @@ from omniman_ros.planning.cycle import PlannerState
 from test.nodes.test_mpc_planner import (
     TICK,
     PlannerWithFakeController,
-    built_once,  # noqa: F401  a fixture
     goal,
     goal_state,
     marker,

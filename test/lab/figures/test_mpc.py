@@ -156,8 +156,9 @@ def test_snapshot_times_are_given_by_the_scene_or_spread_over_the_drive():
     assert np.diff(times) == pytest.approx(np.diff(times)[0])
 
 
-@pytest.mark.parametrize("obstacles", [OBSTACLES, OBSTACLES[:1]])
-@pytest.mark.parametrize(("count", "columns"), [(2, 3), (3, 2)])
+@pytest.mark.parametrize(
+    ("obstacles", "count", "columns"), [(OBSTACLES, 2, 3), (OBSTACLES[:1], 3, 2)]
+)
 def test_snapshots_are_drawn(tmp_path, obstacles, count, columns):
     path = tmp_path / "new" / "case.png"
     mpc_picture.draw_case(ROBOT, scene(obstacles), ride(obstacles), path, count, columns)

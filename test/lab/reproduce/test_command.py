@@ -195,9 +195,11 @@ def ride():
     return drive_with_planner(robots.values("ig42"), SHORT, timer=lambda: 1e-3 * next(ticks))
 
 
-def case(monkeypatch, tmp_path, ride, name="corridor", **options):
-    """Run a case in which every drive yields one recorded drive."""
+def case(monkeypatch, tmp_path, ride, name="corridor", draws=False, **options):
+    """Run a case in which every drive yields one recorded drive; a picture takes half a second."""
     asked = []
+    if not draws:
+        monkeypatch.setattr(cases, "draw_case", lambda *_: {"picture": None, "film": None})
 
     def driven(robot, scene, voltages, seed, timer, wheels):
         asked.append((dict(scene.changes), voltages, seed))
@@ -221,7 +223,7 @@ def short_of(ride):
 
 
 def test_case_is_driven_with_both_outputs_and_published(monkeypatch, tmp_path, ride, capsys):
-    code, result, asked = case(monkeypatch, tmp_path, ride)
+    code, result, asked = case(monkeypatch, tmp_path, ride, draws=True)
     assert code == 0
     assert asked == [({}, False, 3), ({}, True, 3)]
     assert result["robot"] == "ig42"
@@ -274,7 +276,7 @@ def test_contact_with_changed_parameters_is_not_a_failure(monkeypatch, tmp_path,
 @pytest.mark.exhaustive
 @pytest.mark.skipif(not DRAWS, reason="matplotlib is not installed")
 def test_case_with_moving_obstacles_also_has_a_film(monkeypatch, tmp_path, ride):
-    _, result, _ = case(monkeypatch, tmp_path, ride, "moving")
+    _, result, _ = case(monkeypatch, tmp_path, ride, "moving", draws=True)
     assert (tmp_path / "reproduce_moving.gif").read_bytes()[:4] == b"GIF8"
     assert result["film"].endswith("reproduce_moving.gif")
 
@@ -316,14 +318,14 @@ def test_free_case_has_the_table_of_energies(monkeypatch, tmp_path, ride, capsys
 def test_without_matplotlib_a_case_has_no_picture(monkeypatch, tmp_path, ride):
     monkeypatch.delattr("omniman_ros.lab.figures.mpc", raising=False)
     monkeypatch.setitem(sys.modules, "omniman_ros.lab.figures.mpc", None)
-    code, result, _ = case(monkeypatch, tmp_path, ride, "moving")
+    code, result, _ = case(monkeypatch, tmp_path, ride, "moving", draws=True)
     assert code == 0
     assert result["picture"] is None
     assert [path.name for path in tmp_path.iterdir()] == ["reproduce_moving.json"]
 
 
 def test_workshop_is_driven_and_drawn(monkeypatch, tmp_path, ride):
-    code, result, _ = case(monkeypatch, tmp_path, ride, "workshop", quick=False)
+    code, result, _ = case(monkeypatch, tmp_path, ride, "workshop", draws=True, quick=False)
     assert code == 0
     assert [row["voltages"] for row in result["drives"]] == [False, True]
     assert (result["picture"] is not None) == DRAWS
