@@ -87,7 +87,7 @@ class Feedback:
         bus_voltage: Supply voltage [V].
         at: Time at which position and velocity were last received [s].
         count: Number of times that position and velocity were received.
-        restarts: Number of times that the drive has restarted, as it told or as is inferred: the
+        restarts: Number of times that the drive has restarted, as reported or as inferred: the
             position continues from where it was, whatever the shaft has done meanwhile.
     """
 

@@ -190,7 +190,7 @@ class CanLink:
                 (f"{name} feedback age ms", f"{1e3 * (now - feedback.at):.1f}"),
                 (f"{name} supply V", f"{feedback.bus_voltage:.1f}"),
             ]
-        values += [("frames sent", self.sent), ("frames heard", self.received)]
+        values += [("frames sent", self.sent), ("frames received", self.received)]
         values += [("garbage on the wire", self.bus.garbage)]
         counts = self.drives.host_detector.counts
         return values + [(f"frames {kind}", count) for kind, count in counts.items()]

@@ -117,7 +117,7 @@ class Recorder:
             (DiagnosticStatus, "wheel_health", self._on_health, LATCHED),
         ):
             node.create_subscription(message_type, topic, callback, qos)
-        # They are told only while there are some: not to hear of them has to mean that.
+        # Contacts are published only while there are some: no message must mean no contact.
         self._contacts = (
             node.create_subscription(DiagnosticArray, "contacts", self._on_contacts, 50)
             if contacts

@@ -21,8 +21,8 @@ TOPIC = "/tf"
 STATIC_TOPIC = "/tf_static"
 """Topic of transforms that hold for ever."""
 LISTENER = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""Quality of service with which /tf is heard: any publisher matches."""
+"""Quality of service of subscriptions to /tf: any publisher matches."""
 STATIC_LISTENER = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-"""Quality of service with which /tf_static is heard: all publishers have one message each."""
+"""Quality of service of subscriptions to /tf_static: each publisher keeps one message for them."""
 STATIC_PUBLISHER = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """Quality of service with which /tf_static is published."""

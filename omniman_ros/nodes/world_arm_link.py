@@ -95,7 +95,7 @@ class WorldArmLink:
 
     @property
     def at_rest(self) -> bool:
-        """Whether the arm is not told to move."""
+        """Whether the reference of the arm is at rest."""
         return not self._servo.reference.velocities.any()
 
     def close(self) -> None:

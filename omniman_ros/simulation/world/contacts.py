@@ -11,7 +11,7 @@ from omniman_ros.simulation.world.model.floor import FLOOR
 from omniman_ros.simulation.world.model.platform import BASE
 
 MEMORY = 5.0
-"""Time for which a contact that has ended is still told, over the filter's time constant."""
+"""Time for which a contact that has ended is still reported, in time constants of the filter."""
 
 
 @dataclass(frozen=True)

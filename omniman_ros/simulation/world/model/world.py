@@ -80,7 +80,7 @@ def world_model(
         # Rollers make a large and almost empty matrix.
         jacobian="auto" if parameters.wheels == IDEAL else "sparse",
     )
-    # A state that is not finite is told, and not silently replaced by the first one.
+    # A state that is not finite is reported, and not silently replaced by the first one.
     add(option, "flag", autoreset="disable")
     assets, world = add(root, "asset"), add(root, "worldbody")
     add_floor(world)
