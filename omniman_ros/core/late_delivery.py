@@ -5,16 +5,16 @@ import math
 LONGEST_PERIOD = 1.0
 """Longest time between two messages of a live stream [s]."""
 JITTER = 0.5
-"""Largest deviation of the distance of two arrivals from that of sending, as a share of it."""
+"""Largest difference of the intervals of arrival and of sending, as a fraction of the latter."""
 
 
 class LateDelivery:
-    """Tells what waited on its way from what a sender says now.
+    """Distinguishes messages that were delayed on their way from those that were just sent.
 
-    When a broken connection comes back, a reliable publisher repeats its last messages, however
-    old they are. The middleware tells when a message was sent, by the sender's clock. That clock
-    may be wrong: messages that keep arriving at the distances at which they were sent are not
-    late, but show by how much it is. Those that are repeated arrive at once.
+    When a broken connection is restored, a reliable publisher repeats its last messages, however
+    old they are. The middleware reports when a message was sent, by the sender's clock. That clock
+    may be wrong: messages that keep arriving at the intervals at which they were sent are not
+    late, but show by how much it is wrong. Repeated messages arrive all at once.
     """
 
     def __init__(self) -> None:
@@ -29,13 +29,13 @@ class LateDelivery:
             now: Time of arrival [s].
             tolerance: Delay up to which a message is not late [s].
         """
-        distance, elapsed = sent - self._sent, now - self._arrival
+        interval, elapsed = sent - self._sent, now - self._arrival
         self._sent, self._arrival = sent, now
         delay = now - sent
         if delay <= self._offset + tolerance:
             self._offset = min(self._offset, delay)
             return False
-        is_live = 0.0 < distance <= LONGEST_PERIOD and abs(elapsed - distance) <= JITTER * distance
+        is_live = 0.0 < interval <= LONGEST_PERIOD and abs(elapsed - interval) <= JITTER * interval
         if is_live:
             self._offset = delay
         return not is_live

@@ -64,7 +64,7 @@ class LinkConnection:
         try:
             return bool(select.select([self._socket], [], [], timeout)[0])
         except (OSError, ValueError):
-            return True  # reading tells what is wrong
+            return True  # the next call of receive raises the error
 
     def close(self) -> None:
         """Close the connection; do nothing if it is closed."""

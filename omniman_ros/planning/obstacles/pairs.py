@@ -29,7 +29,7 @@ class Pairs:
 
     @staticmethod
     def of(footprint: Footprint, ellipses: Ellipses) -> "Pairs":
-        """Return the pairs of the robot and obstacles."""
+        """Return all pairs of a part of the robot and an obstacle whose heights overlap."""
         boxes, index = footprint.against(ellipses.lower, ellipses.upper)
         return Pairs(footprint, boxes, ellipses.select(index))
 
