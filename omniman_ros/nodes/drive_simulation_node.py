@@ -5,14 +5,13 @@ from typing import Generic, TypeVar
 import numpy as np
 from builtin_interfaces.msg import Time as TimeMsg
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PoseWithCovarianceStamped
 
-from omniman_ros.conversions.poses import planar_pose
 from omniman_ros.core.stop import StopLatch, StopState
 from omniman_ros.nodes.clock_giver import ClockGiverNode
 from omniman_ros.nodes.drive_command_interface import DriveCommandInterface
 from omniman_ros.nodes.drive_reports import DriveReportPublisher
 from omniman_ros.nodes.imu_publisher import ImuPublisher
+from omniman_ros.nodes.initial_pose_input import InitialPoseInput
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.simulated_drive_parameters import SimulatedDriveParameters
 from omniman_ros.nodes.stop_interface import StopInterface
@@ -63,8 +62,7 @@ class DriveSimulationNode(ClockGiverNode, Generic[P]):
         DriveCommandInterface(
             self, self.drives, self.latch, names, lambda: self.settings.value.command_timeout
         )
-        handler = self.guarded("initialpose", self._on_initial_pose)
-        self.create_subscription(PoseWithCovarianceStamped, "initialpose", handler, 10)
+        InitialPoseInput(self, p.world_frame, p.odom_frame, self.drives.set_pose)
         self._stop = StopInterface(self, self.latch, self._reset, self._halt)
         self.give_clock(p, 1.0 / p.state_rate)
         rate = p.state_rate * (p.real_time_factor if p.publish_clock else 1.0)
@@ -77,11 +75,6 @@ class DriveSimulationNode(ClockGiverNode, Generic[P]):
     def base_motion(self) -> BaseMotion:
         """Return the present motion of base_link."""
         return planar_motion(self.drives.ground_truth()[1])
-
-    def _on_initial_pose(self, message: PoseWithCovarianceStamped) -> None:
-        frames = (self.settings.value.world_frame, "map", "odom")
-        pose, _ = planar_pose(message, frames)
-        self.drives.set_pose(pose)
 
     def configure(self, new: P) -> None:
         """Use new parameters.

@@ -5,15 +5,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
 
 from omniman_ros.conversions.odometry import fill_odometry
-from omniman_ros.conversions.poses import planar_pose
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.extras import CAN
 from omniman_ros.nodes.can_receiver import CanReceiver, frame_age, open_bus
 from omniman_ros.nodes.clock_giver import ClockGiverNode
+from omniman_ros.nodes.initial_pose_input import InitialPoseInput
 from omniman_ros.nodes.paced_can_link import PacedCanLink
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.runtime import run
@@ -56,8 +55,7 @@ class SimulatedCanDrivesNode(ClockGiverNode):
         self._truth = self.create_publisher(Odometry, "ground_truth/odom", 10)
         self._truth_message = Odometry(child_frame_id=p.base_frame)
         self._truth_message.header.frame_id = p.world_frame
-        handler = self.guarded("initialpose", self._on_initial_pose)
-        self.create_subscription(PoseWithCovarianceStamped, "initialpose", handler, 10)
+        InitialPoseInput(self, p.world_frame, p.odom_frame, self.drives.set_pose)
         self._link: PacedCanLink | None = None
         self.give_clock(p, CLOCK_STEP)
         if self.simulated_clock is None:
@@ -123,11 +121,6 @@ class SimulatedCanDrivesNode(ClockGiverNode):
 
     def _update_parameters(self, new: SimulatedCanDrivesParameters) -> None:
         self.drives.configure(new.robot, new.simulation, new.can_faults)
-
-    def _on_initial_pose(self, message: PoseWithCovarianceStamped) -> None:
-        frames = (self.settings.value.world_frame, "map", "odom")
-        pose, _ = planar_pose(message, frames)
-        self.drives.set_pose(pose)
 
     def _publish_truth(self) -> None:
         pose, twist = self.drives.ground_truth()

@@ -30,5 +30,10 @@ class SimulatedCanDrivesParameters(ClockParameters):
         100.0, "Rate of ground_truth/odom.", unit="Hz", low=1, high=1000, read_only=True
     )
     world_frame: str = parameter("map", "Frame of the ground truth.", read_only=True)
+    odom_frame: str = parameter(
+        "odom",
+        "Frame of odometry: another name of world_frame, as long as TF does not relate the two.",
+        read_only=True,
+    )
     base_frame: str = parameter("base_link", "Frame of its twist.", read_only=True)
     seed: int = parameter(0, "Seed of noise and losses.", low=0, high=2**31, read_only=True)

@@ -57,6 +57,11 @@ class SimulatedDriveParameters(ClockParameters):
         0.1, "Age at which a stamped command is refused.", unit="s", low=0.005, high=10
     )
     world_frame: str = parameter("map", "Frame of the ground truth.", read_only=True)
+    odom_frame: str = parameter(
+        "odom",
+        "Frame of odometry: another name of world_frame, as long as TF does not relate the two.",
+        read_only=True,
+    )
     base_frame: str = parameter(
         "base_link", "Frame of the twist of the ground truth.", read_only=True
     )

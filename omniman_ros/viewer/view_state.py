@@ -75,7 +75,6 @@ class ViewState:
         odom, truth: Poses by odometry and by the simulation's ground truth; None until received.
         odom_trail, truth_trail: Past positions of both, at most as many as a trail holds.
         speeds: Largest absolute component of the twist of `odom` and of `truth` [m/s, rad/s].
-        truth_frame: Frame of the ground truth, empty until received.
         path, reference: The platform's path as sent, and the part of it to be driven next.
         tool_path: Path of the tool (k, 3) [m].
         plan, route: The planner's planned motion, and the route that guides it.
@@ -112,7 +111,6 @@ class ViewState:
         self.truth: Pose | None = None
         self.odom_trail, self.truth_trail = Trail(), Trail()
         self.speeds: dict[str, float] = {}
-        self.truth_frame = ""
         self.path, self.reference, self.tool_path = Line(), Line(), Line()
         self.plan, self.route, self.predicted = Line(), Line(), Line()
         self.wheel_angles = np.zeros(wheels)

@@ -9,12 +9,13 @@ from omniman_ros.nodes.registry import NODES, node_module, node_specs
 from test.config import sros2
 from test.config.documented import ROOT, documented_interface
 from test.nodes.harness import World
+from test.nodes.transforms import tf_installed
 
 # Not of the page: what every node of ROS has, what all nodes here have, and simulated time.
 COMMON = {"/parameter_events", "/rosout", "/diagnostics", "/clock", "/tf", "/tf_static"}
 REAL_TIME = {"can_bridge", "simulated_can_drives", "arm_streamer", "simulated_ur"}
 # Where several nodes of a process have one name, rcl gives /rosout to the first.
-ELSEWHERE = {"/tf", "/tf_static", "/clock", "/clock/permits", "/rosout"}
+ELSEWHERE = {"/clock", "/clock/permits", "/rosout"}
 LIFECYCLE = {"change_state", "get_state", "get_available_states", "get_available_transitions"}
 LIFECYCLE |= {"get_transition_graph"}
 
@@ -31,9 +32,11 @@ LATER = {
         "mpc/predicted_obstacles",
         "obstacles",
     },
-    # With `imu.use` only.
-    "platform_controller": {"imu"},
-    "odometry": {"imu"},
+    # With `imu.use`, and with `map_is_odom`, only.
+    "platform_controller": {"imu", "tf_static"},
+    "odometry": {"imu", "tf_static"},
+    # With `scanners_by_tf` only.
+    "obstacle_tracker": {"tf", "tf_static"},
 }
 
 
@@ -69,7 +72,7 @@ def node(request):
         for kind in vars(module).values()
         if isinstance(kind, type) and issubclass(kind, Node) and kind.__module__ == module.__name__
     )
-    with World(make, parameters=parameters_of(request.param)) as world:
+    with tf_installed(), World(make, parameters=parameters_of(request.param)) as world:
         yield request.param, world.nodes[0]
 
 
@@ -101,7 +104,7 @@ def test_services_are_those_of_the_page(node):
 
 
 def test_the_sros2_policy_allows_what_the_node_uses_and_little_else(node):
-    """Else: what is there later, what needs a package that PyPI has not, and simulated time."""
+    """Else: what is there later, and simulated time."""
     name, running = node
     allowed, used = sros2.allowed(name), sros2.used(name, running)
     later = {f"/{topic}" for topic in LATER.get(name, set())} | ELSEWHERE

@@ -54,6 +54,11 @@ class Rig:
             self.time += 0.001
             self.node.tick()
 
+    def place(self, message):
+        """Have the node receive a message on `initialpose`."""
+        topics = {each.topic_name: each for each in self.node.subscriptions}
+        topics["/initialpose"].callback(message)
+
     def received(self):
         """Return all frames sent by the node."""
         frames = []
@@ -120,7 +125,7 @@ def test_the_robot_moves_and_the_ground_truth_is_published(make):
     message.header.frame_id = "map"
     message.pose.pose.position.x = 7.0
     message.pose.pose.orientation.w = 1.0
-    rig.node._on_initial_pose(message)
+    rig.place(message)
     rig.node._publish_truth()
     assert truth[2] == pytest.approx(7.0, abs=0.01)
 

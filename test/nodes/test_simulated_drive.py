@@ -5,7 +5,6 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import PoseWithCovarianceStamped
 from nav_msgs.msg import Odometry
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
@@ -198,22 +197,6 @@ def test_huge_commands_stay_within_the_motors_limits(drive):
     drive.command(1.0, [9e4] * 4, [-9e5] * 4)
     drive.volts(0.5, [9e5, -9e5, 9e5, -9e5])
     assert np.isfinite(drive.speeds).all() and np.abs(drive.speeds).max() < 30.0
-
-
-def test_initialpose_sets_the_true_pose(drive):
-    message = PoseWithCovarianceStamped()
-    message.header.frame_id = "map"
-    message.pose.pose.position.x = 3.0
-    message.pose.pose.orientation.w = 1.0
-    publisher = drive.publisher(PoseWithCovarianceStamped, "initialpose")
-    publisher.publish(message)
-    drive.run(0.1)
-    assert last(drive.truth).pose.pose.position.x == pytest.approx(3.0)
-    message.header.frame_id = "camera"
-    message.pose.pose.position.x = 9.0
-    publisher.publish(message)
-    drive.run(0.1)
-    assert last(drive.truth).pose.pose.position.x == pytest.approx(3.0)
 
 
 @pytest.mark.parametrize(

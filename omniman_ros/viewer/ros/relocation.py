@@ -152,7 +152,6 @@ class Relocator:
         message.pose.pose.position.x, message.pose.pose.position.y = pose[:2]
         message.pose.pose.orientation = quaternion_from_yaw(pose[2])
         message.header.stamp = self._node.stamp()
-        message.header.frame_id = self._state.truth_frame
-        self._plant.publish(message)
         message.header.frame_id = self._odom_frame
+        self._plant.publish(message)
         self._odometry.publish(message)

@@ -139,7 +139,6 @@ class RobotTopics:
     def _on_truth(self, message: Odometry) -> None:
         self._state.update_truth(_pose(message), self._node.now())
         self._state.speeds["truth"] = _speed(message)
-        self._state.truth_frame = message.header.frame_id
 
     # ---- arm ----------------------------------------------------------------------------------
 

@@ -224,7 +224,7 @@ def test_a_dragged_start_puts_a_simulated_robot_there(field):
     assert field.placed == []
     post(field.world, StartDragged((2.0, 1.0, 0.3), True), seconds=0.3)
     there = pytest.approx((2.0, 1.0, 0.3))
-    assert field.placed == [("initialpose", "world", there), ("set_pose", "odom", there)]
+    assert field.placed == [("initialpose", "odom", there), ("set_pose", "odom", there)]
     assert field.state.start == (2.0, 1.0, 0.3)
     post(field.world, GoalDragged((5.0, 0.0, 0.0), True))
     assert field.goals == [], "the controller would not accept a source yet"
