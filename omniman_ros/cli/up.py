@@ -4,6 +4,7 @@ import argparse
 import os
 import signal
 import sys
+from collections.abc import Mapping
 
 from omniman_ros.console import terminal
 from omniman_ros.console.terminal import paint, say
@@ -41,9 +42,7 @@ def run(args: argparse.Namespace) -> int:
     )
     specs = robot_processes(setup)
     names = [spec.name for spec in specs]
-    environment = dict(os.environ)
-    if terminal.is_terminal(sys.stdout):
-        environment.setdefault("RCUTILS_COLORIZED_OUTPUT", "1")
+    environment = node_environment(os.environ, setup)
     nodes = ProcessGroup(
         specs, environment=environment, on_line=PrefixedPrinter(names), report=report_failure
     )
@@ -52,6 +51,24 @@ def run(args: argparse.Namespace) -> int:
         started = ", ".join(f"{name} (pid {nodes.pid(name)})" for name in names)
         say(f"omniman up: {started}; robot {setup.robot}, ROS_DOMAIN_ID {domain}; Ctrl-C stops")
         return supervise(nodes)
+
+
+def node_environment(given: Mapping[str, str], setup: RobotSetup) -> dict[str, str]:
+    """Return the environment variables of the nodes.
+
+    On real time, Fast DDS gets no shared memory unless the user has chosen the transports: a
+    process that is killed while it holds a lock there would block those who publish to it.
+
+    Args:
+        given: Environment variables of this process.
+        setup: The robot.
+    """
+    environment = dict(given)
+    if terminal.is_terminal(sys.stdout):
+        environment.setdefault("RCUTILS_COLORIZED_OUTPUT", "1")
+    if not setup.sim_time:
+        environment.setdefault("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
+    return environment
 
 
 def is_simulated(args: argparse.Namespace) -> bool:

@@ -7,6 +7,7 @@ from omniman_ros.cli.arguments.common import ROBOT_HELP, add_parameters, add_res
 BENCHMARKS = {
     "control": "time of a control tick, CPU of the nodes, latency (default)",
     "nodes": "CPU time of a tick and of the start of platform_controller next to a bare node",
+    "participants": "stops and gaps of a robot while participants come and go",
     "path": "time of planning, distance from the least time, CPU of the stream",
     "mpc": "CPU and cost of the planner's solver next to IPOPT and fatrop",
     "can": "round trips over a CAN bus of UDP next to a bare echo, CPU, bus load",

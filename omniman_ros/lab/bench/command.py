@@ -6,6 +6,7 @@ import importlib
 BENCHMARKS = {
     "control": "omniman_ros.lab.bench.control",
     "nodes": "omniman_ros.lab.bench.nodes",
+    "participants": "omniman_ros.lab.bench.participants",
     "path": "omniman_ros.lab.bench.path",
     "mpc": "omniman_ros.lab.bench.mpc",
     "can": "omniman_ros.lab.bench.can_bus",
