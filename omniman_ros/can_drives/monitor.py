@@ -8,8 +8,11 @@ RUNAWAY_SPEED = 1.5
 """Ratio of the wheel speed that counts as running away to the largest commanded speed."""
 MIN_COMPARED_SPEED = 0.5
 """Speed below which position and speed are not compared [rad/s]."""
-COMPARED_TRAVEL = 0.5
-"""Travel, integrated from the reported speed, after which the position is compared [rad]."""
+UNMOVED_TRAVEL = 0.2
+"""Travel, integrated from the reported speed, in which the position has to change [rad]; an
+encoder's step must be smaller."""
+UNMOVED_REPORTS = 4
+"""Smallest number of reports in a row without a change: one that follows a gap is not enough."""
 MIN_MOVED_FRACTION = 0.1
 """Smallest plausible ratio of position change to travel; well below 1, as reports may be late."""
 MAX_REPORT_INTERVAL = 0.05
@@ -24,14 +27,13 @@ class WheelMonitor:
     """
 
     def __init__(self) -> None:
-        self._last: tuple[float, float] | None = None
-        self._travel = 0.0
-        self._moved = 0.0
+        self._at: float | None = None
+        self._anchor = 0.0
+        self._travel, self._reports = 0.0, 0
 
     def restart(self) -> None:
         """Forget all reports."""
-        self._last = None
-        self._travel = self._moved = 0.0
+        self._at = None
 
     def check(self, feedback: Feedback, ratio: float, max_speed: float, min_supply: float) -> str:
         """Return why a new report cannot be accepted, or an empty string.
@@ -50,16 +52,25 @@ class WheelMonitor:
         return self._compare(feedback.at, feedback.position / ratio, speed)
 
     def _compare(self, at: float, position: float, speed: float) -> str:
-        last, self._last = self._last, (at, position)
-        if last is None or abs(speed) < MIN_COMPARED_SPEED or not math.isfinite(position):
-            self._travel = self._moved = 0.0
+        """Return why the encoder counts as dead; empty if it does not.
+
+        The travel counts from the last report on in which the position had changed enough.
+        """
+        before, self._at = self._at, at
+        if before is None or abs(speed) < MIN_COMPARED_SPEED or not math.isfinite(position):
+            self._begin(position)
             return ""
-        self._travel += abs(speed) * min(at - last[0], MAX_REPORT_INTERVAL)
-        self._moved += abs(position - last[1])
-        if self._travel < COMPARED_TRAVEL:
+        self._travel += abs(speed) * min(max(at - before, 0.0), MAX_REPORT_INTERVAL)
+        self._reports += 1
+        moved = abs(position - self._anchor)
+        if not moved < MIN_MOVED_FRACTION * self._travel:  # also if the anchor is not finite
+            self._begin(position)
             return ""
-        is_dead = self._moved < MIN_MOVED_FRACTION * self._travel
-        moved, self._travel, self._moved = self._moved, 0.0, 0.0
-        if is_dead:
-            return f"its encoder moved {moved:.3f} rad while it reported {speed:.1f} rad/s"
-        return ""
+        if self._travel < UNMOVED_TRAVEL or self._reports < UNMOVED_REPORTS:
+            return ""
+        self._begin(position)
+        return f"its encoder moved {moved:.3f} rad while it reported {speed:.1f} rad/s"
+
+    def _begin(self, position: float) -> None:
+        """Count travel and reports from a position on [rad]."""
+        self._anchor, self._travel, self._reports = position, 0.0, 0

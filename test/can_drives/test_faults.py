@@ -12,6 +12,7 @@ import pytest
 
 from omniman_ros.can_drives.drives import Phase
 from omniman_ros.can_drives.frame import Frame
+from omniman_ros.can_drives.monitor import UNMOVED_TRAVEL
 from omniman_ros.control.wheel_cascade import DriveMode, WheelCommand
 from test.can_drives.rig import SPEED, STEP, Rig
 
@@ -23,6 +24,13 @@ def silence(rig):
     """Longest time from the last report to the stop: missed periods, one tick and a step."""
     p = rig.parameters
     return p.feedback_timeout + (p.feedback_period or p.period) + p.period + 2 * STEP
+
+
+def unmoved(rig):
+    """Longest time until an encoder that stands is dead: its travel, and three reports."""
+    speed = abs(SPEED[rig.names.index(WHEEL)])
+    period = rig.parameters.feedback_period or rig.parameters.period
+    return UNMOVED_TRAVEL / speed + 3 * period
 
 
 def at_reception(rig):
@@ -49,18 +57,18 @@ FAULTS = [
     ("cia402", {"frozen_reports": (WHEEL,)}, f"{WHEEL}: no feedback", silence),
     ("cia402", {"short_reports": (WHEEL,)}, f"{WHEEL}: no feedback", silence),
     ("cia402", {"no_heartbeat": (WHEEL,)}, f"{WHEEL}: heartbeat lost", 0.15),
-    ("cia402", {"frozen_encoder": (WHEEL,)}, f"{WHEEL}: its encoder moved 0", 0.35),
+    ("cia402", {"frozen_encoder": (WHEEL,)}, f"{WHEEL}: its encoder moved 0", unmoved),
     ("cia402", {"supply": 8.0}, "front_left: EMCY 3220", 0.05),
     ("vesc", {"silent": (WHEEL,)}, f"{WHEEL}: no feedback", silence),
     ("vesc", {"frozen_reports": (WHEEL,)}, f"{WHEEL}: no feedback", silence),
     ("vesc", {"short_reports": (WHEEL,)}, f"{WHEEL}: no feedback", silence),
-    ("vesc", {"frozen_encoder": (WHEEL,)}, f"{WHEEL}: its encoder moved 0", 0.35),
+    ("vesc", {"frozen_encoder": (WHEEL,)}, f"{WHEEL}: its encoder moved 0", unmoved),
     ("vesc", {"reboot": (WHEEL,)}, f"{WHEEL}: (it restarted|no feedback)", 0.2),
     ("odrive", {"silent": (WHEEL,)}, f"{WHEEL}: no feedback", silence),
     ("odrive", {"frozen_reports": (WHEEL,)}, f"{WHEEL}: no feedback", silence),
     ("odrive", {"short_reports": (WHEEL,)}, f"{WHEEL}: no feedback", silence),
     ("odrive", {"no_heartbeat": (WHEEL,)}, f"{WHEEL}: its heartbeat is missing", 0.15),
-    ("odrive", {"frozen_encoder": (WHEEL,)}, f"{WHEEL}: its encoder moved 0", 0.35),
+    ("odrive", {"frozen_encoder": (WHEEL,)}, f"{WHEEL}: its encoder moved 0", unmoved),
     ("odrive", {"fault": (WHEEL,)}, f"{WHEEL}: axis error", 0.1),
     ("odrive", {"reboot": (WHEEL,)}, f"{WHEEL}: (it |no feedback)", 0.2),
 ]

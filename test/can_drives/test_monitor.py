@@ -9,6 +9,8 @@ from omniman_ros.can_drives.monitor import (
     MAX_REPORT_INTERVAL,
     MIN_COMPARED_SPEED,
     RUNAWAY_SPEED,
+    UNMOVED_REPORTS,
+    UNMOVED_TRAVEL,
     WheelMonitor,
 )
 
@@ -68,7 +70,48 @@ def test_supply_that_is_known_must_suffice(supply, said):
 def test_encoder_that_stands_while_its_drive_reports_a_speed_is_dead(speed):
     said, after = Wheel().until_reported(speed, 0.0)
     assert said == f"its encoder moved 0.000 rad while it reported {speed:.1f} rad/s"
-    assert after == pytest.approx(0.5 / abs(speed), abs=3 * PERIOD)
+    assert after == pytest.approx(UNMOVED_TRAVEL / abs(speed), abs=2.5 * PERIOD)
+
+
+@pytest.mark.parametrize("driven", [0.3, 0.337, 0.371])
+def test_encoder_that_freezes_in_motion_is_dead_after_the_same_travel(driven):
+    wheel = Wheel()
+    assert wheel.until_reported(4.0, None, patience=driven)[0] == ""
+    said, after = wheel.until_reported(4.0, 0.0)
+    assert said
+    assert after == pytest.approx(UNMOVED_TRAVEL / 4.0, abs=2.5 * PERIOD)
+
+
+def test_encoder_that_creeps_while_its_drive_reports_a_speed_is_dead():
+    said, after = Wheel().until_reported(4.0, 0.05 * 4.0 * PERIOD)
+    assert said.startswith("its encoder moved 0.01")
+    assert after < 2.0 * UNMOVED_TRAVEL / 4.0
+
+
+@pytest.mark.parametrize("steps_per_turn", [42, 90, 4096])
+def test_coarse_steps_of_an_encoder_are_plausible(steps_per_turn):
+    wheel, step = Wheel(), math.tau / steps_per_turn
+    for k in range(2000):
+        true = 2.0 * PERIOD * k
+        moved = step * math.floor(true / step) - wheel.position
+        assert wheel.report(2.0 * 1.2, moved) == "", "a speed that is reported a fifth too high"
+
+
+@pytest.mark.parametrize("held_up", [0.05, 0.2, 0.5])
+def test_reports_that_arrive_late_and_together_are_plausible(held_up):
+    wheel, late = Wheel(), round(held_up / PERIOD)
+    for _ in range(20):
+        assert wheel.until_reported(10.0, None, patience=10 * PERIOD)[0] == ""
+        for k in range(late):
+            period = held_up if k == 0 else 1e-5
+            assert wheel.report(10.0, 10.0 * PERIOD, period=period) == ""
+
+
+def test_few_reports_are_no_evidence_however_far_apart():
+    wheel = Wheel()
+    for _ in range(UNMOVED_REPORTS):
+        assert wheel.report(10.0, 0.0, period=0.05) == ""
+    assert wheel.report(10.0, 0.0, period=0.05)
 
 
 @pytest.mark.parametrize(
@@ -90,7 +133,7 @@ def test_one_report_after_a_silence_does_not_cover_the_silence():
     wheel = Wheel()
     wheel.report(4.0)
     assert wheel.report(4.0, 0.0, period=60.0) == ""
-    assert MAX_REPORT_INTERVAL * 4.0 < 0.5
+    assert MAX_REPORT_INTERVAL * 4.0 <= UNMOVED_TRAVEL
 
 
 def test_time_that_goes_back_or_stands_causes_no_alarm():
@@ -110,8 +153,8 @@ def test_unknown_speeds_and_positions_cause_no_alarm_and_are_forgotten():
 
 def test_restart_clears_the_monitor_state():
     wheel = Wheel()
-    wheel.until_reported(4.0, 0.0, patience=0.12)
+    wheel.until_reported(4.0, 0.0, patience=0.04)
     wheel.monitor.restart()
     said, after = wheel.until_reported(4.0, 0.0)
     assert said
-    assert after >= 0.5 / 4.0
+    assert after >= UNMOVED_TRAVEL / 4.0

@@ -338,10 +338,9 @@ ROWS = (
         Outcome.LATCHED,
         GoingOn.RESET,
         motion=Motion.TRAJECTORY,
-        unnoticed=0.15,
-        timeout="half a radian of travel",
-        reaction=0.5,
-        slowly=0.4,
+        unnoticed=0.07,
+        timeout="0.2 rad of the wheel, and a report",
+        slowly=0.2,
         stopped=(BRIDGE,),
     ),
     Row(
