@@ -226,6 +226,40 @@ def test_the_platform_brakes_when_the_arm_falls_silent(world):
     assert any("no arm/joint_states" in text for text in world.warnings)
 
 
+def arm_speed(world) -> float:
+    """Return the speed of the fastest joint by the newest preview of the arm [rad/s]."""
+    return float(np.abs(world.joint_previews[-1][2].sample(world.time + 1e-9)[1]).max())
+
+
+def test_the_arm_begins_to_brake_within_a_tenth_of_a_second_of_late_odometry(world):
+    world.send_body([GOAL])
+    world.run(1.0)
+    world.odometry = None
+    speed, pause = arm_speed(world), world.node.settings.value.odom_pause
+    took = world.run_until(lambda: arm_speed(world) < 0.95 * speed, 1.0, "the arm brakes")
+    assert pause < took <= pause + 0.08
+    world.run_until(lambda: world.body.state is PathState.IDLE, 1.0, "giving up")
+    world.run(0.5)
+    assert world.joint_previews[-1][2].end_speed == 0.0
+    assert any("no odom" in text for text in world.warnings)
+    assert np.abs(world.received_joint_motion()[3]).max() <= 5.0 * (1 + 1e-6)
+
+
+@pytest.mark.parametrize("gap", [0.09, exhaustive(0.11), 0.35])
+def test_a_motion_goes_on_after_a_gap_in_odometry_that_is_short(world, gap):
+    world.send_body([GOAL])
+    world.run(1.0)
+    odometry, world.odometry = world.odometry, None
+    world.run(gap)
+    is_slowed = not world.node.motions.context.time_base.pace.plain
+    assert is_slowed == (gap > world.node.settings.value.odom_pause)
+    world.odometry = odometry
+    world.run_to_body_end()
+    assert world.received_axes()[1][-1] == pytest.approx(GOAL, abs=1e-6)
+    assert not world.warnings
+    world.assert_arm_smooth()
+
+
 def test_a_suspended_node_starts_nothing_again_when_the_arm_reports_first(world):
     world.send_body([GOAL])
     world.run(1.0)

@@ -53,6 +53,7 @@ LENIENT = (
     "firmware.watchdog:=2.0",
     "safety.deadline:=0.05",
     "odom_timeout:=1.0",
+    "odom_pause:=1.0",
     "joint_trajectory.states_timeout:=1.0",
     "scaling_timeout:=2.0",
     "ur.feedback_timeout:=1.0",

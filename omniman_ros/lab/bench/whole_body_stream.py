@@ -62,6 +62,7 @@ LENIENT = (
     "timeouts.wheel_states:=2.0",
     "firmware.watchdog:=2.0",
     "odom_timeout:=2.0",
+    "odom_pause:=2.0",
     "joint_trajectory.states_timeout:=2.0",
     "joint_trajectory.following_error:=1.0",
     "scaling_timeout:=2.0",

@@ -3,7 +3,8 @@
 A motion x(s) within limits is executed as x(s(t)): its velocity is x' p and its acceleration
 x'' p^2 + x' p', with the pace p = ds/dt from 0 to 1. With p <= 1 and p' = 0 each limit holds. The
 unused part of the acceleration limits bounds how fast the pace may change. The jerk limits bound
-how fast p' changes, but the jerk of the resulting motion may exceed them, as in a stop.
+how fast p' changes, but the jerk of the resulting motion may exceed them, as in a stop; where the
+pace has to fall at once, the acceleration limits alone hold.
 """
 
 import math
@@ -24,6 +25,8 @@ MAX_PACE_ACCELERATION = 200.0
 MARGIN = 0.95
 """Fraction of an acceleration limit that a change of pace may use, as between ticks the
 acceleration is slightly larger."""
+MARGIN_AT_ONCE = 0.92
+"""The same fraction for a change without regard to the jerk, which is larger between two ticks."""
 CHUNK = 50
 """Number of ticks that are computed together."""
 PACE_TOLERANCE = 1e-12
@@ -107,7 +110,7 @@ class Pace:
 
     def __init__(self, demand: Callable[[Array], Demand], tick: float) -> None:
         self._demand, self._tick = demand, tick
-        self.target = 1.0
+        self.target, self._at_once = 1.0, False
         self._times: list[float] = []  # times of the knots; without knots, motion time is time
         self._motion: list[float] = []
         self._rates: list[float] = []
@@ -120,21 +123,25 @@ class Pace:
 
     def reset(self, now: float, target: float) -> None:
         """Set motion time to `now` [s], and the pace to `target` at once, as nothing moves."""
-        self.target = target
+        self.target, self._at_once = target, False
         if target == 1.0:
             self._knots([])
         else:
             self._knots([(now, now, target, 0.0)])
 
-    def aim(self, target: float, now: float, since: float = -math.inf) -> None:
+    def aim(
+        self, target: float, now: float, since: float = -math.inf, *, at_once: bool = False
+    ) -> None:
         """Set the pace to aim for.
 
         Args:
             target: Pace, 0 to 1.
             now: Time [s].
             since: Earliest time of a change [s]; :data:`LEAD` ticks from now are kept anyway.
+            at_once: Whether a pace that falls does so without regard to the jerk limits.
         """
-        if target != self.target:
+        if target != self.target or at_once != self._at_once:
+            self._at_once = at_once
             self._replan(target, now, since)
 
     def refresh(self, now: float, since: float = -math.inf) -> None:
@@ -177,7 +184,7 @@ class Pace:
     def copy(self) -> "Pace":
         """Return an independent pace with the same course."""
         other = Pace(self._demand, self._tick)
-        other.target = self.target
+        other.target, other._at_once = self.target, self._at_once
         knots = zip(self._times, self._motion, self._rates, self._slopes, strict=True)
         other._knots(list(knots))
         return other
@@ -239,23 +246,33 @@ class Pace:
         if gap == 0.0:
             return 0.0
         # The largest p'', and the change of p' in a tick.
-        second = 1.0 / max(float(demand.jerk[i : i + 3].max()), 1.0 / MAX_PACE_ACCELERATION)
+        at_once = self._at_once and gap < 0.0
+        jerk = 0.0 if at_once else float(demand.jerk[i : i + 3].max())
+        second = 1.0 / max(jerk, 1.0 / MAX_PACE_ACCELERATION)
         change = second * dt
         # The largest p' that can return to 0 in steps of `change` at the target.
         largest = math.sqrt(0.25 * change * change + 2.0 * second * abs(gap)) - 0.5 * change
         desired = math.copysign(min(MAX_PACE_RATE, largest, abs(gap) / dt), gap)
         desired = min(max(desired, slope - change), slope + change)
-        low, high = self._allowed(demand, i, min(rate + max(desired, 0.0) * dt, 1.0))
+        margin = MARGIN_AT_ONCE if at_once else MARGIN
+        low, high = self._allowed(demand, i, min(rate + max(desired, 0.0) * dt, 1.0), margin)
         desired = min(max(desired, low), high)
         desired = min(desired, gap / dt) if gap > 0.0 else max(desired, gap / dt)
         return min(max(desired, -rate / dt), (1.0 - rate) / dt)
 
-    def _allowed(self, demand: Demand, i: int, rate: float) -> tuple[float, float]:
-        """Return the range of p' with |x'' p^2 + x' p'| within the limits around a tick."""
+    def _allowed(self, demand: Demand, i: int, rate: float, margin: float) -> tuple[float, float]:
+        """Return the range of p' with |x'' p^2 + x' p'| within the limits around a tick.
+
+        Args:
+            demand: Demand of the motions.
+            i: Number of the tick.
+            rate: Pace.
+            margin: Fraction of the limits that counts.
+        """
         speed = np.maximum(demand.speed[i : i + 3], 1e-18)
         square = rate * rate
         middle = demand.mixed[i : i + 3] * square
-        room = MARGIN**2 - demand.bend[i : i + 3] * square * square
+        room = margin**2 - demand.bend[i : i + 3] * square * square
         root = np.sqrt(np.maximum(middle * middle + speed * room, 0.0))
         low, high = float(((-middle - root) / speed).max()), float(((root - middle) / speed).min())
         return min(low, 0.0), max(high, 0.0)

@@ -71,7 +71,7 @@ class MotionCoordinator:
             stream_monitor=StreamMonitor(p.restart),
             odom=OdomFeed(node, "odom", odom_frame, lambda *it: self.whole_body.update_pose(*it)),
             arm_feed=ArmFeed(
-                node, p.arm.joints, self._is_arm_moving, lambda: self._supervisor.check_following()
+                node, p.arm.joints, self._is_arm_moving, lambda: self._supervisor.check_arm()
             ),
             time_base=MotionTimeBase(
                 (path, arm, whole_body),
@@ -194,6 +194,7 @@ class MotionCoordinator:
         self._progress.publish(Float64(data=time_base.progress()))
         motion_time = time_base.now()
         self.limits.publish_demand(motion_time)
-        time_base.limit_pace(min(self.whole_body.max_pace, self.limits.max_pace(motion_time)))
+        pace = min(self.whole_body.max_pace, self.limits.max_pace(motion_time))
+        self._supervisor.limit_pace(pace)
         for interface in (self.path, self.arm, self.whole_body):
             interface.tick()

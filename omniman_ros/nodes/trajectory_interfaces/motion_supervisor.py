@@ -56,13 +56,31 @@ class MotionSupervisor:
         elif silence > context.options.joint_trajectory.states_timeout:
             motion.give_up(f"no arm/joint_states for {silence:.2f} s", brake=True)
 
-    def check_following(self) -> None:
-        """Give up motions whose arm is too far from its reference."""
+    def limit_pace(self, max_pace: float) -> None:
+        """Limit the pace; a motion of platform and arm waits on its path while odom is late.
+
+        Args:
+            max_pace: Highest pace that the motions allow, 0 to 1.
+        """
+        waits = self._is_platform_silent
+        self._context.time_base.limit_pace(0.0 if waits else max_pace, at_once=waits)
+
+    @property
+    def _is_platform_silent(self) -> bool:
+        """Whether a motion of platform and arm has had no odom for some time."""
+        context = self._context
+        return not self._whole_body.idle and context.odom.age > context.options.odom_pause
+
+    def check_arm(self) -> None:
+        """Give up motions whose arm is too far from its reference; halt one without platform."""
         max_error = self._context.options.joint_trajectory.following_error
         for motion in (self._arm, self._whole_body):
             error = "" if motion.idle else self._context.arm_feed.following_error(max_error)
             if error:
                 motion.give_up(error, brake=True)
+        if self._is_platform_silent and self._context.time_base.pace.target > 0.0:
+            self.limit_pace(0.0)
+            self._context.publish_all(self._context.options.horizon)
 
     def check_time(self, since_tick: float) -> None:
         """Give up motions that cannot continue after a time, and let that time pass for inputs.

@@ -98,16 +98,17 @@ class MotionTimeBase:
             self.pace.reset(now, self._scaling.value)
         return self.pace.motion(now)
 
-    def limit_pace(self, max_pace: float) -> None:
+    def limit_pace(self, max_pace: float, *, at_once: bool) -> None:
         """Aim for the highest pace that is allowed by the arm's controller and by the motions.
 
         Args:
             max_pace: Highest pace that the motions allow, 0 to 1.
+            at_once: Whether a pace that falls does so without regard to the jerk limits.
         """
         now = self._clock()
         self.pace.refresh(now)  # the motions may have changed since
         target = 0.0 if self._paused_at_rest else min(self._scaling.value, max_pace)
-        self.pace.aim(target, now)
+        self.pace.aim(target, now, at_once=at_once)
 
     def sample_times(self, horizon: float) -> Array:
         """Return the times (k,) of the ticks from the last one to `horizon` later [s]."""

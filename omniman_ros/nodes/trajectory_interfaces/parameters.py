@@ -67,6 +67,14 @@ class PathInterpolatorParameters:
         low=0.02,
         high=10,
     )
+    odom_pause: float = parameter(
+        0.1,
+        "Age of odom from which a motion of platform and arm comes to rest on its path, until "
+        "odom comes again: about the time after which the drives stop without commands.",
+        unit="s",
+        low=0.02,
+        high=10,
+    )
     scaling_timeout: float = parameter(
         0.5,
         "Silence of arm/speed_scaling, once received, after which a trajectory of the arm is "

@@ -71,7 +71,8 @@ def test_acceleration_limits_hold_for_any_course_of_the_pace(seed):
     while pace.motion(now) < trajectory.end and now < 30.0:
         pace.refresh(now)
         if rng.random() < 0.4:
-            pace.aim(float(rng.choice([0.0, 0.2, 0.5, 0.9, 1.0])), now)
+            target, at_once = float(rng.choice([0.0, 0.2, 0.5, 0.9, 1.0])), rng.random() < 0.3
+            pace.aim(target, now, at_once=bool(at_once))
         times = now + 0.002 * np.arange(round(0.2 / 0.002))
         paced = pace.sample(times)
         assert (paced.rate >= 0.0).all() and (paced.rate <= 1.0).all()
@@ -94,3 +95,17 @@ def test_slowing_down_takes_little_longer_than_the_acceleration_limit_requires(t
     least = (1.0 - target) * speed / group.acceleration
     took = pace.settling(2.0) - 2.0
     assert least <= took <= 1.05 * least + group.acceleration / group.jerk + (LEAD + 3) * DT
+
+
+def test_a_pace_that_falls_at_once_begins_without_regard_to_the_jerk():
+    groups = axes()
+    _, trajectory = planned([[0, 0, 0], [3, 0, 0]], groups)
+    begins = []
+    for at_once in (False, True):
+        pace = pace_over(trajectory, groups)
+        pace.aim(0.0, 2.0, at_once=at_once)
+        times = 2.0 + 0.001 * np.arange(1000)
+        begins.append(times[np.flatnonzero(pace.sample(times).rate < 0.95)[0]] - 2.0)
+    speed, group = 0.5, groups[0]
+    least = LEAD * DT + 0.05 * speed / group.acceleration
+    assert begins[0] > begins[1] and begins[1] == pytest.approx(least, abs=2.5 * DT)
