@@ -3,7 +3,7 @@
 The first axis of an array of points holds their three coordinates.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,16 +14,18 @@ from omniman_ros.core.arrays import Array
 Indices = NDArray[np.intp]
 """Array of indices."""
 Outward = Callable[[Array], Array]
-"""Returns the vectors (3, ...) to points (3, ...) from the nearest points of convex solids [m]."""
+"""Returns the vectors (3, n) to n points (3, n) from the nearest points of n convex solids [m]."""
 ACCURACY = 1e-8
 """Accuracy of distances [m]."""
 MOST_STEPS = 100
 """Largest number of steps of the search along a segment; about 10 are usual."""
+KEPT_SHARE = 0.75
+"""Share of segments that are not yet done at which the others are left out of further steps."""
 
 
 def distances_along(
-    outward: Outward,
-    some_outward: Callable[[tuple[Indices, ...]], Outward],
+    outward: Callable[[tuple[Indices, ...]], Outward],
+    bound: Array,
     start: Array,
     along: Array,
     reach: Array | float,
@@ -35,8 +37,9 @@ def distances_along(
     the function is convex, the slope there bounds the error.
 
     Args:
-        outward: Vectors to points (3, ...) from the solids, one for each segment.
-        some_outward: Returns the same function for the n segments with indices, each (n,).
+        outward: Returns a function for the n segments with indices, each (n,): the vectors to
+            points (3, n) from the solids, one for each of these segments.
+        bound: Lower bounds (...) of the distances, not negative [m].
         start: Starts (3, ...) of the segments [m].
         along: Vectors (3, ...) to their ends [m].
         reach: Distance above which a lower bound is enough, one or (...) [m].
@@ -44,50 +47,110 @@ def distances_along(
     Returns:
         Distances (...) [m]. Those above `reach` may be too small, but are not below it.
     """
+    result = bound.copy()
+    near = np.nonzero(bound <= reach)
+    chosen: tuple[slice | Indices, ...] = (slice(None), *near)
+    farthest = np.broadcast_to(reach, bound.shape)[near]
+
+    def some(where: Indices) -> Outward:
+        return outward(tuple(index[where] for index in near))
+
+    result[near] = _distances(outward(near), some, start[chosen], along[chosen], farthest)
+    return result
+
+
+def _distances(
+    outward: Outward,
+    some_outward: Callable[[Indices], Outward],
+    start: Array,
+    along: Array,
+    reach: Array,
+) -> Array:
+    """Return the distances (n,) of segments from their solids, see :func:`distances_along`."""
     low, high = outward(start), outward(start + along)
     slope_low, slope_high = dot(low, along), dot(high, along)
     squared = np.where(slope_low >= 0.0, dot(low, low), dot(high, high))
-    is_between = (slope_low < 0.0) & (slope_high > 0.0)
+    where = np.flatnonzero((slope_low < 0.0) & (slope_high > 0.0))
+    first, way = start[:, where], along[:, where]
     # Nothing changes by more than a segment's half length around its middle.
-    middle = outward(start + 0.5 * along)
-    bound = np.sqrt(dot(middle, middle)) - 0.5 * np.sqrt(dot(along, along))
-    is_far = is_between & (bound > reach)
-    squared[is_far] = bound[is_far] ** 2
-    where = np.nonzero(is_between & ~is_far)
-    chosen: tuple[slice | Indices, ...] = (slice(None), *where)
+    middle = some_outward(where)(first + 0.5 * way)
+    bound = np.sqrt(dot(middle, middle)) - 0.5 * np.sqrt(dot(way, way))
+    is_far = bound > reach[where]
+    squared[where[is_far]] = bound[is_far] ** 2
+    left, where = ~is_far, where[~is_far]
     squared[where] = _least(
-        some_outward(where), start[chosen], along[chosen], slope_low[where], slope_high[where]
+        lambda some: some_outward(where[some]),
+        first[:, left],
+        way[:, left],
+        slope_low[where],
+        slope_high[where],
     )
     result: Array = np.sqrt(squared)
     return result
 
 
+def box_gaps(
+    start: Array, end: Array, lower: Sequence[Array | float], upper: Sequence[Array | float]
+) -> tuple[Array, Array, Array]:
+    """Return the gaps (...) between the bounding boxes of segments and solids along each axis [m].
+
+    Args:
+        start: Starts (3, ...) of the segments [m].
+        end: Their ends (3, ...) [m].
+        lower: Three coordinates of the lower corners of the solids' boxes, each of a shape that is
+            broadcast to (...) [m].
+        upper: Those of their upper corners [m].
+    """
+    x, y, z = (
+        np.maximum(np.maximum(np.minimum(a, b) - high, low - np.maximum(a, b)), 0.0)
+        for a, b, low, high in zip(start, end, lower, upper, strict=True)
+    )
+    return x, y, z
+
+
 def _least(
-    outward: Outward, start: Array, along: Array, slope_low: Array, slope_high: Array
+    outward: Callable[[Indices], Outward],
+    start: Array,
+    along: Array,
+    slope_low: Array,
+    slope_high: Array,
 ) -> Array:
     """Return the least squared distances (n,) of segments from their solids [m^2].
 
+    Few segments need many steps: those that are done are left out of the further ones.
+
     Args:
-        outward: Vectors to points (3, n) from the solids.
+        outward: Returns the function for the segments with some of the n indices.
         start: Starts (3, n) [m].
         along: Vectors (3, n) to the ends [m].
         slope_low: Slopes (n,) of half the squared distance at the starts, below zero.
         slope_high: Those at the ends, above zero.
     """
     count = len(slope_low)
+    squared = np.empty(count)
+    left, nearest = np.arange(count), outward(np.arange(count))
     low, high = np.zeros(count), np.ones(count)
     was_low = was_high = np.zeros(count, dtype=bool)
-    squared = np.empty(count)
     for _ in range(MOST_STEPS):
         middle = low + (high - low) * slope_low / (slope_low - slope_high)
-        vector = outward(start + middle * along)
-        squared, slope = dot(vector, vector), dot(vector, along)
-        if (np.abs(slope) <= ACCURACY * np.maximum(np.sqrt(squared), ACCURACY)).all():
-            break
+        vector = nearest(start + middle * along)
+        found, slope = dot(vector, vector), dot(vector, along)
+        squared[left] = found
         is_low = slope < 0.0
         low, high = np.where(is_low, middle, low), np.where(is_low, high, middle)
+        accurate = ACCURACY * np.maximum(np.sqrt(found), ACCURACY)
+        is_open = np.abs(slope) * (high - low) > accurate
         # An end that stays twice counts with half its slope, so that both ends move.
         slope_low = np.where(is_low, slope, np.where(was_high, 0.5, 1.0) * slope_low)
         slope_high = np.where(is_low, np.where(was_low, 0.5, 1.0) * slope_high, slope)
         was_low, was_high = is_low, ~is_low
+        open_count = int(np.count_nonzero(is_open))
+        if open_count == 0:
+            break
+        if open_count <= KEPT_SHARE * len(left):
+            left, start, along = left[is_open], start[:, is_open], along[:, is_open]
+            low, high = low[is_open], high[is_open]
+            slope_low, slope_high = slope_low[is_open], slope_high[is_open]
+            was_low, was_high = was_low[is_open], was_high[is_open]
+            nearest = outward(left)
     return squared

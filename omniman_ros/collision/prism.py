@@ -3,7 +3,7 @@
 import numpy as np
 
 from omniman_ros.collision.arm_segments import Segments
-from omniman_ros.collision.convex_search import distances_along
+from omniman_ros.collision.convex_search import box_gaps, distances_along
 from omniman_ros.core.arrays import Array
 
 
@@ -20,6 +20,8 @@ class ConvexPrism:
 
     def __init__(self, corners: Array, heights: tuple[float, float]) -> None:
         self._heights = heights
+        lower, upper = corners.min(axis=0), corners.max(axis=0)
+        self._box = [(*lower.tolist(), heights[0]), (*upper.tolist(), heights[1])]
         following = np.roll(corners, -1, axis=0)
         self._sides = [
             (x, y, to_x - x, to_y - y)
@@ -39,7 +41,9 @@ class ConvexPrism:
             end: Their ends [m].
             reach: Distance above which a lower bound is enough, one or (...) [m].
         """
-        return distances_along(self._outward, lambda _: self._outward, start, end - start, reach)
+        x, y, z = box_gaps(start, end, *self._box)
+        bound = np.sqrt(x * x + y * y + z * z)
+        return distances_along(lambda _: self._outward, bound, start, end - start, reach)
 
     def _outward(self, points: Array) -> Array:
         """Return the vectors (3, ...) to points (3, ...) from the nearest points of the prism."""
@@ -49,14 +53,17 @@ class ConvexPrism:
         least, best_x, best_y = np.full(shape, np.inf), np.zeros(shape), np.zeros(shape)
         for corner_x, corner_y, side_x, side_y in self._sides:
             dx, dy = x - corner_x, y - corner_y
-            is_inside &= side_x * dy - side_y * dx >= 0.0
-            share = (dx * side_x + dy * side_y) / (side_x * side_x + side_y * side_y)
-            share = np.clip(share, 0.0, 1.0)
-            dx, dy = dx - share * side_x, dy - share * side_y
+            is_inside &= side_x * dy >= side_y * dx
+            square = side_x * side_x + side_y * side_y
+            share = dx * (side_x / square) + dy * (side_y / square)
+            np.minimum(np.maximum(share, 0.0, out=share), 1.0, out=share)
+            dx -= share * side_x
+            dy -= share * side_y
             squared = dx * dx + dy * dy
             is_nearer = squared < least
-            least = np.where(is_nearer, squared, least)
-            best_x, best_y = np.where(is_nearer, dx, best_x), np.where(is_nearer, dy, best_y)
-        result = np.stack((best_x, best_y, z - np.clip(z, *self._heights)))
+            for best, each in ((least, squared), (best_x, dx), (best_y, dy)):
+                np.copyto(best, each, where=is_nearer)
+        low, high = self._heights
+        result = np.stack((best_x, best_y, z - np.minimum(np.maximum(z, low), high)))
         result[:2, is_inside] = 0.0
         return result

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from omniman_ros.collision.convex_search import Indices, distances_along
+from omniman_ros.collision.convex_search import Indices, Outward, box_gaps, distances_along
 from omniman_ros.collision.segments import dot
 from omniman_ros.core.arrays import Array
 
@@ -122,8 +122,9 @@ class UprightSolids:
         """
         result = np.empty(points.shape)
         for i in (0, 1):
-            result[i] = points[i] - np.clip(points[i], -self.half[i], self.half[i])
-        result[2] = points[2] - np.clip(points[2], self.lower, self.upper)
+            half = self.half[i]
+            result[i] = points[i] - np.minimum(np.maximum(points[i], -half), half)
+        result[2] = points[2] - np.minimum(np.maximum(points[2], self.lower), self.upper)
         if self.rounding.any():
             distance = np.hypot(result[0], result[1])
             beyond = np.maximum(distance - self.rounding, 0.0)
@@ -142,14 +143,18 @@ class UprightSolids:
         Returns:
             Distances (..., M) [m]. Those above `reach` may be too small, but are not below it.
         """
-        first = self._local(start)
-        return distances_along(
-            self._outward,
-            lambda where: self.select(where[-1])._outward,
-            first,
-            self._local(end) - first,
-            reach,
+        first, last = self._local(start), self._local(end)
+        lower, upper = (
+            (*(sign * self.half), z) for sign, z in ((-1, self.lower), (1, self.upper))
         )
+        x, y, z = box_gaps(first, last, lower, upper)
+        bound = np.hypot(np.maximum(np.hypot(x, y) - self.rounding, 0.0), z)
+        is_one = len(self) == 1  # which is broadcast
+
+        def outward(where: tuple[Indices, ...]) -> Outward:
+            return self._outward if is_one else self.select(where[-1])._outward
+
+        return distances_along(outward, bound, first, last - first, reach)
 
     def box_distances(self, poses: Array, half: Array, heights: tuple[float, float]) -> Array:
         """Return the distances of an upright box at several poses; zero where they meet.
