@@ -14,6 +14,8 @@ BENCHMARKS = {
     "arm": "setpoints at 125 Hz in the whole running robot next to a bare loop",
     "collision": "CPU time of distances between the robot's parts, and from what stands around it",
     "tracker": "people in the physics world as the obstacle tracker sees them: velocity, identity",
+    "clutter": "the planner in worlds of BARN's kind, map known and by scanner: score, CPU",
+    "crowd": "the planner among 20 moving discs: goals per minute, contacts, CPU",
     "whole_body": "time of planning tool paths, CPU of their stream, inverse kinematics",
     "stability": "tracking and lifted wheels with the arm stretched, posture known or not",
     "faults": "reactions of the whole running robot to each row of the table of faults",
@@ -75,8 +77,21 @@ def add_bench(parser: argparse.ArgumentParser) -> None:
     duration.add_argument(
         "--hours", type=lambda text: 60.0 * float(text), dest="minutes", metavar="N"
     )
-    soak.add_argument(
-        "--seed", type=int, default=0, help="seed of all choices; default: %(default)s"
+    drives = parser.add_argument_group("clutter and crowd only")
+    drives.add_argument(
+        "--worlds", type=int, metavar="N", help="number of worlds; default: 300; crowds: 6"
+    )
+    drives.add_argument(
+        "--jobs", type=int, metavar="N", help="number of processes; default: that of the CPUs"
+    )
+    drives.add_argument(
+        "--sense", choices=("known", "scanner"), help="clutter: this only; default: both"
+    )
+    parser.add_argument(
+        "--seed",
+        type=int,
+        default=0,
+        help="soak, clutter, crowd: seed, or the first one; default: %(default)s",
     )
     arm = parser.add_argument_group("arm only")
     arm.add_argument("--pairs", type=int, metavar="N", help="pairs of blocks; default: 5")

@@ -16,6 +16,8 @@ BENCHMARKS = {
     "stability": "omniman_ros.lab.bench.stability",
     "collision": "omniman_ros.lab.bench.collision",
     "tracker": "omniman_ros.lab.bench.tracker",
+    "clutter": "omniman_ros.lab.bench.clutter",
+    "crowd": "omniman_ros.lab.bench.crowd",
     "faults": "omniman_ros.lab.bench.faults",
     "soak": "omniman_ros.lab.bench.soak",
 }

@@ -65,6 +65,7 @@ class Trace:
         known: Obstacles as the planner knows them.
         planning_times: Durations of planning on the timer of the loop [s]; 0 in cycles
             without planning.
+        cycle_times: The same, with the search for routes.
     """
 
     times: list[float] = field(default_factory=list)
@@ -78,6 +79,7 @@ class Trace:
     plan_times: list[Array] = field(default_factory=list)
     known: list[Ellipses] = field(default_factory=list)
     planning_times: list[float] = field(default_factory=list)
+    cycle_times: list[float] = field(default_factory=list)
 
 
 @dataclass
@@ -124,6 +126,9 @@ class LoopOptions:
             None if it is not measured.
         world: World in which the robot drives; None for the plant. Its persons are the moving
             obstacles, in their order.
+        observe: Function that tells planner and set of obstacles what is seen, called in each
+            cycle; None if the obstacles are observed themselves.
+        on_tick: Function that is called after each tick of the controller, or None.
     """
 
     start: Sequence[float] = (0.0, 0.0, 0.0)
@@ -134,6 +139,8 @@ class LoopOptions:
     seed: int = 0
     timer: Callable[[], float] | None = None
     world: WorldChoice | None = None
+    observe: Callable[["MpcLoop"], None] | None = None
+    on_tick: Callable[["MpcLoop"], None] | None = None
 
 
 class MpcLoop:
@@ -178,7 +185,8 @@ class MpcLoop:
         self._persons = list(zip(persons, moving, strict=True)) if options.world else []
         self.trace, self.motion_record = Trace(), MotionRecord()
         self._timer = options.timer or (lambda: 0.0)
-        self._planning_time = 0.0
+        self._planning_time = self._cycle_time = 0.0
+        self._observe_by, self._on_tick = options.observe, options.on_tick
         self._voltages, self._noise = options.voltages, options.noise
         self._solve_ticks = round(options.solve_time / PERIOD)
         self._random = np.random.default_rng(options.seed)
@@ -221,7 +229,7 @@ class MpcLoop:
         self._observe()
         now, planner = self.now, self.planner
         ticks = round(PLANNER_PERIOD / PERIOD)
-        self._planning_time = 0.0
+        self._planning_time = self._cycle_time = 0.0
         if planner.active:
             begin = self._timer()
             proposal = planner.propose(now, self.measured(), self.observed.ellipses(now))
@@ -231,7 +239,9 @@ class MpcLoop:
             begin = self._timer()
             planner.take(proposal, self.now, self.measured(), self.observed.ellipses(self.now))
             self._planning_time += self._timer() - begin
+            begin = self._timer()
             planner.update_route(self.now, self.observed.ellipses(self.now))
+            self._cycle_time = self._planning_time + self._timer() - begin
             ticks -= self._solve_ticks
             self._publish()
         self._record()
@@ -245,6 +255,8 @@ class MpcLoop:
         self._move_persons()
         self.loop.step()
         self.motion_record.add(self.loop)
+        if self._on_tick is not None:
+            self._on_tick(self)
         if self.loop.world is not None:
             things = [contact.thing for contact in self.loop.world.contacts]
             self.touched += sorted(set(things) - set(self.touched))
@@ -279,6 +291,9 @@ class MpcLoop:
 
     def _observe(self) -> None:
         """Observe all obstacles with noise once the period of observations has passed."""
+        if self._observe_by is not None:
+            self._observe_by(self)
+            return
         if self.now - self._last_observation < OBSERVATION_PERIOD - 1e-9 or not self.obstacles:
             return
         self._last_observation = self.now
@@ -310,3 +325,4 @@ class MpcLoop:
         trace.plan_times.append(self.planner.motion.times.copy())
         trace.known.append(self.observed.ellipses(now))
         trace.planning_times.append(self._planning_time)
+        trace.cycle_times.append(self._cycle_time)

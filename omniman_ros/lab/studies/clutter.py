@@ -1,0 +1,316 @@
+"""Drives through worlds of BARN's kind in the physics world, map known or by scanner alone.
+
+Source: D. Perille, A. Truong, X. Xiao and P. Stone, "Benchmarking Metric Ground Navigation" (SSRR
+2020), and the rules of the BARN Challenge from 2024 on: from one end of a corridor to a place 10 m
+ahead, which is reached from 1 m on; the score is success * T / clip(t, 2 T, 8 T), where T is the
+length of the shortest path over 2 m/s.
+"""
+
+import heapq
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from omniman_ros.control.platform_parameters import PlatformParameters
+from omniman_ros.core import se2
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.parameters import build
+from omniman_ros.core.robot import Robot
+from omniman_ros.lab.studies.closed_loop import PERIOD
+from omniman_ros.lab.studies.mpc_loop import LoopOptions, MpcLoop
+from omniman_ros.lab.studies.worlds import WorldChoice
+from omniman_ros.planning.goals import PoseGoal
+from omniman_ros.planning.obstacles.grid_map import GridMap
+from omniman_ros.planning.obstacles.obstacles import Observation
+from omniman_ros.planning.parameters import PlannerParameters
+from omniman_ros.simulation.plant.parameters import SimulationParameters
+from omniman_ros.simulation.world.clutter import Clutter, clutter_posts
+from omniman_ros.simulation.world.occupancy import occupancy
+from omniman_ros.simulation.world.parameters import IDEAL
+from omniman_ros.simulation.world.scanner_parameters import ScannerParameters
+from omniman_ros.simulation.world.scene import Scene, Wall
+
+GOAL = (10.0, 0.0, 0.0)
+"""Pose of the goal, seen from the start [m, m, rad]."""
+GOAL_RADIUS = 1.0
+"""Distance from the goal from which on it is reached [m]."""
+TIME_LIMIT = 50.0
+"""Time after which a drive has failed [s]."""
+BEST_SPEED = 2.0
+"""Speed that counts as the fastest [m/s]."""
+FACTORS = (2.0, 8.0)
+"""Multiples of the best time between which a time counts."""
+FIELD = (2.75, 7.25)
+"""Extent of the field of posts along x [m]."""
+HALF_WIDTH = 2.25
+"""Half of the corridor's width [m]."""
+FILLS, SMOOTHINGS = (0.15, 0.18, 0.21, 0.24), (2, 3, 4)
+"""Parameters of the automaton; each world has one of the combinations."""
+SPARE = 0.06
+"""By how much the passage is wider than what the robot needs in any heading [m]."""
+WALL = 0.1
+"""Thickness of the walls [m]."""
+EDGE = 0.1
+"""Edge of a cell of the search for the shortest path [m]."""
+RESOLUTION = 0.05
+"""Edge of a cell of the known map [m]."""
+SCAN_PERIOD, MAP_PERIOD = 0.05, 0.2
+"""Periods of the scans, and of the map that is made of them [s]."""
+TRACK_LIFETIME = 0.5
+"""Time for which what moves is remembered without another observation [s]."""
+JACKAL_SIZE: dict[str, Any] = {
+    "wheels.x": [0.131, 0.131, -0.131, -0.131],
+    "wheels.y": [0.187, -0.187, 0.187, -0.187],
+    "body.mass": 17.0,
+    "body.inertia": 0.6,
+    "body.length": 0.508,
+    "body.width": 0.43,
+    "motor.gear_ratio": 12.0,
+    "motor.max_speed": 40.0,
+    "limits.linear_velocity": 2.0,
+    "limits.linear_acceleration": 2.5,
+    "limits.linear_deceleration": 2.5,
+}
+"""What a Mecanum robot of the size and the speed of a Clearpath Jackal has other than `ig42`."""
+
+
+@dataclass(frozen=True)
+class ClutterWorld:
+    """A corridor with a field of posts.
+
+    Attributes:
+        scene: The scene, the start at its origin.
+        best_time: Length of the shortest path to the goal over `BEST_SPEED` [s].
+    """
+
+    scene: Scene
+    best_time: float
+
+
+@dataclass(frozen=True)
+class ClutterRun:
+    """Result of a drive.
+
+    Attributes:
+        seed: Seed of the world.
+        reached: Whether the goal was reached without contact.
+        touched: What the robot has touched.
+        seconds: Duration of the drive [s].
+        best_time: See :class:`ClutterWorld`.
+        cycle_times: CPU times of the planner's cycles [s].
+    """
+
+    seed: int
+    reached: bool
+    touched: tuple[str, ...]
+    seconds: float
+    best_time: float
+    cycle_times: tuple[float, ...] = ()
+
+    @property
+    def score(self) -> float:
+        """Score of the drive, 0 to 0.5."""
+        return score(self.reached, self.seconds, self.best_time)
+
+
+def score(reached: bool, seconds: float, best_time: float) -> float:
+    """Return the score of a drive of the BARN Challenge."""
+    low, high = FACTORS
+    counted = min(max(seconds, low * best_time), high * best_time)
+    return float(reached) * best_time / counted
+
+
+def clutter_world(seed: int, robot: Robot) -> ClutterWorld:
+    """Return a world through which the robot gets in any heading.
+
+    Args:
+        seed: Seed of the world.
+        robot: The robot.
+    """
+    half = np.array([robot.body.length, robot.body.width]) / 2.0
+    kind = seed % (len(FILLS) * len(SMOOTHINGS))
+    field = Clutter(
+        name="post",
+        seed=seed,
+        fill=FILLS[kind % len(FILLS)],
+        smoothing=SMOOTHINGS[kind // len(FILLS)],
+        x_min=FIELD[0],
+        x_max=FIELD[1],
+        y_min=-HALF_WIDTH,
+        y_max=HALF_WIDTH,
+        passage=2.0 * math.hypot(*half) + SPARE,
+    )
+    posts = clutter_posts(field)
+    aside = HALF_WIDTH + 0.5 * WALL
+    ends = (-1.5, GOAL[0] + 1.5)
+    walls = (
+        Wall(name="left", x=ends, y=(aside, aside), thickness=WALL),
+        Wall(name="right", x=ends, y=(-aside, -aside), thickness=WALL),
+    )
+    places = np.array([[post.x, post.y] for post in posts]).reshape(-1, 2)
+    length = shortest_length(places, field.radius + float(half.min()))
+    return ClutterWorld(Scene(walls=walls, posts=posts), length / BEST_SPEED)
+
+
+def shortest_length(posts: Array, reach: float) -> float:
+    """Return the length of the shortest path from the start to the goal [m].
+
+    Args:
+        posts: (n, 2) centres of the posts [m].
+        reach: Distance that the path keeps from them [m].
+
+    Returns:
+        Length of a path over a grid in 16 directions, at most 3 % too long; inf without a path.
+    """
+    columns, rows = round(GOAL[0] / EDGE) + 1, 2 * round((HALF_WIDTH - EDGE) / EDGE) + 1
+    x = EDGE * np.arange(columns)
+    y = EDGE * (np.arange(rows) - rows // 2)
+    blocked = np.zeros((columns, rows), dtype=bool)
+    for post in posts:
+        blocked |= np.hypot(x[:, None] - post[0], y[None, :] - post[1]) < reach
+    moves = [(i, j) for i in range(-2, 3) for j in range(-2, 3) if math.gcd(i, j) == 1]
+    start, goal = (0, rows // 2), (columns - 1, rows // 2)
+    best = {start: 0.0}
+    queue = [(0.0, start)]
+    while queue:
+        length, (column, row) = heapq.heappop(queue)
+        if (column, row) == goal:
+            return length
+        if length > best[column, row]:
+            continue
+        for i, j in moves:
+            place = column + i, row + j
+            inside = 0 <= place[0] < columns and 0 <= place[1] < rows
+            if not inside or blocked[place]:
+                continue
+            longer = length + EDGE * math.hypot(i, j)
+            if longer < best.get(place, math.inf):
+                best[place] = longer
+                heapq.heappush(queue, (longer, place))
+    return math.inf
+
+
+class ScannerSenses:
+    """Obstacles and map of a planner by one laser scanner of 270 degrees, 720 beams and 10 m.
+
+    Args:
+        robot: The robot.
+        seed: Seed of the noise of 1 cm.
+    """
+
+    def __init__(self, robot: Robot, seed: int) -> None:
+        # The command line must do without scipy.
+        from omniman_ros.perception.obstacle_tracker import ObstacleTracker
+        from omniman_ros.perception.parameters import MapParameters, TrackerParameters
+        from omniman_ros.planning.obstacles.tracking import TrackingParameters
+        from omniman_ros.simulation.world.scanner import Scanner
+
+        self._mounting = ScannerParameters(
+            x=0.4 * robot.body.length,
+            field_of_view=1.5 * math.pi,
+            range_max=10.0,
+            noise=0.01,
+            sees_robot=False,
+        )
+        self._tracker = ObstacleTracker(TrackerParameters(), MapParameters(), TrackingParameters())
+        self._make = lambda world: Scanner(world, self._mounting, seed)
+        self._scanner: Any = None
+        self._next_scan = self._next_map = -math.inf
+
+    def add_pose(self, loop: MpcLoop) -> None:
+        """Pass the odometry of the latest tick on."""
+        measured = loop.measured()
+        velocity = se2.to_world(float(measured.pose[2]), measured.twist)
+        self._tracker.add_pose(measured.time, measured.pose, velocity)
+
+    def observe(self, loop: MpcLoop) -> None:
+        """Scan if it is time to, and tell the planner what was seen."""
+        # The command line must do without scipy.
+        from omniman_ros.perception.scan import Scan
+
+        now = loop.now
+        if now < self._next_scan - 1e-9:
+            return
+        self._next_scan = now + SCAN_PERIOD
+        self.add_pose(loop)
+        self._scanner = self._scanner or self._make(loop.loop.world)
+        p = self._mounting
+        scan = Scan(
+            loop.measured().time,
+            self._scanner.scan(),
+            -0.5 * p.field_of_view,
+            p.field_of_view / (p.beams - 1),
+            p.range_max,
+            (p.x, p.y, p.yaw),
+            heights=(p.z, p.z),
+        )
+        self._tracker.add_scan(scan, loop.planner.footprint)
+        loop.observed.note_message(now)
+        for thing in self._tracker.obstacles(scan.end):
+            seen = Observation(
+                key=("tracker", thing.number),
+                time=scan.end,
+                x=thing.center[0],
+                y=thing.center[1],
+                angle=0.0,
+                semi_axes=(thing.radius, thing.radius),
+                lifetime=TRACK_LIFETIME,
+            )
+            loop.observed.add(seen, now)
+        if now >= self._next_map - 1e-9:
+            self._next_map = now + MAP_PERIOD
+            cells, grid = self._tracker.occupancy(), self._tracker.map
+            origin = np.append(grid.origin, 0.0)
+            width, height = cells.shape[1], cells.shape[0]
+            loop.planner.set_map(
+                GridMap.of_occupancy(
+                    cells.ravel(), width, height, grid.resolution, origin, unknown_is_free=True
+                )
+            )
+
+
+def drive_clutter(
+    robot: Mapping[str, Any], seed: int, by_scanner: bool, timer: Callable[[], float]
+) -> ClutterRun:
+    """Drive through a world until the goal is reached, something touched, or time is up.
+
+    Args:
+        robot: Parameters of the robot, full names to values.
+        seed: Seed of the world.
+        by_scanner: Whether the robot has a scanner only, instead of a map.
+        timer: Function that returns a time [s], by which cycles are measured.
+    """
+    parameters = build(PlannerParameters, robot)
+    world = clutter_world(seed, parameters.robot)
+    senses = ScannerSenses(parameters.robot, seed) if by_scanner else None
+    options = LoopOptions(
+        timer=timer,
+        world=WorldChoice.of(robot, IDEAL, world.scene),
+        observe=senses.observe if senses else None,
+        on_tick=senses.add_pose if senses else None,
+    )
+    platform, simulation = build(PlatformParameters, robot), build(SimulationParameters, {})
+    loop = MpcLoop(parameters, platform, simulation, options)
+    if senses is None:
+        known = occupancy(world.scene, RESOLUTION)
+        origin = np.append(known.origin, 0.0)
+        loop.planner.set_map(GridMap(known.occupied, known.resolution, origin))
+    goal = np.array(GOAL)
+    since = loop.now
+    loop.drive(PoseGoal(goal))
+
+    def is_near() -> bool:
+        return bool(np.hypot(*(loop.loop.truth - goal)[:2]) <= GOAL_RADIUS)
+
+    loop.run(TIME_LIMIT, until=lambda: bool(loop.touched) or is_near())
+    return ClutterRun(
+        seed=seed,
+        reached=is_near() and not loop.touched,
+        touched=tuple(loop.touched),
+        seconds=loop.now - since - PERIOD,
+        best_time=world.best_time,
+        cycle_times=tuple(seconds for seconds in loop.trace.cycle_times if seconds > 0.0),
+    )
