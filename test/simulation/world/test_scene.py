@@ -166,6 +166,7 @@ def test_cells_with_five_neighbours_fill_and_lonely_ones_vanish():
     assert all(neighbours(*place) >= 5 for place in smooth - raw)
 
 
-def test_clutter_without_a_passage_is_refused():
+def test_clutter_without_a_passage_is_refused(monkeypatch):
+    monkeypatch.setattr("omniman_ros.simulation.world.clutter.MAX_DRAWS", 5)
     with pytest.raises(ParameterError, match="no passage"):
         clutter_posts(Clutter(**{**FIELD, "x_max": 0.6, "y_max": -2.0, "fill": 0.9}))
