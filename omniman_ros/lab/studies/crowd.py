@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -201,9 +202,11 @@ def drive_in_crowd(
         touching.clear()
         touching.update(touched)
 
-    obstacles = [
-        MovingObstacle((RADIUS, RADIUS), lambda _, k=k: crowd.positions[k]) for k in range(count)
-    ]
+    def place(k: int, _time: float) -> Array:
+        position: Array = crowd.positions[k]
+        return position
+
+    obstacles = [MovingObstacle((RADIUS, RADIUS), partial(place, k)) for k in range(count)]
     options = LoopOptions(obstacles=obstacles, noise=NOISE, seed=seed, timer=timer, on_tick=tick)
     platform, simulation = build(PlatformParameters, robot), build(SimulationParameters, {})
     loop = MpcLoop(parameters, platform, simulation, options)
