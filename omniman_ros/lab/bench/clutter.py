@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
 
     worlds = args.worlds or (QUICK_WORLDS if args.quick else WORLDS)
     jobs = args.jobs or os.cpu_count() or 1
-    robot = load_robot(resolve_robot("ig42"))
+    robot = dict(load_robot(resolve_robot("ig42")))
     robots = {"jackal_size": {**robot, **JACKAL_SIZE}, "ig42": robot}
     senses = [args.sense] if args.sense else SENSES
     result: dict[str, Any] = {

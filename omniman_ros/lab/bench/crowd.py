@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
     crowds = args.worlds or (QUICK_CROWDS if args.quick else CROWDS)
     seconds = QUICK_SECONDS if args.quick else SECONDS
     jobs = args.jobs or os.cpu_count() or 1
-    robot = load_robot(resolve_robot("ig42"))
+    robot = dict(load_robot(resolve_robot("ig42")))
     result: dict[str, Any] = {
         "quick": args.quick,
         "conditions": {

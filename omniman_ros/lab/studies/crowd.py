@@ -202,11 +202,11 @@ def drive_in_crowd(
         touching.clear()
         touching.update(touched)
 
-    def place(k: int, _time: float) -> Array:
+    def disc_place(k: int, _time: float) -> Array:
         position: Array = crowd.positions[k]
         return position
 
-    obstacles = [MovingObstacle((RADIUS, RADIUS), partial(place, k)) for k in range(count)]
+    obstacles = [MovingObstacle((RADIUS, RADIUS), partial(disc_place, k)) for k in range(count)]
     options = LoopOptions(obstacles=obstacles, noise=NOISE, seed=seed, timer=timer, on_tick=tick)
     platform, simulation = build(PlatformParameters, robot), build(SimulationParameters, {})
     loop = MpcLoop(parameters, platform, simulation, options)
