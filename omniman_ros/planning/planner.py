@@ -19,7 +19,8 @@ from omniman_ros.planning.goals import Goal, StateGoal
 from omniman_ros.planning.motion import Motion
 from omniman_ros.planning.motion_selection import MotionSelector, Proposal
 from omniman_ros.planning.mpc.model import PlanningModel
-from omniman_ros.planning.mpc.solver import Solution, SolverError
+from omniman_ros.planning.mpc.quadratic_program import SolverError
+from omniman_ros.planning.mpc.solver import Solution
 from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.obstacles.environment import Environment
 from omniman_ros.planning.obstacles.grid_map import GridMap

@@ -20,7 +20,8 @@ from omniman_ros.planning.goals import PoseGoal
 from omniman_ros.planning.motion import Motion
 from omniman_ros.planning.mpc.model import PlanningModel
 from omniman_ros.planning.mpc.problem import Problem
-from omniman_ros.planning.mpc.solver import Solver, SolverError
+from omniman_ros.planning.mpc.quadratic_program import SolverError
+from omniman_ros.planning.mpc.solver import Solver
 from omniman_ros.planning.mpc.transcription import Stage, Transcription
 from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.obstacles.pairs import Pairs

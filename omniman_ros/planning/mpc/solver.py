@@ -1,35 +1,16 @@
 """Real-time iterations on the optimal control problem: each iteration improves a guess."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from omniman_ros.core.arrays import Array
-from omniman_ros.core.errors import OmnimanError
+from omniman_ros.planning.mpc.quadratic_program import QuadraticProgram, SolverError
 from omniman_ros.planning.mpc.transcription import Stage, Transcription
 
-TOLERANCES: dict[str, float] = {
-    "res_g_max": 1e-3,
-    "res_b_max": 1e-6,
-    "res_d_max": 1e-6,
-    "res_m_max": 1e-4,
-}
-"""Residuals below which a quadratic program counts as solved; the next iteration refines it."""
-MODES: dict[str, dict[str, Any]] = {
-    "speed": {"mode": "speed", "iter_max": 40},
-    "balance": {"mode": "balance", "iter_max": 60},
-}
-"""Options of HPIPM by mode; the second mode is used if the first fails."""
 TRUST_RADIUS = 0.3
 """Largest change of a position in one iteration [m]: the linearised gaps hold nearby only."""
-INFINITY = 1e4
-"""Value that represents infinity in the QP solver: a larger value degrades its scaling."""
-
-
-class SolverError(OmnimanError):
-    """The solver found no usable solution; the message gives the reason."""
 
 
 @dataclass(frozen=True)
@@ -66,20 +47,9 @@ class Solver:
     def __init__(self, transcription: Transcription) -> None:
         self.transcription = transcription
         program = transcription.program
-        shape = {"h": program.sparsity_out(0), "a": program.sparsity_out(2)}
-        more: dict[str, Any] = {
-            **transcription.sizes,
-            "inf": INFINITY,
-            "error_on_fail": False,
-            "print_time": False,
-        }
-        try:
-            self._qps = [
-                ca.conic(mode, "hpipm", shape, more | {"hpipm": {**TOLERANCES, **options}})
-                for mode, options in MODES.items()
-            ]
-        except RuntimeError as error:
-            raise SolverError(f"casadi has no QP solver 'hpipm': {error}") from error
+        self._qp = QuadraticProgram(
+            program.sparsity_out(0), program.sparsity_out(2), transcription.sizes
+        )
 
     def cold(self) -> Array:
         """Return the guess (N, n) [A] for a cold start: zero currents."""
@@ -140,13 +110,4 @@ class Solver:
 
     def _step(self, program: list[ca.DM]) -> Array:
         """Solve a quadratic program; return a row (delta u, s, delta x) for each step."""
-        h, g, a, low, high, lower, upper = program
-        status = ""
-        for qp in self._qps:
-            solution = qp(h=h, g=g, a=a, lba=low, uba=high, lbx=lower, ubx=upper)["x"]
-            change: Array = np.asarray(solution).reshape(self.transcription.steps, -1)
-            stats = qp.stats()
-            if stats["success"] and np.isfinite(change).all():
-                return change
-            status = str(stats["return_status"])
-        raise SolverError(f"the quadratic program was not solved ({status})")
+        return self._qp.solve(program).reshape(self.transcription.steps, -1)
