@@ -171,9 +171,9 @@ class UprightSolids:
         x, y = (self.centre[i] - poses[..., i, None] for i in (0, 1))
         c, s = np.cos(poses[..., 2, None]), np.sin(poses[..., 2, None])
         # Each rectangle in the frame of the other.
-        own = _corner_distances(c * x + s * y, c * y - s * x, yaw, self.half, half[:, None])
+        own = corner_distances(c * x + s * y, c * y - s * x, yaw, self.half, half[:, None])
         c, s = np.cos(self.yaw), np.sin(self.yaw)
-        other = _corner_distances(-c * x - s * y, s * x - c * y, -yaw, half[:, None], self.half)
+        other = corner_distances(-c * x - s * y, s * x - c * y, -yaw, half[:, None], self.half)
         is_apart = own[1] | other[1]
         apart = np.where(is_apart, np.minimum(own[0], other[0]), 0.0)
         horizontal = np.maximum(apart - self.rounding, 0.0)
@@ -182,7 +182,7 @@ class UprightSolids:
         return result
 
 
-def _corner_distances(
+def corner_distances(
     x: Array, y: Array, yaw: Array, half: Array, fixed: Array
 ) -> tuple[Array, Mask]:
     """Return the least distance of a rectangle's corners from a fixed one, and a separation.

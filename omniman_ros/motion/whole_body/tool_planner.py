@@ -76,10 +76,9 @@ class ToolPlanner:
             InputError: The input is invalid, the path is too far away, out of reach or near a
                 singularity, or there is nothing to do; the message names the position.
         """
-        self._check_input(poses, start)
+        self.require_valid(poses, start)
         frame = planar_transform(start[:3])
         tool = self._model.forward(start)
-        self._check_distance(poses[0], tool)
         inverse = np.linalg.inv(frame)
         path = ToolCurve(inverse @ np.concatenate([tool[None], poses]), self._options, frame)
         local = np.concatenate([np.zeros(3), start[3:]])
@@ -92,6 +91,15 @@ class ToolPlanner:
         placed = _placed(curve, frame, start)
         self._limits.require_kept(placed, 1.0)
         return ToolPlan(placed, branch, path.length(), path, progress, frame)
+
+    def require_valid(self, poses: Array, start: Array) -> None:
+        """Require a path that can be one, near the tool, for a robot that starts at axes (9,).
+
+        Raises:
+            InputError: The input is invalid, or the path is too far away.
+        """
+        self._check_input(poses, start)
+        self._check_distance(poses[0], self._model.forward(start))
 
     def _check_input(self, poses: Array, start: Array) -> None:
         """Check shapes, values and number of the poses, and the positions at the start."""

@@ -1,0 +1,106 @@
+"""Spheres that contain arm, tool and load, with the derivatives of their places."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from omniman_ros.collision.arm_segments import ArmSegments
+from omniman_ros.collision.convex_search import Indices
+from omniman_ros.collision.parameters import LoadShape, ToolShape
+from omniman_ros.core.arm_model import JOINTS
+from omniman_ros.core.arrays import Array
+from omniman_ros.motion.whole_body.model import Mount
+
+LOAD = "load"
+"""Name of the load among the links."""
+
+
+@dataclass(frozen=True)
+class PlacedSpheres:
+    """Spheres at some configurations of the arm, in base_link.
+
+    Attributes:
+        centre: Centres (..., S, 3) [m].
+        frames: Poses (..., 7, 4, 4) of the arm's base and links.
+    """
+
+    centre: Array
+    frames: Array
+
+
+class BodySpheres:
+    """Spheres that contain the cylinders of arm and tool, and the box of the load.
+
+    A cylinder is cut into equal pieces; a sphere around the middle of a piece contains it. The
+    spheres are larger than the cylinders by at most the square root of r^2 + d^2 / 4, less r,
+    where d is the length of a piece.
+
+    Args:
+        mount: Pose of the arm on the platform.
+        tool: Shape of the tool.
+        load: Shape of the load, if any.
+        spacing: Largest length of a piece [m].
+
+    Attributes:
+        radius: Radii (S,) [m].
+        part: Number (S,) of the part in `names` that each sphere belongs to.
+        names: Names of the links, from the arm's base on, then of the load.
+        frame: Number (S,) of the arm's frame that carries each sphere, 0 for the base.
+    """
+
+    def __init__(
+        self, mount: Mount, tool: ToolShape, load: LoadShape | None, spacing: float
+    ) -> None:
+        self._arm = arm = ArmSegments(mount, tool)
+        zero = arm.frames(np.zeros(JOINTS))
+        axes = arm.capsules(zero)
+        lengths = np.linalg.norm(axes.end - axes.start, axis=0)
+        counts = np.maximum(np.ceil(lengths / spacing), 1.0).astype(np.intp)
+        owner = np.repeat(np.arange(len(counts)), counts)
+        index = np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
+        share = (index + 0.5) / counts[owner]
+        middle = axes.start[:, owner] + share * (axes.end - axes.start)[:, owner]
+        radius = np.hypot(arm.radius[owner], 0.5 * lengths[owner] / counts[owner])
+        part = arm.link[owner]
+        self.names: tuple[str, ...] = arm.names
+        if load is not None and load.is_carried:
+            points, reach = _load_spheres(load, spacing)
+            flange = zero[-1]
+            middle = np.hstack((middle, flange[:3, :3] @ points + flange[:3, 3:]))
+            radius = np.append(radius, np.full(points.shape[1], reach))
+            part = np.append(part, np.full(points.shape[1], len(self.names)))
+            self.names += (LOAD,)
+        self.radius: Array = radius
+        self.part: Indices = part
+        self.frame: Indices = np.minimum(part, JOINTS)
+        carriers = zero[self.frame]
+        offset = middle.T - carriers[:, :3, 3]
+        self._local: Array = np.einsum("sij,si->sj", carriers[:, :3, :3], offset)
+
+    def place(self, q: Array) -> PlacedSpheres:
+        """Return the spheres at joint angles (..., 6) [rad]."""
+        frames = self._arm.frames(q)
+        chosen = frames[..., self.frame, :3, :]
+        centre = (chosen[..., :3] @ self._local[:, :, None])[..., 0] + chosen[..., 3]
+        return PlacedSpheres(centre, frames)
+
+    def joint_derivative(self, placed: PlacedSpheres) -> Array:
+        """Return the derivatives (..., S, 3, 6) of the centres by the joint angles [m/rad]."""
+        axis = placed.frames[..., :-1, :3, 2]
+        origin = placed.frames[..., :-1, :3, 3]
+        lever = placed.centre[..., :, None, :] - origin[..., None, :, :]
+        turned = np.cross(np.broadcast_to(axis[..., None, :, :], lever.shape), lever)
+        moved = np.arange(JOINTS) < self.frame[:, None]
+        result: Array = np.swapaxes(turned * moved[..., None], -1, -2)
+        return result
+
+
+def _load_spheres(load: LoadShape, spacing: float) -> tuple[Array, float]:
+    """Return centres (3, n) in the frame of the flange and the radius of its spheres [m]."""
+    size = np.array((load.length, load.width, load.height))
+    counts = np.maximum(np.ceil(size / spacing), 1.0).astype(np.intp)
+    cell = size / counts
+    low = np.array((-0.5 * load.length, -0.5 * load.width, load.distance))
+    lines = [a + c * (np.arange(n) + 0.5) for a, c, n in zip(low, cell, counts, strict=True)]
+    points = np.stack(np.meshgrid(*lines, indexing="ij")).reshape(3, -1)
+    return points, 0.5 * float(np.linalg.norm(cell))

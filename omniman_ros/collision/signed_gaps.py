@@ -1,0 +1,124 @@
+"""Signed distances of points and upright rectangles from upright solids, with derivatives.
+
+Inside of a solid they are below zero, minus the way out, so that a motion that was planned too
+near can be corrected. Outside they are the distances of :mod:`omniman_ros.collision.solids`.
+"""
+
+import numpy as np
+
+from omniman_ros.collision.solids import UprightSolids, corner_distances
+from omniman_ros.core.arrays import Array
+
+STEP = 1e-5
+"""Step of the numerical derivative of a rectangle's gap [m, rad]."""
+
+
+def point_gaps(solids: UprightSolids, points: Array) -> tuple[Array, Array]:
+    """Return signed distances of points from solids, and their derivatives by the points.
+
+    Args:
+        solids: M solids.
+        points: Points (3, ...) [m].
+
+    Returns:
+        Distances (..., M) [m], and their derivatives (3, ..., M).
+    """
+    dx, dy = (points[k][..., None] - solids.centre[k] for k in (0, 1))
+    c, s = np.cos(solids.yaw), np.sin(solids.yaw)
+    x, y = c * dx + s * dy, c * dy - s * dx
+    beyond_x, beyond_y = np.abs(x) - solids.half[0], np.abs(y) - solids.half[1]
+    out_x, out_y = np.maximum(beyond_x, 0.0), np.maximum(beyond_y, 0.0)
+    distance = np.hypot(out_x, out_y)
+    is_within = distance == 0.0
+    along_x = is_within & (beyond_x >= beyond_y)
+    scale = 1.0 / np.where(is_within, 1.0, distance)
+    nx = np.where(is_within, along_x, out_x * scale) * np.where(x < 0.0, -1.0, 1.0)
+    ny = np.where(is_within, ~along_x, out_y * scale) * np.where(y < 0.0, -1.0, 1.0)
+    level = np.where(is_within, np.maximum(beyond_x, beyond_y), distance) - solids.rounding
+    z = points[2][..., None]
+    over, under = z - solids.upper, solids.lower - z
+    upright = np.maximum(over, under)
+    gap, share = _combined(level, upright)
+    normal = np.stack(
+        (
+            share * (c * nx - s * ny),
+            share * (s * nx + c * ny),
+            np.sqrt(np.maximum(1.0 - share * share, 0.0)) * np.where(over >= under, 1.0, -1.0),
+        )
+    )
+    return gap, normal
+
+
+def point_gap_values(solids: UprightSolids, points: Array) -> Array:
+    """Return the distances (..., M) of `point_gaps` alone [m]."""
+    dx, dy = (points[k][..., None] - solids.centre[k] for k in (0, 1))
+    c, s = np.cos(solids.yaw), np.sin(solids.yaw)
+    beyond_x = np.abs(c * dx + s * dy) - solids.half[0]
+    beyond_y = np.abs(c * dy - s * dx) - solids.half[1]
+    level = np.hypot(np.maximum(beyond_x, 0.0), np.maximum(beyond_y, 0.0))
+    level += np.minimum(np.maximum(beyond_x, beyond_y), 0.0) - solids.rounding
+    z = points[2][..., None]
+    upright = np.maximum(z - solids.upper, solids.lower - z)
+    both = np.hypot(np.maximum(level, 0.0), np.maximum(upright, 0.0))
+    result: Array = both + np.minimum(np.maximum(level, upright), 0.0)
+    return result
+
+
+def rectangle_gaps(
+    solids: UprightSolids, poses: Array, half: Array, heights: tuple[float, float]
+) -> Array:
+    """Return signed distances (..., M) of an upright box at poses (..., 3) from solids [m].
+
+    Args:
+        solids: M solids.
+        poses: Poses of the centre of the rectangle [m, m, rad].
+        half: Half length and half width (2,) [m].
+        heights: Heights of its lower and its upper side [m].
+    """
+    yaw = solids.yaw - poses[..., 2, None]
+    x, y = (solids.centre[k] - poses[..., k, None] for k in (0, 1))
+    c, s = np.cos(poses[..., 2, None]), np.sin(poses[..., 2, None])
+    own_x, own_y = c * x + s * y, c * y - s * x
+    own, is_apart = corner_distances(own_x, own_y, yaw, solids.half, half[:, None])
+    cs, ss = np.cos(solids.yaw), np.sin(solids.yaw)
+    back_x, back_y = -cs * x - ss * y, ss * x - cs * y
+    other, is_apart_too = corner_distances(back_x, back_y, -yaw, half[:, None], solids.half)
+    overlap = np.maximum(
+        _separation(own_x, own_y, yaw, solids.half, half[:, None]),
+        _separation(back_x, back_y, yaw, half[:, None], solids.half),
+    )
+    level = np.where(is_apart | is_apart_too, np.minimum(own, other), overlap) - solids.rounding
+    upright = np.maximum(solids.lower - heights[1], heights[0] - solids.upper)
+    gap, _ = _combined(level, np.broadcast_to(upright, level.shape))
+    return gap
+
+
+def rectangle_gap_derivative(
+    solids: UprightSolids, poses: Array, half: Array, heights: tuple[float, float]
+) -> tuple[Array, Array]:
+    """Return what `rectangle_gaps` does, and the derivatives (..., M, 3) by the poses."""
+    offsets = np.vstack((np.zeros(3), STEP * np.eye(3), -STEP * np.eye(3)))
+    around = rectangle_gaps(solids, poses[..., None, :] + offsets, half, heights)
+    slopes = (around[..., 1:4, :] - around[..., 4:, :]) / (2.0 * STEP)
+    return around[..., 0, :], np.swapaxes(slopes, -1, -2)
+
+
+def _combined(level: Array, upright: Array) -> tuple[Array, Array]:
+    """Return signed gaps from horizontal and vertical ones, and the derivatives by the former."""
+    both = np.hypot(np.maximum(level, 0.0), np.maximum(upright, 0.0))
+    is_beyond = both > 0.0
+    gap = np.where(is_beyond, both, np.maximum(level, upright))
+    share = np.where(
+        is_beyond, np.maximum(level, 0.0) / np.where(is_beyond, both, 1.0), level >= upright
+    )
+    return gap, share
+
+
+def _separation(x: Array, y: Array, yaw: Array, half: Array, fixed: Array) -> Array:
+    """Return by how much the sides of a fixed rectangle separate another one [m]."""
+    c, s = np.abs(np.cos(yaw)), np.abs(np.sin(yaw))
+    result: Array = np.maximum(
+        np.abs(x) - fixed[0] - half[0] * c - half[1] * s,
+        np.abs(y) - fixed[1] - half[0] * s - half[1] * c,
+    )
+    return result

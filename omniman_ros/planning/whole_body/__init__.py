@@ -1,0 +1,1 @@
+"""Motion of platform and arm around obstacles while the tool follows its path."""

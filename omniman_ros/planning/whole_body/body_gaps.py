@@ -1,0 +1,338 @@
+"""Gaps of the whole body: to what stands, to what moves, and between its own parts."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from omniman_ros.collision.body_geometry import ALWAYS_NEAR, LINKS_BEFORE_WRIST
+from omniman_ros.collision.body_spheres import LOAD, BodySpheres, PlacedSpheres
+from omniman_ros.collision.convex_search import Indices
+from omniman_ros.collision.parameters import LoadShape, ToolShape
+from omniman_ros.collision.rectangles import Rectangles
+from omniman_ros.collision.signed_gaps import (
+    point_gap_values,
+    point_gaps,
+    rectangle_gap_derivative,
+    rectangle_gaps,
+)
+from omniman_ros.collision.solids import UprightSolids
+from omniman_ros.core.arm_model import JOINTS
+from omniman_ros.core.arrays import Array
+from omniman_ros.description.parameters import DescriptionParameters
+from omniman_ros.description.platform_shape import platform_top
+from omniman_ros.planning.whole_body.redundancy import COORDINATES, Configurations
+from omniman_ros.planning.whole_body.surroundings import Hindrances
+
+FAR = 10.0
+"""Gap of a row that constrains nothing [m]."""
+SAME_HEIGHT = 1e-6
+"""Change of a height that is round-off [m]."""
+OWN, STANDING, MOVING = range(3)
+"""Kinds of gaps: between parts of the robot, to what stands, to what moves."""
+PLATFORM = "platform"
+"""Name of the platform among the parts."""
+
+
+@dataclass(frozen=True)
+class GapRows:
+    """The nearest gaps at each of k configurations, with their derivatives.
+
+    Attributes:
+        gap: Gaps (k, n), less the growth of the margin around what moves [m].
+        slope: Derivatives (k, n, 4) by the redundancy coordinates.
+        kind: What each (k, n) is a gap to: OWN, STANDING or MOVING.
+    """
+
+    gap: Array
+    slope: Array
+    kind: Indices
+
+    def nearest(self, count: int) -> "GapRows":
+        """Return the n = `count` smallest gaps of each configuration; far ones fill up."""
+        k, n = self.gap.shape
+        if n < count:
+            more = count - n
+            return GapRows(
+                np.hstack([self.gap, np.full((k, more), FAR)]),
+                np.concatenate([self.slope, np.zeros((k, more, COORDINATES))], axis=1),
+                np.hstack([self.kind, np.full((k, more), STANDING)]),
+            )
+        index = np.argpartition(self.gap, count - 1, axis=1)[:, :count]
+        return GapRows(
+            np.take_along_axis(self.gap, index, axis=1),
+            np.take_along_axis(self.slope, index[..., None], axis=1),
+            np.take_along_axis(self.kind, index, axis=1),
+        )
+
+
+class BodyGaps:
+    """Gaps of platform, arm, tool and load.
+
+    The platform is one rectangle or several from the floor to the deck's top, the rest are
+    spheres, all of which contain the parts: no gap is overestimated.
+
+    Args:
+        description: Shapes of platform and arm, and where the arm is mounted.
+        tool: Shape of the tool.
+        load: Shape of the load, if any.
+        spacing: Largest spacing of the spheres [m].
+
+    Attributes:
+        names: Names of the parts, the platform first.
+        spheres: Spheres of arm, tool and load.
+        radius: Distance of the platform's farthest point from the z axis of base_link [m].
+    """
+
+    def __init__(
+        self,
+        description: DescriptionParameters,
+        tool: ToolShape,
+        load: LoadShape | None,
+        spacing: float,
+    ) -> None:
+        robot, mount = description.robot, description.mount
+        self.spheres = BodySpheres(mount, tool, load, spacing)
+        self.names: tuple[str, ...] = (PLATFORM, *self.spheres.names)
+        self._rectangles = Rectangles.around(robot.body).each()
+        self.radius = max(float(each.radius) for each in self._rectangles)
+        self._heights = 0.0, platform_top(robot, mount.z)
+        self._deck = UprightSolids.join(
+            [
+                UprightSolids.box(
+                    (*each.centre.tolist(), float(each.yaw)),
+                    2.0 * float(each.half[0]),
+                    2.0 * float(each.half[1]),
+                    self._heights,
+                )
+                for each in self._rectangles
+            ]
+        )
+        part = self.spheres.part
+        # Spheres on the axes of the first two joints keep their height above the deck.
+        postures = np.linspace(-1.0, 1.0, 3)[:, None] * np.ones(JOINTS)
+        heights = self.spheres.place(postures).centre[..., 2]
+        is_moved = np.ptp(heights, axis=0) > SAME_HEIGHT
+        self._above: Indices = np.flatnonzero(is_moved)
+        names = self.spheres.names
+        load_part = names.index(LOAD) if LOAD in names else len(names)
+        pairs = [
+            (i, j)
+            for i, a in enumerate(part.tolist())
+            for j, b in enumerate(part.tolist())
+            if b - a > 1
+            and (a, b) not in ALWAYS_NEAR
+            and not (b == load_part and a >= LINKS_BEFORE_WRIST)
+        ]
+        self._first: Indices = np.array([i for i, _ in pairs])
+        self._second: Indices = np.array([j for _, j in pairs])
+
+    # ---- values only, for checks and the search ---------------------------------------------
+
+    def own(self, placed: PlacedSpheres) -> Array:
+        """Return the least gap (k,) between two parts of the robot for spheres (k, S) [m]."""
+        centre, radius = placed.centre, self.spheres.radius
+        above = np.moveaxis(centre[:, self._above], -1, 0)
+        deck = point_gap_values(self._deck, above)
+        to_deck = (deck.min(axis=-1) - radius[self._above]).min(axis=1)
+        between = np.linalg.norm(centre[:, self._first] - centre[:, self._second], axis=-1)
+        between -= radius[self._first] + radius[self._second]
+        result: Array = np.minimum(to_deck, between.min(axis=1))
+        return result
+
+    def platform(self, poses: Array, solids: UprightSolids) -> Array:
+        """Return the gaps (k, M) of the platform at poses (k, 3) to solids [m]."""
+        found = [
+            rectangle_gaps(solids, each.poses(poses), each.half, self._heights)
+            for each in self._rectangles
+        ]
+        result: Array = np.min(found, axis=0)
+        return result
+
+    def spheres_least(
+        self, centre: Array, solids: UprightSolids
+    ) -> tuple[Array, Indices, Indices]:
+        """Return the least gaps (k,) of spheres to solids, with the numbers of both [m].
+
+        Args:
+            centre: Centres (3, k, S) of the spheres in the frame of the solids [m].
+            solids: Solids, at least one.
+        """
+        gaps = point_gap_values(solids, centre) - self.spheres.radius[:, None]
+        flat = gaps.reshape(len(gaps), -1)
+        least = flat.argmin(axis=1)
+        sphere, solid = np.divmod(least, len(solids))
+        return flat[np.arange(len(flat)), least], sphere, solid
+
+    def to_solids(self, poses: Array, placed: PlacedSpheres, solids: UprightSolids) -> Array:
+        """Return the gaps (k, 1 + S, M) of platform and spheres to solids [m].
+
+        Args:
+            poses: Poses (k, 3) of the platform.
+            placed: Spheres (k, S) in base_link.
+            solids: M solids.
+        """
+        platform = self.platform(poses, solids)
+        points = np.moveaxis(in_odom(poses, placed.centre), -1, 0)
+        gaps = point_gap_values(solids, points) - self.spheres.radius[:, None]
+        return np.concatenate([platform[:, None], gaps], axis=1)
+
+    def to_hindrances(
+        self, poses: Array, placed: PlacedSpheres, around: Hindrances, ages: Array
+    ) -> Array:
+        """Return the least gaps (k, M) of the body to all solids, the standing ones first [m].
+
+        Args:
+            poses: Poses (k, 3) of the platform.
+            placed: Spheres (k, S) in base_link.
+            around: M solids.
+            ages: Times (k,) after that of the solids [s], by which the moving ones have moved.
+        """
+        found = [self.to_solids(poses, placed, around.standing).min(axis=1)]
+        for each in range(len(around.moving)):
+            shifted = poses.copy()
+            shifted[:, :2] -= ages[:, None] * around.moving.velocity[:, each]
+            solid = around.moving.solids.select(np.array([each]))
+            found.append(self.to_solids(shifted, placed, solid).min(axis=1))
+        return np.concatenate(found, axis=1)
+
+    # ---- with derivatives, for the program --------------------------------------------------
+
+    def rows(
+        self, at: Configurations, around: Hindrances, ages: Array, reach: float, count: int
+    ) -> GapRows:
+        """Return the n = `count` nearest gaps at configurations (k,), with derivatives.
+
+        Args:
+            at: Configurations.
+            around: Solids around the robot.
+            ages: Times (k,) after that of the solids [s].
+            reach: Gap beyond which a solid is left out of account [m].
+            count: Number of gaps.
+        """
+        placed = self.spheres.place(at.arm)
+        moved = self.spheres.joint_derivative(placed)
+        parts = [self._own_rows(at, placed, moved)]
+        parts.append(self._solid_rows(at, placed, moved, around.standing, np.zeros(2), ages))
+        for each in range(len(around.moving)):
+            solid = around.moving.solids.select(np.array([each]))
+            velocity = around.moving.velocity[:, each]
+            found = self._solid_rows(at, placed, moved, solid, velocity, ages)
+            gap = found.gap - around.growth[each] * np.maximum(ages, 0.0)[:, None]
+            parts.append(GapRows(gap, found.slope, np.full(gap.shape, MOVING)))
+        joined = GapRows(
+            np.hstack([part.gap for part in parts]),
+            np.concatenate([part.slope for part in parts], axis=1),
+            np.hstack([part.kind for part in parts]),
+        ).nearest(count)
+        is_far = joined.gap > reach
+        return GapRows(
+            np.where(is_far, FAR, joined.gap),
+            np.where(is_far[..., None], 0.0, joined.slope),
+            joined.kind,
+        )
+
+    def _solid_rows(
+        self,
+        at: Configurations,
+        placed: PlacedSpheres,
+        moved: Array,
+        solids: UprightSolids,
+        velocity: Array,
+        ages: Array,
+    ) -> GapRows:
+        """Return the gap of each part to each solid, that of its nearest sphere."""
+        k, m = len(at.q), len(solids)
+        poses = at.platform.copy()
+        poses[:, :2] -= ages[:, None] * velocity
+        gaps, slopes = [], []
+        for each in self._rectangles:
+            gap, by_centre = rectangle_gap_derivative(
+                solids, each.poses(poses), each.half, self._heights
+            )
+            gaps.append(gap)
+            slopes.append(_at_base(by_centre, poses, each))
+        centre = in_odom(poses, placed.centre)
+        distance, normal = point_gaps(solids, np.moveaxis(centre, -1, 0))
+        distance -= self.spheres.radius[:, None]
+        rows = np.arange(k)[:, None]
+        for part in range(len(self.spheres.names)):
+            of_part = np.flatnonzero(self.spheres.part == part)
+            nearest = of_part[distance[:, of_part].argmin(axis=1)]  # (k, m)
+            solid = np.arange(m)
+            n = np.moveaxis(normal[:, rows, nearest, solid], 0, -1)  # (k, m, 3)
+            gaps.append(distance[rows, nearest, solid])
+            slopes.append(
+                _by_coordinates(at, n, centre[rows, nearest], moved[rows, nearest], poses)
+            )
+        return GapRows(
+            np.hstack(gaps),
+            np.concatenate(slopes, axis=1),
+            np.full((k, m * len(gaps)), STANDING),
+        )
+
+    def _own_rows(self, at: Configurations, placed: PlacedSpheres, moved: Array) -> GapRows:
+        """Return the nearest gaps of the robot's parts: to the deck, and between spheres."""
+        centre, radius = placed.centre, self.spheres.radius
+        k = len(centre)
+        rows = np.arange(k)[:, None]
+        above = np.moveaxis(centre[:, self._above], -1, 0)
+        deck, normal = point_gaps(self._deck, above)
+        nearest = deck.argmin(axis=-1)
+        gap = np.take_along_axis(deck, nearest[..., None], axis=-1)[..., 0] - radius[self._above]
+        normal = np.take_along_axis(normal, nearest[None, ..., None], axis=-1)[..., 0]
+        closest = np.argpartition(gap, 1, axis=1)[:, :2]
+        n = np.moveaxis(normal[:, rows, closest], 0, -1)
+        to_deck = np.einsum("kni,knij->knj", n, moved[rows, self._above[closest]])
+        apart = centre[:, self._second] - centre[:, self._first]
+        length = np.linalg.norm(apart, axis=-1)
+        between = length - radius[self._first] - radius[self._second]
+        pair = np.argpartition(between, 1, axis=1)[:, :2]
+        n = apart[rows, pair] / np.maximum(length[rows, pair], 1e-9)[..., None]
+        change = moved[rows, self._second[pair]] - moved[rows, self._first[pair]]
+        by_joints = np.concatenate([to_deck, np.einsum("kni,knij->knj", n, change)], axis=1)
+        return GapRows(
+            np.hstack([gap[rows, closest], between[rows, pair]]),
+            by_joints @ at.rates,
+            np.full((k, 4), OWN),
+        )
+
+
+def in_odom(poses: Array, points: Array) -> Array:
+    """Return points (k, S, 3) of base_link at poses (k, 3) in odom."""
+    c, s = np.cos(poses[:, 2])[:, None], np.sin(poses[:, 2])[:, None]
+    x, y, z = np.moveaxis(points, -1, 0)
+    return np.stack(
+        (poses[:, 0, None] + c * x - s * y, poses[:, 1, None] + s * x + c * y, z), axis=-1
+    )
+
+
+def _at_base(slopes: Array, poses: Array, rectangle: Rectangles) -> Array:
+    """Return derivatives (k, M, 4) by the coordinates from those (k, M, 3) by a rectangle."""
+    offset = rectangle.poses(poses)[:, :2] - poses[:, :2]
+    result = np.zeros((*slopes.shape[:2], COORDINATES))
+    result[..., :3] = slopes
+    result[..., 2] += slopes[..., 1] * offset[:, None, 0] - slopes[..., 0] * offset[:, None, 1]
+    return result
+
+
+def _by_coordinates(
+    at: Configurations, normal: Array, centre: Array, moved: Array, poses: Array
+) -> Array:
+    """Return derivatives (k, M, 4) of gaps by the coordinates.
+
+    Args:
+        at: Configurations.
+        normal: Derivatives (k, M, 3) of the gaps by the centres, in odom.
+        centre: Centres (k, M, 3) of the spheres in the frame of the solids [m].
+        moved: Derivatives (k, M, 3, 6) of the centres by the joints, in base_link.
+        poses: Poses (k, 3) of base_link in the frame of the solids.
+    """
+    lever = centre[..., :2] - poses[:, None, :2]
+    c, s = np.cos(poses[:, 2])[:, None], np.sin(poses[:, 2])[:, None]
+    nx, ny, nz = np.moveaxis(normal, -1, 0)
+    in_base = np.stack((c * nx + s * ny, c * ny - s * nx, nz), axis=-1)
+    result: Array = np.einsum("kmi,kmij->kmj", in_base, moved) @ at.rates
+    result[..., 0] += nx
+    result[..., 1] += ny
+    result[..., 2] += ny * lever[..., 0] - nx * lever[..., 1]
+    return result

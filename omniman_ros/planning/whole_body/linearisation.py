@@ -1,0 +1,259 @@
+"""Gauss-Newton steps of plans in the redundancy: costs and rows at a guess, and the step."""
+
+import numpy as np
+
+from omniman_ros.core.arrays import Array
+from omniman_ros.motion.whole_body.limits import WholeBodyLimits
+from omniman_ros.motion.whole_body.posture import PostureResolver
+from omniman_ros.planning.mpc.quadratic_program import SolverError
+from omniman_ros.planning.whole_body.body_gaps import BodyGaps
+from omniman_ros.planning.whole_body.parameters import DodgeOptions
+from omniman_ros.planning.whole_body.program import (
+    LIMITS,
+    MOVING,
+    STANDING,
+    STATES,
+    Quadratic,
+    RedundancyProgram,
+    StageRows,
+)
+from omniman_ros.planning.whole_body.redundancy import (
+    COORDINATES,
+    PLACE,
+    Configurations,
+    ToolRedundancy,
+)
+from omniman_ros.planning.whole_body.surroundings import Hindrances
+from omniman_ros.planning.whole_body.way import Way
+
+TRUST = np.array([0.12, 0.12, 0.2, 0.12])
+"""Largest changes of the redundancy coordinates in one step [m, m, rad, m]."""
+SLACK_LINEAR: Array = np.array([2e3, 2e3, 3e2])
+"""Weights of the slack, by its class."""
+SLACK_QUADRATIC: Array = np.array([2e4, 2e4, 3e3])
+"""Weights of the squares of the slack."""
+PROGRESS_WEIGHT = 8.0
+"""Weight of the distance on the path from where the tool should be [1/m^2]."""
+WAY_WEIGHTS = np.array([4.0, 4.0, 1.5])
+"""Weights of the distance from the searched way [1/m^2, 1/rad^2]."""
+RATE_WEIGHT = 0.05
+"""Weight of the joints' rates [s^2/rad^2]."""
+PLATFORM_RATE_WEIGHTS = np.array([0.5, 0.5, 0.2, 0.0])
+"""Weights of the rates of the coordinates [s^2/m^2, s^2/rad^2]."""
+CONTROL_WEIGHTS: Array = np.array([0.15, 0.15, 0.05, 0.3])
+"""Weights of the accelerations of the coordinates."""
+GAP_REACH = 0.6
+"""Gap beyond which a solid does not matter to a plan [m]."""
+OWN_CLEARANCE = 0.02
+"""Gap that plans keep between parts of the robot [m]."""
+ONSET = 1.3
+"""Margin to singularities that plans keep, relative to the least one."""
+ANGLE_RESERVE = 0.05
+"""Distance that plans keep from the ends of the joints [rad]."""
+DIAGONAL = np.sqrt(0.5)
+"""Share of the limit of a vector that each of its components may use."""
+
+
+class Linearisation:
+    """Improves plans.
+
+    Args:
+        redundancy: Kinematics on the path of the tool.
+        gaps: Shape of the robot.
+        resolver: Margins to singularities.
+        limits: Limits of the nine axes and of the wheels.
+        tool: Largest speed [m/s], acceleration [m/s^2] of the tool on its path, least margin to
+            singularities, and share of the axes' limits that is left free.
+        options: Options.
+    """
+
+    def __init__(
+        self,
+        redundancy: ToolRedundancy,
+        gaps: BodyGaps,
+        resolver: PostureResolver,
+        limits: WholeBodyLimits,
+        tool: tuple[float, float, float, float],
+        options: DodgeOptions,
+    ) -> None:
+        self._redundancy, self._gaps, self._resolver = redundancy, gaps, resolver
+        self._options = options
+        self._speed, acceleration, self._least_margin, reserve = tool
+        free = 1.0 - reserve
+        self._joint_speed: Array = free * limits.velocity[3:]
+        self._joint_acceleration: Array = free * limits.acceleration[3:]
+        self._wheels: Array = limits.wheels / (free * limits.wheel_speed)
+        self._lower: Array = limits.lower[3:] + ANGLE_RESERVE
+        self._upper: Array = limits.upper[3:] - ANGLE_RESERVE
+        speed, yaw_rate = min(limits.velocity[0], limits.path_speeds[0]), limits.velocity[2]
+        self._top = np.array([DIAGONAL * speed, DIAGONAL * speed, yaw_rate, self._speed])
+        self._hardest = np.array(
+            [
+                DIAGONAL * limits.acceleration[0],
+                DIAGONAL * limits.acceleration[0],
+                limits.acceleration[2],
+                acceleration,
+            ]
+        )
+        self._signs = resolver.signs(redundancy.centre)
+        count = options.gaps + 3 + 3 * len(self._lower) + len(self._wheels)
+        self._program = RedundancyProgram(
+            options.steps, options.step, count, SLACK_LINEAR, SLACK_QUADRATIC
+        )
+
+    def improved(
+        self,
+        z: Array,
+        rates: Array,
+        controls: Array,
+        times: Array,
+        way: Way,
+        around: Hindrances,
+    ) -> tuple[Array, Array]:
+        """Return a better plan: coordinates and rates (N + 1, 4), at rest at the end.
+
+        Args:
+            z: Coordinates (N + 1, 4) of the guess.
+            rates: Their rates (N + 1, 4).
+            controls: Their accelerations (N, 4) over the steps.
+            times: Times (N + 1,) of the nodes [s].
+            way: Way of the platform that leads the plans.
+            around: What is around the robot.
+
+        Raises:
+            SolverError: There is none: the guess is out of reach, or the program was not solved.
+        """
+        at = self._redundancy.configurations(z[1:])
+        if not np.isfinite(at.rates).all():
+            raise SolverError("the guess is out of the arm's reach, or singular")
+        rows = StageRows.join(
+            [
+                self._gap_rows(at, around, times[1:] - around.time),
+                self._arm_rows(at, rates[1:], controls),
+                self._wheel_rows(at, rates[1:]),
+            ]
+        )
+        step = self._program.solve(rows, self._cost(at, z, rates, controls, way))
+        better, better_rates = z.copy(), rates.copy()
+        better[1:] += step.states[:, :COORDINATES]
+        better_rates[1:] += step.states[:, COORDINATES:]
+        better_rates[-1] = 0.0
+        return better, better_rates
+
+    # ---- cost -------------------------------------------------------------------------------
+
+    def _cost(
+        self, at: Configurations, z: Array, rates: Array, controls: Array, way: Way
+    ) -> Quadratic:
+        """Return the cost and the bounds at a guess."""
+        o, n, end = self._options, len(controls), self._redundancy.path.end
+        time = o.step * np.arange(1, n + 1)
+        wanted = np.minimum(z[0, PLACE] + self._speed * time, end)
+        pose, slope = way.at(z[1:, PLACE])
+        by_z = np.zeros((n, 4, COORDINATES))
+        by_z[:, range(3), range(3)] = 1.0
+        by_z[:, :3, PLACE] = -slope
+        by_z[:, 3, PLACE] = 1.0
+        off = np.column_stack([z[1:, :3] - pose, z[1:, PLACE] - wanted])
+        weights = np.append(WAY_WEIGHTS, PROGRESS_WEIGHT)
+        hessian, gradient = np.zeros((n, STATES, STATES)), np.zeros((n, STATES))
+        weighted = np.swapaxes(by_z, 1, 2) * weights
+        hessian[:, :COORDINATES, :COORDINATES] = 2.0 * weighted @ by_z
+        gradient[:, :COORDINATES] = 2.0 * (weighted @ off[:, :, None])[:, :, 0]
+        by_rate = np.swapaxes(at.rates, 1, 2)
+        bend = 2.0 * RATE_WEIGHT * by_rate @ at.rates + 2.0 * np.diag(PLATFORM_RATE_WEIGHTS)
+        hessian[:, COORDINATES:, COORDINATES:] = bend
+        gradient[:, COORDINATES:] = (bend @ rates[1:, :, None])[:, :, 0]
+        hessian[:, range(STATES), range(STATES)] += 1e-4
+        states = np.empty((2, n, STATES))
+        states[0, :, :COORDINATES], states[1, :, :COORDINATES] = -TRUST, TRUST
+        beyond = end - z[1:, PLACE]
+        states[1, :, PLACE] = np.maximum(np.minimum(TRUST[PLACE], beyond), 0.0)
+        states[0, :, COORDINATES:] = np.minimum(-self._top - rates[1:], 0.0)
+        states[1, :, COORDINATES:] = np.maximum(self._top - rates[1:], 0.0)
+        states[0, :, COORDINATES + PLACE] = np.minimum(-rates[1:, PLACE], 0.0)
+        states[:, -1, COORDINATES:] = -rates[-1]
+        control = np.stack(
+            [
+                np.minimum(-self._hardest - controls, 0.0),
+                np.maximum(self._hardest - controls, 0.0),
+            ]
+        )
+        bend = 2.0 * CONTROL_WEIGHTS
+        return Quadratic(hessian, gradient, bend, bend * controls, control, states)
+
+    # ---- rows -------------------------------------------------------------------------------
+
+    def _gap_rows(self, at: Configurations, around: Hindrances, ages: Array) -> StageRows:
+        """Return the rows of the nearest gaps."""
+        o = self._options
+        found = self._gaps.rows(at, around, ages, GAP_REACH, o.gaps)
+        clearance = np.array([OWN_CLEARANCE, o.clearance, o.moving_clearance])[found.kind]
+        by_x = np.concatenate([found.slope, np.zeros_like(found.slope)], axis=2)
+        return StageRows(
+            found.gap - clearance,
+            by_x,
+            np.zeros_like(found.slope),
+            np.array([STANDING, STANDING, MOVING])[found.kind],
+        )
+
+    def _arm_rows(self, at: Configurations, rates: Array, controls: Array) -> StageRows:
+        """Return the rows of singularities, angles, rates and accelerations of the joints.
+
+        Of a limit with two sides, the one counts that is nearer at the guess.
+        """
+        n, zeros = len(rates), np.zeros_like(at.rates)
+        margins, by_arm = self._resolver.margins(at.arm, self._signs)
+        by_z = by_arm @ at.rates
+        singular = StageRows(
+            margins - ONSET * self._least_margin,
+            np.concatenate([by_z, np.zeros_like(by_z)], axis=2),
+            np.zeros_like(by_z),
+            np.full(margins.shape, LIMITS),
+        )
+        middle, half = 0.5 * (self._upper + self._lower), 0.5 * (self._upper - self._lower)
+        limits = np.full((n, len(middle)), LIMITS)
+        off = at.arm - middle
+        sign = -np.sign(off)
+        angles = StageRows(
+            half - np.abs(off),
+            np.concatenate([sign[..., None] * at.rates, zeros], axis=2),
+            zeros,
+            limits,
+        )
+        turning = (at.rates @ rates[:, :, None])[:, :, 0] / self._joint_speed
+        sign = (-np.sign(turning) / self._joint_speed)[..., None]
+        speeds = StageRows(
+            1.0 - np.abs(turning),
+            np.concatenate([zeros, sign * at.rates], axis=2),
+            zeros,
+            limits,
+        )
+        bending = (at.rates @ controls[:, :, None])[:, :, 0] + self._redundancy.drift(at, rates)
+        bending /= self._joint_acceleration
+        sign = (-np.sign(bending) / self._joint_acceleration)[..., None]
+        accelerations = StageRows(
+            1.0 - np.abs(bending),
+            np.concatenate([zeros, zeros], axis=2),
+            sign * at.rates,
+            limits,
+        )
+        return StageRows.join([singular, angles, speeds, accelerations])
+
+    def _wheel_rows(self, at: Configurations, rates: Array) -> StageRows:
+        """Return the rows of the wheels' speeds, CCTA 2017 (8)."""
+        c, s = np.cos(at.z[:, 2]), np.sin(at.z[:, 2])
+        to_robot = np.zeros((len(c), 3, 3))
+        to_robot[:, 0, 0] = to_robot[:, 1, 1] = c
+        to_robot[:, 0, 1], to_robot[:, 1, 0] = s, -s
+        to_robot[:, 2, 2] = 1.0
+        by_rate = self._wheels @ to_robot
+        speed = (by_rate @ rates[:, :3, None])[:, :, 0]
+        by_x = np.zeros((*speed.shape, STATES))
+        by_x[:, :, COORDINATES : COORDINATES + 3] = -np.sign(speed)[..., None] * by_rate
+        return StageRows(
+            1.0 - np.abs(speed),
+            by_x,
+            np.zeros((*speed.shape, COORDINATES)),
+            np.full(speed.shape, LIMITS),
+        )

@@ -1,0 +1,75 @@
+"""Parameters of the motion of the whole body around obstacles."""
+
+from dataclasses import dataclass
+
+from omniman_ros.core.errors import ParameterError
+from omniman_ros.core.parameters import inline, parameter
+
+
+@dataclass(frozen=True)
+class WayOptions:
+    """Options of the search for the platform's way."""
+
+    layer: float = parameter(
+        0.1, "Distance between layers along the tool's path.", unit="m", low=0.02, high=0.5
+    )
+    grid: float = parameter(
+        0.1, "Distance between the platform's positions.", unit="m", low=0.02, high=0.5
+    )
+    headings: int = parameter(24, "Number of headings of the platform.", low=8, high=72)
+    margin: float = parameter(
+        0.06, "Gap that the way keeps to what stands.", unit="m", low=0.0, high=1.0
+    )
+    wide: float = parameter(
+        0.25, "Gap from which on a wider one is no better.", unit="m", low=0.0, high=2.0
+    )
+    spacing: float = parameter(
+        0.15, "Spacing of the spheres that stand for the arm.", unit="m", low=0.02, high=0.5
+    )
+    shape: float = parameter(1.0, "Weight of the arm's shape, per layer.", low=0.0, high=1e3)
+    narrow: float = parameter(
+        4.0, "Weight of narrow gaps, per layer and square of the share.", low=0.0, high=1e4
+    )
+    travel: float = parameter(
+        20.0, "Weight of the platform's travel.", unit="1/m^2", low=0.0, high=1e4
+    )
+    turn: float = parameter(
+        6.0, "Weight of the platform's rotation.", unit="1/rad^2", low=0.0, high=1e4
+    )
+
+
+@dataclass(frozen=True)
+class DodgeOptions:
+    """Options of the control of the whole body in its redundancy."""
+
+    way: WayOptions = inline()
+    steps: int = parameter(25, "Steps N of the horizon.", low=5, high=60)
+    step: float = parameter(
+        0.1, "Time over which accelerations are held.", unit="s", low=0.02, high=0.5
+    )
+    gaps: int = parameter(16, "Number of gaps at each node of the program.", low=4, high=60)
+    spacing: float = parameter(
+        0.08, "Spacing of the spheres that stand for the arm.", unit="m", low=0.02, high=0.5
+    )
+    clearance: float = parameter(
+        0.06, "Gap that plans keep to what stands.", unit="m", low=0.0, high=1.0
+    )
+    moving_clearance: float = parameter(
+        0.1, "Gap that plans keep to what moves, before its growth.", unit="m", low=0.0, high=1.0
+    )
+    least_clearance: float = parameter(
+        0.03, "Gap below which a plan is not followed.", unit="m", low=0.0, high=1.0
+    )
+    own_clearance: float = parameter(
+        0.01,
+        "Gap between parts of the robot below which a plan is not followed.",
+        unit="m",
+        low=0.0,
+        high=1.0,
+    )
+
+    def __post_init__(self) -> None:
+        if self.least_clearance > self.clearance:
+            raise ParameterError(
+                "least_clearance", self.least_clearance, "must not be above clearance"
+            )

@@ -1,0 +1,180 @@
+"""The quadratic program of a cycle: one Gauss-Newton step in the redundancy.
+
+The unknowns are changes of a guess: of the accelerations u_k that are held over a step, of the
+states x_k = (z_k, z'_k) that follow from them exactly, and a slack of each class for every stage.
+Their order is u_0, slack_0, x_1, u_1, slack_1, ..., x_N. Rows of stage k hold at node k + 1.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from omniman_ros.core.arrays import Array
+from omniman_ros.planning.mpc.quadratic_program import INFINITY, QuadraticProgram
+from omniman_ros.planning.whole_body.redundancy import COORDINATES
+
+STATES = 2 * COORDINATES
+"""Number of states: the redundancy coordinates and their rates."""
+CLASSES = 3
+"""Number of classes of slack: what stands and the robot itself; limits of the arm and wheels,
+singularities; what moves."""
+STANDING, LIMITS, MOVING = range(CLASSES)
+
+
+@dataclass(frozen=True)
+class StageRows:
+    """Rows value + by_x dx + by_u du + slack >= 0 of N stages, R each.
+
+    Attributes:
+        value: (N, R) values at the guess.
+        by_x: (N, R, 8) derivatives by the state at the stage's end.
+        by_u: (N, R, 4) derivatives by the stage's accelerations.
+        slack: (N, R) numbers of the classes of slack.
+    """
+
+    value: Array
+    by_x: Array
+    by_u: Array
+    slack: Array
+
+    @staticmethod
+    def join(parts: "list[StageRows]") -> "StageRows":
+        """Return all rows of several sets."""
+        return StageRows(
+            *(
+                np.concatenate([getattr(part, name) for part in parts], axis=1)
+                for name in ("value", "by_x", "by_u", "slack")
+            )
+        )
+
+
+@dataclass(frozen=True)
+class Quadratic:
+    """Cost of a step, and its bounds.
+
+    Attributes:
+        hessian: (N, 8, 8) matrices of the states at the stages' ends.
+        gradient: (N, 8) their gradients.
+        control_hessian: (4,) diagonal of the matrix of the accelerations.
+        control_gradient: (N, 4) their gradients.
+        control_bounds: (2, N, 4) least and largest changes of the accelerations.
+        state_bounds: (2, N, 8) least and largest changes of the states.
+    """
+
+    hessian: Array
+    gradient: Array
+    control_hessian: Array
+    control_gradient: Array
+    control_bounds: Array
+    state_bounds: Array
+
+
+@dataclass(frozen=True)
+class Step:
+    """Solution of a program.
+
+    Attributes:
+        controls: (N, 4) changes of the accelerations.
+        states: (N, 8) changes of the states at the stages' ends.
+        slack: (N, 3) slack of each class.
+    """
+
+    controls: Array
+    states: Array
+    slack: Array
+
+
+def transition(step: float) -> tuple[Array, Array]:
+    """Return A (8, 8) and B (8, 4) of the exact dynamics over a step [s]."""
+    eye, zero = np.eye(COORDINATES), np.zeros((COORDINATES, COORDINATES))
+    a = np.block([[eye, step * eye], [zero, eye]])
+    b = np.vstack([0.5 * step**2 * eye, step * eye])
+    return a, b
+
+
+class RedundancyProgram:
+    """Solves the programs of all cycles, which have the same structure.
+
+    Args:
+        steps: Number N of steps.
+        step: Length of a step [s].
+        rows: Number R of rows of a stage.
+        linear: Weights (3,) of the slack.
+        quadratic: Weights (3,) of its squares.
+    """
+
+    def __init__(
+        self, steps: int, step: float, rows: int, linear: Array, quadratic: Array
+    ) -> None:
+        self._steps, self._rows = steps, rows
+        self._a, self._b = transition(step)
+        self._linear, self._quadratic = linear, quadratic
+        inputs = self._inputs = COORDINATES + CLASSES
+        width = self._width = inputs + STATES
+        height = STATES + rows
+        total = steps * width
+        # Positions of a stage's block [x_k, u_k, slack_k] and of -x_(k+1) in A.
+        block = np.zeros((steps * height, total), dtype=np.intp)
+        count = height * width
+        for k in range(steps):
+            numbers = 1 + k * count + np.arange(count).reshape(height, width)
+            first = k * width - STATES
+            top = slice(k * height, (k + 1) * height)
+            if k:
+                block[top, first : first + width] = numbers
+            else:
+                block[top, :inputs] = numbers[:, STATES:]
+            end = first + width
+            for row in range(STATES):
+                block[k * height + row, end + row] = -1
+        hessian = np.zeros((total, total), dtype=np.intp)
+        for k in range(steps):
+            at = k * width
+            for i in range(inputs):
+                hessian[at + i, at + i] = 1 + i
+            square = 1 + inputs + k * STATES**2 + np.arange(STATES**2)
+            of_state = slice(at + inputs, at + width)
+            hessian[of_state, of_state] = square.reshape(STATES, STATES)
+        self._of_a, self._of_h = block.T[block.T != 0], hessian.T[hessian.T != 0]
+        self._qp = QuadraticProgram.of_masks(
+            hessian != 0,
+            block != 0,
+            {
+                "N": steps,
+                "nx": [0] + [STATES] * steps,
+                "nu": [inputs] * steps + [0],
+                "ng": [rows] * steps + [0],
+            },
+        )
+
+    def solve(self, rows: StageRows, cost: Quadratic) -> Step:
+        """Return the step that minimises a cost within bounds and rows.
+
+        Raises:
+            SolverError: The program was not solved.
+        """
+        n, inputs = self._steps, self._inputs
+        blocks = np.zeros((n, STATES + self._rows, self._width))
+        blocks[:, :STATES, :STATES] = self._a
+        blocks[:, :STATES, STATES : STATES + COORDINATES] = self._b
+        blocks[:, STATES:, :STATES] = rows.by_x @ self._a
+        blocks[:, STATES:, STATES : STATES + COORDINATES] = rows.by_x @ self._b + rows.by_u
+        blocks[:, STATES:, STATES + COORDINATES :] = rows.slack[..., None] == np.arange(CLASSES)
+        source = np.concatenate([[0.0], blocks.ravel(), [-1.0]])
+        diagonal = np.concatenate([cost.control_hessian, self._quadratic])
+        hessian = np.concatenate([[0.0], diagonal, cost.hessian.ravel()])
+        gradient, lower, upper = (np.empty((n, self._width)) for _ in range(3))
+        gradient[:, :COORDINATES] = cost.control_gradient
+        gradient[:, COORDINATES:inputs] = self._linear
+        gradient[:, inputs:] = cost.gradient
+        lower[:, :COORDINATES], upper[:, :COORDINATES] = cost.control_bounds
+        lower[:, COORDINATES:inputs], upper[:, COORDINATES:inputs] = 0.0, np.inf
+        lower[:, inputs:], upper[:, inputs:] = cost.state_bounds
+        low = np.concatenate([np.zeros((n, STATES)), -rows.value], axis=1)
+        high = np.concatenate([np.zeros((n, STATES)), np.full(rows.value.shape, np.inf)], axis=1)
+        low = np.clip(low, -INFINITY, INFINITY)
+        bounds = low.ravel(), high.ravel(), lower.ravel(), upper.ravel()
+        found = self._qp.solve_entries(
+            hessian[self._of_h], gradient.ravel(), source[self._of_a], bounds
+        ).reshape(n, self._width)
+        return Step(found[:, :COORDINATES], found[:, inputs:], found[:, COORDINATES:inputs])

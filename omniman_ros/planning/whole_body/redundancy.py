@@ -1,0 +1,118 @@
+"""The redundancy of the whole body: all axes from the platform's pose and the place on the path.
+
+A redundancy coordinate z = (x, y, theta, s) is the pose of base_link in odom [m, m, rad] and the
+parameter of the tool's path [m]. The arm follows in closed form, so that the tool is on its path
+whatever z is. The rates are q' = G z', with G = J_arm^-1 (-J_platform, t), where t is the tool's
+twist per s; the accelerations are q'' = G z'' + J_arm^-1 (t' s'^2 - J' q').
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from omniman_ros.core.arrays import Array
+from omniman_ros.motion.whole_body.model import WholeBodyModel
+from omniman_ros.motion.whole_body.tool_curve import ToolCurve
+
+COORDINATES = 4
+"""Number of redundancy coordinates."""
+PLACE = 3
+"""Index of the place on the path among them."""
+DIFFERENCE_STEP = 1e-5
+"""Step of the numerical derivative of the Jacobian [s]."""
+SINGULAR = 1e-9
+"""Determinant of the arm's Jacobian below which it counts as singular."""
+
+
+@dataclass(frozen=True)
+class Configurations:
+    """Configurations of the whole body along a plan.
+
+    Attributes:
+        z: Redundancy coordinates (k, 4).
+        q: All axes (k, 9); NaN where the arm does not reach the tool.
+        rates: G (k, 6, 4), the joints' derivatives by z.
+    """
+
+    z: Array
+    q: Array
+    rates: Array
+
+    @property
+    def platform(self) -> Array:
+        """Poses (k, 3) of the platform."""
+        return self.q[:, :3]
+
+    @property
+    def arm(self) -> Array:
+        """Joint angles (k, 6) [rad]."""
+        return self.q[:, 3:]
+
+
+class ToolRedundancy:
+    """Arm and platform while the tool is on a path.
+
+    Args:
+        model: Kinematics of the robot.
+        path: Path of the tool in odom.
+        centre: Joint angles (6,) of the start [rad]; the arm stays on their branch of the inverse
+            kinematics, and each joint within half a revolution of them.
+
+    Attributes:
+        model: Kinematics of the robot.
+        path: Path of the tool.
+        centre: Joint angles of the start.
+    """
+
+    def __init__(self, model: WholeBodyModel, path: ToolCurve, centre: Array) -> None:
+        self.model, self.path, self.centre = model, path, centre
+        self._branch = model.arm.branch_of(centre)
+
+    def axes(self, z: Array) -> Array:
+        """Return all axes (k, 9) at coordinates (k, 4); NaN where the tool is out of reach."""
+        platform = z[:, :3]
+        return np.hstack([platform, self.arm(platform, self.path.pose(z[:, PLACE]))])
+
+    def arm(self, platform: Array, tool: Array) -> Array:
+        """Return joint angles (k, 6) for poses of platform (k, 3) and tool (k, 4, 4)."""
+        return self.model.arm_angles(platform, tool, self._branch, self.centre)
+
+    def configurations(self, z: Array) -> Configurations:
+        """Return configurations with derivatives at coordinates (k, 4)."""
+        pose, twist, _ = self.path.motion(z[:, PLACE])
+        q = np.hstack([z[:, :3], self.arm(z[:, :3], pose)])
+        return Configurations(z, q, self._rates(q, twist))
+
+    def drift(self, at: Configurations, velocity: Array) -> Array:
+        """Return the joints' accelerations (k, 6) while z' (k, 4) does not change [rad/s^2]."""
+        _, _, change = self.path.motion(at.z[:, PLACE])
+        rates = np.hstack([velocity[:, :3], _times(at.rates, velocity)])
+        step = DIFFERENCE_STEP * rates
+        difference = self.model.jacobian(at.q + step) - self.model.jacobian(at.q - step)
+        bend = _times(difference, rates) / (2.0 * DIFFERENCE_STEP)
+        right = change * velocity[:, PLACE, None] ** 2 - bend
+        arm = self.model.jacobian(at.q)[:, :, 3:]
+        return _solved(arm, right[:, :, None])[:, :, 0]
+
+    def _rates(self, q: Array, twist: Array) -> Array:
+        """Return G (k, 6, 4) at all axes (k, 9) with the tool's twists (k, 6) per s.
+
+        It is NaN where the arm is singular or does not reach the tool.
+        """
+        jacobian = self.model.jacobian(q)
+        right = np.concatenate([-jacobian[:, :, :3], twist[:, :, None]], axis=2)
+        return _solved(jacobian[:, :, 3:], right)
+
+
+def _times(matrix: Array, vectors: Array) -> Array:
+    """Return the products (k, i) of matrices (k, i, j) and vectors (k, j)."""
+    result: Array = (matrix @ vectors[:, :, None])[:, :, 0]
+    return result
+
+
+def _solved(matrix: Array, right: Array) -> Array:
+    """Return the solutions (k, 6, j) of systems with matrices (k, 6, 6); NaN where singular."""
+    regular = np.abs(np.linalg.det(matrix)) > SINGULAR
+    result = np.full(right.shape, np.nan)
+    result[regular] = np.linalg.solve(matrix[regular], right[regular])
+    return result

@@ -1,0 +1,48 @@
+"""The platform's way along the path of the tool, as a search finds it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.errors import InputError
+from omniman_ros.motion.whole_body.whole_body_path import PlatformSpline
+
+
+class NoWayError(InputError):
+    """There is no way for the platform; the message says where, and what is in the way.
+
+    Args:
+        message: What a user is told.
+        place: Parameter of the tool's path [m] up to which there is a way.
+        part: Name of the part of the robot that has no room; empty if the arm is out of reach.
+        solid: Number of the solid that takes the room, or None.
+    """
+
+    def __init__(self, message: str, place: float, part: str, solid: int | None) -> None:
+        super().__init__(message)
+        self.place, self.part, self.solid = place, part, solid
+
+
+@dataclass(frozen=True)
+class Way:
+    """Poses of the platform at equally spaced places of the tool's path, joined smoothly.
+
+    Attributes:
+        start: Parameter of the tool's path at the first pose [m].
+        end: Parameter at the last pose [m].
+        poses: Poses (n + 1, 3) of base_link in odom, headings not wrapped [m, m, rad].
+    """
+
+    start: float
+    end: float
+    poses: Array
+
+    def at(self, places: Array) -> tuple[Array, Array]:
+        """Return poses (k, 3) at places (k,) [m], held at the ends, and their derivatives."""
+        length = max(self.end - self.start, 1e-9)
+        inside = np.clip(places - self.start, 0.0, length)
+        pose, slope, _ = PlatformSpline(self.poses, length).motion(inside)
+        held = (places < self.start) | (places > self.end)
+        slope[held] = 0.0
+        return pose, slope

@@ -1,0 +1,347 @@
+"""Search for the platform's way along the path of the tool, past what stands.
+
+Dynamic programming over layers along the path: in each layer, the platform may be at positions
+on a grid around the tool, with headings all around. The grid turns with the tool about the
+vertical, so that the arm's posture at a point of the grid is the same wherever the tool has the
+same height and tilt. Of all ways, one with the least sum of costs is found: of the arm's shape,
+of narrow gaps, and of the platform's travel from layer to layer.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from omniman_ros.collision.body_spheres import PlacedSpheres
+from omniman_ros.collision.convex_search import Indices
+from omniman_ros.collision.solids import UprightSolids
+from omniman_ros.core.arrays import Array
+from omniman_ros.motion.path.axis_limits import AxisLimits
+from omniman_ros.motion.whole_body.model import planar_transform
+from omniman_ros.motion.whole_body.posture import POSTURE_WEIGHTS, PostureResolver, describe_place
+from omniman_ros.planning.whole_body.body_gaps import BodyGaps, in_odom
+from omniman_ros.planning.whole_body.parameters import WayOptions
+from omniman_ros.planning.whole_body.redundancy import PLACE, ToolRedundancy
+from omniman_ros.planning.whole_body.way import NoWayError, Way
+
+REACH = 1.2
+"""Largest horizontal distance of base_link from the tool that is tried [m]."""
+SHIFTS = 2
+"""Largest change of the position on the grid, along each axis, and of the heading from layer to
+layer [cells]."""
+SAME_HEIGHT = 0.03
+"""Change of the tool's height up to which postures are taken over from another layer [m]."""
+SAME_TILT = 0.1
+"""Change of the tool's tilt up to which postures are taken over [rad]."""
+SHEET_END = 0.3
+"""Distance that joints keep from half a revolution away from their start [rad]."""
+LIMIT_RESERVE = 0.1
+"""Distance that joints keep from their limits [rad]."""
+SINGULARITY_RESERVE = 1.5
+"""Margin to singularities relative to the least one."""
+OWN_GAP = 0.0
+"""Gap between the spheres of the robot's parts, which are larger than these [m]."""
+
+
+@dataclass(frozen=True)
+class _Postures:
+    """Points of the grid from which the arm reaches the tool, in the tool's upright frame.
+
+    Attributes:
+        cell: Their numbers (n,) on the grid.
+        pose: Poses (n, 3) of base_link.
+        placed: Spheres (n, S) in that frame.
+        cost: Costs (n,) of the arm's shape.
+    """
+
+    cell: Indices
+    pose: Array
+    placed: PlacedSpheres
+    cost: Array
+
+
+class WaySearch:
+    """Finds ways of the platform.
+
+    Args:
+        redundancy: Kinematics on the path of the tool.
+        gaps: Shape of the robot, with few spheres.
+        resolver: Margins to singularities.
+        limits: Limits of the joints, the last six axes.
+        least_margin: Least margin to singularities.
+        options: Options.
+    """
+
+    def __init__(
+        self,
+        redundancy: ToolRedundancy,
+        gaps: BodyGaps,
+        resolver: PostureResolver,
+        limits: AxisLimits,
+        least_margin: float,
+        options: WayOptions,
+    ) -> None:
+        self._redundancy, self._gaps = redundancy, gaps
+        self._resolver, self._options = resolver, options
+        self._least_margin = SINGULARITY_RESERVE * least_margin
+        centre = redundancy.centre
+        self._signs = resolver.signs(centre)
+        lower, upper = limits.lower[-6:] + LIMIT_RESERVE, limits.upper[-6:] - LIMIT_RESERVE
+        room = math.pi - SHEET_END
+        self._lower: Array = np.minimum(np.maximum(lower, centre - room), centre)
+        self._upper: Array = np.maximum(np.minimum(upper, centre + room), centre)
+        self._known: dict[tuple[int, ...], _Postures] = {}
+
+    def find(self, start: Array, standing: UprightSolids) -> Way:
+        """Find a way from coordinates (4,) to the end of the path.
+
+        Args:
+            start: Redundancy coordinates of the start.
+            standing: What stands.
+
+        Raises:
+            NoWayError: There is none.
+        """
+        o, path = self._options, self._redundancy.path
+        first = float(start[PLACE])
+        count = max(3, math.ceil((path.end - first) / o.layer))
+        places = np.linspace(first, path.end, count + 1)
+        upright = path.at(places)[:, [0, 1, 3]]  # x, y and psi of the tool
+        grid = _Grid(o, _relative(upright[0], start[:3]))
+        self._known.clear()
+        cost = np.full(grid.shape, np.inf)
+        cost[grid.middle] = 0.0
+        choices = []
+        for k in range(1, count + 1):
+            cost, choice = grid.moved(cost, upright[k - 1], upright[k])
+            choices.append(choice)
+            reached = np.isfinite(cost.ravel())
+            price, block = self._priced(grid, float(places[k]), upright[k], standing, reached)
+            cost = cost + price.reshape(grid.shape)
+            if not np.isfinite(cost).any():
+                self._refuse(float(places[k - 1]), block)
+        return Way(first, path.end, _traced(grid, cost, choices, upright, start))
+
+    def _priced(
+        self,
+        grid: "_Grid",
+        place: float,
+        upright: Array,
+        standing: UprightSolids,
+        reached: Array,
+    ) -> tuple[Array, tuple[str, int] | None]:
+        """Return the costs (n,) of all points of the grid at a place of the path.
+
+        Args:
+            grid: The grid.
+            place: Parameter of the path [m].
+            upright: x, y and psi (3,) of the tool there.
+            standing: What stands.
+            reached: Which points (n,) can be reached from the layer before.
+
+        Returns:
+            The costs, infinite where the robot cannot be, and the part and the solid that are in
+            the way of the point with the widest gap.
+        """
+        o, result = self._options, np.full(math.prod(grid.shape), np.inf)
+        postures = self._postures(grid, place)
+        chosen = np.flatnonzero(reached[postures.cell])
+        if not len(chosen):
+            return result, None
+        near = _turned(standing, upright)
+        far = REACH + self._gaps.radius + o.wide
+        distance = np.hypot(*near.centre) - np.hypot(*near.half) - near.rounding
+        index = np.flatnonzero(distance < far)
+        if not len(index):
+            result[postures.cell[chosen]] = postures.cost[chosen]
+            return result, None
+        near = near.select(index)
+        platform = self._gaps.platform(postures.pose[chosen], near)
+        least = platform.min(axis=1)
+        is_free = least >= o.margin
+        if not is_free.any():
+            best = int(least.argmax())
+            return result, (self._gaps.names[0], int(index[platform[best].argmin()]))
+        chosen, gap = chosen[is_free], least[is_free]
+        centres = np.moveaxis(postures.placed.centre[chosen], -1, 0)
+        arm, sphere, solid = self._gaps.spheres_least(centres, near)
+        gap = np.minimum(gap, arm)
+        is_free = gap >= o.margin
+        if not is_free.any():
+            best = int(arm.argmax())
+            part = self._gaps.spheres.part[sphere[best]]
+            return result, (self._gaps.spheres.names[part], int(index[solid[best]]))
+        chosen, gap = chosen[is_free], gap[is_free]
+        narrow = np.maximum(o.wide - gap, 0.0) / o.wide
+        result[postures.cell[chosen]] = postures.cost[chosen] + o.narrow * narrow**2
+        return result, None
+
+    def _postures(self, grid: "_Grid", place: float) -> _Postures:
+        """Return the postures at a place of the path, perhaps those of a similar place."""
+        path = self._redundancy.path
+        _, _, height, _, *tilt = path.at(np.array([place]))[0].tolist()
+        key = (round(height / SAME_HEIGHT), *(round(angle / SAME_TILT) for angle in tilt))
+        if key not in self._known:
+            self._known[key] = self._found(grid, place)
+        return self._known[key]
+
+    def _found(self, grid: "_Grid", place: float) -> _Postures:
+        """Return all points of the grid from which the arm reaches the tool at a place."""
+        path = self._redundancy.path
+        x, y, _, psi, *_ = path.at(np.array([place]))[0].tolist()
+        tool = np.linalg.inv(planar_transform(np.array([x, y, psi]))) @ path.pose(
+            np.array([place])
+        )
+        pose = grid.poses
+        cell = np.flatnonzero(self._within_reach(pose, tool[0]))
+        pose = pose[cell]
+        arm = self._redundancy.arm(pose, np.broadcast_to(tool, (len(cell), 4, 4)))
+        margins, _ = self._resolver.margins(arm, self._signs)
+        is_possible = (margins >= self._least_margin).all(axis=1)
+        is_possible &= ((arm >= self._lower) & (arm <= self._upper)).all(axis=1)
+        cell, pose, arm = cell[is_possible], pose[is_possible], arm[is_possible]
+        placed = self._gaps.spheres.place(arm)
+        is_apart = self._gaps.own(placed) >= OWN_GAP if len(cell) else np.zeros(0, dtype=bool)
+        cell, pose, arm = cell[is_apart], pose[is_apart], arm[is_apart]
+        difference = arm - self._redundancy.centre
+        cost = self._options.shape * (POSTURE_WEIGHTS * difference**2).sum(axis=1)
+        centre = in_odom(pose, placed.centre[is_apart])
+        return _Postures(cell, pose, PlacedSpheres(centre, placed.frames[is_apart]), cost)
+
+    def _within_reach(self, pose: Array, tool: Array) -> Array:
+        """Return which poses (n, 3) of the platform have the wrist within the arm's length."""
+        model = self._redundancy.model
+        t = model.arm.table
+        base = model.base(pose)[:, :3, 3]
+        wrist = tool[:3, 3] - t.d6 * tool[:3, 2]
+        shoulder = base + [0.0, 0.0, t.d1]
+        longest = abs(t.a2) + abs(t.a3) + t.d5 + abs(t.d4)
+        distance = np.linalg.norm(wrist - shoulder, axis=1)
+        result: Array = distance < longest
+        return result
+
+    def _refuse(self, place: float, block: tuple[str, int] | None) -> None:
+        """Raise the error for a way that ends at a place of the path [m]."""
+        where = describe_place(self._redundancy.path, place)
+        if block is None:
+            reason = "beyond it, the platform finds no place from which the arm reaches the tool"
+            raise NoWayError(where + reason, place, "", None)
+        part, solid = block
+        reason = f"beyond it, {part} has no room beside standing solid {solid}"
+        raise NoWayError(where + reason, place, part, solid)
+
+
+class _Grid:
+    """Positions and headings relative to the tool's upright frame; the start is one of them."""
+
+    def __init__(self, options: WayOptions, start: Array) -> None:
+        self._options = options
+        half = math.ceil(REACH / options.grid)
+        lines = []
+        for k in (0, 1):
+            # The start is in the middle of a cell.
+            offset = math.remainder(float(start[k]), options.grid)
+            lines.append(offset + options.grid * np.arange(-half - 1, half + 2))
+        self._turn = math.tau / options.headings
+        heading = float(start[2]) + self._turn * np.arange(options.headings)
+        self.x, self.y, self.heading = *lines, heading
+        self.shape = len(lines[0]), len(lines[1]), options.headings
+        self.middle = (
+            int(np.abs(self.x - start[0]).argmin()),
+            int(np.abs(self.y - start[1]).argmin()),
+            0,
+        )
+        x, y, h = np.meshgrid(self.x, self.y, self.heading, indexing="ij")
+        self.poses: Array = np.stack((x, y, h), axis=-1).reshape(-1, 3)
+
+    def moved(self, cost: Array, before: Array, after: Array) -> tuple[Array, Indices]:
+        """Return the least costs after a step from one layer to the next, and the choices.
+
+        Args:
+            cost: Costs (shape) up to the layer before.
+            before: x, y and psi (3,) of the tool there.
+            after: x, y and psi (3,) of the tool at the next layer.
+
+        Returns:
+            Costs with the platform's travel, and the number of the shift that led to each point.
+        """
+        o, span = self._options, 2 * SHIFTS + 1
+        turn = float(after[2] - before[2])
+        turned, by_heading = np.full(self.shape, np.inf), np.zeros(self.shape, dtype=np.int16)
+        for k in range(-SHIFTS, SHIFTS + 1):
+            shifted = np.roll(cost, k, axis=2) + o.turn * (k * self._turn + turn) ** 2
+            is_less = shifted < turned
+            turned[is_less] = shifted[is_less]
+            by_heading[is_less] = k + SHIFTS
+        # Where a platform that stands would be in the next layer's frame.
+        stay = _relative(after, _carried(before, np.zeros(3)))
+        c, s = math.cos(stay[2]), math.sin(stay[2])
+        x, y = np.meshgrid(self.x, self.y, indexing="ij")
+        ex = x - (c * x - s * y + stay[0])
+        ey = y - (s * x + c * y + stay[1])
+        best, choice = np.full(self.shape, np.inf), np.zeros(self.shape, dtype=np.intp)
+        for a in range(-SHIFTS, SHIFTS + 1):
+            for b in range(-SHIFTS, SHIFTS + 1):
+                travel = o.travel * ((ex + a * o.grid) ** 2 + (ey + b * o.grid) ** 2)
+                to_x, from_x = _overlap(a, self.shape[0])
+                to_y, from_y = _overlap(b, self.shape[1])
+                tried = turned[from_x, from_y] + travel[from_x, from_y, None]
+                target, chosen = best[to_x, to_y], choice[to_x, to_y]
+                is_less = tried < target
+                target[is_less] = tried[is_less]
+                code = ((a + SHIFTS) * span + b + SHIFTS) * span
+                chosen[is_less] = code + by_heading[from_x, from_y][is_less]
+        return best, choice
+
+
+def _overlap(shift: int, count: int) -> tuple[slice, slice]:
+    """Return the slices of targets and sources of a shift along an axis."""
+    return (
+        slice(max(shift, 0), count + min(shift, 0)),
+        slice(max(-shift, 0), count - max(shift, 0)),
+    )
+
+
+def _traced(
+    grid: _Grid, cost: Array, choices: list[Indices], upright: Array, start: Array
+) -> Array:
+    """Return the poses (n + 1, 3) of the way with the least cost, headings going on."""
+    span = 2 * SHIFTS + 1
+    cell = np.array(np.unravel_index(int(cost.argmin()), grid.shape))
+    relative = []
+    for choice in reversed(choices):
+        relative.append((grid.x[cell[0]], grid.y[cell[1]], grid.heading[cell[2]]))
+        code = int(choice[tuple(cell)])
+        shift = np.array([code // span**2, code // span % span, code % span]) - SHIFTS
+        cell = cell - shift
+        cell[2] %= grid.shape[2]
+    poses = np.vstack(
+        [
+            start[:3],
+            [_carried(at, np.array(r)) for at, r in zip(upright[1:], relative[::-1], strict=True)],
+        ]
+    )
+    poses[:, 2] = np.unwrap(poses[:, 2])
+    return poses
+
+
+def _relative(frame: Array, pose: Array) -> Array:
+    """Return a pose (3,) in a planar frame (3,)."""
+    c, s = math.cos(frame[2]), math.sin(frame[2])
+    x, y, yaw = (pose - frame).tolist()
+    return np.array([c * x + s * y, c * y - s * x, yaw])
+
+
+def _carried(frame: Array, pose: Array) -> Array:
+    """Return the pose (3,) outside of a planar frame (3,) from that in it."""
+    c, s = math.cos(frame[2]), math.sin(frame[2])
+    x, y, yaw = pose.tolist()
+    return np.array([frame[0] + c * x - s * y, frame[1] + s * x + c * y, frame[2] + yaw])
+
+
+def _turned(solids: UprightSolids, frame: Array) -> UprightSolids:
+    """Return solids in a planar frame (3,)."""
+    c, s = math.cos(frame[2]), math.sin(frame[2])
+    offset = solids.centre - frame[:2, None]
+    centre = np.array([[c, s], [-s, c]]) @ offset
+    return replace(solids, centre=centre, yaw=solids.yaw - frame[2])

@@ -1,0 +1,97 @@
+"""Signed gaps against the distances of the solids, finite differences, and the way out."""
+
+import numpy as np
+import pytest
+
+from omniman_ros.collision.body_spheres import BodySpheres
+from omniman_ros.collision.parameters import LoadShape, ToolShape
+from omniman_ros.collision.signed_gaps import (
+    point_gaps,
+    rectangle_gap_derivative,
+    rectangle_gaps,
+)
+from omniman_ros.collision.solids import UprightSolids
+from omniman_ros.motion.whole_body.model import Mount
+
+HALF, HEIGHTS = np.array([0.5, 0.35]), (0.0, 0.5)
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(5)
+
+
+@pytest.fixture
+def solids():
+    """Return a post, a table top, a wall with round ends, and a hanging cylinder."""
+    wall = UprightSolids(
+        np.array([[1.0], [1.2]]),
+        np.array([0.7]),
+        np.array([[0.8], [0.0]]),
+        np.array([0.1]),
+        np.array([0.0]),
+        np.array([2.0]),
+    )
+    return UprightSolids.join(
+        [
+            UprightSolids.cylinder(0.9, 0.2, 0.15, (0.0, 1.2)),
+            UprightSolids.box((-0.8, 0.4, 0.3), 1.2, 0.7, (0.7, 0.75)),
+            wall,
+            UprightSolids.cylinder(-1.0, -0.5, 0.2, (0.8, 1.5)),
+        ]
+    )
+
+
+def test_gaps_outside_are_the_distances(rng, solids):
+    points = rng.uniform(-2.0, 2.0, (3, 300))
+    gaps, _ = point_gaps(solids, points)
+    distances = solids.point_distances(points[..., None])
+    assert gaps.shape == (300, 4)
+    assert np.allclose(np.maximum(gaps, 0.0), distances, atol=1e-12)
+    poses = rng.uniform(-2.0, 2.0, (300, 3))
+    gaps = rectangle_gaps(solids, poses, HALF, HEIGHTS)
+    assert np.allclose(
+        np.maximum(gaps, 0.0), solids.box_distances(poses, HALF, HEIGHTS), atol=1e-12
+    )
+    assert (gaps < 0.0).any()
+
+
+def test_a_gap_inside_is_the_way_out():
+    box = UprightSolids.box((0.0, 0.0, 0.0), 2.0, 1.0, (0.0, 3.0))
+    gap, normal = point_gaps(box, np.array([0.2, 0.3, 1.0]))
+    assert gap[0] == pytest.approx(-0.2)
+    assert normal[:, 0] == pytest.approx([0.0, 1.0, 0.0])
+    post = UprightSolids.cylinder(0.4, 0.0, 0.2, (0.0, 1.0))
+    assert rectangle_gaps(post, np.zeros(3), HALF, HEIGHTS)[0] == pytest.approx(-0.3)
+
+
+def test_derivatives_are_those_of_finite_differences(rng, solids):
+    points, step = rng.uniform(-1.5, 1.5, (3, 200)), 1e-6
+    gaps, normal = point_gaps(solids, points)
+    for axis in range(3):
+        moved = points.copy()
+        moved[axis] += step
+        slope = (point_gaps(solids, moved)[0] - gaps) / step
+        assert np.median(np.abs(slope - normal[axis])) < 1e-5
+        assert np.mean(np.abs(slope - normal[axis]) < 1e-3) > 0.99
+    poses = rng.uniform(-1.5, 1.5, (50, 3))
+    gaps, slopes = rectangle_gap_derivative(solids, poses, HALF, HEIGHTS)
+    assert slopes.shape == (50, 4, 3)
+    assert gaps == pytest.approx(rectangle_gaps(solids, poses, HALF, HEIGHTS))
+
+
+def test_spheres_contain_the_capsules_axes_and_move_with_the_joints(rng):
+    load = LoadShape(length=0.3, width=0.2, height=0.1)
+    spheres = BodySpheres(Mount(), ToolShape(length=0.15), load, 0.08)
+    q = rng.uniform(-3.0, 3.0, 6)
+    placed = spheres.place(q)
+    assert placed.centre.shape == (len(spheres.radius), 3)
+    tip = placed.frames[-1] @ [0.0, 0.0, 0.15, 1.0]
+    inside = np.linalg.norm(placed.centre - tip[:3], axis=1) <= spheres.radius
+    assert inside.any()
+    corner = placed.frames[-1] @ [0.15, 0.1, 0.1, 1.0]
+    assert (np.linalg.norm(placed.centre - corner[:3], axis=1) <= spheres.radius + 1e-9).any()
+    slopes, step = spheres.joint_derivative(placed), 1e-6
+    for joint in range(6):
+        moved = spheres.place(q + step * np.eye(6)[joint]).centre
+        assert (moved - placed.centre) / step == pytest.approx(slopes[..., joint], abs=1e-5)

@@ -1,0 +1,118 @@
+"""The whole body on the path of its tool, past posts and walkers."""
+
+import math
+
+import numpy as np
+import pytest
+
+from omniman_ros.collision.solids import UprightSolids
+from omniman_ros.collision.surroundings import Surroundings
+from omniman_ros.core.errors import InputError
+from omniman_ros.motion.whole_body.model import WholeBodyModel
+from omniman_ros.planning.whole_body.controller import PERIOD
+from omniman_ros.planning.whole_body.surroundings import Hindrances
+from omniman_ros.planning.whole_body.task import WholeBodyTask
+from omniman_ros.planning.whole_body.way import NoWayError
+from omniman_ros.simulation.world.distances import PostureDistances, Prism
+from test.planning.whole_body.support import START, posts, setup, straight
+
+SETUP = setup()
+POST = (1.3, -0.25)
+"""A post in the platform's way, if it kept its place relative to the tool."""
+
+
+def drive(task, around, duration, sample=0.02):
+    """Return times, axes and outcomes of a task that is executed exactly."""
+    times, axes, outcomes, now = [], [], [], 0.0
+    while now < duration and not task.is_completed(now):
+        outcomes.append(task.cycle(now, around(now)))
+        ticks = now + np.arange(0.0, PERIOD - 1e-9, sample)
+        times.append(ticks)
+        axes.append(task.axes(ticks))
+        now += PERIOD
+    return np.concatenate(times), np.vstack(axes), outcomes, now
+
+
+def test_the_body_dodges_a_post_while_the_tool_stays_on_its_path():
+    task = WholeBodyTask(SETUP, straight(0.8), START, 0.0, posts(POST))
+    _, axes, outcomes, end = drive(task, lambda now: posts(POST), 20.0)
+    assert task.is_completed(end)
+    assert all(outcome.verdict.is_clear for outcome in outcomes)
+    model = WholeBodyModel(SETUP.description.mount)
+    start = model.forward(START)
+    tool = model.forward(axes)
+    assert np.abs(tool[:, 1:3, 3] - start[1:3, 3]).max() < 1e-6
+    assert np.abs(tool[:, :3, :3] - start[:3, :3]).max() < 1e-6
+    assert tool[-1, 0, 3] - start[0, 3] == pytest.approx(0.8, abs=1e-3)
+    judge = PostureDistances(SETUP.description, [Prism((0.1, 0.1), 0.0, (0.0, 1.2))])
+    gaps = []
+    for q in axes[::5]:
+        judge.place(q[:3], q[3:], np.array([POST]))
+        gaps.append(judge.distances(2.0)[0])
+    assert min(gaps) > SETUP.dodge.least_clearance
+    joints = np.diff(axes[:, 3:], axis=0) / 0.02
+    assert (np.abs(joints) < SETUP.limits.velocity[3:]).all()
+
+
+def test_the_robot_waits_for_a_walker_and_goes_on():
+    model = WholeBodyModel(SETUP.description.mount)
+    x, y = model.forward(START)[:2, 3].tolist()
+    task = WholeBodyTask(SETUP, straight(0.6), START, 0.0, Hindrances())
+
+    def around(now):
+        # A person crosses the tool's path where the tool would be.
+        solid = UprightSolids.cylinder(x + 0.45, y + 2.5 - 0.8 * now, 0.25, (0.0, 1.8))
+        moving = Surroundings(solid, np.array([[0.0], [-0.8]]))
+        return Hindrances(time=now, moving=moving, growth=np.array([0.05]))
+
+    times, axes, _, end = drive(task, around, 15.0, sample=0.05)
+    assert task.is_completed(end)
+    unhindered = 0.6 / SETUP.path.linear_velocity
+    assert end > unhindered
+    judge = PostureDistances(SETUP.description, [Prism((0.25, 0.25), 0.0, (0.0, 1.8))])
+    for now, q in zip(times[::2], axes[::2], strict=True):
+        judge.place(q[:3], q[3:], around(now).moving.solids.centre.T)
+        assert judge.distances(2.0)[0] > 0.0
+
+
+def test_what_appears_in_the_way_stops_the_robot_before_contact():
+    task = WholeBodyTask(SETUP, straight(0.8), START, 0.0, Hindrances())
+    model = WholeBodyModel(SETUP.description.mount)
+    x, y = model.forward(START)[:2, 3].tolist()
+    late = posts((x + 0.5, y))  # on the path of the tool
+    _, axes, outcomes, end = drive(task, lambda now: late if now > 1.5 else Hindrances(), 5.0)
+    assert not task.is_completed(end)
+    assert np.abs(np.diff(axes[-3:], axis=0)).max() < 1e-3
+    assert outcomes[-1].verdict.gap > 0.0
+    with pytest.raises(NoWayError, match="has no room beside standing solid 0"):
+        task.search(end, late)
+
+
+def test_a_path_through_a_post_is_refused_with_the_place_the_part_and_the_solid():
+    model = WholeBodyModel(SETUP.description.mount)
+    x, y = model.forward(START)[:2, 3].tolist()
+    with pytest.raises(NoWayError, match="has no room beside standing solid 1") as refused:
+        WholeBodyTask(SETUP, straight(1.0), START, 0.0, posts((9.0, 9.0), (x + 0.6, y)))
+    assert refused.value.solid == 1
+    assert refused.value.part
+    assert 0.2 < refused.value.place < 0.6
+
+
+def test_a_path_out_of_reach_is_refused_with_the_place():
+    poses = straight(1.0)
+    poses[:, 2, 3] += np.linspace(0.1, 1.2, len(poses))
+    with pytest.raises(NoWayError, match="no place from which the arm reaches"):
+        WholeBodyTask(SETUP, poses, START, 0.0, Hindrances())
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, 1e9])
+def test_invalid_input_is_refused(value):
+    poses = straight(1.0)
+    poses[3, 0, 3] = value
+    with pytest.raises(InputError):
+        WholeBodyTask(SETUP, poses, START, 0.0, Hindrances())
+    with pytest.raises(InputError):
+        WholeBodyTask(SETUP, straight(1.0), np.full(9, value), 0.0, Hindrances())
+    if value != 1e9:
+        with pytest.raises(InputError, match="finite"):
+            posts((value, 0.0))
