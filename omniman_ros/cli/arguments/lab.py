@@ -17,6 +17,7 @@ BENCHMARKS = {
     "clutter": "the planner in worlds of BARN's kind, map known and by scanner: score, CPU",
     "crowd": "the planner among 20 moving discs: goals per minute, contacts, CPU",
     "whole_body": "time of planning tool paths, CPU of their stream, inverse kinematics",
+    "whole_body_obstacles": "the body dodges, the tool stays on its path; next to a fixed posture",
     "stability": "tracking and lifted wheels with the arm stretched, posture known or not",
     "faults": "reactions of the whole running robot to each row of the table of faults",
     "soak": "memory, contacts and false stops of a robot that is driven and disturbed for hours",

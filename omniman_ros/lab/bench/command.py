@@ -12,6 +12,7 @@ BENCHMARKS = {
     "can": "omniman_ros.lab.bench.can_bus",
     "arm": "omniman_ros.lab.bench.arm",
     "whole_body": "omniman_ros.lab.bench.whole_body",
+    "whole_body_obstacles": "omniman_ros.lab.bench.whole_body_obstacles",
     "world": "omniman_ros.lab.bench.world",
     "stability": "omniman_ros.lab.bench.stability",
     "collision": "omniman_ros.lab.bench.collision",
