@@ -1,7 +1,7 @@
 """Convert laser scans and point clouds to scans in one plane."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -109,8 +109,21 @@ def cloud_points(message: PointCloud2) -> Array:
     Raises:
         InputError: See `scan_from_cloud`.
     """
+    return cloud_fields(message, ("x", "y", "z"))
+
+
+def cloud_fields(message: PointCloud2, names: Sequence[str]) -> Array:
+    """Return fields of the points of a cloud as columns (N, number of names).
+
+    Args:
+        message: The cloud.
+        names: Names of the fields.
+
+    Raises:
+        InputError: The cloud lacks one of the fields as FLOAT32, or has too little data.
+    """
     offsets = {field.name: field for field in message.fields}
-    for name in "xyz":
+    for name in names:
         field = offsets.get(name)
         if field is None or field.datatype != PointField.FLOAT32:
             raise InputError(f"it has no field '{name}' of type FLOAT32")
@@ -127,6 +140,6 @@ def cloud_points(message: PointCloud2) -> Array:
     order = ">f4" if message.is_bigendian else "<f4"
     columns = [
         cells[:, offsets[name].offset : offsets[name].offset + 4].copy().view(order)[:, 0]
-        for name in "xyz"
+        for name in names
     ]
     return np.column_stack(columns).astype(np.float64)

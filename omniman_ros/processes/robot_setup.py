@@ -62,6 +62,9 @@ COLLISION_MONITOR = "collision_monitor"
 OBSTACLE_TRACKER = "obstacle_tracker"
 """Name of the node that turns laser scans into obstacles and a map."""
 
+VIEWER_NODE = "viewer"
+"""Name of the node that serves the page."""
+
 ROBOT_NODES = (
     NodeKind("platform_controller", stage=0),
     NodeKind("path_interpolator", stage=0),
@@ -77,7 +80,7 @@ ROBOT_NODES = (
     NodeKind("simulated_can_drives", stage=2, sim_time="publish_clock", drives=("can",)),
     NodeKind("arm_streamer", stage=1, arms=("simulated", "ur")),
     NodeKind("simulated_ur", stage=2, arms=("simulated",)),
-    NodeKind("viewer", stage=0, is_available=lambda: VIEWER.is_available, essential=False),
+    NodeKind(VIEWER_NODE, stage=0, is_available=lambda: VIEWER.is_available, essential=False),
 )
 """All nodes that a robot may consist of."""
 
@@ -282,7 +285,7 @@ def _world_arguments(kind: NodeKind, world: str) -> list[str]:
     """Return the ROS arguments of a node in a world, whose scanners are where parameters say."""
     if WORLD_DRIVE in kind.drives:
         return ["-p", f"scene:={scene_file(world).resolve()}"]
-    return ["-p", "scanners_by_tf:=false"] if kind.name == OBSTACLE_TRACKER else []
+    return ["-p", "scanners_by_tf:=false"] if kind.name in (OBSTACLE_TRACKER, VIEWER_NODE) else []
 
 
 def _ros_arguments(

@@ -115,6 +115,12 @@ def revolved(stations: Array, radii: Array, around: int) -> Mesh:
     return Mesh(np.concatenate([rings.reshape(-1, 3), ends]), np.concatenate([*sides, *caps]))
 
 
+def sphere(around: int = 16) -> Mesh:
+    """Return a sphere of radius 1 about the origin, with `around` vertices around its axis."""
+    angles = np.linspace(0.0, math.pi, around // 2 + 1)
+    return revolved(-np.cos(angles), np.sin(angles), around)
+
+
 def prism(outline: Array, bottom: float, top: float) -> Mesh:
     """Return an upright prism with sharp edges.
 

@@ -20,6 +20,7 @@ from omniman_ros.viewer.ros.lazy_subscriptions import LazySubscriptions
 from omniman_ros.viewer.ros.manual_drive import ManualDrive
 from omniman_ros.viewer.ros.obstacle_interface import ObstacleInterface
 from omniman_ros.viewer.ros.parameters import ViewerParameters
+from omniman_ros.viewer.ros.perception_topics import PerceptionTopics
 from omniman_ros.viewer.ros.planner_parameters import PlannerParameterClient
 from omniman_ros.viewer.ros.planner_topics import PlannerTopics
 from omniman_ros.viewer.ros.pose_commands import PoseCommands
@@ -58,6 +59,7 @@ class ViewerNode(OmnimanNode):
         self._planner = PlannerTopics(
             self, self._topics, self.state, p.frames, self._obstacles.owns
         )
+        self._perception = PerceptionTopics(self, self._topics, self.state, p)
         self._calls = ServiceCalls(self, self.state)
         self._planner_parameters = PlannerParameterClient(self, self.state)
         self._poses = PoseCommands(self, p, self.state, self._obstacles, self._calls)
@@ -148,6 +150,7 @@ class ViewerNode(OmnimanNode):
             self._topics.process_latest()
             self._planner.update_state(now)
             self._obstacles.update_state(now)
+            self._perception.update_state(self.page.layers)
             self.page.draw(self.state, now)
 
     def draw_status(self) -> None:

@@ -30,6 +30,7 @@ def status(state: ViewState, now: float) -> str:
         _motion_rows,
         _pose_rows,
         _progress_rows,
+        _safety_rows,
         _diagnostic_rows,
         _advice_rows,
     )
@@ -77,6 +78,22 @@ def _progress_rows(state: ViewState, now: float) -> Iterator[str]:
         yield _row("path", f"{100.0 * state.progress:.0f} %", "")
     if state.is_fresh("planner", now):
         yield _row("planner", *_planner(state.planner))
+
+
+def _safety_rows(state: ViewState, now: float) -> Iterator[str]:
+    perceived = state.perceived
+    if perceived.body is not None and perceived.body.nearest is not None:
+        nearest = perceived.body.nearest
+        yield _row("nearest", f"{nearest.distance:.2f} m from {nearest.part}", "")
+    shares = perceived.speed_shares
+    if shares is not None and min(shares) < 1.0:
+        platform, arm = (100.0 * share for share in shares)
+        yield _row("speed limit", f"platform {platform:.0f} %, arm {arm:.0f} %", WARNING)
+    if perceived.tip_over_margin is not None:
+        colour = BAD if perceived.tip_over_margin < 0.0 else ""
+        yield _row("tip-over margin", f"{perceived.tip_over_margin:.2f} m", colour)
+    for contact in perceived.contacts.values():
+        yield _row("contact", f"{contact.text}, {contact.force:.0f} N", BAD)
 
 
 def _diagnostic_rows(state: ViewState, now: float) -> Iterator[str]:

@@ -46,6 +46,10 @@ ROUTE = rgb("#9775fa")
 TOOL_PATH = rgb(TEAL)
 TRAIL = rgb(DARK_GRAY)
 WORKSPACE = rgb(GRAY)
+SCAN = rgb("#e03131")
+TRACK = rgb("#0b7285")
+NEAREST = rgb("#f76707")
+FOOTPRINT = rgb("#7048e8")
 GRID_CELL = rgb("#dee2e6")
 GRID_SECTION = rgb("#bec4ca")
 
@@ -65,13 +69,15 @@ START = rgb("#c91818")
 GOAL = rgb("#104acc")
 VELOCITY_SHAFT = rgb("#693218")
 OBSTACLE_PATH = rgb("#c83408")
-# The next five are colours of batches, which viser renders lighter than the same colours of other
+# The next seven are colours of batches, which viser renders lighter than the same colours of other
 # meshes.
 PLACED_OBSTACLE = rgb("#c83408")
 SELECTED_OBSTACLE = rgb("#ff9600")
 OTHER_OBSTACLE = rgb("#3a2012")
 VELOCITY_ARROW = rgb("#2c0c04")
 WAYPOINT = rgb("#c83408")
+CAPSULE = rgb("#5028b0")
+CONTACT = rgb("#c00000")
 
 # ---- sizes ------------------------------------------------------------------------------------
 

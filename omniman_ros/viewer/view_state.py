@@ -10,6 +10,7 @@ from omniman_ros.motion.path.interpolator import PathState
 from omniman_ros.planning.cycle import PlannerState
 from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.viewer.lines import Line, Trail
+from omniman_ros.viewer.perceived import Perceived
 from omniman_ros.viewer.placed_obstacles import ObstacleArrays
 from omniman_ros.viewer.signal_window import SignalWindow
 
@@ -103,6 +104,7 @@ class ViewState:
         pace: Speed of simulated over real time; None on real time.
         awaited: Names of the nodes for which simulated time stands.
         services: Names of the available services, such as `path_interpolator/pause`.
+        perceived: What scanners, tracker, collision monitor and physics world tell.
         note: Outcome of the last action on the page.
     """
 
@@ -150,6 +152,7 @@ class ViewState:
         self.pace: float | None = None
         self.awaited: tuple[str, ...] = ()
         self.services: frozenset[str] = frozenset()
+        self.perceived = Perceived()
         self.note = ""
         self._received_at: dict[str, float] = {}
 
@@ -244,6 +247,7 @@ class ViewState:
         ):
             if len(line.points) and not self.is_fresh(name, now):
                 line.set(line.points[:0])
+        self.perceived.sample(now)
         self.diagnostics = {
             name: condition
             for name, condition in self.diagnostics.items()

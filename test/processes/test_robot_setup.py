@@ -64,6 +64,7 @@ def test_the_obstacle_tracker_is_started_on_request(with_engine):
     by_parameters = "-p scanners_by_tf:=false"
     in_world = RobotSetup(obstacle_tracker=True, world="hall")
     assert by_parameters in arguments(in_world, "obstacle_tracker")
+    assert by_parameters in arguments(in_world, "viewer")
     outside = RobotSetup(only=["obstacle_tracker"])
     assert by_parameters not in arguments(outside, "obstacle_tracker")
 

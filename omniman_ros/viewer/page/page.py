@@ -27,6 +27,8 @@ MAX_PORTS = 20
 """Number of ports that are tried, starting with the requested one."""
 TOKEN_BYTES = 24
 """Number of random bytes of a token."""
+PERCEIVED_INTERVAL = 2
+"""Number of frames between two updates of scan, tracks and the robot's shapes."""
 LINES_INTERVAL = 5
 """Number of frames between two updates of the lines on the floor."""
 PLOTS_INTERVAL = 4
@@ -134,6 +136,11 @@ class Page:
         return bool(self._server.get_clients())
 
     @property
+    def layers(self) -> frozenset[str]:
+        """Names of the layers that are drawn."""
+        return self._controls.layers
+
+    @property
     def speeds(self) -> tuple[float, float]:
         """Speed [m/s] and yaw rate [rad/s] of the motion buttons, within the limits."""
         speed, yaw_rate = (
@@ -146,6 +153,8 @@ class Page:
         """Draw the next frame, at a time on the clock of `state` [s]."""
         with self._server.atomic():
             self._scene.draw(state, self._controls.follow)
+            if self._frames % PERCEIVED_INTERVAL == 0:
+                self._scene.draw_perceived(state, self.layers)
             if self._frames % LINES_INTERVAL == 0:
                 self._scene.draw_lines(state)
             if self._frames % PLOTS_INTERVAL == 0:

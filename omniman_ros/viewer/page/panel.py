@@ -24,6 +24,7 @@ from omniman_ros.viewer.page.keyboard import (
 )
 from omniman_ros.viewer.page.obstacle_panel import ObstaclePanel
 from omniman_ros.viewer.page.parameter_panel import ParameterPanel
+from omniman_ros.viewer.perceived import LAYERS
 from omniman_ros.viewer.style import (
     DRIVE_PANEL_HEIGHT,
     PANEL_WIDTH,
@@ -49,6 +50,13 @@ _TASK_ICONS = {
     "resume": viser.Icon.PLAYER_PLAY,
     "cancel": viser.Icon.X,
     "restart": viser.Icon.PLAYER_SKIP_BACK,
+}
+_LAYER_LABELS = {
+    "scan": "scan",
+    "map": "map",
+    "tracks": "tracked obstacles",
+    "contacts": "contacts",
+    "shapes": "shapes for distances",
 }
 
 
@@ -93,6 +101,10 @@ class Controls:
         self._parameters = ParameterPanel(gui, tabs.add_tab("Planner"), post)
         with tabs.add_tab("View"):
             self._follow = gui.add_checkbox("follow robot", True)
+            self._layers = {
+                name: gui.add_checkbox(_LAYER_LABELS[name], is_on)
+                for name, is_on in LAYERS.items()
+            }
             self._action_button("clear", "gray", viser.Icon.ERASER, "Clear trails")
         gui.add_html(_style([stop, reset], motions, list(chords.values())))
         gui.main_panel.dock_right()
@@ -166,6 +178,11 @@ class Controls:
     def follow(self) -> bool:
         """Whether the scene keeps the robot in its middle."""
         return bool(self._follow.value)
+
+    @property
+    def layers(self) -> frozenset[str]:
+        """Names of the layers that are switched on."""
+        return frozenset(name for name, box in self._layers.items() if box.value)
 
     @property
     def speeds(self) -> tuple[float, float]:

@@ -14,6 +14,7 @@ from omniman_ros.viewer.page.floor_clicks import FloorClicks
 from omniman_ros.viewer.page.floor_scene import FloorScene
 from omniman_ros.viewer.page.inputs import Post
 from omniman_ros.viewer.page.path_markers import PathMarkers
+from omniman_ros.viewer.page.perceived_scene import PerceivedScene
 from omniman_ros.viewer.page.robot_scene import RobotScene
 from omniman_ros.viewer.view_state import ViewState
 
@@ -53,6 +54,7 @@ class Scene:
         api.configure_default_lights(enabled=True, cast_shadow=False)
         self._world = api.add_frame(ROOT, show_axes=False)
         self._floor = FloorScene(api, ROOT)
+        self._perceived = PerceivedScene(api, ROOT)
         self._robot = RobotScene(api, ROOT, robot, mount)
         self.clicks = FloorClicks(api, lambda: self._floor_origin)
         dragging = FloorDragging(server, lambda: self._floor_origin, post)
@@ -81,6 +83,15 @@ class Scene:
         self._floor.draw_motion(state)
         self._paths.draw(state.obstacles)
         self._markers.draw(state, self._clock())
+
+    def draw_perceived(self, state: ViewState, layers: frozenset[str]) -> None:
+        """Draw what the robot perceives; call this less often, as most of it changes always.
+
+        Args:
+            state: Data to draw.
+            layers: Names of the layers to draw, see `perceived.LAYERS`.
+        """
+        self._perceived.draw(state.perceived, layers)
 
     def draw_lines(self, state: ViewState) -> None:
         """Draw the lines on the floor; call this less often, as a changed line is sent whole."""

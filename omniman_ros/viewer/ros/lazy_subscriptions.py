@@ -3,12 +3,15 @@
 from collections.abc import Callable
 from typing import Any
 
-from rclpy.qos import QoSProfile
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from omniman_ros.nodes.omniman_node import OmnimanNode
 
 LATEST = QoSProfile(depth=1)
 """QoS of a stream: only its latest message since the last call of `process_latest` is used."""
+
+LATEST_READING = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""The same for a sensor, whose publisher may be reliable or not."""
 
 Handler = Callable[[Any], str | None]
 """Processes a message; returns why it is refused, for the log, or nothing."""
@@ -59,7 +62,7 @@ class LazySubscriptions:
         self, message_type: type, topic: str, handler: Handler, qos: QoSProfile | int
     ) -> Any:
         process = self._node.guarded(topic, handler)
-        if qos is not LATEST:
+        if qos not in (LATEST, LATEST_READING):
             return self._node.create_subscription(message_type, topic, process, qos)
 
         # A stream may be faster than the frames of the page: only its latest message is kept.

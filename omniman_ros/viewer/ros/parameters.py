@@ -1,11 +1,15 @@
 """Parameters of the node `viewer`."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from omniman_ros.collision.parameters import LoadShape, ToolShape
 from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.core.parameters import REQUIRED, inline, parameter
 from omniman_ros.core.robot import Robot
+from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.motion.whole_body.model import Mount
+from omniman_ros.nodes.obstacle_tracker_parameters import ScannerInput
+from omniman_ros.viewer.body_view import BodyShapes
 from omniman_ros.viewer.page_access import PageAccess
 
 
@@ -40,6 +44,14 @@ class ViewerParameters:
     mount: Mount
     limits: DrivingLimits
     access: PageAccess = inline()
+    tool: ToolShape
+    load: LoadShape
+    scanners: tuple[ScannerInput, ...]
+    scanners_by_tf: bool = parameter(
+        True,
+        "Whether TF has the poses of the scanners; if not, scanners.x, y, z and yaw have them.",
+        read_only=True,
+    )
     frame_rate: float = parameter(
         25.0,
         "Frame rate of the page while a browser is connected.",
@@ -56,6 +68,13 @@ class ViewerParameters:
     )
     base_frame: str = parameter("base_link", "Frame of twists.", read_only=True)
     cmd_vel_stamped: bool = parameter(False, "Whether cmd_vel is a TwistStamped.", read_only=True)
+
+    def shapes(self, *, with_arm: bool) -> BodyShapes:
+        """Return the shapes of the robot, with or without the arm that it has."""
+        arm = self.robot.arm if with_arm else replace(self.robot.arm, mass=0.0)
+        robot = replace(self.robot, arm=arm)
+        description = DescriptionParameters(robot=robot, arm=self.arm, mount=self.mount)
+        return BodyShapes(description, self.tool, self.load)
 
     @property
     def frames(self) -> tuple[str, ...]:

@@ -15,6 +15,7 @@ from omniman_ros.motion.whole_body.model import Mount
 from omniman_ros.planning.cases import TwoVelocityPath
 from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.viewer import style
+from omniman_ros.viewer.body_view import BodyView
 from omniman_ros.viewer.events import (
     GoalDragged,
     ObstacleDragged,
@@ -23,12 +24,14 @@ from omniman_ros.viewer.events import (
     StartDragged,
 )
 from omniman_ros.viewer.lines import outlines
+from omniman_ros.viewer.map_image import map_image, map_pixels
 from omniman_ros.viewer.obstacle_paths import WaypointPath
 from omniman_ros.viewer.optimistic_updates import DRAG_TIMEOUT, RELEASE_TIMEOUT
 from omniman_ros.viewer.page.draggable_markers import ARROW_HEIGHT, OPAQUE, PALE, REST_SPEED
 from omniman_ros.viewer.page.floor_scene import dashes, rectangle
 from omniman_ros.viewer.page.page import free_port
 from omniman_ros.viewer.page.scene import Scene
+from omniman_ros.viewer.perceived import LAYERS, Contact, Tracks
 from omniman_ros.viewer.placed_obstacles import MAX_VELOCITY, PlacedObstacles
 from omniman_ros.viewer.view_state import ViewState
 from test import robots
@@ -576,3 +579,57 @@ def test_a_line_of_zero_length_has_no_dashes(count):
 
 def test_the_number_of_dashes_of_a_long_line_is_limited():
     assert len(dashes(np.array([[0.0, 0.0], [1e5, 0.0]]), most=50)) == 50
+
+
+# ---- what the robot perceives -----------------------------------------------------------------
+
+
+@pytest.fixture
+def perceiving(stage):
+    """Return a stage that shows something in each layer."""
+    perceived = stage.state.perceived
+    pixels, _ = map_pixels(np.zeros((4, 6), dtype=np.int8))
+    perceived.map = map_image(pixels, 0.5, np.array([1.0, 2.0, 0.0]))
+    perceived.update_scan("scan", np.array([[1.0, 0.0, 0.2], [2.0, 0.0, 0.2]]), 1.0)
+    one = np.ones(1)
+    perceived.update_tracks(Tracks(np.ones((1, 2)), np.ones((1, 2)), one, one, one), 1.0)
+    perceived.contacts["a"] = Contact("a touches b", np.array([1.0, 2.0, 0.1]), 5.0, 1.0)
+    start, end = np.array([[0.0, 0.0, 1.0]] * 2), np.array([[0.0, 0.0, 0.2], [0.8, 0.0, 1.0]])
+    perceived.body = BodyView(start, end, np.array([0.1, 0.2]), np.zeros((1, 4, 2)), None)
+    return stage
+
+
+PARTS = {
+    "map": ("map",),
+    "scan": ("scan",),
+    "tracks": ("track_arrows", "track_circles"),
+    "contacts": ("contacts",),
+    "shapes": ("shapes/tubes", "shapes/balls", "shapes/footprint"),
+}
+
+
+def test_each_layer_can_be_switched_off_and_on(perceiving):
+    stage, everything = perceiving, frozenset(LAYERS)
+    for layers in (everything, *(everything - {layer} for layer in LAYERS), everything):
+        stage.scene.draw_perceived(stage.state, layers)
+        for name, parts in PARTS.items():
+            assert [stage[part].visible for part in parts] == [name in layers] * len(parts)
+
+
+def test_what_is_perceived_is_drawn_in_its_place_and_sent_once(perceiving, monkeypatch):
+    stage = perceiving
+    stage.scene.draw_perceived(stage.state, frozenset(LAYERS))
+    assert stage["map"].position[:2] == pytest.approx([2.5, 3.0])
+    assert (stage["map"].render_width, stage["map"].render_height) == (3.0, 2.0)
+    assert stage["scan"].points.shape == (2, 3)
+    assert stage["contacts"].batched_positions[0] == pytest.approx([1.0, 2.0, 0.1])
+    tubes = stage["shapes/tubes"]
+    assert tubes.batched_positions == pytest.approx(np.array([[0, 0, 0.6], [0.4, 0, 1.0]]))
+    assert tubes.batched_scales[1] == pytest.approx([0.2, 0.2, 0.8])
+    w, x, y, z = tubes.batched_wxyzs[1]
+    along = (2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y))
+    assert along == pytest.approx((1.0, 0.0, 0.0), abs=1e-6), "its axis z points along the capsule"
+    sent = []
+    monkeypatch.setattr(stage.server.scene, "_queue_scene_message", sent.append)
+    stage.scene.draw_perceived(stage.state, frozenset(LAYERS))
+    assert sent == []

@@ -19,6 +19,7 @@ class FakePage:
         self.post = post
         self.speeds = (0.4, 0.8)
         self.watched = True
+        self.layers = frozenset()
         self.frames = []
         self.statuses = []
         self.closed = False

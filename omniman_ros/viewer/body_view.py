@@ -1,0 +1,179 @@
+"""The shapes of the robot by which distances are computed, and what is nearest to them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from omniman_ros.collision.arm_segments import ArmSegments
+from omniman_ros.collision.body_geometry import PLATFORM, BodyGeometry
+from omniman_ros.collision.body_outline import BodyOutline
+from omniman_ros.collision.parameters import LoadShape, ToolShape
+from omniman_ros.collision.solids import UprightSolids
+from omniman_ros.core.arrays import Array
+from omniman_ros.description.parameters import DescriptionParameters
+from omniman_ros.description.urdf import carries_arm
+from omniman_ros.motion.whole_body.model import planar_transform
+from omniman_ros.planning.obstacles.ellipses import Ellipses
+from omniman_ros.planning.obstacles.surroundings import FARTHEST, ellipse_surroundings
+from omniman_ros.viewer.placed_obstacles import ObstacleArrays
+
+POSTURE_TOLERANCE = 0.01
+"""Rotation of a joint up to which the footprint is not computed anew [rad]."""
+REACH = 3.0
+"""Distance up to which something counts as near [m]."""
+NEAREST_POINTS = 60
+"""Number of points of scanners, those nearest to the robot, whose distances are computed."""
+PLATFORM_HEIGHT = 0.3
+"""Height at which a line from the platform is drawn [m]."""
+STATIONS = np.linspace(0.0, 1.0, 11)
+"""Places along the axis of a capsule, and along an edge of a rectangle, among which the one is
+chosen where the line to what is nearest begins."""
+
+
+@dataclass(frozen=True)
+class Nearest:
+    """What is nearest to the robot.
+
+    Attributes:
+        part: Name of the robot's part.
+        distance: Its distance [m].
+        line: (2, 3) line between the two in `odom`, to draw [m].
+    """
+
+    part: str
+    distance: float
+    line: Array
+
+
+@dataclass(frozen=True)
+class BodyView:
+    """The robot's shapes.
+
+    Attributes:
+        start, end: (S, 3) ends of the axes of the arm's capsules in `odom` [m].
+        radius: (S,) their radii [m].
+        footprint: (P, 4, 2) corners of the rectangles that bound the robot from above [m].
+        nearest: What is nearest; None if nothing is near.
+    """
+
+    start: Array
+    end: Array
+    radius: Array
+    footprint: Array
+    nearest: Nearest | None
+
+
+class BodyShapes:
+    """Computes the view of a robot's shapes.
+
+    Args:
+        description: Shapes of platform and arm, and where the arm is mounted.
+        tool: Shape of the tool.
+        load: Shape of the load.
+    """
+
+    def __init__(
+        self, description: DescriptionParameters, tool: ToolShape, load: LoadShape
+    ) -> None:
+        self._geometry = BodyGeometry(description, tool, load)
+        self._outline = BodyOutline(description, tool, load)
+        has_arm = carries_arm(description.robot)
+        self._arm = ArmSegments(description.mount, tool) if has_arm else None
+        self._posture: Array | None = None
+        self._rows: Array = np.zeros((0, 5))
+
+    def view(self, pose: Array, joints: Array, solids: UprightSolids) -> BodyView:
+        """Return the shapes at a pose, and what is nearest to them.
+
+        Args:
+            pose: Pose (3,) of base_link in `odom` [m, m, rad].
+            joints: Joint angles (6,) [rad]; not used without an arm.
+            solids: What is around, in `odom`.
+
+        Raises:
+            InputError: A number is not finite.
+        """
+        start, end, radius = np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
+        if self._arm is not None:
+            frames = planar_transform(pose) @ self._arm.frames(joints)
+            axes = self._arm.capsules(frames)
+            start, end, radius = axes.start.T, axes.end.T, self._arm.radius
+        footprint = _corners(self._footprint(joints), pose)
+        nearest = self._nearest(pose, joints, solids, start, end)
+        return BodyView(start, end, radius, footprint, nearest)
+
+    def _footprint(self, joints: Array) -> Array:
+        """Return the rectangles (P, 5) at all heights in a posture."""
+        last = self._posture
+        if last is None or np.abs(joints - last).max() > POSTURE_TOLERANCE:
+            self._posture = joints
+            self._rows = self._outline.footprint(joints[None], 0.0).whole.rows
+        return self._rows
+
+    def _nearest(
+        self, pose: Array, joints: Array, solids: UprightSolids, start: Array, end: Array
+    ) -> Nearest | None:
+        """Return what is nearest, of the robot whose capsules have these axes."""
+        if not len(solids):
+            return None
+        distances = self._geometry.distances(pose, joints, solids, REACH)
+        part, solid = np.unravel_index(int(distances.argmin()), distances.shape)
+        distance = float(distances[part, solid])
+        if distance >= REACH:
+            return None
+        name = self._geometry.parts[part]
+        thing = solids.select(np.array([solid]))
+        if self._arm is not None and name in self._arm.names:
+            chosen = self._arm.link == self._arm.names.index(name)
+            begin, way = start[chosen, None], (end - start)[chosen, None]
+            points = (begin + STATIONS[:, None] * way).reshape(-1, 3)
+        else:
+            corners = _corners(self._rows[:1] if name == PLATFORM else self._rows[-1:], pose)[0]
+            edges = np.roll(corners, -1, axis=0) - corners
+            flat = (corners[:, None] + STATIONS[:, None] * edges[:, None]).reshape(-1, 2)
+            height = np.clip(PLATFORM_HEIGHT, thing.lower, thing.upper)
+            points = np.column_stack((flat, np.broadcast_to(height, len(flat))))
+        nearest = points[thing.point_distances(points.T[..., None])[:, 0].argmin()]
+        place = np.append(thing.centre[:, 0], np.clip(nearest[2], thing.lower, thing.upper))
+        return Nearest(name, distance, np.stack((nearest, place)))
+
+
+def solids_around(
+    pose: Array, others: Ellipses, placed: ObstacleArrays, scan: Array
+) -> UprightSolids:
+    """Return what is around the robot: obstacles, and the nearest points of scanners.
+
+    Like the cells of a map, the points count at all heights.
+
+    Args:
+        pose: Pose (3,) of base_link in `odom` [m, m, rad].
+        others: Obstacles of others.
+        placed: Obstacles of the page.
+        scan: Points (k, 3) in `odom` [m].
+    """
+    away = np.hypot(*(scan[:, :2] - pose[:2]).T)
+    points = scan[np.argsort(away)[:NEAREST_POINTS], :2]
+    m, k = len(placed.numbers), len(points)
+    own = Ellipses(
+        0.0, placed.centers, placed.velocities, placed.semi_axes, placed.angles, np.zeros(m)
+    )
+    flat = np.zeros(k)
+    beams = UprightSolids(points.T, flat, np.zeros((2, k)), flat, flat - FARTHEST, flat + FARTHEST)
+    known = (ellipse_surroundings(each).solids for each in (others, own))
+    return UprightSolids.join([*known, beams])
+
+
+def _corners(rows: Array, pose: Array) -> Array:
+    """Return the corners (P, 4, 2) in `odom` of rectangles (P, 5) in base_link [m]."""
+    signs = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
+    local = rows[:, None, 3:] * signs
+    turned = _turned(local, rows[:, None, 2]) + rows[:, None, :2]
+    result: Array = _turned(turned, pose[2]) + pose[:2]
+    return result
+
+
+def _turned(points: Array, angle: Array | float) -> Array:
+    """Return points (..., 2) turned by angles [rad]."""
+    c, s = np.cos(angle), np.sin(angle)
+    x, y = points[..., 0], points[..., 1]
+    return np.stack((c * x - s * y, s * x + c * y), axis=-1)

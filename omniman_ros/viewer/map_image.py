@@ -1,0 +1,75 @@
+"""The map of what stands, as an image on the floor."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omniman_ros.core import se2
+from omniman_ros.core.arrays import Array
+
+Pixels = NDArray[np.uint8]
+"""Image (rows, columns, 4): red, green, blue and opacity, 0 to 255."""
+
+MOST_PIXELS = 512
+"""Largest number of pixels along a side: in a larger map, a pixel stands for several cells."""
+FREE = (231, 245, 235, 255)
+"""Colour of what is free."""
+OCCUPIED = (52, 58, 64, 255)
+"""Colour of what is occupied; what lies between the two has a colour between these."""
+
+
+@dataclass(frozen=True)
+class MapImage:
+    """An image on the floor.
+
+    Attributes:
+        pixels: The image, its rows along y and its columns along x of the map.
+        size: Lengths along x and y [m].
+        middle: Pose of the middle in `odom` [m, m, rad].
+    """
+
+    pixels: Pixels
+    size: tuple[float, float]
+    middle: tuple[float, float, float]
+
+
+def map_pixels(occupancy: NDArray[np.int8]) -> tuple[Pixels, int]:
+    """Return the image of a map, and the number of cells along a side of a pixel.
+
+    What is unknown is transparent. A pixel shows the most occupied one of its cells, and the image
+    is filled up to whole pixels with what is unknown.
+
+    Args:
+        occupancy: (rows, columns) occupancies [%], negative where nothing is known.
+    """
+    count = max(1, math.ceil(max(occupancy.shape) / MOST_PIXELS))
+    rows, columns = (-size % count for size in occupancy.shape)
+    padded = np.pad(occupancy, ((0, rows), (0, columns)), constant_values=-1)
+    height, width = padded.shape[0] // count, padded.shape[1] // count
+    most = padded.reshape(height, count, width, count).max(axis=(1, 3))
+    return _COLOURS[np.clip(most, -1, 100)], count
+
+
+def map_image(pixels: Pixels, pixel_size: float, corner: Array) -> MapImage:
+    """Return where an image lies.
+
+    Args:
+        pixels: The image.
+        pixel_size: Edge of a pixel [m].
+        corner: (3,) pose of the first pixel's outer corner in `odom` [m, m, rad].
+    """
+    width, height = pixel_size * pixels.shape[1], pixel_size * pixels.shape[0]
+    x, y, theta = se2.compose(tuple(corner.tolist()), (0.5 * width, 0.5 * height, 0.0))
+    return MapImage(pixels, (width, height), (x, y, theta))
+
+
+def _colours() -> Pixels:
+    """Return the colours (102, 4) by the occupancy, the last one for -1."""
+    share = np.linspace(0.0, 1.0, 101)[:, None]
+    between = (1.0 - share) * np.array(FREE) + share * np.array(OCCUPIED)
+    return np.concatenate((between, np.zeros((1, 4)))).round().astype(np.uint8)
+
+
+_COLOURS = _colours()

@@ -1,0 +1,185 @@
+"""Subscriptions to what the robot perceives, which update `Perceived`."""
+
+import math
+from functools import partial
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from nav_msgs.msg import OccupancyGrid
+from sensor_msgs.msg import JointState, LaserScan, PointCloud2
+from std_msgs.msg import Float64, Header
+
+from omniman_ros.conversions.headers import check_frame
+from omniman_ros.conversions.motion_limits import motion_limit_shares
+from omniman_ros.conversions.perceived import contact_place, occupancy, tracked_obstacles
+from omniman_ros.conversions.scans import scan_from_message
+from omniman_ros.core import plausible, se2
+from omniman_ros.core.arm_model import JOINTS
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.errors import InputError
+from omniman_ros.core.parameters import build
+from omniman_ros.core.rigid import Transform
+from omniman_ros.core.transform_tree import TransformError
+from omniman_ros.nodes.frame_parameters import FrameParameters, OdomFrame, TransformOptions
+from omniman_ros.nodes.frame_transforms import FrameTransforms
+from omniman_ros.nodes.obstacle_tracker_parameters import LASER, ScannerInput
+from omniman_ros.nodes.omniman_node import OmnimanNode
+from omniman_ros.nodes.stop_interface import LATCHED
+from omniman_ros.perception.scan import placed
+from omniman_ros.viewer.body_view import BodyShapes, BodyView, solids_around
+from omniman_ros.viewer.lines import thinned
+from omniman_ros.viewer.map_image import Pixels, map_image, map_pixels
+from omniman_ros.viewer.perceived import Contact, Tracks
+from omniman_ros.viewer.ros.lazy_subscriptions import LATEST_READING, LazySubscriptions
+from omniman_ros.viewer.ros.parameters import ViewerParameters
+from omniman_ros.viewer.view_state import ViewState
+
+MAX_POINTS = 1500
+"""Largest number of points drawn of a scan; more are thinned evenly."""
+MAX_TRACKS = 100
+"""Largest number of tracked obstacles drawn."""
+MAX_CONTACTS = 50
+"""Largest number of contacts drawn."""
+
+
+class PerceptionTopics:
+    """Receives scans, map, tracked obstacles, contacts and what limits the speed.
+
+    All of them are subscribed only while a browser is connected. Transforms are listened to once
+    something comes in a frame that needs them.
+
+    Args:
+        node: Node whose clock is used.
+        subscriptions: The node's subscriptions.
+        state: View state into which the values are written.
+        parameters: Parameters of the node.
+    """
+
+    def __init__(
+        self,
+        node: OmnimanNode,
+        subscriptions: LazySubscriptions,
+        state: ViewState,
+        parameters: ViewerParameters,
+    ) -> None:
+        self._node, self._state, self._parameters = node, state, parameters
+        odom = OdomFrame(odom_frame=parameters.odom_frame, map_is_odom=parameters.map_is_odom)
+        self._frame_parameters = FrameParameters(odom=odom, tf=build(TransformOptions, {}))
+        self._transforms: FrameTransforms | None = None
+        self._map: tuple[Header, Pixels, float, Array] | None = None
+        self._shapes: dict[bool, BodyShapes] = {}
+        watch = subscriptions.subscribe_while_watched
+        for scanner in parameters.scanners:
+            if scanner.kind == LASER:
+                handler = partial(self._on_scan, scanner)
+                watch(LaserScan, scanner.topic, handler, LATEST_READING)
+        watch(OccupancyGrid, "map", self._on_map, LATCHED)
+        watch(PointCloud2, "obstacle_tracks", self._on_tracks)
+        watch(DiagnosticArray, "contacts", self._on_contacts, 10)
+        watch(JointState, "motion_limit", self._on_limit)
+        watch(Float64, "tip_over_margin", self._on_margin)
+
+    def update_state(self, layers: frozenset[str]) -> None:
+        """Write into the state what depends on the newest transforms, or on other values.
+
+        Args:
+            layers: Layers that are drawn, see `perceived.LAYERS`.
+        """
+        self._place_map()
+        self._state.perceived.body = self._body() if "shapes" in layers else None
+
+    def _body(self) -> BodyView | None:
+        """Return the robot's shapes, and what is nearest to them; None while it is nowhere."""
+        state = self._state
+        if state.odom is None:
+            return None
+        pose, has_arm = np.array(state.odom), state.arm is not None
+        solids = solids_around(
+            pose, state.other_obstacles, state.obstacles, state.perceived.scan.points
+        )
+        if has_arm not in self._shapes:
+            self._shapes[has_arm] = self._parameters.shapes(with_arm=has_arm)
+        joints = np.zeros(JOINTS) if state.arm is None else state.arm
+        return self._shapes[has_arm].view(pose, joints, solids)
+
+    def _place_map(self) -> None:
+        if self._map is None:
+            return
+        header, pixels, size, corner = self._map
+        try:
+            anchor = self._frames.into_odom(header).planar()
+        except TransformError:  # its transform may come later
+            self._state.perceived.map = None
+            return
+        x, y, theta = corner.tolist()
+        place = np.array(se2.compose(anchor, (x, y, theta)))
+        shown = self._state.perceived.map
+        image = map_image(pixels, size, place)
+        if shown is None or shown.pixels is not pixels or shown.middle != image.middle:
+            self._state.perceived.map = image
+
+    @property
+    def _frames(self) -> FrameTransforms:
+        """Transforms, which are listened to from the first use on."""
+        if self._transforms is None:
+            self._transforms = FrameTransforms(self._node, lambda: self._frame_parameters)
+        return self._transforms
+
+    # ---- what scanners see --------------------------------------------------------------------
+
+    def _on_scan(self, scanner: ScannerInput, message: LaserScan) -> None:
+        pose = self._state.odom
+        if pose is None:
+            raise InputError("there is no odometry yet")
+        scan = scan_from_message(
+            message, self._mount(scanner, message.header.frame_id), lambda stamp: 0.0
+        )
+        hits = scan.hits[list(thinned(len(scan.hits), MAX_POINTS))]
+        points = scan.local_points(hits)
+        plausible.demand(points, plausible.LENGTH, "points")
+        flat = placed(points, np.broadcast_to(np.array(pose), (len(points), 3)))
+        heights = np.full(len(flat), scan.heights[0])
+        self._state.perceived.update_scan(
+            scanner.topic, np.column_stack((flat, heights)), self._node.now()
+        )
+
+    def _mount(self, scanner: ScannerInput, frame: str) -> Transform:
+        p = self._parameters
+        return self._frames.mount(frame, p.base_frame) if p.scanners_by_tf else scanner.mount
+
+    def _on_map(self, message: OccupancyGrid) -> None:
+        cells, resolution, corner = occupancy(message)
+        pixels, count = map_pixels(cells)
+        header, size = message.header, count * resolution
+        last = self._map
+        if last is not None and np.array_equal(last[1], pixels):
+            pixels = last[1]  # the image is not sent again
+        self._map = header, pixels, size, corner
+
+    def _on_tracks(self, message: PointCloud2) -> None:
+        check_frame(message.header.frame_id, *self._parameters.frames)
+        rows = tracked_obstacles(message)
+        rows = rows[list(thinned(len(rows), MAX_TRACKS))]
+        deviations = np.sqrt(rows[:, 5:7])
+        tracks = Tracks(rows[:, 0:2], rows[:, 2:4], rows[:, 4], deviations[:, 0], deviations[:, 1])
+        self._state.perceived.update_tracks(tracks, self._node.now())
+
+    # ---- what limits the robot ----------------------------------------------------------------
+
+    def _on_contacts(self, message: DiagnosticArray) -> None:
+        contacts, now = self._state.perceived.contacts, self._node.now()
+        for status in message.status[:MAX_CONTACTS]:
+            if status.level == DiagnosticStatus.OK:
+                contacts.pop(status.name, None)
+                continue
+            place, force = contact_place({item.key: item.value for item in status.values})
+            contacts[status.name] = Contact(status.message, place, force, now)
+
+    def _on_limit(self, message: JointState) -> None:
+        shares = motion_limit_shares(message)
+        self._state.perceived.update_speed_shares(shares, self._node.now())
+
+    def _on_margin(self, message: Float64) -> None:
+        if not math.isfinite(message.data):
+            raise InputError(f"{message.data} must be finite")
+        self._state.perceived.update_margin(message.data, self._node.now())
