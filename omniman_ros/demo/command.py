@@ -19,6 +19,7 @@ from omniman_ros.demo.demo import Demo, judge
 from omniman_ros.demo.driver import Driver
 from omniman_ros.demo.recorder import Recording
 from omniman_ros.demo.report import fault_lines, report_lines
+from omniman_ros.extras import TRACKING, WORLD
 from omniman_ros.nodes.clock_follower import ClockFollower
 from omniman_ros.processes.node_output import NodeOutputLog
 from omniman_ros.processes.other_robots import refuse_other_robots
@@ -29,10 +30,21 @@ from omniman_ros.robots import load_robot
 
 DRIVE_ON = "drive.dead_wheel:=drive_on"
 """Parameter value with which the robot continues when a wheel is dead."""
+DEMO_WORLD = "hall"
+"""Scene in which the demo drives if none is named."""
+WORLD_ROBOT = "omniman"
+"""Robot that drives there: the scene has room for it."""
+NO_WORLD = "none"
+"""Value of `--world` with which the demo drives on the plant, without a world."""
 WORLD_WHEELS = ("world.wheels:=ideal", "world.tyre_stiffness:=1.0e7")
 """Parameters with which wheels in a world roll as odometry assumes that nobody has calibrated: on
 rollers, a platform loses 1 to 2 % of its way sideways, and tyres of 1e6 N/m sink, which makes the
 rolling radius 0.16 % smaller."""
+SCANNER = ("scanners.field_of_view:=[4.71238898]", "scanners.rate:=[10.0]", "map_rate:=2.0")
+"""Parameters with which the scanner at the robot's front sees 270 degrees, at a rate that leaves
+the processor to the robot on a small machine."""
+WORLD_PARAMETERS = (*WORLD_WHEELS, *SCANNER)
+"""Parameters in a world."""
 WHEEL_DIFFERENCES = {
     "mismatch.friction": (1.3, 0.8, 1.1, 0.9),
     "mismatch.torque_constant": (0.97, 1.03, 1.0, 0.98),
@@ -69,7 +81,7 @@ def run(args: argparse.Namespace) -> int:
     progress = Progress()
     progress.headline(
         f"omniman demo: robot '{args.robot}' in simulation, with unequal wheels, "
-        + (f"in the world {args.world}, " if args.world else "")
+        + (f"in the world {setup.world}, " if setup.world else "")
         + (f"{args.installation} drives on a CAN bus, " if args.drive == "can" else "")
         + ("" if args.arm == "none" else "a UR5 behind TCP, ")
         + f"ROS_DOMAIN_ID={os.environ['ROS_DOMAIN_ID']}"
@@ -106,8 +118,9 @@ def demo_setup(args: argparse.Namespace) -> RobotSetup:
     Raises:
         CommandError: The robot does not exist.
     """
+    world = demo_world(args)
     params = [
-        *(WORLD_WHEELS if args.world else ()),
+        *(WORLD_PARAMETERS if world else ()),
         DRIVE_ON,
         *wheel_differences(resolve_robot(args.robot)),
         *args.param,
@@ -119,8 +132,25 @@ def demo_setup(args: argparse.Namespace) -> RobotSetup:
         installation=args.installation,
         arm=args.arm,
         sim_time=True,
-        world=args.world,
+        world=world,
+        obstacle_tracker=world is not None and TRACKING.is_available,
     )
+
+
+def demo_world(args: argparse.Namespace) -> str | None:
+    """Return the scene of the physics world in which the demo drives; None for the plant.
+
+    Without `--world`, the package's own robot drives in a world where all is installed that it
+    needs to see by its scanner.
+
+    Args:
+        args: Parsed arguments of the command.
+    """
+    if args.world is not None:
+        return None if args.world == NO_WORLD else str(args.world)
+    can_see = WORLD.is_available and TRACKING.is_available
+    fits = args.robot == WORLD_ROBOT and args.drive == "simulated"
+    return DEMO_WORLD if can_see and fits else None
 
 
 def choose_domain(keep: bool) -> bool:
@@ -167,7 +197,7 @@ def perform(
         CommandError: The robot did not complete the demo.
     """
     has_arm = setup.arm != "none"
-    demo = Demo(setup.robot, has_arm)
+    demo = Demo(setup.robot, has_arm, by_scanner=setup.obstacle_tracker)
     with Session("omniman_demo", sim_time=True) as session:
         pace = ClockFollower(session.node, LOOKAHEAD, lambda: None, session.now)
         driver = Driver(session, progress, group.check, setup.wheel_drive, has_arm)

@@ -39,6 +39,7 @@ class Demo:
     Args:
         robot: Name of the robot, or path of its file.
         has_arm: Whether the robot has an arm.
+        by_scanner: Whether it drives to the goal by its scanner, among the persons of a world.
 
     Attributes:
         robot: Parameters of the robot.
@@ -50,7 +51,7 @@ class Demo:
         stop: Leg with the emergency stop.
     """
 
-    def __init__(self, robot: str, has_arm: bool = True) -> None:
+    def __init__(self, robot: str, has_arm: bool = True, *, by_scanner: bool = False) -> None:
         parameters = load_robot(robot)
         self.robot = build(Robot, parameters)
         body = self.robot.body
@@ -61,7 +62,7 @@ class Demo:
         self.tool = (
             ToolLeg(WholeBodyModel(build(Mount, parameters, "mount."))) if has_arm else None
         )
-        self.goal = GoalLeg((0.5 * body.length, 0.5 * body.width))
+        self.goal = GoalLeg((0.5 * body.length, 0.5 * body.width), by_scanner=by_scanner)
         self.dead_wheel = DeadWheelLeg(wheel) if wheel else None
         self.stop = StopLeg(pace.speed)
 

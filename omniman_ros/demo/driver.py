@@ -17,6 +17,7 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.planar import Triple
 from omniman_ros.demo.arm_moves import ArmMove
 from omniman_ros.demo.leg import Interval
+from omniman_ros.demo.perception_recorder import PerceptionRecorder
 from omniman_ros.demo.recorder import Recorder
 from omniman_ros.demo.robot_interface import RobotInterface
 from omniman_ros.nodes.stoppable_nodes import TriggerCalls
@@ -118,6 +119,10 @@ class Driver:
         if not self.wait(lambda: not self._missing(), DISCOVERY_TIMEOUT):
             raise CommandError(f"not ready within {DISCOVERY_TIMEOUT:g} s: {self._missing()}")
         self.progress.end(f"all nodes connected after {time.monotonic() - start:.1f} s")
+
+    def record_perception(self) -> PerceptionRecorder:
+        """Record what scanner, tracker and world tell from now on; the caller closes it."""
+        return PerceptionRecorder(self._session.node)
 
     def restart_stall_watch(self) -> None:
         """Restart the measurement of the longest time for which this process was not served."""

@@ -29,6 +29,7 @@ from omniman_ros.core.robot import Robot
 from omniman_ros.demo.demo import Demo
 from omniman_ros.demo.goal_leg import DrivenGoal
 from omniman_ros.demo.leg import Interval
+from omniman_ros.demo.perception_recorder import Perception
 from omniman_ros.demo.recorder import Recording
 from omniman_ros.demo.tool_leg import ToolTrack
 from omniman_ros.demo.tracking import Reference, pose_errors
@@ -43,6 +44,16 @@ GOAL = MAGENTA
 """Colour of the part that drives to the goal."""
 OBSTACLE = BROWN
 """Colour of the obstacles."""
+SCAN = "#e03131"
+"""Colour of the points of a scan."""
+TRACK = "#0b7285"
+"""Colour of tracked persons and their velocities."""
+OCCUPIED = 60
+"""Occupancy above which a cell of the map is drawn [%]."""
+ARROWS = 12
+"""Number of velocities of tracked persons that are drawn, each as long as the way in 1 s."""
+AROUND = 1.6
+"""Distance around the robot's way up to which the map is shown [m]."""
 TOOL = CYAN
 """Colour of the tool's path."""
 WHEEL = "#9aa5b1"
@@ -134,7 +145,7 @@ def _draw_top_view(axes: Any, demo: Demo, recording: Recording) -> None:
     axes.set_ylabel("x [m] →")
     axes.xaxis.set_major_formatter(lambda value, _: f"{-value + 0.0:g}")
     axes.grid(color=FAINT, lw=0.4)
-    axes.legend(loc="best")
+    axes.legend(loc="best", ncols=2, framealpha=0.9)
 
 
 def _draw_tool_path(axes: Any, tool: ToolTrack) -> None:
@@ -152,14 +163,43 @@ def _draw_goal(axes: Any, odom: Array, driven: DrivenGoal) -> None:
     axes.plot(-during[:, 2], during[:, 1], color=GOAL, lw=2.0, zorder=4.5, label="goal")
     axes.plot(-driven.goal[1], driven.goal[0], "*", color=GOAL, ms=11, zorder=6)
     obstacles = driven.obstacles
+    if driven.perception is not None:
+        _draw_perception(axes, odom, driven.perception)
+    if not len(obstacles.radii):
+        return
     nearest = obstacles.gaps(during[:, :4], (0.0, 0.0)).argmin(axis=0)
-    start, end = obstacles.at(driven.interval.start), obstacles.at(driven.interval.end)
+    ways = np.array([obstacles.at(time) for time in during[::20, 0].tolist()])
     for k, radius in enumerate(obstacles.radii.tolist()):
         x, y = obstacles.at(float(during[nearest[k], 0]))[k]
         axes.add_patch(Circle((-y, x), radius, facecolor=OBSTACLE, edgecolor="none", alpha=0.45))
-        axes.plot(
-            [-start[k, 1], -end[k, 1]], [start[k, 0], end[k, 0]], color=OBSTACLE, lw=1.0, ls=":"
+        axes.plot(-ways[:, k, 1], ways[:, k, 0], color=OBSTACLE, lw=1.0, ls=":")
+
+
+def _draw_perception(axes: Any, odom: Array, perception: Perception) -> None:
+    """Draw what stands by the map, a scan from the middle of the way, and the tracked persons."""
+    if perception.map is not None:
+        cells, size, corner = perception.map
+        rows, columns = np.nonzero(cells > OCCUPIED)
+        local = size * (np.column_stack((columns, rows)).astype(np.float64) + 0.5)
+        x, y = (_rotate(local, corner[2]) + corner[:2]).T
+        axes.plot(-y, x, "s", color=INK, ms=2.2, mew=0.0, zorder=0.5, label="map")
+    if perception.scans:
+        time, points = perception.scans[len(perception.scans) // 2]
+        pose = odom[np.abs(odom[:, 0] - time).argmin(), 1:4]
+        axes.plot(*_to_axes(points, pose).T, ".", color=SCAN, ms=2.0, zorder=3, label="scan")
+    tracks = np.concatenate([np.zeros((0, 4)), *perception.tracks])
+    axes.plot(-tracks[:, 1], tracks[:, 0], ".", color=TRACK, ms=2.5, zorder=3, label="tracked")
+    for x, y, vx, vy in tracks[:: len(tracks) // ARROWS + 1].tolist():
+        axes.annotate(
+            "",
+            xy=(-y - vy, x + vx),
+            xytext=(-y, x),
+            arrowprops={"arrowstyle": "->", "color": TRACK, "lw": 1.0},
+            zorder=3,
         )
+    x, y = odom[:, 1], odom[:, 2]
+    axes.set_xlim(-y.max() - AROUND, -y.min() + AROUND)
+    axes.set_ylim(x.min() - AROUND, x.max() + AROUND)
 
 
 def _draw_outline(axes: Any, robot: Robot, pose: Array, **options: Any) -> None:

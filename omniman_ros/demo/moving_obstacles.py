@@ -1,7 +1,7 @@
 """Obstacles on straight lines, such as those that cross the robot's path in the demo."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -27,21 +27,46 @@ DEMO_OBSTACLES = (
 """Position [m], velocity [m/s] and radius [m] of the demo's obstacles, in the robot's frame."""
 
 
-@dataclass(frozen=True)
-class MovingObstacles:
-    """Cylinders that move at constant velocity.
+class ObstaclesOverTime(ABC):
+    """Discs whose places are known at all times.
 
     Attributes:
+        radii: Radii (M,) [m].
+    """
+
+    def __init__(self, radii: Array) -> None:
+        self.radii = radii
+
+    @abstractmethod
+    def at(self, time: float) -> Array:
+        """Return the positions (M, 2) at a ROS time [s]."""
+
+    def gaps(self, rows: Array, half_size: Sequence[float]) -> Array:
+        """Return the gaps (K, M) between the robot's box and the obstacles [m].
+
+        Args:
+            rows: Rows (K, 4): ROS time and pose x, y, theta of the robot in odom.
+            half_size: Half length and half width of the box [m].
+        """
+        centers = np.array([self.at(time) for time in rows[:, 0].tolist()])
+        box = Rectangles.centred(np.array(half_size))
+        axes = np.broadcast_to(self.radii[:, None], (len(rows), len(self.radii), 2))
+        return box_gap(rows[:, 1:4], box, centers, axes, np.zeros(len(self.radii)))
+
+
+class MovingObstacles(ObstaclesOverTime):
+    """Cylinders that move at constant velocity.
+
+    Args:
         start: ROS time at which the obstacles are at `positions` [s].
         positions: Positions (M, 2) at that time in odom [m].
         velocities: Velocities (M, 2) in odom [m/s].
         radii: Radii (M,) [m].
     """
 
-    start: float
-    positions: Array
-    velocities: Array
-    radii: Array
+    def __init__(self, start: float, positions: Array, velocities: Array, radii: Array) -> None:
+        super().__init__(radii)
+        self._start, self._positions, self._velocities = start, positions, velocities
 
     @staticmethod
     def in_front_of(robot: Triple, start: float) -> "MovingObstacles":
@@ -58,7 +83,7 @@ class MovingObstacles:
 
     def at(self, time: float) -> Array:
         """Return the positions (M, 2) at a ROS time [s]."""
-        result: Array = self.positions + (time - self.start) * self.velocities
+        result: Array = self._positions + (time - self._start) * self._velocities
         return result
 
     def message(self, time: float, stamp: Time, frame: str = "odom") -> MarkerArray:
@@ -94,15 +119,3 @@ class MovingObstacles:
     def removal_message() -> MarkerArray:
         """Return the message that removes the obstacles."""
         return MarkerArray(markers=[Marker(ns=NAMESPACE, action=Marker.DELETEALL)])
-
-    def gaps(self, rows: Array, half_size: Sequence[float]) -> Array:
-        """Return the gaps (K, M) between the robot's box and the obstacles [m].
-
-        Args:
-            rows: Rows (K, 4): ROS time and pose x, y, theta of the robot in odom.
-            half_size: Half length and half width of the box [m].
-        """
-        centers = np.array([self.at(time) for time in rows[:, 0].tolist()])
-        box = Rectangles.centred(np.array(half_size))
-        axes = np.broadcast_to(self.radii[:, None], (len(rows), len(self.radii), 2))
-        return box_gap(rows[:, 1:4], box, centers, axes, np.zeros(len(self.radii)))

@@ -171,11 +171,20 @@ def _goal_rows(result: dict[str, Any]) -> list[Row]:
             f"{goal['position_mm']:.0f} mm, {goal['heading_deg']:.1f} deg",
             f"{_limit('goal.position_mm')} mm, {_limit('goal.heading_deg')} deg",
         ),
+        *_clearance_rows(goal),
+    ]
+
+
+def _clearance_rows(goal: dict[str, Any]) -> list[Row]:
+    """Return the row of the clearance; none if there was nothing that moves."""
+    if "clearance_m" not in goal:
+        return []
+    return [
         (
             "  smallest clearance of an obstacle",
             f"{1e3 * goal['clearance_m']:.0f} mm",
             f"above {_limit('goal.clearance_m')}",
-        ),
+        )
     ]
 
 

@@ -43,6 +43,7 @@ class SteppedRobot:
         node: The node that the demo uses.
         time: ROS time [s].
         received: Messages by topic.
+        ended: Topics whose subscriptions were ended.
         stopped: Whether the platform's controller is stopped.
         defects: What the robot does not do.
     """
@@ -53,6 +54,7 @@ class SteppedRobot:
         self.received = {}
         self.stopped = False
         self.defects = defects
+        self.ended = []
         self._callbacks = {}
         self._pose = np.zeros(3)
         self._twist = np.zeros(3)
@@ -90,6 +92,10 @@ class SteppedRobot:
 
     def create_subscription(self, message_type, topic, callback, qos):
         self._callbacks[topic] = callback
+        return topic
+
+    def destroy_subscription(self, subscription):
+        self.ended.append(subscription)
 
     def create_publisher(self, message_type, topic, qos):
         def publish(message):

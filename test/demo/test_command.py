@@ -94,7 +94,7 @@ def test_the_whole_demo_is_within_its_limits_and_reported_as_json(tmp_path):
     env = environment()
     del env["ROS_DOMAIN_ID"]
     ended = subprocess.run(
-        command("demo", "--results", str(tmp_path)),
+        command("demo", "--world", "none", "--results", str(tmp_path)),
         env=env,
         capture_output=True,
         text=True,
@@ -129,7 +129,9 @@ def test_the_whole_demo_is_within_its_limits_and_reported_as_json(tmp_path):
 @pytest.mark.exhaustive
 def test_a_robot_that_stops_ends_the_demo_with_the_reason(tmp_path):
     stuck = "faults.stuck_wheel:=[front_left]"
-    with Running(command("demo", "--results", str(tmp_path), "-p", stuck), environment()) as demo:
+    with Running(
+        command("demo", "--world", "none", "--results", str(tmp_path), "-p", stuck), environment()
+    ) as demo:
         assert demo.finish() == 1
     assert "error: the robot stopped: /platform_controller is stopped" in demo.output
     assert "wheel '" in demo.output
@@ -145,14 +147,30 @@ def test_a_contact_is_reported_with_what_was_touched(tmp_path, capfd):
 
 @pytest.mark.parametrize(
     ("arguments", "world"),
-    [([], None), (["--world"], "hall"), (["--world", "empty"], "empty")],
+    [
+        ([], "hall"),
+        (["--world"], "hall"),
+        (["--world", "empty"], "empty"),
+        (["--world", "none"], None),
+        (["--robot", "ig42"], None),
+        (["--drive", "can"], None),
+    ],
 )
-def test_the_demo_drives_in_a_world_on_request(arguments, world):
+def test_the_demo_drives_in_a_world_where_it_fits_or_on_request(monkeypatch, arguments, world):
+    monkeypatch.setattr(extras, "find_spec", lambda name: True)
     setup = demo_setup(make_parser().parse_args(["demo", *arguments]))
     assert setup.world == world
     assert setup.sim_time
-    assert setup.wheel_drive == ("world" if world else "simulated")
+    assert (setup.wheel_drive == "world") == bool(world)
     assert ("world.wheels:=ideal" in setup.params) == bool(world)
+    assert setup.obstacle_tracker == bool(world), "it sees by its scanner"
+
+
+@pytest.mark.parametrize("missing", ["mujoco", "scipy"])
+def test_without_engine_or_tracker_the_demo_drives_on_the_plant(monkeypatch, missing):
+    monkeypatch.setattr(extras, "find_spec", lambda name: None if name == missing else True)
+    setup = demo_setup(make_parser().parse_args(["demo"]))
+    assert (setup.world, setup.obstacle_tracker) == (None, False)
 
 
 def test_a_demo_in_a_world_without_the_engine_says_what_to_install(own_domain, monkeypatch, capfd):
@@ -209,7 +227,9 @@ def test_the_end_of_a_node_of_a_kept_robot_is_an_error(monkeypatch, capfd):
 
 @pytest.mark.exhaustive
 def test_the_end_of_a_node_ends_the_demo_with_its_name(tmp_path):
-    with Running(command("demo", "--results", str(tmp_path)), environment()) as demo:
+    with Running(
+        command("demo", "--world", "none", "--results", str(tmp_path)), environment()
+    ) as demo:
         demo.wait_for("diagonal")
         pids = children_of(demo.process.pid)
         (drive,) = (pid for pid, line in pids.items() if "simulated_drive" in line)
@@ -221,7 +241,9 @@ def test_the_end_of_a_node_ends_the_demo_with_its_name(tmp_path):
 
 @pytest.mark.exhaustive
 def test_ctrl_c_ends_the_demo_and_its_nodes(tmp_path):
-    with Running(command("demo", "--results", str(tmp_path)), environment()) as demo:
+    with Running(
+        command("demo", "--world", "none", "--results", str(tmp_path)), environment()
+    ) as demo:
         demo.wait_for("starting")
         pids = children_of(demo.process.pid)
         for node in ("platform_controller", "path_interpolator", "simulated_drive"):

@@ -14,9 +14,6 @@ from omniman_ros.cli.arguments.common import (
 from omniman_ros.processes.arm_options import ARMS
 from omniman_ros.processes.drive_options import DRIVES
 
-DEMO_WORLD = "hall"
-"""Scene in which `omniman demo --world` drives."""
-
 
 def add_up(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `omniman up`."""
@@ -80,10 +77,12 @@ def add_demo(parser: argparse.ArgumentParser) -> None:
     add_drive(parser, ("simulated", "can"))
     add_world(
         parser,
-        "drive in a physics world, where the robot may touch nothing: the name of a scene with "
-        f"room for the show or the path of a .yaml file; if none is given, {DEMO_WORLD}",
+        "drive in a physics world, where the robot may touch nothing and sees by its scanner: the "
+        "name of a scene with room for the show or the path of a .yaml file; with no name, hall; "
+        "none: no world; default: hall with the robot omniman and simulated drives, where MuJoCo "
+        "and scipy are installed",
         nargs="?",
-        const=DEMO_WORLD,
+        const="hall",
     )
     add_arm(parser, ("simulated", "none"))
     add_parameters(parser)
