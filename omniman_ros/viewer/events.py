@@ -48,7 +48,7 @@ class ButtonPressed:
     Attributes:
         action: stop, reset; pause, resume, cancel (path and planner alike); go (send the displayed
             goal); restart (move robot and obstacles back to the start); add (an obstacle); clear
-            (trails).
+            (trails); tour (end it, or begin it anew).
     """
 
     action: str

@@ -26,6 +26,7 @@ from omniman_ros.viewer.ros.planner_topics import PlannerTopics
 from omniman_ros.viewer.ros.pose_commands import PoseCommands
 from omniman_ros.viewer.ros.robot_topics import RobotTopics
 from omniman_ros.viewer.ros.service_calls import ServiceCalls
+from omniman_ros.viewer.tour import Handler, Tour
 from omniman_ros.viewer.view_state import ViewState
 
 PERIOD = 0.05
@@ -63,6 +64,7 @@ class ViewerNode(OmnimanNode):
         self._calls = ServiceCalls(self, self.state)
         self._planner_parameters = PlannerParameterClient(self, self.state)
         self._poses = PoseCommands(self, p, self.state, self._obstacles, self._calls)
+        self._tour = Tour()
         self._handlers = self._event_handlers()
         self._actions = self._button_actions()
         self._served_at = self.now()
@@ -78,9 +80,9 @@ class ViewerNode(OmnimanNode):
         self.every(1.0 / p.frame_rate, self.draw)
         self.every(1.0, self.survey)
 
-    def _event_handlers(self) -> dict[type, Callable[[Any, float], None]]:
+    def _event_handlers(self) -> dict[type, Handler]:
         """Return the handler of each type of event, called with the event and the time [s]."""
-        return {
+        handlers: dict[type, Handler] = {
             events.ButtonHeld: self._drive.buttons.update,
             events.ButtonReleased: self._drive.buttons.update,
             events.ClientDisconnected: self._drive.buttons.update,
@@ -91,6 +93,7 @@ class ViewerNode(OmnimanNode):
             events.ParameterChanged: self._planner_parameters.set,
             **self._obstacles.handlers,
         }
+        return self._tour.following(handlers)
 
     def _button_actions(self) -> dict[str, Callable[[float], None]]:
         """Return the function for each button that is clicked, called with the time [s]."""
@@ -104,6 +107,7 @@ class ViewerNode(OmnimanNode):
             "restart": self._poses.restart,
             "add": self._obstacles.add,
             "clear": lambda now: self.state.clear_trails(),
+            "tour": lambda now: self._tour.toggle(),
         }
 
     def serve(self) -> None:
@@ -151,6 +155,7 @@ class ViewerNode(OmnimanNode):
             self._planner.update_state(now)
             self._obstacles.update_state(now)
             self._perception.update_state(self.page.layers)
+            self.state.tour = self._tour.text
             self.page.draw(self.state, now)
 
     def draw_status(self) -> None:

@@ -14,25 +14,24 @@ _SOURCE_COLOURS = {"stop": BAD, "none": MUTED}
 _PLANNER_COLOURS = {"driving": GOOD, "arrived": GOOD, "blocked": BAD, "paused": WARNING}
 MAX_LENGTH = 160
 """Largest number of characters displayed of one message."""
-FIRST_STEPS = "Drag the blue goal, or hold a button to drive."
-"""Advice to a first-time user."""
 
 
 def status(state: ViewState, now: float) -> str:
-    """Return HTML with the pace of time, the active source, stops, pose, progress and problems.
+    """Return HTML with the tour, the pace of time, the active source, stops, pose and problems.
 
     Args:
         state: View state of the robot.
         now: Time on the clock of `state` [s].
     """
     rows = (
+        _tour_rows,
         _time_rows,
         _motion_rows,
         _pose_rows,
         _progress_rows,
         _safety_rows,
         _diagnostic_rows,
-        _advice_rows,
+        _note_rows,
     )
     return (
         '<div style="padding:0 0.75em 0.4em;font-size:0.8em;line-height:1.5;'
@@ -40,6 +39,11 @@ def status(state: ViewState, now: float) -> str:
         + "".join(row for make in rows for row in make(state, now))
         + "</div>"
     )
+
+
+def _tour_rows(state: ViewState, now: float) -> Iterator[str]:
+    if state.tour:
+        yield f'<div style="font-weight:600;color:{PROMINENT}">{_short(state.tour)}</div>'
 
 
 def _time_rows(state: ViewState, now: float) -> Iterator[str]:
@@ -103,12 +107,9 @@ def _diagnostic_rows(state: ViewState, now: float) -> Iterator[str]:
         yield _row(name.rpartition("/")[2], condition.text, _LEVEL_COLOURS[condition.level])
 
 
-def _advice_rows(state: ViewState, now: float) -> Iterator[str]:
-    is_idle = state.active_source == "none"
+def _note_rows(state: ViewState, now: float) -> Iterator[str]:
     if state.note:
         yield f'<div style="color:{MUTED}">{_short(state.note)}</div>'
-    elif is_idle and not len(state.path.points) and not len(state.plan.points):
-        yield f'<div style="font-weight:600;color:{PROMINENT}">{FIRST_STEPS}</div>'
 
 
 def _planner(status_values: Mapping[str, str]) -> tuple[str, str]:

@@ -105,6 +105,7 @@ class ViewState:
         awaited: Names of the nodes for which simulated time stands.
         services: Names of the available services, such as `path_interpolator/pause`.
         perceived: What scanners, tracker, collision monitor and physics world tell.
+        tour: The present step of the tour, empty at its end.
         note: Outcome of the last action on the page.
     """
 
@@ -153,6 +154,7 @@ class ViewState:
         self.awaited: tuple[str, ...] = ()
         self.services: frozenset[str] = frozenset()
         self.perceived = Perceived()
+        self.tour = ""
         self.note = ""
         self._received_at: dict[str, float] = {}
 

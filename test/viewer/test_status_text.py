@@ -2,7 +2,7 @@ import re
 
 import numpy as np
 
-from omniman_ros.viewer.status_text import BAD, FIRST_STEPS, GOOD, MAX_LENGTH, hint, legend, status
+from omniman_ros.viewer.status_text import BAD, GOOD, MAX_LENGTH, hint, legend, status
 from omniman_ros.viewer.view_state import FRESHNESS_TIMEOUT, Condition, ViewState
 
 
@@ -115,14 +115,10 @@ def test_a_silent_planner_is_omitted():
     assert "planner" not in status(planning(state="idle"), 10.0 + FRESHNESS_TIMEOUT)
 
 
-def test_a_first_time_user_is_advised():
-    assert FIRST_STEPS in status(state(active_source="none"), 10.0)
-    for done in ({"note": "stop: done"}, {"active_source": "path"}, {"active_source": ""}):
-        assert FIRST_STEPS not in status(state(**{"active_source": "none", **done}), 10.0)
-    for line in ("path", "plan"):
-        shown = state(active_source="none")
-        getattr(shown, line).set(np.zeros((2, 2)))
-        assert FIRST_STEPS not in status(shown, 10.0)
+def test_the_step_of_the_tour_comes_first():
+    html = status(state(active_source="none", tour="1 of 6: hold", note="reset: done"), 10.0)
+    assert html.index("1 of 6: hold") < html.index("driven by") < html.index("reset: done")
+    assert "of 6" not in status(state(active_source="none"), 10.0)
 
 
 def test_a_hint_is_escaped():

@@ -106,6 +106,7 @@ class Controls:
                 for name, is_on in LAYERS.items()
             }
             self._action_button("clear", "gray", viser.Icon.ERASER, "Clear trails")
+            self._action_button("tour", "gray", viser.Icon.MAP_2, "Tour: end, or begin anew")
         gui.add_html(_style([stop, reset], motions, list(chords.values())))
         gui.main_panel.dock_right()
         gui.main_panel.set_width(PANEL_WIDTH)

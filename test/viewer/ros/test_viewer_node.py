@@ -11,10 +11,17 @@ from omniman_ros import extras
 from omniman_ros.nodes.platform_controller import PlatformControllerNode
 from omniman_ros.nodes.stop_interface import LATCHED
 from omniman_ros.viewer import node as viewer
-from omniman_ros.viewer.events import ButtonHeld, ButtonReleased, ClientDisconnected
+from omniman_ros.viewer.events import (
+    ButtonHeld,
+    ButtonPressed,
+    ButtonReleased,
+    ClientDisconnected,
+    GoalDragged,
+    ObstacleVelocitySet,
+)
 from omniman_ros.viewer.hold_to_drive import DEAD_MAN_TIMEOUT
 from test.nodes.harness import last
-from test.viewer.ros.fake_page import Services, press, until, view
+from test.viewer.ros.fake_page import Services, post, press, until, view
 
 HEARTBEAT = 0.05
 
@@ -304,3 +311,24 @@ def test_the_module_can_be_imported_without_viser():
         "assert any(spec.name == 'frame_rate' for spec in node_specs('viewer'))"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
+# ---- the tour ---------------------------------------------------------------------------------
+
+
+def test_the_tour_goes_on_with_what_is_done_on_the_page(world):
+    state = world.nodes[-1].state
+    world.run(0.1)
+    assert state.tour.startswith("1 of 6")
+    post(world, ButtonHeld(1, "forward"))
+    assert state.tour.startswith("2 of 6")
+    press(world, "tour")
+    assert state.tour == "", "it was ended"
+    press(world, "tour")
+    assert state.tour.startswith("1 of 6")
+    post(world, ButtonPressed("stop"))
+    post(world, ButtonHeld(1, "forward"), GoalDragged((1.0, 0.0, 0.0), True))
+    assert state.tour.startswith("4 of 6")
+    press(world, "add")
+    post(world, ObstacleVelocitySet(99, (0.1, 0.0)))
+    assert state.tour.startswith("5 of 6"), "what is refused does not count"

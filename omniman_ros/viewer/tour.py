@@ -1,0 +1,100 @@
+"""The tour on the page: six things to try, each ticked off when somebody has done it there."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from omniman_ros.viewer.events import (
+    STOP,
+    ButtonHeld,
+    ButtonPressed,
+    Event,
+    GoalDragged,
+    ObstacleVelocitySet,
+)
+
+Handler = Callable[[Any, float], None]
+"""Handles an event at a time [s]; raises an InputError to refuse it."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """A step of the tour.
+
+    Attributes:
+        text: What to do, and what happens then.
+        is_done_by: Whether an event of a page is what is to be done.
+    """
+
+    text: str
+    is_done_by: Callable[[Event], bool]
+
+
+STEPS = (
+    Step(
+        "Hold Forward, or the key I: the robot drives until you let go.",
+        lambda event: isinstance(event, ButtonHeld),
+    ),
+    Step(
+        "Press Stop, or Space: nothing moves any more until Reset.",
+        lambda event: event == ButtonPressed(STOP),
+    ),
+    Step(
+        "Press Reset, then drag the blue goal: the robot plans its way there.",
+        lambda event: isinstance(event, GoalDragged) and event.done,
+    ),
+    Step(
+        "Obstacles, Add: an obstacle appears ahead of the robot.",
+        lambda event: event == ButtonPressed("add"),
+    ),
+    Step(
+        "Drag the tip of its arrow: it moves, and the planner minds where it will be.",
+        lambda event: isinstance(event, ObstacleVelocitySet),
+    ),
+    Step(
+        "Task, Moving, then Go: the robot crosses a floor where obstacles move.",
+        lambda event: event == ButtonPressed("go"),
+    ),
+)
+"""The steps in their order."""
+
+
+class Tour:
+    """Which steps of the tour are done; they may be done in any order.
+
+    Args:
+        steps: The steps.
+    """
+
+    def __init__(self, steps: tuple[Step, ...] = STEPS) -> None:
+        self._steps = steps
+        self._done = [False] * len(steps)
+
+    def note(self, event: Event) -> None:
+        """Tick off the steps that an event of a page does."""
+        for k, step in enumerate(self._steps):
+            self._done[k] = self._done[k] or step.is_done_by(event)
+
+    def following(self, handlers: Mapping[type, Handler]) -> dict[type, Handler]:
+        """Return handlers of events that also note those events that they do not refuse."""
+
+        def followed(handler: Handler) -> Handler:
+            def handle(event: Any, now: float) -> None:
+                handler(event, now)
+                self.note(event)
+
+            return handle
+
+        return {kind: followed(handler) for kind, handler in handlers.items()}
+
+    def toggle(self) -> None:
+        """End the tour, or begin it anew if it is at its end."""
+        self._done = [bool(self.text)] * len(self._steps)
+
+    @property
+    def text(self) -> str:
+        """The first step that is not done yet, with its number; empty at the end of the tour."""
+        for k, (step, done) in enumerate(zip(self._steps, self._done, strict=True)):
+            if not done:
+                return f"{k + 1} of {len(self._steps)}: {step.text}"
+        return ""
