@@ -471,3 +471,55 @@ def test_plots_and_scene_change_while_driving(page, robot):
     wait_for_rest(robot)
     assert plot.screenshot() != before[0]
     assert scene.screenshot() != before[1]
+
+
+@pytest.mark.exhaustive
+def test_each_step_of_the_tour_does_what_it_says(page, robot, camera):
+    """The page's own words lead through the tour; each step is seen to have its effect."""
+    dismiss_notices(page)
+    step = page.get_by_text(re.compile(r"\d of 6: "))
+
+    def awaits(number):
+        page.get_by_text(re.compile(f"{number} of 6: ")).wait_for()
+
+    def toggle():
+        open_tab(page, "View")
+        button(page, "Tour: end, or begin anew").click()
+        open_tab(page, "Task")
+
+    if step.count():
+        toggle()
+        step.wait_for(state="hidden")
+    toggle()
+    awaits(1)
+    drive(page, robot, "Forward")
+    page.mouse.up()
+    awaits(2)
+    button(page, "Stop").click()
+    page.get_by_text(re.compile("platform_controller stopped: ~/stop")).wait_for()
+    awaits(3)
+    button(page, "Reset").click()
+    page.get_by_text(re.compile("driven by none")).wait_for()
+    mouse = go_to_a_dragged_goal(page, robot, camera)
+    awaits(4)
+    open_tab(page, "Obstacles")
+    button(page, "Add").click()
+    robot.wait(lambda: len(robot.placed) == 1, "an obstacle")
+    awaits(5)
+    wait_until_shown(page, robot)
+    ((number, place),) = robot.placed.items()
+    tip = markers.ARROW_HEIGHT
+    x, y = robot.ahead(1.2, 0.6)
+    mouse.drag((*place, tip), (x, y, tip))
+    robot.wait(lambda: math.dist(robot.placed[number], place) > MOVED, "an obstacle that moves")
+    awaits(6)
+    page.screenshot(path=RESULTS / "viewer_tour.png")
+    open_tab(page, "Task")
+    button(page, "Moving").click()
+    case = CASES["moving"].fitting(BODY.length, BODY.width)
+    robot.wait(lambda: math.dist(robot.pose[:2], case.start[:2]) < 0.05, "the robot at the start")
+    button(page, "Go").click()
+    step.wait_for(state="hidden")
+    go_until(page, robot, lambda: robot.x > case.start[0] + 0.5, "robot on its way")
+    button(page, "Cancel").click()
+    wait_for_rest(robot)
