@@ -34,7 +34,15 @@ DISTRIBUTIONS = {
     "websockets": ("websockets", "python3-websockets"),
 }
 # Packages of a ROS machine that are not available as wheels.
-ROS_MACHINE_ONLY = {"control_msgs", "launch", "launch_ros", "nav2_msgs", "ros2cli", "tf2_msgs"}
+ROS_MACHINE_ONLY = {
+    "control_msgs",
+    "launch",
+    "launch_ros",
+    "map_msgs",
+    "nav2_msgs",
+    "ros2cli",
+    "tf2_msgs",
+}
 
 
 @pytest.fixture

@@ -41,6 +41,7 @@ OPTIONAL = [
     "launch",
     "launch_ros",
     "lifecycle_msgs",
+    "map_msgs",
     "matplotlib",
     "msgpack",
     "nav2_msgs",

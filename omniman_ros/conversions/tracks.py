@@ -2,6 +2,7 @@
 
 from array import array
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -124,4 +125,38 @@ def grid_message(
     info.origin.position.x, info.origin.position.y = origin.tolist()
     info.origin.orientation.w = 1.0
     message.data = array("b", occupancy.tobytes())
+    return message
+
+
+def changed_cells(before: NDArray[np.int8], after: NDArray[np.int8]) -> tuple[slice, slice] | None:
+    """Return the rows and columns of the smallest rectangle with all changes; None without any.
+
+    Args:
+        before: (rows, columns) occupancy [%].
+        after: The same cells later.
+    """
+    differs = before != after
+    rows, columns = np.flatnonzero(differs.any(axis=1)), np.flatnonzero(differs.any(axis=0))
+    if not len(rows):
+        return None
+    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
+
+
+def update_message(
+    kind: Any, occupancy: NDArray[np.int8], part: tuple[slice, slice], frame: str, stamp: Time
+) -> Any:
+    """Return the message for a rectangle of a map.
+
+    Args:
+        kind: The type, `map_msgs/OccupancyGridUpdate`, which is not installed everywhere.
+        occupancy: (rows along y, columns along x) occupancy of the whole map [%].
+        part: Rows and columns of the rectangle.
+        frame: Name of the map's frame.
+        stamp: Time of the map.
+    """
+    rows, columns = part
+    message = kind(header=Header(stamp=stamp, frame_id=frame))
+    message.x, message.y = columns.start, rows.start
+    message.width, message.height = columns.stop - columns.start, rows.stop - rows.start
+    message.data = array("b", occupancy[part].tobytes())
     return message

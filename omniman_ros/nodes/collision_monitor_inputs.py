@@ -2,7 +2,6 @@
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
-from nav_msgs.msg import OccupancyGrid
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
@@ -59,14 +58,13 @@ class CollisionMonitorInputs:
         self._obstacles = FramedObstacles(p.obstacles)
         self._map = UprightSolids.join([])
         self._frames = FrameTransforms(node, lambda: settings.value.frames)
-        self._grid = MapInterface(self._frames, self._use_map)
+        rule = p.map_threshold, p.map_unknown_is_free
+        self._grid = MapInterface(node, self._frames, rule, self._use_map)
         on_obstacles = self._frames.deferred("obstacles", marker_headers, self._on_obstacles)
-        on_map = self._frames.deferred("map", lambda message: [message.header], self._on_map)
         self._demands: dict[tuple[str, ...], tuple[float, Array]] = {}
         self.braking_scale = 1.0
         for kind, topic, handler, qos in (
             (MarkerArray, "obstacles", on_obstacles, QoSProfile(depth=50)),
-            (OccupancyGrid, "map", on_map, LATCHED),
             (JointState, "motion_demand", self._on_demand, QoSProfile(depth=10)),
             (DiagnosticStatus, "wheel_health", self._on_health, LATCHED),
         ):
@@ -75,7 +73,7 @@ class CollisionMonitorInputs:
     def configure(self, new: CollisionMonitorParameters) -> None:
         """Use other parameters."""
         self._obstacles.configure(new.obstacles)
-        self._grid.configure(new.map_threshold, new.map_unknown_is_free)
+        self._grid.configure((new.map_threshold, new.map_unknown_is_free))
 
     # ---- messages -------------------------------------------------------------------------------
 
@@ -85,10 +83,6 @@ class CollisionMonitorInputs:
         )
         more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
         return faults[0] + more if faults else ""
-
-    def _on_map(self, message: OccupancyGrid) -> None:
-        p = self._settings.value
-        self._grid.receive(message, p.map_threshold, p.map_unknown_is_free)
 
     def _use_map(self, grid: GridMap) -> None:
         self._map = grid_solids(grid)

@@ -6,23 +6,22 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
-from nav_msgs.msg import OccupancyGrid
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
 from omniman_ros.collision.body_outline import BodyOutline
 from omniman_ros.collision.footprint import Footprint
-from omniman_ros.conversions.tracks import grid_message, track_cloud, track_markers
+from omniman_ros.conversions.tracks import track_cloud, track_markers
 from omniman_ros.core.arrays import Array
 from omniman_ros.extras import TRACKING
 from omniman_ros.nodes.arm_states import ArmStatesReader
+from omniman_ros.nodes.obstacle_tracker_map import MapPublisher
 from omniman_ros.nodes.obstacle_tracker_parameters import ObstacleTrackerParameters
 from omniman_ros.nodes.obstacle_tracker_scanners import Scanners
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.runtime import run
-from omniman_ros.nodes.stop_interface import LATCHED
 from omniman_ros.nodes.trajectory_interfaces.odom_feed import OdomFeed
 from omniman_ros.perception.scan import Scan
 
@@ -64,12 +63,9 @@ class ObstacleTrackerNode(OmnimanNode):
         self._odom = OdomFeed(self, "odom", self._odom_frame, self._on_pose)
         self._markers = self.create_publisher(MarkerArray, "obstacles", QoSProfile(depth=50))
         self._tracks = self.create_publisher(PointCloud2, "obstacle_tracks", QoSProfile(depth=5))
-        self._maps = self.create_publisher(OccupancyGrid, "map", LATCHED)
+        self._maps = MapPublisher(self, self.core, self._odom_frame, p.map_rate)
         self._scanners = Scanners(self, self.settings, lambda: self.core.poses, self._on_scan)
         self._reported: set[int] = set()
-        self._mapped = self.core.time
-        if p.map_rate > 0.0:
-            self.every(1.0 / p.map_rate, self._publish_map)
 
     def _configure(self, new: ObstacleTrackerParameters) -> None:
         """Use new parameters."""
@@ -127,17 +123,6 @@ class ObstacleTrackerNode(OmnimanNode):
         )
         self._markers.publish(markers)
         self._tracks.publish(track_cloud(obstacles, self._odom_frame, stamp))
-
-    def _publish_map(self) -> None:
-        """Publish the map if a scan has come since the last time."""
-        core = self.core
-        if core.time == self._mapped or not np.isfinite(core.time):
-            return
-        self._mapped = core.time
-        grid, stamp = core.map, self.stamp(core.time)
-        self._maps.publish(
-            grid_message(core.occupancy(), grid.resolution, grid.origin, self._odom_frame, stamp)
-        )
 
     # ---- status ---------------------------------------------------------------------------------
 

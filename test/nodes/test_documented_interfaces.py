@@ -21,7 +21,11 @@ LIFECYCLE = {"change_state", "get_state", "get_available_states", "get_available
 LIFECYCLE |= {"get_transition_graph"}
 
 # Documented, but there only later: while a browser is connected, or while the page has obstacles.
+UPDATES = {"map_updates"}  # with map_msgs only
 LATER = {
+    "collision_monitor": UPDATES,
+    "mpc_planner": UPDATES,
+    "obstacle_tracker": UPDATES,
     "viewer": {
         "wheel_states",
         "wheel_commands",

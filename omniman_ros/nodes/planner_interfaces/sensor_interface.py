@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
-from nav_msgs.msg import OccupancyGrid, Odometry
+from nav_msgs.msg import Odometry
 from visualization_msgs.msg import MarkerArray
 
 from omniman_ros.conversions.geometry import twist_array, yaw_from_quaternion
@@ -55,13 +55,12 @@ class SensorInterface:
         self.measured: MeasuredState | None = None
         self._limit_scales = LimitScales()
         self.obstacles = FramedObstacles(settings.value.core.obstacles)
-        self._map = MapInterface(frames, planner.set_map)
+        rule = settings.value.map_threshold, settings.value.map_unknown_is_free
+        self._map = MapInterface(node, frames, rule, planner.set_map)
         on_obstacles = frames.deferred("obstacles", marker_headers, self._on_obstacles)
-        on_map = frames.deferred("map", lambda message: [message.header], self._on_map)
         for kind, topic, handler, qos in (
             (MarkerArray, "obstacles", on_obstacles, 50),
             (Odometry, "odom", self._on_odom, 1),
-            (OccupancyGrid, "map", on_map, LATCHED),
             (DiagnosticStatus, "wheel_health", self._on_health, LATCHED),
         ):
             node.create_subscription(kind, topic, node.guarded(topic, handler), qos)
@@ -69,7 +68,7 @@ class SensorInterface:
     def configure(self, new: MpcPlannerParameters) -> None:
         """Use other parameters."""
         self.obstacles.configure(new.core.obstacles)
-        self._map.configure(new.map_threshold, new.map_unknown_is_free)
+        self._map.configure((new.map_threshold, new.map_unknown_is_free))
 
     def odom_fault(self, now: float) -> str:
         """Return why the odometry cannot be used at the time `now` [s], or an empty string."""
@@ -118,12 +117,6 @@ class SensorInterface:
         )
         more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
         return faults[0] + more if faults else ""
-
-    def _on_map(self, message: OccupancyGrid) -> None:
-        p = self._settings.value
-        grid = self._map.receive(message, p.map_threshold, p.map_unknown_is_free)
-        length, width = grid.size
-        self._node.get_logger().info(f"map received: {length:.1f} x {width:.1f} m")
 
     def _on_health(self, message: DiagnosticStatus) -> None:
         """Apply the fraction of the limits that dead wheels and the arm's posture leave."""
