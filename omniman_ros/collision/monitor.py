@@ -2,16 +2,23 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from omniman_ros.collision.body_geometry import BodyGeometry
 from omniman_ros.collision.curve import curve_poses
+from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.collision.solids import UprightSolids
 from omniman_ros.collision.speed_limits import SpeedLimits
 from omniman_ros.collision.surroundings import Surroundings
+from omniman_ros.collision.unseen import (
+    Arrivals,
+    UnseenLimit,
+    UnseenLimitParameters,
+    unseen_limit,
+)
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import parameter
 
@@ -198,6 +205,38 @@ class CollisionMonitor:
             p.margin,
         )
         return self._judge(courses, stop_times, prediction, np.flatnonzero(near))
+
+    def unseen_limit(
+        self,
+        robot: RobotMotion,
+        demands: Sequence[Array],
+        arrivals: Arrivals,
+        outline: Rectangles,
+        parameters: UnseenLimitParameters,
+    ) -> UnseenLimit:
+        """Return the limit of the platform's speed by what is not seen, at least creeping speed.
+
+        Args:
+            robot: Present state of the robot.
+            demands: Motions (9,) that sources ask for.
+            arrivals: Where somebody could be, and when.
+            outline: Rectangles that contain the robot.
+            parameters: Radius of people, and the creeping speed.
+        """
+        courses = [
+            (course.motion[:3], self.limits.stop_time(course.motion))
+            for course in self._courses([robot.motion, *demands])
+            if not course.is_arm
+        ]
+        found = unseen_limit(
+            arrivals,
+            outline,
+            robot.pose,
+            courses,
+            parameters.radius,
+            self.parameters.reaction_time,
+        )
+        return replace(found, share=max(found.share, parameters.creep_speed))
 
     def _courses(self, motions: Sequence[Array]) -> Iterator[_Course]:
         """Yield the motions at full speed: of the platform, of the arm, and of both together."""

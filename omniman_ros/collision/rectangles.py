@@ -1,5 +1,6 @@
 """Rectangles in base_link, by which the robot is bounded from above."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -83,6 +84,20 @@ class Rectangles:
         is_within = (along <= rows[..., 3] + tolerance) & (across <= rows[..., 4] + tolerance)
         result: Mask = np.all(is_within, axis=1)
         return result
+
+    def distances(self, points: Array) -> Array:
+        """Return the distances (...) of points (..., 2) in base_link from all of them [m].
+
+        Points inside have the distance zero.
+        """
+        nearest = np.full(points.shape[:-1], np.inf)
+        for x0, y0, yaw, length, width in self.rows.tolist():
+            c, s = math.cos(yaw), math.sin(yaw)
+            x, y = points[..., 0] - x0, points[..., 1] - y0
+            along = np.maximum(np.abs(c * x + s * y) - length, 0.0)
+            across = np.maximum(np.abs(c * y - s * x) - width, 0.0)
+            np.minimum(nearest, np.hypot(along, across), out=nearest)
+        return nearest
 
     @property
     def own_centre(self) -> tuple[Array, Array]:

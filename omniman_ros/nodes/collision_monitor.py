@@ -16,6 +16,7 @@ from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.runtime import run
 from omniman_ros.nodes.stop_interface import LATCHED
+from omniman_ros.nodes.unseen_interface import UnseenInterface
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,7 @@ class CollisionMonitorNode(OmnimanNode):
         self._platform, self._whole = p.geometry(with_arm=False), p.geometry(with_arm=True)
         self.core = CollisionMonitor(self._platform, p.speed_limits, p.monitor)
         self.inputs = CollisionMonitorInputs(self, self.settings)
+        self._unseen = UnseenInterface(self, self.settings, self.core)
         self.settings.on_change(self._configure)
         self._limits = self.create_publisher(JointState, "motion_limit", QoSProfile(depth=1))
         self._states = self.create_publisher(DiagnosticStatus, "collision_state", LATCHED)
@@ -62,6 +64,7 @@ class CollisionMonitorNode(OmnimanNode):
         self._whole = new.geometry(with_arm=True)
         self.core.parameters = new.monitor
         self.inputs.configure(new)
+        self._unseen.configure()
 
     def tick(self) -> None:
         """Publish the limit of the speed."""
@@ -75,6 +78,8 @@ class CollisionMonitorNode(OmnimanNode):
         """Return the limit for the present motion, and why there is one."""
         inputs, robot = self.inputs, self.inputs.robot()
         blind, faults = self.settings.value.blind_speed, inputs.faults()
+        if self._unseen.fault():
+            faults.append(self._unseen.fault())
         if robot is None:
             return MonitorState("blind", "; ".join(faults), SpeedLimit(blind, blind))
         self.core.geometry = self._whole if inputs.sees_arm else self._platform
@@ -83,6 +88,12 @@ class CollisionMonitorNode(OmnimanNode):
         if faults:
             bounded = SpeedLimit(min(limit.platform, blind), min(limit.arm, blind))
             return MonitorState("blind", "; ".join(faults), bounded)
+        unseen = self._unseen.limit(robot, inputs.demands(), sees_arm=inputs.sees_arm)
+        if unseen.place is not None and unseen.share < limit.platform:
+            x, y = unseen.place
+            reason = f"somebody whom no scanner sees may step out at ({x:.1f}, {y:.1f})"
+            bounded = SpeedLimit(unseen.share, limit.arm)
+            return MonitorState("slowing" if unseen.share else "stopping", reason, bounded)
         encounter = limit.encounter
         if encounter is None:
             return MonitorState("free", "", limit)

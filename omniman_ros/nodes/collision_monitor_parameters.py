@@ -6,6 +6,7 @@ from omniman_ros.collision.body_geometry import BodyGeometry
 from omniman_ros.collision.monitor import MonitorParameters
 from omniman_ros.collision.parameters import LoadShape, ToolShape
 from omniman_ros.collision.speed_limits import SpeedLimits
+from omniman_ros.collision.unseen import UnseenLimitParameters
 from omniman_ros.control.limits import TwistLimits
 from omniman_ros.core.parameters import inline, parameter
 from omniman_ros.description.parameters import DescriptionParameters
@@ -22,6 +23,7 @@ class CollisionMonitorParameters:
     tool: ToolShape
     load: LoadShape
     monitor: MonitorParameters
+    unseen: UnseenLimitParameters
     obstacles: ObstacleParameters
     rate: float = parameter(
         40.0, "Rate of motion_limit.", unit="Hz", low=10, high=200, read_only=True

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
+from nav_msgs.msg import OccupancyGrid
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
@@ -13,6 +14,7 @@ from visualization_msgs.msg import MarkerArray
 from omniman_ros.collision.body_outline import BodyOutline
 from omniman_ros.collision.footprint import Footprint
 from omniman_ros.conversions.tracks import track_cloud, track_markers
+from omniman_ros.conversions.unseen import unseen_message
 from omniman_ros.core.arrays import Array
 from omniman_ros.extras import TRACKING
 from omniman_ros.nodes.arm_states import ArmStatesReader
@@ -24,6 +26,7 @@ from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.runtime import run
 from omniman_ros.nodes.trajectory_interfaces.odom_feed import OdomFeed
 from omniman_ros.perception.scan import Scan
+from omniman_ros.perception.unseen import RESOLUTION
 
 if TYPE_CHECKING:
     from omniman_ros.perception.obstacle_tracker import ObstacleTracker
@@ -53,7 +56,7 @@ class ObstacleTrackerNode(OmnimanNode):
         super().__init__("obstacle_tracker", **options)
         self.settings = ParameterSet(self, ObstacleTrackerParameters)
         p = self.settings.value
-        self.core = ObstacleTracker(p.tracker, p.local_map, p.tracks)
+        self.core = ObstacleTracker(p.tracker, p.local_map, p.tracks, p.unseen)
         self.settings.on_change(self._configure)
         self._shape(p)
         self._arm: ArmStatesReader | None = None
@@ -64,6 +67,7 @@ class ObstacleTrackerNode(OmnimanNode):
         self._markers = self.create_publisher(MarkerArray, "obstacles", QoSProfile(depth=50))
         self._tracks = self.create_publisher(PointCloud2, "obstacle_tracks", QoSProfile(depth=5))
         self._maps = MapPublisher(self, self.core, self._odom_frame, p.map_rate)
+        self._unseen = self.create_publisher(OccupancyGrid, "unseen", QoSProfile(depth=1))
         self._scanners = Scanners(self, self.settings, lambda: self.core.poses, self._on_scan)
         self._reported: set[int] = set()
 
@@ -71,7 +75,7 @@ class ObstacleTrackerNode(OmnimanNode):
         """Use new parameters."""
         self._shape(new)
         self.core.parameters, self.core.map_parameters = new.tracker, new.local_map
-        self.core.motion = new.tracks
+        self.core.motion, self.core.unseen.parameters = new.tracks, new.unseen
 
     def _shape(self, p: ObstacleTrackerParameters) -> None:
         """Take over the shape of the robot, whose posture is looked at anew."""
@@ -92,8 +96,17 @@ class ObstacleTrackerNode(OmnimanNode):
             self.get_logger().warning(f"{reason}: map and obstacles begin anew")
 
     def _on_scan(self, scan: Scan, number: int) -> None:
-        self.core.add_scan(scan, self._footprint(), number)
+        is_mapped = self.core.add_scan(scan, self._footprint(), number)
+        # Where a scanner does not see, the silence must be noticed.
+        if self._scanners.faults():
+            return
         self._publish_obstacles(scan.end)
+        if is_mapped and self.settings.value.unseen.speed > 0.0:
+            times, origin = self.core.unseen.arrivals(), self.core.unseen.origin
+            stamp = self.stamp(scan.end)
+            self._unseen.publish(
+                unseen_message(times, RESOLUTION, origin, self._odom_frame, stamp)
+            )
 
     def _footprint(self) -> Footprint:
         """Return what the robot covers: before the first joint states, its platform."""
@@ -111,9 +124,7 @@ class ObstacleTrackerNode(OmnimanNode):
     # ---- outputs --------------------------------------------------------------------------------
 
     def _publish_obstacles(self, time: float) -> None:
-        """Publish what moves, unless a scanner does not see: its silence must be noticed."""
-        if self._scanners.faults():
-            return
+        """Publish what moves."""
         obstacles, stamp = self.core.obstacles(time), self.stamp(time)
         present = {obstacle.number for obstacle in obstacles}
         gone, self._reported = self._reported - present, present

@@ -8,7 +8,11 @@ from omniman_ros.core.parameters import inline, parameter
 from omniman_ros.core.rigid import Transform
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.nodes.frame_parameters import FrameParameters
-from omniman_ros.perception.parameters import MapParameters, TrackerParameters
+from omniman_ros.perception.parameters import (
+    MapParameters,
+    TrackerParameters,
+    UnseenParameters,
+)
 from omniman_ros.perception.scan_check import ScanCheckParameters
 from omniman_ros.planning.obstacles.tracking import TrackingParameters
 
@@ -88,6 +92,7 @@ class ObstacleTrackerParameters:
     tracker: TrackerParameters
     tracks: TrackingParameters
     local_map: MapParameters
+    unseen: UnseenParameters
     map_rate: float = parameter(
         5.0, "Rate of map; 0: no map.", unit="Hz", low=0.0, high=50.0, read_only=True
     )

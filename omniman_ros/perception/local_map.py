@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.perception.parameters import MapParameters
+from omniman_ros.perception.rolling_grid import centered_corner, shifted
 from omniman_ros.perception.scan import Mask, View
 
 HIT, MISS = 0.9, 0.4
@@ -63,17 +64,11 @@ class LocalMap:
             center: (2,) position of the robot in odom [m].
         """
         count = len(self.log_odds)
-        corner = np.floor(center / self.resolution).astype(np.intp) - count // 2
+        corner = centered_corner(center, self.resolution, count)
         shift = corner - self.corner
         if np.abs(shift).max() <= count // 16:
             return False
-        moved = np.zeros_like(self.log_odds)
-        if np.abs(shift).max() < count:
-            columns, rows = shift.tolist()
-            moved[_span(-rows, count), _span(-columns, count)] = self.log_odds[
-                _span(rows, count), _span(columns, count)
-            ]
-        self.log_odds, self.corner = moved, corner
+        self.log_odds, self.corner = shifted(self.log_odds, shift, 0.0), corner
         return True
 
     def update(self, view: View, hits: Array, reach: float) -> None:
@@ -84,16 +79,9 @@ class LocalMap:
             hits: (M, 2) points in odom of what stands [m].
             reach: Distance up to which free space counts [m].
         """
-        count = len(self.log_odds)
-        middles = self.resolution * (np.arange(count, dtype=np.float32) + 0.5)
-        x = middles + np.float32(self.origin[0] - view.origin[0])
-        y = middles + np.float32(self.origin[1] - view.origin[1])
-        columns, rows = (_within(axis, reach) for axis in (x, y))
-        x, y = x[None, columns], y[rows, None]
-        distances = np.sqrt(x * x + y * y)
-        limits = view.clear - 0.75 * self.resolution
-        clear = limits[view.sectors(np.arctan2(y, x))]
-        passed = distances < np.minimum(clear, reach)
+        rows, columns, passed = view.passed(
+            self.origin, self.resolution, len(self.log_odds), reach
+        )
         cells, inside = self._cells(hits)
         met = np.unique(cells[inside])
         before = self.log_odds.ravel()[met]
@@ -119,6 +107,13 @@ class LocalMap:
         cells[~inside] = 0
         result: Mask = (self.log_odds.ravel()[cells] <= FREE) & inside
         return result
+
+    def standing(self) -> Array:
+        """Return the middles (M, 2) of the cells that stand, in odom [m]."""
+        rows, columns = np.nonzero(self.log_odds >= STANDS)
+        index = (np.column_stack((columns, rows)) + self.corner).astype(np.float64)
+        middles: Array = self.resolution * (index + 0.5)
+        return middles
 
     def forget(self, center: Array, radius: float) -> None:
         """Forget the occupied cells of a disc in odom that do not belong to what stands [m]."""
@@ -168,14 +163,3 @@ class LocalMap:
         distances: Array = np.hypot(x[None, :], y[:, None])
         inside: Mask = np.asarray(distances <= radius)
         return rows, columns, inside
-
-
-def _span(shift: int, count: int) -> slice:
-    """Return the part of an axis that is still there after a shift."""
-    return slice(max(shift, 0), min(count + shift, count))
-
-
-def _within(axis: NDArray[np.float32], reach: float) -> slice:
-    """Return the part of an ascending axis that is nearer than a distance."""
-    first, last = np.searchsorted(axis, (-reach, reach)).tolist()
-    return slice(first, last)

@@ -9,10 +9,15 @@ from omniman_ros.collision.footprint import Footprint
 from omniman_ros.core.arrays import Array
 from omniman_ros.perception.clusters import NONE, Clusters, Outlines, fitted_centers
 from omniman_ros.perception.local_map import LocalMap
-from omniman_ros.perception.parameters import MapParameters, TrackerParameters
+from omniman_ros.perception.parameters import (
+    MapParameters,
+    TrackerParameters,
+    UnseenParameters,
+)
 from omniman_ros.perception.pose_history import PoseHistory
 from omniman_ros.perception.scan import Indices, Mask, Scan, View, placed
 from omniman_ros.perception.track import Track, TrackedObstacle
+from omniman_ros.perception.unseen import UnseenSpace
 from omniman_ros.planning.obstacles.tracking import TrackingParameters
 
 OWN_MARGIN = 0.05
@@ -69,11 +74,13 @@ class ObstacleTracker:
         parameters: What counts as moving, and as the same thing as before.
         map_parameters: Extent of the map.
         motion: Noise and acceleration for the filters of the tracks.
+        unseen: People who are not seen.
 
     Attributes:
         parameters: As above; may be replaced.
         motion: As above; tracks keep what they began with.
         map: Map of what stands.
+        unseen: Where somebody may be who is not seen; kept while its speed is above 0.
         time: Time up to which scans were used [s].
         robot: (2,) position of the robot in odom at that time [m].
     """
@@ -83,9 +90,11 @@ class ObstacleTracker:
         parameters: TrackerParameters,
         map_parameters: MapParameters,
         motion: TrackingParameters,
+        unseen: UnseenParameters | None = None,
     ) -> None:
         self.parameters, self.map_parameters, self.motion = parameters, map_parameters, motion
         self.map = LocalMap(map_parameters)
+        self.unseen = UnseenSpace(unseen or UnseenParameters(), map_parameters.size)
         self.poses = PoseHistory()
         self.time = -np.inf
         self.robot = np.zeros(2)
@@ -96,6 +105,7 @@ class ObstacleTracker:
     def clear(self) -> None:
         """Forget everything, because time went back or the odometry was reset."""
         self.map.clear()
+        self.unseen.clear()
         self.poses = PoseHistory()
         self.time = -np.inf
         self._tracks.clear()
@@ -134,8 +144,8 @@ class ObstacleTracker:
 
     # ---- scans ----------------------------------------------------------------------------------
 
-    def add_scan(self, scan: Scan, own: Footprint, scanner: int = 0) -> None:
-        """Use a scan.
+    def add_scan(self, scan: Scan, own: Footprint, scanner: int = 0) -> bool:
+        """Use a scan; return whether it was entered in the map.
 
         Args:
             scan: The scan.
@@ -158,10 +168,15 @@ class ObstacleTracker:
         points = self._judged(places, ranges, scan)
         moving = self._follow(points, scan.end, view)
         due = self._mapped.get(scanner, -np.inf) + 0.9 / self.map_parameters.rate
-        if not self._mapped.get(scanner, -np.inf) <= scan.end < due:
-            self._mapped[scanner] = scan.end
-            reach = min(scan.range_max, self.parameters.range)
-            self.map.update(view, places[~moving], reach)
+        if self._mapped.get(scanner, -np.inf) <= scan.end < due:
+            return False
+        self._mapped[scanner] = scan.end
+        reach = min(scan.range_max, self.parameters.range)
+        self.map.update(view, places[~moving], reach)
+        if self.unseen.parameters.speed > 0.0:
+            body = (x, y, theta), own.whole
+            self.unseen.update(scan.end, view, reach, places, self.map.standing(), body)
+        return True
 
     def _is_own(self, local: Array, scan: Scan, own: Footprint) -> Mask:
         """Return which points (N, 2) in base_link are on the robot itself."""

@@ -25,6 +25,27 @@ class MapParameters:
 
 
 @dataclass(frozen=True)
+class UnseenParameters:
+    """People who are not seen."""
+
+    speed: float = parameter(
+        0.0,
+        "Speed at which somebody may step out from where no scanner sees, for the topic unseen; "
+        "0: it is not published.",
+        unit="m/s",
+        low=0.0,
+        high=5.0,
+    )
+    radius: float = parameter(
+        0.2,
+        "Radius of the smallest person that counts: where less room is, nobody stands or goes.",
+        unit="m",
+        low=0.1,
+        high=1.0,
+    )
+
+
+@dataclass(frozen=True)
 class TrackerParameters:
     """What counts as one thing, as moving, and as the same thing as before."""
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from nav_msgs.msg import OccupancyGrid, Odometry
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import LaserScan, PointCloud2, PointField
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -274,3 +275,53 @@ def test_a_cloud_counts_between_two_heights():
             world.run(0.01)
         (marker,) = [m for m in last(markers).markers if m.action == Marker.ADD]
         assert marker.pose.position.y == pytest.approx(0.65, abs=0.04)
+
+
+CORNER = 2.6
+"""Edge of a wall along the way, behind which somebody may be [m]."""
+
+
+def beside_a_corner(t, pose):
+    """A hall 8 m deep with a wall of 1 m to the left of the way, which ends at a corner."""
+    ox, oy = pose[0] + MOUNT[0], pose[1]
+    far = ranges_of([], pose, wall=8.0)
+    ux, uy = np.cos(ANGLES), np.sin(ANGLES)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        side = np.where(np.abs(uy) > 0.0, (np.sign(uy) * 1.0 - oy) / uy, math.inf)
+        x = ox + side * ux
+    hidden = (uy < 0.0) | (x < CORNER)
+    found = np.where(hidden & (side > 0.0), np.minimum(side, far), far)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        end = np.where(uy > 0.0, (4.0 - oy) / uy, math.inf)
+    return np.minimum(found, end)
+
+
+def test_the_monitor_slows_down_before_a_corner_behind_which_nobody_is_seen():
+    given = GIVEN | {"unseen.speed": 1.2, "unseen.use": True}
+    with Room(CollisionMonitorNode, parameters=given) as room:
+        monitor, states = room.nodes[1], []
+        room.watch(0.4, beside_a_corner)
+        room.hooks.append(lambda: states.append(monitor.state))
+        room.twist = (0.5, 0.0, 0.0)
+        room.watch(2.0, beside_a_corner)
+        assert {state.name for state in states} == {"free", "slowing"}
+        slowing = [state for state in states if state.reason]
+        assert all("may step out at" in state.reason for state in slowing)
+        assert min(state.limit.platform for state in slowing) < 0.7
+        assert all(state.limit.arm == 1.0 for state in slowing)
+        assert not monitor.warning_counts
+        monitor.set_parameters([Parameter("unseen.use", value=False)])
+        room.watch(0.1, beside_a_corner)
+        assert monitor.state.name == "free"
+
+
+def test_a_monitor_that_hears_nothing_of_the_unseen_is_blind():
+    with Room(CollisionMonitorNode, parameters=GIVEN | {"unseen.use": True}) as room:
+        room.watch(0.5, walker)
+        state = room.nodes[1].state
+        assert (state.name, state.reason) == ("blind", "no unseen")
+        room.tracker.set_parameters([Parameter("unseen.speed", value=1.2)])
+        room.watch(0.5, walker)
+        assert room.nodes[1].state.name != "blind"
+        room.watch(0.7, FAULTS["covered"])
+        assert "unseen is" in room.nodes[1].state.reason

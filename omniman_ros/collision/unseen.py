@@ -1,0 +1,212 @@
+"""Limit of the speed at which the robot comes to rest before somebody who steps out of the unseen.
+
+The rule is that of passive safety: at a contact, the robot is at rest. It is kept against
+everybody whom nobody sees, wherever they could be and whatever they do up to their speed
+(K. Macek, D. Vasquez, T. Fraichard and R. Siegwart, "Towards Safe Vehicle Navigation in Dynamic
+Urban Scenarios", Automatika 2009).
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from omniman_ros.collision.curve import curve_poses
+from omniman_ros.collision.rectangles import Rectangles
+from omniman_ros.collision.solids import Mask
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.errors import InputError
+from omniman_ros.core.parameters import parameter
+
+STEPS = 24
+"""Number of intervals into which a stop from full speed is divided."""
+LEVELS = np.linspace(0.02, 1.0, 50)
+"""Shares of full speed that are tried."""
+MOST_CELLS = 1_000_000
+"""Largest number of cells."""
+
+
+@dataclass(frozen=True)
+class Arrivals:
+    """How soon somebody whom nobody sees could be where.
+
+    Attributes:
+        times: (rows along y, columns along x) time in which somebody's centre could be in a cell
+            [s]; infinity where nobody can be soon.
+        resolution: Edge of a cell [m].
+        origin: (2,) corner of the first cell in the frame of the robot's pose [m].
+
+    Raises:
+        InputError: There are no cells or too many, a time is negative or NaN, or a length is not
+            finite or not above zero.
+    """
+
+    times: Array
+    resolution: float
+    origin: Array
+
+    def __post_init__(self) -> None:
+        if self.times.ndim != 2 or not 0 < self.times.size <= MOST_CELLS:
+            raise InputError(f"the times have shape {self.times.shape}, expected rows and columns")
+        if not (self.times >= 0.0).all():
+            raise InputError("a time is negative or not a number")
+        if not (0.0 < self.resolution < math.inf and np.isfinite(self.origin).all()):
+            raise InputError(
+                f"the resolution {self.resolution} m or the origin {self.origin} is not usable"
+            )
+
+    def after(self, time: float) -> "Arrivals":
+        """Return the times from another time on, up to which nothing more was seen [s]."""
+        return replace(self, times=np.maximum(self.times - time, 0.0))
+
+    def before(self, time: float, place: Array, distance: float) -> tuple[Array, Array]:
+        """Return the middles (M, 2) and times (M,) of cells where somebody could be soon.
+
+        Args:
+            time: Time up to which arrivals count [s].
+            place: Place (x, y), or pose, around which cells count [m].
+            distance: How far from it they count along either axis [m].
+        """
+        spans = []
+        for k, count in ((1, self.times.shape[0]), (0, self.times.shape[1])):
+            first = (place[k] - distance - self.origin[k]) / self.resolution
+            last = (place[k] + distance - self.origin[k]) / self.resolution
+            low, high = np.clip((math.floor(first), math.ceil(last)), 0, count).tolist()
+            spans.append(slice(low, high))
+        window = self.times[spans[0], spans[1]]
+        rows, columns = np.nonzero(window <= time)
+        index = np.column_stack((columns + spans[1].start, rows + spans[0].start))
+        middles: Array = self.origin + self.resolution * (index + 0.5)
+        return middles, window[rows, columns]
+
+
+@dataclass(frozen=True, kw_only=True)
+class UnseenLimitParameters:
+    """Whether and how the speed respects what no scanner sees."""
+
+    use: bool = parameter(
+        False,
+        "Whether the robot comes to rest before anybody who may step out from where no scanner "
+        "sees, by the topic unseen of obstacle_tracker, whose unseen.speed must be above 0 then.",
+    )
+    radius: float = parameter(
+        0.2,
+        "Radius of somebody who steps out: that of obstacle_tracker.",
+        unit="m",
+        low=0.1,
+        high=1.0,
+    )
+    creep_speed: float = parameter(
+        0.1,
+        "Share of the speed limits that is left at least, such as for motions to where no scanner "
+        "sees; 0: these are refused.",
+        low=0.0,
+        high=1.0,
+    )
+    timeout: float = parameter(
+        0.5, "Age from which unseen is too old.", unit="s", low=0.05, high=10.0
+    )
+
+
+@dataclass(frozen=True)
+class UnseenLimit:
+    """Share of the speed limits, 0 to 1, and the place (2,) that it is for; None without one."""
+
+    share: float = 1.0
+    place: Array | None = None
+
+
+def unseen_limit(
+    arrivals: Arrivals,
+    outline: Rectangles,
+    pose: Array,
+    courses: list[tuple[Array, float]],
+    radius: float,
+    reaction_time: float,
+) -> UnseenLimit:
+    """Return the largest share of full speed from which the robot stops before anybody unseen.
+
+    In a stop from the share s of full speed, which takes the time B from full speed, the robot
+    goes on for the reaction time T. It gets as far on its curve as in s T + s^2 B / 2 at full
+    speed. A place of the curve in the time tau at full speed is reached by then in tau / s, or
+    later, while the robot brakes, in T + B (s - sqrt(s^2 - 2 (tau - s T) / B)). Somebody must not
+    be there before the robot. Who comes from the side or from behind to where the robot is already
+    comes to it, and not the robot to them.
+
+    Args:
+        arrivals: Where people could be, and when.
+        outline: Rectangles that contain the robot.
+        pose: Pose (3,) of the robot in the frame of the arrivals [m, m, rad].
+        courses: Twists (3,) of the platform at full speed [m/s, m/s, rad/s], each with the time of
+            a stop from it [s].
+        radius: Radius of the people [m].
+        reaction_time: Time until the robot begins to brake [s].
+    """
+    result = UnseenLimit()
+    for twist, stop_time in courses:
+        taus = (reaction_time + 0.5 * stop_time) * np.arange(STEPS + 1.0) / STEPS
+        far = float(outline.radius.max()) + radius + taus[-1] * math.hypot(twist[0], twist[1])
+        places, times = arrivals.before(reaction_time + stop_time, pose, far)
+        first = _first_samples(outline, curve_poses(pose, twist, taus), places, radius)
+        swept = first > 0
+        conflict = _conflicts(taus, first[swept], times[swept], stop_time, reaction_time)
+        is_bad = conflict.any(axis=1)
+        if not is_bad.any():
+            continue
+        level = int(is_bad.argmax())
+        place = places[swept][int(conflict[level].argmax())]
+        found = UnseenLimit(float(LEVELS[level - 1]) if level else 0.0, place)
+        result = min(result, found, key=lambda limit: limit.share)
+    return result
+
+
+def _first_samples(
+    outline: Rectangles, poses: Array, places: Array, radius: float
+) -> NDArray[np.intp]:
+    """Return the number (M,) of the first pose at which the robot touches somebody in a place.
+
+    It is 0 also for those whom it never touches.
+    """
+    c, s = np.cos(poses[:, 2])[:, None], np.sin(poses[:, 2])[:, None]
+    x, y = (places[:, k] - poses[:, k, None] for k in (0, 1))
+    local = np.stack((c * x + s * y, c * y - s * x), axis=-1)
+    first: NDArray[np.intp] = (outline.distances(local) <= radius).argmax(axis=0)
+    return first
+
+
+def _conflicts(
+    taus: Array, first: NDArray[np.intp], times: Array, stop_time: float, reaction: float
+) -> Mask:
+    """Return whether somebody is in a place before the robot, for each share (L, M).
+
+    Args:
+        taus: (K,) times at full speed of the samples [s].
+        first: (M,) sample at which the robot first comes to each place, above 0.
+        times: (M,) when somebody can be there [s].
+        stop_time: Time of a stop from full speed [s].
+        reaction: Time until it begins [s].
+    """
+    # The robot may come to a place right after the sample before, and at the latest at this one.
+    way = LEVELS * reaction + 0.5 * LEVELS**2 * stop_time
+    reached = _stopping_times(taus[first], stop_time, reaction)
+    conflict: Mask = (taus[first - 1] < way[:, None]) & (times < reached)
+    return conflict
+
+
+def _stopping_times(taus: Array, stop_time: float, reaction: float) -> Array:
+    """Return when the robot is in places while it stops from shares of full speed (L, M) [s].
+
+    Args:
+        taus: (M,) times to the places at full speed [s]; beyond the way of a stop, its end counts.
+        stop_time: Time of a stop from full speed [s].
+        reaction: Time until it begins [s].
+    """
+    share = LEVELS[:, None]
+    rest = np.maximum(taus - share * reaction, 0.0)
+    scale = max(stop_time, 1e-9)
+    speed = np.sqrt(np.maximum(share * share - 2.0 * rest / scale, 0.0))
+    result: Array = np.where(
+        taus <= share * reaction, taus / share, reaction + scale * (share - speed)
+    )
+    return result

@@ -1,0 +1,59 @@
+"""Convert between messages and how soon somebody whom nobody sees could be where.
+
+A cell of the grid is 100 where somebody may be now, falls to 0 where nobody can be within
+`HORIZON`, and is -1 where nobody can be at all: so viewers of maps draw it.
+"""
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from nav_msgs.msg import OccupancyGrid
+from numpy.typing import NDArray
+
+from omniman_ros.collision.unseen import Arrivals
+from omniman_ros.conversions.geometry import yaw_from_quaternion
+from omniman_ros.conversions.tracks import grid_message
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.errors import InputError
+from omniman_ros.perception.unseen import HORIZON
+
+NOW, NEVER = 100, -1
+"""Values of a cell where somebody may be now, and where nobody can be."""
+
+
+def unseen_message(
+    times: Array, resolution: float, origin: Array, frame: str, stamp: Time
+) -> OccupancyGrid:
+    """Return the message for times of arrival.
+
+    Args:
+        times: (rows along y, columns along x) [s]; NaN where nobody can be.
+        resolution: Edge of a cell [m].
+        origin: (2,) corner of the first cell [m].
+        frame: Name of the frame.
+        stamp: Time from which the times count.
+    """
+    # Rounded up: towards an earlier arrival.
+    values = np.ceil(NOW * (1.0 - np.minimum(times, HORIZON) / HORIZON))
+    cells: NDArray[np.int8] = np.where(np.isnan(times), NEVER, values).astype(np.int8)
+    return grid_message(cells, resolution, origin, frame, stamp)
+
+
+def arrivals_from_message(message: OccupancyGrid) -> Arrivals:
+    """Return the times of arrival of a message, from its stamp on.
+
+    Raises:
+        InputError: The sizes do not fit, a value is out of range, or the grid is turned; see also
+            `Arrivals`.
+    """
+    info = message.info
+    values = np.asarray(message.data, dtype=np.int8)
+    if not values.size or values.size != info.width * info.height:
+        raise InputError(f"there are {values.size} cells, expected {info.width} x {info.height}")
+    if values.min() < NEVER or values.max() > NOW:
+        raise InputError(f"a cell is not {NEVER} to {NOW}")
+    if abs(yaw_from_quaternion(info.origin.orientation)) > 1e-6:
+        raise InputError("its grid is turned against its frame")
+    times = HORIZON * (1.0 - values / NOW)
+    times[values <= 0] = np.inf
+    origin = np.array([info.origin.position.x, info.origin.position.y])
+    return Arrivals(times.reshape(info.height, info.width), info.resolution, origin)
