@@ -25,7 +25,6 @@ UPDATES = {"map_updates"}  # with map_msgs only
 LATER = {
     "collision_monitor": UPDATES,
     "mpc_planner": UPDATES,
-    "obstacle_tracker": UPDATES,
     "viewer": {
         "wheel_states",
         "wheel_commands",
@@ -36,6 +35,12 @@ LATER = {
         "mpc/route",
         "mpc/predicted_obstacles",
         "obstacles",
+        "map",
+        "scan",
+        "obstacle_tracks",
+        "contacts",
+        "motion_limit",
+        "tip_over_margin",
     },
     # With `imu.use` only.
     "platform_controller": {"imu"},

@@ -21,6 +21,8 @@ AREA = 2.5
 """Half the edge of the square in which goals and paths are, about the origin of the truth [m]."""
 OBSTACLES = np.array([[3.2, 1.0, 0.3], [-0.5, 3.0, 0.25], [-3.0, -1.5, 0.3]])
 """Positions [m] and radii [m] of what stands around, in the frame of the ground truth."""
+AT_REST = np.zeros((len(OBSTACLES), 2))
+"""Their velocities [m/s]."""
 LARGEST_TWIST = (0.5, 0.4, 0.8)
 """Largest components of a twist [m/s, m/s, rad/s]."""
 TOOL_STEP = 0.25
@@ -60,9 +62,7 @@ class Activities:
         self._interface = RobotInterface(node, "can")
         self._tool: PoseStamped | None = None
         node.create_subscription(PoseStamped, "tool_pose", self._on_tool, 1)
-        self._surroundings = MovingObstacles(
-            0.0, OBSTACLES[:, :2], np.zeros((len(OBSTACLES), 2)), OBSTACLES[:, 2]
-        )
+        self._surroundings = MovingObstacles(0.0, OBSTACLES[:, :2], AT_REST, OBSTACLES[:, 2])
         node.create_timer(0.1, self._show_obstacles)
         self.counts: dict[str, int] = {}
         self.disturbed = False
@@ -90,9 +90,7 @@ class Activities:
         if truth is None or believed is None:
             return
         positions = np.array([self._in_odom(place) for place in OBSTACLES[:, :2]])
-        seen = MovingObstacles(
-            0.0, positions, self._surroundings.velocities, self._surroundings.radii
-        )
+        seen = MovingObstacles(0.0, positions, AT_REST, self._surroundings.radii)
         stamp = self._robot.session.node.get_clock().now().to_msg()
         self._interface.send_obstacles(seen.message(0.0, stamp))
 
