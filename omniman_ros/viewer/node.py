@@ -8,17 +8,16 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.publisher import Publisher
 
-from omniman_ros.core.errors import InputError
 from omniman_ros.description.urdf import carries_arm
 from omniman_ros.extras import VIEWER
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.runtime import run
 from omniman_ros.nodes.timed_node import TIME_JUMP
-from omniman_ros.viewer import events
 from omniman_ros.viewer.ros.lazy_subscriptions import LazySubscriptions
 from omniman_ros.viewer.ros.manual_drive import ManualDrive
 from omniman_ros.viewer.ros.obstacle_interface import ObstacleInterface
+from omniman_ros.viewer.ros.page_commands import PageCommands
 from omniman_ros.viewer.ros.parameters import ViewerParameters
 from omniman_ros.viewer.ros.perception_topics import PerceptionTopics
 from omniman_ros.viewer.ros.planner_parameters import PlannerParameterClient
@@ -26,7 +25,6 @@ from omniman_ros.viewer.ros.planner_topics import PlannerTopics
 from omniman_ros.viewer.ros.pose_commands import PoseCommands
 from omniman_ros.viewer.ros.robot_topics import RobotTopics
 from omniman_ros.viewer.ros.service_calls import ServiceCalls
-from omniman_ros.viewer.tour import Handler, Tour
 from omniman_ros.viewer.view_state import ViewState
 
 PERIOD = 0.05
@@ -52,7 +50,6 @@ class ViewerNode(OmnimanNode):
         p = self.settings.value
         constraints = p.robot.wheel_count - 3
         self.state = ViewState(p.robot.wheel_count, constraints)
-        self._events = events.EventQueue()
         self._topics = LazySubscriptions(self)
         self._drive = ManualDrive(self, p)
         self._robot = RobotTopics(self, self._topics, self.state, p, self.draw_status)
@@ -64,9 +61,14 @@ class ViewerNode(OmnimanNode):
         self._calls = ServiceCalls(self, self.state)
         self._planner_parameters = PlannerParameterClient(self, self.state)
         self._poses = PoseCommands(self, p, self.state, self._obstacles, self._calls)
-        self._tour = Tour()
-        self._handlers = self._event_handlers()
-        self._actions = self._button_actions()
+        self._commands = PageCommands(
+            self.state,
+            self._drive.buttons,
+            self._poses,
+            self._obstacles,
+            self._planner_parameters,
+            self._calls,
+        )
         self._served_at = self.now()
         if make_page is None:
             from omniman_ros.viewer.page.page import Page
@@ -74,41 +76,11 @@ class ViewerNode(OmnimanNode):
             make_page = Page
         limits = (p.limits.linear_velocity, p.limits.angular_velocity)
         mount = p.mount if carries_arm(p.robot) else None
-        self.page = make_page(p.robot, mount, constraints, limits, p.access, self._events.post)
+        self.page = make_page(p.robot, mount, constraints, limits, p.access, self._commands.post)
         self.get_logger().info(f"the page is at {self.page.link}")
         self.every(PERIOD, self.serve)
         self.every(1.0 / p.frame_rate, self.draw)
         self.every(1.0, self.survey)
-
-    def _event_handlers(self) -> dict[type, Handler]:
-        """Return the handler of each type of event, called with the event and the time [s]."""
-        handlers: dict[type, Handler] = {
-            events.ButtonHeld: self._drive.buttons.update,
-            events.ButtonReleased: self._drive.buttons.update,
-            events.ClientDisconnected: self._drive.buttons.update,
-            events.ButtonPressed: self._on_button,
-            events.GoalDragged: self._poses.drag_goal,
-            events.StartDragged: self._poses.drag_start,
-            events.CaseSelected: self._poses.load,
-            events.ParameterChanged: self._planner_parameters.set,
-            **self._obstacles.handlers,
-        }
-        return self._tour.following(handlers)
-
-    def _button_actions(self) -> dict[str, Callable[[float], None]]:
-        """Return the function for each button that is clicked, called with the time [s]."""
-        return {
-            events.STOP: lambda now: self._stop_or_reset(events.STOP, now),
-            "reset": lambda now: self._stop_or_reset("reset", now),
-            "pause": self._poses.pause,
-            "resume": self._poses.resume,
-            "cancel": self._poses.cancel,
-            "go": self._poses.go,
-            "restart": self._poses.restart,
-            "add": self._obstacles.add,
-            "clear": lambda now: self.state.clear_trails(),
-            "tour": lambda now: self._tour.toggle(),
-        }
 
     def serve(self) -> None:
         """Process the events of the page, drive while a button is held, publish the obstacles."""
@@ -116,8 +88,7 @@ class ViewerNode(OmnimanNode):
         if now < self._served_at - TIME_JUMP:
             self._reset_time(now)
         self._served_at = now
-        for error in self._events.process(self._handlers, now):
-            self.state.note = str(error)
+        self._commands.carry_out(now)
         self._drive.step(self.page.speeds, now)
         self._calls.collect(now)
         self._planner_parameters.collect(now)
@@ -135,16 +106,6 @@ class ViewerNode(OmnimanNode):
         self.state.reset_time()
         self._calls.reset_time(now)
 
-    def _on_button(self, event: events.ButtonPressed, now: float) -> None:
-        if event.action not in self._actions:
-            raise InputError(f"there is no button '{event.action[:40]}'")
-        self._actions[event.action](now)
-
-    def _stop_or_reset(self, action: str, now: float) -> None:
-        self._drive.buttons.release_all()
-        self._poses.abort()
-        self._calls.stop_or_reset(action, now)
-
     def draw(self) -> None:
         """Draw a frame if a browser is connected."""
         watched = self.page.watched
@@ -155,7 +116,7 @@ class ViewerNode(OmnimanNode):
             self._planner.update_state(now)
             self._obstacles.update_state(now)
             self._perception.update_state(self.page.layers)
-            self.state.tour = self._tour.text
+            self.state.tour = self._commands.tour.text
             self.page.draw(self.state, now)
 
     def draw_status(self) -> None:
@@ -178,7 +139,7 @@ class ViewerNode(OmnimanNode):
 
         Zero twists follow from `serve`.
         """
-        self._events.close()
+        self._commands.close()
         self._drive.buttons.release_all()
         self._poses.abort()
         self._obstacles.end()
