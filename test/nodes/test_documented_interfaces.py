@@ -20,8 +20,8 @@ ELSEWHERE = {"/tf", "/tf_static", "/clock", "/clock/permits", "/rosout"}
 LIFECYCLE = {"change_state", "get_state", "get_available_states", "get_available_transitions"}
 LIFECYCLE |= {"get_transition_graph"}
 
-# Documented, but there only later: where map_msgs is installed, while a browser is connected, or while
-# the page has obstacles.
+# Documented, but there only later: where map_msgs is installed, while a browser is connected, or
+# while the page has obstacles.
 LATER = {
     "collision_monitor": {"map_updates"},
     "mpc_planner": {"map_updates"},
