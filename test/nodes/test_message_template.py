@@ -23,7 +23,10 @@ def test_packed_message_is_the_serialized_one(names):
     for k in (0, 3):
         numbers = [k + 0.1 * i for i in range(2 * n - 1)] + [-math.inf]
         expected = joint_state(names, numbers[:n], numbers[n:], Time(sec=k, nanosec=999_999_999))
-        assert template.pack(k * 10**9 + 999_999_999, numbers) == serialize_message(expected)
+        packed = template.pack(k * 10**9 + 999_999_999, numbers)
+        # Not byte by byte: what CDR leaves between strings and numbers is not specified.
+        assert len(packed) == len(serialize_message(expected))
+        assert deserialize_message(packed, JointState) == expected
 
 
 def test_scattered_numbers_are_packed_into_their_places():
