@@ -117,7 +117,7 @@ class MapInterface:
         self._anchor: PlanarPose = (0.0, 0.0, 0.0)
         updates = map_messages.OccupancyGridUpdate
         if updates is None:
-            node.get_logger().info("map_msgs is not installed: map_updates are not heard")
+            node.get_logger().info("map_msgs is not installed: map_updates are not received")
         for kind, topic, handler, qos in (
             (OccupancyGrid, map_messages.TOPIC, self._on_map, LATCHED),
             (updates, map_messages.UPDATES_TOPIC, self._on_update, map_messages.UPDATES),

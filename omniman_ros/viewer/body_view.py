@@ -9,6 +9,7 @@ from omniman_ros.collision.body_geometry import PLATFORM, BodyGeometry
 from omniman_ros.collision.body_outline import BodyOutline
 from omniman_ros.collision.parameters import LoadShape, ToolShape
 from omniman_ros.collision.solids import UprightSolids
+from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.description.urdf import carries_arm
@@ -80,7 +81,7 @@ class BodyShapes:
         has_arm = carries_arm(description.robot)
         self._arm = ArmSegments(description.mount, tool) if has_arm else None
         self._posture: Array | None = None
-        self._rows: Array = np.zeros((0, 5))
+        self._corners: Array = np.zeros((0, 4, 2))
 
     def view(self, pose: Array, joints: Array, solids: UprightSolids) -> BodyView:
         """Return the shapes at a pose, and what is nearest to them.
@@ -98,17 +99,18 @@ class BodyShapes:
             frames = planar_transform(pose) @ self._arm.frames(joints)
             axes = self._arm.capsules(frames)
             start, end, radius = axes.start.T, axes.end.T, self._arm.radius
-        footprint = _corners(self._footprint(joints), pose)
+        footprint = _in_odom(self._footprint(joints), pose)
         nearest = self._nearest(pose, joints, solids, start, end)
         return BodyView(start, end, radius, footprint, nearest)
 
     def _footprint(self, joints: Array) -> Array:
-        """Return the rectangles (P, 5) at all heights in a posture."""
+        """Return the corners (P, 4, 2) in base_link of the rectangles at all heights [m]."""
         last = self._posture
         if last is None or np.abs(joints - last).max() > POSTURE_TOLERANCE:
             self._posture = joints
-            self._rows = self._outline.footprint(joints[None], 0.0).whole.rows
-        return self._rows
+            whole = self._outline.footprint(joints[None], 0.0).whole
+            self._corners = whole.corners.reshape(-1, 4, 2)
+        return self._corners
 
     def _nearest(
         self, pose: Array, joints: Array, solids: UprightSolids, start: Array, end: Array
@@ -128,7 +130,7 @@ class BodyShapes:
             begin, way = start[chosen, None], (end - start)[chosen, None]
             points = (begin + STATIONS[:, None] * way).reshape(-1, 3)
         else:
-            corners = _corners(self._rows[:1] if name == PLATFORM else self._rows[-1:], pose)[0]
+            corners = _in_odom(self._corners[0 if name == PLATFORM else -1], pose)
             edges = np.roll(corners, -1, axis=0) - corners
             flat = (corners[:, None] + STATIONS[:, None] * edges[:, None]).reshape(-1, 2)
             height = np.clip(PLATFORM_HEIGHT, thing.lower, thing.upper)
@@ -163,17 +165,7 @@ def solids_around(
     return UprightSolids.join([*known, beams])
 
 
-def _corners(rows: Array, pose: Array) -> Array:
-    """Return the corners (P, 4, 2) in `odom` of rectangles (P, 5) in base_link [m]."""
-    signs = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
-    local = rows[:, None, 3:] * signs
-    turned = _turned(local, rows[:, None, 2]) + rows[:, None, :2]
-    result: Array = _turned(turned, pose[2]) + pose[:2]
+def _in_odom(points: Array, pose: Array) -> Array:
+    """Return points (..., 2) of base_link at a pose (3,) in `odom` [m]."""
+    result: Array = points @ se2.rotation(float(pose[2]))[:2, :2] + pose[:2]
     return result
-
-
-def _turned(points: Array, angle: Array | float) -> Array:
-    """Return points (..., 2) turned by angles [rad]."""
-    c, s = np.cos(angle), np.sin(angle)
-    x, y = points[..., 0], points[..., 1]
-    return np.stack((c * x - s * y, s * x + c * y), axis=-1)

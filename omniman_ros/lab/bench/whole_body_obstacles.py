@@ -113,7 +113,7 @@ class Bench:
             begin = time.process_time()
             outcome = task.cycle(now, around)
             cycles.append(time.process_time() - begin)
-            choices[outcome.choice] = choices.get(outcome.choice, 0) + 1
+            choices[outcome.choice.value] = choices.get(outcome.choice.value, 0) + 1
             axes = task.axes(now + PERIOD * np.linspace(0.0, 1.0, 2 * TICKS + 1))
             errors.append(self._tool_errors(axes))
             gaps.append(_gap(judge, scene, axes[0], now))

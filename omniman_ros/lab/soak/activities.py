@@ -98,8 +98,8 @@ class Activities:
         """Return where odometry believes a place (2,) of the ground truth to be [m]."""
         truth, believed = self._robot.truth.pose, self._player.pose
         assert truth is not None and believed is not None
-        from_robot = se2.rotation(-truth[2])[:2, :2] @ (place - truth[:2])
-        result: Array = believed[:2] + se2.rotation(believed[2])[:2, :2] @ from_robot
+        from_robot = se2.rotation(truth[2])[:2, :2] @ (place - truth[:2])
+        result: Array = believed[:2] + from_robot @ se2.rotation(believed[2])[:2, :2]
         return result
 
     def perform(self) -> str:

@@ -1,5 +1,6 @@
 """Receding-horizon control of platform and arm in the redundancy, with the tool on its path."""
 
+import enum
 import math
 from dataclasses import dataclass, replace
 
@@ -40,17 +41,26 @@ AT_REST = 0.002
 """Rate below which the robot is at rest at the end [m/s, rad/s]."""
 
 
+class Choice(enum.Enum):
+    """What is followed after a cycle."""
+
+    PLAN = "plan"
+    BEGINNING = "plan, then braking"
+    LAST_PLAN = "last plan"
+    BRAKING = "braking"
+
+
 @dataclass(frozen=True)
 class CycleOutcome:
     """Result of a cycle.
 
     Attributes:
-        choice: What is followed from now on: "plan", "plan, then braking", "last plan", "braking".
+        choice: What is followed from now on.
         verdict: What the check says of it.
         reason: Why it is not the whole new plan; empty if it is.
     """
 
-    choice: str
+    choice: Choice
     verdict: Verdict
     reason: str = ""
 
@@ -127,7 +137,7 @@ class WholeBodyController:
                 best = motion, outcome
         assert best is not None  # braking is always a candidate
         self.motion, outcome = best
-        return replace(outcome, reason=outcome.reason if outcome.choice != "plan" else "")
+        return replace(outcome, reason=outcome.reason if outcome.choice is not Choice.PLAN else "")
 
     def _plan(self, due: float, way: Way, around: Hindrances) -> tuple[Motion | None, str]:
         """Return the new plan from a time [s] on, or None and the reason."""
@@ -146,16 +156,16 @@ class WholeBodyController:
 
     def _candidates(
         self, now: float, due: float, plan: Motion | None
-    ) -> "list[tuple[str, Motion]]":
+    ) -> list[tuple[Choice, Motion]]:
         """Return the motions to choose from, in the order of preference."""
         begins = max(self.motion.start, now - KEPT_PAST)
         last = self.motion.between(begins, max(self.motion.end, now + PERIOD))
-        found: list[tuple[str, Motion]] = []
+        found: list[tuple[Choice, Motion]] = []
         if plan is not None:
-            found.append(("plan", plan))
-            found.append(("plan, then braking", self.braked(plan, due + FOLLOWED)))
-        found.append(("last plan", last))
-        found.append(("braking", self.braked(last, now)))
+            found.append((Choice.PLAN, plan))
+            found.append((Choice.BEGINNING, self.braked(plan, due + FOLLOWED)))
+        found.append((Choice.LAST_PLAN, last))
+        found.append((Choice.BRAKING, self.braked(last, now)))
         return found
 
     def braked(self, motion: Motion, time: float) -> Motion:
