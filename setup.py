@@ -30,6 +30,7 @@ EXECUTABLES = {
     "arm_streamer": "omniman_ros.nodes.arm_streamer:main",
     "path_interpolator": "omniman_ros.nodes.path_interpolator:main",
     "mpc_planner": "omniman_ros.nodes.mpc_planner:main",
+    "whole_body_planner": "omniman_ros.nodes.whole_body_planner:main",
     "joint_states_merger": "omniman_ros.nodes.joint_states_merger:main",
     "odometry": "omniman_ros.nodes.odometry:main",
     "station_keeper": "omniman_ros.nodes.station_keeper:main",
@@ -123,7 +124,7 @@ setup(
             "catkin_pkg",
             "hypothesis",
             # The arrows between the rooms are a contract in pyproject.toml.
-            "import-linter==2.*",
+            "import-linter>=2.13,<3",
             "mcap",
             "mypy==2.4.*",
             "odrive-can",
@@ -137,7 +138,7 @@ setup(
         ],
         # A robot that records needs no pictures.
         "record": ["rosbags"],
-        "plot": ["jinja2", "matplotlib", "rosbags"],
+        "plot": ["jinja2", "matplotlib", "pillow", "rosbags"],
         # The page relies on how viser marks up its buttons.
         "viewer": ["viser==1.1.*", "websockets"],
         # 4.0.0 factorises sparse matrices wrongly; a next major version may change the physics.

@@ -31,7 +31,7 @@ def wait(node: Node, what: str, done: Callable[[], bool]) -> None:
 
 
 def talk(node: Node) -> None:
-    """Hear one wheel state and read one parameter."""
+    """Receive one wheel state and read one parameter."""
     states: list[JointState] = []
     node.create_subscription(JointState, "wheel_states", states.append, 1)
     wait(node, "wheel states", lambda: bool(states))

@@ -49,6 +49,7 @@ def pip_install() -> str:
 CAN = Extra(
     ("can", "canopen"), "drives on a CAN bus need python-can and canopen", "python-can canopen"
 )
+FILM = Extra(("PIL",), "films need Pillow", "pillow")
 PLANNING = Extra(("casadi",), "the planner needs casadi", "casadi")
 RECORDING = Extra(("rosbags",), "recordings need rosbags", "rosbags")
 TRACKING = Extra(("scipy",), "the obstacle tracker needs scipy", "scipy")

@@ -36,6 +36,9 @@ END_TO_END = f"{Path(__file__).parent}/end_to_end/"
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
+NICENESS = 5
+"""Niceness of all workers but the first, which begins with what runs on real time."""
+
 # Each worker has domains of its own; those of test/nodes/harness.py lie in between.
 WORKER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
 WORKERS = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
@@ -46,20 +49,42 @@ ros_domain.LOW_DOMAINS = range(1, 40)[WORKER::WORKERS]
 def pytest_sessionstart():
     """Remove what killed participants of earlier runs have left: discovery waits for it."""
     shared_memory.remove_abandoned()
+    if WORKER > 0:
+        os.nice(NICENESS)
 
 
 def pytest_collection_modifyitems(items):
     for item in items:
         if str(item.path).startswith(END_TO_END):
             item.add_marker(pytest.mark.processes)
-    # Their files take longest, and leave cores idle that the others use.
     items.sort(key=lambda item: item.get_closest_marker("processes") is None)
 
 
-def pytest_collection_finish():
-    """Exempt thousands of test items from garbage collection, which they would slow down."""
-    gc.collect()
-    gc.freeze()
+@pytest.hookimpl(wrapper=True)
+def pytest_collection():
+    """Collect thousands of items without searching them for garbage, then or later."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers():
+    from test import distribution
+
+    return distribution.worker_count()
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """Distribute the files of the whole suite; other distributions are those of pytest-xdist."""
+    from test import distribution
+
+    whole = config.getvalue("dist") == "loadfile"
+    return distribution.TwoEndedScheduling(config, log) if whole else None
 
 
 @pytest.fixture(autouse=True, scope="session")

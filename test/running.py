@@ -9,6 +9,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from omniman_ros.processes.arm_options import UR_PORTS
+from omniman_ros.processes.free_ports import find_free_ports
 from omniman_ros.processes.ros_domain import free_domain
 
 PATIENCE = 60.0
@@ -29,6 +31,19 @@ def environment(domain: int | None = None) -> dict[str, str]:
 def command(*arguments: str) -> list[str]:
     """Return the command line of `omniman` with these arguments."""
     return [sys.executable, "-m", "omniman_ros.cli.main", *arguments]
+
+
+def arm_on_free_ports() -> list[str]:
+    """Return options of `omniman up` that give a simulated arm ports of the test's own.
+
+    Two robots that are started at the same time would both find the ports of a UR controller free.
+    """
+    ports = dict(zip(UR_PORTS, find_free_ports(len(UR_PORTS)), strict=True))
+    parameters = {f"ports.{name}": port for name, port in ports.items()}
+    parameters["ur.dashboard_port"] = ports["dashboard"]
+    parameters["ur.script_port"] = ports["secondary"]
+    parameters["ur.rtde_port"] = ports["rtde"]
+    return [word for item in parameters.items() for word in ("-p", "{}:={}".format(*item))]
 
 
 class Running:

@@ -29,6 +29,7 @@ DISTRIBUTIONS = {
     "scipy": ("scipy", "python3-scipy"),
     "mujoco-core": ("mujoco", None),
     "matplotlib": ("matplotlib", "python3-matplotlib"),
+    "pillow": ("PIL", "python3-pil"),
     "rosbags": ("rosbags", "python3-rosbags-pip"),
     "viser": ("viser", None),
     "websockets": ("websockets", "python3-websockets"),

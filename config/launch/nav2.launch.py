@@ -29,7 +29,7 @@ NAVIGATION = {
 }
 """Package and executable of each node that drives, in the order in which they are activated."""
 MONITOR = {"nav2_collision_monitor": ("nav2_collision_monitor", "collision_monitor")}
-"""Nav2's collision monitor, which hears the scan; the robot's own may run as well."""
+"""Nav2's collision monitor, which reads the scan; the robot's own may run as well."""
 MAP = {"map_server": ("nav2_map_server", "map_server")}
 """Node that publishes a map from a file."""
 AMCL = {"amcl": ("nav2_amcl", "amcl")}

@@ -13,6 +13,7 @@ All that can be wrong with the arguments is looked up before the first node star
 says what happens when a node ends.
 """
 
+import os
 import subprocess
 from collections.abc import Mapping
 from functools import partial
@@ -36,6 +37,8 @@ BOOLEANS = ["true", "false", "True", "False"]
 """Values of an argument that is true or false."""
 TF = [("/tf", "tf"), ("/tf_static", "tf_static")]
 """Remappings that keep the transforms of a robot in its namespace."""
+TRANSPORTS_VARIABLE = "FASTDDS_BUILTIN_TRANSPORTS"
+"""Environment variable that selects the transports of Fast DDS."""
 BUS = ("239.74.163.2", 43113)
 """Multicast group and port of the first robot's bus, a UDP bus of python-can."""
 BUS_TIMEOUTS = {
@@ -136,6 +139,13 @@ ARGUMENTS = [
         choices=BOOLEANS,
     ),
     DeclareLaunchArgument(
+        "whole_body_planner",
+        default_value="false",
+        description="Whether platform and arm dodge what is around them on paths of the tool; "
+        "needs casadi",
+        choices=BOOLEANS,
+    ),
+    DeclareLaunchArgument(
         "viewer",
         default_value="false",
         description="Whether to serve the page for a browser; needs viser",
@@ -153,6 +163,14 @@ ARGUMENTS = [
         description="Number of this robot among those simulated on this machine, which gives it a "
         "bus (drive:=can) and ports of its arm's controller (arm:=simulated) of its own",
         choices=[str(number) for number in range(10)],
+    ),
+    DeclareLaunchArgument(
+        "transports",
+        default_value="auto",
+        description="Transports of Fast DDS; UDPv4: no shared memory, in which a process that is "
+        "killed may block the others; auto: UDPv4 on real time, unless the environment variable "
+        f"{TRANSPORTS_VARIABLE} is set",
+        choices=["auto", "UDPv4", "DEFAULT"],
     ),
     DeclareLaunchArgument(
         "description",
@@ -207,7 +225,11 @@ def start(context: LaunchContext) -> list[Any]:
         nodes.append(node("odometry", common))
     # These nodes know the arm's limits, which the file of its controller sets.
     limits = [_file(given, "controller", "ur")] if given["arm"] == "ur" else []
-    nodes.append(node("path_interpolator", *limits, {**common, **limited}))
+    dodges = _is_true(given, "whole_body_planner")
+    left_out = {"takes_tool_paths": False} if dodges else {}
+    nodes.append(node("path_interpolator", *limits, {**common, **limited, **left_out}))
+    if dodges:
+        nodes.append(node("whole_body_planner", *limits, {**common, **limited}))
     if _is_true(given, "collision_monitor"):
         nodes.append(node("collision_monitor", *limits, common, essential=False))
     if _is_true(given, "obstacle_tracker"):
@@ -314,6 +336,8 @@ def _node(
     if not essential:
         options["respawn"] = _is_true(given, "respawn")
         options["respawn_delay"] = float(given["respawn_delay"])
+    if transports := _transports(given):
+        options["additional_env"] = {TRANSPORTS_VARIABLE: transports}
     return supervision.SupervisedNode(
         crew=crew,
         stage=stage,
@@ -327,6 +351,14 @@ def _node(
         output="screen",
         **options,
     )
+
+
+def _transports(given: Mapping[str, str]) -> str:
+    """Return the transports of the nodes; empty for those of the environment."""
+    if given["transports"] != "auto":
+        return given["transports"]
+    is_chosen = TRANSPORTS_VARIABLE in os.environ or _is_true(given, "use_sim_time")
+    return "" if is_chosen else "UDPv4"
 
 
 def _is_true(given: Mapping[str, str], name: str) -> bool:

@@ -82,7 +82,8 @@ class SupervisedNode(Node):
         self, *, crew: Crew, stage: int, essential: bool, is_ours: bool, **options: Any
     ) -> None:
         if is_ours:
-            options["additional_env"] = {PARENT_VARIABLE: str(os.getpid())}
+            given = options.get("additional_env", {})
+            options["additional_env"] = {**given, PARENT_VARIABLE: str(os.getpid())}
         super().__init__(
             on_exit=self._report_end,
             sigterm_timeout=LaunchConfiguration("sigterm_timeout", default=STOP_TIMEOUT),

@@ -53,6 +53,12 @@ BOTH = [
         choices=["true", "false", "True", "False"],
     ),
     DeclareLaunchArgument(
+        "transports",
+        default_value="auto",
+        description="Transports of Fast DDS; see platform.launch.py",
+        choices=["auto", "UDPv4", "DEFAULT"],
+    ),
+    DeclareLaunchArgument(
         "respawn",
         default_value="false",
         description="Whether a node that moves nothing is started again when it has ended; the "

@@ -5,6 +5,7 @@ Directives:
 * ``parameters NODE``: the parameters of a node, without those that describe the robot.
 * ``robot-parameters``: the parameters that describe the robot, which all nodes share.
 * ``faults``: the table of faults that `omniman bench faults` plays.
+* ``listening-sockets``: the table of sockets on which the robot listens.
 * ``figures NAME``: the table of ``results/NAME.json``.
 
 The pages of the API reference, one per package, are written to ``api/`` before the build, and the
@@ -124,6 +125,18 @@ class Faults(Table):
 
             self.env.note_dependency(table.__file__)
             yield from page.markdown()
+
+
+class ListeningSockets(Table):
+    """The table of sockets on which the processes of the robot listen."""
+
+    def lines(self) -> Iterator[str]:
+        """Yield the table."""
+        with mock(self.config.autodoc_mock_imports):
+            from omniman_ros.nodes import listening_sockets
+
+            self.env.note_dependency(listening_sockets.__file__)
+            yield from listening_sockets.markdown()
 
 
 class Figures(Table):
@@ -314,6 +327,7 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.add_directive("parameters", Parameters)
     app.add_directive("robot-parameters", RobotParameters)
     app.add_directive("faults", Faults)
+    app.add_directive("listening-sockets", ListeningSockets)
     app.add_directive("figures", Figures)
     app.connect("config-inited", add_stand_ins)
     app.connect("builder-inited", write_api_pages)

@@ -10,6 +10,7 @@ from typing import Any, Protocol
 import can
 
 from omniman_ros.can_drives.frame import Frame
+from omniman_ros.can_drives.reception import enlarge_receive_buffer, is_invalid_frame
 from omniman_ros.core.can_parameters import CanParameters
 from omniman_ros.core.errors import OmnimanError
 
@@ -32,10 +33,10 @@ class Bus(Protocol):
     """A bus as the bridge uses it.
 
     Attributes:
-        garbage: Number of received items that were not classic CAN frames.
+        invalid: Number of received items that were not classic CAN frames.
     """
 
-    garbage: int
+    invalid: int
 
     def take(self) -> Iterator[Frame | str]:
         """Yield received frames, or descriptions of bus failures."""
@@ -66,7 +67,7 @@ class CanBus(Bus):
             called; None if there is nothing to call.
 
     Attributes:
-        garbage: Number of received items that were not classic CAN frames.
+        invalid: Number of received items that were not classic CAN frames.
 
     Raises:
         BusError: The bus cannot be opened.
@@ -80,6 +81,8 @@ class CanBus(Bus):
             options["bitrate"] = p.bitrate
         try:
             self._bus = can.Bus(**options)
+            if p.interface == "udp_multicast":
+                enlarge_receive_buffer(self._bus)
         except Exception as error:  # each back end of python-can raises its own errors
             reason = str(error) or type(error).__name__
             raise BusError(f"bus {p.interface} {p.channel} cannot be opened: {reason}") from error
@@ -87,7 +90,7 @@ class CanBus(Bus):
         self._received: deque[Frame | str] = deque()
         self._event = threading.Event()
         self._closing = threading.Event()
-        self.garbage = 0
+        self.invalid = 0
         try:
             self._socket = self._bus.fileno()
         except NotImplementedError:
@@ -133,8 +136,8 @@ class CanBus(Bus):
         try:
             message = self._bus.recv(timeout)
         except Exception as error:  # each back end of python-can raises its own errors
-            if _is_garbage(error):
-                self.garbage += 1
+            if is_invalid_frame(error):
+                self.invalid += 1
                 return None
             return f"cannot be read: {str(error) or type(error).__name__}"
         if message is None:
@@ -143,7 +146,7 @@ class CanBus(Bus):
         if message.is_error_frame:
             return "off (error frame)" if number & BUS_OFF_FLAG else None
         if message.is_fd:
-            self.garbage += 1
+            self.invalid += 1
             return None
         return Frame(
             number,
@@ -227,12 +230,3 @@ class CanBus(Bus):
         if self._thread.is_alive():
             self._thread.join(5 * READ_TIMEOUT)
         self._bus.shutdown()
-
-
-def _is_garbage(error: Exception) -> bool:
-    """Return whether a received item was no frame; otherwise the bus itself cannot be read."""
-    if isinstance(error, OSError):
-        return False
-    if isinstance(error, can.CanError):
-        return error.__cause__ is not None and not isinstance(error.__cause__, OSError)
-    return True

@@ -77,6 +77,7 @@ class CanDrives:
         self._network: Network = entry.network(settings)
         self.phase = Phase.UNCONFIGURED
         self.stop_reason = ""
+        self._has_moved = False
         ids = set(self._network.command_ids).union(*(axis.command_ids for axis in self.axes))
         self.host_detector = ForeignHostDetector(ids)
         self._parameters = parameters
@@ -186,10 +187,12 @@ class CanDrives:
             InputError: The command is invalid or stale; the last one remains, and ages on.
         """
         self._setpoints.check(command, now - age, now)
+        values = command.effort if command.velocity is None else command.velocity
         if self.stop_reason or self.phase is not Phase.DRIVING:
-            values = command.effort if command.velocity is None else command.velocity
             reason = f"stopped: {self.stop_reason}" if self.stop_reason else self.phase.value
             return reason if values.any() else ""
+        if values.any() or command.effort.any():
+            self._has_moved = True
         self._setpoints.set_command(command, now - age)
         return ""
 
@@ -296,6 +299,7 @@ class CanDrives:
 
     def _supervise(self, now: float) -> None:
         """Detect reasons to stop that come without a frame: faults, silence, disabled drives."""
+        self._has_moved = self.may_have_moved
         if self.stop_reason:
             return
         if self._group.fault:
@@ -322,7 +326,7 @@ class CanDrives:
         # A drive that is offline may have its power on, and its wheel may rotate.
         if all(axis.state in (AxisState.READY, AxisState.FAULT) for axis in self.axes):
             return Demand.IDLE
-        if not bool((np.abs(self._feedback.velocity()) < REST_SPEED).all()):
+        if self._rotates:
             self._at_rest_since = None
         elif self._at_rest_since is None:
             self._at_rest_since = now
@@ -330,6 +334,11 @@ class CanDrives:
             return Demand.IDLE
         is_overdue = now - self._phase_began_at > self.longest_stop
         return Demand.IDLE if is_overdue else Demand.STOP
+
+    @property
+    def _rotates(self) -> bool:
+        """Whether a wheel is not at rest."""
+        return not bool((np.abs(self._feedback.velocity()) < REST_SPEED).all())
 
     def _axis_frames(self, demand: Demand, now: float) -> list[Frame]:
         """Return the frames of all axes; one axis that fails makes the others stop at once."""
@@ -361,6 +370,12 @@ class CanDrives:
                 for speed, axis in zip(self._feedback.velocity().tolist(), self.axes, strict=True)
             )
         )
+
+    @property
+    def may_have_moved(self) -> bool:
+        """Whether motion was commanded, or a wheel rotated while the drives had power."""
+        has_power = self.phase in (Phase.ENABLING, Phase.DRIVING)
+        return self._has_moved or (has_power and self._rotates)
 
     @property
     def longest_stop(self) -> float:

@@ -148,6 +148,11 @@ class CanLink:
         return self.drives.at_rest(self._clock())
 
     @property
+    def may_have_moved(self) -> bool:
+        """Whether a wheel may have moved under power; see :attr:`CanDrives.may_have_moved`."""
+        return self.drives.may_have_moved
+
+    @property
     def stop_reason(self) -> str:
         """Why all drives are stopped, or an empty string."""
         return self.drives.stop_reason
@@ -191,7 +196,7 @@ class CanLink:
                 (f"{name} supply V", f"{feedback.bus_voltage:.1f}"),
             ]
         values += [("frames sent", self.sent), ("frames received", self.received)]
-        values += [("garbage on the wire", self.bus.garbage)]
+        values += [("frames invalid", self.bus.invalid)]
         counts = self.drives.host_detector.counts
         return values + [(f"frames {kind}", count) for kind, count in counts.items()]
 

@@ -14,7 +14,7 @@ from omniman_ros.cli.arguments.description import (
 from omniman_ros.cli.arguments.identification import add_identify
 from omniman_ros.cli.arguments.lab import add_bench, add_reproduce
 from omniman_ros.cli.arguments.motion import add_goal, add_stop, add_teleop, add_tool
-from omniman_ros.cli.arguments.recording import add_plot, add_record
+from omniman_ros.cli.arguments.recording import add_film, add_plot, add_record
 from omniman_ros.cli.arguments.robot import add_demo, add_up
 
 
@@ -66,6 +66,7 @@ COMMANDS = {
     "plot": Command(
         "omniman_ros.cli.plot", "draw the standard figures from a recording", add_plot
     ),
+    "film": Command("omniman_ros.cli.film", "draw a film of a drive from a recording", add_film),
     "demo": Command(
         "omniman_ros.demo.command",
         "drive a simulated robot and measure it, in a minute and a half",

@@ -7,6 +7,7 @@ import yaml
 
 from omniman_ros.cli.robot_values import existing_file, parse_parameters
 from omniman_ros.console.errors import CommandError
+from omniman_ros.console.files import output_errors
 from omniman_ros.console.terminal import say
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.processes.moveit_setup import PARAMETERS, moveit_configuration
@@ -40,11 +41,9 @@ def run(args: argparse.Namespace) -> int:
         "ompl_planning.yaml": configuration.planning["ompl"],
     }
     texts |= {name: yaml.safe_dump(table, sort_keys=False) for name, table in tables.items()}
-    try:
+    with output_errors(args.output):
         folder.mkdir(parents=True, exist_ok=True)
         for name, text in texts.items():
             (folder / name).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise CommandError(f"--output {args.output}: {error.strerror}") from error
     say(f"{', '.join(texts)} written to {folder}")
     return 0

@@ -1,13 +1,12 @@
 """`omniman nav2`: write the parameters of Nav2 for a robot."""
 
 import argparse
-from pathlib import Path
 
 import yaml
 
 from omniman_ros.cli.robot_values import existing_file, parse_parameters
 from omniman_ros.console.errors import CommandError
-from omniman_ros.console.terminal import write_output
+from omniman_ros.console.files import write_file_or_stdout
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.processes.nav2_setup import PARAMETERS, nav2_parameters
 from omniman_ros.processes.robot_setup import resolve_robot
@@ -37,11 +36,5 @@ def run(args: argparse.Namespace) -> int:
     except ParameterError as error:
         raise CommandError(str(error), 2) from error
     text = yaml.safe_dump(parameters, sort_keys=False)
-    if args.output is None:
-        write_output(text)
-        return 0
-    try:
-        Path(args.output).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise CommandError(f"--output {args.output}: {error.strerror}") from error
+    write_file_or_stdout(args.output, text)
     return 0

@@ -7,6 +7,7 @@ import numpy as np
 import yaml
 
 from omniman_ros.console.errors import CommandError
+from omniman_ros.console.files import output_errors
 from omniman_ros.console.terminal import say
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.simulation.scene_files import load_scene
@@ -43,12 +44,10 @@ def run(args: argparse.Namespace) -> int:
         "occupied_thresh": 0.65,
         "free_thresh": 0.25,
     }
-    try:
+    with output_errors(args.output):
         stem.parent.mkdir(parents=True, exist_ok=True)
         picture.write_bytes(grey_map(grid))
         about.write_text(yaml.safe_dump(description, sort_keys=False), encoding="utf-8")
-    except OSError as error:
-        raise CommandError(f"--output {args.output}: {error.strerror}") from error
     say(f"{about} and {picture.name} written")
     return 0
 

@@ -20,8 +20,8 @@ from omniman_ros.nodes.trajectory_interfaces.motion_status import MotionEvent
 
 ANSWER_TIMEOUT = 2.0
 """Time within which the node must answer a service [s]."""
-INTERPOLATOR = "path_interpolator"
-"""Name of the node that moves the tool."""
+NODES = ("path_interpolator", "whole_body_planner")
+"""Names of the nodes that may move the tool; one of them takes its paths."""
 Position = tuple[float, float, float]
 """Position (x, y, z) of the tool [m]."""
 
@@ -48,8 +48,10 @@ class ToolDriver:
         node.create_subscription(Odometry, "odom", self._on_odom, 10)
         node.create_subscription(Float64, "path_progress", self._on_progress, 10)
         node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
-        self._cancel = node.create_client(Trigger, f"{INTERPOLATOR}/cancel")
-        self._full_name = f"{node.get_namespace().rstrip('/')}/{INTERPOLATOR}"
+        prefix = node.get_namespace().rstrip("/")
+        self._names = {f"{prefix}/{name}": name for name in NODES}
+        self._cancels = {name: node.create_client(Trigger, f"{name}/cancel") for name in NODES}
+        self._mover = ""
 
     def _on_tool(self, message: PoseStamped) -> None:
         position = message.pose.position
@@ -63,8 +65,9 @@ class ToolDriver:
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
-            if status.name == self._full_name:
-                self._status = {item.key: item.value for item in status.values}
+            values = {item.key: item.value for item in status.values}
+            if status.name in self._names and "tool_path_event" in values:
+                self._status, self._mover = values, self._names[status.name]
                 self._status_count += 1
 
     def drive(self, position: Position, relative: bool, timeout: float) -> None:
@@ -77,12 +80,12 @@ class ToolDriver:
             timeout: Time after which the motion is cancelled [s].
 
         Raises:
-            CommandError: There is no path_interpolator, the path is refused or abandoned, or the
+            CommandError: No node takes paths of the tool, the path is refused or abandoned, or the
                 tool does not arrive in time.
         """
         if not self._session.wait(self._is_ready, DISCOVERY_TIMEOUT):
             raise CommandError(
-                f"no {INTERPOLATOR} that knows the position of the tool was found within "
+                f"no {' or '.join(NODES)} that knows the position of the tool was found within "
                 f"{DISCOVERY_TIMEOUT:g} s: start `omniman up`, or set ROS_DOMAIN_ID to the robot's"
             )
         assert self._tool is not None and self._heading is not None
@@ -128,7 +131,9 @@ class ToolDriver:
 
     def cancel(self) -> None:
         """Cancel the path, and wait until the node confirms it."""
-        answer = self._cancel.call_async(Trigger.Request())
+        if not self._mover:
+            return  # nothing was sent
+        answer = self._cancels[self._mover].call_async(Trigger.Request())
         self._session.wait(answer.done, ANSWER_TIMEOUT)
 
 

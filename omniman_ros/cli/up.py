@@ -39,6 +39,7 @@ def run(args: argparse.Namespace) -> int:
         world=args.world,
         collision_monitor=args.collision_monitor,
         obstacle_tracker=args.obstacle_tracker,
+        whole_body_planner=args.whole_body_planner,
     )
     specs = robot_processes(setup)
     names = [spec.name for spec in specs]

@@ -2,11 +2,10 @@
 
 import argparse
 from collections.abc import Sequence
-from pathlib import Path
 
 from omniman_ros.cli.robot_values import existing_file, parse_parameters
 from omniman_ros.console.errors import CommandError
-from omniman_ros.console.terminal import write_output
+from omniman_ros.console.files import write_file_or_stdout
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import build, specs
 from omniman_ros.description.parameters import DescriptionParameters
@@ -27,18 +26,19 @@ def run(args: argparse.Namespace) -> int:
         CommandError: The options cannot be used, or the file cannot be written.
     """
     text = make_urdf(args.robot, args.param, args.params_file)
-    if args.output is None:
-        write_output(text)
-        return 0
-    try:
-        Path(args.output).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise CommandError(f"--output {args.output}: {error.strerror}") from error
+    write_file_or_stdout(args.output, text)
     return 0
 
 
 def make_urdf(robot: str, params: Sequence[str] = (), file: str | None = None) -> str:
-    """Return the URDF of a robot.
+    """Return the URDF of a robot; arguments and errors are those of `robot_description`."""
+    return robot_description(robot, params, file).urdf
+
+
+def robot_description(
+    robot: str, params: Sequence[str] = (), file: str | None = None
+) -> DescriptionParameters:
+    """Return what the description of a robot is made from.
 
     Args:
         robot: Name of a robot of the package, or path of a robot's file.
@@ -55,6 +55,6 @@ def make_urdf(robot: str, params: Sequence[str] = (), file: str | None = None) -
         values |= load_robot(file) if file is not None else {}
         known = {spec.name for spec in specs(DescriptionParameters)}
         values |= parse_parameters(params, known, "the URDF")
-        return build(DescriptionParameters, values).urdf
+        return build(DescriptionParameters, values)
     except ParameterError as error:
         raise CommandError(str(error), 2) from error

@@ -79,7 +79,10 @@ class BodySpheres:
 
     def place(self, q: Array) -> PlacedSpheres:
         """Return the spheres at joint angles (..., 6) [rad]."""
-        frames = self._arm.frames(q)
+        return self.carried(self._arm.frames(q))
+
+    def carried(self, frames: Array) -> PlacedSpheres:
+        """Return the spheres for poses (..., 7, 4, 4) of the arm's base and links in base_link."""
         chosen = frames[..., self.frame, :3, :]
         centre = (chosen[..., :3] @ self._local[:, :, None])[..., 0] + chosen[..., 3]
         return PlacedSpheres(centre, frames)
@@ -89,9 +92,12 @@ class BodySpheres:
         axis = placed.frames[..., :-1, :3, 2]
         origin = placed.frames[..., :-1, :3, 3]
         lever = placed.centre[..., :, None, :] - origin[..., None, :, :]
-        turned = np.cross(np.broadcast_to(axis[..., None, :, :], lever.shape), lever)
-        moved = np.arange(JOINTS) < self.frame[:, None]
-        result: Array = np.swapaxes(turned * moved[..., None], -1, -2)
+        axis = axis[..., None, :, :] * (np.arange(JOINTS) < self.frame[:, None])[..., None]
+        result = np.empty((*lever.shape[:-2], 3, JOINTS))
+        for row, first, second in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):  # axes x levers
+            result[..., row, :] = (
+                axis[..., first] * lever[..., second] - axis[..., second] * lever[..., first]
+            )
         return result
 
 

@@ -233,7 +233,7 @@ class CollisionMonitor:
             outline,
             robot.pose,
             courses,
-            parameters.radius,
+            parameters.person.radius,
             self.parameters.reaction_time,
         )
         return replace(found, share=max(found.share, parameters.creep_speed))

@@ -1,4 +1,4 @@
-"""Shapes of the tool and of what it holds."""
+"""Shapes of the tool, of what it holds, and of people."""
 
 from dataclasses import dataclass
 
@@ -42,3 +42,17 @@ class LoadShape:
     def is_carried(self) -> bool:
         """Whether there is a load."""
         return self.length > 0.0 and self.width > 0.0 and self.height > 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class PersonShape:
+    """Disc on the floor that stands for the smallest person that counts."""
+
+    radius: float = parameter(
+        0.2,
+        "Radius of the smallest person that counts, the same in obstacle_tracker and in "
+        "collision_monitor: where less room is, nobody stands or goes.",
+        unit="m",
+        low=0.1,
+        high=1.0,
+    )

@@ -23,10 +23,11 @@ class ConvexPrism:
         lower, upper = corners.min(axis=0), corners.max(axis=0)
         self._box = [(*lower.tolist(), heights[0]), (*upper.tolist(), heights[1])]
         following = np.roll(corners, -1, axis=0)
-        self._sides = [
-            (x, y, to_x - x, to_y - y)
-            for (x, y), (to_x, to_y) in zip(corners.tolist(), following.tolist(), strict=True)
-        ]
+        # Columns (K, 1), one row for each side.
+        self._corner_x, self._corner_y = corners.T[..., None]
+        self._side_x, self._side_y = (following - corners).T[..., None]
+        squares = self._side_x**2 + self._side_y**2
+        self._share_x, self._share_y = self._side_x / squares, self._side_y / squares
         low, high = (np.insert(corners, 2, z, axis=1) for z in heights)
         next_low, next_high = (np.roll(points, -1, axis=0) for points in (low, high))
         self.edges = Segments(
@@ -46,24 +47,20 @@ class ConvexPrism:
         return distances_along(lambda _: self._outward, bound, start, end - start, reach)
 
     def _outward(self, points: Array) -> Array:
-        """Return the vectors (3, ...) to points (3, ...) from the nearest points of the prism."""
+        """Return the vectors (3, n) to points (3, n) from the nearest points of the prism."""
         x, y, z = points
-        shape = np.shape(x)
-        is_inside = np.ones(shape, dtype=bool)
-        least, best_x, best_y = np.full(shape, np.inf), np.zeros(shape), np.zeros(shape)
-        for corner_x, corner_y, side_x, side_y in self._sides:
-            dx, dy = x - corner_x, y - corner_y
-            is_inside &= side_x * dy >= side_y * dx
-            square = side_x * side_x + side_y * side_y
-            share = dx * (side_x / square) + dy * (side_y / square)
-            np.minimum(np.maximum(share, 0.0, out=share), 1.0, out=share)
-            dx -= share * side_x
-            dy -= share * side_y
-            squared = dx * dx + dy * dy
-            is_nearer = squared < least
-            for best, each in ((least, squared), (best_x, dx), (best_y, dy)):
-                np.copyto(best, each, where=is_nearer)
+        # Vectors (K, n) from the nearest points of all sides.
+        dx, dy = x - self._corner_x, y - self._corner_y
+        is_inside = (self._side_x * dy >= self._side_y * dx).all(axis=0)
+        share = dx * self._share_x
+        share += dy * self._share_y
+        np.minimum(np.maximum(share, 0.0, out=share), 1.0, out=share)
+        dx -= share * self._side_x
+        dy -= share * self._side_y
+        squared = np.multiply(dx, dx, out=share)
+        squared += dy * dy
+        nearest = squared.argmin(axis=0), np.arange(len(x))
         low, high = self._heights
-        result = np.stack((best_x, best_y, z - np.minimum(np.maximum(z, low), high)))
+        result = np.stack((dx[nearest], dy[nearest], z - np.minimum(np.maximum(z, low), high)))
         result[:2, is_inside] = 0.0
         return result

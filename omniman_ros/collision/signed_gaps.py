@@ -2,7 +2,12 @@
 
 Inside of a solid they are below zero, minus the way out, so that a motion that was planned too
 near can be corrected. Outside they are the distances of :mod:`omniman_ros.collision.solids`.
+
+The centres of the solids may have more axes, (2, ..., M), which are broadcast with those of points
+or poses: solids that are elsewhere for each of them.
 """
+
+from dataclasses import replace
 
 import numpy as np
 
@@ -98,7 +103,8 @@ def rectangle_gap_derivative(
 ) -> tuple[Array, Array]:
     """Return what `rectangle_gaps` does, and the derivatives (..., M, 3) by the poses."""
     offsets = np.vstack((np.zeros(3), STEP * np.eye(3), -STEP * np.eye(3)))
-    around = rectangle_gaps(solids, poses[..., None, :] + offsets, half, heights)
+    placed = replace(solids, centre=solids.centre[..., None, :])
+    around = rectangle_gaps(placed, poses[..., None, :] + offsets, half, heights)
     slopes = (around[..., 1:4, :] - around[..., 4:, :]) / (2.0 * STEP)
     return around[..., 0, :], np.swapaxes(slopes, -1, -2)
 

@@ -13,11 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omniman_ros.collision.curve import curve_poses
+from omniman_ros.collision.parameters import PersonShape
 from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.collision.solids import Mask
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
-from omniman_ros.core.parameters import parameter
+from omniman_ros.core.parameters import inline, parameter
 
 STEPS = 24
 """Number of intervals into which a stop from full speed is divided."""
@@ -90,13 +91,7 @@ class UnseenLimitParameters:
         "Whether the robot comes to rest before anybody who may step out from where no scanner "
         "sees, by the topic unseen of obstacle_tracker, whose unseen.speed must be above 0 then.",
     )
-    radius: float = parameter(
-        0.2,
-        "Radius of somebody who steps out: that of obstacle_tracker.",
-        unit="m",
-        low=0.1,
-        high=1.0,
-    )
+    person: PersonShape = inline()
     creep_speed: float = parameter(
         0.1,
         "Share of the speed limits that is left at least, such as for motions to where no scanner "

@@ -4,12 +4,12 @@ import json
 import math
 import os
 import platform
-import tempfile
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from omniman_ros.console.files import write_atomically
 from omniman_ros.console.terminal import say
 
 
@@ -50,11 +50,7 @@ def publish(name: str, result: Mapping[str, Any], folder: str | Path = "results"
     """
     text = json.dumps(rounded({"name": name, **result, "about": run_metadata()}), allow_nan=False)
     path = Path(folder) / f"{name}.json"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.NamedTemporaryFile("w", dir=path.parent, suffix=".tmp", delete=False) as file:
-        file.write(json.dumps(json.loads(text), indent=2) + "\n")
-    Path(file.name).chmod(0o644)
-    os.replace(file.name, path)
+    write_atomically(path, json.dumps(json.loads(text), indent=2) + "\n")
     say(f"Written to {path}:")
     say(text)
     return path

@@ -79,6 +79,11 @@ class Session:
         self.node.destroy_node()
         rclpy.try_shutdown(context=self.context)
 
+    @property
+    def is_simulated(self) -> bool:
+        """Whether time is that of /clock."""
+        return self._sim_time
+
     def now(self) -> float:
         """Return the time from any origin [s]: monotonic, or that of /clock."""
         if self._sim_time:

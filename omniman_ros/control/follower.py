@@ -1,4 +1,4 @@
-"""Follow a preview: from a pose, a reference and their error to a twist in base_link."""
+"""Control law by which the platform follows a preview of poses."""
 
 import math
 

@@ -110,7 +110,7 @@ class PlatformController:
         self._previews: dict[Source, Preview] = {}
         self._last_tick: float | None = None
         self._stall_end = NEVER
-        self._is_recovering = False
+        self._is_recovering = True  # the wheels may turn: another controller may have been killed
         self._delivery = LateDelivery()
 
     def configure(self, parameters: PlatformParameters) -> None:
@@ -212,8 +212,9 @@ class PlatformController:
     ) -> str:
         """Set the target of `cmd_vel`.
 
-        A twist without a stamp counts from its arrival. Unless it is zero, it is not used if it
-        may have waited while the caller had stalled, or if the middleware has delivered it late.
+        A twist without a stamp counts from its arrival. Unless it is zero, it is not used before
+        the wheels have reported, if it may have waited while the caller had stalled, or if the
+        middleware has delivered it late.
 
         Args:
             twist: Body twist (3,) [m/s, m/s, rad/s].
@@ -329,7 +330,7 @@ class PlatformController:
             status = self.latch.status
             return self.arbiter.refuse(source, now, f"{status.state.value}: {status.reason}")
         if not self.feedback.received:
-            return "no wheel_states yet"
+            return "" if neutral else "no wheel_states yet"
         if doubt:
             return self.arbiter.ignore(source, now, doubt)
         return self.arbiter.offer(source, now, fresh_until, neutral)
@@ -436,7 +437,7 @@ class PlatformController:
     def _check(self, now: float, dt: float) -> None:
         """Latch a stop for each fault; a stop cancels every source."""
         fault = self.fault(now)
-        if fault and (self.arbiter.active is not None or not self.at_rest):
+        if fault and (self._is_asked_to_move or not self.at_rest):
             self.latch.stop(fault)
         elif fault and self.latch.released:
             self.feedback.forget()
@@ -450,6 +451,12 @@ class PlatformController:
         self._adopt_idle_wheels()
         if not self.latch.released:
             self.arbiter.cancel_all(self.latch.status.reason)
+
+    @property
+    def _is_asked_to_move(self) -> bool:
+        """Whether a source drives; a twist of zero asks for what the robot does already."""
+        active = self.arbiter.active
+        return bool(self._target.any()) if active is Source.CMD_VEL else active is not None
 
     def _check_held(self, dt: float) -> str:
         """Return why a robot that is to move counts as held, if that stops it; else empty."""
@@ -484,9 +491,9 @@ class PlatformController:
     def tick(self, now: float) -> WheelCommand | None:
         """Return the command for the tick at `now` [s], or None if there is none.
 
-        If simulated time goes back, every source is cancelled and feedback starts anew. After the
-        caller has stalled there is no command until the wheels have reported again: the drives
-        have begun to ramp down by themselves, and the motion continues from their speeds.
+        If simulated time goes back, every source is cancelled and feedback starts anew. At first,
+        and after the caller has stalled, there is no command until the wheels have reported: the
+        drives ramp down by themselves, and the motion continues from their speeds.
         """
         elapsed = 0.0 if self._last_tick is None else now - self._last_tick
         dt = min(max(elapsed, 0.0), MAX_TICK)
@@ -535,7 +542,7 @@ class PlatformController:
         return self.cascade.command(reachable, rate, measured, mode, dt, probe)
 
     def _recovered(self, dt: float) -> bool:
-        """Continue from the measured motion once the wheels have reported after a stall.
+        """Continue from the measured motion once the wheels have reported.
 
         Args:
             dt: Time since the last tick [s].
@@ -543,10 +550,7 @@ class PlatformController:
         Returns:
             Whether commands can be sent again.
         """
-        if not self.feedback.received and self.at_rest:
-            self._is_recovering = False
-            return True
-        if self.feedback.time < self._stall_end:
+        if not self.feedback.received or self.feedback.time < self._stall_end:
             self.setpoint = ramp_down(self.setpoint, self.limits.deceleration, dt)
             return False
         self.setpoint = self.cascade.kinematics.J_pinv @ self.feedback.speeds

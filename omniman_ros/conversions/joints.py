@@ -8,7 +8,7 @@ from sensor_msgs.msg import JointState
 from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
-from omniman_ros.motion.whole_body.model import PLANAR_VARIABLES, PLATFORM_AXES
+from omniman_ros.motion.axes import PLANAR_VARIABLES, PLATFORM_AXES
 
 _AXES = dict(zip(PLANAR_VARIABLES, PLATFORM_AXES, strict=True))
 """Names of the platform's axes by those of the variables of its planar joint."""

@@ -16,15 +16,15 @@ from omniman_ros.perception.scan import Scan
 SECTORS = 720
 """Number of sectors into which the points of a cloud are sorted."""
 MOST_POINTS = 2_000_000
-"""Largest number of points of a cloud."""
+"""Largest number of points accepted in a cloud."""
 
 
 @dataclass(frozen=True)
 class Slice:
-    """Part of a cloud that counts.
+    """Part of a point cloud that is converted; points outside of it are ignored.
 
     Attributes:
-        low, high: Heights above the floor [m].
+        low, high: Lowest and highest height above the floor [m].
         range_max: Longest distance from the sensor [m].
     """
 
@@ -66,13 +66,13 @@ def scan_from_cloud(
 ) -> Scan:
     """Return the nearest points of a cloud between two heights, in all directions.
 
-    A direction without a point is unknown: a cloud does not tell of beams that met nothing.
+    A direction without a point is unknown: a cloud does not contain the beams that hit nothing.
 
     Args:
         message: The message.
         mount: Pose of the sensor in base_link; it may be tilted.
         clock: Converts a stamp to the caller's clock [s].
-        part: The part that counts.
+        part: Heights and distances of the points that are converted.
 
     Raises:
         InputError: The cloud has no coordinates x, y, z of type FLOAT32, or too little data.

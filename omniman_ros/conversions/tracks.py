@@ -1,20 +1,16 @@
-"""Convert tracked obstacles and the rolling map to messages."""
+"""Convert tracked obstacles to messages."""
 
 from array import array
 from collections.abc import Iterable, Sequence
-from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, Pose, Vector3
-from nav_msgs.msg import OccupancyGrid
-from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from omniman_ros.conversions.headers import duration_message
-from omniman_ros.core.arrays import Array
 from omniman_ros.perception.track import TrackedObstacle
 
 NAMESPACE = "tracked"
@@ -103,60 +99,3 @@ def track_cloud(obstacles: Sequence[TrackedObstacle], frame: str, stamp: Time) -
         data=array("B", rows.tobytes()),
         is_dense=True,
     )
-
-
-def grid_message(
-    occupancy: NDArray[np.int8], resolution: float, origin: Array, frame: str, stamp: Time
-) -> OccupancyGrid:
-    """Return the message for a map.
-
-    Args:
-        occupancy: (rows along y, columns along x) occupancy [%], -1 where nothing is known.
-        resolution: Edge of a cell [m].
-        origin: (2,) corner of the first cell [m].
-        frame: Name of the frame.
-        stamp: Time of the map.
-    """
-    message = OccupancyGrid(header=Header(stamp=stamp, frame_id=frame))
-    info = message.info
-    info.map_load_time = stamp
-    info.resolution = float(resolution)
-    info.height, info.width = occupancy.shape
-    info.origin.position.x, info.origin.position.y = origin.tolist()
-    info.origin.orientation.w = 1.0
-    message.data = array("b", occupancy.tobytes())
-    return message
-
-
-def changed_cells(before: NDArray[np.int8], after: NDArray[np.int8]) -> tuple[slice, slice] | None:
-    """Return the rows and columns of the smallest rectangle with all changes; None without any.
-
-    Args:
-        before: (rows, columns) occupancy [%].
-        after: The same cells later.
-    """
-    differs = before != after
-    rows, columns = np.flatnonzero(differs.any(axis=1)), np.flatnonzero(differs.any(axis=0))
-    if not len(rows):
-        return None
-    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
-
-
-def update_message(
-    kind: Any, occupancy: NDArray[np.int8], part: tuple[slice, slice], frame: str, stamp: Time
-) -> Any:
-    """Return the message for a rectangle of a map.
-
-    Args:
-        kind: The type, `map_msgs/OccupancyGridUpdate`, which is not installed everywhere.
-        occupancy: (rows along y, columns along x) occupancy of the whole map [%].
-        part: Rows and columns of the rectangle.
-        frame: Name of the map's frame.
-        stamp: Time of the map.
-    """
-    rows, columns = part
-    message = kind(header=Header(stamp=stamp, frame_id=frame))
-    message.x, message.y = columns.start, rows.start
-    message.width, message.height = columns.stop - columns.start, rows.stop - rows.start
-    message.data = array("b", occupancy[part].tobytes())
-    return message

@@ -10,8 +10,7 @@ from nav_msgs.msg import OccupancyGrid
 from numpy.typing import NDArray
 
 from omniman_ros.collision.unseen import Arrivals
-from omniman_ros.conversions.geometry import yaw_from_quaternion
-from omniman_ros.conversions.tracks import grid_message
+from omniman_ros.conversions.maps import map_from_message, map_message
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.perception.unseen import HORIZON
@@ -35,25 +34,22 @@ def unseen_message(
     # Rounded up: towards an earlier arrival.
     values = np.ceil(NOW * (1.0 - np.minimum(times, HORIZON) / HORIZON))
     cells: NDArray[np.int8] = np.where(np.isnan(times), NEVER, values).astype(np.int8)
-    return grid_message(cells, resolution, origin, frame, stamp)
+    return map_message(cells, resolution, origin, frame, stamp)
 
 
 def arrivals_from_message(message: OccupancyGrid) -> Arrivals:
     """Return the times of arrival of a message, from its stamp on.
 
     Raises:
-        InputError: The sizes do not fit, a value is out of range, or the grid is turned; see also
+        InputError: A value is out of range, or the grid is turned; see also `map_from_message` and
             `Arrivals`.
     """
-    info = message.info
-    values = np.asarray(message.data, dtype=np.int8)
-    if not values.size or values.size != info.width * info.height:
-        raise InputError(f"there are {values.size} cells, expected {info.width} x {info.height}")
+    grid = map_from_message(message)
+    values = grid.values
     if values.min() < NEVER or values.max() > NOW:
         raise InputError(f"a cell is not {NEVER} to {NOW}")
-    if abs(yaw_from_quaternion(info.origin.orientation)) > 1e-6:
+    if abs(grid.origin[2]) > 1e-6:
         raise InputError("its grid is turned against its frame")
     times = HORIZON * (1.0 - values / NOW)
     times[values <= 0] = np.inf
-    origin = np.array([info.origin.position.x, info.origin.position.y])
-    return Arrivals(times.reshape(info.height, info.width), info.resolution, origin)
+    return Arrivals(times, grid.resolution, grid.origin[:2])

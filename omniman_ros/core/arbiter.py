@@ -1,4 +1,4 @@
-"""Arbitration between the sources that can drive the platform: cmd_vel, MPC, path, station.
+"""Arbitration between the sources that can drive the platform.
 
 A source that loses control is cancelled: its setpoints are used again only after it has been
 silent for a while (or has sent a neutral setpoint), so that it never takes over by itself.
@@ -17,11 +17,12 @@ class Source(Enum):
 
     CMD_VEL = "cmd_vel"
     MPC = "mpc"
+    BODY = "body"
     PATH = "path"
     STATION = "station"
 
 
-PREVIEW_SOURCES = (Source.MPC, Source.PATH, Source.STATION)
+PREVIEW_SOURCES = (Source.MPC, Source.BODY, Source.PATH, Source.STATION)
 """Sources that send previews, on `SOURCE/reference`."""
 
 

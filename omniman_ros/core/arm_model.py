@@ -82,8 +82,9 @@ class ArmModel:
         shape = q.shape[:-1]
         frames = np.empty((*shape, JOINTS + 1, 4, 4))
         frames[..., 0, :, :] = np.eye(4)
+        links = self._link(q, slice(None))
         for i in range(JOINTS):
-            frames[..., i + 1, :, :] = frames[..., i, :, :] @ self._link(q[..., i], i)
+            frames[..., i + 1, :, :] = frames[..., i, :, :] @ links[..., i, :, :]
         return frames
 
     def forward(self, q: Array) -> Array:
@@ -103,11 +104,20 @@ class ArmModel:
         Args:
             q: Joint angles (..., 6) [rad].
         """
-        frames = self.frames(q)
+        return self.jacobian_of(self.frames(q))
+
+    @staticmethod
+    def jacobian_of(frames: Array) -> Array:
+        """Return the Jacobian (..., 6, 6) of `jacobian` for frames (..., 7, 4, 4) of the links."""
         axes, origins = frames[..., :-1, :3, 2], frames[..., :-1, :3, 3]
-        levers = frames[..., -1:, :3, 3] - origins
-        rows = np.concatenate([np.cross(axes, levers), axes], axis=-1)
-        return np.swapaxes(rows, -1, -2)
+        lever = frames[..., -1:, :3, 3] - origins
+        result = np.empty((*frames.shape[:-3], 2 * 3, JOINTS))
+        for row, first, second in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):  # axes x levers
+            result[..., row, :] = (
+                axes[..., first] * lever[..., second] - axes[..., second] * lever[..., first]
+            )
+            result[..., 3 + row, :] = axes[..., row]
+        return result
 
     def inverse(self, poses: Array) -> Array:
         """Return the joint angles (..., 8, 6) [rad] that reach poses on each branch.
@@ -174,8 +184,11 @@ class ArmModel:
         reach = t.a2 * math.cos(q[1]) + t.a3 * math.cos(forearm) + t.d5 * math.sin(forearm + q[3])
         return "shoulder" if abs(reach) < SINGULARITY_THRESHOLD * (abs(t.a2) + abs(t.a3)) else ""
 
-    def _link(self, angle: Array, i: int) -> Array:
-        """Return the transform (..., 4, 4) of DH frame i + 1 in frame i at angles (...) [rad]."""
+    def _link(self, angle: Array, i: int | slice) -> Array:
+        """Return the transform (..., 4, 4) of DH frame i + 1 in frame i at angles (...) [rad].
+
+        A slice stands for several i, along the last axis of the angles.
+        """
         c, s, ca, sa = np.cos(angle), np.sin(angle), self._cos[i], self._sin[i]
         link = np.zeros((*np.shape(angle), 4, 4))
         link[..., 0, 0], link[..., 0, 1], link[..., 0, 2] = c, -s * ca, s * sa

@@ -5,7 +5,7 @@ import math
 LONGEST_PERIOD = 1.0
 """Longest time between two messages of a live stream [s]."""
 JITTER = 0.5
-"""Largest difference of the intervals of arrival and of sending, as a fraction of the latter."""
+"""Largest difference between the intervals of arrival and sending, as a fraction of the latter."""
 
 
 class LateDelivery:
@@ -25,7 +25,7 @@ class LateDelivery:
         """Return whether a message was delivered late.
 
         Args:
-            sent: Time of sending, by the sender's clock as far as its offset is not known [s].
+            sent: Time of sending by the sender's clock, whose offset is unknown [s].
             now: Time of arrival [s].
             tolerance: Delay up to which a message is not late [s].
         """

@@ -76,6 +76,16 @@ class Wheels:
         read_only=True,
     )
 
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the wheels' joints in the URDF and on `joint_states`, in the same order.
+
+        They are the wheels' names with `_wheel_joint`; a name that ends in `_joint` stays.
+        """
+        return tuple(
+            name if name.endswith("_joint") else f"{name}_wheel_joint" for name in self.names
+        )
+
 
 @dataclass(frozen=True, kw_only=True)
 class Body:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from omniman_ros.core.arrays import Array
-from omniman_ros.demo.leg import Limit
+from omniman_ros.demo.limits import Limit
 from omniman_ros.demo.recorder import Recording
 from omniman_ros.demo.tracking import rms
 from omniman_ros.demo.whole_drive import interval_figures

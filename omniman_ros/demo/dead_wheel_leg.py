@@ -7,7 +7,9 @@ import numpy as np
 
 from omniman_ros.console.errors import CommandError
 from omniman_ros.demo.driver import SERVICE_TIMEOUT, Driver
-from omniman_ros.demo.leg import Interval, Leg, Limit
+from omniman_ros.demo.interval import Interval
+from omniman_ros.demo.leg import Leg
+from omniman_ros.demo.limits import Limit
 from omniman_ros.demo.path_leg import to_odom
 from omniman_ros.demo.recorder import Recording
 from omniman_ros.demo.robot_interface import dead_motors_request

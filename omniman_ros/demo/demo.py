@@ -10,7 +10,8 @@ from omniman_ros.demo.arm_moves import ARM_LIMITS, ArmMove, arm_figures
 from omniman_ros.demo.dead_wheel_leg import DeadWheelLeg
 from omniman_ros.demo.driver import Driver
 from omniman_ros.demo.goal_leg import GoalLeg
-from omniman_ros.demo.leg import Leg, Limit, violations
+from omniman_ros.demo.leg import Leg
+from omniman_ros.demo.limits import Limit, violations
 from omniman_ros.demo.path_leg import PathLeg
 from omniman_ros.demo.recorder import Recording
 from omniman_ros.demo.stop_leg import StopLeg

@@ -16,7 +16,7 @@ from omniman_ros.console.session import DISCOVERY_TIMEOUT, PeriodicTicks, Sessio
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.planar import Triple
 from omniman_ros.demo.arm_moves import ArmMove
-from omniman_ros.demo.leg import Interval
+from omniman_ros.demo.interval import Interval
 from omniman_ros.demo.perception_recorder import PerceptionRecorder
 from omniman_ros.demo.recorder import Recorder
 from omniman_ros.demo.robot_interface import RobotInterface
@@ -76,7 +76,7 @@ class Driver:
         self._session = session
         self._poll = poll
         self.robot = RobotInterface(session.node, drive)
-        self.recorder = Recorder(session.node, session.now, contacts=drive == WORLD_DRIVE)
+        self.recorder = Recorder(session.node, contacts=drive == WORLD_DRIVE)
         self.progress = progress
         self.has_arm = has_arm
         self.arm_moves: list[ArmMove] = []

@@ -28,7 +28,7 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.robot import Robot
 from omniman_ros.demo.demo import Demo
 from omniman_ros.demo.goal_leg import DrivenGoal
-from omniman_ros.demo.leg import Interval
+from omniman_ros.demo.interval import Interval
 from omniman_ros.demo.perception_recorder import Perception
 from omniman_ros.demo.recorder import Recording
 from omniman_ros.demo.tool_leg import ToolTrack
@@ -178,10 +178,10 @@ def _draw_goal(axes: Any, odom: Array, driven: DrivenGoal) -> None:
 def _draw_perception(axes: Any, odom: Array, perception: Perception) -> None:
     """Draw what stands by the map, a scan from the middle of the way, and the tracked persons."""
     if perception.map is not None:
-        cells, size, corner = perception.map
-        rows, columns = np.nonzero(cells > OCCUPIED)
-        local = size * (np.column_stack((columns, rows)).astype(np.float64) + 0.5)
-        x, y = (_rotate(local, corner[2]) + corner[:2]).T
+        known = perception.map
+        rows, columns = np.nonzero(known.values > OCCUPIED)
+        local = known.resolution * (np.column_stack((columns, rows)).astype(np.float64) + 0.5)
+        x, y = (_rotate(local, known.origin[2]) + known.origin[:2]).T
         axes.plot(-y, x, "s", color=INK, ms=2.2, mew=0.0, zorder=0.5, label="map")
     if perception.scans:
         time, points = perception.scans[len(perception.scans) // 2]

@@ -13,7 +13,9 @@ from omniman_ros.console.errors import CommandError
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.planar import Triple
 from omniman_ros.demo.driver import Driver
-from omniman_ros.demo.leg import Bound, Interval, Leg, Limit
+from omniman_ros.demo.interval import Interval
+from omniman_ros.demo.leg import Leg
+from omniman_ros.demo.limits import Bound, Limit
 from omniman_ros.demo.moving_obstacles import MovingObstacles, ObstaclesOverTime
 from omniman_ros.demo.path_leg import to_odom
 from omniman_ros.demo.perception_recorder import People, Perception

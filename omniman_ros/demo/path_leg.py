@@ -11,7 +11,9 @@ from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.planar import Triple
 from omniman_ros.demo.driver import Driver
-from omniman_ros.demo.leg import Interval, Leg, Limit
+from omniman_ros.demo.interval import Interval
+from omniman_ros.demo.leg import Leg
+from omniman_ros.demo.limits import Limit
 from omniman_ros.demo.recorder import Recording
 from omniman_ros.demo.tracking import Reference, coupling_figures, tracking_figures
 from omniman_ros.motion.figure7 import Movement, movements

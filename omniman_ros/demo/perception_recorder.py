@@ -6,16 +6,17 @@ from typing import Any
 
 import numpy as np
 from nav_msgs.msg import OccupancyGrid
-from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import LaserScan, PointCloud2
 from visualization_msgs.msg import Marker, MarkerArray
 
 from omniman_ros.conversions.headers import time_seconds
-from omniman_ros.conversions.perceived import occupancy, tracked_obstacles
+from omniman_ros.conversions.maps import map_from_message
+from omniman_ros.conversions.perceived import tracked_obstacles
 from omniman_ros.conversions.scans import scan_from_message
 from omniman_ros.core.arrays import Array
+from omniman_ros.core.occupancy import OccupancyMap
 from omniman_ros.core.parameters import build
 from omniman_ros.demo.moving_obstacles import ObstaclesOverTime
 from omniman_ros.nodes.obstacle_tracker_parameters import ScannerInput
@@ -28,14 +29,13 @@ class Perception:
     Attributes:
         scans: Stamp of each scan, and the points (k, 2) that its beams met, in base_link [m].
         tracks: Rows (m,) of each message of tracked obstacles: x, y [m] and x', y' [m/s] in odom.
-        map: Occupancies [%], edge of a cell [m] and pose of the first corner [m, m, rad] of the
-            last map; None before the first.
+        map: The last map; None before the first.
         people: Stamp, and x, y [m] and radius [m] of each person, by the ground truth.
     """
 
     scans: list[tuple[float, Array]] = field(default_factory=list)
     tracks: list[Array] = field(default_factory=list)
-    map: tuple[NDArray[np.int8], float, Array] | None = None
+    map: OccupancyMap | None = None
     people: list[tuple[float, Array]] = field(default_factory=list)
 
 
@@ -74,7 +74,7 @@ class PerceptionRecorder:
         self.perception.scans.append((scan.end, scan.local_points(scan.hits)))
 
     def _on_map(self, message: OccupancyGrid) -> None:
-        self.perception.map = occupancy(message)
+        self.perception.map = map_from_message(message)
 
     def _on_tracks(self, message: PointCloud2) -> None:
         self.perception.tracks.append(tracked_obstacles(message)[:, :4])

@@ -1,6 +1,5 @@
 """Recording of the topics that the robot publishes during the demo."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -18,6 +17,9 @@ from omniman_ros.conversions.headers import time_seconds
 
 LATCHED = QoSProfile(depth=50, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """Quality of service of topics whose last messages reach late subscribers."""
+DEPTH = 1000
+"""Number of messages of a topic that are kept until this process, held up by a busy machine, reads
+them: those of 5 s at 200 Hz."""
 Row = tuple[float, ...]
 """Values of one message, mostly a stamp [s] and the values at that time; see `Recording`."""
 FRESH_POINTS = 6
@@ -30,7 +32,8 @@ STALL_LIMIT = 0.15
 class Recording:
     """Values that the robot published, in the order of arrival.
 
-    Stamps are ROS time [s]; arrivals are on the recorder's clock [s].
+    Stamps are ROS time [s], as the nodes have set them: how late a message reaches this process
+    does not count.
 
     Attributes:
         odom: Stamp, pose x, y, theta in odom [m, m, rad] and twist x', y', theta' in base_link
@@ -43,8 +46,7 @@ class Recording:
         arm_reference: Time and reference of the joint angles [rad]; times may repeat.
         tool_reference: Stamp and reference of the tool's position x, y, z in odom [m].
         arm_intervals: Intervals between two setpoints sent to the arm's controller [s].
-        odom_arrivals: Arrivals of `odom`.
-        command_arrivals: Arrivals of `wheel_commands`, or `wheel_voltages` in voltage mode.
+        commands: Stamps of `wheel_commands`, or `wheel_voltages` in voltage mode.
         contacts: What the robot touched, each as "part, thing"; None without a physics world.
         stall: Longest time for which this process did not run [s]. On the same machine, the nodes
             mostly did not run either.
@@ -59,8 +61,7 @@ class Recording:
     arm_reference: list[Row] = field(default_factory=list)
     tool_reference: list[Row] = field(default_factory=list)
     arm_intervals: list[float] = field(default_factory=list)
-    odom_arrivals: list[float] = field(default_factory=list)
-    command_arrivals: list[float] = field(default_factory=list)
+    commands: list[float] = field(default_factory=list)
     contacts: list[str] | None = None
     stall: float = 0.0
 
@@ -77,7 +78,6 @@ class Recorder:
 
     Args:
         node: Node that owns the subscriptions.
-        clock: Returns the time of arrivals [s].
         contacts: Whether the robot is in a physics world, which tells contacts.
 
     Attributes:
@@ -89,9 +89,8 @@ class Recorder:
         stopped: Reason why a node is stopped, by the name of the node.
     """
 
-    def __init__(self, node: Node, clock: Callable[[], float], *, contacts: bool = False) -> None:
+    def __init__(self, node: Node, *, contacts: bool = False) -> None:
         self.recording = Recording(contacts=[] if contacts else None)
-        self._clock = clock
         self.active_source = ""
         self.progress = 0.0
         self._has_started = False
@@ -99,19 +98,19 @@ class Recorder:
         self.planner: dict[str, str] = {}
         self.stopped: dict[str, str] = {}
         for message_type, topic, callback, qos in (
-            (Odometry, "odom", self._on_odom, 10),
-            (Odometry, "ground_truth/odom", self._on_truth, 10),
-            (JointState, "wheel_commands", self._on_command, 10),
-            (JointState, "wheel_voltages", self._on_command, 10),  # instead, in voltage mode
-            (JointState, "coupling_error", self._on_coupling, 10),
-            (Float64MultiArray, "wheel_electrical", self._on_electrical, 10),
-            (MultiDOFJointTrajectory, "path/reference", self._on_reference, 10),
-            (JointState, "arm/joint_states", self._on_arm, 10),
-            (JointTrajectory, "arm/joint_reference", self._on_arm_reference, 10),
-            (PoseStamped, "tool_reference", self._on_tool_reference, 10),
-            (Float64MultiArray, "arm/timing", self._on_arm_timing, 10),
-            (Float64, "path_progress", self.on_progress, 10),
-            (DiagnosticStatus, "mpc/status", self._on_planner, 10),
+            (Odometry, "odom", self._on_odom, DEPTH),
+            (Odometry, "ground_truth/odom", self._on_truth, DEPTH),
+            (JointState, "wheel_commands", self._on_command, DEPTH),
+            (JointState, "wheel_voltages", self._on_command, DEPTH),  # instead, in voltage mode
+            (JointState, "coupling_error", self._on_coupling, DEPTH),
+            (Float64MultiArray, "wheel_electrical", self._on_electrical, DEPTH),
+            (MultiDOFJointTrajectory, "path/reference", self._on_reference, DEPTH),
+            (JointState, "arm/joint_states", self._on_arm, DEPTH),
+            (JointTrajectory, "arm/joint_reference", self._on_arm_reference, DEPTH),
+            (PoseStamped, "tool_reference", self._on_tool_reference, DEPTH),
+            (Float64MultiArray, "arm/timing", self._on_arm_timing, DEPTH),
+            (Float64, "path_progress", self.on_progress, DEPTH),
+            (DiagnosticStatus, "mpc/status", self._on_planner, DEPTH),
             (String, "active_source", self._on_source, LATCHED),
             (DiagnosticStatus, "stop_state", self._on_stop_state, LATCHED),
             (DiagnosticStatus, "wheel_health", self._on_health, LATCHED),
@@ -135,7 +134,7 @@ class Recorder:
         received = {
             "odom": self.recording.odom,
             "ground_truth/odom": self.recording.truth,
-            "wheel_commands": self.recording.command_arrivals,
+            "wheel_commands": self.recording.commands,
             "wheel_electrical": self.recording.energy,
             "coupling_error": self.recording.coupling,
             "active_source": self.active_source,
@@ -163,7 +162,6 @@ class Recorder:
         self.progress = message.data if self._has_started else 0.0
 
     def _on_odom(self, message: Odometry) -> None:
-        self.recording.odom_arrivals.append(self._clock())
         twist = message.twist.twist
         self.recording.odom.append(
             (*_stamped_pose(message), twist.linear.x, twist.linear.y, twist.angular.z)
@@ -173,7 +171,7 @@ class Recorder:
         self.recording.truth.append(_stamped_pose(message))
 
     def _on_command(self, message: JointState) -> None:
-        self.recording.command_arrivals.append(self._clock())
+        self.recording.commands.append(time_seconds(message.header.stamp))
 
     def _on_coupling(self, message: JointState) -> None:
         stamp = time_seconds(message.header.stamp)

@@ -10,7 +10,8 @@ from omniman_ros.console.errors import CommandError
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.planar import Triple
 from omniman_ros.demo.driver import PAUSE, Driver
-from omniman_ros.demo.leg import Leg, Limit
+from omniman_ros.demo.leg import Leg
+from omniman_ros.demo.limits import Limit
 from omniman_ros.demo.recorder import Recording
 
 DRIVING_TIME = 1.2

@@ -11,7 +11,9 @@ from omniman_ros.console.errors import CommandError
 from omniman_ros.conversions import arm as arm_conversions
 from omniman_ros.core.arrays import Array
 from omniman_ros.demo.driver import Driver
-from omniman_ros.demo.leg import Interval, Leg, Limit
+from omniman_ros.demo.interval import Interval
+from omniman_ros.demo.leg import Leg
+from omniman_ros.demo.limits import Limit
 from omniman_ros.demo.recorder import Recording
 from omniman_ros.demo.robot_interface import FRAME
 from omniman_ros.demo.tracking import rms

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from omniman_ros.core.arrays import Array
-from omniman_ros.demo.leg import Interval
+from omniman_ros.demo.interval import Interval
 from omniman_ros.demo.recorder import Row
 
 TRACKING_FIGURES = (

@@ -11,7 +11,8 @@ from omniman_ros.control.limits import TwistLimits
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.planar import Triple
 from omniman_ros.demo.driver import PAUSE, Driver
-from omniman_ros.demo.leg import Leg, Limit
+from omniman_ros.demo.leg import Leg
+from omniman_ros.demo.limits import Limit
 from omniman_ros.demo.recorder import Recording
 
 MAX_SPEED = 0.3

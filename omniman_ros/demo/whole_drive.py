@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from omniman_ros.core.arrays import Array
-from omniman_ros.demo.leg import Bound, Limit
+from omniman_ros.demo.limits import Bound, Limit
 from omniman_ros.demo.recorder import Recording
 from omniman_ros.demo.tracking import wrap_angle
 
@@ -32,8 +32,8 @@ def whole_drive_figures(recording: Recording) -> dict[str, Any]:
         "odometry": drift_figures(np.array(recording.odom), np.array(recording.truth)),
         "energy": {"total_j": float(consumed.sum()), "wheels_j": consumed.tolist()},
         "timing": {
-            "odom": interval_figures(recording.odom_arrivals),
-            "wheel_commands": interval_figures(recording.command_arrivals),
+            "odom": interval_figures([row[0] for row in recording.odom]),
+            "wheel_commands": interval_figures(recording.commands),
             "stall_ms": 1e3 * recording.stall,
         },
     }
@@ -56,9 +56,9 @@ def drift_figures(odom: Array, truth: Array) -> dict[str, Any]:
     }
 
 
-def interval_figures(arrivals: Sequence[float]) -> dict[str, float]:
-    """Return the mean rate of a topic, and its intervals, from the arrivals of messages [s]."""
-    intervals_ms = 1e3 * np.diff(np.array(arrivals))
+def interval_figures(times: Sequence[float]) -> dict[str, float]:
+    """Return the mean rate of a topic, and its intervals, from the times of messages [s]."""
+    intervals_ms = 1e3 * np.diff(np.array(times))
     return {
         "rate_hz": 1e3 / float(intervals_ms.mean()),
         "p50_ms": float(np.percentile(intervals_ms, 50)),

@@ -59,7 +59,7 @@ def require_joint_names(robot: Robot, arm: ArmParameters) -> None:
         raise ParameterError(
             "arm.joints", arm.joints, f"must be the {len(EFFORTS)} joints of a UR5"
         )
-    shared = set(robot.wheels.names) & set(arm.joints)
+    shared = {*robot.wheels.names, *robot.wheels.joints} & set(arm.joints)
     if shared:
         raise ParameterError("arm.joints", arm.joints, f"'{min(shared)}' is also a wheel")
     for label, names in (("wheels.names", robot.wheels.names), ("arm.joints", arm.joints)):
@@ -148,7 +148,7 @@ def _add_wheel(root: ElementTree.Element, robot: Robot, i: int, mass: float) -> 
     _add_shape(link, "mark", "box", {"size": mark.size}, collides=False)
     joint = _add_joint(
         root,
-        name,
+        wheels.joints[i],
         "continuous",
         "base_link",
         f"{name}_wheel",

@@ -11,9 +11,9 @@ from omniman_ros.core.arm_model import JOINTS
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.description.urdf import carries_arm
+from omniman_ros.motion.axes import PLANAR_VARIABLES
 from omniman_ros.motion.path.parameters import PathParameters
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
-from omniman_ros.motion.whole_body.model import PLANAR_VARIABLES
 from omniman_ros.moveit.link_pairs import unchecked_pairs
 from omniman_ros.moveit.srdf import ARM, WHOLE_BODY, srdf
 

@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.description.urdf import ARM_BASE, TOOL
-from omniman_ros.motion.whole_body.model import PLANAR_JOINT
+from omniman_ros.motion.axes import PLANAR_JOINT
 from omniman_ros.moveit.link_pairs import UncheckedPair
 
 ARM, BASE, WHOLE_BODY = "arm", "base", "whole_body"
@@ -43,8 +43,8 @@ def srdf(
         parent_frame="odom",
         child_link="base_link",
     )
-    for wheel in description.robot.wheels.names:
-        add(root, "passive_joint", name=wheel)
+    for joint in description.robot.wheels.joints:
+        add(root, "passive_joint", name=joint)
     for pair in pairs:
         reason = pair.reason.value
         add(root, "disable_collisions", link1=pair.first, link2=pair.second, reason=reason)

@@ -72,6 +72,11 @@ class ArmStreamerNode(HardwareNode):
         """Whether no program of ours runs on the controller."""
         return self.streaming.report.phase is StreamingPhase.IDLE
 
+    @property
+    def may_have_moved(self) -> bool:
+        """Whether the node is active: whoever has a preview moves the arm at once."""
+        return self.is_active
+
     def open_hardware(self) -> str:
         """Start the streaming process and wait for the controller's data."""
         p = self.settings.value

@@ -69,6 +69,11 @@ class CanBridgeNode(HardwareNode):
         return self.link is None or self.link.is_off
 
     @property
+    def may_have_moved(self) -> bool:
+        """Whether a command has asked for motion, or a wheel has rotated under power."""
+        return self.link is not None and self.link.may_have_moved
+
+    @property
     def start_fault(self) -> str:
         """Why the drives are stopped: a new configuration listens to the bus and resets faults."""
         return "" if self.link is None else self.link.stop_reason

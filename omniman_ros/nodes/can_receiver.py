@@ -6,6 +6,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+from omniman_ros.can_drives.reception import enlarge_receive_buffer, is_invalid_frame
 from omniman_ros.core.can_parameters import CanParameters
 from omniman_ros.core.errors import ParameterError
 
@@ -31,7 +32,10 @@ def open_bus(parameters: CanParameters) -> "can.BusABC":
         {"port": parameters.port, "hop_limit": 0} if multicast else {"bitrate": parameters.bitrate}
     )
     try:
-        return can.Bus(interface=parameters.interface, channel=parameters.channel, **more)
+        bus = can.Bus(interface=parameters.interface, channel=parameters.channel, **more)
+        if multicast:
+            enlarge_receive_buffer(bus)
+        return bus
     except (can.CanError, OSError, ValueError, NotImplementedError, ImportError) as error:
         raise ParameterError("can.interface", parameters.interface, str(error)) from error
 
@@ -78,7 +82,7 @@ class CanReceiver:
                 normalized = None if message is None else _normalized(message)
             except Exception as error:  # over UDP a frame can hold anything
                 self.errors.append(str(error))
-                if not _is_garbage(error):
+                if not is_invalid_frame(error):
                     self._closing.wait(RECEIVE_TIMEOUT)
                 continue
             if normalized is None:
@@ -102,12 +106,3 @@ def _normalized(message: "can.Message") -> "can.Message":
         data=bytes(message.data),
         check=True,
     )
-
-
-def _is_garbage(error: Exception) -> bool:
-    """Return whether a received item was no frame; otherwise the bus itself cannot be read."""
-    import can
-
-    if isinstance(error, can.CanError):
-        return error.__cause__ is not None and not isinstance(error.__cause__, OSError)
-    return not isinstance(error, OSError)

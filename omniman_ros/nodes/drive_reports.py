@@ -3,6 +3,7 @@
 import numpy as np
 from builtin_interfaces.msg import Time
 from nav_msgs.msg import Odometry
+from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
@@ -44,6 +45,15 @@ class DriveReportPublisher:
         self._truth_message = Odometry(child_frame_id=base_frame)
         self._truth_message.header.frame_id = world_frame
         self._count = 0
+
+    @property
+    def truth_publisher(self) -> Publisher:
+        """Publisher of the ground truth."""
+        return self._truth
+
+    def publish_truth_with_every_report(self) -> None:
+        """Publish the ground truth with every report from now on, the last one included."""
+        self._truth_every = 1
 
     def publish(
         self, drives: SimulatedDrives, faults: FaultParameters, now: float, stamp: Time

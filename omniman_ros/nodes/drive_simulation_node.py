@@ -5,6 +5,7 @@ from typing import Generic, TypeVar
 import numpy as np
 from builtin_interfaces.msg import Time as TimeMsg
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.publisher import Publisher
 
 from omniman_ros.core.stop import StopLatch, StopState
 from omniman_ros.nodes.clock_giver import ClockGiverNode
@@ -149,7 +150,8 @@ class DriveSimulationNode(ClockGiverNode, Generic[P]):
         return DiagnosticStatus.OK, "running", values
 
     def begin_shutdown(self, reason: str) -> None:
-        """Ramp every wheel to rest."""
+        """Ramp every wheel to rest, and publish the ground truth until then."""
+        self._reports.publish_truth_with_every_report()
         self.latch.stop(f"shutting down: {reason}")
         self._halt()
         super().begin_shutdown(reason)
@@ -164,3 +166,8 @@ class DriveSimulationNode(ClockGiverNode, Generic[P]):
         """How long the ramp to rest may take [s], with a margin of 1 s."""
         speed = float(np.abs(self.drives.wheel_states(self.now()).velocity).max())
         return 1.0 + speed / self.settings.value.simulation.firmware.quick_stop_deceleration
+
+    @property
+    def final_publishers(self) -> tuple[Publisher, ...]:
+        """Publisher of the ground truth, whose last message tells that the robot is at rest."""
+        return (self._reports.truth_publisher,)

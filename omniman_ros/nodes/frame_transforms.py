@@ -39,7 +39,7 @@ class FrameTransforms:
         self._filters = MessageFilters(node, self._may_come, self._is_related)
         self._latest = 0
         if tf_messages.TFMessage is None:
-            node.get_logger().info("tf2_msgs is not installed: /tf is not heard")
+            node.get_logger().info("tf2_msgs is not installed: /tf is not received")
             return
         for topic, qos, is_static in (
             (tf_messages.TOPIC, tf_messages.LISTENER, False),

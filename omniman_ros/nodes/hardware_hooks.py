@@ -30,6 +30,11 @@ class HardwareHooks(ABC):
         """Whether the open hardware has come to its end: no power, or no program that runs."""
 
     @property
+    @abstractmethod
+    def may_have_moved(self) -> bool:
+        """Whether the open hardware may have moved: its fault is a stop then."""
+
+    @property
     def start_fault(self) -> str:
         """Why open hardware must be configured anew before it can be enabled, or empty."""
         return ""

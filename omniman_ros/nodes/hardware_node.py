@@ -8,15 +8,11 @@ from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallba
 
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.stop import StopLatch, StopState
+from omniman_ros.nodes.automatic_start import AutomaticStart
 from omniman_ros.nodes.hardware_hooks import HardwareError, HardwareHooks, HardwareLostError
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.rclpy_compat import RCLError, log_exceptions
 from omniman_ros.nodes.stop_interface import StopInterface
-
-RETRY_PERIOD = 2.0
-"""Time between two automatic attempts to start, until the first success [s]."""
-START_ATTEMPTS = 5
-"""Number of automatic activations that may fail before a fault of the hardware is a stop."""
 
 
 class HardwareNode(OmnimanNode, LifecycleNodeMixin, HardwareHooks):
@@ -24,8 +20,8 @@ class HardwareNode(OmnimanNode, LifecycleNodeMixin, HardwareHooks):
 
     A subclass implements the hooks of :class:`HardwareHooks`. configure opens the hardware,
     activate enables it, deactivate brings it to rest and disables it, cleanup closes it. A stopped
-    node is not activated, and the first successful activation ends the automatic start. The
-    constructor of a subclass ends with :meth:`begin`.
+    node is not activated, and hardware that may have moved is never started again automatically.
+    The constructor of a subclass ends with :meth:`begin`.
 
     Args:
         name: Name of the node.
@@ -51,20 +47,20 @@ class HardwareNode(OmnimanNode, LifecycleNodeMixin, HardwareHooks):
             raise ParameterError("use_sim_time", True, "real drives run on real time")
         self.latch = StopLatch()
         self.is_active = False
-        self._next_attempt: float | None = None
-        self._failed_activations = 0
+        self._automatic_start = AutomaticStart()
 
     def begin(self, autostart: bool) -> None:
         """Open the stop interface; a subclass calls this at the end of its constructor.
 
         Args:
-            autostart: Configure and activate the node automatically, and retry until the first
-                success.
+            autostart: Configure and activate the node automatically, and again after faults that
+                come before anything may have moved.
         """
         self.stop_interface = StopInterface(self, self.latch, self._reset, self.follow_latch)
         if autostart:
-            self._next_attempt = self.now()
             self.every(0.1, self._start)
+        else:
+            self._automatic_start.end()
 
     # ---- transitions --------------------------------------------------------------------------
 
@@ -88,11 +84,9 @@ class HardwareNode(OmnimanNode, LifecycleNodeMixin, HardwareHooks):
             text = self.enable_hardware()
         except HardwareError as error:
             self.warn("activate", f"not activated: {error}")
-            self._failed_activations += self.latch.status.state is not StopState.STOPPED
             lost = isinstance(error, HardwareLostError)
             return TransitionCallbackReturn.ERROR if lost else TransitionCallbackReturn.FAILURE
         self.is_active = True
-        self.cancel_autostart()
         self.get_logger().info(f"active: {text}")
         return TransitionCallbackReturn.SUCCESS
 
@@ -106,14 +100,13 @@ class HardwareNode(OmnimanNode, LifecycleNodeMixin, HardwareHooks):
     @log_exceptions
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Close the hardware."""
-        self.cancel_autostart()
         self.close_hardware()
         return TransitionCallbackReturn.SUCCESS
 
     @log_exceptions
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Bring the hardware to rest, disable it, and close it."""
-        self.cancel_autostart()
+        self._automatic_start.end()
         return self.on_error(state)
 
     @log_exceptions
@@ -127,45 +120,49 @@ class HardwareNode(OmnimanNode, LifecycleNodeMixin, HardwareHooks):
     def _on_change_state(
         self, request: ChangeState.Request, response: ChangeState.Response
     ) -> ChangeState.Response:
-        """Refuse a requested transition that the current state does not have."""
+        """Make a requested transition, or refuse it if the current state does not have it."""
+        before = self.is_configured, self.is_active
         try:
-            return self._change_state(request, response)
+            self._change_state(request, response)
         except RCLError:
             requested = request.transition.label or request.transition.id
             state = self._state_machine.current_state[1]
             self.warn("transition", f"transition {requested} refused: the node is {state}")
             response.success = False
-            return response
+        if response.success and (self.is_configured, self.is_active) < before:
+            self._automatic_start.end()
+        return response
 
     # ---- automatic start ----------------------------------------------------------------------
 
     @property
     def is_starting(self) -> bool:
-        """Whether a fault leads to another attempt to start: nothing has moved yet."""
-        return self._next_attempt is not None and self._failed_activations < START_ATTEMPTS
-
-    def cancel_autostart(self) -> None:
-        """End the automatic start: the node was active once, or was taken down by hand."""
-        self._next_attempt = None
+        """Whether a fault leads to another start: nothing has moved, and nobody stopped it."""
+        is_stopped = self.latch.status.state is StopState.STOPPED
+        return self._automatic_start.is_retrying and not (self.may_have_moved or is_stopped)
 
     def _start(self) -> None:
-        if self._next_attempt is None or self.now() < self._next_attempt:
-            return
-        if not self.is_configured:
-            self.trigger_configure()
-        if self.is_configured:
-            self.trigger_activate()
-        if self._next_attempt is None:
-            return
-        is_stopped = self.latch.status.state is StopState.STOPPED
-        if self.start_fault and self.is_starting and not is_stopped:
-            self.trigger_cleanup()
-        self._next_attempt = self.now() + RETRY_PERIOD
+        """Bring the hardware up when that is due; take it down after a fault, to do so again."""
+        if self.may_have_moved:
+            self._automatic_start.end()
+        elif not self.is_active and self._automatic_start.is_due(self.now()):
+            if not self.is_configured:
+                self.trigger_configure()
+            if self.is_configured:
+                self.trigger_activate()
+            self._automatic_start.postpone(self.now())
+        if self.start_fault and self.is_starting:
+            count = self._automatic_start.retry(self.now())
+            self.warn("start", f"{self.start_fault}: starting again, retry {count}")
+            if self.is_active:
+                self.trigger_deactivate()
+            if self.is_configured:
+                self.trigger_cleanup()
 
     def _reset(self) -> None:
-        """Reset the hardware, after which the automatic start has all its attempts again."""
+        """Reset the hardware, and give the automatic start all its retries again."""
         self.reset_hardware()
-        self._failed_activations = 0
+        self._automatic_start.faults = 0
 
     # ---- running ------------------------------------------------------------------------------
 
@@ -183,7 +180,7 @@ class HardwareNode(OmnimanNode, LifecycleNodeMixin, HardwareHooks):
 
     def begin_shutdown(self, reason: str) -> None:
         """Latch a stop, which brings the hardware to its end."""
-        self.cancel_autostart()
+        self._automatic_start.end()
         self.latch.stop(f"shutting down: {reason}")
         self.stop_interface.publish()
         self.follow_latch()

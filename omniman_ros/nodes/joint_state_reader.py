@@ -1,6 +1,7 @@
 """Joint states that are received serialized, and read without a message where nothing is new."""
 
 import struct
+import sys
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -10,10 +11,13 @@ from sensor_msgs.msg import JointState
 from omniman_ros.conversions.headers import SerializedStamp
 from omniman_ros.conversions.joints import joint_arrays
 from omniman_ros.core.arrays import Array
-from omniman_ros.nodes.message_template import STAMP, MessageTemplate, marks
 from omniman_ros.nodes.serialized import deserialized
 
 _STAMP = struct.Struct("=iI")
+_LENGTH = struct.Struct("=I")
+_DOUBLE = 8
+_PLAIN_CDR = b"\x00\x01\x00\x00" if sys.byteorder == "little" else b"\x00\x00\x00\x00"
+"""First bytes of messages in plain CDR, in this machine's byte order (OMG DDSI-RTPS 2.5, 10.2)."""
 _FIELDS = ("position", "velocity", "effort")
 
 
@@ -36,8 +40,9 @@ class JointArrays(NamedTuple):
 class JointStateReader:
     """Reads serialized joint states.
 
-    A sender's messages differ in stamp and numbers only. A message that is like the last one in
-    all other bytes is read from where these are; any other one is deserialized and checked.
+    A sender's messages differ in stamp, numbers and padding only. A message that is like the last
+    one in all other bytes is read from where stamp and numbers are; any other one is deserialized
+    and checked.
 
     Args:
         names: Names of the n joints, in the order of the results.
@@ -70,22 +75,56 @@ class JointStateReader:
         message = deserialized(data, JointState)
         arrays = joint_arrays(message, self._names)
         if message.name == self._names:
-            self._learn(message)
+            self._learn(data)
         stamp = message.header.stamp
         return JointArrays(SerializedStamp(stamp.sec, stamp.nanosec), *arrays)
 
-    def _learn(self, message: JointState) -> None:
-        """Keep where the numbers are in messages like this one, whose names are those expected."""
-        n = len(self._names)
-        layout = JointState(name=message.name)
-        layout.header.stamp, layout.header.frame_id = STAMP, message.header.frame_id
-        present = [field for field in _FIELDS if len(getattr(message, field))]
-        for k, field in enumerate(present):
-            setattr(layout, field, marks(n, k * n))
-        template = MessageTemplate(layout)
-        self._size, (self._stamp,) = template.size, template.stamps
-        self._constant = [
-            (slice(place, place + len(part)), part) for place, part in template.constant_parts()
-        ]
-        places = dict(zip(present, (place for place, _ in template.runs), strict=True))
-        self._places = [places.get(field) for field in _FIELDS]
+    def _learn(self, data: bytes) -> None:
+        """Keep where the numbers are in data like these, whose names are those expected."""
+        if not data.startswith(_PLAIN_CDR):
+            return
+        layout = _Layout(data)
+        self._stamp = layout.take(_STAMP.size, 4)
+        layout.keep_text()
+        layout.keep_length()
+        for _ in self._names:
+            layout.keep_text()
+        self._places = []
+        for _ in _FIELDS:
+            count = layout.keep_length()
+            self._places.append(layout.take(count * _DOUBLE, _DOUBLE) if count else None)
+        self._size = len(data)
+        self._constant = [(part, data[part]) for part in layout.kept]
+
+
+class _Layout:
+    """Places of the parts of serialized data, one after the other.
+
+    What fills the gaps between them has no meaning, and may differ from message to message.
+
+    Attributes:
+        kept: Places of the parts that must stay as they are.
+    """
+
+    def __init__(self, data: bytes) -> None:
+        self._data, self._end = data, len(_PLAIN_CDR)
+        self.kept = [slice(0, self._end)]
+
+    def take(self, size: int, alignment: int) -> int:
+        """Return the place of the next part, whose size is given [bytes]."""
+        origin = len(_PLAIN_CDR)
+        begin = origin - (origin - self._end) // alignment * alignment
+        self._end = begin + size
+        return begin
+
+    def keep_length(self) -> int:
+        """Keep a length, and return it."""
+        begin = self.take(_LENGTH.size, _LENGTH.size)
+        self.kept.append(slice(begin, self._end))
+        length: int = _LENGTH.unpack_from(self._data, begin)[0]
+        return length
+
+    def keep_text(self) -> None:
+        """Keep a text and its length."""
+        begin = self.take(self.keep_length(), 1)
+        self.kept.append(slice(begin, self._end))

@@ -63,10 +63,9 @@ class JointStatesMergerNode(OmnimanNode):
         self._samples: dict[str, JointSample] = {}
         self._unread: dict[str, Callable[[], None]] = {}
         self._published_stamp: Time | None = None
-        self._names = {
-            "wheel_states": p.description.robot.wheels.names,
-            "arm/joint_states": p.description.arm.joints,
-        }
+        wheels, arm = p.description.robot.wheels, p.description.arm
+        self._names = {"wheel_states": wheels.names, "arm/joint_states": arm.joints}
+        self._joints = {"wheel_states": wheels.joints, "arm/joint_states": arm.joints}
         self._joint_states = self.create_publisher(JointState, "joint_states", 10)
         self._description = None
         if p.publish_description:
@@ -131,7 +130,7 @@ class JointStatesMergerNode(OmnimanNode):
         if newest.stamp == self._published_stamp:
             return
         self._published_stamp = newest.stamp
-        message = JointState(name=[name for topic in fresh for name in self._names[topic]])
+        message = JointState(name=[name for topic in fresh for name in self._joints[topic]])
         message.header.stamp = newest.stamp
         message.position = _concatenated([sample.position for sample in samples])
         message.velocity = _concatenated([sample.velocity for sample in samples])

@@ -38,27 +38,21 @@ class MessageTemplate:
     Args:
         message: Message with `STAMP` where its stamp is to change, and with :func:`marks` where
             its numbers are.
-
-    Attributes:
-        size: Size of the serialized message [bytes].
-        runs: Place of the first byte, and count, of numbers that follow each other in the order of
-            their marks.
     """
 
     def __init__(self, message: Any) -> None:
         self._data = bytearray(serialize_message(message))
-        self.size = len(self._data)
         places, count = [], 0
         while (place := self._data.find(_NUMBER.pack(_UNIT * (count + 1)))) >= 0:
             places.append(place)
             count += 1
         begins = [k for k in range(count) if k == 0 or places[k] != places[k - 1] + _NUMBER.size]
-        self.runs = [(places[a], b - a) for a, b in pairwise([*begins, count])]
+        runs = [(places[a], b - a) for a, b in pairwise([*begins, count])]
         self._numbers = [
             (struct.Struct(f"={n}d"), place, slice(a, a + n))
-            for (place, n), a in zip(self.runs, begins, strict=True)
+            for (place, n), a in zip(runs, begins, strict=True)
         ]
-        self.stamps = _places(self._data, _STAMP_MARK)
+        self._stamps = _places(self._data, _STAMP_MARK)
 
     def pack(self, stamp: int, numbers: Sequence[float]) -> bytes:
         """Return the serialized message with other contents.
@@ -69,24 +63,11 @@ class MessageTemplate:
         """
         data = self._data
         sec, nanosec = divmod(stamp, 10**9)
-        for place in self.stamps:
+        for place in self._stamps:
             _STAMP.pack_into(data, place, sec, nanosec)
         for layout, place, part in self._numbers:
             layout.pack_into(data, place, *numbers[part])
         return bytes(data)
-
-    def constant_parts(self) -> list[tuple[int, bytes]]:
-        """Return all that does not change: the place of the first byte, and the bytes."""
-        changing = sorted(
-            [(place, _STAMP.size) for place in self.stamps]
-            + [(place, _NUMBER.size * count) for place, count in self.runs]
-        )
-        parts, begin = [], 0
-        for place, size in [*changing, (self.size, 0)]:
-            if place > begin:
-                parts.append((begin, bytes(self._data[begin:place])))
-            begin = place + size
-        return parts
 
 
 def _places(data: bytearray, mark: bytes) -> list[int]:

@@ -52,7 +52,7 @@ class MpcPlannerNode(OmnimanNode):
         self.settings = ParameterSet(self, MpcPlannerParameters)
         p = self.settings.value
         self.core = Planner(p.core, anchored=p.output == "reference")
-        self._monitor = StreamMonitor(p.restart, "mpc", ("path",))
+        self._monitor = StreamMonitor(p.restart, "mpc", ("body", "path"))
         self.frames = FrameTransforms(self, lambda: self.settings.value.frames)
         self.sensors = SensorInterface(self, self.settings, self.frames, self.core, self._monitor)
         self.posture = PostureInterface(self, self.settings)

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from omniman_ros.perception.obstacle_tracker import ObstacleTracker
 
 LIFETIME = 0.5
-"""Time after which an obstacle is forgotten by those who hear nothing more of it [s]."""
+"""Time after which an obstacle is forgotten by readers that receive nothing more of it [s]."""
 HEIGHT_MARGIN = 0.05
 """Vertical gap up to which a part of the robot may be in the way of a beam [m]."""
 POSTURE_TOLERANCE = 0.02

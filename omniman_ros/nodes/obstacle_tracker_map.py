@@ -8,8 +8,9 @@ from nav_msgs.msg import OccupancyGrid
 from numpy.typing import NDArray
 from rclpy.publisher import Publisher
 
-from omniman_ros.conversions.tracks import changed_cells, grid_message, update_message
+from omniman_ros.conversions.maps import map_message, map_update_message
 from omniman_ros.core.arrays import Array
+from omniman_ros.core.occupancy import changed_cells
 from omniman_ros.nodes import map_messages
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.stop_interface import LATCHED
@@ -62,15 +63,13 @@ class MapPublisher:
         stamp = self._node.stamp(core.time)
         if self._is_whole(core.time, origin):
             self._whole = core.time
-            self._maps.publish(
-                grid_message(cells, core.map.resolution, origin, self._frame, stamp)
-            )
+            self._maps.publish(map_message(cells, core.map.resolution, origin, self._frame, stamp))
         else:
             assert self._sent is not None and self._updates is not None
             changed = changed_cells(self._sent[0], cells)
             if changed is not None:
                 kind: Any = map_messages.OccupancyGridUpdate
-                self._updates.publish(update_message(kind, cells, changed, self._frame, stamp))
+                self._updates.publish(map_update_message(kind, cells, changed, self._frame, stamp))
         self._time, self._sent = core.time, (cells, origin)
 
     def _is_whole(self, time: float, origin: Array) -> bool:

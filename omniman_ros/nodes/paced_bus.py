@@ -22,39 +22,40 @@ from omniman_ros.simulation.link_connection import LOOPBACK, LinkConnection, Lin
 CONNECT_TIMEOUT = 0.5
 """Longest time for connecting [s]."""
 MAX_WAIT = 0.002
-"""Longest real time between two looks at what has arrived [s]."""
-PATIENCE = 1.0
-"""Real time for which the drives are waited for [s]; who is stopped is found by its silence."""
+"""Longest real time between two reads of the connection [s]."""
+DRIVES_TIMEOUT = 1.0
+"""Longest real time to wait for the drives [s]; the bridge then goes on without them."""
 TOLERANCE = 1e-6
-"""Difference of two instants that are the same [s]."""
+"""Difference up to which two instants count as the same [s]."""
 
 
 def bus_opener(port: int, clock: Callable[[], float], poll: Callable[[], None]) -> OpenBus:
-    """Return what opens the bus of an installation, or the simulated one at a port.
+    """Return a function that opens the bus of an installation, or a simulated one.
 
     Args:
         port: TCP port of simulated drives on this machine; 0 for the installation's bus.
         clock: Returns simulated time [s].
-        poll: Takes the simulated time that has arrived.
+        poll: Receives the simulated time.
     """
     return (lambda parameters, wake: PacedBus(port, clock, poll)) if port else CanBus
 
 
 class PacedBus(Bus):
-    """A bus whose drives wait for the bridge, over TCP.
+    """A bus over TCP, whose simulated drives wait for the bridge.
 
-    Drives and bridge take turns, in one stream each way. At each step of simulated time the drives
-    send their frames and the instant. The bridge takes them when its own time has come there,
-    sends its frames, takes the answers, and tells that it is done, for which the drives wait. So
-    no frame is late, however long a process has to wait, and an answer takes no time.
+    Drives and bridge take turns; each sends one stream of records. At each step of simulated time,
+    the drives send their frames, and then the instant. Once the bridge's own time has reached that
+    instant, it reads these frames, sends its own, reads the answers, and sends the instant to
+    report that it is done. Until then the drives wait. No frame is late, however long a process
+    waits for a core, and an answer takes no simulated time.
 
     Args:
         port: TCP port of the drives on this machine.
         clock: Returns simulated time [s].
-        poll: Takes the simulated time that has arrived, as the bridge waits.
+        poll: Receives the simulated time while the bridge waits.
 
     Attributes:
-        garbage: Number of received items that were not frames; always 0.
+        invalid: Number of received items that were not frames; always 0.
 
     Raises:
         BusError: There are no drives at the port.
@@ -68,10 +69,10 @@ class PacedBus(Bus):
         self._connection, self._reader = LinkConnection(connected), RecordReader()
         self._clock, self._poll = clock, poll
         self._frames: deque[tuple[Frame, float]] = deque()
-        self._heard = -math.inf
+        self._last_time = -math.inf
         self._is_answered = True
         self._failure = ""
-        self.garbage = 0
+        self.invalid = 0
 
     def _receive(self) -> None:
         """Read what has arrived; each frame gets the instant before it."""
@@ -82,23 +83,23 @@ class PacedBus(Bus):
             return
         for record in records:
             if isinstance(record, Instant):
-                self._heard, self._is_answered = record.time, True
+                self._last_time, self._is_answered = record.time, True
             else:
                 frame = Frame(record.id, record.data, record.extended, record.remote)
-                self._frames.append((frame, self._heard))
+                self._frames.append((frame, self._last_time))
 
     def _catch_up(self) -> None:
-        """Wait for what the drives send up to the present, and for their answers."""
-        deadline = time.monotonic() + PATIENCE
+        """Wait for the frames that the drives send up to the present, and for their answers."""
+        deadline = time.monotonic() + DRIVES_TIMEOUT
         self._receive()
         while not self._failure and time.monotonic() < deadline:
-            if self._is_answered and self._heard >= self._clock() - TOLERANCE:
+            if self._is_answered and self._last_time >= self._clock() - TOLERANCE:
                 return
             self._connection.wait(MAX_WAIT)
             self._receive()
 
     def take(self) -> Iterator[Frame | str]:
-        """Yield the frames up to the present, and at last why the bus has failed, if it has."""
+        """Yield the frames up to the present and then, if the bus has failed, the reason."""
         if self._failure:
             return
         self._catch_up()
@@ -109,13 +110,13 @@ class PacedBus(Bus):
             yield self._failure
 
     def wait(self, timeout: float) -> None:
-        """Let simulated time pass, as soon as it does; `timeout` [s] is not waited for."""
+        """Receive simulated time, and wait for up to `MAX_WAIT` if `timeout` [s] is positive."""
         self._poll()
         if timeout > 0.0 and not self._failure:
             self._connection.wait(MAX_WAIT)
 
     def send(self, frames: Iterable[Frame]) -> str:
-        """Send all frames or, where there are none, that the bridge is done with the present.
+        """Send all frames or, where there are none, report that the bridge is done with this step.
 
         Args:
             frames: The frames.
@@ -127,7 +128,7 @@ class PacedBus(Bus):
             return self._failure
         records: list[Record] = [BusFrame(f.id, f.data, f.extended, f.remote) for f in frames]
         self._is_answered = self._is_answered and not records
-        done = min(self._clock(), self._heard)
+        done = min(self._clock(), self._last_time)
         if not records and math.isfinite(done):
             records.append(Instant(done))
         try:

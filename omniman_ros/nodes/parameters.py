@@ -145,7 +145,7 @@ class ParameterSet(Generic[T]):
         """Return whether a given parameter is an array without items.
 
         `[]` does not tell of what type its items would be: rcl reads it as no value, and
-        `ros2 param set` sends an array of booleans. `['']` means no word, too.
+        `ros2 param set` sends an array of booleans. `['']` counts as an empty array as well.
         """
         spec = self._specs.get(given.name)
         if spec is None or spec.item is None:

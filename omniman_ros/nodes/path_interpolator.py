@@ -1,13 +1,7 @@
 """Node `path_interpolator`: paths and trajectories in, streams for platform and arm out."""
 
-import functools
-from collections.abc import Callable
-
 from diagnostic_msgs.msg import DiagnosticStatus
-from std_srvs.srv import Trigger
 
-from omniman_ros.core.errors import ParameterError
-from omniman_ros.motion.path.interpolator import RefusedError
 from omniman_ros.nodes.navigation_action import (
     NavigationAction,
     NavigationKind,
@@ -18,6 +12,7 @@ from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.runtime import run
 from omniman_ros.nodes.trajectory_interfaces.joint_executor import JointExecutor
 from omniman_ros.nodes.trajectory_interfaces.motion_coordinator import MotionCoordinator
+from omniman_ros.nodes.trajectory_interfaces.motion_services import MotionServices
 from omniman_ros.nodes.trajectory_interfaces.parameters import PathInterpolatorParameters
 from omniman_ros.nodes.trajectory_interfaces.path_executor import PathExecutor
 from omniman_ros.nodes.trajectory_interfaces.trajectory_action import (
@@ -41,10 +36,6 @@ class PathInterpolatorNode(OmnimanNode):
         super().__init__("path_interpolator", **options)
         self.settings = ParameterSet(self, PathInterpolatorParameters)
         p = self.settings.value
-        if 2.0 * p.period > p.horizon:
-            raise ParameterError(
-                "period", p.period, f"must be <= half the horizon {p.horizon:g} s"
-            )
         self.motions = MotionCoordinator(self, self.settings)
         executors: dict[str, TrajectoryExecutor] = {
             p.arm_action: JointExecutor(self.motions.context, self.motions.arm),
@@ -58,31 +49,13 @@ class PathInterpolatorNode(OmnimanNode):
         )
         self.settings.on_change(self._configure)
         time_base = self.motions.context.time_base
-        for name, request in (
-            ("pause", time_base.pause),
-            ("resume", time_base.resume),
-            ("cancel", self.motions.cancel),
-        ):
-            self.create_service(Trigger, f"~/{name}", functools.partial(self._serve, request))
+        MotionServices(self, time_base, self.motions.cancel, self.motions.tick)
         self.every(p.period, self.motions.tick)
 
     def _configure(self, new: PathInterpolatorParameters) -> None:
         self.motions.configure(new)
         for action in self._trajectory_actions:
             action.options = new.trajectory_action
-
-    def _serve(
-        self, request: Callable[[], None], _: Trigger.Request, response: Trigger.Response
-    ) -> Trigger.Response:
-        try:
-            request()
-        except RefusedError as error:
-            response.success, response.message = False, str(error)
-        else:
-            self.motions.tick()
-            response.success = True
-            response.message = self.motions.context.time_base.state.value
-        return response
 
     # ---- life cycle ---------------------------------------------------------------------------
 
@@ -117,9 +90,12 @@ class PathInterpolatorNode(OmnimanNode):
                 (f"{name}_event", interface.status.event.value),
                 (f"{name}_last", interface.status.text),
             ]
+        if motions.tool is not None:
+            values += [
+                ("tool_path_event", motions.tool.status.event.value),
+                ("tool_path_last", motions.tool.status.text),
+            ]
         values += [
-            ("tool_path_event", motions.tool.status.event.value),
-            ("tool_path_last", motions.tool.status.text),
             ("speed_scaling", round(motions.scaling.value, 4)),
             ("event", path.status.event.value),
             ("last", path.status.text),
@@ -127,6 +103,7 @@ class PathInterpolatorNode(OmnimanNode):
         idle_by_status = {
             interface.status: interface.idle
             for interface in (path, motions.arm, motions.whole_body, motions.tool)
+            if interface is not None
         }
         latest = max(idle_by_status, key=lambda status: status.order)
         if latest.event.is_trouble and idle_by_status[latest]:

@@ -17,6 +17,7 @@ NODES = {
     "arm_streamer": "nodes.arm_streamer_parameters.ArmStreamerParameters",
     "path_interpolator": "nodes.trajectory_interfaces.parameters.PathInterpolatorParameters",
     "mpc_planner": "nodes.planner_interfaces.parameters.MpcPlannerParameters",
+    "whole_body_planner": "nodes.whole_body_interfaces.parameters.WholeBodyPlannerParameters",
     "station_keeper": "nodes.station_keeper_parameters.StationKeeperParameters",
     "collision_monitor": "nodes.collision_monitor_parameters.CollisionMonitorParameters",
     "obstacle_tracker": "nodes.obstacle_tracker_parameters.ObstacleTrackerParameters",

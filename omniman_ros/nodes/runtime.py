@@ -11,6 +11,7 @@ from types import FrameType
 import rclpy
 from rclpy.duration import Duration
 from rclpy.exceptions import ParameterException
+from rclpy.executors import Executor
 from rclpy.experimental import EventsExecutor
 from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
@@ -29,9 +30,11 @@ SPIN_TIME = 0.05
 """Time for which callbacks are served before the signals are looked at again [s]."""
 CLOCK_TIMEOUT = 2.0
 """Real time without a message on /clock after which a node that is to end does so [s]."""
-DELIVERY_TIMEOUT = 0.5
+DELIVERY_TIMEOUT = 2.0
 """Time for which a node waits for its last messages to be acknowledged [s]; a reader that has
 died never acknowledges them."""
+DELIVERY_SPIN_TIME = 0.005
+"""Time for which callbacks are served before acknowledgements are looked at again [s]."""
 
 
 def run(make: Callable[[], OmnimanNode], args: list[str] | None = None) -> int:
@@ -85,8 +88,8 @@ def run(make: Callable[[], OmnimanNode], args: list[str] | None = None) -> int:
             spin_for(executor, SPIN_TIME)
         if follower is not None:
             follower.leave()
-            _deliver([follower.publisher])
-        _deliver(node.final_publishers)
+            _deliver(executor, [follower.publisher])
+        _deliver(executor, node.final_publishers)
         exit_code = 0 if node.finished else 1
     finally:
         if exit_code == 0:
@@ -107,9 +110,12 @@ def run(make: Callable[[], OmnimanNode], args: list[str] | None = None) -> int:
     return exit_code
 
 
-def _deliver(publishers: Iterable[Publisher]) -> None:
-    """Let lost messages be sent again: an unacknowledged message dies with its publisher."""
+def _deliver(executor: Executor, publishers: Iterable[Publisher]) -> None:
+    """Let lost messages be sent again: an unacknowledged message dies with its publisher.
+
+    A reader learns of a message that it has lost from the next one: the node goes on to publish.
+    """
     deadline = time.monotonic() + DELIVERY_TIMEOUT
     for publisher in publishers:
         while not publisher.wait_for_all_acked(Duration()) and time.monotonic() < deadline:
-            time.sleep(0.005)  # without Python's lock, which a reader may wait for
+            spin_for(executor, DELIVERY_SPIN_TIME)

@@ -123,8 +123,10 @@ class SimulatedCanDrivesNode(ClockGiverNode):
         self.drives.configure(new.robot, new.simulation, new.can_faults)
 
     def _publish_truth(self) -> None:
+        """Publish pose and twist at the instant up to which the plant was simulated."""
         pose, twist = self.drives.ground_truth()
-        fill_odometry(self._truth_message, pose.tolist(), twist, np.zeros((3, 3)), self.stamp())
+        stamp = self.stamp(self.drives.simulated_until)
+        fill_odometry(self._truth_message, pose.tolist(), twist, np.zeros((3, 3)), stamp)
         self._truth.publish(self._truth_message)
 
     # ---- life ---------------------------------------------------------------------------------
@@ -134,7 +136,7 @@ class SimulatedCanDrivesNode(ClockGiverNode):
         faults = self.settings.value.can_faults
         values: list[tuple[str, object]] = [
             ("protocol", self.settings.value.can.protocol),
-            ("frames_heard", self.drives.received),
+            ("frames_received", self.drives.received),
             ("frames_sent", self.drives.sent),
             ("frames_lost_by_fault", self.drives.lost),
             *self.pace_values(),

@@ -46,12 +46,13 @@ class SimulatedUrNode(OmnimanNode):
             self._slider = self.controller.slider = new.pendant.speed_slider
 
     def _report_truth(self) -> None:
-        if self.controller.is_booting:
+        """Publish the motion of the joints at the instant of the cycle that measured it."""
+        measured = self.server.measured
+        if self.controller.is_booting or measured is None:
             return
-        arm = self.controller.arm
-        self._truth_msg.header.stamp = self.stamp()
-        self._truth_msg.position = arm.q.tolist()
-        self._truth_msg.velocity = arm.qd.tolist()
+        self._truth_msg.header.stamp = self.stamp(measured.at)
+        self._truth_msg.position = measured.q.tolist()
+        self._truth_msg.velocity = measured.qd.tolist()
         self._truth.publish(self._truth_msg)
 
     def _write_log(self) -> None:

@@ -11,7 +11,7 @@ from omniman_ros.conversions.poses import goal_pose_from_message
 from omniman_ros.conversions.wheels import LimitScales, reported_limit_scales
 from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
-from omniman_ros.core.errors import InputError, ParameterError
+from omniman_ros.core.errors import InputError
 from omniman_ros.motion.station.keeper import StationKeeper, StationState
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
@@ -35,10 +35,6 @@ class StationKeeperNode(OmnimanNode):
         super().__init__("station_keeper", **options)
         self.settings = ParameterSet(self, StationKeeperParameters)
         p = self.settings.value
-        if 2.0 * p.period > p.horizon:
-            raise ParameterError(
-                "period", p.period, f"must be <= half the horizon {p.horizon:g} s"
-            )
         self.core = StationKeeper(p.core)
         self.settings.on_change(self._configure)
         self.stream = StationStream(self, self.settings, self.core)

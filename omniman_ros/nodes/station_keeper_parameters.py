@@ -4,10 +4,11 @@ from dataclasses import dataclass
 
 from omniman_ros.core.parameters import inline, parameter
 from omniman_ros.motion.station.parameters import StationParameters
+from omniman_ros.nodes.preview_parameters import PeriodicPreviewParameters
 
 
 @dataclass(frozen=True, kw_only=True)
-class StationKeeperParameters:
+class StationKeeperParameters(PeriodicPreviewParameters):
     """Parameters of the node: those of its core, of its stream and of its frames."""
 
     core: StationParameters = inline()
@@ -19,24 +20,6 @@ class StationKeeperParameters:
         "base_link", "Frame of the leader in which a station is given.", read_only=True
     )
     odom_frame: str = parameter("odom", "Frame of odometry and references.", read_only=True)
-    horizon: float = parameter(
-        0.4,
-        "Length of each preview; at its end the robot ramps to rest.",
-        unit="s",
-        low=0.1,
-        high=5,
-        read_only=True,
-    )
-    period: float = parameter(
-        0.04, "Period of the previews.", unit="s", low=0.008, high=1, read_only=True
-    )
-    restart: float = parameter(
-        1.2,
-        "Silence after control was lost; longer than the controller's timeouts.cancelled.",
-        unit="s",
-        low=0.05,
-        high=60,
-    )
     odom_timeout: float = parameter(
         0.5,
         "Age at which odom is too old to approach a station or to keep it.",

@@ -7,6 +7,7 @@ from scipy.optimize import linear_sum_assignment
 
 from omniman_ros.collision.footprint import Footprint
 from omniman_ros.core.arrays import Array
+from omniman_ros.core.parameters import build
 from omniman_ros.perception.clusters import NONE, Clusters, Outlines, fitted_centers
 from omniman_ros.perception.local_map import LocalMap
 from omniman_ros.perception.parameters import (
@@ -94,7 +95,7 @@ class ObstacleTracker:
     ) -> None:
         self.parameters, self.map_parameters, self.motion = parameters, map_parameters, motion
         self.map = LocalMap(map_parameters)
-        self.unseen = UnseenSpace(unseen or UnseenParameters(), map_parameters.size)
+        self.unseen = UnseenSpace(unseen or build(UnseenParameters, {}), map_parameters.size)
         self.poses = PoseHistory()
         self.time = -np.inf
         self.robot = np.zeros(2)

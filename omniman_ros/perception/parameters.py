@@ -2,7 +2,8 @@
 
 from dataclasses import dataclass
 
-from omniman_ros.core.parameters import parameter
+from omniman_ros.collision.parameters import PersonShape
+from omniman_ros.core.parameters import inline, parameter
 
 
 @dataclass(frozen=True)
@@ -24,7 +25,7 @@ class MapParameters:
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class UnseenParameters:
     """People who are not seen."""
 
@@ -36,13 +37,7 @@ class UnseenParameters:
         low=0.0,
         high=5.0,
     )
-    radius: float = parameter(
-        0.2,
-        "Radius of the smallest person that counts: where less room is, nobody stands or goes.",
-        unit="m",
-        low=0.1,
-        high=1.0,
-    )
+    person: PersonShape = inline()
 
 
 @dataclass(frozen=True)

@@ -82,7 +82,7 @@ class UnseenSpace:
         """
         pose, parts = own
         self._follow(np.array(pose[:2]))
-        count, body = len(self.hidden), round(self.parameters.radius / RESOLUTION)
+        count, body = len(self.hidden), round(self.parameters.person.radius / RESOLUTION)
         self._passable = ~grown(self._cells(standing), body)
         if math.isfinite(self._time):
             self._way += self.parameters.speed * min(max(time - self._time, 0.0), HORIZON)

@@ -62,6 +62,9 @@ COLLISION_MONITOR = "collision_monitor"
 OBSTACLE_TRACKER = "obstacle_tracker"
 """Name of the node that turns laser scans into obstacles and a map."""
 
+WHOLE_BODY_PLANNER = "whole_body_planner"
+"""Name of the node that takes `tool_path` from `path_interpolator`."""
+
 VIEWER_NODE = "viewer"
 """Name of the node that serves the page."""
 
@@ -69,6 +72,7 @@ ROBOT_NODES = (
     NodeKind("platform_controller", stage=0),
     NodeKind("path_interpolator", stage=0),
     NodeKind("mpc_planner", stage=0, is_available=lambda: PLANNING.is_available),
+    NodeKind(WHOLE_BODY_PLANNER, stage=0, on_request=True),
     NodeKind("joint_states_merger", stage=0, essential=False),
     NodeKind("odometry", stage=0, on_request=True),
     NodeKind("station_keeper", stage=0, on_request=True),
@@ -84,11 +88,17 @@ ROBOT_NODES = (
 )
 """All nodes that a robot may consist of."""
 
-LIMITED_NODES = ("platform_controller", "path_interpolator", "arm_streamer")
+LIMITED_NODES = (
+    "platform_controller",
+    "path_interpolator",
+    WHOLE_BODY_PLANNER,
+    "arm_streamer",
+)
 """Nodes that obey the collision monitor, and stop without it, where it is started."""
 
 ARM_AWARE_NODES = (
     "path_interpolator",
+    WHOLE_BODY_PLANNER,
     "joint_states_merger",
     COLLISION_MONITOR,
     OBSTACLE_TRACKER,
@@ -124,6 +134,8 @@ class RobotSetup:
             does if it is among these nodes.
         obstacle_tracker: Whether laser scans are turned into obstacles and a map; with `only`,
             likewise.
+        whole_body_planner: Whether platform and arm dodge on paths of the tool; with `only`,
+            likewise.
     """
 
     robot: str = "omniman"
@@ -139,11 +151,17 @@ class RobotSetup:
     world: str | None = None
     collision_monitor: bool = False
     obstacle_tracker: bool = False
+    whole_body_planner: bool = False
 
     @property
     def is_limited(self) -> bool:
         """Whether a collision monitor is started."""
         return COLLISION_MONITOR in self.only if self.only else self.collision_monitor
+
+    @property
+    def has_whole_body_planner(self) -> bool:
+        """Whether a whole-body planner is started."""
+        return WHOLE_BODY_PLANNER in self.only if self.only else self.whole_body_planner
 
     @property
     def wheel_drive(self) -> str:
@@ -225,6 +243,8 @@ def _is_chosen(kind: NodeKind, setup: RobotSetup, arm: str) -> bool:
         return setup.is_limited
     if kind.name == OBSTACLE_TRACKER:
         return setup.obstacle_tracker
+    if kind.name == WHOLE_BODY_PLANNER:
+        return setup.has_whole_body_planner
     drives = kind.drives
     fits = (not drives or setup.wheel_drive in drives) and (not kind.arms or arm in kind.arms)
     return kind.is_available() and fits and not kind.on_request
@@ -300,6 +320,8 @@ def _ros_arguments(
     arguments += more
     if setup.is_limited and kind.name in LIMITED_NODES:
         arguments += ["-p", "collision_monitor.use:=true"]
+    if setup.has_whole_body_planner and kind.name == "path_interpolator":
+        arguments += ["-p", "takes_tool_paths:=false"]
     if setup.params_file is not None:
         arguments += ["--params-file", setup.params_file]
     for text in setup.params:

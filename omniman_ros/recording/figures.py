@@ -21,6 +21,7 @@ from omniman_ros.console.figure_style import (
     MAGENTA,
     ORANGE,
     PINK,
+    PURPLE,
     SERIES,
     figure_style,
     save_figure,
@@ -33,9 +34,11 @@ PATH = ORANGE
 TRUTH = GREEN
 GOAL = MAGENTA
 PLAN = PINK
+BODY = PURPLE
 SOURCE_BANDS = {
     "cmd_vel": "#e3edfd",
     "mpc": "#fbe3f3",
+    "body": "#ede3fb",
     "path": "#fdeadd",
     "station": "#e0f2f1",
     "stop": "#ffd9d9",
@@ -261,7 +264,7 @@ def draw_errors(log: RobotLog) -> Any:
             colour = SERIES[(k - 1) % len(SERIES)]
             times, values = log.coupling[:, 0], log.coupling[:, k]
             _draw_line(log, panels[0], times, values, color=colour, lw=1.0)
-    for name, colour in (("path", PATH), ("mpc", PLAN)):
+    for name, colour in (("path", PATH), ("body", BODY), ("mpc", PLAN)):
         if name not in references:
             continue
         errors = reference_errors(log.odom, references[name])

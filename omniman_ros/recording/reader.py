@@ -27,6 +27,9 @@ _DAMAGE_ERRORS = (
     struct.error,
 )
 """Exceptions of the library for a damaged file; it trusts any length that it reads."""
+_ALIGNMENT = 4
+"""Number of bytes that Fast CDR may append: it aligns to 8 bytes where the numbers of a last,
+empty sequence would begin, and the library expects nothing there. They have any value."""
 
 
 class BagReader:
@@ -102,10 +105,16 @@ class BagReader:
             return
         try:
             for connection, stamp, data in self._reader.messages(chosen):
-                message = self._reader.deserialize(data, connection.msgtype)
-                yield connection.topic, stamp * 1e-9, message
+                yield connection.topic, stamp * 1e-9, self._message(data, connection.msgtype)
         except _DAMAGE_ERRORS as error:
             raise InputError(f"{self._path} is damaged: {error}") from error
+
+    def _message(self, data: bytes, message_type: str) -> Any:
+        """Return the message that was serialized, with or without alignment at its end."""
+        try:
+            return self._reader.deserialize(data, message_type)
+        except AnyReaderError:
+            return self._reader.deserialize(data[:-_ALIGNMENT], message_type)
 
 
 def _unfinished_file(path: Path) -> Path | None:

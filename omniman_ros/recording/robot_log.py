@@ -11,6 +11,7 @@ from omniman_ros.conversions.coupling import total_coupling_error
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.recording.reader import BagReader
+from omniman_ros.recording.ros_time import ArrivalClock
 
 GAP = 0.5
 """Time without a reference from which two movements count as separate [s]."""
@@ -28,6 +29,7 @@ TOPIC_TYPES = {
     "coupling_error": ("sensor_msgs/msg/JointState",),
     "path": ("nav_msgs/msg/Path",),
     "path/reference": ("trajectory_msgs/msg/MultiDOFJointTrajectory",),
+    "body/reference": ("trajectory_msgs/msg/MultiDOFJointTrajectory",),
     "mpc/reference": ("trajectory_msgs/msg/MultiDOFJointTrajectory",),
     "mpc/plan": ("nav_msgs/msg/Path",),
     "mpc/status": ("diagnostic_msgs/msg/DiagnosticStatus",),
@@ -60,8 +62,8 @@ class RobotLog:
         measured: Measured speed of each wheel [rad/s].
         electrical: Voltage [V], current [A] and energy [J] of each wheel, wheel by wheel.
         coupling: Coupling error of each constraint, without resets if it was recorded [rad].
-        references: Reference x, y, theta of the platform, by its source `path` or `mpc`; rows of
-            NaN separate movements.
+        references: Reference x, y, theta of the platform, by its source `path`, `body` or `mpc`;
+            rows of NaN separate movements.
         paths: Poses (n, 3) of each path that was sent.
         plan_ends: Position x, y of the last pose of each plan.
         goals: Goals x, y, theta.
@@ -183,8 +185,7 @@ class _Collector:
         """Rows by table, whose time is a stamp."""
         self._unstamped: dict[str, list[_Row]] = {}
         """Rows by table, whose time is the arrival."""
-        self._clock: list[tuple[float, float]] = []
-        """Arrival and stamp of each odometry message."""
+        self._clock = ArrivalClock()
         self._previews: dict[str, list[list[_Row]]] = {}
         self._names: dict[str, tuple[str, ...]] = {}
         self._paths: list[Array] = []
@@ -199,6 +200,7 @@ class _Collector:
             "coupling_error": self._on_coupling,
             "path": self._on_path,
             "path/reference": self._preview_handler("path"),
+            "body/reference": self._preview_handler("body"),
             "mpc/reference": self._preview_handler("mpc"),
             "mpc/plan": self._on_plan,
             "mpc/status": self._on_planner,
@@ -221,27 +223,19 @@ class _Collector:
             setattr(log, name, np.array(rows))
         for name, rows in self._unstamped.items():
             table = np.array(rows)
-            table[:, 0] = self._to_ros_time(table[:, 0])
+            table[:, 0] = self._clock.to_ros_time(table[:, 0])
             setattr(log, name, table)
         if "arm" in self._previews:
             log.arm_reference = _joined(self._previews["arm"])
-        times = self._to_ros_time(np.array([time for time, _ in self._sources]))
+        times = self._clock.to_ros_time(np.array([time for time, _ in self._sources]))
         log.sources = [(float(t), s) for t, (_, s) in zip(times, self._sources, strict=True)]
         return log
-
-    def _to_ros_time(self, arrivals: Array) -> Array:
-        """Return the ROS times of arrivals (k,) [s]; they differ much if time is simulated."""
-        if not self._clock:
-            return arrivals
-        clock = np.array(self._clock)
-        offset = np.interp(arrivals, clock[:, 0], clock[:, 1] - clock[:, 0])
-        return np.asarray(arrivals + offset)
 
     # ---- handlers of the topics -------------------------------------------------------------
 
     def _on_odom(self, arrival: float, message: Any) -> None:
         _append(self._stamped, "odom", *_motion(message))
-        self._clock.append((arrival, _seconds(message.header.stamp)))
+        self._clock.add(arrival, _seconds(message.header.stamp))
 
     def _on_truth(self, arrival: float, message: Any) -> None:
         _append(self._stamped, "truth", *_motion(message))

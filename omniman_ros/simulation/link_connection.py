@@ -1,10 +1,10 @@
-"""TCP connections on this machine that never block, and the port that accepts them."""
+"""TCP connections on this machine that never block."""
 
 import contextlib
 import select
 import socket
 
-from omniman_ros.core.errors import OmnimanError, ParameterError
+from omniman_ros.core.errors import OmnimanError
 
 LOOPBACK = "127.0.0.1"
 """Address of both ends: the link stays on one machine, whose clock it shares."""
@@ -70,52 +70,3 @@ class LinkConnection:
         """Close the connection; do nothing if it is closed."""
         with contextlib.suppress(OSError):
             self._socket.close()
-
-
-class LinkListener:
-    """A port at which one other side at a time connects.
-
-    Args:
-        name: Name of the parameter that has the number of the port.
-        port: TCP port on this machine; any free one if 0.
-
-    Attributes:
-        port: Number of the port.
-        refused: Number of connections that were refused.
-
-    Raises:
-        ParameterError: The port is not available.
-    """
-
-    def __init__(self, name: str, port: int) -> None:
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-        try:
-            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            self._socket.bind((LOOPBACK, port))
-            self._socket.listen(1)
-            self._socket.setblocking(False)
-        except OSError as error:
-            self._socket.close()
-            raise ParameterError(name, port, f"cannot be used: {error}") from error
-        self.port = int(self._socket.getsockname()[1])
-        self.refused = 0
-
-    def accept(self, *, refuse: bool) -> LinkConnection | None:
-        """Accept who waits at the port; return the connection, if there is one.
-
-        Args:
-            refuse: Whether to close it at once, and to count it as refused.
-        """
-        try:
-            accepted, _ = self._socket.accept()
-        except OSError:
-            return None
-        if refuse:
-            self.refused += 1
-            accepted.close()
-            return None
-        return LinkConnection(accepted)
-
-    def close(self) -> None:
-        """Close the port; connections stay open."""
-        self._socket.close()

@@ -48,7 +48,8 @@ class ButtonPressed:
     Attributes:
         action: stop, reset; pause, resume, cancel (path and planner alike); go (send the displayed
             goal); restart (move robot and obstacles back to the start); add (an obstacle); clear
-            (trails); tour (end it, or begin it anew).
+            (trails); tour (end it, or begin it anew); tool_place (the handle at the tool),
+            tool_add (a pose to its path), tool_send (the path), tool_remove (the handle).
     """
 
     action: str
@@ -149,6 +150,14 @@ class ParameterChanged:
     value: float
 
 
+@dataclass(frozen=True)
+class ToolHandleMoved:
+    """The handle of the tool is moved to a position x, y, z [m] and a rotation (w, x, y, z)."""
+
+    position: tuple[float, float, float]
+    rotation: tuple[float, float, float, float]
+
+
 Event = (
     ButtonHeld
     | ButtonReleased
@@ -166,6 +175,7 @@ Event = (
     | ObstacleDeleted
     | CaseSelected
     | ParameterChanged
+    | ToolHandleMoved
 )
 """Any event."""
 

@@ -18,6 +18,7 @@ from omniman_ros.viewer.ros.lazy_subscriptions import LazySubscriptions
 from omniman_ros.viewer.ros.manual_drive import ManualDrive
 from omniman_ros.viewer.ros.obstacle_interface import ObstacleInterface
 from omniman_ros.viewer.ros.page_commands import PageCommands
+from omniman_ros.viewer.ros.page_frames import PageFrames
 from omniman_ros.viewer.ros.parameters import ViewerParameters
 from omniman_ros.viewer.ros.perception_topics import PerceptionTopics
 from omniman_ros.viewer.ros.planner_parameters import PlannerParameterClient
@@ -25,6 +26,7 @@ from omniman_ros.viewer.ros.planner_topics import PlannerTopics
 from omniman_ros.viewer.ros.pose_commands import PoseCommands
 from omniman_ros.viewer.ros.robot_topics import RobotTopics
 from omniman_ros.viewer.ros.service_calls import ServiceCalls
+from omniman_ros.viewer.ros.tool_commands import ToolCommands
 from omniman_ros.viewer.view_state import ViewState
 
 PERIOD = 0.05
@@ -51,16 +53,17 @@ class ViewerNode(OmnimanNode):
         constraints = p.robot.wheel_count - 3
         self.state = ViewState(p.robot.wheel_count, constraints)
         self._topics = LazySubscriptions(self)
+        frames = PageFrames(self, p, self.state)
         self._drive = ManualDrive(self, p)
-        self._robot = RobotTopics(self, self._topics, self.state, p, self.draw_status)
+        self._robot = RobotTopics(self, self._topics, self.state, p, frames, self.draw_status)
         self._obstacles = ObstacleInterface(self, self.state, p.odom_frame)
         self._planner = PlannerTopics(
-            self, self._topics, self.state, p.frames, self._obstacles.owns
+            self, self._topics, self.state, p.frames, frames, self._obstacles.owns
         )
-        self._perception = PerceptionTopics(self, self._topics, self.state, p)
+        self._perception = PerceptionTopics(self, self._topics, self.state, p, frames.transforms)
         self._calls = ServiceCalls(self, self.state)
         self._planner_parameters = PlannerParameterClient(self, self.state)
-        self._poses = PoseCommands(self, p, self.state, self._obstacles, self._calls)
+        self._poses = PoseCommands(self, p, self.state, self._obstacles, self._calls, frames)
         self._commands = PageCommands(
             self.state,
             self._drive.buttons,
@@ -68,6 +71,7 @@ class ViewerNode(OmnimanNode):
             self._obstacles,
             self._planner_parameters,
             self._calls,
+            ToolCommands(self, self._topics, p, self.state),
         )
         self._served_at = self.now()
         if make_page is None:
@@ -114,6 +118,7 @@ class ViewerNode(OmnimanNode):
             now = self.now()
             self._topics.process_latest()
             self._planner.update_state(now)
+            self._poses.update_state()
             self._obstacles.update_state(now)
             self._perception.update_state(self.page.layers)
             self.state.tour = self._commands.tour.text

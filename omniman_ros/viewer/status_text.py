@@ -31,6 +31,7 @@ def status(state: ViewState, now: float) -> str:
         _progress_rows,
         _safety_rows,
         _diagnostic_rows,
+        _frame_rows,
         _note_rows,
     )
     return (
@@ -105,6 +106,11 @@ def _diagnostic_rows(state: ViewState, now: float) -> Iterator[str]:
         if name in state.stops and condition.text in state.stops[name].text:
             continue  # the row of the stop state has the same text
         yield _row(name.rpartition("/")[2], condition.text, _LEVEL_COLOURS[condition.level])
+
+
+def _frame_rows(state: ViewState, now: float) -> Iterator[str]:
+    for topic, reason in sorted(state.unplaced.items()):
+        yield _row(topic, f"not shown: {reason}", WARNING)
 
 
 def _note_rows(state: ViewState, now: float) -> Iterator[str]:

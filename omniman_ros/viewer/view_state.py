@@ -13,6 +13,7 @@ from omniman_ros.viewer.lines import Line, Trail
 from omniman_ros.viewer.perceived import Perceived
 from omniman_ros.viewer.placed_obstacles import ObstacleArrays
 from omniman_ros.viewer.signal_window import SignalWindow
+from omniman_ros.viewer.tool_goal import ToolGoal, ToolPose
 
 Pose = tuple[float, float, float]
 """x, y [m], heading [rad] in `odom`."""
@@ -21,7 +22,9 @@ DIAGNOSTICS_TIMEOUT = 3.0
 """Age at which a node's warning or error is discarded unless the node repeats it [s]."""
 FRESHNESS_TIMEOUT = 1.0
 """Age from which a value no longer counts as current [s]."""
-PAUSABLE_NODES = ("path_interpolator", "mpc_planner")
+PATH_NODES = ("path_interpolator", "whole_body_planner")
+"""Nodes that drive along given paths."""
+PAUSABLE_NODES = (*PATH_NODES, "mpc_planner")
 """Nodes that can be paused, resumed and cancelled."""
 _DRIVING_STATES = (PlannerState.DRIVING.value, PlannerState.BLOCKED.value)
 """Values of `state` in `mpc/status` while the planner has a goal to drive to."""
@@ -95,7 +98,7 @@ class ViewState:
         workspace: The planner's x_min, y_min, x_max, y_max in `odom` [m]; None while unknown.
         planner_parameters: The planner's tunable parameters by name, in the order of the page.
         planner: Values of `mpc/status` by key.
-        path_states: States of the motions of path_interpolator (platform, arm, whole body).
+        path_states: States of the motions (platform, arm, whole body) of each of `PATH_NODES`.
         case: Name of the case (start, goal, obstacles) that is loaded, empty for none.
         active_source: Command source that drives the robot, empty until received.
         progress: Progress on the path, 0 to 1; valid while it is fresh.
@@ -105,7 +108,13 @@ class ViewState:
         awaited: Names of the nodes for which simulated time stands.
         services: Names of the available services, such as `path_interpolator/pause`.
         perceived: What scanners, tracker, collision monitor and physics world tell.
+        tool: Pose of the tool; None until received.
+        tool_reports: Number of reports of the nodes that take paths of the tool since the page has
+            sent one; None once the outcome is known.
+        tool_goal: Handle and path of the tool that are set on the page.
         tour: The present step of the tour, empty at its end.
+        unplaced: Why the last message of a topic is not shown, by topic, where its frame is not
+            known.
         note: Outcome of the last action on the page.
     """
 
@@ -144,7 +153,7 @@ class ViewState:
         self.workspace: tuple[float, float, float, float] | None = None
         self.planner_parameters: dict[str, TunableParameter] = {}
         self.planner: dict[str, str] = {}
-        self.path_states: frozenset[str] = frozenset()
+        self.path_states: dict[str, frozenset[str]] = {}
         self.case = ""
         self.active_source = ""
         self.progress = 0.0
@@ -154,7 +163,11 @@ class ViewState:
         self.awaited: tuple[str, ...] = ()
         self.services: frozenset[str] = frozenset()
         self.perceived = Perceived()
+        self.tool: ToolPose | None = None
+        self.tool_goal = ToolGoal()
+        self.tool_reports: int | None = None
         self.tour = ""
+        self.unplaced: dict[str, str] = {}
         self.note = ""
         self._received_at: dict[str, float] = {}
 
@@ -186,6 +199,11 @@ class ViewState:
         """Store measured joint angles (6,) [rad]."""
         self.arm = angles
         self._received_at["arm"] = now
+
+    def update_tool(self, pose: ToolPose, now: float) -> None:
+        """Store the pose of the tool, received at `now` [s]."""
+        self.tool = pose
+        self._received_at["tool"] = now
 
     def update_signal(self, name: str, values: Array, now: float) -> None:
         """Store the latest values of a signal for the plots.
@@ -273,8 +291,8 @@ class ViewState:
         """Return whether a value was received less than `FRESHNESS_TIMEOUT` before `now` [s].
 
         Args:
-            name: `odom`, `truth`, `arm`, `reference`, `plan`, `predicted`, `planner`, `progress`
-                or a signal of :meth:`update_signal`.
+            name: `odom`, `truth`, `arm`, `tool`, `reference`, `plan`, `predicted`, `planner`,
+                `progress` or a signal of :meth:`update_signal`.
             now: Time [s].
         """
         return now - self._received_at.get(name, -np.inf) < FRESHNESS_TIMEOUT
@@ -293,13 +311,13 @@ class ViewState:
 
         Args:
             action: `pause`, `resume` or `cancel`.
-            node: `mpc_planner` or `path_interpolator`.
+            node: One of `PAUSABLE_NODES`.
         """
         if node == "mpc_planner":
             state = self.planner.get("state")
             states = frozenset() if state is None else frozenset({state})
         else:
-            states = self.path_states
+            states = self.path_states.get(node, frozenset())
         return bool(states) and not states & _STATES_OF_ACTION[action]
 
     def mark_gone(self, present: Iterable[str]) -> None:

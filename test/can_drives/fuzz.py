@@ -1,14 +1,14 @@
 """Random frames by a seed, many of them with ids of the codec under test."""
 
-import os
 import random
 
 from omniman_ros.can_drives.axis import AxisSettings
 from omniman_ros.can_drives.frame import Frame
 from omniman_ros.control.wheel_cascade import DriveMode
+from test.fuzz import examples
 
-COUNT = int(os.environ.get("OMNIMAN_FUZZ", "10000"))
-"""Number of frames for each codec; `make fuzz` runs a million."""
+COUNT = examples(10_000)
+"""Number of frames for each codec."""
 
 EDGES = (b"\x00", b"\xff", b"\x7f", b"\x80", b"\x01")
 

@@ -6,6 +6,7 @@ import time
 import can
 import pytest
 
+from omniman_ros.can_drives import bus as bus_module
 from omniman_ros.can_drives.bus import MAX_TAKEN_FRAMES, BusError, CanBus
 from omniman_ros.can_drives.frame import Frame
 from omniman_ros.core.can_parameters import CanParameters
@@ -85,14 +86,16 @@ def test_error_without_text_is_reported_by_its_type(monkeypatch):
     ],
 )
 def test_each_interface_gets_its_own_options(monkeypatch, given, expected):
-    asked = {}
+    asked, enlarged = {}, []
 
     def make(**options):
         asked.update(options)
         return FakeBus(False)
 
     monkeypatch.setattr(can, "Bus", make)
+    monkeypatch.setattr(bus_module, "enlarge_receive_buffer", enlarged.append)
     CanBus(CanParameters(nodes=(1,), **given)).close()
+    assert len(enlarged) == (given["interface"] == "udp_multicast")
     assert asked == {key: given[key] for key in ("interface", "channel")} | expected
 
 
@@ -120,10 +123,10 @@ def test_frames_are_returned_as_received_and_the_receiver_is_woken(bus):
     ],
     ids=["udp", "slcan", "fd"],
 )
-def test_garbage_is_counted_and_the_following_frame_is_received(bus, nonsense):
+def test_an_invalid_frame_is_counted_and_the_following_frame_is_received(bus, nonsense):
     bus.fake.put(nonsense, message(0x182))
     assert take(bus, 1) == [Frame(0x182, b"abc")]
-    assert bus.garbage == 1
+    assert bus.invalid == 1
 
 
 @pytest.mark.parametrize(
@@ -140,7 +143,7 @@ def test_read_failure_is_reported_and_reading_continues(bus, error):
     bus.fake.put(error)
     (said,) = take(bus, 1)
     assert said == f"cannot be read: {error}"
-    assert not bus.garbage
+    assert not bus.invalid
     bus.fake.put(message())
     assert take(bus, 1) == [Frame(0x181, b"abc")]
 

@@ -830,3 +830,48 @@ def test_energy_omits_unknown_and_invalid_power(bench):
         axis.feedback.voltage, axis.feedback.current = 10.0, current
     bench.drives.electrical(0.5)
     assert bench.drives.electrical(0.5)[:, 2] == pytest.approx([10.0, 0.0, 0.0, 0.0])
+
+
+# ---- what has moved ---------------------------------------------------------------------------
+
+
+def test_drives_that_rest_have_not_moved(bench):
+    bench.up().period(20, velocity(0, 0, 0, 0))
+    assert not bench.drives.may_have_moved
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        velocity(0, 0, 0, 0.1),
+        WheelCommand(DriveMode.VELOCITY, np.array([0, 0, 0, 0.01]), np.zeros(4)),
+    ],
+    ids=["velocity", "feed-forward"],
+)
+def test_an_accepted_command_may_have_moved_the_drives_for_good(bench, command):
+    bench.up().period(1, command)
+    assert bench.drives.may_have_moved
+    bench.drives.stop("button", bench.now)
+    bench.period(200)
+    assert bench.drives.may_have_moved
+
+
+def test_a_refused_command_has_moved_nothing(bench):
+    bench.configure().period(3)
+    assert bench.drives.set_command(velocity(1, 1, 1, 1), bench.now)
+    assert not bench.drives.may_have_moved
+
+
+def test_a_wheel_that_rotates_under_power_has_moved(bench):
+    bench.configure().period(3)
+    ratio = bench.robot.motor.gear_ratio
+    bench.hear(report(NODES[0], 0.0, 0.2 * ratio))
+    assert not bench.drives.may_have_moved, "it has no power"
+    bench.period(1)
+    bench.drives.enable(bench.now)
+    bench.period(3)
+    bench.hear(report(NODES[0], 0.0, 0.2 * ratio))
+    assert bench.drives.may_have_moved
+    bench.period(1).drives.stop("button", bench.now)
+    bench.period(200)
+    assert bench.drives.may_have_moved

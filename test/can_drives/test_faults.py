@@ -15,6 +15,7 @@ from omniman_ros.can_drives.frame import Frame
 from omniman_ros.can_drives.monitor import UNMOVED_TRAVEL
 from omniman_ros.control.wheel_cascade import DriveMode, WheelCommand
 from test.can_drives.rig import SPEED, STEP, Rig
+from test.tiers import combinations
 
 PROTOCOLS = ("cia402", "vesc", "odrive")
 WHEEL = "front_right"
@@ -334,8 +335,9 @@ def test_unknown_extended_and_empty_frames_change_nothing():
     assert rig.drives.host_detector.counts["malformed"] >= 4
 
 
-@pytest.mark.parametrize("protocol", PROTOCOLS)
-@pytest.mark.parametrize("mode", ["velocity", "torque", "voltage"])
+@pytest.mark.parametrize(
+    ("protocol", "mode"), combinations(PROTOCOLS, ["torque", "voltage", "velocity"])
+)
 def test_every_mode_moves_the_wheels_and_its_silence_ramps_them_down(protocol, mode):
     rig = Rig(protocol, mode=mode).up()
     value = {"velocity": 4.0, "torque": 1.0, "voltage": 6.0}[mode]

@@ -19,9 +19,9 @@ def joints(root):
 
 
 def test_the_urdf_has_the_joints_of_the_robot(capsys):
-    assert {"front_left", *UR_JOINTS} <= set(joints(printed_urdf(capsys)))
+    assert {"front_left_wheel_joint", *UR_JOINTS} <= set(joints(printed_urdf(capsys)))
     assert "elbow_joint" not in joints(printed_urdf(capsys, "--robot", "ig42"))
-    assert "rear" in joints(printed_urdf(capsys, "--robot", robots.path("omni3")))
+    assert "rear_wheel_joint" in joints(printed_urdf(capsys, "--robot", robots.path("omni3")))
 
 
 def test_parameters_of_robot_arm_and_mount_change_the_urdf(capsys):
@@ -41,7 +41,7 @@ def test_parameters_of_robot_arm_and_mount_change_the_urdf(capsys):
     found = joints(root)
     assert found["base_link-arm_base_link"].find("origin").get("xyz") == "0.2 0.0 1.0"
     assert {found[name].find("limit").get("velocity") for name in UR_JOINTS} == {"0.5"}
-    assert found["front_left"].find("origin").get("xyz").startswith("0.3 ")
+    assert found["front_left_wheel_joint"].find("origin").get("xyz").startswith("0.3 ")
     assert "elbow_joint" not in joints(printed_urdf(capsys, "-p", "arm.mass:=0.0"))
 
 

@@ -14,7 +14,7 @@ from omniman_ros.lab.studies.closed_loop import PERIOD
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 from test import robots
 from test.closed_loop.test_closed_loop import MODES, Loop, fastest, figure_of_eight, follow, rms
-from test.tiers import exhaustive, representative
+from test.tiers import combinations, exhaustive, representative
 
 ON = {"drive.dead_wheel": "drive_on"}
 FORWARD, SIDEWAYS, TURN = (0.3, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.0, 0.4)
@@ -62,13 +62,10 @@ def check_drives_on(course, wheel, twist, found, within):
     assert "dead: driving on without" in course.core.wheel_health.notice
 
 
-@pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize(
-    "twist",
-    representative([FORWARD, SIDEWAYS, TURN], every=2),
-    ids=["forward", "sideways", "turn"],
+    ("robot", "twist", "mode"),
+    combinations(["omniman", "ig42"], [FORWARD, SIDEWAYS, TURN], MODES),
 )
-@pytest.mark.parametrize("robot", ["omniman", exhaustive("ig42")])
 def test_robot_drives_on_without_a_motor_that_dies_in_motion(robot, twist, mode):
     course = Course(robot, ON | {"drive.mode": mode})
     assert course.go(twist, 1.5) is None
@@ -305,8 +302,7 @@ def test_after_a_repair_and_a_reset_all_wheels_drive_again():
     assert course.drives.wheel_states(course.loop.now).effort[1] > 0.5
 
 
-@pytest.mark.parametrize("mode", MODES)
-@pytest.mark.parametrize("robot", ["omniman", exhaustive("ig42"), "omni3"])
+@pytest.mark.parametrize(("robot", "mode"), combinations(["omniman", "ig42", "omni3"], MODES))
 def test_stuck_wheel_stops_the_robot_soon_even_under_drive_on(robot, mode):
     course = Course(robot, ON | {"drive.mode": mode})
     course.go(FORWARD, 1.5)

@@ -1,5 +1,7 @@
 """Signed gaps against the distances of the solids, finite differences, and the way out."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -95,3 +97,15 @@ def test_spheres_contain_the_capsules_axes_and_move_with_the_joints(rng):
     for joint in range(6):
         moved = spheres.place(q + step * np.eye(6)[joint]).centre
         assert (moved - placed.centre) / step == pytest.approx(slopes[..., joint], abs=1e-5)
+
+
+def test_solids_elsewhere_for_each_pose_have_the_gaps_of_solids_there(rng, solids):
+    poses, points = rng.uniform(-1.5, 1.5, (5, 3)), rng.uniform(-1.5, 1.5, (3, 5, 2))
+    places = solids.centre[:, None] + rng.uniform(-0.5, 0.5, (2, 5, 4))
+    gaps, slopes = rectangle_gap_derivative(replace(solids, centre=places), poses, HALF, HEIGHTS)
+    of_points, _ = point_gaps(replace(solids, centre=places[:, :, None]), points)
+    for k in range(5):
+        there = replace(solids, centre=places[:, k])
+        gap, slope = rectangle_gap_derivative(there, poses[k], HALF, HEIGHTS)
+        assert gaps[k] == pytest.approx(gap) and slopes[k] == pytest.approx(slope)
+        assert of_points[k] == pytest.approx(point_gaps(there, points[:, k])[0])

@@ -413,10 +413,12 @@ def test_platform_starts_the_simulated_drive_and_the_controller_by_default(platf
         "odometry": "controller",
         "collision_monitor": "false",
         "obstacle_tracker": "false",
+        "whole_body_planner": "false",
         "mpc": "true",
         "viewer": "false",
         "rviz": "false",
         "number": "0",
+        "transports": "auto",
         "description": "auto",
         "respawn": "false",
         "respawn_delay": "2.0",
@@ -550,6 +552,13 @@ def test_the_controller_needs_the_collision_monitor_where_it_is_started(platform
 def test_the_obstacle_tracker_is_started_on_request(platform):
     _, nodes = platform(obstacle_tracker="true", world="hall", use_sim_time="true")
     assert nodes["obstacle_tracker"] == ("", {"robot": "omniman", "use_sim_time": True})
+
+
+def test_the_whole_body_planner_takes_the_tool_paths_on_request(platform):
+    _, nodes = platform(whole_body_planner="true", collision_monitor="true")
+    shared = {"robot": "omniman", "use_sim_time": False, "collision_monitor.use": True}
+    assert nodes["whole_body_planner"] == ("", shared)
+    assert nodes["path_interpolator"] == ("", {**shared, "takes_tool_paths": False})
 
 
 def test_the_odometry_is_a_process_of_its_own_on_request(platform):
@@ -876,5 +885,27 @@ def test_only_our_nodes_are_told_whom_to_follow(file_of, installed, urdf_command
     installed.update(THIRD_PARTY_NODES)
     _, nodes = started(file_of("platform"), rviz="true")
     for name, node in nodes.items():
-        expected = None if name in THIRD_PARTY_NODES else {PARENT_VARIABLE: str(os.getpid())}
-        assert node.options.get("additional_env") == expected
+        followed = node.options.get("additional_env", {}).get(PARENT_VARIABLE)
+        assert followed == (None if name in THIRD_PARTY_NODES else str(os.getpid()))
+
+
+@pytest.mark.parametrize(
+    ("given", "variable", "expected"),
+    [
+        ({}, None, "UDPv4"),
+        ({}, "SHM", None),
+        ({"use_sim_time": "true"}, None, None),
+        ({"use_sim_time": "True", "transports": "UDPv4"}, None, "UDPv4"),
+        ({"transports": "DEFAULT"}, "SHM", "DEFAULT"),
+    ],
+)
+def test_the_nodes_do_without_shared_memory_on_real_time_as_those_of_omniman_up(
+    file_of, installed, urdf_commands, monkeypatch, given, variable, expected
+):
+    installed.update(THIRD_PARTY_NODES)
+    monkeypatch.delenv("FASTDDS_BUILTIN_TRANSPORTS", raising=False)
+    if variable is not None:
+        monkeypatch.setenv("FASTDDS_BUILTIN_TRANSPORTS", variable)
+    _, nodes = started(file_of("platform"), rviz="true", **given)
+    environments = [node.options.get("additional_env", {}) for node in nodes.values()]
+    assert {env.get("FASTDDS_BUILTIN_TRANSPORTS") for env in environments} == {expected}

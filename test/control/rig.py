@@ -77,13 +77,14 @@ class Rig:
         result[list(dead)] = 0.0
         return result
 
-    def tick(self, dt: float = DT) -> WheelCommand:
-        """Run one tick."""
+    def tick(self, dt: float = DT) -> WheelCommand | None:
+        """Run one tick; without a command, the wheels keep their speeds."""
         self.now += dt
         if self.reports:
             self.report()
         command = self.core.tick(self.now)
-        self.speed = np.array(self.drive(command))
+        if command is not None:
+            self.speed = np.array(self.drive(command))
         self.position = self.position + self.speed * dt
         self.setpoints.append(self.core.setpoint)
         self.commands.append(command)

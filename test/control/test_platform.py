@@ -17,6 +17,7 @@ from omniman_ros.core.preview import Preview
 from omniman_ros.core.stop import ResetRefusedError, StopState
 from test.control.rig import DT, Rig, finite, with_robot
 from test.robots import ALL, parameters, random_robot
+from test.tiers import combinations, representative
 
 NAN, INF = math.nan, math.inf
 CRUISE = (0.5, -0.3, 0.4)
@@ -85,6 +86,19 @@ def test_robot_stands_without_wheel_states():
     assert all(not twist.any() for twist in rig.setpoints)
 
 
+def test_twist_of_zero_is_accepted_before_the_first_wheel_states():
+    rig = Rig()
+    rig.reports = False
+    answers = set()
+    rig.run(1.0, lambda: answers.add(rig.twist(0, 0, 0)))
+    assert answers == {""}
+    assert rig.core.arbiter.active is None
+    assert rig.still
+    rig.reports = True
+    rig.run(0.1)
+    assert rig.twist(*CRUISE) == ""
+
+
 @pytest.mark.parametrize("robot", ALL)
 def test_cmd_vel_is_followed_within_limits_and_odometry_gives_the_pose(robot):
     rig = Rig(robot).cruise(*CRUISE, seconds=3.0)
@@ -103,7 +117,7 @@ def test_cmd_vel_is_followed_within_limits_and_odometry_gives_the_pose(robot):
     np.testing.assert_allclose(rig.core.odometry.twist, CRUISE, atol=1e-9)
 
 
-@pytest.mark.parametrize("n", range(3, 9))
+@pytest.mark.parametrize("n", representative(range(3, 9), every=2))
 def test_platforms_with_any_wheels_drive_follow_and_stop(n):
     rig = Rig(with_robot(random_robot(np.random.default_rng(n), n)))
     rig.cruise(*CRUISE)
@@ -459,6 +473,20 @@ def test_wheel_states_may_be_interrupted_at_rest():
     assert rig.twist(*CRUISE) == ""
 
 
+def test_wheel_states_may_be_interrupted_while_cmd_vel_asks_for_rest():
+    rig = Rig().run(0.1)
+    rig.run(0.2, lambda: rig.twist(0, 0, 0))
+    assert rig.core.arbiter.active is Source.CMD_VEL
+    rig.reports = False
+    rig.run(1.0, lambda: rig.twist(0, 0, 0))
+    assert rig.core.latch.released
+    assert rig.twist(0, 0, 0) == ""
+    assert rig.twist(*CRUISE) == "no wheel_states yet"
+    rig.reports = True
+    rig.run(0.1)
+    assert rig.twist(*CRUISE) == ""
+
+
 def test_wheel_that_does_not_follow_latches_a_stop_naming_the_wheel():
     rig = driving()
     stuck(rig)
@@ -726,8 +754,7 @@ def test_delayed_twist_is_fresh_for_the_rest_of_its_timeout():
 # ---- previews ---------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("robot", ALL)
-@pytest.mark.parametrize("source", [Source.MPC, Source.PATH])
+@pytest.mark.parametrize(("robot", "source"), combinations(ALL, [Source.MPC, Source.PATH]))
 def test_preview_is_followed_and_its_end_pose_kept(robot, source):
     rig = Rig(robot).run(0.1)
     assert rig.core.set_preview(source, rig.move((1.0, -0.6, 1.2), 5.0), rig.now) == ""
@@ -959,7 +986,9 @@ def uneven(rig):
     return rig
 
 
-@pytest.mark.parametrize("robot", ["omniman", "mecanum6", "skewed4", "mecanum8"])
+@pytest.mark.parametrize(
+    "robot", representative(["omniman", "mecanum6", "skewed4", "mecanum8"], every=2)
+)
 def test_coupling_controller_bounds_the_error_of_uneven_drives(robot):
     errors = []
     for gain in (0.0, 2.0):

@@ -22,6 +22,16 @@ def test_arrays_have_one_entry_per_wheel(name):
                 assert len(value) == n, key
 
 
+def test_joints_of_wheels_are_named_as_such_once():
+    made = robot(changes={"wheels.names": ["left", "right_joint", "x_wheel_joint", "rear"]})
+    assert made.wheels.joints == (
+        "left_wheel_joint",
+        "right_joint",
+        "x_wheel_joint",
+        "rear_wheel_joint",
+    )
+
+
 def test_robot_is_immutable():
     made = robot()
     with pytest.raises(FrozenInstanceError):

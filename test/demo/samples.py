@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from omniman_ros.demo.arm_moves import ArmMove
-from omniman_ros.demo.leg import Interval
+from omniman_ros.demo.interval import Interval
 from omniman_ros.demo.path_leg import PathLeg
 from omniman_ros.demo.recorder import Recording
 from omniman_ros.demo.twist_leg import DrivenPhase, Pace, TwistLeg, TwistPhase
@@ -50,8 +50,7 @@ def perfect_run():
         coupling=[(START, 0.001), (START + 5.5, 0.1), (START + 7.0, -0.003)],
         reference=reference_rows(),
         energy=[(1.0, 2.0), (4.0, 2.5)],
-        odom_arrivals=(np.arange(1000) * 0.01).tolist(),
-        command_arrivals=(np.arange(2000) * 0.005).tolist(),
+        commands=(np.arange(2000) * 0.005).tolist(),
     )
     twists, path = TwistLeg(Pace()), PathLeg()
     twists.driven = [DrivenPhase(TwistPhase("rest", 3.0, lambda t: (0.0, 0.0, 0.0)), START)]

@@ -180,12 +180,14 @@ class SteppedRobot:
         arm.header.stamp = stamp
         coupling = JointState(position=[0.0])
         coupling.header.stamp = stamp
+        command = JointState()
+        command.header.stamp = stamp
         timing = Float64MultiArray(data=[STEP])
         timing.layout.dim = [MultiArrayDimension(size=1)]
         messages = {
             "odom": odom,
             "ground_truth/odom": odom,
-            "wheel_commands": JointState(),
+            "wheel_commands": command,
             "coupling_error": coupling,
             "wheel_electrical": Float64MultiArray(data=[24.0, 1.0, self.time] * 4),
             "arm/joint_states": arm,

@@ -6,7 +6,7 @@ import math
 import pytest
 
 from omniman_ros.demo.demo import LIMITS, Demo, expendable_wheel, judge
-from omniman_ros.demo.leg import violations
+from omniman_ros.demo.limits import violations
 from test import robots
 from test.demo.samples import arm_run, perfect_run
 
@@ -30,7 +30,7 @@ def test_a_perfect_run_has_no_fault():
 def test_a_fault_says_whether_the_machine_stalled():
     recording, legs = perfect_run()
     recording.energy = [(0.0, 0.0), (1.0, 1.0)]
-    recording.odom_arrivals = [0.0, 1.0, 2.0]
+    recording.commands = [0.0, 1.0, 2.0]
     (fault,) = judge(recording, legs)["faults"]
     assert "stalled" not in fault
     recording.stall = 0.5

@@ -9,9 +9,9 @@ from nav_msgs.msg import OccupancyGrid
 from sensor_msgs.msg import LaserScan
 from visualization_msgs.msg import Marker, MarkerArray
 
-from omniman_ros.conversions.tracks import grid_message
+from omniman_ros.conversions.maps import map_message
 from omniman_ros.demo.goal_leg import DrivenGoal, GoalLeg, goal_figures
-from omniman_ros.demo.leg import Interval
+from omniman_ros.demo.interval import Interval
 from omniman_ros.demo.moving_obstacles import DEMO_OBSTACLES, MovingObstacles
 from omniman_ros.demo.perception_recorder import People, PerceptionRecorder
 from test.demo.stepped_robot import SteppedRobot, stepped_driver
@@ -113,13 +113,13 @@ def test_what_is_perceived_is_recorded_until_the_goal():
     )
     cells = np.array([[0, 100]], dtype=np.int8)
     stamp = OccupancyGrid().header.stamp
-    hear["map"](grid_message(cells, 0.1, np.array([1.0, 2.0]), "odom", stamp))
+    hear["map"](map_message(cells, 0.1, np.array([1.0, 2.0]), "odom", stamp))
     person, crate = Marker(type=Marker.CYLINDER), Marker(type=Marker.CUBE)
     person.pose.position.x, person.scale.x = 3.0, 0.5
     hear["ground_truth/obstacles"](MarkerArray(markers=[person, crate]))
     seen = recorder.perception
     assert seen.scans[0][1] == pytest.approx(np.array([[0.55 + 2.0, 0.0]]))
-    assert seen.map[0].tolist() == [[0, 100]]
+    assert seen.map.values.tolist() == [[0, 100]]
     assert seen.people[0][1].tolist() == [[3.0, 0.0, 0.25]]
     recorder.close()
     assert set(robot.ended) == {"scan", "map", "obstacle_tracks", "ground_truth/obstacles"}

@@ -3,7 +3,10 @@
 from types import SimpleNamespace
 
 import pytest
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from nav_msgs.msg import Odometry
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
 from omniman_ros.demo.recorder import Recorder
@@ -12,7 +15,7 @@ from test.nodes.harness import World
 
 
 def new_recorder():
-    recorder = Recorder(SimpleNamespace(create_subscription=lambda *args: None), lambda: 0.0)
+    recorder = Recorder(SimpleNamespace(create_subscription=lambda *args: None))
     recorder.begin_motion()
     return recorder
 
@@ -49,7 +52,7 @@ def recorder_with(publishers, **options):
         return SimpleNamespace(get_publisher_count=lambda: publishers)
 
     node = SimpleNamespace(create_subscription=create_subscription)
-    return Recorder(node, lambda: 0.0, **options), callbacks
+    return Recorder(node, **options), callbacks
 
 
 def test_in_a_world_each_contact_is_recorded_once():
@@ -81,7 +84,19 @@ def test_a_contact_of_the_real_world_is_recorded(tmp_path):
     scene.write_text("posts: [{name: post, x: 0.59, y: 0.0, height: 0.3}]")
     given = {"scene": str(scene), "world.wheels": "ideal"}
     with World(SimulatedWorldNode, parameters=given) as world:
-        recorder = Recorder(world.probe, lambda: world.time, contacts=True)
+        recorder = Recorder(world.probe, contacts=True)
         world._await(lambda: "contacts" not in recorder.missing_topics, "the publisher")
         world._await(lambda: (world.run(0.02), recorder.recording.contacts)[1], "a contact")
         assert recorder.recording.contacts == ["base_link, post"]
+
+
+def test_the_times_of_messages_are_those_of_their_senders():
+    """Nothing is measured by when this process, on a clock that may not run yet, hears them."""
+    recorder, callbacks = recorder_with(0)
+    for topic, kind in (("odom", Odometry), ("wheel_commands", JointState)):
+        for nanosec in (0, 10_000_000):
+            message = kind()
+            message.header.stamp = Time(sec=1, nanosec=nanosec)
+            callbacks[topic](message)
+    assert [row[0] for row in recorder.recording.odom] == pytest.approx([1.0, 1.01])
+    assert recorder.recording.commands == pytest.approx([1.0, 1.01])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from omniman_ros.demo import tool_leg
-from omniman_ros.demo.leg import Interval
+from omniman_ros.demo.interval import Interval
 from omniman_ros.demo.recorder import Recording
 from omniman_ros.demo.tool_leg import ToolTrack, tool_figures, tool_path_message, tool_poses
 from omniman_ros.motion.whole_body.model import Mount, WholeBodyModel, planar_transform

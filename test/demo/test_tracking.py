@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from omniman_ros.demo.leg import Interval
+from omniman_ros.demo.interval import Interval
 from omniman_ros.demo.tracking import Reference, coupling_figures, tracking_figures
 from test.demo.samples import MOVEMENTS, START, odometry_rows, perfect_run, reference_rows
 

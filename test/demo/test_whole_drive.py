@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from omniman_ros.demo.leg import violations
+from omniman_ros.demo.limits import violations
 from omniman_ros.demo.recorder import Recording
 from omniman_ros.demo.whole_drive import (
     WHOLE_DRIVE_LIMITS,
@@ -35,10 +35,10 @@ def test_the_longest_interval_shows_a_gap():
 
 
 def figures_with(contacts):
-    rows = [(t, 0.1 * t, 0.0, 0.0) for t in (0.0, 1.0)]
     times = [0.005 * k for k in range(10)]
+    rows = [(t, 0.1 * t, 0.0, 0.0) for t in times]
     recording = Recording(odom=rows, truth=rows, energy=[(0.0,), (1.0,)], contacts=contacts)
-    recording.odom_arrivals, recording.command_arrivals = times, times
+    recording.commands = times
     return whole_drive_figures(recording)
 
 

@@ -15,6 +15,7 @@ from sensor_msgs.msg import JointState
 
 from omniman_ros.console.session import Session
 from test.nodes.harness import free_domain
+from test.running import arm_on_free_ports
 
 pytest.importorskip("mujoco")
 pytestmark = pytest.mark.processes
@@ -80,7 +81,8 @@ def robot(tmp_path_factory):
     folder = tmp_path_factory.mktemp("up")
     scene, log = folder / "scene.yaml", folder / "log"
     scene.write_text(SCENE)
-    options = ["--world", str(scene), "--only", "simulated_world", "simulated_ur"]
+    options = ["--world", str(scene), *arm_on_free_ports()]
+    options += ["--only", "simulated_world", "simulated_ur"]
     with log.open("w") as output:
         up = subprocess.Popen(
             [sys.executable, "-m", "omniman_ros.cli.main", "up", *options],

@@ -336,7 +336,10 @@ def test_reset_replaces_a_killed_streaming_process_once_the_controller_answers(r
     robot.until(lambda: "the streaming process has ended" in robot.reason, "the stop")
     robot.until(robot.rests, "rest")
     robot.stays()
-    assert "still present: connection refused" in robot.reset_refusal()
+    # A process that has not reported yet is a reason, too.
+    robot.until(
+        lambda: "still present: connection refused" in robot.reset_refusal(), "the refusal"
+    )
     robot.fault("refuse_connections", False)
     robot.reset()
     robot.stays()

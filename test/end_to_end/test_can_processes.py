@@ -131,12 +131,13 @@ class Probe:
         assert not self.session.wait(lambda: not self.rests(), LASTING), "the robot moves"
         assert time.monotonic() >= end
 
-    def reset(self):
-        """Reset all stopped nodes, repeatedly if refused, until the robot drives.
+    def drive(self, condition, what, **twist):
+        """Drive until a condition holds; nodes that are stopped are reset, repeatedly if refused.
 
-        After a stop a source of motion is ignored until it has commanded zero once.
+        A bus on real time may stop the robot on a machine that stands still for a moment. After a
+        stop a source of motion is ignored until it has commanded zero once.
         """
-        asked = released = 0.0
+        asked = released = -math.inf
 
         def driven():
             nonlocal asked, released
@@ -149,10 +150,14 @@ class Probe:
                     for name in held:
                         if self._resets[name].service_is_ready():
                             self._resets[name].call_async(Trigger.Request())
-            self.ask(x=SPEED if now - released > LASTING else 0.0)
-            return self.moves()
+            self.ask(**(twist if now - released > LASTING else {}))
+            return condition()
 
-        self.until(driven, "motion after a reset")
+        self.until(driven, what)
+
+    def set_off(self):
+        """Drive ahead, after a reset of what is stopped."""
+        self.drive(self.moves, "motion", x=SPEED)
 
 
 def poses(probe):
@@ -187,9 +192,8 @@ def robot(domain, protocol="cia402"):
         up.wait_for("Ctrl-C stops")
         with Session("probe") as session:
             probe = Probe(session)
-            probe.ask(x=SPEED)
             try:
-                probe.until(probe.moves, "motion")
+                probe.set_off()
             except AssertionError as error:
                 up.process.terminate()
                 up.finish()
@@ -202,8 +206,8 @@ def robot(domain, protocol="cia402"):
 
 def follow(probe):
     """Drive a curve and stop: odometry over the bus agrees with the ground truth."""
-    probe.ask(x=0.8 * SPEED, y=0.6 * SPEED, turn=0.4)
-    probe.until(lambda: abs(poses(probe)[0][2]) > 0.4, "a turn")
+    curve = {"x": 0.8 * SPEED, "y": 0.6 * SPEED, "turn": 0.4}
+    probe.drive(lambda: abs(poses(probe)[0][2]) > 0.4, "a turn", **curve)
     probe.ask()
     probe.come_to_rest()
 
@@ -218,8 +222,7 @@ def follow(probe):
 
 def freeze(probe, bridge):
     """Freeze the bridge in motion: the drives stop by themselves and wait for a reset."""
-    probe.ask(x=SPEED)
-    probe.until(probe.moves, "motion")
+    probe.set_off()
     os.kill(bridge, signal.SIGSTOP)
     try:
         probe.come_to_rest()
@@ -229,7 +232,7 @@ def freeze(probe, bridge):
     probe.stay()
     probe.until(lambda: probe.reasons["/can_bridge"].startswith("stopped"), "the reason")
     probe.stay()
-    probe.reset()
+    probe.set_off()
 
 
 def last_frames(frames, protocol):
@@ -251,8 +254,7 @@ def test_robot_of_up_follows_stops_when_frozen_and_ends_without_power(domain, pr
         follow(probe)
         if protocol != "odrive":  # the drive's watchdog lets the wheels turn freely
             freeze(probe, found[BRIDGE])
-        probe.ask(x=SPEED)
-        probe.until(probe.moves, "motion")
+        probe.set_off()
         listener = BusRecorder(FIRST_PORT + domain)
         try:
             up.process.send_signal(signal.SIGINT)
@@ -290,15 +292,14 @@ def test_new_bridge_after_a_killed_one_configures_the_drives_and_drives(domain):
         first.wait_for("Ctrl-C stops")
         others.wait_for("Ctrl-C stops")
         probe = Probe(session)
-        probe.ask(x=SPEED)
-        probe.until(probe.moves, "motion")
+        probe.set_off()
         os.kill(pids(first)[BRIDGE], signal.SIGKILL)
         assert first.finish() == 1
         probe.come_to_rest()
         probe.stay()
         with start(domain, "cia402", BRIDGE) as second:
             second.wait_for("configured: 4 drives (cia402)")
-            probe.reset()
+            probe.set_off()
             for up in (second, others):
                 up.process.send_signal(signal.SIGINT)
                 assert up.finish() == 0, up.output

@@ -15,6 +15,7 @@ from sensor_msgs.msg import JointState
 
 from omniman_ros.console.session import Session
 from test.nodes.harness import free_domain
+from test.running import arm_on_free_ports
 from test.tiers import representative
 
 pytestmark = pytest.mark.processes
@@ -92,7 +93,7 @@ def running(folder, parts, *options):
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     os.environ["ROS_DOMAIN_ID"] = str(free_domain())
     with open(folder / "log", "w") as log:
-        command = ["up", "--sim-time", *options, "--only", *parts]
+        command = ["up", "--sim-time", *arm_on_free_ports(), *options, "--only", *parts]
         up = subprocess.Popen(
             [sys.executable, "-m", "omniman_ros.cli.main", *command],
             stdout=log,

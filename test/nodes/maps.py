@@ -11,7 +11,7 @@ from test import ros_interfaces
 
 @contextmanager
 def updates_installed() -> Iterator[None]:
-    """Let nodes that are made within publish and hear `map_updates`."""
+    """Let nodes that are made within publish and receive `map_updates`."""
     with ros_interfaces.installed("map_msgs"), pytest.MonkeyPatch.context() as patch:
         from map_msgs.msg import OccupancyGridUpdate
 

@@ -24,8 +24,8 @@ from omniman_ros.core.can_parameters import CanParameters
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
+from omniman_ros.nodes.automatic_start import MAX_RETRIES, RETRY_PERIOD
 from omniman_ros.nodes.can_bridge import CanBridgeNode
-from omniman_ros.nodes.hardware_node import RETRY_PERIOD, START_ATTEMPTS
 from omniman_ros.nodes.stop_interface import ALL_LATCHED, LATCHED
 from omniman_ros.robots import load_robot
 from omniman_ros.simulation.can_drives.network import SimulatedBus
@@ -50,7 +50,7 @@ class SteppedBus:
     then advances the time of the world.
     """
 
-    garbage = 0
+    invalid = 0
     failure = ""
 
     def __init__(self):
@@ -245,15 +245,76 @@ def test_an_emergency_message_between_two_transitions_of_the_start_is_no_stop(mo
 
 def test_a_fault_that_stays_is_a_stop_after_some_attempts_and_a_reset_starts_again():
     with Bench(**BRIEF) as bench:
+        bench.node._automatic_start.faults = MAX_RETRIES - 1  # the others take their time
         bench.bus.simulated.set_faults(REFUSED)
-        attempts = START_ATTEMPTS * (RETRY_PERIOD + 2.0)
-        bench.run_until(lambda: not bench.node.latch.released, attempts, "the stop")
+        bench.until(lambda: not bench.node.latch.released, "the stop")
         assert bench.node.latch.status.reason.startswith("not enabled: rear_left")
+        assert bench.node.warning_counts["start"] == 1
+        assert bench.node.warning_counts["activate"] == 2
         bench.bus.simulated.set_faults(CanFaultParameters())
         bench.run(3 * RETRY_PERIOD)
         assert not bench.node.is_active
         assert bench.trigger("reset").success
         bench.until_driving()
+
+
+def silence_drives(bench, seconds=0.5):
+    """Let the bridge hear no drive for a while, as on a machine that has no time for them."""
+    bench.bus.is_on = False
+    bench.run(seconds)
+    bench.bus.is_on = True
+
+
+def test_drives_that_fall_silent_before_any_motion_are_started_again():
+    with Bench() as bench:
+        states = bench.listen(DiagnosticStatus, "stop_state", ALL_LATCHED)
+        bench.until_driving()
+        bench.send(0.0)
+        silence_drives(bench)
+        assert bench.node.warning_counts.get("start") == 1
+        assert not bench.node.is_active
+        bench.until_driving()
+        assert bench.node.is_active
+        assert {state.message for state in states} == {"running"}
+        bench.drive()
+
+
+@pytest.mark.parametrize("effort", [[], [0.01] * 4])
+def test_drives_that_may_have_moved_are_not_started_again(effort):
+    with Bench() as bench:
+        bench.until_driving()
+        bench.send(0.0 if effort else 0.1, effort=effort)
+        bench.until(lambda: bench.node.link.may_have_moved, "the command")
+        silence_drives(bench)
+        assert "start" not in bench.node.warning_counts
+        assert "no feedback" in bench.node.latch.status.reason
+        bench.run(RETRY_PERIOD + 0.2)
+        assert "start" not in bench.node.warning_counts
+        assert not bench.node.latch.released
+
+
+def test_faults_before_any_motion_that_go_on_are_a_stop_in_the_end():
+    with Bench() as bench:
+        bench.node._automatic_start.faults = MAX_RETRIES - 1  # the others take their time
+        bench.until_driving()
+        silence_drives(bench)
+        assert bench.node.latch.released
+        bench.until_driving()
+        silence_drives(bench)
+        assert "no feedback" in bench.node.latch.status.reason
+        assert bench.node.warning_counts["start"] == 1
+        assert bench.trigger("reset").success
+        bench.until_driving()
+
+
+def test_a_stop_before_any_motion_is_no_fault():
+    with Bench() as bench:
+        bench.until_driving()
+        assert bench.trigger("stop").success
+        bench.run(2 * RETRY_PERIOD)
+        assert "start" not in bench.node.warning_counts
+        assert bench.node.latch.status.reason == "~/stop"
+        assert bench.node.is_active
 
 
 def test_a_stop_while_the_bridge_starts_stays_until_a_reset():
@@ -326,18 +387,24 @@ def test_invalid_transition_is_refused_and_driving_continues():
             assert min(bench.bus.speeds) > 2.0
 
 
-def test_node_taken_down_by_hand_is_not_restarted():
+@pytest.mark.parametrize("is_shut_down", [False, True])
+def test_node_taken_down_by_hand_is_not_restarted(is_shut_down):
     with Bench() as bench:
-        later = bench.node.now() + 3600.0  # transitions by hand come before the automatic start
-        bench.node._next_attempt = later
-        assert bench.change(Transition.TRANSITION_CONFIGURE)
-        assert bench.change(Transition.TRANSITION_ACTIVATE)
+        bench.until_driving()
         assert bench.change(Transition.TRANSITION_DEACTIVATE)
-        assert bench.node._next_attempt is None
-        bench.node._next_attempt = later
-        assert bench.change(Transition.TRANSITION_CLEANUP)
-        assert bench.node._next_attempt is None
-        bench.node._next_attempt = later
+        assert not bench.node.is_starting
+        if is_shut_down:
+            assert bench.change(Transition.TRANSITION_INACTIVE_SHUTDOWN)
+        bench.run(2.0 * RETRY_PERIOD)
+        shut_down, inactive = State.PRIMARY_STATE_FINALIZED, State.PRIMARY_STATE_INACTIVE
+        assert bench.state == (shut_down if is_shut_down else inactive)
+
+
+def test_node_shut_down_before_its_start_stays_so():
+    with Bench(**{"can.configure_timeout": 0.5}) as bench:
+        bench.bus.is_on = False
+        bench.until(lambda: bench.node.warning_counts.get("configure"), "a failure")
+        bench.bus.is_on = True
         assert bench.change(Transition.TRANSITION_UNCONFIGURED_SHUTDOWN)
         bench.run(2.0 * RETRY_PERIOD)
         assert bench.state == State.PRIMARY_STATE_FINALIZED

@@ -17,6 +17,7 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import Marker, MarkerArray
 
+from omniman_ros.conversions.headers import time_seconds
 from omniman_ros.conversions.motion_limits import motion_limit_message
 from omniman_ros.conversions.poses import path_message
 from omniman_ros.conversions.wheels import LIMIT_SCALE_KEY, POSTURE_SCALE_KEY
@@ -122,6 +123,32 @@ def test_teleop_stops_before_a_post_and_drives_away_from_it():
         world.go(-0.5, seconds=0.5)
         assert world.true_pose()[0] < start[0] - 0.05
         assert world.state()["state"] == "free"
+
+
+def test_wheels_slow_down_within_35_ms_of_an_observation_at_every_phase_of_the_monitor():
+    """What a limit takes to compute comes on top: up to 24 ms, together below 60 ms."""
+    with Robot() as world:
+        commands = world.listen(JointState, "wheel_commands")
+        limit_periods = round(1.0 / (world.monitor.settings.value.rate * PERIOD))
+        delays = []
+        for phase in range(limit_periods):
+            while world.core.setpoint[0] < 0.3:
+                world.go(0.3, seconds=PERIOD)
+            world.go(0.3, seconds=0.05 + phase * PERIOD)
+            assert world.core.setpoint[0] == 0.3
+            x, y, _ = world.true_pose()
+            world.posts = np.array([(x + HALF[0] + 0.35, y, 0.1)])
+            world.markers.publish(MarkerArray(markers=[world.marker(0)]))
+            observed = world.time
+            while world.core.setpoint[0] == 0.3:
+                world.go(0.3, seconds=PERIOD)
+            delays.append(round(time_seconds(last(commands).header.stamp) - observed, 6))
+            world.posts = np.zeros((0, 3))
+            world.markers.publish(
+                MarkerArray(markers=[Marker(ns="post", id=0, action=Marker.DELETE)])
+            )
+        assert len(set(delays)) > 1, "the phase matters"
+        assert max(delays) <= 0.035, delays
 
 
 def test_a_robot_that_brakes_less_slows_down_earlier():

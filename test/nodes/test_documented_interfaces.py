@@ -7,6 +7,8 @@ import pytest
 from rclpy.node import Node
 
 from omniman_ros.nodes.registry import NODES, node_module, node_specs
+from omniman_ros.processes.arm_options import UR_PORTS
+from omniman_ros.viewer.node import ViewerNode
 from test.config import sros2
 from test.config.documented import ROOT, documented_interface
 from test.nodes.harness import World
@@ -20,29 +22,13 @@ ELSEWHERE = {"/tf", "/tf_static", "/clock", "/clock/permits", "/rosout"}
 LIFECYCLE = {"change_state", "get_state", "get_available_states", "get_available_transitions"}
 LIFECYCLE |= {"get_transition_graph"}
 
-# Documented, but there only later: where map_msgs is installed, while a browser is connected, or
-# while the page has obstacles.
+# Documented, but there only later: where map_msgs is installed, or while the page has obstacles.
 LATER = {
     "collision_monitor": {"map_updates"},
     "mpc_planner": {"map_updates"},
     "obstacle_tracker": {"map_updates"},
-    "viewer": {
-        "wheel_states",
-        "wheel_commands",
-        "coupling_error",
-        "arm/joint_states",
-        "arm/timing",
-        "mpc/plan",
-        "mpc/route",
-        "mpc/predicted_obstacles",
-        "obstacles",
-        "map",
-        "scan",
-        "obstacle_tracks",
-        "contacts",
-        "motion_limit",
-        "tip_over_margin",
-    },
+    "whole_body_planner": {"map_updates"},
+    "viewer": {"obstacles"},
     # With `imu.use` only.
     "platform_controller": {"imu"},
     "odometry": {"imu"},
@@ -56,7 +42,7 @@ def parameters_of(name):
     if name in ("can_bridge", "simulated_can_drives"):
         parameters |= {"can.interface": "virtual", "can.nodes": [1, 2, 3, 4]}
     if name == "simulated_ur":
-        parameters |= {"number": 7}
+        parameters |= {f"ports.{name}": 0 for name in UR_PORTS}  # any that are free
     return parameters
 
 
@@ -85,7 +71,10 @@ def node(request):
         with contextlib.suppress(pytest.skip.Exception):  # nodes do without tf2_msgs, too
             stack.enter_context(tf_installed())
         world = stack.enter_context(World(make, parameters=parameters_of(request.param)))
-        yield request.param, world.nodes[0]
+        (running,) = world.nodes
+        if isinstance(running, ViewerNode):
+            running._topics.set_watched(True)  # as while a browser is connected
+        yield request.param, running
 
 
 @pytest.mark.parametrize(
@@ -119,11 +108,12 @@ def test_the_sros2_policy_allows_what_the_node_uses_and_little_else(node):
     """Else: what is there later, what needs a package that PyPI has not, and simulated time."""
     name, running = node
     allowed, used = sros2.allowed(name), sros2.used(name, running)
-    later = {f"/{topic}" for topic in LATER.get(name, set())} | ELSEWHERE
+    later = {f"/{topic}" for topic in LATER.get(name, set())}
+    assert later <= allowed["topics", "publish"] | allowed["topics", "subscribe"]
     for rule, names in used.items():
         assert names <= allowed[rule], rule
         if rule != ("services", "request"):
-            assert allowed[rule] - names <= later, rule
+            assert allowed[rule] - names <= later | ELSEWHERE, rule
     served = (spec.default for spec in node_specs(name) if spec.name.endswith("_action"))
     assert allowed["actions", "execute"] == {sros2.absolute(action, name) for action in served}
 

@@ -1,4 +1,4 @@
-"""Transforms of a node's input: what is heard on /tf, and messages that wait for it."""
+"""Transforms of a node's input: what is received on /tf, and messages that wait for it."""
 
 import math
 from collections.abc import Iterator

@@ -2,7 +2,6 @@
 
 import importlib
 import math
-import os
 
 import pytest
 from rclpy.node import Node
@@ -13,6 +12,7 @@ from omniman_ros.core.arm_parameters import UR_JOINTS
 from omniman_ros.nodes.rclpy_compat import deliver
 from omniman_ros.nodes.registry import NODES, node_module
 from omniman_ros.robots import load_robot
+from test.fuzz import examples
 from test.nodes.harness import World
 from test.nodes.random_messages import RandomMessages
 from test.nodes.test_documented_interfaces import parameters_of
@@ -26,8 +26,8 @@ STOPS = ("emergency_stop", "stop_state")
 """Topics that are fed in the second half only, as nothing moves afterwards."""
 FED = sorted(set(NODES) - {"viewer"}, key=lambda name: (name != "joint_states_merger", name))
 """Nodes that are fed, the one of the suite first; the page is tested with a browser."""
-COUNT = int(os.environ.get("OMNIMAN_FUZZ", "700"))
-"""Number of messages for each node; `make fuzz` sends a million to each of them."""
+COUNT = examples(700)
+"""Number of messages for each node."""
 
 
 def make_class(name):

@@ -1,3 +1,5 @@
+import contextlib
+
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
@@ -7,6 +9,8 @@ from sensor_msgs.msg import JointState
 from omniman_ros.core.errors import InputError
 from omniman_ros.nodes import joint_state_reader
 from omniman_ros.nodes.joint_state_reader import JointStateReader
+from omniman_ros.nodes.serialized import deserialized
+from test.nodes.harness import World
 
 NAMES = ("front_left", "front_right", "rear_left", "rear_right")
 OTHER = ("rear_right", "front_left", "else", "rear_left", "front_right")
@@ -23,9 +27,30 @@ def message(k=0, names=NAMES, fields=FIELDS, frame=""):
     return result
 
 
-def check(reader, sent):
+def unpadded(message):
+    """Return a message without the padding that `serialize_message` adds at the end."""
+    data = serialize_message(message)
+    with contextlib.suppress(InputError):
+        while deserialized(data[:-1], JointState) == message:
+            data = data[:-1]
+    return data
+
+
+def padded(message):
+    """Return a message with other bytes where they have no meaning."""
+    data = bytearray(serialize_message(message))
+    for k in range(4, len(data)):
+        before, data[k] = data[k], data[k] ^ (0x10 + message.header.stamp.sec)
+        with contextlib.suppress(InputError):
+            if deserialized(bytes(data), JointState) == message:
+                continue
+        data[k] = before
+    return bytes(data)
+
+
+def check(reader, sent, serialized=serialize_message):
     """Assert that a message is read as it was sent."""
-    read = reader.read(serialize_message(sent))
+    read = reader.read(serialized(sent))
     assert read.stamp == (sent.header.stamp.sec, sent.header.stamp.nanosec)
     order = [sent.name.index(name) for name in NAMES]
     for field in FIELDS:
@@ -37,7 +62,7 @@ def check(reader, sent):
 
 
 @pytest.fixture
-def deserialized(monkeypatch):
+def whole_reads(monkeypatch):
     """Count the messages that are deserialized."""
     seen = []
     whole = joint_state_reader.deserialized
@@ -50,15 +75,46 @@ def deserialized(monkeypatch):
     return seen
 
 
-@pytest.mark.parametrize("fields", [FIELDS, ("position",), ("velocity", "effort"), ()])
-def test_only_the_first_of_messages_of_one_kind_is_deserialized(deserialized, fields):
+@pytest.mark.parametrize("serialized", [serialize_message, unpadded, padded])
+@pytest.mark.parametrize(
+    "fields", [FIELDS, ("position",), ("position", "velocity"), ("velocity", "effort"), ()]
+)
+def test_only_the_first_of_messages_of_one_kind_is_deserialized(whole_reads, fields, serialized):
     reader = JointStateReader(NAMES)
     for k in range(5):
-        check(reader, message(k, fields=fields))
-    assert len(deserialized) == 1
+        check(reader, message(k, fields=fields), serialized)
+    assert len(whole_reads) == 1
 
 
-def test_messages_of_another_order_or_content_are_deserialized(deserialized):
+@pytest.mark.parametrize("fields", [FIELDS, ("position", "velocity"), ("position",)])
+def test_the_same_holds_for_what_the_middleware_delivers(whole_reads, fields):
+    """In `wheel_states` all arrays are full, in `arm/joint_states` the last one is empty."""
+    received, sent = [], [message(k, fields=fields) for k in range(5)]
+    with World() as world:
+        world.probe.create_subscription(JointState, "states", received.append, 9, raw=True)
+        publisher = world.publisher(JointState, "states")
+        for each in sent:
+            publisher.publish(each)
+        world.run_until(lambda: len(received) == len(sent), 1.0, "the messages")
+    reader = JointStateReader(NAMES)
+    for each, data in zip(sent, received, strict=True):
+        check(reader, each, lambda sent, data=data: data)
+    assert len(whole_reads) == 1
+
+
+def test_data_in_another_encoding_are_deserialized_each_time(whole_reads):
+    """XCDR2 aligns numbers otherwise; here only its mark is set, as the middleware has none."""
+    reader = JointStateReader(NAMES)
+
+    def marked(sent):
+        return serialize_message(sent)[:2] + b"\x00\x01" + serialize_message(sent)[4:]
+
+    for k in range(3):
+        check(reader, message(k), marked)
+    assert len(whole_reads) == 3
+
+
+def test_messages_of_another_order_or_content_are_deserialized(whole_reads):
     reader = JointStateReader(NAMES)
     variants = [
         message(1),
@@ -70,7 +126,7 @@ def test_messages_of_another_order_or_content_are_deserialized(deserialized):
     ]
     for variant in variants:
         check(reader, variant)
-    assert len(deserialized) == len(variants)
+    assert len(whole_reads) == len(variants)
 
 
 def test_a_name_that_differs_in_a_letter_is_found():

@@ -44,12 +44,3 @@ def test_too_few_numbers_are_refused():
     template = MessageTemplate(joint_state(["a", "b"], marks(2), marks(2, 2), STAMP))
     with pytest.raises(Exception, match="expected 2 items"):
         template.pack(0, [1.0, 2.0, 3.0])
-
-
-def test_constant_parts_are_all_but_stamp_and_numbers():
-    template = MessageTemplate(joint_state(["a", "b"], marks(2), marks(2, 2), STAMP))
-    one, other = (template.pack(k, [float(k)] * 4) for k in (1, 2))
-    constant = template.constant_parts()
-    assert sum(len(part) for _, part in constant) == template.size - 8 - 4 * 8
-    for place, part in constant:
-        assert one[place : place + len(part)] == other[place : place + len(part)] == part

@@ -130,7 +130,7 @@ def test_frames_of_a_later_time_wait(pair):
 
 
 def test_drives_that_are_frozen_hold_the_bridge_up_for_a_while_only(pair, monkeypatch):
-    monkeypatch.setattr(paced_bus, "PATIENCE", 0.05)
+    monkeypatch.setattr(paced_bus, "DRIVES_TIMEOUT", 0.05)
     pair.serve = lambda: None
     pair.bus.send([REQUEST])
     assert list(pair.bus.take()) == []

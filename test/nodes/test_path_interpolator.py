@@ -49,25 +49,36 @@ def path(poses: Poses, frame: str = "odom") -> Path:
 
 
 class InterpolatorWorld(World):
-    """An interpolator node with its recorded stream, progress, diagnostics and warnings."""
+    """An interpolator node with its recorded stream, progress, diagnostics and warnings.
+
+    Attributes:
+        maker, name, source: Class and name of the node, and the source that it is.
+    """
+
+    maker: type = PathInterpolatorNode
+    name, source = "path_interpolator", "path"
 
     def __init__(self, *others: Any, parameters: dict[str, Any] | None = None) -> None:
-        super().__init__(PathInterpolatorNode, *others, parameters=parameters)
-        self.node: PathInterpolatorNode = self.nodes[0]
-        self.core = self.node.motions.path.core
+        super().__init__(self.maker, *others, parameters=parameters)
+        self.node: Any = self.nodes[0]
         self.arrivals: list[float] = []
         self.references: list[bytes] = []  # deserialized on demand, which is slow
         self._previews: dict[int, Preview] = {}
         self.probe.create_subscription(
-            MultiDOFJointTrajectory, "path/reference", self._on_reference, 100, raw=True
+            MultiDOFJointTrajectory, f"{self.source}/reference", self._on_reference, 100, raw=True
         )
-        self._await(lambda: self.subscription_count() > 0, "a publisher of path/reference")
+        self._await(lambda: self.subscription_count() > 0, "a publisher of references")
         self.progress = self.listen(Float64, "path_progress")
         self.diagnostics = self.listen(DiagnosticArray, "/diagnostics")
-        self.paths = self.publisher(Path, "path")
+        self.listen_to_requests()
         self.warnings: list[str] = []
         warn = self.node.warn
         self.node.warn = lambda subject, text: (self.warnings.append(text), warn(subject, text))
+
+    def listen_to_requests(self) -> None:
+        """Make the publishers of what the node is asked for."""
+        self.core = self.node.motions.path.core
+        self.paths = self.publisher(Path, "path")
 
     def subscription_count(self) -> int:
         return int(self.node.motions.context.platform_previews.publisher.get_subscription_count())
@@ -81,12 +92,12 @@ class InterpolatorWorld(World):
         self.run(2 * PERIOD)
 
     def call_service(self, name: str) -> Trigger.Response:
-        return self.call(Trigger, f"path_interpolator/{name}")
+        return self.call(Trigger, f"{self.name}/{name}")
 
-    def set(self, name: str, value: object, node: str = "path_interpolator") -> Any:
+    def set(self, name: str, value: object, node: str = "") -> Any:
         given = value if isinstance(value, Parameter) else Parameter(name, value=value)
         request = SetParameters.Request(parameters=[given.to_parameter_msg()])
-        return self.call(SetParameters, f"{node}/set_parameters", request).results[0]
+        return self.call(SetParameters, f"{node or self.name}/set_parameters", request).results[0]
 
     def drive_path(self, poses: Poses) -> None:
         """Send a path that may have to wait, and run until it has ended."""
@@ -109,7 +120,7 @@ class InterpolatorWorld(World):
         A new level or message is published after 0.1 s, new values after 1 s.
         """
         self.run(wait)
-        ours = [s for array in self.diagnostics for s in array.status if "interp" in s.name]
+        ours = [s for array in self.diagnostics for s in array.status if self.name in s.name]
         return last(ours)
 
     def message(self, i: int) -> MultiDOFJointTrajectory:
@@ -198,7 +209,9 @@ class FakeControllerWorld(InterpolatorWorld):
             self.setpoint = self._preview.sample(self.time + 1e-9)
             held = 0.0 if self._preview.end_speed > 1e-6 else 0.2
             if self.time > self.busy_until:
-                self.publish_source("path" if self.time <= self._preview.end + held else "none")
+                self.publish_source(
+                    self.source if self.time <= self._preview.end + held else "none"
+                )
         if self.odometry is not None:
             self._odom.publish(self.odometry())
 

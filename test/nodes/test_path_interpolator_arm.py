@@ -65,10 +65,13 @@ class ArmWorld(FakeControllerWorld):
         self._await(lambda: publisher.get_subscription_count() > 0, "arm/joint_reference")
         self._states = self.publisher(JointState, "arm/joint_states")
         self._scalings = self.publisher(Float64, "arm/speed_scaling")
-        self.trajectories = self.publisher(JointTrajectory, "joint_trajectory")
         self._count = 0
         self.hooks.append(self._report)
         self.run(4 * PERIOD)
+
+    def listen_to_requests(self) -> None:
+        super().listen_to_requests()
+        self.trajectories = self.publisher(JointTrajectory, "joint_trajectory")
 
     @property
     def arm(self) -> Any:
@@ -538,3 +541,23 @@ def test_invalid_joint_states_do_not_count_as_fresh(world):
         "arm/joint_states" in world.node.motions.arm.status.text
         and " old" in world.node.motions.arm.status.text
     )
+
+
+def test_tool_paths_are_left_to_another_node_by_parameter():
+    with ArmWorld({"takes_tool_paths": False}) as world:
+        topics = {
+            topic
+            for topic, _ in world.node.get_subscriber_names_and_types_by_node(
+                "path_interpolator", "/"
+            )
+        }
+        assert "/tool_path" not in topics and "/path" in topics
+
+
+def test_the_arm_is_not_moved_while_another_node_moves_the_body(world):
+    world.follows_stream = False
+    world.publish_source("body")
+    world.run(0.1)
+    world.move([FAR])
+    assert any("whole_body_planner moves the arm" in text for text in world.warnings)
+    assert not world.joint_previews

@@ -10,6 +10,7 @@ import rclpy
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.parameter import Parameter
 
+from omniman_ros.conversions.headers import time_seconds
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.nodes.simulated_can_drives import SimulatedCanDrivesNode
 from test.nodes.harness import free_domain
@@ -128,6 +129,19 @@ def test_the_robot_moves_and_the_ground_truth_is_published(make):
     rig.place(message)
     rig.node._publish_truth()
     assert truth[2] == pytest.approx(7.0, abs=0.01)
+
+
+def test_ground_truth_is_stamped_with_the_instant_that_the_plant_has_reached(make):
+    rig = make()
+    stamps = []
+    rig.node._truth.publish = lambda m: stamps.append(time_seconds(m.header.stamp))
+    rig.node._publish_truth()
+    rig.time += 0.05  # the machine holds the node up, and the report comes before the next tick
+    rig.node._publish_truth()
+    rig.node.tick()
+    rig.node._publish_truth()
+    assert stamps[1] == pytest.approx(stamps[0], abs=1e-3)
+    assert stamps[2] == pytest.approx(stamps[0] + 0.05, abs=2e-3)
 
 
 def test_bus_failure_causes_a_warning_and_the_node_keeps_running(make):

@@ -152,6 +152,16 @@ def test_every_cause_of_a_stop_stops_every_wheel(drive, way, mode):
     assert steps.max() < 16.0 * 0.005 + 0.05, "faster than the quick stop allows"
 
 
+def test_the_last_ground_truth_before_the_end_is_that_of_rest_and_is_delivered():
+    with Drive({"truth_rate": 2.0}) as drive:
+        drive.command(1.5, [3.0] * 4)
+        drive.node.begin_shutdown("SIGTERM")
+        while not drive.node.finished:
+            drive.run(0.005)
+        assert abs(last(drive.truth).twist.twist.linear.x) < 0.02
+        assert [p.topic_name for p in drive.node.final_publishers] == ["/ground_truth/odom"]
+
+
 @pytest.mark.parametrize("way", [service, emergency])
 def test_latched_stop_ignores_commands_until_a_reset(drive, way):
     drive.command(0.5, [3.0] * 4)

@@ -7,6 +7,7 @@ import pytest
 import rclpy
 from rclpy.parameter import Parameter
 
+from omniman_ros.conversions.headers import time_seconds
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.nodes.simulated_ur import SimulatedUrNode
 from omniman_ros.simulation.ur.arm import CYCLE
@@ -82,6 +83,26 @@ def test_ground_truth_is_published_with_the_joint_names(make):
     assert name == [f"left_{k}" for k in range(6)]
     assert 0.4 < position[0] < 0.6 and position[1:] == pytest.approx([0.1] * 5)
     assert velocity == pytest.approx([0.5, 0, 0, 0, 0, 0], abs=1e-3)
+
+
+def test_ground_truth_is_stamped_with_the_instant_of_the_cycle_that_measured_it(make):
+    rig = make()
+    reports = []
+    rig.node._truth.publish = lambda m: reports.append(
+        (time_seconds(m.header.stamp), m.position[0])
+    )
+    rig.node._report_truth()
+    assert not reports  # nothing was measured yet
+    program(rig, "  speedj([0.5, 0, 0, 0, 0, 0], 5, 10)")
+    rig.run(1.0)
+    rig.node._report_truth()
+    rig.node._report_truth()  # the thread was held up: nothing has moved
+    rig.run(0.4)
+    rig.node._report_truth()
+    (first, begin), (again, _), (last, end) = reports
+    assert again == pytest.approx(first, abs=1e-3)
+    assert last - first == pytest.approx(0.4, abs=1e-3)
+    assert (end - begin) / (last - first) == pytest.approx(0.5, rel=1e-2)
 
 
 def test_diagnostics_contain_modes_program_and_ports(make):

@@ -18,7 +18,7 @@ Pose = tuple[float, float, float]
 
 @contextmanager
 def tf_installed() -> Iterator[None]:
-    """Let nodes that are made within publish and hear transforms."""
+    """Let nodes that are made within publish and receive transforms."""
     with ros_interfaces.installed("tf2_msgs"), pytest.MonkeyPatch.context() as patch:
         from tf2_msgs.msg import TFMessage
 

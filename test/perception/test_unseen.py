@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from omniman_ros.collision.rectangles import Rectangles
+from omniman_ros.core.parameters import build
 from omniman_ros.perception.parameters import UnseenParameters
 from omniman_ros.perception.unseen import HORIZON, RESOLUTION, UnseenSpace
 from test.perception.test_local_map import ANGLES, room_ranges, view_of
@@ -22,7 +23,7 @@ def look(space, ranges, time, standing=None):
 
 
 def space_after(*scans):
-    space = UnseenSpace(UnseenParameters(speed=SPEED), 8.0)
+    space = UnseenSpace(build(UnseenParameters, {"speed": SPEED}), 8.0)
     for k, ranges in enumerate(scans):
         look(space, ranges, 0.1 * k)
     return space

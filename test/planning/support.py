@@ -69,6 +69,16 @@ def ellipses(
     )
 
 
+def crowd(rng: np.random.Generator, count: int, spread: float = 6.0) -> Ellipses:
+    """Draw obstacles within +-`spread` [m] of the origin, half of which are discs."""
+    rows = []
+    for k in range(count):
+        x, y = rng.uniform(-spread, spread, 2)
+        a, b = rng.uniform(0.02, 0.6, 2)
+        rows.append((x, y, a, a, 0.0) if k % 2 else (x, y, a, b, rng.uniform(-3, 3)))
+    return ellipses(*rows)
+
+
 def observed(known: Ellipses, now: float) -> Ellipses:
     """Return the obstacles as observed at a time [s]."""
     return replace(known, time=now, centers=known.centers_at(np.array([now]))[0])

@@ -463,7 +463,7 @@ def test_steps_that_are_not_finite_are_reported_and_recovered_from(monkeypatch):
     assert sim.planner.state is PlannerState.ARRIVED
 
 
-@pytest.mark.parametrize("first", [0, 2, 10])
+@pytest.mark.parametrize("first", [0, exhaustive(2), 10])
 def test_no_solution_produces_a_motion_that_is_not_finite(monkeypatch, first):
     sim = a_run()
     solve = Solver.solve
@@ -592,7 +592,7 @@ def test_clearance_can_change_while_driving():
     assert closest[0] < 0.2 and closest[1] > 0.27
 
 
-@pytest.mark.parametrize("share", [0.7, 0.4])
+@pytest.mark.parametrize("share", [exhaustive(0.7), 0.4])
 def test_reduced_limit_scale_is_reached_and_never_exceeded(share):
     sim = SimulatedRun(planner())
     sim.drive(pose(6.0, 2.0, 0.0))

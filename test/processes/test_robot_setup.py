@@ -69,6 +69,17 @@ def test_the_obstacle_tracker_is_started_on_request(with_engine):
     assert by_parameters not in arguments(outside, "obstacle_tracker")
 
 
+def test_the_whole_body_planner_takes_the_tool_paths_on_request():
+    left_out = "-p takes_tool_paths:=false"
+    assert "whole_body_planner" not in specs_by_name(RobotSetup())
+    assert left_out not in arguments(RobotSetup(), "path_interpolator")
+    setup = RobotSetup(whole_body_planner=True, collision_monitor=True)
+    assert "-p collision_monitor.use:=true" in arguments(setup, "whole_body_planner")
+    assert left_out in arguments(setup, "path_interpolator")
+    both = RobotSetup(only=["whole_body_planner", "path_interpolator"])
+    assert left_out in arguments(both, "path_interpolator")
+
+
 def test_the_drive_publishes_the_clock_that_the_other_nodes_follow():
     setup = RobotSetup(sim_time=True)
     assert "-p publish_clock:=true" in arguments(setup, "simulated_drive")

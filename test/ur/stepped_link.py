@@ -4,7 +4,7 @@ from collections import deque
 
 from omniman_ros.simulation.ur.arm import CYCLE, SimulatedArm, UrArmParameters
 from omniman_ros.simulation.ur.controller import Controller
-from omniman_ros.simulation.ur.controller_server import launch
+from omniman_ros.simulation.ur.controller_server import launcher
 from omniman_ros.ur.feedback import ArmSample
 from omniman_ros.ur.program_link import ProgramState
 from omniman_ros.ur.sockets import CLOSED
@@ -47,7 +47,7 @@ class SteppedLink:
         self.now = now
         self.pipe = Pipe()
         parameters = UrArmParameters(**arm)
-        self.controller = Controller(parameters, make_body(parameters), launch, self.pipe)
+        self.controller = Controller(parameters, make_body(parameters), launcher(self.pipe))
         self.parameters = None
         self.address = ("10.0.0.2", 50001)
         self.blocking_reason, self.program_loss_reason = "", CLOSED

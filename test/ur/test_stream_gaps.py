@@ -16,7 +16,7 @@ from omniman_ros.ur.reverse_interface import ProgramMode, pack
 from omniman_ros.ur.servo_program import servo_program
 from omniman_ros.ur.streaming_messages import StreamingPhase
 from omniman_ros.ur.streaming_supervisor import StreamingSupervisor
-from test.tiers import representative
+from test.tiers import combinations
 from test.ur.stepped_link import SteppedLink
 
 T0 = 100.0
@@ -92,11 +92,11 @@ def accelerations(world):
     return np.diff(np.array(world.speeds), axis=0) / CYCLE
 
 
-GAPS = pytest.mark.parametrize("begin", representative([3.1, 3.6, 4.1, 4.6], every=2))
+BEGINS = (3.1, 4.1, 3.6, 4.6)
+"""Times of the swing at which a gap begins [s]."""
 
 
-@GAPS
-@pytest.mark.parametrize("missed", representative([1, 2, 4, 8], every=3))
+@pytest.mark.parametrize(("missed", "begin"), combinations([1, 8, 2, 4], BEGINS))
 def test_arm_keeps_its_limits_when_it_catches_up_after_a_gap(missed, begin):
     world = World()
     world.swing(6.0, missed_at=round(begin / CYCLE), missed=missed)
@@ -106,9 +106,9 @@ def test_arm_keeps_its_limits_when_it_catches_up_after_a_gap(missed, begin):
     assert np.abs(accelerations(world)).max() < HARDEST
 
 
-@GAPS
-@pytest.mark.parametrize(("missed", "share"), [(12, 0.6), (23, 0.4)])
-def test_arm_goes_on_within_its_limits_after_a_long_gap(missed, share, begin):
+@pytest.mark.parametrize(("gap", "begin"), combinations([(12, 0.6), (23, 0.4)], BEGINS))
+def test_arm_goes_on_within_its_limits_after_a_long_gap(gap, begin):
+    missed, share = gap
     world = World(share)
     world.swing(6.0, missed_at=round(begin / CYCLE), missed=missed)
     assert not world.streamer.stop_reason
@@ -118,8 +118,7 @@ def test_arm_goes_on_within_its_limits_after_a_long_gap(missed, share, begin):
     assert np.abs(accelerations(world)).max() < HARDEST
 
 
-@GAPS
-@pytest.mark.parametrize("missed", [16, 23])
+@pytest.mark.parametrize(("missed", "begin"), combinations([16, 23], BEGINS))
 def test_arm_that_cannot_catch_up_after_a_long_gap_comes_to_rest_without_a_stop(missed, begin):
     world = World()
     world.swing(6.0, missed_at=round(begin / CYCLE), missed=missed)

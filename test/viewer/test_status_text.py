@@ -51,6 +51,11 @@ def test_the_pace_of_simulated_time_is_displayed_and_who_is_awaited():
     assert "0.6" not in text
 
 
+def test_what_cannot_be_placed_is_displayed_with_the_reason():
+    text = words(status(state(unplaced={"goal_pose": "no transform of frame '<b>'"}), 10.0))
+    assert "goal_pose not shown: no transform of frame '&lt;b&gt;'".replace("'", "&#x27;") in text
+
+
 def test_progress_is_omitted_without_a_path():
     shown = state()
     assert "path" not in words(status(shown, 10.0)).split()

@@ -172,7 +172,7 @@ def test_actions_that_do_not_apply_to_the_path_interpolator_are_known(reported, 
     state = ViewState(4, 1)
     actions = {"pause", "resume", "cancel"}
     assert not any(state.reports_nothing_to(a, "path_interpolator") for a in actions)
-    state.path_states = frozenset(reported)
+    state.path_states["path_interpolator"] = frozenset(reported)
     assert {
         a for a in actions if not state.reports_nothing_to(a, "path_interpolator")
     } == applicable

@@ -70,6 +70,12 @@ def add_bench(parser: argparse.ArgumentParser) -> None:
     )
     faults.add_argument("--trials", type=int, metavar="N", help="plays of each row; default: 3")
     faults.add_argument("--list", action="store_true", help="list the rows, and play none")
+    both = parser.add_argument_group("faults and soak only")
+    both.add_argument(
+        "--sim-time",
+        action="store_true",
+        help="run the robot in simulated time: a busy machine makes it slow, not late",
+    )
     soak = parser.add_argument_group("soak only")
     duration = soak.add_mutually_exclusive_group()
     duration.add_argument(

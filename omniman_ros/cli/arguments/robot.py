@@ -42,6 +42,12 @@ def add_up(parser: argparse.ArgumentParser) -> None:
         help="turn the scans on `scan` into obstacles and a map, as with --world; with --only if "
         "the node is among them; default: no",
     )
+    parser.add_argument(
+        "--whole-body-planner",
+        action="store_true",
+        help="let platform and arm dodge what is around them on paths of the tool; with --only if "
+        "the node is among them; default: no",
+    )
     add_parameters(parser)
     parser.add_argument("--params-file", metavar="FILE", help="a ROS parameter file for all nodes")
     add_drive(parser, tuple(DRIVES))

@@ -1,6 +1,5 @@
 """Drives on the floor, as a file that can be fitted again."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,15 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from omniman_ros.console.errors import CommandError
-from omniman_ros.core.errors import OmnimanError
 from omniman_ros.core.parameters import build, flatten
 from omniman_ros.core.robot import Robot
-from omniman_ros.identification.files import write_atomically
 from omniman_ros.identification.floor.floor_drive import FloorDrive
+from omniman_ros.identification.record_file import load_record, save_record
 
 FORMAT = "omniman floor drives 1"
 """Name and version of the file format."""
+UNITS = "s, rad, A, V"
+"""Units of the numbers in the file."""
 DRIVE_ARRAYS = ("times", "positions", "electrical_times", "currents", "voltages")
 """Names of a drive's arrays in the file, which are those of `FloorDrive`."""
 DIGITS = 7
@@ -47,14 +46,12 @@ def save(record: FloorRecord, path: Path) -> None:
         OSError: The file cannot be written.
     """
     tree: dict[str, Any] = {
-        "format": FORMAT,
-        "units": "s, rad, A, V",
         "robot": flatten(record.robot),
         "drive": _drive_tree(record.drive),
         "check": _drive_tree(record.check),
         "truth": record.truth and flatten(record.truth),
     }
-    write_atomically(path, json.dumps(tree, allow_nan=False) + "\n")
+    save_record(path, FORMAT, UNITS, tree)
 
 
 def load(path: Path) -> FloorRecord:
@@ -63,18 +60,17 @@ def load(path: Path) -> FloorRecord:
     Raises:
         CommandError: The file does not exist, or is not such a record.
     """
-    try:
-        tree = json.loads(path.read_text(encoding="utf-8"))
-        if tree["format"] != FORMAT:
-            raise ValueError(f"its format is '{tree['format']}', expected '{FORMAT}'")
-        return FloorRecord(
-            robot=build(Robot, tree["robot"]),
-            drive=_drive(tree["drive"]),
-            check=_drive(tree["check"]),
-            truth=tree["truth"] and build(Robot, tree["truth"]),
-        )
-    except (OSError, ValueError, KeyError, TypeError, OmnimanError) as error:
-        raise CommandError(f"'{path}' contains no recorded drives: {error!r}", 2) from error
+    return load_record(path, FORMAT, "recorded drives", _parse)
+
+
+def _parse(tree: Mapping[str, Any]) -> FloorRecord:
+    """Return the record that a file contains."""
+    return FloorRecord(
+        robot=build(Robot, tree["robot"]),
+        drive=_drive(tree["drive"]),
+        check=_drive(tree["check"]),
+        truth=tree["truth"] and build(Robot, tree["truth"]),
+    )
 
 
 def _drive_tree(drive: FloorDrive | None) -> dict[str, Any] | None:

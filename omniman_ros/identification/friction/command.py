@@ -16,13 +16,13 @@ from typing import Any
 
 from omniman_ros.console import results
 from omniman_ros.console.errors import CommandError
+from omniman_ros.console.files import write_atomically
 from omniman_ros.console.progress import Progress
 from omniman_ros.console.session import Session
 from omniman_ros.console.terminal import GREEN, paint, say
 from omniman_ros.core.errors import InputError, ParameterError
 from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
-from omniman_ros.identification.files import write_atomically
 from omniman_ros.identification.friction.drive_session import Drive, DriveSession
 from omniman_ros.identification.friction.friction_fit import WheelFriction, identify_friction
 from omniman_ros.identification.friction.record import FrictionRecord, Truth, load, save

@@ -1,19 +1,19 @@
 """Steady runs of wheels off the floor, as a file that can be fitted again."""
 
-import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from omniman_ros.console.errors import CommandError
-from omniman_ros.core.errors import OmnimanError
 from omniman_ros.core.parameters import build, flatten
 from omniman_ros.core.robot import Robot
-from omniman_ros.identification.files import write_atomically
 from omniman_ros.identification.friction.friction_fit import SteadyRun
+from omniman_ros.identification.record_file import load_record, save_record
 
 FORMAT = "omniman friction runs 1"
 """Name and version of the file format."""
+UNITS = "V, A, rad/s; error: standard error of the mean current, A"
+"""Units of the numbers in the file."""
 RUN_ARRAYS = ("voltage", "current", "speed", "error", "steady", "spikes")
 """Names of a run's arrays in the file, which are those of `SteadyRun`."""
 
@@ -53,8 +53,6 @@ def save(record: FrictionRecord, path: Path) -> None:
         OSError: The file cannot be written.
     """
     tree: dict[str, Any] = {
-        "format": FORMAT,
-        "units": "V, A, rad/s; error: standard error of the mean current, A",
         "robot": flatten(record.robot),
         "runs": [
             {name: getattr(run, name).tolist() for name in RUN_ARRAYS} | {"samples": run.samples}
@@ -62,7 +60,7 @@ def save(record: FrictionRecord, path: Path) -> None:
         ],
         "truth": record.truth and flatten(record.truth),
     }
-    write_atomically(path, json.dumps(tree, allow_nan=False) + "\n")
+    save_record(path, FORMAT, UNITS, tree)
 
 
 def load(path: Path) -> FrictionRecord:
@@ -71,23 +69,22 @@ def load(path: Path) -> FrictionRecord:
     Raises:
         CommandError: The file does not exist, or is not such a record.
     """
-    try:
-        tree = json.loads(path.read_text(encoding="utf-8"))
-        if tree["format"] != FORMAT:
-            raise ValueError(f"its format is '{tree['format']}', expected '{FORMAT}'")
-        truth = tree["truth"]
-        return FrictionRecord(
-            robot=build(Robot, tree["robot"]),
-            runs=tuple(
-                SteadyRun(**{name: run[name] for name in RUN_ARRAYS}, samples=int(run["samples"]))
-                for run in tree["runs"]
-            ),
-            truth=None
-            if truth is None
-            else Truth(
-                tuple(map(float, truth["viscous"])),
-                tuple(map(float, truth["coulomb"])),
-            ),
-        )
-    except (OSError, ValueError, KeyError, TypeError, OmnimanError) as error:
-        raise CommandError(f"'{path}' contains no recorded runs: {error!r}", 2) from error
+    return load_record(path, FORMAT, "recorded runs", _parse)
+
+
+def _parse(tree: Mapping[str, Any]) -> FrictionRecord:
+    """Return the record that a file contains."""
+    truth = tree["truth"]
+    return FrictionRecord(
+        robot=build(Robot, tree["robot"]),
+        runs=tuple(
+            SteadyRun(**{name: run[name] for name in RUN_ARRAYS}, samples=int(run["samples"]))
+            for run in tree["runs"]
+        ),
+        truth=None
+        if truth is None
+        else Truth(
+            tuple(map(float, truth["viscous"])),
+            tuple(map(float, truth["coulomb"])),
+        ),
+    )

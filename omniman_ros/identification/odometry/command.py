@@ -15,12 +15,12 @@ from pathlib import Path
 
 from omniman_ros.console import results
 from omniman_ros.console.errors import CommandError
+from omniman_ros.console.files import write_atomically
 from omniman_ros.console.progress import Progress
 from omniman_ros.console.session import Session
 from omniman_ros.console.terminal import GREEN, RED, paint, say
 from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
-from omniman_ros.identification.files import write_atomically
 from omniman_ros.identification.line_reader import LineReader
 from omniman_ros.identification.odometry.campaign import Accuracy
 from omniman_ros.identification.odometry.drive_plan import TARGETS, Speeds, max_reach

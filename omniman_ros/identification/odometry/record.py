@@ -1,6 +1,5 @@
 """Recorded runs and measured poses, as a file that can be fitted again."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -8,17 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from omniman_ros.console.errors import CommandError
 from omniman_ros.control.odometry import OdometryParameters
 from omniman_ros.core.arrays import Array
-from omniman_ros.core.errors import OmnimanError
 from omniman_ros.core.parameters import build, flatten
 from omniman_ros.core.robot import Wheels
-from omniman_ros.identification.files import write_atomically
 from omniman_ros.identification.odometry.campaign import Accuracy, Campaign, Pose, Run
+from omniman_ros.identification.record_file import load_record, save_record
 
 FORMAT = "omniman odometry runs 1"
 """Name and version of the file format."""
+UNITS = "m, rad, s; poses (x, y, heading) of base_link on the floor"
+"""Units of the numbers in the file."""
 DIGITS = 7
 """Number of decimals of positions and poses; the rounding error is far below an encoder count."""
 
@@ -96,8 +95,6 @@ def save(record: OdometryRecord, path: Path) -> None:
         OSError: The file cannot be written.
     """
     tree: dict[str, Any] = {
-        "format": FORMAT,
-        "units": "m, rad, s; poses (x, y, heading) of base_link on the floor",
         "wheels": flatten(record.wheels),
         "odometry": flatten(record.odometry),
         "accuracy": [record.accuracy.position, record.accuracy.heading],
@@ -117,7 +114,7 @@ def save(record: OdometryRecord, path: Path) -> None:
             "positions": np.round(check.positions, DIGITS).tolist(),
             "truth": np.round(check.truth, DIGITS).tolist(),
         }
-    write_atomically(path, json.dumps(tree, allow_nan=False) + "\n")
+    save_record(path, FORMAT, UNITS, tree)
 
 
 def load(path: Path) -> OdometryRecord:
@@ -126,21 +123,20 @@ def load(path: Path) -> OdometryRecord:
     Raises:
         CommandError: The file does not exist, or is not such a record.
     """
-    try:
-        tree = json.loads(path.read_text(encoding="utf-8"))
-        if tree["format"] != FORMAT:
-            raise ValueError(f"its format is '{tree['format']}', expected '{FORMAT}'")
-        check = tree["check"]
-        return OdometryRecord(
-            wheels=build(Wheels, tree["wheels"]),
-            odometry=build(OdometryParameters, tree["odometry"]),
-            accuracy=Accuracy(*map(float, tree["accuracy"])),
-            runs=tuple(Run(str(run["name"]), _matrix(run["positions"])) for run in tree["runs"]),
-            poses=(_pose(tree["start"]), *(_pose(run["pose"]) for run in tree["runs"])),
-            check=None if check is None else _check_drive(check),
-        )
-    except (OSError, ValueError, KeyError, TypeError, OmnimanError) as error:
-        raise CommandError(f"'{path}' contains no recorded runs: {error!r}", 2) from error
+    return load_record(path, FORMAT, "recorded runs", _parse)
+
+
+def _parse(tree: Mapping[str, Any]) -> OdometryRecord:
+    """Return the record that a file contains."""
+    check = tree["check"]
+    return OdometryRecord(
+        wheels=build(Wheels, tree["wheels"]),
+        odometry=build(OdometryParameters, tree["odometry"]),
+        accuracy=Accuracy(*map(float, tree["accuracy"])),
+        runs=tuple(Run(str(run["name"]), _matrix(run["positions"])) for run in tree["runs"]),
+        poses=(_pose(tree["start"]), *(_pose(run["pose"]) for run in tree["runs"])),
+        check=None if check is None else _check_drive(check),
+    )
 
 
 def _check_drive(tree: Mapping[str, Any]) -> CheckDrive:

@@ -28,7 +28,8 @@ from omniman_ros.lab.bench.arm_figures import (
 )
 from omniman_ros.lab.bench.arm_load import Load
 from omniman_ros.lab.bench.harness import conclude, free_ports, running_nodes
-from omniman_ros.lab.bench.measurement import cpu_time
+from omniman_ros.lab.measurement import cpu_time
+from omniman_ros.lab.priority import set_niceness
 from omniman_ros.processes.arm_options import UR_PORTS
 from omniman_ros.processes.process_group import ProcessGroup, ProcessSpec
 from omniman_ros.processes.robot_setup import RobotSetup, node_command, robot_processes
@@ -209,16 +210,6 @@ def scheduling(pid: int) -> str:
         raise CommandError(f"scheduling of process {pid}: {error}") from error
     name = POLICIES.get(policy, f"policy {policy}")
     return f"{name} {priority}" if priority else name
-
-
-def set_niceness(pid: int, niceness: int) -> bool:
-    """Set the niceness of all threads of a process; return whether the system permitted it."""
-    try:
-        for thread in os.listdir(f"/proc/{pid}/task"):
-            os.setpriority(os.PRIO_PROCESS, int(thread), niceness)
-    except OSError:
-        return False
-    return True
 
 
 class BareLoop:

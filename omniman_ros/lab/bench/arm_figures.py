@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from omniman_ros.lab.bench.harness import Rows, tables
-from omniman_ros.lab.bench.measurement import percentiles_ms
+from omniman_ros.lab.measurement import percentiles_ms
 from omniman_ros.lab.verdicts import verdict
 
 AIM_RATIO = 1.5

@@ -28,7 +28,7 @@ from omniman_ros.core.robot import Robot
 from omniman_ros.lab.bench import can_faults
 from omniman_ros.lab.bench.can_peer import COUNTS, SYNC, open_bus
 from omniman_ros.lab.bench.harness import Rows, conclude, free_ports
-from omniman_ros.lab.bench.measurement import cpu_time
+from omniman_ros.lab.measurement import cpu_time
 from omniman_ros.lab.verdicts import verdict
 from omniman_ros.processes.drive_options import MULTICAST_GROUP
 from omniman_ros.processes.process_group import ProcessGroup, ProcessSpec, redirect_signals

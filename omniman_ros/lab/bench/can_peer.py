@@ -11,6 +11,7 @@ from typing import Any
 
 import can
 
+from omniman_ros.can_drives.reception import enlarge_receive_buffer
 from omniman_ros.processes.drive_options import MULTICAST_GROUP
 from omniman_ros.simulation.can_drives.cia402.drive import Cia402Drive, Cia402Settings
 from omniman_ros.simulation.can_drives.network import EchoFilter
@@ -68,7 +69,9 @@ def open_bus(port: int) -> can.BusABC:
         port: UDP port of the bus.
     """
     options: dict[str, Any] = {"channel": MULTICAST_GROUP, "port": port, "hop_limit": 0}
-    return can.Bus(interface="udp_multicast", **options)
+    bus = can.Bus(interface="udp_multicast", **options)
+    enlarge_receive_buffer(bus)
+    return bus
 
 
 def main(args: list[str] | None = None) -> int:

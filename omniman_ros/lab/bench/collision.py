@@ -18,7 +18,7 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import build
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.lab.bench.harness import Rows, conclude, tables
-from omniman_ros.lab.bench.measurement import best_cpu
+from omniman_ros.lab.measurement import best_cpu
 from omniman_ros.nodes.collision_monitor_parameters import CollisionMonitorParameters
 from omniman_ros.processes.robot_setup import resolve_robot
 from omniman_ros.robots import load_robot

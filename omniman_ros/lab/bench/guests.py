@@ -1,8 +1,10 @@
 """Participants that come and go: processes that join the robot's domain for a moment.
 
-Usage: `python -m omniman_ros.lab.bench.guests COUNT`. Each guest hears what a robot reports, as
+Usage: `python -m omniman_ros.lab.bench.guests COUNT`. Each guest receives what a robot reports, as
 `ros2 topic echo` does, for 0.2 to 2 s; every other one is killed. They are forked from a process
-that has imported all they need: they take the time of a participant, not of an import.
+that has imported all they need: they take the time of a participant, not of an import. Guests use
+shared memory, and the locks of those that were killed may hold them up for good: a guest that does
+not end by itself is ended by SIGALRM.
 """
 
 import os
@@ -20,17 +22,20 @@ AT_ONCE = 6
 """Largest number of guests at a time."""
 STAY = (0.2, 2.0)
 """Shortest and longest stay of a guest [s]."""
+LONGEST_LIFE = 20.0
+"""Time after which a guest that has not ended is ended [s]."""
 PROBE = "bench/probe"
 """Topic of the benchmark's own messages."""
-HEARD = ((JointState, PROBE), (JointState, "wheel_states"), (Odometry, "odom"))
+TOPICS = ((JointState, PROBE), (JointState, "wheel_states"), (Odometry, "odom"))
 """Type and topic of each subscription of a guest."""
 
 
 def stay(number: int, seconds: float) -> None:
     """Be a participant for some time [s]; with an odd number, end by SIGKILL."""
+    signal.setitimer(signal.ITIMER_REAL, LONGEST_LIFE)
     rclpy.init(args=[])
     node = rclpy.create_node(f"guest_{number}")
-    for kind, topic in HEARD:
+    for kind, topic in TOPICS:
         node.create_subscription(kind, topic, lambda message: None, 10)
     executor = SingleThreadedExecutor()
     executor.add_node(node)

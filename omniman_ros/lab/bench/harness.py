@@ -14,7 +14,7 @@ from omniman_ros.console import results
 from omniman_ros.console.errors import CommandError
 from omniman_ros.console.session import Session
 from omniman_ros.console.terminal import say, table
-from omniman_ros.lab.bench.measurement import cpu_shares
+from omniman_ros.lab.measurement import cpu_shares
 from omniman_ros.processes.node_output import NodeOutputLog
 from omniman_ros.processes.process_group import ProcessGroup, ProcessSpec, redirect_signals
 

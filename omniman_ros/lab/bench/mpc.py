@@ -19,7 +19,7 @@ import numpy as np
 from omniman_ros.console.errors import CommandError
 from omniman_ros.console.terminal import say
 from omniman_ros.lab.bench.harness import Rows, conclude, tables
-from omniman_ros.lab.bench.measurement import SINGLE_THREADED, percentiles_ms
+from omniman_ros.lab.measurement import SINGLE_THREADED, percentiles_ms
 from omniman_ros.lab.verdicts import verdict
 from omniman_ros.robots import load_robot
 

@@ -25,7 +25,7 @@ from omniman_ros.console.session import PeriodicTicks, Session
 from omniman_ros.console.terminal import say
 from omniman_ros.core.arm_parameters import UR_JOINTS
 from omniman_ros.lab.bench.harness import Rows, RunningNodes, conclude, running_nodes, tables
-from omniman_ros.lab.bench.measurement import cpu_time
+from omniman_ros.lab.measurement import cpu_time
 from omniman_ros.lab.verdicts import verdict
 from omniman_ros.nodes.stop_interface import LATCHED
 from omniman_ros.processes.process_group import ProcessSpec
@@ -45,8 +45,8 @@ WARM_UP = 1.0
 """Time for which the nodes are fed before the measurement [s]."""
 START_TIMEOUT = 20.0
 """Longest time from the start of a node to its first message [s]."""
-PATIENCE = ("-p", "timeouts.wheel_states:=5.0", "-p", "timeouts.cmd_vel:=5.0")
-"""Timeouts of the controller that do not stop it where this process is held up for a while."""
+LONG_TIMEOUTS = ("-p", "timeouts.wheel_states:=5.0", "-p", "timeouts.cmd_vel:=5.0")
+"""Timeouts with which the controller is not stopped while this process waits for a core."""
 NAMESPACES = {"platform_controller": "", "bare_controller": "bare/"}
 """Prefix of the topics of each node that is measured, by its name."""
 
@@ -154,7 +154,7 @@ def run(args: argparse.Namespace) -> int:
     """
     effort = QUICK if args.quick else FULL
     robot = resolve_robot(args.robot)
-    given = ("--ros-args", "-p", f"robot:={robot}", *PATIENCE)
+    given = ("--ros-args", "-p", f"robot:={robot}", *LONG_TIMEOUTS)
     specs = [
         ProcessSpec("platform_controller", node_command("platform_controller", given)),
         ProcessSpec(
@@ -207,19 +207,19 @@ def measure_start(spec: ProcessSpec) -> Start:
     Raises:
         CommandError: There is no message, or the process has ended.
     """
-    heard: list[Start] = []
+    started: list[Start] = []
     begin = time.monotonic()
     with running_nodes([spec]) as nodes:
 
         def first(message: DiagnosticStatus) -> None:
-            if not heard:
+            if not started:
                 pid = nodes.pids([spec.name])[spec.name]
-                heard.append(Start(time.monotonic() - begin, cpu_time(pid)))
+                started.append(Start(time.monotonic() - begin, cpu_time(pid)))
 
         topic = f"{NAMESPACES[spec.name]}stop_state"
         nodes.session.node.create_subscription(DiagnosticStatus, topic, first, LATCHED)
-        nodes.wait(lambda: bool(heard), START_TIMEOUT, f"{spec.name}: no {topic}")
-    return heard[0]
+        nodes.wait(lambda: bool(started), START_TIMEOUT, f"{spec.name}: no {topic}")
+    return started[0]
 
 
 def measure_ticks(

@@ -5,6 +5,9 @@ it holds a lock in the shared memory of Fast DDS leaves it locked; who publishes
 for a second, again and again. The robot drives once with the middleware's default transports, and
 once without shared memory. What a call of publish() takes is divided by the kernel's account: it
 runs, it waits for a core, or it is blocked, which no other process of the machine is to blame for.
+
+The drives are silent while their process waits for a core. Silences that are longer than
+`timeouts.wheel_states` are counted; the controller latches a stop at the first of them.
 """
 
 import argparse
@@ -14,7 +17,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -26,14 +29,18 @@ from sensor_msgs.msg import JointState
 from omniman_ros.console.preview_messages import twist_message
 from omniman_ros.console.session import PeriodicTicks, Session
 from omniman_ros.console.terminal import say
+from omniman_ros.control.platform_parameters import Timeouts
 from omniman_ros.conversions.headers import time_seconds
 from omniman_ros.lab.bench.guests import AT_ONCE, PROBE
 from omniman_ros.lab.bench.harness import Rows, RunningNodes, conclude, running_nodes, tables
+from omniman_ros.lab.priority import set_niceness
+from omniman_ros.lab.soak.waiting import WaitingWatch
 from omniman_ros.lab.verdicts import verdict
 from omniman_ros.nodes.stop_interface import ALL_LATCHED, STOP_STATE
 from omniman_ros.processes.process_group import ProcessSpec
 from omniman_ros.processes.robot_setup import node_command, resolve_robot
 from omniman_ros.processes.ros_domain import free_domain
+from omniman_ros.robots import load_robot
 
 GUESTS, QUICK_GUESTS = 200, 6
 """Number of guests without options, and with `--quick`."""
@@ -61,37 +68,75 @@ class Run:
     Attributes:
         blocked: Longest time for which a call of publish() was blocked [s].
         longest_gap: Longest time between the stamps of two commands to the wheels [s].
+        longest_silence: Longest time between the stamps of two reports of the wheels [s].
+        silences: Number of times between two reports that were longer than
+            `timeouts.wheel_states`.
+        waited: Longest time for which a thread of the nodes has waited for a core between two
+            samples [s].
         stops: Why each node that was stopped had latched, by its name.
         prioritised: Whether the system permitted the niceness.
     """
 
     blocked: float
     longest_gap: float
+    longest_silence: float
+    silences: int
+    waited: float
     stops: Mapping[str, str]
     prioritised: bool
 
 
-class Witness:
-    """Publishes as the robot does, and hears the commands to the wheels and the stops.
+class Gaps:
+    """Notes the times between the stamps of two messages of a topic.
 
     Args:
-        session: ROS session that hears.
+        limit: Time from which on a gap counts [s].
+
+    Attributes:
+        longest: Longest gap so far [s].
+        count: Number of gaps so far that are longer than the limit.
+    """
+
+    def __init__(self, limit: float) -> None:
+        self._limit, self._stamp = limit, math.inf
+        self.longest, self.count = 0.0, 0
+
+    def add(self, stamp: float) -> None:
+        """Note a message with a stamp [s]."""
+        gap = stamp - self._stamp
+        self.longest = max(self.longest, gap)
+        self.count += gap > self._limit
+        self._stamp = stamp
+
+    def clear(self) -> None:
+        """Forget the gaps."""
+        self.longest, self.count = 0.0, 0
+
+
+class Witness:
+    """Publishes as the robot does, and receives commands, reports of the wheels, and stops.
+
+    Args:
+        session: ROS session that receives.
+        limit: Age from which the wheels' reports are stale to the controller [s].
 
     Attributes:
         blocked: Longest time for which a call of publish() was blocked so far [s].
-        longest_gap: Longest time between the stamps of two commands so far [s].
+        commands: Gaps between the commands to the wheels.
+        reports: Gaps between the reports of the wheels.
         stops: Why each node that was stopped had latched, by its name.
         moves: Whether the last command turns the wheels.
     """
 
-    def __init__(self, session: Session) -> None:
-        self.blocked, self.longest_gap, self.moves = 0.0, 0.0, False
+    def __init__(self, session: Session, limit: float) -> None:
+        self.blocked, self.moves = 0.0, False
+        self.commands, self.reports = Gaps(limit), Gaps(limit)
         self.stops: dict[str, str] = {}
-        self._stamp: float | None = None
         node = session.node
         self._twists = node.create_publisher(Twist, "cmd_vel", 1)
         self._probe = node.create_publisher(JointState, PROBE, 1)
         node.create_subscription(JointState, "wheel_commands", self._on_command, 1000)
+        node.create_subscription(JointState, "wheel_states", self._on_report, 1000)
         node.create_subscription(DiagnosticStatus, STOP_STATE, self._on_stop, ALL_LATCHED)
 
     def drive(self) -> None:
@@ -106,10 +151,11 @@ class Witness:
         self.blocked = max(self.blocked, elapsed - (scheduled() - before))
 
     def _on_command(self, message: JointState) -> None:
-        stamp = time_seconds(message.header.stamp)
-        if self._stamp is not None:
-            self.longest_gap = max(self.longest_gap, stamp - self._stamp)
-        self._stamp, self.moves = stamp, any(message.velocity)
+        self.commands.add(time_seconds(message.header.stamp))
+        self.moves = any(message.velocity)
+
+    def _on_report(self, message: JointState) -> None:
+        self.reports.add(time_seconds(message.header.stamp))
 
     def _on_stop(self, message: DiagnosticStatus) -> None:
         if message.level == DiagnosticStatus.ERROR:
@@ -145,23 +191,27 @@ def measure(robot: str, count: int) -> Run:
     Raises:
         CommandError: The robot does not move, or a process has ended.
     """
+    limit = float(load_robot(robot).get("timeouts.wheel_states", Timeouts().wheel_states))
     given = ("--ros-args", "-p", f"robot:={robot}")
     specs = [ProcessSpec(name, node_command(name, given)) for name in NODES]
-    with running_nodes(specs) as nodes, busy_cores():
-        pids = [os.getpid(), *nodes.pids(NODES).values()]
-        with reniced(pids) as prioritised:
-            return _witnessed(nodes, count, prioritised)
+    with (
+        running_nodes(specs) as nodes,
+        busy_cores(),
+        preferred(nodes.pids(NODES).values()) as prioritised,
+    ):
+        return _witnessed(nodes, Witness(nodes.session, limit), count, prioritised)
 
 
-def _witnessed(nodes: RunningNodes, count: int, prioritised: bool) -> Run:
-    witness = Witness(nodes.session)
+def _witnessed(nodes: RunningNodes, witness: Witness, count: int, prioritised: bool) -> Run:
+    watch, pids = WaitingWatch(), nodes.pids(NODES).values()
 
     def moves() -> bool:
         witness.drive()
         return witness.moves
 
     nodes.wait(moves, START_TIMEOUT, "the robot does not move")
-    witness.longest_gap = 0.0
+    witness.commands.clear()
+    witness.reports.clear()
     command = [sys.executable, "-m", "omniman_ros.lab.bench.guests", str(count)]
     environment = {**os.environ, "FASTDDS_BUILTIN_TRANSPORTS": "DEFAULT"}
     if prioritised:
@@ -172,6 +222,7 @@ def _witnessed(nodes: RunningNodes, count: int, prioritised: bool) -> Run:
             PeriodicTicks(nodes.session, math.inf, PERIOD, nodes.children.check)
         ):
             witness.probe()
+            watch.look(pids, time.monotonic())
             if k % TWIST_EVERY == 0:
                 witness.drive()
                 if guests.poll() is not None:
@@ -179,7 +230,15 @@ def _witnessed(nodes: RunningNodes, count: int, prioritised: bool) -> Run:
     finally:
         guests.kill()
         guests.wait()
-    return Run(witness.blocked, witness.longest_gap, witness.stops, prioritised)
+    return Run(
+        witness.blocked,
+        witness.commands.longest,
+        witness.reports.longest,
+        witness.reports.count,
+        watch.longest,
+        witness.stops,
+        prioritised,
+    )
 
 
 def scheduled() -> float:
@@ -193,31 +252,27 @@ def busy_cores() -> Iterator[None]:
     """Keep every core busy."""
     with contextlib.ExitStack() as stack:
         for _ in range(os.cpu_count() or 1):
-            loop = subprocess.Popen([sys.executable, "-c", "while True: pass"])
+            command = [sys.executable, "-c", "while True: pass"]
+            loop = subprocess.Popen(command, start_new_session=True)
             stack.enter_context(loop)
             stack.callback(loop.kill)
         yield
 
 
 @contextlib.contextmanager
-def reniced(pids: list[int]) -> Iterator[bool]:
-    """Prefer the threads of processes to others, and tell whether the system permits it.
+def preferred(pids: Iterable[int]) -> Iterator[bool]:
+    """Prefer the nodes and this process to others, and tell whether the system permits it.
 
     Args:
-        pids: Process ids; the first one gets its niceness back.
+        pids: Process ids of the nodes.
     """
-    before = os.getpriority(os.PRIO_PROCESS, pids[0])
+    before = os.getpriority(os.PRIO_PROCESS, 0)
+    permitted = [set_niceness(pid, NICENESS) for pid in (*pids, os.getpid())]
     try:
-        for pid in pids:
-            for thread in os.listdir(f"/proc/{pid}/task"):
-                os.setpriority(os.PRIO_PROCESS, int(thread), NICENESS)
-        permitted = True
-    except PermissionError:
-        permitted = False
-    try:
-        yield permitted
+        yield all(permitted)
     finally:
-        os.setpriority(os.PRIO_PROCESS, pids[0], before)
+        if all(permitted):
+            set_niceness(os.getpid(), before)
 
 
 def aims(result: dict[str, Any]) -> dict[str, bool]:
@@ -228,12 +283,22 @@ def aims(result: dict[str, Any]) -> dict[str, bool]:
 
 def report(result: dict[str, Any]) -> list[str]:
     """Return the lines of the report on a result."""
-    rows: Rows = [("transports", "publish() blocked", "gap of wheel_commands", "latched stops")]
-    for name, figures in result["runs"].items():
-        stops = "; ".join(f"{node}: {why}" for node, why in figures["stops"].items())
-        blocked, gap = (f"{1e3 * figures[key]:.0f} ms" for key in ("blocked", "longest_gap"))
-        rows.append((name, blocked, gap, stops or "none"))
-    met = {key: verdict(good) for key, good in result["aims"].items()}
-    rows.append(("aim, UDP only", f"<= {1e3 * AIM_BLOCKED:g} ms", "", "none"))
-    rows.append(("", met["blocked"], "", met["no_stop"]))
+    runs, met = result["runs"], {key: verdict(good) for key, good in result["aims"].items()}
+    rows: Rows = [("transports", *runs, "aim, UDP only", "")]
+    for text, key, aim in (
+        ("publish() blocked at most", "blocked", AIM_BLOCKED),
+        ("largest gap of wheel_commands", "longest_gap", None),
+        ("largest gap of wheel_states", "longest_silence", None),
+        ("a node's thread waited for a core", "waited", None),
+    ):
+        times = [f"{1e3 * each[key]:.0f} ms" for each in runs.values()]
+        aimed = ("", "") if aim is None else (f"<= {1e3 * aim:g} ms", met[key])
+        rows.append((text, *times, *aimed))
+    counts = [f"{each['silences']}" for each in runs.values()]
+    rows.append(("silences of wheel_states", *counts, "", ""))
+    stops = [
+        "; ".join(f"{node}: {why}" for node, why in each["stops"].items()) or "none"
+        for each in runs.values()
+    ]
+    rows.append(("latched stops", *stops, "none", met["no_stop"]))
     return tables(rows)

@@ -24,7 +24,7 @@ from omniman_ros.lab.bench.harness import (
     running_nodes,
     tables,
 )
-from omniman_ros.lab.bench.measurement import median_cpu
+from omniman_ros.lab.measurement import median_cpu
 from omniman_ros.motion.path.interpolator import PathInterpolator
 from omniman_ros.motion.path.parameters import TICK, PathParameters
 from omniman_ros.processes.robot_setup import RobotSetup, robot_processes

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from typing import Any, TypeVar
 
-from omniman_ros.lab.bench.measurement import SINGLE_THREADED, percentiles_ms
+from omniman_ros.lab.measurement import SINGLE_THREADED, percentiles_ms
 
 R = TypeVar("R")
 """Result of a drive."""

@@ -19,7 +19,7 @@ from omniman_ros.lab.bench.harness import Rows, tables
 from omniman_ros.lab.faults.injections import STREAMING_PROCESS
 from omniman_ros.lab.faults.player import Player
 from omniman_ros.lab.faults.running_robot import RunningRobot
-from omniman_ros.lab.faults.trial import LONGEST_GAP
+from omniman_ros.lab.faults.trial import LONGEST_HOLD_UP
 from omniman_ros.lab.soak.activities import Activities
 from omniman_ros.lab.soak.usage import Usage, longest_life, usage, usage_figures
 from omniman_ros.lab.soak.waiting import LONGEST_WAIT, WaitingWatch
@@ -76,38 +76,39 @@ class Watch:
         self.least_gap, self.fastest = math.inf, 0.0
         self._held_up = False
         self._waiting = WaitingWatch()
-        robot.on_check = self._look_at_waiting
+        if not robot.session.is_simulated:  # there, time waits for a process that waits
+            robot.on_check = self._look_at_waiting
         self.false_stops: list[str] = []
         self.held_up_stops = 0
         self.ended: list[str] = []
 
     def look(self) -> None:
         """Evaluate the ground truth since the last call, and sample the processes."""
-        platform, gap = self._robot.truth.platform, self._robot.truth.longest_gap
-        self._held_up = gap > LONGEST_GAP or self._waiting.longest > LONGEST_WAIT
+        platform, hold_up = self._robot.truth.platform, self._robot.truth.longest_hold_up
+        self._held_up = hold_up > LONGEST_HOLD_UP or self._waiting.longest > LONGEST_WAIT
         self._robot.truth.clear()
         self._waiting.clear()
         if len(platform):
             self.fastest = max(self.fastest, float(platform[:, 1].max()))
             self.least_gap = min(self.least_gap, self._gap(platform))
-        self.ended += [name for name in self._robot.names if not self._robot.is_alive(name)]
+        self.ended += self._robot.processes.ended
         now = time.monotonic()
         if now - self._sampled >= SAMPLE_PERIOD:
             self._sampled = now
-            for name in [*self._robot.names, STREAMING_PROCESS]:
+            for name in [*self._robot.processes.names, STREAMING_PROCESS]:
                 self._sample(name, now)
 
     def _look_at_waiting(self) -> None:
         """Sample how long the processes wait for a core."""
-        pids = []
-        for name in [*self._robot.names, STREAMING_PROCESS]:
+        pids, processes = [], self._robot.processes
+        for name in [*processes.names, STREAMING_PROCESS]:
             with contextlib.suppress(CommandError, KeyError):
-                pids.append(self._robot.pid(name))
+                pids.append(processes.pid(name))
         self._waiting.look(pids, time.monotonic())
 
     def _sample(self, name: str, now: float) -> None:
         try:
-            sample = usage(self._robot.pid(name), now)
+            sample = usage(self._robot.processes.pid(name), now)
         except CommandError:
             return
         if sample is not None:
@@ -136,7 +137,7 @@ class Watch:
             "false_stops": self.false_stops,
             "held_up_stops": self.held_up_stops,
             "ended": self.ended,
-            "unanswered": self._robot.unanswered,
+            "unanswered": self._robot.services.unanswered,
             "processes": {
                 name: usage_figures(longest_life(samples))
                 for name, samples in self.samples.items()
@@ -158,9 +159,11 @@ def run(args: argparse.Namespace) -> int:
         raise CommandError(f"--minutes {minutes:g}: must be from 0.1 to 10000", 2)
     os.environ.pop("ROS_DOMAIN_ID", None)  # the commands must not reach another robot
     isolate_ros_domain(os.environ)
-    say(f"{minutes:g} minutes with seed {args.seed} ...")
+    clock = "simulated" if args.sim_time else "real"
+    say(f"{minutes:g} minutes of {clock} time with seed {args.seed} ...")
     result = {"robot": args.robot, "minutes": minutes, "seed": args.seed}
-    result |= soak(args.robot, 60.0 * minutes, args.seed)
+    result["sim_time"] = args.sim_time
+    result |= soak(args.robot, 60.0 * minutes, args.seed, args.sim_time)
     result["load"] = os.getloadavg()[0]
     result["aims"] = aims(result)
     say("\n".join(report(result)))
@@ -168,13 +171,14 @@ def run(args: argparse.Namespace) -> int:
     return 0 if all(good is not False for good in result["aims"].values()) else 1
 
 
-def soak(robot_name: str, seconds: float, seed: int) -> dict[str, Any]:
+def soak(robot_name: str, seconds: float, seed: int, sim_time: bool) -> dict[str, Any]:
     """Drive and disturb a robot.
 
     Args:
         robot_name: Name of the robot, or path of its file.
         seconds: Duration [s].
         seed: Seed of all choices.
+        sim_time: Whether the robot runs in simulated time.
 
     Returns:
         The figures.
@@ -186,25 +190,34 @@ def soak(robot_name: str, seconds: float, seed: int) -> dict[str, Any]:
     half_size = (0.5 * values["body.length"], 0.5 * values["body.width"])
     limit = SPEED_TOLERANCE * (values["limits.linear_velocity"] + YAW_ARM_SPEED)
     log = NodeOutputLog()
-    setup = RobotSetup(robot=robot_name, drive="can", collision_monitor=True)
-    with Session("omniman_bench") as session:
+    setup = RobotSetup(robot=robot_name, sim_time=sim_time, drive="can", collision_monitor=True)
+    with Session("omniman_bench", sim_time=sim_time) as session:
         robot = RunningRobot(session, setup, LEFT_OUT, log)
-        with redirect_signals(robot.interrupt), robot:
+        with redirect_signals(robot.interrupt), robot.processes:
             activities = Activities(Player(robot), seed)
             watch = Watch(robot, activities, half_size, limit)
+            robot.follow_clock()
             if not robot.release(READY_TIMEOUT):
                 log.show()
                 raise CommandError(f"the robot does not become ready: {robot.reasons}")
-            stuck = drive(robot, activities, watch, seconds)
+            start = robot.session.now()
+            stuck = ""
+            with contextlib.suppress(KeyboardInterrupt):  # Ctrl-C ends it, with the report
+                stuck = drive(robot, activities, watch, start + seconds)
             if stuck:
                 log.show()
-            return {**watch.figures(), "activities": activities.counts, "stuck": stuck}
+            driven = (robot.session.now() - start) / 60.0
+            counts = activities.counts
+            return {**watch.figures(), "driven_min": driven, "activities": counts, "stuck": stuck}
 
 
-def drive(robot: RunningRobot, activities: Activities, watch: Watch, seconds: float) -> str:
-    """Perform activities for a time [s]; return why that could not go on, or an empty string."""
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
+def drive(robot: RunningRobot, activities: Activities, watch: Watch, end: float) -> str:
+    """Perform activities until a time [s]; return why that could not go on, or an empty string.
+
+    Raises:
+        KeyboardInterrupt: A signal was received.
+    """
+    while robot.session.now() < end:
         try:
             activities.perform()
         except CommandError as error:
@@ -257,7 +270,7 @@ def report(result: Mapping[str, Any]) -> list[str]:
     done = ", ".join(f"{count} {name}" for name, count in result["activities"].items())
     return [
         *tables(rows),
-        f"activities: {done}",
+        f"{result['driven_min']:.1f} minutes, activities: {done}",
         f"nearest to an obstacle {1e3 * result['least_gap_m']:.0f} mm: {met['contact']}",
         f"fastest {result['fastest_m_s']:.2f} m/s, at most {result['speed_limit_m_s']:.2f} m/s: "
         f"{met['speed']}",

@@ -17,7 +17,7 @@ from omniman_ros.console.errors import CommandError
 from omniman_ros.console.terminal import say
 from omniman_ros.extras import TRACKING, WORLD
 from omniman_ros.lab.bench.harness import Rows, conclude, running_nodes, tables
-from omniman_ros.lab.bench.measurement import percentiles_ms
+from omniman_ros.lab.measurement import percentiles_ms
 from omniman_ros.lab.verdicts import verdict
 from omniman_ros.processes.process_group import ProcessSpec
 from omniman_ros.processes.robot_setup import node_command, resolve_robot

@@ -19,11 +19,12 @@ from omniman_ros.core.parameters import build
 from omniman_ros.lab.bench import whole_body_inverse as inverse
 from omniman_ros.lab.bench import whole_body_stream as stream
 from omniman_ros.lab.bench.harness import Rows, conclude, cpu_share_rows, tables
-from omniman_ros.lab.bench.measurement import median_cpu
+from omniman_ros.lab.measurement import median_cpu
 from omniman_ros.lab.studies.tool_courses import COURSES, POSTURE, start
+from omniman_ros.motion.axes import PLATFORM_AXES
 from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
-from omniman_ros.motion.whole_body.model import PLATFORM_AXES, WholeBodyModel, planar_transform
+from omniman_ros.motion.whole_body.model import WholeBodyModel, planar_transform
 from omniman_ros.motion.whole_body.posture import PostureResolver
 from omniman_ros.motion.whole_body.tool_curve import ToolCurve
 from omniman_ros.motion.whole_body.tool_planner import ToolPlan, ToolPlanner
@@ -346,7 +347,9 @@ def _stream_rows(preview: dict[str, Any], share: dict[str, Any]) -> Rows:
                 "",
             )
         )
-    rows.append(("CPU time of processing a message on odom", f"{preview['hear_odom']:.0f} us", ""))
+    rows.append(
+        ("CPU time of processing a message on odom", f"{preview['receive_odom']:.0f} us", "")
+    )
     tick = preview["tick"]
     rows.append(
         (

@@ -20,8 +20,9 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.robot import Robot
 from omniman_ros.description.urdf import TOOL, urdf
 from omniman_ros.lab.bench.harness import Rows
-from omniman_ros.lab.bench.measurement import best_cpu
-from omniman_ros.motion.whole_body.model import PLATFORM_AXES, Mount, WholeBodyModel
+from omniman_ros.lab.measurement import best_cpu
+from omniman_ros.motion.axes import PLATFORM_AXES
+from omniman_ros.motion.whole_body.model import Mount, WholeBodyModel
 
 Solution = tuple[Array, int]
 """Joint angles (6,) [rad], and the number of iterations or -1 without convergence."""

@@ -18,7 +18,7 @@ from omniman_ros.core.parameters import build
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.lab.bench.dodge_scenes import KINDS, Scene, SceneMaker
 from omniman_ros.lab.bench.harness import Rows, conclude, tables
-from omniman_ros.lab.bench.measurement import percentiles_ms
+from omniman_ros.lab.measurement import percentiles_ms
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.nodes.trajectory_interfaces.parameters import PathInterpolatorParameters

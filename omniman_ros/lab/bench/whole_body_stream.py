@@ -20,22 +20,18 @@ from omniman_ros.conversions import arm as arm_conversions
 from omniman_ros.conversions.trajectories import fill_reference, reference_message
 from omniman_ros.core.arrays import Array
 from omniman_ros.lab.bench.harness import RunningNodes, running_nodes
+from omniman_ros.motion.axes import JOINT_COLUMNS, PLATFORM_AXES, PLATFORM_COLUMNS
 from omniman_ros.motion.path.joint_interpolator import JointInterpolator, JointProposal
 from omniman_ros.motion.path.pace import Demand, Pace
 from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.motion.path.window import Window
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
-from omniman_ros.motion.whole_body.model import (
-    JOINT_COLUMNS,
-    PLATFORM_AXES,
-    PLATFORM_COLUMNS,
-    WholeBodyModel,
-)
+from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.motion.whole_body.tool_planner import ToolPlan
 from omniman_ros.nodes.path_interpolator import PathInterpolatorNode
+from omniman_ros.nodes.trajectory_interfaces.body_interface import MIN_CORRECTION_PERIOD
 from omniman_ros.nodes.trajectory_interfaces.parameters import PathInterpolatorParameters
 from omniman_ros.nodes.trajectory_interfaces.tool_stream import ToolStream
-from omniman_ros.nodes.trajectory_interfaces.whole_body_interface import MIN_CORRECTION_PERIOD
 from omniman_ros.processes.robot_setup import RobotSetup, robot_processes
 
 NODES = (
@@ -166,7 +162,7 @@ def measure_previews(
 
     Returns:
         CPU times [us] of a preview of the arm (`arm`) and of platform and arm (`both`), of a
-        message on `odom` (`hear_odom`) and of a tick (`tick`).
+        message on `odom` (`receive_odom`) and of a tick (`tick`).
 
     Raises:
         CommandError: The node aborted the path.
@@ -184,7 +180,7 @@ def measure_previews(
             times.append(time.process_time() - begin)
         return 1e6 * min(times) / PREVIEWS
 
-    figures: dict[str, Any] = {"hear_odom": each(lambda _: bare.update_odom())}
+    figures: dict[str, Any] = {"receive_odom": each(lambda _: bare.update_odom())}
     for name, span, platform in (("arm", MIN_CORRECTION_PERIOD, False), ("both", horizon, True)):
         figures[name] = {
             "planned": each(partial(bare.planned, horizon=span)),
@@ -200,7 +196,7 @@ def measure_previews(
         * (
             figures["both"][kind] / parameters.period
             + arm_only_rate * figures["arm"][kind]
-            + ODOM_RATE * figures["hear_odom"]
+            + ODOM_RATE * figures["receive_odom"]
         )
         for kind in ("corrected", "and_filled", "and_published")
     }
@@ -246,7 +242,7 @@ def _measure_published_by(
     node.get_logger().set_level(LoggingSeverity.WARN)
     node.motions.context.stream_monitor.update_source("path")  # in place of a platform controller
     tool = ToolStream(WholeBodyModel(p.mount), plan, p.tool_path, p.arm.each("velocity"))
-    body.follow_tool_path(tool)
+    body.follow_tool_path(plan, tool)
     tool.correction.update(node.now(), PLATFORM_ERROR, np.zeros(len(PLATFORM_AXES)))
     result = {
         "arm": each(lambda _: body.publish(MIN_CORRECTION_PERIOD, platform=False)),

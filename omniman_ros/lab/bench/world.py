@@ -18,8 +18,8 @@ from omniman_ros.core.parameters import build
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.extras import WORLD
 from omniman_ros.lab.bench.harness import Rows, conclude, tables
-from omniman_ros.lab.bench.measurement import best_cpu
 from omniman_ros.lab.bench.world_node import NODE, node_share
+from omniman_ros.lab.measurement import best_cpu
 from omniman_ros.processes.robot_setup import resolve_robot
 from omniman_ros.robots import load_robot
 from omniman_ros.simulation.plant.parameters import SimulationParameters

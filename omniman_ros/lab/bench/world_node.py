@@ -11,7 +11,7 @@ from omniman_ros.console.preview_messages import twist_message
 from omniman_ros.conversions.headers import time_seconds
 from omniman_ros.core.planar import Triple
 from omniman_ros.lab.bench.harness import RunningNodes, running_nodes
-from omniman_ros.lab.bench.measurement import cpu_time
+from omniman_ros.lab.measurement import cpu_time
 from omniman_ros.processes.robot_setup import RobotSetup, robot_processes
 from omniman_ros.processes.ros_domain import isolate_ros_domain
 

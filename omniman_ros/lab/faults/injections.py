@@ -82,7 +82,7 @@ class TwistFault(Enum):
     FLOOD = "a thousand times a second"
 
 
-class Garbage(Enum):
+class InvalidContent(Enum):
     """Messages on a topic beside those of its own publisher."""
 
     NAN = "NaN"
@@ -95,15 +95,15 @@ class Garbage(Enum):
 
 @dataclass(frozen=True)
 class Publication:
-    """A second publisher of a topic sends garbage 100 times a second.
+    """A second publisher of a topic sends invalid messages 100 times a second.
 
     Attributes:
-        topic: Name of the topic, a key of `player.GARBAGE_TOPICS`.
+        topic: Name of the topic, a key of `invalid_messages.TOPICS`.
         content: What it sends.
     """
 
     topic: str
-    content: Garbage
+    content: InvalidContent
 
 
 @dataclass(frozen=True)

@@ -1,15 +1,15 @@
 """A trial: one row of the table, played once against the running robot and judged."""
 
 import math
-import time
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from omniman_ros.console.errors import CommandError
 from omniman_ros.core.arrays import Array
+from omniman_ros.lab.faults.driver import ARM_SPEED, RAMP, SPEED
 from omniman_ros.lab.faults.injections import EmergencyStop
 from omniman_ros.lab.faults.judge import Stop, judge_stop, largest_change
-from omniman_ros.lab.faults.player import ARM_SPEED, RAMP, SPEED, Player
+from omniman_ros.lab.faults.player import Player
 from omniman_ros.lab.faults.rows import GoingOn, Outcome, Row, Subject
 
 STILL_PLATFORM, STILL_ARM = 0.01, 0.05
@@ -40,9 +40,9 @@ SPEED_TIMEOUT = RAMP + 2.5
 """Longest time until the robot has its speed [s]."""
 ATTEMPTS = 15
 """Number of attempts to bring the robot to speed, and at a trial that counts."""
-LONGEST_GAP = 0.04
-"""Time between two reports of the ground truth, one every 10 ms, beyond which drives or arm were
-held up, so that the trial does not tell anything about the robot [s]."""
+LONGEST_HOLD_UP = 0.04
+"""Time for which the machine held drives or arm up beyond which a trial does not tell anything
+about the robot [s]; their reports are 10 ms apart."""
 RESUME_TIMEOUT = 5.0
 """Longest time until a robot that goes on by itself has done so [s]."""
 
@@ -55,7 +55,7 @@ class Trial:
         platform: Stop of the platform.
         arm: Stop of the arm.
         failures: What was not as it must be; empty if the trial passed.
-        held_up: Longest time between two reports of the ground truth [s].
+        held_up: Longest time for which the machine held drives or arm up [s].
         false_stops: Number of stops before the fault, each with its reason.
         recovery: Time until the robot was ready again [s].
         void: Number of trials before this one that do not count.
@@ -83,7 +83,7 @@ def play(player: Player, row: Row) -> Trial:
     """
     trial = _play_once(player, row)
     void = 0
-    while trial.failures and trial.held_up > LONGEST_GAP and void < ATTEMPTS:
+    while trial.failures and trial.held_up > LONGEST_HOLD_UP and void < ATTEMPTS:
         void += 1
         trial = _play_once(player, row)
     trial.void = void
@@ -94,15 +94,15 @@ def _play_once(player: Player, row: Row) -> Trial:
     """Play a row once, and judge it; errors as in :func:`play`."""
     false_stops, recovery = settle(player, row)
     robot = player.robot
-    start = time.time()
+    start = robot.now
     player.inject(row.injection)
     ramp = SPEED / DECELERATION * TOLERANCE
     watched = row.unnoticed + row.reaction + ramp + REST_MARGIN + row.slowly + OBSERVED_REST
     stops = row.platform or row.arm
     end = start + (watched if stops else HARMLESS_TIME)
-    robot.pause(end - time.time())
+    robot.observe(end)
     stopped, source = robot.stopped, robot.source
-    held_up = robot.truth.longest_gap
+    held_up = robot.truth.longest_hold_up
     platform, arm = (
         judge_stop(samples[:, 0], samples[:, 1], start, end, still)
         for samples, still in (
@@ -110,9 +110,12 @@ def _play_once(player: Player, row: Row) -> Trial:
             (robot.truth.arm, STILL_ARM),
         )
     )
-    failures = [*_stop_failures(row, platform, arm), *_state_failures(row, stopped, source)]
+    failures = [
+        *_stop_failures(row, platform, arm),
+        *_state_failures(row, stopped, source),
+    ]
     failures += _later_failures(player, row)
-    player.halt()
+    player.driver.halt()
     return Trial(platform, arm, failures, held_up, false_stops, recovery)
 
 
@@ -125,20 +128,20 @@ def settle(player: Player, row: Row) -> tuple[list[str], float]:
     Raises:
         CommandError: The robot cannot be reset, or does not come to speed.
     """
-    robot, began = player.robot, time.monotonic()
+    robot, began = player.robot, player.robot.session.now()
     recovery, false_stops = math.nan, list[str]()
     for _ in range(ATTEMPTS):
-        player.halt()
+        player.driver.halt()
         player.repair()
         if not robot.release(READY_TIMEOUT):
             raise CommandError(f"the robot cannot be reset: {robot.reasons}")
-        recovery = recovery if recovery == recovery else time.monotonic() - began
+        recovery = recovery if recovery == recovery else robot.session.now() - began
         robot.wait(lambda: max(robot.truth.speeds) < STILL_ARM, READY_TIMEOUT)
         robot.pause(1.3)  # a source that lost control must have been silent
         robot.truth.clear()
         robot.pause(0.05)
         player.prepare(row.injection)
-        player.drive(row.motion)
+        player.driver.begin_motion(row.motion)
         if robot.wait(lambda: _at_speed(player), SPEED_TIMEOUT):
             robot.pause(STEADY)
             if robot.is_released and _at_speed(player):
@@ -195,20 +198,20 @@ def _state_failures(row: Row, stopped: set[str], source: str) -> list[str]:
 def _later_failures(player: Player, row: Row) -> list[str]:
     """Return what goes wrong once the fault is removed, while the sources go on."""
     robot, failures = player.robot, []
-    since = time.time()
+    since = robot.now
     if row.outcome is Outcome.LATCHED:
         if isinstance(row.injection, EmergencyStop):
             failures += _refusal_failures(player, row)
         player.remove(row.injection)
-        robot.pause(OBSERVED_REST)
+        robot.observe(robot.now + OBSERVED_REST)
         failures += _motion_failures(player, since, "before a reset", row.leftover)
-        since = time.time()
+        since = robot.now
         robot.release(0.0 if row.going_on is GoingOn.RESTART else READY_TIMEOUT)
-        robot.pause(OBSERVED_REST)
+        robot.observe(robot.now + OBSERVED_REST)
         return failures + _motion_failures(player, since, "by a reset")
     player.remove(row.injection)
     if row.outcome is Outcome.ENDED:
-        robot.pause(OBSERVED_REST)
+        robot.observe(robot.now + OBSERVED_REST)
         return _motion_failures(player, since, "by itself")
     goes_on = row.outcome is Outcome.PAUSED and row.going_on is not GoingOn.RESTART
     if goes_on and not robot.wait(lambda: robot.truth.speeds[0] > 0.5 * SPEED, RESUME_TIMEOUT):
@@ -219,7 +222,7 @@ def _later_failures(player: Player, row: Row) -> list[str]:
 def _refusal_failures(player: Player, row: Row) -> list[str]:
     """Return which nodes grant a reset while the emergency stop is pressed."""
     for name in row.stopped:
-        player.robot.trigger(name, "reset")
+        player.robot.services.trigger(name, "reset")
     player.robot.pause(OBSERVED_REST)
     granted = [name for name in row.stopped if name not in player.robot.stopped]
     return [f"{name} was reset although the emergency stop is pressed" for name in granted]

@@ -287,7 +287,7 @@ class NodeLoop:
         self._move_columns()
         self.loop.step()
         self.times.append(self.now - PERIOD)
-        self._hear_contacts()
+        self._receive_contacts()
         self.poses.append(self.loop.truth.copy())
         self.energy.append(float(self.loop.drives.electrical()[:, 2].sum()))
         self._send_controller_state()
@@ -305,7 +305,7 @@ class NodeLoop:
             for column, obstacle in zip(self._columns, self.scene.obstacles, strict=True):
                 place_column(world, column, obstacle.place(self.now))
 
-    def _hear_contacts(self) -> None:
+    def _receive_contacts(self) -> None:
         """Note the first contact with an obstacle in the world."""
         world = self.loop.world
         if world is None or self.touched is not None or not world.contacts:

@@ -20,7 +20,7 @@ from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
 from omniman_ros.description.urdf import carries_arm
 from omniman_ros.extras import PLANNING
-from omniman_ros.lab.bench.measurement import SINGLE_THREADED
+from omniman_ros.lab.measurement import SINGLE_THREADED
 from omniman_ros.lab.reproduce.experiments import result_name
 from omniman_ros.lab.reproduce.pipeline import publish
 from omniman_ros.lab.studies.odometry_calibration import calibrate

@@ -69,7 +69,7 @@ class Activities:
         self._kinds: dict[str, tuple[float, Callable[[], None]]] = {
             "twist": (3.0, self._twist),
             "path": (2.0, self._path),
-            "trajectory": (2.0, lambda: self._player.drive(Motion.TRAJECTORY)),
+            "trajectory": (2.0, lambda: self._player.driver.begin_motion(Motion.TRAJECTORY)),
             "goal": (3.0, self._goal),
             "arm": (1.0, self._arm),
             "tool path": (2.0, self._tool_path),
@@ -86,7 +86,7 @@ class Activities:
 
     def _show_obstacles(self) -> None:
         """Publish the obstacles as a sensor on the robot sees them, whatever odometry says."""
-        truth, believed = self._robot.truth.pose, self._player.pose
+        truth, believed = self._robot.truth.pose, self._player.driver.pose
         if truth is None or believed is None:
             return
         positions = np.array([self._in_odom(place) for place in OBSTACLES[:, :2]])
@@ -96,7 +96,7 @@ class Activities:
 
     def _in_odom(self, place: Array) -> Array:
         """Return where odometry believes a place (2,) of the ground truth to be [m]."""
-        truth, believed = self._robot.truth.pose, self._player.pose
+        truth, believed = self._robot.truth.pose, self._player.driver.pose
         assert truth is not None and believed is not None
         from_robot = se2.rotation(truth[2])[:2, :2] @ (place - truth[:2])
         result: Array = believed[:2] + from_robot @ se2.rotation(believed[2])[:2, :2]
@@ -110,15 +110,15 @@ class Activities:
         self.counts[name] = self.counts.get(name, 0) + 1
         self._kinds[name][1]()
         self._robot.pause(self._draw.uniform(*LASTING))
-        self._player.halt()
+        self._player.driver.halt()
         if self._draw.random() < 0.5:
             for node in ("path_interpolator", "mpc_planner"):
-                self._robot.trigger(node, "cancel")
+                self._robot.services.trigger(node, "cancel")
         return name
 
     def _twist(self) -> None:
         x, y, yaw_rate = (self._draw.uniform(-limit, limit) for limit in LARGEST_TWIST)
-        self._player.begin_twist((x, y, yaw_rate))
+        self._player.driver.begin_twist((x, y, yaw_rate))
 
     def _place(self) -> Array:
         """Return a random pose (3,) within the area, in odom [m, m, rad]."""
@@ -126,11 +126,11 @@ class Activities:
         return np.append(self._in_odom(place), self._draw.uniform(-math.pi, math.pi))
 
     def _goal(self) -> None:
-        if self._player.pose is not None and self._robot.truth.pose is not None:
+        if self._player.driver.pose is not None and self._robot.truth.pose is not None:
             self._interface.send_goal(self._place())
 
     def _path(self) -> None:
-        start = self._player.pose
+        start = self._player.driver.pose
         if start is None or self._robot.truth.pose is None:
             return
         end = self._place()
@@ -164,7 +164,7 @@ class Activities:
         row = self._draw.choice(FAULTS)
         self.disturbed = True
         self._player.prepare(row.injection)
-        self._player.drive(row.motion)
+        self._player.driver.begin_motion(row.motion)
         self._robot.pause(self._draw.uniform(0.0, 2.0))
         self._player.inject(row.injection)
         self._robot.pause(self._draw.uniform(*SUSPENSION))

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from omniman_ros.console.errors import CommandError
-from omniman_ros.lab.bench.measurement import cpu_time
+from omniman_ros.lab.measurement import cpu_time
 
 MEBIBYTE = 2**20
 """Bytes in a mebibyte."""

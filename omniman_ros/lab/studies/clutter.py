@@ -17,6 +17,7 @@ import numpy as np
 from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
+from omniman_ros.core.occupancy import OccupancyMap
 from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
 from omniman_ros.lab.studies.closed_loop import PERIOD
@@ -264,12 +265,8 @@ class ScannerSenses:
             self._next_map = now + MAP_PERIOD
             cells, grid = self._tracker.occupancy(), self._tracker.map
             origin = np.append(grid.origin, 0.0)
-            width, height = cells.shape[1], cells.shape[0]
-            loop.planner.set_map(
-                GridMap.of_occupancy(
-                    cells.ravel(), width, height, grid.resolution, origin, unknown_is_free=True
-                )
-            )
+            seen_map = OccupancyMap(cells, grid.resolution, origin)
+            loop.planner.set_map(GridMap.of_occupancy(seen_map, unknown_is_free=True))
 
 
 def drive_clutter(

@@ -1,7 +1,7 @@
 """Odometry after the path of CCTA 2017, Fig. 7, by the wheels alone and with an inertial sensor.
 
-Both odometries hear the same wheels in the same drive, so that they differ by the sensor alone.
-The controller drives by the wheels.
+Both odometries receive the states of the same wheels in the same drive, so that they differ by
+the sensor alone. The controller drives by the wheels.
 """
 
 import math

@@ -6,7 +6,8 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from omniman_ros.core.arrays import Array
-from omniman_ros.motion.whole_body.model import PLATFORM_AXES, WholeBodyModel
+from omniman_ros.motion.axes import PLATFORM_AXES
+from omniman_ros.motion.whole_body.model import WholeBodyModel
 
 POSTURE = (0.0, -1.9, 2.0, -1.7, -1.57, 0.0)
 """Joint angles of the arm at the start, where base_link is at the origin of odom [rad]."""

@@ -6,7 +6,35 @@ from omniman_ros.core.parameters import parameter
 
 
 @dataclass(frozen=True)
-class JointTrajectoryOptions:
+class ArmFollowing:
+    """How closely and how promptly the arm must follow a motion."""
+
+    start_tolerance: float = parameter(
+        0.02,
+        "Largest distance from the arm to a first point with time 0, and to where its last motion "
+        "ended: the motion starts there.",
+        unit="rad",
+        low=0.0001,
+        high=0.5,
+    )
+    states_timeout: float = parameter(
+        0.2,
+        "Age at which arm/joint_states are too old to start or to continue a trajectory.",
+        unit="s",
+        low=0.02,
+        high=10,
+    )
+    following_error: float = parameter(
+        0.15,
+        "Largest distance of a measured joint from its reference of the last 0.2 s.",
+        unit="rad",
+        low=0.005,
+        high=3,
+    )
+
+
+@dataclass(frozen=True)
+class JointTrajectoryOptions(ArmFollowing):
     """Options of trajectories of the arm."""
 
     reserve: float = parameter(
@@ -23,14 +51,6 @@ class JointTrajectoryOptions:
         low=0,
         high=1,
     )
-    start_tolerance: float = parameter(
-        0.02,
-        "Largest distance from the arm to a first point with time 0; the motion starts where "
-        "the arm is.",
-        unit="rad",
-        low=0.0001,
-        high=0.5,
-    )
     jerk_scale: float = parameter(
         1.0,
         "Factor on arm.jerk for trajectories with times, for planners that do not limit the jerk.",
@@ -46,18 +66,4 @@ class JointTrajectoryOptions:
         unit="s",
         low=0,
         high=3600,
-    )
-    states_timeout: float = parameter(
-        0.2,
-        "Age at which arm/joint_states are too old to start or to continue a trajectory.",
-        unit="s",
-        low=0.02,
-        high=10,
-    )
-    following_error: float = parameter(
-        0.15,
-        "Largest distance of a measured joint from its reference of the last 0.2 s.",
-        unit="rad",
-        low=0.005,
-        high=3,
     )

@@ -17,14 +17,9 @@ TICK = 0.008
 
 
 @dataclass(frozen=True)
-class PathOptions:
-    """Options of the platform's paths."""
+class PlatformSpeeds:
+    """Speeds of the platform in planned motions, and what these leave of its limits."""
 
-    heading: str = parameter(
-        "poses",
-        "Heading of the robot: as in the poses of the path, or along the path.",
-        choices=("poses", "along"),
-    )
     linear_velocity: float = parameter(
         0.5, "Largest speed on a path, within the robot's limits.", unit="m/s", low=0.001, high=20
     )
@@ -34,6 +29,23 @@ class PathOptions:
         unit="rad/s",
         low=0.001,
         high=50,
+    )
+    reserve: float = parameter(
+        0.1,
+        "Fraction of the limits on speed, acceleration and jerk that is left to feedback.",
+        low=0,
+        high=0.9,
+    )
+
+
+@dataclass(frozen=True)
+class PathOptions(PlatformSpeeds):
+    """Options of the platform's paths."""
+
+    heading: str = parameter(
+        "poses",
+        "Heading of the robot: as in the poses of the path, or along the path.",
+        choices=("poses", "along"),
     )
     corner_tolerance: float = parameter(
         0.05,
@@ -48,12 +60,6 @@ class PathOptions:
         unit="rad",
         low=0,
         high=3,
-    )
-    reserve: float = parameter(
-        0.1,
-        "Fraction of the limits on speed, acceleration and jerk that is left to feedback.",
-        low=0,
-        high=0.9,
     )
     start_distance: float = parameter(
         1.0,
@@ -73,17 +79,24 @@ class PathOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PathParameters:
-    """Robot, limits and options of the platform's paths."""
+class PlatformMotionParameters:
+    """Robot, limits and speeds of the platform in planned motions."""
 
     robot: Robot = inline()
     limits: TwistLimits
-    path: PathOptions
+    path: PlatformSpeeds
 
     @property
     def kinematics(self) -> PlatformKinematics:
         """Kinematics of the robot's wheels."""
         return PlatformKinematics(self.robot.wheels)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PathParameters(PlatformMotionParameters):
+    """Robot, limits and options of the platform's paths."""
+
+    path: PathOptions
 
     def groups(self) -> tuple[AxisGroup, AxisGroup]:
         """Return position and heading of the platform as groups of axes, less the reserve."""

@@ -15,7 +15,7 @@ import numpy as np
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import parameter
-from omniman_ros.motion.whole_body.model import PLATFORM_AXES
+from omniman_ros.motion.axes import PLATFORM_AXES
 
 NO_BOUND = -1.0
 """Value of a tolerance that means no bound; 0 means the default."""

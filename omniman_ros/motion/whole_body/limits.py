@@ -9,12 +9,12 @@ from omniman_ros.core import plausible
 from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
+from omniman_ros.motion.axes import PLATFORM_AXES
 from omniman_ros.motion.path.axis_group import AxisGroup
 from omniman_ros.motion.path.axis_limits import ROUND_OFF, AxisLimits
-from omniman_ros.motion.path.parameters import TICK, PathParameters
+from omniman_ros.motion.path.parameters import TICK, PlatformMotionParameters
 from omniman_ros.motion.path.time_profile import SpeedCap
 from omniman_ros.motion.path.timed_curve import TimedCurve
-from omniman_ros.motion.whole_body.model import PLATFORM_AXES
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class WholeBodyLimits(AxisLimits):
     path_speeds: tuple[float, float] = (np.inf, np.inf)
 
     @classmethod
-    def of_whole_body(cls, path: PathParameters, arm: ArmParameters) -> Self:
+    def of_whole_body(cls, path: PlatformMotionParameters, arm: ArmParameters) -> Self:
         """Create the limits from those of the platform on paths and those of the arm."""
         joints, limits = AxisLimits.of_arm(arm), path.limits
         scale = 1.0 - path.path.reserve

@@ -1,9 +1,8 @@
 """Kinematics of the whole robot: nine axes, of which the platform's three come first.
 
-The axes are odom_x, odom_y [m] and odom_t [rad], the platform's pose in odom, then the arm's
-joints [rad]. `arm_base_link` is the frame in which the arm is mounted. As in the public
-description of the UR arms, it is rotated by pi about z relative to the base of the DH table, so
-that the arm points forward if all its joints are at zero.
+Arrays hold the axes in the order of `omniman_ros.motion.axes`. `arm_base_link` is the frame in
+which the arm is mounted. As in the public description of the UR arms, it is rotated by pi about z
+relative to the base of the DH table, so that the arm points forward if all its joints are at zero.
 """
 
 import math
@@ -11,24 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from omniman_ros.core.arm_model import JOINTS, ArmModel
+from omniman_ros.core.arm_model import ArmModel
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import parameter
+from omniman_ros.motion.axes import AXES
 
-PLATFORM_AXES = ("odom_x", "odom_y", "odom_t")
-"""Names of the platform's axes in trajectories."""
-PLANAR_JOINT = "platform"
-"""Name of the planar joint between odom and base_link that stands for these axes in MoveIt."""
-PLANAR_VARIABLES = tuple(f"{PLANAR_JOINT}/{label}" for label in ("x", "y", "theta"))
-"""Names of these axes as the variables of this joint."""
-AXES = len(PLATFORM_AXES) + JOINTS
-"""Number of axes of the whole body."""
-PLATFORM_COLUMNS = slice(None, len(PLATFORM_AXES))
-"""Columns of the platform's axes."""
-JOINT_COLUMNS = slice(len(PLATFORM_AXES), None)
-"""Columns of the arm's joints."""
-HEADING_COLUMN = PLATFORM_AXES.index("odom_t")
-"""Column of the platform's heading."""
 HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
 """Pose of the base of the DH table in `arm_base_link`."""
 
@@ -108,10 +94,19 @@ class WholeBodyModel:
         Args:
             q: Positions of all axes (..., 9).
         """
+        return self.jacobian_of(q, self.arm.frames(q[..., 3:]))
+
+    def jacobian_of(self, q: Array, frames: Array) -> Array:
+        """Return the Jacobian (..., 6, 9) of `jacobian` at positions whose arm's frames are known.
+
+        Args:
+            q: Positions of all axes (..., 9).
+            frames: Frames (..., 7, 4, 4) of the arm's links, :meth:`ArmModel.frames`.
+        """
         base = self.base(q[..., :3])
         rotation = base[..., :3, :3]
-        arm = self.arm.jacobian(q[..., 3:])
-        position = (base @ self.arm.forward(q[..., 3:]))[..., :3, 3]
+        arm = self.arm.jacobian_of(frames)
+        position = (rotation @ frames[..., -1, :3, 3:])[..., 0] + base[..., :3, 3]
         result = np.zeros((*q.shape[:-1], 6, AXES))
         result[..., 0, 0] = result[..., 1, 1] = result[..., 5, 2] = 1.0
         result[..., 0, 2] = q[..., 1] - position[..., 1]

@@ -7,9 +7,10 @@ import numpy as np
 from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
+from omniman_ros.motion.axes import AXES
 from omniman_ros.motion.path.timed_curve import TimedCurve
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
-from omniman_ros.motion.whole_body.model import AXES, WholeBodyModel, planar_transform
+from omniman_ros.motion.whole_body.model import WholeBodyModel, planar_transform
 from omniman_ros.motion.whole_body.parameters import ToolPathOptions
 from omniman_ros.motion.whole_body.posture import PostureResolver
 from omniman_ros.motion.whole_body.tool_curve import ToolCurve

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
+from omniman_ros.motion.axes import AXES
 from omniman_ros.motion.path.axis_group import AxisGroup
 from omniman_ros.motion.path.curve import Curve
 from omniman_ros.motion.path.parameters import TICK
@@ -24,7 +25,6 @@ from omniman_ros.motion.path.smoothing import Smoother, window_ticks
 from omniman_ros.motion.path.time_profile import CELL, SpeedCap, TimeProfile, TimeProfiler
 from omniman_ros.motion.path.timed_curve import TimedCurve
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
-from omniman_ros.motion.whole_body.model import AXES
 from omniman_ros.motion.whole_body.parameters import ToolPathOptions
 from omniman_ros.motion.whole_body.whole_body_path import WholeBodyPath
 

@@ -12,6 +12,7 @@ from omniman_ros.core.parameters import inline, parameter
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.motion.whole_body.model import Mount
 from omniman_ros.nodes.frame_parameters import FrameParameters
+from omniman_ros.nodes.preview_parameters import RestartParameters
 from omniman_ros.planning.parameters import PlannerParameters
 
 
@@ -53,7 +54,7 @@ class FootprintOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class MpcPlannerParameters:
+class MpcPlannerParameters(RestartParameters):
     """Parameters of the planner, of the streams, and of frames and maps."""
 
     core: PlannerParameters = inline()
@@ -73,13 +74,6 @@ class MpcPlannerParameters:
     )
     voltages_period: float = parameter(
         0.01, "Period of the voltages.", unit="s", low=0.005, high=0.05, read_only=True
-    )
-    restart: float = parameter(
-        1.2,
-        "Silence after control was lost: longer than the controller's timeouts.cancelled.",
-        unit="s",
-        low=0.05,
-        high=60,
     )
     odom_timeout: float = parameter(
         0.3,

@@ -7,7 +7,7 @@ import numpy as np
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
-from omniman_ros.motion.path.joint_parameters import JointTrajectoryOptions
+from omniman_ros.motion.path.joint_parameters import ArmFollowing
 from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.nodes.arm_states import ArmStates, ArmStatesReader
 from omniman_ros.nodes.omniman_node import OmnimanNode
@@ -132,7 +132,7 @@ class ArmFeed:
             return measured
         return rest if np.abs(rest - measured).max() <= tolerance else measured
 
-    def blocking_reason(self, options: JointTrajectoryOptions, *, idle: bool) -> str:
+    def blocking_reason(self, options: ArmFollowing, *, idle: bool) -> str:
         """Return why no motion of the arm can start, or an empty string.
 
         It is such a reason that the last message cannot be used. This method may be called outside

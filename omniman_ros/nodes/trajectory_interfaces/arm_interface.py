@@ -2,6 +2,7 @@
 
 from trajectory_msgs.msg import JointTrajectory
 
+from omniman_ros.core.arbiter import Source
 from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.core.arrays import Array
 from omniman_ros.motion.path.axis_limits import AxisLimits
@@ -12,6 +13,9 @@ from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.nodes.trajectory_interfaces.joint_interface import JointInterface
 from omniman_ros.nodes.trajectory_interfaces.motion_context import MotionContext
 from omniman_ros.nodes.trajectory_interfaces.motion_outputs import ArmOutput
+
+BODY = Source.BODY.value
+"""Value of `active_source` while another node moves platform and arm."""
 
 
 class ArmInterface(JointInterface):
@@ -41,6 +45,8 @@ class ArmInterface(JointInterface):
     def _blocking_reason(self) -> str:
         options, context = self._context.options.joint_trajectory, self._context
         why = context.stream_monitor.stop_reason or context.conflict(self)
+        if not why and context.stream_monitor.source == BODY:
+            why = "whole_body_planner moves the arm"
         return why or context.arm_feed.blocking_reason(options, idle=self.idle)
 
     def actual(self) -> tuple[Array, Array] | None:

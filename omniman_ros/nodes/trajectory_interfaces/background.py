@@ -3,17 +3,18 @@
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future
+from typing import TypeVar
 
-from omniman_ros.motion.whole_body.tool_planner import ToolPlan
+Plan = TypeVar("Plan")
 
 
-def in_background(plan: Callable[[], ToolPlan]) -> Future[ToolPlan]:
+def in_background(plan: Callable[[], Plan]) -> Future[Plan]:
     """Plan in a thread, because planning takes up to seconds and must not delay stops.
 
     The thread does not delay the end of the process either: it is a daemon, which runs on if its
     plan is discarded.
     """
-    future: Future[ToolPlan] = Future()
+    future: Future[Plan] = Future()
 
     def work() -> None:
         try:

@@ -3,53 +3,29 @@
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 
-import numpy as np
 from trajectory_msgs.msg import JointTrajectory
 
 from omniman_ros.conversions import arm as arm_conversions
 from omniman_ros.core.arrays import Array
-from omniman_ros.motion.path.interpolator import PathState
 from omniman_ros.motion.path.joint_interpolator import JointInterpolator, JointProposal
 from omniman_ros.motion.path.joint_points import JointPoints
-from omniman_ros.motion.path.window import Window, paced_window
 from omniman_ros.nodes.trajectory_interfaces.motion_context import MIN_PLANNING_TIME, MotionContext
-from omniman_ros.nodes.trajectory_interfaces.motion_log import MotionLog
-from omniman_ros.nodes.trajectory_interfaces.motion_outputs import ArmOutput
+from omniman_ros.nodes.trajectory_interfaces.motion_interface import MotionInterface
 
 PLANNING_TIME_PER_POINT = 1e-3
 """Planning time that is expected for each point of a trajectory [s]."""
 
 
-class JointInterface(ABC):
-    """Connects a `JointInterpolator` to the messages of the node.
+class JointInterface(MotionInterface, ABC):
+    """Connects a `JointInterpolator` to the messages of the node."""
 
-    Args:
-        context: Services of the node.
-        core: Interpolator of the axes.
-        output: Where the motions are sent.
-
-    Attributes:
-        core: Interpolator of the axes.
-        log: What happens to the motions.
-        output: Where the motions are sent.
-        status: Latest event.
-    """
-
-    def __init__(self, context: MotionContext, core: JointInterpolator, output: ArmOutput) -> None:
-        self._context, self._node = context, context.node
-        self.core, self.output = core, output
-        self.log = MotionLog(self._node, "trajectory")
-        self.status = self.log.status
+    _context: MotionContext
+    core: JointInterpolator
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the axes."""
         return self.core.planner.limits.names
-
-    @property
-    def idle(self) -> bool:
-        """Whether no motion is under way."""
-        return self.core.state is PathState.IDLE
 
     # ---- to be implemented by each interface ---------------------------------------------------
 
@@ -85,11 +61,6 @@ class JointInterface(ABC):
             Positions, velocities and accelerations (d,); None while no motion is under way.
         """
         return None if self.idle else self._desired_at(self._context.arm_feed.time)
-
-    def _desired_at(self, time: float) -> tuple[Array, Array, Array]:
-        pace = self._context.time_base.pace
-        window = paced_window(pace, self.core.sample, np.array([time]))
-        return window.positions[0], window.velocities[0], window.accelerations[0]
 
     # ---- requests -----------------------------------------------------------------------------
 
@@ -135,56 +106,3 @@ class JointInterface(ABC):
         self.log.start(replaces_driven=not from_rest)
         self.output.begin(from_rest=from_rest)
         return proposal
-
-    def _announce(self, text: str) -> None:
-        self.log.announce(text)
-        self._context.on_started()
-
-    # ---- supervision --------------------------------------------------------------------------
-
-    def give_up(self, why: str, *, brake: bool) -> None:
-        """End the motion under way; the axes come to rest.
-
-        Args:
-            why: Reason, in words.
-            brake: Whether to send a last preview that leads to rest on the path. Receivers that
-                are stopped come to rest by themselves, as do those that have run out of
-                references, which would start again.
-        """
-        if self.idle:
-            return
-        now = self._node.now()
-        window = self._stop_window(now) if brake and self.output.is_covered(now) else None
-        self.core.abort()
-        self.log.give_up(why)
-        if window is not None:
-            self.output.send(window)
-        self.output.give_up()
-
-    def _stop_window(self, now: float) -> Window | None:
-        return self.core.paced_stop_window(now, self._context.time_base.pace)
-
-    # ---- output -------------------------------------------------------------------------------
-
-    def tick(self) -> None:
-        """Publish the next preview, and report the end of the motion."""
-        before, time_base = self.core.state, self._context.time_base
-        if before is PathState.IDLE:
-            return
-        self.publish(self._context.options.horizon)
-        if self.idle:
-            return  # given up, which has been reported
-        motion_time = time_base.now()
-        self.core.update(motion_time)
-        if self.core.state is PathState.CANCELLING and time_base.pace.stands(self._node.now()):
-            self.core.abort()
-        if self.idle:
-            self.log.end(cancelled=before is PathState.CANCELLING)
-            self.output.end()
-
-    def publish(self, horizon: float) -> None:
-        """Publish a preview of the motion under way that is `horizon` long [s]."""
-        if not self.idle:
-            time_base = self._context.time_base
-            times = time_base.sample_times(horizon)
-            self.output.send(paced_window(time_base.pace, self.core.sample, times))

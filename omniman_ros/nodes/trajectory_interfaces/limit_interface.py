@@ -12,13 +12,12 @@ from omniman_ros.core import se2
 from omniman_ros.core.arm_model import JOINTS
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.motion_limit import MotionLimit
+from omniman_ros.motion.axes import HEADING_COLUMN, JOINT_COLUMNS, PLATFORM_COLUMNS
 from omniman_ros.motion.path.interpolator import PathState
 from omniman_ros.motion.path.speed_bound import SpeedBound
-from omniman_ros.motion.whole_body.model import HEADING_COLUMN, JOINT_COLUMNS, PLATFORM_COLUMNS
 from omniman_ros.nodes.motion_limit_input import subscribe_to_motion_limit
 from omniman_ros.nodes.omniman_node import OmnimanNode
-from omniman_ros.nodes.parameters import ParameterSet
-from omniman_ros.nodes.trajectory_interfaces.parameters import PathInterpolatorParameters
+from omniman_ros.nodes.trajectory_interfaces.parameters import StreamParameters
 
 LOOK_AHEAD = np.linspace(0.0, 0.4, 9)
 """Times from now at which the speed of a motion is compared with the limit [s]."""
@@ -46,7 +45,7 @@ class LimitInterface:
 
     Args:
         node: Node that owns the topics.
-        settings: Parameters of the node.
+        read_options: Returns the parameters of the node.
         motions: Motions, each with the axes of the whole body that it moves.
         on_change: Called when a share has changed.
     """
@@ -54,13 +53,13 @@ class LimitInterface:
     def __init__(
         self,
         node: OmnimanNode,
-        settings: ParameterSet[PathInterpolatorParameters],
+        read_options: Callable[[], StreamParameters],
         motions: Sequence[tuple[SampledMotion, slice]],
         on_change: Callable[[], None],
     ) -> None:
-        self._node, self._settings = node, settings
+        self._node, self._read_options = node, read_options
         self._motions, self._on_change = tuple(motions), on_change
-        options = settings.value.collision_monitor
+        options = read_options().collision_monitor
         self._platform, self._arm = MotionLimit(options), MotionLimit(options)
         self._acted_on = (1.0, 1.0)
         subscribe_to_motion_limit(
@@ -68,7 +67,7 @@ class LimitInterface:
         )
         self._demands = node.create_publisher(JointState, "motion_demand", QoSProfile(depth=1))
 
-    def configure(self, new: PathInterpolatorParameters) -> None:
+    def configure(self, new: StreamParameters) -> None:
         """Use other parameters."""
         self._platform.parameters = self._arm.parameters = new.collision_monitor
 
@@ -94,13 +93,13 @@ class LimitInterface:
         shares = self.shares
         if min(shares) >= 1.0:
             return 1.0
-        p = self._settings.value
+        p = self._read_options()
         bound = SpeedBound(*p.core.limits.velocity, np.array(p.arm.each("velocity")))
         return bound.pace(self._velocities(motion_time)[1], *shares)
 
     def publish_demand(self, motion_time: float) -> None:
         """Publish what the motions ask for at full pace, where a limit is used."""
-        p = self._settings.value
+        p = self._read_options()
         if not p.collision_monitor.use:
             return
         heading, velocities = self._velocities(motion_time)

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Generic, TypeVar
 
 from builtin_interfaces.msg import Time
 
@@ -12,11 +12,13 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.core.stream_monitor import StreamMonitor
 from omniman_ros.nodes.frame_transforms import FrameTransforms
 from omniman_ros.nodes.omniman_node import OmnimanNode
-from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.trajectory_interfaces.arm_feed import ArmFeed
 from omniman_ros.nodes.trajectory_interfaces.motion_time_base import MotionTimeBase
 from omniman_ros.nodes.trajectory_interfaces.odom_feed import OdomFeed
-from omniman_ros.nodes.trajectory_interfaces.parameters import PathInterpolatorParameters
+from omniman_ros.nodes.trajectory_interfaces.parameters import (
+    PathInterpolatorParameters,
+    StreamParameters,
+)
 from omniman_ros.nodes.trajectory_interfaces.previews import Previews
 
 PLANNING_ATTEMPTS = 3
@@ -27,22 +29,22 @@ MIN_PLANNING_TIME = 0.03
 """Shortest planning time that is expected of a motion [s]."""
 
 Proposal = TypeVar("Proposal")
+Options = TypeVar("Options", bound=StreamParameters, covariant=True)
 
 
 @dataclass(frozen=True)
-class MotionContext:
+class StreamContext(Generic[Options]):
     """Services and state that the interfaces share; the node builds it once.
 
     Attributes:
         node: ROS node that owns topics, timers and the clock.
-        settings: Parameters of the node.
+        read_options: Returns the current parameters of the node.
         frames: Transforms into odom.
         stream_monitor: Monitor of the source that drives the platform, and of stopped nodes.
         odom: Measured pose and velocity of the platform.
         arm_feed: Measured joint states of the arm.
         time_base: Time base that all motions share.
-        self_collision: Returns the check of motions for collisions of the robot with itself.
-        platform_previews: Output `path/reference`.
+        platform_previews: Output `path/reference` or `body/reference`.
         arm_previews: Output `arm/joint_reference`.
         publish_all: Publishes previews of the given length [s] of all motions under way.
         on_started: Called after a motion has started; publishes its first preview.
@@ -52,13 +54,12 @@ class MotionContext:
     """
 
     node: OmnimanNode
-    settings: ParameterSet[PathInterpolatorParameters]
+    read_options: Callable[[], Options]
     frames: FrameTransforms
     stream_monitor: StreamMonitor
     odom: OdomFeed
     arm_feed: ArmFeed
     time_base: MotionTimeBase
-    self_collision: Callable[[], SelfCollisionCheck]
     platform_previews: Previews
     arm_previews: Previews
     publish_all: Callable[[float], None]
@@ -67,14 +68,29 @@ class MotionContext:
     is_ending: Callable[[], bool]
 
     @property
-    def options(self) -> PathInterpolatorParameters:
+    def options(self) -> Options:
         """Current parameters of the node."""
-        return self.settings.value
+        return self.read_options()
 
     def control_wait_reason(self) -> str:
         """Return why a new stream must wait for the platform controller, or an empty string."""
         waits = self.stream_monitor.waiting_time(self.node.now()) > 0.0
         return "control was lost a moment ago" if waits else ""
+
+
+BodyContext = StreamContext[StreamParameters]
+"""What interfaces need that serve more than one node."""
+
+
+@dataclass(frozen=True)
+class MotionContext(StreamContext[PathInterpolatorParameters]):
+    """Services and state that the interfaces of `path_interpolator` share.
+
+    Attributes:
+        self_collision: Returns the check of motions for collisions of the robot with itself.
+    """
+
+    self_collision: Callable[[], SelfCollisionCheck]
 
     def start_delay(self, stamp: Time) -> float | None:
         """Return the time until a stamp [s]; None for a zero stamp, which means now.

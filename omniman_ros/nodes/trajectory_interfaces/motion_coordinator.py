@@ -3,12 +3,12 @@
 from std_msgs.msg import Float64
 
 from omniman_ros.core.stream_monitor import StreamMonitor
+from omniman_ros.motion.axes import JOINT_COLUMNS, PLATFORM_COLUMNS
 from omniman_ros.motion.path.axis_limits import AxisLimits
 from omniman_ros.motion.path.interpolator import PathInterpolator
 from omniman_ros.motion.path.joint_interpolator import JointInterpolator
 from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
-from omniman_ros.motion.whole_body.model import JOINT_COLUMNS, PLATFORM_COLUMNS
 from omniman_ros.nodes.frame_transforms import FrameTransforms
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
@@ -23,14 +23,12 @@ from omniman_ros.nodes.trajectory_interfaces.motion_status import MotionEvent
 from omniman_ros.nodes.trajectory_interfaces.motion_supervisor import MotionSupervisor
 from omniman_ros.nodes.trajectory_interfaces.motion_time_base import MotionTimeBase
 from omniman_ros.nodes.trajectory_interfaces.odom_feed import OdomFeed
-from omniman_ros.nodes.trajectory_interfaces.parameters import (
-    PathInterpolatorParameters,
-    self_collision_check,
-)
+from omniman_ros.nodes.trajectory_interfaces.parameters import PathInterpolatorParameters
 from omniman_ros.nodes.trajectory_interfaces.path_interface import PathInterface
+from omniman_ros.nodes.trajectory_interfaces.pending_motion import Startable
+from omniman_ros.nodes.trajectory_interfaces.planned_tool_driver import planned_tool_paths
 from omniman_ros.nodes.trajectory_interfaces.previews import arm_previews, platform_previews
 from omniman_ros.nodes.trajectory_interfaces.scaling_interface import ScalingInterface
-from omniman_ros.nodes.trajectory_interfaces.tool_interface import ToolInterface
 from omniman_ros.nodes.trajectory_interfaces.trajectory_input import TrajectoryInput
 from omniman_ros.nodes.trajectory_interfaces.whole_body_interface import WholeBodyInterface
 
@@ -47,7 +45,7 @@ class MotionCoordinator:
         path: Paths of the platform.
         arm: Trajectories of the arm.
         whole_body: Trajectories of platform and arm together.
-        tool: Paths of the tool, which the whole body drives.
+        tool: Paths of the tool, which the whole body drives; None if another node takes them.
         scaling: Speed scaling of the arm's controller.
         limits: Limit of the speed before contact.
         is_ending: Whether the node is shutting down, so that nothing new is accepted.
@@ -61,17 +59,20 @@ class MotionCoordinator:
         self._progress = node.create_publisher(Float64, "path_progress", 10)
         self.scaling = ScalingInterface(node, self._on_slowed)
         path, options = PathInterpolator(p.core), p.joint_trajectory
-        self._self_collision = self_collision_check(p)
+        self._self_collision = p.self_collision_check()
         arm = JointInterpolator(AxisLimits.of_arm(p.arm), options)
         whole_body = JointInterpolator(WholeBodyLimits.of_whole_body(p.core, p.arm), options)
         self.context = MotionContext(
             node=node,
-            settings=settings,
+            read_options=lambda: settings.value,
             frames=FrameTransforms(node, lambda: settings.value.frames),
             stream_monitor=StreamMonitor(p.restart),
             odom=OdomFeed(node, "odom", odom_frame, lambda *it: self.whole_body.update_pose(*it)),
             arm_feed=ArmFeed(
-                node, p.arm.joints, self._is_arm_moving, lambda: self._supervisor.check_arm()
+                node,
+                p.arm.joints,
+                lambda: not (self.arm.idle and self.whole_body.idle),
+                lambda: self._supervisor.check_arm(),
             ),
             time_base=MotionTimeBase(
                 (path, arm, whole_body),
@@ -88,20 +89,18 @@ class MotionCoordinator:
             is_ending=lambda: self.is_ending,
         )
         motions = ((path, PLATFORM_COLUMNS), (arm, JOINT_COLUMNS), (whole_body, slice(None)))
-        self.limits = LimitInterface(node, settings, motions, self._on_slowed)
+        self.limits = LimitInterface(node, lambda: settings.value, motions, self._on_slowed)
         self.path = PathInterface(self.context, path)
         self.arm = ArmInterface(self.context, arm)
         self.whole_body = WholeBodyInterface(self.context, whole_body)
-        self.tool = ToolInterface(self.context, self.whole_body)
         TrajectoryInput(self.context, self.arm, self.whole_body)
-        self._startable: dict[str, PathInterface | WholeBodyInterface | ToolInterface] = {
-            "path": self.path,
-            "trajectory": self.whole_body,
-            "tool path": self.tool,
-        }
-        HealthInput(self.context, path, self.whole_body, self.tick)
+        self._startable: dict[str, Startable]
+        self._startable = {"path": self.path, "trajectory": self.whole_body}
+        self.tool = planned_tool_paths(self.context, self.whole_body)
+        self._startable |= {} if self.tool is None else {"tool path": self.tool}
+        HealthInput(self.context, self._scale_limits)
         self._supervisor = MotionSupervisor(
-            self.context, self.scaling, self.path, self.arm, self.whole_body
+            self.context, self.scaling, p.period, self.whole_body, self.path, self.arm
         )
         StreamMonitorInterface(node, self.context.stream_monitor, self._supervisor.check_control)
         self._scaled_at, self._ticked_at = float("-inf"), node.now()
@@ -113,7 +112,7 @@ class MotionCoordinator:
             ParameterError: No path could be planned with them.
         """
         new.core.planner()  # raises
-        self._self_collision = self_collision_check(new)
+        self._self_collision = new.self_collision_check()
         self.arm.configure(new.arm, new.joint_trajectory)
         self.whole_body.configure(new)
         self.path.core.parameters = new.core
@@ -122,14 +121,16 @@ class MotionCoordinator:
 
     # ---- inputs -------------------------------------------------------------------------------
 
-    def _is_arm_moving(self) -> bool:
-        return not (self.arm.idle and self.whole_body.idle)
-
     def _on_slowed(self) -> None:
         """Slow down at once; further changes within a tick wait for the next one."""
         if not self.context.time_base.idle and self._node.now() - self._scaled_at >= TICK:
             self._scaled_at = self._node.now()
             self.tick()
+
+    def _scale_limits(self, scale: float) -> None:
+        self.whole_body.limit_scale = scale
+        self.path.core.scale_limits(scale, self.context.time_base.now())
+        self.tick()
 
     # ---- services to the interfaces -----------------------------------------------------------
 
@@ -185,8 +186,7 @@ class MotionCoordinator:
                 motion.pending.restart_timeout()
         self._supervisor.check_control()
         for kind, motion in self._startable.items():
-            refusal = motion.start_pending()
-            if refusal:
+            if refusal := motion.start_pending():
                 self._node.warn(f"{kind} refused", f"{kind} not used: {refusal}")
         time_base = self.context.time_base
         if time_base.idle:

@@ -1,9 +1,9 @@
 """Where the motions of the arm, and of the whole body, are sent."""
 
 from omniman_ros.core.arrays import Array
+from omniman_ros.motion.axes import JOINT_COLUMNS, PLATFORM_COLUMNS
 from omniman_ros.motion.path.window import Window
-from omniman_ros.motion.whole_body.model import JOINT_COLUMNS, PLATFORM_COLUMNS
-from omniman_ros.nodes.trajectory_interfaces.motion_context import MotionContext
+from omniman_ros.nodes.trajectory_interfaces.motion_context import BodyContext
 
 
 class ArmOutput:
@@ -13,7 +13,7 @@ class ArmOutput:
         context: Services of the node.
     """
 
-    def __init__(self, context: MotionContext) -> None:
+    def __init__(self, context: BodyContext) -> None:
         self._context = context
         self._last_position: Array | None = None
 

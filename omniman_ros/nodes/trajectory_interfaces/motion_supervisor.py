@@ -1,12 +1,11 @@
 """Supervision of the motions of the node: what ends one that the robot can no longer follow."""
 
 from omniman_ros.nodes.timed_node import TIME_JUMP
-from omniman_ros.nodes.trajectory_interfaces.arm_interface import ArmInterface
-from omniman_ros.nodes.trajectory_interfaces.joint_interface import JointInterface
-from omniman_ros.nodes.trajectory_interfaces.motion_context import MotionContext
+from omniman_ros.nodes.trajectory_interfaces.body_interface import BodyInterface
+from omniman_ros.nodes.trajectory_interfaces.motion_context import BodyContext
+from omniman_ros.nodes.trajectory_interfaces.motion_interface import MotionInterface
 from omniman_ros.nodes.trajectory_interfaces.path_interface import PathInterface
 from omniman_ros.nodes.trajectory_interfaces.scaling_interface import ScalingInterface
-from omniman_ros.nodes.trajectory_interfaces.whole_body_interface import WholeBodyInterface
 
 
 class MotionSupervisor:
@@ -18,33 +17,41 @@ class MotionSupervisor:
     Args:
         context: Services of the node.
         scaling: Speed scaling of the arm's controller.
-        path: Paths of the platform.
-        arm: Trajectories of the arm.
+        period: Period of the node [s].
         whole_body: Motions of platform and arm together.
+        path: Paths of the platform, if the node drives them.
+        arm: Motions of the arm, if the node drives them.
     """
 
     def __init__(
         self,
-        context: MotionContext,
+        context: BodyContext,
         scaling: ScalingInterface,
-        path: PathInterface,
-        arm: ArmInterface,
-        whole_body: WholeBodyInterface,
+        period: float,
+        whole_body: BodyInterface,
+        path: PathInterface | None = None,
+        arm: MotionInterface | None = None,
     ) -> None:
         self._context, self._node, self._scaling = context, context.node, scaling
-        self._path, self._arm, self._whole_body = path, arm, whole_body
+        self._period, self._path, self._whole_body = period, path, whole_body
+        self._with_arm = (whole_body,) if arm is None else (arm, whole_body)
 
     def check_control(self) -> None:
         """Give up motions whose robot is stopped or no longer follows."""
         monitor = self._context.stream_monitor
         why = monitor.loss_reason(self._node.now())
         if why:
-            self._path.give_up(why)
-            self._whole_body.give_up(why, brake=not monitor.stop_reason)
-        self._check_arm(self._arm)
-        self._check_arm(self._whole_body)
+            self._give_up_platform(why, brake=not monitor.stop_reason)
+        for motion in self._with_arm:
+            self._check_arm(motion)
 
-    def _check_arm(self, motion: JointInterface) -> None:
+    def _give_up_platform(self, why: str, *, brake: bool) -> None:
+        """Give up the motions that move the platform; see `MotionInterface.give_up`."""
+        if self._path is not None:
+            self._path.give_up(why)
+        self._whole_body.give_up(why, brake=brake)
+
+    def _check_arm(self, motion: MotionInterface) -> None:
         """Give a motion up whose previews the arm does not get, or that it does not report on."""
         context, silence = self._context, self._context.arm_feed.silence
         if motion.idle:
@@ -74,7 +81,7 @@ class MotionSupervisor:
     def check_arm(self) -> None:
         """Give up motions whose arm is too far from its reference; halt one without platform."""
         max_error = self._context.options.joint_trajectory.following_error
-        for motion in (self._arm, self._whole_body):
+        for motion in self._with_arm:
             error = "" if motion.idle else self._context.arm_feed.following_error(max_error)
             if error:
                 motion.give_up(error, brake=True)
@@ -94,13 +101,13 @@ class MotionSupervisor:
         else:
             self._check_platform(since_tick)
         # While this node is held up, the other nodes are not silent.
-        elapsed = min(max(since_tick, 0.0), 2.0 * context.options.period)
+        elapsed = min(max(since_tick, 0.0), 2.0 * self._period)
         for feed in (context.odom, self._scaling, context.arm_feed):
             feed.pass_time(elapsed)
         if self._scaling.silence > context.options.scaling_timeout:
             why = f"no arm/speed_scaling for {self._scaling.silence:.2f} s"
-            self._arm.give_up(why, brake=True)
-            self._whole_body.give_up(why, brake=True)
+            for motion in self._with_arm:
+                motion.give_up(why, brake=True)
 
     def _check_platform(self, since_tick: float) -> None:
         """Give up motions whose previews the platform does not get, or that it is silent about."""
@@ -111,15 +118,14 @@ class MotionSupervisor:
             why, can_brake = f"no odom for {context.odom.silence:.2f} s", True
         else:
             return
-        self._path.give_up(why)
-        self._whole_body.give_up(why, brake=can_brake)
+        self._give_up_platform(why, brake=can_brake)
 
     def _restart(self) -> None:
         """Forget all that was received, because time went back."""
         why = "time went back"
-        self._path.give_up(why)
-        self._arm.give_up(why, brake=False)
-        self._whole_body.give_up(why, brake=False)
+        self._give_up_platform(why, brake=False)
+        for motion in self._with_arm:
+            motion.give_up(why, brake=False)
         self._context.stream_monitor.restart(self._node.now())
         self._context.odom.forget()
         self._context.arm_feed.forget()

@@ -1,4 +1,4 @@
-"""Parameters of the node `path_interpolator`."""
+"""Parameters of the node `path_interpolator`, and those it shares with `whole_body_planner`."""
 
 from dataclasses import dataclass
 
@@ -9,57 +9,27 @@ from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.core.motion_limit import MotionLimitParameters
 from omniman_ros.core.parameters import inline, parameter
 from omniman_ros.description.parameters import DescriptionParameters
-from omniman_ros.motion.path.joint_parameters import JointTrajectoryOptions
-from omniman_ros.motion.path.parameters import PathParameters
+from omniman_ros.motion.path.joint_parameters import ArmFollowing, JointTrajectoryOptions
+from omniman_ros.motion.path.parameters import PathParameters, PlatformMotionParameters
 from omniman_ros.motion.path.trajectory_goal import TrajectoryActionOptions
 from omniman_ros.motion.whole_body.model import Mount
 from omniman_ros.motion.whole_body.parameters import ToolPathOptions
 from omniman_ros.nodes.frame_parameters import FrameParameters
+from omniman_ros.nodes.preview_parameters import PeriodicPreviewParameters, PreviewParameters
 
 
 @dataclass(frozen=True, kw_only=True)
-class PathInterpolatorParameters:
-    """Parameters of the node: those of its cores, of its streams and of its frames."""
+class StreamParameters(PreviewParameters):
+    """Parameters of a node that streams motions of platform and arm on one time base."""
 
-    core: PathParameters = inline()
+    core: PlatformMotionParameters = inline()
     arm: ArmParameters
     mount: Mount
     tool: ToolShape
     load: LoadShape
-    self_collision: SelfCollisionOptions
-    joint_trajectory: JointTrajectoryOptions
+    joint_trajectory: ArmFollowing
     tool_path: ToolPathOptions
-    trajectory_action: TrajectoryActionOptions
     collision_monitor: MotionLimitParameters
-    arm_action: str = parameter(
-        "arm_controller/follow_joint_trajectory", "Name of the arm's action.", read_only=True
-    )
-    body_action: str = parameter(
-        "body_controller/follow_joint_trajectory",
-        "Name of the whole body's action.",
-        read_only=True,
-    )
-    path_action: str = parameter(
-        "~/follow_path", "Name of the action that takes paths of the platform.", read_only=True
-    )
-    horizon: float = parameter(
-        0.4,
-        "Length of each preview; at its end the robot ramps to rest.",
-        unit="s",
-        low=0.1,
-        high=5,
-        read_only=True,
-    )
-    period: float = parameter(
-        0.04, "Period of the previews.", unit="s", low=0.008, high=1, read_only=True
-    )
-    restart: float = parameter(
-        1.2,
-        "Silence after control was lost; longer than the controller's timeouts.cancelled.",
-        unit="s",
-        low=0.05,
-        high=60,
-    )
     odom_timeout: float = parameter(
         0.5,
         "Age at which odom is too old to start a path or to continue one.",
@@ -85,9 +55,38 @@ class PathInterpolatorParameters:
     )
     frames: FrameParameters = inline()
 
+    @property
+    def description(self) -> DescriptionParameters:
+        """Shapes of platform and arm, and where the arm is mounted."""
+        return DescriptionParameters(robot=self.core.robot, arm=self.arm, mount=self.mount)
 
-def self_collision_check(parameters: PathInterpolatorParameters) -> SelfCollisionCheck:
-    """Return the check of motions for collisions of a robot with itself."""
-    p = parameters
-    description = DescriptionParameters(robot=p.core.robot, arm=p.arm, mount=p.mount)
-    return SelfCollisionCheck(BodyGeometry(description, p.tool, p.load), p.self_collision)
+
+@dataclass(frozen=True, kw_only=True)
+class PathInterpolatorParameters(StreamParameters, PeriodicPreviewParameters):
+    """Parameters of the node: those of its cores, of its streams and of its frames."""
+
+    core: PathParameters = inline()
+    joint_trajectory: JointTrajectoryOptions
+    self_collision: SelfCollisionOptions
+    trajectory_action: TrajectoryActionOptions
+    arm_action: str = parameter(
+        "arm_controller/follow_joint_trajectory", "Name of the arm's action.", read_only=True
+    )
+    body_action: str = parameter(
+        "body_controller/follow_joint_trajectory",
+        "Name of the whole body's action.",
+        read_only=True,
+    )
+    path_action: str = parameter(
+        "~/follow_path", "Name of the action that takes paths of the platform.", read_only=True
+    )
+    takes_tool_paths: bool = parameter(
+        True,
+        "Whether the node takes `tool_path`; false where `whole_body_planner` does.",
+        read_only=True,
+    )
+
+    def self_collision_check(self) -> SelfCollisionCheck:
+        """Return the check of motions for collisions of a robot with itself."""
+        geometry = BodyGeometry(self.description, self.tool, self.load)
+        return SelfCollisionCheck(geometry, self.self_collision)

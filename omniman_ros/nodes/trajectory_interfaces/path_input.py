@@ -6,7 +6,7 @@ from nav_msgs.msg import Path
 
 from omniman_ros.core.errors import InputError
 from omniman_ros.nodes.serialized import deserialized
-from omniman_ros.nodes.trajectory_interfaces.motion_context import MotionContext
+from omniman_ros.nodes.trajectory_interfaces.motion_context import BodyContext
 
 POSE_BYTES = 160
 """Upper bound of the size of a pose in a serialized path [bytes]."""
@@ -28,7 +28,7 @@ class PathInput:
 
     def __init__(
         self,
-        context: MotionContext,
+        context: BodyContext,
         topic: str,
         max_poses: Callable[[], int],
         refusal: Callable[[], str],

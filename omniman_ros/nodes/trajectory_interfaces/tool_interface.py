@@ -1,6 +1,8 @@
 """Paths of the tool: `tool_path` in, planned in the background, driven by the whole body."""
 
+from collections.abc import Callable
 from concurrent.futures import Future
+from typing import Generic
 
 import numpy as np
 from nav_msgs.msg import Path
@@ -10,15 +12,14 @@ from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.pending_start import PendingStart, StartState
-from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.motion.whole_body.model import WholeBodyModel
-from omniman_ros.motion.whole_body.tool_planner import ToolPlan, ToolPlanner
 from omniman_ros.nodes.trajectory_interfaces.background import in_background
-from omniman_ros.nodes.trajectory_interfaces.motion_context import MotionContext
+from omniman_ros.nodes.trajectory_interfaces.body_interface import BodyInterface
+from omniman_ros.nodes.trajectory_interfaces.motion_context import BodyContext
 from omniman_ros.nodes.trajectory_interfaces.motion_status import MotionEvent, MotionStatus
 from omniman_ros.nodes.trajectory_interfaces.path_input import PathInput
-from omniman_ros.nodes.trajectory_interfaces.tool_stream import ToolPosePublisher, ToolStream
-from omniman_ros.nodes.trajectory_interfaces.whole_body_interface import WholeBodyInterface
+from omniman_ros.nodes.trajectory_interfaces.tool_driver import Plan, ToolDriver
+from omniman_ros.nodes.trajectory_interfaces.tool_stream import ToolPosePublisher
 
 TOOL_POSE_PERIOD = 0.1
 """Period of `tool_pose` [s]."""
@@ -26,25 +27,34 @@ MAX_START_DRIFT = 0.005
 """Largest movement of the robot while a path is being planned [m, rad]."""
 
 
-class ToolInterface:
+class ToolInterface(Generic[Plan]):
     """Accepts paths of the tool, one at a time and from rest.
 
     Args:
         context: Services of the node.
-        whole_body: Interface that drives the planned motions.
+        whole_body: Interface that moves the robot.
+        driver: Plans the motions, and drives them with that interface.
+        on_accepted: Called after a path was accepted, before it starts or waits.
 
     Attributes:
         pending: Path that waits for the robot.
         status: Latest event.
     """
 
-    def __init__(self, context: MotionContext, whole_body: WholeBodyInterface) -> None:
+    def __init__(
+        self,
+        context: BodyContext,
+        whole_body: BodyInterface,
+        driver: ToolDriver[Plan],
+        on_accepted: Callable[[], None] = lambda: None,
+    ) -> None:
         self._context, self._node, self._whole_body = context, context.node, whole_body
+        self._driver, self._on_accepted = driver, on_accepted
         self._model = WholeBodyModel(context.options.mount)
         self.pending = PendingStart(self._node.now, context.stream_monitor)
         self.status = MotionStatus("no path of the tool yet")
-        self._plan: Future[ToolPlan] | None = None
-        self._running: Future[ToolPlan] | None = None
+        self._plan: Future[Plan] | None = None
+        self._running: Future[Plan] | None = None
         self._start_position: Array = np.zeros(0)
         self._tool_pose = ToolPosePublisher(
             self._node, "tool_pose", context.options.frames.odom.odom_frame
@@ -79,8 +89,27 @@ class ToolInterface:
                 raise InputError("the node is shutting down")
         except InputError as error:
             raise self._refuse(str(error)) from error
+
+        def planner(start: Array) -> Callable[[], Plan]:
+            poses = self._poses(message, place, self._model.forward(start)[:3, :3])
+            return self._driver.planner(poses, start)
+
+        return self.take(planner, f"a tool path of {len(message.poses)} poses")
+
+    def take(self, planner: Callable[[Array], Callable[[], Plan]], label: str) -> str:
+        """Take a motion in place of the one that waits, if any.
+
+        Args:
+            planner: Returns what plans it from positions (9,) of all axes at rest; see
+                `ToolDriver`. It may raise InputError.
+            label: What is planned.
+
+        Returns:
+            Why it is refused, or an empty string.
+        """
         self.discard_pending()
-        self.pending.put(lambda: self._start_planning(message, place))
+        self._on_accepted()
+        self.pending.put(lambda: self._start_planning(planner, label))
         return self.start_pending()
 
     def _poses(self, message: Path, place: Array, here: Array) -> Array:
@@ -151,24 +180,13 @@ class ToolInterface:
             return "a discarded path is still being planned"
         return self._whole_body.blocking_reason()
 
-    def _start_planning(self, message: Path, place: Array) -> None:
-        p, start = self._context.options, self._whole_body.rest_position()
-        rotation = self._model.forward(start)[:3, :3]
-        poses = self._poses(message, place, rotation)
-        limits = WholeBodyLimits.of_whole_body(p.core, p.arm)
-        planner = ToolPlanner(self._model, limits, p.tool_path)
-        self_collision = self._context.self_collision()
-
-        def plan() -> ToolPlan:
-            result = planner.plan(poses, start)
-            self_collision.require_clear(result.curve)
-            return result
-
-        self._plan, self._start_position = in_background(plan), start
+    def _start_planning(self, planner: Callable[[Array], Callable[[], Plan]], label: str) -> None:
+        start = self._whole_body.rest_position()
+        self._plan, self._start_position = in_background(planner(start)), start
         self._running = self._plan
-        self.status.report(MotionEvent.PLANNING, f"planning a tool path of {len(poses)} poses")
+        self.status.report(MotionEvent.PLANNING, f"planning {label}")
 
-    def _start(self, future: Future[ToolPlan]) -> str:
+    def _start(self, future: Future[Plan]) -> str:
         """Start a planned path; return why that is impossible, or an empty string."""
         try:
             plan = future.result()
@@ -183,8 +201,9 @@ class ToolInterface:
         drift = float(np.abs(offset).max())
         if drift > MAX_START_DRIFT:
             return f"the robot has moved by {drift:.3f} (m or rad) while it was planned"
-        p = self._context.options
-        stream = ToolStream(self._model, plan, p.tool_path, p.arm.each("velocity"))
-        self._whole_body.follow_tool_path(stream)
+        try:
+            self._driver.drive(plan)
+        except InputError as error:
+            return str(error)
         self.status.report(MotionEvent.STARTED, self._whole_body.status.text)
         return ""

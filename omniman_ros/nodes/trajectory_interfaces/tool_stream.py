@@ -2,13 +2,14 @@
 
 import math
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
 
 from omniman_ros.conversions import arm as arm_conversions
 from omniman_ros.core.arrays import Array
-from omniman_ros.motion.path.joint_interpolator import JointInterpolator
+from omniman_ros.motion.axes import JOINT_COLUMNS, PLATFORM_COLUMNS
 from omniman_ros.motion.path.pace import Pace
 from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.motion.path.window import Window, paced_window
@@ -17,13 +18,37 @@ from omniman_ros.motion.whole_body.correction import (
     corrected_arm_motion,
     joint_speed_pace,
 )
-from omniman_ros.motion.whole_body.model import JOINT_COLUMNS, PLATFORM_COLUMNS, WholeBodyModel
+from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.motion.whole_body.parameters import ToolPathOptions
-from omniman_ros.motion.whole_body.tool_planner import ToolPlan
 from omniman_ros.nodes.omniman_node import OmnimanNode
 
 PACE_STEPS = 20
 """Number of steps between a pace of 0 and 1; fewer changes of the pace disturb the motion less."""
+
+
+class LedTool(Protocol):
+    """The tool of a planned motion."""
+
+    @property
+    def branch(self) -> int:
+        """Branch of the arm's inverse kinematics."""
+        ...
+
+    def tool(self, times: Array) -> Array:
+        """Return poses (m, 4, 4) of `tool0` in odom at times (m,) of the motion [s]."""
+        ...
+
+
+class PlannedAxes(Protocol):
+    """The axes of a planned motion, in motion time."""
+
+    def sample(self, times: Array) -> tuple[Array, Array, Array]:
+        """Return x, x', x'' (k, 9) at increasing motion times (k,) [s]."""
+        ...
+
+    def plan_times(self, times: Array) -> Array:
+        """Return the times (k,) of the tool's motion at increasing motion times (k,) [s]."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -56,7 +81,7 @@ class ToolStream:
     def __init__(
         self,
         model: WholeBodyModel,
-        plan: ToolPlan,
+        plan: LedTool,
         options: ToolPathOptions,
         velocity: tuple[float, ...],
     ) -> None:
@@ -71,13 +96,13 @@ class ToolStream:
         steps = np.floor(PACE_STEPS * min(self.correction.max_pace(), self._joint_pace))
         return max(float(steps), 1.0) / PACE_STEPS  # a pace of 0 would remain 0
 
-    def corrected(self, times: Array, pace: Pace, core: JointInterpolator) -> CorrectedStretch:
+    def corrected(self, times: Array, pace: Pace, core: PlannedAxes) -> CorrectedStretch:
         """Correct a stretch of the planned motion.
 
         Args:
             times: (k,) equally spaced by a tick [s].
             pace: Pace at which the motion is driven.
-            core: Interpolator that follows the plan.
+            core: Axes of the plan.
 
         Raises:
             InputError: The tool cannot be reached from where the platform is.

@@ -4,7 +4,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from omniman_ros.conversions.joints import axis_names
 from omniman_ros.core.errors import InputError
-from omniman_ros.motion.whole_body.model import AXES, PLATFORM_AXES
+from omniman_ros.motion.axes import AXES, PLATFORM_AXES
 from omniman_ros.nodes.serialized import deserialized
 from omniman_ros.nodes.trajectory_interfaces.arm_interface import ArmInterface
 from omniman_ros.nodes.trajectory_interfaces.motion_context import MotionContext

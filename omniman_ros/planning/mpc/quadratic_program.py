@@ -1,5 +1,6 @@
 """Quadratic programs with the structure of an optimal control problem, solved by HPIPM."""
 
+from collections.abc import Iterable
 from typing import Any
 
 import casadi as ca
@@ -24,6 +25,10 @@ INFINITY = 1e4
 """Value that represents infinity in the QP solver: a larger value degrades its scaling."""
 
 
+ARGUMENTS = ("h", "g", "a", "lba", "uba", "lbx", "ubx")
+"""Names of the parts of a program, in the order of casadi."""
+
+
 class SolverError(OmnimanError):
     """The solver found no usable solution; the message gives the reason."""
 
@@ -41,7 +46,6 @@ class QuadraticProgram:
     """
 
     def __init__(self, h: ca.Sparsity, a: ca.Sparsity, sizes: dict[str, Any]) -> None:
-        self._h, self._a = h, a
         more: dict[str, Any] = {
             **sizes,
             "inf": INFINITY,
@@ -57,6 +61,7 @@ class QuadraticProgram:
             ]
         except RuntimeError as error:
             raise SolverError(f"casadi has no QP solver 'hpipm': {error}") from error
+        self._memory = [_Memory(mode) for mode in self._modes]
 
     @staticmethod
     def of_masks(h: Array, a: Array, sizes: dict[str, Any]) -> "QuadraticProgram":
@@ -76,23 +81,91 @@ class QuadraticProgram:
             bounds: low, high (m,), lower and upper (n,).
 
         Raises:
-            SolverError: The program was not solved.
+            SolverError: The program was refused, see :meth:`solve`, or not solved.
         """
-        return self.solve([ca.DM(self._h, h.tolist()), g, ca.DM(self._a, a.tolist()), *bounds])
+        for name, entries in (("matrix H", h), ("gradient", g), ("matrix A", a)):
+            if not np.isfinite(entries).all():
+                raise SolverError(f"the {name} of the quadratic program is not finite")
+        low, high, lower, upper = bounds
+        _require_consistent("row", low, high)
+        _require_consistent("unknown", lower, upper)
+        return _first_solved(memory.solve((h, g, a, *bounds)) for memory in self._memory)
 
     def solve(self, program: list[Any]) -> Array:
         """Return the solution (n,) of a program H, g, A, low, high, lower, upper.
 
+        A program with entries that are not finite, or with bounds that contradict each other, is
+        refused before the call: HPIPM may crash on the former, and casadi raises an error of its
+        own on the latter.
+
         Raises:
-            SolverError: The program was not solved.
+            SolverError: The program was refused, or not solved.
         """
         h, g, a, low, high, lower, upper = program
-        status = ""
-        for qp in self._modes:
-            found = qp(h=h, g=g, a=a, lba=low, uba=high, lbx=lower, ubx=upper)["x"]
-            solution: Array = np.asarray(found).ravel()
-            stats = qp.stats()
-            if stats["success"] and np.isfinite(solution).all():
-                return solution
-            status = str(stats["return_status"])
-        raise SolverError(f"the quadratic program was not solved ({status})")
+        for name, entries in (("matrix H", h), ("gradient", g), ("matrix A", a)):
+            if not ca.DM(entries).is_regular():
+                raise SolverError(f"the {name} of the quadratic program is not finite")
+        dense = [np.asarray(ca.DM(bound)).ravel() for bound in (low, high, lower, upper)]
+        _require_consistent("row", *dense[:2])
+        _require_consistent("unknown", *dense[2:])
+        values = dict(zip(ARGUMENTS, program, strict=True))
+        return _first_solved(
+            (np.asarray(mode(**values)["x"]).ravel(), mode.stats()) for mode in self._modes
+        )
+
+
+class _Memory:
+    """Arguments and results of a solver in arrays that it reads and writes in place.
+
+    Args:
+        solver: Solver of quadratic programs; all its arguments and results are given, as some
+            solvers crash without.
+    """
+
+    def __init__(self, solver: ca.Function) -> None:
+        # The stubs of casadi have the arguments of another language.
+        buffer: tuple[Any, Any] = solver.buffer()
+        self._buffer, self._run = buffer
+        self._arguments = [np.zeros(solver.nnz_in(k)) for k in range(solver.n_in())]
+        self._results = [np.zeros(solver.nnz_out(k)) for k in range(solver.n_out())]
+
+    def solve(self, program: tuple[Array, ...]) -> tuple[Array, dict[str, Any]]:
+        """Return what the solver found (n,) for the entries of a program, and its statistics."""
+        for array, values in zip(self._arguments, program, strict=False):
+            array[:] = values
+        # Anew each time: the solver takes the places of its results away from the buffer.
+        for k, array in enumerate(self._arguments):
+            self._buffer.set_arg(k, array.data)
+        for k, array in enumerate(self._results):
+            self._buffer.set_res(k, array.data)
+        self._run()
+        return self._results[0].copy(), self._buffer.stats()
+
+
+def _first_solved(attempts: Iterable[tuple[Array, dict[str, Any]]]) -> Array:
+    """Return the first solution (n,) of attempts, each with its statistics, that succeeded.
+
+    Raises:
+        SolverError: None did.
+    """
+    status = ""
+    for solution, stats in attempts:
+        if stats["success"] and np.isfinite(solution).all():
+            return solution
+        status = str(stats["return_status"])
+    raise SolverError(f"the quadratic program was not solved ({status})")
+
+
+def _require_consistent(name: str, least: Array, largest: Array) -> None:
+    """Raise unless some value lies between the bounds (n,) of each row or unknown.
+
+    Raises:
+        SolverError: A bound is NaN, infinite on the wrong side, or beyond the other one.
+    """
+    is_possible = (least < np.inf) & (largest > -np.inf) & (least <= largest)
+    if not is_possible.all():
+        k = int(np.flatnonzero(~is_possible)[0])
+        raise SolverError(
+            f"the bounds of {name} {k} of the quadratic program contradict each other: "
+            f"{least[k]:g} and {largest[k]:g}"
+        )

@@ -6,11 +6,11 @@ import numpy as np
 
 from omniman_ros.collision.footprint import Footprint
 from omniman_ros.core.arrays import Array
+from omniman_ros.planning.obstacles.clearance import Clearance
 from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.obstacles.grid_map import GridMap
 from omniman_ros.planning.obstacles.separation import Workspace
 from omniman_ros.planning.obstacles.walls import Walls
-from omniman_ros.planning.route.route import Clearance
 
 
 @dataclass(frozen=True)

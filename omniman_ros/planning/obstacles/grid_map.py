@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from omniman_ros.core import plausible, se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
+from omniman_ros.core.occupancy import OccupancyMap
 from omniman_ros.core.rigid import PlanarPose
 from omniman_ros.planning.obstacles.ellipses import Ellipses
 
@@ -72,34 +73,19 @@ class GridMap:
 
     @staticmethod
     def of_occupancy(
-        data: NDArray[np.int8],
-        width: int,
-        height: int,
-        resolution: float,
-        origin: Array,
-        threshold: int = 50,
-        unknown_is_free: bool = False,
+        occupancy: OccupancyMap, threshold: int = 50, unknown_is_free: bool = False
     ) -> "GridMap":
-        """Create a map from the fields of a message.
+        """Create a map from one of occupancies, in the frame of the latter.
 
         Args:
-            data: (width * height,) cells, row by row from the smallest y on; -1 is unknown, 0 to
-                100 is the occupancy [%].
-            width: Number of cells in a row.
-            height: Number of rows.
-            resolution: Edge of a cell [m].
-            origin: (3,) pose in odom of the corner of cell (0, 0) [m, m, rad].
+            occupancy: The map; -1 is unknown, 0 to 100 is the occupancy [%].
             threshold: Occupancy from which a cell counts as occupied, 1 to 100 [%].
             unknown_is_free: Whether cells of unknown occupancy are free.
 
         Raises:
-            InputError: The sizes do not fit, or a value or the threshold is out of range; see also
-                the class.
+            InputError: A value or the threshold is out of range; see also the class.
         """
-        values = np.asarray(data)
-        # A product of the message's 32-bit integers could overflow, that of Python's cannot.
-        if int(width) < 1 or int(height) < 1 or values.size != int(width) * int(height):
-            raise InputError(f"map: there are {values.size} cells, expected {width} x {height}")
+        values = occupancy.values
         if not 1 <= threshold <= CERTAIN:
             raise InputError(f"map: the threshold is {threshold} percent, expected 1 to {CERTAIN}")
         low, high = int(values.min()), int(values.max())
@@ -109,7 +95,7 @@ class GridMap:
         occupied = values >= threshold
         if not unknown_is_free:
             occupied = occupied | (values == UNKNOWN)
-        return GridMap(occupied.reshape(int(height), int(width)), resolution, origin)
+        return GridMap(occupied, occupancy.resolution, occupancy.origin)
 
     @property
     def size(self) -> tuple[float, float]:

@@ -9,10 +9,10 @@ from omniman_ros.collision.footprint import Footprint
 from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
+from omniman_ros.planning.obstacles.clearance import Clearance
 from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.obstacles.grid_map import GridMap
 from omniman_ros.planning.obstacles.separation import Workspace, outside_by
-from omniman_ros.planning.route.route import Clearance
 
 NODE_GAP_FACTOR = 0.75
 """Ratio of the smallest gap at the nodes to the margin [-], allowed in narrow passages."""

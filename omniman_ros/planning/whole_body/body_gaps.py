@@ -1,6 +1,7 @@
 """Gaps of the whole body: to what stands, to what moves, and between its own parts."""
 
-from dataclasses import dataclass
+import itertools
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from omniman_ros.core.arm_model import JOINTS
 from omniman_ros.core.arrays import Array
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.description.platform_shape import platform_top
+from omniman_ros.motion.whole_body.model import HALF_TURN
 from omniman_ros.planning.whole_body.redundancy import COORDINATES, Configurations
 from omniman_ros.planning.whole_body.surroundings import Hindrances
 
@@ -108,6 +110,9 @@ class BodyGaps:
             ]
         )
         part = self.spheres.part
+        ends = np.flatnonzero(np.diff(part, append=part[-1] + 1)) + 1
+        self._of_part = list(itertools.pairwise((0, *ends.tolist())))
+        self._base: Array = mount.pose @ HALF_TURN
         # Spheres on the axes of the first two joints keep their height above the deck.
         postures = np.linspace(-1.0, 1.0, 3)[:, None] * np.ones(JOINTS)
         heights = self.spheres.place(postures).centre[..., 2]
@@ -128,16 +133,40 @@ class BodyGaps:
 
     # ---- values only, for checks and the search ---------------------------------------------
 
+    def part_name(self, index: int) -> str:
+        """Return the name of a part of the robot by its place in `to_solids`."""
+        return PLATFORM if index == 0 else self.spheres.names[self.spheres.part[index - 1]]
+
+    def nearest_own(self, placed: PlacedSpheres, k: int) -> tuple[str, str]:
+        """Return the names of the two parts of the robot that are nearest to each other.
+
+        Args:
+            placed: Spheres (K, S).
+            k: Number of the configuration among them.
+        """
+        to_deck, between = (gaps[k] for gaps in self._own_gaps(placed))
+        if to_deck.min() <= between.min():
+            return self.part_name(1 + int(self._above[to_deck.argmin()])), PLATFORM
+        pair = int(between.argmin())
+        return self.part_name(1 + int(self._second[pair])), self.part_name(
+            1 + int(self._first[pair])
+        )
+
     def own(self, placed: PlacedSpheres) -> Array:
         """Return the least gap (k,) between two parts of the robot for spheres (k, S) [m]."""
+        to_deck, between = self._own_gaps(placed)
+        result: Array = np.minimum(to_deck.min(axis=1), between.min(axis=1))
+        return result
+
+    def _own_gaps(self, placed: PlacedSpheres) -> tuple[Array, Array]:
+        """Return the gaps (k, A) of spheres to the deck, and (k, P) between two of them [m]."""
         centre, radius = placed.centre, self.spheres.radius
         above = np.moveaxis(centre[:, self._above], -1, 0)
         deck = point_gap_values(self._deck, above)
-        to_deck = (deck.min(axis=-1) - radius[self._above]).min(axis=1)
+        to_deck = deck.min(axis=-1) - radius[self._above]
         between = np.linalg.norm(centre[:, self._first] - centre[:, self._second], axis=-1)
         between -= radius[self._first] + radius[self._second]
-        result: Array = np.minimum(to_deck, between.min(axis=1))
-        return result
+        return to_deck, between
 
     def platform(self, poses: Array, solids: UprightSolids) -> Array:
         """Return the gaps (k, M) of the platform at poses (k, 3) to solids [m]."""
@@ -169,31 +198,12 @@ class BodyGaps:
         Args:
             poses: Poses (k, 3) of the platform.
             placed: Spheres (k, S) in base_link.
-            solids: M solids.
+            solids: M solids, with centres (2, k, M) that may differ from pose to pose.
         """
         platform = self.platform(poses, solids)
         points = np.moveaxis(in_odom(poses, placed.centre), -1, 0)
-        gaps = point_gap_values(solids, points) - self.spheres.radius[:, None]
+        gaps = point_gap_values(_for_spheres(solids), points) - self.spheres.radius[:, None]
         return np.concatenate([platform[:, None], gaps], axis=1)
-
-    def to_hindrances(
-        self, poses: Array, placed: PlacedSpheres, around: Hindrances, ages: Array
-    ) -> Array:
-        """Return the least gaps (k, M) of the body to all solids, the standing ones first [m].
-
-        Args:
-            poses: Poses (k, 3) of the platform.
-            placed: Spheres (k, S) in base_link.
-            around: M solids.
-            ages: Times (k,) after that of the solids [s], by which the moving ones have moved.
-        """
-        found = [self.to_solids(poses, placed, around.standing).min(axis=1)]
-        for each in range(len(around.moving)):
-            shifted = poses.copy()
-            shifted[:, :2] -= ages[:, None] * around.moving.velocity[:, each]
-            solid = around.moving.solids.select(np.array([each]))
-            found.append(self.to_solids(shifted, placed, solid).min(axis=1))
-        return np.concatenate(found, axis=1)
 
     # ---- with derivatives, for the program --------------------------------------------------
 
@@ -209,20 +219,14 @@ class BodyGaps:
             reach: Gap beyond which a solid is left out of account [m].
             count: Number of gaps.
         """
-        placed = self.spheres.place(at.arm)
+        placed = self.spheres.carried(self._base @ at.frames)
         moved = self.spheres.joint_derivative(placed)
-        parts = [self._own_rows(at, placed, moved)]
-        parts.append(self._solid_rows(at, placed, moved, around.standing, np.zeros(2), ages))
-        for each in range(len(around.moving)):
-            solid = around.moving.solids.select(np.array([each]))
-            velocity = around.moving.velocity[:, each]
-            found = self._solid_rows(at, placed, moved, solid, velocity, ages)
-            gap = found.gap - around.growth[each] * np.maximum(ages, 0.0)[:, None]
-            parts.append(GapRows(gap, found.slope, np.full(gap.shape, MOVING)))
+        own = self._own_rows(at, placed, moved)
+        solids = self._solid_rows(at, placed, moved, around, ages)
         joined = GapRows(
-            np.hstack([part.gap for part in parts]),
-            np.concatenate([part.slope for part in parts], axis=1),
-            np.hstack([part.kind for part in parts]),
+            np.hstack([own.gap, solids.gap]),
+            np.concatenate([own.slope, solids.slope], axis=1),
+            np.hstack([own.kind, solids.kind]),
         ).nearest(count)
         is_far = joined.gap > reach
         return GapRows(
@@ -236,14 +240,11 @@ class BodyGaps:
         at: Configurations,
         placed: PlacedSpheres,
         moved: Array,
-        solids: UprightSolids,
-        velocity: Array,
+        around: Hindrances,
         ages: Array,
     ) -> GapRows:
         """Return the gap of each part to each solid, that of its nearest sphere."""
-        k, m = len(at.q), len(solids)
-        poses = at.platform.copy()
-        poses[:, :2] -= ages[:, None] * velocity
+        solids, poses, k = around.placed(ages), at.platform, len(at.q)
         gaps, slopes = [], []
         for each in self._rectangles:
             gap, by_centre = rectangle_gap_derivative(
@@ -252,23 +253,23 @@ class BodyGaps:
             gaps.append(gap)
             slopes.append(_at_base(by_centre, poses, each))
         centre = in_odom(poses, placed.centre)
-        distance, normal = point_gaps(solids, np.moveaxis(centre, -1, 0))
+        distance, normal = point_gaps(_for_spheres(solids), np.moveaxis(centre, -1, 0))
         distance -= self.spheres.radius[:, None]
-        rows = np.arange(k)[:, None]
-        for part in range(len(self.spheres.names)):
-            of_part = np.flatnonzero(self.spheres.part == part)
-            nearest = of_part[distance[:, of_part].argmin(axis=1)]  # (k, m)
-            solid = np.arange(m)
-            n = np.moveaxis(normal[:, rows, nearest, solid], 0, -1)  # (k, m, 3)
-            gaps.append(distance[rows, nearest, solid])
-            slopes.append(
-                _by_coordinates(at, n, centre[rows, nearest], moved[rows, nearest], poses)
-            )
-        return GapRows(
-            np.hstack(gaps),
-            np.concatenate(slopes, axis=1),
-            np.full((k, m * len(gaps)), STANDING),
-        )
+        nearest = np.hstack(
+            [first + distance[:, first:end].argmin(axis=1) for first, end in self._of_part]
+        )  # (k, parts * m)
+        rows, solid = np.arange(k)[:, None], np.tile(np.arange(len(solids)), len(self._of_part))
+        n = np.moveaxis(normal[:, rows, nearest, solid], 0, -1)
+        gaps.append(distance[rows, nearest, solid])
+        slopes.append(_by_coordinates(at, n, centre[rows, nearest], moved[rows, nearest], poses))
+        gap = np.hstack(gaps)
+        repeats = gap.shape[1] // max(len(solids), 1)
+        still = len(around.standing)
+        kind, growth = np.full(len(solids), STANDING), np.zeros(len(solids))
+        kind[still:], growth[still:] = MOVING, around.growth
+        gap -= np.tile(growth, repeats) * np.maximum(ages, 0.0)[:, None]
+        kinds = np.broadcast_to(np.tile(kind, repeats), gap.shape)
+        return GapRows(gap, np.concatenate(slopes, axis=1), kinds)
 
     def _own_rows(self, at: Configurations, placed: PlacedSpheres, moved: Array) -> GapRows:
         """Return the nearest gaps of the robot's parts: to the deck, and between spheres."""
@@ -295,6 +296,11 @@ class BodyGaps:
             by_joints @ at.rates,
             np.full((k, 4), OWN),
         )
+
+
+def _for_spheres(solids: UprightSolids) -> UprightSolids:
+    """Return solids with centres (2, ..., M) for spheres, which have an axis before M."""
+    return replace(solids, centre=solids.centre[..., None, :])
 
 
 def in_odom(poses: Array, points: Array) -> Array:

@@ -2,11 +2,11 @@
 
 import enum
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
-from omniman_ros.collision.surroundings import Surroundings
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
@@ -14,6 +14,7 @@ from omniman_ros.planning.motion import Motion
 from omniman_ros.planning.mpc.quadratic_program import SolverError
 from omniman_ros.planning.whole_body.body_gaps import BodyGaps
 from omniman_ros.planning.whole_body.linearisation import Linearisation
+from omniman_ros.planning.whole_body.obstruction import Cause, Obstruction
 from omniman_ros.planning.whole_body.parameters import DodgeOptions
 from omniman_ros.planning.whole_body.plan_check import PlanCheck, Verdict
 from omniman_ros.planning.whole_body.redundancy import COORDINATES, PLACE, ToolRedundancy
@@ -57,12 +58,12 @@ class CycleOutcome:
     Attributes:
         choice: What is followed from now on.
         verdict: What the check says of it.
-        reason: Why it is not the whole new plan; empty if it is.
+        obstruction: What is in the way of the whole new plan; None if nothing is.
     """
 
     choice: Choice
     verdict: Verdict
-    reason: str = ""
+    obstruction: Obstruction | None = None
 
 
 class WholeBodyController:
@@ -125,19 +126,21 @@ class WholeBodyController:
         until = due + self._options.steps * self._options.step
         plan, fault = self._plan(due, way, around)
         best: tuple[Motion, CycleOutcome] | None = None
-        reason = fault
+        found = None
+        if plan is None:
+            found = Obstruction(Cause.PROGRAM, float(self.motion.sample(due)[0][PLACE]), "", fault)
         for choice, motion in self._candidates(now, due, plan):
             verdict = self._check.judge(motion, now, until, around)
-            outcome = CycleOutcome(choice, verdict, reason)
+            found = found or verdict.obstruction
+            outcome = CycleOutcome(choice, verdict, found)
             if verdict.is_clear:
                 best = motion, outcome
                 break
-            reason = reason or verdict.reason
             if best is None or verdict.is_safer(best[1].verdict):
                 best = motion, outcome
         assert best is not None  # braking is always a candidate
         self.motion, outcome = best
-        return replace(outcome, reason=outcome.reason if outcome.choice is not Choice.PLAN else "")
+        return outcome
 
     def _plan(self, due: float, way: Way, around: Hindrances) -> tuple[Motion | None, str]:
         """Return the new plan from a time [s] on, or None and the reason."""
@@ -156,17 +159,15 @@ class WholeBodyController:
 
     def _candidates(
         self, now: float, due: float, plan: Motion | None
-    ) -> list[tuple[Choice, Motion]]:
-        """Return the motions to choose from, in the order of preference."""
+    ) -> Iterator[tuple[Choice, Motion]]:
+        """Yield the motions to choose from, in the order of preference."""
+        if plan is not None:
+            yield Choice.PLAN, plan
+            yield Choice.BEGINNING, self.braked(plan, due + FOLLOWED)
         begins = max(self.motion.start, now - KEPT_PAST)
         last = self.motion.between(begins, max(self.motion.end, now + PERIOD))
-        found: list[tuple[Choice, Motion]] = []
-        if plan is not None:
-            found.append((Choice.PLAN, plan))
-            found.append((Choice.BEGINNING, self.braked(plan, due + FOLLOWED)))
-        found.append((Choice.LAST_PLAN, last))
-        found.append((Choice.BRAKING, self.braked(last, now)))
-        return found
+        yield Choice.LAST_PLAN, last
+        yield Choice.BRAKING, self.braked(last, now)
 
     def braked(self, motion: Motion, time: float) -> Motion:
         """Return a motion that from a time [s] on is slowed down to rest on its own way."""
@@ -197,15 +198,7 @@ class WholeBodyController:
         moving = around.moving.solids.centre + (now - around.time) * around.moving.velocity
         closing = np.hypot(*around.moving.velocity) * self._options.steps * self._options.step
         is_near = np.hypot(*(moving - places[:2, None])) - closing < reach + 1.0
-        return Hindrances(
-            around.time,
-            around.standing.select(index),
-            Surroundings(
-                around.moving.solids.select(np.flatnonzero(is_near)),
-                around.moving.velocity[:, is_near],
-            ),
-            around.growth[is_near],
-        )
+        return around.selected(index, np.flatnonzero(is_near))
 
 
 def _rest(time: float, z: Array) -> Motion:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from omniman_ros.core.errors import ParameterError
-from omniman_ros.core.parameters import inline, parameter
+from omniman_ros.core.parameters import parameter
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class WayOptions:
 class DodgeOptions:
     """Options of the control of the whole body in its redundancy."""
 
-    way: WayOptions = inline()
+    way: WayOptions
     steps: int = parameter(25, "Steps N of the horizon.", low=5, high=60)
     step: float = parameter(
         0.1, "Time over which accelerations are held.", unit="s", low=0.02, high=0.5

@@ -10,8 +10,9 @@ from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.motion.whole_body.posture import PostureResolver
 from omniman_ros.planning.motion import Motion
 from omniman_ros.planning.whole_body.body_gaps import BodyGaps
+from omniman_ros.planning.whole_body.obstruction import Cause, Obstruction
 from omniman_ros.planning.whole_body.parameters import DodgeOptions
-from omniman_ros.planning.whole_body.redundancy import ToolRedundancy
+from omniman_ros.planning.whole_body.redundancy import PLACE, ToolRedundancy
 from omniman_ros.planning.whole_body.surroundings import Hindrances
 
 SAMPLE_STEP = 0.04
@@ -21,6 +22,15 @@ APPROACH = 0.002
 EXCESS = 1.1
 """Share of a limit of the arm and the wheels that a motion may use between the program's nodes;
 the program leaves the reserve of the limits free."""
+AXIS_NAMES = {
+    Cause.JOINT_LIMIT: "joint {}",
+    Cause.REVOLUTION: "joint {}",
+    Cause.SINGULARITY: "",
+    Cause.JOINT_SPEED: "joint {}",
+    Cause.JOINT_ACCELERATION: "joint {}",
+    Cause.WHEEL_SPEED: "wheel {}",
+}
+"""What breaks a limit, by its number from 1 on."""
 
 
 @dataclass(frozen=True)
@@ -28,21 +38,23 @@ class Verdict:
     """Result of a check.
 
     Attributes:
-        reason: Why the motion must not be followed; empty if it may.
+        obstruction: Why the motion must not be followed; None if it may.
         is_possible: Whether it keeps reach, limits and the gaps of the robot to itself.
         contact: Time until a part of the robot touches something, if all move on as they do [s].
         gap: Least gap on the way [m].
+        nearest: Obstacle that leaves the least room on the way; None without any.
     """
 
-    reason: str
+    obstruction: Obstruction | None
     is_possible: bool
     contact: float
     gap: float
+    nearest: Obstruction | None = None
 
     @property
     def is_clear(self) -> bool:
         """Whether the motion may be followed."""
-        return not self.reason
+        return self.obstruction is None
 
     def is_safer(self, other: "Verdict") -> bool:
         """Whether contact comes later than with another motion, or the gap stays wider."""
@@ -89,34 +101,48 @@ class PlanCheck:
         times = np.linspace(now, max(motion.end, until), count)
         z, rates = motion.at(times)
         q = self._redundancy.axes(z)
-        reason = self._impossible(times, z, rates, q)
-        if reason:
-            return Verdict(reason, False, 0.0, -math.inf)
+        if fault := self._impossible(times, z, rates, q):
+            return Verdict(fault, False, 0.0, -math.inf)
         placed = self._gaps.spheres.place(q[:, 3:])
         own = self._gaps.own(placed)
-        ages = times - around.time
-        gaps = self._gaps.to_hindrances(z[:, :3], placed, around, ages)
-        standing = gaps.shape[1] - len(around.moving)
+        solids = around.placed(times - around.time)
+        of_parts = self._gaps.to_solids(z[:, :3], placed, solids)
+        gaps = of_parts.min(axis=1)
+        standing = len(around.standing)
         least = np.minimum(own, gaps.min(axis=1, initial=np.inf))
         touches = np.flatnonzero(least <= 0.0)
         contact = float(times[touches[0]] - now) if len(touches) else math.inf
         grown = gaps.copy()
         grown[:, standing:] -= around.growth * (times - now)[:, None]
-        least_clearance = self._options.least_clearance
-        allowed = np.minimum(least_clearance, grown[0] - APPROACH)
-        near = grown < allowed
-        if near.any():
-            k = int(near.any(axis=1).argmax())
-            label = around.labels()[int((grown - allowed)[k].argmin())]
-            reason = f"the plan comes too near to {label} in {times[k] - now:.2f} s"
-        elif (own < min(self._options.own_clearance, float(own[0]) - APPROACH)).any():
-            reason = "parts of the robot come too near to each other"
-        return Verdict(reason, True, contact, float(least.min()))
+        allowed = np.minimum(self._options.least_clearance, grown[0] - APPROACH)
+        is_near = (grown < allowed).any(axis=1)
+        own_allowed = min(self._options.own_clearance, float(own[0]) - APPROACH)
+        found = nearest = None
 
-    def _impossible(self, times: Array, z: Array, rates: Array, q: Array) -> str:
-        """Return why a motion cannot be executed, or an empty string."""
-        if not (np.isfinite(q).all() and np.isfinite(rates).all()):
-            return "the tool is out of the arm's reach"
+        def obstacle(k: int, solid: int) -> Obstruction:
+            cause = Cause.STANDING if solid < standing else Cause.MOVING
+            part = self._gaps.part_name(int(of_parts[k, :, solid].argmin()))
+            return Obstruction(cause, float(z[k, PLACE]), part, around.labels()[solid])
+
+        if gaps.shape[1]:
+            clearance = np.full(gaps.shape[1], self._options.clearance)
+            clearance[standing:] = self._options.moving_clearance
+            room = grown - clearance
+            nearest = obstacle(*divmod(int(room.argmin()), room.shape[1]))
+        if is_near.any():
+            k = int(is_near.argmax())
+            found = obstacle(k, int((grown - allowed)[k].argmin()))
+        elif (own < own_allowed).any():
+            k = int((own < own_allowed).argmax())
+            pair = self._gaps.nearest_own(placed, k)
+            found = Obstruction(Cause.SELF, float(z[k, PLACE]), *pair)
+        return Verdict(found, True, contact, float(least.min()), nearest)
+
+    def _impossible(self, times: Array, z: Array, rates: Array, q: Array) -> Obstruction | None:
+        """Return why a motion cannot be executed, or None."""
+        is_reached = np.isfinite(q).all(axis=1) & np.isfinite(rates).all(axis=1)
+        if not is_reached.all():
+            return Obstruction(Cause.REACH, float(z[int(is_reached.argmin()), PLACE]))
         limits, arm, span = self._limits, q[:, 3:], times[1] - times[0]
         margins, _ = self._resolver.margins(arm, self._signs)
         speeds = np.diff(arm, axis=0) / span
@@ -124,12 +150,17 @@ class PlanCheck:
         c, s = np.cos(z[:, 2]), np.sin(z[:, 2])
         x, y, w = rates[:, :3].T
         wheels = np.column_stack([c * x + s * y, c * y - s * x, w]) @ limits.wheels.T
-        reasons = {
-            "a joint is beyond its limit": (arm < limits.lower[3:]) | (arm > limits.upper[3:]),
-            "a joint is half a revolution away from its start": span * np.abs(speeds) > math.pi,
-            "the arm is too close to a singularity": margins < self._least_margin,
-            "a joint is too fast": np.abs(speeds) > EXCESS * limits.velocity[3:],
-            "a joint accelerates too much": accelerations > EXCESS * limits.acceleration[3:],
-            "a wheel is too fast": np.abs(wheels) > EXCESS * limits.wheel_speed,
+        faults = {
+            Cause.JOINT_LIMIT: (arm < limits.lower[3:]) | (arm > limits.upper[3:]),
+            Cause.REVOLUTION: span * np.abs(speeds) > math.pi,
+            Cause.SINGULARITY: margins < self._least_margin,
+            Cause.JOINT_SPEED: np.abs(speeds) > EXCESS * limits.velocity[3:],
+            Cause.JOINT_ACCELERATION: accelerations > EXCESS * limits.acceleration[3:],
+            Cause.WHEEL_SPEED: np.abs(wheels) > EXCESS * limits.wheel_speed,
         }
-        return next((reason for reason, broken in reasons.items() if broken.any()), "")
+        for cause, broken in faults.items():
+            if broken.any():
+                k, axis = np.unravel_index(int(broken.argmax()), broken.shape)
+                place = float(z[k, PLACE])
+                return Obstruction(cause, place, AXIS_NAMES[cause].format(int(axis) + 1))
+        return None

@@ -7,12 +7,12 @@ twist per s; the accelerations are q'' = G z'' + J_arm^-1 (t' s'^2 - J' q').
 """
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.motion.whole_body.model import WholeBodyModel
-from omniman_ros.motion.whole_body.tool_curve import ToolCurve
 
 COORDINATES = 4
 """Number of redundancy coordinates."""
@@ -24,6 +24,27 @@ SINGULAR = 1e-9
 """Determinant of the arm's Jacobian below which it counts as singular."""
 
 
+class LedPath(Protocol):
+    """A path of the tool, as a `ToolCurve` or a `HeldTool` is."""
+
+    @property
+    def end(self) -> float:
+        """Parameter u at the end [m]."""
+        ...
+
+    def pose(self, u: Array) -> Array:
+        """Return poses (m, 4, 4) of the tool at u (m,)."""
+        ...
+
+    def motion(self, u: Array) -> tuple[Array, Array, Array]:
+        """Return poses (m, 4, 4), twists (m, 6) per u and their derivatives by u, at u (m,)."""
+        ...
+
+    def length(self) -> float:
+        """Return the path length of the tool's origin [m]."""
+        ...
+
+
 @dataclass(frozen=True)
 class Configurations:
     """Configurations of the whole body along a plan.
@@ -32,11 +53,17 @@ class Configurations:
         z: Redundancy coordinates (k, 4).
         q: All axes (k, 9); NaN where the arm does not reach the tool.
         rates: G (k, 6, 4), the joints' derivatives by z.
+        frames: Poses (k, 7, 4, 4) of the arm's links in the base of the DH table.
+        jacobian: Jacobians (k, 6, 9) of the tool.
+        bend: Derivatives (k, 6) of the tool's twist per s by s.
     """
 
     z: Array
     q: Array
     rates: Array
+    frames: Array
+    jacobian: Array
+    bend: Array
 
     @property
     def platform(self) -> Array:
@@ -64,7 +91,7 @@ class ToolRedundancy:
         centre: Joint angles of the start.
     """
 
-    def __init__(self, model: WholeBodyModel, path: ToolCurve, centre: Array) -> None:
+    def __init__(self, model: WholeBodyModel, path: LedPath, centre: Array) -> None:
         self.model, self.path, self.centre = model, path, centre
         self._branch = model.arm.branch_of(centre)
 
@@ -78,30 +105,26 @@ class ToolRedundancy:
         return self.model.arm_angles(platform, tool, self._branch, self.centre)
 
     def configurations(self, z: Array) -> Configurations:
-        """Return configurations with derivatives at coordinates (k, 4)."""
-        pose, twist, _ = self.path.motion(z[:, PLACE])
+        """Return configurations with derivatives at coordinates (k, 4).
+
+        The derivatives are NaN where the arm is singular or does not reach the tool.
+        """
+        pose, twist, bend = self.path.motion(z[:, PLACE])
         q = np.hstack([z[:, :3], self.arm(z[:, :3], pose)])
-        return Configurations(z, q, self._rates(q, twist))
+        frames = self.model.arm.frames(q[:, 3:])
+        jacobian = self.model.jacobian_of(q, frames)
+        right = np.concatenate([-jacobian[:, :, :3], twist[:, :, None]], axis=2)
+        rates = _solved(jacobian[:, :, 3:], right)
+        return Configurations(z, q, rates, frames, jacobian, bend)
 
     def drift(self, at: Configurations, velocity: Array) -> Array:
         """Return the joints' accelerations (k, 6) while z' (k, 4) does not change [rad/s^2]."""
-        _, _, change = self.path.motion(at.z[:, PLACE])
         rates = np.hstack([velocity[:, :3], _times(at.rates, velocity)])
         step = DIFFERENCE_STEP * rates
-        difference = self.model.jacobian(at.q + step) - self.model.jacobian(at.q - step)
-        bend = _times(difference, rates) / (2.0 * DIFFERENCE_STEP)
-        right = change * velocity[:, PLACE, None] ** 2 - bend
-        arm = self.model.jacobian(at.q)[:, :, 3:]
-        return _solved(arm, right[:, :, None])[:, :, 0]
-
-    def _rates(self, q: Array, twist: Array) -> Array:
-        """Return G (k, 6, 4) at all axes (k, 9) with the tool's twists (k, 6) per s.
-
-        It is NaN where the arm is singular or does not reach the tool.
-        """
-        jacobian = self.model.jacobian(q)
-        right = np.concatenate([-jacobian[:, :, :3], twist[:, :, None]], axis=2)
-        return _solved(jacobian[:, :, 3:], right)
+        ahead, behind = self.model.jacobian(np.stack([at.q + step, at.q - step]))
+        turning = _times(ahead - behind, rates) / (2.0 * DIFFERENCE_STEP)
+        right = at.bend * velocity[:, PLACE, None] ** 2 - turning
+        return _solved(at.jacobian[:, :, 3:], right[:, :, None])[:, :, 0]
 
 
 def _times(matrix: Array, vectors: Array) -> Array:

@@ -1,9 +1,10 @@
 """What the whole body keeps clear of: solids that stand, and solids that move or may move."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from omniman_ros.collision.convex_search import Indices
 from omniman_ros.collision.solids import UprightSolids
 from omniman_ros.collision.surroundings import Surroundings
 from omniman_ros.core.arrays import Array
@@ -23,17 +24,22 @@ class Hindrances:
         standing: Solids that stand.
         moving: Solids that move at constant velocity, and those that may walk on at once.
         growth: Rates (M,) at which the margin around each of the moving ones grows [m/s].
+        names: Names of all solids, the standing ones first; none if they are numbered.
 
     Raises:
-        InputError: The growth has the wrong shape, or a value is not finite.
+        InputError: There are not as many rates or names as solids, or a value is not finite.
     """
 
     time: float = 0.0
     standing: UprightSolids = field(default_factory=lambda: UprightSolids.join([]))
     moving: Surroundings = field(default_factory=_nothing)
     growth: Array = field(default_factory=lambda: np.zeros(0))
+    names: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        count = len(self.standing) + len(self.moving)
+        if len(self.names) not in (0, count):
+            raise InputError(f"there are {len(self.names)} names for {count} solids")
         if self.growth.shape != (len(self.moving),):
             raise InputError(
                 f"growth has shape {self.growth.shape}, expected ({len(self.moving)},)"
@@ -44,7 +50,34 @@ class Hindrances:
         if not all(np.isfinite(part).all() for part in values):
             raise InputError("solids must be finite, and so must their motion and its time")
 
-    def labels(self) -> list[str]:
+    def placed(self, ages: Array) -> UprightSolids:
+        """Return all solids, the standing ones first, where they are at other times.
+
+        Args:
+            ages: Times (k,) after that of the solids [s].
+
+        Returns:
+            M solids, whose centres (2, k, M) differ from time to time [m].
+        """
+        solids = UprightSolids.join([self.standing, self.moving.solids])
+        velocity = np.zeros((2, len(solids)))
+        velocity[:, len(self.standing) :] = self.moving.velocity
+        return replace(solids, centre=solids.centre[:, None] + ages[:, None] * velocity[:, None])
+
+    def selected(self, standing: Indices, moving: Indices) -> "Hindrances":
+        """Return some of the solids by their numbers among those that stand and that move."""
+        labels, still = self.labels(), len(self.standing)
+        return Hindrances(
+            self.time,
+            self.standing.select(standing),
+            Surroundings(self.moving.solids.select(moving), self.moving.velocity[:, moving]),
+            self.growth[moving],
+            tuple(labels[k] for k in (*standing.tolist(), *(still + moving).tolist())),
+        )
+
+    def labels(self) -> tuple[str, ...]:
         """Return a name for each solid, the standing ones first."""
-        standing = [f"standing solid {k}" for k in range(len(self.standing))]
-        return standing + [f"moving solid {k}" for k in range(len(self.moving))]
+        if self.names:
+            return self.names
+        standing = tuple(f"standing solid {k}" for k in range(len(self.standing)))
+        return standing + tuple(f"moving solid {k}" for k in range(len(self.moving)))

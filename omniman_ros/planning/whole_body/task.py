@@ -1,4 +1,4 @@
-"""A task of the whole body: the tool along a path, past what is around the robot."""
+"""Tasks of the whole body: the tool along a path, or held, past what is around the robot."""
 
 from dataclasses import dataclass
 
@@ -6,7 +6,10 @@ import numpy as np
 
 from omniman_ros.collision.parameters import LoadShape, ToolShape
 from omniman_ros.core.arrays import Array
+from omniman_ros.core.errors import InputError
 from omniman_ros.description.parameters import DescriptionParameters
+from omniman_ros.motion.axes import AXES
+from omniman_ros.motion.whole_body.held_tool import HeldTool
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.motion.whole_body.parameters import ToolPathOptions
@@ -45,7 +48,70 @@ class BodySetup:
     dodge: DodgeOptions
 
 
-class WholeBodyTask:
+class BodyTask:
+    """Platform and arm while the tool is led: along a path, or held at a place.
+
+    Args:
+        setup: The robot, and all options.
+        redundancy: Kinematics on the path of the tool, or at its place.
+        way: Way of the platform that leads the plans.
+        start: (9,) positions of all axes at rest.
+        time: Time at which the task begins [s].
+
+    Attributes:
+        redundancy: Kinematics on the path of the tool.
+        way: Way of the platform that leads the plans.
+        controller: Control of the motion.
+        has_end: Whether the task ends by itself, so that progress is expected.
+
+    Raises:
+        InputError: The arm starts near a singularity.
+        SolverError: casadi has no HPIPM.
+    """
+
+    has_end = True
+
+    def __init__(
+        self, setup: BodySetup, redundancy: ToolRedundancy, way: Way, start: Array, time: float
+    ) -> None:
+        limits, options, o = setup.limits, setup.path, setup.dodge
+        resolver = PostureResolver(redundancy.model, limits, options)
+        resolver.signs(start[3:])  # raises on a singularity, where there is no branch
+        gaps = BodyGaps(setup.description, setup.tool, setup.load, o.spacing)
+        least = options.singularity
+        tool = (options.linear_velocity, options.linear_acceleration, least, options.reserve)
+        self.redundancy, self.way = redundancy, way
+        self.controller = WholeBodyController(
+            redundancy,
+            gaps,
+            limits,
+            Linearisation(redundancy, gaps, resolver, limits, tool, o),
+            PlanCheck(redundancy, gaps, resolver, limits, least, o),
+            o,
+        )
+        self.controller.begin(time, np.append(start[:3], 0.0))
+
+    def search(self, time: float, around: Hindrances) -> None:
+        """Find the way anew from where the robot is at a time [s], as something new stands.
+
+        Raises:
+            NoWayError: There is none; the way before stays.
+        """
+
+    def cycle(self, now: float, around: Hindrances) -> CycleOutcome:
+        """Choose the motion from a time [s] on; see :meth:`WholeBodyController.cycle`."""
+        return self.controller.cycle(now, self.way, around)
+
+    def axes(self, times: Array) -> Array:
+        """Return all axes (k, 9) at times (k,) [s] of the motion that is followed."""
+        return self.redundancy.axes(self.controller.motion.at(times)[0])
+
+    def is_completed(self, time: float) -> bool:
+        """Return whether the robot is at rest at the end of the path at a time [s]."""
+        return self.has_end and self.controller.is_completed(time)
+
+
+class WholeBodyTask(BodyTask):
     """Leads the tool along one path, from rest to rest.
 
     Args:
@@ -54,11 +120,6 @@ class WholeBodyTask:
         start: (9,) positions of all axes at rest.
         time: Time at which the task begins [s].
         around: What is around the robot.
-
-    Attributes:
-        redundancy: Kinematics on the path of the tool.
-        way: Way of the platform that leads the plans.
-        controller: Control of the motion.
 
     Raises:
         InputError: The input is invalid, the path is too far away, the arm starts near a
@@ -75,41 +136,39 @@ class WholeBodyTask:
         path = ToolCurve(np.concatenate([model.forward(start)[None], poses]), options)
         resolver = PostureResolver(model, limits, options)
         resolver.signs(start[3:])  # raises on a singularity, where there is no branch
-        self.redundancy = ToolRedundancy(model, path, start[3:])
-        shapes = setup.description, setup.tool, setup.load
-        least, gaps = options.singularity, BodyGaps(*shapes, o.spacing)
-        coarse = BodyGaps(*shapes, o.way.spacing)
-        self._search = WaySearch(self.redundancy, coarse, resolver, limits, least, o.way)
-        at = np.append(start[:3], 0.0)
-        self.way: Way = self._search.find(at, around.standing)
-        tool = (options.linear_velocity, options.linear_acceleration, least, options.reserve)
-        self.controller = WholeBodyController(
-            self.redundancy,
-            gaps,
-            limits,
-            Linearisation(self.redundancy, gaps, resolver, limits, tool, o),
-            PlanCheck(self.redundancy, gaps, resolver, limits, least, o),
-            o,
+        redundancy = ToolRedundancy(model, path, start[3:])
+        coarse = BodyGaps(setup.description, setup.tool, setup.load, o.way.spacing)
+        self._search = WaySearch(
+            redundancy, path, coarse, resolver, limits, options.singularity, o.way
         )
-        self.controller.begin(time, at)
+        way = self._search.find(np.append(start[:3], 0.0), around)
+        super().__init__(setup, redundancy, way, start, time)
 
     def search(self, time: float, around: Hindrances) -> None:
-        """Find the way anew from where the robot is at a time [s], as something new stands.
-
-        Raises:
-            NoWayError: There is none; the way before stays.
-        """
+        """Find the way anew; see the base class."""
         at, _ = self.controller.motion.sample(time)
-        self.way = self._search.find(at, around.standing)
+        self.way = self._search.find(at, around)
 
-    def cycle(self, now: float, around: Hindrances) -> CycleOutcome:
-        """Choose the motion from a time [s] on; see :meth:`WholeBodyController.cycle`."""
-        return self.controller.cycle(now, self.way, around)
 
-    def axes(self, times: Array) -> Array:
-        """Return all axes (k, 9) at times (k,) [s] of the motion that is followed."""
-        return self.redundancy.axes(self.controller.motion.at(times)[0])
+class ToolHold(BodyTask):
+    """Holds the tool where it is, while platform and arm give way and come back; without end.
 
-    def is_completed(self, time: float) -> bool:
-        """Return whether the robot is at rest at the end of the path at a time [s]."""
-        return self.controller.is_completed(time)
+    Args:
+        setup: The robot, and all options.
+        start: (9,) positions of all axes at rest, to which the platform comes back.
+        time: Time at which the task begins [s].
+
+    Raises:
+        InputError: The positions are not finite, or the arm starts near a singularity.
+        SolverError: casadi has no HPIPM.
+    """
+
+    has_end = False
+
+    def __init__(self, setup: BodySetup, start: Array, time: float) -> None:
+        if start.shape != (AXES,) or not np.isfinite(start).all():
+            raise InputError(f"the start must be {AXES} finite positions")
+        model = WholeBodyModel(setup.description.mount)
+        held = HeldTool(model.forward(start))
+        way = Way(0.0, 1.0, np.tile(start[:3], (2, 1)))
+        super().__init__(setup, ToolRedundancy(model, held, start[3:]), way, start, time)

@@ -7,6 +7,7 @@ import numpy as np
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.motion.whole_body.whole_body_path import PlatformSpline
+from omniman_ros.planning.whole_body.obstruction import Obstruction
 
 
 class NoWayError(InputError):
@@ -14,14 +15,12 @@ class NoWayError(InputError):
 
     Args:
         message: What a user is told.
-        place: Parameter of the tool's path [m] up to which there is a way.
-        part: Name of the part of the robot that has no room; empty if the arm is out of reach.
-        solid: Number of the solid that takes the room, or None.
+        obstruction: What is in the way, at the place up to which there is a way.
     """
 
-    def __init__(self, message: str, place: float, part: str, solid: int | None) -> None:
+    def __init__(self, message: str, obstruction: Obstruction) -> None:
         super().__init__(message)
-        self.place, self.part, self.solid = place, part, solid
+        self.obstruction = obstruction
 
 
 @dataclass(frozen=True)

@@ -19,9 +19,12 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.motion.path.axis_limits import AxisLimits
 from omniman_ros.motion.whole_body.model import planar_transform
 from omniman_ros.motion.whole_body.posture import POSTURE_WEIGHTS, PostureResolver, describe_place
+from omniman_ros.motion.whole_body.tool_curve import ToolCurve
 from omniman_ros.planning.whole_body.body_gaps import BodyGaps, in_odom
+from omniman_ros.planning.whole_body.obstruction import Cause, Obstruction
 from omniman_ros.planning.whole_body.parameters import WayOptions
 from omniman_ros.planning.whole_body.redundancy import PLACE, ToolRedundancy
+from omniman_ros.planning.whole_body.surroundings import Hindrances
 from omniman_ros.planning.whole_body.way import NoWayError, Way
 
 REACH = 1.2
@@ -65,6 +68,7 @@ class WaySearch:
 
     Args:
         redundancy: Kinematics on the path of the tool.
+        path: This path.
         gaps: Shape of the robot, with few spheres.
         resolver: Margins to singularities.
         limits: Limits of the joints, the last six axes.
@@ -75,13 +79,14 @@ class WaySearch:
     def __init__(
         self,
         redundancy: ToolRedundancy,
+        path: ToolCurve,
         gaps: BodyGaps,
         resolver: PostureResolver,
         limits: AxisLimits,
         least_margin: float,
         options: WayOptions,
     ) -> None:
-        self._redundancy, self._gaps = redundancy, gaps
+        self._redundancy, self._path, self._gaps = redundancy, path, gaps
         self._resolver, self._options = resolver, options
         self._least_margin = SINGULARITY_RESERVE * least_margin
         centre = redundancy.centre
@@ -92,17 +97,17 @@ class WaySearch:
         self._upper: Array = np.maximum(np.minimum(upper, centre + room), centre)
         self._known: dict[tuple[int, ...], _Postures] = {}
 
-    def find(self, start: Array, standing: UprightSolids) -> Way:
+    def find(self, start: Array, around: Hindrances) -> Way:
         """Find a way from coordinates (4,) to the end of the path.
 
         Args:
             start: Redundancy coordinates of the start.
-            standing: What stands.
+            around: What is around the robot, of which that counts which stands.
 
         Raises:
             NoWayError: There is none.
         """
-        o, path = self._options, self._redundancy.path
+        o, path = self._options, self._path
         first = float(start[PLACE])
         count = max(3, math.ceil((path.end - first) / o.layer))
         places = np.linspace(first, path.end, count + 1)
@@ -116,10 +121,12 @@ class WaySearch:
             cost, choice = grid.moved(cost, upright[k - 1], upright[k])
             choices.append(choice)
             reached = np.isfinite(cost.ravel())
-            price, block = self._priced(grid, float(places[k]), upright[k], standing, reached)
+            price, block = self._priced(
+                grid, float(places[k]), upright[k], around.standing, reached
+            )
             cost = cost + price.reshape(grid.shape)
             if not np.isfinite(cost).any():
-                self._refuse(float(places[k - 1]), block)
+                self._refuse(float(places[k - 1]), block, around.labels())
         return Way(first, path.end, _traced(grid, cost, choices, upright, start))
 
     def _priced(
@@ -178,7 +185,7 @@ class WaySearch:
 
     def _postures(self, grid: "_Grid", place: float) -> _Postures:
         """Return the postures at a place of the path, perhaps those of a similar place."""
-        path = self._redundancy.path
+        path = self._path
         _, _, height, _, *tilt = path.at(np.array([place]))[0].tolist()
         key = (round(height / SAME_HEIGHT), *(round(angle / SAME_TILT) for angle in tilt))
         if key not in self._known:
@@ -187,7 +194,7 @@ class WaySearch:
 
     def _found(self, grid: "_Grid", place: float) -> _Postures:
         """Return all points of the grid from which the arm reaches the tool at a place."""
-        path = self._redundancy.path
+        path = self._path
         x, y, _, psi, *_ = path.at(np.array([place]))[0].tolist()
         tool = np.linalg.inv(planar_transform(np.array([x, y, psi]))) @ path.pose(
             np.array([place])
@@ -220,15 +227,15 @@ class WaySearch:
         result: Array = distance < longest
         return result
 
-    def _refuse(self, place: float, block: tuple[str, int] | None) -> None:
+    def _refuse(
+        self, place: float, block: tuple[str, int] | None, labels: tuple[str, ...]
+    ) -> None:
         """Raise the error for a way that ends at a place of the path [m]."""
-        where = describe_place(self._redundancy.path, place)
-        if block is None:
-            reason = "beyond it, the platform finds no place from which the arm reaches the tool"
-            raise NoWayError(where + reason, place, "", None)
-        part, solid = block
-        reason = f"beyond it, {part} has no room beside standing solid {solid}"
-        raise NoWayError(where + reason, place, part, solid)
+        found = Obstruction(Cause.REACH, place)
+        if block is not None:
+            found = Obstruction(Cause.STANDING, place, block[0], labels[block[1]])
+        where = describe_place(self._path, place)
+        raise NoWayError(f"{where}beyond it, {found.reason}", found)
 
 
 class _Grid:

@@ -304,6 +304,11 @@ class SimulatedBus:
     # ---- plant --------------------------------------------------------------------------------
 
     @property
+    def simulated_until(self) -> float | None:
+        """Instant up to which plant and drives were simulated [s]; None before the first."""
+        return self._now
+
+    @property
     def wheels(self) -> DrivenWheels:
         """The simulated wheels, with their true state."""
         return self._wheels

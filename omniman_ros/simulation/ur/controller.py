@@ -14,13 +14,11 @@ from omniman_ros.simulation.ur.arm_body import ArmBody
 from omniman_ros.simulation.ur.faults import UrFaultParameters
 from omniman_ros.simulation.ur.modes import MOVING, Modes, RobotMode, RuntimeState, SafetyMode
 from omniman_ros.simulation.ur.motion import Motion, MoveJ, ServoJ, Stop, Target
-from omniman_ros.simulation.ur.program_host import ProgramHost
-from omniman_ros.simulation.ur.program_sockets import ProgramSockets
 from omniman_ros.simulation.ur.registers import Registers
 from omniman_ros.simulation.ur.rtde_fields import Value
 from omniman_ros.simulation.ur.safety_checks import SafetyChecks
 from omniman_ros.simulation.ur.urscript.errors import ScriptError, ScriptRuntimeError
-from omniman_ros.simulation.ur.urscript.host import Done, Host
+from omniman_ros.simulation.ur.urscript.host import Done
 
 SCALING_RATE = 2.0
 """Rate at which the speed slider and a pause take effect [1/s]."""
@@ -64,8 +62,8 @@ class RunningProgram(Protocol):
         ...
 
 
-Launch = Callable[[str, Host], RunningProgram]
-"""Parses the text of a program and starts it, or raises ScriptError."""
+Launch = Callable[[str, "Controller"], RunningProgram]
+"""Parses the text of a program and starts it on a controller, or raises ScriptError."""
 
 
 @dataclass
@@ -96,7 +94,6 @@ class Controller:
         parameters: Parameters of the arm.
         arm: The joints.
         launch: Parses and starts programs.
-        network: Connections of the programs.
 
     Attributes:
         faults: Faults that are simulated; may be replaced at any time.
@@ -115,13 +112,7 @@ class Controller:
         limiter: Speed limit of a pause as it is in effect, 0 to 1.
     """
 
-    def __init__(
-        self,
-        parameters: UrArmParameters,
-        arm: ArmBody,
-        launch: Launch,
-        network: ProgramSockets,
-    ) -> None:
+    def __init__(self, parameters: UrArmParameters, arm: ArmBody, launch: Launch) -> None:
         self.faults = UrFaultParameters()
         self.slider = 1.0
         self.arm, self.is_booting = arm, not arm.is_connected
@@ -135,7 +126,7 @@ class Controller:
         self.counts = Counts()
         self.fraction, self.limiter = 1.0, 1.0
         self._parameters, self._checks = parameters, SafetyChecks(parameters)
-        self._launch, self._network = launch, network
+        self._launch = launch
         self._last_faults = self.faults
         self._begin_time: float | None = None
         self._now = 0.0
@@ -303,7 +294,7 @@ class Controller:
                 raise ScriptRuntimeError(
                     f"the robot must be NORMAL and RUNNING, not {safety} and {robot}"
                 )
-            program = self._launch(text, ProgramHost(self, self._network))
+            program = self._launch(text, self)
         except (ScriptError, ScriptRuntimeError) as error:
             self.counts.refused += 1
             self._log(f"program refused: {error}")

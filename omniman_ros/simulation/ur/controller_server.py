@@ -3,18 +3,20 @@
 import math
 import re
 import threading
+from dataclasses import dataclass
 
+from omniman_ros.core.arrays import Array
 from omniman_ros.simulation.arm_link.client import ArmLinkClient
 from omniman_ros.simulation.ur.arm import CYCLE, SimulatedArm, UrArmParameters
 from omniman_ros.simulation.ur.arm_body import ArmBody
-from omniman_ros.simulation.ur.controller import Controller, RunningProgram
+from omniman_ros.simulation.ur.controller import Controller, Launch, RunningProgram
 from omniman_ros.simulation.ur.modes import RobotMode
 from omniman_ros.simulation.ur.pace import MAX_WAIT, Pace, RealTime
 from omniman_ros.simulation.ur.port_parameters import UrPortParameters
+from omniman_ros.simulation.ur.program_host import ProgramHost
 from omniman_ros.simulation.ur.program_sockets import ProgramSockets
 from omniman_ros.simulation.ur.tcp_ports import ControllerPorts
 from omniman_ros.simulation.ur.urscript.compiler import Program as Text
-from omniman_ros.simulation.ur.urscript.host import Host
 from omniman_ros.simulation.ur.urscript.machine import Machine
 from omniman_ros.simulation.ur.world_arm import WorldArm
 
@@ -24,16 +26,20 @@ NEXT_LINE = re.compile(r"=[ \t]*(?:#[^\n]*)?\n[ \t]*(-?[0-9.]+)[ \t]*")
 """Matches a number on the line after its "=", before anything else on that line."""
 
 
-def launch(text: str, host: Host) -> RunningProgram:
-    """Parse a program and start it.
+def launcher(network: ProgramSockets) -> Launch:
+    """Return a function that parses programs and starts them.
 
     A controller reads the end of a line as a blank. The program of ur_rtde relies on that where
     it inserts the numbers of its registers.
 
-    Raises:
-        ScriptError: The text is not a program.
+    Args:
+        network: Connections of the programs.
     """
-    return Machine(Text(NEXT_LINE.sub(r"= \1\n", text)), host)
+
+    def launch(text: str, controller: Controller) -> RunningProgram:
+        return Machine(Text(NEXT_LINE.sub(r"= \1\n", text)), ProgramHost(controller, network))
+
+    return launch
 
 
 def make_arm(parameters: UrArmParameters, is_lockstep: bool) -> ArmBody:
@@ -46,6 +52,21 @@ def make_arm(parameters: UrArmParameters, is_lockstep: bool) -> ArmBody:
     if not parameters.world_port:
         return SimulatedArm(parameters)
     return WorldArm(parameters, ArmLinkClient(parameters.world_port), is_lockstep)
+
+
+@dataclass(frozen=True)
+class MeasuredMotion:
+    """Motion of the joints at one instant.
+
+    Attributes:
+        at: The instant, on the clock of the controller's thread [s].
+        q: Angles (6,) [rad].
+        qd: Speeds (6,) [rad/s].
+    """
+
+    at: float
+    q: Array
+    qd: Array
 
 
 class ControllerServer:
@@ -64,6 +85,8 @@ class ControllerServer:
         late: Number of cycles that began more than a cycle late.
         lost: Total time of the skipped cycles [s].
         done: Time up to which all cycles have been run [s].
+        measured: Motion of the joints at the beginning of the last cycle; None before the first.
+            It is replaced as a whole, so that other threads may read it.
         error: Exception that ended the thread, or None.
 
     Raises:
@@ -75,9 +98,10 @@ class ControllerServer:
     ) -> None:
         self.network = ProgramSockets()
         body = make_arm(arm, is_lockstep=pace is not None)
-        self.controller = Controller(arm, body, launch, self.network)
+        self.controller = Controller(arm, body, launcher(self.network))
         self.ports = ControllerPorts(self.controller, self.network, ports)
         self.late, self.lost, self.done = 0, 0.0, 0.0
+        self.measured: MeasuredMotion | None = None
         self._pace = pace or RealTime()
         self._has_run = threading.Condition()
         self.error: Exception | None = None
@@ -95,7 +119,9 @@ class ControllerServer:
             now: Instant of the cycle on the clock of the thread [s].
             due_cycles: Number of cycles that are due, this one included.
         """
-        self.controller.arm.measure(now)
+        arm = self.controller.arm
+        arm.measure(now)
+        self.measured = MeasuredMotion(now, arm.q.copy(), arm.qd.copy())
         self.network.admit(due_cycles)
         if self._power_off.is_set():
             self._power_off.clear()

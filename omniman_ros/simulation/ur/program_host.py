@@ -1,22 +1,17 @@
 """Host of a URScript program: the functions by which it uses the controller that runs it."""
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.simulation.ur import rtde_outputs
 from omniman_ros.simulation.ur.arm import CYCLE, JOINTS
+from omniman_ros.simulation.ur.controller import Controller
 from omniman_ros.simulation.ur.motion import MoveJ, ServoJ, SpeedJ, Stop
 from omniman_ros.simulation.ur.program_sockets import ProgramSockets
 from omniman_ros.simulation.ur.urscript.errors import ScriptRuntimeError
 from omniman_ros.simulation.ur.urscript.host import Done, Joints
-
-if TYPE_CHECKING:
-    from omniman_ros.simulation.ur.controller import Controller
 
 
 class ProgramHost:

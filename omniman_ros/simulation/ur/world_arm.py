@@ -19,8 +19,8 @@ TIME_TOLERANCE = 1e-6
 RETRY_CYCLES = 12
 """Number of cycles between two attempts to connect."""
 WAIT = 0.1
-"""Longest real time of a wait for the world before other things are looked at [s]."""
-PATIENCE = 5.0
+"""Longest real time of one wait for the world, after which other states are checked [s]."""
+LOCKSTEP_SILENCE = 5.0
 """Real time of waiting after which a world on simulated time counts as silent [s]."""
 SILENCE = 2.0
 """Time without a state after which a world on real time counts as silent [s]: more than that of
@@ -160,8 +160,8 @@ class WorldArm:
                 waits += 1
                 if self._closing.is_set():
                     return
-                if waits * WAIT >= PATIENCE:
-                    self._link.close(f"the world has been silent for {PATIENCE} s")
+                if waits * WAIT >= LOCKSTEP_SILENCE:
+                    self._link.close(f"the world has been silent for {LOCKSTEP_SILENCE} s")
             self._receive()
 
     def _is_due(self, setpoint: ArmSetpoint) -> bool:

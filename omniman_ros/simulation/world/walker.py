@@ -6,14 +6,14 @@ from omniman_ros.simulation.world.scene import Person
 from omniman_ros.simulation.world.velocity_program import Velocity
 
 APPROACH = 3.0
-"""Velocity per distance with which a person returns to the own way [1/s]."""
+"""Velocity per distance with which a scripted person returns to the path [1/s]."""
 HURRY = 1.2
-"""Highest velocity of a person, over the walking speed."""
-PATIENCE = 0.5
-"""Distance behind the own pace from which on a scripted person waits [m]."""
+"""Ratio of the highest velocity of a person to the walking speed [-]."""
+WAITING_DISTANCE = 0.5
+"""Distance from the scripted position above which the script waits for the person [m]."""
 RETURN = 1.0
-"""Velocity per distance with which a reactive person returns to a single way point [1/s]: were it
-larger, the person would dither while somebody comes."""
+"""Velocity per distance with which a reactive person returns to a single way point [1/s]; with a
+larger one, the person would oscillate while somebody approaches."""
 ARRIVAL = 0.25
 """Distance from which on a reactive person has reached a way point [m]."""
 
@@ -49,7 +49,7 @@ class ScriptedWalk:
     def _pace(self, x: float, y: float, period: float) -> Velocity:
         """Move the goal on, and return its velocity [m/s]."""
         gx, gy = self._goal
-        if math.hypot(gx - x, gy - y) > PATIENCE:
+        if math.hypot(gx - x, gy - y) > WAITING_DISTANCE:
             return 0.0, 0.0
         px, py = self._points[self._next]
         left = math.hypot(px - gx, py - gy)

@@ -24,6 +24,7 @@ from omniman_ros.viewer.page.keyboard import (
 )
 from omniman_ros.viewer.page.obstacle_panel import ObstaclePanel
 from omniman_ros.viewer.page.parameter_panel import ParameterPanel
+from omniman_ros.viewer.page.tool_panel import ToolPanel
 from omniman_ros.viewer.perceived import LAYERS
 from omniman_ros.viewer.style import (
     DRIVE_PANEL_HEIGHT,
@@ -98,6 +99,8 @@ class Controls:
             self._add_task()
         with tabs.add_tab("Obstacles"):
             self._obstacles = ObstaclePanel(gui, clicks, post)
+        with tabs.add_tab("Tool"):
+            self._tool = ToolPanel(gui, post)
         self._parameters = ParameterPanel(gui, tabs.add_tab("Planner"), post)
         with tabs.add_tab("View"):
             self._follow = gui.add_checkbox("follow robot", True)
@@ -200,6 +203,7 @@ class Controls:
         for name, button in self._cases.items():
             button.color = "blue" if name == state.case else "gray"
         self._obstacles.draw(state, now)
+        self._tool.draw(state, now)
         self._parameters.draw(state, now)
 
 

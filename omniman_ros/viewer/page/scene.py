@@ -16,6 +16,7 @@ from omniman_ros.viewer.page.inputs import Post
 from omniman_ros.viewer.page.path_markers import PathMarkers
 from omniman_ros.viewer.page.perceived_scene import PerceivedScene
 from omniman_ros.viewer.page.robot_scene import RobotScene
+from omniman_ros.viewer.page.tool_handle import ToolHandle
 from omniman_ros.viewer.view_state import ViewState
 
 ROOT = "/world"
@@ -60,6 +61,7 @@ class Scene:
         dragging = FloorDragging(server, lambda: self._floor_origin, post)
         self._paths = PathMarkers(api, ROOT, dragging)
         self._markers = DraggableMarkers(api, ROOT, robot, dragging)
+        self._tool = ToolHandle(api, ROOT, post, clock)
         size = max(robot.body.length, robot.body.width)
         server.initial_camera.position = (-4.3 * size, 2.5 * size, 3.7 * size)
         server.initial_camera.look_at = (1.2 * size, -0.4 * size, 0.0)
@@ -83,6 +85,7 @@ class Scene:
         self._floor.draw_motion(state)
         self._paths.draw(state.obstacles)
         self._markers.draw(state, self._clock())
+        self._tool.draw(state.tool_goal)
 
     def draw_perceived(self, state: ViewState, layers: frozenset[str]) -> None:
         """Draw what the robot perceives; call this less often, as most of it changes always.

@@ -9,6 +9,7 @@ from omniman_ros.viewer.ros.obstacle_interface import ObstacleInterface
 from omniman_ros.viewer.ros.planner_parameters import PlannerParameterClient
 from omniman_ros.viewer.ros.pose_commands import PoseCommands
 from omniman_ros.viewer.ros.service_calls import ServiceCalls
+from omniman_ros.viewer.ros.tool_commands import ToolCommands
 from omniman_ros.viewer.tour import Handler, Tour
 from omniman_ros.viewer.view_state import ViewState
 
@@ -23,6 +24,7 @@ class PageCommands:
         obstacles: Obstacles of the page.
         planner_parameters: Parameters of the planner.
         calls: Services that stop and reset.
+        tool: Paths of the tool.
 
     Attributes:
         tour: The tour, which follows what is done on the page.
@@ -36,6 +38,7 @@ class PageCommands:
         obstacles: ObstacleInterface,
         planner_parameters: PlannerParameterClient,
         calls: ServiceCalls,
+        tool: ToolCommands,
     ) -> None:
         self._state, self._buttons, self._poses, self._calls = state, buttons, poses, calls
         self._queue = events.EventQueue()
@@ -49,6 +52,7 @@ class PageCommands:
             events.StartDragged: poses.drag_start,
             events.CaseSelected: poses.load,
             events.ParameterChanged: planner_parameters.set,
+            events.ToolHandleMoved: tool.move,
             **obstacles.handlers,
         }
         self._handlers = self.tour.following(handlers)
@@ -63,6 +67,7 @@ class PageCommands:
             "add": obstacles.add,
             "clear": lambda now: state.clear_trails(),
             "tour": lambda now: self.tour.toggle(),
+            **tool.actions,
         }
 
     def post(self, event: events.Event) -> None:

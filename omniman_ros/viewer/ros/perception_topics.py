@@ -10,17 +10,16 @@ from sensor_msgs.msg import JointState, LaserScan, PointCloud2
 from std_msgs.msg import Float64, Header
 
 from omniman_ros.conversions.headers import check_frame
+from omniman_ros.conversions.maps import map_from_message
 from omniman_ros.conversions.motion_limits import motion_limit_shares
-from omniman_ros.conversions.perceived import contact_place, occupancy, tracked_obstacles
+from omniman_ros.conversions.perceived import contact_place, tracked_obstacles
 from omniman_ros.conversions.scans import scan_from_message
 from omniman_ros.core import plausible, se2
 from omniman_ros.core.arm_model import JOINTS
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
-from omniman_ros.core.parameters import build
 from omniman_ros.core.rigid import Transform
 from omniman_ros.core.transform_tree import TransformError
-from omniman_ros.nodes.frame_parameters import FrameParameters, OdomFrame, TransformOptions
 from omniman_ros.nodes.frame_transforms import FrameTransforms
 from omniman_ros.nodes.obstacle_tracker_parameters import LASER, ScannerInput
 from omniman_ros.nodes.omniman_node import OmnimanNode
@@ -43,16 +42,16 @@ MAX_CONTACTS = 50
 
 
 class PerceptionTopics:
-    """Receives scans, map, tracked obstacles, contacts and what limits the speed.
+    """Receives scans, map, tracked obstacles, contacts, limits of speed and tip-over margin.
 
-    All of them are subscribed only while a browser is connected. Transforms are listened to once
-    something comes in a frame that needs them.
+    All of them are subscribed only while a browser is connected.
 
     Args:
         node: Node whose clock is used.
         subscriptions: The node's subscriptions.
         state: View state into which the values are written.
         parameters: Parameters of the node.
+        frames: Transforms of the node.
     """
 
     def __init__(
@@ -61,11 +60,10 @@ class PerceptionTopics:
         subscriptions: LazySubscriptions,
         state: ViewState,
         parameters: ViewerParameters,
+        frames: FrameTransforms,
     ) -> None:
         self._node, self._state, self._parameters = node, state, parameters
-        odom = OdomFrame(odom_frame=parameters.odom_frame, map_is_odom=parameters.map_is_odom)
-        self._frame_parameters = FrameParameters(odom=odom, tf=build(TransformOptions, {}))
-        self._transforms: FrameTransforms | None = None
+        self._frames = frames
         self._map: tuple[Header, Pixels, float, Array] | None = None
         self._shapes: dict[bool, BodyShapes] = {}
         watch = subscriptions.subscribe_while_watched
@@ -80,7 +78,7 @@ class PerceptionTopics:
         watch(Float64, "tip_over_margin", self._on_margin)
 
     def update_state(self, layers: frozenset[str]) -> None:
-        """Write into the state what depends on the newest transforms, or on other values.
+        """Update the parts of the state that depend on the newest transforms or on other values.
 
         Args:
             layers: Layers that are drawn, see `perceived.LAYERS`.
@@ -89,7 +87,7 @@ class PerceptionTopics:
         self._state.perceived.body = self._body() if "shapes" in layers else None
 
     def _body(self) -> BodyView | None:
-        """Return the robot's shapes, and what is nearest to them; None while it is nowhere."""
+        """Return the robot's shapes and what is nearest to them; None if its pose is unknown."""
         state = self._state
         if state.odom is None:
             return None
@@ -118,13 +116,6 @@ class PerceptionTopics:
         if shown is None or shown.pixels is not pixels or shown.middle != image.middle:
             self._state.perceived.map = image
 
-    @property
-    def _frames(self) -> FrameTransforms:
-        """Transforms, which are listened to from the first use on."""
-        if self._transforms is None:
-            self._transforms = FrameTransforms(self._node, lambda: self._frame_parameters)
-        return self._transforms
-
     # ---- what scanners see --------------------------------------------------------------------
 
     def _on_scan(self, scanner: ScannerInput, message: LaserScan) -> None:
@@ -148,13 +139,13 @@ class PerceptionTopics:
         return self._frames.mount(frame, p.base_frame) if p.scanners_by_tf else scanner.mount
 
     def _on_map(self, message: OccupancyGrid) -> None:
-        cells, resolution, corner = occupancy(message)
-        pixels, count = map_pixels(cells)
-        header, size = message.header, count * resolution
+        received = map_from_message(message)
+        pixels, count = map_pixels(received.values)
+        size = count * received.resolution
         last = self._map
         if last is not None and np.array_equal(last[1], pixels):
             pixels = last[1]  # the image is not sent again
-        self._map = header, pixels, size, corner
+        self._map = message.header, pixels, size, received.origin
 
     def _on_tracks(self, message: PointCloud2) -> None:
         check_frame(message.header.frame_id, *self._parameters.frames)

@@ -1,6 +1,7 @@
 """Subscriptions to the planner and to obstacles, which update the `ViewState`."""
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -9,12 +10,17 @@ from visualization_msgs.msg import MarkerArray
 
 from omniman_ros.conversions.headers import within
 from omniman_ros.conversions.obstacles import marker_changes
+from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import build
 from omniman_ros.nodes import obstacle_interface
+from omniman_ros.nodes.obstacle_interface import marker_headers
 from omniman_ros.nodes.omniman_node import OmnimanNode
-from omniman_ros.planning.obstacles.obstacles import Observation, ObstacleParameters, ObstacleSet
+from omniman_ros.planning.obstacles.ellipses import Ellipses
+from omniman_ros.planning.obstacles.framed_obstacles import FramedObstacles
+from omniman_ros.planning.obstacles.obstacles import Observation, ObstacleParameters
 from omniman_ros.viewer.lines import outlines, thinned
 from omniman_ros.viewer.ros.lazy_subscriptions import LazySubscriptions
+from omniman_ros.viewer.ros.page_frames import PageFrames
 from omniman_ros.viewer.ros.robot_topics import path_points
 from omniman_ros.viewer.view_state import FRESHNESS_TIMEOUT, ViewState
 
@@ -33,7 +39,8 @@ class PlannerTopics:
         node: Node whose clock is used.
         subscriptions: The node's subscriptions.
         state: View state into which the values are written.
-        frames: Frames that are treated as `odom`.
+        odom_names: Names of the frame `odom`, in which the planner plans.
+        frames: Frames in which obstacles may be.
         is_own: Returns whether a namespace of markers is that of this page.
     """
 
@@ -42,17 +49,18 @@ class PlannerTopics:
         node: OmnimanNode,
         subscriptions: LazySubscriptions,
         state: ViewState,
-        frames: tuple[str, ...],
+        odom_names: tuple[str, ...],
+        frames: PageFrames,
         is_own: Callable[[str], bool],
     ) -> None:
         self._node = node
         self._state = state
-        self._frames = frames
-        self._place = within(*frames)
+        self._odom_names, self._frames = odom_names, frames
         self._is_own = is_own
-        self._obstacles = ObstacleSet(build(ObstacleParameters, {}))
+        self._obstacles = FramedObstacles(build(ObstacleParameters, {}))
         self._route_received_at = -np.inf
-        subscriptions.subscribe(MarkerArray, "obstacles", self._on_obstacles, 50)
+        on_obstacles = frames.transforms.deferred("obstacles", marker_headers, self._on_obstacles)
+        subscriptions.subscribe(MarkerArray, "obstacles", on_obstacles, 50)
         subscriptions.subscribe(DiagnosticStatus, "mpc/status", self._on_status)
         # The planner computes these for its subscribers only.
         subscriptions.subscribe_while_watched(Path, "mpc/plan", self._on_plan)
@@ -69,7 +77,10 @@ class PlannerTopics:
 
     def update_state(self, now: float) -> None:
         """Write other sources' obstacles into the state, extrapolated at constant velocity."""
-        ellipses = self._obstacles.ellipses(now)
+        try:
+            ellipses = self._obstacles.ellipses(now, self._frames.pose)
+        except InputError:  # where they are is not known any more
+            ellipses = Ellipses.none()
         indices = np.array(list(thinned(len(ellipses), MAX_OBSTACLES)), dtype=int)
         self._state.other_obstacles = ellipses.select(indices)
 
@@ -78,19 +89,22 @@ class PlannerTopics:
         if message.markers and not others:
             return ""
         faults = obstacle_interface.update_obstacles(
-            self._node, MarkerArray(markers=others), self._obstacles, self._place
+            self._node,
+            MarkerArray(markers=others),
+            self._obstacles,
+            partial(self._frames.placement, "obstacles"),
         )
         return faults[0] if faults else ""
 
     def _on_plan(self, message: Path) -> None:
-        self._state.update_plan(path_points(message, self._frames)[:, :2], self._node.now())
+        self._state.update_plan(path_points(message, self._odom_names)[:, :2], self._node.now())
 
     def _on_route(self, message: Path) -> None:
-        self._state.route.set(path_points(message, self._frames)[:, :2])
+        self._state.route.set(path_points(message, self._odom_names)[:, :2])
         self._route_received_at = self._node.now()
 
     def _on_predicted(self, message: MarkerArray) -> str:
-        changes, faults = marker_changes(message, self._place, lambda stamp: 0.0)
+        changes, faults = marker_changes(message, within(*self._odom_names), lambda stamp: 0.0)
         predicted = [change for change in changes if isinstance(change, Observation)]
         drawn = [predicted[i] for i in thinned(len(predicted), MAX_PREDICTED)]
         points = outlines(

@@ -7,16 +7,17 @@ from geometry_msgs.msg import PoseStamped
 
 from omniman_ros.conversions.geometry import quaternion_from_yaw
 from omniman_ros.conversions.poses import goal_pose_from_message
-from omniman_ros.core import plausible
+from omniman_ros.core import plausible, se2
 from omniman_ros.core.errors import InputError
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.planning.cases import CASES
 from omniman_ros.viewer.events import CaseSelected, GoalDragged, StartDragged
 from omniman_ros.viewer.ros.obstacle_interface import ObstacleInterface
+from omniman_ros.viewer.ros.page_frames import PageFrames
 from omniman_ros.viewer.ros.parameters import ViewerParameters
 from omniman_ros.viewer.ros.relocation import RelocationStep, Relocator
 from omniman_ros.viewer.ros.service_calls import ServiceCalls
-from omniman_ros.viewer.view_state import Pose, ViewState
+from omniman_ros.viewer.view_state import PATH_NODES, Pose, ViewState
 
 GOAL_PERIOD = 0.2
 """Shortest time between two goals while the goal is dragged [s]."""
@@ -33,6 +34,7 @@ class PoseCommands:
         state: View state that contains goal and start.
         obstacles: Obstacles of the page, which pause and continue together with the robot.
         calls: Services of path and planner.
+        frames: Frames in which others may send goals.
     """
 
     def __init__(
@@ -42,9 +44,11 @@ class PoseCommands:
         state: ViewState,
         obstacles: ObstacleInterface,
         calls: ServiceCalls,
+        frames: PageFrames,
     ) -> None:
         self._node = node
-        self._frames = parameters.frames
+        self._odom_frame, self._frames = parameters.odom_frame, frames
+        self._placed_goal: tuple[str, Pose] | None = None
         self._body = parameters.robot.body
         self._state = state
         self._obstacles = obstacles.obstacles
@@ -52,9 +56,10 @@ class PoseCommands:
         self._calls = calls
         self._relocator = Relocator(node, state, parameters.odom_frame)
         self._goals = node.create_publisher(PoseStamped, "goal_pose", 10)
-        node.create_subscription(
-            PoseStamped, "goal_pose", node.guarded("goal_pose", self._on_goal), 10
+        on_goal = frames.transforms.deferred(
+            "goal_pose", lambda message: [message.header], self._on_goal
         )
+        node.create_subscription(PoseStamped, "goal_pose", node.guarded("goal_pose", on_goal), 10)
         self._sent_goals: deque[tuple[float, ...]] = deque(maxlen=REMEMBERED_GOALS)
         self._sent_at = -np.inf
         self._has_unsent_goal = False
@@ -70,7 +75,7 @@ class PoseCommands:
             InputError: The pose is not finite, or implausibly large.
         """
         pose = _checked(event.pose, "goal")
-        self._state.goal = pose
+        self._state.goal, self._placed_goal = pose, None
         if self._obstacles.paused:
             self._has_unsent_goal = True
             if event.done:
@@ -103,7 +108,7 @@ class PoseCommands:
         self._obstacles.resume(now)
         state = self._state
         if self._has_unsent_goal and state.planner_is_paused(now) and state.goal is not None:
-            self._calls.request("resume", now, nodes=("path_interpolator",), report=False)
+            self._calls.request("resume", now, nodes=PATH_NODES, report=False)
             self._send(state.goal, now)
         else:
             self._calls.request("resume", now)
@@ -122,7 +127,7 @@ class PoseCommands:
     def _send(self, pose: Pose, now: float) -> None:
         self._begin_drive()
         message = PoseStamped()
-        message.header.stamp, message.header.frame_id = self._node.stamp(), self._frames[0]
+        message.header.stamp, message.header.frame_id = self._node.stamp(), self._odom_frame
         message.pose.position.x, message.pose.position.y = pose[:2]
         message.pose.orientation = quaternion_from_yaw(pose[2])
         self._sent_goals.append(_key(message))
@@ -135,9 +140,22 @@ class PoseCommands:
         """Display a goal of another node, but not an own one: the next may be dragged already."""
         if _key(message) in self._sent_goals:
             return
-        x, y, theta = goal_pose_from_message(message, self._frames).tolist()
+        place = self._frames.placement("goal_pose", message.header)
+        local = goal_pose_from_message(message, (message.header.frame_id.lstrip("/"),))
+        x, y, theta = local.tolist()
+        self._placed_goal = place.frame, se2.compose(place.transform.planar(), (x, y, theta))
         self._begin_drive()
-        self._state.goal = x, y, theta
+        self.update_state()
+
+    def update_state(self) -> None:
+        """Display a goal of another node where its frame is in odom now."""
+        if self._placed_goal is None:
+            return
+        frame, pose = self._placed_goal
+        try:
+            self._state.goal = se2.compose(self._frames.pose(frame), pose)
+        except InputError:  # where the frame is, is not known any more: the goal stays
+            return
 
     def _begin_drive(self) -> None:
         """Set the start to the robot's pose, unless it is driving or the start was chosen."""
@@ -177,6 +195,7 @@ class PoseCommands:
         case = case.fitting(self._body.length, self._body.width)
         self._load_obstacles(case, now)
         self._state.start, self._state.goal = case.start, case.goal
+        self._placed_goal = None
         self._state.case = case.name
         self._return_to_start(f"case {case.name}", now)
 

@@ -22,10 +22,12 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.simulated_clock import AWAITED_KEY, PACE_KEY
 from omniman_ros.nodes.stop_interface import ALL_LATCHED, LATCHED
+from omniman_ros.nodes.trajectory_interfaces.motion_status import MotionEvent
 from omniman_ros.viewer.lines import thinned
 from omniman_ros.viewer.ros.lazy_subscriptions import LazySubscriptions
+from omniman_ros.viewer.ros.page_frames import PageFrames
 from omniman_ros.viewer.ros.parameters import ViewerParameters
-from omniman_ros.viewer.view_state import Condition, Pose, ViewState
+from omniman_ros.viewer.view_state import PATH_NODES, Condition, Pose, ViewState
 
 _COLUMNS = "voltage,current,energy"
 """Label of the columns of `wheel_electrical`."""
@@ -34,7 +36,7 @@ MAX_INTERVALS = 1000
 MAX_ENERGY = 1e15
 """Largest plausible value of an energy counter [J]."""
 _MOTION_KEYS = ("state", "arm", "body")
-"""Keys of the states of the motions in the diagnostics of path_interpolator."""
+"""Keys of the states of the motions in the diagnostics of the nodes that drive along paths."""
 
 
 class RobotTopics:
@@ -45,6 +47,7 @@ class RobotTopics:
         subscriptions: The node's subscriptions.
         state: View state into which the values are written.
         parameters: Parameters of the node.
+        frames: Frames in which paths may be.
         on_standstill: Called when simulated time is known to stand, and when it goes on: while it
             stands, nothing is done that is due at a time.
     """
@@ -55,21 +58,22 @@ class RobotTopics:
         subscriptions: LazySubscriptions,
         state: ViewState,
         parameters: ViewerParameters,
+        frames: PageFrames,
         on_standstill: Callable[[], None],
     ) -> None:
         self._node, self._on_standstill = node, on_standstill
         self._state = state
         self._names = parameters.robot.wheels.names
         self._joints = parameters.arm.joints
-        self._frames = parameters.frames
-        self._path_interpolator = f"{node.get_namespace().rstrip('/')}/path_interpolator"
+        self._odom_names, self._frames = parameters.frames, frames
         self._last_count: float | None = None
         self._energy = 0.0
         self._intervals: deque[float] = deque(maxlen=MAX_INTERVALS)
         subscriptions.subscribe(Odometry, "odom", self._on_odom)
         subscriptions.subscribe(Odometry, "ground_truth/odom", self._on_truth)
-        subscriptions.subscribe(Path, "path", self._on_path, 10)
-        subscriptions.subscribe(Path, "tool_path", self._on_tool_path, 10)
+        for topic, handler in (("path", self._on_path), ("tool_path", self._on_tool_path)):
+            waiting = frames.transforms.deferred(topic, lambda message: [message.header], handler)
+            subscriptions.subscribe(Path, topic, waiting, 10)
         subscriptions.subscribe(MultiDOFJointTrajectory, "path/reference", self._on_reference)
         subscriptions.subscribe(Float64, "path_progress", self._on_progress)
         subscriptions.subscribe(Float64MultiArray, "wheel_electrical", self._on_electrical)
@@ -160,13 +164,21 @@ class RobotTopics:
     # ---- paths --------------------------------------------------------------------------------
 
     def _on_path(self, message: Path) -> None:
-        self._state.path.set(path_points(message, self._frames)[:, :2])
+        self._state.path.set(self._placed_points("path", message)[:, :2])
 
     def _on_tool_path(self, message: Path) -> None:
-        self._state.tool_path.set(path_points(message, self._frames))
+        self._state.tool_path.set(self._placed_points("tool_path", message))
+
+    def _placed_points(self, topic: str, message: Path) -> Array:
+        """Return the positions (k, 3) of a path in odom [m], where path_interpolator puts it."""
+        transform = self._frames.into_odom(topic, message.header)
+        points = path_points(message, (message.header.frame_id.lstrip("/"),))
+        matrix = transform.matrix()
+        placed: Array = points @ matrix[:3, :3].T + matrix[:3, 3]
+        return placed
 
     def _on_reference(self, message: MultiDOFJointTrajectory) -> None:
-        check_frame(message.header.frame_id, *self._frames)
+        check_frame(message.header.frame_id, *self._odom_names)
         points = message.points
         positions = [
             transform.translation
@@ -197,10 +209,27 @@ class RobotTopics:
                     status.name, level(status), status.message, node.now()
                 )
                 self._update_pace({item.key: item.value for item in status.values})
-            if status.name == self._path_interpolator:
-                self._state.path_states = frozenset(
+            if status.name.removeprefix(prefix) in PATH_NODES:
+                self._note_tool_path({item.key: item.value for item in status.values})
+                self._state.path_states[status.name.removeprefix(prefix)] = frozenset(
                     item.value for item in status.values if item.key in _MOTION_KEYS
                 )
+
+    def _note_tool_path(self, values: dict[str, str]) -> None:
+        """Note why the path of the tool that the page has sent is refused.
+
+        The first report after it may be older than the path.
+        """
+        state, event = self._state, values.get("tool_path_event")
+        if state.tool_reports is None or event is None:
+            return
+        state.tool_reports += 1
+        if state.tool_reports == 1:
+            return
+        if event == MotionEvent.REFUSED.value:
+            state.note = values.get("tool_path_last", "")
+        if event not in (MotionEvent.PLANNING.value, MotionEvent.WAITING.value):
+            state.tool_reports = None
 
     def _update_pace(self, values: dict[str, str]) -> None:
         """Take the pace of simulated time from the node that publishes /clock."""

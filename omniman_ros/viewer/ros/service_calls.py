@@ -76,7 +76,7 @@ class ServiceCalls:
                 self._futures[name] = client.call_async(Trigger.Request())
                 self._answers[name] = f"{name} ..."
         if report and not self._futures:
-            self._note(f"{action}: no {' and no '.join(nodes)}")
+            self._note(f"{action}: no {' or '.join(nodes)}")
         else:
             self._report()
 

@@ -19,7 +19,7 @@ from omniman_ros.console.results import rounded
 from omniman_ros.console.session import Session
 from omniman_ros.lab.bench import arm as bench_arm
 from omniman_ros.lab.bench import arm_bare as bench_arm_bare
-from omniman_ros.lab.bench.arm import child_of, effort_of, scheduling, set_niceness
+from omniman_ros.lab.bench.arm import child_of, effort_of, scheduling
 from omniman_ros.lab.bench.arm_figures import (
     Block,
     Pair,
@@ -371,22 +371,6 @@ def test_scheduling_class_agrees_with_the_system():
     assert scheduling(os.getpid()) == "SCHED_OTHER"
     with pytest.raises(CommandError, match="999999999"):
         scheduling(999999999)
-
-
-@pytest.mark.processes
-def test_all_threads_of_a_process_get_the_niceness():
-    idle = (
-        "import sys, threading; threading.Thread(target=sys.stdin.read).start(); print(flush=True)"
-    )
-    pipe = subprocess.PIPE
-    with subprocess.Popen([sys.executable, "-c", idle], stdin=pipe, stdout=pipe) as child:
-        child.stdout.readline()
-        assert set_niceness(child.pid, 7)
-        threads = os.listdir(f"/proc/{child.pid}/task")
-        assert len(threads) == 2
-        assert {os.getpriority(os.PRIO_PROCESS, int(thread)) for thread in threads} == {7}
-        child.stdin.close()
-    assert not set_niceness(999999999, 7)
 
 
 def finite(value):

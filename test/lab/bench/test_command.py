@@ -1,15 +1,10 @@
 import json
-import math
-import os
 import subprocess
 
 import pytest
 
-from omniman_ros.console.errors import CommandError
-from omniman_ros.lab.bench import measurement
 from omniman_ros.lab.bench.control import aims
 from omniman_ros.lab.bench.control_tick import core_ticks
-from omniman_ros.lab.bench.measurement import cpu_shares, cpu_time
 from test import robots
 from test.running import command, environment
 
@@ -19,37 +14,6 @@ def test_core_ticks_are_measured_in_every_mode_and_for_every_robot(name):
     ticks = core_ticks(robots.values(name), blocks=2, block=50)
     assert set(ticks) == {"velocity", "torque", "voltage"}
     assert all(1.0 < micros < 5000.0 for micros in ticks.values())
-
-
-def test_cpu_time_agrees_with_the_system():
-    own = os.times()
-    assert cpu_time(os.getpid()) == pytest.approx(own.user + own.system, abs=0.05)
-
-
-def test_cpu_share_is_cpu_time_over_time(monkeypatch):
-    spent, clock = {7: 3.0, 9: 0.5}, [100.0]
-
-    def serve():
-        clock[0] += 10.0
-        spent[7] += 10.0
-        spent[9] += 2.5
-
-    monkeypatch.setattr(measurement, "cpu_time", spent.get)
-    monkeypatch.setattr(measurement.time, "monotonic", lambda: clock[0])
-    assert cpu_shares({"busy": 7, "idle": 9}, serve) == {"busy": 1.0, "idle": 0.25}
-
-
-def test_cpu_time_grows_while_a_process_works():
-    before = cpu_time(os.getpid())
-    end = os.times().user + 0.1
-    while os.times().user < end:
-        math.factorial(500)
-    assert cpu_time(os.getpid()) >= before + 0.05
-
-
-def test_cpu_time_of_a_missing_process_is_an_error():
-    with pytest.raises(CommandError, match="process 999999999"):
-        cpu_time(999999999)
 
 
 def test_aims_are_met_or_missed():

@@ -5,13 +5,14 @@ import time
 
 import pytest
 
-from omniman_ros.lab.bench.participants import aims, report, scheduled
+from omniman_ros.lab.bench.participants import Gaps, aims, report, scheduled
 from test.running import command, environment
 
 
 def result(blocked, stops):
-    default = {"blocked": 2.0, "longest_gap": 3.0, "stops": {"/a": "silent"}}
-    lean = {"blocked": blocked, "longest_gap": 0.02, "stops": stops}
+    shared = {"longest_gap": 3.0, "longest_silence": 0.7, "silences": 4, "waited": 0.6}
+    default = {"blocked": 2.0, "stops": {"/a": "silent"}, **shared}
+    lean = {"blocked": blocked, "stops": stops, **shared}
     return {"runs": {"default": default, "UDP only": lean}}
 
 
@@ -25,7 +26,18 @@ def test_aims_are_those_without_shared_memory_and_printed(blocked, stops, met):
     assert measured["aims"] == dict(zip(("blocked", "no_stop"), met, strict=True))
     text = "\n".join(report(measured))
     assert text.count("MISSED") == met.count(False)
-    assert "2000 ms" in text and "/a: silent" in text
+    assert "2000 ms" in text and "/a: silent" in text and "700 ms" in text
+
+
+def test_gaps_are_counted_from_the_first_message_on_and_forgotten():
+    gaps = Gaps(0.2)
+    for stamp in (100.0, 100.1, 100.3001, 100.8, 100.9):
+        gaps.add(stamp)
+    assert gaps.longest == pytest.approx(0.4999) and gaps.count == 2
+    gaps.clear()
+    assert (gaps.longest, gaps.count) == (0.0, 0)
+    gaps.add(101.0)
+    assert gaps.longest == pytest.approx(0.1) and gaps.count == 0
 
 
 def test_the_kernel_accounts_for_a_thread_that_runs_but_not_for_one_that_is_blocked():

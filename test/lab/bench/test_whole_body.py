@@ -129,7 +129,7 @@ def test_previews_are_measured_with_the_previews_of_the_node(short, own_domain):
     tick, both, arm = figures["tick"], figures["both"], figures["arm"]
     # 25 previews of both, 25 of the arm and 100 poses of odom in 125 ticks.
     for kind in tick:
-        expected = (25 * both[kind] + 25 * arm[kind] + 100 * figures["hear_odom"]) / 125
+        expected = (25 * both[kind] + 25 * arm[kind] + 100 * figures["receive_odom"]) / 125
         assert tick[kind] == pytest.approx(expected)
 
 

@@ -7,9 +7,11 @@ import pytest
 from omniman_ros.console.errors import CommandError
 from omniman_ros.lab.bench.faults import chosen_rows, row_figures, summary
 from omniman_ros.lab.faults import page
-from omniman_ros.lab.faults.injections import Garbage, Publication, Setting
+from omniman_ros.lab.faults.driver import cruise
+from omniman_ros.lab.faults.injections import InvalidContent, Publication, Setting
+from omniman_ros.lab.faults.invalid_messages import TOPICS
 from omniman_ros.lab.faults.judge import Stop
-from omniman_ros.lab.faults.player import GARBAGE_TOPICS, Player, cruise
+from omniman_ros.lab.faults.player import Player
 from omniman_ros.lab.faults.rows import Outcome
 from omniman_ros.lab.faults.table import ROWS
 from omniman_ros.lab.faults.trial import Trial
@@ -31,13 +33,13 @@ def test_each_injection_can_be_carried_out(row):
     if isinstance(injection, Setting):
         assert injection.parameter in {spec.name for spec in node_specs(injection.node)}
     if isinstance(injection, Publication):
-        assert injection.topic in GARBAGE_TOPICS
+        assert injection.topic in TOPICS
 
 
-@pytest.mark.parametrize("topic", GARBAGE_TOPICS)
-@pytest.mark.parametrize("content", Garbage)
-def test_garbage_has_the_type_of_its_topic(topic, content):
-    kind, make = GARBAGE_TOPICS[topic]
+@pytest.mark.parametrize("topic", TOPICS)
+@pytest.mark.parametrize("content", InvalidContent)
+def test_an_invalid_message_has_the_type_of_its_topic(topic, content):
+    kind, make = TOPICS[topic]
     assert isinstance(make(content), kind)
 
 

@@ -24,6 +24,7 @@ from omniman_ros.simulation.plant.parameters import MismatchParameters
 from test import robots
 from test.running import command as omniman
 from test.running import environment
+from test.tiers import exhaustive
 
 DRAWS = importlib.util.find_spec("matplotlib") is not None
 
@@ -139,7 +140,7 @@ def test_without_matplotlib_there_is_no_picture(monkeypatch, runs, result, tmp_p
 
 
 @pytest.mark.skipif(not DRAWS, reason="matplotlib is not installed")
-@pytest.mark.parametrize("groups", [("P",), ("P", "PI", "radii", "ice", "late")])
+@pytest.mark.parametrize("groups", [exhaustive(("P",)), ("P", "PI", "radii", "ice", "late")])
 def test_picture_can_be_drawn_for_any_groups(runs, result, tmp_path, groups):
     every = [
         made(group, sample, gain) for group in groups for sample in range(2) for gain in (0.0, 2.0)

@@ -16,7 +16,7 @@ def result(**changes):
     figures = {"processes": {"node": usage_figures(life(1, lambda t: 80.0))}}
     figures |= {"least_gap_m": 0.1, "fastest_m_s": 1.0, "speed_limit_m_s": 1.1}
     figures |= {"ended": [], "stuck": "", "false_stops": [], "held_up_stops": 0, "unanswered": []}
-    figures |= {"activities": {"goal": 3}, "load": 1.0}
+    figures |= {"activities": {"goal": 3}, "load": 1.0, "driven_min": 2.0}
     return figures | changes
 
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from omniman_ros.core.arm_model import ArmModel
-from omniman_ros.motion.whole_body.model import AXES, Mount, WholeBodyModel, planar_transform
+from omniman_ros.motion.axes import AXES
+from omniman_ros.motion.whole_body.model import Mount, WholeBodyModel, planar_transform
 
 MOUNT = Mount(0.2, -0.1, 0.5, 0.3)
 MODEL = WholeBodyModel(MOUNT)

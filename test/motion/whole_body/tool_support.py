@@ -5,9 +5,10 @@ import math
 import numpy as np
 
 from omniman_ros.core.arm_parameters import ArmParameters
+from omniman_ros.motion.axes import PLATFORM_AXES
 from omniman_ros.motion.path.axis_limits import AxisLimits
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
-from omniman_ros.motion.whole_body.model import PLATFORM_AXES, Mount, WholeBodyModel
+from omniman_ros.motion.whole_body.model import Mount, WholeBodyModel
 from omniman_ros.motion.whole_body.parameters import ToolPathOptions
 from omniman_ros.motion.whole_body.tool_planner import ToolPlanner
 

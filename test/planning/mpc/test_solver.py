@@ -16,6 +16,7 @@ from omniman_ros.planning.mpc.solver import TRUST_RADIUS, Solution, Solver, Solv
 from omniman_ros.planning.mpc.transcription import Transcription
 from omniman_ros.planning.obstacles.pairs import Pairs
 from test.planning.support import ellipses, model, parameters
+from test.tiers import combinations
 
 STEPS, STEP, SLOTS = 20, 0.1, 2
 
@@ -73,8 +74,7 @@ GOALS = [pose(1, 1, 0.8), pose(-0.5, -0.8, 0.3), pose(0.1, -0.1, -1.2), pose(1.5
 # ---- limits -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["ig42", "omniman", "omni3"])
-@pytest.mark.parametrize("goal", GOALS)
+@pytest.mark.parametrize(("name", "goal"), combinations(["ig42", "omniman", "omni3"], GOALS))
 def test_converged_solutions_keep_all_limits_at_both_ends_of_every_step(name, goal):
     planning, limits = model(name), parameters(name).limits
     answer = converged(solver(name, damping=FIRM), stage_of(name, goal))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from omniman_ros.core.errors import InputError
+from omniman_ros.core.occupancy import OccupancyMap
 from omniman_ros.planning.obstacles.grid_map import MAX_CELLS, GridMap
 
 ORIGIN = np.array([1.0, -2.0, 0.5])
@@ -15,8 +16,8 @@ def grid(*rows, resolution=0.1, origin=(0.0, 0, 0)):
     return GridMap(cells, resolution, np.array(origin, float))
 
 
-def message(data, width, height, **more):
-    return GridMap.of_occupancy(np.array(data, np.int8), width, height, 0.1, ORIGIN, **more)
+def read(*rows, **more):
+    return GridMap.of_occupancy(OccupancyMap(np.array(rows, np.int8), 0.1, ORIGIN), **more)
 
 
 # ---- GridMap ----------------------------------------------------------------------------------
@@ -124,37 +125,29 @@ def test_largest_map_is_accepted():
 # ---- of_occupancy -----------------------------------------------------------------------------
 
 
-def test_message_is_read_row_by_row_and_occupied_from_the_threshold():
-    some = message([0, 49, 50, 100, -1, 10], 3, 2)
+def test_cells_are_occupied_from_the_threshold():
+    some = read([0, 49, 50], [100, -1, 10])
     np.testing.assert_array_equal(some.occupied, [[False, False, True], [True, True, False]])
     np.testing.assert_array_equal(some.origin, ORIGIN)
 
 
 def test_threshold_and_meaning_of_unknown_cells_are_configurable():
-    some = message([0, 49, 50, 100, -1, 10], 3, 2, threshold=10, unknown_is_free=True)
+    some = read([0, 49, 50], [100, -1, 10], threshold=10, unknown_is_free=True)
     np.testing.assert_array_equal(some.occupied, [[False, True, True], [True, False, True]])
 
 
 @pytest.mark.parametrize(
-    ("data", "width", "height", "more", "named"),
+    ("value", "more", "named"),
     [
-        ([0] * 6, 3, 3, {}, "6 cells, expected 3 x 3"),
-        ([0] * 6, -3, -2, {}, "-3 x -2"),
-        ([], 0, 5, {}, "0 x 5"),
-        ([0, 101], 2, 1, {}, "101"),
-        ([0, -2], 2, 1, {}, "-2"),
-        ([0, 1], 2, 1, {"threshold": 0}, "threshold is 0"),
-        ([0, 1], 2, 1, {"threshold": 101}, "threshold is 101"),
+        (101, {}, "101"),
+        (-2, {}, "-2"),
+        (1, {"threshold": 0}, "threshold is 0"),
+        (1, {"threshold": 101}, "threshold is 101"),
     ],
 )
-def test_invalid_message_is_refused_with_its_value(data, width, height, more, named):
+def test_an_invalid_cell_or_threshold_is_refused_with_its_value(value, more, named):
     with pytest.raises(InputError, match=named):
-        message(data, width, height, **more)
-
-
-def test_32_bit_sizes_do_not_overflow():
-    with pytest.raises(InputError, match="65536 x 65536"):
-        message([], np.uint32(65536), np.uint32(65536))
+        read([0, value], **more)
 
 
 def test_a_displaced_map_is_the_map_seen_from_another_frame():

@@ -6,9 +6,8 @@ import pytest
 from omniman_ros.collision.footprint import Footprint
 from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.core.errors import InputError
-from omniman_ros.planning.obstacles.separation import box_gap, outside_by
-from omniman_ros.planning.route.route import Clearance, Route, straight
-from test.planning.support import ellipses, true_gaps
+from omniman_ros.planning.route.route import Route, straight
+from test.planning.support import crowd, ellipses, true_gaps
 
 HALF = np.array([0.4, 0.25])
 FOOTPRINT = Footprint(Rectangles.centred(HALF))
@@ -150,54 +149,7 @@ def test_straight_route_turns_the_shorter_way(start, goal, end):
     np.testing.assert_allclose(known.poses, [[0, 0, start], [1, 2, end]])
 
 
-# ---- Clearance and clear ----------------------------------------------------------------------
-
-
-def crowd(rng, count, spread=6.0):
-    """Draw obstacles, half of which are discs."""
-    rows = []
-    for k in range(count):
-        x, y = rng.uniform(-spread, spread, 2)
-        a, b = rng.uniform(0.02, 0.6, 2)
-        rows.append((x, y, a, a, 0.0) if k % 2 else (x, y, a, b, rng.uniform(-3, 3)))
-    return ellipses(*rows)
-
-
-@pytest.mark.parametrize("count", [0, 7, 60])
-@pytest.mark.parametrize("reach", [0.3, math.inf])
-def test_gaps_are_the_minimum_of_box_gap_and_workspace(count, reach):
-    rng = np.random.default_rng(count)
-    known = crowd(rng, count)
-    poses = np.cumsum(rng.uniform(-0.3, 0.3, (400, 3)), axis=0)
-    found = Clearance(FOOTPRINT, known, (-5, -4, 5, 4), reach).gaps(poses)
-    centers = np.tile(known.centers, (len(poses), 1, 1))
-    axes = np.tile(known.semi_axes, (len(poses), 1, 1))
-    each = box_gap(poses, FOOTPRINT.whole, centers, axes, known.angles).min(axis=1, initial=np.inf)
-    each = np.minimum(each, -outside_by(poses, FOOTPRINT.whole, (-5, -4, 5, 4)))
-    touching = each <= 0
-    np.testing.assert_array_equal(found <= 0, touching)
-    tells = ~touching & (each <= reach)
-    assert tells.sum() > 20
-    np.testing.assert_allclose(found[tells], each[tells], atol=1e-12)
-    assert (found[~touching & ~tells] > reach).all()
-
-
-def test_gaps_do_not_depend_on_the_order_of_obstacles_and_poses():
-    rng = np.random.default_rng(5)
-    known, poses = crowd(rng, 80), rng.uniform(-6, 6, (200, 3))
-    order, other = rng.permutation(80), rng.permutation(200)
-    one = Clearance(FOOTPRINT, known, WIDE, 0.5).gaps(poses)
-    two = Clearance(FOOTPRINT, known.select(order), WIDE, 0.5).gaps(poses[other])
-    # Whether a far obstacle is reported depends on its tile.
-    np.testing.assert_allclose(np.minimum(two, 0.5), np.minimum(one[other], 0.5), atol=1e-12)
-
-
-@pytest.mark.parametrize("count", [3, 60])
-def test_pose_or_obstacle_that_is_not_finite_is_not_free(count):
-    known = crowd(np.random.default_rng(1), count)
-    poses = np.array([[0, math.nan, 0], [0, 0, math.inf], [40, 0, 0]])
-    found = Clearance(FOOTPRINT, known, WIDE, 0.3).gaps(poses)
-    assert found[0] == -math.inf and found[1] == -math.inf and found[2] > 0.3
+# ---- clear ------------------------------------------------------------------------------------
 
 
 def test_route_is_clear_until_an_obstacle_comes_within_the_margin():

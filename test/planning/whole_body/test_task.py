@@ -1,6 +1,7 @@
 """The whole body on the path of its tool, past posts and walkers."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,8 +11,9 @@ from omniman_ros.collision.surroundings import Surroundings
 from omniman_ros.core.errors import InputError
 from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.planning.whole_body.controller import PERIOD
+from omniman_ros.planning.whole_body.obstruction import Cause
 from omniman_ros.planning.whole_body.surroundings import Hindrances
-from omniman_ros.planning.whole_body.task import WholeBodyTask
+from omniman_ros.planning.whole_body.task import ToolHold, WholeBodyTask
 from omniman_ros.planning.whole_body.way import NoWayError
 from omniman_ros.simulation.world.distances import PostureDistances, Prism
 from test.planning.whole_body.support import START, posts, setup, straight
@@ -65,8 +67,11 @@ def test_the_robot_waits_for_a_walker_and_goes_on():
         moving = Surroundings(solid, np.array([[0.0], [-0.8]]))
         return Hindrances(time=now, moving=moving, growth=np.array([0.05]))
 
-    times, axes, _, end = drive(task, around, 15.0, sample=0.05)
+    times, axes, outcomes, end = drive(task, around, 15.0, sample=0.05)
     assert task.is_completed(end)
+    met = outcomes[round(2.6 / PERIOD)].verdict.nearest  # the person is at the tool's path
+    assert (met.cause, met.other) == (Cause.MOVING, "moving solid 0")
+    assert met.part != "platform" and 0.0 <= met.place < 0.6
     unhindered = 0.6 / SETUP.path.linear_velocity
     assert end > unhindered
     judge = PostureDistances(SETUP.description, [Prism((0.25, 0.25), 0.0, (0.0, 1.8))])
@@ -88,21 +93,87 @@ def test_what_appears_in_the_way_stops_the_robot_before_contact():
         task.search(end, late)
 
 
+def test_the_cycle_after_something_comes_or_goes_tells_what_is_in_the_way():
+    model = WholeBodyModel(SETUP.description.mount)
+    x, y = model.forward(START)[:2, 3].tolist()
+    far, near = (9.0, 9.0), (x + 0.5, y)
+    late = replace(posts(far, near), names=("the far post", "the near post"))
+    task = WholeBodyTask(SETUP, straight(0.8), START, 0.0, Hindrances())
+    drive(task, lambda now: Hindrances(), 1.0)
+    found = task.cycle(1.0, late).obstruction
+    assert (found.cause, found.other) == (Cause.STANDING, "the near post")
+    assert found.part in ("wrist_3_link", "wrist_2_link", "wrist_1_link", "forearm_link")
+    assert 0.0 < found.place < 0.5
+    assert str(found).endswith(f"{found.part} has no room beside the near post")
+    outcome = task.cycle(1.05, Hindrances())
+    assert outcome.obstruction is None and outcome.verdict.nearest is None
+
+
+def test_a_walker_in_the_way_is_told_from_a_post():
+    model = WholeBodyModel(SETUP.description.mount)
+    x, y = model.forward(START)[:2, 3].tolist()
+    task = WholeBodyTask(SETUP, straight(0.8), START, 0.0, Hindrances())
+    drive(task, lambda now: Hindrances(), 1.0)
+    walker = UprightSolids.cylinder(x + 0.9, y, 0.25, (0.0, 1.8))
+    moving = Surroundings(walker, np.array([[-0.5], [0.0]]))
+    around = replace(posts((9.0, 9.0)), time=1.0, moving=moving, growth=np.zeros(1))
+    found = task.cycle(1.0, around).obstruction
+    assert (found.cause, found.other) == (Cause.MOVING, "moving solid 0")
+
+
+def test_a_held_tool_stays_at_its_place_while_the_body_gives_way_and_comes_back():
+    task = ToolHold(SETUP, START, 0.0)
+    model = WholeBodyModel(SETUP.description.mount)
+
+    def around(now):
+        # A person walks past, where the platform's right side is.
+        solid = UprightSolids.cylinder(-1.7 + 0.9 * now, -0.55, 0.25, (0.0, 1.8))
+        moving = Surroundings(solid, np.array([[0.9], [0.0]]))
+        return Hindrances(time=now, moving=moving, growth=np.array([0.05]))
+
+    times, axes, _, _ = drive(task, around, 5.5, sample=0.05)
+    tool, begin = model.forward(axes), model.forward(START)
+    assert np.abs(tool[:, :3] - begin[:3]).max() < 1e-6
+    assert np.abs(axes[-1, :3] - START[:3]).max() < 0.01, "it did not come back"
+    judge = PostureDistances(SETUP.description, [Prism((0.25, 0.25), 0.0, (0.0, 1.8))])
+    gaps = []
+    for now, q in zip(times, axes, strict=True):
+        for each in (q, START):
+            judge.place(each[:3], each[3:], around(now).moving.solids.centre.T)
+            gaps.append(judge.distances(2.0)[0])
+    assert min(gaps[1::2]) < 0.0, "a robot at rest would not be touched"
+    assert min(gaps[::2]) > SETUP.dodge.least_clearance
+    assert not task.is_completed(5.5)
+
+
+@pytest.mark.parametrize("start", [np.full(9, math.nan), START[:8]])
+def test_a_hold_from_nowhere_is_refused(start):
+    with pytest.raises(InputError, match="finite positions"):
+        ToolHold(SETUP, start, 0.0)
+
+
+def test_as_many_names_as_solids_are_accepted():
+    with pytest.raises(InputError, match="1 names for 2 solids"):
+        replace(posts((1.0, 0.0), (2.0, 0.0)), names=("one",))
+
+
 def test_a_path_through_a_post_is_refused_with_the_place_the_part_and_the_solid():
     model = WholeBodyModel(SETUP.description.mount)
     x, y = model.forward(START)[:2, 3].tolist()
     with pytest.raises(NoWayError, match="has no room beside standing solid 1") as refused:
         WholeBodyTask(SETUP, straight(1.0), START, 0.0, posts((9.0, 9.0), (x + 0.6, y)))
-    assert refused.value.solid == 1
-    assert refused.value.part
-    assert 0.2 < refused.value.place < 0.6
+    found = refused.value.obstruction
+    assert (found.cause, found.other) == (Cause.STANDING, "standing solid 1")
+    assert found.part
+    assert 0.2 < found.place < 0.6
 
 
 def test_a_path_out_of_reach_is_refused_with_the_place():
     poses = straight(1.0)
     poses[:, 2, 3] += np.linspace(0.1, 1.2, len(poses))
-    with pytest.raises(NoWayError, match="no place from which the arm reaches"):
+    with pytest.raises(NoWayError, match="no place from which the arm reaches") as refused:
         WholeBodyTask(SETUP, poses, START, 0.0, Hindrances())
+    assert refused.value.obstruction.cause is Cause.REACH
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, 1e9])

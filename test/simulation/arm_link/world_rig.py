@@ -5,6 +5,7 @@ import numpy as np
 from omniman_ros.simulation.arm_link.direct_link import DirectLink
 from omniman_ros.simulation.ur.arm import CYCLE, UrArmParameters
 from omniman_ros.simulation.ur.controller import Controller
+from omniman_ros.simulation.ur.program_host import ProgramHost
 from omniman_ros.simulation.ur.world_arm import WorldArm
 from test.simulation.ur.controller_rig import NoNetwork, Script
 from test.simulation.world.support import STEP
@@ -58,14 +59,14 @@ class WorldRig:
         values = UrArmParameters(payload=payload, **parameters)
         arm = WorldArm(values, self.link, is_lockstep=True)
         self.scripts = {}
-        self.controller = Controller(values, arm, self._launch, NoNetwork())
+        self.controller = Controller(values, arm, self._launch)
         self.time, self.track, self.loads = bench.now, [], []
         self.during = lambda: None
         for _ in range(3):
             self.cycle()
 
-    def _launch(self, text, host):
-        return Script(self.scripts[text], host)
+    def _launch(self, text, controller):
+        return Script(self.scripts[text], ProgramHost(controller, NoNetwork()))
 
     def play(self, each):
         self.scripts["test"] = each

@@ -9,7 +9,7 @@ from omniman_ros.core.errors import InputError, ParameterError
 from omniman_ros.simulation.plant.drive_unit import DriveUnitMode
 from omniman_ros.simulation.plant.simulated_drives import SimulatedDrives
 from test.simulation.plant.support import parameters, robot
-from test.tiers import representative
+from test.tiers import combinations, representative
 
 ROBOTS = ["ig42", "omniman", "omni3", "mecanum6", "mecanum8", "skewed4"]
 
@@ -77,8 +77,9 @@ def test_wheels_reach_the_speeds_of_the_desired_body_motion(name):
     np.testing.assert_allclose(com, wanted, atol=0.01)
 
 
-@pytest.mark.parametrize("name", ["ig42", "omniman"])
-@pytest.mark.parametrize("speed", [0.3, 1.0, 3.0, 6.0])
+@pytest.mark.parametrize(
+    ("name", "speed"), combinations(["ig42", "omniman"], [0.3, 1.0, 3.0, 6.0])
+)
 def test_velocity_loop_settles_on_the_setpoint(name, speed):
     rig = Rig(name)
     seen = rig.velocity(2.0, speed)
@@ -210,8 +211,9 @@ def test_switch_to_torque_mode_is_bumpless(mode):
 # watchdog and stop
 
 
-@pytest.mark.parametrize("name", ["ig42", "omniman", "omni3"])
-@pytest.mark.parametrize("mode", ["velocity", "torque", "voltage"])
+@pytest.mark.parametrize(
+    ("name", "mode"), combinations(["ig42", "omniman", "omni3"], ["velocity", "torque", "voltage"])
+)
 def test_silence_brings_the_wheels_to_rest_and_keeps_them_at_rest(name, mode):
     rig = Rig(name)
     rig.velocity(1.2, 4.0)
@@ -512,8 +514,9 @@ def test_lost_encoder_stops_all_wheels_until_a_reset(lifted):
     np.testing.assert_allclose(rig.speeds(), 3.0, atol=0.2)
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.2])
-@pytest.mark.parametrize("mode", ["velocity", "torque", "voltage"])
+@pytest.mark.parametrize(
+    ("noise", "mode"), combinations([0.2, 0.0], ["velocity", "torque", "voltage"])
+)
 def test_open_motor_circuit_switches_off_only_its_drive_until_a_reset(mode, noise):
     """The motor can neither drive nor brake nor run away and does not stop the other drives."""
     rig = Rig("ig42", faults__current_noise=noise)

@@ -40,16 +40,16 @@ class Rig:
         parameters.setdefault("initial", (0.0, -1.5, 1.0, 0.0, 0.5, 0.0))
         self.scripts = {"idle": lambda host, k: None}
         values = UrArmParameters(**parameters)
-        self.controller = Controller(values, SimulatedArm(values), self._launch, NoNetwork())
+        self.controller = Controller(values, SimulatedArm(values), self._launch)
         self.host = ProgramHost(self.controller, NoNetwork())
         self.start = self.controller.arm.q.copy()
         self.cycles = 0
         self.track = []
 
-    def _launch(self, text, host):
+    def _launch(self, text, controller):
         if text not in self.scripts:
             raise ScriptError(1, "nonsense")
-        self.script = Script(self.scripts[text], host)
+        self.script = Script(self.scripts[text], ProgramHost(controller, NoNetwork()))
         return self.script
 
     def play(self, each):

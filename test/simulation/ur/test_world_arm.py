@@ -8,7 +8,7 @@ import pytest
 from omniman_ros.simulation.arm_link.frames import ArmState
 from omniman_ros.simulation.ur.arm import CYCLE, UrArmParameters
 from omniman_ros.simulation.ur.safety_checks import SafetyChecks
-from omniman_ros.simulation.ur.world_arm import LEAD, PATIENCE, SILENCE, WAIT, WorldArm
+from omniman_ros.simulation.ur.world_arm import LEAD, LOCKSTEP_SILENCE, SILENCE, WAIT, WorldArm
 
 PLACE = (0.1, -1.2, 1.0, 0.0, 0.5, 0.0)
 REST = (0.0,) * 6
@@ -143,7 +143,7 @@ def test_a_world_on_simulated_time_that_never_answers_is_silent_after_a_patience
     run = Run()
     for _ in range(3):
         run.cycle()
-    assert run.link.waits == round(PATIENCE / WAIT)
+    assert run.link.waits == round(LOCKSTEP_SILENCE / WAIT)
     assert not run.arm.is_connected and "has been silent" in run.arm.failure
 
 

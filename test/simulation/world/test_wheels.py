@@ -9,7 +9,7 @@ from omniman_ros.simulation.world.model.wheels import roller_half_length
 from omniman_ros.simulation.world.scene import Load, Scene
 from test import robots
 from test.simulation.world.support import Bench, ideal, rollers
-from test.tiers import exhaustive
+from test.tiers import combinations
 
 GRAVITY = 9.81
 AHEAD, LEFT, TURN = (0.3, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.0, 0.5)
@@ -65,8 +65,9 @@ def steady(bench, twist):
     return bench.drives.electrical()[:, 2].sum() - before, moved
 
 
-@pytest.mark.parametrize("twist", [exhaustive(AHEAD), LEFT, TURN], ids=["ahead", "left", "turn"])
-@pytest.mark.parametrize("name", ["omniman", "ig42", "omni3"])
+@pytest.mark.parametrize(
+    ("name", "twist"), combinations(["omniman", "ig42", "omni3"], [AHEAD, LEFT, TURN])
+)
 def test_ideal_wheels_draw_the_power_of_the_plant_at_its_speed(name, twist):
     power, moved = steady(ideal(name), twist)
     plant_power, plant_moved = steady(Bench(name, plant=True), twist)
@@ -76,8 +77,7 @@ def test_ideal_wheels_draw_the_power_of_the_plant_at_its_speed(name, twist):
     assert moved[axis] == pytest.approx(plant_moved[axis], rel=0.01)
 
 
-@pytest.mark.parametrize("twist", [exhaustive(AHEAD), LEFT, TURN], ids=["ahead", "left", "turn"])
-@pytest.mark.parametrize("name", robots.ALL)
+@pytest.mark.parametrize(("name", "twist"), combinations(robots.ALL, [LEFT, TURN, AHEAD]))
 def test_wheels_of_any_mounting_move_the_platform_as_they_roll(name, twist):
     bench = rollers(name)
     bench.drive(twist, 1.0)

@@ -1,7 +1,7 @@
 """Random frames of a browser on the page's real server, well-formed and damaged."""
 
+import logging
 import math
-import os
 import queue
 import random
 
@@ -17,11 +17,14 @@ from omniman_ros.viewer.page.message_pace import MessagePace
 from omniman_ros.viewer.page.page import Page, free_port
 from omniman_ros.viewer.page_access import PageAccess
 from test import robots
+from test.fuzz import examples
 from test.nodes.random_messages import FLOATS
 
 HOST = "127.0.0.1"
-COUNT = int(os.environ.get("OMNIMAN_FUZZ", "10000")) // 20
+COUNT = examples(300)
 """Number of frames: each that is no message of viser costs a new connection."""
+PATIENCE = 60.0
+"""Real time for an answer of the page, whose server runs in a thread [s]."""
 CAMERA = {
     "type": "ViewerCameraMessage",
     "wxyz": [1.0, 0.0, 0.0, 0.0],
@@ -81,8 +84,17 @@ class RandomFrames:
         return draw.choice((*plain, *texts))
 
 
-@pytest.mark.exhaustive
-def test_no_frame_of_a_browser_ends_the_page_or_posts_what_is_not_finite(monkeypatch):
+@pytest.fixture
+def unlogged():
+    """Drop the tracebacks of viser and websockets, one for each frame that they cannot read."""
+    before = logging.root.manager.disable
+    logging.disable(logging.CRITICAL)
+    yield
+    logging.disable(before)
+
+
+@pytest.mark.processes
+def test_no_frame_of_a_browser_ends_the_page_or_makes_its_speeds_infinite(monkeypatch, unlogged):
     monkeypatch.setattr(MessagePace, "delay", lambda self, now: 0.0)
     posted = queue.SimpleQueue()
     robot = robots.robot("omniman")
@@ -104,9 +116,9 @@ def test_no_frame_of_a_browser_ends_the_page_or_posts_what_is_not_finite(monkeyp
         with connected(page) as client:
             update = {"type": "GuiUpdateMessage", "uuid": stop._impl.uuid}
             client.send(msgspec.msgpack.encode(update | {"updates": {"value": True}}))
-            events = [posted.get(timeout=10)]
+            events = [posted.get(timeout=PATIENCE)]
             while events[-1] != ButtonPressed("stop") or not posted.empty():
-                events.append(posted.get(timeout=10))
+                events.append(posted.get(timeout=PATIENCE))
     finally:
         page.close()
     kinds = {type(event).__name__ for event in events}
@@ -119,6 +131,6 @@ def connected(page):
     client = connect(
         page.address.replace("http", "ws"), subprotocols=[f"viser-v{viser.__version__}"]
     )
-    client.recv(timeout=10)
+    client.recv(timeout=PATIENCE)
     client.send(msgspec.msgpack.encode(CAMERA))
     return client

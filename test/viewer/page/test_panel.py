@@ -137,7 +137,7 @@ def test_stop_has_a_panel_without_held_or_dragged_controls(bench):
     assert beside == ["Stop", "Reset"]
 
 
-@pytest.mark.parametrize("node", ["path_interpolator", "mpc_planner"])
+@pytest.mark.parametrize("node", ["path_interpolator", "whole_body_planner", "mpc_planner"])
 def test_a_button_without_a_service_is_disabled(bench, node):
     bench.state.services = frozenset({f"{node}/pause", f"{node}/cancel"})
     bench.draw(1.0)

@@ -3,7 +3,6 @@
 import contextlib
 import dataclasses
 import math
-import os
 import random
 import typing
 from enum import Enum
@@ -14,21 +13,44 @@ from rclpy.publisher import Publisher
 
 from omniman_ros.core.errors import InputError
 from omniman_ros.viewer.events import ButtonPressed, CaseSelected, Event, ParameterChanged
+from test.fuzz import examples
 from test.nodes.random_messages import FLOATS
 from test.nodes.test_fuzz import numbers
 from test.viewer.ros.fake_page import view
 
-COUNT = int(os.environ.get("OMNIMAN_FUZZ", "1000"))
-"""Number of events; `make fuzz` posts a million."""
+COUNT = examples(1000)
+"""Number of events."""
 BETWEEN_TICKS = 25
 """Number of events that are posted between two periods of the node."""
 WORDS = {
-    ButtonPressed: ("pause", "resume", "cancel", "go", "restart", "add", "clear", "reset", "x"),
+    ButtonPressed: (
+        "pause",
+        "resume",
+        "cancel",
+        "go",
+        "restart",
+        "add",
+        "clear",
+        "reset",
+        "x",
+        "tool_place",
+        "tool_add",
+        "tool_send",
+        "tool_remove",
+    ),
     CaseSelected: ("I", "II", "III", "", "IV"),
     ParameterChanged: ("weights.energy", "weights.position", "safety.clearance", "no.such", ""),
 }
 """Texts of some kinds of events, known and unknown ones."""
-COMMANDS = ("cmd_vel", "goal_pose", "goal_state", "goal_trajectory", "initialpose", "obstacles")
+COMMANDS = (
+    "cmd_vel",
+    "goal_pose",
+    "goal_state",
+    "goal_trajectory",
+    "initialpose",
+    "obstacles",
+    "tool_path",
+)
 """Topics that move something, or that others move by."""
 MOTIONS = ("forward", "back", "left", "right", "turn_left", "turn_right", "up", "")
 

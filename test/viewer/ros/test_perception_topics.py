@@ -1,4 +1,4 @@
-"""Tests of what the viewer hears of scanners, tracker, collision monitor and physics world."""
+"""Tests of what the viewer receives of scanners, tracker, collision monitor and physics world."""
 
 import math
 from array import array
@@ -11,8 +11,9 @@ from nav_msgs.msg import OccupancyGrid, Odometry
 from sensor_msgs.msg import JointState, LaserScan, PointCloud2
 from std_msgs.msg import Float64
 
+from omniman_ros.conversions.maps import map_message
 from omniman_ros.conversions.motion_limits import motion_limit_message
-from omniman_ros.conversions.tracks import grid_message, track_cloud
+from omniman_ros.conversions.tracks import track_cloud
 from omniman_ros.conversions.world import contacts_message
 from omniman_ros.nodes.stop_interface import LATCHED
 from omniman_ros.perception.track import TrackedObstacle
@@ -63,7 +64,7 @@ def test_a_scan_is_drawn_where_its_beams_ended(world):
 def grid(frame, cells=((0, 100, -1), (0, 0, 0))):
     occupancy = np.array(cells, dtype=np.int8)
     stamp = LaserScan().header.stamp
-    return grid_message(occupancy, 0.5, np.array([4.0, 5.0]), frame, stamp)
+    return map_message(occupancy, 0.5, np.array([4.0, 5.0]), frame, stamp)
 
 
 def test_a_map_follows_its_frame():

@@ -165,6 +165,7 @@ def test_a_path_in_another_frame_is_not_drawn(world):
     world.run(0.2)
     assert world.nodes[0].state.path.version == 0
     assert "path" in world.nodes[0]._throttle.counts
+    assert "'elsewhere'" in world.nodes[0].state.unplaced["path"]
 
 
 def test_the_plan_is_drawn_and_removed_when_it_ends(world):

@@ -227,7 +227,7 @@ def test_a_stop_without_a_robot_reports_that_no_node_is_found(world):
 def test_path_and_planner_services_are_called_together(world, action):
     state = world.nodes[0].state
     press(world, action)
-    assert state.note == f"{action}: no path_interpolator and no mpc_planner"
+    assert state.note == f"{action}: no path_interpolator or whole_body_planner or mpc_planner"
     assert state.services == frozenset()
     path = Services(world, "path_interpolator", action)
     names = {f"path_interpolator/{action}"}
@@ -261,7 +261,7 @@ def test_the_refusal_of_an_idle_path_interpolator_is_not_reported(world):
     values = [KeyValue(key=key, value="idle") for key in ("state", "arm", "body")]
     status = DiagnosticStatus(name="/path_interpolator", values=values)
     world.publisher(DiagnosticArray, "/diagnostics").publish(DiagnosticArray(status=[status]))
-    until(world, lambda: state.path_states == {"idle"}, "the diagnostics")
+    until(world, lambda: state.path_states == {"path_interpolator": {"idle"}}, "the diagnostics")
     until(world, lambda: len(state.services) == 2, "the services")
     press(world, "pause")
     until(world, lambda: state.note == "pause: mpc_planner done", "the answers")

@@ -73,7 +73,7 @@ class ExpressionCompiler:
         return apply([self.compile(node)], lambda frame, value: truth(value), line_of(node))
 
     def _chain(self, node: Node) -> Expression:
-        """Compile binary operators of one rank, which apply from left to right."""
+        """Compile binary operators of equal precedence, which apply from left to right."""
         first, *rest = node.children
         operands = [self.compile(first), *map(self.compile, rest[1::2])]
         operators = [(BINARY[str(symbol)], int(symbol.line or 1)) for symbol in rest[::2]]

@@ -1,0 +1,22 @@
+"""Axes of the whole robot: their names, their number and their order in arrays.
+
+The axes are odom_x, odom_y [m] and odom_t [rad], the platform's pose in odom, and then the joints
+of the arm [rad].
+"""
+
+from omniman_ros.core.arm_model import JOINTS
+
+PLATFORM_AXES = ("odom_x", "odom_y", "odom_t")
+"""Names of the platform's axes in trajectories."""
+PLANAR_JOINT = "platform"
+"""Name of MoveIt's planar joint between odom and base_link, which has the platform's axes."""
+PLANAR_VARIABLES = tuple(f"{PLANAR_JOINT}/{label}" for label in ("x", "y", "theta"))
+"""Names of the platform's axes as variables of that joint."""
+AXES = len(PLATFORM_AXES) + JOINTS
+"""Number of axes of the whole body."""
+PLATFORM_COLUMNS = slice(None, len(PLATFORM_AXES))
+"""Columns of the platform's axes in arrays (..., AXES)."""
+JOINT_COLUMNS = slice(len(PLATFORM_AXES), None)
+"""Columns of the arm's joints in such arrays."""
+HEADING_COLUMN = PLATFORM_AXES.index("odom_t")
+"""Column of the platform's heading in such arrays."""

@@ -1,0 +1,128 @@
+"""Common part of the interfaces that drive motions of the arm and of the whole body."""
+
+from typing import Protocol
+
+import numpy as np
+
+from omniman_ros.core.arrays import Array
+from omniman_ros.motion.path.interpolator import PathState
+from omniman_ros.motion.path.pace import Pace
+from omniman_ros.motion.path.window import Window, paced_window
+from omniman_ros.nodes.trajectory_interfaces.motion_context import BodyContext
+from omniman_ros.nodes.trajectory_interfaces.motion_log import MotionLog
+from omniman_ros.nodes.trajectory_interfaces.motion_outputs import ArmOutput
+from omniman_ros.nodes.trajectory_interfaces.motion_time_base import Interpolator
+
+
+class DrivenMotion(Interpolator, Protocol):
+    """A motion of d axes in motion time, which an interface drives."""
+
+    def sample(self, times: Array) -> tuple[Array, Array, Array]:
+        """Return x, x', x'' (k, d) of the motion under way at increasing times (k,) [s]."""
+        ...
+
+    def plan_times(self, times: Array) -> Array:
+        """Return the times (k,) of the planned motion at increasing times (k,) [s]."""
+        ...
+
+    def update(self, now: float) -> None:
+        """Update the state when the motion has come to rest."""
+        ...
+
+    def abort(self) -> None:
+        """Discard the motion at once: it is at rest, or the receiver stops it."""
+        ...
+
+    def paced_stop_window(self, now: float, pace: Pace) -> Window | None:
+        """Return the final window of a stream at a pace, which ends at rest on the path."""
+        ...
+
+
+class MotionInterface:
+    """Drives a motion: sends its previews, and reports its end.
+
+    Args:
+        context: Objects that all motions of the node share.
+        core: Motion that is driven.
+        output: Where it is sent.
+        kind: What the interface drives, such as "trajectory".
+
+    Attributes:
+        core: Motion that is driven.
+        log: Log of the events of the motions.
+        output: Where the motions are sent.
+        status: Latest event.
+    """
+
+    core: DrivenMotion
+
+    def __init__(
+        self, context: BodyContext, core: DrivenMotion, output: ArmOutput, kind: str = "trajectory"
+    ) -> None:
+        self._context, self._node = context, context.node
+        self.core, self.output = core, output
+        self.log = MotionLog(self._node, kind)
+        self.status = self.log.status
+
+    @property
+    def idle(self) -> bool:
+        """Whether no motion is under way."""
+        return self.core.state is PathState.IDLE
+
+    def _desired_at(self, time: float) -> tuple[Array, Array, Array]:
+        pace = self._context.time_base.pace
+        window = paced_window(pace, self.core.sample, np.array([time]))
+        return window.positions[0], window.velocities[0], window.accelerations[0]
+
+    def _announce(self, text: str) -> None:
+        self.log.announce(text)
+        self._context.on_started()
+
+    # ---- supervision --------------------------------------------------------------------------
+
+    def give_up(self, why: str, *, brake: bool) -> None:
+        """End the motion under way; the axes come to rest.
+
+        Args:
+            why: Reason, in words.
+            brake: Whether to send a last preview that leads to rest on the path. Receivers that
+                are stopped come to rest by themselves, as do those that have run out of
+                references, which would start again.
+        """
+        if self.idle:
+            return
+        now = self._node.now()
+        window = self._stop_window(now) if brake and self.output.is_covered(now) else None
+        self.core.abort()
+        self.log.give_up(why)
+        if window is not None:
+            self.output.send(window)
+        self.output.give_up()
+
+    def _stop_window(self, now: float) -> Window | None:
+        return self.core.paced_stop_window(now, self._context.time_base.pace)
+
+    # ---- output -------------------------------------------------------------------------------
+
+    def tick(self) -> None:
+        """Publish the next preview, and report the end of the motion."""
+        before, time_base = self.core.state, self._context.time_base
+        if before is PathState.IDLE:
+            return
+        self.publish(self._context.options.horizon)
+        if self.idle:
+            return  # given up, which has been reported
+        motion_time = time_base.now()
+        self.core.update(motion_time)
+        if self.core.state is PathState.CANCELLING and time_base.pace.stands(self._node.now()):
+            self.core.abort()
+        if self.idle:
+            self.log.end(cancelled=before is PathState.CANCELLING)
+            self.output.end()
+
+    def publish(self, horizon: float) -> None:
+        """Publish a preview of the motion under way that is `horizon` long [s]."""
+        if not self.idle:
+            time_base = self._context.time_base
+            times = time_base.sample_times(horizon)
+            self.output.send(paced_window(time_base.pace, self.core.sample, times))

@@ -1,0 +1,35 @@
+"""Parameters of the node `whole_body_planner`."""
+
+from dataclasses import dataclass, replace
+
+from omniman_ros.core.parameters import inline, parameter
+from omniman_ros.motion.whole_body.parameters import ToolPathOptions
+from omniman_ros.motion.whole_body.tool_curve import LEVER
+from omniman_ros.nodes.surroundings_parameters import SurroundingsParameters
+from omniman_ros.nodes.trajectory_interfaces.parameters import StreamParameters
+from omniman_ros.planning.whole_body.parameters import DodgeOptions
+
+
+@dataclass(frozen=True, kw_only=True)
+class WholeBodyPlannerParameters(StreamParameters):
+    """Parameters of the node: those of its core, its surroundings and its streams."""
+
+    dodge: DodgeOptions
+    surroundings: SurroundingsParameters = inline()
+    patience: float = parameter(
+        30.0,
+        "Time without progress on the path after which it is given up.",
+        unit="s",
+        low=1.0,
+        high=3600.0,
+    )
+
+    @property
+    def led_tool(self) -> ToolPathOptions:
+        """Options of paths whose one parameter keeps both the linear and the angular limits."""
+        o = self.tool_path
+        return replace(
+            o,
+            linear_velocity=min(o.linear_velocity, LEVER * o.angular_velocity),
+            linear_acceleration=min(o.linear_acceleration, LEVER * o.angular_acceleration),
+        )

@@ -1,0 +1,224 @@
+"""A task of the whole body as a motion of nine axes, which can be paused, cancelled and slowed.
+
+Time is an argument: the motion time, see `motion.path.pace`.
+"""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from omniman_ros.collision.surroundings import Surroundings
+from omniman_ros.core.arrays import Array
+from omniman_ros.motion.path.interpolator import PathState, RefusedError
+from omniman_ros.motion.path.pace import LEAD, Demand, Pace
+from omniman_ros.motion.path.parameters import TICK
+from omniman_ros.motion.path.window import Window
+from omniman_ros.motion.whole_body.limits import WholeBodyLimits
+from omniman_ros.planning.whole_body.controller import CycleOutcome
+from omniman_ros.planning.whole_body.redundancy import PLACE
+from omniman_ros.planning.whole_body.surroundings import Hindrances
+from omniman_ros.planning.whole_body.task import BodyTask
+
+END_HOLD_TIME = 0.2
+"""Time for which the end is sent repeatedly, in case messages are lost [s]."""
+SHORTEST_STEP = 1e-6
+"""Step below which two motion times are the same, because motion time stands [s]."""
+SLOWEST_PACE = 0.1
+"""Lowest pace at which what moves is predicted: below it, the robot all but stands."""
+
+
+class DodgingMotion:
+    """Follows a task of the whole body at most at a time.
+
+    Args:
+        limits: Limits of the nine axes and of the wheels.
+
+    Attributes:
+        limits: As above; others count from the next task on.
+        state: Present state.
+        branch: Branch of the arm's inverse kinematics, `ArmModel.inverse`.
+    """
+
+    def __init__(self, limits: WholeBodyLimits) -> None:
+        self.limits = limits
+        self.state = PathState.IDLE
+        self._task: BodyTask | None = None
+        self._has_arrived = False
+        self.branch = 0
+
+    @property
+    def task(self) -> BodyTask:
+        """The task that is followed."""
+        assert self._task is not None
+        return self._task
+
+    def follow(self, task: BodyTask) -> None:
+        """Follow a task, which begins at rest, from now on."""
+        self._task, self.state, self._has_arrived = task, PathState.FOLLOWING, False
+        self.branch = task.redundancy.model.arm.branch_of(task.redundancy.centre)
+
+    def cycle(self, now: float, pace: float, around: Hindrances) -> CycleOutcome | None:
+        """Choose the motion from a motion time on.
+
+        Args:
+            now: Motion time [s].
+            pace: Motion time that passes in a second.
+            around: What is around the robot now, its rates by the second.
+
+        Returns:
+            The outcome; None while the robot does not follow its task, or has arrived.
+        """
+        if self.state is not PathState.FOLLOWING or self._has_arrived:
+            return None
+        # In motion time, what is around a robot that is slowed down moves faster.
+        stretch = 1.0 / max(pace, SLOWEST_PACE)
+        moving = Surroundings(around.moving.solids, stretch * around.moving.velocity)
+        slowed = replace(around, time=now, moving=moving, growth=stretch * around.growth)
+        return self.task.cycle(now, slowed)
+
+    def platform(self, now: float) -> Array:
+        """Return the pose (3,) of the platform at a motion time [s]."""
+        return self.task.controller.motion.sample(now)[0][:PLACE]
+
+    def place(self, now: float) -> float:
+        """Return the place on the path at a motion time [m]."""
+        return float(self.task.controller.motion.sample(now)[0][PLACE])
+
+    # ---- requests -----------------------------------------------------------------------------
+
+    def pause(self, now: float) -> None:
+        """Come to rest on the path; a repeated request has no effect.
+
+        Raises:
+            RefusedError: There is nothing to pause.
+        """
+        if self.state in (PathState.PAUSING, PathState.PAUSED):
+            return
+        if self.state is not PathState.FOLLOWING:
+            raise RefusedError(f"no tool path to pause: {self.state.value}")
+        self._brake(now)
+        self.state = PathState.PAUSING
+
+    def resume(self, now: float) -> None:
+        """Continue after a pause, or during the braking for one.
+
+        Raises:
+            RefusedError: The motion is not paused.
+        """
+        if self.state not in (PathState.PAUSING, PathState.PAUSED):
+            raise RefusedError(f"no pause to end: {self.state.value}")
+        self.state = PathState.FOLLOWING
+
+    def cancel(self, now: float) -> None:
+        """Come to rest on the path, and forget the rest of it.
+
+        Raises:
+            RefusedError: There is nothing to cancel.
+        """
+        if self.state is PathState.IDLE:
+            raise RefusedError(f"no tool path to cancel: {self.state.value}")
+        if self.state is PathState.FOLLOWING:
+            self._brake(now)
+        self.state = PathState.CANCELLING
+
+    def abort(self) -> None:
+        """Forget the task at once: the robot is at rest, or the receiver stops it."""
+        self._task, self.state = None, PathState.IDLE
+
+    def _brake(self, now: float) -> None:
+        controller = self.task.controller
+        controller.motion = controller.braked(controller.motion, now + LEAD * TICK)
+
+    # ---- output -------------------------------------------------------------------------------
+
+    def update(self, now: float) -> None:
+        """Update the state when the motion has come to rest."""
+        if self.state is PathState.IDLE:
+            return
+        if self.state is PathState.FOLLOWING and not self._has_arrived:
+            if self.task.is_completed(now):
+                self._has_arrived = True
+                self._brake(now)  # what is left of its speed
+            return
+        hold = END_HOLD_TIME if self._has_arrived else 0.0
+        if now < self.task.controller.motion.end + hold:
+            return
+        if self.state in (PathState.PAUSING, PathState.PAUSED):
+            self.state = PathState.PAUSED
+        else:
+            self.abort()
+
+    def sample(self, times: Array) -> tuple[Array, Array, Array]:
+        """Return x, x', x'' (k, 9) of the motion under way at increasing motion times (k,) [s].
+
+        The joints' x'' is the difference quotient of their x', and zero at a single time.
+        """
+        redundancy, motion = self.task.redundancy, self.task.controller.motion
+        z, rates = motion.at(times)
+        # Rates change by steps in their derivative: its mean over a tick is smooth enough.
+        change = (motion.at(times + 0.5 * TICK)[1] - motion.at(times - 0.5 * TICK)[1]) / TICK
+        at = redundancy.configurations(z)
+        joint_rates = np.einsum("kij,kj->ki", at.rates, rates)
+        joint_change = _slopes(times, joint_rates)
+        return (
+            at.q,
+            np.hstack([rates[:, :PLACE], joint_rates]),
+            np.hstack([change[:, :PLACE], joint_change]),
+        )
+
+    def plan_times(self, times: Array) -> Array:
+        """Return the times (k,) of the task at motion times (k,) [s]: the same."""
+        return times
+
+    def tool(self, times: Array) -> Array:
+        """Return planned poses (m, 4, 4) of `tool0` in odom at motion times (m,) [s]."""
+        places = self.task.controller.motion.at(times)[0][:, PLACE]
+        return self.task.redundancy.path.pose(places)
+
+    def demand(self, times: Array) -> Demand | None:
+        """Return the use of the limits at increasing motion times (k,) [s]; None if idle."""
+        if self._task is None:
+            return None
+        _, v, a = self.sample(times)
+        return Demand.of(self.limits.groups(1.0, 0.0), v, a)
+
+    def paced_stop_window(self, now: float, pace: Pace) -> Window | None:
+        """Return the last stretch of a stream that runs at a pace: down to rest on the path.
+
+        Args:
+            now: Time [s].
+            pace: Pace at which the motion runs.
+
+        Returns:
+            The stretch, or None if there is no motion or it stands still.
+        """
+        rate = pace.rate(now)
+        if self._task is None or rate <= 0.0:
+            return None
+        begin, followed = pace.motion(now), self.task.controller.motion
+        self._brake(begin)
+        end = max(self.task.controller.motion.end, begin)
+        times = begin + TICK * np.arange(math.ceil((end - begin) / TICK) + 2, dtype=float)
+        window = Window(times, *self.sample(times))
+        self.task.controller.motion = followed
+        return window.slowed(now, rate)
+
+    def progress(self, now: float) -> float:
+        """Return the completed fraction of the path, 0 to 1; 0 without one, or without length."""
+        if self._task is None:
+            return 0.0
+        end = self.task.redundancy.path.end
+        return min(max(self.place(now) / end, 0.0), 1.0) if end > 0.0 else 0.0
+
+    def remaining(self, now: float) -> float:
+        """Return the time to the end of the motion that is planned up to now [s]."""
+        return 0.0 if self._task is None else max(self.task.controller.motion.end - now, 0.0)
+
+
+def _slopes(times: Array, values: Array) -> Array:
+    """Return the difference quotients (k, d) of values (k, d) at times (k,), which may repeat."""
+    steps = np.maximum(np.diff(times), SHORTEST_STEP)
+    slopes = np.diff(values, axis=0) / steps[:, None]
+    sides = np.vstack([slopes[:1], slopes, slopes[-1:]])
+    return 0.5 * (sides[:-1] + sides[1:]) if len(slopes) else np.zeros(values.shape)
