@@ -722,7 +722,7 @@ def test_cmd_vel_takes_over_and_a_later_goal_waits_for_its_silence(robot):
     robot.send(*FAR)
     assert robot.warnings[-1] == "goal_pose not used: cmd_vel drives"
     robot.run(0.2, lambda: cmd_vel.publish(twist(0.0, 0.0)))
-    robot.run_until(lambda: last(robot.sources).data == "none", 2.0, "none to drive")
+    robot.run_until(lambda: robot.node._monitor.source == "none", 2.0, "none to drive")
     assert len(robot.references) == sent, "nothing is sent once the goal is given up"
     refused = robot.refusals()
     assert refused <= 1
