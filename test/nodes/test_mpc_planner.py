@@ -40,7 +40,7 @@ from omniman_ros.planning.mpc.solver import SolverError
 from omniman_ros.planning.obstacles.separation import box_gap
 from omniman_ros.planning.obstacles.walls import Walls
 from omniman_ros.planning.planner import Planner
-from test.nodes.harness import PERIOD, World, last
+from test.nodes.harness import PERIOD, World
 from test.nodes.rig import reference, twist
 from test.tiers import exhaustive, representative
 from test.work import calls
