@@ -93,7 +93,7 @@ def test_twist_of_zero_is_accepted_before_the_first_wheel_states():
     rig.run(1.0, lambda: answers.add(rig.twist(0, 0, 0)))
     assert answers == {""}
     assert rig.core.arbiter.active is None
-    assert rig.still
+    assert set(rig.commands) == {None}
     rig.reports = True
     rig.run(0.1)
     assert rig.twist(*CRUISE) == ""
@@ -207,12 +207,22 @@ def test_no_command_after_a_stall_until_the_wheels_have_reported():
     assert ratio(rig.core.setpoint, rig.core.parameters.limits.acceleration) <= 2 * DT
 
 
-def test_stall_before_any_wheel_states_leaves_zero_commands():
+def test_there_is_no_command_before_any_wheel_states_nor_after_a_stall_without_them():
     rig = Rig()
-    rig.core.tick(rig.now)
-    assert rig.core.tick(rig.now + 0.9) is None
-    command = rig.core.tick(rig.now + 0.9 + DT)
-    assert command is not None and not command.velocity.any()
+    for now in (rig.now, rig.now + DT, rig.now + 0.9, rig.now + 0.9 + DT):
+        assert rig.core.tick(now) is None
+
+
+def test_controller_that_starts_while_the_wheels_turn_brakes_within_the_limit():
+    rig = Rig()
+    rig.speed = rig.core.cascade.kinematics.J @ np.array([0.5, 0.0, 0.0])
+    rig.run(1.5)
+    speeds = np.array([0.5, *(twist[0] for twist in rig.setpoints)])
+    assert speeds[1] > 0.45
+    assert speeds[-1] == 0.0
+    assert rig.still
+    linear, _ = rig.core.limits.deceleration
+    assert -np.diff(speeds).min() <= linear * DT * (1 + 1e-9)
 
 
 def test_stall_of_the_controller_does_not_make_its_sources_stale():

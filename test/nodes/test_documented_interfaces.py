@@ -74,7 +74,18 @@ def node(request):
         (running,) = world.nodes
         if isinstance(running, ViewerNode):
             running._topics.set_watched(True)  # as while a browser is connected
+        world._await(lambda: is_in_graph(request.param, running), "the node in the graph")
         yield request.param, running
+
+
+def is_in_graph(name, running):
+    """Whether the middleware has discovered the node's own endpoints; it does so in a thread."""
+    used = sros2.used(name, running)
+    return {publisher.topic_name for publisher in running.publishers} <= used[
+        "topics", "publish"
+    ] and {subscription.topic_name for subscription in running.subscriptions} <= used[
+        "topics", "subscribe"
+    ]
 
 
 @pytest.mark.parametrize(
