@@ -10,7 +10,8 @@ from sensor_msgs.msg import LaserScan, PointCloud2, PointField
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
-from omniman_ros.core.rigid import Transform
+from omniman_ros.core.rigid import TILT_TOLERANCE, UPSIDE_DOWN, PlanarPose, Transform
+from omniman_ros.perception.no_return import INF, rep117_ranges
 from omniman_ros.perception.scan import Scan
 
 SECTORS = 720
@@ -34,31 +35,57 @@ class Slice:
 
 
 def scan_from_message(
-    message: LaserScan, mount: Transform, clock: Callable[[Time], float]
+    message: LaserScan,
+    mount: Transform,
+    clock: Callable[[Time], float],
+    no_return: str = INF,
 ) -> Scan:
     """Return the scan of a message, whose stamp is the time of the first beam.
 
     Args:
         message: The message.
-        mount: Pose of the scanner in base_link.
+        mount: Pose of the scanner in base_link, upright or upside down.
         clock: Converts a stamp to the caller's clock [s].
+        no_return: What the scanner sends where a beam meets nothing, see `no_return.NO_RETURN`.
 
     Raises:
         InputError: The mount is tilted; see also `Scan`.
     """
     ranges = np.array(message.ranges, dtype=np.float64)
-    ranges[ranges < message.range_min] = -math.inf
+    pose, sense = _plane(mount)
     height = mount.translation[2]
     return Scan(
         clock(message.header.stamp),
-        ranges,
-        message.angle_min,
-        message.angle_increment,
+        rep117_ranges(ranges, message.range_min, message.range_max, no_return),
+        sense * message.angle_min,
+        sense * message.angle_increment,
         message.range_max,
-        mount.planar(),
+        pose,
         message.time_increment,
         (height, height),
     )
+
+
+def _plane(mount: Transform) -> tuple[PlanarPose, float]:
+    """Return the pose of a scanner on the floor, and the sense of its angles seen from above.
+
+    The angles of one that hangs upside down, by a half turn about any axis in its plane, grow to
+    the right: their sense is -1.
+
+    Raises:
+        InputError: The scanner is tilted.
+    """
+    x, y, up = mount.rotated((0.0, 0.0, 1.0))
+    slope = math.hypot(x, y)
+    if not slope <= TILT_TOLERANCE:
+        tilt, tolerance = math.atan2(slope, up), math.asin(TILT_TOLERANCE)
+        raise InputError(
+            f"the scanner is tilted by {math.degrees(tilt):.1f} degrees, expected upright or "
+            f"upside down within {math.degrees(tolerance):.1f} degrees"
+        )
+    if up > 0.0:
+        return mount.planar(), 1.0
+    return (mount @ UPSIDE_DOWN).planar(), -1.0
 
 
 def scan_from_cloud(

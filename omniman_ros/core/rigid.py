@@ -115,6 +115,8 @@ class Transform:
 
 IDENTITY = Transform()
 """Transform of a frame into itself."""
+UPSIDE_DOWN = Transform(rotation=(1.0, 0.0, 0.0, 0.0))
+"""Half turn about the x axis."""
 
 
 def demand_unit(rotation: Quaternion) -> float:

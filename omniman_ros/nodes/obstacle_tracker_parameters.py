@@ -5,9 +5,10 @@ from dataclasses import dataclass
 from omniman_ros.collision.parameters import LoadShape, ToolShape
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import inline, parameter
-from omniman_ros.core.rigid import Transform
+from omniman_ros.core.rigid import UPSIDE_DOWN, Transform
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.nodes.frame_parameters import FrameParameters
+from omniman_ros.perception.no_return import INF, NO_RETURN
 from omniman_ros.perception.parameters import (
     MapParameters,
     TrackerParameters,
@@ -41,12 +42,22 @@ class ScannerInput:
     y: float = parameter(0.0, "Position in base_link, left.", unit="m", low=-10, high=10)
     z: float = parameter(0.2, "Height above the floor.", unit="m", low=0, high=10)
     yaw: float = parameter(0.0, "Direction of its x axis.", unit="rad", low=-6.3, high=6.3)
+    upside_down: bool = parameter(
+        False, "Whether it is turned over about its x axis, so that its angles grow to the right."
+    )
+    no_return: str = parameter(
+        INF,
+        "What a laser sends where a beam meets nothing up to range_max, beside infinity: "
+        "zero, nan, or range_max and more. Otherwise 0 and NaN are no measurement.",
+        choices=NO_RETURN,
+    )
 
     @property
     def mount(self) -> Transform:
         """Its pose in base_link."""
         flat = Transform.of_planar((self.x, self.y, self.yaw))
-        return Transform((self.x, self.y, self.z), flat.rotation)
+        upright = Transform((self.x, self.y, self.z), flat.rotation)
+        return upright @ UPSIDE_DOWN if self.upside_down else upright
 
 
 @dataclass(frozen=True)
@@ -83,7 +94,7 @@ class ObstacleTrackerParameters:
     scanners: tuple[ScannerInput, ...]
     scanners_by_tf: bool = parameter(
         True,
-        "Whether TF has the poses of the scanners; if not, scanners.x, y, z and yaw have them.",
+        "Whether TF has the poses of the scanners; if not, the parameters of scanners do.",
         read_only=True,
     )
     base_frame: str = parameter("base_link", "Frame of the robot.", read_only=True)

@@ -71,7 +71,8 @@ class Scanners:
         p = self._settings.value
         mount = self._mount(number, message.header.frame_id)
         if isinstance(message, LaserScan):
-            scan = scan_from_message(message, mount, self._node.instant)
+            no_return = p.scanners[number].no_return
+            scan = scan_from_message(message, mount, self._node.instant, no_return)
         else:
             part = Slice(p.cloud.low, p.cloud.high, p.cloud.range_max)
             scan = scan_from_cloud(message, mount, self._node.instant, part)

@@ -27,7 +27,7 @@ class Scan:
     Attributes:
         time: Time of the first beam on the caller's clock [s].
         ranges: (N,) distances [m]; as in REP 117, inf where a beam meets nothing up to `range_max`
-            and -inf where it meets something nearer than the scanner can measure; NaN where
+            and -inf where it meets something nearer than the scanner can measure; NaN or 0 where
             nothing is known.
         angle_min: Direction of the first beam in the scanner's frame [rad].
         increment: Angle between two beams, negative if they turn to the right [rad].

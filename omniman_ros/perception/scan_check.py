@@ -6,6 +6,7 @@ import numpy as np
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import parameter
+from omniman_ros.perception.no_return import NAN, ZERO
 from omniman_ros.perception.scan import Scan
 
 MOVED, TURNED = 0.02, 0.01
@@ -41,6 +42,22 @@ class ScanCheckParameters:
     )
 
 
+def _hint(ranges: Array, excess: float) -> str:
+    """Return the parameter that would help if a value of at least a share of the beams is meant.
+
+    Args:
+        ranges: (N,) ranges of a scan, see `Scan`.
+        excess: Share of blind beams above what is accepted [-].
+    """
+    for word, found in ((ZERO, ranges == 0.0), (NAN, np.isnan(ranges))):
+        if (share := float(found.mean())) >= excess:
+            return (
+                f"; {100.0 * share:.0f} % are {word}: if that is what this scanner sends where it "
+                f"meets nothing, set scanners.no_return to {word}"
+            )
+    return ""
+
+
 class ScanCheck:
     """Judges the scans of one scanner."""
 
@@ -58,9 +75,11 @@ class ScanCheck:
         """
         ranges = scan.ranges
         with np.errstate(invalid="ignore"):
-            blind = float((~(ranges > 0.0)).mean())
+            is_blind = ~(ranges > 0.0)
+        blind = float(is_blind.mean())
         if blind > parameters.most_blind:
-            return f"covered: {100.0 * blind:.0f} % of the beams measure nothing"
+            hint = _hint(ranges, blind - parameters.most_blind)
+            return f"covered: {100.0 * blind:.0f} % of the beams measure nothing{hint}"
         met = np.zeros(len(ranges), dtype=bool)
         met[scan.hits] = True
         lost = met[:-2] & met[2:] & np.isposinf(ranges[1:-1])

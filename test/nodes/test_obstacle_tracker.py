@@ -165,6 +165,36 @@ def test_the_mounting_comes_from_tf():
         assert marker.pose.position.x == pytest.approx(2.5, abs=0.03)
 
 
+def test_a_scanner_that_hangs_upside_down_sees_the_same():
+    with Room(parameters=GIVEN | {"scanners.upside_down": [True]}) as room:
+        room.watch(1.5, lambda t, pose: walker(t, pose)[::-1])
+        (marker,) = room.placed()
+        assert marker.pose.position.x == pytest.approx(2.5, abs=0.03)
+        assert marker.pose.position.y == pytest.approx(0.65, abs=0.03)
+        assert room.cell(2.0 - 0.1, -1.0) > 65, "the post"
+        assert room.cell(1.5, 0.0) < 20, "free space"
+        assert room.cell(4.4, 2.0) == -1, "behind the wall"
+        assert room.status()[0] == DiagnosticStatus.OK
+
+
+def open_hall(t, pose):
+    """One post in a hall in which most beams meet nothing, for which the scanner sends 0."""
+    found = ranges_of([(2.0, -1.0, 0.4)], pose, wall=25.0)
+    return np.where(np.isinf(found), 0.0, found)
+
+
+def test_the_value_of_no_return_is_named_and_makes_an_open_hall_free():
+    with Room() as room:
+        room.noise = 0.0
+        room.watch(0.6, open_hall)
+        assert not room.markers
+        assert "set scanners.no_return to zero" in room.status()[1]
+        room.tracker.set_parameters([Parameter("scanners.no_return", value=["zero"])])
+        room.watch(1.0, open_hall)
+        assert room.status()[0] == DiagnosticStatus.OK
+        assert room.cell(2.0, 1.0) < 20, "the hall"
+
+
 STILL = ranges_of([(2.0, 0.0, 0.2)])
 FAULTS = {
     "covered": lambda t, pose: np.full(BEAMS, 0.01),

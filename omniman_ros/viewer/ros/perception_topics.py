@@ -122,9 +122,8 @@ class PerceptionTopics:
         pose = self._state.odom
         if pose is None:
             raise InputError("there is no odometry yet")
-        scan = scan_from_message(
-            message, self._mount(scanner, message.header.frame_id), lambda stamp: 0.0
-        )
+        mount = self._mount(scanner, message.header.frame_id)
+        scan = scan_from_message(message, mount, lambda stamp: 0.0, scanner.no_return)
         hits = scan.hits[list(thinned(len(scan.hits), MAX_POINTS))]
         points = scan.local_points(hits)
         plausible.demand(points, plausible.LENGTH, "points")

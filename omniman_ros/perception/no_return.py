@@ -1,0 +1,32 @@
+"""What scanners send where a beam meets nothing: REP 117 and what came before it."""
+
+import math
+
+from omniman_ros.core.arrays import Array
+
+INF, ZERO, NAN, RANGE_MAX = "inf", "zero", "nan", "range_max"
+NO_RETURN = (INF, ZERO, NAN, RANGE_MAX)
+"""Values that may mean that a beam meets nothing within range: infinity, as in REP 117, or also 0,
+NaN, or the longest range and more."""
+ROUND_OFF = 1e-3
+"""Share of the longest range by which a measurement of it may fall short of it [-]."""
+
+
+def rep117_ranges(ranges: Array, range_min: float, range_max: float, no_return: str) -> Array:
+    """Return ranges (N,) in the terms of `Scan` [m].
+
+    Args:
+        ranges: (N,) distances as they were sent [m].
+        range_min: Shortest range [m].
+        range_max: Longest range [m].
+        no_return: What the scanner sends where a beam meets nothing, one of `NO_RETURN`.
+    """
+    result = ranges.copy()
+    if no_return == ZERO:
+        result[ranges == 0.0] = math.inf
+    elif no_return == NAN:
+        result[ranges != ranges] = math.inf
+    elif no_return == RANGE_MAX:
+        result[ranges >= (1.0 - ROUND_OFF) * range_max] = math.inf
+    result[(result < range_min) & (result != 0.0)] = -math.inf
+    return result
