@@ -25,10 +25,12 @@ class StopStatus:
     Attributes:
         state: The state.
         reason: Why the node is in that state; empty while it is running.
+        is_ending: Whether the node is stopped because it ends in order, and by nothing else.
     """
 
     state: StopState
     reason: str
+    is_ending: bool = False
 
 
 class StopLatch:
@@ -37,12 +39,15 @@ class StopLatch:
     A node is STOPPED by causes of its own (a service call, the emergency stop, a fault): only
     :meth:`reset` clears that. It is HOLDING while a peer is STOPPED, without a latch of its own,
     so that two nodes never wait for each other's reset. In both states nothing may move.
+    A stopped peer that vanishes is a stop of its own, unless it has ended in order.
     """
 
     def __init__(self) -> None:
         self._cause = ""
+        self._is_ending = False
         self._emergency = False
         self._peers: dict[str, str] = {}
+        self._ending_peers: set[str] = set()
 
     @property
     def released(self) -> bool:
@@ -58,7 +63,7 @@ class StopLatch:
     def status(self) -> StopStatus:
         """State and reason."""
         if self._cause:
-            return StopStatus(StopState.STOPPED, self._cause)
+            return StopStatus(StopState.STOPPED, self._cause, self._is_ending)
         if self._peers:
             reasons = "; ".join(
                 f"{name}: {reason}" for name, reason in sorted(self._peers.items())
@@ -76,6 +81,10 @@ class StopLatch:
         self._cause = self._cause or cause
         return new
 
+    def shut_down(self, reason: str) -> None:
+        """Latch a stop because the node ends in order; an earlier cause is kept."""
+        self._is_ending |= self.stop(f"shutting down: {reason}")
+
     def set_emergency(self, active: bool) -> bool:
         """Set the state of the emergency stop; an inactive one releases nothing.
 
@@ -85,18 +94,35 @@ class StopLatch:
         self._emergency = active
         return self.stop("emergency_stop") if active else False
 
-    def set_peer(self, name: str, stopped: bool, reason: str = "") -> None:
+    def set_peer(
+        self, name: str, stopped: bool, reason: str = "", is_ending: bool = False
+    ) -> None:
         """Set the state of a peer; this node holds for as long as the peer is stopped.
 
         Args:
             name: Full name of the peer.
             stopped: Whether the peer is stopped.
             reason: Why the peer is stopped.
+            is_ending: Whether it is stopped because it ends in order, and by nothing else.
         """
+        self._ending_peers.discard(name)
         if stopped:
             self._peers[name] = reason
+            self._ending_peers |= {name} if is_ending else set()
         else:
             self._peers.pop(name, None)
+
+    def lose_peer(self, name: str) -> None:
+        """End the hold by a stopped peer that has vanished.
+
+        Unless the peer has ended in order, that latches a stop: nobody can reset the peer.
+
+        Args:
+            name: Full name of the peer.
+        """
+        if name not in self._ending_peers:
+            self.stop(f"peer {name} vanished while it was stopped")
+        self.set_peer(name, False)
 
     @property
     def peers(self) -> tuple[str, ...]:
@@ -120,4 +146,4 @@ class StopLatch:
             raise ResetRefusedError(f"the fault is still present: {fault}")
         if not at_rest:
             raise ResetRefusedError("still moving: wait for the stop to end")
-        self._cause = ""
+        self._cause, self._is_ending = "", False

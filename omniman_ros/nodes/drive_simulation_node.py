@@ -152,7 +152,7 @@ class DriveSimulationNode(ClockGiverNode, Generic[P]):
     def begin_shutdown(self, reason: str) -> None:
         """Ramp every wheel to rest, and publish the ground truth until then."""
         self._reports.publish_truth_with_every_report()
-        self.latch.stop(f"shutting down: {reason}")
+        self.latch.shut_down(reason)
         self._halt()
         super().begin_shutdown(reason)
 

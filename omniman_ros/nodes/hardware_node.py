@@ -181,7 +181,7 @@ class HardwareNode(OmnimanNode, LifecycleNodeMixin, HardwareHooks):
     def begin_shutdown(self, reason: str) -> None:
         """Latch a stop, which brings the hardware to its end."""
         self._automatic_start.end()
-        self.latch.stop(f"shutting down: {reason}")
+        self.latch.shut_down(reason)
         self.stop_interface.publish()
         self.follow_latch()
 

@@ -170,7 +170,7 @@ class PlatformControllerNode(OmnimanNode):
 
     def begin_shutdown(self, reason: str) -> None:
         """Ramp every wheel to zero; the last commands are zero speeds."""
-        self.core.latch.stop(f"shutting down: {reason}")
+        self.core.latch.shut_down(reason)
         self._finish_tick = self._ticks + FINAL_ZEROS
 
     @property

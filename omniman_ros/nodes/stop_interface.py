@@ -13,6 +13,8 @@ from omniman_ros.nodes.omniman_node import OmnimanNode
 
 STOP_STATE = "stop_state"
 """Topic on which each node that moves something publishes its stop state."""
+ENDING = "ending"
+"""Key of the value that says that a node is stopped because it ends in order."""
 LATCHED = QoSProfile(
     depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
 )
@@ -67,21 +69,29 @@ class StopInterface:
         node.every(1.0, self._check_peers)
         self.publish()
 
-    def publish(self) -> None:
-        """Publish and log the stop state if it has changed; call this once a tick."""
+    def publish(self, news: str = "motion is possible again") -> None:
+        """Publish and log the stop state if it has changed; call this once a tick.
+
+        Args:
+            news: What is logged where the node is released.
+        """
         status = self._latch.status
         if status == self._published:
             return
         previous, self._published = self._published, status
         text = f"{status.state.value}: {status.reason}" if status.reason else status.state.value
-        values = [("state", status.state.value), ("reason", status.reason)]
+        values: list[tuple[str, object]] = [
+            ("state", status.state.value),
+            ("reason", status.reason),
+            (ENDING, status.is_ending),
+        ]
         self._publisher.publish(self._node.status_message(_LEVELS[status.state], text, values))
         log = self._node.get_logger()
         if status.state is not StopState.RUNNING:
             log.warning(text)
             self._on_stop()
         elif previous is not None:
-            log.info("released: motion is possible again")
+            log.info(f"released: {news}")
         self._node.report_changes()
 
     def _on_stop_service(
@@ -115,16 +125,16 @@ class StopInterface:
     def _on_peer(self, message: DiagnosticStatus) -> None:
         if message.name != self._name:
             stopped = message.level == DiagnosticStatus.ERROR
-            self._latch.set_peer(message.name, stopped, message.message)
+            is_ending = any(v.key == ENDING and v.value == str(True) for v in message.values)
+            self._latch.set_peer(message.name, stopped, message.message, is_ending)
             self.publish()
 
     def _check_peers(self) -> None:
-        """Latch a stop if a peer vanished while it was stopped: nobody can reset that peer."""
+        """Notice that stopped peers have vanished."""
         if not self._latch.peers:
             return
         present = publisher_nodes(self._node, STOP_STATE)
         for name in self._latch.peers:
             if name not in present:
-                self._latch.stop(f"peer {name} vanished while it was stopped")
-                self._latch.set_peer(name, False)
-        self.publish()
+                self._latch.lose_peer(name)
+        self.publish("the peers that held it have ended")

@@ -2,7 +2,7 @@ import itertools
 
 import pytest
 
-from omniman_ros.core.stop import ResetRefusedError, StopLatch, StopState
+from omniman_ros.core.stop import ResetRefusedError, StopLatch, StopState, StopStatus
 
 RUNNING, HOLDING, STOPPED = StopState.RUNNING, StopState.HOLDING, StopState.STOPPED
 
@@ -16,6 +16,8 @@ def apply(latch, event):
             "emergency": lambda: latch.set_emergency(argument == "true"),
             "peer_stops": lambda: latch.set_peer(argument, True, "why"),
             "peer_runs": lambda: latch.set_peer(argument, False),
+            "peer_ends": lambda: latch.set_peer(argument, True, "SIGINT", is_ending=True),
+            "peer_vanishes": lambda: latch.lose_peer(argument),
             "reset": lambda: latch.reset(
                 at_rest=argument != "moving", fault="bus off" if argument == "fault" else ""
             ),
@@ -80,6 +82,20 @@ TABLE = {
         ("peer_runs arm", STOPPED, "button"),
         ("reset", RUNNING, ""),
     ],
+    "a stopped peer that vanishes leaves a stop to reset": [
+        ("peer_stops arm", HOLDING, "arm"),
+        ("peer_vanishes arm", STOPPED, "peer arm vanished while it was stopped"),
+        ("reset", RUNNING, ""),
+    ],
+    "a peer that ends in order holds until it has vanished": [
+        ("peer_ends arm", HOLDING, "arm: SIGINT"),
+        ("peer_vanishes arm", RUNNING, ""),
+    ],
+    "a peer that was started again and stopped is not one that ends": [
+        ("peer_ends arm", HOLDING, "arm: SIGINT"),
+        ("peer_stops arm", HOLDING, "arm: why"),
+        ("peer_vanishes arm", STOPPED, "vanished"),
+    ],
     "a stop under a true emergency keeps its cause": [
         ("stop button", STOPPED, "button"),
         ("emergency true", STOPPED, "button"),
@@ -124,6 +140,16 @@ def test_new_latches_are_distinguished_from_old_ones():
     latch.reset(at_rest=True)
     assert latch.set_emergency(True) is True
     assert latch.set_emergency(True) is False
+
+
+def test_only_a_node_that_nothing_else_has_stopped_says_that_it_ends():
+    latch = StopLatch()
+    latch.shut_down("SIGINT")
+    assert latch.status == StopStatus(STOPPED, "shutting down: SIGINT", is_ending=True)
+    latch.reset(at_rest=True)
+    latch.stop("bus off")
+    latch.shut_down("SIGINT")
+    assert latch.status == StopStatus(STOPPED, "bus off", is_ending=False)
 
 
 def test_stopped_peers_are_listed():
