@@ -45,6 +45,7 @@ class Scanners:
         self._reasons = [""] * len(p.scanners)
         for number, scanner in enumerate(p.scanners):
             kind = LaserScan if scanner.kind == LASER else PointCloud2
+            node.foreign_types.selectors[scanner.topic] = "scanners.kind"
             handler = node.guarded(scanner.topic, partial(self._receive, number))
             node.create_subscription(kind, scanner.topic, handler, qos_profile_sensor_data)
 

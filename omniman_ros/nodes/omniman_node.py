@@ -9,6 +9,7 @@ from rclpy.publisher import Publisher
 
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.throttle import Throttle
+from omniman_ros.nodes.foreign_types import ForeignTypes
 from omniman_ros.nodes.timed_node import NoTimeError, TimedNode
 
 P = ParamSpec("P")
@@ -18,14 +19,19 @@ WARNING_PERIOD = 1.0
 
 
 class OmnimanNode(TimedNode):
-    """A node that warns at a limited rate, reports diagnostics, and comes to rest at its end."""
+    """A node that warns at a limited rate, reports diagnostics, and comes to rest at its end.
+
+    Attributes:
+        foreign_types: Warns of publishers whose type is not what the node reads.
+    """
 
     def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, **options)
         self._throttle = Throttle(WARNING_PERIOD)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._status = (b"", "")
-        self.every(1.0, self.report)
+        self.foreign_types = ForeignTypes(self, self.warn)
+        self.every(1.0, self._each_second)
         self.every(0.1, self.report_changes)
 
     def warn(self, subject: str, text: str) -> None:
@@ -82,6 +88,11 @@ class OmnimanNode(TimedNode):
             hardware_id=PurePath(robot).stem,
             values=[KeyValue(key=key, value=str(value)) for key, value in values],
         )
+
+    def _each_second(self) -> None:
+        """Do what is due once a second: rclpy warns of nodes with many timers."""
+        self.foreign_types.check()
+        self.report()
 
     def report(self) -> None:
         """Publish the diagnostics."""

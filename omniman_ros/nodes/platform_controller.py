@@ -79,6 +79,7 @@ class PlatformControllerNode(OmnimanNode):
             self.create_subscription(kind, topic, self.guarded(topic, handler), qos)
 
         twist = TwistStamped if p.cmd_vel_stamped else Twist
+        self.foreign_types.selectors["cmd_vel"] = "cmd_vel_stamped"
         on_cmd_vel = self.guarded("cmd_vel", self._on_cmd_vel)
         subscribe_with_source_time(self, twist, "cmd_vel", on_cmd_vel, SETPOINT)
         for source in PREVIEW_SOURCES:
