@@ -382,6 +382,14 @@ class PlatformController:
         """
         return self.held_robot.held or self.wheel_health.all_blocked
 
+    def is_ready(self, now: float) -> bool:
+        """Return whether a source may drive at a time [s].
+
+        The wheels have reported, nothing is stopped, and a limit that is expected is there.
+        """
+        is_known = self.feedback.received and not self._is_recovering
+        return is_known and self.latch.released and not self.motion_limit.is_silent(now)
+
     @property
     def at_rest(self) -> bool:
         """Whether the setpoint of the wheels is zero."""

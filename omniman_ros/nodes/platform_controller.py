@@ -29,6 +29,7 @@ from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.platform_controller_parameters import PlatformControllerParameters
 from omniman_ros.nodes.platform_outputs import SETPOINT, PlatformOutputs
 from omniman_ros.nodes.rclpy_compat import subscribe_with_source_time
+from omniman_ros.nodes.ready_notice import ReadyNotice
 from omniman_ros.nodes.runtime import run
 from omniman_ros.nodes.stop_interface import StopInterface
 
@@ -62,9 +63,9 @@ class PlatformControllerNode(OmnimanNode):
         self._odometry = OdometryOutputs(self, self.core, self._topics) if p.publish_odom else None
         self._odometry_inputs = OdometryInputs(self, self.core, self._names, self._topics)
         self._make_inputs(p)
+        self._ready_notice = ReadyNotice(self, self.core)
         self._stop = StopInterface(self, self.core.latch, self._reset)
-        self._outputs.publish_active_source()
-        self._outputs.publish_wheel_health()
+        self._outputs.publish_changes()
         self.every(1.0 / p.control_rate, self.tick)
 
     def _configure(self, new: PlatformControllerParameters) -> None:
@@ -150,8 +151,8 @@ class PlatformControllerNode(OmnimanNode):
         if self.core.cancelled:
             self.warn("cancelled", self.core.cancelled)
         self._stop.publish()
-        self._outputs.publish_active_source()
-        self._outputs.publish_wheel_health()
+        self._outputs.publish_changes()
+        self._ready_notice.check()
         self._ticks += 1
         if self._ticks % self._demand_every == 0:
             self._outputs.publish_demand(self._topics().base_frame)

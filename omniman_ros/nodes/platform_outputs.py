@@ -11,10 +11,7 @@ from std_msgs.msg import Float64, String
 from omniman_ros.control.platform import PlatformController
 from omniman_ros.control.wheel_cascade import DriveMode, WheelCommand
 from omniman_ros.conversions.motion_limits import motion_demand_message
-from omniman_ros.conversions.wheels import (
-    LIMIT_SCALE_KEY,
-    POSTURE_SCALE_KEY,
-)
+from omniman_ros.conversions.wheels import LIMIT_SCALE_KEY, POSTURE_SCALE_KEY
 from omniman_ros.nodes.arm_posture import PERIOD, ArmPostureInput
 from omniman_ros.nodes.message_template import STAMP, MessageTemplate, marks
 from omniman_ros.nodes.odometry_interface import imu_fault, imu_values
@@ -87,8 +84,12 @@ class PlatformOutputs:
             motion = self._core.demand.tolist()
             self._demand.publish(motion_demand_message((), motion, self._node.stamp(), frame))
 
-    def publish_active_source(self) -> None:
-        """Publish the active source if it has changed."""
+    def publish_changes(self) -> None:
+        """Publish active source and health of the wheels, where they have changed."""
+        self._publish_active_source()
+        self._publish_wheel_health()
+
+    def _publish_active_source(self) -> None:
         source = self._core.arbiter.active
         idle = "none" if self._core.latch.released else "stop"
         active = source.value if source else idle
@@ -96,7 +97,7 @@ class PlatformOutputs:
             self.active = active
             self._active_source.publish(String(data=active))
 
-    def publish_wheel_health(self) -> None:
+    def _publish_wheel_health(self) -> None:
         """Publish the health of the wheels if it has changed, and log any notice about it."""
         monitor = self._core.wheel_health
         share = self._core.stability.share

@@ -86,6 +86,22 @@ def test_robot_stands_without_wheel_states():
     assert all(not twist.any() for twist in rig.setpoints)
 
 
+def test_robot_is_ready_once_wheels_and_limit_report_and_nothing_is_stopped():
+    rig = Rig(changes={"collision_monitor.use": True})
+    rig.reports = False
+    rig.run(0.1)
+    rig.core.motion_limit.update(1.0, rig.now, rig.now)
+    assert not rig.core.is_ready(rig.now), "no wheel_states"
+    rig.reports = True
+    rig.run(0.1)
+    assert rig.core.is_ready(rig.now)
+    rig.core.latch.stop("button")
+    assert not rig.core.is_ready(rig.now)
+    rig.core.reset(rig.now)
+    assert rig.core.is_ready(rig.now)
+    assert not rig.core.is_ready(rig.now + 1.0), "no fresh motion_limit"
+
+
 def test_twist_of_zero_is_accepted_before_the_first_wheel_states():
     rig = Rig()
     rig.reports = False

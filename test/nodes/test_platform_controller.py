@@ -307,6 +307,21 @@ def test_reset_is_refused_while_the_drive_is_dead(rig):
     assert rig.call(Trigger, "platform_controller/reset").success
 
 
+def test_that_the_robot_is_ready_is_logged_once(capfd):
+    with World(PlatformControllerNode) as world:
+        world.run(0.5)
+        assert "ready" not in capfd.readouterr().err, "no wheel_states"
+    with Rig({"cmd_vel_stamped": False}) as rig:
+        rig.drive(0.3)
+        assert rig.call(Trigger, "platform_controller/stop").success
+        rig.run(1.0)
+        assert rig.call(Trigger, "platform_controller/reset").success
+        rig.drive(0.3)
+    said = [line for line in capfd.readouterr().err.splitlines() if "ready: " in line]
+    assert len(said) == 1
+    assert "drive with /cmd_vel (geometry_msgs/msg/Twist)" in said[0]
+
+
 def test_stopped_peer_holds_the_robot_and_releases_without_a_reset(rig):
     publisher = rig.publisher(DiagnosticStatus, "stop_state", LATCHED)
     states = rig.listen(DiagnosticStatus, "stop_state", LATCHED)
