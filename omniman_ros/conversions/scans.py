@@ -11,7 +11,7 @@ from sensor_msgs.msg import LaserScan, PointCloud2, PointField
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.rigid import TILT_TOLERANCE, UPSIDE_DOWN, PlanarPose, Transform
-from omniman_ros.perception.no_return import INF, rep117_ranges
+from omniman_ros.perception.no_return import REP_117, rep117_ranges
 from omniman_ros.perception.scan import Scan
 
 SECTORS = 720
@@ -38,7 +38,7 @@ def scan_from_message(
     message: LaserScan,
     mount: Transform,
     clock: Callable[[Time], float],
-    no_return: str = INF,
+    no_return: str = REP_117,
 ) -> Scan:
     """Return the scan of a message, whose stamp is the time of the first beam.
 

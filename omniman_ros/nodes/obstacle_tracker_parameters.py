@@ -8,7 +8,7 @@ from omniman_ros.core.parameters import inline, parameter
 from omniman_ros.core.rigid import UPSIDE_DOWN, Transform
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.nodes.frame_parameters import FrameParameters
-from omniman_ros.perception.no_return import INF, NO_RETURN
+from omniman_ros.perception.no_return import NO_RETURN, REP_117
 from omniman_ros.perception.parameters import (
     MapParameters,
     TrackerParameters,
@@ -46,9 +46,9 @@ class ScannerInput:
         False, "Whether it is turned over about its x axis, so that its angles grow to the right."
     )
     no_return: str = parameter(
-        INF,
-        "What a laser sends where a beam meets nothing up to range_max, beside infinity: "
-        "zero, nan, or range_max and more. Otherwise 0 and NaN are no measurement.",
+        REP_117,
+        "What a laser sends where a beam meets nothing up to range_max: infinity only (rep_117), "
+        "or also zero, not_a_number, or range_max and more. Otherwise 0 and NaN are no measurement.",
         choices=NO_RETURN,
     )
 

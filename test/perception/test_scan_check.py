@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from omniman_ros.core.parameters import build
-from omniman_ros.perception.no_return import INF, NAN, NO_RETURN, RANGE_MAX, ZERO, rep117_ranges
+from omniman_ros.perception.no_return import (
+    NAN,
+    NO_RETURN,
+    RANGE_MAX,
+    REP_117,
+    ZERO,
+    rep117_ranges,
+)
 from omniman_ros.perception.scan import Scan
 from omniman_ros.perception.scan_check import ScanCheck, ScanCheckParameters
 
@@ -14,7 +21,7 @@ inf, nan = math.inf, math.nan
 RANGE_MIN, RANGE_MAX_M = 0.1, float(np.float32(30.3))
 SENT = np.array([inf, -inf, nan, 0.0, 0.05, 2.0, RANGE_MAX_M, 65.533, RANGE_MAX_M - 0.01])
 MEANT = {
-    INF: [inf, -inf, nan, 0.0, -inf, 2.0, RANGE_MAX_M, 65.533, RANGE_MAX_M - 0.01],
+    REP_117: [inf, -inf, nan, 0.0, -inf, 2.0, RANGE_MAX_M, 65.533, RANGE_MAX_M - 0.01],
     ZERO: [inf, -inf, nan, inf, -inf, 2.0, RANGE_MAX_M, 65.533, RANGE_MAX_M - 0.01],
     NAN: [inf, -inf, inf, 0.0, -inf, 2.0, RANGE_MAX_M, 65.533, RANGE_MAX_M - 0.01],
     RANGE_MAX: [inf, -inf, nan, 0.0, -inf, 2.0, inf, inf, inf],
@@ -28,9 +35,9 @@ def test_only_the_declared_value_and_infinity_mean_that_nothing_is_in_range(no_r
 
 
 def fault(*beams):
-    """Return the fault of a scan of (count, range) beams that was sent with no_return inf."""
+    """Return the fault of a scan of (count, range) beams that was sent as in REP 117."""
     sent = np.concatenate([np.full(count, value) for count, value in beams])
-    ranges = rep117_ranges(sent, RANGE_MIN, RANGE_MAX_M, INF)
+    ranges = rep117_ranges(sent, RANGE_MIN, RANGE_MAX_M, REP_117)
     scan = Scan(0.0, ranges, 0.0, 0.01, RANGE_MAX_M, (0.0, 0.0, 0.0))
     return ScanCheck().fault(scan, np.zeros(3), build(ScanCheckParameters, {}))
 
