@@ -39,7 +39,7 @@ def read_parameters(
     Raises:
         CommandError: The node does not answer.
     """
-    # Each request has one name: one parameter without a value would make the whole response empty.
+    # Each request has one name: one that the node does not have would leave the response empty.
     values = {}
     for name in names:
         future = client.call_async(GetParameters.Request(names=[name]))

@@ -82,14 +82,14 @@ class ParameterSet(Generic[T]):
         self._apply: Callable[[T], None] | None = None
         self._specs = {spec.name: spec for spec in specs(cls)}
         self._overrides = parameter_overrides(node)
-        # rclpy takes an empty array for one of bytes: it is declared without a value instead.
-        self._empty = {name for name, given in self._overrides.items() if self._means_none(given)}
-        for name in self._empty:
+        # rclpy takes an empty array for one of bytes, and would refuse it.
+        empty = {name for name, given in self._overrides.items() if self._means_none(given)}
+        for name in empty:
             del self._overrides[name]
         defaults = self._robot_defaults() if robot else {}
         for spec in self._specs.values():
             default = defaults.get(spec.name, spec.default)
-            self._declare(spec, () if spec.name in self._empty else default)
+            self._declare(spec, () if spec.name in empty else default)
         self.value: T = build(cls, self._current())
         node.add_pre_set_parameters_callback(self._with_typed_empty_arrays)
         node.add_on_set_parameters_callback(self._on_set)
@@ -121,14 +121,16 @@ class ParameterSet(Generic[T]):
             ParameterError: The given value has the wrong type or is out of range.
         """
         kind = _PARAMETER_TYPES[spec.kind, spec.item]
-        spec_descriptor = descriptor(spec)
         try:
-            if (spec.required and default is spec.default) or default == ():
-                self._node.declare_parameter(spec.name, kind, spec_descriptor)
+            if default == ():
+                self._declare_empty(spec, kind)
+                return
+            if spec.required and default is spec.default:
+                self._node.declare_parameter(spec.name, kind, descriptor(spec))
                 return
             value = spec.check(default)
             value = list(value) if isinstance(value, tuple) else value
-            self._node.declare_parameter(spec.name, value, spec_descriptor)
+            self._node.declare_parameter(spec.name, value, descriptor(spec))
         except InvalidParameterTypeException as error:
             kind_name = kind.name.lower().replace("_", " ")
             raise ParameterError(
@@ -140,6 +142,20 @@ class ParameterSet(Generic[T]):
             value = self._overrides[spec.name].value
             spec.check(tuple(value) if spec.item else value)
             raise ParameterError(spec.name, value, str(error)) from error
+
+    def _declare_empty(self, spec: Spec, kind: Parameter.Type) -> None:
+        """Declare an array that is empty by default, with a value of its own type.
+
+        A parameter without a value would leave rclpy's answer about all parameters of the node,
+        which `ros2 param dump` requests, empty. rclpy takes the default `[]` for an array of
+        bytes, so it is set once the type is declared.
+        """
+        fixed, writable = descriptor(spec), descriptor(spec)
+        fixed.type, writable.read_only = kind.value, False
+        declared = self._node.declare_parameter(spec.name, kind, writable)
+        if declared.type_ is Parameter.Type.NOT_SET:
+            self._node.set_parameters([Parameter(spec.name, kind, [])])
+        self._node.set_descriptor(spec.name, fixed)
 
     def _means_none(self, given: Parameter) -> bool:
         """Return whether a given parameter is an array without items.
@@ -167,7 +183,7 @@ class ParameterSet(Generic[T]):
         """Return the values of the parameters that are set, by name."""
         # rclpy's annotation says that it returns values, but it returns Parameter objects.
         parameters: dict[str, Any] = self._node.get_parameters_by_prefix("")
-        return dict.fromkeys(self._empty, ()) | {
+        return {
             name: parameters[name].value
             for name in self._specs
             if name in parameters and parameters[name].type_ is not Parameter.Type.NOT_SET

@@ -1,17 +1,23 @@
-"""Topics and services of each node against the tables of its page."""
+"""Topics and services of each node against the tables of its page, and its parameters' dump."""
 
 import contextlib
 import importlib
 
 import pytest
+import rclpy
+import yaml
+from rcl_interfaces.msg import ParameterType
+from rcl_interfaces.srv import GetParameters, ListParameters
 from rclpy.node import Node
+from rclpy.parameter import parameter_value_to_python
 
+from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.registry import NODES, node_module, node_specs
 from omniman_ros.processes.arm_options import UR_PORTS
 from omniman_ros.viewer.node import ViewerNode
 from test.config import sros2
 from test.config.documented import ROOT, documented_interface
-from test.nodes.harness import World
+from test.nodes.harness import World, free_domain
 from test.nodes.transforms import tf_installed
 
 # Not of the page: what every node of ROS has, what all nodes here have, and simulated time.
@@ -60,7 +66,7 @@ def types(entities, name_of):
 
 @pytest.fixture(scope="module", params=list(NODES))
 def node(request):
-    """A running node and its name."""
+    """The name of a node, the node, and its world."""
     module = importlib.import_module(node_module(request.param))
     (make,) = (
         kind
@@ -75,7 +81,7 @@ def node(request):
         if isinstance(running, ViewerNode):
             running._topics.set_watched(True)  # as while a browser is connected
         world._await(lambda: is_in_graph(request.param, running), "the node in the graph")
-        yield request.param, running
+        yield request.param, running, world
 
 
 def is_in_graph(name, running):
@@ -93,7 +99,7 @@ def is_in_graph(name, running):
     [("Published topics", "publishers"), ("Subscribed topics", "subscriptions")],
 )
 def test_topics_are_those_of_the_page(node, heading, entities):
-    name, running = node
+    name, running, _ = node
     documented = documented_interface(name, heading)
     documented = {topic: kind for topic, kind in documented.items() if topic not in COMMON}
     actual = types(getattr(running, entities), lambda entity: entity.topic_name)
@@ -102,7 +108,7 @@ def test_topics_are_those_of_the_page(node, heading, entities):
 
 
 def test_services_are_those_of_the_page(node):
-    name, running = node
+    name, running, _ = node
     own = {
         service.srv_name: service.srv_type.__module__.partition(".")[0]
         + f"/{service.srv_type.__name__}"
@@ -117,7 +123,7 @@ def test_services_are_those_of_the_page(node):
 
 def test_the_sros2_policy_allows_what_the_node_uses_and_little_else(node):
     """Else: what is there later, what needs a package that PyPI has not, and simulated time."""
-    name, running = node
+    name, running, _ = node
     allowed, used = sros2.allowed(name), sros2.used(name, running)
     later = {f"/{topic}" for topic in LATER.get(name, set())}
     assert later <= allowed["topics", "publish"] | allowed["topics", "subscribe"]
@@ -140,3 +146,42 @@ def test_the_sros2_policy_has_every_node_and_the_page_may_stop_each_that_has_a_s
     assert len(stops) > 10
     requested = sros2.allowed("viewer")["services", "request"]
     assert stops - requested <= {f"/station_keeper/{action}" for action in ("cancel", "pause")}
+
+
+def dump(world, name):
+    """Return what `ros2 param dump` prints (ros2param/verb/dump.py)."""
+
+    def insert(tree, key, value):
+        group, _, rest = key.partition(".")
+        if rest:
+            insert(tree.setdefault(group, {}), rest, value)
+        else:
+            tree[key] = value
+
+    listed = world.call(ListParameters, f"/{name}/list_parameters").result.names
+    request = GetParameters.Request(names=sorted(listed))
+    values = world.call(GetParameters, f"/{name}/get_parameters", request).values
+    assert len(values) == len(listed)
+    tree = {}
+    for key, value in zip(request.names, values, strict=True):
+        assert value.type != ParameterType.PARAMETER_NOT_SET, key
+        insert(tree, key, parameter_value_to_python(value))
+    return yaml.dump({f"/{name}": {"ros__parameters": tree}}, default_flow_style=False)
+
+
+def test_what_ros2_param_dump_prints_gives_the_same_parameters_again(node, tmp_path):
+    name, running, world = node
+    file = tmp_path / "dump.yaml"
+    file.write_text(dump(world, name))
+    context = rclpy.Context()
+    context.init(args=["--ros-args", "--params-file", str(file)], domain_id=free_domain())
+    try:
+        again = Node(name, context=context)
+        kind, has_robot = type(running.settings.value), running.has_parameter("robot")
+        assert ParameterSet(again, kind, robot=has_robot).value == running.settings.value
+        for key, parameter in running.get_parameters_by_prefix("").items():
+            other = again.get_parameter(key)
+            assert (other.type_, other.value) == (parameter.type_, parameter.value), key
+        again.destroy_node()
+    finally:
+        context.shutdown()
