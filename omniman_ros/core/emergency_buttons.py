@@ -46,7 +46,7 @@ class EmergencyButtons:
         self._groups: dict[int, _Group] = {}
         self._seen: deque[tuple[int, int]] = deque(maxlen=REMEMBERED)
 
-    def update(self, pressed: bool, number: int | None, sent: int) -> None:
+    def update(self, pressed: bool, number: int | None, sent: int) -> bool:
         """Register a message; one that was registered before changes nothing.
 
         Args:
@@ -54,12 +54,15 @@ class EmergencyButtons:
             number: Its number among the messages of its publisher; None if it is unknown. Then
                 the last message counts, whoever sent it.
             sent: Time at which it was sent, in nanoseconds of the sender's clock.
+
+        Returns:
+            Whether it is the first message of a publisher, as far as the numbers tell.
         """
         if number is None:
             self._groups.clear()
             number = UNNUMBERED
         elif (number, sent) in self._seen:
-            return
+            return False
         self._seen.append((number, sent))
         self._last = pressed
         before = self._groups.get(number - 1)
@@ -73,6 +76,7 @@ class EmergencyButtons:
         group.pressing += pressed
         if len(self._groups) > MAX_GROUPS:
             self._forget_one()
+        return before is None
 
     def _forget_one(self) -> None:
         """Forget the oldest group that is released, or the oldest one."""

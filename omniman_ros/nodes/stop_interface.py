@@ -5,10 +5,11 @@ from collections.abc import Callable
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from omniman_ros.core.stop import ResetRefusedError, StopLatch, StopState, StopStatus
-from omniman_ros.nodes.emergency_interface import EmergencyInterface
+from omniman_ros.nodes.emergency_interface import MISSED, RELAY, TOPIC, EmergencyInterface
 from omniman_ros.nodes.omniman_node import OmnimanNode
 
 STOP_STATE = "stop_state"
@@ -39,7 +40,7 @@ def publisher_nodes(node: Node, topic: str) -> set[str]:
 
 
 class StopInterface:
-    """Connects a stop latch to `~/stop`, `~/reset`, `emergency_stop` and `stop_state`.
+    """Connects a stop latch to `~/stop`, `~/reset`, `emergency_stop`, its relay and `stop_state`.
 
     Args:
         node: Node that moves something.
@@ -63,7 +64,10 @@ class StopInterface:
         self._published: StopStatus | None = None
         node.create_service(Trigger, "~/stop", self._on_stop_service)
         node.create_service(Trigger, "~/reset", self._on_reset_service)
-        self._emergency = EmergencyInterface(node, self._on_emergency)
+        self._emergency = EmergencyInterface(
+            node, self._on_emergency, lambda: self._latch_press(MISSED)
+        )
+        node.create_subscription(String, RELAY, self._on_relay, 10)
         node.create_subscription(DiagnosticStatus, STOP_STATE, self._on_peer, ALL_LATCHED)
         self._publisher = node.create_publisher(DiagnosticStatus, STOP_STATE, LATCHED)
         node.every(1.0, self._check_peers)
@@ -120,6 +124,14 @@ class StopInterface:
 
     def _on_emergency(self, pressed: bool) -> None:
         self._latch.set_emergency(pressed)
+        self.publish()
+
+    def _on_relay(self, message: String) -> None:
+        self._latch_press(message.data or TOPIC)
+
+    def _latch_press(self, reason: str) -> None:
+        """Latch a stop for a press that another node has heard, or that may have been lost."""
+        self._latch.stop(reason)
         self.publish()
 
     def _on_peer(self, message: DiagnosticStatus) -> None:

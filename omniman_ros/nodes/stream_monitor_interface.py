@@ -7,7 +7,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from std_msgs.msg import String
 
 from omniman_ros.core.stream_monitor import StreamMonitor
-from omniman_ros.nodes.emergency_interface import EmergencyInterface
+from omniman_ros.nodes.emergency_interface import MISSED, RELAY, TOPIC, EmergencyInterface
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.rclpy_compat import subscribe_with_source_time
 from omniman_ros.nodes.stop_interface import ALL_LATCHED, LATCHED, STOP_STATE, publisher_nodes
@@ -18,6 +18,9 @@ REPETITION = 5.0
 
 class StreamMonitorInterface:
     """Updates a stream monitor from `active_source`, `stop_state` and `emergency_stop`.
+
+    What it hears of `emergency_stop` it relays to the nodes that move something: a publisher that
+    ends after one message may have reached this node alone.
 
     Args:
         node: Node that sends references.
@@ -34,7 +37,9 @@ class StreamMonitorInterface:
         self._source_sent, self._source_received = 0, -math.inf
         subscribe_with_source_time(node, String, "active_source", self._on_source, LATCHED)
         node.create_subscription(DiagnosticStatus, STOP_STATE, self._on_stop_state, ALL_LATCHED)
-        EmergencyInterface(node, self._on_emergency)
+        self._is_pressed = False
+        self._relay = node.create_publisher(String, RELAY, 10)
+        EmergencyInterface(node, self._on_emergency, lambda: self._tell(MISSED))
         node.every(1.0, self._forget_vanished)
 
     def _on_source(self, message: String, source_time: int) -> None:
@@ -56,8 +61,15 @@ class StreamMonitorInterface:
         self._on_update()
 
     def _on_emergency(self, pressed: bool) -> None:
+        if pressed and not self._is_pressed:
+            self._tell(TOPIC)
+        self._is_pressed = pressed
         self._monitor.update_emergency(pressed)
         self._on_update()
+
+    def _tell(self, reason: str) -> None:
+        """Tell the nodes that move something of a press."""
+        self._relay.publish(String(data=reason))
 
     def _forget_vanished(self) -> None:
         """Forget stopped nodes that vanished: their peers latch the stop, and can be reset."""

@@ -8,8 +8,9 @@ from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile
 from rclpy.serialization import serialize_message
 from rclpy.time import Time
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool
+from std_msgs.msg import Bool, String
 
+from omniman_ros.nodes.emergency_interface import MISSED, RELAY
 from omniman_ros.nodes.odometry import OdometryNode
 from omniman_ros.nodes.simulated_drive import SimulatedDriveNode
 from omniman_ros.nodes.stop_interface import LATCHED
@@ -64,6 +65,27 @@ def test_an_emergency_stop_is_received_from_any_publisher(qos):
         (node,) = world.nodes
         world.publisher(Bool, "emergency_stop", qos).publish(Bool(data=True))
         world.run_until(lambda: not node.latch.released, 1.0, "the stop")
+
+
+def test_a_press_whose_message_may_be_lost_stops():
+    with World(SimulatedDriveNode) as world:
+        (node,) = world.nodes
+        world.probe.destroy_publisher(world.publisher(Bool, "emergency_stop"))
+
+        def is_stopped():
+            world.run(0.01)
+            return not node.latch.released
+
+        world._await(is_stopped, "the stop")  # the middleware tells of publishers in real time
+        assert node.latch.status.reason == MISSED
+
+
+def test_a_press_that_another_node_has_heard_stops():
+    with World(SimulatedDriveNode) as world:
+        (node,) = world.nodes
+        world.publisher(String, RELAY).publish(String(data="emergency_stop"))
+        world.run_until(lambda: not node.latch.released, 1.0, "the stop")
+        assert node.latch.status.reason == "emergency_stop"
 
 
 def test_a_volatile_publisher_of_emergency_stop_is_no_reason_to_warn(capfd):

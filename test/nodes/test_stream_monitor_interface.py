@@ -1,9 +1,10 @@
 """Topics by which a source of motion learns whether it is followed."""
 
 import pytest
-from std_msgs.msg import String
+from std_msgs.msg import Bool, String
 
 from omniman_ros.core.stream_monitor import StreamMonitor
+from omniman_ros.nodes.emergency_interface import RELAY
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.stop_interface import LATCHED
 from omniman_ros.nodes.stream_monitor_interface import REPETITION, StreamMonitorInterface
@@ -38,3 +39,12 @@ def test_a_source_whose_clock_was_set_back_is_believed_after_a_while(world):
     world.run(REPETITION + 0.1)
     world.interface._on_source(String(data="none"), 10)
     assert world.updates == ["path", "none"]
+
+
+def test_a_press_is_relayed_once_to_the_nodes_that_move_something(world):
+    relayed = world.listen(String, RELAY)
+    button = world.publisher(Bool, "emergency_stop")
+    for pressed in (True, True, False, True):
+        button.publish(Bool(data=pressed))
+        world.run(0.02)
+    assert [message.data for message in relayed] == ["emergency_stop", "emergency_stop"]
