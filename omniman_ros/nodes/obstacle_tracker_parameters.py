@@ -48,7 +48,7 @@ class ScannerInput:
     no_return: str = parameter(
         REP_117,
         "What a laser sends where a beam meets nothing up to range_max: infinity only (rep_117), "
-        "or also zero, not_a_number, or range_max and more. Otherwise 0 and NaN are no measurement.",
+        "or also zero, not_a_number, or range_max and more. Else 0 and NaN are no measurement.",
         choices=NO_RETURN,
     )
 

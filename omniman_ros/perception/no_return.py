@@ -7,7 +7,7 @@ from omniman_ros.core.arrays import Array
 REP_117, ZERO, NAN, RANGE_MAX = "rep_117", "zero", "not_a_number", "range_max"
 NO_RETURN = (REP_117, ZERO, NAN, RANGE_MAX)
 """Values that may mean that a beam meets nothing within range: infinity, as in REP 117, or also 0,
-NaN, or the longest range and more. None of the names is a number in YAML, as `inf` and `nan` are."""
+NaN, or the longest range and more. None of the names is a number in YAML, as inf and nan are."""
 ROUND_OFF = 1e-3
 """Share of the longest range by which a measurement of it may fall short of it [-]."""
 
