@@ -58,8 +58,7 @@ class CollisionMonitorInputs:
         self._obstacles = FramedObstacles(p.obstacles)
         self._map = UprightSolids.join([])
         self._frames = FrameTransforms(node, lambda: settings.value.frames)
-        rule = p.map_threshold, p.map_unknown_is_free
-        self._grid = MapInterface(node, self._frames, rule, self._use_map)
+        self._grid = MapInterface(node, self._frames, p.map_reading.rule, self._use_map)
         on_obstacles = self._frames.deferred("obstacles", marker_headers, self._on_obstacles)
         self._demands: dict[tuple[str, ...], tuple[float, Array]] = {}
         self.braking_scale = 1.0
@@ -73,7 +72,7 @@ class CollisionMonitorInputs:
     def configure(self, new: CollisionMonitorParameters) -> None:
         """Use other parameters."""
         self._obstacles.configure(new.obstacles)
-        self._grid.configure((new.map_threshold, new.map_unknown_is_free))
+        self._grid.configure(new.map_reading.rule)
 
     # ---- messages -------------------------------------------------------------------------------
 

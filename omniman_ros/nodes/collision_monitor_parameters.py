@@ -11,6 +11,7 @@ from omniman_ros.control.limits import TwistLimits
 from omniman_ros.core.parameters import inline, parameter
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.nodes.frame_parameters import FrameParameters
+from omniman_ros.nodes.surroundings_parameters import MapReading
 from omniman_ros.planning.obstacles.obstacles import ObstacleParameters
 
 
@@ -57,16 +58,7 @@ class CollisionMonitorParameters:
         high=1.0,
     )
     frames: FrameParameters = inline()
-    map_threshold: int = parameter(
-        50,
-        "Occupancy from which on a cell of the map counts as occupied.",
-        unit="%",
-        low=1,
-        high=100,
-    )
-    map_unknown_is_free: bool = parameter(
-        True, "Whether the robot may drive through cells of unknown occupancy."
-    )
+    map_reading: MapReading = inline()
 
     @property
     def speed_limits(self) -> SpeedLimits:

@@ -36,7 +36,7 @@ class SurroundingsInterface:
         self._obstacles = FramedObstacles(parameters.obstacles)
         self._standing = UprightSolids.join([])
         self._standing_names: tuple[str, ...] = ()
-        self._map = MapInterface(node, frames, parameters.rule, self._use_map)
+        self._map = MapInterface(node, frames, parameters.map_reading.rule, self._use_map)
         handler = frames.deferred("obstacles", marker_headers, self._on_obstacles)
         node.create_subscription(
             MarkerArray, "obstacles", node.guarded("obstacles", handler), QoSProfile(depth=50)
@@ -45,7 +45,7 @@ class SurroundingsInterface:
     def configure(self, parameters: SurroundingsParameters) -> None:
         """Use other parameters."""
         self._obstacles.configure(parameters.obstacles)
-        self._map.configure(parameters.rule)
+        self._map.configure(parameters.map_reading.rule)
 
     def __len__(self) -> int:
         """Return the number of obstacles."""

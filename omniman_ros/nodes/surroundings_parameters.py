@@ -2,15 +2,19 @@
 
 from dataclasses import dataclass
 
-from omniman_ros.core.parameters import parameter
+from omniman_ros.core.parameters import inline, parameter
 from omniman_ros.planning.obstacles.obstacles import ObstacleParameters
 
 
-@dataclass(frozen=True, kw_only=True)
-class SurroundingsParameters:
-    """Tracking of obstacles, and how maps are read."""
+@dataclass(frozen=True)
+class MapReading:
+    """How all nodes read the cells of a map, so that none moves where another one stops.
 
-    obstacles: ObstacleParameters
+    By default a map tells where something stands, and nothing else: like what lies outside of it,
+    cells of unknown occupancy are free. Below and behind a robot, no scanner sees: one that took
+    such cells for walls could not begin to move.
+    """
+
     map_threshold: int = parameter(
         50,
         "Occupancy from which on a cell of the map counts as occupied.",
@@ -19,10 +23,20 @@ class SurroundingsParameters:
         high=100,
     )
     map_unknown_is_free: bool = parameter(
-        False, "Whether the robot may move through cells of unknown occupancy."
+        True,
+        "Whether cells of unknown occupancy are free, as what lies outside of the map; if not, "
+        "they count as occupied.",
     )
 
     @property
     def rule(self) -> tuple[int, bool]:
         """Occupancy from which on a cell counts as occupied, and whether unknown ones are free."""
         return self.map_threshold, self.map_unknown_is_free
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurroundingsParameters:
+    """Tracking of obstacles, and how maps are read."""
+
+    obstacles: ObstacleParameters
+    map_reading: MapReading = inline()

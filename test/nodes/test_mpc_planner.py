@@ -1518,7 +1518,7 @@ def test_invalid_maps_are_refused_and_the_last_map_stays(alone):
 
 
 def test_map_in_frame_map_is_accepted_where_map_equals_odom():
-    given = {"map_is_odom": True, "map_threshold": 80, "map_unknown_is_free": True}
+    given = {"map_is_odom": True, "map_threshold": 80}
     with PlannerWithFakeController(given) as world:
         maps = world.publisher(OccupancyGrid, "map", LATCHED)
         message = a_map(world, wall=False, frame="map")
@@ -1535,10 +1535,10 @@ def test_the_kept_map_follows_its_threshold_and_what_unknown_cells_mean(alone):
     alone.publisher(OccupancyGrid, "map", LATCHED).publish(message)
     alone.run(2 * TICK)
     for name, value, occupied in (
-        ("map_threshold", 80, [0, 2]),
-        ("map_unknown_is_free", True, [2]),
-        ("map_threshold", 79, [1, 2]),
-        ("map_unknown_is_free", False, [0, 1, 2]),
+        ("map_threshold", 80, [2]),
+        ("map_unknown_is_free", False, [0, 2]),
+        ("map_threshold", 79, [0, 1, 2]),
+        ("map_unknown_is_free", True, [1, 2]),
     ):
         assert alone.set(name, value).successful
         assert np.flatnonzero(alone.core.grid.occupied).tolist() == occupied, name

@@ -314,6 +314,7 @@ def test_a_wall_of_the_map_counts_and_unknown_cells_by_parameter(world):
     grid.data = [-1] * 480
     maps.publish(grid)
     world.run(0.2)
+    assert world.set("map_unknown_is_free", False).successful
     world.send_tool(AHEAD)
     world.wait_for_plan()
     assert any("no room beside" in text for text in world.warnings), world.warnings

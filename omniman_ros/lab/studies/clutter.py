@@ -266,7 +266,7 @@ class ScannerSenses:
             cells, grid = self._tracker.occupancy(), self._tracker.map
             origin = np.append(grid.origin, 0.0)
             seen_map = OccupancyMap(cells, grid.resolution, origin)
-            loop.planner.set_map(GridMap.of_occupancy(seen_map, unknown_is_free=True))
+            loop.planner.set_map(GridMap.of_occupancy(seen_map))
 
 
 def drive_clutter(

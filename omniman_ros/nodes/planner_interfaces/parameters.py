@@ -13,6 +13,7 @@ from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.motion.whole_body.model import Mount
 from omniman_ros.nodes.frame_parameters import FrameParameters
 from omniman_ros.nodes.preview_parameters import RestartParameters
+from omniman_ros.nodes.surroundings_parameters import MapReading
 from omniman_ros.planning.parameters import PlannerParameters
 
 
@@ -86,16 +87,7 @@ class MpcPlannerParameters(RestartParameters):
     navigate_action: str = parameter(
         "navigate_to_pose", "Name of the action that takes goals.", read_only=True
     )
-    map_threshold: int = parameter(
-        50,
-        "Occupancy from which on a cell of the map counts as occupied.",
-        unit="%",
-        low=1,
-        high=100,
-    )
-    map_unknown_is_free: bool = parameter(
-        False, "Whether the robot may drive through cells of unknown occupancy."
-    )
+    map_reading: MapReading = inline()
 
     def __post_init__(self) -> None:
         if self.core.safety.deadline > self.period:

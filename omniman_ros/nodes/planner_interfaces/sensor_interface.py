@@ -55,8 +55,7 @@ class SensorInterface:
         self.measured: MeasuredState | None = None
         self._limit_scales = LimitScales()
         self.obstacles = FramedObstacles(settings.value.core.obstacles)
-        rule = settings.value.map_threshold, settings.value.map_unknown_is_free
-        self._map = MapInterface(node, frames, rule, planner.set_map)
+        self._map = MapInterface(node, frames, settings.value.map_reading.rule, planner.set_map)
         on_obstacles = frames.deferred("obstacles", marker_headers, self._on_obstacles)
         for kind, topic, handler, qos in (
             (MarkerArray, "obstacles", on_obstacles, 50),
@@ -68,7 +67,7 @@ class SensorInterface:
     def configure(self, new: MpcPlannerParameters) -> None:
         """Use other parameters."""
         self.obstacles.configure(new.core.obstacles)
-        self._map.configure((new.map_threshold, new.map_unknown_is_free))
+        self._map.configure(new.map_reading.rule)
 
     def odom_fault(self, now: float) -> str:
         """Return why the odometry cannot be used at the time `now` [s], or an empty string."""

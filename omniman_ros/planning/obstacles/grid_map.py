@@ -73,7 +73,7 @@ class GridMap:
 
     @staticmethod
     def of_occupancy(
-        occupancy: OccupancyMap, threshold: int = 50, unknown_is_free: bool = False
+        occupancy: OccupancyMap, threshold: int = 50, unknown_is_free: bool = True
     ) -> "GridMap":
         """Create a map from one of occupancies, in the frame of the latter.
 

@@ -126,14 +126,16 @@ def test_largest_map_is_accepted():
 
 
 def test_cells_are_occupied_from_the_threshold():
-    some = read([0, 49, 50], [100, -1, 10])
+    some = read([0, 49, 50], [100, 51, 10])
     np.testing.assert_array_equal(some.occupied, [[False, False, True], [True, True, False]])
     np.testing.assert_array_equal(some.origin, ORIGIN)
 
 
 def test_threshold_and_meaning_of_unknown_cells_are_configurable():
-    some = read([0, 49, 50], [100, -1, 10], threshold=10, unknown_is_free=True)
+    some = read([0, 49, 50], [100, -1, 10], threshold=10)
     np.testing.assert_array_equal(some.occupied, [[False, True, True], [True, False, True]])
+    some = read([0, 49, 50], [100, -1, 10], threshold=10, unknown_is_free=False)
+    np.testing.assert_array_equal(some.occupied, [[False, True, True], [True, True, True]])
 
 
 @pytest.mark.parametrize(
