@@ -11,7 +11,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.core.arrays import Array
+from omniman_ros.core.rigid import PlanarPose
 from omniman_ros.perception.parameters import MapParameters
 from omniman_ros.perception.rolling_grid import centered_corner, shifted
 from omniman_ros.perception.scan import Mask, View
@@ -90,6 +92,29 @@ class LocalMap:
         flat = self.log_odds.ravel()
         flat[met] = before + HIT
         np.clip(self.log_odds, LOWEST, HIGHEST, out=self.log_odds)
+
+    def occupy(self, pose: PlanarPose, parts: Rectangles, around: float) -> None:
+        """Enter that the robot stands somewhere: nothing else does, though no beam passes there.
+
+        Args:
+            pose: Pose of the robot in odom [m, m, rad].
+            parts: What it covers in base_link.
+            around: Distance around it within which cells of which nothing is known are free, since
+                what is seen there belongs to the robot [m].
+        """
+        reach = float(parts.radius.max()) + around
+        center = np.array(pose[:2])
+        rows, columns, _ = self._disc(center, reach)
+        x, y = (
+            self.resolution * (np.arange(part.start, part.stop) + 0.5 + corner) - middle
+            for part, corner, middle in zip((columns, rows), self.corner, center, strict=True)
+        )
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        local = np.stack((c * x + s * y[:, None], c * y[:, None] - s * x), axis=-1)
+        distances = parts.distances(local)
+        window = self.log_odds[rows, columns]
+        window[(distances <= 0.0) | ((distances <= around) & (window == 0.0))] -= MISS
+        np.clip(window, LOWEST, HIGHEST, out=window)
 
     def stands(self, points: Array) -> Mask:
         """Return whether points (M, 2) in odom lie in or beside cells that stand, (M,)."""

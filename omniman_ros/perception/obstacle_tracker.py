@@ -6,6 +6,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from omniman_ros.collision.footprint import Footprint
+from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import build
 from omniman_ros.perception.clusters import NONE, Clusters, Outlines, fitted_centers
@@ -23,6 +24,9 @@ from omniman_ros.planning.obstacles.tracking import TrackingParameters
 
 OWN_MARGIN = 0.05
 """Distance around the robot's own parts within which points are its own [m]."""
+SETTLING_TIME = 0.1
+"""Time after a jump of the odometry during which scans are not used [s]: a robot that is moved by
+hand, or by a simulation, is not moved at the same moment as its odometry."""
 NEAR = 0.15
 """Distance from the outline of a track up to which points are its own, whatever the map says
 [m]."""
@@ -102,6 +106,7 @@ class ObstacleTracker:
         self._tracks: list[Track] = []
         self._next = 1
         self._mapped: dict[int, float] = {}
+        self._since = -np.inf
 
     def clear(self) -> None:
         """Forget everything, because time went back or the odometry was reset."""
@@ -135,11 +140,13 @@ class ObstacleTracker:
         """Use a pose (3,) of the robot in odom at a time [s], and its rate (3,) in odom.
 
         Returns:
-            Why all was forgotten, since map and tracks are in another odom now; or nothing.
+            Why all was forgotten, since map and tracks are in another odom now; or nothing. Scans
+            of the next SETTLING_TIME are not used: they may be from where the robot was before.
         """
         reason = self.poses.jump(time, pose)
         if reason:
             self.clear()
+            self._since = time + SETTLING_TIME
         self.poses.add(time, pose, velocity)
         return reason
 
@@ -156,6 +163,8 @@ class ObstacleTracker:
         Raises:
             InputError: The odometry does not cover the time of the scan; nothing is changed then.
         """
+        if scan.time < self._since:
+            return False
         poses = self.poses.at(scan.times)
         beams = scan.hits
         local = scan.local_points(beams)
@@ -174,6 +183,7 @@ class ObstacleTracker:
         self._mapped[scanner] = scan.end
         reach = min(scan.range_max, self.parameters.range)
         self.map.update(view, places[~moving], reach)
+        self.map.occupy((x, y, theta), self._parts(scan, own), OWN_MARGIN)
         if self.unseen.parameters.speed > 0.0:
             body = (x, y, theta), own.whole
             self.unseen.update(scan.end, view, reach, places, self.map.standing(), body)
@@ -181,18 +191,23 @@ class ObstacleTracker:
 
     def _is_own(self, local: Array, scan: Scan, own: Footprint) -> Mask:
         """Return which points (N, 2) in base_link are on the robot itself."""
-        low, high = np.array([scan.heights[0]]), np.array([scan.heights[1]])
         result: Mask = np.zeros(len(local), dtype=bool)
         near = np.flatnonzero(np.hypot(local[:, 0], local[:, 1]) < own.radius + OWN_MARGIN)
         if not len(near):
             return result
-        parts, _ = own.against(low, high)
-        for part in parts.each():
+        for part in self._parts(scan, own).each():
             c, s = np.cos(part.yaw), np.sin(part.yaw)
             x, y = (local[near] - part.centre).T
             beside = np.column_stack((np.abs(c * x + s * y), np.abs(c * y - s * x)))
             result[near] |= (beside <= part.half + OWN_MARGIN).all(axis=1)
         return result
+
+    @staticmethod
+    def _parts(scan: Scan, own: Footprint) -> Rectangles:
+        """Return the robot's own parts at the heights of a scan."""
+        low, high = scan.heights
+        parts, _ = own.against(np.array([low]), np.array([high]))
+        return parts
 
     def _judged(self, places: Array, ranges: Array, scan: Scan) -> _Points:
         """Return points (N, 2) with what the map and their neighbours say of them."""

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.perception.local_map import LocalMap
 from omniman_ros.perception.parameters import MapParameters
 from omniman_ros.perception.scan import Scan, View, placed
@@ -114,3 +115,21 @@ def test_one_looks_through_what_has_gone_and_not_through_what_hides_it():
     assert view.sees_through(np.array([0.0, 1.2]), 0.25) is True
     assert view.sees_through(np.array([1.5, 0.0]), 0.25) is False
     assert view.sees_through(np.array([0.1, 0.0]), 0.25) is None
+
+
+def test_where_the_robot_stands_it_is_free_and_a_wall_beside_it_stays():
+    grid, parts = LocalMap(SMALL), Rectangles.centred(np.array([0.4, 0.25]))
+    wall = np.column_stack([np.full(20, 0.425), np.linspace(-0.3, 0.3, 20)])
+    view, _ = view_of(np.full(BEAMS, math.nan))
+    for _ in range(3):
+        grid.update(view, wall, 10.0)
+    for _ in range(30):
+        grid.occupy((0.0, 0.0, 0.0), parts, 0.05)
+    for x, y in ((0.0, 0.0), (0.38, 0.2), (-0.38, -0.2), (0.0, 0.28), (-0.43, 0.0)):
+        assert 0 <= occupancy(grid, x, y) < 50
+    assert occupancy(grid, 0.425, 0.0) > 50, "what was seen beside it"
+    assert occupancy(grid, -0.48, 0.0) == occupancy(grid, 0.0, 0.33) == -1
+    # It covers another area at another pose, and where it was it is free still.
+    grid.occupy((1.0, 0.0, 0.5 * math.pi), parts, 0.05)
+    assert 0 <= occupancy(grid, 1.0, 0.38) < 50 and occupancy(grid, 1.38, 0.0) == -1
+    assert 0 <= occupancy(grid, -0.38, 0.0) < 50

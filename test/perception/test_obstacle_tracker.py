@@ -226,3 +226,18 @@ def test_a_scan_without_odometry_changes_nothing():
         stage.tracker.add_scan(late, OWN)
     np.testing.assert_array_equal(stage.tracker.occupancy(), before)
     assert stage.tracker.time == time
+
+
+def test_a_scan_from_before_a_jump_of_the_odometry_is_not_entered_after_it():
+    stage = Stage()
+    stage.run(0.5, lambda times: POSTS)
+    standing = stage.tracker.map.standing
+    assert len(standing())
+    # The odometry is set first; the robot follows, and for one more scan it is where it was.
+    stage.path = stage.path + [3.0, 0.0, 0.0]
+    stage.tracker.add_pose(stage.now - 0.005, np.array([3.0, 0.0, 0.0]), np.zeros(3))
+    assert not len(standing())
+    stage.run(0.05, lambda times: [])
+    assert not len(standing()) and not (stage.tracker.map.log_odds > 0.0).any()
+    stage.run(0.5, lambda times: POSTS)
+    assert len(standing())
