@@ -112,7 +112,7 @@ class GoalDriver:
             if state in ("idle", "paused"):
                 raise CommandError(last or state)
             fraction = 1.0 - remaining / initial_distance
-            self._progress.update(fraction, f"{remaining:.2f} m left, {self._message}")
+            self._progress.update(fraction, f"{self._message}, {remaining:.2f} m left")
         self.cancel()
         raise CommandError(
             f"the goal was not reached within {timeout:g} s: {self._message}; cancelled"

@@ -25,7 +25,6 @@ from omniman_ros.nodes.planner_interfaces.posture_interface import PostureInterf
 from omniman_ros.nodes.planner_interfaces.sensor_interface import SensorInterface
 from omniman_ros.nodes.runtime import run
 from omniman_ros.nodes.stream_monitor_interface import StreamMonitorInterface
-from omniman_ros.planning.cycle import PlannerState
 
 
 class MpcPlannerNode(OmnimanNode):
@@ -147,14 +146,13 @@ class MpcPlannerNode(OmnimanNode):
             ("arm", self.posture.source(self.now()).value),
             ("led_by", "the goal" if route is None else route.source.value),
             ("plan_used", report.used),
-            ("why", loop.cycle.silence or report.reason),
+            ("why", loop.cycle.silence or core.blocked_by or report.reason),
             ("last", loop.goals.text),
         ]
         if loop.cycle.silence:
             return DiagnosticStatus.WARN, f"waits: {loop.cycle.silence}", values
-        if core.state is PlannerState.BLOCKED:
-            reason = (route.failure if route is not None else "") or "no clear way found"
-            return DiagnosticStatus.WARN, f"blocked: {reason}", values
+        if core.blocked_by:
+            return DiagnosticStatus.WARN, f"blocked: {core.blocked_by}", values
         if not core.active and loop.goals.is_trouble:
             return DiagnosticStatus.WARN, loop.goals.text, values
         return DiagnosticStatus.OK, core.state.value, values

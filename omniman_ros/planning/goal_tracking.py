@@ -17,7 +17,7 @@ from omniman_ros.planning.motion import Motion
 from omniman_ros.planning.mpc.model import PlanningModel
 from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.obstacles.environment import Environment
-from omniman_ros.planning.route.route_planner import STATIC_SPEED, RoutePlanner
+from omniman_ros.planning.route.route_planner import CHECK_PERIOD, STATIC_SPEED, RoutePlanner
 from omniman_ros.planning.safety import Surroundings
 
 NEW_OBSTACLE_GROWTH = 0.15
@@ -39,6 +39,16 @@ class GoalTracker:
         self.goal: Goal | None = None
         self._route_planner: RoutePlanner | None = None
         self._standing_since: float | None = None
+        self._obstruction = -math.inf, ""
+
+    @property
+    def blocked_by(self) -> str:
+        """What blocks the robot, and why there is no way; empty unless it is blocked."""
+        if self.state is not PlannerState.BLOCKED:
+            return ""
+        planner = self.route_planner
+        failure = "" if planner is None else planner.failure
+        return failure or self._obstruction[1] or "no clear way found"
 
     @property
     def is_active(self) -> bool:
@@ -54,6 +64,11 @@ class GoalTracker:
     def is_waiting_for_route(self) -> bool:
         """Whether the first search of a route is not finished."""
         return self.route_planner is not None and self.route_planner.is_waiting
+
+    @property
+    def is_trapped(self) -> bool:
+        """Whether the robot touches something, and no way leads out."""
+        return self.route_planner is not None and self.route_planner.is_trapped
 
     # ---- changes of the goal ----------------------------------------------------------------
 
@@ -72,6 +87,7 @@ class GoalTracker:
     def resume(self) -> None:
         """Drive to the goal."""
         self.state, self._standing_since = PlannerState.DRIVING, None
+        self._obstruction = -math.inf, ""
 
     def discard(self) -> None:
         """Abandon the goal."""
@@ -126,6 +142,10 @@ class GoalTracker:
             planner = self._route_planner = planner.restarted(target)
         known = environment.ellipses
         known = known.select(np.isfinite(known.centers.sum(axis=1)))
+        if self.state is PlannerState.BLOCKED and now > self._obstruction[0] + CHECK_PERIOD:
+            everything = replace(environment, ellipses=known)
+            clearance = limits.parameters.safety.clearance
+            self._obstruction = now, planner.obstruction(everything, clearance)
         # The robot waits for obstacles that move, but not for ever.
         if not (planner.was_stuck or planner.is_stuck(now)):
             speeds = np.hypot(known.velocities[:, 0], known.velocities[:, 1])
@@ -204,7 +224,10 @@ def require_reachable(goal: Goal, environment: Environment) -> None:
     grid = environment.grid
     inside = grid is not None and grid.occupied_at(poses[:, :2]).any()
     if inside or occupied.overlap(rest.poses[:1]) > 0.0:
-        raise InputError(f"an obstacle stands where the robot would be at the goal {pose_text}")
+        what = replace(environment, ellipses=standing).nearest(poses[0])
+        raise InputError(
+            f"an obstacle stands where the robot would be at the goal {pose_text}: {what}"
+        )
 
 
 def _is_standing(measured: MeasuredState) -> bool:

@@ -25,6 +25,7 @@ from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.obstacles.environment import Environment
 from omniman_ros.planning.obstacles.grid_map import GridMap
 from omniman_ros.planning.obstacles.walls import Walls
+from omniman_ros.planning.obstacles.way_out import WayOut
 from omniman_ros.planning.parameters import PlannerParameters
 from omniman_ros.planning.plan_optimizer import PlanOptimizer, PlanRequest, SolverPool
 from omniman_ros.planning.route.route_planner import SEARCH_WORK, RoutePlanner
@@ -79,6 +80,11 @@ class Planner:
     def state(self) -> PlannerState:
         """State of the planner."""
         return self._tracker.state
+
+    @property
+    def blocked_by(self) -> str:
+        """What blocks the robot, and why there is no way; empty unless it is blocked."""
+        return self._tracker.blocked_by
 
     @property
     def active(self) -> bool:
@@ -223,7 +229,7 @@ class Planner:
         due = now + self.parameters.safety.deadline
         if self.goal is None:
             return Proposal(due, fault="no goal")
-        if self._tracker.is_waiting_for_route:
+        if self._tracker.is_waiting_for_route or self._tracker.is_trapped:
             return Proposal(due)
         start = self._selector.state_at(due, measured, self.anchored)
         self._tracker.schedule_passing(start, due, self.limits)
@@ -240,7 +246,8 @@ class Planner:
         goal = self._tracker.target(start, due, self.limits)
         route = self.route_planner
         clearance = None if route is None else route.clearance(self.limits)
-        request = PlanRequest(start, due, goal, self.footprint, obstacles, self._walls, clearance)
+        walls = self._walls_to_keep_from()
+        request = PlanRequest(start, due, goal, self.footprint, obstacles, walls, clearance)
         return self._optimizer.solve(request, evade=self._selector.is_troubled)
 
     def take(
@@ -254,7 +261,8 @@ class Planner:
             p.workspace.bounds,
             p.safety.least_clearance + self._selector.deviation(measured, self.footprint.radius),
             now + p.horizon.duration,
-            self._walls,
+            self._walls_to_keep_from(),
+            self._way_out,
         )
         chosen = self._selector.select(proposal, now, surroundings, self.active)
         if chosen is not None:
@@ -287,6 +295,16 @@ class Planner:
             pose, _ = self.motion.sample(now)
             environment = self._environment(obstacles)
             self._tracker.update_route(now, pose, environment, self.limits, work)
+
+    @property
+    def _way_out(self) -> WayOut | None:
+        """Way on which the robot leaves what it touches, or None."""
+        return None if self.route_planner is None else self.route_planner.way_out
+
+    def _walls_to_keep_from(self) -> Walls:
+        """Return the walls without those that the way out leads along: that is checked instead."""
+        way, margin = self._way_out, self.parameters.safety.clearance
+        return self._walls if way is None else way.without(self._walls, self.footprint, margin)
 
     def _environment(self, obstacles: Ellipses) -> Environment:
         """Return the obstacles together with workspace and map."""

@@ -19,6 +19,7 @@ from omniman_ros.planning.obstacles.separation import (
     within_reach,
 )
 from omniman_ros.planning.obstacles.walls import Walls
+from omniman_ros.planning.obstacles.way_out import WayOut
 
 SPAN_PARTS = 4
 """Number of parts into which the check divides each span between two nodes of a motion."""
@@ -40,7 +41,9 @@ class Surroundings:
         workspace: (x_min, y_min, x_max, y_max) in odom [m].
         margin: Gap to keep to obstacles, workspace edge and walls [m].
         until: Time up to which a motion is checked even if it is at rest before [s].
-        walls: Occupied cells of the map.
+        walls: Occupied cells of the map, without those that the way out leads along.
+        way_out: Way on which the robot leaves what it touches, and which it must not leave; None
+            if it touches nothing.
     """
 
     footprint: Footprint
@@ -49,6 +52,7 @@ class Surroundings:
     margin: float
     until: float = -math.inf
     walls: Walls = field(default_factory=Walls.none)
+    way_out: WayOut | None = None
 
     @cached_property
     def _pairs(self) -> Pairs:
@@ -114,17 +118,18 @@ class Surroundings:
         return first
 
     def _at_wall(self, motion: Motion, now: float, margin: float) -> float:
-        """Return the time at which a motion comes too close to a wall; see `contact`."""
-        if not len(self.walls):
+        """Return the time of too small a distance from a wall, or off the way out; `contact`."""
+        if not len(self.walls) and self.way_out is None:
             return math.inf
         times, poses, velocities = motion.fine(now, -math.inf, WALL_SPAN_PARTS)
+        left = math.inf if self.way_out is None else self.way_out.left_at(times, poses)
         nodes, gaps = self.walls.swept(times, poses, velocities, self.footprint.whole)
         allowed = margin + min(
             max(float(gaps[0]) - margin - MARGIN_TOLERANCE, -min(MARGIN_TOLERANCE, margin)), 0.0
         )
         leaves = (-math.inf < nodes[0] <= margin) & (nodes[1:] >= nodes[0] - GAP_TOLERANCE)
         touched = ~((gaps > allowed) | leaves)
-        return float(times[int(touched.argmax())]) if touched.any() else math.inf
+        return min(left, float(times[int(touched.argmax())]) if touched.any() else math.inf)
 
     def threat(self, motion: Motion, now: float) -> tuple[float, float]:
         """Rate a motion that is not clear: of two results, the greater one is better.

@@ -17,6 +17,7 @@ from test.planning.support import (
     CYCLE,
     SimulatedRun,
     ellipses,
+    observed,
     parameters,
     planner,
     true_gaps,
@@ -825,3 +826,74 @@ def test_pause_during_a_search_keeps_the_robot_at_rest():
     sim.run(20.0)
     assert sim.planner.state is PlannerState.ARRIVED
     assert wall_gap(sim, grid) > 0.01
+
+
+# ---- blocked, and in what the map calls occupied ------------------------------------------------
+
+
+def half_plane(*boxes):
+    """Return a map that is occupied for x < 0.3 m, and in boxes."""
+    return floor_plan((-0.9, -1.4, 0.3, 1.4), *boxes)
+
+
+def test_a_robot_amid_occupied_cells_leaves_by_the_free_side_and_reaches_the_goal():
+    sim = SimulatedRun(planner())
+    sim.planner.set_map(half_plane())
+    sim.drive(pose(1.5, 0.0, 0.0))
+    sim.run(0.3, until=never)
+    assert sim.planner.route_planner.source is RouteSource.WAY_OUT
+    assert sim.planner.state is PlannerState.DRIVING
+    sim.run(10.0)
+    assert sim.planner.state is PlannerState.ARRIVED and PlannerState.BLOCKED not in sim.states
+    driven = np.array(sim.poses)
+    assert driven[:, 0].min() > -0.01 and np.abs(driven[driven[:, 0] < 0.6, 1]).max() < 0.03
+
+
+def test_a_robot_without_a_way_out_stays_and_names_the_cells():
+    sim = SimulatedRun(planner())
+    sim.planner.set_map(half_plane((0.5, -1.4, 0.6, 1.4)))
+    sim.drive(pose(1.5, 0.0, 0.0))
+    sim.run(4.0, until=never)
+    assert sim.planner.state is PlannerState.BLOCKED
+    assert sim.planner.blocked_by.startswith("the map at (0.")
+    assert "where the robot is: no way out" in sim.planner.blocked_by
+    assert np.abs(np.array(sim.poses)).max() < 1e-3
+
+
+def test_a_blocked_robot_stands_until_something_moves_at_it_and_names_what_is_in_the_way():
+    shut = floor_plan((1.2, -1.5, 1.3, 1.5))
+    sim = SimulatedRun(planner())
+    sim.planner.set_map(shut)
+    sim.drive(pose(2.6, 0.0, 0.0))
+    sim.run(5.0, until=never)
+    assert sim.planner.state is PlannerState.BLOCKED
+    assert sim.planner.blocked_by.startswith("the map at (1.2")
+    assert sim.planner.blocked_by.endswith("is in the way: there is no way")
+    assert np.abs(np.array(sim.poses)[:, :2]).max() < 0.01
+    walker = ellipses((0.0, 1.3, 0.2), velocities=[(0.0, -0.3)], time=sim.now)
+    sim.seen = lambda now: observed(walker, now)
+    sim.run(3.0, until=never)
+    assert abs(sim.pose()[1]) > 0.1 and sim.gaps(walker).min() > 0.0
+
+
+def test_a_robot_that_finds_no_way_while_it_drives_brakes_and_stays():
+    sim = SimulatedRun(planner())
+    sim.drive(pose(3.0, 0.0, 0.0))
+    sim.run(1.2)
+    sim.planner.set_map(floor_plan((2.2, -1.5, 2.3, 1.5)))
+    sim.run(6.0, until=lambda: sim.planner.state is PlannerState.BLOCKED)
+    assert sim.planner.state is PlannerState.BLOCKED
+    sim.run(4.0, until=never)
+    stands = sim.pose()
+    sim.run(2.0, until=never)
+    np.testing.assert_allclose(sim.pose(), stands, atol=5e-3)
+    assert stands[0] < 1.6, "not as near to the wall as it gets"
+
+
+def test_a_goal_that_is_refused_names_what_stands_there():
+    sim = SimulatedRun(planner(), seen=ellipses((1.5, 0.3, 0.3)))
+    sim.planner.set_map(half_plane())
+    with pytest.raises(InputError, match=r"stands .* the obstacle at \(1\.50, 0\.30\) m"):
+        sim.drive(pose(1.5, 0.0, 0.0))
+    with pytest.raises(InputError, match=r"stands .* the map at \(-?0\.\d+, "):
+        sim.drive(pose(0.0, 0.0, 0.0))

@@ -8,9 +8,10 @@ from omniman_ros.collision.footprint import Footprint
 from omniman_ros.core.arrays import Array
 from omniman_ros.planning.obstacles.clearance import Clearance
 from omniman_ros.planning.obstacles.ellipses import Ellipses
-from omniman_ros.planning.obstacles.grid_map import GridMap
-from omniman_ros.planning.obstacles.separation import Workspace
-from omniman_ros.planning.obstacles.walls import Walls
+from omniman_ros.planning.obstacles.grid_map import GridMap, Mask
+from omniman_ros.planning.obstacles.pairs import Pairs
+from omniman_ros.planning.obstacles.separation import Workspace, box_gap, outside_by
+from omniman_ros.planning.obstacles.walls import REACH, Walls
 
 
 @dataclass(frozen=True)
@@ -46,3 +47,62 @@ class Environment:
             clearance.gaps(poses), self.walls.gaps(poses, self.footprint.whole)
         )
         return result
+
+    def is_inside(self, poses: Array) -> Mask:
+        """Return whether the middle of a part of the robot is in an occupied cell, (K,)."""
+        result = np.zeros(len(poses), dtype=bool)
+        if self.grid is not None:
+            for part in self.footprint.whole.each():
+                result |= self.grid.occupied_at(part.poses(poses)[:, :2])
+        return result
+
+    def touches(self, pose: Array) -> bool:
+        """Return whether the robot at a pose (3,) touches or overlaps something."""
+        poses = pose[None]
+        return bool(self.gaps(poses, REACH)[0] <= 0.0 or self.is_inside(poses)[0])
+
+    def touched(self, poses: Array) -> Mask:
+        """Return what the robot touches at any of some poses (K, 3).
+
+        Returns:
+            (M + N + 1,) flags of discs of the map, of pairs of obstacle and part, and of the
+            workspace's edge.
+        """
+        walls, pairs, outside = self._each(poses)
+        result: Mask = np.concatenate([walls, pairs, outside]) <= 0.0
+        return result
+
+    def nearest(self, pose: Array) -> str:
+        """Return what is nearest to the robot at a pose (3,), with its place in odom."""
+        x, y = self._walls_near(pose).centers.T
+        walls, pairs, outside = self._each(pose[None], self._walls_near(pose))
+        if self.is_inside(pose[None])[0] and not (walls <= 0.0).any():
+            return _at("the map", pose[:2])
+        k = int(np.concatenate([walls, pairs, outside]).argmin())
+        if k < len(walls):
+            return _at("the map", np.array([x[k], y[k]]))
+        if k < len(walls) + len(pairs):
+            known = Pairs.of(self.footprint, self.ellipses).ellipses
+            return _at("the obstacle", known.centers[k - len(walls)])
+        return "the workspace's edge"
+
+    def _walls_near(self, pose: Array) -> Walls:
+        return self.walls.near(pose, self.footprint.radius + self.walls.radius + REACH)
+
+    def _each(self, poses: Array, walls: Walls | None = None) -> tuple[Array, Array, Array]:
+        """Return the least gaps of each disc (M,), pair (N,) and the edge (1,) at poses [m]."""
+        walls = self.walls if walls is None else walls
+        pairs = Pairs.of(self.footprint, self.ellipses)
+        known, times = pairs.ellipses, np.full(len(poses), self.ellipses.time)
+        axes = known.axes_at(times)
+        gaps = box_gap(poses, pairs.boxes, known.centers_at(times), axes, known.angles)
+        outside = -outside_by(poses, self.footprint.whole, self.workspace)
+        return (
+            walls.gaps_of_each(poses, self.footprint.whole),
+            gaps.min(axis=0),
+            outside.min(keepdims=True),
+        )
+
+
+def _at(name: str, place: Array) -> str:
+    return f"{name} at ({place[0]:.2f}, {place[1]:.2f}) m"

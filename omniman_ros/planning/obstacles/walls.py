@@ -89,6 +89,28 @@ class Walls:
             result[part] = np.minimum((distance + depth).min(axis=1) - self.radius, REACH)
         return result
 
+    def gaps_of_each(self, poses: Array, boxes: Rectangles) -> Array:
+        """Return the least distance of each disc (M,) from boxes at poses (K, 3) [m].
+
+        It is up to REACH, and negative by the depth to which the disc enters a box.
+        """
+        result = np.full(len(self), REACH)
+        reach = float(boxes.radius.max()) + self.radius + REACH
+        low, high = poses[:, :2].min(axis=0) - reach, poses[:, :2].max(axis=0) + reach
+        near = np.flatnonzero(((self.centers >= low) & (self.centers <= high)).all(axis=1))
+        least = result[near]
+        for box in boxes.each():
+            for x0, y0, yaw in box.poses(poses).tolist():
+                x, y = (self.centers[near] - (x0, y0)).T
+                c, s = math.cos(yaw), math.sin(yaw)
+                along = np.abs(c * x + s * y) - box.half[0]
+                across = np.abs(c * y - s * x) - box.half[1]
+                distance = np.hypot(np.maximum(along, 0.0), np.maximum(across, 0.0))
+                depth = np.minimum(np.maximum(along, across), 0.0)
+                np.minimum(least, distance + depth - self.radius, out=least)
+        result[near] = least
+        return result
+
     def _beside(self, places: Array, size: float) -> "Walls":
         """Return the discs that may be within `size` [m] of any of the points (K, 2)."""
         (x_min, y_min), (x_max, y_max) = places.min(axis=0) - size, places.max(axis=0) + size

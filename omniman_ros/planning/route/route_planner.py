@@ -12,9 +12,10 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.planning.effective_limits import EffectiveLimits
 from omniman_ros.planning.mpc.model import PlanningModel
 from omniman_ros.planning.obstacles.environment import Environment
+from omniman_ros.planning.obstacles.way_out import WayOut
 from omniman_ros.planning.route import energy_saving
 from omniman_ros.planning.route.problem import RouteProblem
-from omniman_ros.planning.route.route import LEVER, Route
+from omniman_ros.planning.route.route import LEVER, Route, straight
 from omniman_ros.planning.route.route_goal import RouteGoal
 from omniman_ros.planning.route.search import RouteSearch
 
@@ -72,6 +73,8 @@ class RouteSource(Enum):
     SEARCH = "searches"
     STRAIGHT_LINE = "a straight line"
     ROUTE = "a route"
+    WAY_OUT = "the way out of what it touches"
+    REST = "nothing"
 
 
 class RoutePlanner:
@@ -79,7 +82,8 @@ class RoutePlanner:
 
     On free ground the route is the straight line, driven in the heading that requires the least
     energy. If that is not clear, it is the straight line without the rotation to that heading;
-    otherwise it is the result of a search.
+    otherwise it is the result of a search. A robot that touches something first leaves it, by the
+    way out. Where there is no route, the robot comes to rest and stays, until there is one.
 
     Args:
         model: Model of the robot.
@@ -88,7 +92,9 @@ class RoutePlanner:
     Attributes:
         goal: Pose that the route leads to.
         route: The route, or None before the first update.
-        failure: Reason why the last search found no route, or an empty string.
+        failure: What is in the way and why the last search found no route, or an empty string.
+        way_out: Way on which the robot leaves what it touches, or None.
+        is_trapped: Whether the robot touches something, and no way leads out.
     """
 
     def __init__(self, model: PlanningModel, goal: Array) -> None:
@@ -96,7 +102,9 @@ class RoutePlanner:
         self.goal = goal
         self.route: Route | None = None
         self.failure = ""
-        self._is_direct = True
+        self.way_out: WayOut | None = None
+        self.is_trapped = False
+        self._kind = RouteSource.STRAIGHT_LINE
         self._gaps = np.array([[0.0], [math.inf]])
         self._position = 0.0
         self._search: RouteSearch | None = None
@@ -112,7 +120,7 @@ class RoutePlanner:
         """Source of the route."""
         if self._search is not None:
             return RouteSource.SEARCH
-        return RouteSource.STRAIGHT_LINE if self._is_direct else RouteSource.ROUTE
+        return self._kind
 
     @property
     def remaining(self) -> float:
@@ -135,8 +143,8 @@ class RoutePlanner:
         return self._tries > 0
 
     def is_stuck(self, now: float) -> bool:
-        """Return whether the robot has made no progress for STUCK_TIME."""
-        return now > self._progress[0] + STUCK_TIME
+        """Return whether the robot has made no progress on its route for STUCK_TIME."""
+        return self._kind is not RouteSource.REST and now > self._progress[0] + STUCK_TIME
 
     def follows(self, goal: Array) -> bool:
         """Lead to a goal (3,) that has moved; return whether that needs no other route.
@@ -144,13 +152,18 @@ class RoutePlanner:
         Up to MAX_BEND, the route is bent: its end moves with the goal, its start stays. While a
         search is under way, the route that it finds is bent later.
         """
-        end = self.goal if self.route is None else self.route.poses[-1]
+        leads = self._kind in (RouteSource.STRAIGHT_LINE, RouteSource.ROUTE)
+        end = self.route.poses[-1] if leads and self.route is not None else self.goal
         shift = goal - end
         shift[2] = se2.wrap(float(shift[2]))
         size = math.hypot(*shift[:2]) + LEVER * abs(float(shift[2]))
         if size > MAX_BEND:
             return False
-        if self._search is None and self.route is not None and size > MIN_BEND:
+        if self._search is not None or size <= MIN_BEND:
+            return True
+        if not leads:
+            self.goal = goal
+        elif self.route is not None:
             self.goal, route = goal, self.route
             share = route.times / route.duration if route.duration > 0.0 else np.ones(1)
             self._retime(Route(route.poses + share[:, None] * shift, route.speeds))
@@ -164,8 +177,11 @@ class RoutePlanner:
 
     def goal_from(self, start: Array, due: float, limits: EffectiveLimits) -> RouteGoal:
         """Return the goal of the plan that begins at a state (6,) at the time `due` [s]."""
-        if self.route is None:  # there was no update
-            self._adopt(self._straight(start[:3], limits), None, is_direct=True)
+        if self.route is None:
+            if self.failure:
+                self._adopt(_rest(start, limits), None, RouteSource.REST)
+            else:  # there was no update
+                self._adopt(self._straight(start[:3], limits), None, RouteSource.STRAIGHT_LINE)
         route = self._timed(limits.speeds)
         self._position = max(self._position, route.project(start[:3], self._position))
         full = limits.parameters.limits
@@ -173,7 +189,9 @@ class RoutePlanner:
             min(full.linear_acceleration, full.linear_deceleration) / full.linear_velocity,
             min(full.angular_acceleration, full.angular_deceleration) / full.angular_velocity,
         )
-        if self._tries > 1:
+        if self._kind is RouteSource.WAY_OUT:
+            max_pace = SECOND_TRY_PACE
+        elif self._tries > 1:
             max_pace = SECOND_TRY_PACE if self._tries == 2 else LATER_TRY_PACE
         else:
             max_pace = min(SHORT_ROUTE_PACE * math.sqrt(rate * route.duration), 1.0)
@@ -243,7 +261,8 @@ class RoutePlanner:
         try:
             self._advance(now, pose, environment, limits, work)
         except InputError as error:  # a pose is not finite: no search is possible
-            self.failure, self._search, self._next_check = str(error), None, now + RETRY_DELAY
+            self._search = None
+            self._fail(now, str(error))
 
     def _advance(
         self,
@@ -256,17 +275,17 @@ class RoutePlanner:
         """Continue the search, begin one if the robot is stuck, or check the route if due."""
         if self._search is not None:
             work = FIRST_SEARCH_FACTOR * work if self.is_waiting else work
-            self._continue_search(now, environment, work)
-            if self._search is None and self.route is None:  # approach the goal without a route
-                self._adopt(self._straight(pose, limits), None, is_direct=True)
+            self._continue_search(now, pose, environment, work)
         elif self.is_stuck(now):
             self._tries += not self.failure  # a slower try does not help if there is no route
-            self._begin_search(pose, environment, limits)
+            self._begin_search(now, pose, environment, limits)
         elif now >= self._next_check:
             self._next_check = now + CHECK_PERIOD
-            self._check(pose, environment, limits)
+            self._check(now, pose, environment, limits)
 
-    def _check(self, pose: Array, environment: Environment, limits: EffectiveLimits) -> None:
+    def _check(
+        self, now: float, pose: Array, environment: Environment, limits: EffectiveLimits
+    ) -> None:
         """Keep the route if it is clear; else use a clear straight line, or begin a search."""
         radius, safety = environment.footprint.radius, limits.parameters.safety
 
@@ -274,26 +293,36 @@ class RoutePlanner:
             _, poses = route.samples(radius, first)
             return bool(environment.gaps(poses, margin + GAP_RESERVE).min() > margin)
 
-        same = self._is_direct or self._searched_clearance == safety.clearance
+        is_direct = self._kind is RouteSource.STRAIGHT_LINE
+        is_route = self._kind is RouteSource.ROUTE
+        same = is_direct or (is_route and self._searched_clearance == safety.clearance)
         kept = (
             self.route is not None and same and is_clear(self.route, MIN_KEPT_GAP, self._position)
         )
-        if kept and self._is_direct:
-            self.failure = ""  # the failure was that of a line that was blocked until now
+        if kept and is_direct:
             return
+        if self._kind is RouteSource.REST:  # time at rest is not time without progress
+            self._progress = now, self._position
         economical = self._straight(pose, limits)
         for line in (economical, Route(economical.poses[[0, -1]], economical.speeds)):
             if is_clear(line, safety.clearance):
                 self.failure = ""
-                self._adopt(line, None, is_direct=True)
+                self._adopt(line, None, RouteSource.STRAIGHT_LINE)
                 return
         if not kept:
-            self._begin_search(pose, environment, limits)
+            self._begin_search(now, pose, environment, limits)
 
     def _begin_search(
-        self, pose: Array, environment: Environment, limits: EffectiveLimits
+        self, now: float, pose: Array, environment: Environment, limits: EffectiveLimits
     ) -> None:
-        """Begin a search with the usual clearance; smaller ones follow if it finds no route."""
+        """Begin a search with the usual clearance; smaller ones follow if it finds no route.
+
+        A robot that touches something leaves it first, or stays where no way leads out.
+        """
+        self.is_trapped = False
+        if environment.touches(pose):
+            self._leave(now, pose, environment, limits)
+            return
         p = limits.parameters
         least, self._searched_clearance = p.safety.least_clearance, p.safety.clearance
 
@@ -315,7 +344,31 @@ class RoutePlanner:
         self._searches = map(search, margins)
         self._search = next(self._searches)
 
-    def _continue_search(self, now: float, environment: Environment, work: int) -> None:
+    def _leave(
+        self, now: float, pose: Array, environment: Environment, limits: EffectiveLimits
+    ) -> None:
+        """Lead out of what the robot touches, or have it stay and say what that is."""
+        way = WayOut.find(pose, environment)
+        self._progress = now, self._position
+        self.is_trapped = way is None
+        if way is None:
+            self._fail(now, f"{environment.nearest(pose)} is where the robot is: no way out")
+            return
+        self.failure, self._next_check = "", now + CHECK_PERIOD
+        self._adopt(
+            Route(np.stack([way.start, way.end]), limits.speeds), None, RouteSource.WAY_OUT
+        )
+        self.way_out = way
+
+    def _fail(self, now: float, reason: str) -> None:
+        """Have the robot come to rest and stay, because there is no route."""
+        self.failure, self._next_check = reason, now + RETRY_DELAY
+        if self._kind is not RouteSource.REST:
+            self.route, self.way_out, self._kind = None, None, RouteSource.REST
+
+    def _continue_search(
+        self, now: float, pose: Array, environment: Environment, work: int
+    ) -> None:
         """Continue the search, and use its route or begin the next search once it is finished."""
         assert self._search is not None
         if not self._search.advance(work):
@@ -324,11 +377,25 @@ class RoutePlanner:
         self._search = None if route is not None else next(self._searches, None)
         if self._search is not None:
             return
-        self.failure = reason
-        self._next_check = now + (CHECK_PERIOD if route is not None else RETRY_DELAY)
         self._progress = now, self._position
-        if route is not None:
-            self._adopt(route, environment, is_direct=False)
+        if route is None:
+            self._fail(now, f"{self._in_the_way(pose, environment)}: {reason}")
+            return
+        self.failure, self._next_check = "", now + CHECK_PERIOD
+        self._adopt(route, environment, RouteSource.ROUTE)
+
+    def _in_the_way(self, pose: Array, environment: Environment) -> str:
+        """Return what is at the goal or, if nothing is, in the way to it first."""
+        if environment.touches(self.goal):
+            return f"{environment.nearest(self.goal)} is at the goal"
+        line = straight(pose, self.goal, (1.0, 1.0))
+        return _first_within(MIN_KEPT_GAP, line, 0.0, environment) or environment.nearest(pose)
+
+    def obstruction(self, environment: Environment, gap: float) -> str:
+        """Return what is nearer than a gap [m] to the rest of the route first, or nothing."""
+        if self.route is None:
+            return ""
+        return _first_within(gap, self.route, self._position, environment)
 
     def _straight(self, pose: Array, limits: EffectiveLimits) -> Route:
         """Return the line from a pose (3,), in the heading that requires the least energy."""
@@ -336,12 +403,28 @@ class RoutePlanner:
         goal = np.append(self.goal[:2], pose[2] + se2.wrap(float(self.goal[2] - pose[2])))
         return Route(energy_saving.straight(self._model, pose, goal, speeds), speeds)
 
-    def _adopt(self, route: Route, environment: Environment | None, is_direct: bool) -> None:
+    def _adopt(self, route: Route, environment: Environment | None, kind: RouteSource) -> None:
         """Use a route from its start on; its gaps are computed if an environment is given."""
         # The progress along the last route is kept.
         self._progress = self._progress[0], self._progress[1] - self._position
-        self.route, self._is_direct, self._position = route, is_direct, 0.0
+        self.route, self._kind, self._position, self.way_out = route, kind, 0.0, None
+        self.is_trapped = self.is_trapped and kind is RouteSource.REST
         self._gaps = np.array([[0.0], [math.inf]])
         if environment is not None:
             positions, poses = route.samples(environment.footprint.radius)
             self._gaps = np.stack([positions, environment.gaps(poses, WIDE_GAP)])
+
+
+def _first_within(gap: float, route: Route, position: float, environment: Environment) -> str:
+    """Return what is nearer than a gap [m] to a route first from a position [s] on, or nothing."""
+    _, poses = route.samples(environment.footprint.radius, position)
+    near = environment.gaps(poses, WIDE_GAP) <= gap
+    return f"{environment.nearest(poses[int(near.argmax())])} is in the way" if near.any() else ""
+
+
+def _rest(start: Array, limits: EffectiveLimits) -> Route:
+    """Return the route of one pose, at which the robot comes to rest from a state (6,)."""
+    velocity = se2.to_world(float(start[2]), start[3:])
+    linear, angular = limits.decelerations
+    times = 0.5 * np.array([math.hypot(*velocity[:2]) / linear, abs(velocity[2]) / angular])
+    return Route((start[:3] + velocity * times[[0, 0, 1]])[None], limits.speeds)
