@@ -25,6 +25,7 @@ from omniman_ros.nodes.planner_interfaces.posture_interface import PostureInterf
 from omniman_ros.nodes.planner_interfaces.sensor_interface import SensorInterface
 from omniman_ros.nodes.runtime import run
 from omniman_ros.nodes.stream_monitor_interface import StreamMonitorInterface
+from omniman_ros.planning.cycle import PlannerState
 
 
 class MpcPlannerNode(OmnimanNode):
@@ -131,6 +132,7 @@ class MpcPlannerNode(OmnimanNode):
         core, loop, report = self.core, self.loop, self.core.report
         measured, route = self.sensors.measured, core.route_planner
         distance, angle = (0.0, 0.0) if measured is None else core.error(measured)
+        why = core.blocked_by or report.reason
         values: list[tuple[str, object]] = [
             ("state", core.state.value),
             ("outcome", loop.goals.outcome.value),
@@ -146,13 +148,13 @@ class MpcPlannerNode(OmnimanNode):
             ("arm", self.posture.source(self.now()).value),
             ("led_by", "the goal" if route is None else route.source.value),
             ("plan_used", report.used),
-            ("why", loop.cycle.silence or core.blocked_by or report.reason),
+            ("why", loop.cycle.silence or why),
             ("last", loop.goals.text),
         ]
         if loop.cycle.silence:
             return DiagnosticStatus.WARN, f"waits: {loop.cycle.silence}", values
-        if core.blocked_by:
-            return DiagnosticStatus.WARN, f"blocked: {core.blocked_by}", values
+        if core.state is PlannerState.BLOCKED:
+            return DiagnosticStatus.WARN, f"blocked: {why or 'no clear way found'}", values
         if not core.active and loop.goals.is_trouble:
             return DiagnosticStatus.WARN, loop.goals.text, values
         return DiagnosticStatus.OK, core.state.value, values

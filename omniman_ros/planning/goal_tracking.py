@@ -43,12 +43,12 @@ class GoalTracker:
 
     @property
     def blocked_by(self) -> str:
-        """What blocks the robot, and why there is no way; empty unless it is blocked."""
+        """What blocks the robot, and why there is no way; empty where it is not known."""
         if self.state is not PlannerState.BLOCKED:
             return ""
         planner = self.route_planner
         failure = "" if planner is None else planner.failure
-        return failure or self._obstruction[1] or "no clear way found"
+        return failure or self._obstruction[1]
 
     @property
     def is_active(self) -> bool:

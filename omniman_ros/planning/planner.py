@@ -83,7 +83,7 @@ class Planner:
 
     @property
     def blocked_by(self) -> str:
-        """What blocks the robot, and why there is no way; empty unless it is blocked."""
+        """What blocks the robot, and why there is no way; empty where it is not known."""
         return self._tracker.blocked_by
 
     @property

@@ -1176,7 +1176,8 @@ def test_rest_of_the_plan_is_followed_to_rest_when_the_solver_fails(alone):
     values = alone.last_status()[2]
     assert values["why"] == "solver: the matrix is singular" and values["plan_used"] == "False"
     alone.run(2.2)
-    assert alone.last_status()[:2] == (DiagnosticStatus.WARN, "blocked: no clear way found")
+    blocked = "blocked: solver: the matrix is singular"
+    assert alone.last_status()[:2] == (DiagnosticStatus.WARN, blocked)
     assert all(w.startswith("last plan not used: solver: ") for w in alone.warnings)
     alone.core._solve = solve
     alone.arrive()
@@ -1564,6 +1565,6 @@ def test_goal_in_a_wall_is_refused_and_a_new_wall_stops_the_robot(alone):
     alone.rest(3.0)
     assert min(gaps) > alone.core.model.half[1]
     level, message, _ = alone.last_status()
-    assert level == DiagnosticStatus.WARN and message.startswith("blocked: ")
+    assert level == DiagnosticStatus.WARN and message.startswith("blocked: the map at (")
     alone.send(0.95, 0.0, 0.0)
     assert "an obstacle stands where the robot would be" in alone.warnings[-1]
