@@ -969,8 +969,8 @@ def test_robot_is_blocked_until_there_is_a_way(alone):
     alone.run_until(lambda: alone.state is PlannerState.BLOCKED, 9.0, "the robot to be blocked")
     alone.run(4.0)
     level, message = alone.last_status()[:2]
-    assert level == DiagnosticStatus.WARN and message.startswith("blocked: ")
-    assert 0.0 < alone.gap < 0.2
+    assert level == DiagnosticStatus.WARN and message.startswith("blocked: the obstacle at (")
+    assert alone.gap > 0.0 and alone.true_speed() < 0.01
     alone.obstacles_present = []
     alone.report(Marker(action=Marker.DELETEALL))
     alone.arrive()
