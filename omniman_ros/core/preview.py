@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from omniman_ros.core import plausible
+from omniman_ros.core import plausible, se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.hermite import Hermite
@@ -64,7 +64,7 @@ class Preview:
             plausible.demand(accelerations, plausible.ACCELERATION, "preview: accelerations")
         if k > 1 and not (np.diff(times) > 1e-6).all():
             raise InputError("preview: the points' times do not increase")
-        unwrapped = np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])])
+        unwrapped = np.column_stack([poses[:, :2], se2.nearest_turns(poses[:, 2], poses[0, 2])])
         self._curve = Hermite(times, unwrapped, velocities, accelerations)
 
     @property

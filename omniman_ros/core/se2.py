@@ -13,6 +13,19 @@ def wrap(angle: float) -> float:
     return math.pi if wrapped == -math.pi else wrapped
 
 
+def nearest_turns(angles: Array, start: float) -> Array:
+    """Return angles shifted by whole revolutions, so that each is nearest to the one before.
+
+    It is for headings, which have no end; joints with limits are at other positions a turn later.
+
+    Args:
+        angles: Angles (k,) in the order of time [rad].
+        start: Angle before the first [rad].
+    """
+    shifted: Array = np.unwrap(np.concatenate([[start], angles]))[1:]
+    return shifted
+
+
 def rotation(theta: float) -> Array:
     """Return R(theta) of CCTA 2017 (1), (3, 3): velocities from the world to the robot frame."""
     c, s = math.cos(theta), math.sin(theta)

@@ -27,15 +27,17 @@ class PlanTarget(Protocol):
     def until(self) -> float:
         """Time at which the goal ends [s]; minus infinity if it does not move."""
 
-    def near(self, heading: float) -> "PlanTarget":
-        """Return the same target, its heading on the branch nearest to a heading [rad]."""
-
 
 class Goal(PlanTarget, Protocol):
     """Goal of the robot: desired poses over time, which may move with their frame."""
 
-    def near(self, heading: float) -> "Goal":
-        """Return the same goal, its heading on the branch nearest to a heading [rad]."""
+    def near(self, heading: float, time: float) -> "Goal":
+        """Return the same goal, its heading at a time on the branch nearest to a heading.
+
+        Args:
+            heading: Heading of the robot [rad].
+            time: Time at which the robot has it [s].
+        """
 
     def displaced(self, frame: PlanarPose) -> "Goal":
         """Return a goal that is given in a frame, by the pose of that frame [m, m, rad]."""
@@ -80,7 +82,7 @@ class PoseGoal:
         """See `Goal`."""
         return -math.inf
 
-    def near(self, heading: float) -> "PoseGoal":
+    def near(self, heading: float, time: float) -> "PoseGoal":
         """See `Goal`."""
         return PoseGoal(np.append(self.pose[:2], _branch(self.pose[2], heading)))
 
@@ -121,10 +123,10 @@ class TrajectoryGoal:
         """See `Goal`."""
         return self.preview.end
 
-    def near(self, heading: float) -> "TrajectoryGoal":
+    def near(self, heading: float, time: float) -> "TrajectoryGoal":
         """See `Goal`."""
-        first = float(self.preview.sample(self.preview.start).pose[2]) + self.frame[2]
-        return TrajectoryGoal(self.preview, _branch(first, heading) - first, self.frame)
+        there = float(self.preview.sample(time).pose[2]) + self.frame[2]
+        return TrajectoryGoal(self.preview, _branch(there, heading) - there, self.frame)
 
     def displaced(self, frame: PlanarPose) -> "TrajectoryGoal":
         """See `Goal`."""
@@ -175,7 +177,7 @@ class StateGoal:
         """See `Goal`."""
         return math.inf if self.arrival is None else self.arrival
 
-    def near(self, heading: float) -> "StateGoal":
+    def near(self, heading: float, time: float) -> "StateGoal":
         """See `Goal`."""
         pose = np.append(self.pose[:2], _branch(self.pose[2], heading))
         return StateGoal(pose, self.velocity, self.arrival)

@@ -161,10 +161,10 @@ class Planner:
             InputError: The goal is in an obstacle at rest, or not within the workspace.
         """
         if self.state in (PlannerState.IDLE, PlannerState.ARRIVED):
-            heading = float(self._selector.continuous_pose(measured)[2])
+            heading, time = float(self._selector.continuous_pose(measured)[2]), measured.time
         else:
-            heading = float(self.motion.poses[-1, 2])
-        goal = goal.near(heading)
+            heading, time = float(self.motion.poses[-1, 2]), self.motion.end
+        goal = goal.near(heading, time)
         require_reachable(goal, self._environment(obstacles))
         if not self.active:
             self._begin_at_rest(measured)

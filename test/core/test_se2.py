@@ -43,6 +43,21 @@ def test_wrap_returns_known_angles(angle, wrapped):
     assert se2.wrap(angle) == wrapped
 
 
+@pytest.mark.parametrize(
+    ("angles", "start", "expected"),
+    [
+        ([3.1, -3.1, 3.1], 3.0, [3.1, math.tau - 3.1, 3.1]),
+        ([-3.1, 3.1], 3.0, [math.tau - 3.1, 3.1]),
+        ([3.0, 5.0, 7.0], 3.0, [3.0, 5.0, 7.0]),  # several turns, in steps below half a turn
+        ([0.2], 20.0 * math.tau, [20.0 * math.tau + 0.2]),
+        ([math.pi, 0.0, -math.pi], 0.0, [math.pi, 0.0, -math.pi]),  # half a turn as it is given
+        ([], 1.0, []),
+    ],
+)
+def test_each_angle_of_a_course_is_the_nearest_turn_from_the_one_before(angles, start, expected):
+    assert se2.nearest_turns(np.array(angles), start) == pytest.approx(expected, abs=1e-12)
+
+
 @given(ANGLE, SPEED, SPEED, SPEED)
 def test_to_robot_and_to_world_equal_ccta_2017_equation_1_and_its_inverse(theta, x, y, w):
     vector = np.array([x, y, w])

@@ -9,6 +9,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from omniman_ros.conversions.headers import time_seconds
 from omniman_ros.core.arm_parameters import UR_JOINTS
+from omniman_ros.core.preview import Setpoint
 from omniman_ros.motion.path.interpolator import PathState
 from omniman_ros.motion.path.parameters import TICK
 from test.nodes.harness import PERIOD
@@ -129,9 +130,21 @@ def test_a_heading_is_relative_to_the_nearest_turn(world):
     assert took < 4.0
 
 
+@pytest.mark.parametrize("name", ["odom_t", exhaustive("platform/theta")])
+def test_between_two_points_the_nearest_turn_counts(name):
+    with WholeBodyWorld() as world:
+        world.setpoint = Setpoint(np.array([0.0, 0.0, 3.0]), np.zeros(3), np.zeros(3))
+        world.run(4 * PERIOD)
+        world.send_body([[3.05], [3.1], [-3.1]], [1.0, 2.0, 3.0], names=[name])
+        world.run_to_body_end()
+        times, x = world.received_axes()
+        assert np.abs(np.diff(x[:, 2]) / np.diff(times)).max() < 0.5
+        assert math.remainder(x[-1, 2] + 3.1, math.tau) == pytest.approx(0.0, abs=1e-6)
+
+
 @pytest.mark.exhaustive
 def test_a_heading_may_turn_more_than_once(world):
-    world.send_body([[3.0], [7.0]], names=["odom_t"])
+    world.send_body([[3.0], [5.0], [7.0]], names=["odom_t"])
     world.run_to_body_end(30.0)
     assert world.received_axes()[1][-1, 2] == pytest.approx(7.0, abs=1e-6)
 

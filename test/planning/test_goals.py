@@ -65,7 +65,7 @@ def test_heading_is_on_the_branch_nearest_to_the_robot(heading, wanted):
         StateGoal(np.array([1.0, 2.0, wanted]), np.array([0.1, 0.2, 0.0]), 1.0),
         a_trajectory((wanted, wanted + 0.5, wanted + 1.0)),
     ):
-        near = goal.near(heading)
+        near = goal.near(heading, 1.0)
         poses, _ = near.targets(np.array([1.0]))
         before, _ = goal.targets(np.array([1.0]))
         assert abs(poses[0, 2] - heading) <= math.pi + 1e-9
@@ -76,10 +76,17 @@ def test_heading_is_on_the_branch_nearest_to_the_robot(heading, wanted):
 
 
 def test_trajectory_of_several_turns_keeps_its_turns():
-    goal = a_trajectory((3.0, 6.0, 9.0)).near(-3.2)
+    goal = a_trajectory((3.0, 6.0, 9.0)).near(-3.2, 0.0)
     poses, _ = goal.targets(np.array([1.0, 2.0, 3.0]))
     np.testing.assert_allclose(np.diff(poses[:, 2]), 3.0)
     assert poses[0, 2] == pytest.approx(3.0 - math.tau)
+
+
+def test_a_trajectory_under_way_is_on_the_branch_nearest_to_the_robot_now():
+    # Two seconds after its start it has turned by 6 rad; odometry wraps the robot's heading.
+    goal = a_trajectory((0.0, 3.0, 6.0)).near(6.0 - math.tau, 3.0)
+    poses, _ = goal.targets(np.array([1.0, 2.0, 3.0]))
+    assert poses[:, 2] == pytest.approx(np.array([0.0, 3.0, 6.0]) - math.tau)
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e7])
@@ -124,5 +131,5 @@ def test_a_displaced_goal_is_the_goal_seen_from_another_frame(goal):
     twice, _ = moved.displaced(frame).targets(TIMES)
     np.testing.assert_allclose(twice, found @ turn.T + frame)
     assert (moved.until, moved.moves) == (goal.until, goal.moves)
-    near, _ = moved.near(9.0).targets(TIMES)
+    near, _ = moved.near(9.0, 1.0).targets(TIMES)
     assert abs(near[0, 2] - 9.0) <= math.pi

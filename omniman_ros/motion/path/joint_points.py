@@ -1,11 +1,10 @@
 """Trajectory points of some axes, as in a message, and the planning of motions through them."""
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from omniman_ros.core import plausible
+from omniman_ros.core import plausible, se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.motion.path import spline_derivatives
@@ -80,19 +79,18 @@ class JointPoints:
                 f"{self.times[i + 1]:g} s (if all are zero, they are computed)"
             )
 
-    def turned_near(self, column: int, angle: float) -> "JointPoints":
-        """Shift an axis by whole revolutions so that its first position is nearest to an angle.
+    def unwrapped(self, column: int, angle: float) -> "JointPoints":
+        """Shift an axis that turns without end by whole revolutions to the nearest turns.
 
         Args:
             column: Index of the axis; points that do not name it are returned as they are.
-            angle: Present position of the axis [rad].
+            angle: Present position of the axis, to which the first point is nearest [rad].
         """
         if column not in self.columns:
             return self
         i = self.columns.index(column)
-        revolutions = round((angle - self.positions[0, i]) / math.tau)
         positions = self.positions.copy()
-        positions[:, i] += revolutions * math.tau
+        positions[:, i] = se2.nearest_turns(positions[:, i], angle)
         return replace(self, positions=positions)
 
 

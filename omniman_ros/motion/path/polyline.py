@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 
 REPEAT_TOLERANCE = 1e-6
@@ -11,7 +12,7 @@ REPEAT_TOLERANCE = 1e-6
 def unwrap_headings(poses: Array, heading: float) -> Array:
     """Return poses (k, 3) whose headings change by at most pi, from a first heading [rad] on."""
     result = np.array(poses, dtype=float)
-    result[:, 2] = np.unwrap(np.concatenate([[heading], result[:, 2]]))[1:]
+    result[:, 2] = se2.nearest_turns(result[:, 2], heading)
     return result
 
 

@@ -62,13 +62,13 @@ class WholeBodyInterface(BodyInterface, JointInterface):
         self.start(self._unwrapped(points), delay)
 
     def _unwrapped(self, points: JointPoints) -> JointPoints:
-        """Shift the heading by whole revolutions so that it starts near the robot's heading."""
+        """Shift the heading by whole revolutions, from the robot's heading on."""
         if self.idle:
             heading = self.rest_position()[HEADING_COLUMN]
         else:
             now = np.array([self._context.time_base.now()])
             heading = self.core.sample(now)[0][0, HEADING_COLUMN]
-        return points.turned_near(HEADING_COLUMN, float(heading))
+        return points.unwrapped(HEADING_COLUMN, float(heading))
 
     @property
     def is_pending(self) -> bool:

@@ -65,7 +65,3 @@ class RouteGoal:
     def until(self) -> float:
         """Time at which the goal ends [s]: minus infinity, as it does not move."""
         return -math.inf
-
-    def near(self, heading: float) -> "RouteGoal":
-        """Return the same goal: a route begins on the branch of the motion."""
-        return self

@@ -108,7 +108,7 @@ def test_targets_are_poses_of_the_route_without_velocity():
     np.testing.assert_allclose(poses[0], [0.8, 0.0, 0.0])
     np.testing.assert_allclose(poses[-1], route.poses[-1])
     assert velocities.shape == (4, 3) and not velocities.any()
-    assert not along.moves and along.until == -math.inf and along.near(9.0) is along
+    assert not along.moves and along.until == -math.inf
     # Targets never return to an earlier place.
     np.testing.assert_allclose(along.targets(np.array([40.0]))[0], poses[:1])
 
