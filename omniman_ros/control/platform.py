@@ -50,9 +50,11 @@ WAITED = "it may have waited while the controller had stalled"
 """Reason why an input without a stamp is not used after a stall."""
 LATE = "it was delivered late, or its sender's clock is behind"
 """Reason why a twist without a stamp is not used that is old by the sender's clock."""
-PREVIEW_REST_SPEED = 1e-6
-"""Speed at the end of a preview up to which it ends at rest [m/s, rad/s]: then the platform has
-arrived; otherwise the preview has run out."""
+NEGLIGIBLE_TWIST = 1e-4
+"""Twist up to which cmd_vel asks for rest [m/s, rad/s].
+
+Sources that stop leave round-off; none means a tenth of a millimetre a second.
+"""
 
 
 class PlatformController:
@@ -231,6 +233,8 @@ class PlatformController:
         if twist.shape != (3,):
             raise InputError(f"cmd_vel: has {twist.size} numbers, expected 3")
         plausible.demand(twist, plausible.SPEED, "cmd_vel: twist")
+        if float(np.abs(twist).max()) <= NEGLIGIBLE_TWIST:
+            twist = np.zeros(3)
         timeout = self.parameters.timeouts.cmd_vel
         until = _fresh_until("cmd_vel", now, age or 0.0, timeout)
         neutral, doubt = not twist.any(), ""
@@ -267,7 +271,8 @@ class PlatformController:
         if preview.end < now:
             age = now - preview.end
             raise InputError(f"{source.value}/reference: stale, it ended {age:.3f} s ago")
-        ends_at_rest = preview.end_speed <= PREVIEW_REST_SPEED
+        # If it ends at rest, the platform has arrived; otherwise the preview has run out.
+        ends_at_rest = preview.end_speed == 0.0
         timeouts = self.parameters.timeouts
         hold_time = timeouts.reference if ends_at_rest else 0.0
         fresh_until = min(preview.end + hold_time, now + timeouts.preview)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from omniman_ros.core import plausible, se2
+from omniman_ros.core import plausible, round_off, se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.hermite import Hermite
@@ -32,9 +32,10 @@ class Preview:
     """A sampled future motion, interpolated by quintic (with accelerations) or cubic polynomials.
 
     Before its first point a preview rests at that point, after its last point at the last one.
+    Round-off of its source counts for nothing: see `round_off`.
 
     Args:
-        times: Times (k,) on the receiver's clock [s], strictly increasing.
+        times: Times (k,) on the receiver's clock [s], increasing.
         poses: Poses (k, 3) x, y, theta in odom [m, m, rad]; headings are unwrapped here.
         velocities: World-frame velocities (k, 3) [m/s, m/s, rad/s].
         accelerations: World-frame accelerations (k, 3) [m/s^2, m/s^2, rad/s^2], or None.
@@ -62,10 +63,11 @@ class Preview:
         plausible.demand(velocities, plausible.SPEED, "preview: velocities")
         if accelerations is not None:
             plausible.demand(accelerations, plausible.ACCELERATION, "preview: accelerations")
-        if k > 1 and not (np.diff(times) > 1e-6).all():
-            raise InputError("preview: the points' times do not increase")
         unwrapped = np.column_stack([poses[:, :2], se2.nearest_turns(poses[:, 2], poses[0, 2])])
-        self._curve = Hermite(times, unwrapped, velocities, accelerations)
+        times, rows = round_off.distinct(times, unwrapped)
+        velocities = round_off.ended(velocities[rows])
+        accelerations = None if accelerations is None else accelerations[rows]
+        self._curve = Hermite(times, unwrapped[rows], velocities, accelerations)
 
     @property
     def start(self) -> float:

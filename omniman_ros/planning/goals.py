@@ -6,7 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
-from omniman_ros.core import plausible, se2
+from omniman_ros.core import plausible, round_off, se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.preview import Preview
@@ -186,6 +186,16 @@ class StateGoal:
         """See `Goal`."""
         velocity = se2.to_world(frame[2], self.velocity)
         return StateGoal(se2.displaced(self.pose, frame), velocity, self.arrival)
+
+
+def goal_of_state(pose: Array, velocity: Array) -> PoseGoal | StateGoal:
+    """Return the goal to pass a pose (3,) at a velocity (3,); without a velocity, to rest there.
+
+    Raises:
+        InputError: A value is not finite or implausibly large.
+    """
+    goal = StateGoal(pose, velocity)
+    return PoseGoal(pose) if round_off.is_rest(velocity) else goal
 
 
 def _branch(angle: float, near: float) -> float:

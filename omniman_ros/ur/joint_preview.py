@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from omniman_ros.core import plausible
+from omniman_ros.core import plausible, round_off
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.hermite import Hermite
@@ -15,18 +15,17 @@ MAX_SPEED = 1e3
 """Largest plausible joint speed [rad/s]."""
 MAX_ACCELERATION = 1e5
 """Largest plausible joint acceleration [rad/s^2]."""
-MIN_TIME_STEP = 1e-6
-"""Shortest time between two points [s]."""
 
 
 class JointPreview:
     """Timed points, joined by quintic (with accelerations) or cubic polynomials.
 
     Before the first point the preview rests there. Beyond the last point it continues with the
-    last velocity: a path to brake along when nothing else is known.
+    last velocity: a path to brake along when nothing else is known. Round-off of its source
+    counts for nothing: see `round_off`.
 
     Args:
-        times: Times (k,) on the receiver's clock, strictly increasing [s].
+        times: Times (k,) on the receiver's clock, increasing [s].
         positions: Joint angles (k, n) [rad].
         velocities: Joint velocities (k, n) [rad/s].
         accelerations: Joint accelerations (k, n) [rad/s^2]; None if they are unknown.
@@ -54,8 +53,9 @@ class JointPreview:
                 raise InputError(f"preview: {label} must have shape ({k}, {n}), got {array.shape}")
             plausible.demand(array, bound, f"preview: {label}")
         plausible.demand(times, np.finfo(float).max, "preview: times")
-        if k > 1 and not (np.diff(times) > MIN_TIME_STEP).all():
-            raise InputError("preview: the points' times must increase")
+        times, rows = round_off.distinct(times, positions)
+        positions, velocities = positions[rows], round_off.ended(velocities[rows])
+        accelerations = None if accelerations is None else accelerations[rows]
         self._curve = Hermite(times, positions, velocities, accelerations)
         self._last_position, self._last_velocity = positions[-1], velocities[-1]
 

@@ -102,6 +102,13 @@ def test_robot_is_ready_once_wheels_and_limit_report_and_nothing_is_stopped():
     assert not rig.core.is_ready(rig.now + 1.0), "no fresh motion_limit"
 
 
+def test_twist_of_round_off_asks_for_rest():
+    rig = Rig()
+    rig.run(0.5, lambda: rig.twist(*CRUISE))
+    rig.run(2.0, lambda: rig.twist(3e-6, -5e-5, 1e-17))
+    assert rig.core.at_rest
+
+
 def test_twist_of_zero_is_accepted_before_the_first_wheel_states():
     rig = Rig()
     rig.reports = False

@@ -104,6 +104,14 @@ def test_end_speed_is_zero_only_for_a_preview_that_ends_at_rest():
     velocities = np.array([[0.0, 0, 0], [0.1, -0.4, 0.2]])
     made = Preview(np.array([0.0, 1.0]), np.zeros((2, 3)), velocities)
     assert made.end_speed == 0.4
+    velocities[1] = [0.0, -5.2e-5, 1e-4]  # round-off of a planner
+    assert Preview(np.array([0.0, 1.0]), np.zeros((2, 3)), velocities).end_speed == 0.0
+
+
+def test_points_that_repeat_each_other_but_for_round_off_are_one():
+    poses = np.array([[0.0, 0, 3.1], [0.0, 0, 3.1], [1.0, 0, -3.1], [1.0, 0, -3.1 - 1e-7]])
+    made = Preview(np.array([0.0, 0.0, 1.0, 1.0]), poses, np.zeros((4, 3)))
+    assert made.sample(0.5).velocity == pytest.approx([1.5, 0.0, 1.5 * (math.tau - 6.2)], abs=1e-6)
 
 
 @pytest.mark.parametrize("turns", [1, -1])
@@ -149,7 +157,7 @@ BAD_SIZE = np.array([[0, 0, 0], [0, 1e300, 0]])
         ({"poses": BAD_SIZE}, "beyond"),
         ({"velocities": BAD_SIZE}, "beyond"),
         ({"accelerations": BAD_SIZE}, "beyond"),
-        ({"times": np.array([1.0, 1.0])}, "do not increase"),
+        ({"times": np.array([1.0, 1.0]), "poses": np.eye(3)[:2]}, "do not increase"),
         ({"times": np.array([1.0, 0.5])}, "do not increase"),
     ],
 )

@@ -489,6 +489,13 @@ def test_an_invalid_speed_scaling_is_ignored_with_a_warning(world, value):
     assert world.node.motions.context.time_base.pace.plain
 
 
+def test_a_speed_scaling_near_an_end_of_its_range_is_exactly_that_end(world):
+    for reported, used in ((0.5, 0.5), (0.99995, 1.0), (0.5, 0.5), (2e-5, 0.0)):
+        world.scale(reported)
+        world.run(4 * PERIOD)
+        assert world.node.motions.scaling.value == used
+
+
 def test_a_lost_speed_scaling_ends_the_arm_motion_and_later_paths_run_at_full_speed(world):
     world.scaling = 0.5
     world.run(0.1)

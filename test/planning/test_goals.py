@@ -5,7 +5,7 @@ import pytest
 
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.preview import Preview
-from omniman_ros.planning.goals import PoseGoal, StateGoal, TrajectoryGoal
+from omniman_ros.planning.goals import PoseGoal, StateGoal, TrajectoryGoal, goal_of_state
 
 TIMES = np.array([1.0, 2.0, 2.5, 9.0])
 
@@ -102,6 +102,11 @@ def test_invalid_poses_are_refused(bad, index):
     velocity[index] = bad
     with pytest.raises(InputError, match="goal: velocity"):
         StateGoal(np.zeros(3), velocity)
+
+
+@pytest.mark.parametrize(("speed", "kind"), [(0.0, PoseGoal), (5e-5, PoseGoal), (0.1, StateGoal)])
+def test_a_goal_whose_velocity_is_round_off_is_one_to_rest_at(speed, kind):
+    assert isinstance(goal_of_state(np.zeros(3), np.array([0.0, speed, 0.0])), kind)
 
 
 def test_wrong_sizes_are_refused():

@@ -56,6 +56,13 @@ def preview(motion, start, length=0.4, accelerations=True, tick=DT):
     return JointPreview(times, rows[0], rows[1], rows[2] if accelerations else None)
 
 
+def test_a_preview_that_ends_at_rest_but_for_round_off_does_not_drift_on():
+    times, rows = np.array([0.0, 1.0]), np.zeros((2, N))
+    made = JointPreview(times, rows, np.outer([0.0, 1.0], np.full(N, 5.2e-5)))
+    position, velocity, _ = made.sample(1000.0)
+    assert not position.any() and not velocity.any()
+
+
 class Run:
     """A ticked generator whose arm follows at once."""
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from omniman_ros.core import plausible, se2
+from omniman_ros.core import plausible, round_off, se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.motion.path import spline_derivatives
@@ -14,8 +14,6 @@ from omniman_ros.motion.path.planner import MAX_DURATION, PathPlanner
 from omniman_ros.motion.path.timed_curve import TimedCurve
 from omniman_ros.motion.path.trajectory import Trajectory
 
-MIN_POINT_SPACING = 1e-6
-"""Shortest time between two points [s]."""
 MAX_START_SPEED_ERROR = 0.05
 """Largest difference between the velocity of a first point with time 0 and the present one
 [rad/s]."""
@@ -28,7 +26,8 @@ class JointPoints:
     Attributes:
         columns: (m,) indices of the axes.
         times: (k,) from the start of the trajectory [s], 0 or later and increasing; None if the
-            points are to be reached as soon as the limits allow.
+            points are to be reached as soon as the limits allow. Of points that repeat each other
+            but for round-off, the last counts.
         positions: (k, m) [rad or m].
         velocities, accelerations: (k, m), or None if they are not given.
 
@@ -62,22 +61,20 @@ class JointPoints:
         if self.velocities is None and self.accelerations is not None:
             raise InputError("accelerations without velocities are not accepted")
         if self.times is None:
-            if self.velocities is not None and self.velocities.any():
+            if self.velocities is not None and not round_off.is_rest(self.velocities):
                 raise InputError("velocities without times are not accepted")
             return
         plausible.demand(self.times, MAX_DURATION, "times")
-        if self.times.shape != shape[:1] or self.times[0] < 0.0:
+        if self.times.shape != shape[:1] or self.times[0] < -round_off.SAME_TIME:
             raise InputError(
                 f"times {self.times[:3].tolist()} must be at or after 0 s, one for each of "
                 f"{shape[0]} points"
             )
-        late = np.flatnonzero(~(np.diff(self.times) >= MIN_POINT_SPACING))
-        if len(late):
-            i = int(late[0])
-            raise InputError(
-                f"the times do not increase: point {i} at {self.times[i]:g} s, point {i + 1} at "
-                f"{self.times[i + 1]:g} s (if all are zero, they are computed)"
-            )
+        times, rows = round_off.distinct(self.times, self.positions)
+        object.__setattr__(self, "times", times)
+        for label in ("positions", "velocities", "accelerations"):
+            array = getattr(self, label)
+            object.__setattr__(self, label, None if array is None else array[rows])
 
     def unwrapped(self, column: int, angle: float) -> "JointPoints":
         """Shift an axis that turns without end by whole revolutions to the nearest turns.
@@ -193,7 +190,7 @@ class JointPlanner:
     def _started(self, points: JointPoints, state: State) -> JointPoints:
         """Return the points after the state; a first point with time 0 must be the state."""
         assert points.times is not None
-        if points.times[0] > 0.0:
+        if points.times[0] > round_off.SAME_TIME:
             return points
         columns = list(points.columns)
         distance = np.abs(points.positions[0] - state.position[columns])
@@ -218,11 +215,11 @@ class JointPlanner:
         return JointPoints(points.columns, points.times[1:], *later)  # type: ignore[arg-type]
 
     def _ends_at_rest(self, points: JointPoints) -> None:
-        """Check that the last velocities, if given, are zero."""
-        if points.velocities is not None and (np.abs(points.velocities[-1]) > 1e-6).any():
+        """Check that the last velocities, if given, are zero but for round-off."""
+        if points.velocities is not None and not round_off.is_rest(points.velocities[-1]):
             k = int(np.abs(points.velocities[-1]).argmax())
             i = points.columns[k]
             raise InputError(
                 f"{self.limits.names[i]}: it ends with {points.velocities[-1][k]:.3g} "
-                f"{self.limits.units[i]}/s, not at rest"
+                f"{self.limits.units[i]}/s, not at rest (up to {round_off.REST_SPEED:g})"
             )

@@ -1,12 +1,14 @@
 """Poses of a path as a polyline: headings, repeated poses, detail, and joining it on the move."""
 
+import math
+
 import numpy as np
 
-from omniman_ros.core import se2
+from omniman_ros.core import round_off, se2
 from omniman_ros.core.arrays import Array
 
 REPEAT_TOLERANCE = 1e-6
-"""Distance up to which poses count as repeated, relative to the tolerance; of positions [m]."""
+"""Distance up to which poses count as repeated, relative to the tolerance."""
 
 
 def unwrap_headings(poses: Array, heading: float) -> Array:
@@ -27,10 +29,7 @@ def headings_along(poses: Array, spread: float) -> Array:
             one position.
         spread: Distance [m]; with 0 the robot rotates in place at the corner.
     """
-    places = poses[:, :2]
-    length = np.hypot(*np.diff(places, axis=0).T)
-    keep = np.concatenate([[True], length > REPEAT_TOLERANCE])
-    places = places[keep]
+    places = _separate(poses[:, :2])
     if len(places) < 2:
         return poses
     step = np.diff(places, axis=0)
@@ -43,6 +42,18 @@ def headings_along(poses: Array, spread: float) -> Array:
     rows = np.stack([before, after], axis=1).reshape(-1, 3)
     rows[0, :2], rows[-1, :2] = places[0], places[-1]
     return rows
+
+
+def _separate(places: Array) -> Array:
+    """Return places (j, 2) [m] without those that give no direction, as they repeat the last."""
+    rows = places.tolist()
+    kept = rows[:1]
+    for x, y in rows[1:]:
+        if math.hypot(x - kept[-1][0], y - kept[-1][1]) > round_off.SAME_POSITION:
+            kept.append([x, y])
+    if len(kept) > 1:
+        kept[-1] = rows[-1]  # the path ends exactly at its last pose
+    return np.array(kept)
 
 
 def remove_repeats(poses: Array, scale: Array) -> Array:

@@ -15,7 +15,7 @@ from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.planner_interfaces.goal_anchor import PlacedGoal
 from omniman_ros.nodes.planner_interfaces.parameters import MpcPlannerParameters
-from omniman_ros.planning.goals import Goal, PoseGoal, StateGoal, TrajectoryGoal
+from omniman_ros.planning.goals import Goal, PoseGoal, TrajectoryGoal, goal_of_state
 
 
 class GoalInterface:
@@ -74,7 +74,7 @@ class GoalInterface:
             raise InputError(f"its twist is in '{child}', its pose in '{frame[:40]}'")
         known = self._settings.value.frames.odom.beside(frame)
         pose, velocity = goal_state_from_message(message, known)
-        return StateGoal(pose, velocity) if velocity.any() else PoseGoal(pose)
+        return goal_of_state(pose, velocity)
 
     def _trajectory_goal(self, message: MultiDOFJointTrajectory) -> Goal:
         start = self._node.instant(message.header.stamp)

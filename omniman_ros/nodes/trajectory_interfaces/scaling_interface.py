@@ -8,7 +8,8 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.nodes.omniman_node import OmnimanNode
 
 SCALING_TOLERANCE = 1e-3
-"""Excess over the range 0 to 1 that is accepted, and smallest change that counts."""
+"""Excess over the range 0 to 1 that is accepted, distance from its ends that counts as none, and
+smallest change that counts."""
 
 
 class ScalingInterface:
@@ -46,7 +47,8 @@ class ScalingInterface:
         self._received, self.silence = True, 0.0
         value = min(max(message.data, 0.0), 1.0)
         # The ends of the range must be exact: at 0 nothing moves, at 1 nothing is slowed down.
-        is_end = value in (0.0, 1.0)
+        is_end = min(value, 1.0 - value) <= SCALING_TOLERANCE
+        value = float(round(value)) if is_end else value
         if value != self.value and (is_end or abs(value - self.value) > SCALING_TOLERANCE):
             self.value = value
             self._on_change()

@@ -121,6 +121,27 @@ def test_a_first_point_at_time_zero_must_be_the_present_position(arm):
         arm.start([arm.here, HOME], [0.0, 2.0], velocities=[[0.2] * 6, [0.0] * 6])
 
 
+def test_round_off_of_a_planner_is_no_motion(arm):
+    """Repeated points, a start just after 0, and 5.2e-05 rad/s at the end."""
+    middle, goal = HOME + 0.15, HOME + 0.3
+    rows = [HOME, HOME, middle, middle + 1e-6, goal, goal]
+    times = [0.0, 3e-9, 1.0, 1.0, 2.0, 2.0 - 1e-9]
+    speeds = np.outer([0.0, 0.0, 0.28, 0.28, 5.2e-5, 5.2e-5], np.ones(6))
+    arm.start(rows, times, velocities=speeds)
+    end = arm.run_to_the_end()[-1]
+    assert (end[:6] == goal).all() and not end[6:].any()
+    assert not arm.run(1.0).any(), "nothing drifts on"
+    arm.assert_smooth()
+    with pytest.raises(InputError, match=r"ends with 0\.01 rad/s, not at rest \(up to 0\.001\)"):
+        arm.start(goal, [2.0], velocities=[0.01] * 6)
+
+
+def test_velocities_without_times_may_be_round_off(arm):
+    arm.start(HOME + 0.1, velocities=[5e-5] * 6)
+    with pytest.raises(InputError, match="velocities without times"):
+        arm.start(HOME + 0.1, velocities=[0.1] * 6)
+
+
 def test_jerky_points_of_other_planners_are_accepted_if_configured():
     """Time-optimal planners accelerate fully from the first point on (bang-bang)."""
     times = np.array([0.0, 0.1, 0.5, 0.9, 1.0])

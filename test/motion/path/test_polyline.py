@@ -52,6 +52,16 @@ def test_a_closed_path_is_kept():
     assert len(polyline.simplify(circle, SCALE)) > 15
 
 
+def test_repeated_poses_give_no_direction_of_travel():
+    noise = 7.6e-6  # of single precision at 100 m
+    poses = np.array([[0, 0, 9], [0, noise, 9], [2, 0, 9], [2 - noise, noise, 9]])
+    rows = polyline.headings_along(poses, 0.2)
+    assert rows[:, 2] == pytest.approx(0.0, abs=1e-4)
+    assert rows[-1, :2].tolist() == [2 - noise, noise], "the path ends exactly at its last pose"
+    dense = np.column_stack([np.arange(0, 0.1, 4e-5), np.zeros((2500, 2))])
+    assert len(polyline.headings_along(dense, 0.2)) > 1000
+
+
 def test_headings_along_the_path_turn_around_a_corner():
     poses = np.array([[0, 0, 9], [2, 0, 9], [2, 2, 9]], dtype=float)
     rows = polyline.headings_along(poses, 0.2)
