@@ -16,6 +16,7 @@ from omniman_ros.motion.path.axis_limits import AxisLimits
 from omniman_ros.motion.path.interpolator import PathState, RefusedError
 from omniman_ros.motion.path.joint_parameters import JointTrajectoryOptions
 from omniman_ros.motion.path.joint_points import JointPlanner, JointPoints, State
+from omniman_ros.motion.path.moving_target import MovingTarget, curve_to
 from omniman_ros.motion.path.pace import LEAD, Demand, Pace
 from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.motion.path.timed_curve import TimedCurve
@@ -135,6 +136,34 @@ class JointInterpolator:
             curve = self.planner.timed(points, motion.state(since))
         return JointProposal(curve, since, motion)
 
+    def propose_meeting(
+        self, target: MovingTarget, here: Array, now: float, lead: float
+    ) -> JointProposal:
+        """Plan a motion to a moving target without changing the motion under way.
+
+        Args:
+            target: Target, as seen now.
+            here: (d,) positions of the joints, used if no motion is under way.
+            now: Time [s].
+            lead: Planning time that passes before a motion under way can change [s].
+
+        Raises:
+            InputError: The target cannot be reached.
+        """
+        options, soonest = self.planner.options, now + LEAD * TICK
+        motion, since, state = self._motion, None, State.rest(here)
+        if motion is not None:
+            soonest = since = max(soonest + lead, self._since)
+            state = motion.state(since)
+        curve = curve_to(
+            target.after(soonest - now),
+            state,
+            self.planner.limits,
+            options.reserve,
+            options.stream_timeout,
+        )
+        return JointProposal(curve, since, motion)
+
     def take(self, proposal: JointProposal, now: float) -> bool:
         """Start a proposal; return False if it comes too late for the motion under way."""
         soonest, since = now + LEAD * TICK, proposal.since
@@ -143,7 +172,7 @@ class JointInterpolator:
             since = soonest if since is None else max(since, soonest)
         elif since is None or proposal.replaces is not self._motion or soonest - TICK > since:
             return False
-        if self._motion is not None:
+        if self._motion is not None and (not self._before or self._before[-1][0] < since):
             self._before.append((since, self._motion))
         self._since = since
         self._motion = JointMotion(proposal.curve, since, self.planner.limits)

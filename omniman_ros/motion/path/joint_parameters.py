@@ -57,6 +57,13 @@ class JointTrajectoryOptions(ArmFollowing):
         low=1,
         high=1e6,
     )
+    stream_timeout: float = parameter(
+        0.2,
+        "Silence after which a stream of single points is stopped.",
+        unit="s",
+        low=0.04,
+        high=2,
+    )
     max_points: int = parameter(
         2000, "Largest number of points of a trajectory.", low=1, high=100000
     )

@@ -100,14 +100,20 @@ class MotionContext(StreamContext[PathInterpolatorParameters]):
         """
         if not is_stamped(stamp):
             return None
-        now = self.node.get_clock().now().nanoseconds
-        delay = float((stamp.sec * 1_000_000_000 + stamp.nanosec - now) * 1e-9)
+        delay = self.time_to(stamp)
         max_delay = self.options.joint_trajectory.max_delay
         if delay < -MAX_STAMP_AGE:
             raise InputError(f"the stamp is {-delay:.2f} s old")
         if delay > max_delay:
             raise InputError(f"the stamp is {delay:.2f} s ahead, at most {max_delay:g} s")
         return max(delay, 0.0)
+
+    def time_to(self, stamp: Time) -> float:
+        """Return the time from now to a stamp [s]; 0 for a zero stamp, which means now."""
+        if not is_stamped(stamp):
+            return 0.0
+        now = self.node.get_clock().now().nanoseconds
+        return float((stamp.sec * 1_000_000_000 + stamp.nanosec - now) * 1e-9)
 
     def propose_in_time(
         self,

@@ -13,6 +13,9 @@ from omniman_ros.nodes.trajectory_interfaces.whole_body_interface import WholeBo
 POINT_BYTES = 64
 """Upper bound of the size of a serialized point without its numbers [bytes]."""
 
+NO_STREAM = "; streams of points move the arm alone, the platform takes cmd_vel"
+"""What is said of single points with the platform that no trajectory can keep."""
+
 
 class TrajectoryInput:
     """Passes each received trajectory to the interface that it concerns.
@@ -49,14 +52,19 @@ class TrajectoryInput:
         return self._start(message)
 
     def _start(self, message: JointTrajectory) -> str:
-        interface = self._interface_of(message)
+        is_stream = self._arm.is_stream(message)
+        has_platform = any(name in PLATFORM_AXES for name in message.joint_names)
+        follows = is_stream and not has_platform
+        hint = NO_STREAM if is_stream and has_platform else ""
+        interface = self._arm if follows else self._interface_of(message)
         try:
             if self._context.is_ending():
                 raise InputError("the node is shutting down")
-            why = interface.trajectory(message)
+            why = self._arm.follow_point(message) if follows else interface.trajectory(message)
         except InputError as error:
-            raise interface.log.refuse(str(error)) from error
+            raise interface.log.refuse(f"{error}{hint}") from error
         if why:
+            why += hint
             interface.log.refuse(why)
         return why
 
