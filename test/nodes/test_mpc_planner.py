@@ -529,7 +529,7 @@ BAD: dict[str, tuple[str, Callable[[PlannerWorld], Any], str]] = {
     "over": (MOVING, lambda w: line(w, stamp=w.stamp(-5.0)), "trajectory ended 2.0. s ago"),
     "moving in map": (MOVING, lambda w: line(w, frame="map"), "frame 'map', expected 'odom'"),
     "moving at NaN": (MOVING, lost_line, "position .*nan.* not finite"),
-    "backwards": (MOVING, lambda w: line(w, 0.0), "times do not increase"),
+    "backwards": (MOVING, lambda w: line(w, -1.0), "times do not increase"),
     "empty": (MOVING, lambda w: reference((), (), (), w.stamp()), "1 to 5000 points, got 0"),
     "ahead": (MOVING, lambda w: line(w, stamp=w.stamp(1.0)), "the stamp is 0.99. s ahead"),
 }
