@@ -2,19 +2,13 @@
 
 from collections.abc import Mapping
 from copy import copy
-from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-import yaml
-
-from omniman_ros.core.errors import ParameterError
-from omniman_ros.core.parameters import flatten_mapping
+from omniman_ros.core.errors import FileError, ParameterError
 from omniman_ros.share import share_path
-
-_LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-"""Loader of libyaml, where PyYAML has it: nine times faster, and every node reads a robot."""
+from omniman_ros.yaml_files import FOR_ALL_NODES, PARAMETERS, read_parameters
 
 
 def robot_file(robot: str) -> Path:
@@ -54,15 +48,16 @@ def load_robot(robot: str) -> Mapping[str, Any]:
     """
     path = robot_file(robot)
     try:
-        values = _parse(path.read_text(encoding="utf-8"))
-        return MappingProxyType({name: copy(value) for name, value in values.items()})
-    except (yaml.YAMLError, TypeError, KeyError, AttributeError, OSError) as error:
-        raise ParameterError(
-            "robot", robot, f"{path.name} has no '/**: ros__parameters:' with values ({error!r})"
-        ) from error
-
-
-@lru_cache(maxsize=8)
-def _parse(text: str) -> Mapping[str, Any]:
-    """Return the parameters in the text of a file."""
-    return flatten_mapping(yaml.load(text, Loader=_LOADER)["/**"]["ros__parameters"])
+        sections = read_parameters(path)
+        others = [section for section in sections if section.nodes != FOR_ALL_NODES]
+        if others or not sections:
+            line = others[0].line if others else None
+            reason = f"its only section must be '{FOR_ALL_NODES}: {PARAMETERS}:'"
+            raise FileError(str(path), line, reason)
+    except FileError as error:
+        place = path.name if error.line is None else f"{path.name}:{error.line}"
+        raise ParameterError("robot", robot, f"{place}: {error.reason}") from error
+    # A reader may change an array: the sections are kept for the next one.
+    return MappingProxyType(
+        {name: copy(value) for section in sections for name, value in section.values.items()}
+    )

@@ -112,7 +112,6 @@ def test_a_name_is_no_way_out_of_the_folder(name):
         "/**: 1",
         "/**:\n  ros__parameters: 5",
         "/**:\n  ros__parameters:",
-        "{",
         "[1]",
         "/**:\n  other: {}",
     ],

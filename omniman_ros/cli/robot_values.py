@@ -5,9 +5,9 @@ from collections.abc import Container, Sequence
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from omniman_ros.console.errors import CommandError
+from omniman_ros.core.errors import FileError
+from omniman_ros.yaml_files import parse_value
 
 
 def existing_file(file: str | None) -> str | None:
@@ -40,7 +40,7 @@ def parse_parameters(params: Sequence[str], known: Container[str], what: str) ->
         if name not in known:
             raise CommandError(f"parameter '{name}' does not affect {what}", 2)
         try:
-            values[name] = yaml.safe_load(value)
-        except yaml.YAMLError as error:
+            values[name] = parse_value(value)
+        except FileError as error:
             raise CommandError(f"parameter '{text}': {value} is not YAML", 2) from error
     return values

@@ -35,3 +35,19 @@ class GeometryError(OmnimanError, ValueError):
 
 class InputError(OmnimanError, ValueError):
     """The content of a message or a measurement cannot be used; it causes no motion."""
+
+
+class FileError(OmnimanError):
+    """A file cannot be used as what it is given for.
+
+    Attributes:
+        file: Path of the file.
+        line: Line at fault, counted from 1; None if it is not one line.
+        reason: What is wrong.
+    """
+
+    def __init__(self, file: str, line: int | None, reason: str) -> None:
+        super().__init__(f"{file}{'' if line is None else f':{line}'}: {reason}")
+        self.file = file
+        self.line = line
+        self.reason = reason

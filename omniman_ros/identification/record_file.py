@@ -45,9 +45,19 @@ def load_record(
         CommandError: The file does not exist, or is not such a record.
     """
     try:
-        tree = json.loads(path.read_text(encoding="utf-8"))
+        tree = json.loads(path.read_bytes())
         if tree["format"] != form:
             raise ValueError(f"its format is '{tree['format']}', expected '{form}'")
         return parse(tree)
-    except (OSError, ValueError, KeyError, TypeError, OmnimanError) as error:
-        raise CommandError(f"'{path}' contains no {what}: {error!r}", 2) from error
+    except json.JSONDecodeError as error:
+        reason = f"line {error.lineno}: {error.msg}"
+    except UnicodeDecodeError as error:
+        line = error.object[: error.start].count(b"\n") + 1
+        reason = f"line {line}: is neither UTF-8 nor UTF-16 text"
+    except OSError as error:
+        reason = error.strerror or str(error)
+    except (KeyError, TypeError) as error:
+        reason = f"it has not the values of one ({error})"
+    except (ValueError, OmnimanError) as error:
+        reason = str(error)
+    raise CommandError(f"'{path}' contains no {what}: {reason}", 2)

@@ -82,6 +82,7 @@ class ParameterSet(Generic[T]):
         self._apply: Callable[[T], None] | None = None
         self._specs = {spec.name: spec for spec in specs(cls)}
         self._overrides = parameter_overrides(node)
+        self._overrides |= {name: self._as_double(p) for name, p in self._overrides.items()}
         # rclpy takes an empty array for one of bytes, and would refuse it.
         empty = {name for name, given in self._overrides.items() if self._means_none(given)}
         for name in empty:
@@ -136,7 +137,7 @@ class ParameterSet(Generic[T]):
             raise ParameterError(
                 spec.name,
                 self._overrides[spec.name].value,
-                f"expected a {kind_name} (write 1.0, not 1, for a double)",
+                f"expected a {kind_name}",
             ) from error
         except InvalidParameterValueException as error:
             value = self._overrides[spec.name].value
@@ -170,12 +171,22 @@ class ParameterSet(Generic[T]):
             isinstance(given.value, list | tuple | array) and list(given.value) in ([], [""])
         )
 
+    def _as_double(self, given: Parameter) -> Parameter:
+        """Return a given parameter as a double where it is one: ROS reads 1 as an integer."""
+        spec = self._specs.get(given.name)
+        if spec is not None and spec.kind is float and given.type_ is Parameter.Type.INTEGER:
+            return Parameter(given.name, Parameter.Type.DOUBLE, float(given.value))
+        is_array = spec is not None and spec.item is float
+        if is_array and given.type_ is Parameter.Type.INTEGER_ARRAY:
+            return Parameter(given.name, Parameter.Type.DOUBLE_ARRAY, [*map(float, given.value)])
+        return given
+
     def _with_typed_empty_arrays(self, changes: list[Parameter]) -> list[Parameter]:
-        """Return changes of parameters, with each empty array in the type of its declaration."""
+        """Return changes of parameters, with empty arrays and doubles in the declared type."""
         return [
             Parameter(change.name, _PARAMETER_TYPES[tuple, self._specs[change.name].item], [])
             if change.type_ is not Parameter.Type.NOT_SET and self._means_none(change)
-            else change
+            else self._as_double(change)
             for change in changes
         ]
 

@@ -86,7 +86,8 @@ class MessageDefinitions:
         for prefix in self._prefixes:
             file = prefix / "share" / package / "msg" / f"{name}.msg"
             if file.is_file():
-                return file.read_text(encoding="utf-8")
+                # Comments may be in any encoding.
+                return file.read_text(encoding="utf-8-sig", errors="replace")
         raise InputError(
             f"{message_type} is not installed here: no share/{package}/msg/{name}.msg"
         )

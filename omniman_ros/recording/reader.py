@@ -1,7 +1,7 @@
 """Reading of rosbag2 recordings, MCAP or SQLite, with the definitions that they contain."""
 
 import struct
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -13,8 +13,9 @@ from rosbags.rosbag2 import ReaderError
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 
-from omniman_ros.core.errors import InputError
+from omniman_ros.core.errors import FileError, InputError
 from omniman_ros.recording.unfinished import finish_copy, is_unfinished
+from omniman_ros.yaml_files import read_yaml
 
 _DAMAGE_ERRORS = (
     AnyReaderError,
@@ -27,6 +28,10 @@ _DAMAGE_ERRORS = (
     struct.error,
 )
 """Exceptions of the library for a damaged file; it trusts any length that it reads."""
+_METADATA = "metadata.yaml"
+"""File beside those of a recording, with its topics."""
+_INFORMATION = "rosbag2_bagfile_information"
+"""Key below which that file has its content."""
 _ALIGNMENT = 4
 """Number of bytes that Fast CDR may append: it aligns to 8 bytes where the numbers of a last,
 empty sequence would begin, and the library expects nothing there. They have any value."""
@@ -53,6 +58,7 @@ class BagReader:
         self._path = path
         self._copies = ExitStack()
         try:
+            _check_metadata(path / _METADATA)
             unfinished = _unfinished_file(path)
             self.is_unfinished = unfinished is not None
             if unfinished is not None:
@@ -60,7 +66,7 @@ class BagReader:
                 finish_copy(unfinished, path)
             # SQLite recordings of older releases contain no definitions.
             self._reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY))
-        except (AnyReaderError, OSError) as error:
+        except (AnyReaderError, FileError, OSError) as error:
             self._copies.close()
             raise InputError(f"{self._path} is not a recording: {error}") from error
         self.topic_types: dict[str, str] = {}
@@ -70,7 +76,8 @@ class BagReader:
             self._reader.open()
         except _DAMAGE_ERRORS as error:
             self._copies.close()
-            raise InputError(f"{self._path} cannot be read: {error}") from error
+            reason = " ".join(str(error).split())
+            raise InputError(f"{self._path} cannot be read: {reason}") from error
         self.topic_types = {c.topic: c.msgtype for c in self._reader.connections if c.msgcount}
         return self
 
@@ -117,13 +124,22 @@ class BagReader:
             return self._reader.deserialize(data[:-_ALIGNMENT], message_type)
 
 
+def _check_metadata(file: Path) -> None:
+    """Raise FileError if a recording's metadata is there, but has not the form of such."""
+    if not file.is_file():
+        return
+    tree = read_yaml(file)
+    if not isinstance(tree, Mapping) or not isinstance(tree.get(_INFORMATION), Mapping):
+        raise FileError(str(file), None, f"has no '{_INFORMATION}:' with values")
+
+
 def _unfinished_file(path: Path) -> Path | None:
     """Return the file of a recording whose process was killed, or None.
 
     Raises:
         OSError: A file cannot be read.
     """
-    if path.is_dir() and not (path / "metadata.yaml").exists():
+    if path.is_dir() and not (path / _METADATA).exists():
         files = sorted(path.glob("*.mcap"))
     else:
         files = [path] if path.suffix == ".mcap" else []

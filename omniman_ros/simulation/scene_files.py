@@ -4,9 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
-import yaml
-
-from omniman_ros.core.errors import ParameterError
+from omniman_ros.core.errors import FileError, ParameterError
 from omniman_ros.core.parameters import specs
 from omniman_ros.share import share_path
 from omniman_ros.simulation.world.clutter import Clutter, clutter_posts
@@ -22,6 +20,7 @@ from omniman_ros.simulation.world.scene import (
     Table,
     Wall,
 )
+from omniman_ros.yaml_files import read_yaml
 
 KINDS: dict[str, type[Element]] = {
     "walls": Wall,
@@ -75,9 +74,10 @@ def load_scene(name: str) -> Scene:
     """
     path = scene_file(name)
     try:
-        tree = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
-    except (yaml.YAMLError, UnicodeDecodeError, OSError) as error:
-        raise ParameterError("scene", name, f"{path.name} cannot be read ({error})") from error
+        tree = read_yaml(path)
+    except FileError as error:
+        raise ParameterError("scene", name, str(error)) from error
+    tree = {} if tree is None else tree
     return scene_of(tree, path.name)
 
 

@@ -110,6 +110,18 @@ def test_a_wrong_type_that_is_not_empty_is_still_refused():
         assert "Wrong parameter type" in node.set_parameters_atomically([wrong]).reason
 
 
+def test_an_integer_is_taken_for_a_double_as_in_a_robot_file():
+    given = ["-p", "body.mass:=31", "-p", "friction.coulomb:=[1]"]
+    robot = node_with(given).robot
+    assert (robot.body.mass, robot.friction.coulomb[0]) == (31.0, 1.0)
+    with World(SimulatedDriveNode) as world:
+        (node,) = world.nodes
+        change = Parameter("body.mass", value=32)
+        result = node.set_parameters_atomically([change])
+        assert result.successful, result.reason
+        assert node.get_parameter("body.mass").value == 32.0
+
+
 def test_the_clock_of_a_running_node_is_fixed():
     with World(PlatformControllerNode) as world:
         (node,) = world.nodes

@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 import can
-import yaml
 from diagnostic_msgs.msg import DiagnosticStatus
 from nav_msgs.msg import Odometry
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
@@ -30,13 +29,14 @@ from std_srvs.srv import Trigger
 from omniman_ros.console.errors import CommandError
 from omniman_ros.console.session import Session
 from omniman_ros.core.can_parameters import CanParameters
-from omniman_ros.core.parameters import build, flatten_mapping
+from omniman_ros.core.parameters import build
 from omniman_ros.lab.bench.can_peer import open_bus
 from omniman_ros.nodes.stop_interface import ALL_LATCHED, LATCHED
 from omniman_ros.processes.drive_options import MULTICAST_GROUP, find_installation_file
 from omniman_ros.processes.process_group import ProcessGroup, ProcessSpec
 from omniman_ros.processes.robot_setup import node_command
 from omniman_ros.robots import load_robot
+from omniman_ros.yaml_files import read_parameters
 
 ROBOT = "omniman"
 """Name of the simulated robot."""
@@ -188,8 +188,8 @@ DIALECTS = {
 
 def load_installation(protocol: str) -> CanParameters:
     """Return the parameters of a protocol's installation file in config/can/."""
-    tree = yaml.safe_load(Path(find_installation_file(protocol)).read_text(encoding="utf-8"))
-    return build(CanParameters, flatten_mapping(tree["/**"]["ros__parameters"]), "can.")
+    (section,) = read_parameters(Path(find_installation_file(protocol)))
+    return build(CanParameters, section.values, "can.")
 
 
 class Rig:

@@ -63,7 +63,7 @@ class ExperimentResult:
 def load(path: Path) -> dict[str, Any] | None:
     """Load a result; return None if the file does not exist or is not a JSON object."""
     try:
-        tree = json.loads(path.read_text())
+        tree = json.loads(path.read_bytes())
     except (OSError, ValueError):
         return None
     return tree if isinstance(tree, dict) else None
