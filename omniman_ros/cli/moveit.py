@@ -9,7 +9,7 @@ from omniman_ros.cli.robot_values import existing_file, parse_parameters
 from omniman_ros.console.errors import CommandError
 from omniman_ros.console.files import output_errors
 from omniman_ros.console.terminal import say
-from omniman_ros.core.errors import ParameterError
+from omniman_ros.core.errors import OmnimanError
 from omniman_ros.processes.moveit_setup import PARAMETERS, moveit_configuration
 from omniman_ros.processes.robot_setup import resolve_robot
 
@@ -31,7 +31,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         values = parse_parameters(args.param, PARAMETERS, "MoveIt")
         configuration = moveit_configuration(robot, file, values)
-    except ParameterError as error:
+    except OmnimanError as error:
         raise CommandError(str(error), 2) from error
     texts = {"omniman.urdf": configuration.description.urdf, "omniman.srdf": configuration.srdf}
     tables = {

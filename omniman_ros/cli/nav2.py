@@ -7,7 +7,7 @@ import yaml
 from omniman_ros.cli.robot_values import existing_file, parse_parameters
 from omniman_ros.console.errors import CommandError
 from omniman_ros.console.files import write_file_or_stdout
-from omniman_ros.core.errors import ParameterError
+from omniman_ros.core.errors import OmnimanError
 from omniman_ros.processes.nav2_setup import PARAMETERS, nav2_parameters
 from omniman_ros.processes.robot_setup import resolve_robot
 
@@ -33,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
             namespace=args.namespace,
             keeps_out=args.keepout,
         )
-    except ParameterError as error:
+    except OmnimanError as error:
         raise CommandError(str(error), 2) from error
     text = yaml.safe_dump(parameters, sort_keys=False)
     write_file_or_stdout(args.output, text)

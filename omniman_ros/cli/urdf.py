@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from omniman_ros.cli.robot_values import existing_file, parse_parameters
 from omniman_ros.console.errors import CommandError
 from omniman_ros.console.files import write_file_or_stdout
-from omniman_ros.core.errors import ParameterError
+from omniman_ros.core.errors import OmnimanError
 from omniman_ros.core.parameters import build, specs
 from omniman_ros.description.parameters import DescriptionParameters
+from omniman_ros.processes.checked_parameters import robot_values
 from omniman_ros.processes.robot_setup import resolve_robot
-from omniman_ros.robots import load_robot
 
 
 def run(args: argparse.Namespace) -> int:
@@ -50,11 +50,10 @@ def robot_description(
     Raises:
         CommandError: The robot, the file or a parameter does not exist, or a value is refused.
     """
-    values, file = dict(load_robot(resolve_robot(robot))), existing_file(file)
+    robot, file = resolve_robot(robot), existing_file(file)
+    known = {spec.name for spec in specs(DescriptionParameters)}
+    values = parse_parameters(params, known, "the URDF")
     try:
-        values |= load_robot(file) if file is not None else {}
-        known = {spec.name for spec in specs(DescriptionParameters)}
-        values |= parse_parameters(params, known, "the URDF")
-        return build(DescriptionParameters, values)
-    except ParameterError as error:
+        return build(DescriptionParameters, robot_values(robot, file, values))
+    except OmnimanError as error:
         raise CommandError(str(error), 2) from error

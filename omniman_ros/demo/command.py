@@ -13,6 +13,7 @@ from omniman_ros.console.errors import CommandError
 from omniman_ros.console.progress import Progress
 from omniman_ros.console.session import Session
 from omniman_ros.console.terminal import GREEN, paint, say
+from omniman_ros.core.errors import OmnimanError
 from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
 from omniman_ros.demo.demo import Demo, judge
@@ -21,12 +22,12 @@ from omniman_ros.demo.recorder import Recording
 from omniman_ros.demo.report import fault_lines, report_lines
 from omniman_ros.extras import TRACKING, WORLD
 from omniman_ros.nodes.clock_follower import ClockFollower
+from omniman_ros.processes.checked_parameters import robot_values
 from omniman_ros.processes.node_output import NodeOutputLog
 from omniman_ros.processes.other_robots import refuse_other_robots
 from omniman_ros.processes.process_group import ProcessExit, ProcessGroup, redirect_signals
 from omniman_ros.processes.robot_setup import RobotSetup, resolve_robot, robot_processes
 from omniman_ros.processes.ros_domain import isolate_ros_domain
-from omniman_ros.robots import load_robot
 
 DRIVE_ON = "drive.dead_wheel:=drive_on"
 """Parameter value with which the robot continues when a wheel is dead."""
@@ -245,8 +246,14 @@ def wheel_differences(robot: str) -> list[str]:
 
     Args:
         robot: Name of the robot, or path of its file.
+
+    Raises:
+        CommandError: The robot's file cannot be used.
     """
-    n = build(Robot, load_robot(robot)).wheel_count
+    try:
+        n = build(Robot, robot_values(robot)).wheel_count
+    except OmnimanError as error:
+        raise CommandError(str(error), 2) from error
     return [
         f"{name}:=[{', '.join(str(values[i % len(values)]) for i in range(n))}]"
         for name, values in WHEEL_DIFFERENCES.items()

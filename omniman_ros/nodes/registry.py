@@ -40,10 +40,16 @@ def node_module(name: str) -> str:
     return "omniman_ros.viewer.node" if name == "viewer" else f"omniman_ros.nodes.{name}"
 
 
+def parameter_class(node: str) -> type:
+    """Return the dataclass of a node's parameters."""
+    module, _, name = NODES[node].rpartition(".")
+    found: type = getattr(importlib.import_module(f"omniman_ros.{module}"), name)
+    return found
+
+
 def node_specs(node: str) -> list[Spec]:
     """Return the parameters of a node; those of the robot come first."""
-    module, _, name = NODES[node].rpartition(".")
-    return specs(getattr(importlib.import_module(f"omniman_ros.{module}"), name))
+    return specs(parameter_class(node))
 
 
 @cache

@@ -6,6 +6,8 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterable
+from itertools import pairwise
+from pathlib import Path
 from types import FrameType
 
 import rclpy
@@ -16,7 +18,7 @@ from rclpy.experimental import EventsExecutor
 from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
 
-from omniman_ros.core.errors import OmnimanError
+from omniman_ros.core.errors import FileError, OmnimanError
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parent_process import obey_supervisor
 from omniman_ros.nodes.rclpy_compat import (
@@ -25,6 +27,7 @@ from omniman_ros.nodes.rclpy_compat import (
     UnknownROSArgsError,
     spin_for,
 )
+from omniman_ros.yaml_files import read_parameters
 
 SPIN_TIME = 0.05
 """Time for which callbacks are served before the signals are looked at again [s]."""
@@ -67,7 +70,7 @@ def run(make: Callable[[], OmnimanNode], args: list[str] | None = None) -> int:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         node = make()
     except (OmnimanError, ParameterException, RCLError, UnknownROSArgsError) as error:
-        sys.stderr.write(f"cannot start: {error}\n")
+        sys.stderr.write(f"cannot start: {_unreadable_file(args) or error}\n")
         rclpy.try_shutdown()
         return 1
     follower = node.follow_clock()
@@ -108,6 +111,17 @@ def run(make: Callable[[], OmnimanNode], args: list[str] | None = None) -> int:
         for number, handler in previous.items():
             signal.signal(number, handler)
     return exit_code
+
+
+def _unreadable_file(args: list[str] | None) -> FileError | None:
+    """Return what is wrong with a parameter file on a command line: rcl does not say it."""
+    for option, file in pairwise(sys.argv if args is None else args):
+        try:
+            if option == "--params-file":
+                read_parameters(Path(file))
+        except FileError as error:
+            return error
+    return None
 
 
 def _deliver(executor: Executor, publishers: Iterable[Publisher]) -> None:

@@ -7,7 +7,7 @@ from omniman_ros.core.parameters import build, specs
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.motion.path.parameters import PathParameters
 from omniman_ros.moveit.configuration import MoveItConfiguration
-from omniman_ros.robots import load_robot
+from omniman_ros.processes.checked_parameters import robot_values
 
 PARAMETERS = frozenset(
     spec.name for kind in (DescriptionParameters, PathParameters) for spec in specs(kind)
@@ -26,9 +26,7 @@ def moveit_configuration(
         values: Values of single parameters by name, which go before both.
 
     Raises:
-        ParameterError: A file does not exist, a value is refused, or the robot has no arm.
+        OmnimanError: A file cannot be read, a value is refused, or the robot has no arm.
     """
-    found = dict(load_robot(robot))
-    found |= {} if file is None else load_robot(file)
-    found |= values or {}
+    found = robot_values(robot, file, values)
     return MoveItConfiguration(build(DescriptionParameters, found), build(PathParameters, found))

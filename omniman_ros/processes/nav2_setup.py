@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import yaml
 
 from omniman_ros.collision.body_outline import BodyOutline
 from omniman_ros.collision.parameters import LoadShape, ToolShape
@@ -14,8 +13,9 @@ from omniman_ros.core.parameters import build, inline, specs
 from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.nav2.configuration import Nav2Configuration
 from omniman_ros.nodes.planner_interfaces.parameters import FootprintOptions
-from omniman_ros.robots import load_robot
+from omniman_ros.processes.checked_parameters import robot_values
 from omniman_ros.share import share_path
+from omniman_ros.yaml_files import read_yaml
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,14 +52,12 @@ def nav2_parameters(
         keeps_out: Whether the costmaps have zones that the robot keeps out of.
 
     Raises:
-        ParameterError: A file does not exist, or a value is refused.
+        OmnimanError: A file cannot be read, or a value is refused.
     """
-    found = dict(load_robot(robot))
-    found |= {} if file is None else load_robot(file)
-    given = build(_Robot, found | dict(values or {}))
+    given = build(_Robot, robot_values(robot, file, values))
     outline = BodyOutline(given.description, given.tool, given.load)
     footprint = outline.footprint(np.array([given.footprint.posture]), 0.0)
-    common = yaml.safe_load(share_path("config", "nav2", "nav2.yaml").read_text(encoding="utf-8"))
+    common = read_yaml(share_path("config", "nav2", "nav2.yaml"))
     configuration = Nav2Configuration(
         footprint, given.limits, namespace=namespace.strip("/"), keeps_out=keeps_out
     )

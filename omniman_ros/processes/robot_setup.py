@@ -15,6 +15,7 @@ from omniman_ros.processes.arm_options import (
     resolve_arm,
     world_arm_arguments,
 )
+from omniman_ros.processes.checked_parameters import check_node
 from omniman_ros.processes.drive_options import (
     find_installation_file,
     find_settings_file,
@@ -22,7 +23,7 @@ from omniman_ros.processes.drive_options import (
 )
 from omniman_ros.processes.process_group import ProcessSpec
 from omniman_ros.robots import load_robot, robot_file
-from omniman_ros.simulation.scene_files import scene_file
+from omniman_ros.simulation.scene_files import load_scene, scene_file
 
 
 @dataclass(frozen=True)
@@ -180,8 +181,8 @@ def robot_processes(setup: RobotSetup) -> list[ProcessSpec]:
 
     Raises:
         CommandError: The robot, a node, the installation, the controller or a file does not
-            exist; a parameter is not NAME:=VALUE; simulated time is combined with drives or an arm
-            that run on real time; or a world cannot be used.
+            exist; a parameter is not NAME:=VALUE, or a node would refuse it; simulated time is
+            combined with drives or an arm that run on real time; or a world cannot be used.
     """
     _check_options(setup)
     robot = resolve_robot(setup.robot)
@@ -191,13 +192,15 @@ def robot_processes(setup: RobotSetup) -> list[ProcessSpec]:
     if setup.drive == "can":
         for name, arguments in simulated_bus_arguments(setup.namespace, setup.sim_time).items():
             more.setdefault(name, []).extend(arguments)
+    arguments = {
+        kind.name: _ros_arguments(kind, robot, setup, more.get(kind.name, ())) for kind in chosen
+    }
+    for name, given in arguments.items():
+        check_node(name, setup.namespace, given)
     return [
         ProcessSpec(
             kind.name,
-            node_command(
-                kind.name,
-                _ros_arguments(kind, robot, setup, more.get(kind.name, ())),
-            ),
+            node_command(kind.name, arguments[kind.name]),
             kind.stage,
             kind.essential or bool(setup.only),
         )
@@ -231,9 +234,10 @@ def _check_world(setup: RobotSetup, world: str) -> None:
     if not WORLD.is_available:
         raise CommandError(WORLD.hint)
     try:
-        scene_file(world)
+        load_scene(world)
     except ParameterError as error:
-        raise CommandError(f"--world: {error.reason}", 2) from error
+        reason = error.reason if error.name == "scene" else error
+        raise CommandError(f"--world: {reason}", 2) from error
 
 
 def _is_chosen(kind: NodeKind, setup: RobotSetup, arm: str) -> bool:
