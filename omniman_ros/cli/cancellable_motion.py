@@ -1,19 +1,31 @@
 """Motions that a command sends to the robot and follows, and cancels on Ctrl-C."""
 
+import sys
 from collections.abc import Callable
 from typing import Protocol, TypeVar
 
 from omniman_ros.console.errors import CommandError
 from omniman_ros.console.progress import Progress
 from omniman_ros.console.session import Session
+from omniman_ros.console.terminal import say
 from omniman_ros.processes.process_group import redirect_signals
+
+CANCELLED = "The motion is cancelled: the robot brakes and stands."
+"""What the robot does once a node has confirmed a cancellation."""
+NOT_SENT = "Nothing was sent to the robot."
+"""What is said when there was nothing to cancel."""
+UNCONFIRMED = (
+    "The node did not confirm that the motion is cancelled: the robot may go on. "
+    "`omniman stop` stops it."
+)
+"""What is said when a node does not answer a request to cancel."""
 
 
 class Driver(Protocol):
     """Sends a motion to a node of the robot."""
 
-    def cancel(self) -> None:
-        """Cancel the motion, and wait until the node confirms it."""
+    def cancel(self) -> str:
+        """Cancel the motion, wait until the node confirms it, and return what the robot does."""
         ...
 
 
@@ -56,8 +68,9 @@ def run_motion(
         try:
             move(driver)
         except KeyboardInterrupt:
-            driver.cancel()
+            outcome = driver.cancel()
             progress.abandon()
+            say(outcome, sys.stderr)
             raise
         except CommandError:
             progress.abandon()

@@ -11,10 +11,11 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from std_srvs.srv import Trigger
 
-from omniman_ros.cli.cancellable_motion import run_motion
+from omniman_ros.cli.cancellable_motion import CANCELLED, NOT_SENT, UNCONFIRMED, run_motion
 from omniman_ros.console.errors import CommandError
 from omniman_ros.console.progress import Progress
 from omniman_ros.console.session import DISCOVERY_TIMEOUT, Session
+from omniman_ros.console.terminal import say
 from omniman_ros.conversions.geometry import quaternion_from_yaw, yaw_from_quaternion
 from omniman_ros.core import se2
 from omniman_ros.core.planar import Triple
@@ -23,6 +24,9 @@ ANSWER_TIMEOUT = 2.0
 """Time within which the planner has to answer a service or report on a goal [s]."""
 ACCEPTANCE_TIMEOUT = 8.0
 """Time that a goal may wait until the robot is ready to be driven [s]."""
+
+FAR = 50.0
+"""Distance of a goal above which the command says how far it is [m]."""
 
 
 class GoalDriver:
@@ -40,6 +44,7 @@ class GoalDriver:
         self._progress = progress
         self._status: dict[str, str] = {}
         self._message = ""
+        self._is_sent = False
         self._pose: Triple | None = None
         node = session.node
         self._goals = node.create_publisher(PoseStamped, "goal_pose", 10)
@@ -83,8 +88,12 @@ class GoalDriver:
         message.header.frame_id = "odom"
         message.pose.position.x, message.pose.position.y = goal[0], goal[1]
         message.pose.orientation = quaternion_from_yaw(goal[2])
+        distance = math.hypot(goal[0] - self._pose[0], goal[1] - self._pose[1])
+        if distance > FAR:
+            say(f"note: the goal is {distance:.0f} m away; it is cancelled after {timeout:g} s")
         self._goals.publish(message)
-        self._follow(math.hypot(goal[0] - self._pose[0], goal[1] - self._pose[1]), timeout)
+        self._is_sent = True
+        self._follow(distance, timeout)
 
     def _is_ready(self) -> bool:
         self._poll()
@@ -118,10 +127,12 @@ class GoalDriver:
             f"the goal was not reached within {timeout:g} s: {self._message}; cancelled"
         )
 
-    def cancel(self) -> None:
-        """Cancel the goal, and wait until the planner confirms it."""
+    def cancel(self) -> str:
+        """Cancel the goal, wait until the planner confirms it, and return what the robot does."""
+        if not self._is_sent:
+            return NOT_SENT
         answer = self._cancel.call_async(Trigger.Request())
-        self._session.wait(answer.done, ANSWER_TIMEOUT)
+        return CANCELLED if self._session.wait(answer.done, ANSWER_TIMEOUT) else UNCONFIRMED
 
 
 def run(args: argparse.Namespace) -> int:

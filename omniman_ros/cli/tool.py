@@ -11,7 +11,7 @@ from nav_msgs.msg import Odometry, Path
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
-from omniman_ros.cli.cancellable_motion import run_motion
+from omniman_ros.cli.cancellable_motion import CANCELLED, NOT_SENT, UNCONFIRMED, run_motion
 from omniman_ros.console.errors import CommandError
 from omniman_ros.console.progress import Progress
 from omniman_ros.console.session import DISCOVERY_TIMEOUT, Session
@@ -129,12 +129,12 @@ class ToolDriver:
         self.cancel()
         raise CommandError(f"the tool has not arrived within {timeout:g} s; cancelled")
 
-    def cancel(self) -> None:
-        """Cancel the path, and wait until the node confirms it."""
+    def cancel(self) -> str:
+        """Cancel the path, wait until the node confirms it, and return what the robot does."""
         if not self._mover:
-            return  # nothing was sent
+            return NOT_SENT
         answer = self._cancels[self._mover].call_async(Trigger.Request())
-        self._session.wait(answer.done, ANSWER_TIMEOUT)
+        return CANCELLED if self._session.wait(answer.done, ANSWER_TIMEOUT) else UNCONFIRMED
 
 
 def straight_path(start: Position, end: Position) -> Path:

@@ -1,4 +1,4 @@
-"""Display of progress: a bar on a terminal, one plain line for each part elsewhere."""
+"""Display of progress: a bar on a terminal, plain lines now and then elsewhere."""
 
 import shutil
 import sys
@@ -11,6 +11,8 @@ BAR_WIDTH = 24
 """Width of the bar [characters]."""
 REDRAW_PERIOD = 0.1
 """Shortest time between two drawings of the bar [s]."""
+LINE_PERIOD = 5.0
+"""Shortest time between two lines about a part that is not on a terminal [s]."""
 
 
 class Progress:
@@ -35,20 +37,23 @@ class Progress:
     def begin(self, name: str) -> None:
         """Begin a part with the given name."""
         self._name = name
-        self._drawn = 0.0
+        self._drawn = 0.0 if self._live else time.monotonic()
         self.update(0.0, "")
 
     def update(self, fraction: float, note: str) -> None:
-        """Display the progress of the part; drawn a few times per second, and only on a terminal.
+        """Display the progress of the part: a bar on a terminal, now and then a line elsewhere.
 
         Args:
             fraction: Completed fraction of the part, 0 to 1; values outside are clamped.
             note: Text beside the bar, cut to the width of the terminal.
         """
         now = time.monotonic()
-        if not self._live or now - self._drawn < REDRAW_PERIOD:
+        if now - self._drawn < (REDRAW_PERIOD if self._live else LINE_PERIOD):
             return
         self._drawn = now
+        if not self._live:
+            say(f"  {self._name:<17}{note}", self._stream)
+            return
         full = round(BAR_WIDTH * min(max(fraction, 0.0), 1.0))
         bar = self._full * full + paint(self._rest * (BAR_WIDTH - full), DIM, self._stream)
         self._rewrite(f"  {self._name:<17}", bar, f"  {note}")

@@ -1,4 +1,4 @@
-"""Results of demo and benchmarks: a JSON file, and the same JSON as the last line printed."""
+"""Results of demo and benchmarks: a JSON file, and for benchmarks the same as the last line."""
 
 import json
 import math
@@ -35,7 +35,7 @@ def run_metadata() -> dict[str, Any]:
 
 
 def publish(name: str, result: Mapping[str, Any], folder: str | Path = "results") -> Path:
-    """Write a result atomically to FOLDER/NAME.json, and print it as the last line.
+    """Write a result with :func:`save`, and print it as the last line.
 
     Args:
         name: Name of the result.
@@ -48,9 +48,15 @@ def publish(name: str, result: Mapping[str, Any], folder: str | Path = "results"
     Raises:
         OSError: The folder cannot be written.
     """
-    text = json.dumps(rounded({"name": name, **result, "about": run_metadata()}), allow_nan=False)
-    path = Path(folder) / f"{name}.json"
-    write_atomically(path, json.dumps(json.loads(text), indent=2) + "\n")
+    path = save(name, result, folder)
     say(f"Written to {path}:")
-    say(text)
+    say(json.dumps(json.loads(path.read_bytes())))
+    return path
+
+
+def save(name: str, result: Mapping[str, Any], folder: str | Path = "results") -> Path:
+    """Write a result atomically to FOLDER/NAME.json; arguments and errors of :func:`publish`."""
+    tree = rounded({"name": name, **result, "about": run_metadata()})
+    path = Path(folder) / f"{name}.json"
+    write_atomically(path, json.dumps(tree, indent=2, allow_nan=False) + "\n")
     return path

@@ -286,7 +286,7 @@ Ctrl-C here ends it.""")
 
 
 def conclude(result: dict[str, Any], log: NodeOutputLog, args: argparse.Namespace) -> int:
-    """Print the result unless `keep` has done so, and publish it as JSON.
+    """Print the result unless `keep` has done so, and write it as JSON.
 
     Args:
         result: The figures of the demo.
@@ -307,5 +307,5 @@ def conclude(result: dict[str, Any], log: NodeOutputLog, args: argparse.Namespac
     else:
         log.show()
         say("\n" + fault_lines(result["faults"]))
-    results.publish("demo", {"ok": ok, **result}, args.results)
+    say(f"Figures: {results.save('demo', {'ok': ok, **result}, args.results)}")
     return 0 if ok else 1

@@ -66,12 +66,17 @@ class ProcessExit:
     @property
     def is_success(self) -> bool:
         """Whether the process ended by itself after it had done all that it was to do."""
-        return self.code == 0 or self._was_at_rest
+        return self.code == 0 or self._was_at_rest or self.had_not_begun
 
     @property
     def _was_at_rest(self) -> bool:
         """Whether a node at rest was ended because its middleware did not shut down."""
         return self.asked and self.code == -signal.SIGALRM
+
+    @property
+    def had_not_begun(self) -> bool:
+        """Whether the process was asked to end before it handled signals: nothing moves then."""
+        return self.asked and self.code == -signal.SIGINT
 
     def __str__(self) -> str:
         """Return a clause that says how the process ended."""
@@ -296,7 +301,7 @@ class ProcessGroup:
         while any(child.code is None for child in members):
             event = self._next_event(max(deadline - time.monotonic(), 0.0))
             if isinstance(event, ProcessExit):
-                if event.code != 0:
+                if event.code != 0 and not event.had_not_begun:
                     self._report(str(event))
                 all_succeeded &= event.is_success
                 continue

@@ -44,6 +44,7 @@ def test_ctrl_c_cancels_the_goal_and_the_next_one_is_reached(robot):
         assert robot.wait(lambda: robot.world.core.state is PlannerState.DRIVING), far.output
         far.process.send_signal(signal.SIGINT)
         assert robot.finish(far) == 130
+    assert "The motion is cancelled: the robot brakes and stands." in far.output
     assert robot.world.core.state is not PlannerState.DRIVING
     with robot.start("goal", "0.8", "0.1") as near:
         assert robot.finish(near) == 0, near.output

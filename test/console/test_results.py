@@ -59,6 +59,26 @@ def test_progress_is_one_line_for_each_part_without_a_terminal():
     assert "\r" not in text and "\033" not in text
 
 
+def test_progress_without_a_terminal_is_a_line_now_and_then(monkeypatch):
+    stream = io.StringIO()
+    times = iter([0.0, 0.0, 4.9, 5.0, 6.0, 10.1])
+    monkeypatch.setattr("omniman_ros.console.progress.time.monotonic", lambda: next(times))
+    progress = Progress(stream)
+    progress.begin("goal")
+    for note in ("a", "b", "c", "d"):
+        progress.update(0.5, note)
+    assert [line.split() for line in stream.getvalue().splitlines()] == [
+        ["goal", "b"],
+        ["goal", "d"],
+    ]
+
+
+def test_a_result_that_is_saved_is_not_printed(tmp_path, capsys):
+    path = results.save("demo", {"error_mm": 1.5}, tmp_path)
+    assert json.loads(path.read_text())["error_mm"] == 1.5
+    assert not capsys.readouterr().out
+
+
 def test_progress_is_a_bar_on_a_terminal_and_never_wraps(terminal, monkeypatch):
     monkeypatch.setenv("COLUMNS", "60")
     progress = Progress(terminal)

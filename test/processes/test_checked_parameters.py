@@ -50,7 +50,7 @@ def test_values_go_before_a_file_and_that_before_the_robot(tmp_path, capsys):
 def test_a_file_for_some_nodes_describes_no_robot(tmp_path):
     file = tmp_path / "more.yaml"
     file.write_text("platform_controller:\n  ros__parameters: {body.mass: 31}\n")
-    with pytest.raises(FileError, match="more.yaml: has no"):
+    with pytest.raises(FileError, match=r"more\.yaml: has no"):
         robot_values("ig42", str(file))
 
 

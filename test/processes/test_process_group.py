@@ -127,6 +127,12 @@ def test_the_end_of_a_process_is_an_event_with_name_and_code(start):
     assert str(ProcessExit("drive", 3)) == "drive ended with exit code 3"
 
 
+def test_a_process_that_ends_before_it_handles_signals_is_no_failure():
+    assert ProcessExit("node", -signal.SIGINT, asked=True).is_success
+    assert not ProcessExit("node", -signal.SIGINT).is_success
+    assert not ProcessExit("node", -signal.SIGTERM, asked=True).is_success
+
+
 def test_the_last_output_comes_before_the_event(start, log):
     talk = "print('word\\n' * 5000 + 'bye', flush=True); sys.exit(3)"
     group = start(fake_process("node", then=talk))
