@@ -153,6 +153,7 @@ class ViewState:
         self.workspace: tuple[float, float, float, float] | None = None
         self.planner_parameters: dict[str, TunableParameter] = {}
         self.planner: dict[str, str] = {}
+        self._earlier_outcome = ""
         self.path_states: dict[str, frozenset[str]] = {}
         self.case = ""
         self.active_source = ""
@@ -237,7 +238,18 @@ class ViewState:
     def update_planner(self, values: dict[str, str], now: float) -> None:
         """Store the planner's status, the values of `mpc/status` by key."""
         self.planner = values
+        if values.get("last") != self._earlier_outcome:
+            self._earlier_outcome = ""
         self._received_at["planner"] = now
+
+    def begin_run(self) -> None:
+        """Forget how the planner's last goal ended: a new run begins."""
+        self._earlier_outcome = outcome = self.planner.get("last", "")
+        self.diagnostics = {
+            name: condition
+            for name, condition in self.diagnostics.items()
+            if condition.text != outcome
+        }
 
     def update_progress(self, progress: float, now: float) -> None:
         """Store the progress on the path, 0 to 1."""
@@ -245,8 +257,8 @@ class ViewState:
         self._received_at["progress"] = now
 
     def update_diagnostics(self, name: str, level: int, text: str, now: float) -> None:
-        """Store a node's warning or error; level 0 clears it."""
-        if level == 0:
+        """Store a node's warning or error; level 0 clears it, and so does an earlier run's end."""
+        if level == 0 or (text and text == self._earlier_outcome):
             self.diagnostics.pop(name, None)
         else:
             self.diagnostics[name] = Condition(level, text, now)

@@ -176,3 +176,18 @@ def test_actions_that_do_not_apply_to_the_path_interpolator_are_known(reported, 
     assert {
         a for a in actions if not state.reports_nothing_to(a, "path_interpolator")
     } == applicable
+
+
+def test_a_new_run_forgets_how_the_last_goal_ended_until_another_ends():
+    state = ViewState(4, 1)
+    ended = {"state": "idle", "last": "the goal was given up: emergency_stop"}
+    state.update_planner(ended, 1.0)
+    state.update_diagnostics("mpc_planner", 1, ended["last"], 1.0)
+    state.update_diagnostics("other", 1, "something else", 1.0)
+    state.begin_run()
+    state.update_diagnostics("mpc_planner", 1, ended["last"], 2.0)
+    assert list(state.diagnostics) == ["other"]
+    state.update_planner({"state": "driving", "last": ""}, 3.0)
+    state.update_planner(ended, 4.0)
+    state.update_diagnostics("mpc_planner", 1, ended["last"], 4.0)
+    assert "mpc_planner" in state.diagnostics

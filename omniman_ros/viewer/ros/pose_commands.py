@@ -160,6 +160,7 @@ class PoseCommands:
     def _begin_drive(self) -> None:
         """Set the start to the robot's pose, unless it is driving or the start was chosen."""
         state = self._state
+        state.begin_run()
         is_driving = state.planner_is_driving(self._node.now())
         if not (self._keeps_start or is_driving) and state.odom is not None:
             state.start = state.odom
@@ -210,6 +211,7 @@ class PoseCommands:
         self.abort()
         self._calls.request("cancel", now, report=False)
         self._state.clear_trails()
+        self._state.begin_run()
         start = self._state.start
         reason = self._relocator.simulation_reason(now)
         if start is None:
