@@ -192,15 +192,15 @@ def robot_processes(setup: RobotSetup) -> list[ProcessSpec]:
     if setup.drive == "can":
         for name, arguments in simulated_bus_arguments(setup.namespace, setup.sim_time).items():
             more.setdefault(name, []).extend(arguments)
-    arguments = {
+    of_nodes = {
         kind.name: _ros_arguments(kind, robot, setup, more.get(kind.name, ())) for kind in chosen
     }
-    for name, given in arguments.items():
+    for name, given in of_nodes.items():
         check_node(name, setup.namespace, given)
     return [
         ProcessSpec(
             kind.name,
-            node_command(kind.name, arguments[kind.name]),
+            node_command(kind.name, of_nodes[kind.name]),
             kind.stage,
             kind.essential or bool(setup.only),
         )

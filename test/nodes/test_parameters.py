@@ -137,3 +137,14 @@ def test_names_are_unique_and_every_parameter_has_a_description():
         names = [spec.name for spec in node_specs(node)]
         assert len(names) == len(set(names))
         assert all(spec.doc.endswith(".") for spec in node_specs(node)), node
+
+
+@pytest.mark.processes
+def test_a_parameter_file_that_rcl_cannot_read_is_named_with_the_line(tmp_path):
+    file = tmp_path / "broken.yaml"
+    file.write_text("/**:\n  ros__parameters:\n    a: [1\n")
+    code = "import sys; from omniman_ros.nodes import odometry; sys.exit(odometry.main(sys.argv))"
+    command = [sys.executable, "-c", code, "--ros-args", "--params-file", str(file)]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ended.returncode == 1
+    assert f"cannot start: {file}:4: did not find expected" in ended.stderr
