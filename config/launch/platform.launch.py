@@ -228,18 +228,21 @@ def start(context: LaunchContext) -> list[Any]:
     dodges = _is_true(given, "whole_body_planner")
     left_out = {"takes_tool_paths": False} if dodges else {}
     nodes.append(node("path_interpolator", *limits, {**common, **limited, **left_out}))
+    # Nodes that wait for the obstacles of the tracker, whatever becomes of it.
+    is_tracked = _is_true(given, "obstacle_tracker")
+    seeing = {**common, "obstacles.required": True} if is_tracked else common
     if dodges:
-        nodes.append(node("whole_body_planner", *limits, {**common, **limited}))
+        nodes.append(node("whole_body_planner", *limits, {**seeing, **limited}))
     if _is_true(given, "collision_monitor"):
-        nodes.append(node("collision_monitor", *limits, common, essential=False))
-    if _is_true(given, "obstacle_tracker"):
+        nodes.append(node("collision_monitor", *limits, seeing, essential=False))
+    if is_tracked:
         nodes.append(node("obstacle_tracker", *limits, common, essential=False))
     # The URDF has joints that somebody publishes only, and one node publishes it.
     is_armed = given["arm"] != "none"
     of_joints = {"publish_description": not has_description, "describe_arm": is_armed}
     nodes.append(node("joint_states_merger", *limits, {**common, **of_joints}, essential=False))
     if _is_true(given, "mpc"):
-        nodes.append(node("mpc_planner", common))
+        nodes.append(node("mpc_planner", seeing))
     if _is_true(given, "viewer"):
         nodes.append(node("viewer", common, essential=False))
     sim_time = {"use_sim_time": common["use_sim_time"]}

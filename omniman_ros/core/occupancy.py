@@ -40,6 +40,10 @@ class MapUpdate:
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", _checked(self.values))
 
+    def is_before(self, known: "OccupancyMap") -> bool:
+        """Return whether both are stamped, and the update is older than the map."""
+        return self.time is not None and known.time is not None and self.time < known.time
+
 
 @dataclass(frozen=True)
 class OccupancyMap:
@@ -89,7 +93,7 @@ class OccupancyMap:
         if self.time is not None:
             if update.time is None:
                 raise InputError("it is unstamped, and the map that it would change is stamped")
-            if update.time < self.time:
+            if update.is_before(self):
                 age = self.time - update.time
                 raise InputError(f"stale, {age:.3f} s before the map that it would change")
         (height, width), (rows, columns) = update.values.shape, self.values.shape

@@ -4,7 +4,6 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
-from visualization_msgs.msg import MarkerArray
 
 from omniman_ros.collision.monitor import RobotMotion
 from omniman_ros.collision.solids import UprightSolids
@@ -16,17 +15,16 @@ from omniman_ros.core.arm_model import JOINTS
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.description.urdf import carries_arm
-from omniman_ros.nodes import obstacle_interface
 from omniman_ros.nodes.collision_monitor_parameters import CollisionMonitorParameters
 from omniman_ros.nodes.frame_transforms import FrameTransforms
 from omniman_ros.nodes.map_interface import MapInterface
-from omniman_ros.nodes.obstacle_interface import marker_headers
+from omniman_ros.nodes.obstacle_interface import ObstacleInterface
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
+from omniman_ros.nodes.source_watch import SourceWatch
 from omniman_ros.nodes.stop_interface import LATCHED
 from omniman_ros.nodes.trajectory_interfaces.arm_feed import ArmFeed
 from omniman_ros.nodes.trajectory_interfaces.odom_feed import OdomFeed
-from omniman_ros.planning.obstacles.framed_obstacles import FramedObstacles
 from omniman_ros.planning.obstacles.grid_map import GridMap
 from omniman_ros.planning.obstacles.surroundings import ellipse_surroundings, grid_solids
 
@@ -55,15 +53,16 @@ class CollisionMonitorInputs:
         self._has_arm = carries_arm(p.description.robot)
         self._odom = OdomFeed(node, "odom", p.frames.odom.odom_frame, lambda pose, at: None)
         self._arm = ArmFeed(node, self._joints, lambda: False, lambda: None)
-        self._obstacles = FramedObstacles(p.obstacles)
+        frames = FrameTransforms(node, lambda: settings.value.frames)
+        self._watch = SourceWatch(node, frames)
+        self._obstacles = ObstacleInterface(node, frames, p.obstacles, self._watch)
         self._map = UprightSolids.join([])
-        self._frames = FrameTransforms(node, lambda: settings.value.frames)
-        self._grid = MapInterface(node, self._frames, p.map_reading.rule, self._use_map)
-        on_obstacles = self._frames.deferred("obstacles", marker_headers, self._on_obstacles)
+        self._grid = MapInterface(
+            node, frames, p.map_reading.rule, self._use_map, self._watch
+        )
         self._demands: dict[tuple[str, ...], tuple[float, Array]] = {}
         self.braking_scale = 1.0
         for kind, topic, handler, qos in (
-            (MarkerArray, "obstacles", on_obstacles, QoSProfile(depth=50)),
             (JointState, "motion_demand", self._on_demand, QoSProfile(depth=10)),
             (DiagnosticStatus, "wheel_health", self._on_health, LATCHED),
         ):
@@ -75,13 +74,6 @@ class CollisionMonitorInputs:
         self._grid.configure(new.map_reading.rule)
 
     # ---- messages -------------------------------------------------------------------------------
-
-    def _on_obstacles(self, message: MarkerArray) -> str:
-        faults = obstacle_interface.update_obstacles(
-            self._node, message, self._obstacles, self._frames.placement
-        )
-        more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
-        return faults[0] + more if faults else ""
 
     def _use_map(self, grid: GridMap) -> None:
         self._map = grid_solids(grid)
@@ -113,8 +105,8 @@ class CollisionMonitorInputs:
             faults.append(f"odom is {self._odom.age:.2f} s old")
         if self.sees_arm and self._arm.age > timeout:
             faults.append(f"arm/joint_states are {self._arm.age:.2f} s old")
-        silence = self._obstacles.silence_reason(self._node.now())
-        return [*faults, silence] if silence else faults
+        blind = self._watch.blind_reason()
+        return [*faults, blind] if blind else faults
 
     def robot(self) -> RobotMotion | None:
         """Return where the robot is and how it moves, as last measured; None without odometry."""
@@ -137,9 +129,7 @@ class CollisionMonitorInputs:
         if self._odom.pose is not None:
             x, y, theta = self._odom.pose
             self._grid.update((x, y, theta))
-        ellipses = self._obstacles.ellipses(
-            self._node.now(), lambda frame: self._frames.anchor(frame).planar()
-        )
+        ellipses = self._obstacles.ellipses()
         return Surroundings.join(
             [ellipse_surroundings(ellipses), Surroundings.standing(self._map)]
         )

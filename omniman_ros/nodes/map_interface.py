@@ -5,15 +5,19 @@ from collections.abc import Callable
 from typing import Any
 
 from nav_msgs.msg import OccupancyGrid
+from std_msgs.msg import Header
 
 from omniman_ros.conversions.maps import map_from_message, map_update_from_message
 from omniman_ros.core import se2
+from omniman_ros.core.errors import InputError
 from omniman_ros.core.occupancy import OccupancyMap
 from omniman_ros.core.rigid import PlanarPose
-from omniman_ros.core.transform_tree import ODOM, Placement
+from omniman_ros.core.source_monitor import SourceMonitor, SourceTerms
+from omniman_ros.core.transform_tree import ODOM, Placement, TransformError
 from omniman_ros.nodes import map_messages
 from omniman_ros.nodes.frame_transforms import FrameTransforms
 from omniman_ros.nodes.omniman_node import OmnimanNode
+from omniman_ros.nodes.source_watch import SourceWatch
 from omniman_ros.nodes.stop_interface import LATCHED
 from omniman_ros.planning.obstacles.grid_map import GridMap
 
@@ -21,6 +25,10 @@ MOST_SHIFT = 0.005
 """Distance by which a map may be wrong where the robot is, before it is moved [m]."""
 MOST_TURN = 0.002
 """Angle by which a map may be wrong before it is moved [rad]: 1 cm at a distance of 5 m."""
+PLACE_PERIOD = 0.5
+"""Period at which a map is placed again whose transform was missing [s]: it comes only once."""
+TERMS = SourceTerms(patience=2.0)
+"""What is expected of the source of the map: it may send once, as it is latched."""
 
 Rule = tuple[int, bool]
 """Occupancy from which on a cell counts as occupied, 1 to 100 [%], and whether cells of unknown
@@ -35,6 +43,7 @@ class MapInterface:
         frames: Transforms of the node.
         rule: How its cells are read.
         use: Called with the map in odom.
+        watch: Watch over the sources of the node.
     """
 
     def __init__(
@@ -43,23 +52,26 @@ class MapInterface:
         frames: FrameTransforms,
         rule: Rule,
         use: Callable[[GridMap], None],
+        watch: SourceWatch,
     ) -> None:
         self._node, self._frames, self._use = node, frames, use
+        self._source = SourceMonitor(map_messages.TOPIC, TERMS)
+        self._unplaced: OccupancyGrid | None = None
         self._map: OccupancyMap | None = None
         self._grid: GridMap | None = None
         self._rule = rule
         self._placement = Placement(ODOM)
         self._anchor: PlanarPose = (0.0, 0.0, 0.0)
-        updates = map_messages.OccupancyGridUpdate
+        watch.subscribe(OccupancyGrid, self._source, _headers, self._on_map, LATCHED)
+        node.every(PLACE_PERIOD, self._place_late)
+        updates, topic = map_messages.OccupancyGridUpdate, map_messages.UPDATES_TOPIC
         if updates is None:
             node.get_logger().info("map_msgs is not installed: map_updates are not received")
-        for kind, topic, handler, qos in (
-            (OccupancyGrid, map_messages.TOPIC, self._on_map, LATCHED),
-            (updates, map_messages.UPDATES_TOPIC, self._on_update, map_messages.UPDATES),
-        ):
-            if kind is not None:
-                waiting = frames.deferred(topic, lambda message: [message.header], handler)
-                node.create_subscription(kind, topic, node.guarded(topic, waiting), qos)
+            return
+        waiting = frames.deferred(topic, _headers, self._on_update)
+        node.create_subscription(
+            updates, topic, node.guarded(topic, waiting), map_messages.UPDATES
+        )
 
     def configure(self, rule: Rule) -> None:
         """Read the cells of the last map by another rule.
@@ -91,18 +103,51 @@ class MapInterface:
             self._place(self._grid, anchor)
 
     def _on_map(self, message: OccupancyGrid) -> None:
-        placement = self._frames.placement(message.header)
+        self._unplaced = None
+        try:
+            placement = self._frames.placement(message.header)
+        except TransformError:
+            self._unplaced = message
+            raise
         before = self._grid
         grid = self._keep(map_from_message(message), placement)
         if before is None or before.size != grid.size:
             length, width = grid.size
             self._node.get_logger().info(f"map received: {length:.1f} x {width:.1f} m")
 
+    def _place_late(self) -> None:
+        """Use the last map if its transform was missing, and has come."""
+        if self._unplaced is None:
+            return
+        message = self._unplaced
+        try:
+            self._frames.into_odom(message.header)
+            self._on_map(message)
+        except TransformError:
+            return
+        except InputError as error:
+            self._source.refuse(str(error))
+            self._node.warn("map", f"map ignored: {error}")
+        else:
+            self._source.use(self._node.now())
+
     def _on_update(self, message: Any) -> str | None:
+        update = map_update_from_message(message)
         if self._map is None:
-            return "there is no map yet that it could change"
-        self._keep(self._map.updated(map_update_from_message(message)), self._placement)
+            return self._lost("there is no map yet that it could change")
+        try:
+            changed = self._map.updated(update)
+        except InputError as error:
+            if not update.is_before(self._map):  # else the map has newer cells
+                self._lost(str(error))
+            raise
+        self._keep(changed, self._placement)
         return None
+
+    def _lost(self, reason: str) -> str:
+        """Note and return why an update cannot be used; the next whole map has what it told."""
+        self._source.refuse(f"a part of it is not known: map_updates: {reason}")
+        return reason
 
     def _keep(self, received: OccupancyMap, placement: Placement) -> GridMap:
         """Keep, use and return a map, unless it is refused."""
@@ -116,3 +161,7 @@ class MapInterface:
     def _place(self, grid: GridMap, anchor: PlanarPose) -> None:
         self._anchor = anchor
         self._use(grid.displaced(anchor) if self._placement.frame else grid)
+
+
+def _headers(message: Any) -> list[Header]:
+    return [message.header]

@@ -1,16 +1,94 @@
-"""Update of a set of obstacles from markers, for every node that keeps obstacles."""
+"""Obstacles from markers, for every node that keeps obstacles."""
 
 from collections.abc import Callable
 
+from rclpy.qos import QoSProfile
 from std_msgs.msg import Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from omniman_ros.conversions.obstacles import marker_changes
 from omniman_ros.core.errors import InputError
+from omniman_ros.core.source_monitor import SourceMonitor, SourceTerms
 from omniman_ros.core.transform_tree import Placement
+from omniman_ros.nodes.frame_transforms import FrameTransforms
 from omniman_ros.nodes.omniman_node import OmnimanNode
+from omniman_ros.nodes.source_watch import SourceWatch
+from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.obstacles.framed_obstacles import FramedObstacles
-from omniman_ros.planning.obstacles.obstacles import Observation, ObstacleSet
+from omniman_ros.planning.obstacles.obstacles import (
+    Key,
+    Observation,
+    ObstacleParameters,
+    ObstacleSet,
+)
+
+
+class ObstacleInterface:
+    """Keeps the obstacles of `obstacles`.
+
+    Args:
+        node: Node that receives the messages.
+        frames: Transforms of the node.
+        parameters: Parameters.
+        watch: Watch over the sources of the node.
+    """
+
+    def __init__(
+        self,
+        node: OmnimanNode,
+        frames: FrameTransforms,
+        parameters: ObstacleParameters,
+        watch: SourceWatch,
+    ) -> None:
+        self._node, self._frames, self._watch = node, frames, watch
+        self._known = FramedObstacles(parameters)
+        self._source = SourceMonitor("obstacles", _terms(parameters))
+        watch.subscribe(
+            MarkerArray, self._source, marker_headers, self._receive, QoSProfile(depth=50)
+        )
+
+    def configure(self, parameters: ObstacleParameters) -> None:
+        """Use other parameters."""
+        self._known.configure(parameters)
+        self._source.terms = _terms(parameters)
+
+    def __len__(self) -> int:
+        """Return the number of obstacles."""
+        return len(self._known)
+
+    @property
+    def keys(self) -> tuple[Key, ...]:
+        """Keys of the obstacles, in the order of `ellipses` at the same time."""
+        return self._known.keys
+
+    def ellipses(self) -> Ellipses:
+        """Return the obstacles in odom now."""
+        return self._known.ellipses(
+            self._node.now(), lambda frame: self._frames.anchor(frame).planar()
+        )
+
+    def dismiss_silent_source(self) -> None:
+        """Stop waiting for a silent source of obstacles that no longer exists.
+
+        Only a new task justifies this: somebody has sent it without the source. A motion that was
+        under way when the source fell silent stays stopped.
+        """
+        if not self._source.blind_reason(self._node.now()):
+            return
+        self._watch.survey()
+        if self._source.dismiss():
+            text = "the source of obstacles is gone: the last known obstacles are used"
+            self._node.warn("source gone", text)
+
+    def _receive(self, message: MarkerArray) -> str:
+        faults = update_obstacles(self._node, message, self._known, self._frames.placement)
+        more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
+        return faults[0] + more if faults else ""
+
+
+def _terms(parameters: ObstacleParameters) -> SourceTerms:
+    """Return what is expected of the source of obstacles."""
+    return SourceTerms(parameters.timeout, parameters.timeout, parameters.required)
 
 
 def marker_headers(message: MarkerArray) -> list[Header]:
@@ -30,9 +108,6 @@ def update_obstacles(
 ) -> list[str]:
     """Apply the valid changes of a message in their order.
 
-    A message without any valid change does not count as a sign of life of its source; an empty
-    message does: it reports that there are no obstacles.
-
     Args:
         node: Node whose clock is used.
         message: Markers to add, change or delete.
@@ -44,7 +119,6 @@ def update_obstacles(
     """
     now = node.now()
     changes, faults = marker_changes(message, place, lambda stamp: min(node.instant(stamp), now))
-    is_alive = not message.markers
     for change in changes:
         if isinstance(change, Observation):
             try:
@@ -56,7 +130,4 @@ def update_obstacles(
             obstacles.delete_all(change.namespace)
         else:
             obstacles.delete((change.namespace, change.number))
-        is_alive = True
-    if is_alive:
-        obstacles.note_message(now)
     return faults

@@ -35,6 +35,8 @@ LIFETIME = 0.5
 """Time after which an obstacle is forgotten by readers that receive nothing more of it [s]."""
 HEIGHT_MARGIN = 0.05
 """Vertical gap up to which a part of the robot may be in the way of a beam [m]."""
+REPORT_PERIOD = 1.0
+"""Period at which is looked whether scanners have become silent, which is logged [s]."""
 POSTURE_TOLERANCE = 0.02
 """Rotation of a joint up to which the robot's outline stays [rad]."""
 
@@ -66,10 +68,13 @@ class ObstacleTrackerNode(OmnimanNode):
         self._odom = OdomFeed(self, "odom", self._odom_frame, self._on_pose)
         self._markers = self.create_publisher(MarkerArray, "obstacles", QoSProfile(depth=50))
         self._tracks = self.create_publisher(PointCloud2, "obstacle_tracks", QoSProfile(depth=5))
-        self._maps = MapPublisher(self, self.core, self._odom_frame, p.map_rate)
+        if p.map_rate > 0.0:  # else nobody is to wait for a map
+            MapPublisher(self, self.core, self._odom_frame, p.map_rate)
         self._unseen = self.create_publisher(OccupancyGrid, "unseen", QoSProfile(depth=1))
         self._scanners = Scanners(self, self.settings, lambda: self.core.poses, self._on_scan)
         self._reported: set[int] = set()
+        self._is_silent = False
+        self.every(REPORT_PERIOD, self._report_scanners)
 
     def _configure(self, new: ObstacleTrackerParameters) -> None:
         """Use new parameters."""
@@ -134,6 +139,15 @@ class ObstacleTrackerNode(OmnimanNode):
         )
         self._markers.publish(markers)
         self._tracks.publish(track_cloud(obstacles, self._odom_frame, stamp))
+
+    def _report_scanners(self) -> None:
+        """Log when scanners become silent or blind, and when all of them see again."""
+        faults = self._scanners.faults()
+        if faults and not self._is_silent:
+            self.warn("silent", f"obstacles are silent: {'; '.join(faults)}")
+        elif self._is_silent and not faults:
+            self.get_logger().info("all scanners see again")
+        self._is_silent = bool(faults)
 
     # ---- status ---------------------------------------------------------------------------------
 

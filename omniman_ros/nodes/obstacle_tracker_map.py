@@ -33,7 +33,7 @@ class MapPublisher:
         node: Node that publishes.
         core: The tracker.
         frame: Name of odom.
-        rate: Rate [Hz]; 0: nothing is published by itself.
+        rate: Rate [Hz].
     """
 
     def __init__(
@@ -51,8 +51,7 @@ class MapPublisher:
         self._sent: tuple[NDArray[np.int8], Array] | None = None
         self._time = self._whole = -math.inf
         self._readers = 0
-        if rate > 0.0:
-            node.every(1.0 / rate, self._publish)
+        node.every(1.0 / rate, self._publish)
 
     def _publish(self) -> None:
         """Publish the map if a scan has come since the last time."""

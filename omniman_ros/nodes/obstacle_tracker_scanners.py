@@ -62,7 +62,8 @@ class Scanners:
             if reason:
                 found.append(f"{scanner.topic} is {reason}")
             elif math.isinf(age):
-                found.append(f"no {scanner.topic}")
+                is_sent = self._node.count_publishers(scanner.topic)
+                found.append(f"no {scanner.topic}{'' if is_sent else ': nobody publishes it'}")
             elif age > p.scan_check.timeout:
                 found.append(f"{scanner.topic} is {age:.2f} s old")
         return found

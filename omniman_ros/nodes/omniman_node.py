@@ -5,12 +5,15 @@ from pathlib import PurePath
 from typing import Any, ParamSpec
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.publisher import Publisher
+from rclpy.subscription import Subscription
 
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.throttle import Throttle
 from omniman_ros.nodes.foreign_types import ForeignTypes
 from omniman_ros.nodes.timed_node import NoTimeError, TimedNode
+from omniman_ros.nodes.topic_publishers import topic_publishers
 
 P = ParamSpec("P")
 
@@ -21,11 +24,14 @@ WARNING_PERIOD = 1.0
 class OmnimanNode(TimedNode):
     """A node that warns at a limited rate, reports diagnostics, and comes to rest at its end.
 
+    It warns of publishers whose quality of service keeps its subscriptions from receiving them.
+
     Attributes:
         foreign_types: Warns of publishers whose type is not what the node reads.
     """
 
     def __init__(self, name: str, **options: Any) -> None:
+        self._mismatched: dict[str, Subscription] = {}
         super().__init__(name, **options)
         self._throttle = Throttle(WARNING_PERIOD)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -33,6 +39,34 @@ class OmnimanNode(TimedNode):
         self.foreign_types = ForeignTypes(self, self.warn)
         self.every(1.0, self._each_second)
         self.every(0.1, self.report_changes)
+
+    def create_subscription(
+        self, msg_type: Any, topic: str, callback: Any, qos_profile: Any, **options: Any
+    ) -> Subscription:
+        """Create a subscription as rclpy does, and note publishers that do not match it."""
+        subscription: Subscription | None = None
+
+        def note(_: object) -> None:
+            if subscription is not None:
+                self._mismatched[topic] = subscription
+
+        if options.get("event_callbacks") is None:
+            options["event_callbacks"] = SubscriptionEventCallbacks(incompatible_qos=note)
+        subscription = super().create_subscription(
+            msg_type, topic, callback, qos_profile, **options
+        )
+        return subscription
+
+    def _warn_of_mismatches(self) -> None:
+        """Name the publishers that were found not to match; their names come a moment later."""
+        while self._mismatched:
+            topic, subscription = self._mismatched.popitem()
+            for publisher in topic_publishers(self, subscription):
+                if publisher.mismatch:
+                    self.warn(
+                        f"{topic} of {publisher.name}",
+                        f"{topic} of {publisher.name} cannot be received: {publisher.mismatch}",
+                    )
 
     def warn(self, subject: str, text: str) -> None:
         """Log a warning, at most once a second per subject, and count it for the diagnostics."""
@@ -96,6 +130,7 @@ class OmnimanNode(TimedNode):
 
     def report(self) -> None:
         """Publish the diagnostics."""
+        self._warn_of_mismatches()
         level, message, values = self.status()
         self._status = (level, message)
         counts = [(f"warned: {name}", count) for name, count in self.warning_counts.items()]

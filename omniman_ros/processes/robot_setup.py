@@ -97,6 +97,9 @@ LIMITED_NODES = (
 )
 """Nodes that obey the collision monitor, and stop without it, where it is started."""
 
+SEEING_NODES = ("mpc_planner", WHOLE_BODY_PLANNER, COLLISION_MONITOR)
+"""Nodes that wait for the obstacles of the tracker where it is started, whatever becomes of it."""
+
 ARM_AWARE_NODES = (
     "path_interpolator",
     WHOLE_BODY_PLANNER,
@@ -158,6 +161,11 @@ class RobotSetup:
     def is_limited(self) -> bool:
         """Whether a collision monitor is started."""
         return COLLISION_MONITOR in self.only if self.only else self.collision_monitor
+
+    @property
+    def has_obstacle_tracker(self) -> bool:
+        """Whether laser scans are turned into obstacles and a map."""
+        return OBSTACLE_TRACKER in self.only if self.only else self.obstacle_tracker
 
     @property
     def has_whole_body_planner(self) -> bool:
@@ -246,7 +254,7 @@ def _is_chosen(kind: NodeKind, setup: RobotSetup, arm: str) -> bool:
     if kind.name == COLLISION_MONITOR:
         return setup.is_limited
     if kind.name == OBSTACLE_TRACKER:
-        return setup.obstacle_tracker
+        return setup.has_obstacle_tracker
     if kind.name == WHOLE_BODY_PLANNER:
         return setup.has_whole_body_planner
     drives = kind.drives
@@ -312,6 +320,18 @@ def _world_arguments(kind: NodeKind, world: str) -> list[str]:
     return ["-p", "scanners_by_tf:=false"] if kind.name in (OBSTACLE_TRACKER, VIEWER_NODE) else []
 
 
+def _peer_arguments(kind: NodeKind, setup: RobotSetup) -> list[str]:
+    """Return the ROS arguments by which a node counts on others that are started."""
+    arguments = []
+    if setup.is_limited and kind.name in LIMITED_NODES:
+        arguments += ["-p", "collision_monitor.use:=true"]
+    if setup.has_obstacle_tracker and kind.name in SEEING_NODES:
+        arguments += ["-p", "obstacles.required:=true"]
+    if setup.has_whole_body_planner and kind.name == "path_interpolator":
+        arguments += ["-p", "takes_tool_paths:=false"]
+    return arguments
+
+
 def _ros_arguments(
     kind: NodeKind, robot: str, setup: RobotSetup, more: Sequence[str]
 ) -> list[str]:
@@ -321,11 +341,7 @@ def _ros_arguments(
         arguments += _world_arguments(kind, setup.world)
     if set(kind.drives) & {"can", "real"}:
         arguments += ["--params-file", find_installation_file(setup.installation)]
-    arguments += more
-    if setup.is_limited and kind.name in LIMITED_NODES:
-        arguments += ["-p", "collision_monitor.use:=true"]
-    if setup.has_whole_body_planner and kind.name == "path_interpolator":
-        arguments += ["-p", "takes_tool_paths:=false"]
+    arguments += [*more, *_peer_arguments(kind, setup)]
     if setup.params_file is not None:
         arguments += ["--params-file", setup.params_file]
     for text in setup.params:

@@ -554,6 +554,14 @@ def test_the_obstacle_tracker_is_started_on_request(platform):
     assert nodes["obstacle_tracker"] == ("", {"robot": "omniman", "use_sim_time": True})
 
 
+def test_who_plans_and_limits_awaits_the_obstacles_of_the_tracker_where_it_is_started(platform):
+    given = {"mpc": "true", "collision_monitor": "true", "whole_body_planner": "true"}
+    for is_tracked in (True, False):
+        _, nodes = platform(obstacle_tracker=str(is_tracked).lower(), **given)
+        for name in ("mpc_planner", "collision_monitor", "whole_body_planner"):
+            assert ("obstacles.required" in nodes[name][1]) == is_tracked
+
+
 def test_the_whole_body_planner_takes_the_tool_paths_on_request(platform):
     _, nodes = platform(whole_body_planner="true", collision_monitor="true")
     shared = {"robot": "omniman", "use_sim_time": False, "collision_monitor.use": True}

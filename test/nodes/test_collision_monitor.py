@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from builtin_interfaces.msg import Duration
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
-from geometry_msgs.msg import Twist
+from geometry_msgs.msg import Twist, Vector3
 from nav_msgs.msg import OccupancyGrid, Odometry, Path
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
@@ -266,6 +266,50 @@ def test_the_robot_passes_below_and_above_what_is_not_at_its_height(heights, is_
 
         world.run(0.1, ask)
         assert (world.shares == [1.0, 1.0]) == is_free
+
+
+UNUSABLE = {
+    "a source that never sends": (MarkerArray, "obstacles", 10, None, "no obstacles yet from"),
+    "obstacles in a frame that nothing relates to odom": (
+        MarkerArray,
+        "obstacles",
+        10,
+        MarkerArray(markers=[Marker(type=Marker.CYLINDER, scale=Vector3(x=1.0, y=1.0))]),
+        "obstacles cannot be used: marker '' 0: it has frame ''",
+    ),
+    "a map in a frame that nothing relates to odom": (
+        OccupancyGrid,
+        "map",
+        LATCHED,
+        OccupancyGrid(),
+        "map cannot be used: it has frame ''",
+    ),
+    "a volatile map": (
+        OccupancyGrid,
+        "map",
+        10,
+        None,
+        "map of /probe cannot be received: its quality of service is volatile",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", UNUSABLE)
+def test_what_is_published_and_not_got_in_usable_form_makes_the_monitor_blind(case):
+    kind, topic, qos, message, reason = UNUSABLE[case]
+    with Watcher() as world:
+        logged = []
+        world.nodes[0].warn = lambda subject, text: logged.append(text)
+        world.run(1.2, world.measure)
+        assert world.shares == [1.0, 1.0], "nobody publishes: it has no sensors"
+        publisher = world.probe.create_publisher(kind, topic, qos)
+        if message is not None:
+            world._await(lambda: publisher.get_subscription_count() > 0, "the monitor")
+            publisher.publish(message)
+        world.run(2.6, world.measure)
+        assert world.shares == [0.1, 0.1]
+        assert world.nodes[0].state.name == "blind" and reason in world.nodes[0].state.reason
+        assert any(f"the robot is blind: {topic}" in text or reason in text for text in logged)
 
 
 def strip_of_cells(value: int) -> OccupancyGrid:

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 from rclpy.event_handler import QoSSubscriptionEventType
-from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from rclpy.time import Time
 from sensor_msgs.msg import JointState
@@ -104,5 +104,24 @@ def test_a_volatile_publisher_of_emergency_stop_is_no_reason_to_warn(capfd):
         capfd.readouterr()
         handlers[DurabilityPolicy.TRANSIENT_LOCAL].callback(event)
         assert not capfd.readouterr().err
-        handlers[DurabilityPolicy.VOLATILE].callback(event)  # of a reliability that matches none
-        assert "incompatible QoS" in capfd.readouterr().err
+        node.report()
+        assert not capfd.readouterr().err
+
+
+def test_a_publisher_that_a_subscription_cannot_receive_is_named():
+    incompatible = QoSSubscriptionEventType.RCL_SUBSCRIPTION_REQUESTED_INCOMPATIBLE_QOS
+    with World(SimulatedDriveNode) as world:
+        (node,) = world.nodes
+        (subscription,) = (s for s in node.subscriptions if s.topic_name == "/wheel_commands")
+        offered = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+        world.probe.create_publisher(JointState, "wheel_commands", offered)
+        world._await(lambda: node.count_publishers("wheel_commands") > 0, "the publisher")
+        warnings = []
+        node.warn = lambda subject, text: warnings.append(text)
+        (handler,) = (h for h in subscription.event_handlers if h.event_type == incompatible)
+        handler.callback(SimpleNamespace(last_policy_kind=QoSPolicyKind.RELIABILITY))
+        world.run(1.1)
+        assert warnings == [
+            "wheel_commands of /probe cannot be received: its quality of service is best effort, "
+            "expected reliable"
+        ]

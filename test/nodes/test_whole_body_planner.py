@@ -44,7 +44,8 @@ class DodgeWorld(ToolWorld):
         self._judge = Judge(posts) if posts else None
         self._markers = None
         super().__init__(parameters)
-        self._markers = self.publisher(MarkerArray, "obstacles", 50)
+        if posts:  # who has a publisher is expected to publish
+            self._markers = self.publisher(MarkerArray, "obstacles", 50)
         self.hooks.append(self._look)
         self.run(0.2)
 

@@ -7,6 +7,7 @@ distances by the physics engine, from the true pose and the true joint angles.
 import itertools
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from builtin_interfaces.msg import Duration
@@ -144,7 +145,6 @@ class WholeRobot(World):
         super().__init__(*makers, self._make_streamer, parameters=parameters)
         self.drive, self.controller, self.interpolator, self.monitor, self.streamer = self.nodes
         self._markers = self.publisher(MarkerArray, "obstacles")
-        self._maps = self.publisher(OccupancyGrid, "map", LATCHED)
         self.gaps = []
         self._ticks = itertools.count()
         self.show(things)
@@ -185,6 +185,11 @@ class WholeRobot(World):
             if isinstance(thing, Wall):
                 self._maps.publish(thing.map())
         self._report()
+
+    @cached_property
+    def _maps(self):
+        """The publisher of maps: who has one is expected to publish."""
+        return self.publisher(OccupancyGrid, "map", LATCHED)
 
     def _report(self):
         """Publish the posts."""

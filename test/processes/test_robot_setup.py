@@ -58,6 +58,13 @@ def test_the_controller_needs_the_collision_monitor_where_there_is_one():
         assert used not in arguments(setup, "platform_controller")
 
 
+def test_who_plans_and_limits_awaits_the_obstacles_of_the_tracker_where_it_is_started():
+    required = "-p obstacles.required:=true"
+    for name in ("mpc_planner", "whole_body_planner", "collision_monitor"):
+        assert required in arguments(RobotSetup(only=[name, "obstacle_tracker"]), name)
+        assert required not in arguments(RobotSetup(only=[name]), name)
+
+
 def test_the_obstacle_tracker_is_started_on_request(with_engine):
     assert "obstacle_tracker" not in specs_by_name(RobotSetup())
     assert "obstacle_tracker" in specs_by_name(RobotSetup(obstacle_tracker=True))

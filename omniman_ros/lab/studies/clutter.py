@@ -249,7 +249,6 @@ class ScannerSenses:
             heights=(p.z, p.z),
         )
         self._tracker.add_scan(scan, loop.planner.footprint)
-        loop.observed.note_message(now)
         for thing in self._tracker.obstacles(scan.end):
             seen = Observation(
                 key=("tracker", thing.number),

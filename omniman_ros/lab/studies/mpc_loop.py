@@ -297,7 +297,6 @@ class MpcLoop:
         if self.now - self._last_observation < OBSERVATION_PERIOD - 1e-9 or not self.obstacles:
             return
         self._last_observation = self.now
-        self.observed.note_message(self.now)
         for k, obstacle in enumerate(self.obstacles):
             x, y = obstacle.place(self.now) + self._noise * self._random.standard_normal(2)
             observation = Observation(

@@ -69,7 +69,7 @@ class GoalAdmission:
         except InputError as error:
             self._goals.reject(str(error))
             raise
-        self._sensors.dismiss_silent_source()
+        self._sensors.obstacles.dismiss_silent_source()
         self._goals.receive()
         self._pending.put(lambda: self._start(goal))
         return self.attempt()
@@ -114,4 +114,4 @@ class GoalAdmission:
         assert measured is not None
         now = self._node.now()
         self._planner.footprint = self._posture.footprint(now)
-        self._anchor.drive(goal, measured, self._sensors.ellipses(now))
+        self._anchor.drive(goal, measured, self._sensors.obstacles.ellipses())

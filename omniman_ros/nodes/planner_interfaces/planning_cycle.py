@@ -30,7 +30,7 @@ class PlanningCycle:
         goals: Log of the goals' outcomes.
 
     Attributes:
-        silence: Why the obstacles, the arm's posture or the goal's place in odom are not known,
+        silence: Why the surroundings, the arm's posture or the goal's place in odom are not known,
             while the robot waits for them, or empty.
         solve_time: Duration of the last planning [s]; NaN before the first.
     """
@@ -53,13 +53,13 @@ class PlanningCycle:
         self.solve_time = math.nan
 
     def silence_reason(self, now: float) -> str:
-        """Return why the obstacles or the arm's posture are not known, or an empty string.
+        """Return why the surroundings or the arm's posture are not known, or an empty string.
 
         Args:
             now: Time of the node's clock [s].
         """
         posture = self._posture.silence_reason(now)
-        return self._sensors.obstacles.silence_reason(now) or posture
+        return self._sensors.blind_reason() or posture
 
     def run(self, now: float, measured: MeasuredState) -> None:
         """Plan towards the goal, check the plan and send it; brake while something is unknown.
@@ -70,7 +70,7 @@ class PlanningCycle:
         """
         planner = self._planner
         silence = self.silence_reason(now) or self._anchor.silence_reason()
-        obstacles = self._sensors.ellipses(now)
+        obstacles = self._sensors.obstacles.ellipses()
         if silence:
             if not self.silence:
                 planner.brake(now)
@@ -105,5 +105,5 @@ class PlanningCycle:
             if self.silence_reason(now):
                 self._planner.brake(now)
             else:
-                self._planner.coast(now, measured, self._sensors.ellipses(now))
+                self._planner.coast(now, measured, self._sensors.obstacles.ellipses())
         self._publisher.send(now)

@@ -40,11 +40,6 @@ class FramedObstacles:
         for obstacles in self._sets.values():
             obstacles.configure(parameters)
 
-    def note_message(self, now: float) -> None:
-        """Record that the source has sent a message, which may be empty, at a time [s]."""
-        for obstacles in self._sets.values():
-            obstacles.note_message(now)
-
     def add(self, observation: Observation, now: float) -> None:
         """Add an observation at a time [s]; see `ObstacleSet.add`.
 
@@ -54,7 +49,6 @@ class FramedObstacles:
         if observation.frame not in self._sets:
             self._sets[observation.frame] = ObstacleSet(self._parameters)
         self._sets[observation.frame].add(observation, now)
-        self._sets[ODOM].note_message(now)
         for frame, obstacles in self._sets.items():
             if frame != observation.frame:
                 obstacles.delete(observation.key)
@@ -68,15 +62,6 @@ class FramedObstacles:
         """Delete all obstacles, or those of a namespace."""
         for obstacles in self._sets.values():
             obstacles.delete_all(namespace)
-
-    def dismiss_source(self) -> None:
-        """Expect no source any more; its obstacles stay known."""
-        for obstacles in self._sets.values():
-            obstacles.dismiss_source()
-
-    def silence_reason(self, now: float) -> str:
-        """Return why the source cannot be trusted at a time [s], or an empty string."""
-        return self._sets[ODOM].silence_reason(now)
 
     def ellipses(self, now: float, anchor: Callable[[str], PlanarPose]) -> Ellipses:
         """Return the obstacles at a time [s] in odom, in the order of `keys`.

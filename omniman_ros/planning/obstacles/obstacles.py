@@ -1,4 +1,4 @@
-"""Set of the obstacles that a source reports: tracked, expired in time, available as ellipses."""
+"""Set of the obstacles that are reported: tracked, expired in time, available as ellipses."""
 
 import math
 from dataclasses import dataclass, replace
@@ -36,18 +36,20 @@ observed for the first time would block the whole workspace."""
 
 @dataclass(frozen=True)
 class ObstacleParameters:
-    """Parameters of the tracking of obstacles and of the monitoring of their source."""
+    """Parameters of the tracking of obstacles, and what is expected of their source."""
 
     tracking: TrackingParameters = inline()
     timeout: float = parameter(
         1.0,
-        "Age of the source's last message at which it counts as silent; 0: never.",
+        "Age of the last usable message at which the source counts as silent, and time that who "
+        "publishes has until the first one; 0: never.",
         unit="s",
         low=0.0,
         high=3600.0,
     )
     required: bool = parameter(
-        False, "Whether the robot waits for a source of obstacles before it moves."
+        False,
+        "Whether the robot waits for obstacles before it moves although nobody publishes them.",
     )
     most: int = parameter(
         1000,
@@ -147,7 +149,7 @@ class ObstacleSet:
     def __init__(self, parameters: ObstacleParameters) -> None:
         self._parameters = parameters
         self._obstacles: dict[Key, _Obstacle] = {}
-        self._last_message = -math.inf
+        self._latest = -math.inf
         self._table: _Table | None = None
 
     def configure(self, parameters: ObstacleParameters) -> None:
@@ -157,11 +159,6 @@ class ObstacleSet:
 
     def __len__(self) -> int:
         return len(self._obstacles)
-
-    def note_message(self, now: float) -> None:
-        """Record that the source has sent a message, which may be empty, at a time [s]."""
-        self._check_clock(now)
-        self._last_message = now
 
     def add(self, observation: Observation, now: float) -> None:
         """Add an observation at a time [s]; one that is older than the obstacle's last is ignored.
@@ -192,7 +189,7 @@ class ObstacleSet:
             # The same observation again keeps it alive, and may change its shape.
             known.track.observe(time, observation.x, observation.y)
             known.seen, known.expiry = observation, expiry
-        self._last_message = now  # a refused observation does not count as a message
+        self._latest = now
         self._table = None
 
     def delete(self, key: Key) -> None:
@@ -208,19 +205,6 @@ class ObstacleSet:
             if namespace and key[0] != namespace
         }
         self._table = None
-
-    def dismiss_source(self) -> None:
-        """Expect no source any more; its obstacles stay known."""
-        self._last_message = -math.inf
-
-    def silence_reason(self, now: float) -> str:
-        """Return why the source cannot be trusted at a time [s], or an empty string."""
-        self._check_clock(now)
-        p = self._parameters
-        if self._last_message == -math.inf:
-            return "no obstacle source yet" if p.required else ""
-        age = now - self._last_message
-        return f"no obstacles received for {age:.1f} s" if 0.0 < p.timeout < age else ""
 
     def ellipses(self, now: float) -> Ellipses:
         """Return the obstacles at a time [s], in the order in which they were first seen.
@@ -266,9 +250,9 @@ class ObstacleSet:
 
     def _check_clock(self, now: float) -> None:
         """Restart the tracks at their last observations if the clock went back."""
-        if now >= self._last_message - MAX_LEAD:
+        if now >= self._latest - MAX_LEAD:
             return
-        self._last_message = now
+        self._latest = now
         for known in self._obstacles.values():
             known.track.restart(now, *known.track.observed)
             known.seen = replace(known.seen, time=now)

@@ -82,17 +82,6 @@ def test_deletions_concern_all_frames(moving):
     assert len(moving.obstacles) == 0
 
 
-def test_the_source_is_alive_whatever_the_frame(moving):
-    for _ in range(40):
-        moving.add("map", 2.0)
-        assert moving.obstacles.silence_reason(moving.now) == ""
-        moving.now += 0.1
-    moving.now += 2.0
-    assert "no obstacles received" in moving.obstacles.silence_reason(moving.now)
-    moving.obstacles.dismiss_source()
-    assert moving.obstacles.silence_reason(moving.now) == ""
-
-
 def test_obstacles_of_a_frame_without_a_place_are_an_error(moving):
     moving.add("moon", 2.0)
     with pytest.raises(KeyError):

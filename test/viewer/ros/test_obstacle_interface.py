@@ -12,6 +12,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from omniman_ros.conversions.geometry import quaternion_from_yaw, yaw_from_quaternion
 from omniman_ros.conversions.headers import time_seconds, within
 from omniman_ros.core.parameters import build
+from omniman_ros.core.source_monitor import SourceMonitor, SourceTerms
 from omniman_ros.nodes import obstacle_interface
 from omniman_ros.planning.cases import TwoVelocityPath
 from omniman_ros.planning.obstacles.obstacles import ObstacleParameters, ObstacleSet
@@ -48,11 +49,13 @@ class Town:
         self.state = self.node.state
         self.messages = []
         self.known = ObstacleSet(build(ObstacleParameters, {}))
+        self.source = SourceMonitor("obstacles", SourceTerms(timeout=1.0))
         world.probe.create_subscription(MarkerArray, "obstacles", self._on_obstacles, 50)
 
     def _on_obstacles(self, message):
         self.messages.append((self.world.time, message))
         obstacle_interface.update_obstacles(self.node, message, self.known, within("odom"))
+        self.source.use(self.world.time)
 
     @property
     def around(self):
@@ -149,7 +152,7 @@ def test_empty_messages_continue_after_the_last_obstacle(town):
     town.add((2.0, 1.0), (3.0, 1.0))
     post(town.world, ObstacleDeleted(None), seconds=3.0)
     assert len(town.known) == 0
-    assert town.known.silence_reason(town.world.time) == ""
+    assert town.source.blind_reason(town.world.time) == ""
 
 
 def test_the_silence_of_another_source_is_not_masked(town):
@@ -160,7 +163,7 @@ def test_the_silence_of_another_source_is_not_masked(town):
     town.world.run(1.1)
     post(town.world, ObstacleDeleted(None), seconds=3.0)
     assert len(town.known) == 0
-    assert town.known.silence_reason(town.world.time)
+    assert town.source.blind_reason(town.world.time)
     other.destroy_node()
 
 
