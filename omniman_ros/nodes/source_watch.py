@@ -120,7 +120,7 @@ class SourceWatch:
             if source.publishers
         ]
         if parts:
-            return f"the robot sees by {', '.join(parts)}"
+            return f"the robot looks by {', '.join(parts)}"
         topics = " or ".join(source.topic for source, _ in self._sources)
         return (
             f"nobody publishes {topics}: the robot has no sensors, and drives as if it were alone"

@@ -10,15 +10,13 @@ from numpy.typing import NDArray
 from omniman_ros.core import plausible, se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
-from omniman_ros.core.occupancy import OccupancyMap
+from omniman_ros.core.occupancy import MAX_CELLS, OccupancyMap
 from omniman_ros.core.rigid import PlanarPose
 from omniman_ros.planning.obstacles.ellipses import Ellipses
 
 Mask = NDArray[np.bool_]
 """Array of flags, in the shape of the cells or of the points."""
 
-MAX_CELLS = 4_000_000
-"""Largest number of cells of a map: 100 x 100 m at 5 cm."""
 MIN_RESOLUTION = 0.005
 """Smallest edge of a cell [m]."""
 MAX_RESOLUTION = 1.0
