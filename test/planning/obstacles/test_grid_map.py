@@ -101,7 +101,7 @@ def test_map_is_immutable():
     [
         ({"occupied": np.zeros(4, dtype=bool)}, r"\(4,\)"),
         ({"occupied": np.zeros((0, 4), dtype=bool)}, r"\(0, 4\)"),
-        ({"occupied": np.zeros((2001, 2000), dtype=bool)}, r"\(2001, 2000\)"),
+        ({"occupied": np.zeros((5001, 5000), dtype=bool)}, r"\(5001, 5000\)"),
         ({"resolution": 0.004}, "0.004"),
         ({"resolution": 1.1}, "1.1"),
         ({"resolution": math.nan}, "nan"),
@@ -117,7 +117,7 @@ def test_invalid_map_is_refused_with_its_value(changes, named):
 
 
 def test_largest_map_is_accepted():
-    assert GridMap(np.zeros((2000, 2000), dtype=bool), 0.05, np.zeros(3)).occupied.size == (
+    assert GridMap(np.zeros((5000, 5000), dtype=bool), 0.05, np.zeros(3)).occupied.size == (
         MAX_CELLS
     )
 
