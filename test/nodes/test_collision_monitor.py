@@ -30,6 +30,7 @@ from omniman_ros.nodes.simulated_drive import SimulatedDriveNode
 from omniman_ros.nodes.stop_interface import LATCHED
 from test.nodes.harness import PERIOD, World, last
 from test.nodes.rig import twist
+from test.nodes.transforms import Transforms, tf_installed
 
 GAP = 0.02
 USED = {"collision_monitor.use": True}
@@ -310,6 +311,19 @@ def test_what_is_published_and_not_got_in_usable_form_makes_the_monitor_blind(ca
         assert world.shares == [0.1, 0.1]
         assert world.nodes[0].state.name == "blind" and reason in world.nodes[0].state.reason
         assert any(f"the robot is blind: {topic}" in text or reason in text for text in logged)
+
+
+def test_a_latched_map_is_used_once_its_transform_has_come():
+    with tf_installed(), Watcher() as world:
+        grid = strip_of_cells(100)
+        grid.header.frame_id = "map"
+        world.publisher(OccupancyGrid, "map", LATCHED).publish(grid)
+        world.run(2.0, world.measure)
+        assert "map cannot be used: " in world.nodes[0].state.reason
+        Transforms(world).send("map", "odom", 0.0, 0.0, static=True)
+        world.run(1.0, world.measure)
+        assert world.nodes[0].state.name != "blind"
+        assert len(world.nodes[0].inputs.surroundings()) == 1
 
 
 def strip_of_cells(value: int) -> OccupancyGrid:
