@@ -77,7 +77,7 @@ def _observation(
     marker: Marker, place: Callable[[Header], Placement], clock: Callable[[Time], float]
 ) -> Observation:
     """Return the observation of an obstacle that a marker shows."""
-    placement = place(marker.header)
+    time, placement = clock(marker.header.stamp), place(marker.header)
     if marker.type not in (Marker.CYLINDER, Marker.SPHERE):
         raise InputError(f"it has type {marker.type}, expected CYLINDER or SPHERE")
     position, scale = marker.pose.position, marker.scale
@@ -93,7 +93,7 @@ def _observation(
     low, high = position.z + height - 0.5 * scale.z, position.z + height + 0.5 * scale.z
     return Observation(
         (marker.ns, marker.id),
-        clock(marker.header.stamp),
+        time,
         x,
         y,
         angle,

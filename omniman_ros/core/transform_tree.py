@@ -78,15 +78,18 @@ class _Frame:
         is_static: Whether the first transform holds for ever.
         times: Times of the transforms [s], increasing.
         transforms: Transforms that take coordinates of the frame to its parent.
+        updated: Time of the newest transform, at most that of its arrival [s].
     """
 
     parent: str
     is_static: bool
     times: list[float] = field(default_factory=list)
     transforms: list[Transform] = field(default_factory=list)
+    updated: float = -math.inf
 
-    def insert(self, time: float, transform: Transform) -> None:
+    def insert(self, time: float, transform: Transform, now: float) -> None:
         """Add a sample; one that is too old, or has the time of another one, is ignored."""
+        self.updated = max(self.updated, min(time, now))
         if not self.times or time > self.times[-1]:
             self.times.append(time)
             self.transforms.append(transform)
@@ -142,7 +145,14 @@ class TransformTree:
     # ---- transforms that come in ----------------------------------------------------------------
 
     def insert(
-        self, parent: str, child: str, time: float, transform: Transform, *, is_static: bool
+        self,
+        parent: str,
+        child: str,
+        time: float,
+        transform: Transform,
+        *,
+        is_static: bool,
+        now: float = math.inf,
     ) -> None:
         """Add a transform that takes coordinates of `child` to `parent`.
 
@@ -154,6 +164,7 @@ class TransformTree:
             time: Time of the transform [s]; of no meaning for one that holds for ever.
             transform: Pose of the child in the parent.
             is_static: Whether the transform holds for ever.
+            now: Time of its arrival [s]: one that is dated ahead is no younger than that.
 
         Raises:
             InputError: A name is empty, or both are the same; a number is not finite or not
@@ -165,7 +176,7 @@ class TransformTree:
             raise InputError(f"there are {MAX_FRAMES} frames already")
         if known is None or known.parent != parent or known.is_static or is_static:
             known = self._frames[child] = _Frame(parent, is_static)
-        known.insert(time, _normalised(transform))
+        known.insert(time, _normalised(transform), now)
 
     # ---- lookup ---------------------------------------------------------------------------------
 
@@ -199,7 +210,8 @@ class TransformTree:
     def updated(self, target: str, source: str) -> float:
         """Return the time since which the newest transform between two frames may be old [s].
 
-        That is the time of the newest sample of the frame on the way that was longest silent;
+        That is the time of the newest sample, at most that of its arrival, of the frame on the way
+        that was longest silent;
         infinity if all transforms hold for ever.
 
         Raises:
@@ -209,7 +221,7 @@ class TransformTree:
         common = self._common(up, down, source, target)
         way = [*up[: up.index(common)], *down[: down.index(common)]]
         moving = (self._frames[name] for name in way if not self._frames[name].is_static)
-        return min((frame.times[-1] for frame in moving), default=math.inf)
+        return min((frame.updated for frame in moving), default=math.inf)
 
     def is_child(self, name: str) -> bool:
         """Return whether a frame has a parent."""

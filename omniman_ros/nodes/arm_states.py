@@ -11,9 +11,9 @@ from omniman_ros.conversions.joints import require_array
 from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
+from omniman_ros.core.stamps import MAX_LEAD
 from omniman_ros.nodes.joint_state_reader import JointStateReader
 from omniman_ros.nodes.omniman_node import OmnimanNode
-from omniman_ros.nodes.timed_node import MAX_LEAD
 
 TOPIC = "arm/joint_states"
 """Name of the topic."""

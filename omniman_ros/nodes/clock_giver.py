@@ -2,10 +2,10 @@
 
 from builtin_interfaces.msg import Time as TimeMsg
 
+from omniman_ros.core.stamps import MAX_LEAD
 from omniman_ros.nodes.clock_parameters import ClockParameters
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.simulated_clock import AWAITED_KEY, PACE_KEY, SimulatedClock
-from omniman_ros.nodes.timed_node import MAX_LEAD
 
 PACE_PERIOD = 5.0
 """Real time between two looks at the pace of simulated time [s]."""

@@ -10,12 +10,13 @@ from omniman_ros.conversions.geometry import transform_from_message
 from omniman_ros.conversions.headers import check_frame, is_stamped, time_seconds
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.rigid import Transform
+from omniman_ros.core.stamps import TRANSFORM_LEAD, ClockWatch
 from omniman_ros.core.transform_tree import ODOM, Placement, TransformError, TransformTree
 from omniman_ros.nodes import tf_messages
 from omniman_ros.nodes.frame_parameters import FrameParameters
 from omniman_ros.nodes.message_filter import RETRY_PERIOD, MessageFilters
 from omniman_ros.nodes.omniman_node import OmnimanNode
-from omniman_ros.nodes.timed_node import TIME_JUMP
+from omniman_ros.nodes.timed_node import NoTimeError
 
 M = TypeVar("M")
 
@@ -37,7 +38,7 @@ class FrameTransforms:
         self._tree = TransformTree()
         self._anchors: dict[str, Transform] = {}
         self._filters = MessageFilters(node, self._may_come, self._is_related)
-        self._latest = 0
+        self._watch = ClockWatch()
         if tf_messages.TFMessage is None:
             node.get_logger().info("tf2_msgs is not installed: /tf is not received")
             return
@@ -69,16 +70,26 @@ class FrameTransforms:
             return  # odom and another name of it
         if not self._tree.is_child(child):
             self._filters.reconsider()
+        if not is_static:  # the stamp of one that holds for ever means nothing
+            try:
+                self._node.age(message.header.stamp, TRANSFORM_LEAD)
+            except NoTimeError:
+                raise
+            except InputError as error:
+                raise InputError(f"'{child[:40]}' in '{parent[:40]}': {error}") from error
         time = time_seconds(message.header.stamp)
         transform = transform_from_message(message.transform)
-        self._tree.insert(parent, child, time, transform, is_static=is_static)
+        now = self._ros_seconds()
+        self._tree.insert(parent, child, time, transform, is_static=is_static, now=now)
 
     def _notice_jump(self) -> None:
         """Forget the transforms if ROS time went back."""
-        now = self._node.get_clock().now().nanoseconds
-        if now < self._latest - TIME_JUMP * 1e9:
+        if self._watch.went_back(self._ros_seconds()):
             self._tree.clear()
-        self._latest = now
+
+    def _ros_seconds(self) -> float:
+        """Return ROS time [s]."""
+        return self._node.ros_time() * 1e-9
 
     # ---- lookup ---------------------------------------------------------------------------------
 
@@ -90,7 +101,9 @@ class FrameTransforms:
 
         Raises:
             TransformError: Odom and the frame are not connected at that time.
+            InputError: The stamp is too far ahead; see `TimedNode.demand_not_ahead`.
         """
+        self._node.demand_not_ahead(header.stamp)
         odom = self._parameters().odom
         frame = header.frame_id.lstrip("/")
         if frame in odom.names:
@@ -151,11 +164,12 @@ class FrameTransforms:
         odom, timeout = parameters.odom.odom_frame, parameters.tf.timeout
         if frame == ODOM or not timeout:
             return ""
+        self._notice_jump()
         try:
             updated = self._tree.updated(odom, frame)
         except TransformError as error:
             return str(error)
-        age = self._node.get_clock().now().nanoseconds * 1e-9 - updated
+        age = self._ros_seconds() - updated
         return f"'{frame}' to '{odom}' is {age:.1f} s old" if age > timeout else ""
 
     # ---- messages that wait ---------------------------------------------------------------------
@@ -180,6 +194,8 @@ class FrameTransforms:
             self.placement(header)
         except TransformError as error:
             return error.may_come
+        except InputError:
+            return False
         return False
 
     def _is_related(self, header: Header) -> bool:

@@ -18,13 +18,13 @@ from omniman_ros.conversions.joints import joint_arrays, require_array
 from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
+from omniman_ros.core.stamps import MAX_LEAD
 from omniman_ros.nodes.joint_states_merger_parameters import JointStatesMergerParameters
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.runtime import run
 from omniman_ros.nodes.serialized import deserialized
 from omniman_ros.nodes.stop_interface import LATCHED
-from omniman_ros.nodes.timed_node import MAX_LEAD
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,10 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
+from builtin_interfaces.msg import Time
 from nav_msgs.msg import OccupancyGrid
 from std_msgs.msg import Header
 
@@ -13,6 +15,7 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.core.occupancy import OccupancyMap
 from omniman_ros.core.rigid import PlanarPose
 from omniman_ros.core.source_monitor import SourceMonitor, SourceTerms
+from omniman_ros.core.stamps import comparable
 from omniman_ros.core.transform_tree import ODOM, Placement, TransformError
 from omniman_ros.nodes import map_messages
 from omniman_ros.nodes.frame_transforms import FrameTransforms
@@ -105,6 +108,12 @@ class MapInterface:
     def _on_map(self, message: OccupancyGrid) -> None:
         self._unplaced = None
         try:
+            self._node.demand_not_ahead(message.header.stamp)
+        except InputError as error:
+            # A latched map outlives a simulation that begins anew: without it, walls are missing.
+            self._node.warn("map: stamp", f"map used without its stamp: {error}")
+            message.header.stamp = Time()
+        try:
             placement = self._frames.placement(message.header)
         except TransformError:
             self._unplaced = message
@@ -135,10 +144,12 @@ class MapInterface:
         update = map_update_from_message(message)
         if self._map is None:
             return self._lost("there is no map yet that it could change")
+        kept = replace(self._map, time=comparable(self._map.time, 1e-9 * self._node.ros_time()))
         try:
-            changed = self._map.updated(update)
+            self._node.demand_not_ahead(message.header.stamp)
+            changed = kept.updated(update)
         except InputError as error:
-            if not update.is_before(self._map):  # else the map has newer cells
+            if not update.is_before(kept):  # else the map has newer cells
                 self._lost(str(error))
             raise
         self._keep(changed, self._placement)

@@ -130,6 +130,7 @@ class OdometryInputs:
         self._core.imu.update(time, now, rate, acceleration)
 
     def _on_set_pose(self, message: PoseWithCovarianceStamped) -> None:
+        self._node.demand_not_ahead(message.header.stamp)
         self._core.set_pose(*planar_pose(message, self._settings().frame.names))
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:

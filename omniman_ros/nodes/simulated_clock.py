@@ -9,7 +9,7 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Header
 
 from omniman_ros.conversions.headers import is_stamped, time_seconds
-from omniman_ros.core.errors import InputError
+from omniman_ros.core.stamps import demand_not_ahead
 from omniman_ros.nodes.clock_follower import PERMITS_TOPIC
 from omniman_ros.simulation.lockstep import Lockstep
 
@@ -175,6 +175,5 @@ class SimulatedClock:
         if not is_stamped(stamp):
             return 0.0
         age = self.now - time_seconds(stamp)
-        if age < -max_lead:
-            raise InputError(f"the stamp is {-age:.3f} s ahead")
+        demand_not_ahead(-age, max_lead)
         return age

@@ -70,6 +70,7 @@ class StationKeeperNode(OmnimanNode):
     def _on_station(self, message: PoseStamped) -> str:
         if self._is_ending:
             raise InputError("the node is shutting down")
+        self.demand_not_ahead(message.header.stamp)
         pose = goal_pose_from_message(message, [self.settings.value.leader_base_frame])
         x, y, theta = pose.tolist()
         return self.stream.submit((x, y, theta))

@@ -2,13 +2,13 @@
 
 from omniman_ros.core.pending_start import PendingStart
 from omniman_ros.core.planar import Triple
+from omniman_ros.core.stamps import TIME_JUMP
 from omniman_ros.core.stream_monitor import StreamMonitor
 from omniman_ros.motion.station.keeper import StationKeeper, StationState
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.station_keeper_parameters import StationKeeperParameters
 from omniman_ros.nodes.stream_monitor_interface import StreamMonitorInterface
-from omniman_ros.nodes.timed_node import TIME_JUMP
 from omniman_ros.nodes.trajectory_interfaces.odom_feed import OdomFeed
 from omniman_ros.nodes.trajectory_interfaces.previews import platform_previews
 

@@ -3,7 +3,7 @@
 import math
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, nullcontext, suppress
 from typing import Any
 
 from builtin_interfaces.msg import Time as TimeMsg
@@ -13,13 +13,10 @@ from rclpy.node import Node
 
 from omniman_ros.conversions.headers import Stamp, is_stamped
 from omniman_ros.core.errors import InputError
+from omniman_ros.core.stamps import MAX_LEAD, REQUEST_LEAD, demand_not_ahead
 from omniman_ros.nodes.clock_follower import ClockFollower
 from omniman_ros.nodes.rclpy_compat import nanoseconds
 
-MAX_LEAD = 0.05
-"""Largest time that a stamp may be ahead of ROS time [s]."""
-TIME_JUMP = 0.1
-"""Jump of simulated time into the past above which what was received counts no more [s]."""
 CLOCK_READING_TIME = 1e-4
 """Time within which two clocks count as read simultaneously [s]."""
 CLOCK_READING_ATTEMPTS = 5
@@ -137,9 +134,20 @@ class TimedNode(Node):
         # Time.from_msg raises on negative seconds; a stamp that old is merely stale.
         sent = stamp.sec * 1_000_000_000 + stamp.nanosec
         age: float = (self._read_ros_time() - sent) * 1e-9
-        if age < -max_lead:
-            raise InputError(f"the stamp is {-age:.3f} s ahead")
+        demand_not_ahead(-age, max_lead)
         return age
+
+    def demand_not_ahead(self, stamp: Stamp) -> None:
+        """Check the stamp of a request, which does not age; before there is a time, any will do.
+
+        Args:
+            stamp: Stamp of a message.
+
+        Raises:
+            InputError: The stamp is ahead by more than `REQUEST_LEAD`.
+        """
+        with suppress(NoTimeError):
+            self.age(stamp, REQUEST_LEAD)
 
     def sent(self, source_time: int) -> float | None:
         """Return the instant of the node's clock at which a message was sent [s].

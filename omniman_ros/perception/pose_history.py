@@ -7,13 +7,12 @@ import numpy as np
 from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
+from omniman_ros.core.stamps import TIME_JUMP
 
 SPAN = 2.0
 """Time for which poses are kept [s]."""
 LEAD = 0.1
 """Largest time by which the newest pose is extrapolated at its velocity [s]."""
-TIME_JUMP = 0.1
-"""Time by which odometry may be out of order [s]."""
 JUMP, FASTEST = 0.2, 3.0
 """Distance by which a pose may be off what the last one predicts [m], and its growth with time
 [m/s]; a larger one is a reset."""

@@ -8,12 +8,12 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.publisher import Publisher
 
+from omniman_ros.core.stamps import TIME_JUMP
 from omniman_ros.description.urdf import carries_arm
 from omniman_ros.extras import VIEWER
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.runtime import run
-from omniman_ros.nodes.timed_node import TIME_JUMP
 from omniman_ros.viewer.ros.lazy_subscriptions import LazySubscriptions
 from omniman_ros.viewer.ros.manual_drive import ManualDrive
 from omniman_ros.viewer.ros.obstacle_interface import ObstacleInterface

@@ -163,6 +163,13 @@ def test_age_is_that_of_the_frame_longest_silent(tree):
     assert tree.updated("map", "dock") == math.inf == tree.updated("map", "map")
 
 
+def test_a_transform_that_is_dated_ahead_is_no_younger_than_its_arrival(tree):
+    now = T0 + 2.0
+    for lead in (1.0, 0.5):  # the second one is out of order
+        tree.insert("map", "odom", now + lead, planar(1.0), is_static=False, now=now)
+    assert tree.updated("map", "odom") == now
+
+
 def test_clearing_keeps_what_holds_for_ever(tree):
     tree.clear()
     assert tree.lookup("map", "dock", None).translation[0] == 5.0

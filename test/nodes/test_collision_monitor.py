@@ -241,6 +241,17 @@ def test_without_odometry_or_with_a_silent_arm_the_monitor_is_blind():
         assert "arm/joint_states" in world.nodes[0].state.reason
 
 
+def test_inputs_that_end_as_time_goes_back_leave_the_monitor_blind():
+    with Watcher() as world:
+        world.run(0.1, world.measure)
+        assert world.shares == [1.0, 1.0]
+        world.time -= 60.0
+        world.run(0.1)
+        assert world.nodes[0].state.reason == "odom is inf s old; arm/joint_states are inf s old"
+        world.run(0.1, world.measure)
+        assert world.shares == [1.0, 1.0]
+
+
 @pytest.mark.parametrize(
     ("heights", "is_free"),
     [((0.0, 0.0), False), ((0.0, 0.35), True), ((0.0, 0.6), False), ((1.0, 2.0), True)],

@@ -206,6 +206,37 @@ def test_a_silent_localisation_is_noticed(world):
     assert frames.silence_reason("earth")
 
 
+def test_a_transform_far_ahead_is_refused_and_hides_neither_the_next_nor_their_end(world):
+    frames, timeout = world.node.frames, world.node.options.tf.timeout
+    world.tf.send("map", "odom", 1.0)
+    world.tf.send("map", "odom", 9.0, age=-3600.0)
+    world.run(0.02)
+    [warning] = world.node.warnings
+    assert "/tf ignored: 'odom' in 'map': the stamp is 3599.99" in warning
+    world.tf.send("map", "odom", 2.0, age=-1.0)  # as a localisation dates them
+    world.run(0.02)
+    assert frames.anchor("map").planar()[0] == -2.0
+    world.run(timeout)
+    assert "'map' to 'odom' is 2.0 s old" in frames.silence_reason("map")
+
+
+def test_a_message_stamped_far_ahead_is_refused_at_once_in_any_frame(world):
+    for count, frame in enumerate(("odom", "laser"), start=1):
+        world.send(frame, age=-3600.0)
+        assert len(world.node.warnings) == count
+        assert "the stamp is 3599.99" in world.node.warnings[-1]
+    assert world.node.poses == []
+
+
+def test_a_localisation_that_ends_as_time_goes_back_is_noticed(world):
+    world.tf.send("map", "odom", 1.0)
+    world.run(0.02)
+    assert world.node.frames.silence_reason("map") == ""
+    world.time -= 100.0
+    world.run(0.01)
+    assert "no transform of frame 'map'" in world.node.frames.silence_reason("map")
+
+
 def test_a_tilted_frame_has_no_place_on_the_floor(world):
     frame = world.node.frames
     world.tf.send("odom", "lamp", 0.0)

@@ -67,9 +67,9 @@ class Reader(World):
         kind = map_messages.OccupancyGridUpdate
         self.updates = self.publisher(kind, map_messages.UPDATES_TOPIC)
 
-    def send_map(self):
+    def send_map(self, ahead=0.0):
         message = OccupancyGrid(data=[0] * (ROWS * COLUMNS))
-        message.header.frame_id, message.header.stamp = "odom", self.stamp()
+        message.header.frame_id, message.header.stamp = "odom", self.stamp(ahead)
         message.info.width, message.info.height = COLUMNS, ROWS
         message.info.resolution, message.info.origin.orientation.w = 0.1, 1.0
         self.maps.publish(message)
@@ -103,6 +103,7 @@ BAD = {
     "an impossible value": {"data": array("b", [101] * 20)},
     "older than the map": {"age": 60.0},
     "no stamp": {"stamped": False},
+    "far ahead": {"age": -60.0},
 }
 
 
@@ -122,6 +123,20 @@ def test_a_reader_uses_good_updates_and_refuses_bad_ones():
         np.testing.assert_array_equal(occupied(world.nodes[0]), expected)
         world.send(age=0.2)
         assert world.refused == len(BAD) + 2, "older than the last update"
+
+
+def test_a_latched_map_from_before_time_went_back_is_kept_and_updated():
+    with updates_installed(), Reader(CollisionMonitorNode) as world:
+        world.send_map()
+        world.time -= 30.0
+        world.run(0.05)
+        world.send()
+        assert occupied(world.nodes[0]).sum() == 20
+    with updates_installed(), Reader(CollisionMonitorNode) as world:
+        world.send_map(ahead=3600.0)
+        assert world.nodes[0].warning_counts == {"map: stamp": 1}
+        world.send()
+        assert occupied(world.nodes[0]).sum() == 20
 
 
 def test_the_planner_reads_updates_and_keeps_them_when_its_threshold_changes():

@@ -174,6 +174,10 @@ def test_set_pose_and_reset_odometry_set_the_pose(wheels):
     publisher.publish(message)
     wheels.run(0.1)
     assert wheels.core.odometry.pose == (2.0, 0.0, 0.0), "map differs from odom here"
+    message.header.frame_id, message.header.stamp = "odom", wheels.stamp(3600.0)
+    publisher.publish(message)
+    wheels.run(0.1)
+    assert wheels.core.odometry.pose == (2.0, 0.0, 0.0), "the stamp is far ahead"
     assert wheels.call(Trigger, "odometry/reset_odometry").success
     assert wheels.core.odometry.pose == (0.0, 0.0, 0.0)
 

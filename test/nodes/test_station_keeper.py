@@ -35,6 +35,11 @@ def station(x, y, heading, frame="base_link"):
     return message
 
 
+def stamped(message):
+    message.header.stamp.sec = 2**31 - 1
+    return message
+
+
 def odometry(x, y, heading, forward=0.0):
     message = Odometry(child_frame_id="base_link")
     message.header.frame_id = "odom"
@@ -134,6 +139,7 @@ def follower():
         station(0.0, -1.3, 0.0, "odom"),
         station(0.0, -1.3, 0.0, ""),
         station(20.0, 0.0, 0.0),
+        stamped(station(*OFFSET)),
         PoseStamped(),
     ],
 )

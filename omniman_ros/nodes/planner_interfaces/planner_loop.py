@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from omniman_ros.core.pending_start import StartAttempt, StartState
+from omniman_ros.core.stamps import TIME_JUMP
 from omniman_ros.core.stream_monitor import StreamMonitor
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.planner_interfaces.goal_admission import GoalAdmission
@@ -14,7 +15,6 @@ from omniman_ros.nodes.planner_interfaces.plan_publisher import PlanPublisher
 from omniman_ros.nodes.planner_interfaces.planning_cycle import PlanningCycle
 from omniman_ros.nodes.planner_interfaces.posture_interface import PostureInterface
 from omniman_ros.nodes.planner_interfaces.sensor_interface import SensorInterface
-from omniman_ros.nodes.timed_node import TIME_JUMP
 
 if TYPE_CHECKING:
     from omniman_ros.planning.planner import Planner

@@ -1,5 +1,6 @@
 """Measured joint states of the arm, and their comparison with its recent reference."""
 
+import math
 from collections import deque
 from collections.abc import Callable
 
@@ -7,6 +8,7 @@ import numpy as np
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
+from omniman_ros.core.stamps import MAX_LEAD
 from omniman_ros.motion.path.joint_parameters import ArmFollowing
 from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.nodes.arm_states import ArmStates, ArmStatesReader
@@ -79,8 +81,9 @@ class ArmFeed:
 
     @property
     def age(self) -> float:
-        """Age of the last usable joint states [s]."""
-        return self._node.now() - self.time
+        """Age of the last usable joint states [s]; infinite after time went back behind them."""
+        age = self._node.now() - self.time
+        return age if age >= -MAX_LEAD else math.inf
 
     def pass_time(self, elapsed: float) -> None:
         """Advance the silence by the node's own time [s].

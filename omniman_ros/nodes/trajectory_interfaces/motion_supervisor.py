@@ -1,6 +1,6 @@
 """Supervision of the motions of the node: what ends one that the robot can no longer follow."""
 
-from omniman_ros.nodes.timed_node import TIME_JUMP
+from omniman_ros.core.stamps import TIME_JUMP
 from omniman_ros.nodes.trajectory_interfaces.body_interface import BodyInterface
 from omniman_ros.nodes.trajectory_interfaces.motion_context import BodyContext
 from omniman_ros.nodes.trajectory_interfaces.motion_interface import MotionInterface

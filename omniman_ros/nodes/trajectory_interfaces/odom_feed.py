@@ -1,5 +1,6 @@
 """Measured pose and velocity of the platform."""
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -9,6 +10,7 @@ from omniman_ros.conversions.geometry import twist_array, yaw_from_quaternion
 from omniman_ros.conversions.headers import check_frame
 from omniman_ros.core import plausible, se2
 from omniman_ros.core.arrays import Array
+from omniman_ros.core.stamps import MAX_LEAD
 from omniman_ros.nodes.omniman_node import OmnimanNode
 
 AT_REST = 0.02
@@ -62,8 +64,9 @@ class OdomFeed:
 
     @property
     def age(self) -> float:
-        """Age of the pose [s]."""
-        return self._node.now() - self.time
+        """Age of the pose [s]; infinite without one, and after time went back behind it."""
+        age = self._node.now() - self.time
+        return age if age >= -MAX_LEAD else math.inf
 
     def pass_time(self, elapsed: float) -> None:
         """Advance the silence by the node's own time [s].

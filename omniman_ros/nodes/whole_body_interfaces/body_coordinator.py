@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING
 
 from std_msgs.msg import Float64
 
+from omniman_ros.core.stamps import TIME_JUMP
 from omniman_ros.core.stream_monitor import StreamMonitor
 from omniman_ros.motion.path.interpolator import RefusedError
 from omniman_ros.motion.path.parameters import TICK
@@ -13,7 +14,6 @@ from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.stream_monitor_interface import StreamMonitorInterface
 from omniman_ros.nodes.surroundings_interface import SurroundingsInterface
-from omniman_ros.nodes.timed_node import TIME_JUMP
 from omniman_ros.nodes.trajectory_interfaces.arm_feed import ArmFeed
 from omniman_ros.nodes.trajectory_interfaces.health_input import HealthInput
 from omniman_ros.nodes.trajectory_interfaces.limit_interface import LimitInterface
