@@ -47,6 +47,7 @@ def joint_preview(
     positions, velocities, accelerations = (
         _rows(points, label, len(names)) for label in ("positions", "velocities", "accelerations")
     )
+    _rows(points, "effort", len(names))  # not used, but a wrong number of them shows a mix-up
     if positions is None or velocities is None:
         missing = "positions" if positions is None else "velocities"
         raise InputError(f"points without {missing} are not accepted")
@@ -60,7 +61,7 @@ def joint_preview(
 def joint_points(message: JointTrajectory, names: Sequence[str], most: int) -> JointPoints:
     """Return the points of a trajectory; times that are all zero count as absent.
 
-    Efforts are ignored.
+    Efforts are not used.
 
     Args:
         message: Trajectory with at least one point, for some of the joints in any order.
@@ -85,7 +86,8 @@ def joint_points(message: JointTrajectory, names: Sequence[str], most: int) -> J
             f"the names must be those of one or more joints, without repeats, got "
             f"{abbreviate_names(given)}"
         )
-    arrays = [_rows(points, label, len(given)) for label in ("velocities", "accelerations")]
+    labels = ("velocities", "accelerations", "effort")
+    arrays = [_rows(points, label, len(given)) for label in labels][:2]
     times = np.array([time_seconds(point.time_from_start) for point in points])
     columns = tuple(names.index(name) for name in given)
     positions = _rows(points, "positions", len(given))

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -18,6 +19,10 @@ SECTORS = 720
 """Number of sectors into which the points of a cloud are sorted."""
 MOST_POINTS = 2_000_000
 """Largest number of points accepted in a cloud."""
+END_SLACK = 1.5
+"""Increments by which `angle_max` may be off: many drivers count a gap more than there are."""
+SCAN_TIME_SLACK = 1.5
+"""Share of `scan_time` that all beams together may take."""
 
 
 @dataclass(frozen=True)
@@ -49,8 +54,9 @@ def scan_from_message(
         no_return: What the scanner sends where a beam meets nothing, see `no_return.NO_RETURN`.
 
     Raises:
-        InputError: The mount is tilted; see also `Scan`.
+        InputError: The mount is tilted, or the message contradicts itself; see also `Scan`.
     """
+    _demand_consistent(message)
     ranges = np.array(message.ranges, dtype=np.float64)
     pose, sense = _plane(mount)
     height = mount.translation[2]
@@ -88,6 +94,35 @@ def _plane(mount: Transform) -> tuple[PlanarPose, float]:
     return (mount @ UPSIDE_DOWN).planar(), -1.0
 
 
+def _demand_consistent(message: LaserScan) -> None:
+    """Check that what a scan states twice agrees; times that are 0 are not known.
+
+    Raises:
+        InputError: Angles and number of beams, the numbers of ranges and intensities, the shortest
+            and the longest range, or the times contradict each other.
+    """
+    count, increment = len(message.ranges), message.angle_increment
+    gaps = count - 1
+    end = message.angle_min + gaps * increment
+    if not abs(message.angle_max - end) <= END_SLACK * abs(increment):
+        raise InputError(
+            f"{count} beams from {message.angle_min:.4f} rad on, {increment:.4g} rad apart, "
+            f"end at {end:.4f} rad, but angle_max is {message.angle_max:.4f} rad"
+        )
+    if len(message.intensities) not in (0, count):
+        raise InputError(f"there are {len(message.intensities)} intensities for {count} ranges")
+    if not message.range_min <= message.range_max:
+        raise InputError(
+            f"range_min {message.range_min:.4g} m is not up to range_max {message.range_max:.4g} m"
+        )
+    duration = gaps * message.time_increment
+    if duration > SCAN_TIME_SLACK * message.scan_time > 0.0:
+        raise InputError(
+            f"{count} beams, {message.time_increment:.4g} s apart, take {duration:.4g} s, but "
+            f"scan_time is {message.scan_time:.4g} s"
+        )
+
+
 def scan_from_cloud(
     message: PointCloud2, mount: Transform, clock: Callable[[Time], float], part: Slice
 ) -> Scan:
@@ -102,7 +137,8 @@ def scan_from_cloud(
         part: Heights and distances of the points that are converted.
 
     Raises:
-        InputError: The cloud has no coordinates x, y, z of type FLOAT32, or too little data.
+        InputError: The cloud has no coordinates x, y, z of type FLOAT32; see also
+            `cloud_fields`.
     """
     points = cloud_points(message)
     points = points[np.isfinite(points).all(axis=1)]
@@ -147,20 +183,29 @@ def cloud_fields(message: PointCloud2, names: Sequence[str]) -> Array:
         names: Names of the fields.
 
     Raises:
-        InputError: The cloud lacks one of the fields as FLOAT32, or has too little data.
+        InputError: The cloud lacks one of the fields as FLOAT32, has it twice or in the place of
+            another one, or its sizes contradict each other.
     """
+    repeated = {field.name for field in message.fields if field.name in names}
+    if sum(field.name in names for field in message.fields) > len(repeated):
+        raise InputError(f"a field is repeated among {[field.name for field in message.fields]}")
     offsets = {field.name: field for field in message.fields}
     for name in names:
         field = offsets.get(name)
         if field is None or field.datatype != PointField.FLOAT32:
             raise InputError(f"it has no field '{name}' of type FLOAT32")
+        if field.count > 1:
+            raise InputError(f"field '{name}' has {field.count} numbers, expected 1")
         if not 0 <= field.offset <= message.point_step - 4:
             raise InputError(f"field '{name}' has offset {field.offset} in {message.point_step} B")
+    places = sorted(offsets[name].offset for name in names)
+    if any(after - before < 4 for before, after in pairwise(places)):
+        raise InputError(f"its fields overlap: they have offsets {places}")
     count = message.width * message.height
     rows, step = message.height, message.point_step
     if count > MOST_POINTS or message.row_step < message.width * step:
         raise InputError(f"it has {count} points in rows of {message.row_step} B")
-    if len(message.data) < rows * message.row_step:
+    if len(message.data) != rows * message.row_step:
         raise InputError(f"it has {len(message.data)} B, expected {rows * message.row_step}")
     data = np.frombuffer(message.data, dtype=np.uint8)[: rows * message.row_step]
     cells = data.reshape(rows, message.row_step)[:, : message.width * step].reshape(count, step)

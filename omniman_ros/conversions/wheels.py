@@ -162,18 +162,20 @@ def restarts_of_message(message: UInt32MultiArray, n: int) -> tuple[int, ...]:
     """Return the numbers of restarts of n drives.
 
     Raises:
-        InputError: The number of values is not n.
+        InputError: The number of values, or the size that the message states, is not n.
     """
-    if len(message.data) != n:
-        raise InputError(f"wheel_restarts: {len(message.data)} values, {n} wheels")
+    sizes = [dimension.size for dimension in message.layout.dim]
+    if len(message.data) != n or sizes not in ([], [n]):
+        raise InputError(f"wheel_restarts: {len(message.data)} values, sizes {sizes}, {n} wheels")
     return tuple(message.data)
 
 
-def electrical_arrays(message: Float64MultiArray, n: int) -> tuple[Array, Array]:
-    """Return the voltages and currents of n wheels (n,) [V, A], in the message's order.
+def electrical_rows(message: Float64MultiArray, n: int) -> Array:
+    """Return voltage [V], current [A] and energy [J] (n, 3) of n wheels, in the message's order.
 
     Raises:
-        InputError: The sizes or columns are not voltage, current and energy of n wheels.
+        InputError: The sizes or columns are not voltage, current and energy of n wheels, or are
+            not those of the data.
     """
     labels = [dimension.label for dimension in message.layout.dim]
     if labels[1:] != ["voltage,current,energy"]:
@@ -182,5 +184,20 @@ def electrical_arrays(message: Float64MultiArray, n: int) -> tuple[Array, Array]
         )
     if len(message.data) != 3 * n:
         raise InputError(f"wheel_electrical: {len(message.data)} numbers, expected {3 * n}")
-    rows = np.array(message.data).reshape(n, 3)
+    sizes = [dimension.size for dimension in message.layout.dim]
+    if sizes != [n, 3] or message.layout.data_offset:
+        offset = message.layout.data_offset
+        raise InputError(
+            f"wheel_electrical: sizes {sizes} from number {offset} on, expected [{n}, 3] from 0"
+        )
+    return np.array(message.data, dtype=float).reshape(n, 3)
+
+
+def electrical_arrays(message: Float64MultiArray, n: int) -> tuple[Array, Array]:
+    """Return the voltages and currents of n wheels (n,) [V, A], in the message's order.
+
+    Raises:
+        InputError: See `electrical_rows`.
+    """
+    rows = electrical_rows(message, n)
     return rows[:, 0], rows[:, 1]

@@ -46,6 +46,7 @@ def test_all_zero_times_count_as_missing():
         (message([], point()), r"without repeats, got \(none\)"),
         (message(["a"], point()), "without positions"),
         (message(["a"], point(positions=[1.0, 2.0])), "point 0: 2 positions for 1 joints"),
+        (message(["a"], point(positions=[1.0], effort=[0.0] * 6)), "point 0: 6 effort for 1"),
         (
             message(["a"], point(1, positions=[1.0], velocities=[0.0]), point(2, positions=[1.0])),
             "point 1: 0 velocities for 1 joints",
@@ -93,6 +94,11 @@ def test_preview_is_read_in_the_node_order_on_the_node_clock():
         (["a", "b", "c"], {"positions": [0.0] * 3}, "without velocities"),
         (["a", "b", "c"], {"velocities": [0.0] * 3}, "without positions"),
         (["a", "b", "c"], {"positions": [0.0] * 2, "velocities": [0.0] * 3}, "2 positions for 3"),
+        (
+            ["a", "b", "c"],
+            {"positions": [0.0] * 3, "velocities": [0.0] * 3, "effort": [0.0]},
+            "1 effort for 3",
+        ),
     ],
 )
 def test_preview_with_other_joints_or_sizes_is_rejected(names, arrays, why):

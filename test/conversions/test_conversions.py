@@ -58,7 +58,10 @@ from omniman_ros.conversions.trajectories import (
     reference_message,
 )
 from omniman_ros.conversions.wheels import (
+    electrical_arrays,
     electrical_message,
+    restarts_message,
+    restarts_of_message,
     wheel_command_from_message,
 )
 
@@ -497,6 +500,32 @@ def test_electrical_message_labels_its_dimensions():
     wheel, value = message.layout.dim
     assert (wheel.label, wheel.size, wheel.stride) == ("wheel", 4, 12)
     assert (value.label, value.size, value.stride) == ("voltage,current,energy", 3, 3)
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        (lambda m: setattr(m.layout.dim[0], "size", 3), r"sizes \[3, 3\]"),
+        (lambda m: setattr(m.layout.dim[1], "size", 4), r"sizes \[4, 4\]"),
+        (lambda m: setattr(m.layout, "data_offset", 1), "from number 1 on"),
+        (lambda m: m.data.append(0.0), "13 numbers, expected 12"),
+        (lambda m: setattr(m.layout.dim[1], "label", "current,voltage"), "columns"),
+    ],
+)
+def test_electrical_state_that_contradicts_itself_is_refused(change, why):
+    message = electrical_message(np.arange(12.0).reshape(4, 3))
+    np.testing.assert_array_equal(electrical_arrays(message, 4)[0], [0.0, 3.0, 6.0, 9.0])
+    change(message)
+    with pytest.raises(InputError, match=why):
+        electrical_arrays(message, 4)
+
+
+def test_restarts_of_another_number_of_drives_are_refused():
+    message = restarts_message([1, 2, 3, 4])
+    assert restarts_of_message(message, 4) == (1, 2, 3, 4)
+    message.layout.dim[0].size = 3
+    with pytest.raises(InputError, match=r"4 values, sizes \[3\], 4 wheels"):
+        restarts_of_message(message, 4)
 
 
 # ---- obstacles --------------------------------------------------------------------------------

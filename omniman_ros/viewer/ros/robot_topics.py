@@ -16,6 +16,7 @@ from omniman_ros.conversions.coupling import total_coupling_error
 from omniman_ros.conversions.geometry import twist_array, yaw_from_quaternion
 from omniman_ros.conversions.headers import check_frame
 from omniman_ros.conversions.joints import joint_arrays, require_array
+from omniman_ros.conversions.wheels import electrical_rows
 from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
@@ -29,8 +30,6 @@ from omniman_ros.viewer.ros.page_frames import PageFrames
 from omniman_ros.viewer.ros.parameters import ViewerParameters
 from omniman_ros.viewer.view_state import PATH_NODES, Condition, Pose, ViewState
 
-_COLUMNS = "voltage,current,energy"
-"""Label of the columns of `wheel_electrical`."""
 MAX_INTERVALS = 1000
 """Largest number of intervals between setpoints of the arm in one sample of the plots."""
 MAX_ENERGY = 1e15
@@ -120,12 +119,7 @@ class RobotTopics:
         self._state.update_signal("coupling", errors, self._node.now())
 
     def _on_electrical(self, message: Float64MultiArray) -> None:
-        labels, n = [dimension.label for dimension in message.layout.dim], len(self._names)
-        if labels[1:] != [_COLUMNS] or len(message.data) != 3 * n:
-            raise InputError(
-                f"must be {_COLUMNS} of {n} wheels, got {len(message.data)} numbers of {labels}"
-            )
-        rows, now = np.array(message.data, dtype=float).reshape(n, 3), self._node.now()
+        rows, now = electrical_rows(message, len(self._names)), self._node.now()
         volts = np.where(np.abs(rows[:, 0]) <= plausible.EFFORT, rows[:, 0], np.nan)
         self._state.update_signal("voltages", volts, now)
         total = float(rows[:, 2].sum())
