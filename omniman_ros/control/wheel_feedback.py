@@ -83,6 +83,8 @@ class WheelFeedback:
         self._uncertainty: Array = np.zeros(self._count)
         self._arrival = -math.inf
         self._unwrapper = Unwrapper(self._span) if self._span > 0.0 else None
+        # Positions of foreign drives often wrap around, and nobody says so.
+        self._span_hint = "" if self._span > 0.0 else " (encoder_span, if they wrap around)"
         self._position: Array | None = None
         self._observer.reset()
         self.speeds = np.zeros(self._count)
@@ -243,5 +245,5 @@ class WheelFeedback:
         if dt > MAX_GAP:
             return f"no report for {dt:.2f} s"
         if moved is not None and float(np.abs(moved).max()) > 2.0 * self.max_speed * dt + MAX_JUMP:
-            return "positions jumped"
+            return "positions jumped" + self._span_hint
         return ""

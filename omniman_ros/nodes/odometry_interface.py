@@ -109,14 +109,15 @@ class OdometryInputs:
             node.create_subscription(Imu, "imu", on_imu, qos_profile_sensor_data)
         node.create_service(Trigger, "~/reset_odometry", self._on_reset)
 
-    def _on_wheel_states(self, data: bytes) -> str:
+    def _on_wheel_states(self, data: bytes) -> None:
         stamp, position, velocity, effort = self._reader.read(data)
         now = self._node.now()
         time = self._node.instant(stamp)
         warning = self._core.update_wheels(time, now, position, velocity, effort)
         if self._on_report is not None:
             self._on_report(stamp)
-        return warning
+        if warning:  # of a report that is used
+            self._node.warn("wheel_states: motion", warning)
 
     def _on_restarts(self, message: UInt32MultiArray) -> None:
         known, self._restarts = self._restarts, restarts_of_message(message, self._count)

@@ -229,6 +229,16 @@ def test_invalid_wheel_states_move_nothing(wheels, case):
     assert wheels.core.odometry.pose != pose, "good reports count again"
 
 
+def test_a_report_whose_positions_wrapped_is_used_and_not_said_to_be_unused(wheels):
+    said = []
+    wheels.node.warn = lambda subject, text: said.append(text)
+    wheels.turn(0.3)
+    wheels.position = wheels.position - 2.0 * math.pi
+    wheels.turn(0.1)
+    [warning] = said
+    assert warning.startswith("wheel_states: positions jumped (encoder_span, if they wrap around)")
+
+
 def test_recording_in_a_loop_continues_the_pose(wheels):
     begin = wheels.time
     wheels.turn(1.0)
