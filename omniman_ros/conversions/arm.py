@@ -14,7 +14,8 @@ from omniman_ros.conversions.joints import abbreviate_names
 from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
-from omniman_ros.core.rigid import UNIT_TOLERANCE
+from omniman_ros.core.repairs import note_repair
+from omniman_ros.core.rigid import ROUNDING, UNIT_TOLERANCE
 from omniman_ros.motion.path.joint_points import JointPoints
 from omniman_ros.motion.path.window import Window
 from omniman_ros.ur.joint_preview import MAX_POINTS
@@ -125,6 +126,9 @@ def tool_poses(message: Path, frames: Sequence[str], here: Array) -> Array:
     if invalid.any():
         i = int(invalid.argmax())
         raise InputError(f"pose {i}: quaternion of length {lengths[i]:.4g}, expected 1 or 0")
+    rough = given & (np.abs(lengths - 1.0) > ROUNDING)
+    if rough.any():
+        note_repair(f"a quaternion of length {lengths[rough][0]:.4g} was normalised")
     result = np.zeros((len(poses), 4, 4))
     result[:, :3, :3] = here
     result[given, :3, :3] = rotations(quaternions[given] / lengths[given, None])

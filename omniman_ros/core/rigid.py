@@ -8,6 +8,7 @@ import numpy as np
 from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
+from omniman_ros.core.repairs import note_repair
 
 Vector = tuple[float, float, float]
 """A vector (x, y, z)."""
@@ -16,8 +17,10 @@ Quaternion = tuple[float, float, float, float]
 PlanarPose = tuple[float, float, float]
 """A pose in the plane: x [m], y [m], heading [rad]."""
 
-UNIT_TOLERANCE = 0.01
+UNIT_TOLERANCE = 0.05
 """Largest deviation of a quaternion's length from 1 that is accepted."""
+ROUNDING = 0.01
+"""Deviation of a quaternion's length from 1 above which that is noted."""
 TILT_TOLERANCE = 0.02
 """Largest tilt of a planar rotation that is accepted [rad, approximately]."""
 NEARLY_PARALLEL = 1.0 - 1e-6
@@ -120,7 +123,7 @@ UPSIDE_DOWN = Transform(rotation=(1.0, 0.0, 0.0, 0.0))
 
 
 def demand_unit(rotation: Quaternion) -> float:
-    """Return the length of a quaternion, which is nearly 1.
+    """Return the length of a quaternion, which is nearly 1; note it if it is only roughly so.
 
     Raises:
         InputError: The quaternion is not finite, or not of unit length.
@@ -128,6 +131,8 @@ def demand_unit(rotation: Quaternion) -> float:
     length = math.hypot(*rotation)
     if not abs(length - 1.0) <= UNIT_TOLERANCE:
         raise InputError(f"it has a quaternion of length {length:.4g}, expected 1")
+    if abs(length - 1.0) > ROUNDING:
+        note_repair(f"a quaternion of length {length:.4g} was normalised")
     return length
 
 
@@ -137,9 +142,9 @@ def heading(rotation: Quaternion) -> float:
     Raises:
         InputError: The quaternion is not finite, not of unit length, or not about the vertical.
     """
-    demand_unit(rotation)
+    length = demand_unit(rotation)
     x, y, z, w = rotation
-    if 2.0 * math.hypot(x, y) > TILT_TOLERANCE:
+    if 2.0 * math.hypot(x, y) > TILT_TOLERANCE * length:
         raise InputError("it has a rotation that is not about the vertical")
     return se2.wrap(2.0 * math.atan2(z, w))
 

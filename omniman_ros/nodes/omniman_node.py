@@ -10,6 +10,7 @@ from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 
 from omniman_ros.core.errors import InputError
+from omniman_ros.core.repairs import noted_repairs
 from omniman_ros.core.throttle import Throttle
 from omniman_ros.nodes.foreign_types import ForeignTypes
 from omniman_ros.nodes.timed_node import NoTimeError, TimedNode
@@ -34,6 +35,7 @@ class OmnimanNode(TimedNode):
         self._mismatched: dict[str, Subscription] = {}
         super().__init__(name, **options)
         self._throttle = Throttle(WARNING_PERIOD)
+        self._repaired: set[str] = set()
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._status = (b"", "")
         self.foreign_types = ForeignTypes(self, self.warn)
@@ -83,6 +85,8 @@ class OmnimanNode(TimedNode):
     def guarded(self, subject: str, handler: Callable[P, str | None]) -> Callable[P, None]:
         """Wrap a handler of messages so that a message that is not used leads to a warning.
 
+        What is repaired in a message leads to a warning at the first one of the subject.
+
         Args:
             subject: What the warning calls the messages, such as their topic.
             handler: Handles a message, and what the subscription passes with it. It returns why
@@ -94,15 +98,19 @@ class OmnimanNode(TimedNode):
         """
 
         def callback(*args: P.args, **kwargs: P.kwargs) -> None:
-            try:
-                refusal = handler(*args, **kwargs)
-            except NoTimeError:
-                return  # the start of every simulation, and no fault of the message
-            except InputError as error:
-                self.warn(subject, f"{subject} ignored: {error}")
-            else:
-                if refusal:
-                    self.warn(f"{subject} refused", f"{subject} not used: {refusal}")
+            with noted_repairs() as repairs:
+                try:
+                    refusal = handler(*args, **kwargs)
+                except NoTimeError:
+                    return  # the start of every simulation, and no fault of the message
+                except InputError as error:
+                    self.warn(subject, f"{subject} ignored: {error}")
+                    return
+            if refusal:
+                self.warn(f"{subject} refused", f"{subject} not used: {refusal}")
+            elif repairs and subject not in self._repaired:
+                self._repaired.add(subject)
+                self.warn(f"{subject} repaired", f"{subject}: {repairs[0]}")
 
         return callback
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from omniman_ros.core.errors import InputError
+from omniman_ros.core.repairs import noted_repairs
 from omniman_ros.motion.path.interpolator import Window
 
 pytest.importorskip("rclpy")
@@ -160,6 +161,13 @@ def test_tool_poses_are_read_and_a_zero_quaternion_keeps_the_orientation():
     assert poses[1, :3, :3] == pytest.approx(here)
     assert poses[0, :3, :3] == pytest.approx(arm_conversions.rotations(given[:1])[0])
     assert (poses[:, 3] == [0, 0, 0, 1]).all()
+
+
+def test_tool_poses_with_typed_quaternions_are_normalised_and_noted():
+    with noted_repairs() as notes:
+        poses = arm_conversions.tool_poses(tool_message([(0, 0, 0.7, 0.7)]), ["odom"], np.eye(3))
+    assert poses[0, :2, :2] == pytest.approx(np.array([[0.0, -1.0], [1.0, 0.0]]))
+    assert notes == ["a quaternion of length 0.9899 was normalised"]
 
 
 @pytest.mark.parametrize(

@@ -111,6 +111,7 @@ def test_yaw_tolerates_rounding_errors():
     [
         ((0, 0, 0, 0), "length 0,"),
         ((0, 0, 0, 2), "length 2,"),
+        ((0, 0, 0, 1.051), "length 1.051,"),
         ((0, 0, 0, NAN), "length nan"),
         ((0, 0, INF, 1), "length inf"),
         ((NAN, 0, 0, 1), "length nan"),

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from omniman_ros.core.errors import InputError
-from omniman_ros.core.rigid import Transform
+from omniman_ros.core.repairs import noted_repairs
+from omniman_ros.core.rigid import Transform, heading
 
 SAMPLES = 50
 
@@ -22,6 +23,18 @@ def random_transform(rng: np.random.Generator) -> tuple[Transform, np.ndarray]:
     matrix[:3, 3] = rng.uniform(-3, 3, 3)
     rotation = (*(math.sin(angle / 2) * axis).tolist(), math.cos(angle / 2))
     return Transform(tuple(matrix[:3, 3].tolist()), rotation), matrix
+
+
+@pytest.mark.parametrize(("typed", "is_noted"), [(0.7, True), (0.71, False), (0.74, True)])
+def test_a_quaternion_that_was_typed_is_normalised_and_noted_if_it_is_not_just_rounded(
+    typed, is_noted
+):
+    with noted_repairs() as notes:
+        assert heading((0.0, 0.0, typed, typed)) == pytest.approx(0.5 * math.pi)
+    length = f"{math.sqrt(2.0) * typed:.4g}"
+    assert notes == ([f"a quaternion of length {length} was normalised"] if is_noted else [])
+    assert heading((0.0, 0.0, typed, typed)) == pytest.approx(0.5 * math.pi)
+    assert len(notes) == is_noted, "nobody asks"
 
 
 def test_composition_inverse_and_matrix_are_those_of_homogeneous_matrices():

@@ -205,5 +205,5 @@ def test_the_number_of_frames_is_bounded(tree):
 
 
 def test_rotations_are_normalised(tree):
-    tree.insert("map", "a", T0, Transform(rotation=(0.0, 0.0, 0.0, 1.009)), is_static=True)
+    tree.insert("map", "a", T0, Transform(rotation=(0.0, 0.0, 0.0, 1.04)), is_static=True)
     assert tree.lookup("map", "a", None).rotation == (0.0, 0.0, 0.0, 1.0)

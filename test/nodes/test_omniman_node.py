@@ -1,8 +1,10 @@
 """The base of all nodes: times of messages, whose stamps are of another clock than the node."""
 
+import math
 from types import SimpleNamespace
 
 import pytest
+from geometry_msgs.msg import PoseWithCovarianceStamped
 from rclpy.event_handler import QoSSubscriptionEventType
 from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
@@ -57,6 +59,20 @@ def test_wheel_states_keep_their_order_when_the_node_is_held_up_between_two_cloc
         feedback = node.core.feedback
         assert feedback.time == pytest.approx(1e-9 * due, abs=1e-4)
     assert not node.warning_counts
+
+
+def test_a_message_that_was_repaired_is_used_and_that_is_said_once():
+    with World(OdometryNode) as world:
+        (node,) = world.nodes
+        publisher = world.publisher(PoseWithCovarianceStamped, "set_pose")
+        message = PoseWithCovarianceStamped()
+        message.header.frame_id = "odom"
+        message.pose.pose.orientation.z = message.pose.pose.orientation.w = 0.7
+        for _ in range(3):
+            publisher.publish(message)
+            world.run(1.5)
+        assert node.core.odometry.pose == pytest.approx((0.0, 0.0, 0.5 * math.pi))
+        assert node.warning_counts == {"set_pose repaired": 1}
 
 
 @pytest.mark.parametrize("qos", [LATCHED, QoSProfile(depth=10)], ids=["latched", "volatile"])
