@@ -108,7 +108,7 @@ class OmnimanNode(TimedNode):
                     return
             if refusal:
                 self.warn(f"{subject} refused", f"{subject} not used: {refusal}")
-            elif repairs and subject not in self._repaired:
+            if repairs and subject not in self._repaired:
                 self._repaired.add(subject)
                 self.warn(f"{subject} repaired", f"{subject}: {repairs[0]}")
 
