@@ -16,7 +16,6 @@ from omniman_ros.nodes import tf_messages
 from omniman_ros.nodes.frame_parameters import FrameParameters
 from omniman_ros.nodes.message_filter import RETRY_PERIOD, MessageFilters
 from omniman_ros.nodes.omniman_node import OmnimanNode
-from omniman_ros.nodes.timed_node import NoTimeError
 
 M = TypeVar("M")
 
@@ -73,23 +72,17 @@ class FrameTransforms:
         if not is_static:  # the stamp of one that holds for ever means nothing
             try:
                 self._node.age(message.header.stamp, TRANSFORM_LEAD)
-            except NoTimeError:
-                raise
             except InputError as error:
-                raise InputError(f"'{child[:40]}' in '{parent[:40]}': {error}") from error
+                raise type(error)(f"'{child[:40]}' in '{parent[:40]}': {error}") from error
         time = time_seconds(message.header.stamp)
         transform = transform_from_message(message.transform)
-        now = self._ros_seconds()
+        now = 1e-9 * self._node.ros_time()
         self._tree.insert(parent, child, time, transform, is_static=is_static, now=now)
 
     def _notice_jump(self) -> None:
         """Forget the transforms if ROS time went back."""
-        if self._watch.went_back(self._ros_seconds()):
+        if self._watch.went_back(1e-9 * self._node.ros_time()):
             self._tree.clear()
-
-    def _ros_seconds(self) -> float:
-        """Return ROS time [s]."""
-        return self._node.ros_time() * 1e-9
 
     # ---- lookup ---------------------------------------------------------------------------------
 
@@ -169,7 +162,7 @@ class FrameTransforms:
             updated = self._tree.updated(odom, frame)
         except TransformError as error:
             return str(error)
-        age = self._ros_seconds() - updated
+        age = 1e-9 * self._node.ros_time() - updated
         return f"'{frame}' to '{odom}' is {age:.1f} s old" if age > timeout else ""
 
     # ---- messages that wait ---------------------------------------------------------------------
@@ -192,10 +185,8 @@ class FrameTransforms:
             return False
         try:
             self.placement(header)
-        except TransformError as error:
-            return error.may_come
-        except InputError:
-            return False
+        except InputError as error:
+            return isinstance(error, TransformError) and error.may_come
         return False
 
     def _is_related(self, header: Header) -> bool:
