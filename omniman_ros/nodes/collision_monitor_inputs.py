@@ -57,9 +57,7 @@ class CollisionMonitorInputs:
         self._watch = SourceWatch(node, frames)
         self._obstacles = ObstacleInterface(node, frames, p.obstacles, self._watch)
         self._map = UprightSolids.join([])
-        self._grid = MapInterface(
-            node, frames, p.map_reading.rule, self._use_map, self._watch
-        )
+        self._grid = MapInterface(node, frames, p.map_reading.rule, self._use_map, self._watch)
         self._demands: dict[tuple[str, ...], tuple[float, Array]] = {}
         self.braking_scale = 1.0
         for kind, topic, handler, qos in (
