@@ -17,8 +17,11 @@ STAMP = Time(sec=0x5A3C1E78, nanosec=0x12B4D6F0)
 _STAMP = struct.Struct("=iI")
 _STAMP_MARK = _STAMP.pack(STAMP.sec, STAMP.nanosec)
 _NUMBER = struct.Struct("=d")
-_UNIT = 2.0**-1000
-"""Number whose multiples no message contains otherwise."""
+_BITS = struct.Struct("=Q")
+_FIRST_MARK = 0x01800000_7B3D5E91
+"""Bits of the first mark of a number, about 2**-999; the marks differ in their high words. Fast
+CDR leaves up to four bytes of any content between strings and numbers, and behind an empty array,
+in which half a mark of an earlier message may be: no length of an array is its other half."""
 
 
 def marks(count: int, start: int = 0) -> list[float]:
@@ -29,7 +32,12 @@ def marks(count: int, start: int = 0) -> list[float]:
         start: Number of marks that the message has already; marks are numbered in the order in
             which :class:`MessageTemplate` takes their numbers.
     """
-    return [_UNIT * (start + k + 1) for k in range(count)]
+    return [_mark(start + k) for k in range(count)]
+
+
+def _mark(number: int) -> float:
+    (mark,) = _NUMBER.unpack(_BITS.pack(_FIRST_MARK + (number << 32)))
+    return float(mark)
 
 
 class MessageTemplate:
@@ -43,7 +51,7 @@ class MessageTemplate:
     def __init__(self, message: Any) -> None:
         self._data = bytearray(serialize_message(message))
         places, count = [], 0
-        while (place := self._data.find(_NUMBER.pack(_UNIT * (count + 1)))) >= 0:
+        while (place := self._data.find(_NUMBER.pack(_mark(count)))) >= 0:
             places.append(place)
             count += 1
         begins = [k for k in range(count) if k == 0 or places[k] != places[k - 1] + _NUMBER.size]

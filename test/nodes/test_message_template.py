@@ -1,4 +1,5 @@
 import math
+import struct
 
 import pytest
 from builtin_interfaces.msg import Time
@@ -7,6 +8,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 
 from omniman_ros.conversions.odometry import ODOMETRY_NUMBERS, set_odometry_numbers
+from omniman_ros.nodes import message_template
 from omniman_ros.nodes.message_template import STAMP, MessageTemplate, marks
 
 
@@ -27,6 +29,21 @@ def test_packed_message_is_the_serialized_one(names):
         # Not byte by byte: what CDR leaves between strings and numbers is not specified.
         assert len(packed) == len(serialize_message(expected))
         assert deserialize_message(packed, JointState) == expected
+
+
+def test_what_cdr_leaves_behind_an_empty_array_is_no_mark(monkeypatch):
+    def serialize(message):
+        """Serialize, with half a mark of an earlier message in the bytes that are left."""
+        data = bytearray(serialize_message(message))
+        assert len(data) % 8 == 4, "an empty array of doubles ends with four bytes of alignment"
+        data[-4:] = struct.pack("=d", marks(1, 2)[0])[4:]
+        return bytes(data)
+
+    monkeypatch.setattr(message_template, "serialize_message", serialize)
+    template = MessageTemplate(joint_state(["a", "b"], marks(2), [], STAMP))
+    packed = template.pack(0, [1.0, 2.0])
+    expected = joint_state(["a", "b"], [1.0, 2.0], [], Time())
+    assert deserialize_message(packed, JointState) == expected
 
 
 def test_scattered_numbers_are_packed_into_their_places():
