@@ -158,13 +158,12 @@ def test_nodes_do_not_outlive_a_killed_up(own_domain):
         wait_until(lambda: not any(map(is_alive, pids.values())), "the end of the nodes")
 
 
-def test_a_node_that_cannot_start_is_reported(own_domain):
+def test_a_value_that_a_node_would_refuse_is_reported_before_any_starts(own_domain):
     env = environment(own_domain)
     with Running(command("up", "-p", "position.k_xy:=-1.0", *ONLY_NODES), env) as up:
-        assert up.finish() == 1
-    assert "cannot start" in up.output
-    assert "position.k_xy" in up.output
-    assert "platform_controller ended with exit code 1: stopping the robot" in up.output
+        assert up.finish() == 2
+    assert "error: parameter 'position.k_xy' = '-1.0' is refused" in up.output
+    assert "stopping the robot" not in up.output
 
 
 def test_a_robot_in_a_namespace_runs_on_simulated_time(own_domain):

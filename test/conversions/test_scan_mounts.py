@@ -30,6 +30,7 @@ def mounted(yaw, *turns):
 
 def scan_of(mount):
     message = LaserScan(angle_min=ANGLE_MIN, angle_increment=INCREMENT, ranges=RANGES)
+    message.angle_max = ANGLE_MIN + (len(RANGES) - 1) * INCREMENT
     message.range_min, message.range_max = 0.1, 10.0
     return scan_from_message(message, mount, lambda stamp: 0.0)
 

@@ -191,7 +191,8 @@ def test_a_fault_is_reported_and_gives_exit_code_1(tmp_path, capfd):
     lines = capfd.readouterr().out.splitlines()
     assert "The robot did not do what it should:" in lines
     assert "  tracking RMS, mm: 7, at most 5" in lines
-    assert json.loads(lines[-1])["ok"] is False
+    assert lines[-1] == f"Figures: {tmp_path}/demo.json"
+    assert json.loads((tmp_path / "demo.json").read_text())["ok"] is False
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -592,7 +592,7 @@ def test_limits_change_at_runtime(rig):
         {"limits.linear_velocity": -2.0},
         {"wheels.radius": [0.1, 0.1]},
         {"robot": "nobody"},
-        {"coupling.k_epsilon": 2},
+        {"coupling.k_epsilon": "2"},
         {"wheels.roller_angle": [math.pi / 2, 0.785, 0.785, -0.785]},
     ],
     ids=lambda given: next(iter(given)),
