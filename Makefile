@@ -67,7 +67,7 @@ fuzz: $(TESTING) ## Give each codec, node and page OMNIMAN_FUZZ frames, messages
 	.ci/tests $(BIN)/python test/viewer -n auto -m '' -k fuzz $(ARGS)
 
 bench: $(RUNTIME) ## Measure how long the control cycle takes
-	$(OMNIMAN) bench $(ARGS)
+	$(OMNIMAN) bench $(or $(ARGS),control)
 
 docs: $(DOCUMENTING) ## Build the documentation in docs/_build/html
 	$(BIN)/python -m sphinx -b html -W --keep-going -q -j auto docs docs/_build/html

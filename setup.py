@@ -99,7 +99,7 @@ setup(
     maintainer_email="omniman_ros@example.org",
     license="Apache-2.0",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed"], f"{NAME}.lab.reproduce": ["report.html.j2"]},
+    package_data={NAME: ["py.typed"]},
     data_files=data_files(),
     entry_points={"console_scripts": [f"{name} = {main}" for name, main in EXECUTABLES.items()]},
     cmdclass={"install_data": InstallDataAndStubs},
@@ -138,7 +138,7 @@ setup(
         ],
         # A robot that records needs no pictures.
         "record": ["rosbags"],
-        "plot": ["jinja2", "matplotlib", "pillow", "rosbags"],
+        "plot": ["matplotlib", "pillow", "rosbags"],
         # The page relies on how viser marks up its buttons.
         "viewer": ["viser==1.1.*", "websockets"],
         # 4.0.0 factorises sparse matrices wrongly; a next major version may change the physics.

@@ -24,7 +24,6 @@ DISTRIBUTIONS = {
     "canopen": ("canopen", "canopen-pip"),
     "msgpack": ("msgpack", "python3-msgpack"),
     "casadi": ("casadi", "casadi-pip"),
-    "jinja2": ("jinja2", "python3-jinja2"),
     "lark-parser": ("lark", "python3-lark-parser"),
     "scipy": ("scipy", "python3-scipy"),
     "mujoco-core": ("mujoco", None),

@@ -4,6 +4,7 @@ Directives:
 
 * ``parameters NODE``: the parameters of a node, without those that describe the robot.
 * ``robot-parameters``: the parameters that describe the robot, which all nodes share.
+* ``lab COMMAND``: the table of what `omniman bench` or `omniman reproduce` runs.
 * ``faults``: the table of faults that `omniman bench faults` plays.
 * ``listening-sockets``: the table of sockets on which the robot listens.
 * ``figures NAME``: the table of ``results/NAME.json``.
@@ -113,6 +114,19 @@ class RobotParameters(Table):
             from omniman_ros.nodes import registry
 
             yield from registry.markdown(next(iter(registry.NODES)), robot=True)
+
+
+class Lab(Table):
+    """The table of the benchmarks or of the experiments."""
+
+    style = "commands"
+
+    def lines(self) -> Iterator[str]:
+        """Yield the table."""
+        from omniman_ros.lab import registry
+
+        self.env.note_dependency(registry.__file__)
+        yield from registry.markdown(self.arguments[0])
 
 
 class Faults(Table):
@@ -326,6 +340,7 @@ def setup(app: Sphinx) -> dict[str, Any]:
     """Register the directives and the writer of the API pages."""
     app.add_directive("parameters", Parameters)
     app.add_directive("robot-parameters", RobotParameters)
+    app.add_directive("lab", Lab)
     app.add_directive("faults", Faults)
     app.add_directive("listening-sockets", ListeningSockets)
     app.add_directive("figures", Figures)

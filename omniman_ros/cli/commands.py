@@ -89,12 +89,12 @@ COMMANDS = {
     ),
     "map": Command("omniman_ros.cli.scene_map", "write a scene as a map for Nav2", add_map),
     "reproduce": Command(
-        "omniman_ros.lab.reproduce.command",
+        "omniman_ros.lab.command",
         "repeat a paper's experiment in simulation",
         add_reproduce,
     ),
     "bench": Command(
-        "omniman_ros.lab.bench.command", "measure the performance of the control", add_bench
+        "omniman_ros.lab.command", "measure the performance of the control", add_bench
     ),
 }
 """Commands by name, in the order in which the help lists them."""

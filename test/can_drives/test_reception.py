@@ -10,7 +10,6 @@ from omniman_ros.can_drives.bus import CanBus
 from omniman_ros.can_drives.frame import Frame
 from omniman_ros.can_drives.reception import RECEIVE_BUFFER, is_invalid_frame
 from omniman_ros.core.can_parameters import CanParameters
-from omniman_ros.lab.bench.harness import free_ports
 from omniman_ros.nodes.can_receiver import open_bus
 from omniman_ros.processes.drive_options import MULTICAST_GROUP
 
@@ -22,7 +21,9 @@ SECOND = 1200
 
 @pytest.fixture
 def parameters():
-    (port,) = free_ports(1, socket.SOCK_DGRAM)
+    with socket.socket(type=socket.SOCK_DGRAM) as free:
+        free.bind(("", 0))
+        port = free.getsockname()[1]
     return CanParameters(
         interface="udp_multicast", channel=MULTICAST_GROUP, port=port, nodes=(1, 2, 3, 4)
     )

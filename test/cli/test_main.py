@@ -68,7 +68,7 @@ def test_an_invalid_command_line_gives_exit_code_2(arguments, capsys):
     [
         (["up", "--robot", "nobody"], "robot 'nobody': must be one of ig42, omniman"),
         (["demo", "--robot", "/nowhere/robot.yaml"], "no such file"),
-        (["bench", "--robot", "nobody"], "robot 'nobody'"),
+        (["bench", "control", "--robot", "nobody"], "robot 'nobody'"),
         (["up", "--only", "nothing"], "no node 'nothing'; there are platform_controller"),
         (["up", "-p", "drive.mode=torque"], "'drive.mode=torque' is not NAME:=VALUE"),
         (["up", "--params-file", "/nowhere"], "no parameter file '/nowhere'"),

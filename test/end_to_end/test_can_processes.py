@@ -1,7 +1,7 @@
 """Bridge and simulated drives as separate processes, on a bus of UDP multicast.
 
 The machine may be busy: timeouts are long, and the tests assert events and not their timing;
-`omniman bench can` measures the timing.
+the table of faults (`omniman bench faults`) measures reactions.
 """
 
 import math
@@ -18,10 +18,10 @@ from rclpy.qos import QoSProfile
 from std_srvs.srv import Trigger
 
 from omniman_ros.console.session import Session
-from omniman_ros.lab.bench.can_rig import BusRecorder
 from omniman_ros.nodes.stop_interface import ALL_LATCHED
 from omniman_ros.processes.drive_options import FIRST_PORT
 from omniman_ros.processes.ros_domain import free_domain
+from test.end_to_end.bus_recorder import BusRecorder
 from test.running import (
     PATIENCE,
     Running,

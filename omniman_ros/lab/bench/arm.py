@@ -1,54 +1,65 @@
 """`omniman bench arm`: timing of the arm's setpoints at 125 Hz, compared with a bare loop.
 
 The measurement consists of pairs of blocks. In both blocks, all nodes of the robot run under load,
-in a ROS domain of their own. In one of the two, a bare loop runs beside them: a process that
-only sleeps until absolute deadlines and sends, in the same scheduling class as the streaming
-process of `arm_streamer`. The order of the two blocks changes from pair to pair.
+in a ROS domain of their own: the robot drives to goals among obstacles while its arm follows
+trajectories. In one of the two, a bare loop runs beside them: a process that only sleeps until
+absolute deadlines and sends, in the same scheduling class as the streaming process of
+`arm_streamer`. The order of the two blocks changes from pair to pair.
 """
 
 import argparse
+import math
 import os
 import socket
+import statistics
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import PoseStamped
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+from visualization_msgs.msg import MarkerArray
 
 from omniman_ros.console.errors import CommandError
 from omniman_ros.console.session import DISCOVERY_TIMEOUT
 from omniman_ros.console.terminal import say
-from omniman_ros.lab.bench.arm_figures import (
-    Block,
-    Pair,
-    aims,
-    controller_figures,
-    figures,
-    report,
+from omniman_ros.conversions.geometry import quaternion_from_yaw
+from omniman_ros.core.arm_parameters import UR_JOINTS
+from omniman_ros.demo.moving_obstacles import MovingObstacles
+from omniman_ros.lab.bench.harness import (
+    Rows,
+    RunningNodes,
+    conclude,
+    running_nodes,
+    tables,
 )
-from omniman_ros.lab.bench.arm_load import Load
-from omniman_ros.lab.bench.harness import conclude, free_ports, running_nodes
-from omniman_ros.lab.measurement import cpu_time
+from omniman_ros.lab.measurement import cpu_time, percentiles_ms
 from omniman_ros.lab.priority import set_niceness
+from omniman_ros.lab.verdicts import verdict
+from omniman_ros.nodes.stop_interface import ALL_LATCHED
 from omniman_ros.processes.arm_options import UR_PORTS
-from omniman_ros.processes.process_group import ProcessGroup, ProcessSpec
+from omniman_ros.processes.free_ports import find_free_ports
+from omniman_ros.processes.process_group import ProcessSpec
 from omniman_ros.processes.robot_setup import RobotSetup, node_command, robot_processes
 from omniman_ros.processes.ros_domain import isolate_ros_domain
 from omniman_ros.ur.parameters import PERIOD
 
-PAUSE = 0.5
-"""Time between two blocks, in which the last reports on the previous block arrive [s]."""
-MIN_REPORTED_SHARE = 0.5
-"""Smallest share of a block's intervals that must be reported within the block.
-
-The last ones are reported after its end.
-"""
-MIN_BLOCK = 1.0
-"""Shortest permitted duration of a block [s]."""
-MAX_BLOCK = 600.0
-"""Longest permitted duration of a block [s]."""
-REPORT_TIMEOUT = 5.0
-"""Longest time until the reports on a block arrive [s]."""
+AIM_RATIO = 1.5  # largest median of all pairs' ratios of the p99 send intervals
+LATE, VERY_LATE = 0.012, 0.020  # intervals that count as late [s]
+PAUSE = 0.5  # between two blocks, in which the last reports on the previous one arrive [s]
+MIN_REPORTED_SHARE = 0.5  # of a block's intervals, within the block
+REPORT_TIMEOUT = 5.0  # longest time until the reports on a block arrive [s]
+BLOCK_RANGE = (1.0, 600.0)  # of the duration of a block [s]
+UNNEEDED_NODES = ("joint_states_merger", "viewer")
+HARDWARE_NODES = ("simulated_drive", "simulated_ur")  # real hardware has CPUs of its own
+HARDWARE_NICENESS = -10
+STREAMING_MODULE = "omniman_ros.ur.streaming_loop"
 LENIENT = (
     "timeouts.wheel_states:=2.0",
     "firmware.watchdog:=2.0",
@@ -63,160 +74,163 @@ LENIENT = (
     "ur.read_timeout:=0.04",
     "drive.dead_wheel:=drive_on",
 )
-"""Arguments that set long time-outs and wide tolerances of the nodes.
-
-Simulated hardware has to share the CPU with the nodes, and must not stop the robot when it is
-late. The read time-out of the UR program is short, as its expiry is what the benchmark counts.
-"""
-UNNEEDED_NODES = ("joint_states_merger", "viewer")
-"""Nodes that are left out, as a robot moves without them."""
-HARDWARE_NODES = ("simulated_drive", "simulated_ur")
-"""Nodes that simulate hardware; the hardware of a real robot has CPUs of its own."""
-HARDWARE_NICENESS = -10
-"""Niceness of the simulated hardware, if the system permits it."""
-STREAMING_MODULE = "omniman_ros.ur.streaming_loop"
-"""Module that the streaming process of `arm_streamer` runs, a word of its command line."""
-POLICIES = {
-    os.SCHED_OTHER: "SCHED_OTHER",
-    os.SCHED_FIFO: "SCHED_FIFO",
-    os.SCHED_RR: "SCHED_RR",
-}
-"""Names of the scheduling classes."""
+"""Simulated hardware has to share the CPU with the nodes, and must not stop the robot when it is
+late. The read time-out of the UR program is short, as its expiry is what the benchmark counts."""
+OBSTACLES = ((1.3, 0.15), (1.3, -1.6), (3.5, 1.0), (-1.2, -0.3))  # one is between the goals [m]
+OBSTACLE_RADIUS = 0.25  # [m]
+GOALS = ((2.6, 0.0, 0.5 * math.pi), (0.0, 0.0, 0.0))  # in odom [m, m, rad]
+JOINT_OFFSETS = (
+    (0.3, -0.2, 0.3, -0.2, 0.2, 0.3),
+    (-0.2, -0.1, 0.2, -0.3, -0.3, -0.2),
+    (0.0,) * 6,
+)
+"""Points of a round of the arm, as offsets from the initial joint angles [rad]. They are small, so
+that a short delay of the simulated controller does not look like a fault of the setpoints."""
+ROUNDS = 30  # of the arm in a trajectory
+FEED_PERIOD = 0.05  # of the observations of the obstacles [s]
+GOAL_PERIOD, GOAL_TIMEOUT = 1.0, 20.0  # shortest and longest time between two goals [s]
+PREVIEW_TIMEOUT = 0.3  # without a preview, after which the arm's trajectory has ended [s]
 
 
-@dataclass(frozen=True)
-class Effort:
-    """Extent of the measurement.
+class Load:
+    """Keeps platform, planner and arm moving, and collects the timing of the arm's setpoints."""
 
-    Attributes:
-        pairs: Number of pairs of blocks.
-        seconds: Duration of a block [s].
-    """
+    def __init__(self, nodes: RunningNodes) -> None:
+        self._session, self._children = nodes.session, nodes.children
+        self.controller: dict[str, str] = {}
+        self.reports = 0  # diagnostics of the simulated UR controller
+        self.intervals: list[float] = []
+        self.ages: list[float] = []
+        self._goals_sent = self._previews = self._driven = 0
+        self._stopped: dict[str, str] = {}
+        self._home: list[float] = []
+        self._state = ""
+        self._arm_commanded = self._goal_sent = -math.inf
+        count = len(OBSTACLES)
+        places, radii = np.array(OBSTACLES), np.full(count, OBSTACLE_RADIUS)
+        self._surroundings = MovingObstacles(0.0, places, np.zeros((count, 2)), radii)
+        node = self._session.node
+        self._goals = node.create_publisher(PoseStamped, "goal_pose", 10)
+        self._obstacles = node.create_publisher(MarkerArray, "obstacles", 50)
+        self._joints = node.create_publisher(JointTrajectory, "joint_trajectory", 10)
+        subscribe = node.create_subscription
+        subscribe(DiagnosticStatus, "stop_state", self.on_stop_state, ALL_LATCHED)
+        subscribe(DiagnosticStatus, "mpc/status", self._on_planner, 10)
+        subscribe(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
+        subscribe(Float64MultiArray, "arm/timing", self.on_timing, 50)
+        # Raw messages are not deserialised: mostly, only their arrival matters.
+        subscribe(JointTrajectory, "arm/joint_reference", self._on_preview, 10, raw=True)
+        subscribe(JointState, "arm/joint_states", self._on_joints, 10, raw=True)
 
-    pairs: int
-    seconds: float
+    def on_stop_state(self, message: DiagnosticStatus) -> None:
+        """Record whether the node that sent a stop state is stopped."""
+        if message.level == DiagnosticStatus.ERROR:
+            self._stopped[message.name] = message.message
+        else:
+            self._stopped.pop(message.name, None)
 
+    def on_timing(self, message: Float64MultiArray) -> None:
+        """Collect the send intervals and setpoint ages, distinguished by their labels."""
+        first = 0
+        for dimension in message.layout.dim:
+            values = message.data[first : first + dimension.size]
+            {"intervals": self.intervals, "ages": self.ages}[dimension.label].extend(values)
+            first += dimension.size
 
-FULL = Effort(pairs=5, seconds=8.0)
-"""Extent without options."""
-QUICK = Effort(pairs=2, seconds=2.0)
-"""Extent with `--quick`."""
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            if status.name == "/simulated_ur":
+                self.controller = {item.key: item.value for item in status.values}
+                self.reports += 1
 
+    def _on_planner(self, message: DiagnosticStatus) -> None:
+        self._state = {item.key: item.value for item in message.values}.get("state", "")
+        self._driven += self._state == "driving"
 
-def effort_of(args: argparse.Namespace) -> Effort:
-    """Return the extent of the measurement that the command line requests.
+    def _on_preview(self, data: bytes) -> None:
+        self._arm_commanded = time.monotonic()
+        self._previews += 1
 
-    Args:
-        args: Parsed command line.
+    def _on_joints(self, data: bytes) -> None:
+        if not self._home:
+            message = deserialize_message(data, JointState)
+            angles = dict(zip(message.name, message.position, strict=True))
+            self._home = [angles[name] for name in UR_JOINTS]
 
-    Raises:
-        CommandError: An option is out of its range.
-    """
-    usual = QUICK if args.quick else FULL
-    pairs = usual.pairs if args.pairs is None else args.pairs
-    seconds = usual.seconds if args.seconds is None else args.seconds
-    if pairs < 1:
-        raise CommandError(f"--pairs {pairs}: must be at least 1", 2)
-    if not MIN_BLOCK <= seconds <= MAX_BLOCK:
-        raise CommandError(
-            f"--seconds {seconds:g}: must be from {MIN_BLOCK:g} to {MAX_BLOCK:g} s", 2
-        )
-    if not 0 <= args.priority <= 99:
-        raise CommandError(f"--priority {args.priority}: must be from 0 to 99", 2)
-    return Effort(pairs, seconds)
+    def begin(self) -> None:
+        """Wait until all nodes are ready, and until the platform and the arm move.
 
+        Raises:
+            CommandError: A node is not ready in time, or see :meth:`run`.
+        """
+        self.until(self._is_ready, DISCOVERY_TIMEOUT, "nodes that miss a part of the robot")
+        moving = lambda: self._driven > 0 and self._previews > 0  # noqa: E731
+        self.until(moving, DISCOVERY_TIMEOUT, "no drive to a goal, or no previews of the arm")
 
-def run(args: argparse.Namespace) -> int:
-    """Run `omniman bench arm`; return 0, the exit code of a successful measurement.
+    def _is_ready(self) -> bool:
+        publishers = (self._goals, self._obstacles, self._joints)
+        playing = self.controller.get("program_state") == "PLAYING"
+        known = self._state and self._home and self.intervals and playing
+        return bool(known) and all(p.get_subscription_count() > 0 for p in publishers)
 
-    Raises:
-        CommandError: An option is out of its range, or the measurement failed.
-    """
-    effort = effort_of(args)
-    os.environ.pop("ROS_DOMAIN_ID", None)  # the commands must not reach another robot
-    isolate_ros_domain(os.environ)
-    result: dict[str, Any] = {
-        "robot": args.robot,
-        "quick": args.quick,
-        "pairs": effort.pairs,
-        "block_s": effort.seconds,
-        "priority": args.priority,
-    }
-    bare = BareLoop()
-    with bare, running_nodes([*robot(args), *bare.tasks(args.priority)]) as nodes:
-        load = Load(nodes.session, nodes.children.check)
-        result |= ArmBench(load, bare, nodes.children).measure(effort)
-    return conclude("arm", result, report, args.results, aims)
+    def until(self, done: Callable[[], bool], timeout: float, failure: str) -> None:
+        """Run the load until a condition holds; raise CommandError after `timeout` [s]."""
+        end = time.monotonic() + timeout
+        while not done():
+            if time.monotonic() > end:
+                raise CommandError(f"{failure} within {timeout:g} s")
+            self.run(FEED_PERIOD)
 
+    def run(self, seconds: float) -> None:
+        """Keep the platform, the planner and the arm moving for a given time [s].
 
-def robot(args: argparse.Namespace) -> list[ProcessSpec]:
-    """Return the processes of the robot's nodes; its simulated UR controller uses free ports.
+        Raises:
+            CommandError: A node has latched a stop, or a process has ended.
+        """
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0.0:
+            if self._is_ready():
+                self._feed()
+            self._session.spin(min(left, FEED_PERIOD))
+            self.check()
 
-    Args:
-        args: Parsed command line.
+    def check(self) -> None:
+        """Check that no node is stopped and all processes run; see :meth:`run`."""
+        self._children.check()
+        if self._stopped:
+            # A stop is published at once, the controller's diagnostics only once a second.
+            self._session.wait(lambda: self.controller.get("program_state") != "PLAYING", 1.5)
+            name, reason = next(iter(self._stopped.items()))
+            state = self.controller.get("program_state", "unknown")
+            end = self.controller.get("program_end_reason", "")
+            raise CommandError(
+                f"the robot stopped: {name} is {reason}; the program on the controller: {state}"
+                + (f" ({end})" if end else "")
+            )
 
-    Raises:
-        CommandError: The planner cannot run on this machine.
-    """
-    ports = dict(zip(UR_PORTS, free_ports(len(UR_PORTS)), strict=True))
-    port_arguments = [
-        *(f"ports.{name}:={port}" for name, port in ports.items()),
-        f"ur.dashboard_port:={ports['dashboard']}",
-        f"ur.script_port:={ports['secondary']}",
-        f"ur.rtde_port:={ports['rtde']}",
-        "ur.reverse_port:=0",
-        "ur.host:=127.0.0.1",
-        f"ur.priority:={args.priority}",
-    ]
-    setup = RobotSetup(
-        robot=args.robot, params=[*LENIENT, *port_arguments, *args.param], arm="simulated"
-    )
-    tasks = [task for task in robot_processes(setup) if task.name not in UNNEEDED_NODES]
-    if not any(task.name == "mpc_planner" for task in tasks):
-        raise CommandError("mpc_planner cannot run on this machine, as casadi is not installed")
-    return tasks
-
-
-def child_of(pid: int, word: str) -> int:
-    """Return the process id of a child process, identified by its command line.
-
-    Args:
-        pid: Process id of the parent.
-        word: Word that is one argument of the child's command line.
-
-    Raises:
-        CommandError: There is no such child, or no /proc.
-    """
-    for folder in Path("/proc").glob("[0-9]*"):
-        try:
-            parent = (folder / "stat").read_text().rpartition(")")[2].split()[1]
-            words = (folder / "cmdline").read_text().split("\0")
-        except OSError:  # the process has ended meanwhile
-            continue
-        if int(parent) == pid and word in words:
-            return int(folder.name)
-    raise CommandError(f"process {pid} has no child {word} (the search needs Linux)")
-
-
-def scheduling(pid: int) -> str:
-    """Return the scheduling class and priority of a process's main thread, as text.
-
-    Raises:
-        CommandError: There is no such process.
-    """
-    try:
-        policy, priority = os.sched_getscheduler(pid), os.sched_getparam(pid).sched_priority
-    except OSError as error:
-        raise CommandError(f"scheduling of process {pid}: {error}") from error
-    name = POLICIES.get(policy, f"policy {policy}")
-    return f"{name} {priority}" if priority else name
+    def _feed(self) -> None:
+        """Publish observations of the obstacles, and a new command for what is at rest."""
+        now, stamp = time.monotonic(), self._session.node.get_clock().now().to_msg()
+        self._obstacles.publish(self._surroundings.message(0.0, stamp))
+        since = now - self._goal_sent
+        if since > GOAL_TIMEOUT or (since > GOAL_PERIOD and self._state != "driving"):
+            self._goal_sent = now
+            goal = PoseStamped()
+            goal.header.frame_id = "odom"
+            x, y, heading = GOALS[self._goals_sent % len(GOALS)]
+            goal.pose.position.x, goal.pose.position.y = x, y
+            goal.pose.orientation = quaternion_from_yaw(heading)
+            self._goals_sent += 1
+            self._goals.publish(goal)
+        if now - self._arm_commanded > PREVIEW_TIMEOUT:
+            self._arm_commanded = now + GOAL_PERIOD  # wait longer for the first preview
+            angles = (np.array(self._home) + JOINT_OFFSETS).tolist()
+            points = [JointTrajectoryPoint(positions=each) for each in angles] * ROUNDS
+            self._joints.publish(JointTrajectory(joint_names=list(UR_JOINTS), points=points))
 
 
 class BareLoop:
-    """Controls the bare loop, which runs in a process and sends to a sink in another process.
-
-    Used as a context manager, it closes its connection to the loop at the end.
-    """
+    """Controls the bare loop, which runs in a process and sends to a sink in another process."""
 
     def __init__(self) -> None:
         self._listener = socket.create_server(("127.0.0.1", 0))
@@ -233,19 +247,13 @@ class BareLoop:
             self._orders.close()
 
     def tasks(self, priority: int) -> list[ProcessSpec]:
-        """Return the processes of the loop and of its sink.
-
-        Args:
-            priority: SCHED_FIFO priority of the loop; 0 for the normal scheduling class.
-        """
-        (port,) = free_ports(1)
-        control = self._listener.getsockname()[1]
+        """Return the processes of the loop, with its SCHED_FIFO priority or 0, and of its sink."""
+        (port,) = find_free_ports(1)
+        loop = ("loop", str(port), str(self._listener.getsockname()[1]), str(priority))
         module = "omniman_ros.lab.bench.arm_bare"
         return [
             ProcessSpec("sink", node_command(module, ("sink", str(port))), stage=1),
-            ProcessSpec(
-                "bare", node_command(module, ("loop", str(port), str(control), str(priority)))
-            ),
+            ProcessSpec("bare", node_command(module, loop)),
         ]
 
     def is_connected(self) -> bool:
@@ -282,129 +290,197 @@ class BareLoop:
         return [float(value) for value in self._received.decode().strip("[]\n").split(",")]
 
 
-class ArmBench:
-    """Measures the streaming process and the bare loop in alternating blocks.
+def robot(args: argparse.Namespace) -> list[ProcessSpec]:
+    """Return the processes of the robot's nodes; its simulated UR controller uses free ports.
 
-    Args:
-        load: Load that keeps the robot moving and collects the timing of its setpoints.
-        bare: Connection to the bare loop.
-        children: Processes of the robot and of the bare loop.
+    Raises:
+        CommandError: The planner cannot run on this machine.
     """
+    ports = dict(zip(UR_PORTS, find_free_ports(len(UR_PORTS)), strict=True))
+    params = [*LENIENT, *(f"ports.{name}:={port}" for name, port in ports.items())]
+    for name, port in (("dashboard", "dashboard"), ("script", "secondary"), ("rtde", "rtde")):
+        params.append(f"ur.{name}_port:={ports[port]}")
+    params += ["ur.reverse_port:=0", "ur.host:=127.0.0.1", f"ur.priority:={args.priority}"]
+    setup = RobotSetup(robot=args.robot, params=[*params, *args.param], arm="simulated")
+    tasks = [task for task in robot_processes(setup) if task.name not in UNNEEDED_NODES]
+    if not any(task.name == "mpc_planner" for task in tasks):
+        raise CommandError("mpc_planner cannot run on this machine, as casadi is not installed")
+    return tasks
 
-    def __init__(self, load: Load, bare: BareLoop, children: ProcessGroup) -> None:
-        self._load, self._bare, self._children = load, bare, children
-        self._pids: dict[str, int] = {}
-        self._cpu = dict.fromkeys(("streaming", "node", "bare"), 0.0)
-        self._wall = dict.fromkeys(("streaming", "node", "bare"), 0.0)
 
-    def measure(self, effort: Effort) -> dict[str, Any]:
-        """Measure all blocks.
+def child_of(pid: int, word: str) -> int:
+    """Return the process id of a child whose command line has a word.
 
-        Args:
-            effort: Extent of the measurement.
+    Raises:
+        CommandError: There is no such child, or no /proc.
+    """
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            parent = (folder / "stat").read_text().rpartition(")")[2].split()[1]
+            words = (folder / "cmdline").read_text().split("\0")
+        except OSError:  # the process has ended meanwhile
+            continue
+        if int(parent) == pid and word in words:
+            return int(folder.name)
+    raise CommandError(f"process {pid} has no child {word} (the search needs Linux)")
 
-        Returns:
-            Figures of the measurement.
 
-        Raises:
-            CommandError: The robot stopped, or the two loops differ in their scheduling class.
-        """
-        load = self._load
-        say("starting ...")
-        load.begin()
-        permitted = [
-            set_niceness(self._children.pid(name), HARDWARE_NICENESS) for name in HARDWARE_NODES
-        ]
-        self._until(self._bare.is_connected, DISCOVERY_TIMEOUT, "the bare loop did not connect")
-        node = self._children.pid("arm_streamer")
-        self._pids = {
-            "streaming": child_of(node, STREAMING_MODULE),
-            "node": node,
-            "bare": self._children.pid("bare"),
-        }
-        classes = {
-            "streamer": scheduling(self._pids["streaming"]),
-            "bare": scheduling(self._pids["bare"]),
-        }
-        if len(set(classes.values())) > 1:
-            raise CommandError(f"the loops differ in their scheduling class: {classes}")
-        before = load.controller
-        say(f"{effort.pairs} pairs of blocks of {effort.seconds:g} s, {classes['bare']} ...")
-        pairs = [self._pair(k, effort) for k in range(effort.pairs)]
-        reports = load.controller_reports
-        self._until(
-            lambda: load.controller_reports > reports,
-            REPORT_TIMEOUT,
-            "the simulated controller published no diagnostics",
-        )
-        return {
-            "scheduling": classes,
-            "hardware_niceness": HARDWARE_NICENESS if all(permitted) else 0,
-            **figures(pairs),
-            "cpu_share": {name: self._cpu[name] / self._wall[name] for name in self._cpu},
-            "controller": controller_figures(before, load.controller),
-            "load": {
-                "goals": load.goals,
-                "driving_share": load.driving / load.statuses,
-                "arm_previews": load.previews,
-            },
-        }
+def scheduling(pid: int) -> str:
+    """Return the scheduling class and priority of a process's main thread, as text."""
+    policy, priority = os.sched_getscheduler(pid), os.sched_getparam(pid).sched_priority
+    name = {os.SCHED_OTHER: "SCHED_OTHER", os.SCHED_FIFO: "SCHED_FIFO"}.get(policy, str(policy))
+    return f"{name} {priority}" if priority else name
 
-    def _pair(self, number: int, effort: Effort) -> Pair:
-        if number % 2:
-            bare, beside = self._bare_block(effort.seconds)
-            streamer = self._streamer_block(effort.seconds)
-        else:
-            streamer = self._streamer_block(effort.seconds)
-            bare, beside = self._bare_block(effort.seconds)
-        pair = Pair(streamer, bare, beside)
-        say(f"  pair {number + 1}: p99 ratio {pair.ratio:.3f}")
-        return pair
 
-    def _streamer_block(self, seconds: float) -> Block:
-        self._load.run(PAUSE)
-        return self._timed(("streaming", "node"), lambda: self._measure(seconds))
+def measure(
+    nodes: RunningNodes, load: Load, bare: BareLoop, pairs: int, seconds: float
+) -> dict[str, Any]:
+    """Measure the streaming process and the bare loop in alternating blocks of a duration [s].
 
-    def _bare_block(self, seconds: float) -> tuple[Block, Block]:
-        self._load.run(PAUSE)
-        intervals: list[float] = []
+    Raises:
+        CommandError: The robot stopped, or the two loops differ in their scheduling class.
+    """
+    load.begin()
+    for name in HARDWARE_NODES:
+        set_niceness(nodes.children.pid(name), HARDWARE_NICENESS)
+    load.until(bare.is_connected, DISCOVERY_TIMEOUT, "the bare loop did not connect")
+    node = nodes.children.pid("arm_streamer")
+    pids = {"streaming": child_of(node, STREAMING_MODULE), "node": node}
+    classes = {scheduling(pid) for pid in (pids["streaming"], nodes.children.pid("bare"))}
+    if len(classes) > 1:
+        raise CommandError(f"the loops differ in their scheduling class: {classes}")
+    before, started = load.controller, time.monotonic()
+    used = {name: cpu_time(pid) for name, pid in pids.items()}
+    sides: dict[str, list[list[float]]] = {"streamer": [], "bare": []}
+    ages: list[float] = []
+
+    def streamer_block() -> None:
+        load.run(PAUSE)
+        load.intervals.clear()
+        load.ages.clear()
+        load.run(seconds)
+        if len(load.intervals) < MIN_REPORTED_SHARE * seconds / PERIOD:
+            raise CommandError(f"only {len(load.intervals)} send intervals in {seconds:g} s")
+        sides["streamer"].append(list(load.intervals))
+        ages.extend(load.ages)
+
+    def bare_block() -> None:
+        load.run(PAUSE)
+        bare.begin(seconds)
+        load.run(seconds)
+        found: list[float] = []
+        late = "the bare loop did not report its intervals"
 
         def has_reported() -> bool:
-            intervals.extend(self._bare.intervals())
-            return bool(intervals)
+            found.extend(bare.intervals())
+            return bool(found)
 
-        def measure_both() -> Block:
-            self._bare.begin(seconds)
-            beside = self._measure(seconds)
-            self._until(has_reported, REPORT_TIMEOUT, "the bare loop did not report its intervals")
-            return beside
+        load.until(has_reported, REPORT_TIMEOUT, late)
+        sides["bare"].append(found)
 
-        beside = self._timed(("bare",), measure_both)
-        return Block(tuple(intervals)), beside
+    for k in range(pairs):
+        for block in (streamer_block, bare_block)[:: -1 if k % 2 else 1]:
+            block()
+        say(f"  pair {k + 1}: p99 ratio {pair_ratios(sides)[-1]:.3f}")
+    reports, wall = load.reports, time.monotonic() - started
+    shares = {name: (cpu_time(pid) - used[name]) / wall for name, pid in pids.items()}
+    load.until(lambda: load.reports > reports, REPORT_TIMEOUT, "no diagnostics of simulated_ur")
+    return {
+        "scheduling": classes.pop(),
+        **figures(sides, ages),
+        "cpu_share": shares,
+        "read_timeouts": ended_programs(load.controller) - ended_programs(before),
+    }
 
-    def _measure(self, seconds: float) -> Block:
-        block = self._load.measure(seconds)
-        expected = seconds / PERIOD
-        if len(block.intervals) < MIN_REPORTED_SHARE * expected:
-            raise CommandError(
-                f"only {len(block.intervals)} of about {expected:.0f} send intervals were "
-                f"reported in {seconds:g} s"
-            )
-        return block
 
-    def _timed(self, names: Sequence[str], work: Callable[[], Block]) -> Block:
-        """Measure a block; add the CPU time of the named processes in it to their totals."""
-        start, before = time.monotonic(), {name: cpu_time(self._pids[name]) for name in names}
-        block = work()
-        for name in names:
-            self._cpu[name] += cpu_time(self._pids[name]) - before[name]
-            self._wall[name] += time.monotonic() - start
-        return block
+def ended_programs(values: Mapping[str, str]) -> int:
+    """Return the number of programs that have ended, from the diagnostics of `simulated_ur`.
 
-    def _until(self, done: Callable[[], bool], timeout: float, failure: str) -> None:
-        """Run the load until a condition holds; raise CommandError after `timeout` [s]."""
-        end = time.monotonic() + timeout
-        while not done():
-            if time.monotonic() > end:
-                raise CommandError(f"{failure} within {timeout:g} s")
-            self._load.run(0.02)
+    The streamer's program on the controller ends by itself only if no setpoint arrives within the
+    read time-out, or if the connection is lost.
+    """
+    return int(values["programs"]) - (values["program_state"] == "PLAYING")
+
+
+def pair_ratios(sides: Mapping[str, Sequence[Sequence[float]]]) -> list[float]:
+    """Return the ratios of the streamer's p99 interval to the bare loop's, by pair of blocks."""
+    each = zip(sides["streamer"], sides["bare"], strict=False)
+    return [percentiles_ms(ours)[1] / percentiles_ms(theirs)[1] for ours, theirs in each]
+
+
+def figures(
+    sides: Mapping[str, Sequence[Sequence[float]]], ages: Sequence[float]
+) -> dict[str, Any]:
+    """Return the figures of all blocks of both sides [s], and of the setpoints' ages [s]."""
+    names, ratios = ("p50_ms", "p99_ms", "max_ms"), pair_ratios(sides)
+    result: dict[str, Any] = {"pair_ratios": ratios, "ratio": statistics.median(ratios)}
+    for side, blocks in sides.items():
+        values = [value for block in blocks for value in block]
+        result[side] = {
+            **dict(zip(names, percentiles_ms(values), strict=True)),
+            "count": len(values),
+            "above_12_ms": sum(value > LATE for value in values),
+            "above_20_ms": sum(value > VERY_LATE for value in values),
+        }
+    result["age"] = dict(zip(names, percentiles_ms(ages), strict=True)) if ages else {}
+    return result
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run `omniman bench arm`; return 0, the exit code of a successful measurement.
+
+    Raises:
+        CommandError: An option is out of its range, or the measurement failed.
+    """
+    pairs = args.pairs if args.pairs is not None else 2 if args.quick else 5
+    seconds = args.seconds if args.seconds is not None else 2.0 if args.quick else 8.0
+    if pairs < 1:
+        raise CommandError(f"--pairs {pairs}: must be at least 1", 2)
+    if not BLOCK_RANGE[0] <= seconds <= BLOCK_RANGE[1]:
+        low, high = BLOCK_RANGE
+        raise CommandError(f"--seconds {seconds:g}: must be from {low:g} to {high:g} s", 2)
+    if not 0 <= args.priority <= 99:
+        raise CommandError(f"--priority {args.priority}: must be from 0 to 99", 2)
+    os.environ.pop("ROS_DOMAIN_ID", None)  # the commands must not reach another robot
+    isolate_ros_domain(os.environ)
+    result: dict[str, Any] = {"robot": args.robot, "quick": args.quick, "pairs": pairs}
+    result |= {"block_s": seconds, "priority": args.priority}
+    bare = BareLoop()
+    with bare, running_nodes([*robot(args), *bare.tasks(args.priority)]) as nodes:
+        say(f"{pairs} pairs of blocks of {seconds:g} s ...")
+        result |= measure(nodes, Load(nodes), bare, pairs, seconds)
+    return conclude("arm", result, report, args.results, aims)
+
+
+def aims(result: Mapping[str, Any]) -> dict[str, bool]:
+    """Return whether each aim was met."""
+    return {
+        "p99_ratio": result["ratio"] <= AIM_RATIO,
+        "read_timeouts": result["read_timeouts"] == 0,
+    }
+
+
+def report(result: Mapping[str, Any]) -> list[str]:
+    """Return the lines of the report on a result."""
+    met = {key: verdict(good) for key, good in result["aims"].items()}
+    ours, bare, share = result["streamer"], result["bare"], result["cpu_share"]
+    rows: Rows = [(result["scheduling"], "arm_streamer", "bare loop", "aim", "")]
+    for key in ("p50_ms", "p99_ms", "max_ms"):
+        shown = (f"{side[key]:.2f} ms" for side in (ours, bare))
+        rows.append((f"send interval, {key.removesuffix('_ms')}", *shown, "", ""))
+    for bound in (12, 20):
+        shown = (f"{side[f'above_{bound}_ms']} of {side['count']}" for side in (ours, bare))
+        rows.append((f"  above {bound} ms", *shown, "", ""))
+    low, high = min(result["pair_ratios"]), max(result["pair_ratios"])
+    ratio, spread = f"{result['ratio']:.3f}", f"({low:.2f} to {high:.2f})"
+    about = f"ratio of the p99 intervals, median of {len(result['pair_ratios'])} pairs"
+    rows.append((about, ratio, spread, f"<= {AIM_RATIO:g}", met["p99_ratio"]))
+    for key, value in result["age"].items():
+        about = f"setpoint age at the feedback, {key.removesuffix('_ms')}"
+        rows.append((about, f"{value:.2f} ms", "", "", ""))
+    for name in ("streaming", "node"):
+        about = f"share of a core, {name.replace('streaming', 'streaming process')}"
+        rows.append((about, f"{100 * share[name]:.1f} %", "", "", ""))
+    timeouts = str(result["read_timeouts"])
+    rows.append(("read time-outs on the UR controller", timeouts, "", "0", met["read_timeouts"]))
+    return tables(rows)

@@ -2,10 +2,11 @@
 
 A round trip begins with the frames of a period and ends when all drives have answered. There are
 two baselines with python-can alone: it exchanges as many frames with an echo, and it sends the
-bridge's own frames to the same drives. Afterwards, faults are injected; see `can_faults`.
+bridge's own frames to the same drives.
 """
 
 import argparse
+import contextlib
 import os
 import socket
 import time
@@ -25,15 +26,13 @@ from omniman_ros.control.wheel_cascade import DriveMode, WheelCommand
 from omniman_ros.core.can_parameters import CanParameters
 from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
-from omniman_ros.lab.bench import can_faults
 from omniman_ros.lab.bench.can_peer import COUNTS, SYNC, open_bus
-from omniman_ros.lab.bench.harness import Rows, conclude, free_ports
+from omniman_ros.lab.bench.harness import Rows, conclude
 from omniman_ros.lab.measurement import cpu_time
 from omniman_ros.lab.verdicts import verdict
 from omniman_ros.processes.drive_options import MULTICAST_GROUP
 from omniman_ros.processes.process_group import ProcessGroup, ProcessSpec, redirect_signals
 from omniman_ros.processes.robot_setup import node_command
-from omniman_ros.processes.ros_domain import isolate_ros_domain
 from omniman_ros.robots import load_robot
 
 AIM_RATIO = 2.0
@@ -107,10 +106,6 @@ def run(args: argparse.Namespace) -> int:
     effort = QUICK if args.quick else FULL
     cases = [measure(wheels, rate, effort) for wheels in WHEELS for rate in RATES]
     result: dict[str, Any] = {"quick": args.quick, "cases": cases}
-    os.environ.pop("ROS_DOMAIN_ID", None)  # wheel_commands must not reach another robot
-    isolate_ros_domain(os.environ)
-    (port,) = free_ports(1, socket.SOCK_DGRAM)
-    result["faults"] = can_faults.measure(args.quick, port)
     return conclude("can", result, report, args.results, aims)
 
 
@@ -118,7 +113,6 @@ def aims(result: dict[str, Any]) -> dict[str, bool]:
     """Return whether each aim was met."""
     return {
         "latency_ratio": all(case["ratio"] <= AIM_RATIO for case in result["cases"]),
-        "reactions": can_faults.aim(result["faults"]),
     }
 
 
@@ -153,7 +147,7 @@ def measure(wheels: int, rate: float, effort: Effort) -> dict[str, Any]:
         CommandError: The drives or the echo are not ready in time, or the drives stopped.
     """
     say(f"{wheels} drives at {rate:g} Hz ...")
-    ports = free_ports(2, socket.SOCK_DGRAM)
+    ports = free_udp_ports(2)
     peers = [
         ProcessSpec(
             kind,
@@ -192,6 +186,17 @@ def measure(wheels: int, rate: float, effort: Effort) -> dict[str, Any]:
         "frames_per_period": len(bridge.frames) / (effort.blocks * effort.periods),
         "load": {str(bits): bus_load(bridge.frames, span, bits) for bits in BITRATES},
     }
+
+
+def free_udp_ports(count: int) -> list[int]:
+    """Return UDP ports that are free on this machine."""
+    with contextlib.ExitStack() as stack:
+        sockets = [
+            stack.enter_context(socket.socket(type=socket.SOCK_DGRAM)) for _ in range(count)
+        ]
+        for each in sockets:
+            each.bind(("", 0))
+        return [int(each.getsockname()[1]) for each in sockets]
 
 
 def _sleep_until(due: float) -> None:
@@ -471,4 +476,4 @@ def report(result: dict[str, Any]) -> list[str]:
             )
         )
     aim = f"  aim: median round trip at most {AIM_RATIO:g} times that with the echo"
-    return ["", *table(rows), aim, *can_faults.report(result["faults"])]
+    return ["", *table(rows), aim]

@@ -5,7 +5,6 @@ Its exit code states whether the measurement succeeded, independent of the figur
 """
 
 import contextlib
-import socket
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
@@ -116,21 +115,6 @@ def running_nodes(tasks: Sequence[ProcessSpec]) -> Iterator[RunningNodes]:
         except CommandError:
             log.show()
             raise
-
-
-def free_ports(count: int, kind: socket.SocketKind = socket.SOCK_STREAM) -> list[int]:
-    """Return port numbers that are free on this machine.
-
-    Args:
-        count: Number of ports.
-        kind: SOCK_STREAM for TCP ports, SOCK_DGRAM for UDP ports.
-    """
-    host = "127.0.0.1" if kind == socket.SOCK_STREAM else ""
-    with contextlib.ExitStack() as stack:
-        sockets = [stack.enter_context(socket.socket(type=kind)) for _ in range(count)]
-        for item in sockets:
-            item.bind((host, 0))
-        return [item.getsockname()[1] for item in sockets]
 
 
 def cpu_share_rows(share: Mapping[str, Any], idle_label: str) -> Rows:

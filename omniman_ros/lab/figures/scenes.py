@@ -133,18 +133,12 @@ def _title(outcome: Outcome) -> str:
     """Return seed and outcome of a drive as the title of its panel."""
     name = f"seed {outcome.scene.seed}: "
     if outcome.verdict.collided:
-        contact = outcome.verdict.contact - outcome.drive.times[0]
-        kind = "contact" if outcome.at_fault else "unavoidable contact"
-        return f"{name}{kind} after {contact:.1f} s"
+        return f"{name}contact after {outcome.verdict.contact - outcome.drive.times[0]:.1f} s"
     duration = float(outcome.drive.times[-1] - outcome.drive.times[0])
     figures = f"{duration:.1f} s, least gap {1e3 * outcome.verdict.gap:.0f} mm"
     if outcome.reached:
         return name + ("left its workspace, " if outcome.left_workspace else "") + figures
-    return (
-        name
-        + f"{outcome.goal_error[0]:.1f} m short"
-        + ("" if outcome.solvable else ", no path known")
-    )
+    return f"{name}{outcome.goal_error[0]:.1f} m short"
 
 
 def _draw_robot(

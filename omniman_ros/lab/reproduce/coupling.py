@@ -1,298 +1,302 @@
 """`omniman reproduce coupling`: the coupling error along the path of CCTA 2017, Fig. 7.
 
-The path is driven with random wheels, with and without coupling control, over a range of gains,
-and with the paper's controller as its equations are printed. Step responses with late commands, on
-blocks and on the floor, show what a high gain costs. With `--world`, see
-:mod:`omniman_ros.lab.reproduce.coupling_world`.
+The path is driven with random wheels: without coupling control, with this package's controller at
+the robot's own gain, and with the paper's controller, once with (18) as printed and once with J_a
+corrected. With `--world` it is driven in the physics world: the lag of the rollers is measured
+first, by a rotation in place, and coupling control that knows this lag takes the place of the
+paper's.
 """
 
 import argparse
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
 import numpy as np
 
 from omniman_ros.console.progress import Progress
 from omniman_ros.console.terminal import table
+from omniman_ros.control.kinematics import PlatformKinematics
 from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
-from omniman_ros.lab.reproduce import coupling_world
-from omniman_ros.lab.reproduce.pipeline import collect, publish
+from omniman_ros.lab.reproduce.pipeline import collect, in_parallel, publish, result_name
 from omniman_ros.lab.studies.coupling import (
+    GROUPS,
+    LAG_CONTROLLER,
     MISMATCH_SPREAD,
     OWN_CONTROLLER,
     PAPER_CONTROLLER,
-    SMOOTHING_WINDOW,
+    Case,
     Run,
     Setup,
+    draw_mismatch,
+    drive,
 )
-from omniman_ros.lab.studies.coupling_sweep import (
-    AIM,
-    FULL,
-    PAPER_GAIN,
-    QUICK,
-    STANDARD,
-    Plan,
-    cases,
-    printed_gain,
-    responses,
-    stability,
-    step_grid,
-    summary,
-    sweep,
-)
+from omniman_ros.lab.studies.roller_lag import measure_roller_lag
+from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.lab.verdicts import verdict
-from omniman_ros.motion.figure7 import Figure7, movements
+from omniman_ros.motion.figure7 import Figure7
 from omniman_ros.robots import load_robot
 
-NAME = "reproduce_coupling"
-"""Name of the results, without a suffix."""
+PAPER_GAIN = 2.0  # k_epsilon in Fig. 7 of CCTA 2017 [1/s]
+AIM = 0.1  # largest ratio of the coupling error to that without control, on the plant [-]
+WORLD_GAIN = 5.0  # gain in the physics world, beside the robot's own [1/s]
+ERROR_AIM, ENERGY_AIM = 0.25, 1.01  # largest ratios to those without control in the world [-]
+MEASURES = {OWN_CONTROLLER: "epsilon_ratio", LAG_CONTROLLER: "error_ratio"}
+"""The error that each form of coupling control takes out: epsilon by CCTA 2017 (24), and, of the
+form that knows the lag of the rollers, epsilon less what the lag explains."""
+RATIOS = {"epsilon": "epsilon_max", "error": "error_max", "energy": "energy"}
+
+
+@dataclass(frozen=True)
+class Extent:
+    """Extent of the experiment: path, groups of drives on the plant and in the world, wheels."""
+
+    figure: Figure7
+    on_plant: Sequence[str]
+    in_world: Sequence[str]
+    samples: int
+    rotation: float  # duration of the rotation that measures the lag [s]
+
+
+QUICK = Extent(Figure7(length=1.0), ("P",), ("PI",), samples=1, rotation=2.0)
+STANDARD = Extent(Figure7(), tuple(GROUPS), ("P", "PI", "torque"), samples=10, rotation=6.0)
+FULL = Extent(Figure7(), tuple(GROUPS), ("P", "PI", "torque"), samples=20, rotation=6.0)
+
+
+def printed_gain(robot: Mapping[str, Any]) -> float | None:
+    """Return the gain k_epsilon with which (18) as printed acts like the paper's gain [1/s].
+
+    The printed last column of J_a is (1/r)(1, 1, -1, -1), and T times this column is 4 / r instead
+    of 1: with the corrected J_a, the paper's gain times 4 / r is the same controller.
+
+    Args:
+        robot: Parameters of the robot, full names to values.
+
+    Returns:
+        The gain; None if the wheels are not those of (15) to (18), four of equal radius with
+        T = (1, 1, -1, -1).
+    """
+    wheels = build(Robot, robot).wheels
+    constraints = PlatformKinematics(wheels).T
+    equal = len(set(wheels.radius)) == 1
+    if constraints.shape != (1, 4) or not equal or not np.allclose(abs(constraints), 1.0):
+        return None
+    return PAPER_GAIN * 4.0 / wheels.radius[0]
+
+
+def cases(
+    extent: Extent, robot: Mapping[str, Any], own_gain: float, seed: int, *, in_world: bool = False
+) -> list[Case]:
+    """Return the cases of all drives; each set of wheels drives with each controller."""
+    controllers: list[tuple[str, float]] = [(OWN_CONTROLLER, 0.0)]
+    if in_world:
+        gains = sorted({WORLD_GAIN, own_gain})
+        controllers += [(form, gain) for form in MEASURES for gain in gains]
+    else:
+        paper = [gain for gain in (PAPER_GAIN, printed_gain(robot)) if gain is not None]
+        controllers += [(OWN_CONTROLLER, own_gain), *((PAPER_CONTROLLER, gain) for gain in paper)]
+    wheels = build(Robot, robot).wheel_count
+    return [
+        Case(group, sample, gain, draw_mismatch(group, seed, sample, wheels), controller)
+        for group in (extent.in_world if in_world else extent.on_plant)
+        for sample in range(extent.samples)
+        for controller, gain in controllers
+    ]
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman reproduce coupling`.
-
-    Args:
-        args: Parsed command line.
-
-    Returns:
-        0, whether or not the aim is met.
-    """
-    if args.world:
-        return coupling_world.run(args)
-    plan = QUICK if args.quick else FULL if args.full else STANDARD
+    """Run `omniman reproduce coupling`; return 0, whether or not the aims are met."""
+    extent = QUICK if args.quick else FULL if args.full else STANDARD
     robot = load_robot(args.robot)
     own_gain = build(PlatformParameters, robot).coupling.k_epsilon
-    setup = Setup(robot, plan.figure)
-    selected = cases(plan, robot, own_gain, args.seed)
     started = time.monotonic()
     progress = Progress()
+    setup, where = Setup(robot, extent.figure), ""
+    if args.world:
+        world = WorldChoice.of(robot, args.world)
+        lag = measure_roller_lag(robot, world, extent.rotation)
+        setup = Setup(robot, extent.figure, world, lag)
+        where = f", in the physics world on wheels '{args.world}'"
+    selected = cases(extent, robot, own_gain, args.seed, in_world=bool(args.world))
     progress.headline(
-        f"Coupling control along the path of CCTA 2017, Fig. 7: {len(selected)} drives of "
-        f"{plan.figure.duration:.0f} s each, robot '{args.robot}'"
+        f"Coupling control along the path of CCTA 2017, Fig. 7{where}: {len(selected)} drives of "
+        f"{extent.figure.duration:.0f} s each, robot '{args.robot}'"
     )
-    workers = os.cpu_count() or 1
-    generator = sweep(setup, selected, workers)
-    runs = collect(progress, "drives", generator, len(selected), "drives")
-    grid = step_grid(plan, robot, own_gain)
-    measured = responses(robot, grid, workers)
-    steps = collect(progress, "late commands", measured, len(grid), "step responses")
+    driven = in_parallel(partial(drive, setup), selected, os.cpu_count() or 1)
+    runs = collect(progress, "drives", driven, len(selected), "drives")
     rows = summary(runs)
-    as_printed = printed_gain(robot)
-    named = [gain for gain in (PAPER_GAIN, own_gain, as_printed) if gain]
-    result = {
+    result: dict[str, Any] = {
         "robot": args.robot,
+        "world": args.world,
         "quick": args.quick,
         "full": args.full,
         "seed": args.seed,
-        "paper_gain": PAPER_GAIN,
-        "printed_gain": as_printed,
         "chosen_gain": own_gain,
-        "samples": plan.samples,
+        "samples": extent.samples,
         "spread": MISMATCH_SPREAD,
-        "noise_window_s": SMOOTHING_WINDOW,
-        "path": describe_path(plan),
         "table": rows,
-        "uncontrolled_rad": movement_peaks(plan.figure, runs),
-        "late_commands": [
-            {
-                "k": step.gain,
-                "delay_s": step.delay,
-                "lifted": step.lifted,
-                "overshoot": step.overshoot,
-                "swing": step.swing,
-                "settled": step.settled,
-            }
-            for step in steps
-        ],
-        "stability": stability(robot, steps, named),
-        "aim": {
-            "ratio": AIM,
-            "reached": remaining_ratio(rows, own_gain),
-            "met": remaining_ratio(rows, own_gain) <= AIM,
-        },
     }
-    picture = draw(build(Robot, robot), plan, runs, result, Path(args.results))
-    result["picture"] = picture and str(picture)
-    publish(NAME, result, report, started, args.results)
+    stem = result_name("coupling", args.world)
+    if args.world:
+        result["roller_lag_s"] = setup.roller_lag
+        result["aims"] = [
+            world_aim(rows, mode, form) for mode in extent.in_world for form in MEASURES
+        ]
+        publish(stem, result, report_world, started, args.results)
+        return 0
+    reached = remaining_ratio(rows, own_gain)
+    result["paper_gain"], result["printed_gain"] = PAPER_GAIN, printed_gain(robot)
+    result["aim"] = {"ratio": AIM, "reached": reached, "met": reached <= AIM}
+    result["picture"] = draw(build(Robot, robot), extent, runs, result, Path(args.results, stem))
+    publish(stem, result, report, started, args.results)
     return 0
 
 
-def describe_path(plan: Plan) -> dict[str, Any]:
-    """Return the properties of the path for the JSON; all drives follow the same path."""
-    figure = plan.figure
-    return {
-        "line_m": figure.length,
-        "speed_m_s": figure.law.speed,
-        "duration_s": figure.duration,
-        "travel_m": sum(movement.length for movement in movements(figure.length)),
-        "movements": [movement.name for movement in movements(figure.length)],
-    }
+def summary(runs: Sequence[Run]) -> list[dict[str, Any]]:
+    """Return mean and worst value of each figure over the wheels, by group, controller and gain.
 
-
-def movement_peaks(figure: Figure7, runs: Sequence[Run]) -> dict[str, float]:
-    """Return the largest change of the coupling error in each movement without control [rad].
-
-    The change is taken relative to the start of the movement, and averaged over the drives of
-    group P without coupling control.
-
-    Args:
-        figure: The path in time.
-        runs: The drives.
-
-    Returns:
-        The changes by the name of the movement; empty if there are no such drives.
+    `epsilon_ratio`, `error_ratio` and `energy_ratio` relate the `epsilon_max`, `error_max` and
+    `energy` of a set of wheels to those of the same wheels without coupling control.
     """
-    uncontrolled = [run for run in runs if run.case.group == "P" and run.case.gain == 0.0]
-    if not uncontrolled:
-        return {}
-    peaks = {}
-    for leg, movement in zip(figure.legs(0.0), movements(figure.length), strict=True):
-        first, last = leg.begin, leg.begin + figure.law.duration(movement.length)
-        changes = []
-        for run in uncontrolled:
-            inside = (run.time >= first) & (run.time <= last)
-            epsilon = run.epsilon[inside]
-            changes.append(float(np.abs(epsilon - epsilon[:1]).max(initial=0.0)))
-        peaks[leg.name] = float(np.mean(changes))
-    return peaks
+    members: dict[str, dict[tuple[str, float], list[Run]]] = {}
+    for each in runs:
+        key = (each.case.controller, each.case.gain)
+        members.setdefault(each.case.group, {}).setdefault(key, []).append(each)
+
+    def spread(values: Sequence[float]) -> dict[str, float]:
+        return {"mean": fmean(values), "worst": max(values, key=abs)}
+
+    rows = []
+    for group, by_gain in members.items():
+        off = by_gain[OWN_CONTROLLER, 0.0]
+        for (controller, gain), same in sorted(by_gain.items()):
+            row: dict[str, Any] = {"group": group, "controller": controller, "k": gain}
+            row["about"] = GROUPS[group].about
+            for name in asdict(same[0].outcome):
+                row[name] = spread([getattr(each.outcome, name) for each in same])
+            for name, figure in RATIOS.items():
+                pairs = zip(same, off, strict=True)
+                row[f"{name}_ratio"] = spread(
+                    [getattr(n.outcome, figure) / getattr(o.outcome, figure) for n, o in pairs]
+                )
+            rows.append(row)
+    return rows
 
 
 def remaining_ratio(rows: Sequence[dict[str, Any]], gain: float) -> float:
-    """Return the mean ratio of max |epsilon| at a gain [1/s] to that without control, P loops.
-
-    The controller is this package's.
-    """
+    """Return the mean ratio of max |epsilon| at a gain [1/s] to that without control, P loops."""
     key = ("P", OWN_CONTROLLER, gain)
     row = next(row for row in rows if (row["group"], row["controller"], row["k"]) == key)
-    ratio: float = row["epsilon_ratio"]["mean"]
-    return ratio
+    return float(row["epsilon_ratio"]["mean"])
+
+
+def world_aim(rows: Sequence[Mapping[str, Any]], mode: str, form: str) -> dict[str, Any]:
+    """Return how near a form of coupling control comes to its aims in one mode.
+
+    Of the gains that meet the aim for the energy, the one that leaves the smallest part of the
+    error is taken; if none does, the one with the least energy.
+    """
+    measure = MEASURES[form]
+    driven = [r for r in rows if r["group"] == mode and r["controller"] == form and r["k"] > 0.0]
+    cheap = [row for row in driven if row["energy_ratio"]["mean"] <= ENERGY_AIM]
+    decisive = measure if cheap else "energy_ratio"
+    best = min(cheap or driven, key=lambda row: float(row[decisive]["mean"]))
+    error, energy = best[measure]["mean"], best["energy_ratio"]["mean"]
+    return {
+        "group": mode,
+        "controller": form,
+        "k": best["k"],
+        "error_ratio": error,
+        "energy_ratio": energy,
+        "error_met": error <= ERROR_AIM,
+        "energy_met": energy <= ENERGY_AIM,
+    }
 
 
 def draw(
-    robot: Robot, plan: Plan, runs: Sequence[Run], result: dict[str, Any], folder: Path
-) -> Path | None:
-    """Draw the study as a PNG file; return its path, or None if matplotlib is not installed."""
+    robot: Robot, extent: Extent, runs: Sequence[Run], result: Mapping[str, Any], stem: Path
+) -> str | None:
+    """Draw the experiment as a PNG file; return its path, or None without matplotlib."""
     try:
-        from omniman_ros.lab.figures import coupling as coupling_picture
+        from omniman_ros.lab.figures import coupling as picture
     except ImportError:
         return None
-    path = folder / f"{NAME}.png"
-    coupling_picture.draw(robot, plan.figure, runs, result, path)
-    return path
+    path = stem.with_suffix(".png")
+    picture.draw(robot, extent.figure, runs, result, path)
+    return str(path)
 
 
-def report(result: dict[str, Any]) -> list[str]:
-    """Return the lines of the report on the terminal.
+def _about(row: Mapping[str, Any], printed: float | None) -> str:
+    """Return controller and gain of a row."""
+    if row["k"] == 0.0:
+        return "off"
+    if row["controller"] == PAPER_CONTROLLER:
+        return f"paper, {PAPER_GAIN:g} " + ("as printed" if row["k"] == printed else "corrected")
+    return f"{row['k']:g}, with lag" if row["controller"] == LAG_CONTROLLER else f"{row['k']:g}"
 
-    Unless noted otherwise, values are means over the sets of random wheels.
-    """
+
+def _tables(result: Mapping[str, Any]) -> list[str]:
+    """Return a table for each group; values are means over the sets of wheels."""
     lines = []
-    groups = dict.fromkeys((row["group"], row["about"]) for row in result["table"])
-    for group, about in groups:
-        rows: list[tuple[str, ...]] = [
-            (
-                "k [1/s]",
-                "max |eps|",
-                "RMS",
-                "ratio to off",
-                "worst",
-                "slip loss",
-                "energy",
-                "speed noise",
-                "command noise",
-                "odom error, end",
-                "max",
+    header: tuple[str, ...] = ("k [1/s]", "max |eps|", "less lag", "ratio to off", "less lag")
+    header += ("worst", "slip loss", "energy", "ratio to off", "copper", "tracking")
+    header += ("odom error: end", "max", "heading")
+    for about in dict.fromkeys(row["about"] for row in result["table"]):
+        rows = [header]
+        for row in (row for row in result["table"] if row["about"] == about):
+            mean = {name: value["mean"] for name, value in row.items() if isinstance(value, dict)}
+            rows.append(
+                (
+                    _about(row, result.get("printed_gain")),
+                    f"{mean['epsilon_max']:.3f} rad",
+                    f"{mean['error_max']:.3f} rad",
+                    f"{mean['epsilon_ratio']:.3f}",
+                    f"{mean['error_ratio']:.2f}",
+                    f"{row['epsilon_ratio']['worst']:.3f}, {row['error_ratio']['worst']:.2f}",
+                    f"{mean['slip']:.2f} J",
+                    f"{mean['energy']:.0f} J",
+                    f"{mean['energy_ratio']:.3f}",
+                    f"{mean['copper']:.0f} J",
+                    f"{1e3 * mean['tracking_max']:.1f} mm",
+                    f"{1e3 * mean['odometry_end']:.1f}",
+                    f"{1e3 * mean['odometry_max']:.1f} mm",
+                    f"{1e3 * mean['heading_end']:.1f} mrad",
+                )
             )
-        ]
-        for row in result["table"]:
-            if row["group"] == group:
-                rows.append(_cells(row, result["printed_gain"]))
         lines += ["", f"{about}, mean of {result['samples']} sets of wheels:", *table(rows)]
-    lines += [
-        "(paper: its controller, which is never reset and has no bound, with J_a corrected; "
-        "as printed: with (18) as it is printed)"
-    ]
-    for lifted, where in ((True, "off"), (False, "on")):
-        lines += [
-            "",
-            f"Overshoot after a step of epsilon, wheels {where} the floor, by delay of commands:",
-            *_step_table([step for step in result["late_commands"] if step["lifted"] is lifted]),
-        ]
-    lines += ["", *_stability_lines(result["stability"])]
-    aim = result["aim"]
-    outcome = verdict(aim["met"])
-    lines += [
-        "",
-        f"max |eps| at k = {result['chosen_gain']:g} in relation to that without control: "
-        f"{aim['reached']:.3f}, aim at most {aim['ratio']:g}: {outcome}",
-    ]
-    if result["picture"]:
-        lines += [f"Picture: {result['picture']}"]
     return lines
 
 
-def _step_table(steps: Sequence[dict[str, Any]]) -> list[str]:
-    """Return the table of the overshoot by gain and delay."""
-    cells = {
-        (step["k"], step["delay_s"]): f"{100 * step['overshoot']:.0f} %"
-        if step["settled"]
-        else "oscillates"
-        for step in steps
-    }
-    gains, delays = (sorted({key[i] for key in cells}) for i in range(2))
-    rows = [("k [1/s]", *(f"{1e3 * delay:g} ms" for delay in delays))]
-    rows += [(f"{gain:.3g}", *(cells[gain, delay] for delay in delays)) for gain in gains]
-    return table(rows)
-
-
-def _stability_lines(found: dict[str, Any]) -> list[str]:
-    """Return the delay margins, computed and measured, wheels off the floor."""
-
-    def cell(seconds: float | None) -> str:
-        return "none" if seconds is None else f"{1e3 * seconds:.0f} ms"
-
-    rows: list[tuple[str, ...]] = [("k [1/s]", "computed", "measured: settles", "oscillates")]
-    rows += [
-        (
-            f"{row['k']:.3g}",
-            cell(row["computed_s"]),
-            cell(row["settles_s"]),
-            cell(row["oscillates_s"]),
-        )
-        for row in found["margins"]
-    ]
+def report(result: Mapping[str, Any]) -> list[str]:
+    """Return the lines of the report on drives on the plant."""
+    aim = result["aim"]
     return [
-        "Longest delay of the commands without oscillation, wheels off the floor:",
-        *table(rows),
-        f"Computed and measured agree on {found['agree']} of {found['compared']} step responses.",
+        *_tables(result),
+        "(paper: its controller, which is never reset and has no bound, with (18) as printed or "
+        "with J_a corrected)",
+        "",
+        f"max |eps| at k = {result['chosen_gain']:g} in relation to that without control: "
+        f"{aim['reached']:.3f}, aim at most {aim['ratio']:g}: {verdict(aim['met'])}",
+        f"Picture: {result['picture'] or 'no matplotlib'}",
     ]
 
 
-def _name(row: dict[str, Any], printed: float | None) -> str:
-    """Return the name of a row: its gain, and whose controller it is if not this package's."""
-    if row["controller"] == PAPER_CONTROLLER:
-        as_printed = row["k"] == printed
-        return f"{PAPER_GAIN:g}, as printed" if as_printed else f"{row['k']:g}, paper"
-    return "off" if row["k"] == 0.0 else f"{row['k']:g}"
-
-
-def _cells(row: dict[str, Any], printed: float | None) -> tuple[str, ...]:
-    mean = {name: value["mean"] for name, value in row.items() if isinstance(value, dict)}
-    return (
-        _name(row, printed),
-        f"{mean['epsilon_max']:.3f} rad",
-        f"{mean['epsilon_rms']:.3f}",
-        f"{mean['epsilon_ratio']:.3f}",
-        f"{row['epsilon_ratio']['worst']:.3f}",
-        f"{mean['slip']:.2f} J",
-        f"{mean['energy']:.0f} J",
-        f"{1e3 * mean['speed_noise']:.1f}",
-        f"{1e3 * mean['command_noise']:.1f} mrad/s",
-        f"{1e3 * mean['odometry_end']:.2f}",
-        f"{1e3 * mean['odometry_max']:.2f} mm",
-    )
+def report_world(result: Mapping[str, Any]) -> list[str]:
+    """Return the lines of the report on drives in the physics world."""
+    lag = 1e3 * result["roller_lag_s"]
+    lines = [*_tables(result), "", f"Lag of the rollers, by a rotation in place: {lag:.1f} ms"]
+    for aim in result["aims"]:
+        error = "epsilon less lag" if aim["controller"] == LAG_CONTROLLER else "epsilon"
+        lines.append(
+            f"{aim['group']}, k = {_about(aim, None)}: {aim['error_ratio']:.2f} of {error} (aim "
+            f"{ERROR_AIM:g}), {aim['energy_ratio']:.3f} of the energy (aim {ENERGY_AIM:g}): "
+            f"{verdict(aim['error_met'] and aim['energy_met'])}"
+        )
+    return lines

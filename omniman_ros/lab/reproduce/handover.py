@@ -20,8 +20,7 @@ from omniman_ros.console.progress import Progress
 from omniman_ros.console.terminal import table
 from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
-from omniman_ros.lab.reproduce.experiments import result_name
-from omniman_ros.lab.reproduce.pipeline import collect, publish
+from omniman_ros.lab.reproduce.pipeline import collect, publish, result_name
 from omniman_ros.lab.studies.handover import (
     HANDOVER_WHEELS,
     KEPT_TIME,

@@ -9,16 +9,13 @@ import argparse
 import math
 import os
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Mapping
 from functools import partial
-from multiprocessing import get_context
 from typing import Any
 
 from omniman_ros.console.progress import Progress
 from omniman_ros.console.terminal import table
-from omniman_ros.lab.reproduce.experiments import result_name
-from omniman_ros.lab.reproduce.pipeline import collect, publish
+from omniman_ros.lab.reproduce.pipeline import collect, in_parallel, publish, result_name
 from omniman_ros.lab.studies.coupling import GROUPS
 from omniman_ros.lab.studies.odometry_calibration import calibrate
 from omniman_ros.lab.studies.odometry_drive import OdometryCase, OdometryErrors, drive_odometry
@@ -68,7 +65,8 @@ def run(args: argparse.Namespace) -> int:
         for known in ((0.0, lag) if lag else (0.0,))
         for sample in range(samples)
     ]
-    generator = _in_parallel({**robot, **calibration}, world, figure, selected)
+    one = partial(drive_odometry, {**robot, **calibration}, world, figure)
+    generator = in_parallel(one, selected, min(len(selected), os.cpu_count() or 1))
     driven = collect(progress, "drives", generator, len(selected), "drives")
     rows = [row(case, errors) for case, errors in zip(selected, driven, strict=True)]
     result = {
@@ -85,18 +83,6 @@ def run(args: argparse.Namespace) -> int:
     }
     publish(result_name("odometry", args.world), result, report, started, args.results)
     return 0
-
-
-def _in_parallel(
-    robot: Mapping[str, Any],
-    world: WorldChoice | None,
-    figure: Figure7,
-    selected: Sequence[OdometryCase],
-) -> Iterator[OdometryErrors]:
-    """Yield the errors of all drives, in their order."""
-    workers = min(len(selected), os.cpu_count() or 1)
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        yield from pool.map(partial(drive_odometry, robot, world, figure), selected)
 
 
 def row(case: OdometryCase, errors: OdometryErrors) -> dict[str, Any]:

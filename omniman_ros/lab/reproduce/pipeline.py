@@ -1,30 +1,55 @@
 """Steps that all experiments share: collecting results with a progress bar, and publishing."""
 
+import multiprocessing
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from typing import Any, TypeVar
 
 from omniman_ros.console import results
 from omniman_ros.console.progress import Progress
 from omniman_ros.console.terminal import say
 
-T = TypeVar("T")
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 
-def collect(progress: Progress, part: str, items: Iterable[T], count: int, unit: str) -> list[T]:
-    """Collect results that are computed one after the other, and show the progress.
+def result_name(experiment: str, wheels: str | None = None) -> str:
+    """Return the name of the results, without a suffix; `wheels` of the physics world or None."""
+    return f"reproduce_{experiment}_{wheels}" if wheels else f"reproduce_{experiment}"
+
+
+def in_parallel(
+    function: Callable[[Item], Result], items: Sequence[Item], workers: int
+) -> Iterator[Result]:
+    """Yield the results of a function that can be pickled for items, in their order.
+
+    With one worker, the function runs in this process.
+    """
+    if workers == 1:
+        yield from map(function, items)
+        return
+    # Each worker is a new interpreter: forking a process that may have threads is not safe.
+    pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
+    try:
+        yield from pool.map(function, items)
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def collect(
+    progress: Progress, part: str, items: Iterable[Item], count: int, unit: str
+) -> list[Item]:
+    """Return results that are computed one after the other, and show the progress meanwhile.
 
     Args:
         progress: Progress bar.
-        part: Name of this part of the experiment, for the progress bar.
+        part: Name of this part of the experiment.
         items: The results, usually from a generator.
         count: Number of the results.
         unit: Noun for the results in the plural, such as "drives".
-
-    Returns:
-        The results, in their order.
     """
-    collected: list[T] = []
+    collected: list[Item] = []
     progress.begin(part)
     for item in items:
         collected.append(item)
@@ -40,17 +65,14 @@ def publish(
     started: float,
     folder: str,
 ) -> None:
-    """Add the duration to a result, print its report, and publish it as JSON.
+    """Add the duration `took_s` to a result, print its report, and publish it as JSON.
 
     Args:
         name: Name of the results, without a suffix.
-        result: The result; the duration `took_s` is added to it.
+        result: The result.
         report: Function that formats the result as lines of text.
         started: Time at which the experiment began, on the monotonic clock [s].
         folder: Folder of the results.
-
-    Raises:
-        OSError: The folder cannot be written to.
     """
     result["took_s"] = time.monotonic() - started
     say("\n".join(report(result)))

@@ -50,10 +50,8 @@ from omniman_ros.lab.studies.scenes import (
     TIME_LIMIT,
     Outcome,
     SceneDrive,
-    agility_of,
     box_of,
     judge_drive,
-    mover_of,
     true_robot,
 )
 from omniman_ros.lab.studies.worlds import place_column
@@ -512,9 +510,8 @@ def drive_scene(settings: SceneRunSettings, seed: int) -> Outcome:
         from omniman_ros.lab.studies.arm_scenes import judge_arm_drive
 
         description = build(DescriptionParameters, values)
-        return judge_arm_drive(random_scene, drive, mover_of(values), description)
-    reaction = MARKER_PERIOD[1] + MARKER_DELAY[1]
-    return judge_drive(random_scene, drive, mover_of(values), agility_of(values, reaction))
+        return judge_arm_drive(random_scene, drive, description)
+    return judge_drive(random_scene, drive, box_of(values))
 
 
 def _draw_scene(settings: SceneRunSettings, values: Mapping[str, Any], seed: int) -> RandomScene:

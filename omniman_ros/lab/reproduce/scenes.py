@@ -21,8 +21,7 @@ from omniman_ros.core.robot import Robot
 from omniman_ros.description.urdf import carries_arm
 from omniman_ros.extras import PLANNING
 from omniman_ros.lab.measurement import SINGLE_THREADED
-from omniman_ros.lab.reproduce.experiments import result_name
-from omniman_ros.lab.reproduce.pipeline import publish
+from omniman_ros.lab.reproduce.pipeline import publish, result_name
 from omniman_ros.lab.studies.odometry_calibration import calibrate
 from omniman_ros.lab.studies.scene_generator import SceneError
 from omniman_ros.lab.studies.scenes import AIM_REACHED, TIME_LIMIT, Outcome, aims, groups, summary
@@ -30,39 +29,20 @@ from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.lab.verdicts import verdict
 from omniman_ros.robots import load_robot
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # it needs rclpy
     from omniman_ros.lab.reproduce.scene_runs import SceneRunSettings
 
-NAME = "reproduce_scenes"
-"""Name of the results, without a suffix."""
-ARM_NAME = "reproduce_arm_scenes"
-"""Name of the results with arm."""
-COUNT = 240
-"""Default number of scenes."""
-QUICK = 8
-"""Number of scenes of a quick run."""
-FULL = 1000
-"""Number of scenes of a full run."""
-MAX_SHOWN = 9
-"""Largest number of drives in the picture."""
-AIMS = (
-    ("contacts that the robot could have avoided", "own_collisions", "0", "own_collisions"),
-    ("drives that left the workspace", "left_workspace", "0", "left_workspace"),
-    (
-        "goals reached, of those that are reachable",
-        "reached_of_solvable",
-        f">= {100 * AIM_REACHED:g} %",
-        "reached",
-    ),
-)
-"""Rows of the table of aims: label, key of the value, text of the aim, and key of the verdict."""
+COUNT, QUICK, FULL = 240, 8, 1000  # numbers of scenes
+MAX_SHOWN = 9  # largest number of drives in the picture
+AIMS = {
+    "contacts": ("drives with a contact", "0"),
+    "left_workspace": ("drives that left the workspace", "0"),
+    "reached_share": ("goals reached", f">= {100 * AIM_REACHED:g} %"),
+}
 
 
 def run(args: argparse.Namespace) -> int:
     """Run `omniman reproduce scenes`.
-
-    Args:
-        args: Parsed command line.
 
     Returns:
         0 if no aim was missed, else 1.
@@ -84,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
         raise CommandError("--arm and --world exclude each other", code=2)
     if args.arm and not carries_arm(build(Robot, robot)):
         raise CommandError(f"the robot '{args.robot}' has no arm", code=2)
-    name = ARM_NAME if args.arm else result_name("scenes", args.world)
+    name = "reproduce_arm_scenes" if args.arm else result_name("scenes", args.world)
     started = time.monotonic()
     progress = Progress()
     progress.headline(
@@ -95,22 +75,19 @@ def run(args: argparse.Namespace) -> int:
     settings = _settings(args, robot)
     progress.begin("drives")
     outcomes: list[Outcome] = []
-    failed = 0
     try:
         for outcome in drive_scenes(settings, seeds, jobs):
             outcomes.append(outcome)
-            failed += outcome.failed
-            progress.update(
-                len(outcomes) / len(seeds), f"{len(outcomes)} of {len(seeds)}, {failed} failed"
-            )
+            failed = sum(each.failed for each in outcomes)
+            text = f"{len(outcomes)} of {len(seeds)}, {failed} failed"
+            progress.update(len(outcomes) / len(seeds), text)
     except SceneError as error:
         progress.abandon()
         raise CommandError(str(error)) from error
-    progress.end(f"{len(outcomes)} drives, {failed} failed")
+    progress.end(text)
     result = figures(args, outcomes) | {"calibration": dict(settings.calibration)}
-    progress.begin("picture")
-    result["picture"] = draw(build(Robot, robot), outcomes, Path(args.results), name)
-    progress.end("done" if result["picture"] else "no matplotlib")
+    path = Path(args.results, f"{name}.png")
+    result["picture"] = draw(build(Robot, robot), outcomes, path)
     publish(name, result, report, started, args.results)
     return 0 if result["passed"] else 1
 
@@ -121,15 +98,13 @@ def _settings(args: argparse.Namespace, robot: Mapping[str, Any]) -> "SceneRunSe
 
     world = WorldChoice.of(robot, args.world) if args.world else None
     calibration = calibrate(robot, world) if world else {}
-    arm = bool(args.arm)
-    return SceneRunSettings(args.robot, args.seed, args.solve_time, arm, args.world, calibration)
+    return SceneRunSettings(
+        args.robot, args.seed, args.solve_time, args.arm, args.world, calibration
+    )
 
 
 def scene_seeds(args: argparse.Namespace) -> range:
-    """Return the seeds of the scenes that the command line selects.
-
-    These are the seeds of `--seeds`, or else the first `--count` seeds from 0 on. Without these
-    options, the number depends on `--quick` and `--full`.
+    """Return the seeds that the command line selects: `--seeds`, or the first `--count` from 0 on.
 
     Raises:
         CommandError: `--count` or `--seeds` is invalid.
@@ -156,16 +131,7 @@ def scene_seeds(args: argparse.Namespace) -> range:
 def drive_scenes(
     settings: "SceneRunSettings", seeds: Sequence[int], jobs: int
 ) -> Iterator[Outcome]:
-    """Drive through scenes in several processes.
-
-    Args:
-        settings: Settings of the drives.
-        seeds: Seeds of the scenes.
-        jobs: Number of processes; with 1, the drives run in this process.
-
-    Yields:
-        The judged outcomes, in the order of the seeds.
-    """
+    """Yield the judged outcomes of the scenes of seeds, in their order, from several processes."""
     from omniman_ros.lab.reproduce.scene_runs import make_driver
 
     drive = make_driver(settings)
@@ -183,102 +149,54 @@ def figures(args: argparse.Namespace, outcomes: Sequence[Outcome]) -> dict[str, 
     met = aims(summary(outcomes))
     return {
         "robot": args.robot,
-        "arm": bool(args.arm),
+        "arm": args.arm,
         "world": args.world,
         "seed": args.seed,
         "solve_time_s": args.solve_time,
         "limit_s": TIME_LIMIT,
         "groups": {name: summary(members) for name, members in groups(outcomes).items()},
         "aims": met,
-        "passed": all(value is not False for value in met.values()),
+        "passed": all(met.values()),
         "failed": [outcome.scene.seed for outcome in outcomes if outcome.failed],
         "drives": [outcome.figures() for outcome in outcomes],
     }
 
 
-def draw(robot: Robot, outcomes: Sequence[Outcome], folder: Path, name: str = NAME) -> str | None:
-    """Draw up to `MAX_SHOWN` drives as a PNG file.
-
-    Returns:
-        Path of the file; None if matplotlib is not installed.
-    """
+def draw(robot: Robot, outcomes: Sequence[Outcome], path: Path) -> str | None:
+    """Draw failed drives, then those with the least gaps, as a PNG file; None: no matplotlib."""
     try:
-        from omniman_ros.lab.figures import scenes as scene_picture
+        from omniman_ros.lab.figures import scenes as picture
     except ImportError:
         return None
-    path = folder / f"{name}.png"
-    scene_picture.draw(robot, select_shown(outcomes, MAX_SHOWN), path)
+    ordered = sorted(outcomes, key=lambda outcome: (not outcome.failed, outcome.verdict.gap))
+    picture.draw(robot, ordered[:MAX_SHOWN], path)
     return str(path)
-
-
-def select_shown(outcomes: Sequence[Outcome], count: int) -> list[Outcome]:
-    """Select the drives to draw: failed drives first, then those with the smallest gaps."""
-    ordered = sorted(
-        outcomes,
-        key=lambda outcome: (
-            not outcome.failed,
-            not outcome.verdict.collided,
-            outcome.verdict.gap,
-        ),
-    )
-    return ordered[:count]
-
-
-# ---- the report ---------------------------------------------------------------------------------
 
 
 def report(result: Mapping[str, Any]) -> list[str]:
     """Return the lines of the report on the terminal."""
-    rows: list[tuple[str, ...]] = [
-        (
-            "",
-            "drives",
-            "avoidable contacts",
-            "other",
-            "left area",
-            "reachable",
-            "reached",
-            "of reachable",
-            "time",
-            "energy",
-            "least gap",
-            "answer median",
-            "p99",
-            "max",
-            "late",
-        )
-    ]
+    header = ("", "drives", "contacts", "left area", "reached", "time", "energy", "least gap")
+    rows: list[tuple[str, ...]] = [(*header, "answer median", "p99", "max", "late")]
     rows += [_cells(name, group) for name, group in result["groups"].items()]
     lines = ["", *table(rows)]
-    all_drives, met = result["groups"]["all"], result["aims"]
     rows = [("", "value", "aim", "")]
-    for label, key, aim, name in AIMS:
-        value = all_drives[key]
+    for key, (label, aim) in AIMS.items():
+        value = result["groups"]["all"][key]
         shown = f"{100 * value:.1f} %" if isinstance(value, float) else str(value)
-        rows.append((label, shown, aim, verdict(met[name])))
+        rows.append((label, shown, aim, verdict(result["aims"][key])))
     lines += ["", *table(rows)]
-    if result["failed"]:
-        lines += ["", "Failed drives:"]
-        lines += [
-            f"  {_describe_failure(row)}"
-            for row in result["drives"]
-            if row["seed"] in result["failed"]
-        ]
-    if result["picture"]:
-        lines += [f"Picture: {result['picture']}"]
-    return lines
+    failed = [row for row in result["drives"] if row["seed"] in result["failed"]]
+    lines += [f"Failed: {_describe_failure(row)}" for row in failed]
+    return [*lines, f"Picture: {result['picture'] or 'no matplotlib'}"]
 
 
 def _cells(name: str, group: Mapping[str, Any]) -> tuple[str, ...]:
     return (
         name,
         str(group["drives"]),
-        str(group["own_collisions"]),
-        str(group["other_collisions"]),
+        str(group["contacts"]),
         str(group["left_workspace"]),
-        str(group["solvable"]),
         str(group["reached"]),
-        f"{100 * group['reached_of_solvable']:.1f} %",
         f"{group['time_median_s']:.1f} s",
         f"{group['energy_median_j']:.0f} J",
         f"{1e3 * group['least_clearance_m']:.0f} mm",
@@ -291,14 +209,13 @@ def _cells(name: str, group: Mapping[str, Any]) -> tuple[str, ...]:
 
 def _describe_failure(row: Mapping[str, Any]) -> str:
     """Describe a failed drive in one line."""
-    text = f"seed {row['seed']}: "
+    parts = [f"seed {row['seed']}"]
     if row["collided"]:
         kind, number = row["touched"]
-        cause = "avoidable" if row["own"] else "unavoidable"
-        cause += ", the obstacle had just turned" if row["surprised"] else ""
-        text += f"touched {kind} {number + 1} after {row['contact_s']:.2f} s, {cause}; "
+        parts.append(f"touched {kind} {number + 1} after {row['contact_s']:.2f} s")
     if row["outside_m"] > 0.0:
-        text += f"left the workspace by {1e3 * row['outside_m']:.0f} mm; "
+        parts.append(f"left the workspace by {1e3 * row['outside_m']:.0f} mm")
     if not row["reached"] and not row["collided"]:
-        text += f"{row['off_m']:.2f} m from the goal after {row['time_s']:.1f} s, {row['last']}"
-    return text.rstrip("; ")
+        parts.append(f"{row['off_m']:.2f} m from the goal after {row['time_s']:.1f} s")
+        parts.append(row["last"])
+    return ", ".join(parts)

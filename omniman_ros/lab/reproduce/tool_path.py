@@ -21,8 +21,7 @@ from omniman_ros.console.terminal import table
 from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import build
-from omniman_ros.lab.reproduce.experiments import result_name
-from omniman_ros.lab.reproduce.pipeline import collect, publish
+from omniman_ros.lab.reproduce.pipeline import collect, publish, result_name
 from omniman_ros.lab.studies.tool_courses import COURSES, start, tool_poses
 from omniman_ros.lab.studies.tool_path import MOST_DEMANDING, WHEELS, Case, Run, ToolPathLoop, rms
 from omniman_ros.lab.studies.worlds import WorldChoice

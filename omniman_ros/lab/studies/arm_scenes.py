@@ -17,11 +17,9 @@ from omniman_ros.lab.studies.scene_generator import (
     SceneError,
     scene,
 )
-from omniman_ros.lab.studies.scene_geometry import Area, Box, World
+from omniman_ros.lab.studies.scene_geometry import Area, Box
 from omniman_ros.lab.studies.scene_judge import Verdict
-from omniman_ros.lab.studies.scenes import TIME_LIMIT, Outcome, SceneDrive
-from omniman_ros.lab.studies.space_time_grid import Mover
-from omniman_ros.lab.studies.space_time_search import find_path
+from omniman_ros.lab.studies.scenes import Outcome, SceneDrive
 from omniman_ros.simulation.world.distances import PostureDistances, Prism
 
 ABOVE = 2.2
@@ -45,8 +43,6 @@ MAX_SKIP = 20
 """Largest number of samples of a drive that are skipped: 0.1 s."""
 GAP_ACCURACY = 0.005
 """Accuracy of the least gap of a drive [m]."""
-PLATFORM_HEIGHT = 0.5
-"""Height below which an obstacle is in the way of the platform in the search for paths [m]."""
 
 
 class ArmBody:
@@ -132,32 +128,10 @@ def _has_room(body: ArmBody, made: RandomScene) -> bool:
 
 
 def judge_arm_drive(
-    made: RandomScene, drive: SceneDrive, mover: Mover, description: DescriptionParameters
+    made: RandomScene, drive: SceneDrive, description: DescriptionParameters
 ) -> Outcome:
-    """Judge a drive in three dimensions.
-
-    Any contact counts as the fault of the robot. A goal counts as reachable if there is a path for
-    the platform alone: not to find the way for the arm is no excuse.
-
-    Args:
-        made: The scene.
-        drive: The drive.
-        mover: Outline and speeds of the platform, for the search for paths.
-        description: Description of the robot.
-    """
-    verdict = judge(drive.times, drive.poses, made, ArmBody(description, made))
-    outcome = Outcome(made, drive, verdict, True, verdict.collided, False)
-    if outcome.reached and not outcome.left_workspace:
-        return outcome
-    at_platform = tuple(
-        obstacle
-        for obstacle, (low, _) in zip(made.obstacles, made.heights, strict=True)
-        if low < PLATFORM_HEIGHT
-    )
-    since = float(drive.times[0])
-    world = World(at_platform, area=made.workspace)
-    found = find_path(mover, world, made.start, made.goal, since, since + TIME_LIMIT)
-    return replace(outcome, solvable=found is not None)
+    """Judge a drive in three dimensions."""
+    return Outcome(made, drive, judge(drive.times, drive.poses, made, ArmBody(description, made)))
 
 
 def judge(times: Array, poses: Array, made: RandomScene, body: ArmBody) -> Verdict:

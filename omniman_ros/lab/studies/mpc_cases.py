@@ -3,8 +3,7 @@
 Starts, goals and obstacles are those of `omniman_ros.planning.cases`.
 """
 
-import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -20,8 +19,7 @@ PAPER_HORIZON: Mapping[str, Any] = {
     "weights.running": 0.0,
 }
 """Parameters of the paper's horizon: n = 10 stages of 0.1 s, and no running cost, so that (31)
-counts at the end only. Limits and a clipped goal remain; the paper's own problem is
-`omniman_ros.lab.studies.paper_problem`."""
+counts at the end only. Limits and a clipped goal remain."""
 
 
 @dataclass(frozen=True)
@@ -104,36 +102,3 @@ class Variant:
     robot: Mapping[str, Any] = field(default_factory=dict)
     planner: Mapping[str, Any] = field(default_factory=dict)
     voltages: bool = False
-
-
-def variants(robot: Mapping[str, Any]) -> list[Variant]:
-    """Return the variants of the free case, beginning with the unchanged case.
-
-    They show what decides whether the robot turns in order to travel along a roller diagonal.
-
-    Args:
-        robot: Parameters of the robot, full names to values.
-    """
-    coulomb = [2.0 * value for value in robot["friction.coulomb"]]
-    return [
-        Variant("defaults"),
-        Variant("voltages put out", voltages=True),
-        Variant("the paper's horizon", planner=PAPER_HORIZON),
-        Variant("W_ang 1/10", planner={"weights.heading": 15.0}),
-        Variant("W_ang 1/100", planner={"weights.heading": 1.5}),
-        Variant("no running cost, N = 20", planner={"weights.running": 0.0}),
-        Variant("Coulomb friction x 2", robot={"friction.coulomb": coulomb}),
-        Variant("rollers without drag", robot={"friction.roller": [0.0]}),
-    ]
-
-
-def goals(full: bool) -> Iterable[tuple[float, float]]:
-    """Yield the distance [m] and bearing [rad] of each goal in the table of energies.
-
-    Args:
-        full: Whether to yield five bearings per distance rather than three.
-    """
-    bearings = (0.0, 22.5, 45.0, 67.5, 90.0) if full else (0.0, 45.0, 90.0)
-    for distance in (1.0, 2.0, 4.0):
-        for bearing in bearings:
-            yield distance, math.radians(bearing)

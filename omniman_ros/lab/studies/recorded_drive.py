@@ -20,8 +20,6 @@ SETTLING_TIME = 0.5
 """Time after the arrival for which consumed energy still counts [s]."""
 REST_SPEED = 0.02
 """Speed below which the robot counts as at rest, the same as in the planner [m/s, rad/s]."""
-TRAVEL_SPEED = 0.1
-"""Speed above which the robot has a direction of travel [m/s]."""
 
 
 class StudyError(OmnimanError):
@@ -129,17 +127,6 @@ class Drive:
                 f"{self.times[-1]:.2f} s"
             )
         return float(np.interp(end, self.times, self.energy))
-
-    def travel_directions(self) -> tuple[Array, Array]:
-        """Return the directions of travel in base_link while the robot is in motion.
-
-        It is in motion where its speed, measured by the encoders, is above `TRAVEL_SPEED`.
-
-        Returns:
-            Times (k,) [s] and angles (k,) [rad].
-        """
-        moving = np.hypot(self.twists[:, 0], self.twists[:, 1]) > TRAVEL_SPEED
-        return self.times[moving], np.arctan2(self.twists[moving, 1], self.twists[moving, 0])
 
 
 def _wrapped(angles: Array) -> Array:

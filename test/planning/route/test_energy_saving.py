@@ -3,7 +3,6 @@ import math
 import numpy as np
 import pytest
 
-from omniman_ros.lab.studies.roller_diagonals import steady_power
 from omniman_ros.planning.effective_limits import EffectiveLimits
 from omniman_ros.planning.route.energy_saving import MIN_SAVING, YAW_RATE_FACTOR, power, straight
 from omniman_ros.planning.route.route import Route
@@ -74,10 +73,6 @@ def test_power_is_that_of_the_minimum_currents_that_balance_friction(name):
         currents = np.linalg.lstsq(by_current, force, rcond=None)[0]
         volts = robot.resistance * currents + robot.emf * (robot.J @ twist)
         assert total == pytest.approx(float(volts @ currents), rel=1e-6)
-    directions = np.linspace(0.0, math.tau, 73)
-    travel = 0.5 * np.column_stack([np.cos(directions), np.sin(directions), 0.0 * directions])
-    of_studies = steady_power(robots.robot(name), 0.5, directions)
-    np.testing.assert_allclose(power(robot, travel), of_studies)
 
 
 def test_power_is_symmetric_in_direction_and_zero_at_rest():
