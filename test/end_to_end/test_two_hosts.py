@@ -27,9 +27,7 @@ SPEED = 0.3
 AIM = 0.5
 """Largest time from the cut to rest [s]."""
 HOLD_UP = 0.03
-"""Time without a report above which the machine has held a process up [s]."""
-TRIALS = 6
-"""Largest number of trials of each cut."""
+"""Time without a report above which a cut is not judged [s]: the machine has held a process up."""
 CALM = 4.0
 """Time for which nothing may move after the cable is in again [s]: DDS has told all by then."""
 LEASE = 22.0
@@ -71,12 +69,14 @@ class Scene:
         cable: Cable between the hosts.
         watch: Observer on the robot's host.
         operator: Observer on the other host, which drives.
+        held_up: Cuts whose time to rest is not judged.
     """
 
     def __init__(self, stack, discovery, bag):
         robot, desk, self.cable = stack.enter_context(two_hosts(discovery == "multicast"))
         here, there = (environment(discovery, a) for a in (ROBOT_ADDRESS, DESK_ADDRESS))
         self._desk, self._there = desk, there
+        self.held_up = []
         if discovery == "server":
             found = shutil.which(SERVER, path=sysconfig.get_path("scripts")) or SERVER
             arguments = ["-i", "0", "-l", ROBOT_ADDRESS, "-p", str(PORT)]
@@ -138,21 +138,19 @@ class Scene:
     def pull(self, start, what):
         """Start a motion and pull the cable: the robot comes to rest in time.
 
-        A trial in which the machine held a process up does not count.
+        How long that took is not judged if the machine held a process up, early or late alike.
         """
-        for _ in range(TRIALS):
-            start()
-            pulled = self.cable.pull()
-            time.sleep(2.0)
-            rest, held = self.watch.time_of_rest(pulled), self.watch.longest_gap(pulled - 0.3)
-            sys.stdout.write(f"{what}: at rest {rest:.2f} s after the cut, held up {held:.2f} s\n")
-            if rest <= AIM:
-                return
-            assert held > HOLD_UP, what
-            self.let_go()
-            self.cable.plug()
-            self.stays(CALM)
-        pytest.skip(f"the machine held processes up in each of {TRIALS} trials")
+        start()
+        pulled = self.cable.pull()
+        time.sleep(2.0)
+        rest, held = self.watch.time_of_rest(pulled), self.watch.longest_gap(pulled - 0.3)
+        said = f"{what}: at rest {rest:.2f} s after the cut, held up {held:.2f} s"
+        sys.stdout.write(f"{said}\n")
+        self.until(self.rests, "rest after the cut")
+        if held > HOLD_UP:
+            self.held_up.append(said)
+        else:
+            assert rest <= AIM, said
 
     def go(self, distance):
         """Drive to a goal ahead, by the planner at the desk."""
@@ -217,3 +215,5 @@ def test_a_robot_rests_without_its_other_host_and_comes_back_without_a_false_sta
             process.process.send_signal(signal.SIGINT)
             assert process.finish() == code, process.output
         assert "messages lost on the way here" in scene.record.output
+        if scene.held_up:
+            pytest.skip(f"{len(scene.held_up)} of 3 cuts not judged: {'; '.join(scene.held_up)}")

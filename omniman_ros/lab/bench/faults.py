@@ -6,6 +6,7 @@ import os
 import statistics
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 from omniman_ros.console import results
@@ -48,7 +49,8 @@ def run(args: argparse.Namespace) -> int:
     """Run `omniman bench faults`.
 
     Returns:
-        The exit code: 0 if all rows passed each time, else 1.
+        The exit code: 0 if all rows passed in each trial that was judged, else 1; a row without
+        such a trial has not passed.
 
     Raises:
         CommandError: A row does not exist, or the robot cannot be driven.
@@ -135,28 +137,34 @@ def _play_or_start_anew(player: Player, row: Row) -> Trial:
 
 
 def _progress(row: Row, trials: Sequence[Trial]) -> str:
-    failures = [text for trial in trials for text in trial.failures]
-    text = f"{row.name}: " + (", ".join(failures) if failures else "passed")
+    judged = [trial for trial in trials if trial.is_judged]
+    failures = [text for trial in judged for text in trial.failures]
+    text = ", ".join(failures) if failures else "passed" if judged else "not judged"
+    text = f"{row.name}: {text}"
     return paint(text, RED, sys.stdout) if failures else text
 
 
 def row_figures(row: Row, trials: Sequence[Trial]) -> dict[str, Any]:
-    """Return the figures of a row's trials."""
-    platforms = [trial.platform for trial in trials] if row.platform else []
-    arms = [trial.arm for trial in trials] if row.arm else []
+    """Return the figures of a row's trials; `passed` is None if no trial could be judged.
+
+    A trial in which the machine held drives or arm up is not judged, passing or failing alike.
+    """
+    judged = [trial for trial in trials if trial.is_judged]
+    platforms = [trial.platform for trial in judged] if row.platform else []
+    arms = [trial.arm for trial in judged] if row.arm else []
     return {
         "row": row.name,
         "unnoticed_s": row.unnoticed,
         "allowed_s": row.reaction,
-        "passed": not any(trial.failures for trial in trials),
+        "passed": not any(trial.failures for trial in judged) if judged else None,
         "platform_reaction_s": _latest_reaction(platforms, row),
         "arm_reaction_s": _latest_reaction(arms, row),
         "platform_rest_s": max((stop.rest for stop in platforms), default=None),
         "arm_rest_s": max((stop.rest for stop in arms), default=None),
-        "failures": [text for trial in trials for text in trial.failures],
+        "failures": [text for trial in judged for text in trial.failures],
         "false_stops": [text for trial in trials for text in trial.false_stops],
-        "void": sum(trial.void for trial in trials),
-        "trials": [trial.figures() for trial in trials],
+        "not_judged": len(trials) - len(judged),
+        "trials": [{**asdict(trial), "is_judged": trial.is_judged} for trial in trials],
     }
 
 
@@ -171,6 +179,7 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         max(trial[part]["reaction"] - row["unnoticed_s"], 0.0)
         for row in rows
         for trial in row["trials"]
+        if trial["is_judged"]
         for part in ("platform", "arm")
         if row[f"{part}_reaction_s"] is not None
     ]
@@ -179,13 +188,17 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         p99 = statistics.quantiles(reactions, n=100, method="inclusive")[98]
     elif reactions:
         p99 = max(reactions)
-    failed = [row["row"] for row in rows if not row["passed"]]
+    failed = [row["row"] for row in rows if row["passed"] is False]
+    unknown = any(row["passed"] is None for row in rows)
     return {
         "reaction_p99_s": p99,
         "false_stops": sum(len(row["false_stops"]) for row in rows),
-        "void": sum(row["void"] for row in rows),
+        "not_judged": sum(row["not_judged"] for row in rows),
         "failed": failed,
-        "aims": {"rows": not failed, "reaction": p99 <= AIM if p99 == p99 else None},
+        "aims": {
+            "rows": None if unknown and not failed else not failed,
+            "reaction": p99 <= AIM if p99 == p99 else None,
+        },
     }
 
 
@@ -204,7 +217,7 @@ def report(result: Mapping[str, Any]) -> list[str]:
                 if known
                 else "",
                 _milliseconds(max(known)) if known else "",
-                verdict(row["passed"], "passed", "FAILED"),
+                verdict(row["passed"], "passed", "FAILED", "not judged"),
             )
         )
     good = result["aims"]["reaction"]
@@ -213,9 +226,9 @@ def report(result: Mapping[str, Any]) -> list[str]:
         f"99th percentile of the reactions {_milliseconds(result['reaction_p99_s'])}, aim "
         f"{_milliseconds(AIM)}: {verdict(good)}",
         f"{len(result['failed'])} of {len(result['rows'])} rows failed; "
-        f"{result['false_stops']} stops without a fault, {result['void']} trials void because "
-        f"drives or arm were held up; load {result['load']:.1f} on "
-        f"{os.cpu_count()} cores",
+        f"{result['false_stops']} stops without a fault; {result['not_judged']} of "
+        f"{sum(len(row['trials']) for row in result['rows'])} trials not judged, as the machine "
+        f"held drives or arm up; load {result['load']:.1f} on {os.cpu_count()} cores",
     ]
 
 

@@ -1,8 +1,7 @@
 """A trial: one row of the table, played once against the running robot and judged."""
 
 import math
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from dataclasses import dataclass, field
 
 from omniman_ros.console.errors import CommandError
 from omniman_ros.core.arrays import Array
@@ -39,10 +38,10 @@ READY_TIMEOUT = 40.0
 SPEED_TIMEOUT = RAMP + 2.5
 """Longest time until the robot has its speed [s]."""
 ATTEMPTS = 15
-"""Number of attempts to bring the robot to speed, and at a trial that counts."""
+"""Number of attempts to bring the robot to speed."""
 LONGEST_HOLD_UP = 0.04
-"""Time for which the machine held drives or arm up beyond which a trial does not tell anything
-about the robot [s]; their reports are 10 ms apart."""
+"""Time for which the machine held drives or arm up beyond which a trial is not judged, whether it
+passed or failed [s]; their reports are 10 ms apart."""
 RESUME_TIMEOUT = 5.0
 """Longest time until a robot that goes on by itself has done so [s]."""
 
@@ -58,7 +57,6 @@ class Trial:
         held_up: Longest time for which the machine held drives or arm up [s].
         false_stops: Number of stops before the fault, each with its reason.
         recovery: Time until the robot was ready again [s].
-        void: Number of trials before this one that do not count.
     """
 
     platform: Stop
@@ -67,31 +65,20 @@ class Trial:
     held_up: float = 0.0
     false_stops: list[str] = field(default_factory=list)
     recovery: float = math.nan
-    void: int = 0
 
-    def figures(self) -> dict[str, Any]:
-        """Return all figures for the JSON result."""
-        return asdict(self)
+    @property
+    def is_judged(self) -> bool:
+        """Whether the trial tells anything about the robot: the machine did not hold it up."""
+        return self.held_up <= LONGEST_HOLD_UP
 
 
 def play(player: Player, row: Row) -> Trial:
-    """Play a row, and judge it; again, if drives or arm were held up by the machine meanwhile.
+    """Play a row once, and judge it.
 
     Raises:
         CommandError: The robot cannot be brought to speed.
         KeyboardInterrupt: A signal was received.
     """
-    trial = _play_once(player, row)
-    void = 0
-    while trial.failures and trial.held_up > LONGEST_HOLD_UP and void < ATTEMPTS:
-        void += 1
-        trial = _play_once(player, row)
-    trial.void = void
-    return trial
-
-
-def _play_once(player: Player, row: Row) -> Trial:
-    """Play a row once, and judge it; errors as in :func:`play`."""
     false_stops, recovery = settle(player, row)
     robot = player.robot
     start = robot.now

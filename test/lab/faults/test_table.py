@@ -14,7 +14,7 @@ from omniman_ros.lab.faults.judge import Stop
 from omniman_ros.lab.faults.player import Player
 from omniman_ros.lab.faults.rows import Outcome
 from omniman_ros.lab.faults.table import ROWS
-from omniman_ros.lab.faults.trial import Trial
+from omniman_ros.lab.faults.trial import LONGEST_HOLD_UP, Trial
 from omniman_ros.nodes.registry import node_specs
 
 
@@ -81,3 +81,22 @@ def test_the_report_counts_reactions_from_the_evidence_on():
     result = summary([figures])
     assert result["failed"] == ["drive silent"]
     assert result["aims"] == {"rows": False, "reaction": False}
+
+
+@pytest.mark.parametrize("failures", [[], ["platform: reaction"]])
+def test_a_trial_that_the_machine_held_up_is_not_judged_whether_it_passed_or_failed(failures):
+    row = next(row for row in ROWS if row.name == "drive silent")
+    quick = Stop(0.5, row.unnoticed + 0.05, 0.6, 1.2, 0.5)
+    held = Trial(replace(quick, reaction=9.0), quick, failures, held_up=LONGEST_HOLD_UP + 0.001)
+    figures = row_figures(row, [held, held])
+    assert (figures["passed"], figures["failures"], figures["not_judged"]) == (None, [], 2)
+    result = summary([figures])
+    assert (result["failed"], result["not_judged"]) == ([], 2)
+    assert result["aims"] == {"rows": None, "reaction": None}
+    judged = Trial(quick, quick, [], held_up=LONGEST_HOLD_UP)
+    figures = row_figures(row, [held, judged])
+    assert (figures["passed"], figures["platform_reaction_s"]) == (True, pytest.approx(0.05))
+    failed = summary(
+        [row_figures(row, [held]), row_figures(row, [replace(judged, failures=["x"])])]
+    )
+    assert failed["aims"]["rows"] is False
