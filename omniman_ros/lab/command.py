@@ -16,9 +16,6 @@ def run(args: argparse.Namespace) -> int:
     Returns:
         0 if the measurement succeeded, independent of the figures; 1 if a row of `faults` failed,
         an aim of `soak` was missed, or an experiment with a verdict of its own did not pass.
-
-    Raises:
-        CommandError: An option is invalid, or the measurement failed.
     """
     study = (BENCHMARKS if args.command == "bench" else EXPERIMENTS)[args.name]
     if getattr(args, "seed", 0) < 0:

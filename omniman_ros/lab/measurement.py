@@ -22,14 +22,7 @@ loaded.
 
 
 def cpu_time(pid: int) -> float:
-    """Return the CPU time, user and system, that all threads of a process have used so far [s].
-
-    Args:
-        pid: Process id.
-
-    Raises:
-        CommandError: There is no /proc, or no such process.
-    """
+    """Return the CPU time, user and system, that all threads of a process have used so far [s]."""
     try:
         text = Path(f"/proc/{pid}/stat").read_text()
     except OSError as error:
@@ -42,15 +35,8 @@ def cpu_time(pid: int) -> float:
 def cpu_shares(pids: Mapping[str, int], serve: Callable[[], None]) -> dict[str, float]:
     """Measure the share of one core that processes use while a function runs.
 
-    Args:
-        pids: Process ids by name.
-        serve: Function during whose call the CPU time is measured.
-
     Returns:
         CPU time over elapsed time, by name; 1 is one core.
-
-    Raises:
-        CommandError: There is no /proc, or a process has ended.
     """
     start = time.monotonic()
     before = {name: cpu_time(pid) for name, pid in pids.items()}
@@ -61,12 +47,7 @@ def cpu_shares(pids: Mapping[str, int], serve: Callable[[], None]) -> dict[str, 
 
 
 def median_cpu(work: Callable[[], object], repeats: int) -> float:
-    """Return the median CPU time of a function call in this process [s].
-
-    Args:
-        work: Function that is measured.
-        repeats: Number of calls.
-    """
+    """Return the median CPU time of a function call in this process [s]."""
     times = []
     for _ in range(repeats):
         before = time.process_time()
@@ -81,7 +62,6 @@ def best_cpu(work: Callable[[], object], min_block_time: float) -> float:
     It is the mean over a block of calls, the smallest of three blocks.
 
     Args:
-        work: Function that is measured.
         min_block_time: CPU time after which a block ends [s]; a block has at least one call.
     """
     best = math.inf

@@ -10,14 +10,6 @@ def set_niceness(pid: int, niceness: int, proc: Path = Path("/proc")) -> bool:
 
     Where the kernel groups processes by session (`kernel.sched_autogroup_enabled`, sched(7)), the
     niceness of a thread counts within its session only. Each node of a robot leads one.
-
-    Args:
-        pid: Process id.
-        niceness: The niceness, -20 to 19.
-        proc: Folder of the system's accounts, in which the niceness of sessions is written.
-
-    Returns:
-        Whether the system permitted it.
     """
     try:
         for thread in os.listdir(f"/proc/{pid}/task"):

@@ -28,20 +28,16 @@ class Study:
     """A benchmark or an experiment.
 
     Attributes:
-        module: Module below `omniman_ros.lab` with the function `run(args) -> int`.
-        about: What is measured or driven, for help and documentation.
-        options: Options of its own.
         efforts: `--quick`, and `--full` where there is more to be measured.
         robot: Robot that is used if `--robot` names none; None if it has one of its own.
-        parameters: Whether it takes `--param`.
     """
 
-    module: str
-    about: str
-    options: tuple[Option, ...] = ()
+    module: str  # module below `omniman_ros.lab` with the function `run(args) -> int`
+    about: str  # what is measured or driven, for help and documentation
+    options: tuple[Option, ...] = ()  # options of its own
     efforts: tuple[str, ...] = ("quick",)
     robot: str | None = "omniman"
-    parameters: bool = False
+    parameters: bool = False  # whether it takes `--param`
 
     def defaults(self, name: str, **given: Any) -> argparse.Namespace:
         """Return the arguments of a run without options, less those that are given."""

@@ -158,11 +158,7 @@ class Load:
             self._home = [angles[name] for name in UR_JOINTS]
 
     def begin(self) -> None:
-        """Wait until all nodes are ready, and until the platform and the arm move.
-
-        Raises:
-            CommandError: A node is not ready in time, or see :meth:`run`.
-        """
+        """Wait until all nodes are ready, and until the platform and the arm move."""
         self.until(self._is_ready, DISCOVERY_TIMEOUT, "nodes that miss a part of the robot")
         moving = lambda: self._driven > 0 and self._previews > 0  # noqa: E731
         self.until(moving, DISCOVERY_TIMEOUT, "no drive to a goal, or no previews of the arm")
@@ -182,11 +178,7 @@ class Load:
             self.run(FEED_PERIOD)
 
     def run(self, seconds: float) -> None:
-        """Keep the platform, the planner and the arm moving for a given time [s].
-
-        Raises:
-            CommandError: A node has latched a stop, or a process has ended.
-        """
+        """Keep the platform, the planner and the arm moving for a given time [s]."""
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0.0:
             if self._is_ready():
@@ -273,10 +265,9 @@ class BareLoop:
         self._orders.sendall(f"{seconds}\n".encode())
 
     def intervals(self) -> list[float]:
-        """Return the intervals between the sends of the last block [s]; empty until it has ended.
+        """Return the intervals between the sends of the last block [s].
 
-        Raises:
-            CommandError: The loop has ended.
+        Empty until it has ended.
         """
         assert self._orders is not None
         try:
@@ -291,11 +282,7 @@ class BareLoop:
 
 
 def robot(args: argparse.Namespace) -> list[ProcessSpec]:
-    """Return the processes of the robot's nodes; its simulated UR controller uses free ports.
-
-    Raises:
-        CommandError: The planner cannot run on this machine.
-    """
+    """Return the processes of the robot's nodes; its simulated UR controller uses free ports."""
     ports = dict(zip(UR_PORTS, find_free_ports(len(UR_PORTS)), strict=True))
     params = [*LENIENT, *(f"ports.{name}:={port}" for name, port in ports.items())]
     for name, port in (("dashboard", "dashboard"), ("script", "secondary"), ("rtde", "rtde")):
@@ -309,11 +296,7 @@ def robot(args: argparse.Namespace) -> list[ProcessSpec]:
 
 
 def child_of(pid: int, word: str) -> int:
-    """Return the process id of a child whose command line has a word.
-
-    Raises:
-        CommandError: There is no such child, or no /proc.
-    """
+    """Return the process id of a child whose command line has a word."""
     for folder in Path("/proc").glob("[0-9]*"):
         try:
             parent = (folder / "stat").read_text().rpartition(")")[2].split()[1]
@@ -335,11 +318,7 @@ def scheduling(pid: int) -> str:
 def measure(
     nodes: RunningNodes, load: Load, bare: BareLoop, pairs: int, seconds: float
 ) -> dict[str, Any]:
-    """Measure the streaming process and the bare loop in alternating blocks of a duration [s].
-
-    Raises:
-        CommandError: The robot stopped, or the two loops differ in their scheduling class.
-    """
+    """Measure the streaming process and the bare loop in alternating blocks of a duration [s]."""
     load.begin()
     for name in HARDWARE_NODES:
         set_niceness(nodes.children.pid(name), HARDWARE_NICENESS)
@@ -427,11 +406,7 @@ def figures(
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman bench arm`; return 0, the exit code of a successful measurement.
-
-    Raises:
-        CommandError: An option is out of its range, or the measurement failed.
-    """
+    """Run `omniman bench arm`; return 0, the exit code of a successful measurement."""
     pairs = args.pairs if args.pairs is not None else 2 if args.quick else 5
     seconds = args.seconds if args.seconds is not None else 2.0 if args.quick else 8.0
     if pairs < 1:

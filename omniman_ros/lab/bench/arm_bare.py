@@ -16,21 +16,12 @@ import time
 from omniman_ros.console.terminal import say
 from omniman_ros.ur.parameters import PERIOD
 
-SIZE = 32
-"""Size of a setpoint: a time-out, six joints and a mode, four bytes each [byte]."""
-CONNECT_TIMEOUT = 20.0
-"""Longest time until a server listens on the port to connect to [s]."""
+SIZE = 32  # size of a setpoint: a time-out, six joints and a mode, four bytes each [byte]
+CONNECT_TIMEOUT = 20.0  # longest time until a server listens on the port to connect to [s]
 
 
 def main(args: list[str] | None = None) -> int:
-    """Run the sink or the loop until SIGINT, or until the other end closes the connection.
-
-    Args:
-        args: Name of the program and its arguments; see the module.
-
-    Returns:
-        0, the exit code.
-    """
+    """Run the sink or the loop until SIGINT, or until the other end closes the connection."""
     _, kind, *numbers = args or []
     try:
         if kind == "sink":
@@ -50,13 +41,7 @@ def sink(port: int) -> None:
 
 
 def loop(port: int, control: int, priority: int) -> None:
-    """Run a block for each line with a duration [s] that the benchmark sends.
-
-    Args:
-        port: Port of the sink.
-        control: Port of the benchmark.
-        priority: SCHED_FIFO priority; 0 for the normal scheduling class.
-    """
+    """Run a block for each line with a duration [s] that the benchmark sends."""
     gc.disable()
     if priority:
         request_priority(priority)
@@ -96,7 +81,6 @@ def block(out: socket.socket, seconds: float) -> list[float]:
     """Send at absolute deadlines, one per period.
 
     Args:
-        out: Connection to the sink.
         seconds: Duration of the block [s].
 
     Returns:

@@ -35,56 +35,35 @@ from omniman_ros.processes.process_group import ProcessGroup, ProcessSpec, redir
 from omniman_ros.processes.robot_setup import node_command
 from omniman_ros.robots import load_robot
 
-AIM_RATIO = 2.0
-"""Aim: largest ratio of the bridge's median round-trip time to that with the echo."""
-RATES = (100.0, 250.0, 500.0)
-"""Rates at which the bridge is measured [Hz]."""
-WHEELS = (4, 8)
-"""Numbers of drives with which the bridge is measured."""
-BITRATES = (500_000, 1_000_000)
-"""Bit rates for which the bus load is computed [bit/s]."""
-TRIP_TIMEOUT = 0.05
-"""Longest duration of a round trip, after which it counts as lost [s]."""
-START_TIMEOUT = 20.0
-"""Longest time until the drives or the echo are ready [s]."""
+AIM_RATIO = 2.0  # aim: largest ratio of the bridge's median round-trip time to that with the echo
+RATES = (100.0, 250.0, 500.0)  # rates at which the bridge is measured [Hz]
+WHEELS = (4, 8)  # numbers of drives with which the bridge is measured
+BITRATES = (500_000, 1_000_000)  # bit rates for which the bus load is computed [bit/s]
+TRIP_TIMEOUT = 0.05  # longest duration of a round trip, after which it counts as lost [s]
+START_TIMEOUT = 20.0  # longest time until the drives or the echo are ready [s]
 
 
 @dataclass(frozen=True)
 class Effort:
-    """Extent of the measurement.
+    """Extent of the measurement."""
 
-    Attributes:
-        blocks: Number of blocks of each side; the sides alternate.
-        periods: Number of periods in a block.
-    """
-
-    blocks: int
-    periods: int
+    blocks: int  # number of blocks of each side; the sides alternate
+    periods: int  # number of periods in a block
 
 
-FULL = Effort(blocks=10, periods=100)
-"""Extent without options."""
-QUICK = Effort(blocks=2, periods=20)
-"""Extent with `--quick`."""
+FULL = Effort(blocks=10, periods=100)  # extent without options
+QUICK = Effort(blocks=2, periods=20)  # extent with `--quick`
 
 
 @dataclass
 class Side:
-    """The measurements of one of the sides that are compared, the bridge or a baseline.
+    """The measurements of one of the sides that are compared, the bridge or a baseline."""
 
-    Attributes:
-        trips: Times of the completed round trips [s].
-        lost: Number of periods whose round trip was not completed in time.
-        periods: Number of all periods.
-        cpu: CPU time of this process in the side's blocks [s].
-        wall: Total duration of the side's blocks [s].
-    """
-
-    trips: list[float] = field(default_factory=list)
-    lost: int = 0
-    periods: int = 0
-    cpu: float = 0.0
-    wall: float = 0.0
+    trips: list[float] = field(default_factory=list)  # times of the completed round trips [s]
+    lost: int = 0  # number of periods whose round trip was not completed in time
+    periods: int = 0  # number of all periods
+    cpu: float = 0.0  # CPU time of this process in the side's blocks [s]
+    wall: float = 0.0  # total duration of the side's blocks [s]
 
     def summary(self) -> dict[str, float]:
         """Return the figures of the side; times are NaN if no round trip was completed."""
@@ -98,11 +77,7 @@ class Side:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman bench can`; return 0, the exit code of a successful measurement.
-
-    Raises:
-        CommandError: The measurement failed.
-    """
+    """Run `omniman bench can`; return 0, the exit code of a successful measurement."""
     effort = QUICK if args.quick else FULL
     cases = [measure(wheels, rate, effort) for wheels in WHEELS for rate in RATES]
     result: dict[str, Any] = {"quick": args.quick, "cases": cases}
@@ -117,11 +92,7 @@ def aims(result: dict[str, Any]) -> dict[str, bool]:
 
 
 def robot_of(wheels: int) -> Robot:
-    """Make a robot that repeats the four wheels of `omniman` at growing distances.
-
-    Args:
-        wheels: Number of wheels, a multiple of four.
-    """
+    """Make a robot that repeats the four wheels of `omniman` at growing distances."""
     values = dict(load_robot("omniman"))
     rows = wheels // 4
     for name in ("wheels.y", "wheels.heading", "wheels.roller_angle"):
@@ -136,15 +107,10 @@ def measure(wheels: int, rate: float, effort: Effort) -> dict[str, Any]:
     """Measure the bridge and both baselines in alternating blocks.
 
     Args:
-        wheels: Number of drives.
         rate: Rate of the periods [Hz].
-        effort: Extent of the measurement.
 
     Returns:
         Figures of the case.
-
-    Raises:
-        CommandError: The drives or the echo are not ready in time, or the drives stopped.
     """
     say(f"{wheels} drives at {rate:g} Hz ...")
     ports = free_udp_ports(2)
@@ -204,16 +170,7 @@ def _sleep_until(due: float) -> None:
 
 
 class _RecordingDrives(CanDrives):
-    """The policy over the drives, which also records the frames that it sends and receives.
-
-    Args:
-        robot: Robot.
-        parameters: Parameters of the bus.
-        frames: List to which recorded frames are appended.
-
-    Attributes:
-        recording: Whether frames are recorded; initially not.
-    """
+    """The policy over the drives, which also records the frames that it sends and receives."""
 
     def __init__(self, robot: Robot, parameters: CanParameters, frames: list[Frame]) -> None:
         super().__init__(robot, parameters)
@@ -236,13 +193,7 @@ class Bridge:
     """The bridge without ROS, in this process; its drives are ready after construction.
 
     Args:
-        wheels: Number of drives.
         rate: Rate of its periods [Hz].
-        port: UDP port of the bus.
-        check: Function that raises CommandError if the process of the drives has ended.
-
-    Attributes:
-        frames: Frames of all measured periods, both sent and received.
 
     Raises:
         CommandError: The drives are not ready in time, or have ended.
@@ -287,14 +238,9 @@ class Bridge:
             self._link.run_until(lambda: drives.phase is not Phase.ENABLING, 1.0)
 
     def block(self, periods: int, measured: Side) -> None:
-        """Run a block of periods of the bridge: one command each, until all drives have answered.
+        """Run a block of periods of the bridge: one command each.
 
-        Args:
-            periods: Number of periods.
-            measured: Measurements to which those of the block are added.
-
-        Raises:
-            CommandError: The drives stopped.
+        Until all drives have answered.
         """
         link = self._link
         link.run_until(lambda: False, 0.1)  # process frames that arrived during other blocks
@@ -322,12 +268,7 @@ class Bridge:
             raise CommandError(f"the drives stopped: {link.drives.stop_reason}")
 
     def repeat(self, periods: int, measured: Side) -> None:
-        """Run a block with python-can alone, which sends the bridge's frames to the same drives.
-
-        Args:
-            periods: Number of periods.
-            measured: Measurements to which those of the block are added.
-        """
+        """Run a block with python-can alone, which sends the bridge's frames to the same drives."""
         frames = [
             can.Message(arbitration_id=frame.id, data=frame.data, is_extended_id=False)
             for frame in self._link.drives.tick(time.monotonic())
@@ -348,9 +289,6 @@ def _bare_trip(
     """Send frames and wait for the answers, the transmit PDOs 1 and 2 of the drives.
 
     Args:
-        bus: Bus.
-        frames: Frames to send.
-        answers: Number of answers to wait for.
         due: Deadline on the monotonic clock [s].
 
     Returns:
@@ -378,12 +316,7 @@ def _bare_block(
     """Run a block of periods with python-can alone.
 
     Args:
-        bus: Bus.
-        frames: Frames to send in each period.
-        answers: Number of answers to wait for in each period.
         period: Length of a period [s].
-        periods: Number of periods.
-        measured: Measurements to which those of the block are added.
     """
     due = time.monotonic() + period
     for _ in range(periods):
@@ -403,10 +336,7 @@ class Echo:
     """Exchanges as many frames as the bridge, but with an echo and by python-can alone.
 
     Args:
-        wheels: Number of drives in whose place the echo answers.
         rate: Rate of the periods [Hz].
-        port: UDP port of the echo's bus.
-        check: Function that raises CommandError if the process of the echo has ended.
 
     Raises:
         CommandError: The echo is not ready in time, or has ended.
@@ -431,12 +361,7 @@ class Echo:
         return _bare_trip(self._bus, self._frames, self._answers, due)
 
     def block(self, periods: int, measured: Side) -> None:
-        """Run a block of periods.
-
-        Args:
-            periods: Number of periods.
-            measured: Measurements to which those of the block are added.
-        """
+        """Run a block of periods."""
         _bare_block(self._bus, self._frames, self._answers, self._period, periods, measured)
 
     def close(self) -> None:

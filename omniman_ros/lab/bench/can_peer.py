@@ -16,12 +16,9 @@ from omniman_ros.processes.drive_options import MULTICAST_GROUP
 from omniman_ros.simulation.can_drives.cia402.drive import Cia402Drive, Cia402Settings
 from omniman_ros.simulation.can_drives.network import EchoFilter
 
-COUNTS = 4096.0
-"""Encoder counts per revolution of a wheel."""
-SYNC = 0x080
-"""Identifier of the SYNC frame (CiA 301)."""
-TORQUE_CONSTANT = 0.05
-"""Torque constant of the motors [N m/A]."""
+COUNTS = 4096.0  # encoder counts per revolution of a wheel
+SYNC = 0x080  # identifier of the SYNC frame (CiA 301)
+TORQUE_CONSTANT = 0.05  # torque constant of the motors [N m/A]
 
 
 class FreeMotor:
@@ -32,7 +29,6 @@ class FreeMotor:
         current: Current [A].
         voltage: Voltage [V].
         supply: Supply voltage [V].
-        lost: Whether the encoder is detected to be wrong.
         position: Angle [rad].
         velocity: Angular velocity [rad/s].
     """
@@ -63,11 +59,7 @@ class FreeMotor:
 
 
 def open_bus(port: int) -> can.BusABC:
-    """Open a CAN bus of UDP that does not leave this machine.
-
-    Args:
-        port: UDP port of the bus.
-    """
+    """Open a CAN bus of UDP that does not leave this machine."""
     options: dict[str, Any] = {"channel": MULTICAST_GROUP, "port": port, "hop_limit": 0}
     bus = can.Bus(interface="udp_multicast", **options)
     enlarge_receive_buffer(bus)
@@ -75,14 +67,7 @@ def open_bus(port: int) -> can.BusABC:
 
 
 def main(args: list[str] | None = None) -> int:
-    """Run the drives or the echo until SIGINT.
-
-    Args:
-        args: Name of the program and its arguments; see the module.
-
-    Returns:
-        0, the exit code.
-    """
+    """Run the drives or the echo until SIGINT."""
     _, kind, port, wheels, rate = args or []
     with open_bus(int(port)) as bus:
         try:
@@ -96,12 +81,7 @@ def main(args: list[str] | None = None) -> int:
 
 
 def echo(bus: can.BusABC, wheels: int) -> None:
-    """Answer each SYNC frame with two frames of eight bytes per wheel.
-
-    Args:
-        bus: Bus.
-        wheels: Number of wheels.
-    """
+    """Answer each SYNC frame with two frames of eight bytes per wheel."""
     answers = [
         can.Message(arbitration_id=base + node, data=bytes(8), is_extended_id=False)
         for node in range(1, wheels + 1)
@@ -118,8 +98,6 @@ def drive(bus: can.BusABC, wheels: int, rate: float) -> None:
     """Simulate one CiA 402 drive per wheel, with the node ids 1, 2 and so on.
 
     Args:
-        bus: Bus.
-        wheels: Number of wheels.
         rate: Rate of the bridge, and lowest rate at which the drives advance [Hz].
     """
     motors = [FreeMotor() for _ in range(wheels)]

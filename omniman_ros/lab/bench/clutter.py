@@ -20,16 +20,11 @@ from omniman_ros.robots import load_robot
 if TYPE_CHECKING:  # The command line must do without the planner.
     from omniman_ros.lab.studies.clutter import ClutterRun
 
-WORLDS, QUICK_WORLDS = 300, 2
-"""Number of worlds, one drive each, and with `--quick`."""
-SCORE_AIM = 0.49
-"""Aim: least mean score by scanner alone, at the size of a Jackal."""
-TIME_AIM = 6.5
-"""Aim: largest mean time of those drives [s]."""
-AIMED = "jackal_size scanner"
-"""Name of the drives that the aims are about."""
-SENSES = ("known", "scanner")
-"""What the robot knows: the map, or what its scanner has seen."""
+WORLDS, QUICK_WORLDS = 300, 2  # number of worlds, one drive each, and with `--quick`
+SCORE_AIM = 0.49  # aim: least mean score by scanner alone, at the size of a Jackal
+TIME_AIM = 6.5  # aim: largest mean time of those drives [s]
+AIMED = "jackal_size scanner"  # name of the drives that the aims are about
+SENSES = ("known", "scanner")  # what the robot knows: the map, or what its scanner has seen
 
 
 def figures(runs: Sequence["ClutterRun"]) -> dict[str, Any]:
@@ -47,11 +42,7 @@ def figures(runs: Sequence["ClutterRun"]) -> dict[str, Any]:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman bench clutter`; return 0, the exit code of a successful measurement.
-
-    Raises:
-        CommandError: The engine or scipy is not installed.
-    """
+    """Run `omniman bench clutter`; return 0, the exit code of a successful measurement."""
     for extra in (WORLD, TRACKING):
         if not extra.is_available:
             raise CommandError(extra.hint)

@@ -17,45 +17,29 @@ from omniman_ros.processes.robot_setup import RobotSetup, node_command, robot_pr
 from omniman_ros.processes.ros_domain import isolate_ros_domain
 from omniman_ros.robots import load_robot
 
-AIM_TICK = 100.0
-"""Aim: largest CPU time of a tick of the controller's core, with four wheels [us]."""
-AIM_RATIO = 1.3
-"""Aim: largest ratio of the controller's median latency to the relay's."""
-AIM_SHARE = 1.0 / 3.0
-"""Aim: largest share of one core that platform_controller uses at 200 Hz."""
+AIM_TICK = 100.0  # aim: largest CPU time of a tick of the controller's core, with four wheels [us]
+AIM_RATIO = 1.3  # aim: largest ratio of the controller's median latency to the relay's
+AIM_SHARE = 1.0 / 3.0  # aim: largest share of one core that platform_controller uses at 200 Hz
 
 
 @dataclass(frozen=True)
 class Effort:
-    """Extent of the measurement.
+    """Extent of the measurement."""
 
-    Attributes:
-        blocks: Number of blocks of core ticks.
-        ticks: Ticks in a block.
-        cpu_seconds: Time for which the nodes' CPU time is measured [s].
-        samples: Number of latencies measured of each node.
-        block: Number of latencies measured of one node before the other node's turn.
-    """
-
-    blocks: int
-    ticks: int
-    cpu_seconds: float
-    samples: int
-    block: int
+    blocks: int  # number of blocks of core ticks
+    ticks: int  # ticks in a block
+    cpu_seconds: float  # time for which the nodes' CPU time is measured [s]
+    samples: int  # number of latencies measured of each node
+    block: int  # number of latencies measured of one node before the other node's turn
 
 
 FULL = Effort(blocks=21, ticks=1000, cpu_seconds=15.0, samples=300, block=25)
 """Extent without options."""
-QUICK = Effort(blocks=3, ticks=200, cpu_seconds=2.0, samples=20, block=10)
-"""Extent with `--quick`."""
+QUICK = Effort(blocks=3, ticks=200, cpu_seconds=2.0, samples=20, block=10)  # extent with `--quick`
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman bench control`; return 0, the exit code of a successful measurement.
-
-    Raises:
-        CommandError: The measurement failed.
-    """
+    """Run `omniman bench control`; return 0, the exit code of a successful measurement."""
     effort = QUICK if args.quick else FULL
     robot = robot_processes(RobotSetup(robot=args.robot, arm="none"))
     relay = ProcessSpec("relay", node_command("omniman_ros.lab.bench.relay", ()))
@@ -69,15 +53,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def measure(nodes: RunningNodes, effort: Effort) -> dict[str, Any]:
-    """Measure CPU shares and latencies of the running nodes.
-
-    Args:
-        nodes: Running robot and relay.
-        effort: Extent of the measurement.
-
-    Raises:
-        CommandError: A node does not react, or a process has ended.
-    """
+    """Measure CPU shares and latencies of the running nodes."""
     ours = CommandPath(nodes.session, "platform_controller", "cmd_vel", "wheel_commands")
     relay = CommandPath(nodes.session, "relay", "relay/cmd_vel", "relay/wheel_commands")
     say(f"latency, {effort.samples} samples each ...")

@@ -15,10 +15,8 @@ from omniman_ros.control.wheel_cascade import DriveMode
 from omniman_ros.core.arbiter import Source
 from omniman_ros.core.parameters import build
 
-PERIOD = 0.005
-"""Period of the controller [s]."""
-WARM_UP = 200
-"""Number of ticks that run before the measurement."""
+PERIOD = 0.005  # period of the controller [s]
+WARM_UP = 200  # number of ticks that run before the measurement
 
 
 def tick_time(parameters: PlatformParameters, blocks: int, block: int) -> float:
@@ -26,11 +24,6 @@ def tick_time(parameters: PlatformParameters, blocks: int, block: int) -> float:
 
     It is the mean over a block of ticks, the median of all blocks. The twist changes at every
     tick; the wheels turn as commanded at the previous tick.
-
-    Args:
-        parameters: Parameters of the controller.
-        blocks: Number of blocks.
-        block: Number of ticks in a block.
 
     Raises:
         RuntimeError: The controller stopped, or `cmd_vel` was not the active source at the end.
@@ -61,11 +54,6 @@ def tick_time(parameters: PlatformParameters, blocks: int, block: int) -> float:
 
 def core_ticks(robot: Mapping[str, Any], blocks: int, block: int) -> dict[str, float]:
     """Measure the CPU time of a tick in each drive mode that the robot offers.
-
-    Args:
-        robot: Parameters of the robot by full name.
-        blocks: Number of blocks.
-        block: Number of ticks in a block.
 
     Returns:
         CPU times by drive mode [us].

@@ -18,16 +18,11 @@ from omniman_ros.robots import load_robot
 if TYPE_CHECKING:  # The command line must do without the planner.
     from omniman_ros.lab.studies.crowd import CrowdRun
 
-CROWDS, QUICK_CROWDS = 6, 1
-"""Number of crowds of each kind, and with `--quick`."""
-SECONDS, QUICK_SECONDS = 60.0, 10.0
-"""Simulated duration of a drive, and with `--quick` [s]."""
-DISCS = 20
-"""Number of discs."""
-P99_AIM = 40.0
-"""Aim: largest 99th percentile of the CPU time of a cycle [ms]."""
-KINDS = {"crossing": False, "giving way": True}
-"""Kinds of crowds, and whether they give way."""
+CROWDS, QUICK_CROWDS = 6, 1  # number of crowds of each kind, and with `--quick`
+SECONDS, QUICK_SECONDS = 60.0, 10.0  # simulated duration of a drive, and with `--quick` [s]
+DISCS = 20  # number of discs
+P99_AIM = 40.0  # aim: largest 99th percentile of the CPU time of a cycle [ms]
+KINDS = {"crossing": False, "giving way": True}  # kinds of crowds, and whether they give way
 
 
 def figures(runs: Sequence["CrowdRun"]) -> dict[str, Any]:

@@ -22,26 +22,17 @@ from omniman_ros.planning.whole_body.surroundings import Hindrances
 from omniman_ros.planning.whole_body.task import BodySetup
 from omniman_ros.simulation.world.distances import PostureDistances, Prism
 
-KINDS = ("posts", "persons", "table", "mixed")
-"""Kinds of scenes."""
+KINDS = ("posts", "persons", "table", "mixed")  # kinds of scenes
 START: Array = np.array([0.0, 0.0, 0.0, 0.3, -1.2, 1.9, -2.2, -1.57, 0.0])
 """All axes at the start [m, rad]."""
-LENGTHS = (2.0, 3.0)
-"""Least and largest length of the tool's path [m]."""
-WAVE = 0.2
-"""Largest deviation of the tool's path from a straight line [m]."""
-POSES = 40
-"""Number of poses of the tool's path."""
-BENDS = (0.3, 0.3, 0.6)
-"""Largest changes of the witness's place relative to the tool [m, m, rad]."""
-ROOM = 0.13
-"""Least distance of what stands from the witness [m]."""
-PASSING_ROOM = 0.2
-"""Least distance of a person from the witness [m]."""
-WAIT = 5.0
-"""Time for which the witness waits for a person [s]."""
-WALKING = (0.5, 0.9)
-"""Least and largest speed of a person [m/s]."""
+LENGTHS = (2.0, 3.0)  # least and largest length of the tool's path [m]
+WAVE = 0.2  # largest deviation of the tool's path from a straight line [m]
+POSES = 40  # number of poses of the tool's path
+BENDS = (0.3, 0.3, 0.6)  # largest changes of the witness's place relative to the tool [m, m, rad]
+ROOM = 0.13  # least distance of what stands from the witness [m]
+PASSING_ROOM = 0.2  # least distance of a person from the witness [m]
+WAIT = 5.0  # time for which the witness waits for a person [s]
+WALKING = (0.5, 0.9)  # least and largest speed of a person [m/s]
 POST, TABLE, PERSON = (
     Prism((0.1, 0.1), 0.0, (0.0, 1.2)),
     Prism((0.3, 0.3), 0.0, (0.3, 0.34)),
@@ -55,31 +46,20 @@ CONTENTS = {
     "mixed": (POST, TABLE, PERSON),
 }
 """What is in the scenes of each kind."""
-SAMPLES = 40
-"""Number of configurations of a motion that are looked at where something is placed."""
-CANDIDATES = 60
-"""Number of places that are tried at a time."""
-TRIES = 40
-"""Largest number of witnesses that are tried for a scene."""
+SAMPLES = 40  # number of configurations of a motion that are looked at where something is placed
+CANDIDATES = 60  # number of places that are tried at a time
+TRIES = 40  # largest number of witnesses that are tried for a scene
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A path of the tool, and what is around it.
+    """A path of the tool, and what is around it."""
 
-    Attributes:
-        poses: Poses (k, 4, 4) of `tool0` in odom.
-        fixed: Motion of the robot that keeps its posture as far as it can.
-        things: What is in the scene.
-        places: (M, 2) where it is at the start [m].
-        velocities: (M, 2) velocities [m/s].
-    """
-
-    poses: Array
-    fixed: TimedCurve
-    things: tuple[Prism, ...]
-    places: Array
-    velocities: Array
+    poses: Array  # poses (k, 4, 4) of `tool0` in odom
+    fixed: TimedCurve  # motion of the robot that keeps its posture as far as it can
+    things: tuple[Prism, ...]  # what is in the scene
+    places: Array  # (M, 2) where it is at the start [m]
+    velocities: Array  # (M, 2) velocities [m/s]
 
     def places_at(self, time: float) -> Array:
         """Return the places (M, 2) at a time [s]."""
@@ -104,11 +84,7 @@ class Scene:
 
 
 class SceneMaker:
-    """Makes scenes.
-
-    Args:
-        setup: The robot, and the options of paths.
-    """
+    """Makes scenes."""
 
     def __init__(self, setup: BodySetup) -> None:
         self._setup = setup
@@ -120,11 +96,7 @@ class SceneMaker:
         }
 
     def make(self, kind: str, seed: int) -> Scene:
-        """Return a scene of a kind, the same for the same seed.
-
-        Raises:
-            CommandError: No scene was found.
-        """
+        """Return a scene of a kind, the same for the same seed."""
         rng = np.random.default_rng([KINDS.index(kind), seed])
         for _ in range(TRIES):
             poses = self._path(rng)

@@ -39,10 +39,8 @@ SHORT_TIMEOUTS = (
 
 The feedback of a wheel may be missing for 60 ms instead of 15 ms, and a setpoint of the arm for
 80 ms instead of 40 ms, as drives and arm are processes beside the nodes."""
-TRIALS = 3
-"""Number of times in a row that each row is played."""
-AIM = 0.12
-"""Aim: largest 99th percentile of the time from the evidence until the robot brakes [s]."""
+TRIALS = 3  # number of times in a row that each row is played
+AIM = 0.12  # aim: largest 99th percentile of the time from the evidence until the robot brakes [s]
 
 
 def run(args: argparse.Namespace) -> int:
@@ -51,9 +49,6 @@ def run(args: argparse.Namespace) -> int:
     Returns:
         The exit code: 0 if all rows passed in each trial that was judged, else 1; a row without
         such a trial has not passed.
-
-    Raises:
-        CommandError: A row does not exist, or the robot cannot be driven.
     """
     rows = chosen_rows(args.row)
     if args.list:
@@ -76,11 +71,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def chosen_rows(names: Sequence[str]) -> list[Row]:
-    """Return the rows with these names, in the order of the table; all without names.
-
-    Raises:
-        CommandError: A row does not exist.
-    """
+    """Return the rows with these names, in the order of the table; all without names."""
     known = {row.name: row for row in ROWS}
     for name in names:
         if name not in known:
@@ -93,17 +84,8 @@ def measure(
 ) -> list[dict[str, Any]]:
     """Play rows against a robot of their own.
 
-    Args:
-        robot_name: Name of the robot, or path of its file.
-        rows: Rows to play.
-        trials: Number of times that each is played.
-        sim_time: Whether the robot runs in simulated time.
-
     Returns:
         Name, fault and trials of each row.
-
-    Raises:
-        CommandError: The robot cannot be driven.
     """
     log = NodeOutputLog()
     measured = []

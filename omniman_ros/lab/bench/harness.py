@@ -17,19 +17,13 @@ from omniman_ros.lab.measurement import cpu_shares
 from omniman_ros.processes.node_output import NodeOutputLog
 from omniman_ros.processes.process_group import ProcessGroup, ProcessSpec, redirect_signals
 
-POLL_PERIOD = 0.05
-"""Period at which the processes are checked while callbacks are served [s]."""
+POLL_PERIOD = 0.05  # period at which the processes are checked while callbacks are served [s]
 Rows = list[tuple[str, ...]]
 """Rows of a table as tuples of cells; the first row of a table is its header."""
 
 
 class RunningNodes:
-    """The measured nodes, each in a process of its own, and a ROS session in this process.
-
-    Attributes:
-        session: ROS session of this process.
-        children: Processes of the nodes.
-    """
+    """The measured nodes, each in a process of its own, and a ROS session in this process."""
 
     def __init__(self, session: Session, children: ProcessGroup) -> None:
         self.session, self.children = session, children
@@ -42,12 +36,7 @@ class RunningNodes:
         """Serve callbacks until a condition holds.
 
         Args:
-            condition: Function that returns whether the condition holds.
             timeout: Longest time to wait [s].
-            missing: Beginning of the error message, such as "no path_progress".
-
-        Raises:
-            CommandError: The condition does not hold in time, or a process has ended.
         """
 
         def checked() -> bool:
@@ -63,9 +52,6 @@ class RunningNodes:
         Args:
             seconds: Time for which callbacks are served [s].
             feed: Called every `POLL_PERIOD` with the time since the start [s].
-
-        Raises:
-            CommandError: A process has ended.
         """
         start = time.monotonic()
         while (now := time.monotonic() - start) < seconds:
@@ -83,29 +69,18 @@ class RunningNodes:
         """Measure the share of one core that each node uses while callbacks are served.
 
         Args:
-            names: Names of the nodes.
             seconds: Duration of the measurement [s].
             feed: Called every `POLL_PERIOD` with the time since the start [s].
 
         Returns:
             CPU time over elapsed time, by node.
-
-        Raises:
-            CommandError: A process has ended.
         """
         return cpu_shares(self.pids(names), lambda: self.serve(seconds, feed))
 
 
 @contextlib.contextmanager
 def running_nodes(tasks: Sequence[ProcessSpec]) -> Iterator[RunningNodes]:
-    """Run nodes and a ROS session as a context; print the nodes' last output on failure.
-
-    Args:
-        tasks: Processes of the nodes.
-
-    Raises:
-        CommandError: A process has ended, or the measurement in the context has failed.
-    """
+    """Run nodes and a ROS session as a context; print the nodes' last output on failure."""
     log = NodeOutputLog()
     children = ProcessGroup(tasks, on_line=log)
     with redirect_signals(children.interrupt):
@@ -118,12 +93,7 @@ def running_nodes(tasks: Sequence[ProcessSpec]) -> Iterator[RunningNodes]:
 
 
 def cpu_share_rows(share: Mapping[str, Any], idle_label: str) -> Rows:
-    """Return one table row per node, with the share of a core that it uses.
-
-    Args:
-        share: Under each of the keys `driving` and `idle`, the share of each node by its name.
-        idle_label: Word printed after the share while idle.
-    """
+    """Return one table row per node, with the share of a core that it uses."""
     return [
         (
             f"share of a core, {name}",
@@ -135,11 +105,7 @@ def cpu_share_rows(share: Mapping[str, Any], idle_label: str) -> Rows:
 
 
 def tables(*each: Rows) -> list[str]:
-    """Return the lines of a report that contains tables, with blank lines around each table.
-
-    Args:
-        each: Rows of each table.
-    """
+    """Return the lines of a report that contains tables, with blank lines around each table."""
     lines = [""]
     for rows in each:
         lines += [*table(rows), ""]
@@ -154,14 +120,6 @@ def conclude(
     aims: Callable[[dict[str, Any]], Mapping[str, bool | None]] | None = None,
 ) -> int:
     """Compare a result with its aims, print its report, and publish it as JSON.
-
-    Args:
-        name: Name of the benchmark.
-        result: Measured figures; the key `aims` is added if the benchmark has aims.
-        report: Function that returns the lines of the report on the result.
-        folder: Folder of the JSON file.
-        aims: Function that returns whether the result meets each aim, or None for an aim that
-            the measured figures cannot decide.
 
     Returns:
         0, the exit code of a benchmark whose measurement succeeded.

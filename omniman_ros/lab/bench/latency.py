@@ -19,31 +19,21 @@ SETPOINT = QoSProfile(depth=1)
 """Quality of service of topics of which only the last message counts."""
 SPEED_STEP = 0.002
 """Step of the forward velocity, small so that the robot is soon at rest again [m/s]."""
-REST: Triple = (0.0, 0.0, 0.0)
-"""Twist (v_x, v_y, omega) that commands rest [m/s, m/s, rad/s]."""
-STEP_TIMEOUT = 2.0
-"""Longest time until the wheels react to a step [s]."""
+REST: Triple = (0.0, 0.0, 0.0)  # twist (v_x, v_y, omega) that commands rest [m/s, m/s, rad/s]
+STEP_TIMEOUT = 2.0  # longest time until the wheels react to a step [s]
 WARM_UP_PERIOD = 0.1
 """Period at which twists are sent until the node reacts for the first time [s]."""
 
 
 @dataclass
 class CommandPath:
-    """The path of a command through a node, from a twist to wheel commands.
+    """The path of a command through a node, from a twist to wheel commands."""
 
-    Attributes:
-        session: ROS session that publishes the twists and receives the wheel commands.
-        name: Name of the node in tables and errors.
-        cmd_vel: Topic of the twists.
-        wheel_commands: Topic of the wheel commands.
-        latencies: Latencies measured so far [s].
-    """
-
-    session: Session
-    name: str
-    cmd_vel: str
-    wheel_commands: str
-    latencies: list[float] = field(default_factory=list)
+    session: Session  # ROS session that publishes the twists and receives the wheel commands
+    name: str  # name of the node in tables and errors
+    cmd_vel: str  # topic of the twists
+    wheel_commands: str  # topic of the wheel commands
+    latencies: list[float] = field(default_factory=list)  # latencies measured so far [s]
 
     def __post_init__(self) -> None:
         self._moving = False
@@ -76,9 +66,6 @@ class CommandPath:
 
         Args:
             pause: Time before the step [s].
-
-        Raises:
-            CommandError: The wheels do not move, or do not come to rest again.
         """
         self.session.spin(pause)
         before = time.monotonic()
@@ -98,9 +85,6 @@ class CommandPath:
         """Send twists until the node reacts for the first time, then wait for rest.
 
         A platform controller ignores twists until it receives wheel states.
-
-        Raises:
-            CommandError: The node does not react, or its wheels do not come to rest.
         """
         end = time.monotonic() + DISCOVERY_TIMEOUT
         while not (self.ready and self._moving):
@@ -128,15 +112,6 @@ def measure_paths(
     """Measure the latencies of all paths in alternating blocks.
 
     Random pauses make the steps fall on random phases of the nodes' timers.
-
-    Args:
-        paths: Paths to measure.
-        samples: Number of latencies of each path, rounded up to whole blocks.
-        block: Number of latencies of one path before the next path's turn.
-        poll: Called before each step; may raise an exception to end the measurement.
-
-    Raises:
-        CommandError: A node does not react.
     """
     draw = random.Random(1)
     for path in paths:

@@ -213,11 +213,7 @@ def aims(result: Mapping[str, Any]) -> dict[str, bool | None]:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman bench mpc`; return 0, the exit code of a successful measurement.
-
-    Raises:
-        CommandError: The solvers cannot be measured.
-    """
+    """Run `omniman bench mpc`; return 0, the exit code of a successful measurement."""
     effort = QUICK if args.quick else FULL if args.full else STANDARD
     load_robot(args.robot)  # a wrong name raises an error here, not in a child process
     os.environ.update(SINGLE_THREADED)  # libraries in the child process read it

@@ -66,11 +66,6 @@ class Ipopt:
     at a node depend on the state variable of that node, rather than on the step that leads to it,
     which halves the effort for second derivatives. Solutions are warm-started with the multipliers
     of the previous step, shifted by one stage.
-
-    Args:
-        transcription: The problem.
-        folded: Whether common subexpressions of the functions are eliminated: a solution then
-            takes a tenth less time, and building the solver takes seconds longer.
     """
 
     def __init__(self, transcription: Transcription, folded: bool = False) -> None:

@@ -33,19 +33,13 @@ from omniman_ros.robots import load_robot
 
 NODES = ("path_interpolator", "platform_controller", "simulated_drive")
 """Nodes whose CPU time is measured."""
-COUNTS = (2, 100, 10_000)
-"""Numbers of poses of the planned paths."""
-LAPS = 10
-"""Number of revolutions of the spiral on which the poses lie."""
-DISCOVERY_AMONG_NODES = 2.0
-"""Time allowed for the nodes to discover each other [s]."""
+COUNTS = (2, 100, 10_000)  # numbers of poses of the planned paths
+LAPS = 10  # number of revolutions of the spiral on which the poses lie
+DISCOVERY_AMONG_NODES = 2.0  # time allowed for the nodes to discover each other [s]
 
 
 def spiral(count: int) -> Array:
     """Return poses of the platform along a spiral of about 120 m, with a turning heading.
-
-    Args:
-        count: Number of poses; two poses are 2 m apart on a straight line instead.
 
     Returns:
         (count, 3) poses in odom [m, m, rad]; the first is the origin.
@@ -78,10 +72,6 @@ def resampled(poses: Array, speed: float) -> Array:
 def planning(parameters: PathParameters, repeats: int) -> dict[str, Any]:
     """Measure the CPU time of planning, and the durations of the plans.
 
-    Args:
-        parameters: Parameters of the path interpolator.
-        repeats: Number of plans of each path.
-
     Returns:
         Figures of each path by its number of poses.
     """
@@ -109,10 +99,6 @@ def planning(parameters: PathParameters, repeats: int) -> dict[str, Any]:
 
 def core_stream(parameters: PathParameters, repeats: int) -> dict[str, float]:
     """Measure the CPU time of a preview of 0.4 s, with and without its ROS message.
-
-    Args:
-        parameters: Parameters of the path interpolator.
-        repeats: Number of blocks of 200 previews, of which the median counts.
 
     Returns:
         CPU time of a preview under `compute`, that of preview and message under
@@ -143,11 +129,7 @@ def stream(args: argparse.Namespace, seconds: float) -> dict[str, Any]:
     """Measure the share of a core that the running nodes use, idle and while following a path.
 
     Args:
-        args: Parsed command line; `robot` is the name of the robot.
         seconds: Duration of each of the two measurements [s].
-
-    Raises:
-        CommandError: The nodes do not start, or do not follow the path.
     """
     with running_nodes(robot_processes(RobotSetup(robot=args.robot, only=NODES))) as nodes:
         return _streamed(nodes, seconds)
@@ -177,11 +159,7 @@ def _streamed(nodes: RunningNodes, seconds: float) -> dict[str, Any]:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman bench path`; return 0, the exit code of a successful measurement.
-
-    Raises:
-        CommandError: The measurement failed.
-    """
+    """Run `omniman bench path`; return 0, the exit code of a successful measurement."""
     parameters = build(PathParameters, load_robot(args.robot))
     say("planning ...")
     result: dict[str, Any] = {"robot": args.robot, "quick": args.quick}

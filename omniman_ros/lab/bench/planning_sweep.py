@@ -9,8 +9,7 @@ from typing import Any, TypeVar
 
 from omniman_ros.lab.measurement import SINGLE_THREADED, percentiles_ms
 
-R = TypeVar("R")
-"""Result of a drive."""
+R = TypeVar("R")  # result of a drive
 
 
 def sweep(drive: Callable[..., R], tasks: Sequence[tuple[Any, ...]], jobs: int) -> list[R]:
@@ -20,8 +19,6 @@ def sweep(drive: Callable[..., R], tasks: Sequence[tuple[Any, ...]], jobs: int) 
 
     Args:
         drive: Function of a module, whose last argument is a function that returns a time [s].
-        tasks: Arguments of each drive but the last.
-        jobs: Number of processes.
     """
     os.environ.update(SINGLE_THREADED)
     context = multiprocessing.get_context("spawn")

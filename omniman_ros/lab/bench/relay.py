@@ -11,8 +11,7 @@ from sensor_msgs.msg import JointState
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.runtime import run
 
-RATE = 200.0
-"""Rate of the wheel commands [Hz]."""
+RATE = 200.0  # rate of the wheel commands [Hz]
 SETPOINT = QoSProfile(depth=1)
 """Quality of service of topics of which only the last message counts."""
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
@@ -23,9 +22,6 @@ class RelayNode(OmnimanNode):
     """Publishes the forward velocity of the last twist as the speed of each of four wheels.
 
     The number is copied: the node does not convert m/s to rad/s.
-
-    Args:
-        options: Options of `OmnimanNode`.
     """
 
     def __init__(self, **options: object) -> None:

@@ -30,34 +30,23 @@ from omniman_ros.processes.robot_setup import RobotSetup
 from omniman_ros.processes.ros_domain import isolate_ros_domain
 from omniman_ros.robots import load_robot
 
-MINUTES, QUICK_MINUTES = 60.0, 3.0
-"""Duration without options, and with `--quick` [min]."""
-LEFT_OUT = ("viewer",)
-"""Nodes that are not started."""
-SAMPLE_PERIOD = 2.0
-"""Shortest time between two samples of what the processes use [s]."""
-READY_TIMEOUT = 60.0
-"""Longest time until a robot is ready, or reset [s]."""
-AFTERMATH = 1.0
-"""Time after a reset in which a stop still counts as that of the fault before [s]."""
-SPEED_TOLERANCE = 1.05
-"""Ratio of the true speed to its limit that is permitted: drives overshoot."""
+MINUTES, QUICK_MINUTES = 60.0, 3.0  # duration without options, and with `--quick` [min]
+LEFT_OUT = ("viewer",)  # nodes that are not started
+SAMPLE_PERIOD = 2.0  # shortest time between two samples of what the processes use [s]
+READY_TIMEOUT = 60.0  # longest time until a robot is ready, or reset [s]
+AFTERMATH = 1.0  # time after a reset in which a stop still counts as that of the fault before [s]
+SPEED_TOLERANCE = 1.05  # ratio of the true speed to its limit that is permitted: drives overshoot
 YAW_ARM_SPEED = 0.6
 """Speed by which a turn at the largest yaw rate adds to that of the platform [m/s]."""
-JUDGED_TIME = 600.0
-"""Duration from which on the growth of the memory is judged [s]."""
-MEMORY_GROWTH = 20.0
-"""Aim: largest growth of the memory of a process [MiB per hour]."""
-COUNT_GROWTH = 8
-"""Aim: largest growth of the number of descriptors or threads of a process."""
+JUDGED_TIME = 600.0  # duration from which on the growth of the memory is judged [s]
+MEMORY_GROWTH = 20.0  # aim: largest growth of the memory of a process [MiB per hour]
+COUNT_GROWTH = 8  # aim: largest growth of the number of descriptors or threads of a process
 
 
 class Watch:
     """Collects what must hold all the while, from ground truth and from the processes.
 
     Args:
-        robot: The running robot.
-        activities: What is done with it.
         half_size: Half length and half width of the platform [m].
         speed_limit: Largest permitted speed of the platform [m/s].
     """
@@ -150,9 +139,6 @@ def run(args: argparse.Namespace) -> int:
 
     Returns:
         The exit code: 0 if all aims were met, else 1.
-
-    Raises:
-        CommandError: An option is out of its range, or the robot does not become ready.
     """
     minutes = args.minutes or (QUICK_MINUTES if args.quick else MINUTES)
     if not 0.1 <= minutes <= 10000.0:
@@ -175,16 +161,10 @@ def soak(robot_name: str, seconds: float, seed: int, sim_time: bool) -> dict[str
     """Drive and disturb a robot.
 
     Args:
-        robot_name: Name of the robot, or path of its file.
         seconds: Duration [s].
-        seed: Seed of all choices.
-        sim_time: Whether the robot runs in simulated time.
 
     Returns:
         The figures.
-
-    Raises:
-        CommandError: The robot does not become ready.
     """
     values = load_robot(robot_name)
     half_size = (0.5 * values["body.length"], 0.5 * values["body.width"])

@@ -23,39 +23,27 @@ from omniman_ros.processes.process_group import ProcessSpec
 from omniman_ros.processes.robot_setup import node_command, resolve_robot
 from omniman_ros.robots import load_robot
 
-SCENES = 12
-"""Number of scenes of people who give way, in half of which the robot drives."""
-SUDDEN_SCENES = 4
-"""Number of scenes of people who turn on the spot."""
-PERSONS, CROWD = 6, 20
-"""Number of persons in a scene, and where the CPU time is measured."""
-SECONDS = 30.0
-"""Simulated duration of a scene [s]."""
-RATE = 20.0
-"""Rate of the scans [Hz]."""
+SCENES = 12  # number of scenes of people who give way, in half of which the robot drives
+SUDDEN_SCENES = 4  # number of scenes of people who turn on the spot
+PERSONS, CROWD = 6, 20  # number of persons in a scene, and where the CPU time is measured
+SECONDS = 30.0  # simulated duration of a scene [s]
+RATE = 20.0  # rate of the scans [Hz]
 VELOCITY_AIM = 0.1
 """Aim: largest root mean square of the velocity's error from 0.5 s after the first sight on
 [m/s]."""
 FALSE_AIM = 0.01
 """Aim: largest share of standing things that are reported as moving for longer than 0.5 s."""
-IDENTITY_AIM = 0.95
-"""Aim: least share of crossings after which the identity is the same."""
-CPU_AIM = 0.25
-"""Aim: largest share of a core for 720 beams at 20 Hz with 20 people."""
-LATENCY_AIM = 60.0
-"""Aim: largest 99th percentile of the time from a scan to its obstacles [ms]."""
-SETTLING = 2.0
-"""Time that the node has to see the crowd before the measurement [s]."""
-START_TIMEOUT = 20.0
-"""Longest time until the node answers [s]."""
+IDENTITY_AIM = 0.95  # aim: least share of crossings after which the identity is the same
+CPU_AIM = 0.25  # aim: largest share of a core for 720 beams at 20 Hz with 20 people
+LATENCY_AIM = 60.0  # aim: largest 99th percentile of the time from a scan to its obstacles [ms]
+SETTLING = 2.0  # time that the node has to see the crowd before the measurement [s]
+START_TIMEOUT = 20.0  # longest time until the node answers [s]
 
 
 def measure(robot: Mapping[str, Any], scenes: int, seconds: float) -> dict[str, Any]:
     """Track people in scenes of the physics world.
 
     Args:
-        robot: Parameters of the robot, full names to values.
-        scenes: Number of scenes.
         seconds: Simulated duration of each [s].
 
     Returns:
@@ -106,14 +94,10 @@ def measure_latency(robot_name: str, seconds: float) -> dict[str, float]:
     """Measure the time from the stamp of a scan to the arrival of its obstacles.
 
     Args:
-        robot_name: Name of the robot, or path of its file.
         seconds: Duration [s].
 
     Returns:
         Median, 99th percentile and maximum [ms], and the node's share of a core.
-
-    Raises:
-        CommandError: The node does not answer.
     """
     from nav_msgs.msg import Odometry
     from sensor_msgs.msg import LaserScan
@@ -185,11 +169,7 @@ def _crowd_ranges(now: float, angles: Any, rng: np.random.Generator) -> Any:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman bench tracker`; return 0, the exit code of a successful measurement.
-
-    Raises:
-        CommandError: The engine or scipy is not installed, or the node does not answer.
-    """
+    """Run `omniman bench tracker`; return 0, the exit code of a successful measurement."""
     for extra in (WORLD, TRACKING):
         if not extra.is_available:
             raise CommandError(extra.hint)

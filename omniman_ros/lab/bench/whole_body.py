@@ -43,23 +43,14 @@ STREAMED = ("circle", 10_000)
 
 @dataclass(frozen=True)
 class Effort:
-    """Extent of the measurement.
+    """Extent of the measurement."""
 
-    Attributes:
-        courses: Names of the courses of the paths.
-        plans: Number of plans of each path.
-        blocks: Number of blocks of previews.
-        tries: Number of poses for which each iterative solver solves.
-        min_block_time: Shortest CPU time of a block of calls of the closed form [s].
-        seconds: Time for which the nodes are measured, once at rest and once driving [s].
-    """
-
-    courses: tuple[str, ...]
-    plans: int
-    blocks: int
-    tries: int
-    min_block_time: float
-    seconds: float
+    courses: tuple[str, ...]  # names of the courses of the paths
+    plans: int  # number of plans of each path
+    blocks: int  # number of blocks of previews
+    tries: int  # number of poses for which each iterative solver solves
+    min_block_time: float  # shortest CPU time of a block of calls of the closed form [s]
+    seconds: float  # time for which the nodes are measured, once at rest and once driving [s]
 
 
 FULL = Effort(tuple(COURSES), plans=7, blocks=9, tries=300, min_block_time=0.3, seconds=12.0)
@@ -69,15 +60,7 @@ QUICK = Effort(("circle",), plans=1, blocks=2, tries=10, min_block_time=0.01, se
 
 
 class PlanningBench:
-    """Plans tool paths of a robot and measures the planning.
-
-    Args:
-        parameters: Parameters of the node `path_interpolator`.
-
-    Attributes:
-        model: Kinematics of platform and arm.
-        limits: Limits of the nine axes.
-    """
+    """Plans tool paths of a robot and measures the planning."""
 
     def __init__(self, parameters: PathInterpolatorParameters) -> None:
         p = parameters
@@ -101,7 +84,6 @@ class PlanningBench:
 
         Args:
             poses: (k, 4, 4) poses of the tool in odom, lengths in metres.
-            repeats: Number of plans.
 
         Returns:
             CPU times of planning, in total and by parts, and figures of the plan.
@@ -150,10 +132,7 @@ def course_poses(model: WholeBodyModel, name: str, length: float, count: int) ->
     """Return equidistant poses of the tool along a course, from the start of the courses.
 
     Args:
-        model: Kinematics of the robot.
-        name: Name of the course, a key of `COURSES`.
         length: Length of the path in the plane [m].
-        count: Number of poses.
 
     Returns:
         (count, 4, 4) poses of the tool in odom, lengths in metres.
@@ -174,7 +153,6 @@ def resampled(model: WholeBodyModel, poses: Array, speed: float) -> Array:
     follow from the inverse kinematics in closed form.
 
     Args:
-        model: Kinematics of the robot.
         poses: (n, 4, 4) poses of the tool in odom, lengths in metres.
         speed: Speed of the tool [m/s].
 
@@ -199,10 +177,6 @@ def limits_used(plan: ToolPlan, limits: WholeBodyLimits) -> dict[str, Any]:
     """Return the largest share of the limits that a plan uses, and the axis that uses it.
 
     The limits of odom_x and odom_y hold for the magnitude of both as a vector.
-
-    Args:
-        plan: Plan of a tool path.
-        limits: Limits of all axes.
 
     Returns:
         Share and axis for each of velocity, acceleration and jerk.
@@ -231,10 +205,6 @@ def quality(plan: ToolPlan, model: WholeBodyModel) -> dict[str, float]:
     Manipulability is |det J| of the arm alone with lengths in metres, after T. Yoshikawa,
     "Manipulability of Robotic Mechanisms" (1985). The reach is the distance of the tool from the
     arm's base.
-
-    Args:
-        plan: Plan of a tool path.
-        model: Kinematics of the robot.
     """
     q = plan.curve.positions
     manipulability = np.abs(np.linalg.det(model.arm.jacobian(q[:, 3:])))
@@ -248,11 +218,7 @@ def quality(plan: ToolPlan, model: WholeBodyModel) -> dict[str, float]:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman bench whole_body`; return 0, the exit code of a successful measurement.
-
-    Raises:
-        CommandError: The measurement failed.
-    """
+    """Run `omniman bench whole_body`; return 0, the exit code of a successful measurement."""
     effort = QUICK if args.quick else FULL
     robot = resolve_robot(args.robot)
     parameters = build(PathInterpolatorParameters, load_robot(robot))

@@ -30,24 +30,17 @@ Solve = Callable[[Array, Array, float], Solution]
 """An iterative solver: a function of the tool's pose (4, 4) in the base frame of the DH table,
 initial joint angles (6,) [rad], and the norm of the pose error at which it ends."""
 
-SEED = 8
-"""Seed of the random joint angles."""
-BATCHES = (1, 100, 10_000)
-"""Numbers of poses for which one call of the closed form solves."""
-BATCHES_TEXT = ", ".join(f"{batch:,}" for batch in BATCHES)
-"""`BATCHES` as printed in the table."""
-INITIAL_OFFSET = 0.1
-"""Absolute difference of each joint's initial angle from the solution [rad]."""
+SEED = 8  # seed of the random joint angles
+BATCHES = (1, 100, 10_000)  # numbers of poses for which one call of the closed form solves
+BATCHES_TEXT = ", ".join(f"{batch:,}" for batch in BATCHES)  # `BATCHES` as printed in the table
+INITIAL_OFFSET = 0.1  # absolute difference of each joint's initial angle from the solution [rad]
 TOLERANCES = (1e-4, 1e-9)
 """Norms of the pose error (translation [m], rotation [rad]) at which an iteration ends."""
-DAMPING = 1e-12
-"""Damping of the least-squares steps, added to the diagonal of J J^T."""
+DAMPING = 1e-12  # damping of the least-squares steps, added to the diagonal of J J^T
 STEPS = {"step 0.1, as documented": 0.1, "step 1": 1.0}
 """Fractions of a Newton step that the iterations with `pin` take, by name in the table."""
-PIN_ITERATIONS = 1000
-"""Largest number of iterations with `pin`, that of its example."""
-NEWTON_ITERATIONS = 100
-"""Largest number of iterations of Newton's method with full steps."""
+PIN_ITERATIONS = 1000  # largest number of iterations with `pin`, that of its example
+NEWTON_ITERATIONS = 100  # largest number of iterations of Newton's method with full steps
 
 
 @dataclass(frozen=True)
@@ -55,23 +48,16 @@ class Sample:
     """Random poses for which the solvers solve.
 
     Attributes:
-        angles: (n, 6) joint angles of one solution [rad].
         poses: (n, 4, 4) poses of the tool in the base frame of the DH table, lengths in metres.
-        near: (n, 6) initial joint angles near the solution [rad].
     """
 
-    angles: Array
+    angles: Array  # (n, 6) joint angles of one solution [rad]
     poses: Array
-    near: Array
+    near: Array  # (n, 6) initial joint angles near the solution [rad]
 
     @classmethod
     def draw(cls, model: ArmModel, count: int) -> "Sample":
-        """Draw poses from uniform joint angles within +-pi, singular configurations included.
-
-        Args:
-            model: Kinematics of the arm.
-            count: Number of poses.
-        """
+        """Draw poses from uniform joint angles within +-pi, singular configurations included."""
         rng = np.random.default_rng(SEED)
         angles = rng.uniform(-math.pi, math.pi, (count, JOINTS))
         near = angles + INITIAL_OFFSET * rng.choice([-1.0, 1.0], angles.shape)
@@ -79,11 +65,7 @@ class Sample:
 
 
 class Newton:
-    """Solves by damped Newton steps in numpy, with forward kinematics and Jacobian of `ArmModel`.
-
-    Args:
-        model: Kinematics of the arm.
-    """
+    """Solves by damped Newton steps in numpy, with forward kinematics and Jacobian of `ArmModel`."""
 
     def __init__(self, model: ArmModel) -> None:
         self._model = model
@@ -102,21 +84,7 @@ class Newton:
 
 
 class PinArm:
-    """The arm as a model of `pin`, made from the robot's URDF with all other joints locked.
-
-    Args:
-        pin: The module `pinocchio`.
-        robot: Robot.
-        arm: Parameters of the arm.
-        mount: Mount of the arm on the platform.
-
-    Attributes:
-        pin: The module `pinocchio`.
-        model: Model of the arm.
-        data: Data of the model.
-        frame: Index of the tool's frame.
-        joint: Index of the last joint.
-    """
+    """The arm as a model of `pin`, made from the robot's URDF with all other joints locked."""
 
     def __init__(self, pin: Any, robot: Robot, arm: ArmParameters, mount: Mount) -> None:
         self.pin = pin
@@ -143,7 +111,6 @@ class PinArm:
 
         Args:
             angles: (n, 6) joint angles [rad].
-            body: Kinematics of the robot.
         """
         q = np.hstack([np.zeros((len(angles), len(PLATFORM_AXES))), angles])
         poses = body.forward(q)
@@ -164,10 +131,6 @@ class PinIteration:
 
     It takes damped least-squares steps on the logarithm of the pose error (inverse-kinematics.py
     of Pinocchio).
-
-    Args:
-        arm: Arm as a model of `pin`.
-        step: Fraction of a Newton step that each iteration takes.
     """
 
     def __init__(self, arm: PinArm, step: float) -> None:
@@ -215,8 +178,6 @@ def measure_closed_form(model: ArmModel, sample: Sample, min_block_time: float) 
     """Measure poses per second of the closed form, for one or more poses per call.
 
     Args:
-        model: Kinematics of the arm.
-        sample: Poses for which to solve.
         min_block_time: Shortest CPU time of a block of calls [s].
 
     Returns:
@@ -248,11 +209,6 @@ def measure_closed_form(model: ArmModel, sample: Sample, min_block_time: float) 
 def measure_iteration(solve: Solve, sample: Sample, count: int) -> dict[str, Any]:
     """Measure solutions per second of an iterative solver; the time of failures also counts.
 
-    Args:
-        solve: Solver.
-        sample: Poses for which to solve.
-        count: Number of poses, the first ones of the sample.
-
     Returns:
         Figures by initial angles ("near" the solution, or "neutral": zero) and tolerance.
     """
@@ -278,10 +234,6 @@ def measure(
     """Measure the closed form and all iterative solvers.
 
     Args:
-        robot: Robot.
-        arm: Parameters of the arm.
-        mount: Mount of the arm on the platform.
-        tries: Number of poses for which each iterative solver solves.
         min_block_time: Shortest CPU time of a block of calls of the closed form [s].
 
     Returns:
@@ -316,10 +268,6 @@ def measure(
 
 def ratios(ours: dict[str, float], theirs: float) -> dict[str, float | None]:
     """Return the ratios of the speed of the closed form on one branch to that of another solver.
-
-    Args:
-        ours: Solutions per second of the closed form, by number of poses per call.
-        theirs: Solutions per second of the other solver.
 
     Returns:
         Ratios by number of poses per call; None if the other solver found no solution.

@@ -30,29 +30,21 @@ from omniman_ros.processes.robot_setup import resolve_robot
 from omniman_ros.robots import load_robot
 from omniman_ros.simulation.world.distances import PostureDistances
 
-SCENES = 6
-"""Number of scenes of each kind."""
-SPAN = 2.5
-"""Longest duration of a scene, relative to the path at the tool's speed."""
-SPARE = 10.0
-"""What is added to it [s]."""
-GROWTH = 0.05
-"""Growth of the margin around a person [m/s]."""
-TICKS = 5
-"""Number of setpoints of a cycle, which are 10 ms apart and joined by straight lines."""
-JUDGED = 0.05
-"""Time between two looks at the distances [s]."""
+SCENES = 6  # number of scenes of each kind
+SPAN = 2.5  # longest duration of a scene, relative to the path at the tool's speed
+SPARE = 10.0  # what is added to it [s]
+GROWTH = 0.05  # growth of the margin around a person [m/s]
+TICKS = 5  # number of setpoints of a cycle, which are 10 ms apart and joined by straight lines
+JUDGED = 0.05  # time between two looks at the distances [s]
 LOOK_AHEAD, LOOK_STEP, LOOK_GAP = 1.0, 0.1, 0.05
 """How far the fixed posture looks ahead to wait [s], at which steps [s], and the gap below which
 it waits [m]."""
 COMPLETED_AIM, TIME_AIM = 0.97, 1.3
 """Aims: least share of completed scenes; largest time relative to the unhindered path."""
-TOOL_AIM = 1.0, 3.0
-"""Aims: largest root mean square and largest error of the tool [mm]."""
+TOOL_AIM = 1.0, 3.0  # aims: largest root mean square and largest error of the tool [mm]
 CPU_AIM = 10.0, 20.0, 50.0
 """Aims: largest median, 99th percentile and maximum of a cycle's CPU time [ms]."""
-SEARCH_AIM = 1.0
-"""Aim: largest CPU time of the search [s]."""
+SEARCH_AIM = 1.0  # aim: largest CPU time of the search [s]
 METHODS = {
     "dodging": "the body dodges",
     "fixed": "fixed posture",
@@ -62,11 +54,7 @@ METHODS = {
 
 
 class Bench:
-    """Runs scenes.
-
-    Args:
-        robot: Name or file of the robot.
-    """
+    """Runs scenes."""
 
     def __init__(self, robot: str) -> None:
         values = load_robot(resolve_robot(robot))
@@ -133,11 +121,7 @@ class Bench:
         }
 
     def _tool_errors(self, axes: Array) -> Array:
-        """Return the distances (n,) of the tool from its path between setpoints [m].
-
-        Args:
-            axes: (2 n + 1, 9), every second of which is sent.
-        """
+        """Return the distances (n,) of the tool from its path between setpoints [m]."""
         sent = axes[::2]
         between = self._model.forward(0.5 * (sent[1:] + sent[:-1]))
         exact = self._model.forward(axes[1::2])
@@ -197,11 +181,7 @@ def summary(scenes: Sequence[dict[str, Any]], method: str) -> dict[str, Any]:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman bench whole_body_obstacles`; return 0, the exit code of a measurement.
-
-    Raises:
-        CommandError: A scene could not be made.
-    """
+    """Run `omniman bench whole_body_obstacles`; return 0, the exit code of a measurement."""
     bench = Bench(args.robot)
     scenes = []
     for kind in KINDS:

@@ -46,14 +46,11 @@ PLATFORM_ERROR = np.array([0.004, -0.003, 0.005])
 """Deviation of the platform from its reference, which the arm has to correct [m, m, rad]."""
 ARM_RATE = 50.0
 """Highest rate of the arm's previews, including those together with the platform's [Hz]."""
-ODOM_RATE = 100.0
-"""Rate of messages on `odom` [Hz]."""
-PREVIEWS = 100
-"""Number of previews of each kind in a block."""
+ODOM_RATE = 100.0  # rate of messages on `odom` [Hz]
+PREVIEWS = 100  # number of previews of each kind in a block
 SETTLING_TIME = 2.0
 """Time allowed for the nodes to discover each other, and for the start of a path [s]."""
-START_TIMEOUT = 30.0
-"""Longest time until the robot starts to follow a path, planning included [s]."""
+START_TIMEOUT = 30.0  # longest time until the robot starts to follow a path, planning included [s]
 LENIENT = (
     "timeouts.wheel_states:=2.0",
     "firmware.watchdog:=2.0",
@@ -75,12 +72,7 @@ On a busy machine, nodes may be late without harm, as CPU time is measured.
 
 
 class BareStream:
-    """Computes the previews of the node `path_interpolator` without a ROS node.
-
-    Args:
-        parameters: Parameters of the node `path_interpolator`.
-        plan: Plan of a tool path that starts at time 0.
-    """
+    """Computes the previews of the node `path_interpolator` without a ROS node."""
 
     def __init__(self, parameters: PathInterpolatorParameters, plan: ToolPlan) -> None:
         p = parameters
@@ -139,7 +131,6 @@ class BareStream:
         Args:
             time: Start of the preview [s].
             horizon: Duration of the preview [s].
-            platform: Whether to fill the platform's message, too.
         """
         window, tool = self.window(time, horizon)
         arm_conversions.fill_pose(self._pose, tool)
@@ -154,18 +145,9 @@ def measure_previews(
 ) -> dict[str, Any]:
     """Measure the CPU time of previews, and compute from it that of a streamed tick of 8 ms.
 
-    Args:
-        parameters: Parameters of the node `path_interpolator`.
-        robot: Name of the robot, or the path of its file.
-        plan: Plan of a tool path.
-        blocks: Number of blocks of previews, of which the fastest counts.
-
     Returns:
         CPU times [us] of a preview of the arm (`arm`) and of platform and arm (`both`), of a
         message on `odom` (`receive_odom`) and of a tick (`tick`).
-
-    Raises:
-        CommandError: The node aborted the path.
     """
     bare, horizon = BareStream(parameters, plan), parameters.horizon
     spread = plan.curve.duration / PREVIEWS
@@ -212,9 +194,6 @@ def _measure_published(
     """Return the CPU time of a preview that the node itself publishes, without subscribers [us].
 
     Args:
-        robot: Name of the robot, or the path of its file.
-        parameters: Parameters of the node.
-        plan: Plan of a tool path.
         each: Function that measures the CPU time of a call at instants along the plan [us].
     """
     context = rclpy.Context()
@@ -277,15 +256,10 @@ def measure_shares(
     """Measure the share of a core that the running nodes use, at rest and along a tool path.
 
     Args:
-        robot: Name of the robot, or the path of its file.
         angles: (6,) joint angles of the arm at rest [rad].
         poses: (k, 4, 4) poses of the tool in odom, lengths in metres, starting with the tool's
             pose at rest; following the path must take longer than the measurement.
         seconds: Duration of each of the two measurements [s].
-
-    Raises:
-        CommandError: The nodes do not start, or do not follow the path during the whole
-            measurement.
     """
     initial = f"simulated_arm.initial:={[float(angle) for angle in angles]}"
     setup = RobotSetup(robot=robot, only=NODES, params=(initial, *LENIENT))
@@ -294,11 +268,7 @@ def measure_shares(
 
 
 class _ToolPathRun:
-    """Commands a tool path to the running nodes and counts their previews.
-
-    Args:
-        nodes: Running nodes of the robot.
-    """
+    """Commands a tool path to the running nodes and counts their previews."""
 
     def __init__(self, nodes: RunningNodes) -> None:
         self._nodes = nodes

@@ -27,22 +27,15 @@ from omniman_ros.simulation.plant.simulated_drives import SimulatedDrives
 from omniman_ros.simulation.scene_files import load_scene
 from omniman_ros.simulation.world.parameters import IDEAL, ROLLERS
 
-SCENE = "corridor"
-"""Scene of the measurement: a corridor with four persons."""
-SPEED = 0.3
-"""Speed at the wheels' rims [m/s]; the robot drives to its side and back."""
-REVERSAL = 0.5
-"""Time between two changes of direction [s]."""
-PERIOD = 0.005
-"""Period of the commands [s]."""
-SCAN_RATE = 40.0
-"""Rate of the scans whose share of a core is computed [Hz]."""
+SCENE = "corridor"  # scene of the measurement: a corridor with four persons
+SPEED = 0.3  # speed at the wheels' rims [m/s]; the robot drives to its side and back
+REVERSAL = 0.5  # time between two changes of direction [s]
+PERIOD = 0.005  # period of the commands [s]
+SCAN_RATE = 40.0  # rate of the scans whose share of a core is computed [Hz]
 AIMS = {IDEAL: 6.0, ROLLERS: 5.0}
 """Smallest speed of the simulation over real time, by the kind of wheels."""
-SCAN_AIM = 2.0
-"""Largest share of a core for the scans [%]."""
-NODE_AIM = 30.0
-"""Largest share of a core for the node in real time [%]."""
+SCAN_AIM = 2.0  # largest share of a core for the scans [%]
+NODE_AIM = 30.0  # largest share of a core for the node in real time [%]
 
 
 def real_time_factor(drives: SimulatedDrives, direction: Any, seconds: float) -> float:
@@ -51,7 +44,6 @@ def real_time_factor(drives: SimulatedDrives, direction: Any, seconds: float) ->
     It is the best of three runs that follow one another.
 
     Args:
-        drives: Drives at time 0.
         direction: Wheel speeds (n,) of a motion to the robot's left at `SPEED` [rad/s].
         seconds: Simulated duration of a run [s].
     """
@@ -72,7 +64,6 @@ def measure(robot: Mapping[str, Any], seconds: float) -> dict[str, Any]:
     """Measure the plant and the world on both kinds of wheels.
 
     Args:
-        robot: Parameters of the robot by full name.
         seconds: Simulated duration of each run [s].
 
     Returns:
@@ -110,11 +101,7 @@ def measure(robot: Mapping[str, Any], seconds: float) -> dict[str, Any]:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman bench world`; return 0, the exit code of a successful measurement.
-
-    Raises:
-        CommandError: The engine is not installed, or a node has ended.
-    """
+    """Run `omniman bench world`; return 0, the exit code of a successful measurement."""
     if not WORLD.is_available:
         raise CommandError(WORLD.hint)
     say("plant, ideal wheels, rollers and scans ...")

@@ -15,45 +15,30 @@ from omniman_ros.lab.measurement import cpu_time
 from omniman_ros.processes.robot_setup import RobotSetup, robot_processes
 from omniman_ros.processes.ros_domain import isolate_ros_domain
 
-NODE = "simulated_world"
-"""The node that is measured."""
-START_TIMEOUT = 60.0
-"""Longest time from the start of the nodes to simulated time [s]."""
+NODE = "simulated_world"  # the node that is measured
+START_TIMEOUT = 60.0  # longest time from the start of the nodes to simulated time [s]
 WARM_UP = 4.0
 """Simulated time from its beginning to the measurement [s]: all nodes run, the robot rests."""
 CIRCLES = 3.0
 """Angular frequency of the circles that the robot drives, without rotation of its own [rad/s]."""
-REST: Triple = (0.0, 0.0, 0.0)
-"""Twist (v_x, v_y, omega) of a robot at rest [m/s, m/s, rad/s]."""
+REST: Triple = (0.0, 0.0, 0.0)  # twist (v_x, v_y, omega) of a robot at rest [m/s, m/s, rad/s]
 
 
 @dataclass(frozen=True)
 class NodeShare:
-    """CPU time of the node per simulated second.
+    """CPU time of the node per simulated second."""
 
-    Attributes:
-        rest: While the robot rests, as a share of one core [%].
-        driving: While it drives [%].
-        pace: Mean of simulated over real time.
-    """
-
-    rest: float
-    driving: float
-    pace: float
+    rest: float  # while the robot rests, as a share of one core [%]
+    driving: float  # while it drives [%]
+    pace: float  # mean of simulated over real time
 
 
 def node_share(robot: str, scene: str, wheels: str, seconds: float, speed: float) -> NodeShare:
     """Measure the node among all nodes of `omniman up --world` but the viewer.
 
     Args:
-        robot: Name of the robot, or path of its file.
-        scene: Name of the scene.
-        wheels: Kind of the wheels.
         seconds: Duration of each measurement in real time [s].
         speed: Speed of the platform [m/s].
-
-    Raises:
-        CommandError: There is no simulated time, or a process has ended.
     """
     isolate_ros_domain(os.environ)
     setup = RobotSetup(

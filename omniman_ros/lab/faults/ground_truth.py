@@ -11,11 +11,9 @@ from omniman_ros.conversions.headers import time_seconds
 from omniman_ros.core.arrays import Array
 from omniman_ros.nodes.rclpy_compat import subscribe_with_source_time
 
-YAW_ARM = 0.5
-"""Distance from its centre at which a turn of the platform counts as speed [m]."""
+YAW_ARM = 0.5  # distance from its centre at which a turn of the platform counts as speed [m]
 
-ALL = QoSProfile(depth=1000)
-"""Quality of service of reports of which none may be lost."""
+ALL = QoSProfile(depth=1000)  # quality of service of reports of which none may be lost
 
 
 class GroundTruth:
@@ -24,9 +22,6 @@ class GroundTruth:
     Speeds are those of the platform, where a turn counts by `YAW_ARM`, and of the fastest joint.
     Samples count at their stamps, the instants up to which drives and arm were simulated, whenever
     they were sent and received. In simulated time nothing is held up, as time waits.
-
-    Args:
-        session: ROS session that receives it.
     """
 
     def __init__(self, session: Session) -> None:

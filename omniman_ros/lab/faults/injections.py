@@ -4,22 +4,14 @@ import signal
 from dataclasses import dataclass
 from enum import Enum
 
-CONTROLLER = "platform_controller"
-"""Node that computes the wheel commands."""
-BRIDGE = "can_bridge"
-"""Node between the wheel commands and the bus."""
-DRIVES = "simulated_can_drives"
-"""Node that simulates the drives and the plant."""
-STREAMER = "arm_streamer"
-"""Node that streams the arm's setpoints."""
-ARM = "simulated_ur"
-"""Node that simulates the arm's controller."""
-INTERPOLATOR = "path_interpolator"
-"""Node that sends paths and trajectories as previews."""
-MONITOR = "collision_monitor"
-"""Node that limits the speed before contact."""
-STREAMING_PROCESS = "streaming process"
-"""Child process of the streamer that sends the setpoints."""
+CONTROLLER = "platform_controller"  # node that computes the wheel commands
+BRIDGE = "can_bridge"  # node between the wheel commands and the bus
+DRIVES = "simulated_can_drives"  # node that simulates the drives and the plant
+STREAMER = "arm_streamer"  # node that streams the arm's setpoints
+ARM = "simulated_ur"  # node that simulates the arm's controller
+INTERPOLATOR = "path_interpolator"  # node that sends paths and trajectories as previews
+MONITOR = "collision_monitor"  # node that limits the speed before contact
+STREAMING_PROCESS = "streaming process"  # child process of the streamer that sends the setpoints
 
 
 @dataclass(frozen=True)
@@ -27,13 +19,12 @@ class Signal:
     """A signal to a process.
 
     Attributes:
-        process: Name of the process.
         number: Number of the signal. A process that was killed is started again before the next
             row.
         resume: Time after which a suspended process goes on [s]; None until the judgement.
     """
 
-    process: str
+    process: str  # name of the process
     number: signal.Signals
     resume: float | None = None
 
@@ -57,17 +48,13 @@ class Setting:
     """A fault that a simulated device simulates itself.
 
     Attributes:
-        node: Node of the simulated device.
-        parameter: Name of the parameter.
-        value: Value with the fault.
-        cleared: Value without it.
         afterwards: Commands to the dashboard of the arm's controller once it is cleared.
     """
 
-    node: str
-    parameter: str
-    value: bool | float | tuple[str, ...]
-    cleared: bool | float | tuple[str, ...]
+    node: str  # node of the simulated device
+    parameter: str  # name of the parameter
+    value: bool | float | tuple[str, ...]  # value with the fault
+    cleared: bool | float | tuple[str, ...]  # value without it
     afterwards: tuple[str, ...] = ()
 
 
@@ -95,26 +82,17 @@ class InvalidContent(Enum):
 
 @dataclass(frozen=True)
 class Publication:
-    """A second publisher of a topic sends invalid messages 100 times a second.
+    """A second publisher of a topic sends invalid messages 100 times a second."""
 
-    Attributes:
-        topic: Name of the topic, a key of `invalid_messages.TOPICS`.
-        content: What it sends.
-    """
-
-    topic: str
-    content: InvalidContent
+    topic: str  # name of the topic, a key of `invalid_messages.TOPICS`
+    content: InvalidContent  # what it sends
 
 
 @dataclass(frozen=True)
 class EmergencyStop:
-    """The emergency stop is pressed.
+    """The emergency stop is pressed."""
 
-    Attributes:
-        others_release: Whether a second publisher sends false all the while.
-    """
-
-    others_release: bool = False
+    others_release: bool = False  # whether a second publisher sends false all the while
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,7 @@ from omniman_ros.conversions.motion_limits import LIMITED
 from omniman_ros.core.arm_parameters import UR_JOINTS
 from omniman_ros.lab.faults.injections import InvalidContent, Publication
 
-PERIOD = 0.01
-"""Period of invalid messages [s]."""
+PERIOD = 0.01  # period of invalid messages [s]
 NUMBERS = {
     InvalidContent.NAN: math.nan,
     InvalidContent.INFINITE: math.inf,
@@ -26,14 +25,7 @@ NUMBERS = {
 
 
 class InvalidMessages:
-    """Second publishers of topics, of which at most one sends.
-
-    Args:
-        node: Node that owns the publishers.
-
-    Attributes:
-        publication: What is sent every `PERIOD`; None: nothing.
-    """
+    """Second publishers of topics, of which at most one sends."""
 
     def __init__(self, node: Node) -> None:
         self.publication: Publication | None = None

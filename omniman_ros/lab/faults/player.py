@@ -23,20 +23,11 @@ from omniman_ros.nodes.stop_interface import LATCHED
 
 DASHBOARD_PAUSE = 1.0
 """Time for which the arm's controller carries a command of its dashboard out [s]."""
-RELEASE_PERIOD = 0.01
-"""Period at which a second button says that it is not pressed [s]."""
+RELEASE_PERIOD = 0.01  # period at which a second button says that it is not pressed [s]
 
 
 class Player:
-    """Injects faults into a robot that it can move, and removes them.
-
-    Args:
-        robot: The running robot.
-
-    Attributes:
-        robot: The running robot.
-        driver: Moves it.
-    """
+    """Injects faults into a robot that it can move, and removes them."""
 
     def __init__(self, robot: RunningRobot) -> None:
         node = robot.session.node

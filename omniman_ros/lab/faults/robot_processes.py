@@ -20,13 +20,7 @@ HARDWARE_NICENESS, NICENESS = -15, -10
 
 
 class RobotProcesses:
-    """Processes that run while this is entered as a context.
-
-    Args:
-        specs: What each process is.
-        on_start: Called with the name of each process that starts, but not of second copies.
-        on_line: Called with name and line for each line of output, from threads.
-    """
+    """Processes that run while this is entered as a context."""
 
     def __init__(
         self,
@@ -70,12 +64,7 @@ class RobotProcesses:
         return [name for name in self._specs if not self.is_alive(name)]
 
     def start(self, name: str, copy: str = "") -> None:
-        """Start a process.
-
-        Args:
-            name: Name of the process.
-            copy: Name of a second copy of it; empty for the first one.
-        """
+        """Start a process."""
         spec = self._specs[name]
         label = copy or name
         group = ProcessGroup(
@@ -90,11 +79,7 @@ class RobotProcesses:
         set_niceness(group.pid(label), niceness)
 
     def pid(self, name: str) -> int:
-        """Return the process id of a process, which may be the streamer's streaming process.
-
-        Raises:
-            CommandError: There is no such process.
-        """
+        """Return the process id of a process, which may be the streamer's streaming process."""
         if name != STREAMING_PROCESS:
             return self._groups[name].pid(name)
         for child in children(self._groups[STREAMER].pid(STREAMER)):

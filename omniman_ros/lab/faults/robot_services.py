@@ -11,22 +11,16 @@ from std_srvs.srv import Trigger
 
 from omniman_ros.console.errors import CommandError
 
-SERVICE_TIMEOUT = 10.0
-"""Longest time for the answer of a service [s]."""
-CALLS = 3
-"""Number of calls of a service that does not answer."""
+SERVICE_TIMEOUT = 10.0  # longest time for the answer of a service [s]
+CALLS = 3  # number of calls of a service that does not answer
 
 
 class RobotServices:
     """Clients of the services of the robot's nodes.
 
     Args:
-        node: Node that owns the clients.
         wait: Serves callbacks until a condition holds, and returns whether it did within a
             timeout [s].
-
-    Attributes:
-        unanswered: Names of services, once for each call that was not answered in time.
     """
 
     def __init__(self, node: Node, wait: Callable[[Callable[[], bool], float], bool]) -> None:
@@ -41,11 +35,7 @@ class RobotServices:
             client.call_async(Trigger.Request())
 
     def connect(self, node: str, action: str) -> None:
-        """Wait until a Trigger service of a node can be called.
-
-        Raises:
-            CommandError: It is not there.
-        """
+        """Wait until a Trigger service of a node can be called."""
         client = self._client(Trigger, f"{node}/{action}")
         if not self._wait(client.service_is_ready, SERVICE_TIMEOUT):
             raise CommandError(f"{node}/{action} is not there")
@@ -57,11 +47,7 @@ class RobotServices:
         return self._clients[service]
 
     def set_parameter(self, node: str, name: str, value: bool | float | tuple[str, ...]) -> None:
-        """Set a parameter of a node.
-
-        Raises:
-            CommandError: The node refuses the value, or does not answer.
-        """
+        """Set a parameter of a node."""
         service = f"{node}/set_parameters"
         client = self._client(SetParameters, service)
         if not self._wait(client.service_is_ready, SERVICE_TIMEOUT):
@@ -85,15 +71,7 @@ class RobotServices:
 
 
 def send_to_dashboard(port: int, command: str) -> None:
-    """Send a command to the dashboard of the simulated arm's controller.
-
-    Args:
-        port: TCP port of the dashboard on this host.
-        command: The command, without its end of line.
-
-    Raises:
-        CommandError: The dashboard cannot be reached.
-    """
+    """Send a command to the dashboard of the simulated arm's controller."""
     try:
         with socket.create_connection(("127.0.0.1", port), SERVICE_TIMEOUT) as connection:
             connection.recv(1024)  # its greeting

@@ -17,12 +17,9 @@ from omniman_ros.processes.robot_setup import RobotSetup, robot_processes
 
 MOVERS = (CONTROLLER, BRIDGE, STREAMER)
 """Nodes whose stop states tell whether the robot can be driven."""
-LOOKAHEAD = 0.01
-"""How far simulated time may be ahead of this process, which injects faults [s]."""
-RESET_PERIOD = 0.3
-"""Time between two attempts to reset the robot [s]."""
-NANOSECOND = 1e-9
-"""Seconds in a nanosecond."""
+LOOKAHEAD = 0.01  # how far simulated time may be ahead of this process, which injects faults [s]
+RESET_PERIOD = 0.3  # time between two attempts to reset the robot [s]
+NANOSECOND = 1e-9  # seconds in a nanosecond
 LATEST_TRUTH = 5.0
 """Longest time after an instant until its ground truth is received from a busy machine [s]."""
 DASHBOARD_PORT = "ports.dashboard:="
@@ -33,22 +30,6 @@ class RunningRobot:
     """Robot of processes, its services, and what it reports.
 
     Durations are of the session's clock. In simulated time, the robot waits for this process.
-
-    Args:
-        session: ROS session of this process.
-        setup: Options of the robot.
-        left_out: Names of the nodes that are not started.
-        on_line: Called with name and line for each line of output, from threads.
-
-    Attributes:
-        session: ROS session of this process.
-        processes: Its processes, which run while they are entered as a context.
-        services: Services of its nodes.
-        truth: Ground truth.
-        stop_states: Level of the last `stop_state` by node.
-        reasons: Text of the last `stop_state` by node.
-        source: Last `active_source`.
-        on_check: Called again and again while this waits for something.
     """
 
     def __init__(
@@ -166,9 +147,5 @@ class RunningRobot:
         return self.is_released
 
     def send_to_dashboard(self, command: str) -> None:
-        """Send a command to the dashboard of the simulated arm's controller.
-
-        Raises:
-            CommandError: The dashboard cannot be reached.
-        """
+        """Send a command to the dashboard of the simulated arm's controller."""
         send_to_dashboard(int(self.processes.argument(ARM, DASHBOARD_PORT)), command)

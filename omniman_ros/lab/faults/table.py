@@ -26,8 +26,7 @@ from omniman_ros.lab.faults.injections import (
 )
 from omniman_ros.lab.faults.rows import GoingOn, Motion, Outcome, Row, Subject
 
-FRONT_LEFT = ("front_left",)
-"""Wheel whose drive fails."""
+FRONT_LEFT = ("front_left",)  # wheel whose drive fails
 MISSED_REPORTS = (0.06, "can.missed_periods")
 """Time for which reports of a drive are missing until it counts as lost [s], and what sets it."""
 LOST_SOURCE = 0.1

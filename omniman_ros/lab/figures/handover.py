@@ -25,12 +25,9 @@ from omniman_ros.lab.studies.handover import KEPT_TIME, Run
 
 LEADER_COLOUR = ORANGE
 FOLLOWER_COLOUR = BLUE
-SNAPSHOT_PERIOD = 4.0
-"""Time between two outlines of the robots [s]."""
-MARGIN = 0.8
-"""Margin around the ways from above [m]."""
-BEFORE, AFTER = 2.0, 1.0
-"""Time that is shown before and after the judged time [s]."""
+SNAPSHOT_PERIOD = 4.0  # time between two outlines of the robots [s]
+MARGIN = 0.8  # margin around the ways from above [m]
+BEFORE, AFTER = 2.0, 1.0  # time that is shown before and after the judged time [s]
 
 
 def draw(
@@ -39,11 +36,8 @@ def draw(
     """Draw the study as a PNG file.
 
     Args:
-        robot: The robot.
-        runs: All drives; the first one of each course is shown from above.
         position_bound: Bound of the distance from the station [m].
         heading_bound: Bound of the heading error [rad].
-        path: Path of the PNG file.
     """
     by_course = {run.case.course: run for run in reversed(runs)}
     courses = list(dict.fromkeys(run.case.course for run in runs))

@@ -28,22 +28,14 @@ from omniman_ros.lab.figures.top_view import (
 from omniman_ros.lab.studies.scene_generator import AREA
 from omniman_ros.lab.studies.scenes import Outcome
 
-MAX_COLUMNS = 3
-"""Largest number of columns of the picture."""
+MAX_COLUMNS = 3  # largest number of columns of the picture
 SNAPSHOTS = 6
 """Number of times at which the robot and moving obstacles are shown; the legend names it, too."""
-MARGIN = 0.9
-"""Margin between the area of the scenes and the frame of the axes [m]."""
+MARGIN = 0.9  # margin between the area of the scenes and the frame of the axes [m]
 
 
 def draw(robot: Robot, outcomes: Sequence[Outcome], path: Path) -> None:
-    """Draw drives from above as a PNG file, with one panel for each drive.
-
-    Args:
-        robot: The robot, for its outline.
-        outcomes: The drives, at least one.
-        path: Path of the PNG file.
-    """
+    """Draw drives from above as a PNG file, with one panel for each drive."""
     columns = min(MAX_COLUMNS, len(outcomes))
     rows = math.ceil(len(outcomes) / columns)
     half = 0.5 * np.array([robot.body.length, robot.body.width])
@@ -59,9 +51,7 @@ def draw_panel(axes: Any, half: Array, outcome: Outcome) -> None:
     """Draw one drive with its scene.
 
     Args:
-        axes: Axes of the panel.
         half: (2,) half length and half width of the robot [m].
-        outcome: The drive and its judgement.
     """
     scene, drive = outcome.scene, outcome.drive
     end = drive.times[-1]
@@ -147,13 +137,8 @@ def _draw_robot(
     """Draw outline and front mark of the robot at a pose (3,) in odom.
 
     Args:
-        axes: Axes to draw on.
         half: (2,) half length and half width of the robot [m].
         pose: (3,) pose in odom [m, m, rad].
-        colour: Colour of outline, mark and area.
-        zorder: Drawing order, as in matplotlib.
-        lw: Line width of the outline, in points.
-        fill: Opacity of the area; 0 leaves it empty.
     """
     box = to_odom(BOX_CORNERS * half, pose)
     if fill:

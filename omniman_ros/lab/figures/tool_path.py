@@ -18,20 +18,16 @@ from omniman_ros.console.figure_style import (
 )
 from omniman_ros.lab.studies.tool_path import Run
 
-CORRECTED_COLOUR = GREEN
-"""Colour of drives with the arm's correction."""
-UNCORRECTED_COLOUR = RED
-"""Colour of drives without the arm's correction."""
+CORRECTED_COLOUR = GREEN  # colour of drives with the arm's correction
+UNCORRECTED_COLOUR = RED  # colour of drives without the arm's correction
 
 
 def draw(runs: Sequence[Run], rms_bound: float, max_bound: float, path: Path) -> None:
     """Draw the study as a PNG file: a row for each course, a column for each kind of wheels.
 
     Args:
-        runs: All drives.
         rms_bound: Bound of the RMS error [m].
         max_bound: Bound of the largest error [m].
-        path: Path of the PNG file.
     """
     courses = list(dict.fromkeys(run.course for run in runs))
     wheels = list(dict.fromkeys(run.case.about for run in runs))

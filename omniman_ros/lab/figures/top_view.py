@@ -26,20 +26,13 @@ from omniman_ros.lab.studies.mpc_cases import Scene
 from omniman_ros.lab.studies.planned_drives import PlannedDrive
 from omniman_ros.lab.studies.scene_geometry import Wall
 
-START_COLOUR = RED
-"""Colour of the robot's outline at the start."""
-GOAL_COLOUR = BLUE
-"""Colour of the robot's outline at the goal."""
-ROBOT_COLOUR = NEUTRAL
-"""Colour of the robot while it drives."""
-PLAN_COLOUR = PINK
-"""Colour of the planned motion."""
-OBSTACLE_COLOUR = SAND
-"""Colour of the area of obstacles."""
-PREDICTION_COLOUR = BRONZE
-"""Colour of the outline of obstacles and of their predicted positions."""
-WALL_COLOUR = GREY
-"""Colour of walls."""
+START_COLOUR = RED  # colour of the robot's outline at the start
+GOAL_COLOUR = BLUE  # colour of the robot's outline at the goal
+ROBOT_COLOUR = NEUTRAL  # colour of the robot while it drives
+PLAN_COLOUR = PINK  # colour of the planned motion
+OBSTACLE_COLOUR = SAND  # colour of the area of obstacles
+PREDICTION_COLOUR = BRONZE  # colour of the outline of obstacles and of their predicted positions
+WALL_COLOUR = GREY  # colour of walls
 BOX_MARKER: dict[str, Any] = {"marker": "s", "ls": "", "ms": 7}
 """Legend marker of a robot: keyword arguments of `Line2D`."""
 DISC_MARKER: dict[str, Any] = {"marker": "o", "ls": "", "ms": 8}
@@ -48,28 +41,17 @@ DISC_MARKER: dict[str, Any] = {"marker": "o", "ls": "", "ms": 8}
 
 FRONT_MARK = np.array([[1.0, 0.0], [0.72, 0.3], [0.72, -0.3]])
 """Corners (3, 2) of the triangle that marks the robot's front, in half lengths and half widths."""
-MOVING_SPEED = 0.05
-"""Speed above which an obstacle is shown with its predicted positions [m/s]."""
+MOVING_SPEED = 0.05  # speed above which an obstacle is shown with its predicted positions [m/s]
 BOX_CORNERS = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]])
 """Corners (4, 2) of a box, in half lengths and half widths."""
-MARGIN = 0.25
-"""Margin between the drawn objects and the frame of the axes [m]."""
-PREDICTION_STEP = 0.5
-"""Time between two predicted positions of an obstacle [s]."""
+MARGIN = 0.25  # margin between the drawn objects and the frame of the axes [m]
+PREDICTION_STEP = 0.5  # time between two predicted positions of an obstacle [s]
 
 
 class TopView:
     """View of a drive from above, at a single time or as a trail.
 
-    Args:
-        robot: The robot, for its outline and wheels.
-        scene: The scene, for start, goal, obstacles and walls.
-        planned: The drive.
-
     Attributes:
-        robot: The robot.
-        scene: The scene.
-        planned: The drive.
         half: (2,) half length and half width of the robot [m].
     """
 
@@ -119,7 +101,6 @@ class TopView:
         """Draw the drive at one time.
 
         Args:
-            axes: Axes to draw on.
             time: Time since the robot was sent off [s].
         """
         drive, trace = self.planned.drive, self.planned.trace
@@ -144,7 +125,6 @@ class TopView:
         """Return the positions (k, 2) of the rest of the motion that the robot follows [m].
 
         Args:
-            cycle: Number of the planner's cycle.
             time: Time since the robot was sent off [s], at which the rest begins.
         """
         trace = self.planned.trace
@@ -205,7 +185,6 @@ class TopView:
         """Draw the whole drive, with the robot at regular intervals.
 
         Args:
-            axes: Axes to draw on.
             interval: Time between two drawings of the robot [s].
         """
         drive = self.planned.drive
@@ -228,11 +207,7 @@ def draw_robot(axes: Any, robot: Robot, pose: Array, colour: str, filled: bool =
     """Draw a robot from above: its outline, its wheels and the front mark.
 
     Args:
-        axes: Axes to draw on.
-        robot: The robot.
         pose: (3,) pose in odom [m, m, rad].
-        colour: Colour of outline, wheels and mark.
-        filled: Whether the outline is filled.
     """
     half = 0.5 * np.array([robot.body.length, robot.body.width])
     fill: dict[str, Any] = {"fc": colour, "alpha": 0.35} if filled else {"fc": "none"}
@@ -266,12 +241,10 @@ def draw_ellipse(
     """Draw an ellipse.
 
     Args:
-        axes: Axes to draw on.
         center: (2,) centre in odom [m].
         a: First semi-axis [m].
         b: Second semi-axis [m].
         angle: Angle of the first semi-axis in odom [rad].
-        options: Style, as keyword arguments of matplotlib's `Ellipse`.
     """
     x, y = center.tolist()
     axes.add_patch(Ellipse((x, y), 2 * a, 2 * b, angle=math.degrees(angle), **options))
@@ -294,9 +267,7 @@ def frame_axes(axes: Any, bounds: tuple[float, float, float, float], labels: boo
     """Set limits, grid and labels of axes that show the plane of odom.
 
     Args:
-        axes: The axes.
         bounds: x_min, x_max, y_min, y_max [m].
-        labels: Whether the x axis is labelled.
     """
     axes.set_xlim(*bounds[:2])
     axes.set_ylim(*bounds[2:])
@@ -309,13 +280,7 @@ def frame_axes(axes: Any, bounds: tuple[float, float, float, float], labels: boo
 
 
 def draw_legend(figure: Any, scene: Scene, has_moving: bool = False) -> None:
-    """Draw the legend of a figure of a scene.
-
-    Args:
-        figure: The figure.
-        scene: The scene.
-        has_moving: Whether there are moving obstacles, whose predicted positions are shown.
-    """
+    """Draw the legend of a figure of a scene."""
     handles = [
         Line2D([], [], color=START_COLOUR, mfc="none", label="start", **BOX_MARKER),
         Line2D([], [], color=GOAL_COLOUR, mfc="none", label="goal", **BOX_MARKER),

@@ -13,11 +13,7 @@ from omniman_ros.lab.registry import EXPERIMENTS
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run all experiments; one that fails does not keep the others from running.
-
-    Returns:
-        1 if an experiment failed, else 0.
-    """
+    """Run all experiments; one that fails does not keep the others from running."""
     outcomes = {}
     rows: list[tuple[str, ...]] = [("experiment", "outcome", "took")]
     chosen = {key: getattr(args, key) for key in ("quick", "full", "seed", "world", "results")}

@@ -76,9 +76,6 @@ def printed_gain(robot: Mapping[str, Any]) -> float | None:
     The printed last column of J_a is (1/r)(1, 1, -1, -1), and T times this column is 4 / r instead
     of 1: with the corrected J_a, the paper's gain times 4 / r is the same controller.
 
-    Args:
-        robot: Parameters of the robot, full names to values.
-
     Returns:
         The gain; None if the wheels are not those of (15) to (18), four of equal radius with
         T = (1, 1, -1, -1).

@@ -38,19 +38,13 @@ from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.lab.verdicts import verdict
 from omniman_ros.robots import load_robot
 
-POSITION_BOUND = 0.02
-"""Bound of the true distance from the station [m]."""
-HEADING_BOUND = math.radians(1.0)
-"""Bound of the true heading error [rad]."""
-LEAST_SPEED = 0.95 * SPEED
-"""Speed of the leader below which it does not count as in motion [m/s]."""
+POSITION_BOUND = 0.02  # bound of the true distance from the station [m]
+HEADING_BOUND = math.radians(1.0)  # bound of the true heading error [rad]
+LEAST_SPEED = 0.95 * SPEED  # speed of the leader below which it does not count as in motion [m/s]
 
 
 def run(args: argparse.Namespace) -> int:
     """Run `omniman reproduce handover`.
-
-    Args:
-        args: Parsed command line.
 
     Returns:
         1 if the aim is missed in a drive that has one, else 0.
@@ -99,12 +93,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def cases(quick: bool, seed: int) -> list[Case]:
-    """Return the drives, those with an aim first.
-
-    Args:
-        quick: Whether only one course and one kind of wheels are driven.
-        seed: Seed of the latencies.
-    """
+    """Return the drives, those with an aim first."""
     if quick:
         return [Case("station_keeper", "S", "PI", seed)]
     aims = [wheels for wheels in HANDOVER_WHEELS if wheels != UNCALIBRATED]

@@ -27,17 +27,13 @@ from omniman_ros.robots import load_robot
 
 MODES = ("P", "PI", "torque")
 """Groups of drives: the ways in which the drives hold a wheel's speed."""
-AIM = 0.02
-"""Aim: largest error of the position at the end [m]."""
+AIM = 0.02  # aim: largest error of the position at the end [m]
 SENSORS = {"wheels": "wheels alone", "imu": "wheels and imu"}
 """Kinds of odometry: names in the result and in the report."""
 
 
 def run(args: argparse.Namespace) -> int:
     """Run `omniman reproduce odometry`.
-
-    Args:
-        args: Parsed command line.
 
     Returns:
         0, whether or not the aims are met.

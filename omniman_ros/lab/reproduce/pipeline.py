@@ -40,15 +40,7 @@ def in_parallel(
 def collect(
     progress: Progress, part: str, items: Iterable[Item], count: int, unit: str
 ) -> list[Item]:
-    """Return results that are computed one after the other, and show the progress meanwhile.
-
-    Args:
-        progress: Progress bar.
-        part: Name of this part of the experiment.
-        items: The results, usually from a generator.
-        count: Number of the results.
-        unit: Noun for the results in the plural, such as "drives".
-    """
+    """Return results that are computed one after the other, and show the progress meanwhile."""
     collected: list[Item] = []
     progress.begin(part)
     for item in items:
@@ -68,11 +60,7 @@ def publish(
     """Add the duration `took_s` to a result, print its report, and publish it as JSON.
 
     Args:
-        name: Name of the results, without a suffix.
-        result: The result.
-        report: Function that formats the result as lines of text.
         started: Time at which the experiment began, on the monotonic clock [s].
-        folder: Folder of the results.
     """
     result["took_s"] = time.monotonic() - started
     say("\n".join(report(result)))

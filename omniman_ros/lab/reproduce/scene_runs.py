@@ -64,33 +64,23 @@ from omniman_ros.simulation.world.scene import Column
 
 EPOCH = 1000.0
 """ROS time at which the simulation starts [s]; a stamp of zero would mean the present time."""
-ODOM_EVERY = 2
-"""Number of ticks of the plant per message on `odom`, which results in 100 Hz."""
-STATES_EVERY = 4
-"""Number of ticks of the plant per message on `arm/joint_states`."""
+ODOM_EVERY = 2  # number of ticks of the plant per message on `odom`, which results in 100 Hz
+STATES_EVERY = 4  # number of ticks of the plant per message on `arm/joint_states`
 ODOM_NOISE = (0.002, 0.002, 0.002, 0.005, 0.005, 0.005)
 """Standard deviations of the pose [m, m, rad] and the twist [m/s, m/s, rad/s] on `odom`."""
-MARKER_NOISE = 0.01
-"""Standard deviation of a marker's x and y [m]."""
-MARKER_PERIOD = (0.04, 0.12)
-"""Range of the random time between two messages on `obstacles` [s]."""
+MARKER_NOISE = 0.01  # standard deviation of a marker's x and y [m]
+MARKER_PERIOD = (0.04, 0.12)  # range of the random time between two messages on `obstacles` [s]
 MARKER_DELAY = (0.005, 0.03)
 """Range of the random delay from an observation of the obstacles to its arrival [s]."""
 GOAL_TIME = 0.25
 """Time of the plant at which the goal is sent; a few observations have arrived by then [s]."""
-IDLE_TIMEOUT = 1.0
-"""Time after which a drive ends if the planner has no goal [s]."""
+IDLE_TIMEOUT = 1.0  # time after which a drive ends if the planner has no goal [s]
 _NUMBER = re.compile(r"-?\d+(\.\d+)?")
 """Pattern of the numbers that are masked so that reasons differing in numbers count as one."""
 
 
 class CallbackPublisher:
-    """Replacement for a publisher of the node that passes each message to a function.
-
-    Args:
-        on_message: Function that is called with each message.
-        has_subscriber: Whether a subscriber is reported; without one, the node does not publish.
-    """
+    """Replacement for a publisher of the node that passes each message to a function."""
 
     def __init__(self, on_message: Callable[[Any], None], has_subscriber: bool) -> None:
         self.publish = on_message
@@ -102,12 +92,7 @@ class CallbackPublisher:
 
 
 class CallbackPlanner(MpcPlannerNode):
-    """The planner's node with its publishers replaced; references are passed to a function.
-
-    Args:
-        on_reference: Function that is called with each reference.
-        options: Options of the node.
-    """
+    """The planner's node with its publishers replaced; references are passed to a function."""
 
     def __init__(
         self, on_reference: Callable[[MultiDOFJointTrajectory], None], **options: Any
@@ -141,24 +126,21 @@ class SceneRunSettings:
     """Settings of drives through random scenes.
 
     Attributes:
-        robot: Name of the robot, or path of its file.
-        seed: Seed of the noise, which is combined with the seed of the scene.
         solve_time: Time assumed for each answer of the planner [s]; None means the CPU time that
             the answer has taken.
         arm: Whether the arm is in a random posture, and obstacles have heights; needs the physics
             engine.
-        wheels: Kind of wheels in the physics world; None for the plant.
         calibration: Calibration of the odometry, full names to values.
 
     Raises:
         InputError: The solve time is negative or not finite.
     """
 
-    robot: str = "ig42"
-    seed: int = 0
+    robot: str = "ig42"  # name of the robot, or path of its file
+    seed: int = 0  # seed of the noise, which is combined with the seed of the scene
     solve_time: float | None = None
     arm: bool = False
-    wheels: str | None = None
+    wheels: str | None = None  # kind of wheels in the physics world; None for the plant
     calibration: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -169,22 +151,12 @@ class SceneRunSettings:
 class NodeLoop:
     """Closed loop of the planner's node, the controller and the simulation in one scene.
 
-    Args:
-        random_scene: The scene.
-        settings: Robot, seed of the noise, time of the answers, and where the robot drives.
-
     Attributes:
-        scene: The scene.
-        loop: Controller, and plant or world.
         touched: Time [s] of the first contact in the world, and the index of the obstacle.
-        node: The planner's node.
         times: Time of each tick on the plant's clock [s].
         poses: True pose (3,) in odom at each tick [m, m, rad].
         energy: Electric energy consumed up to each tick [J].
         answers: Time from the start of each planning cycle to its reference [s].
-        late: Number of answers after the planner's deadline.
-        rejections: Number of plans that were not used, by reason; numbers in the reasons are
-            replaced by `#`.
     """
 
     def __init__(self, random_scene: RandomScene, settings: SceneRunSettings) -> None:

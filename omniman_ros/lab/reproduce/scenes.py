@@ -46,10 +46,6 @@ def run(args: argparse.Namespace) -> int:
 
     Returns:
         0 if no aim was missed, else 1.
-
-    Raises:
-        CommandError: An option is invalid, the solver is not installed, or no scene was found for
-            a seed.
     """
     seeds = scene_seeds(args)
     jobs = os.cpu_count() or 1 if args.jobs is None else args.jobs
@@ -104,11 +100,7 @@ def _settings(args: argparse.Namespace, robot: Mapping[str, Any]) -> "SceneRunSe
 
 
 def scene_seeds(args: argparse.Namespace) -> range:
-    """Return the seeds that the command line selects: `--seeds`, or the first `--count` from 0 on.
-
-    Raises:
-        CommandError: `--count` or `--seeds` is invalid.
-    """
+    """Return the seeds that the command line selects: `--seeds`, or the first `--count` from 0 on."""
     if args.seeds is None:
         default = QUICK if args.quick else FULL if args.full else COUNT
         count: int = default if args.count is None else args.count

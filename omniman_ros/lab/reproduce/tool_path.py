@@ -47,19 +47,12 @@ RMS_BOUND = 0.002
 """Bound of the RMS distance of the tool from its reference position at each time, in odom [m]."""
 MAX_BOUND = 0.005
 """Bound of the largest distance of the tool from its reference position, in odom [m]."""
-LENGTH = 4.0
-"""Length of the tool's path, projected onto the floor [m]."""
-QUICK_LENGTH = 1.0
-"""Length of the tool's path in a quick run, projected onto the floor [m]."""
+LENGTH = 4.0  # length of the tool's path, projected onto the floor [m]
+QUICK_LENGTH = 1.0  # length of the tool's path in a quick run, projected onto the floor [m]
 
 
 class StreamedArm:
     """Setpoint generator of the streamer, connected directly to the servo of a simulated arm.
-
-    Args:
-        body: Joints, at rest.
-        arm: Parameters of the arm.
-        ur: Parameters of the streamer.
 
     Attributes:
         period: Period of the cycle [s].
@@ -109,9 +102,6 @@ class StreamedArm:
 def run(args: argparse.Namespace) -> int:
     """Run `omniman reproduce tool_path`.
 
-    Args:
-        args: Parsed command line.
-
     Returns:
         1 if a drive with correction exceeds a bound, else 0.
     """
@@ -152,10 +142,6 @@ def cases(quick: bool, seed: int) -> list[tuple[str, Case]]:
     """Return the course and the case of each drive.
 
     Each combination of course and wheels is driven with the correction first, then without.
-
-    Args:
-        quick: Whether only one course and one kind of wheels are driven.
-        seed: Seed of the latencies.
     """
     courses = ["S"] if quick else list(COURSES)
     wheels = [MOST_DEMANDING] if quick else list(WHEELS)
@@ -181,11 +167,7 @@ def drive(
     """Plan and drive one tool path.
 
     Args:
-        robot: Parameters of the robot, full names to values.
         length: Length of the tool's path, projected onto the floor [m].
-        wheels: Kind of wheels in the physics world, in which the arm's joints are then, too; None
-            for the plant.
-        course_and_case: Course of the path, and case to drive.
 
     Raises:
         StudyError: The drive did not reach the end of the path.

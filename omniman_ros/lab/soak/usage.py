@@ -11,38 +11,27 @@ import numpy as np
 from omniman_ros.console.errors import CommandError
 from omniman_ros.lab.measurement import cpu_time
 
-MEBIBYTE = 2**20
-"""Bytes in a mebibyte."""
+MEBIBYTE = 2**20  # bytes in a mebibyte
 SETTLED_SHARE = 0.5
 """Share of the samples, the later ones, from which growth is computed: caches fill at first."""
 
 
 @dataclass(frozen=True)
 class Usage:
-    """What a process uses at one time.
+    """What a process uses at one time."""
 
-    Attributes:
-        at: Time [s].
-        pid: Process id: a process that was started anew begins anew.
-        memory: Resident memory [MiB].
-        descriptors: Number of open file descriptors.
-        threads: Number of threads.
-        cpu: CPU time used so far [s].
-    """
-
-    at: float
-    pid: int
-    memory: float
-    descriptors: int
-    threads: int
-    cpu: float
+    at: float  # time [s]
+    pid: int  # process id: a process that was started anew begins anew
+    memory: float  # resident memory [MiB]
+    descriptors: int  # number of open file descriptors
+    threads: int  # number of threads
+    cpu: float  # CPU time used so far [s]
 
 
 def usage(pid: int, at: float) -> Usage | None:
     """Return what a process uses; None if it has ended.
 
     Args:
-        pid: Process id.
         at: Time of the sample [s].
     """
     folder = Path(f"/proc/{pid}")
@@ -61,9 +50,6 @@ def usage(pid: int, at: float) -> Usage | None:
 
 def usage_figures(samples: Sequence[Usage]) -> dict[str, Any]:
     """Return the figures of the life of a process that was not started anew.
-
-    Args:
-        samples: Samples of one process id, oldest first.
 
     Returns:
         Duration, CPU share, memory at the end and its growth per hour, and the growth of the

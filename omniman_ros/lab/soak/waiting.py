@@ -3,22 +3,15 @@
 from collections.abc import Iterable
 from pathlib import Path
 
-PERIOD = 0.2
-"""Shortest time between two samples [s]."""
-LONGEST_WAIT = 0.1
-"""Time of waiting between two samples from which on a thread is held up [s]."""
-NANOSECOND = 1e-9
-"""Seconds in a nanosecond."""
+PERIOD = 0.2  # shortest time between two samples [s]
+LONGEST_WAIT = 0.1  # time of waiting between two samples from which on a thread is held up [s]
+NANOSECOND = 1e-9  # seconds in a nanosecond
 
 
 def waited(pid: int, proc: Path = Path("/proc")) -> dict[int, float]:
     """Return for how long each thread of a process has waited for a core so far [s].
 
     Nothing is returned of a process that has ended, or where the system does not tell.
-
-    Args:
-        pid: Process id.
-        proc: Folder of the system's accounts (`schedstat`, see proc(5)).
     """
     found = {}
     for path in proc.glob(f"{pid}/task/*/schedstat"):
@@ -31,9 +24,6 @@ def waited(pid: int, proc: Path = Path("/proc")) -> dict[int, float]:
 
 class WaitingWatch:
     """Notes how long any thread waits for a core between two samples.
-
-    Args:
-        proc: Folder of the system's accounts.
 
     Attributes:
         longest: Longest such time since the last :meth:`clear` [s].

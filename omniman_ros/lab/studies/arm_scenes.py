@@ -22,8 +22,7 @@ from omniman_ros.lab.studies.scene_judge import Verdict
 from omniman_ros.lab.studies.scenes import Outcome, SceneDrive
 from omniman_ros.simulation.world.distances import PostureDistances, Prism
 
-ABOVE = 2.2
-"""Height above the highest point of the arm [m]."""
+ABOVE = 2.2  # height above the highest point of the arm [m]
 KINDS = (
     (0.4, (0.0, 0.0), (ABOVE, ABOVE)),
     (0.6, (0.0, 0.0), (0.1, 0.45)),
@@ -33,24 +32,15 @@ KINDS = (
 )
 """Kinds of obstacles: posts, pallets, cupboards, table tops and hanging things. Each has the
 cumulated probability, and the ranges of the lower and the upper side [m]."""
-LEAST_CLEARANCE = 0.02
-"""Distance that the arm keeps from platform and floor in a posture [m]."""
-MAX_DRAWS = 400
-"""Largest number of draws of posture and heights for a scene."""
-REACH = 1.0
-"""Distance up to which distances are computed [m]."""
-MAX_SKIP = 20
-"""Largest number of samples of a drive that are skipped: 0.1 s."""
-GAP_ACCURACY = 0.005
-"""Accuracy of the least gap of a drive [m]."""
+LEAST_CLEARANCE = 0.02  # distance that the arm keeps from platform and floor in a posture [m]
+MAX_DRAWS = 400  # largest number of draws of posture and heights for a scene
+REACH = 1.0  # distance up to which distances are computed [m]
+MAX_SKIP = 20  # largest number of samples of a drive that are skipped: 0.1 s
+GAP_ACCURACY = 0.005  # accuracy of the least gap of a drive [m]
 
 
 class ArmBody:
     """The robot with its arm in the posture of a scene, among the scene's obstacles.
-
-    Args:
-        description: Description of the robot.
-        random_scene: Scene with a posture and heights.
 
     Attributes:
         radius: Distance of the farthest point of the robot from base_link [m].

@@ -9,8 +9,7 @@ from omniman_ros.lab.studies.scene_geometry import Wall
 from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.simulation.world import scene as things
 
-HEIGHT = 2.0
-"""Height of obstacles and walls [m]."""
+HEIGHT = 2.0  # height of obstacles and walls [m]
 
 
 def obstacle_name(index: int) -> str:
@@ -19,13 +18,7 @@ def obstacle_name(index: int) -> str:
 
 
 def case_world(robot: Mapping[str, Any], wheels: str, scene: Scene) -> WorldChoice:
-    """Return a scene as a world: circles that stand as posts, those that move as persons.
-
-    Args:
-        robot: Parameters of the robot, full names to values.
-        wheels: Kind of wheels.
-        scene: The scene; its obstacles are circles.
-    """
+    """Return a scene as a world: circles that stand as posts, those that move as persons."""
     posts, persons = [], []
     for k, obstacle in enumerate(scene.obstacles):
         x, y = (float(value) for value in obstacle.place(0.0))

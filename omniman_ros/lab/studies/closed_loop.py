@@ -17,8 +17,7 @@ from omniman_ros.simulation.plant.simulated_drives import SimulatedDrives, Wheel
 if TYPE_CHECKING:  # The command line must do without the engine.
     from omniman_ros.simulation.world.world import World
 
-PERIOD = 0.005
-"""Time between two ticks [s]."""
+PERIOD = 0.005  # time between two ticks [s]
 LATENCY = 0.001
 """Time from a measurement to the tick that uses it, which is also when the drives receive the
 tick's command unless it is delayed [s]."""
@@ -27,21 +26,8 @@ tick's command unless it is delayed [s]."""
 class ClosedLoop:
     """Runs controller and drives one tick at a time, without waiting and without a real clock.
 
-    Args:
-        parameters: Parameters of the controller.
-        simulation: Parameters of the drives.
-        late: Number of ticks by which commands to the drives are delayed.
-        torques: Whether the drives report torques, by which the controller detects dead wheels.
-        world: World in which the robot drives; None for the plant.
-        robot: The true robot; None if it is that of the controller.
-
     Attributes:
-        controller: The controller.
-        drives: The drives.
-        world: The world below the drives; None if they are on the plant.
-        states: Measurements of the drives in the latest tick.
         truth: (3,) true pose of base_link in the world at the time of `states` [m, m, rad].
-        tick: Number of ticks so far.
     """
 
     def __init__(

@@ -34,34 +34,22 @@ from omniman_ros.simulation.world.parameters import IDEAL
 from omniman_ros.simulation.world.scanner_parameters import ScannerParameters
 from omniman_ros.simulation.world.scene import Scene, Wall
 
-GOAL = (10.0, 0.0, 0.0)
-"""Pose of the goal, seen from the start [m, m, rad]."""
-GOAL_RADIUS = 1.0
-"""Distance from the goal from which on it is reached [m]."""
-TIME_LIMIT = 50.0
-"""Time after which a drive has failed [s]."""
-BEST_SPEED = 2.0
-"""Speed that counts as the fastest [m/s]."""
-FACTORS = (2.0, 8.0)
-"""Multiples of the best time between which a time counts."""
-FIELD = (2.75, 7.25)
-"""Extent of the field of posts along x [m]."""
-HALF_WIDTH = 2.25
-"""Half of the corridor's width [m]."""
+GOAL = (10.0, 0.0, 0.0)  # pose of the goal, seen from the start [m, m, rad]
+GOAL_RADIUS = 1.0  # distance from the goal from which on it is reached [m]
+TIME_LIMIT = 50.0  # time after which a drive has failed [s]
+BEST_SPEED = 2.0  # speed that counts as the fastest [m/s]
+FACTORS = (2.0, 8.0)  # multiples of the best time between which a time counts
+FIELD = (2.75, 7.25)  # extent of the field of posts along x [m]
+HALF_WIDTH = 2.25  # half of the corridor's width [m]
 FILLS, SMOOTHINGS = (0.15, 0.18, 0.21, 0.24), (2, 3, 4)
 """Parameters of the automaton; each world has one of the combinations."""
-SPARE = 0.06
-"""By how much the passage is wider than what the robot needs in any heading [m]."""
-WALL = 0.1
-"""Thickness of the walls [m]."""
-EDGE = 0.1
-"""Edge of a cell of the search for the shortest path [m]."""
-RESOLUTION = 0.05
-"""Edge of a cell of the known map [m]."""
+SPARE = 0.06  # by how much the passage is wider than what the robot needs in any heading [m]
+WALL = 0.1  # thickness of the walls [m]
+EDGE = 0.1  # edge of a cell of the search for the shortest path [m]
+RESOLUTION = 0.05  # edge of a cell of the known map [m]
 SCAN_PERIOD, MAP_PERIOD = 0.05, 0.2
 """Periods of the scans, and of the map that is made of them [s]."""
-TRACK_LIFETIME = 0.5
-"""Time for which what moves is remembered without another observation [s]."""
+TRACK_LIFETIME = 0.5  # time for which what moves is remembered without another observation [s]
 JACKAL_SIZE: dict[str, Any] = {
     "wheels.x": [0.131, 0.131, -0.131, -0.131],
     "wheels.y": [0.187, -0.187, 0.187, -0.187],
@@ -80,36 +68,22 @@ JACKAL_SIZE: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class ClutterWorld:
-    """A corridor with a field of posts.
+    """A corridor with a field of posts."""
 
-    Attributes:
-        scene: The scene, the start at its origin.
-        best_time: Length of the shortest path to the goal over `BEST_SPEED` [s].
-    """
-
-    scene: Scene
-    best_time: float
+    scene: Scene  # the scene, the start at its origin
+    best_time: float  # length of the shortest path to the goal over `BEST_SPEED` [s]
 
 
 @dataclass(frozen=True)
 class ClutterRun:
-    """Result of a drive.
+    """Result of a drive."""
 
-    Attributes:
-        seed: Seed of the world.
-        reached: Whether the goal was reached without contact.
-        touched: What the robot has touched.
-        seconds: Duration of the drive [s].
-        best_time: See :class:`ClutterWorld`.
-        cycle_times: CPU times of the planner's cycles [s].
-    """
-
-    seed: int
-    reached: bool
-    touched: tuple[str, ...]
-    seconds: float
-    best_time: float
-    cycle_times: tuple[float, ...] = ()
+    seed: int  # seed of the world
+    reached: bool  # whether the goal was reached without contact
+    touched: tuple[str, ...]  # what the robot has touched
+    seconds: float  # duration of the drive [s]
+    best_time: float  # see :class:`ClutterWorld`
+    cycle_times: tuple[float, ...] = ()  # CPU times of the planner's cycles [s]
 
     @property
     def score(self) -> float:
@@ -125,12 +99,7 @@ def score(reached: bool, seconds: float, best_time: float) -> float:
 
 
 def clutter_world(seed: int, robot: Robot) -> ClutterWorld:
-    """Return a world through which the robot gets in any heading.
-
-    Args:
-        seed: Seed of the world.
-        robot: The robot.
-    """
+    """Return a world through which the robot gets in any heading."""
     half = np.array([robot.body.length, robot.body.width]) / 2.0
     kind = seed % (len(FILLS) * len(SMOOTHINGS))
     field = Clutter(
@@ -195,12 +164,7 @@ def shortest_length(posts: Array, reach: float) -> float:
 
 
 class ScannerSenses:
-    """Obstacles and map of a planner by one laser scanner of 270 degrees, 720 beams and 10 m.
-
-    Args:
-        robot: The robot.
-        seed: Seed of the noise of 1 cm.
-    """
+    """Obstacles and map of a planner by one laser scanner of 270 degrees, 720 beams and 10 m."""
 
     def __init__(self, robot: Robot, seed: int) -> None:
         # The command line must do without scipy.
@@ -274,9 +238,6 @@ def drive_clutter(
     """Drive through a world until the goal is reached, something touched, or time is up.
 
     Args:
-        robot: Parameters of the robot, full names to values.
-        seed: Seed of the world.
-        by_scanner: Whether the robot has a scanner only, instead of a map.
         timer: Function that returns a time [s], by which cycles are measured.
     """
     parameters = build(PlannerParameters, robot)

@@ -23,8 +23,7 @@ P_LOOP_INTEGRAL_TIME = 100.0
 [s]."""
 MISMATCH_SPREAD = 0.2
 """Largest relative error of a wheel's friction, torque constant and amplifier gain [-]."""
-SENDING_LEAD = 0.05
-"""Time by which a movement is sent to the controller before it begins [s]."""
+SENDING_LEAD = 0.05  # time by which a movement is sent to the controller before it begins [s]
 SMOOTHING_WINDOW = 0.105
 """Window of the moving mean that is subtracted from wheel speeds to obtain their noise [s]."""
 TRACE_STRIDE = 4
@@ -40,16 +39,14 @@ class Group:
     """A group of drives with common parameters.
 
     Attributes:
-        about: Description of the group in the tables.
         changes: Changed parameters of controller and simulation, full names to values.
         radius_spread: Largest relative error of a wheel's radius, unknown to the controller [-].
-        delay: Additional delay of the commands to the drives [s].
     """
 
-    about: str
+    about: str  # description of the group in the tables
     changes: Mapping[str, Any] = field(default_factory=dict)
     radius_spread: float = 0.0
-    delay: float = 0.0
+    delay: float = 0.0  # additional delay of the commands to the drives [s]
 
 
 NO_FOLLOWING_ERROR_STOP = {"drive.following_error": 100.0}
@@ -90,41 +87,27 @@ The package's with lag knows the lag of the rollers, `Setup.roller_lag`; the oth
 
 @dataclass(frozen=True)
 class Case:
-    """One drive of the study.
+    """One drive of the study."""
 
-    Attributes:
-        group: Name of the group, a key of GROUPS.
-        sample: Index of the set of random wheels.
-        gain: k_epsilon [1/s]; 0 for no coupling control.
-        mismatch: Errors of the wheels.
-        controller: Name of the coupling controller, a key of CONTROLLERS.
-    """
-
-    group: str
-    sample: int
-    gain: float
-    mismatch: MismatchParameters
-    controller: str = OWN_CONTROLLER
+    group: str  # name of the group, a key of GROUPS
+    sample: int  # index of the set of random wheels
+    gain: float  # k_epsilon [1/s]; 0 for no coupling control
+    mismatch: MismatchParameters  # errors of the wheels
+    controller: str = OWN_CONTROLLER  # name of the coupling controller, a key of CONTROLLERS
 
 
 @dataclass(frozen=True)
 class Setup:
     """Robot and path, which all drives of a study have in common.
 
-    Attributes:
-        robot: Parameters of the robot, full names to values.
-        figure: The path as a function of time.
-        world: World in which the robot drives; None for the plant.
-        roller_lag: Time by which its rollers take over late [s].
-
     Raises:
         ParameterError: The robot has three wheels, and therefore no coupling error.
     """
 
-    robot: Mapping[str, Any]
-    figure: Figure7
-    world: WorldChoice | None = None
-    roller_lag: float = 0.0
+    robot: Mapping[str, Any]  # parameters of the robot, full names to values
+    figure: Figure7  # the path as a function of time
+    world: WorldChoice | None = None  # world in which the robot drives; None for the plant
+    roller_lag: float = 0.0  # time by which its rollers take over late [s]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "robot", dict(self.robot))  # so that it can be pickled
@@ -137,42 +120,29 @@ class Outcome:
     """The figures of a drive.
 
     Attributes:
-        epsilon_max: Largest |epsilon| by CCTA 2017 (24), from the encoders [rad].
-        epsilon_rms: RMS of |epsilon| by CCTA 2017 (24), from the encoders [rad].
-        error_max: Largest |epsilon|, less what the lag of the rollers explains [rad].
-        slip: Energy dissipated by slip of the rollers on the floor [J].
-        copper: Energy dissipated in the windings of the motors [J].
-        losses: All dissipated energy, including these two [J].
-        energy: Electrical energy that the amplifiers deliver [J].
-        imbalance: Residual of the plant's energy balance [J].
         speed_noise: RMS of the measured wheel speeds less their mean over
             `SMOOTHING_WINDOW` [rad/s].
         command_noise: RMS of the commanded wheel speeds less their mean over
             `SMOOTHING_WINDOW` [rad/s].
-        odometry_end: Position error of the odometry at the end [m].
-        odometry_max: Largest position error of the odometry [m].
-        heading_end: Magnitude of the heading error of the odometry at the end [rad].
-        heading_max: Largest magnitude of the heading error of the odometry [rad].
         tracking_max: Largest distance of the measured position from the reference, in odom [m].
-        duration: Time from the first to the last tick [s].
     """
 
-    epsilon_max: float
-    epsilon_rms: float
-    error_max: float
-    slip: float
-    copper: float
-    losses: float
-    energy: float
-    imbalance: float
+    epsilon_max: float  # largest |epsilon| by CCTA 2017 (24), from the encoders [rad]
+    epsilon_rms: float  # RMS of |epsilon| by CCTA 2017 (24), from the encoders [rad]
+    error_max: float  # largest |epsilon|, less what the lag of the rollers explains [rad]
+    slip: float  # energy dissipated by slip of the rollers on the floor [J]
+    copper: float  # energy dissipated in the windings of the motors [J]
+    losses: float  # all dissipated energy, including these two [J]
+    energy: float  # electrical energy that the amplifiers deliver [J]
+    imbalance: float  # residual of the plant's energy balance [J]
     speed_noise: float
     command_noise: float
-    odometry_end: float
-    odometry_max: float
-    heading_end: float
-    heading_max: float
+    odometry_end: float  # position error of the odometry at the end [m]
+    odometry_max: float  # largest position error of the odometry [m]
+    heading_end: float  # magnitude of the heading error of the odometry at the end [rad]
+    heading_max: float  # largest magnitude of the heading error of the odometry [rad]
     tracking_max: float
-    duration: float
+    duration: float  # time from the first to the last tick [s]
 
 
 @dataclass(frozen=True)
@@ -180,27 +150,18 @@ class Run:
     """A completed drive.
 
     Attributes:
-        case: The case.
-        outcome: Its figures.
-        time: (k,) times at 50 Hz [s].
         epsilon: (k, m) coupling errors by CCTA 2017 (24), from the encoders: as `coupling_error`
             publishes them without resets [rad].
     """
 
-    case: Case
-    outcome: Outcome
-    time: Array
+    case: Case  # the case
+    outcome: Outcome  # its figures
+    time: Array  # (k,) times at 50 Hz [s]
     epsilon: Array
 
 
 def draw_mismatch(group: str, seed: int, sample: int, wheels: int) -> MismatchParameters:
     """Draw the errors of a set of random wheels, which differ between groups by the radii only.
-
-    Args:
-        group: Name of the group, a key of GROUPS.
-        seed: Seed of the study.
-        sample: Index of the set of wheels.
-        wheels: Number of wheels.
 
     Returns:
         Factors with a uniform distribution in 1 +- `MISMATCH_SPREAD`.
@@ -224,10 +185,6 @@ def noise(speeds: Array) -> float:
 
 def drive(setup: Setup, case: Case) -> Run:
     """Drive along the path once.
-
-    Args:
-        setup: Robot and path.
-        case: Group, gain and wheels of the drive.
 
     Raises:
         StudyError: The controller or the drives stopped, or the controller refused the path.
@@ -297,7 +254,6 @@ def _outcome(
     """Return the figures of a completed drive.
 
     Args:
-        loop: Controller and drives after the drive.
         epsilon: (k, m) coupling errors without resets [rad].
         explained: (k, m) part of them that the lag of the rollers explains [rad].
         speed: (k, n) measured wheel speeds [rad/s].

@@ -22,28 +22,18 @@ from omniman_ros.simulation.plant.parameters import SimulationParameters
 from omniman_ros.simulation.world.avoidance import DIRECTIONS, Surroundings, half_planes, outline
 from omniman_ros.simulation.world.velocity_program import nearest_velocity
 
-HALF = 5.0
-"""Half of the square's edge [m]."""
-RADIUS = 0.25
-"""Radius of the discs [m]."""
-SPEEDS = (0.4, 1.0)
-"""Range of the discs' speeds [m/s]."""
-AGILITY = 12.0
-"""Rate at which a disc reaches the wanted velocity [1/s]."""
-DECISION_TICKS = 10
-"""Number of ticks between two decisions of the discs."""
-HORIZON = 2.5
-"""How far ahead discs that give way look [s]."""
-CLEARANCE = 0.1
-"""Gap that they keep to each other and to the robot [m]."""
-NEAR = 0.3
-"""Distance from its target at which a disc takes another one [m]."""
-FREE_START = 1.5
-"""Radius around the robot's start without discs [m]."""
+HALF = 5.0  # half of the square's edge [m]
+RADIUS = 0.25  # radius of the discs [m]
+SPEEDS = (0.4, 1.0)  # range of the discs' speeds [m/s]
+AGILITY = 12.0  # rate at which a disc reaches the wanted velocity [1/s]
+DECISION_TICKS = 10  # number of ticks between two decisions of the discs
+HORIZON = 2.5  # how far ahead discs that give way look [s]
+CLEARANCE = 0.1  # gap that they keep to each other and to the robot [m]
+NEAR = 0.3  # distance from its target at which a disc takes another one [m]
+FREE_START = 1.5  # radius around the robot's start without discs [m]
 GOAL_HALF, GOAL_DISTANCE = 3.5, 4.0
 """Half edge of the square of the goals, and least distance between two in a row [m]."""
-NOISE = 0.01
-"""Standard deviation of the observed positions [m]."""
+NOISE = 0.01  # standard deviation of the observed positions [m]
 
 
 class DiscCrowd:
@@ -51,11 +41,6 @@ class DiscCrowd:
 
     Discs that give way do so by optimal reciprocal collision avoidance among each other and half
     towards the robot; the others cross straight from side to side, through each other, too.
-
-    Args:
-        count: Number of discs.
-        gives_way: Whether they give way.
-        seed: Seed of positions, speeds and targets.
 
     Attributes:
         positions: (n, 2) positions [m].
@@ -142,25 +127,15 @@ def disc_gaps(pose: Array, half: Array, positions: Array) -> Array:
 
 @dataclass(frozen=True)
 class CrowdRun:
-    """Result of a drive in a crowd.
+    """Result of a drive in a crowd."""
 
-    Attributes:
-        seed: Seed of crowd and goals.
-        gives_way: Whether the discs give way.
-        seconds: Duration [s].
-        goals: Number of goals that were reached.
-        contacts: Number of contacts in which the robot moved.
-        contacts_at_rest: Number of contacts with the robot at rest.
-        cycle_times: CPU times of the planner's cycles [s].
-    """
-
-    seed: int
-    gives_way: bool
-    seconds: float
-    goals: int
-    contacts: int
-    contacts_at_rest: int
-    cycle_times: tuple[float, ...]
+    seed: int  # seed of crowd and goals
+    gives_way: bool  # whether the discs give way
+    seconds: float  # duration [s]
+    goals: int  # number of goals that were reached
+    contacts: int  # number of contacts in which the robot moved
+    contacts_at_rest: int  # number of contacts with the robot at rest
+    cycle_times: tuple[float, ...]  # CPU times of the planner's cycles [s]
 
 
 def drive_in_crowd(
@@ -174,11 +149,7 @@ def drive_in_crowd(
     """Drive from goal to goal.
 
     Args:
-        robot: Parameters of the robot, full names to values.
-        seed: Seed of crowd and goals.
-        gives_way: Whether the discs give way.
         seconds: Duration [s].
-        count: Number of discs.
         timer: Function that returns a time [s], by which cycles are measured.
     """
     crowd = DiscCrowd(count, gives_way, seed)

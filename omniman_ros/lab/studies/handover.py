@@ -16,14 +16,10 @@ from omniman_ros.lab.studies.scene_gaps import wall_gap
 from omniman_ros.lab.studies.scene_geometry import Box
 from omniman_ros.lab.studies.tool_path import DEMO_MISMATCH, WHEELS, Wheels
 
-SPEED = 0.3
-"""Speed of the leader along its path [m/s]."""
-SIDE_GAP = 0.6
-"""Gap between the sides of the two robots at the station [m]."""
-KEPT_TIME = 5.0
-"""Time for which the station is to be kept [s]."""
-UNCALIBRATED = "radii"
-"""Name of the wheels with radii that neither robot knows."""
+SPEED = 0.3  # speed of the leader along its path [m/s]
+SIDE_GAP = 0.6  # gap between the sides of the two robots at the station [m]
+KEPT_TIME = 5.0  # time for which the station is to be kept [s]
+UNCALIBRATED = "radii"  # name of the wheels with radii that neither robot knows
 HANDOVER_WHEELS = {
     "PI": WHEELS["PI"],
     "P": WHEELS["P"],
@@ -38,19 +34,12 @@ HANDOVER_WHEELS = {
 
 @dataclass(frozen=True)
 class Case:
-    """One drive of the study.
+    """One drive of the study."""
 
-    Attributes:
-        follower: Node that leads the follower: `station_keeper` or `mpc_planner`.
-        course: Shape of the leader's path, a key of `tool_courses.COURSES`.
-        wheels: Wheels of the robots, a key of `HANDOVER_WHEELS`.
-        seed: Seed of the latencies.
-    """
-
-    follower: str
-    course: str
-    wheels: str
-    seed: int = 0
+    follower: str  # node that leads the follower: `station_keeper` or `mpc_planner`
+    course: str  # shape of the leader's path, a key of `tool_courses.COURSES`
+    wheels: str  # wheels of the robots, a key of `HANDOVER_WHEELS`
+    seed: int = 0  # seed of the latencies
 
     @property
     def is_aim(self) -> bool:
@@ -63,27 +52,16 @@ class Case:
 
 @dataclass(frozen=True)
 class Run:
-    """A completed drive, with a row for each of K ticks of 5 ms.
+    """A completed drive, with a row for each of K ticks of 5 ms."""
 
-    Attributes:
-        case: The case.
-        offset: Pose of the station in base_link of the leader [m, m, rad].
-        box: Outline of each robot.
-        times: (K,) times since the follower was sent to the station [s].
-        leader: (K, 3) true poses of the leader [m, m, rad].
-        follower: (K, 3) true poses of the follower [m, m, rad].
-        energies: (K, 2) electric energy that leader and follower have consumed [J].
-        kept_from: Time at which the judged time begins [s].
-    """
-
-    case: Case
-    offset: Triple
-    box: Box
-    times: Array
-    leader: Array
-    follower: Array
-    energies: Array
-    kept_from: float
+    case: Case  # the case
+    offset: Triple  # pose of the station in base_link of the leader [m, m, rad]
+    box: Box  # outline of each robot
+    times: Array  # (K,) times since the follower was sent to the station [s]
+    leader: Array  # (K, 3) true poses of the leader [m, m, rad]
+    follower: Array  # (K, 3) true poses of the follower [m, m, rad]
+    energies: Array  # (K, 2) electric energy that leader and follower have consumed [J]
+    kept_from: float  # time at which the judged time begins [s]
 
     @staticmethod
     def of(
@@ -97,11 +75,7 @@ class Run:
         """Return the run that two records contain; both end with the shorter one.
 
         Args:
-            case: The case.
             offset: Pose of the station in base_link of the leader [m, m, rad].
-            box: Outline of each robot.
-            leader: Record of the leader, which may begin earlier than that of the follower.
-            follower: Record of the follower, from the time on at which it was sent.
             kept_from: Time at which the judged time begins, in the times of the records [s].
         """
         first = round((follower.times[0] - leader.times[0]) / PERIOD)

@@ -51,32 +51,21 @@ from omniman_ros.planning.goals import PoseGoal, TrajectoryGoal
 from omniman_ros.planning.parameters import PlannerParameters
 from omniman_ros.simulation.plant.parameters import MismatchParameters, SimulationParameters
 
-LENGTH = 7.0
-"""Length of the leader's path [m]."""
-PATH_SPACING = 0.05
-"""Distance between poses of the leader's path [m]."""
-DEPARTURE = 0.5
-"""Time at which the leader departs [s]."""
-REQUEST = 1.5
-"""Time at which the follower is sent to the station [s]."""
-REST_TIME = 1.0
-"""Time for which the leader is recorded at the end of its path [s]."""
-LEADER_START: Triple = (0.0, 0.0, 0.0)
-"""Pose of the leader at the start [m, m, rad]."""
-FOLLOWER_START: Triple = (-1.0, -3.0, 1.2)
-"""Pose of the follower at the start [m, m, rad]."""
+LENGTH = 7.0  # length of the leader's path [m]
+PATH_SPACING = 0.05  # distance between poses of the leader's path [m]
+DEPARTURE = 0.5  # time at which the leader departs [s]
+REQUEST = 1.5  # time at which the follower is sent to the station [s]
+REST_TIME = 1.0  # time for which the leader is recorded at the end of its path [s]
+LEADER_START: Triple = (0.0, 0.0, 0.0)  # pose of the leader at the start [m, m, rad]
+FOLLOWER_START: Triple = (-1.0, -3.0, 1.2)  # pose of the follower at the start [m, m, rad]
 SETTLING_TIME = 1.0
 """Time from the follower's report that it keeps the station to the judged time [s]."""
-PARTING = 1.2
-"""Distance by which the follower moves away from the station sideways to part [m]."""
+PARTING = 1.2  # distance by which the follower moves away from the station sideways to part [m]
 PARTING_TIME = 4.0
 """Time from the beginning of the parting until the station keeper is released [s]."""
-PREVIEW_PERIOD = 0.04
-"""Period of the previews of paths and stations [s]."""
-PREVIEW_HORIZON = 0.4
-"""Duration that these previews cover [s]."""
-GOAL_SPACING = 0.1
-"""Time between points of the planner's goal [s]."""
+PREVIEW_PERIOD = 0.04  # period of the previews of paths and stations [s]
+PREVIEW_HORIZON = 0.4  # duration that these previews cover [s]
+GOAL_SPACING = 0.1  # time between points of the planner's goal [s]
 
 
 @dataclass(frozen=True)
@@ -84,11 +73,10 @@ class LedDrive:
     """The drive of a leader.
 
     Attributes:
-        record: Record of its motion.
         sample: Function from times (k,) [s] to x, x', x'' (k, 3) of the reference in odom.
     """
 
-    record: MotionRecord
+    record: MotionRecord  # record of its motion
     sample: Callable[[Array], tuple[Array, Array, Array]]
 
 
@@ -97,15 +85,12 @@ class SimulatedRobot:
     """One of the two robots.
 
     Attributes:
-        values: Parameters of the robot, full names to values.
-        mismatch: Errors of its wheels, names to factors by wheel.
-        start: Pose at the start [m, m, rad].
         wheels: Kind of wheels in a physics world of the robot's own; None for the plant.
     """
 
-    values: Mapping[str, Any]
-    mismatch: Mapping[str, Any]
-    start: Triple
+    values: Mapping[str, Any]  # parameters of the robot, full names to values
+    mismatch: Mapping[str, Any]  # errors of its wheels, names to factors by wheel
+    start: Triple  # pose at the start [m, m, rad]
     wheels: str | None = None
 
     @property
@@ -130,12 +115,6 @@ class SimulatedRobot:
 
 def drive(robot: Mapping[str, Any], world: str | None, case: Case) -> Run:
     """Drive leader and follower of a case.
-
-    Args:
-        robot: Parameters of both robots, full names to values.
-        world: Kind of wheels in the physics world; None for the plant. Each robot has a world of
-            its own, as neither touches the other.
-        case: The case.
 
     Raises:
         StudyError: A robot stopped, a preview was refused, or the station was not reached before
@@ -167,11 +146,7 @@ def _distances() -> tuple[Array, float]:
 
 
 def _step(loop: ClosedLoop, record: MotionRecord) -> None:
-    """Run one tick of a robot, and record it.
-
-    Raises:
-        StudyError: The robot stopped, or does not follow its previews any more.
-    """
+    """Run one tick of a robot, and record it."""
     loop.step()
     record.add(loop)
     stopped = loop.controller.cancelled or loop.controller.latch.status.reason
@@ -180,11 +155,7 @@ def _step(loop: ClosedLoop, record: MotionRecord) -> None:
 
 
 def _preview(loop: ClosedLoop, source: Source, window: Window) -> None:
-    """Pass a preview to a controller.
-
-    Raises:
-        StudyError: The controller refused it.
-    """
+    """Pass a preview to a controller."""
     preview = Preview(window.times, window.positions, window.velocities, window.accelerations)
     refusal = loop.controller.set_preview(source, preview, loop.now)
     if refusal:
@@ -195,7 +166,6 @@ def drive_leader(robot: SimulatedRobot, poses: Array) -> LedDrive:
     """Drive the leader along its path, from rest to rest.
 
     Args:
-        robot: The leader.
         poses: (k, 3) poses of the path [m, m, rad].
 
     Raises:
@@ -222,10 +192,7 @@ class StationDrive:
     """Drive of a follower with the station keeper, beside a leader whose drive is known.
 
     Args:
-        robot: The follower.
-        leader: Record of the leader's motion.
         offset: Pose of the station in base_link of the leader [m, m, rad].
-        seed: Seed of the latencies.
     """
 
     def __init__(
@@ -313,8 +280,6 @@ def plan_beside(
     """Drive a follower with the planner, whose goal moves with the station.
 
     Args:
-        robot: The follower.
-        leader: Drive of the leader, whose reference the planner knows.
         offset: Pose of the station in base_link of the leader [m, m, rad].
 
     Returns:

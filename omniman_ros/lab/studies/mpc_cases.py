@@ -27,27 +27,20 @@ class Scene:
     """A test case: start, goal, and the fixed and moving obstacles between them.
 
     Attributes:
-        name: Name of the case.
-        goal: Pose of the goal in odom [m, m, rad].
-        start: Pose of the start in odom [m, m, rad].
-        obstacles: Obstacles as they truly are.
         snapshots: Times at which figures show the drive, counted from when the goal was sent [s].
         changes: Parameters of the planner that differ from the robot's, full names to values.
-        noise: Standard deviation of the observed positions of obstacles [m].
-        time_limit: Time within which the goal must be reached [s].
-        walls: Walls; touching one counts as a contact.
         grid: Map of the walls that the planner receives; None if it receives no map.
     """
 
-    name: str
-    goal: Pose
-    start: Pose = (0.0, 0.0, 0.0)
-    obstacles: tuple[MovingObstacle, ...] = ()
+    name: str  # name of the case
+    goal: Pose  # pose of the goal in odom [m, m, rad]
+    start: Pose = (0.0, 0.0, 0.0)  # pose of the start in odom [m, m, rad]
+    obstacles: tuple[MovingObstacle, ...] = ()  # obstacles as they truly are
     snapshots: tuple[float, ...] = ()
     changes: Mapping[str, Any] = field(default_factory=dict)
-    noise: float = 0.0
-    time_limit: float = 30.0
-    walls: tuple[Wall, ...] = ()
+    noise: float = 0.0  # standard deviation of the observed positions of obstacles [m]
+    time_limit: float = 30.0  # time within which the goal must be reached [s]
+    walls: tuple[Wall, ...] = ()  # walls; touching one counts as a contact
     grid: GridMap | None = None
 
 
@@ -91,14 +84,13 @@ class Variant:
     """A setting in which a case is driven.
 
     Attributes:
-        about: Short description, which names the drive in the results.
         robot: Changed parameters of robot and plant, full names to values.
         planner: Changed parameters of the planner, full names to values.
         voltages: Whether the planner's motor voltages are applied to the motors, instead of its
             reference being followed by the controller.
     """
 
-    about: str
+    about: str  # short description, which names the drive in the results
     robot: Mapping[str, Any] = field(default_factory=dict)
     planner: Mapping[str, Any] = field(default_factory=dict)
     voltages: bool = False

@@ -19,10 +19,8 @@ from omniman_ros.planning.parameters import PlannerParameters
 from omniman_ros.planning.planner import Planner
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 
-PLANNER_PERIOD = 0.05
-"""Period of the planner [s]."""
-OBSERVATION_PERIOD = 0.05
-"""Period of the observations of obstacles [s]."""
+PLANNER_PERIOD = 0.05  # period of the planner [s]
+OBSERVATION_PERIOD = 0.05  # period of the observations of obstacles [s]
 WARM_UP_TICKS = 12
 """Number of ticks before the first goal: the planner keeps its initial motion, at rest at the
 origin, for 50 ms."""
@@ -33,14 +31,12 @@ class MovingObstacle:
     """An obstacle as it truly moves.
 
     Attributes:
-        semi_axes: Semi-axes [m].
         place: Function from a time [s] to the position (2,) of its centre in odom [m].
-        angle: Angle of its first semi-axis in odom [rad].
     """
 
-    semi_axes: tuple[float, float]
+    semi_axes: tuple[float, float]  # semi-axes [m]
     place: Callable[[float], Array]
-    angle: float = 0.0
+    angle: float = 0.0  # angle of its first semi-axis in odom [rad]
 
     @property
     def is_fixed(self) -> bool:
@@ -53,33 +49,25 @@ class Trace:
     """The record of a planner, with a row for each of its cycles.
 
     Attributes:
-        times: Times of the cycles [s].
         poses: True poses (3,) of the robot in odom [m, m, rad].
         references: Reference poses (3,) in odom [m, m, rad].
-        plans: Planned poses (k, 3) in odom [m, m, rad].
         obstacles: True positions (M, 2) of the obstacles in odom [m].
-        reports: Reports of the planner on its cycles.
-        energy: Electric energy consumed so far [J].
-        states: States of the planner.
-        plan_times: Times (k,) of the planned poses [s].
-        known: Obstacles as the planner knows them.
         planning_times: Durations of planning on the timer of the loop [s]; 0 in cycles
             without planning.
-        cycle_times: The same, with the search for routes.
     """
 
-    times: list[float] = field(default_factory=list)
+    times: list[float] = field(default_factory=list)  # times of the cycles [s]
     poses: list[Array] = field(default_factory=list)
     references: list[Array] = field(default_factory=list)
-    plans: list[Array] = field(default_factory=list)
+    plans: list[Array] = field(default_factory=list)  # planned poses (k, 3) in odom [m, m, rad]
     obstacles: list[Array] = field(default_factory=list)
     reports: list[CycleReport] = field(default_factory=list)
-    energy: list[float] = field(default_factory=list)
-    states: list[PlannerState] = field(default_factory=list)
-    plan_times: list[Array] = field(default_factory=list)
-    known: list[Ellipses] = field(default_factory=list)
+    energy: list[float] = field(default_factory=list)  # electric energy consumed so far [J]
+    states: list[PlannerState] = field(default_factory=list)  # states of the planner
+    plan_times: list[Array] = field(default_factory=list)  # times (k,) of the planned poses [s]
+    known: list[Ellipses] = field(default_factory=list)  # obstacles as the planner knows them
     planning_times: list[float] = field(default_factory=list)
-    cycle_times: list[float] = field(default_factory=list)
+    cycle_times: list[float] = field(default_factory=list)  # the same, with the search for routes
 
 
 @dataclass
@@ -87,18 +75,14 @@ class MotionRecord:
     """The record of a robot's motion, with a row for each tick of the controller.
 
     Attributes:
-        times: Times of the ticks [s].
-        poses: True poses (3,) in odom [m, m, rad].
-        odometry: Poses (3,) by odometry [m, m, rad].
         twists: Twists (3,) in base_link, from the encoders [m/s, m/s, rad/s].
-        energy: Electric energy consumed so far [J].
     """
 
-    times: list[float] = field(default_factory=list)
-    poses: list[Array] = field(default_factory=list)
-    odometry: list[Array] = field(default_factory=list)
+    times: list[float] = field(default_factory=list)  # times of the ticks [s]
+    poses: list[Array] = field(default_factory=list)  # true poses (3,) in odom [m, m, rad]
+    odometry: list[Array] = field(default_factory=list)  # poses (3,) by odometry [m, m, rad]
     twists: list[Array] = field(default_factory=list)
-    energy: list[float] = field(default_factory=list)
+    energy: list[float] = field(default_factory=list)  # electric energy consumed so far [J]
 
     def add(self, loop: ClosedLoop) -> None:
         """Record the latest tick of a loop."""
@@ -115,13 +99,9 @@ class LoopOptions:
     """The conditions of a drive.
 
     Attributes:
-        start: (3,) pose at the start in odom [m, m, rad].
-        obstacles: Obstacles as they truly move.
         voltages: Whether the planner's motor voltages are applied, instead of its reference being
             followed.
         solve_time: Simulated duration of planning in a cycle, a multiple of the tick of 5 ms [s].
-        noise: Standard deviation of the observed positions of obstacles [m].
-        seed: Seed of the noise.
         timer: Function that returns a time [s], by which the duration of planning is measured;
             None if it is not measured.
         world: World in which the robot drives; None for the plant. Its persons are the moving
@@ -131,12 +111,12 @@ class LoopOptions:
         on_tick: Function that is called after each tick of the controller, or None.
     """
 
-    start: Sequence[float] = (0.0, 0.0, 0.0)
-    obstacles: Sequence[MovingObstacle] = ()
+    start: Sequence[float] = (0.0, 0.0, 0.0)  # (3,) pose at the start in odom [m, m, rad]
+    obstacles: Sequence[MovingObstacle] = ()  # obstacles as they truly move
     voltages: bool = False
     solve_time: float = 0.01
-    noise: float = 0.0
-    seed: int = 0
+    noise: float = 0.0  # standard deviation of the observed positions of obstacles [m]
+    seed: int = 0  # seed of the noise
     timer: Callable[[], float] | None = None
     world: WorldChoice | None = None
     observe: Callable[["MpcLoop"], None] | None = None
@@ -144,23 +124,7 @@ class LoopOptions:
 
 
 class MpcLoop:
-    """Drives a robot to goals, one cycle of the planner at a time.
-
-    Args:
-        planner: Parameters of the planner.
-        platform: Parameters of the controller, of the same robot.
-        simulation: Parameters of the drives.
-        options: Conditions of the drive; None for the defaults.
-
-    Attributes:
-        loop: Controller and plant.
-        planner: The planner.
-        observed: Obstacles as they were observed.
-        obstacles: Obstacles as they truly move.
-        trace: Record of the planner's cycles.
-        motion_record: Record of the robot's motion.
-        touched: What the robot has touched in the world, in this order.
-    """
+    """Drives a robot to goals, one cycle of the planner at a time."""
 
     def __init__(
         self,
@@ -214,7 +178,6 @@ class MpcLoop:
 
         Args:
             seconds: Longest simulated time to run [s].
-            until: Function that returns whether to end; None to end when the planner has arrived.
         """
         end = self.now + seconds
         while self.now < end - 1e-9:

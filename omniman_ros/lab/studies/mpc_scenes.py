@@ -29,30 +29,22 @@ from omniman_ros.planning.obstacles.separation import box_gap
 from omniman_ros.planning.parameters import PlannerParameters, Workspace
 from omniman_ros.planning.plan_optimizer import COLD_ITERATIONS
 
-DISTANCE = (2.5, 3.5)
-"""Range of the distance from the start to the goal [m]."""
-SEMI_AXES = (0.12, 0.4)
-"""Range of the semi-axes of obstacles [m]."""
-MAX_SPEED = 0.4
-"""Largest speed of moving obstacles [m/s]."""
-MOVING_SHARE = 0.5
-"""Probability that an obstacle moves."""
+DISTANCE = (2.5, 3.5)  # range of the distance from the start to the goal [m]
+SEMI_AXES = (0.12, 0.4)  # range of the semi-axes of obstacles [m]
+MAX_SPEED = 0.4  # largest speed of moving obstacles [m/s]
+MOVING_SHARE = 0.5  # probability that an obstacle moves
 MAX_LATERAL_OFFSET = 1.6
 """Largest distance of obstacles' centres from the line from start to goal [m]."""
 MIN_GAPS = (0.35, 0.15)
 """Smallest gap from obstacles to the robot at the start, and from fixed obstacles to the robot
 at the goal [m]."""
-WORKSPACE_MARGIN = 2.0
-"""Distance from start and goal to the border of the workspace [m]."""
+WORKSPACE_MARGIN = 2.0  # distance from start and goal to the border of the workspace [m]
 NOISE = (0.002, 0.002, 0.002, 0.01, 0.01, 0.01)
 """Standard deviations of the disturbance of the state in a step: pose in odom [m, m, rad] and
 twist in base_link [m/s, m/s, rad/s]."""
-MAX_DRAWS = 2000
-"""Largest number of draws of obstacles for one scene."""
-STEP = 0.1
-"""Duration of a step of the horizon, and of a step of a drive [s]."""
-REACHED_DISTANCE = 0.03
-"""Distance from the goal below which it counts as reached [m]."""
+MAX_DRAWS = 2000  # largest number of draws of obstacles for one scene
+STEP = 0.1  # duration of a step of the horizon, and of a step of a drive [s]
+REACHED_DISTANCE = 0.03  # distance from the goal below which it counts as reached [m]
 
 
 @dataclass(frozen=True)
@@ -60,17 +52,13 @@ class Scene:
     """A random scene.
 
     Attributes:
-        seed: Seed of the scene.
-        start: (3,) pose of the start in odom [m, m, rad].
-        goal: (3,) pose of the goal in odom [m, m, rad].
-        ellipses: Obstacles at time 0, which move at constant velocity.
         workspace: x_min, y_min, x_max, y_max of the robot's workspace in odom [m].
     """
 
-    seed: int
-    start: Array
-    goal: Array
-    ellipses: Ellipses
+    seed: int  # seed of the scene
+    start: Array  # (3,) pose of the start in odom [m, m, rad]
+    goal: Array  # (3,) pose of the goal in odom [m, m, rad]
+    ellipses: Ellipses  # obstacles at time 0, which move at constant velocity
     workspace: tuple[float, float, float, float]
 
 
@@ -78,8 +66,6 @@ def draw_scene(seed: int, obstacles: int, half: Array) -> Scene:
     """Return a random scene, which is always the same for the same arguments.
 
     Args:
-        seed: Seed of the random numbers.
-        obstacles: Number of obstacles.
         half: (2,) half length and half width of the robot's box [m].
 
     Raises:
@@ -138,7 +124,6 @@ def swept_angles(times: Array, poses: Array, ellipses: Ellipses) -> Array:
     Args:
         times: (K,) times [s].
         poses: (K, 3) poses of the robot at these times in odom [m, m, rad].
-        ellipses: Obstacles.
     """
     seen = poses[:, None, :2] - ellipses.centers_at(times)
     bearing = np.arctan2(seen[..., 1], seen[..., 0])
@@ -172,40 +157,24 @@ class Controller(Protocol):
 
 @dataclass(frozen=True)
 class Task:
-    """The problem of one step of a drive.
+    """The problem of one step of a drive."""
 
-    Attributes:
-        first: Whether it is the first step of the drive.
-        start: (6,) state at the start: pose in odom, twist in base_link.
-        guess: (N, n) guess of the motor currents [A].
-        states: (N + 1, 6) states that follow from the guess, the first being the start.
-        stage: Parameters of the problem.
-    """
-
-    first: bool
-    start: Array
-    guess: Array
-    states: Array
-    stage: Stage
+    first: bool  # whether it is the first step of the drive
+    start: Array  # (6,) state at the start: pose in odom, twist in base_link
+    guess: Array  # (N, n) guess of the motor currents [A]
+    states: Array  # (N + 1, 6) states that follow from the guess, the first being the start
+    stage: Stage  # parameters of the problem
 
 
 @dataclass(frozen=True)
 class Cycle:
-    """The solution of one step of a drive.
+    """The solution of one step of a drive."""
 
-    Attributes:
-        task: The problem.
-        currents: (N, n) motor currents of the solution [A].
-        solved: Whether the solver reported success.
-        cycle_time: Duration of the whole cycle, including guess and stage [s].
-        solver_time: Duration of the controller's call alone [s].
-    """
-
-    task: Task
-    currents: Array
-    solved: bool
-    cycle_time: float
-    solver_time: float
+    task: Task  # the problem
+    currents: Array  # (N, n) motor currents of the solution [A]
+    solved: bool  # whether the solver reported success
+    cycle_time: float  # duration of the whole cycle, including guess and stage [s]
+    solver_time: float  # duration of the controller's call alone [s]
 
 
 @dataclass(frozen=True)
@@ -217,26 +186,18 @@ class Outcome:
             cost of the last state [J].
         slack: Largest violation of the clearance to obstacles or to the border of the workspace
             [m].
-        distance: Distance from the goal at the end [m].
-        failures: Number of steps at which the solver reported a failure.
-        times: (K,) times [s].
-        poses: (K, 3) poses [m, m, rad].
     """
 
     cost: float
     slack: float
-    distance: float
-    failures: int
-    times: Array
-    poses: Array
+    distance: float  # distance from the goal at the end [m]
+    failures: int  # number of steps at which the solver reported a failure
+    times: Array  # (K,) times [s]
+    poses: Array  # (K, 3) poses [m, m, rad]
 
 
 class RealTime:
-    """The planner's own scheme: one iteration in each step, and more in the first step.
-
-    Args:
-        solver: The planner's solver.
-    """
+    """The planner's own scheme: one iteration in each step, and more in the first step."""
 
     def __init__(self, solver: Solver) -> None:
         self._solver = solver
@@ -252,18 +213,7 @@ class RealTime:
 
 
 class Rig:
-    """A test rig: the MPC problem of a robot, the planner's solver, and drives with the model.
-
-    Args:
-        robot: Parameters of the robot, full names to values.
-        steps: Number N of steps of the horizon.
-        obstacles: Number M of obstacles in the problem.
-
-    Attributes:
-        model: The planner's model of the robot.
-        transcription: The problem.
-        solver: The planner's solver of the problem.
-    """
+    """A test rig: the MPC problem of a robot, the planner's solver, and drives with the model."""
 
     def __init__(self, robot: Mapping[str, Any], steps: int, obstacles: int) -> None:
         values = {
@@ -286,9 +236,6 @@ class Rig:
         currents, plus a disturbance.
 
         Args:
-            scene: The scene.
-            controller: The controller that solves the problem of each step.
-            count: Number of steps.
             clock: Function that returns a time [s], by which durations are measured.
         """
         bounds = Workspace(*scene.workspace)

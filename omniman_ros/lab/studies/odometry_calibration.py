@@ -17,16 +17,11 @@ from omniman_ros.lab.studies.closed_loop import PERIOD, ClosedLoop
 from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 
-TRAVEL = 2.0
-"""Length of the straight drives [m]."""
-SPEED = 0.3
-"""Speed of the straight drives [m/s]."""
-TURN = math.tau
-"""Angle of the rotation [rad]."""
-YAW_RATE = 0.5
-"""Yaw rate of the rotation [rad/s]."""
-SETTLING = 1.5
-"""Time from the last setpoint of a drive to its end [s]."""
+TRAVEL = 2.0  # length of the straight drives [m]
+SPEED = 0.3  # speed of the straight drives [m/s]
+TURN = math.tau  # angle of the rotation [rad]
+YAW_RATE = 0.5  # yaw rate of the rotation [rad/s]
+SETTLING = 1.5  # time from the last setpoint of a drive to its end [s]
 RUNS = (
     ("odometry.scale_x", 0, SPEED, TRAVEL),
     ("odometry.scale_y", 1, SPEED, TRAVEL),
@@ -38,10 +33,6 @@ RUNS = (
 
 def calibrate(robot: Mapping[str, Any], world: WorldChoice | None) -> dict[str, float]:
     """Return the scales of the odometry: true over measured way.
-
-    Args:
-        robot: Parameters of the robot, full names to values; its odometry is not calibrated.
-        world: World in which the robot drives; None for the plant.
 
     Returns:
         `odometry.scale_x`, `odometry.scale_y` and `odometry.scale_yaw`.

@@ -30,54 +30,34 @@ from omniman_ros.motion.figure7 import Figure7
 from omniman_ros.simulation.plant.imu import ImuSensorParameters, SimulatedImu, planar_motion
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 
-REST = 1.5
-"""Time of rest before the path, which shows the bias of the yaw rate, and after [s]."""
+REST = 1.5  # time of rest before the path, which shows the bias of the yaw rate, and after [s]
 IMU_STRIDE = 2
 """Number of ticks from one measurement of the inertial sensor to the next, which gives 100 Hz."""
 
 
 @dataclass(frozen=True)
 class OdometryCase:
-    """One drive.
+    """One drive."""
 
-    Attributes:
-        group: How the drives hold a wheel's speed, a key of `GROUPS`.
-        sample: Index of the set of random wheels.
-        roller_lag: Lag of the rollers that coupling control knows [s].
-        seed: Seed of the random wheels.
-    """
-
-    group: str
-    sample: int
-    roller_lag: float
-    seed: int
+    group: str  # how the drives hold a wheel's speed, a key of `GROUPS`
+    sample: int  # index of the set of random wheels
+    roller_lag: float  # lag of the rollers that coupling control knows [s]
+    seed: int  # seed of the random wheels
 
 
 @dataclass(frozen=True)
 class OdometryErrors:
-    """Errors (3,) of both odometries at the end [m, m, rad], and the wheels' on the way.
+    """Errors (3,) of both odometries at the end [m, m, rad], and the wheels' on the way."""
 
-    Attributes:
-        wheels: By the wheels alone.
-        imu: With the inertial sensor.
-        largest: Largest distance of the pose by the wheels alone from the true pose [m].
-    """
-
-    wheels: Array
-    imu: Array
-    largest: float
+    wheels: Array  # by the wheels alone
+    imu: Array  # with the inertial sensor
+    largest: float  # largest distance of the pose by the wheels alone from the true pose [m]
 
 
 def drive_odometry(
     robot: Mapping[str, Any], world: WorldChoice | None, figure: Figure7, case: OdometryCase
 ) -> OdometryErrors:
     """Drive along the path once.
-
-    Args:
-        robot: Parameters of the robot with its calibration, full names to values.
-        world: World in which the robot drives; None for the plant.
-        figure: The path as a function of time.
-        case: Mode of the drives, wheels and form of coupling control.
 
     Raises:
         StudyError: The robot stopped before the end, or refused the path.

@@ -27,21 +27,13 @@ rest [s]."""
 
 @dataclass(frozen=True)
 class PlannedDrive:
-    """A drive with the MPC planner.
+    """A drive with the MPC planner."""
 
-    Attributes:
-        drive: Recorded drive of the robot.
-        trace: Record of the planner's cycles; its times count from when the goal was sent.
-        state: State of the planner when it finished.
-        since: Time at which the goal was sent, on the clock of loop, plans and obstacles [s].
-        touched: What the robot touched according to the physics world.
-    """
-
-    drive: Drive
-    trace: Trace
-    state: PlannerState
-    since: float
-    touched: tuple[str, ...] = ()
+    drive: Drive  # recorded drive of the robot
+    trace: Trace  # record of the planner's cycles; its times count from when the goal was sent
+    state: PlannerState  # state of the planner when it finished
+    since: float  # time at which the goal was sent, on the clock of loop, plans and obstacles [s]
+    touched: tuple[str, ...] = ()  # what the robot touched according to the physics world
 
     @property
     def collided(self) -> bool:
@@ -105,15 +97,8 @@ def drive_with_planner(
     Being blocked ends the drive only if all obstacles are at rest and there is no map.
 
     Args:
-        robot: Parameters of the robot, full names to values.
-        scene: The scene.
-        voltages: Whether the planner's motor voltages are applied, instead of its reference being
-            followed.
-        seed: Seed of the observation noise.
         timer: Function that returns a time [s], by which the duration of planning is measured;
             None if it is not measured.
-        wheels: Kind of wheels in the physics world, in which the scene then stands; None for the
-            plant.
     """
     values = {**robot, **scene.changes}
     parameters = build(PlannerParameters, values)

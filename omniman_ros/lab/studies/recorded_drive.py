@@ -16,8 +16,7 @@ from omniman_ros.planning.cases import Pose
 from omniman_ros.planning.obstacles.separation import box_gap
 from omniman_ros.planning.parameters import Arrival
 
-SETTLING_TIME = 0.5
-"""Time after the arrival for which consumed energy still counts [s]."""
+SETTLING_TIME = 0.5  # time after the arrival for which consumed energy still counts [s]
 REST_SPEED = 0.02
 """Speed below which the robot counts as at rest, the same as in the planner [m/s, rad/s]."""
 
@@ -31,25 +30,19 @@ class Drive:
     """A recorded drive to a goal, with a row for each of K ticks of 5 ms.
 
     Attributes:
-        times: (K,) times since the goal was sent [s].
-        poses: (K, 3) true poses in odom [m, m, rad].
-        odometry: (K, 3) poses by odometry [m, m, rad].
-        twists: (K, 3) twists in base_link, from the encoders [m/s, m/s, rad/s].
         energy: (K,) electric energy consumed since the goal was sent, less the energy fed back
             [J].
-        goal: Pose of the goal in odom [m, m, rad].
-        tolerance: Largest errors of position and heading with which the robot has arrived.
         gaps: (K, M) true gaps to the obstacles [m]; the last column is the gap to the nearest
             wall, where there are walls.
     """
 
-    times: Array
-    poses: Array
-    odometry: Array
-    twists: Array
+    times: Array  # (K,) times since the goal was sent [s]
+    poses: Array  # (K, 3) true poses in odom [m, m, rad]
+    odometry: Array  # (K, 3) poses by odometry [m, m, rad]
+    twists: Array  # (K, 3) twists in base_link, from the encoders [m/s, m/s, rad/s]
     energy: Array
-    goal: Pose
-    tolerance: Arrival
+    goal: Pose  # pose of the goal in odom [m, m, rad]
+    tolerance: Arrival  # largest errors of position and heading with which the robot has arrived
     gaps: Array
 
     @staticmethod
@@ -65,13 +58,9 @@ class Drive:
         """Return the drive that a motion record contains from a time on.
 
         Args:
-            record: Recorded motion of the robot.
             since: Time at which the goal was sent [s].
             goal: Pose of the goal in odom [m, m, rad].
-            tolerance: Largest errors of position and heading with which the robot has arrived.
             half: (2,) half length and half width of the robot [m].
-            obstacles: Obstacles as they truly moved.
-            walls: Walls.
         """
         rows = slice(int(np.searchsorted(record.times, since - 1e-9)), None)
         times, poses = np.array(record.times[rows]), np.array(record.poses[rows])
@@ -147,7 +136,6 @@ def true_gaps(
         times: (K,) times [s].
         poses: (K, 3) true poses of the robot in odom [m, m, rad].
         half: (2,) half length and half width of the robot [m].
-        obstacles: M obstacles.
 
     Returns:
         (K, M) gaps [m].
@@ -167,7 +155,6 @@ def wall_gaps(poses: Array, half: Array, walls: Sequence[Wall]) -> Array:
     Args:
         poses: (K, 3) true poses of the robot in odom [m, m, rad].
         half: (2,) half length and half width of the robot [m].
-        walls: Walls, at least one.
 
     Returns:
         (K,) gaps [m].

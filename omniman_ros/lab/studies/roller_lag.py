@@ -17,14 +17,10 @@ from omniman_ros.lab.studies.closed_loop import PERIOD, ClosedLoop
 from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 
-UNIT = 0.01
-"""Lag to which the measured one is related [s]."""
-YAW_RATE = 0.6
-"""Yaw rate of the rotation [rad/s]."""
-SETTLING = 1.5
-"""Time from the start to the beginning of the measurement [s]."""
-DURATION = 6.0
-"""Duration of the measurement [s]."""
+UNIT = 0.01  # lag to which the measured one is related [s]
+YAW_RATE = 0.6  # yaw rate of the rotation [rad/s]
+SETTLING = 1.5  # time from the start to the beginning of the measurement [s]
+DURATION = 6.0  # duration of the measurement [s]
 COMPLIANT = {"drive.mode": "torque", "coupling.k_epsilon": 0.0, "drive.following_error": 100.0}
 """Parameters with which nothing but the floor decides on the coupling error."""
 
@@ -35,8 +31,6 @@ def measure_roller_lag(
     """Return the lag that explains the coupling error of a rotation in place best [s].
 
     Args:
-        robot: Parameters of the robot, full names to values.
-        world: World in which the robot rotates; None for the plant.
         duration: Duration of the measurement [s].
 
     Returns:

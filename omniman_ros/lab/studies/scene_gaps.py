@@ -22,7 +22,6 @@ def ellipse_gap(poses: Array, box: Box, centers: Array, semi_axes: Array, angles
 
     Args:
         poses: (N, 3) poses of the box in odom [m, m, rad].
-        box: The robot's outline.
         centers: (N, 2) centres of the ellipses in odom [m].
         semi_axes: (N, 2) semi-axes [m].
         angles: (N,) angles of the first semi-axes in odom [rad].
@@ -88,7 +87,6 @@ def wall_gap(poses: Array, box: Box, walls: Array) -> Array:
 
     Args:
         poses: (N, 3) poses of the box in odom [m, m, rad].
-        box: The robot's outline.
         walls: (N, 5) x, y, heading, length and width of the walls in odom [m, m, rad, m, m].
 
     Returns:
@@ -140,7 +138,6 @@ def outside(poses: Array, box: Box, area: Area) -> Array:
 
     Args:
         poses: (K, 3) poses of the box in odom [m, m, rad].
-        box: The robot's outline.
         area: The area in odom [m].
 
     Returns:

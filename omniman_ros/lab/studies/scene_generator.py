@@ -17,25 +17,18 @@ from omniman_ros.core.errors import InputError, OmnimanError
 from omniman_ros.lab.studies.scene_gaps import ellipse_gap
 from omniman_ros.lab.studies.scene_geometry import Area, Box, Ellipse, PolylineMotion, World
 
-Pose = tuple[float, float, float]
-"""Pose x, y, heading in odom [m, m, rad]."""
+Pose = tuple[float, float, float]  # pose x, y, heading in odom [m, m, rad]
 
 AREA: Area = (0.0, 0.0, 8.0, 6.0)
 """Area that contains the start, the goal, and the centres of all obstacles at time 0 [m]."""
-ROBOT = Box(0.8, 0.5)
-"""Default outline of the robot."""
-OBSTACLE_COUNTS = (3, 8)
-"""Smallest and largest number of obstacles."""
-SEMI_AXES = (0.1, 0.5)
-"""Range of the semi-axes of obstacles [m]."""
-DISC_SHARE = 0.5
-"""Probability that an obstacle is a disc."""
+ROBOT = Box(0.8, 0.5)  # default outline of the robot
+OBSTACLE_COUNTS = (3, 8)  # smallest and largest number of obstacles
+SEMI_AXES = (0.1, 0.5)  # range of the semi-axes of obstacles [m]
+DISC_SHARE = 0.5  # probability that an obstacle is a disc
 MOVING_SHARE = 0.5
 """Probability that an obstacle moves, except for one drawn to block the straight line."""
-SPEEDS = (0.1, 0.6)
-"""Range of the speeds of moving obstacles [m/s]."""
-MIN_DISTANCE = 3.5
-"""Smallest distance from start to goal [m]."""
+SPEEDS = (0.1, 0.6)  # range of the speeds of moving obstacles [m/s]
+MIN_DISTANCE = 3.5  # smallest distance from start to goal [m]
 MARGIN = 0.15
 """Smallest gap from obstacles to the robot at the start, and from fixed obstacles to the robot at
 the goal [m]."""
@@ -48,10 +41,8 @@ TURN_TIMES = (1.0, 8.0)
 MOTION_DURATION = 60.0
 """Time for which obstacles bounce off the border of the area, and for which their stay at the goal
 is checked; afterwards they move straight on [s]."""
-MAX_MISMATCH = 0.2
-"""Largest relative error of the model's mass, friction and motor constant."""
-CHECK_PERIOD = 0.05
-"""Period of the samples at which moving obstacles are checked [s]."""
+MAX_MISMATCH = 0.2  # largest relative error of the model's mass, friction and motor constant
+CHECK_PERIOD = 0.05  # period of the samples at which moving obstacles are checked [s]
 MAX_DRAWS = 2000
 """Largest number of draws of a scene, and of draws of obstacles for one draw of a scene."""
 
@@ -65,13 +56,11 @@ class Mismatch:
     """Ratios of the robot's true parameters to those of its model.
 
     Attributes:
-        mass: Ratio of masses and inertias.
-        friction: Ratio of all friction.
         motor_constant: Ratio of the torque constant, which is also the back-EMF constant.
     """
 
-    mass: float = 1.0
-    friction: float = 1.0
+    mass: float = 1.0  # ratio of masses and inertias
+    friction: float = 1.0  # ratio of all friction
     motor_constant: float = 1.0
 
 
@@ -80,27 +69,20 @@ class RandomScene:
     """A random scene: start, goal, obstacles, workspace and the robot's model mismatch.
 
     Attributes:
-        seed: Seed of the scene.
-        start: Pose of the start in odom [m, m, rad].
-        goal: Pose of the goal in odom [m, m, rad].
-        obstacles: Obstacles as they truly move from time 0 on.
         workspace: x_min, y_min, x_max, y_max of the robot's workspace in odom [m]; None if the
             workspace is unlimited.
-        blocked: Whether the straight line from start to goal leads through a fixed obstacle.
-        mismatch: Mismatch between the true robot and its model.
-        posture: Joint angles of the arm [rad]; empty if it plays no role.
         heights: Heights of the lower and the upper side of each obstacle [m]; empty if all stand
             on the floor and are higher than the robot.
     """
 
-    seed: int
-    start: Pose
-    goal: Pose
-    obstacles: tuple[Ellipse, ...]
+    seed: int  # seed of the scene
+    start: Pose  # pose of the start in odom [m, m, rad]
+    goal: Pose  # pose of the goal in odom [m, m, rad]
+    obstacles: tuple[Ellipse, ...]  # obstacles as they truly move from time 0 on
     workspace: Area | None
-    blocked: bool
-    mismatch: Mismatch
-    posture: tuple[float, ...] = ()
+    blocked: bool  # whether the straight line from start to goal leads through a fixed obstacle
+    mismatch: Mismatch  # mismatch between the true robot and its model
+    posture: tuple[float, ...] = ()  # joint angles of the arm [rad]; empty if it plays no role
     heights: tuple[tuple[float, float], ...] = ()
 
     @property
@@ -111,10 +93,6 @@ class RandomScene:
 
 def scene(seed: int, box: Box = ROBOT) -> RandomScene:
     """Return the scene of a seed, which is always the same for the same seed and box.
-
-    Args:
-        seed: Seed, zero or more.
-        box: The robot's outline.
 
     Raises:
         InputError: The seed is negative.
@@ -272,10 +250,8 @@ def _gaps(obstacle: Ellipse, poses: Array, times: Array, box: Box) -> Array:
     """Return the gaps (N,) from an obstacle to the robot [m].
 
     Args:
-        obstacle: The obstacle.
         poses: (N, 3) poses of the robot in odom, or (1, 3) if it is at rest [m, m, rad].
         times: (N,) times that determine the positions of the obstacle [s].
-        box: The robot's outline.
     """
     count = len(times)
     return ellipse_gap(

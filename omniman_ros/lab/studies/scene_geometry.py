@@ -11,26 +11,20 @@ import numpy as np
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 
-Point = tuple[float, float]
-"""Components along x and y of a position [m] or a velocity [m/s]."""
-Area = tuple[float, float, float, float]
-"""A rectangle x_min, y_min, x_max, y_max in odom [m]."""
+Point = tuple[float, float]  # components along x and y of a position [m] or a velocity [m/s]
+Area = tuple[float, float, float, float]  # A rectangle x_min, y_min, x_max, y_max in odom [m]
 
 
 @dataclass(frozen=True)
 class Box:
     """The robot's outline: a rectangle centred at its pose, with its length along its heading.
 
-    Attributes:
-        length: Length [m], above zero.
-        width: Width [m], above zero.
-
     Raises:
         InputError: A size is not above zero and finite.
     """
 
-    length: float
-    width: float
+    length: float  # length [m], above zero
+    width: float  # width [m], above zero
 
     def __post_init__(self) -> None:
         _above_zero("length of the box", self.length)
@@ -54,19 +48,14 @@ class PolylineMotion:
     The point rests at the first corner before the first time, and moves on at a given velocity
     after the last time.
 
-    Attributes:
-        times: Times at which the corners are reached [s], increasing, one or more.
-        places: Corners (x, y) in odom [m], one for each time.
-        velocity: Velocity (x', y') in odom after the last time [m/s].
-
     Raises:
         InputError: There are no times, they do not increase, their number differs from that of the
             corners, or a value is not finite.
     """
 
-    times: tuple[float, ...]
-    places: tuple[Point, ...]
-    velocity: Point = (0.0, 0.0)
+    times: tuple[float, ...]  # times at which the corners are reached [s], increasing, one or more
+    places: tuple[Point, ...]  # corners (x, y) in odom [m], one for each time
+    velocity: Point = (0.0, 0.0)  # velocity (x', y') in odom after the last time [m/s]
 
     def __post_init__(self) -> None:
         if not self.times or len(self.times) != len(self.places):
@@ -122,18 +111,16 @@ class Ellipse:
     """An elliptic obstacle, a disc if its semi-axes are equal; it moves but never turns.
 
     Attributes:
-        semi_axes: Semi-axes [m], above zero.
         place: Motion of its centre; calling it with a time [s] returns the position (2,) in odom
             [m].
-        angle: Angle of its first semi-axis in odom [rad].
 
     Raises:
         InputError: A semi-axis is not above zero and finite, or the angle is not finite.
     """
 
-    semi_axes: tuple[float, float]
+    semi_axes: tuple[float, float]  # semi-axes [m], above zero
     place: PolylineMotion
-    angle: float = 0.0
+    angle: float = 0.0  # angle of its first semi-axis in odom [rad]
 
     def __post_init__(self) -> None:
         for axis in self.semi_axes:
@@ -150,22 +137,15 @@ class Ellipse:
 class Wall:
     """A wall: a fixed rectangle.
 
-    Attributes:
-        x: x of its centre in odom [m].
-        y: y of its centre in odom [m].
-        heading: Direction of its length in odom [rad].
-        length: Size along its heading [m], above zero.
-        width: Size across its heading [m], above zero.
-
     Raises:
         InputError: A size is not above zero and finite, or another value is not finite.
     """
 
-    x: float
-    y: float
-    heading: float
-    length: float
-    width: float
+    x: float  # x of its centre in odom [m]
+    y: float  # y of its centre in odom [m]
+    heading: float  # direction of its length in odom [rad]
+    length: float  # size along its heading [m], above zero
+    width: float  # size across its heading [m], above zero
 
     def __post_init__(self) -> None:
         for name in ("x", "y", "heading"):
@@ -179,8 +159,6 @@ class World:
     """The surroundings of a robot: obstacles, walls, and the area that it should not leave.
 
     Attributes:
-        obstacles: Fixed and moving ellipses.
-        walls: Walls.
         area: Area within which the robot's whole outline should stay; None if there is no such
             area. Leaving it does not count as a contact.
 
@@ -188,8 +166,8 @@ class World:
         InputError: The area is empty or not finite.
     """
 
-    obstacles: tuple[Ellipse, ...] = ()
-    walls: tuple[Wall, ...] = ()
+    obstacles: tuple[Ellipse, ...] = ()  # fixed and moving ellipses
+    walls: tuple[Wall, ...] = ()  # walls
     area: Area | None = None
 
     def __post_init__(self) -> None:

@@ -22,8 +22,7 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.lab.studies.scene_gaps import ellipse_gap, outside, wall_gap
 from omniman_ros.lab.studies.scene_geometry import Box, World
 
-Index = NDArray[np.intp]
-"""Indices of bodies, obstacles before walls."""
+Index = NDArray[np.intp]  # indices of bodies, obstacles before walls
 CONTACT_GAP = 1e-4
 """Gap below which the robot counts as touching, and the accuracy of the smallest gap [m]."""
 MAX_HALVINGS = 60
@@ -37,7 +36,6 @@ class Verdict:
     Attributes:
         gap: Smallest gap [m]; the true one is smaller by no more than `CONTACT_GAP`. It is zero or
             less if the robot overlapped with a body, and inf if there is nothing to touch.
-        gap_time: Time of the smallest gap [s]; NaN if there is nothing to touch.
         contact: Time at which the robot was first nearer than `CONTACT_GAP` to a body [s]; inf if
             it never was.
         touched: Kind of the body that the robot touched first, "obstacle" or "wall", and its index
@@ -48,7 +46,7 @@ class Verdict:
     """
 
     gap: float
-    gap_time: float
+    gap_time: float  # time of the smallest gap [s]; NaN if there is nothing to touch
     contact: float
     touched: tuple[str, int] | None
     outside: float
@@ -65,9 +63,6 @@ def judge(times: Array, poses: Array, box: Box, world: World) -> Verdict:
     Args:
         times: (K,) increasing times [s], at least one.
         poses: (K, 3) true poses in odom [m, m, rad]; headings may be wrapped.
-        box: The robot's outline.
-        world: Obstacles and walls that the robot may have touched, and the area that it may have
-            left.
 
     Raises:
         InputError: A shape is wrong, a value is not finite, or the times do not increase.
@@ -134,27 +129,16 @@ class _Bodies:
 
 @dataclass(frozen=True)
 class _Intervals:
-    """N time intervals, each paired with one body.
+    """N time intervals, each paired with one body."""
 
-    Attributes:
-        starts: (N,) times at which the intervals begin [s].
-        ends: (N,) times at which the intervals end [s].
-        start_poses: (N, 3) poses of the robot at the beginning [m, m, rad].
-        end_poses: (N, 3) poses of the robot at the end [m, m, rad].
-        which: (N,) indices of the bodies.
-        start_gaps: (N,) gaps at the beginning [m].
-        end_gaps: (N,) gaps at the end [m].
-        travel: (N,) upper bounds of the relative travel of robot and body in between [m].
-    """
-
-    starts: Array
-    ends: Array
-    start_poses: Array
-    end_poses: Array
-    which: Index
-    start_gaps: Array
-    end_gaps: Array
-    travel: Array
+    starts: Array  # (N,) times at which the intervals begin [s]
+    ends: Array  # (N,) times at which the intervals end [s]
+    start_poses: Array  # (N, 3) poses of the robot at the beginning [m, m, rad]
+    end_poses: Array  # (N, 3) poses of the robot at the end [m, m, rad]
+    which: Index  # (N,) indices of the bodies
+    start_gaps: Array  # (N,) gaps at the beginning [m]
+    end_gaps: Array  # (N,) gaps at the end [m]
+    travel: Array  # (N,) upper bounds of the relative travel of robot and body in between [m]
 
     @property
     def lower(self) -> Array:
@@ -191,7 +175,6 @@ class _Drive:
     Args:
         times: (K,) increasing times [s].
         poses: (K, 3) poses of the robot in odom, headings not wrapped [m, m, rad].
-        bodies: The bodies, at least one.
     """
 
     def __init__(self, times: Array, poses: Array, bodies: _Bodies) -> None:
@@ -245,7 +228,6 @@ class _Drive:
 
         Args:
             contact: A time at which a gap is below `CONTACT_GAP` [s].
-            touched: Index of the body of that gap.
         """
         near = np.flatnonzero(self.gaps <= CONTACT_GAP)
         if len(near) and self.times[near[0]] < contact:

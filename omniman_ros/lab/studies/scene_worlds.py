@@ -14,13 +14,7 @@ UPRIGHT = (0.0, -0.5 * math.pi, 0.0, -0.5 * math.pi, 0.0, 0.0)
 
 
 def scene_world(robot: Mapping[str, Any], wheels: str, scene: RandomScene) -> WorldChoice:
-    """Return a random scene as a world; each obstacle is a column, where it is at time 0.
-
-    Args:
-        robot: Parameters of the true robot, full names to values.
-        wheels: Kind of wheels.
-        scene: The scene.
-    """
+    """Return a random scene as a world; each obstacle is a column, where it is at time 0."""
     columns = []
     for k, obstacle in enumerate(scene.obstacles):
         x, y = obstacle.place(0.0).tolist()

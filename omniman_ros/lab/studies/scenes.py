@@ -62,29 +62,20 @@ class SceneDrive:
     """A drive through a scene: K samples from the sending of the goal to the end of the drive.
 
     Attributes:
-        times: (K,) times on the clock by which the obstacles move [s].
-        poses: (K, 3) true poses in odom [m, m, rad].
-        energy: Electric energy consumed, less the energy fed back [J].
-        arrived: Whether the planner reported its arrival.
-        answers: (C,) times from the beginning of a planning cycle to its reference [s].
-        late: Number of references published after the planner's deadline.
-        drift: Distance of the pose by odometry from the true pose at the end [m].
-        state: State of the planner at the end.
-        last_status: Last status text of the planner.
         rejections: Reasons why plans were not used, each with the number of such plans.
         touched: Time [s] of the first contact by the physics engine, and the index of the
             obstacle; None without a contact, and on the plant.
     """
 
-    times: Array
-    poses: Array
-    energy: float
-    arrived: bool
-    answers: Array
-    late: int
-    drift: float
-    state: str
-    last_status: str
+    times: Array  # (K,) times on the clock by which the obstacles move [s]
+    poses: Array  # (K, 3) true poses in odom [m, m, rad]
+    energy: float  # electric energy consumed, less the energy fed back [J]
+    arrived: bool  # whether the planner reported its arrival
+    answers: Array  # (C,) times from the beginning of a planning cycle to its reference [s]
+    late: int  # number of references published after the planner's deadline
+    drift: float  # distance of the pose by odometry from the true pose at the end [m]
+    state: str  # state of the planner at the end
+    last_status: str  # last status text of the planner
     rejections: Mapping[str, int] = field(default_factory=dict)
     touched: tuple[float, int] | None = None
 

@@ -11,14 +11,10 @@ from omniman_ros.motion.whole_body.model import WholeBodyModel
 
 POSTURE = (0.0, -1.9, 2.0, -1.7, -1.57, 0.0)
 """Joint angles of the arm at the start, where base_link is at the origin of odom [rad]."""
-SPACING = 0.02
-"""Largest distance along the path between successive poses [m]."""
-CIRCLE_RADIUS = 1.2
-"""Radius of the circle [m]."""
-S_HEADING = 0.8
-"""Largest heading along the S, relative to its start [rad]."""
-S_HEIGHT = 0.1
-"""Amplitude of the height along the S [m]."""
+SPACING = 0.02  # largest distance along the path between successive poses [m]
+CIRCLE_RADIUS = 1.2  # radius of the circle [m]
+S_HEADING = 0.8  # largest heading along the S, relative to its start [rad]
+S_HEIGHT = 0.1  # amplitude of the height along the S [m]
 
 Course = Callable[[Array, float], Array]
 """The shape of a path: a function from distances (k,) along the path and the length of the path,
@@ -72,8 +68,6 @@ def tool_poses(model: WholeBodyModel, name: str, length: float) -> Array:
     """Return poses (k, 4, 4) of `tool0` in odom along a course that begins at the start.
 
     Args:
-        model: Kinematics of the robot.
-        name: Name of the path's shape, a key of COURSES.
         length: Length of the path in the plane [m].
     """
     distance = np.linspace(0.0, length, math.ceil(length / SPACING) + 1)

@@ -27,24 +27,17 @@ from omniman_ros.motion.whole_body.model import WholeBodyModel, planar_transform
 from omniman_ros.motion.whole_body.parameters import ToolPathOptions
 from omniman_ros.simulation.plant.parameters import MismatchParameters, SimulationParameters
 
-STEP = 0.001
-"""Period of the study's clock [s]."""
-ODOM_PERIOD = 0.01
-"""Period of the measured poses [s]."""
+STEP = 0.001  # period of the study's clock [s]
+ODOM_PERIOD = 0.01  # period of the measured poses [s]
 ODOM_LATENCY = (0.005, 0.02)
 """Range of the latency from the tick that computes a measured pose to the interpolator [s]."""
 PREVIEW_LATENCY = (0.002, 0.006)
 """Range of the latency of the arm's previews from the interpolator to the streamer [s]."""
-PLATFORM_PREVIEW_PERIOD = 0.04
-"""Period of the platform's previews [s]."""
-PLATFORM_PREVIEW_HORIZON = 0.4
-"""Duration that a preview of the platform covers [s]."""
-MOTION_START = 0.5
-"""Time at which the motion begins [s]."""
-PREVIEW_LEAD = 0.024
-"""Time by which the first previews are sent before the motion begins [s]."""
-RECORDING_TAIL = 0.5
-"""Time for which a drive continues after the motion [s]."""
+PLATFORM_PREVIEW_PERIOD = 0.04  # period of the platform's previews [s]
+PLATFORM_PREVIEW_HORIZON = 0.4  # duration that a preview of the platform covers [s]
+MOTION_START = 0.5  # time at which the motion begins [s]
+PREVIEW_LEAD = 0.024  # time by which the first previews are sent before the motion begins [s]
+RECORDING_TAIL = 0.5  # time for which a drive continues after the motion [s]
 
 
 class StudyError(OmnimanError):
@@ -72,8 +65,7 @@ class Motion(Protocol):
 class FollowingArm(Protocol):
     """An arm that follows previews of its joints."""
 
-    period: float
-    """Period of the arm's cycle [s]."""
+    period: float  # period of the arm's cycle [s]
 
     def preview(
         self, times: Array, positions: Array, velocities: Array, accelerations: Array, now: float
@@ -102,30 +94,21 @@ class Case:
     """One drive of the study.
 
     Attributes:
-        about: Description in the tables.
         changes: Changed parameters of controller and simulation, full names to values.
         mismatch: Errors of the wheels, names to factors by wheel.
-        period: Period of the arm's previews, at least that of the measured poses [s].
-        horizon: Duration that a preview of the arm covers [s].
         options: Options of the tool path, such as the correction.
-        seed: Seed of the latencies.
     """
 
-    about: str
+    about: str  # description in the tables
     changes: Mapping[str, Any] = field(default_factory=dict)
     mismatch: Mapping[str, Any] = field(default_factory=dict)
-    period: float = 0.02
-    horizon: float = 0.2
+    period: float = 0.02  # period of the arm's previews, at least that of the measured poses [s]
+    horizon: float = 0.2  # duration that a preview of the arm covers [s]
     options: ToolPathOptions = field(default_factory=ToolPathOptions)
-    seed: int = 0
+    seed: int = 0  # seed of the latencies
 
     def platform(self, robot: Mapping[str, Any], world: WorldChoice | None = None) -> ClosedLoop:
-        """Return the controller and the drives.
-
-        Args:
-            robot: Parameters of the robot, full names to values.
-            world: World in which the robot drives; None for the plant.
-        """
+        """Return the controller and the drives."""
         values = {**robot, **self.changes}
         simulation = build(SimulationParameters, values)
         simulation = replace(simulation, mismatch=build(MismatchParameters, self.mismatch))
@@ -139,22 +122,15 @@ class Wheels:
     """Settings of a robot's drives, and errors of its wheels.
 
     Attributes:
-        about: Description in the tables.
         changes: Changed parameters of controller and simulation, full names to values.
-        mismatch: Errors of the wheels, names to factors by wheel.
     """
 
-    about: str
+    about: str  # description in the tables
     changes: Mapping[str, Any]
-    mismatch: Mapping[str, Any]
+    mismatch: Mapping[str, Any]  # errors of the wheels, names to factors by wheel
 
     def case(self, options: ToolPathOptions, seed: int) -> Case:
-        """Return the case of a drive with these wheels.
-
-        Args:
-            options: Options of the tool path.
-            seed: Seed of the latencies.
-        """
+        """Return the case of a drive with these wheels."""
         return Case(self.about, self.changes, self.mismatch, options=options, seed=seed)
 
 
@@ -180,8 +156,7 @@ LOW_GAINS = {
     "position.k_theta": 2.0,
 }
 """Parameters of P velocity loops under a position control with low gains and no feed-forward."""
-MOST_DEMANDING = "soft"
-"""Name of the wheels with which the platform deviates most from its path."""
+MOST_DEMANDING = "soft"  # name of the wheels with which the platform deviates most from its path
 WHEELS: Mapping[str, Wheels] = {
     "PI": Wheels("wheels of the demo", {}, DEMO_MISMATCH),
     "P": Wheels("larger mismatch, P loops", P_LOOPS, LARGE_MISMATCH),
@@ -195,28 +170,21 @@ class Run:
     """A completed drive, at k times of the tool's motion.
 
     Attributes:
-        case: The case.
-        course: Name of the path.
-        times: (k,) times since the beginning of the motion [s].
-        reference: (k, 3) reference positions of the tool in odom [m].
         odom: (k, 3) positions of the tool in odom, from the arm's true joint angles and the
             measured pose of the platform [m].
         truth: (k, 3) true positions of the tool in the world [m]; where the platform is a body in
             a physics world, with its tilt.
-        base: (k, 3) measured poses of base_link in odom [m, m, rad].
-        platform: (k, 3) errors of these poses relative to the reference [m, m, rad].
-        turned: (k,) errors of the tool's orientation in odom: angles to its reference [rad].
     """
 
-    case: Case
-    course: str
-    times: Array
-    reference: Array
+    case: Case  # the case
+    course: str  # name of the path
+    times: Array  # (k,) times since the beginning of the motion [s]
+    reference: Array  # (k, 3) reference positions of the tool in odom [m]
     odom: Array
     truth: Array
-    base: Array
-    platform: Array
-    turned: Array
+    base: Array  # (k, 3) measured poses of base_link in odom [m, m, rad]
+    platform: Array  # (k, 3) errors of these poses relative to the reference [m, m, rad]
+    turned: Array  # (k,) errors of the tool's orientation in odom: angles to its reference [rad]
 
     @property
     def error(self) -> Array:
@@ -232,16 +200,7 @@ class Run:
 
 
 class ToolPathLoop:
-    """Runs platform, arm and interpolator along one planned motion.
-
-    Args:
-        platform: Controller and drives, see `Case.platform`.
-        case: The case.
-        course: Name of the path.
-        motion: Planned motion of all axes.
-        model: Kinematics of platform and arm.
-        arm: The arm, at rest in the joint angles at which the motion begins.
-    """
+    """Runs platform, arm and interpolator along one planned motion."""
 
     def __init__(
         self,

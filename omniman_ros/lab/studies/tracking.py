@@ -28,22 +28,15 @@ from omniman_ros.simulation.world.parameters import IDEAL, WorldParameters
 from omniman_ros.simulation.world.scanner_parameters import ScannerParameters
 from omniman_ros.simulation.world.scene import REACTIVE, Crate, Person, Post, Scene, Table, Wall
 
-HALF = 5.0
-"""Half edge of the square room [m]."""
-RADIUS = 0.25
-"""Radius of a person [m]."""
+HALF = 5.0  # half edge of the square room [m]
+RADIUS = 0.25  # radius of a person [m]
 SPACE = 1.3
 """Distance of way points and of what stands from the robot's place and from each other [m]."""
-STAND = 0.05
-"""Time for which a person stands at each repetition of a way point [s]."""
-PERIOD = 0.05
-"""Period of the scans [s]."""
-TICK = 0.01
-"""Period of the odometry [s]."""
-SWAY = (0.25, 0.5)
-"""Largest speed of a robot that drives [m/s] and its turn rate [rad/s]."""
-WIDE = 4.71
-"""Field of view of the scanner [rad]: 270 degrees."""
+STAND = 0.05  # time for which a person stands at each repetition of a way point [s]
+PERIOD = 0.05  # period of the scans [s]
+TICK = 0.01  # period of the odometry [s]
+SWAY = (0.25, 0.5)  # largest speed of a robot that drives [m/s] and its turn rate [rad/s]
+WIDE = 4.71  # field of view of the scanner [rad]: 270 degrees
 
 
 @dataclass(frozen=True)
@@ -51,33 +44,23 @@ class TrackingCase:
     """A scene, and whether the robot drives in it.
 
     Attributes:
-        seed: Seed of all random choices.
-        persons: Number of persons.
-        drives: Whether the robot drives to and fro and turns; else it stands.
-        noise: Standard deviation of a range [m].
-        dropouts: Share of lost beams.
         behaviour: Whether the persons give way, or turn on the spot and run into each other.
     """
 
-    seed: int
-    persons: int = 6
-    drives: bool = False
-    noise: float = 0.01
-    dropouts: float = 0.002
+    seed: int  # seed of all random choices
+    persons: int = 6  # number of persons
+    drives: bool = False  # whether the robot drives to and fro and turns; else it stands
+    noise: float = 0.01  # standard deviation of a range [m]
+    dropouts: float = 0.002  # share of lost beams
     behaviour: str = REACTIVE
 
 
 @dataclass
 class TrackingRun:
-    """What a case has shown.
+    """What a case has shown."""
 
-    Attributes:
-        judge: The judge with its figures.
-        cpu: CPU time of each scan [s].
-    """
-
-    judge: TrackingJudge
-    cpu: list[float] = field(default_factory=list)
+    judge: TrackingJudge  # the judge with its figures
+    cpu: list[float] = field(default_factory=list)  # CPU time of each scan [s]
 
 
 def tracking_scene(case: TrackingCase) -> Scene:
@@ -156,11 +139,7 @@ def run_case(
     """Let people walk around a robot, and track them by its scans.
 
     Args:
-        case: The case.
-        robot: Parameters of the robot, full names to values.
         seconds: Duration [s].
-        parameters: Parameters of the tracker; None for the defaults.
-        motion: Noise and acceleration of the tracks; None for the defaults.
     """
     # The command line must do without the engine.
     from omniman_ros.simulation.world.scanner import Scanner

@@ -11,24 +11,15 @@ from numpy.typing import NDArray
 
 from omniman_ros.core.arrays import Array
 
-LEAST_BEAMS = 3
-"""Number of beams that must meet somebody who is seen."""
-TOLERANCE = 0.06
-"""Distance of a beam's end from a disc up to which the beam has met it [m]."""
-SETTLING = 0.5
-"""Time after the first sight from which the velocity counts [s]."""
-UNSEEN = 3.0
-"""Time without being seen after which somebody is seen for the first time again [s]."""
-MATCH = 0.5
-"""Distance of a reported centre from the true one up to which they are the same [m]."""
-WALKING = 0.3
-"""Speed from which somebody walks [m/s]."""
-FALSE_SPEED = 0.2
-"""Speed from which something that stands is reported as moving [m/s]."""
-FALSE_TIME = 0.5
-"""Time for which it must be, to count [s]."""
-BEFORE, AFTER = 0.3, 0.5
-"""Times before and after a crossing at which identities are compared [s]."""
+LEAST_BEAMS = 3  # number of beams that must meet somebody who is seen
+TOLERANCE = 0.06  # distance of a beam's end from a disc up to which the beam has met it [m]
+SETTLING = 0.5  # time after the first sight from which the velocity counts [s]
+UNSEEN = 3.0  # time without being seen after which somebody is seen for the first time again [s]
+MATCH = 0.5  # distance of a reported centre from the true one up to which they are the same [m]
+WALKING = 0.3  # speed from which somebody walks [m/s]
+FALSE_SPEED = 0.2  # speed from which something that stands is reported as moving [m/s]
+FALSE_TIME = 0.5  # time for which it must be, to count [s]
+BEFORE, AFTER = 0.3, 0.5  # times before and after a crossing at which identities are compared [s]
 
 
 class Reported(Protocol):
@@ -57,17 +48,11 @@ class Reported(Protocol):
 
 @dataclass(frozen=True)
 class Sighting:
-    """A scan as the judge sees it.
+    """A scan as the judge sees it."""
 
-    Attributes:
-        origin: (2,) place of the scanner [m].
-        directions: (N,) directions of the beams [rad].
-        ranges: (N,) their ranges [m].
-    """
-
-    origin: Array
-    directions: Array
-    ranges: Array
+    origin: Array  # (2,) place of the scanner [m]
+    directions: Array  # (N,) directions of the beams [rad]
+    ranges: Array  # (N,) their ranges [m]
 
 
 @dataclass
@@ -75,22 +60,17 @@ class TrackingJudge:
     """Compares what is reported with the truth, scan by scan.
 
     Attributes:
-        statics: Number of things that stand.
         errors: Errors of velocity [m/s] of all who were seen for long enough.
-        walking_errors: Those of them who walked.
-        missed: Number of scans and persons for which a walking person was not reported.
         false_movers: Identities of standing things that were reported as moving for too long.
-        crossings: Number of crossings, once for each of the two who cross.
-        kept: Number of them after which the identity was the same.
     """
 
-    statics: int
+    statics: int  # number of things that stand
     errors: list[float] = field(default_factory=list)
-    walking_errors: list[float] = field(default_factory=list)
-    missed: int = 0
+    walking_errors: list[float] = field(default_factory=list)  # those of them who walked
+    missed: int = 0  # number of scans and persons for which a walking person was not reported
     false_movers: set[int] = field(default_factory=set)
-    crossings: int = 0
-    kept: int = 0
+    crossings: int = 0  # number of crossings, once for each of the two who cross
+    kept: int = 0  # number of them after which the identity was the same
     _first: dict[int, float] = field(default_factory=dict)
     _last: dict[int, float] = field(default_factory=dict)
     _false_since: dict[int, float] = field(default_factory=dict)
@@ -111,10 +91,8 @@ class TrackingJudge:
 
         Args:
             now: Time [s].
-            sighting: The scan.
             people: (P, 4) true positions and velocities [m, m/s].
             radius: Radius of the people [m].
-            obstacles: What is reported.
         """
         beams = visible_beams(sighting, people[:, :2], radius)
         centers = np.array([thing.center for thing in obstacles]).reshape(-1, 2)

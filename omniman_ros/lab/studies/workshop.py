@@ -11,14 +11,10 @@ from omniman_ros.lab.studies.scene_gaps import wall_gap
 from omniman_ros.lab.studies.scene_geometry import Box, Wall
 from omniman_ros.planning.obstacles.grid_map import GridMap
 
-RESOLUTION = 0.05
-"""Edge of a cell of the map [m]."""
-AREA = (-1.5, -1.5, 11.0, 6.0)
-"""Area of the map: x_min, y_min, x_max, y_max in odom [m]."""
-DOOR_WIDTH = 0.6
-"""Width of the doors [m]; the robot is 0.8 m long and 0.5 m wide."""
-WALL_THICKNESS = 0.1
-"""Thickness of the walls [m]."""
+RESOLUTION = 0.05  # edge of a cell of the map [m]
+AREA = (-1.5, -1.5, 11.0, 6.0)  # area of the map: x_min, y_min, x_max, y_max in odom [m]
+DOOR_WIDTH = 0.6  # width of the doors [m]; the robot is 0.8 m long and 0.5 m wide
+WALL_THICKNESS = 0.1  # thickness of the walls [m]
 
 
 def _wall_along_y(x: float, low: float, high: float) -> Wall:
@@ -63,11 +59,7 @@ def grid() -> GridMap:
 
 
 def map_of(mapped: Sequence[Wall]) -> GridMap:
-    """Return a map of the area `AREA`, in which each cell that overlaps with a wall is occupied.
-
-    Args:
-        mapped: Walls to enter into the map, in odom.
-    """
+    """Return a map of the area `AREA`, in which each cell that overlaps with a wall is occupied."""
     x_min, y_min, x_max, y_max = AREA
     columns = np.arange(x_min, x_max - 1e-9, RESOLUTION) + 0.5 * RESOLUTION
     rows = np.arange(y_min, y_max - 1e-9, RESOLUTION) + 0.5 * RESOLUTION

@@ -19,17 +19,11 @@ if TYPE_CHECKING:  # The command line must do without the engine.
 
 @dataclass(frozen=True)
 class WorldChoice:
-    """A physics world: the robot's body and arm, its wheels, and what is around it.
+    """A physics world: the robot's body and arm, its wheels, and what is around it."""
 
-    Attributes:
-        description: Robot, arm, and the mount of the arm.
-        parameters: Wheels, and what happens in contacts.
-        scene: What is around the robot.
-    """
-
-    description: DescriptionParameters
-    parameters: WorldParameters
-    scene: Scene = field(default_factory=Scene)
+    description: DescriptionParameters  # robot, arm, and the mount of the arm
+    parameters: WorldParameters  # wheels, and what happens in contacts
+    scene: Scene = field(default_factory=Scene)  # what is around the robot
 
     @staticmethod
     def of(
@@ -41,9 +35,6 @@ class WorldChoice:
         """Return the world of a robot. Persons in it apply no force: a study moves them.
 
         Args:
-            robot: Parameters of the robot, full names to values.
-            wheels: Kind of wheels, see :class:`WorldParameters`.
-            scene: What is around the robot; None for an empty floor.
             posture: (6,) angles at which the arm is at first [rad]; None for the default.
         """
         values: dict[str, Any] = {"wheels": wheels, "person_force": 0.0}
@@ -54,10 +45,6 @@ class WorldChoice:
 
     def body(self, robot: Robot, simulation: SimulationParameters) -> "World":
         """Return a new world in its initial state.
-
-        Args:
-            robot: The robot; arm and mount are those of the description.
-            simulation: Parameters of floor, motors, mismatch and faults.
 
         Raises:
             ParameterError: A parameter is refused, or the robot would start in something.
@@ -72,8 +59,6 @@ def move_person(world: "World", person: Person, place: Array, velocity: Array) -
     """Put a person at a place, from where it moves on.
 
     Args:
-        world: The world.
-        person: The person, an element of its scene.
         place: Position (2,) in the world [m].
         velocity: Velocity (2,) in the world [m/s].
     """
@@ -89,8 +74,6 @@ def place_column(world: "World", column: Column, place: Array) -> None:
     """Put a column at a place.
 
     Args:
-        world: The world.
-        column: The column, an element of its scene.
         place: Position (2,) in the world [m].
     """
     world.engine.place(world.engine.body(column.name), float(place[0]), float(place[1]))
