@@ -1,1 +1,1 @@
-"""The laboratory: benchmarks, reproductions of the papers' experiments, studies and figures."""
+"""Experiments and benchmarks; all quantities are in SI units, unless their names say otherwise."""

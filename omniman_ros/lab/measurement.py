@@ -60,9 +60,6 @@ def best_cpu(work: Callable[[], object], min_block_time: float) -> float:
     """Return the CPU time of a function call in this process [s].
 
     It is the mean over a block of calls, the smallest of three blocks.
-
-    Args:
-        min_block_time: CPU time after which a block ends [s]; a block has at least one call.
     """
     best = math.inf
     for _ in range(3):
@@ -75,11 +72,7 @@ def best_cpu(work: Callable[[], object], min_block_time: float) -> float:
 
 
 def percentiles_ms(seconds: Sequence[float]) -> tuple[float, float, float]:
-    """Return the median, the 99th percentile (interpolated) and the maximum of times [ms].
-
-    Args:
-        seconds: At least one time [s].
-    """
+    """Return the median, the 99th percentile (interpolated) and the maximum of times [ms]."""
     median, p99, largest = 1e3 * np.percentile(
         np.asarray(seconds, dtype=float), (50.0, 99.0, 100.0)
     )

@@ -60,11 +60,7 @@ def request_priority(priority: int) -> None:
 
 
 def connected(port: int) -> socket.socket:
-    """Connect to a port of this machine as soon as a server listens on it.
-
-    Raises:
-        OSError: No server listens within `CONNECT_TIMEOUT`.
-    """
+    """Connect to a port of this machine as soon as a server listens on it."""
     end = time.monotonic() + CONNECT_TIMEOUT
     while True:
         try:
@@ -79,9 +75,6 @@ def connected(port: int) -> socket.socket:
 
 def block(out: socket.socket, seconds: float) -> list[float]:
     """Send at absolute deadlines, one per period.
-
-    Args:
-        seconds: Duration of the block [s].
 
     Returns:
         Intervals between the sends [s].

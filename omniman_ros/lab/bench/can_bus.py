@@ -106,9 +106,6 @@ def robot_of(wheels: int) -> Robot:
 def measure(wheels: int, rate: float, effort: Effort) -> dict[str, Any]:
     """Measure the bridge and both baselines in alternating blocks.
 
-    Args:
-        rate: Rate of the periods [Hz].
-
     Returns:
         Figures of the case.
     """
@@ -190,14 +187,7 @@ class _RecordingDrives(CanDrives):
 
 
 class Bridge:
-    """The bridge without ROS, in this process; its drives are ready after construction.
-
-    Args:
-        rate: Rate of its periods [Hz].
-
-    Raises:
-        CommandError: The drives are not ready in time, or have ended.
-    """
+    """The bridge without ROS, in this process; its drives are ready after construction."""
 
     def __init__(self, wheels: int, rate: float, port: int, check: Callable[[], None]) -> None:
         robot = robot_of(wheels)
@@ -268,7 +258,7 @@ class Bridge:
             raise CommandError(f"the drives stopped: {link.drives.stop_reason}")
 
     def repeat(self, periods: int, measured: Side) -> None:
-        """Run a block with python-can alone, which sends the bridge's frames to the same drives."""
+        """Run a block with python-can alone: the bridge's frames to the same drives."""
         frames = [
             can.Message(arbitration_id=frame.id, data=frame.data, is_extended_id=False)
             for frame in self._link.drives.tick(time.monotonic())
@@ -287,9 +277,6 @@ def _bare_trip(
     bus: can.BusABC, frames: list[can.Message], answers: int, due: float
 ) -> float | None:
     """Send frames and wait for the answers, the transmit PDOs 1 and 2 of the drives.
-
-    Args:
-        due: Deadline on the monotonic clock [s].
 
     Returns:
         The round-trip time [s]; None if not all answers have arrived by the deadline.
@@ -313,11 +300,7 @@ def _bare_block(
     periods: int,
     measured: Side,
 ) -> None:
-    """Run a block of periods with python-can alone.
-
-    Args:
-        period: Length of a period [s].
-    """
+    """Run a block of periods with python-can alone."""
     due = time.monotonic() + period
     for _ in range(periods):
         _sleep_until(due)
@@ -333,14 +316,7 @@ def _bare_block(
 
 
 class Echo:
-    """Exchanges as many frames as the bridge, but with an echo and by python-can alone.
-
-    Args:
-        rate: Rate of the periods [Hz].
-
-    Raises:
-        CommandError: The echo is not ready in time, or has ended.
-    """
+    """Exchanges as many frames as the bridge, but with an echo and by python-can alone."""
 
     def __init__(self, wheels: int, rate: float, port: int, check: Callable[[], None]) -> None:
         self._bus = open_bus(port)

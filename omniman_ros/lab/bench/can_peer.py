@@ -22,16 +22,7 @@ TORQUE_CONSTANT = 0.05  # torque constant of the motors [N m/A]
 
 
 class FreeMotor:
-    """A motor without inertia and load, which reaches its setpoint at once.
-
-    Attributes:
-        torque: Torque [N m].
-        current: Current [A].
-        voltage: Voltage [V].
-        supply: Supply voltage [V].
-        position: Angle [rad].
-        velocity: Angular velocity [rad/s].
-    """
+    """A motor without inertia and load, which reaches its setpoint at once."""
 
     torque = current = voltage = 0.0
     supply, lost = 48.0, False
@@ -95,11 +86,7 @@ def echo(bus: can.BusABC, wheels: int) -> None:
 
 
 def drive(bus: can.BusABC, wheels: int, rate: float) -> None:
-    """Simulate one CiA 402 drive per wheel, with the node ids 1, 2 and so on.
-
-    Args:
-        rate: Rate of the bridge, and lowest rate at which the drives advance [Hz].
-    """
+    """Simulate one CiA 402 drive per wheel, with the node ids 1, 2 and so on."""
     motors = [FreeMotor() for _ in range(wheels)]
     settings = Cia402Settings(
         counts=COUNTS, velocity_scale=COUNTS, rated_torque=1.0, rated_current=1.0 / TORQUE_CONSTANT

@@ -24,9 +24,6 @@ def tick_time(parameters: PlatformParameters, blocks: int, block: int) -> float:
 
     It is the mean over a block of ticks, the median of all blocks. The twist changes at every
     tick; the wheels turn as commanded at the previous tick.
-
-    Raises:
-        RuntimeError: The controller stopped, or `cmd_vel` was not the active source at the end.
     """
     core = PlatformController(parameters)
     position = np.zeros(parameters.robot.wheel_count)
@@ -57,9 +54,6 @@ def core_ticks(robot: Mapping[str, Any], blocks: int, block: int) -> dict[str, f
 
     Returns:
         CPU times by drive mode [us].
-
-    Raises:
-        RuntimeError: The controller did not drive.
     """
     base = build(PlatformParameters, robot)
     return {

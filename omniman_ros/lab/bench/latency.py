@@ -63,9 +63,6 @@ class CommandPath:
         """Measure the time from a step of the velocity to the first non-zero wheel command.
 
         The robot is at rest before the step, and again at the end.
-
-        Args:
-            pause: Time before the step [s].
         """
         self.session.spin(pause)
         before = time.monotonic()

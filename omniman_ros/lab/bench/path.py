@@ -59,7 +59,6 @@ def resampled(poses: Array, speed: float) -> Array:
 
     Args:
         poses: (n, 3) poses [m, m, rad].
-        speed: Speed along the straight lines between the poses [m/s].
 
     Returns:
         (k, 3) poses at 125 Hz [m, m, rad].
@@ -126,11 +125,7 @@ def core_stream(parameters: PathParameters, repeats: int) -> dict[str, float]:
 
 
 def stream(args: argparse.Namespace, seconds: float) -> dict[str, Any]:
-    """Measure the share of a core that the running nodes use, idle and while following a path.
-
-    Args:
-        seconds: Duration of each of the two measurements [s].
-    """
+    """Measure the share of a core that the running nodes use, idle and while following a path."""
     with running_nodes(robot_processes(RobotSetup(robot=args.robot, only=NODES))) as nodes:
         return _streamed(nodes, seconds)
 

@@ -16,9 +16,6 @@ def sweep(drive: Callable[..., R], tasks: Sequence[tuple[Any, ...]], jobs: int) 
     """Return the results of drives, in the order of the tasks.
 
     Each process has one thread, so that CPU times are those of the planner.
-
-    Args:
-        drive: Function of a module, whose last argument is a function that returns a time [s].
     """
     os.environ.update(SINGLE_THREADED)
     context = multiprocessing.get_context("spawn")
@@ -28,11 +25,7 @@ def sweep(drive: Callable[..., R], tasks: Sequence[tuple[Any, ...]], jobs: int) 
 
 
 def cycle_figures(times: Sequence[Sequence[float]]) -> dict[str, float]:
-    """Return the CPU time of cycles [ms]: over all drives, and the worst drive's percentile.
-
-    Args:
-        times: CPU times of the cycles of each drive [s].
-    """
+    """Return the CPU time of cycles [ms]: over all drives, and the worst drive's percentile."""
     median, p99, largest = percentiles_ms([taken for drive in times for taken in drive])
     worst = max(percentiles_ms(drive)[1] for drive in times)
     return {"median": median, "p99": p99, "worst_p99": worst, "max": largest}

@@ -44,12 +44,7 @@ COUNT_GROWTH = 8  # aim: largest growth of the number of descriptors or threads 
 
 
 class Watch:
-    """Collects what must hold all the while, from ground truth and from the processes.
-
-    Args:
-        half_size: Half length and half width of the platform [m].
-        speed_limit: Largest permitted speed of the platform [m/s].
-    """
+    """Collects what must hold all the while, from ground truth and from the processes."""
 
     def __init__(
         self,
@@ -160,9 +155,6 @@ def run(args: argparse.Namespace) -> int:
 def soak(robot_name: str, seconds: float, seed: int, sim_time: bool) -> dict[str, Any]:
     """Drive and disturb a robot.
 
-    Args:
-        seconds: Duration [s].
-
     Returns:
         The figures.
     """
@@ -192,11 +184,7 @@ def soak(robot_name: str, seconds: float, seed: int, sim_time: bool) -> dict[str
 
 
 def drive(robot: RunningRobot, activities: Activities, watch: Watch, end: float) -> str:
-    """Perform activities until a time [s]; return why that could not go on, or an empty string.
-
-    Raises:
-        KeyboardInterrupt: A signal was received.
-    """
+    """Perform activities until a time [s]; return why that could not go on, or an empty string."""
     while robot.session.now() < end:
         try:
             activities.perform()

@@ -43,9 +43,6 @@ START_TIMEOUT = 20.0  # longest time until the node answers [s]
 def measure(robot: Mapping[str, Any], scenes: int, seconds: float) -> dict[str, Any]:
     """Track people in scenes of the physics world.
 
-    Args:
-        seconds: Simulated duration of each [s].
-
     Returns:
         Figures of people who give way, of those who turn on the spot, and of a crowd.
     """
@@ -92,9 +89,6 @@ def measure(robot: Mapping[str, Any], scenes: int, seconds: float) -> dict[str, 
 
 def measure_latency(robot_name: str, seconds: float) -> dict[str, float]:
     """Measure the time from the stamp of a scan to the arrival of its obstacles.
-
-    Args:
-        seconds: Duration [s].
 
     Returns:
         Median, 99th percentile and maximum [ms], and the node's share of a core.

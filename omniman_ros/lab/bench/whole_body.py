@@ -1,160 +1,111 @@
 """`omniman bench whole_body`: planning and streaming of tool paths, inverse kinematics.
 
-All times are CPU times of this process or of the running nodes, as the machine may be busy with
-other work.
+All times are CPU times, as the machine may be busy with other work. Planning is compared with
+resampling at constant speed, which jumps in velocity; the closed form of the inverse kinematics
+with Newton's method in numpy and with `pin`, the Python package of Pinocchio, which loads the
+robot's own URDF and is measured only if it is installed.
 """
 
 import argparse
+import importlib
+import math
 import os
-import statistics
 import time
-from dataclasses import dataclass
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Path
+from std_msgs.msg import Float64
 
+from omniman_ros.console.errors import CommandError
+from omniman_ros.console.session import DISCOVERY_TIMEOUT
 from omniman_ros.console.terminal import say
+from omniman_ros.conversions import arm as arm_conversions
+from omniman_ros.core.arm_model import JOINTS, ArmModel
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import build
-from omniman_ros.lab.bench import whole_body_inverse as inverse
-from omniman_ros.lab.bench import whole_body_stream as stream
-from omniman_ros.lab.bench.harness import Rows, conclude, cpu_share_rows, tables
-from omniman_ros.lab.measurement import median_cpu
-from omniman_ros.lab.studies.tool_courses import COURSES, POSTURE, start
+from omniman_ros.description.urdf import TOOL, urdf
+from omniman_ros.lab.bench.harness import (
+    LENIENT,
+    Rows,
+    conclude,
+    cpu_share_rows,
+    running_nodes,
+    tables,
+)
+from omniman_ros.lab.measurement import best_cpu, median_cpu
+from omniman_ros.lab.studies.tool_courses import COURSES, POSTURE, start, tool_poses
 from omniman_ros.motion.axes import PLATFORM_AXES
 from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
-from omniman_ros.motion.whole_body.model import WholeBodyModel, planar_transform
-from omniman_ros.motion.whole_body.posture import PostureResolver
-from omniman_ros.motion.whole_body.tool_curve import ToolCurve
+from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.motion.whole_body.tool_planner import ToolPlan, ToolPlanner
-from omniman_ros.motion.whole_body.tool_timing import ToolTimer
-from omniman_ros.motion.whole_body.whole_body_path import WholeBodyPath
 from omniman_ros.nodes.trajectory_interfaces.parameters import PathInterpolatorParameters
-from omniman_ros.processes.robot_setup import resolve_robot
+from omniman_ros.processes.robot_setup import RobotSetup, resolve_robot, robot_processes
 from omniman_ros.processes.ros_domain import isolate_ros_domain
 from omniman_ros.robots import load_robot
 
-PATH_LENGTHS = {100: 4.0, 10_000: 12.0}
-"""Lengths of the paths in the plane, by their number of poses [m]."""
-STREAMED = ("circle", 10_000)
-"""Name of the course, and number of poses, of the path whose previews are measured."""
+PATH_LENGTHS = {100: 4.0, 10_000: 12.0}  # lengths in the plane, by number of poses [m]
+STREAMED = ("circle", 10_000)  # path that the running nodes follow
+NODES = (
+    "platform_controller",
+    "path_interpolator",
+    "simulated_drive",
+    "arm_streamer",
+    "simulated_ur",
+)
+SETTLING_TIME = 2.0  # before each measurement of the nodes [s]
+BATCHES = (1, 100, 10_000)  # numbers of poses for which one call of the closed form solves
+INITIAL_OFFSET = 0.1  # absolute difference of each joint's initial angle from the solution [rad]
+TOLERANCE = 1e-9  # norm of the pose error (m, rad) at which iterations end
+DAMPING = 1e-12  # of the least-squares steps, added to the diagonal of J J^T
+ITERATIONS = 100  # most steps of an iteration
+
+Solve = Callable[[Array, Array], Array | None]
+"""An iterative solver: from the tool's pose (4, 4) in the base frame of the DH table and initial
+joint angles (6,) to those of the pose [rad], or None without convergence."""
 
 
-@dataclass(frozen=True)
-class Effort:
-    """Extent of the measurement."""
-
-    courses: tuple[str, ...]  # names of the courses of the paths
-    plans: int  # number of plans of each path
-    blocks: int  # number of blocks of previews
-    tries: int  # number of poses for which each iterative solver solves
-    min_block_time: float  # shortest CPU time of a block of calls of the closed form [s]
-    seconds: float  # time for which the nodes are measured, once at rest and once driving [s]
-
-
-FULL = Effort(tuple(COURSES), plans=7, blocks=9, tries=300, min_block_time=0.3, seconds=12.0)
-"""Extent without options."""
-QUICK = Effort(("circle",), plans=1, blocks=2, tries=10, min_block_time=0.01, seconds=2.0)
-"""Extent with `--quick`."""
-
-
-class PlanningBench:
-    """Plans tool paths of a robot and measures the planning."""
-
-    def __init__(self, parameters: PathInterpolatorParameters) -> None:
-        p = parameters
-        self._options = p.tool_path
-        self.model = WholeBodyModel(p.mount)
-        self.limits = WholeBodyLimits.of_whole_body(p.core, p.arm)
-        self._planner = ToolPlanner(self.model, self.limits, p.tool_path)
-        self._resolver = PostureResolver(self.model, self.limits, p.tool_path)
-        self._timer = ToolTimer(self.limits, p.tool_path)
-
-    def plan(self, poses: Array) -> ToolPlan:
-        """Return the plan of a tool path from the start of the courses.
-
-        Args:
-            poses: (k, 4, 4) poses of the tool in odom, lengths in metres.
-        """
-        return self._planner.plan(poses, start())
-
-    def figures(self, poses: Array, repeats: int) -> dict[str, Any]:
-        """Measure the CPU time of planning a tool path, and the quality of the plan.
-
-        Args:
-            poses: (k, 4, 4) poses of the tool in odom, lengths in metres.
-
-        Returns:
-            CPU times of planning, in total and by parts, and figures of the plan.
-        """
-        plan = self.plan(poses)
-        cpu_time = median_cpu(lambda: self.plan(poses), repeats)
-        speed = self._options.linear_velocity
-        parts = self._parts(poses, repeats)
-        parts["checks"] = max(1e3 * cpu_time - sum(parts.values()), 0.0)
-        plain = median_cpu(lambda: resampled(self.model, poses, speed), repeats)
-        shortest = plan.length / speed
-        return {
-            "planning_ms": 1e3 * cpu_time,
-            "parts_ms": parts,
-            "plain_resampling_ms": 1e3 * plain,
-            "ratio": cpu_time / plain,
-            "length_m": plan.length,
-            "duration_s": plan.curve.duration,
-            "duration_ratio": plan.curve.duration / shortest,
-            "limits_used": limits_used(plan, self.limits),
-            **quality(plan, self.model),
-        }
-
-    def _parts(self, poses: Array, repeats: int) -> dict[str, float]:
-        """Return the median CPU time of each part of planning except the checks [ms]."""
-        times: dict[str, list[float]] = {"curve": [], "postures": [], "timing": []}
-        here = start()
-        frame = planar_transform(here[:3])
-        all_poses = np.linalg.inv(frame) @ np.concatenate([self.model.forward(here)[None], poses])
-        branch = self.model.arm.branch_of(here[3:])
-        for _ in range(repeats):
-            marks = [time.process_time()]
-            path = ToolCurve(all_poses, self._options, frame)
-            marks.append(time.process_time())
-            local = np.concatenate([np.zeros(len(PLATFORM_AXES)), here[3:]])
-            postures = self._resolver.resolve(path, local)
-            marks.append(time.process_time())
-            self._timer.timed(WholeBodyPath(self.model, path, postures, branch))
-            marks.append(time.process_time())
-            for name, cpu_time in zip(times, np.diff(marks).tolist(), strict=True):
-                times[name].append(1e3 * cpu_time)
-        return {name: statistics.median(values) for name, values in times.items()}
-
-
-def course_poses(model: WholeBodyModel, name: str, length: float, count: int) -> Array:
-    """Return equidistant poses of the tool along a course, from the start of the courses.
-
-    Args:
-        length: Length of the path in the plane [m].
-
-    Returns:
-        (count, 4, 4) poses of the tool in odom, lengths in metres.
-    """
-    course = COURSES[name](np.linspace(0.0, length, count), length)
-    poses = np.tile(model.forward(start()), (count, 1, 1))
-    poses[:, :3, 3] += course[:, :3]
-    turn = planar_transform(np.column_stack([np.zeros((count, 2)), course[:, 3]]))[:, :3, :3]
-    poses[:, :3, :3] = turn @ poses[:, :3, :3]
-    return poses
+def plan_figures(
+    parameters: PathInterpolatorParameters, poses: Array, repeats: int
+) -> dict[str, Any]:
+    """Measure the CPU time of planning a path of poses (k, 4, 4), and the quality of the plan."""
+    model = WholeBodyModel(parameters.mount)
+    limits = WholeBodyLimits.of_whole_body(parameters.core, parameters.arm)
+    planner = ToolPlanner(model, limits, parameters.tool_path)
+    plan, speed = planner.plan(poses, start()), parameters.tool_path.linear_velocity
+    planning = median_cpu(lambda: planner.plan(poses, start()), repeats)
+    plain = median_cpu(lambda: resampled(model, poses, speed), repeats)
+    q = plan.curve.positions
+    # Manipulability is |det J| of the arm alone, after T. Yoshikawa (1985), lengths in metres.
+    manipulability = np.abs(np.linalg.det(model.arm.jacobian(q[:, 3:])))
+    reach = np.linalg.norm(model.arm.forward(q[:, 3:])[:, :3, 3], axis=1)
+    return {
+        "planning_ms": 1e3 * planning,
+        "plain_resampling_ms": 1e3 * plain,
+        "ratio": planning / plain,
+        "length_m": plan.length,
+        "duration_s": plan.curve.duration,
+        "duration_ratio": plan.curve.duration * speed / plan.length,
+        "limits_used": limits_used(plan, limits),
+        "least_manipulability": float(manipulability.min()),
+        "first_manipulability": float(manipulability[0]),
+        "largest_reach_m": float(reach.max()),
+    }
 
 
 def resampled(model: WholeBodyModel, poses: Array, speed: float) -> Array:
-    """Resample a tool path at constant speed, with jumps in velocity and without any limits.
+    """Resample a tool path at constant speed [m/s], with jumps in velocity and without any limits.
 
-    This is the plainest interpolation possible, the baseline of the planning time. The tool moves
-    straight from pose to pose, the platform moves with it without turning, and the joint angles
-    follow from the inverse kinematics in closed form.
+    This is the plainest interpolation possible. The tool moves straight from pose to pose, the
+    platform moves with it without turning, and the joint angles follow from the inverse kinematics
+    in closed form.
 
     Args:
         poses: (n, 4, 4) poses of the tool in odom, lengths in metres.
-        speed: Speed of the tool [m/s].
 
     Returns:
         (k, 9) positions of all axes at 125 Hz: platform [m, m, rad], joints [rad].
@@ -164,9 +115,8 @@ def resampled(model: WholeBodyModel, poses: Array, speed: float) -> Array:
     distance = np.concatenate([[0.0], np.cumsum(steps)])
     at = np.arange(0.0, distance[-1], speed * TICK)
     tool = poses[np.searchsorted(distance, at, side="right") - 1]
-    tool[:, :3, 3] = np.column_stack(
-        [np.interp(at, distance, column) for column in poses[:, :3, 3].T]
-    )
+    each = [np.interp(at, distance, column) for column in poses[:, :3, 3].T]
+    tool[:, :3, 3] = np.column_stack(each)
     platform = np.tile(here[:3], (len(at), 1))
     platform[:, :2] += tool[:, :2, 3] - tool[0, :2, 3]
     branch = model.arm.branch_of(here[3:])
@@ -174,77 +124,188 @@ def resampled(model: WholeBodyModel, poses: Array, speed: float) -> Array:
 
 
 def limits_used(plan: ToolPlan, limits: WholeBodyLimits) -> dict[str, Any]:
-    """Return the largest share of the limits that a plan uses, and the axis that uses it.
+    """Return the largest share of each limit that a plan uses, and the axis that uses it.
 
     The limits of odom_x and odom_y hold for the magnitude of both as a vector.
-
-    Returns:
-        Share and axis for each of velocity, acceleration and jerk.
     """
     curve, largest = plan.curve, {}
-    jerks = np.diff(curve.accelerations, axis=0) / TICK
     for name, values, bounds in (
         ("velocity", curve.velocities, limits.velocity),
         ("acceleration", curve.accelerations, limits.acceleration),
-        ("jerk", jerks, limits.jerk),
+        ("jerk", np.diff(curve.accelerations, axis=0) / TICK, limits.jerk),
     ):
         sizes = np.abs(values)
         sizes[:, :2] = np.hypot(values[:, 0], values[:, 1])[:, None]
         shares = (sizes / bounds).max(axis=0)
         k = int(shares.argmax())
-        largest[name] = {
-            "share": float(shares[k]),
-            "axis": "odom_xy" if k < 2 else limits.names[k],
-        }
+        axis = "odom_xy" if k < 2 else limits.names[k]
+        largest[name] = {"share": float(shares[k]), "axis": axis}
     return largest
 
 
-def quality(plan: ToolPlan, model: WholeBodyModel) -> dict[str, float]:
-    """Return figures of how well a plan uses the redundancy: the arm's manipulability and reach.
+def measure_shares(robot: str, poses: Array, seconds: float) -> dict[str, Any]:
+    """Measure the share of a core that the nodes use, at rest and along a path (k, 4, 4) [m]."""
+    initial = f"simulated_arm.initial:={[float(angle) for angle in POSTURE]}"
+    setup = RobotSetup(robot=robot, only=NODES, params=(initial, *LENIENT))
+    path = Path()
+    path.header.frame_id = "odom"
+    for pose in poses:
+        stamped = PoseStamped()
+        arm_conversions.fill_pose(stamped.pose, pose)
+        path.poses.append(stamped)
+    progress, seen = [0.0], {"tool_pose": 0, "tool_reference": 0}
 
-    Manipulability is |det J| of the arm alone with lengths in metres, after T. Yoshikawa,
-    "Manipulability of Robotic Mechanisms" (1985). The reach is the distance of the tool from the
-    arm's base.
+    def note(topic: str) -> Callable[[PoseStamped], None]:
+        return lambda _: seen.update({topic: seen[topic] + 1})
+
+    with running_nodes(robot_processes(setup)) as nodes:
+        node = nodes.session.node
+
+        def on_progress(message: Float64) -> None:
+            progress.append(message.data)
+
+        node.create_subscription(Float64, "path_progress", on_progress, 10)
+        for topic in seen:
+            node.create_subscription(PoseStamped, topic, note(topic), 50)
+        paths = node.create_publisher(Path, "tool_path", 10)
+        nodes.wait(lambda: seen["tool_pose"] > 0, DISCOVERY_TIMEOUT, "no tool_pose")
+        heard = "no subscriber of tool_path"
+        nodes.wait(lambda: paths.get_subscription_count() > 0, DISCOVERY_TIMEOUT, heard)
+        nodes.serve(SETTLING_TIME)
+        idle = nodes.cpu_shares(NODES, seconds)
+        paths.publish(path)
+        nodes.wait(lambda: progress[-1] > 0.0, 30.0, "the robot did not start on the path")
+        nodes.serve(min(SETTLING_TIME, seconds))
+        before, begin = seen["tool_reference"], time.monotonic()
+        driving = nodes.cpu_shares(NODES, seconds)
+        rate = (seen["tool_reference"] - before) / (time.monotonic() - begin)
+        if not rate > 0.0 or progress[-1] >= 1.0:
+            raise CommandError(f"the robot did not follow the path: progress {progress[-1]:.0%}")
+    return {"idle": idle, "driving": driving, "previews_per_s": rate}
+
+
+def newton(model: ArmModel) -> Solve:
+    """Return damped Newton steps in numpy, with forward kinematics and Jacobian of `ArmModel`."""
+
+    def solve(pose: Array, q: Array) -> Array | None:
+        for _ in range(ITERATIONS):
+            error = pose_error(model.forward(q), pose)
+            if math.sqrt(float(error @ error)) < TOLERANCE:
+                return q
+            jacobian = model.jacobian(q)
+            square = jacobian @ jacobian.T + DAMPING * np.eye(JOINTS)
+            q = q + jacobian.T @ np.linalg.solve(square, error)
+        return None
+
+    return solve
+
+
+def with_pin(
+    pin: Any, parameters: PathInterpolatorParameters
+) -> tuple[Solve, Callable[[Array], Array]]:
+    """Return `pin`'s closed-loop inverse kinematics with whole steps, and its forward kinematics.
+
+    The iteration is the example of Pinocchio's documentation (inverse-kinematics.py). The model is
+    made from the robot's URDF, with all other joints locked.
     """
-    q = plan.curve.positions
-    manipulability = np.abs(np.linalg.det(model.arm.jacobian(q[:, 3:])))
-    reach = np.linalg.norm(model.arm.forward(q[:, 3:])[:, :3, 3], axis=1)
-    return {
-        "least_manipulability": float(manipulability.min()),
-        "first_manipulability": float(manipulability[0]),
-        "largest_reach_m": float(reach.max()),
-        "first_reach_m": float(reach[0]),
-    }
+    arm, mount = parameters.arm, parameters.mount
+    whole = pin.buildModelFromXML(urdf(parameters.core.robot, arm, mount, with_arm=True))
+    locked = [i for i, name in enumerate(whole.names) if i and name not in arm.joints]
+    model = pin.buildReducedModel(whole, locked, pin.neutral(whole))
+    data, frame = model.createData(), model.getFrameId(TOOL)
+    tool = model.frames[frame]
+    joint = tool.parentJoint if hasattr(tool, "parentJoint") else tool.parent
+    base = pin.SE3(WholeBodyModel(mount).base(np.zeros(len(PLATFORM_AXES))))
+
+    def solve(pose: Array, q: Array) -> Array | None:
+        goal = base * pin.SE3(pose) * tool.placement.inverse()
+        for _ in range(ITERATIONS):
+            pin.forwardKinematics(model, data, q)
+            to_goal = data.oMi[joint].actInv(goal)
+            error = pin.log6(to_goal).vector
+            if math.sqrt(float(error @ error)) < TOLERANCE:
+                return q
+            local = pin.computeJointJacobian(model, data, q, joint)
+            jacobian = pin.Jlog6(to_goal.inverse()) @ local
+            square = jacobian @ jacobian.T + DAMPING * np.eye(JOINTS)
+            q = pin.integrate(model, q, jacobian.T @ np.linalg.solve(square, error))
+        return None
+
+    def forward(q: Array) -> Array:
+        pin.framesForwardKinematics(model, data, q)
+        return np.asarray((base.inverse() * data.oMf[frame]).homogeneous)
+
+    return solve, forward
+
+
+def pose_error(here: Array, goal: Array) -> Array:
+    """Return the error (6,) of a pose (4, 4): translation [m] and rotation vector [rad]."""
+    turn = goal[:3, :3] @ here[:3, :3].T
+    pairs = ((2, 1), (0, 2), (1, 0))
+    axis = 0.5 * np.array([turn[i, j] - turn[j, i] for i, j in pairs])
+    sine = math.sqrt(float(axis @ axis))
+    angle = math.atan2(sine, 0.5 * (float(np.trace(turn)) - 1.0))
+    return np.concatenate([goal[:3, 3] - here[:3, 3], axis * (angle / sine if sine else 1.0)])
+
+
+def measure_inverse(
+    parameters: PathInterpolatorParameters, tries: int, block_time: float
+) -> dict[str, Any]:
+    """Measure poses per second of the closed form, in blocks of a CPU time [s], and of peers."""
+    model, random = WholeBodyModel(parameters.mount).arm, np.random.default_rng(8)
+    # Uniform joint angles, singular configurations included.
+    angles = random.uniform(-math.pi, math.pi, (max(BATCHES), JOINTS))
+    near = angles + INITIAL_OFFSET * random.choice([-1.0, 1.0], angles.shape)
+    poses = model.forward(angles)
+    rates: dict[str, Any] = {"all_eight": {}, "one_branch": {}}
+    for batch in BATCHES:
+        some = poses[:batch]
+        one_branch = best_cpu(partial(model.inverse_on_branch, some, 0), block_time)
+        rates["all_eight"][str(batch)] = batch / best_cpu(partial(model.inverse, some), block_time)
+        rates["one_branch"][str(batch)] = batch / one_branch
+    found = model.inverse(poses)
+    exists = np.asarray(np.isfinite(found).all(axis=2), dtype=bool)
+    errors = np.abs(model.forward(np.where(exists[..., None], found, 0.0)) - poses[:, None])
+    result = {**rates, "success": float(np.mean(exists.any(axis=1)))}
+    result["worst_pose_error"] = float(errors[exists].max())
+    solvers = {"Newton in numpy": newton(model)}
+    try:
+        pin = importlib.import_module("pinocchio")
+    except ImportError:
+        result["pin_difference"] = None
+    else:
+        solvers["pin, whole steps"], forward = with_pin(pin, parameters)
+        off = [np.abs(forward(q) - pose).max() for q, pose in zip(angles, poses, strict=True)]
+        result["pin_difference"] = float(max(off))
+    result["iterations"] = {}
+    for name, solve in solvers.items():
+        begin = time.process_time()
+        pairs = zip(poses[:tries], near, strict=False)
+        solved = sum(solve(pose, q) is not None for pose, q in pairs)
+        rate = solved / (time.process_time() - begin)  # the time of failures counts, too
+        result["iterations"][name] = {"per_second": rate, "success": solved / tries}
+    return result
 
 
 def run(args: argparse.Namespace) -> int:
     """Run `omniman bench whole_body`; return 0, the exit code of a successful measurement."""
-    effort = QUICK if args.quick else FULL
     robot = resolve_robot(args.robot)
     parameters = build(PathInterpolatorParameters, load_robot(robot))
     isolate_ros_domain(os.environ)
-    bench = PlanningBench(parameters)
+    model = WholeBodyModel(parameters.mount)
+    plans, tries, block_time, seconds = (1, 10, 0.01, 2.0) if args.quick else (7, 300, 0.3, 12.0)
     result: dict[str, Any] = {"robot": args.robot, "quick": args.quick, "planning": {}}
     say("planning ...")
-    for name in effort.courses:
+    for name in ("circle",) if args.quick else COURSES:
         for count, length in PATH_LENGTHS.items():
-            poses = course_poses(bench.model, name, length, count)
-            result["planning"][f"{name} {count}"] = bench.figures(poses, effort.plans)
-    say("previews ...")
-    name, count = STREAMED
-    poses = course_poses(bench.model, name, PATH_LENGTHS[count], count)
-    plan = bench.plan(poses)
-    result["preview_us"] = stream.measure_previews(parameters, robot, plan, effort.blocks)
+            poses = tool_poses(model, name, length, count)
+            result["planning"][f"{name} {count}"] = plan_figures(parameters, poses, plans)
     say("inverse kinematics ...")
-    result["inverse"] = inverse.measure(
-        parameters.core.robot,
-        parameters.arm,
-        parameters.mount,
-        effort.tries,
-        effort.min_block_time,
-    )
-    say(f"CPU of the nodes, twice {effort.seconds:g} s ...")
-    result["cpu_share"] = stream.measure_shares(robot, POSTURE, poses, effort.seconds)
+    result["inverse"] = measure_inverse(parameters, tries, block_time)
+    say(f"CPU of the nodes, twice {seconds:g} s ...")
+    name, count = STREAMED
+    poses = tool_poses(model, name, PATH_LENGTHS[count], count)
+    result["cpu_share"] = measure_shares(robot, poses, seconds)
     return conclude("whole_body", result, report, args.results)
 
 
@@ -252,84 +313,34 @@ def report(result: dict[str, Any]) -> list[str]:
     """Return the lines of the report on a result."""
     rows: Rows = [("", "value", "compared with")]
     for label, row in result["planning"].items():
-        rows += _plan_rows(label, row)
-    rows += _stream_rows(result["preview_us"], result["cpu_share"])
-    rows += inverse.rows(result["inverse"])
-    return tables(rows)
-
-
-def _plan_rows(label: str, row: dict[str, Any]) -> Rows:
-    name, count = label.split()
-    parts = ", ".join(f"{part} {cpu_time:.0f}" for part, cpu_time in row["parts_ms"].items())
-    limits = ", ".join(
-        f"{kind} {100.0 * usage['share']:.0f} % ({usage['axis']})"
-        for kind, usage in row["limits_used"].items()
-    )
-    return [
-        (
-            f"planning, {name} of {row['length_m']:.1f} m, {int(count):,} poses, CPU",
-            f"{row['planning_ms']:.0f} ms",
-            f"{parts} ms",
-        ),
-        (
-            "  plain resampling, which jumps in velocity",
-            f"{row['plain_resampling_ms']:.1f} ms",
-            f"planning takes {row['ratio']:.0f} times as long",
-        ),
-        (
-            "  duration",
-            f"{row['duration_s']:.2f} s",
-            f"{row['duration_ratio']:.3f} of length / linear_velocity",
-        ),
-        ("  largest share of a limit that is used", "", limits),
-        (
-            "  smallest manipulability of the arm",
-            f"{row['least_manipulability']:.4f}",
-            f"{row['first_manipulability']:.4f} at the start",
-        ),
-        (
-            "  largest distance of the tool from the arm's base",
-            f"{row['largest_reach_m']:.3f} m",
-            f"{row['first_reach_m']:.3f} m at the start",
-        ),
-    ]
-
-
-def _stream_rows(preview: dict[str, Any], share: dict[str, Any]) -> Rows:
-    rows: Rows = []
-    for name, text in (("arm", "preview of the arm"), ("both", "preview of platform and arm")):
-        row = preview[name]
-        rows.append(
-            (
-                f"CPU time of a {text}, corrected",
-                f"{row['corrected']:.0f} us",
-                f"{row['planned']:.0f} us without correction",
-            )
+        about = (
+            f"planning, {label.split()[0]} of {row['length_m']:.1f} m, {label.split()[1]} poses"
         )
-        rows.append(
-            (
-                "  including its messages; published by the node",
-                f"{row['and_filled']:.0f}; {row['and_published']:.0f} us",
-                "",
-            )
-        )
-    rows.append(
-        ("CPU time of processing a message on odom", f"{preview['receive_odom']:.0f} us", "")
-    )
-    tick = preview["tick"]
-    rows.append(
-        (
-            f"CPU time per streamed tick of {1e3 * TICK:g} ms, computed from the above",
-            f"{tick['and_published']:.0f} us",
-            f"{tick['corrected']:.0f} us without messages; arm at {stream.ARM_RATE:g} Hz",
-        )
-    )
-    rows += cpu_share_rows(share, "at rest")
-    rows.append(
-        (
-            "CPU time per streamed tick, path_interpolator as a whole",
-            f"{share['cpu_per_tick_us']:.0f} us",
-            f"{share['previews_per_s']:.0f} previews per second",
-        )
-    )
-    return rows
+        plain = f"{row['ratio']:.0f} times plain resampling ({row['plain_resampling_ms']:.1f} ms)"
+        rows.append((about, f"{row['planning_ms']:.0f} ms", plain))
+        longer = f"{row['duration_ratio']:.3f} of length / linear_velocity"
+        rows.append(("  duration", f"{row['duration_s']:.2f} s", longer))
+        used = row["limits_used"].items()
+        limits = (f"{kind} {100 * use['share']:.0f} % ({use['axis']})" for kind, use in used)
+        rows.append(("  largest share of a limit that is used", "", ", ".join(limits)))
+        first = f"{row['first_manipulability']:.4f} at the start"
+        least = f"{row['least_manipulability']:.4f}"
+        rows.append(("  smallest manipulability of the arm", least, first))
+        reach = f"{row['largest_reach_m']:.3f} m"
+        rows.append(("  largest distance of the tool from the arm's base", reach, ""))
+    rows += cpu_share_rows(result["cpu_share"], "at rest")
+    rows.append(("previews per second", f"{result['cpu_share']['previews_per_s']:.0f}", ""))
+    ours = result["inverse"]
+    batches = ", ".join(f"{batch:,}" for batch in BATCHES)
+    for name in ("all_eight", "one_branch"):
+        each = ", ".join(f"{rate:,.0f}" for rate in ours[name].values())
+        about = f"inverse kinematics, {name.replace('_', ' ')}"
+        rows.append((about, f"{each} /s", f"{batches} poses per call"))
+    found = f"{100 * ours['success']:g} % found"
+    rows.append(("  largest pose error", f"{ours['worst_pose_error']:.1e}", found))
+    for name, row in ours["iterations"].items():
+        solved = f"{100 * row['success']:.1f} % solved from {INITIAL_OFFSET:g} rad away"
+        rows.append((f"  {name}, to {TOLERANCE:g}", f"{row['per_second']:,.0f} /s", solved))
+    off = ours["pin_difference"]
+    known = "not installed: pip install pin" if off is None else f"{off:.1e}"
+    return tables([*rows, ("pin: largest difference of poses", known, "")])

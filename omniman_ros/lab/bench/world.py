@@ -45,7 +45,6 @@ def real_time_factor(drives: SimulatedDrives, direction: Any, seconds: float) ->
 
     Args:
         direction: Wheel speeds (n,) of a motion to the robot's left at `SPEED` [rad/s].
-        seconds: Simulated duration of a run [s].
     """
     best, tick = 0.0, 0
     drives.advance(0.0)
@@ -62,9 +61,6 @@ def real_time_factor(drives: SimulatedDrives, direction: Any, seconds: float) ->
 
 def measure(robot: Mapping[str, Any], seconds: float) -> dict[str, Any]:
     """Measure the plant and the world on both kinds of wheels.
-
-    Args:
-        seconds: Simulated duration of each run [s].
 
     Returns:
         Speeds over real time, and the CPU time of a scan.

@@ -34,12 +34,7 @@ class NodeShare:
 
 
 def node_share(robot: str, scene: str, wheels: str, seconds: float, speed: float) -> NodeShare:
-    """Measure the node among all nodes of `omniman up --world` but the viewer.
-
-    Args:
-        seconds: Duration of each measurement in real time [s].
-        speed: Speed of the platform [m/s].
-    """
+    """Measure the node among all nodes of `omniman up --world` but the viewer."""
     isolate_ros_domain(os.environ)
     setup = RobotSetup(
         robot=robot, sim_time=True, world=scene, params=(f"world.wheels:={wheels}",)
@@ -54,11 +49,7 @@ def node_share(robot: str, scene: str, wheels: str, seconds: float, speed: float
 
 
 class _Meter:
-    """Drives the robot, and measures the node meanwhile.
-
-    Attributes:
-        time: Latest time on /clock [s].
-    """
+    """Drives the robot, and measures the node meanwhile."""
 
     def __init__(self, nodes: RunningNodes) -> None:
         self.time = 0.0
@@ -71,12 +62,7 @@ class _Meter:
         self.time = time_seconds(message.clock)
 
     def measure(self, seconds: float, speed: float) -> tuple[float, float]:
-        """Return CPU time per simulated time [%], and simulated over real time.
-
-        Args:
-            seconds: Duration in real time [s].
-            speed: Speed along a circle [m/s].
-        """
+        """Return CPU time per simulated time [%], and simulated over real time."""
 
         def feed(_: float) -> None:
             angle = CIRCLES * self.time

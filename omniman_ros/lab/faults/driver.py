@@ -37,11 +37,6 @@ def cruise(ramp: float, duration: float, step: float) -> tuple[Array, Array, Arr
 
     The speed rises and falls by the cubic 3 u^2 - 2 u^3 of the share u of the ramp's time.
 
-    Args:
-        ramp: Time of each ramp [s].
-        duration: Time at speed 1 [s].
-        step: Time between two samples [s].
-
     Returns:
         Times (m,) [s], ways (m,) [s] and speeds (m,); the last sample is at rest.
     """

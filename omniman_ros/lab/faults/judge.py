@@ -42,9 +42,6 @@ def judge_stop(times: Array, speeds: Array, fault: float, end: float, still: flo
     Args:
         times: Times (m,) of the samples, increasing [s].
         speeds: Speeds (m,) at these times [m/s or rad/s], not negative.
-        fault: Time of the fault [s].
-        end: Time until which the motion is judged [s].
-        still: Speed below which it is at rest [m/s or rad/s].
 
     Returns:
         The judgement. Without samples before or after the fault, nothing has happened.

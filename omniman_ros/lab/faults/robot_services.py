@@ -16,12 +16,7 @@ CALLS = 3  # number of calls of a service that does not answer
 
 
 class RobotServices:
-    """Clients of the services of the robot's nodes.
-
-    Args:
-        wait: Serves callbacks until a condition holds, and returns whether it did within a
-            timeout [s].
-    """
+    """Clients of the services of the robot's nodes."""
 
     def __init__(self, node: Node, wait: Callable[[Callable[[], bool], float], bool]) -> None:
         self._node, self._wait = node, wait

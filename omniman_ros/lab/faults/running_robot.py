@@ -84,21 +84,13 @@ class RunningRobot:
         self._interrupted = True
 
     def check(self) -> None:
-        """Raise an error after a signal.
-
-        Raises:
-            KeyboardInterrupt: A signal was received.
-        """
+        """Raise an error after a signal."""
         if self._interrupted:
             raise KeyboardInterrupt
         self.on_check()
 
     def wait(self, condition: Callable[[], bool], timeout: float) -> bool:
-        """Serve callbacks until a condition holds; return whether it did within the timeout [s].
-
-        Raises:
-            KeyboardInterrupt: A signal was received.
-        """
+        """Serve callbacks until a condition holds; return whether it did in time."""
 
         def checked() -> bool:
             self.check()
@@ -133,11 +125,7 @@ class RunningRobot:
         return all(self.stop_states.get(name) == DiagnosticStatus.OK for name in MOVERS)
 
     def release(self, timeout: float) -> bool:
-        """Reset all stopped nodes until all are running; return whether they are.
-
-        Args:
-            timeout: Longest time [s].
-        """
+        """Reset all stopped nodes until all are running; return whether they are."""
         for _ in range(math.ceil(timeout / RESET_PERIOD)):
             if self.is_released:
                 break

@@ -33,12 +33,7 @@ BEFORE, AFTER = 2.0, 1.0  # time that is shown before and after the judged time 
 def draw(
     robot: Robot, runs: Sequence[Run], position_bound: float, heading_bound: float, path: Path
 ) -> None:
-    """Draw the study as a PNG file.
-
-    Args:
-        position_bound: Bound of the distance from the station [m].
-        heading_bound: Bound of the heading error [rad].
-    """
+    """Draw the study as a PNG file."""
     by_course = {run.case.course: run for run in reversed(runs)}
     courses = list(dict.fromkeys(run.case.course for run in runs))
     with figure_style():

@@ -23,12 +23,7 @@ UNCORRECTED_COLOUR = RED  # colour of drives without the arm's correction
 
 
 def draw(runs: Sequence[Run], rms_bound: float, max_bound: float, path: Path) -> None:
-    """Draw the study as a PNG file: a row for each course, a column for each kind of wheels.
-
-    Args:
-        rms_bound: Bound of the RMS error [m].
-        max_bound: Bound of the largest error [m].
-    """
+    """Draw the study as a PNG file: a row for each course, a column for each kind of wheels."""
     courses = list(dict.fromkeys(run.course for run in runs))
     wheels = list(dict.fromkeys(run.case.about for run in runs))
     with figure_style():

@@ -69,14 +69,7 @@ class TopView:
         )
 
     def bounds(self, times: Sequence[float]) -> tuple[float, float, float, float]:
-        """Return the bounds of everything that is drawn at the given times.
-
-        Args:
-            times: Times since the robot was sent off [s].
-
-        Returns:
-            x_min, x_max, y_min, y_max in odom [m].
-        """
+        """Return the bounds of everything that is drawn at the given times."""
         radius = math.hypot(*self.half)
         poses = np.vstack(
             [self.planned.drive.poses[:, :2], [self.scene.start[:2]], [self.scene.goal[:2]]]
@@ -98,11 +91,7 @@ class TopView:
         return self.planned.since
 
     def draw(self, axes: Any, time: float) -> None:
-        """Draw the drive at one time.
-
-        Args:
-            time: Time since the robot was sent off [s].
-        """
+        """Draw the drive at one time."""
         drive, trace = self.planned.drive, self.planned.trace
         row = min(int(np.searchsorted(drive.times, time)), len(drive.times) - 1)
         cycle = max(int(np.searchsorted(trace.times, time + 1e-9)) - 1, 0)
@@ -122,11 +111,7 @@ class TopView:
         axes.plot(*drive.poses[row, :2], "o", color=INK, ms=2.5, zorder=7)
 
     def _plan(self, cycle: int, time: float) -> Array:
-        """Return the positions (k, 2) of the rest of the motion that the robot follows [m].
-
-        Args:
-            time: Time since the robot was sent off [s], at which the rest begins.
-        """
+        """Return the positions (k, 2) of the rest of the motion that the robot follows [m]."""
         trace = self.planned.trace
         times, places = trace.plan_times[cycle], trace.plans[cycle][:, :2]
         now = time + self._since
@@ -182,11 +167,7 @@ class TopView:
             )
 
     def draw_trail(self, axes: Any, interval: float) -> None:
-        """Draw the whole drive, with the robot at regular intervals.
-
-        Args:
-            interval: Time between two drawings of the robot [s].
-        """
+        """Draw the whole drive, with the robot at regular intervals."""
         drive = self.planned.drive
         self._draw_obstacles(axes, 0.0, 0)
         for pose, colour in ((self.scene.start, START_COLOUR), (self.scene.goal, GOAL_COLOUR)):
@@ -242,9 +223,6 @@ def draw_ellipse(
 
     Args:
         center: (2,) centre in odom [m].
-        a: First semi-axis [m].
-        b: Second semi-axis [m].
-        angle: Angle of the first semi-axis in odom [rad].
     """
     x, y = center.tolist()
     axes.add_patch(Ellipse((x, y), 2 * a, 2 * b, angle=math.degrees(angle), **options))
@@ -264,11 +242,7 @@ def to_odom(points: Array, pose: Array) -> Array:
 
 
 def frame_axes(axes: Any, bounds: tuple[float, float, float, float], labels: bool = True) -> None:
-    """Set limits, grid and labels of axes that show the plane of odom.
-
-    Args:
-        bounds: x_min, x_max, y_min, y_max [m].
-    """
+    """Set limits, grid and labels of axes that show the plane of odom."""
     axes.set_xlim(*bounds[:2])
     axes.set_ylim(*bounds[2:])
     axes.set_aspect("equal")

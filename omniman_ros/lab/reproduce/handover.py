@@ -48,9 +48,6 @@ def run(args: argparse.Namespace) -> int:
 
     Returns:
         1 if the aim is missed in a drive that has one, else 0.
-
-    Raises:
-        StudyError: A drive did not come to its end.
     """
     robot = load_robot(args.robot)
     selected = cases(args.quick, args.seed)

@@ -37,9 +37,6 @@ def run(args: argparse.Namespace) -> int:
 
     Returns:
         0, whether or not the aims are met.
-
-    Raises:
-        StudyError: A drive did not come to its end.
     """
     robot = load_robot(args.robot)
     world = WorldChoice.of(robot, args.world) if args.world else None

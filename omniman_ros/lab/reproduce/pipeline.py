@@ -57,11 +57,7 @@ def publish(
     started: float,
     folder: str,
 ) -> None:
-    """Add the duration `took_s` to a result, print its report, and publish it as JSON.
-
-    Args:
-        started: Time at which the experiment began, on the monotonic clock [s].
-    """
+    """Add the duration `took_s` to a result, print its report, and publish it as JSON."""
     result["took_s"] = time.monotonic() - started
     say("\n".join(report(result)))
     results.publish(name, result, folder)

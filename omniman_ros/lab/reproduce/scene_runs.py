@@ -131,9 +131,6 @@ class SceneRunSettings:
         arm: Whether the arm is in a random posture, and obstacles have heights; needs the physics
             engine.
         calibration: Calibration of the odometry, full names to values.
-
-    Raises:
-        InputError: The solve time is negative or not finite.
     """
 
     robot: str = "ig42"  # name of the robot, or path of its file
@@ -152,11 +149,7 @@ class NodeLoop:
     """Closed loop of the planner's node, the controller and the simulation in one scene.
 
     Attributes:
-        touched: Time [s] of the first contact in the world, and the index of the obstacle.
-        times: Time of each tick on the plant's clock [s].
         poses: True pose (3,) in odom at each tick [m, m, rad].
-        energy: Electric energy consumed up to each tick [J].
-        answers: Time from the start of each planning cycle to its reference [s].
     """
 
     def __init__(self, random_scene: RandomScene, settings: SceneRunSettings) -> None:
@@ -210,9 +203,6 @@ class NodeLoop:
 
     def run(self, limit: float = TIME_LIMIT) -> SceneDrive:
         """Send the goal, and drive until the planner arrives or abandons the goal.
-
-        Args:
-            limit: Longest time from the sending of the goal to the end of the drive [s].
 
         Returns:
             The drive, from the sending of the goal on.
@@ -428,11 +418,7 @@ class NodeLoop:
 def _closed_loop(
     random_scene: RandomScene, settings: SceneRunSettings
 ) -> tuple[ClosedLoop, tuple[Column, ...]]:
-    """Return a loop with the controller of the nominal robot and the drives of the true robot.
-
-    Returns:
-        The loop, and the columns that are the obstacles in its world; none on the plant.
-    """
+    """Return a loop with the controller of the nominal robot and the drives of the true robot."""
     values = {**load_robot(settings.robot), **settings.calibration}
     true_values, changes = true_robot(values, random_scene.mismatch)
     world = settings.wheels and scene_world(true_values, settings.wheels, random_scene)

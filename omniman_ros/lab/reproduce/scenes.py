@@ -100,7 +100,7 @@ def _settings(args: argparse.Namespace, robot: Mapping[str, Any]) -> "SceneRunSe
 
 
 def scene_seeds(args: argparse.Namespace) -> range:
-    """Return the seeds that the command line selects: `--seeds`, or the first `--count` from 0 on."""
+    """Return the seeds of the scenes: those of `--seeds`, or the first `--count` from 0 on."""
     if args.seeds is None:
         default = QUICK if args.quick else FULL if args.full else COUNT
         count: int = default if args.count is None else args.count

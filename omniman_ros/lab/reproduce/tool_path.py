@@ -52,11 +52,7 @@ QUICK_LENGTH = 1.0  # length of the tool's path in a quick run, projected onto t
 
 
 class StreamedArm:
-    """Setpoint generator of the streamer, connected directly to the servo of a simulated arm.
-
-    Attributes:
-        period: Period of the cycle [s].
-    """
+    """Setpoint generator of the streamer, connected directly to the servo of a simulated arm."""
 
     period = PERIOD
 
@@ -78,10 +74,6 @@ class StreamedArm:
             positions: (k, 6) joint angles [rad].
             velocities: (k, 6) joint velocities [rad/s].
             accelerations: (k, 6) joint accelerations [rad/s^2].
-            now: Present time [s].
-
-        Raises:
-            InputError: The preview is refused.
         """
         self._generator.follow(JointPreview(times, positions, velocities, accelerations), now)
 
@@ -164,14 +156,7 @@ def drive(
     wheels: str | None,
     course_and_case: tuple[str, Case],
 ) -> Run:
-    """Plan and drive one tool path.
-
-    Args:
-        length: Length of the tool's path, projected onto the floor [m].
-
-    Raises:
-        StudyError: The drive did not reach the end of the path.
-    """
+    """Plan and drive one tool path."""
     course, case = course_and_case
     model = WholeBodyModel(build(Mount, {}))
     joints = ArmParameters()

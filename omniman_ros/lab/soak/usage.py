@@ -29,11 +29,7 @@ class Usage:
 
 
 def usage(pid: int, at: float) -> Usage | None:
-    """Return what a process uses; None if it has ended.
-
-    Args:
-        at: Time of the sample [s].
-    """
+    """Return what a process uses; None if it has ended."""
     folder = Path(f"/proc/{pid}")
     try:
         pages = int((folder / "statm").read_text().split()[1])
@@ -49,12 +45,7 @@ def usage(pid: int, at: float) -> Usage | None:
 
 
 def usage_figures(samples: Sequence[Usage]) -> dict[str, Any]:
-    """Return the figures of the life of a process that was not started anew.
-
-    Returns:
-        Duration, CPU share, memory at the end and its growth per hour, and the growth of the
-        numbers of descriptors and threads; growth is NaN with fewer than three settled samples.
-    """
+    """Return the figures of the life of a process that was not started anew."""
     first, last = samples[0], samples[-1]
     settled = samples[int(len(samples) * (1.0 - SETTLED_SHARE)) :]
     elapsed = last.at - first.at

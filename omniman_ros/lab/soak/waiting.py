@@ -23,11 +23,7 @@ def waited(pid: int, proc: Path = Path("/proc")) -> dict[int, float]:
 
 
 class WaitingWatch:
-    """Notes how long any thread waits for a core between two samples.
-
-    Attributes:
-        longest: Longest such time since the last :meth:`clear` [s].
-    """
+    """Notes how long any thread waits for a core between two samples."""
 
     def __init__(self, proc: Path = Path("/proc")) -> None:
         self._proc = proc

@@ -43,8 +43,6 @@ class ArmBody:
     """The robot with its arm in the posture of a scene, among the scene's obstacles.
 
     Attributes:
-        radius: Distance of the farthest point of the robot from base_link [m].
-        clearance: Distance of the arm from platform and floor [m].
         speeds: (M,) largest speeds of the obstacles [m/s].
     """
 
@@ -80,11 +78,7 @@ class ArmBody:
 
 
 def arm_scene(seed: int, box: Box, description: DescriptionParameters) -> RandomScene:
-    """Return the scene of a seed, with a posture and heights that leave room at start and goal.
-
-    Raises:
-        SceneError: No posture with enough room was found.
-    """
+    """Return the scene of a seed, with a posture and heights that leave room at start and goal."""
     base, random = scene(seed, box), np.random.default_rng((20260, seed))
     for _ in range(MAX_DRAWS):
         made = replace(

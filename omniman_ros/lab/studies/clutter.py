@@ -130,10 +130,6 @@ def shortest_length(posts: Array, reach: float) -> float:
 
     Args:
         posts: (n, 2) centres of the posts [m].
-        reach: Distance that the path keeps from them [m].
-
-    Returns:
-        Length of a path over a grid in 16 directions, at most 3 % too long; inf without a path.
     """
     columns, rows = round(GOAL[0] / EDGE) + 1, 2 * round((HALF_WIDTH - EDGE) / EDGE) + 1
     x = EDGE * np.arange(columns)
@@ -235,11 +231,7 @@ class ScannerSenses:
 def drive_clutter(
     robot: Mapping[str, Any], seed: int, by_scanner: bool, timer: Callable[[], float]
 ) -> ClutterRun:
-    """Drive through a world until the goal is reached, something touched, or time is up.
-
-    Args:
-        timer: Function that returns a time [s], by which cycles are measured.
-    """
+    """Drive through a world until the goal is reached, something touched, or time is up."""
     parameters = build(PlannerParameters, robot)
     world = clutter_world(seed, parameters.robot)
     senses = ScannerSenses(parameters.robot, seed) if by_scanner else None

@@ -98,11 +98,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Setup:
-    """Robot and path, which all drives of a study have in common.
-
-    Raises:
-        ParameterError: The robot has three wheels, and therefore no coupling error.
-    """
+    """Robot and path, which all drives of a study have in common."""
 
     robot: Mapping[str, Any]  # parameters of the robot, full names to values
     figure: Figure7  # the path as a function of time
@@ -184,12 +180,7 @@ def noise(speeds: Array) -> float:
 
 
 def drive(setup: Setup, case: Case) -> Run:
-    """Drive along the path once.
-
-    Raises:
-        StudyError: The controller or the drives stopped, or the controller refused the path.
-        ParameterError: A parameter of robot, gain or mismatch is invalid.
-    """
+    """Drive along the path once."""
     # Without reported torques, dead wheels are not detected, so this cannot affect the experiment.
     late = round(GROUPS[case.group].delay / PERIOD)
     loop = ClosedLoop(*_parameters(setup, case), late, torques=False, world=setup.world)
@@ -259,7 +250,6 @@ def _outcome(
         speed: (k, n) measured wheel speeds [rad/s].
         command: (k, n) commanded wheel speeds [rad/s].
         errors: (k, 3) errors of the pose by odometry [m, m, rad].
-        tracking: Largest distance of the measured position from the reference [m].
     """
     size = np.linalg.norm(epsilon, axis=1)
     distance, turn = np.hypot(errors[:, 0], errors[:, 1]), np.abs(errors[:, 2])

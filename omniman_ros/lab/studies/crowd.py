@@ -146,12 +146,7 @@ def drive_in_crowd(
     count: int,
     timer: Callable[[], float],
 ) -> CrowdRun:
-    """Drive from goal to goal.
-
-    Args:
-        seconds: Duration [s].
-        timer: Function that returns a time [s], by which cycles are measured.
-    """
+    """Drive from goal to goal."""
     crowd = DiscCrowd(count, gives_way, seed)
     edges = {"x_min": -HALF, "y_min": -HALF, "x_max": HALF, "y_max": HALF}
     values = {**robot, **{f"workspace.{name}": edge for name, edge in edges.items()}}

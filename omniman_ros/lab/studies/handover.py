@@ -72,12 +72,7 @@ class Run:
         follower: MotionRecord,
         kept_from: float,
     ) -> "Run":
-        """Return the run that two records contain; both end with the shorter one.
-
-        Args:
-            offset: Pose of the station in base_link of the leader [m, m, rad].
-            kept_from: Time at which the judged time begins, in the times of the records [s].
-        """
+        """Return the run that two records contain; both end with the shorter one."""
         first = round((follower.times[0] - leader.times[0]) / PERIOD)
         count = min(len(leader.times) - first, len(follower.times))
         rows = slice(first, first + count)
@@ -121,13 +116,7 @@ class Run:
 
 
 def station_error(leader: Triple, offset: Triple, follower: Triple) -> Triple:
-    """Return the pose of a follower in the frame of its station [m, m, rad].
-
-    Args:
-        leader: Pose of the leader [m, m, rad].
-        offset: Pose of the station in base_link of the leader [m, m, rad].
-        follower: Pose of the follower [m, m, rad].
-    """
+    """Return the pose of a follower in the frame of its station [m, m, rad]."""
     station = se2.compose(leader, offset)
     difference = np.array([follower[0] - station[0], follower[1] - station[1], 0.0])
     x, y, _ = se2.to_robot(station[2], difference).tolist()

@@ -114,12 +114,7 @@ class SimulatedRobot:
 
 
 def drive(robot: Mapping[str, Any], world: str | None, case: Case) -> Run:
-    """Drive leader and follower of a case.
-
-    Raises:
-        StudyError: A robot stopped, a preview was refused, or the station was not reached before
-            the leader's end.
-    """
+    """Drive leader and follower of a case."""
     wheels = HANDOVER_WHEELS[case.wheels]
     values = {**robot, **wheels.changes}
     body = build(Robot, values).body
@@ -167,9 +162,6 @@ def drive_leader(robot: SimulatedRobot, poses: Array) -> LedDrive:
 
     Args:
         poses: (k, 3) poses of the path [m, m, rad].
-
-    Raises:
-        StudyError: The robot stopped.
     """
     speeds = {"path.linear_velocity": SPEED, "path.angular_velocity": 10.0}
     path = PathInterpolator(build(PathParameters, {**robot.values, **speeds}))
@@ -189,11 +181,7 @@ def drive_leader(robot: SimulatedRobot, poses: Array) -> LedDrive:
 
 
 class StationDrive:
-    """Drive of a follower with the station keeper, beside a leader whose drive is known.
-
-    Args:
-        offset: Pose of the station in base_link of the leader [m, m, rad].
-    """
+    """Drive of a follower with the station keeper, beside a leader whose drive is known."""
 
     def __init__(
         self, robot: SimulatedRobot, leader: MotionRecord, offset: Triple, seed: int
@@ -209,11 +197,7 @@ class StationDrive:
         self._record = MotionRecord()
 
     def run(self) -> tuple[MotionRecord, float | None]:
-        """Return the record from the request on, and the time at which the station was kept [s].
-
-        Raises:
-            StudyError: The robot stopped, or a preview was refused.
-        """
+        """Return the record since the request, and the time at which the station was kept [s]."""
         loop = self._loop
         while loop.now <= self._leader.times[-1]:
             now = loop.now
@@ -278,9 +262,6 @@ def plan_beside(
     robot: SimulatedRobot, leader: LedDrive, offset: Triple
 ) -> tuple[MotionRecord, float | None]:
     """Drive a follower with the planner, whose goal moves with the station.
-
-    Args:
-        offset: Pose of the station in base_link of the leader [m, m, rad].
 
     Returns:
         The record from the request on, and the time at which the station was kept [s].

@@ -48,7 +48,6 @@ def circle(radius: float, place: Callable[[float], Array]) -> MovingObstacle:
     """Return a circular obstacle.
 
     Args:
-        radius: Radius [m].
         place: Function from a time [s] to the position (2,) of its centre in odom [m].
     """
     return MovingObstacle((radius, radius), place)

@@ -174,11 +174,7 @@ class MpcLoop:
         self.planner.drive(goal, self.measured(), self.observed.ellipses(self.now))
 
     def run(self, seconds: float, until: Callable[[], bool] | None = None) -> None:
-        """Run cycles for a time, or until a condition holds.
-
-        Args:
-            seconds: Longest simulated time to run [s].
-        """
+        """Run cycles for a time, or until a condition holds."""
         end = self.now + seconds
         while self.now < end - 1e-9:
             self.cycle()

@@ -67,9 +67,6 @@ def draw_scene(seed: int, obstacles: int, half: Array) -> Scene:
 
     Args:
         half: (2,) half length and half width of the robot's box [m].
-
-    Raises:
-        ValueError: There is no room for that many obstacles.
     """
     random = np.random.default_rng([seed, obstacles])
     bearing, distance = random.uniform(-math.pi, math.pi), random.uniform(*DISTANCE)
@@ -234,9 +231,6 @@ class Rig:
 
         After each step, the state is the one that the model predicts for the controller's first
         currents, plus a disturbance.
-
-        Args:
-            clock: Function that returns a time [s], by which durations are measured.
         """
         bounds = Workspace(*scene.workspace)
         problem = Problem(self.model, EffectiveLimits(replace(self._parameters, workspace=bounds)))

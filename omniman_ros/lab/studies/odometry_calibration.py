@@ -32,11 +32,7 @@ RUNS = (
 
 
 def calibrate(robot: Mapping[str, Any], world: WorldChoice | None) -> dict[str, float]:
-    """Return the scales of the odometry: true over measured way.
-
-    Returns:
-        `odometry.scale_x`, `odometry.scale_y` and `odometry.scale_yaw`.
-    """
+    """Return the scales of the odometry: true over measured way."""
     parameters, simulation = build(PlatformParameters, robot), build(SimulationParameters, robot)
     scales = {}
     for name, component, speed, way in RUNS:

@@ -57,11 +57,7 @@ class OdometryErrors:
 def drive_odometry(
     robot: Mapping[str, Any], world: WorldChoice | None, figure: Figure7, case: OdometryCase
 ) -> OdometryErrors:
-    """Drive along the path once.
-
-    Raises:
-        StudyError: The robot stopped before the end, or refused the path.
-    """
+    """Drive along the path once."""
     values = {
         **robot,
         **GROUPS[case.group].changes,

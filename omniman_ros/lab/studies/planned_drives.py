@@ -95,10 +95,6 @@ def drive_with_planner(
     """Drive through a scene with the planner until it arrives, is blocked or runs out of time.
 
     Being blocked ends the drive only if all obstacles are at rest and there is no map.
-
-    Args:
-        timer: Function that returns a time [s], by which the duration of planning is measured;
-            None if it is not measured.
     """
     values = {**robot, **scene.changes}
     parameters = build(PlannerParameters, values)

@@ -58,8 +58,6 @@ class Drive:
         """Return the drive that a motion record contains from a time on.
 
         Args:
-            since: Time at which the goal was sent [s].
-            goal: Pose of the goal in odom [m, m, rad].
             half: (2,) half length and half width of the robot [m].
         """
         rows = slice(int(np.searchsorted(record.times, since - 1e-9)), None)
@@ -104,11 +102,7 @@ class Drive:
         return not self.clearance > 0.0
 
     def energy_until_rest(self) -> float:
-        """Return the energy consumed until `SETTLING_TIME` after the arrival [J].
-
-        Raises:
-            StudyError: The goal was not reached, or the recording ends earlier.
-        """
+        """Return the energy consumed until `SETTLING_TIME` after the arrival [J]."""
         end = self.arrival + SETTLING_TIME
         if not end <= self.times[-1] + 1e-6:
             raise StudyError(

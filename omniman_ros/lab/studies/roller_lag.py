@@ -28,14 +28,7 @@ COMPLIANT = {"drive.mode": "torque", "coupling.k_epsilon": 0.0, "drive.following
 def measure_roller_lag(
     robot: Mapping[str, Any], world: WorldChoice | None, duration: float = DURATION
 ) -> float:
-    """Return the lag that explains the coupling error of a rotation in place best [s].
-
-    Args:
-        duration: Duration of the measurement [s].
-
-    Returns:
-        The lag by least squares over the constraints; not below 0.
-    """
+    """Return the lag that explains the coupling error of a rotation in place best [s]."""
     values = {**robot, **COMPLIANT}
     loop = ClosedLoop(
         build(PlatformParameters, values),

@@ -138,7 +138,6 @@ def outside(poses: Array, box: Box, area: Area) -> Array:
 
     Args:
         poses: (K, 3) poses of the box in odom [m, m, rad].
-        area: The area in odom [m].
 
     Returns:
         (K,) distances [m]; a negative value is the room that is left within the area.

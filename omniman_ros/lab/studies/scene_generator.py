@@ -92,12 +92,7 @@ class RandomScene:
 
 
 def scene(seed: int, box: Box = ROBOT) -> RandomScene:
-    """Return the scene of a seed, which is always the same for the same seed and box.
-
-    Raises:
-        InputError: The seed is negative.
-        SceneError: No scene with enough room was found in `MAX_DRAWS` draws.
-    """
+    """Return the scene of a seed, which is always the same for the same seed and box."""
     if seed < 0:
         raise InputError(f"the seed must not be negative, got {seed}")
     # The first number makes the random numbers differ from other uses of the same seeds.

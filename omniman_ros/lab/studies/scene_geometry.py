@@ -17,11 +17,7 @@ Area = tuple[float, float, float, float]  # A rectangle x_min, y_min, x_max, y_m
 
 @dataclass(frozen=True)
 class Box:
-    """The robot's outline: a rectangle centred at its pose, with its length along its heading.
-
-    Raises:
-        InputError: A size is not above zero and finite.
-    """
+    """The robot's outline: a rectangle centred at its pose, with its length along its heading."""
 
     length: float  # length [m], above zero
     width: float  # width [m], above zero
@@ -47,10 +43,6 @@ class PolylineMotion:
 
     The point rests at the first corner before the first time, and moves on at a given velocity
     after the last time.
-
-    Raises:
-        InputError: There are no times, they do not increase, their number differs from that of the
-            corners, or a value is not finite.
     """
 
     times: tuple[float, ...]  # times at which the corners are reached [s], increasing, one or more
@@ -80,8 +72,6 @@ class PolylineMotion:
 
         Args:
             place: Start (x, y) in odom [m].
-            velocity: Velocity (x', y') in odom [m/s].
-            since: Time at which the motion starts [s].
         """
         return PolylineMotion((since,), (place,), velocity)
 
@@ -113,9 +103,6 @@ class Ellipse:
     Attributes:
         place: Motion of its centre; calling it with a time [s] returns the position (2,) in odom
             [m].
-
-    Raises:
-        InputError: A semi-axis is not above zero and finite, or the angle is not finite.
     """
 
     semi_axes: tuple[float, float]  # semi-axes [m], above zero
@@ -135,11 +122,7 @@ class Ellipse:
 
 @dataclass(frozen=True)
 class Wall:
-    """A wall: a fixed rectangle.
-
-    Raises:
-        InputError: A size is not above zero and finite, or another value is not finite.
-    """
+    """A wall: a fixed rectangle."""
 
     x: float  # x of its centre in odom [m]
     y: float  # y of its centre in odom [m]
@@ -161,9 +144,6 @@ class World:
     Attributes:
         area: Area within which the robot's whole outline should stay; None if there is no such
             area. Leaving it does not count as a contact.
-
-    Raises:
-        InputError: The area is empty or not finite.
     """
 
     obstacles: tuple[Ellipse, ...] = ()  # fixed and moving ellipses

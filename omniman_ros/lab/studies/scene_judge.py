@@ -63,9 +63,6 @@ def judge(times: Array, poses: Array, box: Box, world: World) -> Verdict:
     Args:
         times: (K,) increasing times [s], at least one.
         poses: (K, 3) true poses in odom [m, m, rad]; headings may be wrapped.
-
-    Raises:
-        InputError: A shape is wrong, a value is not finite, or the times do not increase.
     """
     times, poses = np.asarray(times, dtype=float), np.array(poses, dtype=float)
     if times.ndim != 1 or len(times) == 0 or poses.shape != (len(times), 3):
@@ -201,11 +198,7 @@ class _Drive:
         )
 
     def verdict(self, outside_by: float) -> Verdict:
-        """Return the verdict: the smallest gap, then the first contact if there is one.
-
-        Args:
-            outside_by: Largest distance by which the robot left the area [m].
-        """
+        """Return the verdict: the smallest gap, then the first contact if there is one."""
         best = int(self.gaps.argmin())
         gap, when, which = float(self.gaps[best]), float(self.times[best]), int(self.which[best])
         undecided = self.intervals
@@ -224,11 +217,7 @@ class _Drive:
         return Verdict(gap, when, contact, self.bodies.name(touched), outside_by)
 
     def _first_contact(self, contact: float, touched: int) -> tuple[float, int]:
-        """Return the first time at which a gap is below `CONTACT_GAP`, and the index of the body.
-
-        Args:
-            contact: A time at which a gap is below `CONTACT_GAP` [s].
-        """
+        """Return the time at which a gap is below `CONTACT_GAP`, and the index of the body."""
         near = np.flatnonzero(self.gaps <= CONTACT_GAP)
         if len(near) and self.times[near[0]] < contact:
             contact, touched = float(self.times[near[0]]), int(self.which[near[0]])

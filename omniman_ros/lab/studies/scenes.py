@@ -32,11 +32,7 @@ MASS_PARAMETERS = ("body.mass", "body.inertia", "arm.mass", "arm.inertia")
 def true_robot(
     robot: Mapping[str, Any], mismatch: Mismatch
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the parameters of the true robot, which is not its model, and of the simulation.
-
-    Raises:
-        ParameterError: A ratio is out of the simulation's range.
-    """
+    """Return the parameters of the true robot, which is not its model, and of the simulation."""
     values = dict(robot)
     for name in MASS_PARAMETERS:
         if name in values:

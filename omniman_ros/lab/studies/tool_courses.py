@@ -64,13 +64,12 @@ def start() -> Array:
     return np.array([0.0] * len(PLATFORM_AXES) + list(POSTURE))
 
 
-def tool_poses(model: WholeBodyModel, name: str, length: float) -> Array:
+def tool_poses(model: WholeBodyModel, name: str, length: float, count: int | None = None) -> Array:
     """Return poses (k, 4, 4) of `tool0` in odom along a course that begins at the start.
 
-    Args:
-        length: Length of the path in the plane [m].
+    They are equidistant; without a count, they are `SPACING` apart.
     """
-    distance = np.linspace(0.0, length, math.ceil(length / SPACING) + 1)
+    distance = np.linspace(0.0, length, count or math.ceil(length / SPACING) + 1)
     course = COURSES[name](distance, length)
     poses = np.tile(model.forward(start()), (len(distance), 1, 1))
     poses[:, :3, 3] += course[:, :3]

@@ -77,10 +77,6 @@ class FollowingArm(Protocol):
             positions: (k, 6) joint angles [rad].
             velocities: (k, 6) joint velocities [rad/s].
             accelerations: (k, 6) joint accelerations [rad/s^2].
-            now: Present time [s].
-
-        Raises:
-            InputError: The preview is refused.
         """
         ...
 
@@ -222,11 +218,7 @@ class ToolPathLoop:
         self._platform_rows: list[Array] = []
 
     def run(self) -> Run:
-        """Drive the motion once, and return the completed drive.
-
-        Raises:
-            StudyError: The platform stopped, or a preview was refused.
-        """
+        """Drive the motion once, and return the completed drive."""
         end = MOTION_START + self._motion.curve.duration + RECORDING_TAIL
         arm_due = self._arm.period
         for k in range(round(end / STEP)):

@@ -136,11 +136,7 @@ def run_case(
     parameters: TrackerParameters | None = None,
     motion: TrackingParameters | None = None,
 ) -> TrackingRun:
-    """Let people walk around a robot, and track them by its scans.
-
-    Args:
-        seconds: Duration [s].
-    """
+    """Let people walk around a robot, and track them by its scans."""
     # The command line must do without the engine.
     from omniman_ros.simulation.world.scanner import Scanner
     from omniman_ros.simulation.world.world import World

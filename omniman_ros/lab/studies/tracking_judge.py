@@ -90,9 +90,7 @@ class TrackingJudge:
         """Judge what is reported at a scan.
 
         Args:
-            now: Time [s].
             people: (P, 4) true positions and velocities [m, m/s].
-            radius: Radius of the people [m].
         """
         beams = visible_beams(sighting, people[:, :2], radius)
         centers = np.array([thing.center for thing in obstacles]).reshape(-1, 2)

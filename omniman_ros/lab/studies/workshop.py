@@ -59,7 +59,7 @@ def grid() -> GridMap:
 
 
 def map_of(mapped: Sequence[Wall]) -> GridMap:
-    """Return a map of the area `AREA`, in which each cell that overlaps with a wall is occupied."""
+    """Return a map of `AREA`, in which each cell that overlaps with a wall is occupied."""
     x_min, y_min, x_max, y_max = AREA
     columns = np.arange(x_min, x_max - 1e-9, RESOLUTION) + 0.5 * RESOLUTION
     rows = np.arange(y_min, y_max - 1e-9, RESOLUTION) + 0.5 * RESOLUTION

@@ -44,11 +44,7 @@ class WorldChoice:
         return WorldChoice(build(DescriptionParameters, robot), parameters, scene or Scene())
 
     def body(self, robot: Robot, simulation: SimulationParameters) -> "World":
-        """Return a new world in its initial state.
-
-        Raises:
-            ParameterError: A parameter is refused, or the robot would start in something.
-        """
+        """Return a new world in its initial state."""
         from omniman_ros.simulation.world.world import World
 
         description = replace(self.description, robot=robot)

@@ -12,8 +12,13 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 from omniman_ros.cli.main import main
 from omniman_ros.console.errors import CommandError
 from omniman_ros.control.kinematics import PlatformKinematics
-from omniman_ros.lab.bench import arm, arm_bare, can_bus, control, mpc
+from omniman_ros.core.parameters import build
+from omniman_ros.lab.bench import arm, arm_bare, can_bus, control, mpc, whole_body
+from omniman_ros.lab.studies.tool_courses import tool_poses
+from omniman_ros.motion.whole_body.model import WholeBodyModel
+from omniman_ros.nodes.trajectory_interfaces.parameters import PathInterpolatorParameters
 from omniman_ros.processes.free_ports import find_free_ports
+from omniman_ros.robots import load_robot
 from test.running import wait_until
 
 # ---- control ------------------------------------------------------------------------------------
@@ -204,3 +209,36 @@ def test_the_bare_loop_reports_the_intervals_of_each_block_and_its_end():
             wait_until(bare.is_connected, "a connection")
         with pytest.raises(CommandError, match="has ended"):
             wait_until(lambda: bare.intervals(), "the end")
+
+
+# ---- whole_body ---------------------------------------------------------------------------------
+
+PATHS = build(PathInterpolatorParameters, load_robot("omniman"))
+
+
+def test_a_plan_is_timed_beside_resampling_and_stays_within_the_limits():
+    model = WholeBodyModel(PATHS.mount)
+    poses = tool_poses(model, "circle", 1.0, 30)
+    assert len(poses) == 30
+    row = whole_body.plan_figures(PATHS, poses, 1)
+    assert row["ratio"] == pytest.approx(row["planning_ms"] / row["plain_resampling_ms"])
+    assert row["duration_ratio"] > 1.0
+    assert all(0.0 < use["share"] <= 1.0 + 1e-6 for use in row["limits_used"].values())
+    plain = whole_body.resampled(model, poses, 0.2)
+    tools = model.forward(plain)[:, :3, 3]
+    assert np.linalg.norm(np.diff(tools, axis=0), axis=1) == pytest.approx(0.2 * 0.008, rel=1e-3)
+
+
+@pytest.mark.parametrize("turn", [1e-9, 0.3, 2.0, 3.1])
+def test_pose_error_is_a_translation_and_a_rotation_vector(turn):
+    here, goal = np.eye(4), np.eye(4)
+    goal[:3, 3] = (1.0, 2.0, 3.0)
+    goal[:2, :2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
+    expected = [1.0, 2.0, 3.0, 0.0, 0.0, turn]
+    assert whole_body.pose_error(here, goal) == pytest.approx(expected, abs=1e-12)
+
+
+def test_the_closed_form_is_exact_on_all_poses_and_its_peer_solves_near_ones():
+    found = whole_body.measure_inverse(PATHS, 20, 1e-4)
+    assert found["success"] == 1.0 and found["worst_pose_error"] < 1e-9
+    assert found["iterations"]["Newton in numpy"]["success"] > 0.9
