@@ -10,7 +10,6 @@ import os
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from omniman_ros.console.errors import CommandError
@@ -33,7 +32,6 @@ if TYPE_CHECKING:  # it needs rclpy
     from omniman_ros.lab.reproduce.scene_runs import SceneRunSettings
 
 COUNT, QUICK, FULL = 240, 8, 1000  # numbers of scenes
-MAX_SHOWN = 9  # largest number of drives in the picture
 AIMS = {
     "contacts": ("drives with a contact", "0"),
     "left_workspace": ("drives that left the workspace", "0"),
@@ -82,8 +80,6 @@ def run(args: argparse.Namespace) -> int:
         raise CommandError(str(error)) from error
     progress.end(text)
     result = figures(args, outcomes) | {"calibration": dict(settings.calibration)}
-    path = Path(args.results, f"{name}.png")
-    result["picture"] = draw(build(Robot, robot), outcomes, path)
     publish(name, result, report, started, args.results)
     return 0 if result["passed"] else 1
 
@@ -154,17 +150,6 @@ def figures(args: argparse.Namespace, outcomes: Sequence[Outcome]) -> dict[str, 
     }
 
 
-def draw(robot: Robot, outcomes: Sequence[Outcome], path: Path) -> str | None:
-    """Draw failed drives, then those with the least gaps, as a PNG file; None: no matplotlib."""
-    try:
-        from omniman_ros.lab.figures import scenes as picture
-    except ImportError:
-        return None
-    ordered = sorted(outcomes, key=lambda outcome: (not outcome.failed, outcome.verdict.gap))
-    picture.draw(robot, ordered[:MAX_SHOWN], path)
-    return str(path)
-
-
 def report(result: Mapping[str, Any]) -> list[str]:
     """Return the lines of the report on the terminal."""
     header = ("", "drives", "contacts", "left area", "reached", "time", "energy", "least gap")
@@ -179,7 +164,7 @@ def report(result: Mapping[str, Any]) -> list[str]:
     lines += ["", *table(rows)]
     failed = [row for row in result["drives"] if row["seed"] in result["failed"]]
     lines += [f"Failed: {_describe_failure(row)}" for row in failed]
-    return [*lines, f"Picture: {result['picture'] or 'no matplotlib'}"]
+    return lines
 
 
 def _cells(name: str, group: Mapping[str, Any]) -> tuple[str, ...]:
@@ -203,8 +188,7 @@ def _describe_failure(row: Mapping[str, Any]) -> str:
     """Describe a failed drive in one line."""
     parts = [f"seed {row['seed']}"]
     if row["collided"]:
-        kind, number = row["touched"]
-        parts.append(f"touched {kind} {number + 1} after {row['contact_s']:.2f} s")
+        parts.append(f"touched obstacle {row['touched'] + 1} after {row['contact_s']:.2f} s")
     if row["outside_m"] > 0.0:
         parts.append(f"left the workspace by {1e3 * row['outside_m']:.0f} mm")
     if not row["reached"] and not row["collided"]:

@@ -18,7 +18,7 @@ from omniman_ros.lab.studies.scene_generator import (
     scene,
 )
 from omniman_ros.lab.studies.scene_geometry import Area, Box
-from omniman_ros.lab.studies.scene_judge import Verdict
+from omniman_ros.lab.studies.scene_judge import Verdict, first_contact, relative_travel
 from omniman_ros.lab.studies.scenes import Outcome, SceneDrive
 from omniman_ros.simulation.world.distances import PostureDistances, Prism
 
@@ -119,30 +119,23 @@ def judge_arm_drive(
 
 
 def judge(times: Array, poses: Array, made: RandomScene, body: ArmBody) -> Verdict:
-    """Judge a drive, given by its samples (K,) [s] and (K, 3) [m, m, rad].
+    """Judge a drive, given by its samples (K,) [s] and (K, 3) [m, m, rad], like `scene_judge`.
 
-    A distance changes by no more than robot and obstacle travel relative to each other. Samples at
-    which no gap can be less than the least one so far, less GAP_ACCURACY, are skipped. Between two
-    samples for which this bound does not exclude a contact, there is one.
+    Samples at which no gap can be less than the least one so far, less GAP_ACCURACY, are skipped.
     """
     poses = np.column_stack([poses[:, :2], np.unwrap(poses[:, 2])])
-    steps = np.abs(np.diff(poses, axis=0))
-    own = np.hypot(steps[:, 0], steps[:, 1]) + body.radius * steps[:, 2]
-    # Travel (K, M) of the robot and of each obstacle since the beginning.
-    travel = np.concatenate([[0.0], np.cumsum(own)])[:, None] + times[:, None] * body.speeds
-    least, when, outside, k, before = math.inf, math.nan, -math.inf, 0, 0
-    last = np.full(len(body.speeds), math.inf)
+    travel = relative_travel(times, poses, body.radius, body.speeds)
+    least, outside, k = math.inf, -math.inf, 0
+    rows: list[int] = []
+    seen: list[Array] = []
     while k < len(times):
         body.place(float(times[k]), poses[k])
         gaps = body.gaps()
+        rows, seen = [*rows, k], [*seen, gaps]
         outside = max(outside, body.outside(made.workspace))
-        if gaps.min(initial=math.inf) < least:
-            least, when = float(gaps.min()), float(times[k])
-        between = 0.5 * (last + gaps - (travel[k] - travel[before]))
-        if min(gaps.min(initial=math.inf), between.min(initial=math.inf)) <= 0.0:
-            touched = "obstacle", int(np.minimum(gaps, between).argmin())
-            return Verdict(min(least, 0.0), when, float(times[k]), touched, outside)
+        least = min(least, float(gaps.min(initial=math.inf)))
         ahead = travel[k + 1 : k + 1 + MAX_SKIP] - travel[k]
         safe = (ahead < gaps - max(least - GAP_ACCURACY, 0.0)).all(axis=1)
-        before, last, k = k, gaps, k + max(int(safe.sum() if safe.all() else safe.argmin()), 1)
-    return Verdict(least, when, math.inf, None, outside)
+        k += max(int(safe.sum() if safe.all() else safe.argmin()), 1)
+    contact, touched = first_contact(times[rows], np.array(seen), travel[rows])
+    return Verdict(least if touched is None else min(least, 0.0), contact, touched, outside)

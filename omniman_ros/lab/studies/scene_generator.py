@@ -15,7 +15,7 @@ import numpy as np
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError, OmnimanError
 from omniman_ros.lab.studies.scene_gaps import ellipse_gap
-from omniman_ros.lab.studies.scene_geometry import Area, Box, Ellipse, PolylineMotion, World
+from omniman_ros.lab.studies.scene_geometry import Area, Box, Ellipse, PolylineMotion
 
 Pose = tuple[float, float, float]  # pose x, y, heading in odom [m, m, rad]
 
@@ -84,11 +84,6 @@ class RandomScene:
     mismatch: Mismatch  # mismatch between the true robot and its model
     posture: tuple[float, ...] = ()  # joint angles of the arm [rad]; empty if it plays no role
     heights: tuple[tuple[float, float], ...] = ()
-
-    @property
-    def world(self) -> World:
-        """The obstacles and the workspace."""
-        return World(self.obstacles, area=self.workspace)
 
 
 def scene(seed: int, box: Box = ROBOT) -> RandomScene:

@@ -1,4 +1,4 @@
-"""True shapes of a scene: the robot's box, moving and fixed ellipses, walls and the allowed area.
+"""True shapes of a scene: the robot's box, moving and fixed ellipses, and walls.
 
 Drives are judged by means of these shapes, so they share no code with the planner.
 """
@@ -9,22 +9,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from omniman_ros.core.arrays import Array
-from omniman_ros.core.errors import InputError
 
 Point = tuple[float, float]  # components along x and y of a position [m] or a velocity [m/s]
-Area = tuple[float, float, float, float]  # A rectangle x_min, y_min, x_max, y_max in odom [m]
+Area = tuple[float, float, float, float]  # x_min, y_min, x_max, y_max in odom [m]
 
 
 @dataclass(frozen=True)
 class Box:
     """The robot's outline: a rectangle centred at its pose, with its length along its heading."""
 
-    length: float  # length [m], above zero
-    width: float  # width [m], above zero
-
-    def __post_init__(self) -> None:
-        _above_zero("length of the box", self.length)
-        _above_zero("width of the box", self.width)
+    length: float
+    width: float
 
     @property
     def half(self) -> tuple[float, float]:
@@ -45,21 +40,9 @@ class PolylineMotion:
     after the last time.
     """
 
-    times: tuple[float, ...]  # times at which the corners are reached [s], increasing, one or more
-    places: tuple[Point, ...]  # corners (x, y) in odom [m], one for each time
-    velocity: Point = (0.0, 0.0)  # velocity (x', y') in odom after the last time [m/s]
-
-    def __post_init__(self) -> None:
-        if not self.times or len(self.times) != len(self.places):
-            raise InputError(
-                f"a polyline motion needs a time for each corner, got {len(self.times)} times "
-                f"and {len(self.places)} corners"
-            )
-        values = np.array([*self.times, *np.ravel(self.places), *self.velocity])
-        if not (np.isfinite(values).all() and (np.diff(self.times) > 0.0).all()):
-            raise InputError(
-                f"a polyline motion needs finite values and increasing times, got {self}"
-            )
+    times: tuple[float, ...]  # at which the corners are reached [s], increasing
+    places: tuple[Point, ...]  # corners in odom [m], one for each time
+    velocity: Point = (0.0, 0.0)  # in odom after the last time [m/s]
 
     @staticmethod
     def still(x: float, y: float) -> "PolylineMotion":
@@ -67,13 +50,9 @@ class PolylineMotion:
         return PolylineMotion((0.0,), ((x, y),))
 
     @staticmethod
-    def straight(place: Point, velocity: Point, since: float = 0.0) -> "PolylineMotion":
-        """Return a motion at constant velocity.
-
-        Args:
-            place: Start (x, y) in odom [m].
-        """
-        return PolylineMotion((since,), (place,), velocity)
+    def straight(place: Point, velocity: Point) -> "PolylineMotion":
+        """Return a motion at constant velocity from a place in odom on."""
+        return PolylineMotion((0.0,), (place,), velocity)
 
     def __call__(self, now: float) -> Array:
         """Return the position (2,) in odom [m] at the time `now` [s]."""
@@ -98,21 +77,11 @@ class PolylineMotion:
 
 @dataclass(frozen=True)
 class Ellipse:
-    """An elliptic obstacle, a disc if its semi-axes are equal; it moves but never turns.
+    """An elliptic obstacle, a disc if its semi-axes are equal; it moves but never turns."""
 
-    Attributes:
-        place: Motion of its centre; calling it with a time [s] returns the position (2,) in odom
-            [m].
-    """
-
-    semi_axes: tuple[float, float]  # semi-axes [m], above zero
-    place: PolylineMotion
-    angle: float = 0.0  # angle of its first semi-axis in odom [rad]
-
-    def __post_init__(self) -> None:
-        for axis in self.semi_axes:
-            _above_zero("semi-axis", axis)
-        _finite("angle of the ellipse", self.angle)
+    semi_axes: tuple[float, float]
+    place: PolylineMotion  # motion of its centre
+    angle: float = 0.0  # of its first semi-axis in odom [rad]
 
     @property
     def fixed(self) -> bool:
@@ -122,51 +91,10 @@ class Ellipse:
 
 @dataclass(frozen=True)
 class Wall:
-    """A wall: a fixed rectangle."""
+    """A wall: a fixed rectangle, given by centre, heading, and size along and across."""
 
-    x: float  # x of its centre in odom [m]
-    y: float  # y of its centre in odom [m]
-    heading: float  # direction of its length in odom [rad]
-    length: float  # size along its heading [m], above zero
-    width: float  # size across its heading [m], above zero
-
-    def __post_init__(self) -> None:
-        for name in ("x", "y", "heading"):
-            _finite(f"{name} of the wall", getattr(self, name))
-        _above_zero("length of the wall", self.length)
-        _above_zero("width of the wall", self.width)
-
-
-@dataclass(frozen=True)
-class World:
-    """The surroundings of a robot: obstacles, walls, and the area that it should not leave.
-
-    Attributes:
-        area: Area within which the robot's whole outline should stay; None if there is no such
-            area. Leaving it does not count as a contact.
-    """
-
-    obstacles: tuple[Ellipse, ...] = ()  # fixed and moving ellipses
-    walls: tuple[Wall, ...] = ()  # walls
-    area: Area | None = None
-
-    def __post_init__(self) -> None:
-        if self.area is not None:
-            low, high = np.array(self.area[:2]), np.array(self.area[2:])
-            if not (np.isfinite(self.area).all() and (low < high).all()):
-                raise InputError(
-                    "the area must be finite with x_min < x_max and y_min < y_max, "
-                    f"got {self.area}"
-                )
-
-
-def _above_zero(name: str, value: float) -> None:
-    """Raise an InputError unless a length [m] is above zero and finite."""
-    if not 0.0 < value < math.inf:
-        raise InputError(f"{name} must be above zero and finite, got {value} m")
-
-
-def _finite(name: str, value: float) -> None:
-    """Raise an InputError unless a value is finite."""
-    if not math.isfinite(value):
-        raise InputError(f"{name} must be finite, got {value}")
+    x: float
+    y: float
+    heading: float
+    length: float
+    width: float

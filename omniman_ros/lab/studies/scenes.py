@@ -1,7 +1,7 @@
 """Drives through random scenes: the true robot of a scene, judged outcomes, and their figures.
 
 A drive is judged from true poses and true obstacles alone, by code that it does not share with the
-planner: `scene_judge` decides whether the robot touched anything, at the samples and between them.
+planner: `scene_judge` decides whether the robot touched anything.
 Every contact counts as the robot's fault, and every goal as reachable.
 """
 
@@ -116,7 +116,7 @@ class Outcome:
             "reached": self.reached,
             "collided": verdict.collided,
             "contact_s": verdict.contact - since if verdict.collided else math.nan,
-            "touched": None if verdict.touched is None else list(verdict.touched),
+            "touched": verdict.touched,
             "clearance_m": verdict.gap,
             "outside_m": verdict.outside,
             "time_s": float(drive.times[-1]) - since,
@@ -136,10 +136,10 @@ class Outcome:
 
 def judge_drive(scene: RandomScene, drive: SceneDrive, box: Box) -> Outcome:
     """Judge a drive through a scene; a contact by the engine counts beside one by the judge."""
-    verdict = judge(drive.times, drive.poses, box, scene.world)
+    verdict = judge(drive.times, drive.poses, box, scene.obstacles, scene.workspace)
     if drive.touched is not None and drive.touched[0] < verdict.contact:
         contact, index = drive.touched
-        verdict = replace(verdict, contact=contact, touched=("obstacle", index))
+        verdict = replace(verdict, contact=contact, touched=index)
     return Outcome(scene, drive, verdict)
 
 
