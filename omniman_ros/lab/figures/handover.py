@@ -18,7 +18,6 @@ from omniman_ros.console.figure_style import (
     figure_style,
     save_figure,
 )
-from omniman_ros.core.arrays import Array
 from omniman_ros.core.robot import Robot
 from omniman_ros.lab.figures.top_view import draw_robot, frame_axes
 from omniman_ros.lab.studies.handover import KEPT_TIME, Run
@@ -64,7 +63,7 @@ def _from_above(axes: Any, robot: Robot, run: Run) -> None:
         axes.plot(poses[:, 0], poses[:, 1], color=colour, lw=0.8)
         axes.plot(poses[run.kept, 0], poses[run.kept, 1], color=colour, lw=3.0)
         for row in rows:
-            draw_robot(axes, robot, poses[row], colour, filled=False)
+            draw_robot(axes, robot, poses[row], colour)
     for row in rows:
         axes.plot(*np.vstack([run.leader[row, :2], run.follower[row, :2]]).T, color=GREY, lw=0.5)
     places = np.vstack([run.leader[:, :2], run.follower[:, :2]])
@@ -79,8 +78,8 @@ def _errors(axes: Any, runs: Sequence[Run], position_bound: float, heading_bound
         errors = run.errors()
         times = run.times - run.kept_from
         distance = np.hypot(errors[:, 0], errors[:, 1]) / position_bound
-        _plot(axes, times, distance, colour, _name(run))
-        _plot(axes, times, np.abs(errors[:, 2]) / heading_bound, colour, None, ls=":")
+        axes.plot(times, distance, color=colour, lw=1.0, label=_name(run))
+        axes.plot(times, np.abs(errors[:, 2]) / heading_bound, color=colour, lw=1.0, ls=":")
     axes.axhline(1.0, color=GREY, lw=0.8, ls="--")
     axes.axvspan(0.0, KEPT_TIME, color=MINT, alpha=0.3, lw=0)
     axes.set_xlim(-BEFORE, KEPT_TIME + AFTER)
@@ -97,16 +96,12 @@ def _errors(axes: Any, runs: Sequence[Run], position_bound: float, heading_bound
 def _gaps(axes: Any, runs: Sequence[Run]) -> None:
     """Draw the gap between the outlines of the robots over time."""
     for run, colour in zip(runs, SERIES, strict=False):
-        _plot(axes, run.times, run.gaps(), colour, None)
+        axes.plot(run.times, run.gaps(), color=colour, lw=1.0)
     axes.axhline(0.0, color=GREY, lw=0.8)
     axes.set_ylim(bottom=-0.1)
     axes.set_title("True gap between the robots [m]")
     axes.set_xlabel("time since the request [s]")
     axes.grid(color=FAINT, lw=0.4)
-
-
-def _plot(axes: Any, x: Array, y: Array, colour: str, label: str | None, ls: str = "-") -> None:
-    axes.plot(x, y, color=colour, lw=1.0, ls=ls, label=label)
 
 
 def _name(run: Run) -> str:

@@ -39,7 +39,7 @@ def draw_snapshots(robot: Robot, scene: Scene, planned: PlannedDrive, path: Path
             axes.set_title(f"t = {time:.1f} s")
         last = figure.add_subplot(grid[len(times) // COLUMNS, len(times) % COLUMNS :])
         _gaps(last, planned, times, len(scene.obstacles))
-        draw_legend(figure, scene, bool(view.moving.any()))
+        draw_legend(figure)
         save_figure(figure, path)
 
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from omniman_ros.control.platform import PlatformController
 from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.control.wheel_cascade import DriveMode, WheelCommand
+from omniman_ros.core.errors import OmnimanError
 from omniman_ros.core.robot import Robot
 from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.simulation.plant.parameters import SimulationParameters
@@ -21,6 +22,10 @@ PERIOD = 0.005  # time between two ticks [s]
 LATENCY = 0.001
 """Time from a measurement to the tick that uses it, which is also when the drives receive the
 tick's command unless it is delayed [s]."""
+
+
+class StudyError(OmnimanError):
+    """A drive did not come to its end, so that its figures would be meaningless."""
 
 
 class ClosedLoop:

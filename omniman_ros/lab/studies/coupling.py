@@ -10,10 +10,10 @@ from omniman_ros.control.coupling_controller import CouplingController, Coupling
 from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.core.arbiter import Source
 from omniman_ros.core.arrays import Array
-from omniman_ros.core.errors import OmnimanError, ParameterError
+from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
-from omniman_ros.lab.studies.closed_loop import PERIOD, ClosedLoop
+from omniman_ros.lab.studies.closed_loop import PERIOD, ClosedLoop, StudyError
 from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.motion.figure7 import Figure7
 from omniman_ros.simulation.plant.parameters import MismatchParameters, SimulationParameters
@@ -24,14 +24,8 @@ P_LOOP_INTEGRAL_TIME = 100.0
 MISMATCH_SPREAD = 0.2
 """Largest relative error of a wheel's friction, torque constant and amplifier gain [-]."""
 SENDING_LEAD = 0.05  # time by which a movement is sent to the controller before it begins [s]
-SMOOTHING_WINDOW = 0.105
-"""Window of the moving mean that is subtracted from wheel speeds to obtain their noise [s]."""
 TRACE_STRIDE = 4
 """Number of ticks from one sample of a recorded trace to the next, which gives 50 Hz."""
-
-
-class StudyError(OmnimanError):
-    """A drive was stopped before its end, so that its figures would be meaningless."""
 
 
 @dataclass(frozen=True)
@@ -113,32 +107,17 @@ class Setup:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The figures of a drive.
-
-    Attributes:
-        speed_noise: RMS of the measured wheel speeds less their mean over
-            `SMOOTHING_WINDOW` [rad/s].
-        command_noise: RMS of the commanded wheel speeds less their mean over
-            `SMOOTHING_WINDOW` [rad/s].
-        tracking_max: Largest distance of the measured position from the reference, in odom [m].
-    """
+    """The figures of a drive."""
 
     epsilon_max: float  # largest |epsilon| by CCTA 2017 (24), from the encoders [rad]
-    epsilon_rms: float  # RMS of |epsilon| by CCTA 2017 (24), from the encoders [rad]
     error_max: float  # largest |epsilon|, less what the lag of the rollers explains [rad]
     slip: float  # energy dissipated by slip of the rollers on the floor [J]
     copper: float  # energy dissipated in the windings of the motors [J]
-    losses: float  # all dissipated energy, including these two [J]
     energy: float  # electrical energy that the amplifiers deliver [J]
-    imbalance: float  # residual of the plant's energy balance [J]
-    speed_noise: float
-    command_noise: float
     odometry_end: float  # position error of the odometry at the end [m]
     odometry_max: float  # largest position error of the odometry [m]
     heading_end: float  # magnitude of the heading error of the odometry at the end [rad]
-    heading_max: float  # largest magnitude of the heading error of the odometry [rad]
-    tracking_max: float
-    duration: float  # time from the first to the last tick [s]
+    tracking_max: float  # largest distance of the measured position from the reference [m]
 
 
 @dataclass(frozen=True)
@@ -168,17 +147,6 @@ def draw_mismatch(group: str, seed: int, sample: int, wheels: int) -> MismatchPa
     return MismatchParameters(friction, constant, gain, radius)
 
 
-def noise(speeds: Array) -> float:
-    """Return the RMS of wheel speeds (k, n) less their moving mean [rad/s].
-
-    The window of the mean is `SMOOTHING_WINDOW`.
-    """
-    half = round(SMOOTHING_WINDOW / PERIOD) // 2
-    window = np.full(2 * half + 1, 1.0 / (2 * half + 1))
-    smooth = [np.convolve(column, window, "valid") for column in speeds.T]
-    return float(np.sqrt(np.mean((speeds[half:-half] - np.column_stack(smooth)) ** 2)))
-
-
 def drive(setup: Setup, case: Case) -> Run:
     """Drive along the path once."""
     # Without reported torques, dead wheels are not detected, so this cannot affect the experiment.
@@ -191,7 +159,7 @@ def drive(setup: Setup, case: Case) -> Run:
     explained = np.zeros_like(rolling.error)
     pending = list(setup.figure.legs(loop.now))
     ticks = round(setup.figure.duration / PERIOD)
-    rows: list[tuple[Array, ...]] = []
+    rows: list[tuple[Array, Array, Array]] = []
     tracking = 0.0
     for _ in range(ticks):
         if pending and loop.now >= pending[0].begin - SENDING_LEAD:
@@ -206,15 +174,23 @@ def drive(setup: Setup, case: Case) -> Run:
             )
         if core.arbiter.active is not None:
             tracking = max(tracking, float(np.hypot(*core.tracking_error[:2])))
-        states = loop.states
-        errors = np.array(core.odometry.pose) - loop.truth
         yaw_rate = float(core.odometry.twist[2])
-        explained = explained + PERIOD * rolling.expected_rate(states.velocity, yaw_rate)
-        epsilon = core.odometry.coupling_error
-        command = core.cascade.reference
-        rows.append((epsilon, explained, states.velocity, command, errors))
-    epsilon, due, speed, command, errors = (np.array(column) for column in zip(*rows, strict=True))
-    outcome = _outcome(loop, epsilon, due, speed, command, errors, tracking)
+        explained = explained + PERIOD * rolling.expected_rate(loop.states.velocity, yaw_rate)
+        error = np.array(core.odometry.pose) - loop.truth
+        rows.append((core.odometry.coupling_error, explained, error))
+    epsilon, due, errors = (np.array(column) for column in zip(*rows, strict=True))
+    distance = np.hypot(errors[:, 0], errors[:, 1])
+    outcome = Outcome(
+        epsilon_max=float(np.linalg.norm(epsilon, axis=1).max()),
+        error_max=float(np.linalg.norm(epsilon - due, axis=1).max()),
+        slip=drives.energy.losses["slip"],
+        copper=drives.energy.losses["copper"],
+        energy=drives.energy.electrical,
+        odometry_end=float(distance[-1]),
+        odometry_max=float(distance.max()),
+        heading_end=float(abs(errors[-1, 2])),
+        tracking_max=tracking,
+    )
     time: Array = PERIOD * np.arange(ticks, dtype=np.float64)
     return Run(case, outcome, time[::TRACE_STRIDE], epsilon[::TRACE_STRIDE])
 
@@ -231,45 +207,3 @@ def _parameters(setup: Setup, case: Case) -> tuple[PlatformParameters, Simulatio
     }
     simulation = build(SimulationParameters, values)
     return build(PlatformParameters, values), replace(simulation, mismatch=case.mismatch)
-
-
-def _outcome(
-    loop: ClosedLoop,
-    epsilon: Array,
-    explained: Array,
-    speed: Array,
-    command: Array,
-    errors: Array,
-    tracking: float,
-) -> Outcome:
-    """Return the figures of a completed drive.
-
-    Args:
-        epsilon: (k, m) coupling errors without resets [rad].
-        explained: (k, m) part of them that the lag of the rollers explains [rad].
-        speed: (k, n) measured wheel speeds [rad/s].
-        command: (k, n) commanded wheel speeds [rad/s].
-        errors: (k, 3) errors of the pose by odometry [m, m, rad].
-    """
-    size = np.linalg.norm(epsilon, axis=1)
-    distance, turn = np.hypot(errors[:, 0], errors[:, 1]), np.abs(errors[:, 2])
-    energy = loop.drives.energy
-    losses = energy.losses
-    return Outcome(
-        epsilon_max=float(size.max()),
-        epsilon_rms=float(np.sqrt(np.mean(size**2))),
-        error_max=float(np.linalg.norm(epsilon - explained, axis=1).max()),
-        slip=losses["slip"],
-        copper=losses["copper"],
-        losses=sum(losses.values()),
-        energy=energy.electrical,
-        imbalance=energy.residual,
-        speed_noise=noise(speed),
-        command_noise=noise(command),
-        odometry_end=float(distance[-1]),
-        odometry_max=float(distance.max()),
-        heading_end=float(turn[-1]),
-        heading_max=float(turn.max()),
-        tracking_max=tracking,
-        duration=PERIOD * len(epsilon),
-    )

@@ -21,7 +21,7 @@ from omniman_ros.core.parameters import build
 from omniman_ros.core.planar import Triple
 from omniman_ros.core.preview import Preview
 from omniman_ros.core.robot import Robot
-from omniman_ros.lab.studies.closed_loop import LATENCY, PERIOD, ClosedLoop
+from omniman_ros.lab.studies.closed_loop import LATENCY, PERIOD, ClosedLoop, StudyError
 from omniman_ros.lab.studies.handover import (
     HANDOVER_WHEELS,
     KEPT_TIME,
@@ -34,12 +34,7 @@ from omniman_ros.lab.studies.handover import (
 from omniman_ros.lab.studies.mpc_loop import LoopOptions, MotionRecord, MpcLoop
 from omniman_ros.lab.studies.scene_geometry import Box
 from omniman_ros.lab.studies.tool_courses import COURSES
-from omniman_ros.lab.studies.tool_path import (
-    ODOM_LATENCY,
-    ODOM_PERIOD,
-    PREVIEW_LATENCY,
-    StudyError,
-)
+from omniman_ros.lab.studies.tool_path import ODOM_LATENCY, ODOM_PERIOD, PREVIEW_LATENCY
 from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.motion.path.interpolator import PathInterpolator
 from omniman_ros.motion.path.parameters import PathParameters

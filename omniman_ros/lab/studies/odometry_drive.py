@@ -18,13 +18,8 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.imu_mount import ImuMount
 from omniman_ros.core.parameters import build
 from omniman_ros.core.se2 import wrap
-from omniman_ros.lab.studies.closed_loop import LATENCY, PERIOD, ClosedLoop
-from omniman_ros.lab.studies.coupling import (
-    GROUPS,
-    NO_FOLLOWING_ERROR_STOP,
-    StudyError,
-    draw_mismatch,
-)
+from omniman_ros.lab.studies.closed_loop import LATENCY, PERIOD, ClosedLoop, StudyError
+from omniman_ros.lab.studies.coupling import GROUPS, NO_FOLLOWING_ERROR_STOP, draw_mismatch
 from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.motion.figure7 import Figure7
 from omniman_ros.simulation.plant.imu import ImuSensorParameters, SimulatedImu, planar_motion

@@ -8,7 +8,7 @@ import numpy as np
 
 from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.core.arrays import Array
-from omniman_ros.core.errors import OmnimanError
+from omniman_ros.lab.studies.closed_loop import StudyError
 from omniman_ros.lab.studies.mpc_loop import MotionRecord, MovingObstacle
 from omniman_ros.lab.studies.scene_gaps import wall_gap
 from omniman_ros.lab.studies.scene_geometry import Box, Wall
@@ -19,10 +19,6 @@ from omniman_ros.planning.parameters import Arrival
 SETTLING_TIME = 0.5  # time after the arrival for which consumed energy still counts [s]
 REST_SPEED = 0.02
 """Speed below which the robot counts as at rest, the same as in the planner [m/s, rad/s]."""
-
-
-class StudyError(OmnimanError):
-    """A drive cannot be compared with others, as its figures would be meaningless."""
 
 
 @dataclass(frozen=True)

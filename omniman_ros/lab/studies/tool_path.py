@@ -15,10 +15,10 @@ import numpy as np
 from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.core.arbiter import Source
 from omniman_ros.core.arrays import Array
-from omniman_ros.core.errors import InputError, OmnimanError
+from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import build
 from omniman_ros.core.preview import Preview
-from omniman_ros.lab.studies.closed_loop import LATENCY, PERIOD, ClosedLoop
+from omniman_ros.lab.studies.closed_loop import LATENCY, PERIOD, ClosedLoop, StudyError
 from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.motion.path.timed_curve import TimedCurve
@@ -38,10 +38,6 @@ PLATFORM_PREVIEW_HORIZON = 0.4  # duration that a preview of the platform covers
 MOTION_START = 0.5  # time at which the motion begins [s]
 PREVIEW_LEAD = 0.024  # time by which the first previews are sent before the motion begins [s]
 RECORDING_TAIL = 0.5  # time for which a drive continues after the motion [s]
-
-
-class StudyError(OmnimanError):
-    """A drive was stopped before its end."""
 
 
 class Motion(Protocol):

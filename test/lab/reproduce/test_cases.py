@@ -10,10 +10,11 @@ import pytest
 from omniman_ros.cli.main import main
 from omniman_ros.core.parameters import build
 from omniman_ros.lab.reproduce import cases
+from omniman_ros.lab.studies.closed_loop import StudyError
 from omniman_ros.lab.studies.mpc_cases import Scene, circle, corridor
 from omniman_ros.lab.studies.mpc_loop import MotionRecord
 from omniman_ros.lab.studies.planned_drives import drive_with_planner
-from omniman_ros.lab.studies.recorded_drive import SETTLING_TIME, Drive, StudyError
+from omniman_ros.lab.studies.recorded_drive import SETTLING_TIME, Drive
 from omniman_ros.planning.cases import RADIUS, TwoVelocityPath
 from omniman_ros.planning.parameters import Arrival
 from test import robots

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from omniman_ros.core import se2
-from omniman_ros.lab.studies.closed_loop import PERIOD
+from omniman_ros.lab.studies.closed_loop import PERIOD, StudyError
 from omniman_ros.lab.studies.handover import KEPT_TIME, SPEED, Case, Run, station_error
 from omniman_ros.lab.studies.handover_drives import (
     LEADER_START,
@@ -17,7 +17,7 @@ from omniman_ros.lab.studies.handover_drives import (
 )
 from omniman_ros.lab.studies.mpc_loop import MotionRecord
 from omniman_ros.lab.studies.scene_geometry import Box
-from omniman_ros.lab.studies.tool_path import DEMO_MISMATCH, StudyError
+from omniman_ros.lab.studies.tool_path import DEMO_MISMATCH
 from omniman_ros.robots import load_robot
 
 OFFSET = (0.0, -1.3, 0.0)

@@ -11,13 +11,13 @@ from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.hermite import Hermite
 from omniman_ros.core.parameters import build
+from omniman_ros.lab.studies.closed_loop import StudyError
 from omniman_ros.lab.studies.tool_courses import COURSES, start, tool_poses
 from omniman_ros.lab.studies.tool_path import (
     DEMO_MISMATCH,
     MOST_DEMANDING,
     WHEELS,
     Case,
-    StudyError,
     ToolPathLoop,
     rms,
 )
