@@ -8,9 +8,11 @@ import itertools
 import numpy as np
 import pytest
 
+from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
-from omniman_ros.lab.studies.closed_loop import PERIOD
+from omniman_ros.lab.studies.closed_loop import PERIOD, ClosedLoop
+from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 from test import robots
 from test.closed_loop.test_closed_loop import MODES, Loop, fastest, figure_of_eight, follow, rms
@@ -391,3 +393,31 @@ def test_no_healthy_wheel_is_reported_as_dead(seed, robot, mode, trouble):
     reason, asked = ride(seed, robot, mode, seconds, trouble)
     assert reason == ""
     assert asked <= seconds
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize(
+    ("mode", "twist", "wheel"),
+    [
+        ("velocity", (0.3, 0.0, 0.0), "front_left"),
+        ("torque", (0.2, 0.2, 0.2), "rear_left"),
+        ("velocity", (0.0, 0.0, 0.6), "rear_left"),
+    ],
+)
+def test_a_dead_wheel_on_rollers_is_found_within_a_second_and_no_other(mode, twist, wheel):
+    pytest.importorskip("mujoco")
+    values = robots.values("omniman", {"drive.mode": mode})
+    dead = build(SimulationParameters, {**values, "faults.dead_motor": (wheel,)})
+    parameters, simulation = build(PlatformParameters, values), build(SimulationParameters, values)
+    loop = ClosedLoop(parameters, simulation, world=WorldChoice.of(values, "rollers"))
+
+    def drive(ticks):
+        for _ in range(ticks):
+            loop.controller.set_twist(np.array(twist), loop.now)
+            loop.step()
+
+    drive(300)
+    assert loop.controller.latch.released
+    loop.drives.set_parameters(dead)
+    drive(200)
+    assert loop.controller.latch.status.reason == f"wheel '{wheel}' is dead: no torque"

@@ -1,6 +1,3 @@
-import json
-import subprocess
-
 import numpy as np
 import pytest
 
@@ -8,7 +5,6 @@ from omniman_ros.core.parameters import build
 from omniman_ros.lab.bench import path as bench_path
 from omniman_ros.motion.path.parameters import PathParameters
 from omniman_ros.robots import load_robot
-from test.running import command, environment
 
 
 def test_plain_resampling_is_at_constant_speed():
@@ -31,24 +27,3 @@ def test_planning_is_compared_with_plain_resampling(monkeypatch):
     for row in figures.values():
         assert row["planning_ms"] > row["plain_resampling_ms"] > 0.0
         assert 1.0 < row["duration_ratio"] == row["duration_s"] / row["bound_s"] < 1.2
-
-
-@pytest.mark.exhaustive
-@pytest.mark.processes
-def test_benchmark_runs_end_to_end_and_publishes_its_json(tmp_path):
-    ended = subprocess.run(
-        command("bench", "path", "--quick", "--results", str(tmp_path)),
-        env=environment(),
-        capture_output=True,
-        text=True,
-        timeout=180,
-    )
-    assert ended.returncode == 0, ended.stdout + ended.stderr
-    result = json.loads(ended.stdout.splitlines()[-1])
-    assert result == json.loads((tmp_path / "bench_path.json").read_text())
-    assert set(result["planning"]) == {"2", "100", "10000"}
-    share = result["cpu_share"]
-    assert share["driving"]["path_interpolator"] > 0.0
-    assert share["cpu_per_tick_us"] == pytest.approx(
-        8000 * share["driving"]["path_interpolator"], rel=1e-3
-    )

@@ -1,14 +1,10 @@
 """`omniman reproduce handover`."""
 
 import importlib.util
-import json
-import sys
 from dataclasses import replace
 
 import pytest
 
-from omniman_ros.cli.main import main
-from omniman_ros.lab.reproduce import handover
 from omniman_ros.lab.reproduce.handover import cases, drive_row, report
 from test.lab.studies.test_handover import made
 
@@ -57,18 +53,3 @@ def test_drives_with_an_aim_come_first():
     aims = [case.is_aim for case in cases(quick=False, seed=0)]
     assert aims == sorted(aims, reverse=True) and 0 < sum(aims) < len(aims)
     assert [case.is_aim for case in cases(quick=True, seed=0)] == [True]
-
-
-def test_without_matplotlib_there_is_no_picture(tmp_path, monkeypatch):
-    monkeypatch.delattr("omniman_ros.lab.figures.handover", raising=False)
-    monkeypatch.setitem(sys.modules, "omniman_ros.lab.figures.handover", None)
-    assert handover.draw(None, [made()], tmp_path / "p.png") is None
-
-
-@pytest.mark.exhaustive
-def test_quick_study_keeps_its_aim_and_is_drawn_and_published(tmp_path, capsys):
-    assert main(["reproduce", "handover", "--quick", "--results", str(tmp_path)]) == 0
-    result = json.loads(capsys.readouterr().out.splitlines()[-1])
-    assert result == json.loads((tmp_path / "reproduce_handover.json").read_text())
-    assert (tmp_path / "reproduce_handover.png").exists() is DRAWS
-    assert result["passed"] is True and len(result["drives"]) == 1

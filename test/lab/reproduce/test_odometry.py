@@ -38,14 +38,6 @@ def test_an_aim_that_is_missed_is_reported_as_missed():
     assert "imu: 5 to 5 mm" in imu and "MISSED" not in imu
 
 
-@pytest.mark.exhaustive
-def test_on_the_plant_both_odometries_are_right(tmp_path):
-    assert main(["reproduce", "odometry", "--quick", "--results", str(tmp_path)]) == 0
-    found = json.loads((tmp_path / "reproduce_odometry.json").read_text())
-    assert found["aims"] == {"wheels": True, "imu": True}
-    assert found["calibration"]["odometry.scale_y"] == pytest.approx(1.0, abs=1e-3)
-
-
 @IN_WORLD
 @pytest.mark.exhaustive
 def test_on_rollers_the_sensor_leaves_no_more_than_its_noise_in_the_heading(tmp_path):

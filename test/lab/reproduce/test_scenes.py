@@ -14,15 +14,10 @@ from omniman_ros.console.errors import CommandError
 from omniman_ros.core.errors import InputError, ParameterError
 from omniman_ros.lab.reproduce import scenes
 from omniman_ros.lab.reproduce.scene_runs import (
-    EPOCH,
-    MARKER_DELAY,
-    MARKER_NOISE,
-    ODOM_NOISE,
     NodeLoop,
     SceneRunSettings,
     drive_scene,
 )
-from omniman_ros.lab.studies.closed_loop import PERIOD
 from omniman_ros.lab.studies.scene_generator import Mismatch, RandomScene, SceneError
 from omniman_ros.lab.studies.scene_geometry import Box, Ellipse, PolylineMotion
 from omniman_ros.lab.studies.scenes import (
@@ -37,7 +32,7 @@ from omniman_ros.lab.studies.scenes import (
 )
 from omniman_ros.planning.cycle import PlannerState
 from test import robots
-from test.tiers import exhaustive, representative
+from test.tiers import exhaustive
 
 IN_WORLD = pytest.mark.skipif(importlib.util.find_spec("mujoco") is None, reason="needs mujoco")
 CYCLE, DEADLINE = 0.05, 0.04
@@ -67,18 +62,6 @@ def loop_in():
 # ---- the node in its loop -----------------------------------------------------------------------
 
 
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("seed", representative([4, 8, 27, 31]))
-def test_node_drives_through_a_random_scene(seed):
-    outcome = drive_scene(SceneRunSettings(solve_time=0.01), seed)
-    assert outcome.reached
-    assert not outcome.verdict.collided
-    assert not outcome.failed
-    assert outcome.verdict.gap > 0.02
-    assert outcome.drive.late == 0
-    assert outcome.drive.answers.tolist() == [0.01] * len(outcome.drive.answers)
-
-
 @pytest.mark.parametrize(("seed", "solve_time"), [exhaustive(20, 0.005), exhaustive(97, 0.01)])
 def test_robot_flees_from_an_obstacle_that_turns_towards_the_robot(seed, solve_time):
     """If braking and fleeing alternated, the robot would stay and be hit."""
@@ -101,16 +84,6 @@ def test_solution_reaches_the_controller_after_its_solve_time(loop_in, solve_tim
     assert np.diff(planned) == pytest.approx(CYCLE, abs=1e-9)
 
 
-@pytest.mark.exhaustive
-def test_solutions_after_the_deadline_are_discarded(loop_in):
-    drive = loop_in(made(), solve_time=DEADLINE + 0.005).run(1.0)
-    assert drive.late == len(drive.answers) > 10
-    assert not drive.arrived
-    assert np.abs(drive.poses[-1] - drive.poses[0]).max() < 1e-3
-    assert any("late" in why for why in drive.rejections)
-    assert loop_in(made(), solve_time=DEADLINE - 0.005).run(1.0).late == 0
-
-
 def test_cycle_longer_than_the_period_skips_ticks_and_delays_messages(loop_in):
     loop = loop_in(made(MOVING), solve_time=0.07)
     ticks, told = [], []
@@ -130,56 +103,11 @@ def test_cycle_longer_than_the_period_skips_ticks_and_delays_messages(loop_in):
     assert np.diff(ticks[since + 1 :]) == pytest.approx(CYCLE, abs=1e-9)
 
 
-def test_messages_to_the_node_are_noisy_delayed_and_irregular(loop_in):
-    loop = loop_in(made(MOVING, STANDING), solve_time=0.01)
-    seen, odom = [], []
-    for topic, kept in (("obstacles", seen), ("odom", odom)):
-        callback = loop._callbacks[topic]
-        loop._callbacks[topic] = lambda message, kept=kept, callback=callback: (
-            kept.append((loop.now, message)),
-            callback(message),
-        )
-    for _ in range(600):
-        loop.step()
-    stamps = np.array([stamp(m.markers[0]) for _, m in seen])
-    arrived = np.array([now for now, _ in seen])
-    assert np.diff(stamps).std() > 0.01
-    assert np.diff(stamps).max() < 0.13
-    delays = arrived - stamps
-    assert delays.min() >= MARKER_DELAY[0] - 1e-9
-    assert delays.max() <= MARKER_DELAY[1] + 0.01 + PERIOD + 1e-9
-    off = [
-        np.array([m.markers[k].pose.position.x, m.markers[k].pose.position.y]) - o.place(t)
-        for (_, m), t in zip(seen, stamps.tolist(), strict=True)
-        for k, o in enumerate((MOVING, STANDING))
-    ]
-    assert np.std(off) == pytest.approx(MARKER_NOISE, rel=0.2)
-    assert np.abs(np.mean(off, axis=0)).max() < 0.004
-    standing = [m.pose.pose.position.x for _, m in odom]
-    assert np.std(standing) == pytest.approx(ODOM_NOISE[0], rel=0.2)
-    turning = [m.twist.twist.angular.z for _, m in odom]
-    assert np.std(turning) == pytest.approx(ODOM_NOISE[5], rel=0.2)
-    shape = seen[0][1].markers[0].scale
-    assert (shape.x, shape.y) == pytest.approx((0.4, 0.6))
-
-
-def stamp(message):
-    return message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec - EPOCH
-
-
 def test_planner_receives_the_workspace(loop_in):
     area = (-1.0, -2.0, 3.0, 4.0)
     loop = loop_in(made(workspace=area))
     assert loop.node.settings.value.core.workspace.bounds == area
     assert loop_in(made()).node.settings.value.core.workspace.x_max > 100.0
-
-
-def test_refused_goal_ends_the_drive(loop_in):
-    there = made(workspace=(-1.0, -1.0, 1.5, 1.0))
-    drive = loop_in(there, solve_time=0.01).run(30.0)
-    assert drive.times[-1] - drive.times[0] < 2.0
-    assert not drive.arrived
-    assert "not within the workspace" in drive.last_status
 
 
 def test_arrival_ends_the_drive(loop_in):
@@ -344,17 +272,6 @@ def test_in_the_world_a_contact_by_the_engine_counts(loop_in):
     assert not judge_drive(there, drive, box).verdict.collided
     verdict = judge_drive(there, replace(drive, touched=(0.2, 0)), box).verdict
     assert (verdict.contact, verdict.touched) == (0.2, 0)
-
-
-@IN_WORLD
-def test_the_robot_in_the_world_is_the_true_one_at_the_start_of_the_scene(loop_in):
-    there = made(STANDING, start=(0.5, -0.3, 0.7), mismatch=Mismatch(mass=1.2))
-    loop = loop_in(there, wheels="ideal")
-    np.testing.assert_allclose(loop.loop.truth, there.start, atol=1e-3)
-    weight = 9.81 * 1.2 * 25.0
-    for _ in range(40):
-        loop.loop.step()
-    assert loop.loop.world.wheel_loads.sum() == pytest.approx(weight, rel=0.05)
 
 
 @IN_WORLD

@@ -14,9 +14,7 @@ from omniman_ros.lab.studies.arm_scenes import ABOVE, ArmBody, arm_scene, judge_
 from omniman_ros.lab.studies.scene_generator import MARGIN, Mismatch, RandomScene, scene
 from omniman_ros.lab.studies.scene_geometry import Ellipse, PolylineMotion
 from omniman_ros.lab.studies.scenes import SceneDrive, box_of
-from omniman_ros.simulation.world.distances import PostureDistances, Prism
 from test import robots
-from test.outlines import FORKS, outlined
 
 VALUES = robots.values("omniman")
 DESCRIPTION = build(DescriptionParameters, VALUES)
@@ -69,23 +67,6 @@ def test_a_contact_between_two_samples_is_found():
 def test_the_least_gap_is_found():
     beside = judged(made((1.5, 0.6, 0.1, (0.0, 0.4))))
     assert beside.verdict.gap == pytest.approx(0.6 - 0.1 - 0.35, abs=0.006)
-
-
-def test_distances_from_a_platform_are_those_of_a_box():
-    prisms = [Prism((0.2, 0.2), 0.0, (0.0, 0.3)), Prism((0.3, 0.1), 0.5 * math.pi, (1.6, 2.0))]
-    shapes = PostureDistances(DESCRIPTION, prisms)
-    shapes.place(np.array([1.0, 2.0, 0.5 * math.pi]), np.array(STRETCHED), np.zeros((2, 2)))
-    low, _ = shapes.distances(9.0)
-    # The platform's near corner is at (0.65, 1.5).
-    assert low == pytest.approx(math.hypot(0.65, 1.5) - 0.2, abs=1e-3)
-
-
-def test_distances_from_a_platform_with_an_outline_are_those_of_the_outline():
-    """A prism between the forks is clear of them; boxes of the URDF do not count."""
-    shapes = PostureDistances(outlined(FORKS), [Prism((0.03, 0.03), 0.0, (0.0, 0.3))])
-    for x, gap in ((0.4, 0.14 * math.cos(math.atan(0.1)) - 0.03), (0.2, 0.089), (-0.3, 0.0)):
-        shapes.place(np.zeros(3), np.array(STRETCHED), np.array([[x, 0.0]]))
-        assert max(shapes.distances(9.0)[0], 0.0) == pytest.approx(gap, abs=2e-3)
 
 
 def test_a_scene_has_heights_and_a_posture_with_room():

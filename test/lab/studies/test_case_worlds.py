@@ -6,12 +6,9 @@ import pytest
 
 from omniman_ros.core.parameters import build
 from omniman_ros.lab.studies.case_worlds import case_world
-from omniman_ros.lab.studies.closed_loop import ClosedLoop
 from omniman_ros.lab.studies.mpc_cases import Scene, circle, corridor, moving
 from omniman_ros.lab.studies.mpc_loop import LoopOptions, MpcLoop
-from omniman_ros.lab.studies.planned_drives import drive_with_planner
 from omniman_ros.lab.studies.scene_geometry import Wall
-from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.planning.cases import TwoVelocityPath
 from omniman_ros.planning.parameters import PlannerParameters
 from omniman_ros.simulation.plant.parameters import SimulationParameters
@@ -50,18 +47,6 @@ def test_a_wall_keeps_its_middle_heading_length_and_thickness():
 
 
 @IN_WORLD
-def test_a_loop_in_the_world_has_its_truth_and_none_is_without():
-    values = robots.values("omniman")
-    loop = ClosedLoop(
-        robots.parameters("omniman"),
-        build(SimulationParameters, values),
-        world=WorldChoice.of(values, "ideal"),
-    )
-    assert loop.world is not None
-    np.testing.assert_allclose(loop.truth, loop.world.pose, atol=1e-3)
-
-
-@IN_WORLD
 def test_obstacles_move_in_the_world_as_they_do_in_the_scene():
     path = TwoVelocityPath((3.0, -1.0), (0.0, 0.5), 0.2, (0.4, 0.0))
     loop = loop_through(Scene("one", (5.0, 0.0, 0.0), obstacles=(circle(0.3, path),)))
@@ -79,12 +64,3 @@ def test_the_engine_tells_what_touches_the_robot():
     for _ in range(6):
         loop.cycle()
     assert loop.touched == ["obstacle 1"]
-
-
-@IN_WORLD
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("wheels", ["ideal", "rollers"])
-def test_the_corridor_is_passed_in_the_world_without_contact(wheels):
-    planned = drive_with_planner(robots.values("ig42"), corridor(), wheels=wheels)
-    assert math.isfinite(planned.drive.arrival)
-    assert not planned.collided

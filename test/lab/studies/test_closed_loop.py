@@ -1,13 +1,9 @@
-import importlib.util
-
 import numpy as np
 import pytest
 
-from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.control.wheel_cascade import DriveMode
 from omniman_ros.core.parameters import build
 from omniman_ros.lab.studies.closed_loop import LATENCY, PERIOD, ClosedLoop
-from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.simulation.plant.drive_unit import DriveUnitMode
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 from test import robots
@@ -61,28 +57,3 @@ def test_delayed_commands_reach_the_drives_after_the_given_ticks(late):
 def test_loop_runs_without_reported_torques(torques):
     loop = drive(make(torques=torques), 10)
     assert loop.controller.wheel_health.torque_reported is torques
-
-
-@pytest.mark.skipif(importlib.util.find_spec("mujoco") is None, reason="needs mujoco")
-@pytest.mark.exhaustive
-@pytest.mark.parametrize(
-    ("mode", "twist", "wheel"),
-    [
-        ("velocity", (0.3, 0.0, 0.0), "front_left"),
-        ("torque", (0.2, 0.2, 0.2), "rear_left"),
-        ("velocity", (0.0, 0.0, 0.6), "rear_left"),
-    ],
-)
-def test_a_dead_wheel_on_rollers_is_found_within_a_second_and_no_other(mode, twist, wheel):
-    values = robots.values("omniman", {"drive.mode": mode})
-    dead = build(SimulationParameters, {**values, "faults.dead_motor": (wheel,)})
-    loop = ClosedLoop(
-        build(PlatformParameters, values),
-        build(SimulationParameters, values),
-        world=WorldChoice.of(values, "rollers"),
-    )
-    drive(loop, 300, twist)
-    assert loop.controller.latch.released
-    loop.drives.set_parameters(dead)
-    drive(loop, 200, twist)
-    assert loop.controller.latch.status.reason == f"wheel '{wheel}' is dead: no torque"

@@ -12,7 +12,7 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.core.hermite import Hermite
 from omniman_ros.core.parameters import build
 from omniman_ros.lab.studies.closed_loop import StudyError
-from omniman_ros.lab.studies.tool_courses import COURSES, start, tool_poses
+from omniman_ros.lab.studies.tool_courses import start, tool_poses
 from omniman_ros.lab.studies.tool_path import (
     DEMO_MISMATCH,
     MOST_DEMANDING,
@@ -72,16 +72,6 @@ def harsh(on):
     return drive(WHEELS[MOST_DEMANDING].case(ON if on else OFF, 0))
 
 
-@pytest.mark.parametrize("name", COURSES)
-def test_course_begins_at_the_tool_and_has_the_given_length(name):
-    poses = tool_poses(MODEL, name, 2.0)
-    assert np.array_equal(poses[0], MODEL.forward(start()))
-    steps = np.diff(poses[:, :3, 3], axis=0)
-    assert np.hypot(steps[:, 0], steps[:, 1]).sum() == pytest.approx(2.0, rel=1e-3)
-    turned = np.swapaxes(poses[:, :3, :3], 1, 2) @ poses[:, :3, :3]
-    assert np.allclose(turned, np.eye(3))
-
-
 @pytest.mark.exhaustive
 def test_correction_removes_most_of_the_error_of_the_platform():
     with_it, without = harsh(True), harsh(False)
@@ -91,18 +81,6 @@ def test_correction_removes_most_of_the_error_of_the_platform():
     assert rms(with_it.turned) < 0.15 * rms(without.turned)
     # The platform itself is not helped by it.
     assert with_it.platform == pytest.approx(without.platform, abs=1e-9)
-
-
-@pytest.mark.exhaustive
-def test_errors_are_those_of_platform_and_arm_on_one_time():
-    run, motion = harsh(False), planned("S")
-    # The arm is as planned: the tool is where the plan has it from where the platform is.
-    joints = motion.curve.sample(run.times)[0][:, 3:]
-    expected = MODEL.forward(np.hstack([run.base, joints]))[:, :3, 3]
-    moving = (run.times > 0.1) & (run.times < motion.curve.duration - 0.1)
-    assert np.abs(run.odom - expected)[moving].max() < 2e-4
-    assert run.reference == pytest.approx(motion.tool(run.times)[:, :3, 3])
-    assert run.times[[0, -1]] == pytest.approx([0.0, motion.curve.duration], abs=0.008)
 
 
 def test_timed_point_counts_and_not_the_nearest():
@@ -139,14 +117,6 @@ def test_previews_come_with_the_poses_and_no_more_often_than_asked(period):
     assert (end - begin == pytest.approx(0.144)) and (begin <= sent).all()
     assert rms(run.error) < 0.002
     assert run.error.max() < 0.005
-
-
-@pytest.mark.exhaustive
-def test_same_seed_is_the_same_drive():
-    once, again = harsh(True), drive(WHEELS[MOST_DEMANDING].case(ON, 0))
-    other = drive(WHEELS[MOST_DEMANDING].case(ON, 1))
-    assert np.array_equal(once.odom, again.odom)
-    assert not np.array_equal(once.odom, other.odom)
 
 
 def test_arm_that_takes_no_preview_ends_the_drive():

@@ -1,18 +1,14 @@
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from omniman_ros.lab.studies.planned_drives import drive_with_planner
 from omniman_ros.lab.studies.recorded_drive import wall_gaps
-from omniman_ros.lab.studies.scene_geometry import Wall
 from omniman_ros.lab.studies.workshop import (
     AREA,
     DOOR_WIDTH,
     RESOLUTION,
     grid,
-    map_of,
     walls,
     workshop,
 )
@@ -54,23 +50,3 @@ def test_start_and_goal_are_free_and_the_start_is_a_dead_end():
     ahead = np.linspace(scene.start, (scene.goal[0], 0.0, 0.0), 200)
     assert wall_gaps(ahead, HALF, scene.walls).min() < 0.0
     assert isinstance(scene.grid, GridMap)
-
-
-def test_oblique_wall_is_covered_tightly():
-    wall = Wall(2.0, 1.0, 0.6, 1.0, 0.2)
-    found = map_of([wall])
-    rows, columns = np.nonzero(found.occupied)
-    places = np.column_stack([columns, rows]) * RESOLUTION + 0.5 * RESOLUTION + AREA[:2]
-    c, s = math.cos(0.6), math.sin(0.6)
-    seen = (places - [2.0, 1.0]) @ np.array([[c, -s], [s, c]])
-    assert (np.abs(seen) <= np.array([0.5, 0.1]) + RESOLUTION).all()
-    assert len(places) >= 0.2 * 1.0 / RESOLUTION**2
-
-
-@pytest.mark.exhaustive
-def test_robot_leaves_the_dead_end():
-    scene = replace(workshop(), goal=(2.0, 1.5, 0.0), time_limit=15.0)
-    ride = drive_with_planner(IG42, scene)
-    assert math.isfinite(ride.drive.arrival)
-    assert ride.drive.clearance > 0.01
-    assert ride.drive.gaps.shape[1] == 1
