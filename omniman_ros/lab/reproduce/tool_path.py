@@ -19,11 +19,18 @@ import numpy as np
 from omniman_ros.console.progress import Progress
 from omniman_ros.console.terminal import table
 from omniman_ros.core.arm_parameters import ArmParameters
-from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import build
 from omniman_ros.lab.reproduce.pipeline import collect, publish, result_name
 from omniman_ros.lab.studies.tool_courses import COURSES, start, tool_poses
-from omniman_ros.lab.studies.tool_path import MOST_DEMANDING, WHEELS, Case, Run, ToolPathLoop, rms
+from omniman_ros.lab.studies.tool_path import (
+    MOST_DEMANDING,
+    WHEELS,
+    Case,
+    Run,
+    StreamedArm,
+    ToolPathLoop,
+    rms,
+)
 from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.lab.verdicts import verdict
 from omniman_ros.motion.path.parameters import PathParameters
@@ -36,12 +43,8 @@ from omniman_ros.robots import load_robot
 from omniman_ros.simulation.arm_link.direct_link import DirectLink
 from omniman_ros.simulation.ur.arm import SimulatedArm, UrArmParameters
 from omniman_ros.simulation.ur.arm_body import ArmBody
-from omniman_ros.simulation.ur.motion import ServoJ, Target
 from omniman_ros.simulation.ur.world_arm import WorldArm
-from omniman_ros.ur.joint_preview import JointPreview
-from omniman_ros.ur.parameters import PERIOD, UrParameters
-from omniman_ros.ur.setpoint_generator import GeneratorSettings, JointSetpointGenerator
-from omniman_ros.ur.streaming_supervisor import joint_limits
+from omniman_ros.ur.parameters import UrParameters
 
 RMS_BOUND = 0.002
 """Bound of the RMS distance of the tool from its reference position at each time, in odom [m]."""
@@ -49,46 +52,6 @@ MAX_BOUND = 0.005
 """Bound of the largest distance of the tool from its reference position, in odom [m]."""
 LENGTH = 4.0  # length of the tool's path, projected onto the floor [m]
 QUICK_LENGTH = 1.0  # length of the tool's path in a quick run, projected onto the floor [m]
-
-
-class StreamedArm:
-    """Setpoint generator of the streamer, connected directly to the servo of a simulated arm."""
-
-    period = PERIOD
-
-    def __init__(self, body: ArmBody, arm: ArmParameters, ur: UrParameters) -> None:
-        self._ur = ur
-        settings = GeneratorSettings(ur.start_distance, ur.servo_lag)
-        self._generator = JointSetpointGenerator(joint_limits(arm, ur), settings, PERIOD)
-        self._generator.begin(body.q, 0.0)
-        self._body = body
-        self._target = Target(body.q.copy())
-
-    def preview(
-        self, times: Array, positions: Array, velocities: Array, accelerations: Array, now: float
-    ) -> None:
-        """Follow a preview of the joints from now on.
-
-        Args:
-            times: (k,) times of the points [s].
-            positions: (k, 6) joint angles [rad].
-            velocities: (k, 6) joint velocities [rad/s].
-            accelerations: (k, 6) joint accelerations [rad/s^2].
-        """
-        self._generator.follow(JointPreview(times, positions, velocities, accelerations), now)
-
-    def cycle(self, now: float) -> Array:
-        """Send the setpoint of a time [s], and simulate the servo for one period.
-
-        Returns:
-            (6,) joint angles of the arm at that time [rad].
-        """
-        self._body.measure(now)
-        setpoint = self._generator.tick(now, self._body.q)
-        servo = ServoJ(setpoint, PERIOD, self._ur.lookahead_time, self._ur.gain)
-        servo.advance(self._target, PERIOD)
-        self._body.follow(self._target.q, PERIOD)
-        return self._body.q
 
 
 def run(args: argparse.Namespace) -> int:

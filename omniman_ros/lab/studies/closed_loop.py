@@ -73,12 +73,6 @@ class ClosedLoop:
             self._deliver(self._commands.popleft(), now + LATENCY)
         self.tick += 1
 
-    def step_silent(self) -> None:
-        """Run one tick in which the controller is silent: the drives are on their own."""
-        self.states = self.drives.wheel_states(self.now)
-        self.truth = self.drives.ground_truth()[0]
-        self.tick += 1
-
     def _deliver(self, command: WheelCommand | None, now: float) -> None:
         """Pass a command, if there is one, to the drives at a time [s]."""
         if command is None:

@@ -7,7 +7,7 @@ and how fast the problem is solved.
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -174,23 +174,12 @@ class Cycle:
     solver_time: float  # duration of the controller's call alone [s]
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """Result of a drive.
-
-    Attributes:
-        cost: Cost of the drive: stage costs and slack penalties of all steps, and the terminal
-            cost of the last state [J].
-        slack: Largest violation of the clearance to obstacles or to the border of the workspace
-            [m].
-    """
+class Outcome(NamedTuple):
+    """Cost [J] of a drive, its times (K,) [s] and poses (K, 3) [m, m, rad]."""
 
     cost: float
-    slack: float
-    distance: float  # distance from the goal at the end [m]
-    failures: int  # number of steps at which the solver reported a failure
-    times: Array  # (K,) times [s]
-    poses: Array  # (K, 3) poses [m, m, rad]
+    times: Array
+    poses: Array
 
 
 class RealTime:
@@ -251,9 +240,12 @@ class Rig:
             x = np.asarray(self.transcription.transition(x, currents[0])).ravel() + noise
 
     def drive(self, scene: Scene, controller: Controller, count: int) -> Outcome:
-        """Drive through a scene for a number of steps, and return the result."""
+        """Drive through a scene for a number of steps.
+
+        The cost is that of all stages and slacks, and the terminal cost of the last state.
+        """
         t = self.transcription
-        cost, slack, failures = 0.0, 0.0, 0
+        cost = 0.0
         poses: list[Array] = []
         for cycle in self.cycles(scene, controller, count, lambda: 0.0):
             stage, x, u = cycle.task.stage, cycle.task.start, cycle.currents[0]
@@ -261,18 +253,15 @@ class Rig:
             value, low, _ = (np.asarray(part).ravel() for part in t.stage_rows(x, u, row))
             violation = max(float((low - value)[t.relaxed :].max(initial=0.0)), 0.0)
             cost += float(t.stage_cost(x, u, row)) + penalty(stage, np.array([violation]))
-            slack, failures = max(slack, violation), failures + (not cycle.solved)
             poses.append(x[:3])
         end = np.asarray(t.transition(x, u)).ravel()
         # The terminal weights, less the running weights that the last step has paid for already.
         position, heading, _, _, kinetic = stage.weights[-1] - stage.weights[0]
         error = end[:3] - stage.target[-1, :3]
-        distance = float(np.hypot(error[0], error[1]))
-        cost += float(position * distance**2 + heading * error[2] ** 2)
+        cost += float(position * (error[:2] @ error[:2]) + heading * error[2] ** 2)
         cost += float(kinetic * self.model.kinetic_energy(end[3:]))
         poses.append(end[:3])
-        times: Array = STEP * np.arange(len(poses), dtype=np.float64)
-        return Outcome(cost, slack, distance, failures, times, np.array(poses))
+        return Outcome(cost, STEP * np.arange(len(poses), dtype=np.float64), np.array(poses))
 
 
 def arrived(cycle: Cycle) -> bool:

@@ -8,12 +8,13 @@ that follows these previews is an argument.
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.core.arbiter import Source
+from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import build
@@ -21,11 +22,18 @@ from omniman_ros.core.preview import Preview
 from omniman_ros.lab.studies.closed_loop import LATENCY, PERIOD, ClosedLoop, StudyError
 from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.motion.path.parameters import TICK
-from omniman_ros.motion.path.timed_curve import TimedCurve
 from omniman_ros.motion.whole_body.correction import PlatformCorrection, corrected_arm_motion
 from omniman_ros.motion.whole_body.model import WholeBodyModel, planar_transform
 from omniman_ros.motion.whole_body.parameters import ToolPathOptions
+from omniman_ros.motion.whole_body.tool_planner import ToolPlan
 from omniman_ros.simulation.plant.parameters import MismatchParameters, SimulationParameters
+from omniman_ros.simulation.ur.arm_body import ArmBody
+from omniman_ros.simulation.ur.motion import ServoJ, Target
+from omniman_ros.ur.joint_preview import JointPreview
+from omniman_ros.ur.parameters import PERIOD as ARM_PERIOD
+from omniman_ros.ur.parameters import UrParameters
+from omniman_ros.ur.setpoint_generator import GeneratorSettings, JointSetpointGenerator
+from omniman_ros.ur.streaming_supervisor import joint_limits
 
 STEP = 0.001  # period of the study's clock [s]
 ODOM_PERIOD = 0.01  # period of the measured poses [s]
@@ -40,33 +48,23 @@ PREVIEW_LEAD = 0.024  # time by which the first previews are sent before the mot
 RECORDING_TAIL = 0.5  # time for which a drive continues after the motion [s]
 
 
-class Motion(Protocol):
-    """The planned motion of all axes and of the tool."""
+class StreamedArm:
+    """Setpoint generator of the streamer, connected directly to the servo of a simulated arm."""
 
-    @property
-    def curve(self) -> TimedCurve:
-        """Motion of all nine axes as a function of time."""
-        ...
+    period = ARM_PERIOD
 
-    @property
-    def branch(self) -> int:
-        """Index of the posture: the branch of the arm's inverse kinematics."""
-        ...
-
-    def tool(self, times: Array) -> Array:
-        """Return the poses (k, 4, 4) of `tool0` in odom at times (k,) [s]."""
-        ...
-
-
-class FollowingArm(Protocol):
-    """An arm that follows previews of its joints."""
-
-    period: float  # period of the arm's cycle [s]
+    def __init__(self, body: ArmBody, arm: ArmParameters, ur: UrParameters) -> None:
+        self._ur = ur
+        settings = GeneratorSettings(ur.start_distance, ur.servo_lag)
+        self._generator = JointSetpointGenerator(joint_limits(arm, ur), settings, ARM_PERIOD)
+        self._generator.begin(body.q, 0.0)
+        self._body = body
+        self._target = Target(body.q.copy())
 
     def preview(
         self, times: Array, positions: Array, velocities: Array, accelerations: Array, now: float
     ) -> None:
-        """Follow a new preview of the joints.
+        """Follow a preview of the joints from now on.
 
         Args:
             times: (k,) times of the points [s].
@@ -74,11 +72,20 @@ class FollowingArm(Protocol):
             velocities: (k, 6) joint velocities [rad/s].
             accelerations: (k, 6) joint accelerations [rad/s^2].
         """
-        ...
+        self._generator.follow(JointPreview(times, positions, velocities, accelerations), now)
 
     def cycle(self, now: float) -> Array:
-        """Run one cycle at the time `now` [s], and return the joint angles (6,) [rad]."""
-        ...
+        """Send the setpoint of a time [s], and simulate the servo for one period.
+
+        Returns:
+            (6,) joint angles of the arm at that time [rad].
+        """
+        self._body.measure(now)
+        setpoint = self._generator.tick(now, self._body.q)
+        servo = ServoJ(setpoint, ARM_PERIOD, self._ur.lookahead_time, self._ur.gain)
+        servo.advance(self._target, ARM_PERIOD)
+        self._body.follow(self._target.q, ARM_PERIOD)
+        return self._body.q
 
 
 @dataclass(frozen=True)
@@ -199,9 +206,9 @@ class ToolPathLoop:
         platform: ClosedLoop,
         case: Case,
         course: str,
-        motion: Motion,
+        motion: ToolPlan,
         model: WholeBodyModel,
-        arm: FollowingArm,
+        arm: StreamedArm,
     ) -> None:
         self._platform, self._case, self._course = platform, case, course
         self._motion, self._model, self._arm = motion, model, arm

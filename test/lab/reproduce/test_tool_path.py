@@ -12,11 +12,10 @@ from omniman_ros.lab.reproduce import tool_path as reproduce_tool_path
 from omniman_ros.lab.reproduce.tool_path import (
     MAX_BOUND,
     RMS_BOUND,
-    StreamedArm,
     drive_row,
     report,
 )
-from omniman_ros.lab.studies.tool_path import Case, Run, rms
+from omniman_ros.lab.studies.tool_path import Case, Run, StreamedArm, rms
 from omniman_ros.motion.whole_body.parameters import ToolPathOptions
 from omniman_ros.robots import load_robot
 from omniman_ros.simulation.ur.arm import SimulatedArm, UrArmParameters
