@@ -30,9 +30,9 @@ SMALL = {
 }
 
 
-def written(capsys, folder, name):
+def written(capfd, folder, name):
     """Return the result, which is the last line printed and the file of that name."""
-    *report, said = capsys.readouterr().out.splitlines()
+    *report, said = capfd.readouterr().out.splitlines()
     result = json.loads(said)
     assert result == json.loads((folder / f"{name}.json").read_text())
     assert len(report) > 3
@@ -40,32 +40,32 @@ def written(capsys, folder, name):
 
 
 @pytest.mark.parametrize("name", BENCHMARKS)
-def test_a_benchmark_measures(name, tmp_path, capsys, own_domain):
+def test_a_benchmark_measures(name, tmp_path, capfd, own_domain):
     if name in IN_WORLD:
         pytest.importorskip("mujoco")
     words = ["--quick", *FEW.get(name, []), "--results", str(tmp_path)]
     assert main(["bench", name, *words]) == 0
-    result = written(capsys, tmp_path, f"bench_{name}")
+    result = written(capfd, tmp_path, f"bench_{name}")
     assert all(value in (True, False, None) for value in result.get("aims", {}).values())
 
 
 @pytest.mark.parametrize("name", EXPERIMENTS)
-def test_an_experiment_passes(name, tmp_path, capsys):
+def test_an_experiment_passes(name, tmp_path, capfd):
     assert main(["reproduce", name, "--quick", "--results", str(tmp_path)]) == 0
-    assert written(capsys, tmp_path, f"reproduce_{name}")["quick"] is True
+    assert written(capfd, tmp_path, f"reproduce_{name}")["quick"] is True
 
 
 @pytest.mark.parametrize("name", ["coupling", "odometry", "tool_path", "free", "handover"])
-def test_an_experiment_runs_in_the_physics_world(name, tmp_path, capsys):
+def test_an_experiment_runs_in_the_physics_world(name, tmp_path, capfd):
     pytest.importorskip("mujoco")
     main(["reproduce", name, "--quick", "--world", "--results", str(tmp_path)])
-    assert written(capsys, tmp_path, f"reproduce_{name}_rollers")["world"] == "rollers"
+    assert written(capfd, tmp_path, f"reproduce_{name}_rollers")["world"] == "rollers"
 
 
 @pytest.mark.parametrize("words", SMALL)
-def test_random_scenes_are_driven(words, tmp_path, capsys):
+def test_random_scenes_are_driven(words, tmp_path, capfd):
     if "--arm" in words:
         pytest.importorskip("mujoco")
     assert main(["reproduce", *words.split(), *SMALL[words], "--results", str(tmp_path)]) == 0
     name = "reproduce_arm_scenes" if "--arm" in words else "reproduce_scenes"
-    assert written(capsys, tmp_path, name)["failed"] == []
+    assert written(capfd, tmp_path, name)["failed"] == []

@@ -13,13 +13,6 @@ def test_plain_resampling_is_at_constant_speed():
     assert np.hypot(*steps.T[:2]) == pytest.approx(0.004, rel=0.01)
 
 
-@pytest.mark.parametrize("count", bench_path.COUNTS)
-def test_paths_have_the_stated_number_of_poses_and_begin_at_the_robot(count):
-    poses = bench_path.spiral(count)
-    assert poses.shape == (count, 3) and poses[0] == pytest.approx([0, 0, 0])
-    assert np.abs(np.diff(poses, axis=0)).max(axis=1).min() > 0
-
-
 def test_planning_is_compared_with_plain_resampling(monkeypatch):
     monkeypatch.setattr(bench_path, "COUNTS", (2, 20))
     figures = bench_path.planning(build(PathParameters, load_robot("omniman")), 1)

@@ -1,14 +1,11 @@
 """`omniman reproduce handover`."""
 
-import importlib.util
 from dataclasses import replace
 
 import pytest
 
 from omniman_ros.lab.reproduce.handover import cases, drive_row, report
 from test.lab.studies.test_handover import made
-
-DRAWS = importlib.util.find_spec("matplotlib") is not None
 
 
 @pytest.mark.parametrize(

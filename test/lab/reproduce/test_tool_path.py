@@ -1,6 +1,5 @@
 """`omniman reproduce tool_path`."""
 
-import importlib.util
 import sys
 
 import numpy as np
@@ -20,8 +19,6 @@ from omniman_ros.motion.whole_body.parameters import ToolPathOptions
 from omniman_ros.robots import load_robot
 from omniman_ros.simulation.ur.arm import SimulatedArm, UrArmParameters
 from omniman_ros.ur.parameters import UrParameters
-
-DRAWS = importlib.util.find_spec("matplotlib") is not None
 
 
 def made(off, peak, correction=True):

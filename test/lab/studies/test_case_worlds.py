@@ -1,14 +1,12 @@
 import importlib.util
-import math
 
 import numpy as np
 import pytest
 
 from omniman_ros.core.parameters import build
 from omniman_ros.lab.studies.case_worlds import case_world
-from omniman_ros.lab.studies.mpc_cases import Scene, circle, corridor, moving
+from omniman_ros.lab.studies.mpc_cases import Scene, circle
 from omniman_ros.lab.studies.mpc_loop import LoopOptions, MpcLoop
-from omniman_ros.lab.studies.scene_geometry import Wall
 from omniman_ros.planning.cases import TwoVelocityPath
 from omniman_ros.planning.parameters import PlannerParameters
 from omniman_ros.simulation.plant.parameters import SimulationParameters
@@ -29,21 +27,6 @@ def loop_through(scene):
             world=case_world(values, "ideal", scene),
         ),
     )
-
-
-def test_circles_that_stand_are_posts_and_those_that_move_are_persons():
-    values = robots.values("ig42")
-    standing, walking = (case_world(values, "ideal", make()).scene for make in (corridor, moving))
-    assert len(standing.posts) == len(walking.persons) == 4
-    assert not standing.persons and not walking.posts
-    assert {post.radius for post in standing.posts} == {0.3}
-
-
-def test_a_wall_keeps_its_middle_heading_length_and_thickness():
-    scene = Scene("walls", (5.0, 0.0, 0.0), walls=(Wall(2.0, 1.0, math.pi / 2, 3.0, 0.2),))
-    (wall,) = case_world(robots.values("ig42"), "ideal", scene).scene.walls
-    np.testing.assert_allclose([wall.x, wall.y], [(2.0, 2.0), (-0.5, 2.5)])
-    assert wall.thickness == 0.2
 
 
 @IN_WORLD

@@ -1,10 +1,8 @@
 import numpy as np
 import pytest
 
-from omniman_ros.control.wheel_cascade import DriveMode
 from omniman_ros.core.parameters import build
-from omniman_ros.lab.studies.closed_loop import LATENCY, PERIOD, ClosedLoop
-from omniman_ros.simulation.plant.drive_unit import DriveUnitMode
+from omniman_ros.lab.studies.closed_loop import LATENCY, ClosedLoop
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 from test import robots
 
@@ -21,24 +19,10 @@ def drive(loop, ticks, twist=(0.3, 0.0, 0.0)):
     return loop
 
 
-def test_tick_is_a_period_and_the_robot_drives():
-    loop = drive(make(), 400)
-    assert loop.tick == 401
-    assert loop.now == pytest.approx(401 * PERIOD)
-    assert loop.drives.ground_truth()[1][0] == pytest.approx(0.3, abs=0.01)
-
-
 def test_true_state_is_of_the_time_of_the_measurement():
     loop = drive(make(), 400)
     after = loop.drives.ground_truth()[0]
     assert after[0] - loop.truth[0] == pytest.approx(0.3 * LATENCY, rel=0.05)
-
-
-@pytest.mark.parametrize("mode", DriveMode)
-def test_commands_are_sent_in_every_mode(mode):
-    loop = drive(make(**{"drive.mode": mode.value}), 100)
-    assert loop.drives.mode is DriveUnitMode(mode.value)
-    assert not loop.drives.holding
 
 
 def ticks_to_voltage(loop):
@@ -51,9 +35,3 @@ def ticks_to_voltage(loop):
 @pytest.mark.parametrize("late", [1, 10])
 def test_delayed_commands_reach_the_drives_after_the_given_ticks(late):
     assert ticks_to_voltage(make(late)) == ticks_to_voltage(make()) + late
-
-
-@pytest.mark.parametrize("torques", [True, False])
-def test_loop_runs_without_reported_torques(torques):
-    loop = drive(make(torques=torques), 10)
-    assert loop.controller.wheel_health.torque_reported is torques

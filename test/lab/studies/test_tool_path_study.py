@@ -1,7 +1,6 @@
 """Study of tool paths: its measurements and the effect of the correction."""
 
 from collections import deque
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -27,7 +26,6 @@ from omniman_ros.motion.whole_body.model import Mount, WholeBodyModel
 from omniman_ros.motion.whole_body.parameters import ToolPathOptions
 from omniman_ros.motion.whole_body.tool_planner import ToolPlanner
 from omniman_ros.robots import load_robot
-from test.tiers import exhaustive
 
 MODEL = WholeBodyModel(Mount())
 LENGTH = 0.4
@@ -104,21 +102,6 @@ def test_timed_point_counts_and_not_the_nearest():
     assert rms(late.error) > 2e-3
 
 
-@pytest.mark.parametrize("period", [exhaustive(0.01), 0.04])
-def test_previews_come_with_the_poses_and_no_more_often_than_asked(period):
-    motion = planned("S")
-    arm = Arm(motion.curve.positions[0, 3:])
-    case = replace(WHEELS[MOST_DEMANDING].case(ON, 0), period=period, horizon=0.15)
-    run = drive(case, arm=arm)
-    sent, begin, end = np.array(arm.previews).T
-    gaps = np.diff(sent)
-    assert gaps.min() > period - 0.005  # on their way they come nearer to each other
-    assert period - 1e-3 < gaps.mean() < period + 0.011
-    assert (end - begin == pytest.approx(0.144)) and (begin <= sent).all()
-    assert rms(run.error) < 0.002
-    assert run.error.max() < 0.005
-
-
 def test_arm_that_takes_no_preview_ends_the_drive():
     class Refusing(Arm):
         def preview(self, *_):
@@ -126,9 +109,3 @@ def test_arm_that_takes_no_preview_ends_the_drive():
 
     with pytest.raises(StudyError, match=r"demo: arm/joint_reference: too far"):
         drive(WHEELS["PI"].case(ON, 0), arm=Refusing(start()[3:]))
-
-
-def test_platform_that_is_lost_ends_the_drive():
-    case = Case("gone", changes={"position.max_linear_error": 0.001}, mismatch={"friction": [6.0]})
-    with pytest.raises(StudyError, match=r"gone: .*following error"):
-        drive(replace(case, changes={**case.changes, **WHEELS[MOST_DEMANDING].changes}))
