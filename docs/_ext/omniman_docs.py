@@ -168,12 +168,14 @@ def markdown_of(result: dict[str, Any]) -> Iterator[str]:
 
     Args:
         result: `columns` (texts) and `rows` (lists of texts, one per column); optionally
-            `conditions` and `command`, which precede the table.
+            `conditions` and `command`, which precede the table; `tag` if the command is gone.
     """
     if "conditions" in result:
         yield result["conditions"]
     if "command" in result:
-        yield f"Repeat with `{result['command']}`."
+        tag = result.get("tag")
+        how = f"Measured at tag `{tag}`:" if tag else "Repeat with"
+        yield f"{how} `{result['command']}`."
     yield ""
     columns = result["columns"]
     yield f"| {' | '.join(columns)} |"

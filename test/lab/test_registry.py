@@ -43,6 +43,20 @@ def test_readme_and_page_name_every_command(kind):
     ]
 
 
+PAGES = sorted({*(ROOT / "docs").glob("**/*.md"), *(ROOT / "docs" / "results").glob("*.json")})
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.name)
+def test_a_command_that_is_gone_names_the_tag_that_had_it(path):
+    if path.name == "changelog.md":
+        return
+    text = path.read_text(encoding="utf-8")
+    for found in re.finditer(r"omniman (bench|reproduce) (\w+)", text):
+        known = BENCHMARKS if found[1] == "bench" else EXPERIMENTS
+        near = text[max(found.start() - 60, 0) : found.end() + 60]
+        assert found[2] in {*known, "NAME"} or "lab-2026-11" in near, found[0]
+
+
 @pytest.mark.parametrize(
     "words",
     [
