@@ -20,3 +20,10 @@ def set_niceness(pid: int, niceness: int, proc: Path = Path("/proc")) -> bool:
     except OSError:
         return False
     return True
+
+
+def scheduling(pid: int) -> str:
+    """Return the scheduling class and priority of a process's main thread, as text."""
+    policy, priority = os.sched_getscheduler(pid), os.sched_getparam(pid).sched_priority
+    name = {os.SCHED_OTHER: "SCHED_OTHER", os.SCHED_FIFO: "SCHED_FIFO"}.get(policy, str(policy))
+    return f"{name} {priority}" if priority else name

@@ -8,10 +8,11 @@ absolute deadlines and sends, in the same scheduling class as the streaming proc
 """
 
 import argparse
+import json
 import math
 import os
-import socket
 import statistics
+import subprocess
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -41,7 +42,7 @@ from omniman_ros.lab.bench.harness import (
     tables,
 )
 from omniman_ros.lab.measurement import cpu_time, percentiles_ms
-from omniman_ros.lab.priority import set_niceness
+from omniman_ros.lab.priority import scheduling, set_niceness
 from omniman_ros.lab.verdicts import verdict
 from omniman_ros.nodes.stop_interface import ALL_LATCHED
 from omniman_ros.processes.arm_options import UR_PORTS
@@ -56,6 +57,7 @@ LATE, VERY_LATE = 0.012, 0.020  # intervals that count as late [s]
 PAUSE = 0.5  # between two blocks, in which the last reports on the previous one arrive [s]
 MIN_REPORTED_SHARE = 0.5  # of a block's intervals, within the block
 REPORT_TIMEOUT = 5.0  # longest time until the reports on a block arrive [s]
+BARE_TIMEOUT = 20.0  # longest time that starting and ending the bare loop take [s]
 BLOCK_RANGE = (1.0, 600.0)  # of the duration of a block [s]
 UNNEEDED_NODES = ("joint_states_merger", "viewer")
 HARDWARE_NODES = ("simulated_drive", "simulated_ur")  # real hardware has CPUs of its own
@@ -207,66 +209,6 @@ class Load:
             self._joints.publish(JointTrajectory(joint_names=list(UR_JOINTS), points=points))
 
 
-class BareLoop:
-    """Controls the bare loop, which runs in a process and sends to a sink in another process."""
-
-    def __init__(self) -> None:
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self._listener.setblocking(False)
-        self._orders: socket.socket | None = None
-        self._received = b""
-
-    def __enter__(self) -> "BareLoop":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._listener.close()
-        if self._orders is not None:
-            self._orders.close()
-
-    def tasks(self, priority: int) -> list[ProcessSpec]:
-        """Return the processes of the loop, with its SCHED_FIFO priority or 0, and of its sink."""
-        (port,) = find_free_ports(1)
-        loop = ("loop", str(port), str(self._listener.getsockname()[1]), str(priority))
-        module = "omniman_ros.lab.bench.arm_bare"
-        return [
-            ProcessSpec("sink", node_command(module, ("sink", str(port))), stage=1),
-            ProcessSpec("bare", node_command(module, loop)),
-        ]
-
-    def is_connected(self) -> bool:
-        """Accept the connection of the loop if it is pending; return whether it is connected."""
-        if self._orders is None:
-            try:
-                self._orders, _ = self._listener.accept()
-            except BlockingIOError:
-                return False
-            self._orders.setblocking(False)
-        return True
-
-    def begin(self, seconds: float) -> None:
-        """Start a block of the given duration [s]; the loop must be connected."""
-        assert self._orders is not None
-        self._received = b""
-        self._orders.sendall(f"{seconds}\n".encode())
-
-    def intervals(self) -> list[float]:
-        """Return the intervals between the sends of the last block [s].
-
-        Empty until it has ended.
-        """
-        assert self._orders is not None
-        try:
-            while not self._received.endswith(b"\n"):
-                data = self._orders.recv(1 << 16)
-                if not data:
-                    raise CommandError("the bare loop has ended")
-                self._received += data
-        except BlockingIOError:
-            return []
-        return [float(value) for value in self._received.decode().strip("[]\n").split(",")]
-
-
 def robot(args: argparse.Namespace) -> list[ProcessSpec]:
     """Return the processes of the robot's nodes; its simulated UR controller uses free ports."""
     ports = dict(zip(UR_PORTS, find_free_ports(len(UR_PORTS)), strict=True))
@@ -294,33 +236,44 @@ def child_of(pid: int, word: str) -> int:
     raise CommandError(f"process {pid} has no child {word} (the search needs Linux)")
 
 
-def scheduling(pid: int) -> str:
-    """Return the scheduling class and priority of a process's main thread, as text."""
-    policy, priority = os.sched_getscheduler(pid), os.sched_getparam(pid).sched_priority
-    name = {os.SCHED_OTHER: "SCHED_OTHER", os.SCHED_FIFO: "SCHED_FIFO"}.get(policy, str(policy))
-    return f"{name} {priority}" if priority else name
+def bare_block(load: Load, seconds: float, priority: int) -> tuple[list[float], str]:
+    """Run the bare loop under the load; return its intervals [s] and its scheduling class."""
+    given = (f"{seconds}", f"{priority}")
+    command = node_command("omniman_ros.lab.bench.arm_bare", given)
+    # Like each node, it leads a session, by which the kernel may group processes.
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, text=True, start_new_session=True
+    ) as process:
+        try:
+            late = "the bare loop did not end"
+            load.until(lambda: process.poll() is not None, seconds + BARE_TIMEOUT, late)
+        finally:
+            process.kill()
+        assert process.stdout is not None
+        said = json.loads(process.stdout.read())
+    return said["intervals"], said["scheduling"]
 
 
 def measure(
-    nodes: RunningNodes, load: Load, bare: BareLoop, pairs: int, seconds: float
+    nodes: RunningNodes, load: Load, priority: int, pairs: int, seconds: float
 ) -> dict[str, Any]:
-    """Measure the streaming process and the bare loop in alternating blocks of a duration [s]."""
+    """Measure the streaming process and the bare loop in alternating blocks of a duration [s].
+
+    Raises:
+        CommandError: The robot stopped, or the two loops differ in their scheduling class.
+    """
     load.begin()
     for name in HARDWARE_NODES:
         set_niceness(nodes.children.pid(name), HARDWARE_NICENESS)
-    load.until(bare.is_connected, DISCOVERY_TIMEOUT, "the bare loop did not connect")
     node = nodes.children.pid("arm_streamer")
     pids = {"streaming": child_of(node, STREAMING_MODULE), "node": node}
-    classes = {scheduling(pid) for pid in (pids["streaming"], nodes.children.pid("bare"))}
-    if len(classes) > 1:
-        raise CommandError(f"the loops differ in their scheduling class: {classes}")
+    ours = scheduling(pids["streaming"])
     before, started = load.controller, time.monotonic()
     used = {name: cpu_time(pid) for name, pid in pids.items()}
     sides: dict[str, list[list[float]]] = {"streamer": [], "bare": []}
     ages: list[float] = []
 
-    def streamer_block() -> None:
-        load.run(PAUSE)
+    def measure_streamer() -> None:
         load.intervals.clear()
         load.ages.clear()
         load.run(seconds)
@@ -329,29 +282,22 @@ def measure(
         sides["streamer"].append(list(load.intervals))
         ages.extend(load.ages)
 
-    def bare_block() -> None:
-        load.run(PAUSE)
-        bare.begin(seconds)
-        load.run(seconds)
-        found: list[float] = []
-        late = "the bare loop did not report its intervals"
-
-        def has_reported() -> bool:
-            found.extend(bare.intervals())
-            return bool(found)
-
-        load.until(has_reported, REPORT_TIMEOUT, late)
-        sides["bare"].append(found)
+    def measure_bare() -> None:
+        intervals, theirs = bare_block(load, seconds, priority)
+        if theirs != ours:
+            raise CommandError(f"the loops differ in their scheduling class: {ours}, {theirs}")
+        sides["bare"].append(intervals)
 
     for k in range(pairs):
-        for block in (streamer_block, bare_block)[:: -1 if k % 2 else 1]:
+        for block in (measure_streamer, measure_bare)[:: -1 if k % 2 else 1]:
+            load.run(PAUSE)
             block()
         say(f"  pair {k + 1}: p99 ratio {pair_ratios(sides)[-1]:.3f}")
     reports, wall = load.reports, time.monotonic() - started
     shares = {name: (cpu_time(pid) - used[name]) / wall for name, pid in pids.items()}
     load.until(lambda: load.reports > reports, REPORT_TIMEOUT, "no diagnostics of simulated_ur")
     return {
-        "scheduling": classes.pop(),
+        "scheduling": ours,
         **figures(sides, ages),
         "cpu_share": shares,
         "read_timeouts": ended_programs(load.controller) - ended_programs(before),
@@ -406,10 +352,9 @@ def run(args: argparse.Namespace) -> int:
     isolate_ros_domain(os.environ)
     result: dict[str, Any] = {"robot": args.robot, "quick": args.quick, "pairs": pairs}
     result |= {"block_s": seconds, "priority": args.priority}
-    bare = BareLoop()
-    with bare, running_nodes([*robot(args), *bare.tasks(args.priority)]) as nodes:
+    with running_nodes(robot(args)) as nodes:
         say(f"{pairs} pairs of blocks of {seconds:g} s ...")
-        result |= measure(nodes, Load(nodes), bare, pairs, seconds)
+        result |= measure(nodes, Load(nodes), args.priority, pairs, seconds)
     return conclude("arm", result, report, args.results, aims)
 
 

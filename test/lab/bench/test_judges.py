@@ -1,8 +1,7 @@
 """What decides whether a benchmark meets its aims."""
 
 import copy
-import socket
-import threading
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,11 +12,10 @@ from omniman_ros.cli.main import main
 from omniman_ros.console.errors import CommandError
 from omniman_ros.control.kinematics import PlatformKinematics
 from omniman_ros.core.parameters import build
-from omniman_ros.lab.bench import arm, arm_bare, can_bus, control, mpc, whole_body
+from omniman_ros.lab.bench import arm, can_bus, control, mpc, whole_body
 from omniman_ros.lab.studies.tool_courses import tool_poses
 from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.nodes.trajectory_interfaces.parameters import PathInterpolatorParameters
-from omniman_ros.processes.free_ports import find_free_ports
 from omniman_ros.robots import load_robot
 from test.running import wait_until
 
@@ -189,26 +187,11 @@ def test_a_stop_of_the_robot_ends_the_benchmark_with_both_reasons():
 
 
 @pytest.mark.processes
-def test_the_bare_loop_reports_the_intervals_of_each_block_and_its_end():
-    (port,) = find_free_ports(1)
-    with arm.BareLoop() as bare:
-        orders = bare._listener.getsockname()[1]
-        threading.Thread(target=arm_bare.sink, args=(port,), daemon=True).start()
-        loop = threading.Thread(target=arm_bare.loop, args=(port, orders, 0), daemon=True)
-        loop.start()
-        wait_until(bare.is_connected, "the loop")
-        for seconds, count in ((0.08, 10), (0.16, 20)):
-            bare.begin(seconds)
-            found = []
-            wait_until(lambda f=found: f.extend(bare.intervals()) or f, "an answer")
-            assert len(found) == count and sum(found) > 0.5 * seconds
-    loop.join(5.0)
-    assert not loop.is_alive(), "it ends with the bench"
-    with arm.BareLoop() as bare:
-        with socket.create_connection(bare._listener.getsockname()):
-            wait_until(bare.is_connected, "a connection")
-        with pytest.raises(CommandError, match="has ended"):
-            wait_until(lambda: bare.intervals(), "the end")
+def test_the_bare_loop_tells_its_intervals_and_its_class():
+    load = SimpleNamespace(until=lambda done, timeout, failure: wait_until(done, failure))
+    intervals, kind = arm.bare_block(load, 0.16, 0)
+    assert len(intervals) == 20 and sum(intervals) > 0.08
+    assert kind == "SCHED_OTHER"
 
 
 # ---- whole_body ---------------------------------------------------------------------------------
