@@ -1,22 +1,16 @@
 """`omniman reproduce tool_path`."""
 
-import sys
-
 import numpy as np
 import pytest
 
 from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.core.parameters import build
-from omniman_ros.lab.reproduce import tool_path as reproduce_tool_path
 from omniman_ros.lab.reproduce.tool_path import (
-    MAX_BOUND,
-    RMS_BOUND,
     drive_row,
     report,
 )
-from omniman_ros.lab.studies.tool_path import Case, Run, StreamedArm, rms
+from omniman_ros.lab.studies.tool_path import Case, Run, StreamedArm
 from omniman_ros.motion.whole_body.parameters import ToolPathOptions
-from omniman_ros.robots import load_robot
 from omniman_ros.simulation.ur.arm import SimulatedArm, UrArmParameters
 from omniman_ros.ur.parameters import UrParameters
 
@@ -72,19 +66,3 @@ def test_arm_is_in_time_with_its_lead_and_late_without():
 
     assert abs(behind()) < 0.004
     assert behind(servo_lag=0.0) == pytest.approx(0.04, abs=0.004)
-
-
-def test_without_matplotlib_there_is_no_picture(tmp_path, monkeypatch):
-    monkeypatch.delattr("omniman_ros.lab.figures.tool_path", raising=False)
-    monkeypatch.setitem(sys.modules, "omniman_ros.lab.figures.tool_path", None)
-    assert reproduce_tool_path.draw([made(0.001, 0.002)], tmp_path / "p.png") is None
-
-
-def test_platform_and_joints_are_bodies_of_one_world():
-    pytest.importorskip("mujoco")
-    case = Case("", options=reproduce_tool_path.options(True))
-    run = reproduce_tool_path.drive(load_robot("omniman"), 0.1, "ideal", ("straight", case))
-    assert rms(run.error) < RMS_BOUND
-    assert run.error.max() < MAX_BOUND
-    lean = np.abs(run.truth - run.odom)[:, 2]
-    assert 1e-6 < lean.max() < 2e-3, "the platform leans on its tyres, which odometry cannot see"

@@ -1,6 +1,5 @@
 import importlib.util
 
-import numpy as np
 import pytest
 
 from omniman_ros.core.parameters import build
@@ -27,17 +26,6 @@ def loop_through(scene):
             world=case_world(values, "ideal", scene),
         ),
     )
-
-
-@IN_WORLD
-def test_obstacles_move_in_the_world_as_they_do_in_the_scene():
-    path = TwoVelocityPath((3.0, -1.0), (0.0, 0.5), 0.2, (0.4, 0.0))
-    loop = loop_through(Scene("one", (5.0, 0.0, 0.0), obstacles=(circle(0.3, path),)))
-    for _ in range(8):
-        loop.cycle()
-    (person,) = loop.loop.world.obstacles
-    np.testing.assert_allclose(person.pose[:2], path(loop.now - 0.005), atol=0.003)
-    assert not loop.touched
 
 
 @IN_WORLD

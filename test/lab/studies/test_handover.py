@@ -9,15 +9,8 @@ import pytest
 from omniman_ros.core import se2
 from omniman_ros.lab.studies.closed_loop import PERIOD
 from omniman_ros.lab.studies.handover import KEPT_TIME, SPEED, Case, Run, station_error
-from omniman_ros.lab.studies.handover_drives import (
-    LEADER_START,
-    SimulatedRobot,
-    drive_leader,
-)
 from omniman_ros.lab.studies.mpc_loop import MotionRecord
 from omniman_ros.lab.studies.scene_geometry import Box
-from omniman_ros.lab.studies.tool_path import DEMO_MISMATCH
-from omniman_ros.robots import load_robot
 
 OFFSET = (0.0, -1.3, 0.0)
 BOX = Box(1.0, 0.7)
@@ -69,14 +62,3 @@ def test_only_the_station_keeper_with_known_radii_has_an_aim():
     assert Case("station_keeper", "S", "P").is_aim
     assert not Case("station_keeper", "S", "radii").is_aim
     assert not Case("mpc_planner", "S", "PI").is_aim
-
-
-def test_leader_drives_its_path_at_its_speed_from_rest_to_rest():
-    poses = np.column_stack([np.linspace(0.0, 0.6, 13), np.zeros(13), np.zeros(13)])
-    robot = SimulatedRobot(load_robot("omniman"), DEMO_MISMATCH, LEADER_START)
-    led = drive_leader(robot, poses)
-    record = led.record
-    assert record.poses[-1] == pytest.approx([0.6, 0.0, 0.0], abs=5e-3)
-    assert max(np.hypot(*twist[:2]) for twist in record.twists) == pytest.approx(SPEED, abs=0.01)
-    times = np.array(record.times)
-    np.testing.assert_allclose(led.sample(times)[0], np.array(record.odometry), atol=5e-3)

@@ -12,7 +12,6 @@ from omniman_ros.lab.studies.tracking_judge import (
     root_mean_square,
     visible_beams,
 )
-from test import robots
 
 DIRECTIONS = np.linspace(-0.5, 0.5, 201)
 ORIGIN = np.zeros(2)
@@ -100,13 +99,3 @@ def test_identities_are_compared_before_and_after_a_crossing(swaps, kept):
 
     judge = judged(reports, crossing)
     assert (judge.crossings, judge.kept) == (2, kept)
-
-
-def test_a_short_study_sees_whoever_walks():
-    pytest.importorskip("mujoco")
-    from omniman_ros.lab.studies.tracking import TrackingCase, run_case
-
-    run = run_case(TrackingCase(2, 3, drives=True), robots.values("ig42"), 1.5)
-    assert len(run.judge.walking_errors) > 40
-    assert root_mean_square(run.judge.errors) < 0.15
-    assert len(run.cpu) == 30
