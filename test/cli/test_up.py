@@ -162,7 +162,7 @@ def test_a_value_that_a_node_would_refuse_is_reported_before_any_starts(own_doma
     env = environment(own_domain)
     with Running(command("up", "-p", "position.k_xy:=-1.0", *ONLY_NODES), env) as up:
         assert up.finish() == 2
-    assert "error: parameter 'position.k_xy' = '-1.0' is refused" in up.output
+    assert "error: parameter 'position.k_xy' = -1.0 is refused: below the minimum 0" in up.output
     assert "stopping the robot" not in up.output
 
 
