@@ -1,6 +1,7 @@
 import sys
 
 import pytest
+from std_msgs.msg import Header
 
 from test.work import calls
 
@@ -22,3 +23,8 @@ def test_counting_ends_with_the_work_even_if_it_fails():
     with pytest.raises(ValueError):
         calls(fail)
     assert sys.getprofile() is None
+
+
+def test_what_a_class_of_messages_does_inside_does_not_count():
+    messages = []
+    assert calls(lambda: messages.append(Header(frame_id="odom"))) == 2  # the lambda, append

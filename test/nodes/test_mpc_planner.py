@@ -51,7 +51,7 @@ FAR = (2.0, 0.0, 0.0)
 CYCLE = 0.05
 TICK = 0.01
 """Time passes in such steps where the controller is a fake [s]."""
-MARKER_CALLS = 600
+MARKER_CALLS = 120
 """Largest number of calls that a marker of a message costs, with those of two cycles."""
 LEAST = 0.02
 """The parameter safety.least_clearance [m]."""
