@@ -12,17 +12,11 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class Extra:
-    """A feature that needs libraries beyond ROS and numpy.
+    """A feature that needs libraries beyond ROS and numpy."""
 
-    Attributes:
-        modules: Modules that must be importable.
-        need: What the feature is and which libraries it needs, for error messages.
-        packages: What pip installs for it.
-    """
-
-    modules: tuple[str, ...]
-    need: str
-    packages: str
+    modules: tuple[str, ...]  #: Modules that must be importable
+    need: str  #: What the feature is and which libraries it needs, for error messages
+    packages: str  #: What pip installs for it
 
     @property
     def is_available(self) -> bool:

@@ -19,10 +19,9 @@ import yaml
 from omniman_ros.core.errors import FileError
 from omniman_ros.core.parameters import flatten_mapping
 
-FOR_ALL_NODES = "/**"
-"""Pattern of the names of all nodes."""
+FOR_ALL_NODES = "/**"  #: Pattern of the names of all nodes
+#: Key below which a section of a ROS parameter file has its parameters
 PARAMETERS = "ros__parameters"
-"""Key below which a section of a ROS parameter file has its parameters."""
 _TRUE = {"y", "Y", "yes", "Yes", "YES", "true", "True", "TRUE", "on", "On", "ON"}
 _FALSE = {"n", "N", "no", "No", "NO", "false", "False", "FALSE", "off", "Off", "OFF"}
 _INTEGER = re.compile(r"([+-]?)(?:0[xX]([0-9a-fA-F]+)|(0[0-7]*)|([1-9][0-9]*))")
@@ -32,10 +31,10 @@ _HEXADECIMAL = re.compile(
 )
 _NOT_FINITE = re.compile(r"\.(?:nan|NaN|NAN)|[+-]?\.(?:inf|Inf|INF)|(?i:[+-]?(?:nan|inf(inity)?))")
 _TEXT_TAG = "tag:yaml.org,2002:str"
+#: Names of the types of values, for messages
 _KINDS = {bool: "a boolean", int: "an integer", float: "a double", str: "a text"}
-"""Names of the types of values, for messages."""
+#: Loader of libyaml, where PyYAML has it: nine times faster, and every node reads a robot
 _BASE: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-"""Loader of libyaml, where PyYAML has it: nine times faster, and every node reads a robot."""
 
 
 class _Loader(_BASE):  # type: ignore[misc]  # the base depends on how PyYAML was built
@@ -47,17 +46,11 @@ class _Loader(_BASE):  # type: ignore[misc]  # the base depends on how PyYAML wa
 
 @dataclass(frozen=True)
 class Section:
-    """Parameters in a ROS parameter file.
+    """Parameters in a ROS parameter file."""
 
-    Attributes:
-        nodes: Pattern of the absolute names of the nodes that they are for.
-        line: Line at which the section begins.
-        values: Full parameter names to values.
-    """
-
-    nodes: str
-    line: int
-    values: Mapping[str, Any]
+    nodes: str  #: Pattern of the absolute names of the nodes that they are for
+    line: int  #: Line at which the section begins
+    values: Mapping[str, Any]  #: Full parameter names to values
 
     def is_for(self, node: str) -> bool:
         """Return whether a node with this absolute name gets the parameters."""
@@ -246,5 +239,4 @@ def _documents(data: bytes, source: str) -> list[yaml.Node]:
 
 
 def _error(source: str, node: yaml.Node, reason: str) -> FileError:
-    """Return an error at the line of a node."""
     return FileError(source, node.start_mark.line + 1, reason)

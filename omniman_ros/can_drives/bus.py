@@ -14,15 +14,13 @@ from omniman_ros.can_drives.reception import enlarge_receive_buffer, is_invalid_
 from omniman_ros.core.can_parameters import CanParameters
 from omniman_ros.core.errors import OmnimanError
 
-BUS_OFF_FLAG = 0x040
-"""Flag in the id of SocketCAN's error frames that reports bus-off."""
+BUS_OFF_FLAG = 0x040  #: Flag in the id of SocketCAN's error frames that reports bus-off
+#: Longest time for which a read of the thread waits, which bounds the time of closing [s]
 READ_TIMEOUT = 0.1
-"""Longest time for which a read of the thread waits, which bounds the time of closing [s]."""
+#: Largest number of frames processed at once: a flood must not delay the periods
 MAX_TAKEN_FRAMES = 256
-"""Largest number of frames processed at once: a flood must not delay the periods."""
 
-CLOSED = "closed"
-"""Failure of a bus that was closed."""
+CLOSED = "closed"  #: Failure of a bus that was closed
 
 
 class BusError(OmnimanError):
@@ -30,13 +28,9 @@ class BusError(OmnimanError):
 
 
 class Bus(Protocol):
-    """A bus as the bridge uses it.
+    """A bus as the bridge uses it."""
 
-    Attributes:
-        invalid: Number of received items that were not classic CAN frames.
-    """
-
-    invalid: int
+    invalid: int  #: Number of received items that were not classic CAN frames
 
     def take(self) -> Iterator[Frame | str]:
         """Yield received frames, or descriptions of bus failures."""

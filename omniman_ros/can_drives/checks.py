@@ -7,16 +7,12 @@ from omniman_ros.can_drives.axis import AxisSettings, Setpoint
 from omniman_ros.control.wheel_cascade import DriveMode
 from omniman_ros.core.errors import ParameterError
 
+#: Ratio of a speed that a shaft certainly cannot reach to its largest speed
 IMPOSSIBLE_SPEED = 3.0
-"""Ratio of a speed that a shaft certainly cannot reach to its largest speed."""
 
 
 def require_positive(settings: AxisSettings, *names: str) -> None:
     """Check that settings by which a codec divides are finite and above zero.
-
-    Args:
-        settings: Installation of the drive.
-        names: Names of the fields to check.
 
     Raises:
         ParameterError: One of the fields is not finite or not above zero.
@@ -54,7 +50,6 @@ def is_reachable(step: float, elapsed: float, settings: AxisSettings) -> bool:
     Args:
         step: Change of the position [rad].
         elapsed: Time between the receptions of the two reports [s].
-        settings: Installation of the drive.
     """
     longest_time = max(elapsed, 0.0) + settings.feedback_timeout
     return abs(step) <= IMPOSSIBLE_SPEED * settings.max_speed * longest_time + 0.5 * math.pi

@@ -23,14 +23,13 @@ from omniman_ros.core.can_parameters import CanParameters
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.robot import Robot
 
-REST_SPEED = 0.05
-"""Speed below which a wheel counts as at rest [rad/s]."""
+REST_SPEED = 0.05  #: Speed below which a wheel counts as at rest [rad/s]
+#: Time for which all wheels must be at rest before a stop switches the power off [s]
 REST_TIME = 0.2
-"""Time for which all wheels must be at rest before a stop switches the power off [s]."""
+#: Time to listen to the bus before anything is sent: two periods of the slowest host [s]
 LISTEN_TIME = 0.2
-"""Time to listen to the bus before anything is sent: two periods of the slowest host [s]."""
+#: Time after the ramp of a stop at which the power is switched off regardless [s]
 STOP_MARGIN = 0.5
-"""Time after the ramp of a stop at which the power is switched off regardless [s]."""
 
 
 class Phase(Enum):
@@ -38,8 +37,8 @@ class Phase(Enum):
 
     UNCONFIGURED = "unconfigured"
     CONFIGURING = "configuring"
+    #: Configured; the motors have no power, or their wheels are being stopped to switch it off
     IDLE = "idle"
-    """Configured; the motors have no power, or their wheels are being stopped to switch it off."""
     ENABLING = "enabling"
     DRIVING = "driving"
 
@@ -54,10 +53,6 @@ class CanDrives:
       stopped, and stops all.
     * After a stop, when all wheels are at rest, the power is switched off. Enabling begins at zero
       speed.
-
-    Args:
-        robot: The robot.
-        parameters: The installation.
 
     Attributes:
         axes: One axis per wheel, in the robot's order.
@@ -176,7 +171,6 @@ class CanDrives:
         """Set the command to follow, wheels in the robot's order.
 
         Args:
-            command: The command.
             now: Time [s].
             age: Age of the command [s].
 
@@ -337,7 +331,6 @@ class CanDrives:
 
     @property
     def _rotates(self) -> bool:
-        """Whether a wheel is not at rest."""
         return not bool((np.abs(self._feedback.velocity()) < REST_SPEED).all())
 
     def _axis_frames(self, demand: Demand, now: float) -> list[Frame]:

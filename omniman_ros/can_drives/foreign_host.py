@@ -5,8 +5,7 @@ from collections.abc import Iterable
 
 from omniman_ros.can_drives.frame import Frame
 
-ECHO_MEMORY = 32
-"""Number of sent frames per id that may still come back as an echo."""
+ECHO_MEMORY = 32  #: Number of sent frames per id that may still come back as an echo
 
 
 class ForeignHostDetector:

@@ -8,31 +8,23 @@ from typing import NamedTuple
 
 from omniman_ros.core.errors import InputError
 
+#: Polynomial of the CRC, x^15 + x^14 + x^10 + x^8 + x^7 + x^4 + x^3 + 1, without x^15
 CRC_POLYNOMIAL = 0x4599
-"""Polynomial of the CRC, x^15 + x^14 + x^10 + x^8 + x^7 + x^4 + x^3 + 1, without x^15."""
 
+#: Number of bits at the end of a frame that are never stuffed.
+#:
+#: They are the CRC delimiter, 2 bits of the acknowledgement, 7 of the end of frame and 3 of the
+#: interframe space.
 UNSTUFFED_BITS = 13
-"""Number of bits at the end of a frame that are never stuffed.
-
-They are the CRC delimiter, 2 bits of the acknowledgement, 7 of the end of frame and 3 of the
-interframe space.
-"""
 
 
 class Frame(NamedTuple):
-    """A data frame or remote frame.
+    """A data frame or remote frame."""
 
-    Attributes:
-        id: Arbitration id of 11 bits, or of 29 bits if `extended`.
-        data: Payload of 0 to 8 bytes.
-        extended: Whether the id has 29 bits.
-        remote: Whether this is a remote frame, which requests data and carries none.
-    """
-
-    id: int
-    data: bytes
-    extended: bool = False
-    remote: bool = False
+    id: int  #: Arbitration id of 11 bits, or of 29 bits if `extended`
+    data: bytes  #: Payload of 0 to 8 bytes
+    extended: bool = False  #: Whether the id has 29 bits
+    remote: bool = False  #: Whether this is a remote frame, which requests data and carries none
 
     def __str__(self) -> str:
         width = 8 if self.extended else 3

@@ -13,26 +13,21 @@ from omniman_ros.core.can_parameters import CanParameters
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.robot import Robot
 
-NO_TIMEOUT = 1e9
-"""Timeout of actions that end by the policy's own timeouts [s]."""
+NO_TIMEOUT = 1e9  #: Timeout of actions that end by the policy's own timeouts [s]
+#: Time after the longest stop within which the drives must report that their power is off [s]
 POWER_OFF_MARGIN = 1.0
-"""Time after the longest stop within which the drives must report that their power is off [s]."""
 
-Wake = Callable[[], None]
-"""Called from another thread when frames have arrived."""
+Wake = Callable[[], None]  #: Called from another thread when frames have arrived
+#: Opens a bus; raises BusError if that fails
 OpenBus = Callable[[CanParameters, Wake | None], Bus]
-"""Opens a bus; raises BusError if that fails."""
 
 
 class CanLink:
     """Runs the policy over all drives on an open bus.
 
     Args:
-        robot: The robot.
-        p: The installation.
         clock: Returns the time of a steady clock [s].
         wake: Called from another thread when frames wait for :meth:`receive`; None if unused.
-        open_bus: Opens the bus.
 
     Attributes:
         drives: The policy.
@@ -237,7 +232,6 @@ class CanLink:
         """Run periods until a condition holds.
 
         Args:
-            done: Returns whether the condition holds.
             timeout: Longest time to wait [s].
 
         Returns:

@@ -4,19 +4,17 @@ import math
 
 from omniman_ros.can_drives.axis import Feedback
 
+#: Ratio of the wheel speed that counts as running away to the largest commanded speed
 RUNAWAY_SPEED = 1.5
-"""Ratio of the wheel speed that counts as running away to the largest commanded speed."""
-MIN_COMPARED_SPEED = 0.5
-"""Speed below which position and speed are not compared [rad/s]."""
+MIN_COMPARED_SPEED = 0.5  #: Speed below which position and speed are not compared [rad/s]
+#: Travel, integrated from the reported speed, in which the position has to change [rad]; an
+#: encoder's step must be smaller.
 UNMOVED_TRAVEL = 0.2
-"""Travel, integrated from the reported speed, in which the position has to change [rad]; an
-encoder's step must be smaller."""
+#: Smallest number of reports in a row without a change: one that follows a gap is not enough
 UNMOVED_REPORTS = 4
-"""Smallest number of reports in a row without a change: one that follows a gap is not enough."""
+#: Smallest plausible ratio of position change to travel; well below 1, as reports may be late
 MIN_MOVED_FRACTION = 0.1
-"""Smallest plausible ratio of position change to travel; well below 1, as reports may be late."""
-MAX_REPORT_INTERVAL = 0.05
-"""Longest time for which a reported speed is integrated [s]."""
+MAX_REPORT_INTERVAL = 0.05  #: Longest time for which a reported speed is integrated [s]
 
 
 class WheelMonitor:

@@ -69,8 +69,7 @@ HOST_COMMANDS = (
     Command.REBOOT,
     Command.CLEAR_ERRORS,
     Command.ABSOLUTE_POSITION,
-)
-"""Commands that only a host sends; an emergency stop (0x02) may come from anyone."""
+)  #: Commands that only a host sends; an emergency stop (0x02) may come from anyone
 
 UNUSED_REPORTS = (
     Command.VERSION,
@@ -81,32 +80,26 @@ UNUSED_REPORTS = (
     Command.TEMPERATURE,
     Command.TORQUES,
     Command.POWERS,
-)
-"""Reports that are received but not used here."""
+)  #: Reports that are received but not used here
 
+#: Layout of a heartbeat: axis error, axis state, and flags that differ between the firmwares
 HEARTBEAT_LAYOUT = struct.Struct("<IBBBB")
-"""Layout of a heartbeat: axis error, axis state, and flags that differ between the firmwares."""
+#: Layout of two floats.
+#:
+#: Encoder: position [rev], velocity [rev/s]. Input velocity: velocity [rev/s], torque [N m].
+#: Limits: velocity [rev/s], current [A]. Iq: setpoint and measurement [A]. Bus: voltage [V],
+#: current [A]. Input torque: torque [N m], unused.
 TWO_FLOATS = struct.Struct("<ff")
-"""Layout of two floats.
-
-Encoder: position [rev], velocity [rev/s]. Input velocity: velocity [rev/s], torque [N m].
-Limits: velocity [rev/s], current [A]. Iq: setpoint and measurement [A]. Bus: voltage [V],
-current [A]. Input torque: torque [N m], unused.
-"""
+#: Layout of two integers.
+#:
+#: Axis state: state, unused. Controller mode: control mode, input mode.
 TWO_INTEGERS = struct.Struct("<II")
-"""Layout of two integers.
 
-Axis state: state, unused. Controller mode: control mode, input mode.
-"""
-
-IDLE = 1
-"""Axis state without power on the motor."""
-CLOSED_LOOP = 8
-"""Axis state of closed loop control."""
-PASSTHROUGH = 1
-"""Input mode without a ramp or filter."""
+IDLE = 1  #: Axis state without power on the motor
+CLOSED_LOOP = 8  #: Axis state of closed loop control
+PASSTHROUGH = 1  #: Input mode without a ramp or filter
+#: Control mode of the drive by the mode of the setpoint
 CONTROL_MODES = {DriveMode.TORQUE: 1, DriveMode.VELOCITY: 2}
-"""Control mode of the drive by the mode of the setpoint."""
 
 ERRORS = {
     0: "INITIALIZING",
@@ -131,8 +124,7 @@ ERRORS = {
     27: "BRAKE_RESISTOR_DISARMED",
     28: "THERMISTOR_DISCONNECTED",
     30: "CALIBRATION_ERROR",
-}
-"""Names of the bits of the axis error by bit number, firmware 0.6 (ODrive.Error)."""
+}  #: Names of the bits of the axis error by bit number, firmware 0.6 (ODrive.Error)
 
 ERRORS_05 = {
     0: "INVALID_STATE",
@@ -147,13 +139,12 @@ ERRORS_05 = {
     17: "HOMING_WITHOUT_ENDSTOP",
     18: "OVER_TEMP",
     19: "UNKNOWN_POSITION",
-}
-"""Names of the bits of the axis error by bit number, firmware 0.5 (ODrive.Axis.Error)."""
+}  #: Names of the bits of the axis error by bit number, firmware 0.5 (ODrive.Axis.Error)
 
+#: Number of missing heartbeats after which the drive counts as lost, or a request is repeated
 MISSED_HEARTBEATS = 3
-"""Number of missing heartbeats after which the drive counts as lost, or a request is repeated."""
+#: Time between two requests for values that the drive does not report by itself [s]
 REQUEST_PERIOD = 0.1
-"""Time between two requests for values that the drive does not report by itself [s]."""
 
 
 def error_text(error: int) -> str:
@@ -189,9 +180,6 @@ class OdriveAxis:
     Positions are float32 revolutions of the motor: from 4096 rev on they have steps of 1/2048 rev
     (3 mrad), from 131,072 rev on of 1/64 rev (0.1 rad). A drive that is to run further must be
     restarted.
-
-    Args:
-        settings: Installation of the drive.
 
     Raises:
         ParameterError: A setting that the codec divides by is not finite and above zero.

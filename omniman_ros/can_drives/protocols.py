@@ -17,15 +17,12 @@ from omniman_ros.can_drives.vesc import VescAxis
 
 
 class Network(Protocol):
-    """Frames of the host that belong to no single axis.
+    """Frames of the host that belong to no single axis."""
 
-    Attributes:
-        samples_at_sync: Whether the drives measure when they receive the last frame of a period
-            (SYNC), rather than when they report.
-        command_ids: Ids, and whether they are extended, of frames that only a host sends.
-    """
-
+    #: Whether the drives measure when they receive the last frame of a period (SYNC), rather than
+    #: when they report.
     samples_at_sync: bool
+    #: Ids, and whether they are extended, of frames that only a host sends
     command_ids: Collection[tuple[int, bool]]
 
     def before(self, now: float) -> list[Frame]:
@@ -53,14 +50,10 @@ class QuietNetwork:
 
 @dataclass(frozen=True)
 class ProtocolEntry:
-    """Factories of one protocol.
+    """Factories of one protocol."""
 
-    Attributes:
-        axis: Creates the axis of one drive.
-        network: Creates the network of all drives on the bus.
-    """
-
-    axis: Callable[[AxisSettings], Axis]
+    axis: Callable[[AxisSettings], Axis]  #: Creates the axis of one drive
+    #: Creates the network of all drives on the bus
     network: Callable[[tuple[AxisSettings, ...]], Network] = lambda settings: QuietNetwork()
 
 
@@ -68,5 +61,4 @@ PROTOCOLS = {
     "cia402": ProtocolEntry(Cia402Axis, CanopenNetwork),
     "vesc": ProtocolEntry(VescAxis),
     "odrive": ProtocolEntry(OdriveAxis),
-}
-"""Factories by value of the parameter `can.protocol`."""
+}  #: Factories by value of the parameter `can.protocol`

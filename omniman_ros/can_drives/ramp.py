@@ -6,11 +6,7 @@ from omniman_ros.core.arrays import Array
 
 
 class SpeedRamp:
-    """Ramps the speeds of all wheels in proportion, so that the robot stays on its curve.
-
-    Args:
-        n: Number of wheels.
-    """
+    """Ramps the speeds of all wheels in proportion, so that the robot stays on its curve."""
 
     def __init__(self, n: int) -> None:
         self._speeds: Array = np.zeros(n)

@@ -7,12 +7,12 @@ import os
 import socket
 from typing import Protocol
 
+#: Size of the receive buffer that is asked for [bytes].
+#:
+#: The 104 KiB that Linux grants unasked hold 256 frames: those of 0.2 s, if four drives answer 100
+#: times a second. A process that waits longer for a core, as on a busy machine, lost frames. Up to
+#: `net.core.rmem_max` is granted.
 RECEIVE_BUFFER = 1 << 20
-"""Size of the receive buffer that is asked for [bytes].
-
-The 104 KiB that Linux grants unasked hold 256 frames: those of 0.2 s, if four drives answer 100
-times a second. A process that waits longer for a core, as on a busy machine, lost frames. Up to
-`net.core.rmem_max` is granted."""
 
 
 class HasSocket(Protocol):
@@ -24,9 +24,6 @@ class HasSocket(Protocol):
 
 def enlarge_receive_buffer(bus: HasSocket) -> None:
     """Have a bus over UDP keep the frames that arrive while its reader waits for a core.
-
-    Args:
-        bus: The open bus.
 
     Raises:
         OSError: The descriptor is not that of a socket.

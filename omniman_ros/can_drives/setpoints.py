@@ -22,8 +22,6 @@ class SetpointGenerator:
 
     Args:
         axes: One axis per wheel, in the robot's order.
-        robot: The robot.
-        parameters: The installation.
 
     Attributes:
         max_speed: Largest wheel speed that a command may have [rad/s].

@@ -11,24 +11,16 @@ from omniman_ros.core.robot import Robot
 
 @dataclass(frozen=True)
 class Transmission:
-    """Gear and motor of one wheel, with the nominal values of the robot's parameters.
+    """Gear and motor of one wheel, with the nominal values of the robot's parameters."""
 
-    Attributes:
-        ratio: Motor revolutions per wheel revolution, negative if a rising motor position rotates
-            the wheel backward.
-        efficiency: Efficiency of the gear.
-        torque_constant: K of the motor [N m/A] or [V s/rad].
-        resistance: Resistance of the motor [ohm].
-        max_voltage: Largest voltage of the motor [V].
-        max_torque: Largest torque at the wheel [N m].
-    """
-
+    #: Motor revolutions per wheel revolution, negative if a rising motor position rotates the
+    #: wheel backward.
     ratio: float
-    efficiency: float
-    torque_constant: float
-    resistance: float
-    max_voltage: float
-    max_torque: float
+    efficiency: float  #: Efficiency of the gear
+    torque_constant: float  #: K of the motor [N m/A] or [V s/rad]
+    resistance: float  #: Resistance of the motor [ohm]
+    max_voltage: float  #: Largest voltage of the motor [V]
+    max_torque: float  #: Largest torque at the wheel [N m]
 
     def to_motor(self, torque: float, velocity: float) -> float:
         """Return the torque at the motor [N m] for a torque at the wheel.
@@ -59,7 +51,6 @@ class Transmission:
         """Return the setpoint at the motor's shaft for a command to the wheel.
 
         Args:
-            mode: Mode of the command.
             value: Wheel speed [rad/s] in velocity mode; unused in others.
             effort: Torque at the wheel [N m], the feed-forward in velocity mode and the command in
                 torque mode; motor voltage [V] in voltage mode.

@@ -55,27 +55,22 @@ class Packet(IntEnum):
     STATUS_6 = 58
 
 
+#: Scale of a command's integer: counts per duty cycle of 1, per A, and per electrical rpm.
+#:
+#: The table of comm_can.md says 1000 for SET_RPM; its C code and comm_can.c do not scale it.
 SCALES = {Packet.SET_DUTY: 1e5, Packet.SET_CURRENT: 1e3, Packet.SET_RPM: 1.0}
-"""Scale of a command's integer: counts per duty cycle of 1, per A, and per electrical rpm.
 
-The table of comm_can.md says 1000 for SET_RPM; its C code and comm_can.c do not scale it.
-"""
-
+#: Commands that only a host sends
 HOST_COMMANDS = tuple(p for p in Packet if p.name.startswith("SET_"))
-"""Commands that only a host sends."""
+#: Layout of status 1: speed [electrical rpm], total motor current [0.1 A], duty cycle [1/1000]
 STATUS_LAYOUT = struct.Struct(">ihh")
-"""Layout of status 1: speed [electrical rpm], total motor current [0.1 A], duty cycle [1/1000]."""
+#: Layout of status 5: tachometer [1/6 electrical revolution], input voltage [0.1 V], reserved
 STATUS_5_LAYOUT = struct.Struct(">ihh")
-"""Layout of status 5: tachometer [1/6 electrical revolution], input voltage [0.1 V], reserved."""
 
-MAX_DUTY = 0.95
-"""Largest commanded duty cycle: the firmware's default limit (l_max_duty)."""
-MIN_BUS_VOLTAGE = 5.0
-"""Lowest plausible measurement of the supply voltage [V]; a VESC needs 8 V."""
-RPM = 60.0 / math.tau
-"""Revolutions per minute of 1 rad/s."""
-MAX_INTEGER = 2**31 - 1
-"""Largest integer of a command."""
+MAX_DUTY = 0.95  #: Largest commanded duty cycle: the firmware's default limit (l_max_duty)
+MIN_BUS_VOLTAGE = 5.0  #: Lowest plausible measurement of the supply voltage [V]; a VESC needs 8 V
+RPM = 60.0 / math.tau  #: Revolutions per minute of 1 rad/s
+MAX_INTEGER = 2**31 - 1  #: Largest integer of a command
 
 
 class VescAxis:
@@ -100,9 +95,6 @@ class VescAxis:
     A restart shows in the tachometer, which begins at zero again: a step that no shaft can do
     counts as a restart. A restart within a few revolutions of zero is not detected, nor is one in
     a long silence, which is lost feedback anyway. Some firmware also announces it, by NOTIFY_BOOT.
-
-    Args:
-        settings: Installation of the drive.
 
     Raises:
         ParameterError: A setting that the codec divides by is not finite and above zero.

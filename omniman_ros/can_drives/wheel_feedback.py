@@ -13,29 +13,22 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.can_parameters import CanParameters
 from omniman_ros.core.robot import Robot
 
+#: Smallest step between the stamps of two wheel states, in periods.
+#:
+#: Of several reports that arrive late in a bunch only one is used.
 MIN_STAMP_STEP = 0.25
-"""Smallest step between the stamps of two wheel states, in periods.
-
-Of several reports that arrive late in a bunch only one is used.
-"""
 
 
 @dataclass(frozen=True)
 class WheelStates:
-    """Feedback of all wheels, arrays (n,), wheels in the robot's order.
+    """Feedback of all wheels, arrays (n,), wheels in the robot's order."""
 
-    Attributes:
-        at: Time of the measurement [s]: that of a SYNC, or else that at which the oldest of the
-            reports was received. It always increases.
-        position: Unwrapped angles [rad].
-        velocity: Velocities [rad/s].
-        effort: Torques at the wheels [N m]; NaN if the drive does not report them.
-    """
-
+    #: Time of the measurement [s]: that of a SYNC, or else that at which the oldest of the reports
+    #: was received. It always increases.
     at: float
-    position: Array
-    velocity: Array
-    effort: Array
+    position: Array  #: Unwrapped angles [rad]
+    velocity: Array  #: Velocities [rad/s]
+    effort: Array  #: Torques at the wheels [N m]; NaN if the drive does not report them
 
 
 class WheelFeedback:
@@ -43,8 +36,6 @@ class WheelFeedback:
 
     Args:
         axes: One axis per wheel, in the robot's order.
-        robot: The robot.
-        parameters: The installation.
         samples_at_sync: Whether the drives measure at the SYNC of a period.
     """
 

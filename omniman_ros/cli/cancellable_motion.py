@@ -10,15 +10,13 @@ from omniman_ros.console.session import Session
 from omniman_ros.console.terminal import say
 from omniman_ros.processes.process_group import redirect_signals
 
+#: What the robot does once a node has confirmed a cancellation
 CANCELLED = "The motion is cancelled: the robot brakes and stands."
-"""What the robot does once a node has confirmed a cancellation."""
-NOT_SENT = "Nothing was sent to the robot."
-"""What is said when there was nothing to cancel."""
+NOT_SENT = "Nothing was sent to the robot."  #: What is said when there was nothing to cancel
 UNCONFIRMED = (
     "The node did not confirm that the motion is cancelled: the robot may go on. "
     "`omniman stop` stops it."
-)
-"""What is said when a node does not answer a request to cancel."""
+)  #: What is said when a node does not answer a request to cancel
 
 
 class Driver(Protocol):
@@ -30,10 +28,10 @@ class Driver(Protocol):
 
 
 DriverT = TypeVar("DriverT", bound=Driver)
+#: Creates a driver from the ROS session, the progress display and a function to poll.
+#:
+#: The driver must call that function many times a second; it raises to end the motion early.
 DriverFactory = Callable[[Session, Progress, Callable[[], None]], DriverT]
-"""Creates a driver from the ROS session, the progress display and a function to poll.
-
-The driver must call that function many times a second; it raises to end the motion early."""
 
 
 def run_motion(
@@ -42,9 +40,6 @@ def run_motion(
     """Run a motion of the robot; cancel it when a signal is received.
 
     Args:
-        name: Name of the ROS node.
-        namespace: Namespace of the robot.
-        make: Makes the driver.
         move: Sends the motion through the driver, and follows it to its end.
 
     Returns:

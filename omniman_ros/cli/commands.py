@@ -19,17 +19,13 @@ from omniman_ros.cli.arguments.robot import add_demo, add_up
 
 
 class Command(NamedTuple):
-    """A command of `omniman`.
+    """A command of `omniman`."""
 
-    Attributes:
-        module: Module with the function `run(args) -> int` that returns the exit code; it is
-            imported only when the command runs.
-        help: Help text, without a capital and a full stop.
-        add_arguments: Adds the command's arguments to its parser.
-    """
-
+    #: Module with the function `run(args) -> int` that returns the exit code; it is imported only
+    #: when the command runs.
     module: str
-    help: str
+    help: str  #: Help text, without a capital and a full stop
+    #: Adds the command's arguments to its parser
     add_arguments: Callable[[argparse.ArgumentParser], None]
 
 
@@ -96,5 +92,4 @@ COMMANDS = {
     "bench": Command(
         "omniman_ros.lab.command", "measure the performance of the control", add_bench
     ),
-}
-"""Commands by name, in the order in which the help lists them."""
+}  #: Commands by name, in the order in which the help lists them

@@ -13,17 +13,12 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.description.urdf import carries_arm
 from omniman_ros.extras import FILM, RECORDING
 
-MEGABYTE = 1_000_000
-"""Number of bytes of a megabyte."""
-WIDTH_STEP = 16
-"""Unit of the width, so that the height at 16:9 is whole [px]."""
+MEGABYTE = 1_000_000  #: Number of bytes of a megabyte
+WIDTH_STEP = 16  #: Unit of the width, so that the height at 16:9 is whole [px]
 
 
 def run(args: argparse.Namespace) -> int:
     """Run `omniman film`.
-
-    Args:
-        args: Command line.
 
     Returns:
         The exit code, 0.

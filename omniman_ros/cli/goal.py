@@ -20,21 +20,17 @@ from omniman_ros.conversions.geometry import quaternion_from_yaw, yaw_from_quate
 from omniman_ros.core import se2
 from omniman_ros.core.planar import Triple
 
+#: Time within which the planner has to answer a service or report on a goal [s]
 ANSWER_TIMEOUT = 2.0
-"""Time within which the planner has to answer a service or report on a goal [s]."""
-ACCEPTANCE_TIMEOUT = 8.0
-"""Time that a goal may wait until the robot is ready to be driven [s]."""
+ACCEPTANCE_TIMEOUT = 8.0  #: Time that a goal may wait until the robot is ready to be driven [s]
 
-FAR = 50.0
-"""Distance of a goal above which the command says how far it is [m]."""
+FAR = 50.0  #: Distance of a goal above which the command says how far it is [m]
 
 
 class GoalDriver:
     """Sends one goal to the planner and follows it.
 
     Args:
-        session: ROS session of the command.
-        progress: Display of the progress.
         poll: Called many times a second; it raises to end the motion early.
     """
 
@@ -137,9 +133,6 @@ class GoalDriver:
 
 def run(args: argparse.Namespace) -> int:
     """Run `omniman goal`.
-
-    Args:
-        args: Command line.
 
     Returns:
         The exit code, 0.

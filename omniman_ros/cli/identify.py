@@ -7,15 +7,11 @@ SUBJECTS = {
     "odometry": "omniman_ros.identification.odometry.command",
     "friction": "omniman_ros.identification.friction.command",
     "floor": "omniman_ros.identification.floor.command",
-}
-"""Module of each subject, with the function `run(args) -> int`."""
+}  #: Module of each subject, with the function `run(args) -> int`
 
 
 def run(args: argparse.Namespace) -> int:
     """Run `omniman identify`.
-
-    Args:
-        args: Command line.
 
     Returns:
         The exit code of the subject's own command.

@@ -17,9 +17,6 @@ from omniman_ros.processes.robot_setup import resolve_robot
 def run(args: argparse.Namespace) -> int:
     """Run `omniman moveit`.
 
-    Args:
-        args: Command line.
-
     Returns:
         The exit code, 0.
 

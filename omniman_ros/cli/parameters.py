@@ -10,9 +10,6 @@ from omniman_ros.nodes.registry import NODES, markdown, node_specs
 def run(args: argparse.Namespace) -> int:
     """Run `omniman parameters`.
 
-    Args:
-        args: Command line.
-
     Returns:
         The exit code, 0.
     """

@@ -14,9 +14,6 @@ from omniman_ros.extras import RECORDING, pip_install
 def run(args: argparse.Namespace) -> int:
     """Run `omniman plot`.
 
-    Args:
-        args: Command line.
-
     Returns:
         The exit code, 0.
 

@@ -27,21 +27,16 @@ from omniman_ros.extras import RECORDING
 from omniman_ros.processes.process_group import redirect_signals
 from omniman_ros.recording.topic_metadata import OfferedQos, TopicMetadata
 
-DISCOVERY_PERIOD = 0.25
-"""Time between two searches for new topics [s]."""
+DISCOVERY_PERIOD = 0.25  #: Time between two searches for new topics [s]
+#: Time for recording the messages that have arrived when the recording ends [s]
 FINAL_SPIN_TIME = 0.2
-"""Time for recording the messages that have arrived when the recording ends [s]."""
-QUEUE_DEPTH = 5000
-"""Messages of a topic that may wait for this process: 25 s at 200 Hz."""
+QUEUE_DEPTH = 5000  #: Messages of a topic that may wait for this process: 25 s at 200 Hz
+#: Topics that robots in namespaces share
 SHARED_TOPICS = ("/clock", "/diagnostics", "/tf", "/tf_static")
-"""Topics that robots in namespaces share."""
 
 
 def run(args: argparse.Namespace) -> int:
     """Run `omniman record`.
-
-    Args:
-        args: Command line.
 
     Returns:
         The exit code: 0 if every message that was received has been written; 1 if messages were
@@ -99,17 +94,11 @@ def install_prefixes() -> list[Path]:
 
 @dataclass
 class TopicSubscription:
-    """A subscription to a recorded topic, with its quality of service.
-
-    Attributes:
-        subscription: The subscription.
-        reliable: Whether it asks for lost messages to be repeated.
-        transient_local: Whether it asks for messages that were published before it existed.
-    """
+    """A subscription to a recorded topic, with its quality of service."""
 
     subscription: Subscription
-    reliable: bool
-    transient_local: bool
+    reliable: bool  #: Whether it asks for lost messages to be repeated
+    transient_local: bool  #: Whether it asks for messages that were published before it existed
 
 
 class TopicRecorder:
@@ -119,8 +108,6 @@ class TopicRecorder:
 
     Args:
         node: Node that subscribes.
-        writer: Writes the messages.
-        definitions: Definitions of the message types.
         requested: Full names of the topics to record; empty means all topics of the robot.
         namespace: Namespace of the robot; empty means all robots.
 
@@ -272,9 +259,6 @@ def report(folder: Path, writer: Any, recorder: TopicRecorder, seconds: float) -
     """Report the numbers of written and of lost messages.
 
     Args:
-        folder: Folder of the recording.
-        writer: Writer of the recording.
-        recorder: Recorder of the topics.
         seconds: Length of the recording [s].
 
     Returns:

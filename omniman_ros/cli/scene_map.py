@@ -20,9 +20,6 @@ OCCUPIED, FREE = 0, 254
 def run(args: argparse.Namespace) -> int:
     """Run `omniman map`.
 
-    Args:
-        args: Command line.
-
     Returns:
         The exit code, 0.
 

@@ -8,15 +8,13 @@ from omniman_ros.console.session import ANNOUNCEMENT_TIME, DISCOVERY_TIMEOUT, Se
 from omniman_ros.console.terminal import say
 from omniman_ros.nodes.stoppable_nodes import TriggerCalls
 
-ANSWER_TIMEOUT = 5.0
-"""Time within which a node must answer [s]."""
+ANSWER_TIMEOUT = 5.0  #: Time within which a node must answer [s]
 
 
 class ExhaustiveTriggerCalls(TriggerCalls):
     """Calls one service of each node that can be stopped, until no more nodes are discovered.
 
     Args:
-        session: ROS session of the command.
         action: Name of the service: "stop" or "reset".
         namespace: Namespace of the nodes to call; empty means all nodes.
         on_answer: Called with node name, success and message as each answer comes.
@@ -61,10 +59,8 @@ def call_all(
     """Call a service of all nodes that can be stopped, and write a line about each answer.
 
     Args:
-        session: ROS session of the command.
         action: Name of the service: "stop" or "reset".
         namespace: Namespace of the nodes to call; empty means all nodes.
-        out: Writes a line.
 
     Returns:
         The exit code: 0 if there were such nodes and the call succeeded on each of them, else 1.
@@ -90,9 +86,6 @@ def call_all(
 
 def run(args: argparse.Namespace) -> int:
     """Run `omniman stop` or `omniman reset`.
-
-    Args:
-        args: Command line.
 
     Returns:
         The exit code; see :func:`call_all`.

@@ -27,13 +27,12 @@ from omniman_ros.core.framing import CmdVelFraming, Twist
 from omniman_ros.nodes.stoppable_nodes import find_stoppable_nodes, has_service
 from omniman_ros.processes.process_group import redirect_signals
 
-PERIOD = 0.05
-"""Period of `cmd_vel` [s]."""
+PERIOD = 0.05  #: Period of `cmd_vel` [s]
+#: Quality of service of topics that repeat their last messages to late subscribers
 LATCHED = QoSProfile(depth=50, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-"""Quality of service of topics that repeat their last messages to late subscribers."""
-CONTROLLER = "platform_controller"
-"""Name of the node that stops the platform."""
+CONTROLLER = "platform_controller"  #: Name of the node that stops the platform
 
+#: Help that is shown at the start
 HELP_TEXT = """\
 Hold a key to drive, release it to stop.
       w         forward                    u  i  o
@@ -42,14 +41,12 @@ Hold a key to drive, release it to stop.
   arrows        forward, back, turn
 Two keys pressed at once add up (w and e: a curve); a key pressed later replaces them.
   + -  faster, slower      space  stop until reset      r  reset      x, Ctrl-C  quit"""
-"""Help that is shown at the start."""
 
 
 class Teleop:
     """The ROS interface of teleoperation: publishes twists, calls services, tracks the robot.
 
     Args:
-        session: ROS session of the command.
         stamped: Whether `cmd_vel` is a TwistStamped.
 
     Attributes:
@@ -176,10 +173,8 @@ def handle_key(key: str, now: float, keys: KeyTeleop, teleop: Teleop) -> bool:
     """Execute the action of a key.
 
     Args:
-        key: Name of the key.
         now: Time at which it was sent [s].
         keys: The keys that are held.
-        teleop: ROS interface.
 
     Returns:
         Whether to continue; False if the user quits.
@@ -208,10 +203,7 @@ def teleoperate(
     """Serve keys and ROS until the user quits, a signal is received or the terminal is gone.
 
     Args:
-        keyboard: Source of the keys.
         keys: The keys that are held.
-        teleop: ROS interface.
-        session: ROS session of the command.
         signals: Numbers of the signals that were received so far.
     """
     framing = CmdVelFraming()
@@ -240,9 +232,6 @@ def teleoperate(
 
 def run(args: argparse.Namespace) -> int:
     """Run `omniman teleop`.
-
-    Args:
-        args: Command line.
 
     Returns:
         The exit code, 0.

@@ -13,25 +13,19 @@ from dataclasses import dataclass
 
 from omniman_ros.core.framing import Twist
 
+#: Time for which a key counts as held after a press, above the keyboard's repeat delay [s]
 PRESS_HOLD_TIME = 0.6
-"""Time for which a key counts as held after a press, above the keyboard's repeat delay [s]."""
-REPEAT_HOLD_TIME = 0.2
-"""Time for which a key counts as held after a fast repeat [s]."""
+REPEAT_HOLD_TIME = 0.2  #: Time for which a key counts as held after a fast repeat [s]
+#: Longest interval between two fast repeats of a key [s].
+#:
+#: The first repeat of a key, and a key that is tapped, come at longer intervals.
 FAST_REPEAT_INTERVAL = 0.15
-"""Longest interval between two fast repeats of a key [s].
+SIMULTANEITY_TIME = 0.25  #: Longest time between the first presses of keys that add up [s]
+SCALE_STEP = 1.1  #: Factor by which one press of + scales both speeds; a press of - divides by it
+MIN_SCALE = 0.1  #: Smallest scale of both speeds
+MAX_SCALE = 10.0  #: Largest scale of both speeds
 
-The first repeat of a key, and a key that is tapped, come at longer intervals."""
-SIMULTANEITY_TIME = 0.25
-"""Longest time between the first presses of keys that add up [s]."""
-SCALE_STEP = 1.1
-"""Factor by which one press of + scales both speeds; a press of - divides by it."""
-MIN_SCALE = 0.1
-"""Smallest scale of both speeds."""
-MAX_SCALE = 10.0
-"""Largest scale of both speeds."""
-
-Direction = tuple[int, int, int]
-"""Signs of a motion forward, to the left, and counterclockwise."""
+Direction = tuple[int, int, int]  #: Signs of a motion forward, to the left, and counterclockwise
 
 MOTIONS: dict[str, Direction] = {
     "w": (1, 0, 0),
@@ -52,11 +46,10 @@ MOTIONS: dict[str, Direction] = {
     ",": (-1, 0, 0),
     "j": (0, 1, 0),
     "l": (0, -1, 0),
-}
-"""Direction in which each key moves the robot."""
+}  #: Direction in which each key moves the robot
 
+#: Arrow keys by the last letter of their escape sequences
 ARROW_KEYS = {"A": "up", "B": "down", "C": "right", "D": "left"}
-"""Arrow keys by the last letter of their escape sequences."""
 
 
 def split_keys(text: str) -> Iterator[str]:
@@ -107,7 +100,6 @@ class KeyTeleop:
         """Process a key that the terminal sent.
 
         Args:
-            key: Name of the key.
             now: Time at which it was sent [s].
 
         Returns:

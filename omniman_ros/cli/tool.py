@@ -18,20 +18,16 @@ from omniman_ros.console.session import DISCOVERY_TIMEOUT, Session
 from omniman_ros.conversions.geometry import yaw_from_quaternion
 from omniman_ros.nodes.trajectory_interfaces.motion_status import MotionEvent
 
-ANSWER_TIMEOUT = 2.0
-"""Time within which the node must answer a service [s]."""
+ANSWER_TIMEOUT = 2.0  #: Time within which the node must answer a service [s]
+#: Names of the nodes that may move the tool; one of them takes its paths
 NODES = ("path_interpolator", "whole_body_planner")
-"""Names of the nodes that may move the tool; one of them takes its paths."""
-Position = tuple[float, float, float]
-"""Position (x, y, z) of the tool [m]."""
+Position = tuple[float, float, float]  #: Position (x, y, z) of the tool [m]
 
 
 class ToolDriver:
     """Sends one path of the tool and follows it.
 
     Args:
-        session: ROS session of the command.
-        progress: Display of the progress.
         poll: Called many times a second; it raises to end the motion early.
     """
 
@@ -160,9 +156,6 @@ def straight_path(start: Position, end: Position) -> Path:
 
 def run(args: argparse.Namespace) -> int:
     """Run `omniman tool`.
-
-    Args:
-        args: Command line.
 
     Returns:
         The exit code, 0.

@@ -16,9 +16,6 @@ from omniman_ros.processes.robot_setup import RobotSetup, robot_processes
 def run(args: argparse.Namespace) -> int:
     """Run `omniman up`.
 
-    Args:
-        args: Command line.
-
     Returns:
         The exit code; see :func:`supervise`.
 
@@ -59,10 +56,6 @@ def node_environment(given: Mapping[str, str], setup: RobotSetup) -> dict[str, s
 
     On real time, Fast DDS gets no shared memory unless the user has chosen the transports: a
     process that is killed while it holds a lock there would block those who publish to it.
-
-    Args:
-        given: Environment variables of this process.
-        setup: The robot.
     """
     environment = dict(given)
     if terminal.is_terminal(sys.stdout):
@@ -84,9 +77,6 @@ def is_simulated(args: argparse.Namespace) -> bool:
 
 def supervise(nodes: ProcessGroup) -> int:
     """Wait for a signal or for the end of an essential node, then stop all nodes in order.
-
-    Args:
-        nodes: The running nodes.
 
     Returns:
         The exit code: 0 after a signal, if all nodes came to rest; 1 if a node ended by itself,

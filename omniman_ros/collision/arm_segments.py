@@ -13,21 +13,15 @@ from omniman_ros.description.transforms import transform
 from omniman_ros.description.ur5 import BASE, links
 from omniman_ros.motion.whole_body.model import HALF_TURN, Mount
 
-TOOL = "tool"
-"""Name of the tool among the links."""
+TOOL = "tool"  #: Name of the tool among the links
 
 
 @dataclass(frozen=True)
 class Segments:
-    """Straight line segments in base_link; the first axis holds the three coordinates.
+    """Straight line segments in base_link; the first axis holds the three coordinates."""
 
-    Attributes:
-        start: Starts (3, ..., S) [m].
-        end: Ends (3, ..., S) [m].
-    """
-
-    start: Array
-    end: Array
+    start: Array  #: Starts (3, ..., S) [m]
+    end: Array  #: Ends (3, ..., S) [m]
 
     def select(self, index: Indices) -> "Segments":
         """Return the segments with some indices."""
@@ -45,10 +39,6 @@ class ArmSegments:
     """Axes of the capsules of arm and tool at given joint angles.
 
     A capsule around the axis of each cylinder of the description contains this cylinder.
-
-    Args:
-        mount: Pose of the arm on the platform.
-        tool: Shape of the tool.
 
     Attributes:
         names: Names of the links that have capsules, from the arm's base to the tool, if any.

@@ -19,18 +19,16 @@ from omniman_ros.description.platform_shape import platform_top
 from omniman_ros.description.urdf import carries_arm
 from omniman_ros.motion.whole_body.model import planar_transform
 
-PLATFORM = "platform"
-"""Name of the platform among the parts."""
-LOAD = "load"
-"""Name of the load among the parts."""
+PLATFORM = "platform"  #: Name of the platform among the parts
+LOAD = "load"  #: Name of the load among the parts
+#: Number of the arm's first links that keep their distance from the platform: base, shoulder
 RIGID_LINKS = 2
-"""Number of the arm's first links that keep their distance from the platform: base, shoulder."""
+#: Number of the arm's first links that are not near the load at all joint angles
 LINKS_BEFORE_WRIST = 5
-"""Number of the arm's first links that are not near the load at all joint angles."""
+#: Pairs of links, by number from the arm's base, that are not neighbours although their distance
+#: hardly depends on the joints: base and upper arm, forearm and wrist_2, wrist_1 and wrist_3 or
+#: the tool, wrist_2 and the tool.
 ALWAYS_NEAR = frozenset({(0, 2), (3, 5), (4, 6), (4, 7), (5, 7)})
-"""Pairs of links, by number from the arm's base, that are not neighbours although their distance
-hardly depends on the joints: base and upper arm, forearm and wrist_2, wrist_1 and wrist_3 or the
-tool, wrist_2 and the tool."""
 
 
 class BodyGeometry:
@@ -44,8 +42,6 @@ class BodyGeometry:
 
     Args:
         description: Shapes of platform and arm, and where the arm is mounted.
-        tool: Shape of the tool.
-        load: Shape of the load.
 
     Attributes:
         parts: Names of the parts.

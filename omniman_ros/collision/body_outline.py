@@ -14,14 +14,13 @@ from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.description.platform_shape import platform_top
 from omniman_ros.description.urdf import carries_arm
 
+#: Number of the link, from the arm's base, from which on links share a rectangle with tool and
+#: load; the links before it share another one.
 FIRST_WRIST = 4
-"""Number of the link, from the arm's base, from which on links share a rectangle with tool and
-load; the links before it share another one."""
+#: Largest sum of all joints' rotations between two postures that are looked at [rad]
 SWEEP_ANGLE = 0.1
-"""Largest sum of all joints' rotations between two postures that are looked at [rad]."""
+#: Largest sum of all joints' distances of a posture from the straight line that replaces it [rad]
 DEVIATION = 0.01
-"""Largest sum of all joints' distances of a posture from the straight line that replaces it [rad].
-"""
 
 
 class BodyOutline:
@@ -29,8 +28,6 @@ class BodyOutline:
 
     Args:
         description: Shapes of platform and arm, and where the arm is mounted.
-        tool: Shape of the tool.
-        load: Shape of the load.
     """
 
     def __init__(

@@ -11,21 +11,15 @@ from omniman_ros.core.arm_model import JOINTS
 from omniman_ros.core.arrays import Array
 from omniman_ros.motion.whole_body.model import Mount
 
-LOAD = "load"
-"""Name of the load among the links."""
+LOAD = "load"  #: Name of the load among the links
 
 
 @dataclass(frozen=True)
 class PlacedSpheres:
-    """Spheres at some configurations of the arm, in base_link.
+    """Spheres at some configurations of the arm, in base_link."""
 
-    Attributes:
-        centre: Centres (..., S, 3) [m].
-        frames: Poses (..., 7, 4, 4) of the arm's base and links.
-    """
-
-    centre: Array
-    frames: Array
+    centre: Array  #: Centres (..., S, 3) [m]
+    frames: Array  #: Poses (..., 7, 4, 4) of the arm's base and links
 
 
 class BodySpheres:
@@ -36,8 +30,6 @@ class BodySpheres:
     where d is the length of a piece.
 
     Args:
-        mount: Pose of the arm on the platform.
-        tool: Shape of the tool.
         load: Shape of the load, if any.
         spacing: Largest length of a piece [m].
 

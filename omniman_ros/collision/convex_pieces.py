@@ -2,8 +2,7 @@
 
 from omniman_ros.core.arrays import Array
 
-Ring = list[int]
-"""Numbers of the corners of a piece, counter-clockwise."""
+Ring = list[int]  #: Numbers of the corners of a piece, counter-clockwise
 
 
 def convex_pieces(corners: Array) -> list[Array]:
@@ -30,7 +29,6 @@ def _turn(corners: Array, a: int, b: int, c: int) -> float:
 
 
 def _is_convex(corners: Array, ring: Ring) -> bool:
-    """Return whether a ring never turns clockwise."""
     return all(_turn(corners, ring[k - 2], ring[k - 1], ring[k]) >= 0.0 for k in range(len(ring)))
 
 

@@ -11,16 +11,13 @@ from numpy.typing import NDArray
 from omniman_ros.collision.segments import dot
 from omniman_ros.core.arrays import Array
 
-Indices = NDArray[np.intp]
-"""Array of indices."""
+Indices = NDArray[np.intp]  #: Array of indices
+#: Returns the vectors (3, n) to n points (3, n) from the nearest points of n convex solids [m]
 Outward = Callable[[Array], Array]
-"""Returns the vectors (3, n) to n points (3, n) from the nearest points of n convex solids [m]."""
-ACCURACY = 1e-8
-"""Accuracy of distances [m]."""
-MOST_STEPS = 100
-"""Largest number of steps of the search along a segment; about 10 are usual."""
+ACCURACY = 1e-8  #: Accuracy of distances [m]
+MOST_STEPS = 100  #: Largest number of steps of the search along a segment; about 10 are usual
+#: Share of segments that are not yet done at which the others are left out of further steps
 KEPT_SHARE = 0.75
-"""Share of segments that are not yet done at which the others are left out of further steps."""
 
 
 def distances_along(

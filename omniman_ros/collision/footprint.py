@@ -10,33 +10,23 @@ from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.collision.solids import Mask
 from omniman_ros.core.arrays import Array
 
-HEIGHT_STEP = 0.01
-"""Step to which the heights of obstacles are rounded, outwards [m]."""
+HEIGHT_STEP = 0.01  #: Step to which the heights of obstacles are rounded, outwards [m]
+#: Height that counts as above everything, and as below everything with a minus [steps]
 MAX_STEPS = 10_000
-"""Height that counts as above everything, and as below everything with a minus [steps]."""
-MOST_SPANS = 1000
-"""Largest number of pairs of heights whose rectangles are remembered."""
+MOST_SPANS = 1000  #: Largest number of pairs of heights whose rectangles are remembered
+#: Directions of which the one with the smallest rectangle is used [rad]
 DIRECTIONS = np.arange(36) * (0.5 * math.pi / 36)
-"""Directions of which the one with the smallest rectangle is used [rad]."""
-INSIDE = 1e-9
-"""Tolerance for round-off when a rectangle is compared with the platform [m]."""
+INSIDE = 1e-9  #: Tolerance for round-off when a rectangle is compared with the platform [m]
 
 
 @dataclass(frozen=True)
 class Limbs:
-    """Parts of the arm, its tool and its load, as line segments with a radius, in groups.
+    """Parts of the arm, its tool and its load, as line segments with a radius, in groups."""
 
-    Attributes:
-        start: Starts (3, S) of the segments in base_link [m].
-        end: Ends (3, S) [m].
-        radius: Radii (S,) of the capsules around them [m].
-        group: Numbers (S,) of their groups; a group is bounded by one rectangle.
-    """
-
-    start: Array
-    end: Array
-    radius: Array
-    group: Indices
+    start: Array  #: Starts (3, S) of the segments in base_link [m]
+    end: Array  #: Ends (3, S) [m]
+    radius: Array  #: Radii (S,) of the capsules around them [m]
+    group: Indices  #: Numbers (S,) of their groups; a group is bounded by one rectangle
 
 
 class Footprint:
@@ -53,7 +43,6 @@ class Footprint:
         margin: Vertical gap up to which an obstacle counts as being at the height of a part [m].
 
     Attributes:
-        platform: As above.
         whole: (P,) or one: bounds of the robot at all heights.
         radius: Distance of the farthest point from the origin of base_link [m].
     """

@@ -8,9 +8,9 @@ from omniman_ros.collision.prism import ConvexPrism
 from omniman_ros.collision.solids import UprightSolids
 from omniman_ros.core.arrays import Array
 
+#: Numbers (2, 12) of the corners at the ends of each edge of a box: bit k of a corner's number is
+#: its side along axis k.
 EDGES = np.array([(i, i | bit) for bit in (1, 2, 4) for i in range(8) if not i & bit]).T
-"""Numbers (2, 12) of the corners at the ends of each edge of a box: bit k of a corner's number is
-its side along axis k."""
 
 
 class LoadBox:
@@ -18,9 +18,6 @@ class LoadBox:
 
     Two boxes touch first where an edge of one meets the other. Therefore the distance between them
     is the least distance of the edges of each from the other.
-
-    Args:
-        shape: Shape of the load.
 
     Attributes:
         extent: Distance of its farthest point from the flange's origin [m].
@@ -61,7 +58,6 @@ class LoadBox:
 
         Args:
             flange: Poses (..., 4, 4) of the flange in the frame of the solids.
-            solids: Solids.
             reach: Distance above which a lower bound is enough [m].
         """
         edges = self.edges(flange)
@@ -85,7 +81,6 @@ class LoadBox:
 
         Args:
             flange: Poses (..., 4, 4) of the flange in the frame of the prism.
-            prism: The prism.
             reach: Distance above which a lower bound is enough [m].
         """
         edges = self.edges(flange)

@@ -22,18 +22,16 @@ from omniman_ros.collision.unseen import (
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import parameter
 
+#: Number of intervals into which the predicted motion is divided; they grow with the distance
 STEPS = 12
-"""Number of intervals into which the predicted motion is divided; they grow with the distance."""
-RESTING = 1e-3
-"""Share of the speed limits up to which a motion counts as rest."""
+RESTING = 1e-3  #: Share of the speed limits up to which a motion counts as rest
+#: Share of the speed limits at which the robot at least passes the predicted motion, as far as the
+#: motion of obstacles is concerned: at rest it would never come to where it goes.
 SLOWEST_PASS = 0.1
-"""Share of the speed limits at which the robot at least passes the predicted motion, as far as the
-motion of obstacles is concerned: at rest it would never come to where it goes."""
+#: Number of moving solids, each counted once for each time, with which distances are computed
+#: together: a few calls cost less than many, and superfluous pairs of poses and solids more.
 COPIES = 40
-"""Number of moving solids, each counted once for each time, with which distances are computed
-together: a few calls cost less than many, and superfluous pairs of poses and solids more."""
-TOLERANCE = 1e-6
-"""Decrease of a distance that is rounding [m]."""
+TOLERANCE = 1e-6  #: Decrease of a distance that is rounding [m]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,49 +73,30 @@ class MonitorParameters:
 
 @dataclass(frozen=True)
 class RobotMotion:
-    """Where the robot is and how it moves.
+    """Where the robot is and how it moves."""
 
-    Attributes:
-        pose: Pose (3,) of base_link in the frame of the surroundings [m, m, rad].
-        joints: Joint angles (6,) [rad]; zeros without an arm.
-        motion: Twist in base_link and joint rates (9,) [m/s, m/s, rad/s, rad/s ...].
-    """
-
-    pose: Array
-    joints: Array
-    motion: Array
+    pose: Array  #: Pose (3,) of base_link in the frame of the surroundings [m, m, rad]
+    joints: Array  #: Joint angles (6,) [rad]; zeros without an arm
+    motion: Array  #: Twist in base_link and joint rates (9,) [m/s, m/s, rad/s, rad/s ...]
 
 
 @dataclass(frozen=True)
 class Encounter:
-    """What limits the speed.
+    """What limits the speed."""
 
-    Attributes:
-        part: Name of the robot's part.
-        solid: Index of the solid among the surroundings.
-        distance: Present distance between the two [m].
-    """
-
-    part: str
-    solid: int
-    distance: float
+    part: str  #: Name of the robot's part
+    solid: int  #: Index of the solid among the surroundings
+    distance: float  #: Present distance between the two [m]
 
 
 @dataclass(frozen=True)
 class SpeedLimit:
-    """Largest share of the speed limits, 0 to 1, for platform and arm, and why.
+    """Largest share of the speed limits, 0 to 1, for platform and arm, and why."""
 
-    Attributes:
-        platform: Share for the platform.
-        arm: Share for the arm.
-        encounter: What limits the speed; None if nothing does.
-        in_contact: Whether something seems to touch the robot already.
-    """
-
-    platform: float = 1.0
-    arm: float = 1.0
-    encounter: Encounter | None = None
-    in_contact: bool = False
+    platform: float = 1.0  #: Share for the platform
+    arm: float = 1.0  #: Share for the arm
+    encounter: Encounter | None = None  #: What limits the speed; None if nothing does
+    in_contact: bool = False  #: Whether something seems to touch the robot already
 
 
 @dataclass(frozen=True)
@@ -150,15 +129,10 @@ class CollisionMonitor:
     A pair that is nearer than the margin already may not come nearer, but may part: a robot that
     has parked at a wall can leave it.
 
-    Args:
-        geometry: Shape of the robot.
-        limits: Limits of speed and deceleration.
-        parameters: Distances and times.
-
     Attributes:
-        parameters: As above; may be changed at any time.
-        limits: As above; may be changed at any time.
-        geometry: As above; may be changed at any time.
+        parameters: May be changed at any time.
+        limits: May be changed at any time.
+        geometry: May be changed at any time.
     """
 
     def __init__(
@@ -172,10 +146,8 @@ class CollisionMonitor:
         """Return the limit of the speed.
 
         Args:
-            robot: Present state of the robot.
             demands: Motions (9,) that sources ask for, in the units of the present one; only
                 their directions count.
-            surroundings: What is around the robot.
 
         Raises:
             InputError: A pose or an angle is not finite.
@@ -217,7 +189,6 @@ class CollisionMonitor:
         """Return the limit of the platform's speed by what is not seen, at least creeping speed.
 
         Args:
-            robot: Present state of the robot.
             demands: Motions (9,) that sources ask for.
             arrivals: Where somebody could be, and when.
             outline: Rectangles that contain the robot.
@@ -308,8 +279,6 @@ class _Prediction:
     """Distances of the robot's parts from solids, along courses at full speed.
 
     Args:
-        geometry: Shape of the robot.
-        robot: Where it is.
         courses: Motions (C, 9) at full speed.
         times: Times (K,) at full speed [s]; the first is zero.
         surroundings: M solids.

@@ -42,7 +42,6 @@ class PlatformBox:
         """Return the distances (...) from a load [m].
 
         Args:
-            load: The load.
             flange: Poses (..., 4, 4) of the flange in base_link.
             reach: Distance above which a lower bound is enough [m].
         """
@@ -53,7 +52,6 @@ class PlatformBox:
 
         Args:
             poses: Poses (..., 3) of base_link in the frame of the solids [m, m, rad].
-            solids: The solids.
         """
         return solids.box_distances(poses, self._half, self._heights)
 

@@ -11,23 +11,17 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.robot import Body
 from omniman_ros.description.platform_shape import platform_cover
 
+#: Largest number of rectangles that stand for a platform with an outline of its own
 MOST_RECTANGLES = 4
-"""Largest number of rectangles that stand for a platform with an outline of its own."""
 
 
 @dataclass(frozen=True)
 class Rectangles:
-    """One rectangle, or an array of them, fixed to base_link.
+    """One rectangle, or an array of them, fixed to base_link."""
 
-    Attributes:
-        centre: (..., 2) centres in base_link [m].
-        yaw: (...) directions of their lengths in base_link [rad].
-        half: (..., 2) half lengths and half widths [m], above zero.
-    """
-
-    centre: Array
-    yaw: Array
-    half: Array
+    centre: Array  #: (..., 2) centres in base_link [m]
+    yaw: Array  #: (...) directions of their lengths in base_link [rad]
+    half: Array  #: (..., 2) half lengths and half widths [m], above zero
 
     @staticmethod
     def around(body: Body) -> "Rectangles":

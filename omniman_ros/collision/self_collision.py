@@ -10,12 +10,12 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import parameter
 from omniman_ros.motion.path.timed_curve import TimedCurve
 
+#: Largest travel of a part relative to another between two samples of the first look [m]
 MAX_TRAVEL = 0.1
-"""Largest travel of a part relative to another between two samples of the first look [m]."""
+#: How much nearer than at the start two parts may come that start within the margin [m]
 LEAVING = 0.001
-"""How much nearer than at the start two parts may come that start within the margin [m]."""
+#: Largest number of samples of a motion; a motion that needs more is refused
 MAX_SAMPLES = 100_000
-"""Largest number of samples of a motion; a motion that needs more is refused."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,17 +36,12 @@ class SelfCollisionOptions:
 
 @dataclass(frozen=True)
 class Approach:
-    """The first place of a motion where two parts of the robot come too near.
+    """The first place of a motion where two parts of the robot come too near."""
 
-    Attributes:
-        parts: Names of the two parts.
-        time: Time from the start of the motion [s].
-        distance: Least distance of the two on the whole motion [m]: below zero, minus the depth;
-            zero for two boxes, whose depth is not known.
-    """
-
-    parts: tuple[str, str]
-    time: float
+    parts: tuple[str, str]  #: Names of the two parts
+    time: float  #: Time from the start of the motion [s]
+    #: Least distance of the two on the whole motion [m]: below zero, minus the depth; zero for two
+    #: boxes, whose depth is not known.
     distance: float
 
     def __str__(self) -> str:
@@ -71,10 +66,6 @@ class SelfCollisionCheck:
 
     Parts that are within the margin at the start, where the arm may have been put by hand, may
     part, but not come nearer.
-
-    Args:
-        body: Shapes of the robot.
-        options: Options.
     """
 
     def __init__(self, body: BodyGeometry, options: SelfCollisionOptions) -> None:

@@ -14,8 +14,7 @@ import numpy as np
 from omniman_ros.collision.solids import UprightSolids, corner_distances
 from omniman_ros.core.arrays import Array
 
-STEP = 1e-5
-"""Step of the numerical derivative of a rectangle's gap [m, rad]."""
+STEP = 1e-5  #: Step of the numerical derivative of a rectangle's gap [m, rad]
 
 
 def point_gaps(solids: UprightSolids, points: Array) -> tuple[Array, Array]:

@@ -13,8 +13,7 @@ from omniman_ros.collision.convex_search import Indices, Outward, box_gaps, dist
 from omniman_ros.collision.segments import dot
 from omniman_ros.core.arrays import Array
 
-Mask = NDArray[np.bool_]
-"""Array of flags."""
+Mask = NDArray[np.bool_]  #: Array of flags
 
 
 @dataclass(frozen=True)
@@ -25,17 +24,13 @@ class UprightSolids:
     between its lower and its upper side.
 
     Attributes:
-        centre: Centres (2, M) of the rectangles [m].
-        yaw: Directions (M,) of their lengths [rad].
-        half: Half lengths and half widths (2, M) [m]; zero for cylinders.
-        rounding: Horizontal distances (M,) by which the rectangles are extended [m].
         lower, upper: Heights (M,) of their lower and upper sides [m].
     """
 
-    centre: Array
-    yaw: Array
-    half: Array
-    rounding: Array
+    centre: Array  #: Centres (2, M) of the rectangles [m]
+    yaw: Array  #: Directions (M,) of their lengths [rad]
+    half: Array  #: Half lengths and half widths (2, M) [m]; zero for cylinders
+    rounding: Array  #: Horizontal distances (M,) by which the rectangles are extended [m]
     lower: Array
     upper: Array
 

@@ -9,19 +9,12 @@ from omniman_ros.core.arrays import Array
 
 @dataclass(frozen=True)
 class SpeedLimits:
-    """Limits of the platform's twist and of the joints' rates.
+    """Limits of the platform's twist and of the joints' rates."""
 
-    Attributes:
-        velocity: Linear and angular velocity of the platform [m/s, rad/s].
-        deceleration: Its linear and angular deceleration [m/s^2, rad/s^2].
-        rate: Largest rate (6,) of each joint [rad/s].
-        braking: Largest deceleration (6,) of each joint [rad/s^2].
-    """
-
-    velocity: tuple[float, float]
-    deceleration: tuple[float, float]
-    rate: Sequence[float]
-    braking: Sequence[float]
+    velocity: tuple[float, float]  #: Linear and angular velocity of the platform [m/s, rad/s]
+    deceleration: tuple[float, float]  #: Its linear and angular deceleration [m/s^2, rad/s^2]
+    rate: Sequence[float]  #: Largest rate (6,) of each joint [rad/s]
+    braking: Sequence[float]  #: Largest deceleration (6,) of each joint [rad/s^2]
 
     def share(self, motion: Array) -> float:
         """Return the largest ratio of a motion to its limits; 1 is full speed.

@@ -8,21 +8,15 @@ import numpy as np
 from omniman_ros.collision.solids import Mask, UprightSolids
 from omniman_ros.core.arrays import Array
 
-SLOWEST = 0.02
-"""Speed up to which a solid counts as standing [m/s]."""
+SLOWEST = 0.02  #: Speed up to which a solid counts as standing [m/s]
 
 
 @dataclass(frozen=True)
 class Surroundings:
-    """Solids that stand or move at constant velocity.
+    """Solids that stand or move at constant velocity."""
 
-    Attributes:
-        solids: M solids where they are now.
-        velocity: Velocities (2, M) in the frame of the solids [m/s].
-    """
-
-    solids: UprightSolids
-    velocity: Array
+    solids: UprightSolids  #: M solids where they are now
+    velocity: Array  #: Velocities (2, M) in the frame of the solids [m/s]
 
     @staticmethod
     def standing(solids: UprightSolids) -> "Surroundings":

@@ -20,32 +20,25 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import inline, parameter
 
-STEPS = 24
-"""Number of intervals into which a stop from full speed is divided."""
-LEVELS = np.linspace(0.02, 1.0, 50)
-"""Shares of full speed that are tried."""
-MOST_CELLS = 1_000_000
-"""Largest number of cells."""
+STEPS = 24  #: Number of intervals into which a stop from full speed is divided
+LEVELS = np.linspace(0.02, 1.0, 50)  #: Shares of full speed that are tried
+MOST_CELLS = 1_000_000  #: Largest number of cells
 
 
 @dataclass(frozen=True)
 class Arrivals:
     """How soon somebody whom nobody sees could be where.
 
-    Attributes:
-        times: (rows along y, columns along x) time in which somebody's centre could be in a cell
-            [s]; infinity where nobody can be soon.
-        resolution: Edge of a cell [m].
-        origin: (2,) corner of the first cell in the frame of the robot's pose [m].
-
     Raises:
         InputError: There are no cells or too many, a time is negative or NaN, or a length is not
             finite or not above zero.
     """
 
+    #: (rows along y, columns along x) time in which somebody's centre could be in a cell [s];
+    #: infinity where nobody can be soon.
     times: Array
-    resolution: float
-    origin: Array
+    resolution: float  #: Edge of a cell [m]
+    origin: Array  #: (2,) corner of the first cell in the frame of the robot's pose [m]
 
     def __post_init__(self) -> None:
         if self.times.ndim != 2 or not 0 < self.times.size <= MOST_CELLS:

@@ -6,7 +6,6 @@ class CommandError(Exception):
 
     Args:
         message: What went wrong, as one line.
-        code: Exit code.
 
     Attributes:
         code: Exit code: 1, or 2 if the command line is invalid.

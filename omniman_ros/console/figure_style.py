@@ -14,16 +14,16 @@ import matplotlib
 matplotlib.use("Agg")
 from matplotlib import pyplot
 
+#: Colour of text and of the main line
 INK = "#1f2933"
-"""Colour of text and of the main line."""
+#: Colour of ticks, annotations and secondary lines
 GREY = "#5f6b7a"
-"""Colour of ticks, annotations and secondary lines."""
+#: Colour of filled outlines, such as the robot's
 NEUTRAL = "#7b8794"
-"""Colour of filled outlines, such as the robot's."""
+#: Colour of axes and of lines in the background
 FAINT = "#c3cad2"
-"""Colour of axes and of lines in the background."""
+#: Colour of a grid that stays in the background
 GRID = "#e4e7eb"
-"""Colour of a grid that stays in the background."""
 BLUE = "#2f6fde"
 LIGHT_BLUE = "#bcd2f7"
 CYAN = "#0891b2"
@@ -38,8 +38,8 @@ PINK = "#d6009a"
 MAGENTA = "#b5179e"
 PURPLE = "#8a4fbf"
 BROWN = "#8d6e63"
+#: Colours of series that have no meaning of their own, in the order in which they are used
 SERIES = (BLUE, ORANGE, GREEN, PURPLE, GOLD, CYAN, RED, GREY)
-"""Colours of series that have no meaning of their own, in the order in which they are used."""
 STYLE: dict[str, Any] = {
     "font.size": 9,
     "axes.edgecolor": FAINT,
@@ -57,8 +57,7 @@ STYLE: dict[str, Any] = {
     "lines.markersize": 4,
     "legend.frameon": False,
     "legend.fontsize": 8,
-}
-"""matplotlib's parameters that all figures share."""
+}  #: matplotlib's parameters that all figures share
 
 
 def figure_style(**changes: Any) -> AbstractContextManager[None]:
@@ -82,7 +81,6 @@ def save_figure(figure: Any, path: Path) -> Path:
     """Save a figure in the format given by the file's suffix, and close the figure.
 
     Args:
-        figure: Figure of matplotlib.
         path: Path of the file; its folder is created if it does not exist.
 
     Returns:

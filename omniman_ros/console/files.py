@@ -27,9 +27,6 @@ def write_atomically(path: Path, text: str) -> None:
 def output_errors(option: str) -> Iterator[None]:
     """Turn an error of writing a file into an error of the option `--output`.
 
-    Args:
-        option: Value of the option.
-
     Raises:
         CommandError: A file cannot be written.
     """

@@ -11,12 +11,9 @@ from omniman_ros.conversions.geometry import quaternion_from_yaw
 from omniman_ros.conversions.trajectories import PLATFORM_JOINT
 from omniman_ros.core.planar import PlanarSample, Triple
 
-PREVIEW_PERIOD = 0.025
-"""Time between two previews [s]."""
-PREVIEW_POINTS = 13
-"""Number of points of a preview, which spans 0.3 s."""
-PREVIEW_STEP = 0.025
-"""Time between two points of a preview [s]."""
+PREVIEW_PERIOD = 0.025  #: Time between two previews [s]
+PREVIEW_POINTS = 13  #: Number of points of a preview, which spans 0.3 s
+PREVIEW_STEP = 0.025  #: Time between two points of a preview [s]
 
 
 class Motion(Protocol):

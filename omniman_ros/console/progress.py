@@ -7,12 +7,9 @@ from typing import TextIO
 
 from omniman_ros.console.terminal import BOLD, DIM, GREEN, is_terminal, paint, say
 
-BAR_WIDTH = 24
-"""Width of the bar [characters]."""
-REDRAW_PERIOD = 0.1
-"""Shortest time between two drawings of the bar [s]."""
-LINE_PERIOD = 5.0
-"""Shortest time between two lines about a part that is not on a terminal [s]."""
+BAR_WIDTH = 24  #: Width of the bar [characters]
+REDRAW_PERIOD = 0.1  #: Shortest time between two drawings of the bar [s]
+LINE_PERIOD = 5.0  #: Shortest time between two lines about a part that is not on a terminal [s]
 
 
 class Progress:

@@ -38,7 +38,6 @@ def publish(name: str, result: Mapping[str, Any], folder: str | Path = "results"
     """Write a result with :func:`save`, and print it as the last line.
 
     Args:
-        name: Name of the result.
         result: Values of the result; its floats are rounded to four significant digits.
         folder: Folder of the file, created if it does not exist.
 

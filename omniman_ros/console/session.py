@@ -11,14 +11,13 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
+#: Time within which another process has to be discovered [s]; it usually takes 0.1 s
 DISCOVERY_TIMEOUT = 15.0
-"""Time within which another process has to be discovered [s]; it usually takes 0.1 s."""
+#: Time after which all participants of a domain are known [s]: DDS announces them every 3 s
 ANNOUNCEMENT_TIME = 3.5
-"""Time after which all participants of a domain are known [s]: DDS announces them every 3 s."""
+#: Ratio of simulated to real time below which simulated time counts as standing
 SLOWEST_PACE = 0.05
-"""Ratio of simulated to real time below which simulated time counts as standing."""
-MAX_SPIN_TIME = 0.05
-"""Longest time in the executor between two checks of a condition [s]."""
+MAX_SPIN_TIME = 0.05  #: Longest time in the executor between two checks of a condition [s]
 
 
 class Session:
@@ -28,7 +27,6 @@ class Session:
     message could be sent.
 
     Args:
-        name: Name of the node.
         namespace: Namespace of the node, relative or absolute.
         events: Whether to use the events executor, which is leaner and more punctual.
         sim_time: Whether time is that of /clock. All durations are then simulated.

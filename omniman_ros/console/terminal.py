@@ -5,18 +5,12 @@ import os
 import sys
 from typing import TextIO
 
-BOLD = "1"
-"""Escape code of bold text."""
-DIM = "2"
-"""Escape code of faint text."""
-RED = "31"
-"""Escape code of red text."""
-GREEN = "32"
-"""Escape code of green text."""
-YELLOW = "33"
-"""Escape code of yellow text."""
-BLUE = "34"
-"""Escape code of blue text."""
+BOLD = "1"  #: Escape code of bold text
+DIM = "2"  #: Escape code of faint text
+RED = "31"  #: Escape code of red text
+GREEN = "32"  #: Escape code of green text
+YELLOW = "33"  #: Escape code of yellow text
+BLUE = "34"  #: Escape code of blue text
 
 
 def is_terminal(stream: TextIO) -> bool:
@@ -31,7 +25,6 @@ def paint(text: str, colour: str, stream: TextIO) -> str:
     """Return a text in a colour if the stream is a terminal and `NO_COLOR` is not set.
 
     Args:
-        text: Text to paint.
         colour: Escape code, such as `RED`.
         stream: Stream to which the text will be written.
 
@@ -76,7 +69,6 @@ def table(rows: list[tuple[str, ...]], indent: str = "  ") -> list[str]:
 
     Args:
         rows: Cells of each row, the header first; a row may be shorter than the header.
-        indent: Start of each line.
 
     Returns:
         The lines of the table.

@@ -24,35 +24,30 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import parameter
 
-Flags = NDArray[np.bool_]
-"""One flag per wheel, (n,) bool."""
+Flags = NDArray[np.bool_]  #: One flag per wheel, (n,) bool
 
-TORQUE_FILTER_TIME = 0.05
-"""Time constant of the filter of the measured torques [s]."""
-CLEARING_RATIO = 3.0
-"""Ratio of a torque to the silent torque above which it clears a suspicion."""
+TORQUE_FILTER_TIME = 0.05  #: Time constant of the filter of the measured torques [s]
+CLEARING_RATIO = 3.0  #: Ratio of a torque to the silent torque above which it clears a suspicion
+#: Factor on the silent time of a rotating wheel from which hardly any torque is demanded. It is
+#: used only where the constraints leave the wheel's torque open; elsewhere a healthy wheel gives
+#: hardly any torque either, and the time does not count.
 UNDEMANDED_PACE = 0.1
-"""Factor on the silent time of a rotating wheel from which hardly any torque is demanded. It is
-used only where the constraints leave the wheel's torque open; elsewhere a healthy wheel gives
-hardly any torque either, and the time does not count."""
+#: Reference speed up to which a wheel that follows it is not suspected [rad/s]
 MIN_REFERENCE = 0.1
-"""Reference speed up to which a wheel that follows it is not suspected [rad/s]."""
+#: Speed error from which any wheel should give a torque, even if it brakes or its reference is at
+#: rest [rad/s]. Without a constraint left, nothing else reveals a dead wheel of which the motion
+#: demands a braking torque: the robot would drive another twist than commanded.
 MIN_SPEED_ERROR = 0.3
-"""Speed error from which any wheel should give a torque, even if it brakes or its reference is at
-rest [rad/s]. Without a constraint left, nothing else reveals a dead wheel of which the motion
-demands a braking torque: the robot would drive another twist than commanded."""
-PROBE_PAUSE = 2.0
-"""Time for which a wheel that has responded is not probed again [s]."""
+PROBE_PAUSE = 2.0  #: Time for which a wheel that has responded is not probed again [s]
+#: Signs of the four parts of a probe; they cancel any motion that the probe causes
 PROBE_SIGNS = (1.0, -1.0, -1.0, 1.0)
-"""Signs of the four parts of a probe; they cancel any motion that the probe causes."""
+#: Share of each part of a probe along the constraints in which the drive settles
 SETTLING_SHARE = 0.4
-"""Share of each part of a probe along the constraints in which the drive settles."""
+#: Share of a wheel's torque along the constraints from which a probe uses them
 MIN_CONSTRAINT_SHARE = 0.15
-"""Share of a wheel's torque along the constraints from which a probe uses them."""
-MIN_REPORTS = 2
-"""Number of reports that each part of a probe needs."""
+MIN_REPORTS = 2  #: Number of reports that each part of a probe needs
+#: Share of the probe's torque that counts as a response, even in a single report
 RESPONSE_SHARE = 0.5
-"""Share of the probe's torque that counts as a response, even in a single report."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +113,6 @@ def torque_probe(model: PlatformKinematics, wheel: int, torque: float) -> Array:
 
     Args:
         model: Kinematics of the wheels that drive.
-        wheel: Index of the wheel to probe.
         torque: Torque of that wheel [N m].
     """
     single = np.zeros(model.wheel_count)
@@ -202,7 +196,6 @@ class DeadWheelDetector:
 
     Args:
         limit: Largest torques (n,) [N m].
-        parameters: Thresholds.
         model: Kinematics of the wheels that drive.
 
     Attributes:
@@ -318,7 +311,6 @@ class DeadWheelDetector:
         """Begin to probe the suspect with the smallest torque; this judges other suspects, too.
 
         Args:
-            suspects: Wheels to probe.
             magnitude: Magnitude of the measured torques (n,) [N m].
             now: Time [s].
             dt: Time since the last update [s].

@@ -12,10 +12,9 @@ from omniman_ros.control.limits import ratio
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.robot import Robot
 
-GRAVITY = 9.80665
-"""Standard gravity [m/s^2]."""
+GRAVITY = 9.80665  #: Standard gravity [m/s^2]
+#: Width of the smoothed sign function, the speed at which it is 1 / sqrt(2) [rad/s, m/s]
 SIGN_WIDTH = 0.05
-"""Width of the smoothed sign function, the speed at which it is 1 / sqrt(2) [rad/s, m/s]."""
 
 
 def smooth_sign(speed: Array) -> Array:
@@ -34,7 +33,6 @@ class PlatformDynamics:
     Idle wheels of the kinematics get no torque: the other wheels drag them along.
 
     Args:
-        robot: Parameters of the robot.
         kinematics: Kinematics of its n wheels.
 
     Attributes:

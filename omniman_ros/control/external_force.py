@@ -12,9 +12,9 @@ from omniman_ros.control.dynamics import PlatformDynamics, smooth_sign
 from omniman_ros.control.kinematics import PlatformKinematics
 from omniman_ros.core.arrays import Array
 
+#: Time constant T of the observer [s]: short against the second in which a held robot must be
+#: noticed, long against the ripple of rollers and of the drives' loops.
 OBSERVER_TIME = 0.1
-"""Time constant T of the observer [s]: short against the second in which a held robot must be
-noticed, long against the ripple of rollers and of the drives' loops."""
 
 
 class ExternalForceObserver:
@@ -31,7 +31,6 @@ class ExternalForceObserver:
 
     Args:
         kinematics: Kinematics of the n wheels.
-        dynamics: Dynamics of the robot on them.
 
     Attributes:
         external: Estimated external wrench r (3,) in base_link [N, N, N m].

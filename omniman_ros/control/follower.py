@@ -53,7 +53,6 @@ class PreviewFollower:
 
         Args:
             preview: Reference in odom.
-            odometry: Pose and twist of the platform.
             measured: Time of their measurement [s].
             setpoint: Twist (3,) of the last tick in base_link [m/s, m/s, rad/s].
             limits: Limits that the twist respects.

@@ -18,12 +18,11 @@ from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import parameter
 
-MAX_REPORT_GAP = 0.1
-"""Longest time between two reports of torques that the estimate bridges [s]."""
+MAX_REPORT_GAP = 0.1  #: Longest time between two reports of torques that the estimate bridges [s]
+#: Time for which a speed must be lost that the wheels still have [s]: rollers that slip while the
+#: robot reverses lose as much for a few milliseconds, a robot that meets something for 0.1 s and
+#: longer.
 IMPACT_TIME = 0.012
-"""Time for which a speed must be lost that the wheels still have [s]: rollers that slip while the
-robot reverses lose as much for a few milliseconds, a robot that meets something for 0.1 s and
-longer."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +86,6 @@ class Persistence:
         """Return the time for which the condition has been true, less that since it was [s].
 
         Args:
-            condition: Whether it is true now.
             dt: Time since the last call [s].
         """
         self._duration = max(0.0, self._duration + (dt if condition else -dt))
@@ -102,9 +100,7 @@ class HeldRobotDetector:
     brake, on blocks or in a skid, is thus not held: its motors give less than its motion needs.
 
     Args:
-        parameters: Thresholds.
         kinematics: Kinematics of the n wheels.
-        dynamics: Dynamics of the robot on them.
 
     Attributes:
         observer: Estimate of the external wrench.

@@ -11,13 +11,12 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.core.imu_mount import ImuMount
 from omniman_ros.core.parameters import inline, parameter
 
+#: Wheel speed from which measurements cannot stay the same to the last digit [rad/s]
 MIN_TURNING_SPEED = 0.1
-"""Wheel speed from which measurements cannot stay the same to the last digit [rad/s]."""
+#: Time for which no digit changes while the wheels turn, from which the sensor counts as frozen
+#: [s].
 FROZEN_TIME = 0.25
-"""Time for which no digit changes while the wheels turn, from which the sensor counts as frozen
-[s]."""
-NONE_YET = "no imu yet"
-"""Fault before the first measurement."""
+NONE_YET = "no imu yet"  #: Fault before the first measurement
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,24 +64,16 @@ class ImuParameters:
 
 @dataclass(frozen=True)
 class InertialStep:
-    """What the sensor measured between two reports of the wheels.
+    """What the sensor measured between two reports of the wheels."""
 
-    Attributes:
-        rotation: Rotation about the vertical, bias included [rad].
-        noise: Variance of the rotation by noise [rad^2].
-        scale_error: Variance of the rotation by the scale of the rate [rad^2]. It grows with the
-            measured rotation: to weight measurements of the bias by it would favour small ones.
-        bias_drift: Variance that the bias has gained [rad^2/s^2].
-        initial_bias_variance: Variance of a bias of which nothing is known yet [rad^2/s^2].
-        acceleration: Acceleration (2,) of base_link's origin along base_link's x and y, bias
-            included [m/s^2].
-    """
-
-    rotation: float
-    noise: float
+    rotation: float  #: Rotation about the vertical, bias included [rad]
+    noise: float  #: Variance of the rotation by noise [rad^2]
+    #: Variance of the rotation by the scale of the rate [rad^2]. It grows with the measured
+    #: rotation: to weight measurements of the bias by it would favour small ones.
     scale_error: float
-    bias_drift: float
-    initial_bias_variance: float
+    bias_drift: float  #: Variance that the bias has gained [rad^2/s^2]
+    initial_bias_variance: float  #: Variance of a bias of which nothing is known yet [rad^2/s^2]
+    #: Acceleration (2,) of base_link's origin along base_link's x and y, bias included [m/s^2]
     acceleration: Array
 
 

@@ -14,18 +14,17 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import GeometryError
 from omniman_ros.core.robot import Wheels
 
+#: Smallest pivot of J that adds to its rank (J normalised, lengths scaled by the platform's size)
 RANK_TOLERANCE = 1e-6
-"""Smallest pivot of J that adds to its rank (J normalised, lengths scaled by the platform's size).
-"""
+#: Smallest accepted cos(gamma): at 90 degrees a wheel cannot drive; 1.57 rad counts as 90
 ROLLER_TOLERANCE = 0.01
-"""Smallest accepted cos(gamma): at 90 degrees a wheel cannot drive; 1.57 rad counts as 90."""
+#: Share of J's smallest singular value (lengths scaled) that the remaining wheels must keep. In
+#: the worst direction, a force takes up to 1 / share times the wheel torque that it takes with all
+#: wheels, and slip moves the odometry as much farther. On the plant, wheels that keep 0.2 cannot
+#: follow a twist at the limits even in velocity mode; wheels that keep 0.26 can.
 MIN_REMAINING_SHARE = 0.25
-"""Share of J's smallest singular value (lengths scaled) that the remaining wheels must keep. In
-the worst direction, a force takes up to 1 / share times the wheel torque that it takes with all
-wheels, and slip moves the odometry as much farther. On the plant, wheels that keep 0.2 cannot
-follow a twist at the limits even in velocity mode; wheels that keep 0.26 can."""
+#: Magnitude of an entry of T from which the constraint depends on the wheel [-]
 CONSTRAINED_ENTRY = 1e-6
-"""Magnitude of an entry of T from which the constraint depends on the wheel [-]."""
 
 
 def wheel_row(x: float, y: float, heading: float, roller_angle: float, radius: float) -> Array:
@@ -68,7 +67,6 @@ class PlatformKinematics:
             does not show. With three wheels all are, with four some may be.
 
     Args:
-        wheels: Geometry of the wheels.
         idle: Indices of the idle wheels, see above.
 
     Raises:
@@ -127,9 +125,6 @@ class PlatformKinematics:
 
         Lengths are scaled by the platform's size. Four equal Mecanum wheels keep 0.54 without one
         of them. The count does not tell: of eight wheels, the four with parallel rollers keep 0.
-
-        Args:
-            idle: Indices of the wheels to leave out.
 
         Returns:
             The share; 0 if the other wheels do not determine the twist.

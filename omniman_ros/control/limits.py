@@ -8,8 +8,7 @@ import numpy as np
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import REQUIRED, parameter
 
-Pair = tuple[float, float]
-"""A linear and an angular limit, e.g. [m/s, rad/s]."""
+Pair = tuple[float, float]  #: A linear and an angular limit, e.g. [m/s, rad/s]
 
 
 @dataclass(frozen=True, kw_only=True)

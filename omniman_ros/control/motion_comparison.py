@@ -8,13 +8,12 @@ from omniman_ros.control.imu import InertialStep
 from omniman_ros.control.odometry import REST_TIME, Odometry
 from omniman_ros.core.arrays import Array
 
-RATE_FILTER_TIME = 0.1
-"""Time constant of the filter of the difference of yaw rates [s]."""
+RATE_FILTER_TIME = 0.1  #: Time constant of the filter of the difference of yaw rates [s]
+#: Time constant with which a difference of velocities is forgotten [s]: a collision takes a tenth
+#: of it, and a constant error of the acceleration leaves no more than its product with this.
 MEMORY = 0.5
-"""Time constant with which a difference of velocities is forgotten [s]: a collision takes a tenth
-of it, and a constant error of the acceleration leaves no more than its product with this."""
+#: Time constant with which the acceleration at rest, by bias and tilt, is learned [s]
 BIAS_TIME = 1.0
-"""Time constant with which the acceleration at rest, by bias and tilt, is learned [s]."""
 
 
 class MotionComparison:

@@ -23,18 +23,17 @@ from omniman_ros.core.errors import InputError, ParameterError
 from omniman_ros.core.parameters import parameter
 from omniman_ros.core.robot import Robot
 
+#: Largest wheel speed at which a platform without a setpoint counts as at rest [rad/s]
 REST_SPEED = 0.02
-"""Largest wheel speed at which a platform without a setpoint counts as at rest [rad/s]."""
+#: Time for which all wheels are at rest before the coupling error starts from zero again, and the
+#: bias of a yaw rate is measured [s].
+#:
+#: A platform that reverses passes through rest faster.
 REST_TIME = 0.2
-"""Time for which all wheels are at rest before the coupling error starts from zero again, and the
-bias of a yaw rate is measured [s].
-
-A platform that reverses passes through rest faster.
-"""
+#: Yaw rate, less its bias, above which a robot rotates although its wheels are at rest [rad/s]
 MAX_REST_RATE = 0.1
-"""Yaw rate, less its bias, above which a robot rotates although its wheels are at rest [rad/s]."""
+#: Smallest determinant of the calibration matrix; below it, directions would be mixed up
 MIN_DETERMINANT = 0.05
-"""Smallest determinant of the calibration matrix; below it, directions would be mixed up."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -30,31 +30,26 @@ from omniman_ros.core.preview import Preview
 from omniman_ros.core.robot import Arm
 from omniman_ros.core.stop import StopLatch
 
+#: Longest time between two ticks that counts; after a longer one the caller has stalled [s]
 MAX_TICK = 0.1
-"""Longest time between two ticks that counts; after a longer one the caller has stalled [s]."""
+#: Ratio of a wheel's or the platform's speed to its limit above which voltages are not passed on
 OVERSPEED = 1.1
-"""Ratio of a wheel's or the platform's speed to its limit above which voltages are not passed
-on."""
+#: Time after a stall in which messages sent before its end may still arrive [s].
+#:
+#: What a stall kept from being received, a reliable connection delivers again. The reader learns
+#: of it by a heartbeat, of which Fast DDS sends one every 3 s.
 LATE_DELIVERY = 4.0
-"""Time after a stall in which messages sent before its end may still arrive [s].
-
-What a stall kept from being received, a reliable connection delivers again. The reader learns of
-it by a heartbeat, of which Fast DDS sends one every 3 s.
-"""
-MAX_LEAD = 1.0
-"""Longest time from now to the beginning of a preview that is accepted [s]."""
+MAX_LEAD = 1.0  #: Longest time from now to the beginning of a preview that is accepted [s]
+#: Wheel speed above which the robot does not count as at rest, so that a reset is refused [rad/s]
 RESET_REST_SPEED = 0.1
-"""Wheel speed above which the robot does not count as at rest, so that a reset is refused
-[rad/s]."""
+#: Reason why an input without a stamp is not used after a stall
 WAITED = "it may have waited while the controller had stalled"
-"""Reason why an input without a stamp is not used after a stall."""
+#: Reason why a twist without a stamp is not used that is old by the sender's clock
 LATE = "it was delivered late, or its sender's clock is behind"
-"""Reason why a twist without a stamp is not used that is old by the sender's clock."""
+#: Twist up to which cmd_vel asks for rest [m/s, rad/s].
+#:
+#: Sources that stop leave round-off; none means a tenth of a millimetre a second.
 NEGLIGIBLE_TWIST = 1e-4
-"""Twist up to which cmd_vel asks for rest [m/s, rad/s].
-
-Sources that stop leave round-off; none means a tenth of a millimetre a second.
-"""
 
 
 class PlatformController:
@@ -255,10 +250,8 @@ class PlatformController:
         while the caller had stalled.
 
         Args:
-            source: Source of the preview.
             preview: Motion of the platform in odom.
             now: Time of arrival [s].
-            stamped: Whether it has a stamp.
 
         Returns:
             Why it is not used, or an empty string.
@@ -486,7 +479,6 @@ class PlatformController:
 
     @property
     def _is_demanding_motion(self) -> bool:
-        """Whether the last command demanded a speed of a wheel."""
         return bool(max(map(abs, self.cascade.reference.tolist())) > REST_SPEED)
 
     def _adopt_idle_wheels(self) -> None:

@@ -22,14 +22,13 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import parameter
 from omniman_ros.core.robot import Robot
 
+#: Smallest share of the limits of acceleration and deceleration that any posture leaves: the robot
+#: must remain able to stop.
 MIN_SHARE = 0.1
-"""Smallest share of the limits of acceleration and deceleration that any posture leaves: the robot
-must remain able to stop."""
+#: Number of steps in which the share of the limits changes: it is not reported at each movement of
+#: the arm.
 SHARE_STEPS = 20
-"""Number of steps in which the share of the limits changes: it is not reported at each movement of
-the arm."""
-PARALLEL = 1e-9
-"""Area over that of the platform below which three wheels count as in line."""
+PARALLEL = 1e-9  #: Area over that of the platform below which three wheels count as in line
 
 
 @dataclass(frozen=True)
@@ -130,7 +129,6 @@ class SupportModel:
         wheels on the floor, it is without: a robot that slips in a curve finds grip again.
 
         Args:
-            limits: Limits of the twist.
             margin: Smallest margin [m].
 
         Returns:

@@ -28,18 +28,13 @@ class DriveMode(Enum):
 
 @dataclass(frozen=True)
 class WheelCommand:
-    """A command to the drives of the n wheels, in the robot's order.
+    """A command to the drives of the n wheels, in the robot's order."""
 
-    Attributes:
-        mode: Quantity that the drives follow.
-        effort: Torque feed-forward [N m] in VELOCITY mode, torque [N m] in TORQUE mode, motor
-            voltage [V] in VOLTAGE mode (n,).
-        velocity: Wheel speeds (n,) [rad/s] in VELOCITY mode, else None.
-    """
-
-    mode: DriveMode
+    mode: DriveMode  #: Quantity that the drives follow
+    #: Torque feed-forward [N m] in VELOCITY mode, torque [N m] in TORQUE mode, motor voltage [V]
+    #: in VOLTAGE mode (n,).
     effort: Array
-    velocity: Array | None = None
+    velocity: Array | None = None  #: Wheel speeds (n,) [rad/s] in VELOCITY mode, else None
 
 
 class WheelCascade:
@@ -49,7 +44,6 @@ class WheelCascade:
     and wheel controllers.
 
     Args:
-        parameters: Parameters of the platform.
         idle: Indices of the wheels that roll without drive and get no torque.
 
     Raises:

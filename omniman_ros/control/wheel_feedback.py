@@ -10,41 +10,31 @@ from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 
+#: Bandwidth of the observer that estimates wheel speeds if the drives report none [rad/s]
 OBSERVER_BANDWIDTH = 60.0
-"""Bandwidth of the observer that estimates wheel speeds if the drives report none [rad/s]."""
+#: Time constant with which disagreement of reported speeds and positions is forgotten [s]
 DISAGREEMENT_TIME = 0.5
-"""Time constant with which disagreement of reported speeds and positions is forgotten [s]."""
-MAX_DISAGREEMENT = 0.3
-"""Constant part of the disagreement that is allowed [rad]."""
+MAX_DISAGREEMENT = 0.3  #: Constant part of the disagreement that is allowed [rad]
+#: Part of the allowed disagreement that grows with the speed.
+#:
+#: It is a share of the rotation at the reported speed in `DISAGREEMENT_TIME`.
 MAX_DISAGREEMENT_SHARE = 0.2
-"""Part of the allowed disagreement that grows with the speed.
-
-It is a share of the rotation at the reported speed in `DISAGREEMENT_TIME`.
-"""
-MAX_GAP = 0.5
-"""Longest time between two reports over which speeds tell the motion [s]."""
+MAX_GAP = 0.5  #: Longest time between two reports over which speeds tell the motion [s]
+#: Rotation in excess of twice that at the largest speed above which positions jumped [rad]
 MAX_JUMP = 0.3
-"""Rotation in excess of twice that at the largest speed above which positions jumped [rad]."""
 
 
 @dataclass(frozen=True)
 class WheelStep:
-    """Motion of the wheels between two reports.
+    """Motion of the wheels between two reports."""
 
-    Attributes:
-        moved: Rotation of each wheel (n,) [rad].
-        speeds: Speed of each wheel (n,) at the second report [rad/s].
-        dt: Time between the reports [s].
-        unknown: Rotation of each wheel (n,) that may be missing in `moved` [rad]; None if the
-            reports follow each other closely.
-        warning: What is not known of the motion, or empty.
-    """
-
-    moved: Array
-    speeds: Array
-    dt: float
+    moved: Array  #: Rotation of each wheel (n,) [rad]
+    speeds: Array  #: Speed of each wheel (n,) at the second report [rad/s]
+    dt: float  #: Time between the reports [s]
+    #: Rotation of each wheel (n,) that may be missing in `moved` [rad]; None if the reports follow
+    #: each other closely.
     unknown: Array | None
-    warning: str
+    warning: str  #: What is not known of the motion, or empty
 
 
 class WheelFeedback:
@@ -57,7 +47,7 @@ class WheelFeedback:
             reset by the drive.
 
     Attributes:
-        max_speed: As above; may be changed at any time.
+        max_speed: May be changed at any time.
         speeds: Last wheel speeds (n,) [rad/s].
         time: Time of their measurement [s].
         received: Whether a report was received since the start or the last `forget`.
@@ -154,7 +144,6 @@ class WheelFeedback:
         those of a drive that is known to have restarted do not count.
 
         Args:
-            fault: What is discontinuous.
             moved: Change of the positions (n,) [rad], or None if they are not reported.
             last_speeds: Speeds (n,) at the report before [rad/s].
             dt: Time since that report [s].

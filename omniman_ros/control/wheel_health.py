@@ -16,21 +16,20 @@ from omniman_ros.control.wheel_feedback import WheelFeedback
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 
+#: State of a wheel that the platform drives without, see :meth:`WheelHealthMonitor.state`
 IDLE = "idle"
-"""State of a wheel that the platform drives without, see :meth:`WheelHealthMonitor.state`."""
 
-Flags = NDArray[np.bool_]
-"""One flag per wheel, (n,) bool."""
+Flags = NDArray[np.bool_]  #: One flag per wheel, (n,) bool
 
+#: Share of its reference speed below which a wheel counts as standing still despite a torque
 REST_SHARE = 0.1
-"""Share of its reference speed below which a wheel counts as standing still despite a torque."""
+#: Reference speed above which a wheel at rest can count as blocked [rad/s]. Below it, a wheel that
+#: starts against friction or against the other wheels may be at rest, too.
 MIN_BLOCKED_REFERENCE = 0.5
-"""Reference speed above which a wheel at rest can count as blocked [rad/s]. Below it, a wheel
-that starts against friction or against the other wheels may be at rest, too."""
+#: Share of J's smallest singular value below which the driving wheels determine the twist weakly:
+#: limits fall in proportion, and the drives run in velocity mode. The gain from a speed error to
+#: torque grows with 1 / share^2, so that wheels under torque control swing once they lose grip.
 WEAK_SHARE = 0.5
-"""Share of J's smallest singular value below which the driving wheels determine the twist weakly:
-limits fall in proportion, and the drives run in velocity mode. The gain from a speed error to
-torque grows with 1 / share^2, so that wheels under torque control swing once they lose grip."""
 
 
 class PersistenceMonitor:
@@ -196,8 +195,6 @@ class WheelHealthMonitor:
 
         Args:
             cascade: Cascade with the wheel speeds and torques that the last tick demanded.
-            feedback: Feedback of the wheels since then.
-            driven: Whether a source drives.
             now: Time [s].
             dt: Time since the last call [s].
 

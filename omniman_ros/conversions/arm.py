@@ -66,7 +66,6 @@ def joint_points(message: JointTrajectory, names: Sequence[str], most: int) -> J
 
     Args:
         message: Trajectory with at least one point, for some of the joints in any order.
-        names: Names of all joints.
         most: Largest number of points that is accepted.
 
     Raises:
@@ -210,8 +209,6 @@ def joint_reference_message(names: Sequence[str], points: int, tick: float) -> J
     """Allocate a preview of joints, to be filled repeatedly by :func:`fill_joint_reference`.
 
     Args:
-        names: Names of the joints.
-        points: Number of points.
         tick: Time between two points [s].
     """
     message = JointTrajectory(joint_names=list(names))
@@ -225,7 +222,6 @@ def fill_joint_reference(message: JointTrajectory, stamp: Time, window: Window) 
 
     Args:
         message: Message from :func:`joint_reference_message`.
-        stamp: ROS time of the window's first tick.
         window: Positions, velocities and accelerations of the joints.
     """
     message.header.stamp = stamp

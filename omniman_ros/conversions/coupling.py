@@ -11,8 +11,7 @@ from typing import Any
 
 from omniman_ros.core.arrays import Array
 
-TOTAL_SUFFIX = "_total"
-"""End of the names of errors that are integrated without resets."""
+TOTAL_SUFFIX = "_total"  #: End of the names of errors that are integrated without resets
 
 
 def coupling_names(count: int) -> list[str]:

@@ -11,15 +11,10 @@ from omniman_ros.core.transform_tree import ODOM, Placement
 
 
 class SerializedStamp(NamedTuple):
-    """Stamp that was read without a message, with the fields of one.
+    """Stamp that was read without a message, with the fields of one."""
 
-    Attributes:
-        sec: Seconds [s].
-        nanosec: Nanoseconds beyond these [ns].
-    """
-
-    sec: int
-    nanosec: int
+    sec: int  #: Seconds [s]
+    nanosec: int  #: Nanoseconds beyond these [ns]
 
     @property
     def nanoseconds(self) -> int:

@@ -11,8 +11,8 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.imu_mount import ImuMount
 
+#: First entry of the covariance of a quantity that is not measured (sensor_msgs/Imu)
 UNKNOWN = -1.0
-"""First entry of the covariance of a quantity that is not measured (sensor_msgs/Imu)."""
 
 
 def imu_message(rate: Array, acceleration: Array, frame: str, stamp: Time) -> Imu:
@@ -21,8 +21,6 @@ def imu_message(rate: Array, acceleration: Array, frame: str, stamp: Time) -> Im
     Args:
         rate: Angular velocity (3,) in the sensor's frame [rad/s].
         acceleration: Acceleration (3,) with gravity [m/s^2].
-        frame: Frame of the sensor.
-        stamp: Stamp of the message.
     """
     message = Imu(header=Header(stamp=stamp, frame_id=frame))
     message.orientation_covariance[0] = UNKNOWN
@@ -38,7 +36,6 @@ def imu_arrays(message: Imu, frame: str) -> tuple[Array, Array]:
     """Return angular velocity (3,) [rad/s] and acceleration (3,) [m/s^2] of a message.
 
     Args:
-        message: The message.
         frame: Frame that it must have.
 
     Raises:
@@ -62,7 +59,6 @@ def imu_transform(mount: ImuMount, base_frame: str, stamp: Time) -> TransformSta
     Args:
         mount: Pose and frame of the sensor.
         base_frame: Frame in which it is mounted.
-        stamp: Stamp of the message.
     """
     result = TransformStamped(
         header=Header(stamp=stamp, frame_id=base_frame), child_frame_id=mount.frame

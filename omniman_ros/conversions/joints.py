@@ -10,8 +10,8 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.motion.axes import PLANAR_VARIABLES, PLATFORM_AXES
 
+#: Names of the platform's axes by those of the variables of its planar joint
 _AXES = dict(zip(PLANAR_VARIABLES, PLATFORM_AXES, strict=True))
-"""Names of the platform's axes by those of the variables of its planar joint."""
 
 
 def axis_names(names: Sequence[str]) -> list[str]:
@@ -67,7 +67,6 @@ def require_array(array: Array | None, bound: float, label: str) -> Array:
     Args:
         array: Array to check, or None if the message lacks it.
         bound: Largest plausible magnitude, in the array's unit.
-        label: Name of the array in error messages.
 
     Raises:
         InputError: The array is missing, or a value is not finite or beyond the bound.

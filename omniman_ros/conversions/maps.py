@@ -80,7 +80,6 @@ def map_update_message(
     Args:
         kind: The type, `map_msgs/OccupancyGridUpdate`, which is not installed everywhere.
         occupancy: (rows along y, columns along x) occupancy of the whole map [%].
-        part: Rows and columns of the rectangle.
         frame: Name of the map's frame.
         stamp: Time of the map.
     """

@@ -11,10 +11,10 @@ from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 
+#: Names in `motion_limit`; the velocities are shares of the speed limits, 0 to 1
 LIMITED = ("platform", "arm")
-"""Names in `motion_limit`; the velocities are shares of the speed limits, 0 to 1."""
+#: Names of the platform's twist in `motion_demand`: along x and y of base_link, and about z
 TWIST = ("base_x", "base_y", "base_theta")
-"""Names of the platform's twist in `motion_demand`: along x and y of base_link, and about z."""
 
 
 def motion_limit_message(platform: float, arm: float, stamp: Time) -> JointState:
@@ -46,7 +46,6 @@ def motion_demand_message(
     Args:
         joints: Names of the joints that it has rates of, in their order; may be empty.
         motion: Twist in base_link and rates of these joints [m/s, m/s, rad/s, rad/s ...].
-        stamp: When it is asked for.
         frame: Name of base_link.
     """
     message = JointState(name=[*TWIST, *joints], velocity=list(motion))

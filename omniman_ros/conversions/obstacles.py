@@ -21,15 +21,11 @@ from omniman_ros.planning.obstacles.obstacles import Observation
 
 @dataclass(frozen=True)
 class MarkerDeletion:
-    """A request to delete one marker, all markers of a namespace, or all markers.
+    """A request to delete one marker, all markers of a namespace, or all markers."""
 
-    Attributes:
-        namespace: Namespace of the markers; if it is empty and `number` is None, every namespace.
-        number: Number of the marker, or None if all of the namespace are deleted.
-    """
-
+    #: Namespace of the markers; if it is empty and `number` is None, every namespace
     namespace: str
-    number: int | None = None
+    number: int | None = None  #: Number of the marker, or None if all of the namespace are deleted
 
 
 def marker_changes(
@@ -44,7 +40,6 @@ def marker_changes(
     all obstacles if it has no namespace. The frame and type of a deletion are ignored.
 
     Args:
-        message: Markers.
         place: Returns where the coordinates under a header are; an InputError that it raises
             becomes a complaint.
         clock: Converts a stamp to the caller's clock [s]; a zero stamp means now. An InputError
@@ -120,8 +115,6 @@ def ellipse_markers(
     Args:
         ellipses: M obstacles.
         times: Times (K,) at which the obstacles are shown [s].
-        frame: Frame of the ellipses.
-        stamp: Stamp of the message.
         margin: Margin around each obstacle in addition to its growth [m].
         height: Height of the cylinders [m].
 

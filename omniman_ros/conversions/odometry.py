@@ -10,17 +10,15 @@ from nav_msgs.msg import Odometry
 from omniman_ros.conversions.poses import PLANAR_INDICES
 from omniman_ros.core.arrays import Array
 
+#: Variance of z, roll and pitch, which a planar platform does not measure
 UNMEASURED_VARIANCE = 1e6
-"""Variance of z, roll and pitch, which a planar platform does not measure."""
-ODOMETRY_NUMBERS = 16
-"""Count of the numbers of an odometry message that change."""
+ODOMETRY_NUMBERS = 16  #: Count of the numbers of an odometry message that change
 
 
 def initialize_odometry(message: Odometry, twist_variance: float) -> None:
     """Write the constant parts: the variance of the twist, and those of z, roll and pitch.
 
     Args:
-        message: Message to write to.
         twist_variance: Variance of the planar twist [m^2/s^2, rad^2/s^2].
     """
     for i in range(6):
@@ -46,7 +44,6 @@ def set_odometry_numbers(message: Odometry, numbers: Sequence[float]) -> None:
     """Write :func:`odometry_numbers` into a message.
 
     Args:
-        message: Message to write to.
         numbers: As many as `ODOMETRY_NUMBERS`.
     """
     pose, twist = message.pose.pose, message.twist.twist
@@ -65,11 +62,9 @@ def fill_odometry(
     """Write the parts that change; see :func:`odometry_numbers`.
 
     Args:
-        message: Message to write to.
         pose: Pose x, y, theta in the header's frame [m, m, rad].
         twist: Twist (3,) in the child frame [m/s, m/s, rad/s].
         covariance: Covariance (3, 3) of the pose.
-        stamp: ROS time of the measurement.
     """
     message.header.stamp = stamp
     set_odometry_numbers(message, odometry_numbers(pose, twist, covariance))

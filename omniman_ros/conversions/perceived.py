@@ -10,8 +10,8 @@ from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 
+#: Fields of a tracked obstacle that are read, in this order
 TRACK_FIELDS = ("x", "y", "vx", "vy", "radius", "position_variance", "velocity_variance")
-"""Fields of a tracked obstacle that are read, in this order."""
 
 
 def tracked_obstacles(message: PointCloud2) -> Array:

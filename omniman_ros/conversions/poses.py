@@ -16,8 +16,8 @@ from omniman_ros.core import plausible, se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 
+#: Indices of x, y and rotation about z in the rows and columns of a 6 x 6 covariance
 PLANAR_INDICES = (0, 1, 5)
-"""Indices of x, y and rotation about z in the rows and columns of a 6 x 6 covariance."""
 
 
 def planar_pose(
@@ -26,7 +26,6 @@ def planar_pose(
     """Return the pose (x, y, theta) [m, m, rad] of a message and its covariance (3, 3).
 
     Args:
-        message: Pose of the platform.
         frames: Names of frames that count as odom.
 
     Raises:
@@ -87,7 +86,6 @@ def goal_pose_from_message(message: PoseStamped, frames: Sequence[str]) -> Array
     """Return the pose (3,) x, y, theta of a goal in odom [m, m, rad].
 
     Args:
-        message: Goal.
         frames: Names of frames that count as odom.
 
     Raises:

@@ -15,14 +15,11 @@ from omniman_ros.core.rigid import TILT_TOLERANCE, UPSIDE_DOWN, PlanarPose, Tran
 from omniman_ros.perception.no_return import REP_117, rep117_ranges
 from omniman_ros.perception.scan import Scan
 
-SECTORS = 720
-"""Number of sectors into which the points of a cloud are sorted."""
-MOST_POINTS = 2_000_000
-"""Largest number of points accepted in a cloud."""
+SECTORS = 720  #: Number of sectors into which the points of a cloud are sorted
+MOST_POINTS = 2_000_000  #: Largest number of points accepted in a cloud
+#: Increments by which `angle_max` may be off: many drivers count a gap more than there are
 END_SLACK = 1.5
-"""Increments by which `angle_max` may be off: many drivers count a gap more than there are."""
-SCAN_TIME_SLACK = 1.5
-"""Share of `scan_time` that all beams together may take."""
+SCAN_TIME_SLACK = 1.5  #: Share of `scan_time` that all beams together may take
 
 
 @dataclass(frozen=True)
@@ -31,12 +28,11 @@ class Slice:
 
     Attributes:
         low, high: Lowest and highest height above the floor [m].
-        range_max: Longest distance from the sensor [m].
     """
 
     low: float
     high: float
-    range_max: float
+    range_max: float  #: Longest distance from the sensor [m]
 
 
 def scan_from_message(
@@ -48,7 +44,6 @@ def scan_from_message(
     """Return the scan of a message, whose stamp is the time of the first beam.
 
     Args:
-        message: The message.
         mount: Pose of the scanner in base_link, upright or upside down.
         clock: Converts a stamp to the caller's clock [s].
         no_return: What the scanner sends where a beam meets nothing, see `no_return.NO_RETURN`.
@@ -131,7 +126,6 @@ def scan_from_cloud(
     A direction without a point is unknown: a cloud does not contain the beams that hit nothing.
 
     Args:
-        message: The message.
         mount: Pose of the sensor in base_link; it may be tilted.
         clock: Converts a stamp to the caller's clock [s].
         part: Heights and distances of the points that are converted.
@@ -177,10 +171,6 @@ def cloud_points(message: PointCloud2) -> Array:
 
 def cloud_fields(message: PointCloud2, names: Sequence[str]) -> Array:
     """Return fields of the points of a cloud as columns (N, number of names).
-
-    Args:
-        message: The cloud.
-        names: Names of the fields.
 
     Raises:
         InputError: The cloud lacks one of the fields as FLOAT32, has it twice or in the place of

@@ -13,18 +13,15 @@ from visualization_msgs.msg import Marker, MarkerArray
 from omniman_ros.conversions.headers import duration_message
 from omniman_ros.perception.track import TrackedObstacle
 
-NAMESPACE = "tracked"
-"""Namespace of the markers."""
-SEEN = ColorRGBA(r=0.9, g=0.3, b=0.2, a=0.8)
-"""Color of an obstacle that is seen."""
+NAMESPACE = "tracked"  #: Namespace of the markers
+SEEN = ColorRGBA(r=0.9, g=0.3, b=0.2, a=0.8)  #: Color of an obstacle that is seen
+#: Color of an obstacle that is hidden, where it is expected
 HIDDEN = ColorRGBA(r=0.6, g=0.6, b=0.6, a=0.5)
-"""Color of an obstacle that is hidden, where it is expected."""
 FIELDS = (
     *("x", "y", "z", "vx", "vy", "radius"),
     *("position_variance", "position_velocity_covariance", "velocity_variance"),
     *("age", "silence", "id"),
-)
-"""Fields of a point in the cloud of tracks, FLOAT32 each."""
+)  #: Fields of a point in the cloud of tracks, FLOAT32 each
 
 
 def track_markers(
@@ -39,10 +36,8 @@ def track_markers(
     """Return the message of obstacles that everything here reads: upright cylinders.
 
     Args:
-        obstacles: The obstacles.
         gone: Identities of those that are there no longer.
         frame: Name of odom.
-        stamp: Time of their places.
         lifetime: Time after which each is forgotten without another message [s].
         height: Height of the cylinders above the floor [m].
     """
@@ -74,9 +69,7 @@ def track_cloud(obstacles: Sequence[TrackedObstacle], frame: str, stamp: Time) -
     """Return all that is known of obstacles, one point for each, with the fields `FIELDS`.
 
     Args:
-        obstacles: The obstacles.
         frame: Name of odom.
-        stamp: Time of their places.
     """
     rows = np.array(
         [

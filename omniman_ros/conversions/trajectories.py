@@ -21,8 +21,7 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.core.preview import MAX_POINTS, Preview
 from omniman_ros.motion.path.window import Window
 
-PLATFORM_JOINT = "platform"
-"""Name of the platform's joint in previews."""
+PLATFORM_JOINT = "platform"  #: Name of the platform's joint in previews
 
 
 def preview_from_message(
@@ -88,7 +87,6 @@ def preview_message(
 
     Args:
         frame: Name of the frame of poses and velocities.
-        stamp: ROS time of the first point.
         times: Times (k,) of the points [s]; their origin is arbitrary.
         poses: Poses (k, 3), x, y, theta, in `frame` [m, m, rad].
         velocities: Velocities (k, 3), x', y', theta', in `frame` [m/s, m/s, rad/s].
@@ -114,7 +112,6 @@ def reference_message(frame: str, points: int, tick: float) -> MultiDOFJointTraj
 
     Args:
         frame: Name of the frame of the preview.
-        points: Number of points.
         tick: Time between two points [s].
     """
     message = MultiDOFJointTrajectory(joint_names=[PLATFORM_JOINT])
@@ -139,7 +136,6 @@ def fill_reference(message: MultiDOFJointTrajectory, stamp: Time, window: Window
 
     Args:
         message: Message from :func:`reference_message`.
-        stamp: ROS time of the first sample.
         window: Positions, velocities and accelerations (k, 3) of the platform in the message's
             frame, sampled at the message's `tick`.
     """

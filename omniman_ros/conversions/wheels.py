@@ -18,23 +18,18 @@ from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 
+#: Key in `wheel_health` of the share of the limits that remains if a wheel is dead
 LIMIT_SCALE_KEY = "limits"
-"""Key in `wheel_health` of the share of the limits that remains if a wheel is dead."""
+#: Key in `wheel_health` of the share of the limits that the arm's posture bears
 POSTURE_SCALE_KEY = "posture_limits"
-"""Key in `wheel_health` of the share of the limits that the arm's posture bears."""
 
 
 @dataclass(frozen=True)
 class LimitScales:
-    """Shares of the limits that `wheel_health` reports as left, above 0 and up to 1.
+    """Shares of the limits that `wheel_health` reports as left, above 0 and up to 1."""
 
-    Attributes:
-        wheels: Share that dead wheels leave. Where it grows, the controller was reset.
-        posture: Share that the arm's posture bears.
-    """
-
-    wheels: float = 1.0
-    posture: float = 1.0
+    wheels: float = 1.0  #: Share that dead wheels leave. Where it grows, the controller was reset.
+    posture: float = 1.0  #: Share that the arm's posture bears
 
     @property
     def total(self) -> float:
@@ -72,7 +67,6 @@ def reported_idle_wheels(message: DiagnosticStatus, names: Sequence[str]) -> tup
     A wheel that it does not report counts as driving.
 
     Args:
-        message: Health of the wheels.
         names: Names of the n wheels.
     """
     state = {item.key: item.value for item in message.values}
@@ -123,13 +117,7 @@ class WheelValues(Protocol):
 
 
 def states_message(names: list[str], states: WheelValues, stamp: Time) -> JointState:
-    """Return the message for the states of n wheels.
-
-    Args:
-        names: Names of the wheels.
-        states: The states.
-        stamp: Stamp of the message.
-    """
+    """Return the message for the states of n wheels."""
     message = JointState(
         name=names,
         position=states.position.tolist(),

@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from omniman_ros.simulation.world.contacts import RobotContact
     from omniman_ros.simulation.world.world import Obstacle
 
-OBSTACLE_COLOR = ColorRGBA(r=0.2, g=0.5, b=0.9, a=0.6)
-"""Color of true obstacles."""
+OBSTACLE_COLOR = ColorRGBA(r=0.2, g=0.5, b=0.9, a=0.6)  #: Color of true obstacles
 
 
 def contacts_message(
@@ -32,8 +31,6 @@ def contacts_message(
 
     Args:
         contacts: Contacts; empty for none.
-        frame: Frame of places and forces.
-        stamp: Stamp of the message.
 
     Returns:
         One status per contact, of level WARN while they touch and OK afterwards. Its values are
@@ -86,9 +83,7 @@ def scan_message(
 
     Args:
         ranges: Ranges (beams,), infinite as in REP 117 where there is no measurement [m].
-        scanner: Parameters of the scanner.
         period: Time between two scans [s].
-        stamp: Stamp of the message.
     """
     half = 0.5 * scanner.field_of_view
     return LaserScan(
@@ -109,9 +104,7 @@ def scanner_transform(
     """Return the pose in which a scanner is said to be mounted.
 
     Args:
-        scanner: Parameters of the scanner.
         base_frame: Frame in which it is mounted.
-        stamp: Stamp of the message.
     """
     result = TransformStamped(
         header=Header(stamp=stamp, frame_id=base_frame), child_frame_id=scanner.name
@@ -126,7 +119,6 @@ def obstacle_markers(obstacles: "Sequence[Obstacle]", frame: str) -> MarkerArray
 
     Args:
         obstacles: Obstacles; those of all messages are the same, in the same order.
-        frame: Frame of the obstacles.
 
     Returns:
         Markers whose namespace is the obstacle's name, with number 0; poses and stamp are still to
@@ -155,8 +147,6 @@ def fill_obstacle_markers(
 
     Args:
         message: Their markers, see :func:`obstacle_markers`.
-        obstacles: The same obstacles in the same order.
-        stamp: Stamp of the message.
     """
     for marker, obstacle in zip(message.markers, obstacles, strict=True):
         x, y, heading = obstacle.pose

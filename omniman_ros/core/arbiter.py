@@ -8,8 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 
-NEVER = float("-inf")
-"""Time of an event that has not happened [s]."""
+NEVER = float("-inf")  #: Time of an event that has not happened [s]
 
 
 class Source(Enum):
@@ -22,23 +21,17 @@ class Source(Enum):
     STATION = "station"
 
 
+#: Sources that send previews, on `SOURCE/reference`
 PREVIEW_SOURCES = (Source.MPC, Source.BODY, Source.PATH, Source.STATION)
-"""Sources that send previews, on `SOURCE/reference`."""
 
 
 @dataclass
 class _Slot:
-    """State of one source.
+    """State of one source."""
 
-    Attributes:
-        fresh_until: Time until which its setpoint may drive [s].
-        received: Time of its last setpoint [s].
-        cancelled: Reason why it is cancelled; empty if it is not.
-    """
-
-    fresh_until: float = NEVER
-    received: float = NEVER
-    cancelled: str = ""
+    fresh_until: float = NEVER  #: Time until which its setpoint may drive [s]
+    received: float = NEVER  #: Time of its last setpoint [s]
+    cancelled: str = ""  #: Reason why it is cancelled; empty if it is not
 
 
 class Arbiter:
@@ -49,7 +42,7 @@ class Arbiter:
             again [s].
 
     Attributes:
-        silence: As above; may be changed at any time.
+        silence: May be changed at any time.
         active: Source that drives, or None.
     """
 
@@ -62,7 +55,6 @@ class Arbiter:
         """Register a valid setpoint of a source.
 
         Args:
-            source: Source of the setpoint.
             now: Time of arrival [s].
             fresh_until: Time until which it may drive [s].
             neutral: Whether it asks for rest, which ends a cancellation.

@@ -13,55 +13,40 @@ import numpy as np
 
 from omniman_ros.core.arrays import Array
 
-JOINTS = 6
-"""Number of joints."""
+JOINTS = 6  #: Number of joints
+#: Number of branches, the solutions of the inverse kinematics up to whole revolutions
 BRANCHES = 8
-"""Number of branches, the solutions of the inverse kinematics up to whole revolutions."""
 BRANCH_SIGNS = tuple(
     (shoulder, wrist, elbow)
     for shoulder in (1.0, -1.0)
     for wrist in (1.0, -1.0)
     for elbow in (1.0, -1.0)
-)
-"""Signs (shoulder, wrist, elbow) with which each branch of the inverse kinematics is solved."""
+)  #: Signs (shoulder, wrist, elbow) with which each branch of the inverse kinematics is solved
+#: Twist alpha of each joint in the DH table [rad]
 DH_TWISTS = (math.pi / 2, 0.0, 0.0, math.pi / 2, -math.pi / 2, 0.0)
-"""Twist alpha of each joint in the DH table [rad]."""
+#: Sine, or ratio of a distance to the arm's length, below which the arm counts as singular
 SINGULARITY_THRESHOLD = 1e-3
-"""Sine, or ratio of a distance to the arm's length, below which the arm counts as singular."""
+#: Tolerance for round-off of a cosine beyond +-1 at the limit of the reach, and of a zero sine
 ROUNDING = 1e-9
-"""Tolerance for round-off of a cosine beyond +-1 at the limit of the reach, and of a zero sine."""
 
 
 @dataclass(frozen=True)
 class DhTable:
-    """Lengths in the DH table of a six-joint arm like the UR5, whose values are the defaults.
+    """Lengths in the DH table of a six-joint arm like the UR5, whose values are the defaults."""
 
-    Attributes:
-        d1: Offset along the axis of joint 1 [m].
-        a2: Length of the upper arm, negative as in the table [m].
-        a3: Length of the forearm, negative as in the table [m].
-        d4: Offset along the axis of joint 4 [m].
-        d5: Offset along the axis of joint 5 [m].
-        d6: Offset along the axis of joint 6 [m].
-    """
-
-    d1: float = 0.089159
-    a2: float = -0.425
-    a3: float = -0.39225
-    d4: float = 0.10915
-    d5: float = 0.09465
-    d6: float = 0.0823
+    d1: float = 0.089159  #: Offset along the axis of joint 1 [m]
+    a2: float = -0.425  #: Length of the upper arm, negative as in the table [m]
+    a3: float = -0.39225  #: Length of the forearm, negative as in the table [m]
+    d4: float = 0.10915  #: Offset along the axis of joint 4 [m]
+    d5: float = 0.09465  #: Offset along the axis of joint 5 [m]
+    d6: float = 0.0823  #: Offset along the axis of joint 6 [m]
 
 
-UR5 = DhTable()
-"""DH table of the UR5."""
+UR5 = DhTable()  #: DH table of the UR5
 
 
 class ArmModel:
     """Kinematics of a six-joint arm with three parallel axes, those of joints 2, 3 and 4.
-
-    Args:
-        table: Lengths of the arm.
 
     Attributes:
         table: Lengths of the arm.

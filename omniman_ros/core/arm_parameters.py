@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import parameter
 
+#: Value of a limit: one for all joints, or one per joint, in the limit's unit
 Floats = tuple[float, ...]
-"""Value of a limit: one for all joints, or one per joint, in the limit's unit."""
 
 UR_JOINTS = (
     "shoulder_pan_joint",
@@ -16,8 +16,7 @@ UR_JOINTS = (
     "wrist_1_joint",
     "wrist_2_joint",
     "wrist_3_joint",
-)
-"""Names and order of the joints in the public UR drivers and in the UR description."""
+)  #: Names and order of the joints in the public UR drivers and in the UR description
 
 
 @dataclass(frozen=True, kw_only=True)

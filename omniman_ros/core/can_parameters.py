@@ -6,16 +6,15 @@ from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import parameter
 from omniman_ros.core.robot import Robot
 
+#: Value of a parameter of all wheels: one for all of them, or one per wheel
 Floats = tuple[float, ...]
-"""Value of a parameter of all wheels: one for all of them, or one per wheel."""
 
+#: Smallest and largest node id of a drive, by protocol.
+#:
+#: In CANopen, 127 is the host's node id; 255 addresses all VESCs.
 NODE_IDS = {"cia402": (1, 126), "vesc": (0, 254), "odrive": (0, 63)}
-"""Smallest and largest node id of a drive, by protocol.
-
-In CANopen, 127 is the host's node id; 255 addresses all VESCs.
-"""
+#: Ratio of the largest accepted wheel speed to `motor.max_speed`, if `can.max_speed` is 0
 HEADROOM = 1.2
-"""Ratio of the largest accepted wheel speed to `motor.max_speed`, if `can.max_speed` is 0."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,25 +8,18 @@ last message had number k.
 from collections import deque
 from dataclasses import dataclass
 
-MAX_GROUPS = 64
-"""Largest number of groups of publishers, gone ones included, that are kept."""
+MAX_GROUPS = 64  #: Largest number of groups of publishers, gone ones included, that are kept
+#: Stands for the number of a message without one, which no other message continues
 UNNUMBERED = -2
-"""Stands for the number of a message without one, which no other message continues."""
-REMEMBERED = 64
-"""Number of messages that are recognised when they are delivered a second time."""
+REMEMBERED = 64  #: Number of messages that are recognised when they are delivered a second time
 
 
 @dataclass
 class _Group:
-    """Publishers whose last messages have the same number.
+    """Publishers whose last messages have the same number."""
 
-    Attributes:
-        size: Number of publishers.
-        pressing: Largest number of them that may have said true last.
-    """
-
-    size: int = 0
-    pressing: int = 0
+    size: int = 0  #: Number of publishers
+    pressing: int = 0  #: Largest number of them that may have said true last
 
 
 class EmergencyButtons:
@@ -50,7 +43,6 @@ class EmergencyButtons:
         """Register a message; one that was registered before changes nothing.
 
         Args:
-            pressed: Content of the message.
             number: Its number among the messages of its publisher; None if it is unknown. Then
                 the last message counts, whoever sent it.
             sent: Time at which it was sent, in nanoseconds of the sender's clock.

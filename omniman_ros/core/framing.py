@@ -1,7 +1,6 @@
 """Begin and end of a stream of `cmd_vel` messages from manual control."""
 
-Twist = tuple[float, float, float]
-"""Body twist [m/s, m/s, rad/s]."""
+Twist = tuple[float, float, float]  #: Body twist [m/s, m/s, rad/s]
 
 
 class CmdVelFraming:

@@ -105,7 +105,6 @@ class Hermite:
         """Return position, velocity and acceleration (d,) at a time in a segment.
 
         Args:
-            i: Index of the segment.
             t: Time since the start of the segment [s].
             span: Duration of the segment [s].
         """

@@ -2,10 +2,9 @@
 
 import math
 
-LONGEST_PERIOD = 1.0
-"""Longest time between two messages of a live stream [s]."""
+LONGEST_PERIOD = 1.0  #: Longest time between two messages of a live stream [s]
+#: Largest difference between the intervals of arrival and sending, as a fraction of the latter
 JITTER = 0.5
-"""Largest difference between the intervals of arrival and sending, as a fraction of the latter."""
 
 
 class LateDelivery:

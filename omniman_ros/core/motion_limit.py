@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import parameter
 
-NEVER = float("-inf")
-"""Time of an event that has not happened [s]."""
+NEVER = float("-inf")  #: Time of an event that has not happened [s]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +40,7 @@ class MotionLimit:
         parameters: Whether there is a limit, and what applies without its messages.
 
     Attributes:
-        parameters: As above; may be changed at any time.
+        parameters: May be changed at any time.
     """
 
     def __init__(self, parameters: MotionLimitParameters) -> None:

@@ -10,11 +10,10 @@ from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 
+#: Occupancies (rows along y, columns along x) of cells, 0 to 100 [%]; negative where unknown
 Cells = NDArray[np.int8]
-"""Occupancies (rows along y, columns along x) of cells, 0 to 100 [%]; negative where unknown."""
 
-MAX_CELLS = 25_000_000
-"""Largest number of cells of a map: 250 x 250 m at 5 cm."""
+MAX_CELLS = 25_000_000  #: Largest number of cells of a map: 250 x 250 m at 5 cm
 
 
 @dataclass(frozen=True)
@@ -22,20 +21,17 @@ class MapUpdate:
     """Rectangle of cells that replaces those of a map.
 
     Attributes:
-        values: (rows, columns) occupancies of the rectangle [%].
         column, row: Column and row of its first cell in the map.
-        frame: Name of the map's frame.
-        time: Stamp [s]; None without one.
 
     Raises:
         InputError: The cells do not have two axes, or there are none or too many.
     """
 
-    values: Cells
+    values: Cells  #: (rows, columns) occupancies of the rectangle [%]
     column: int
     row: int
-    frame: str = ""
-    time: float | None = None
+    frame: str = ""  #: Name of the map's frame
+    time: float | None = None  #: Stamp [s]; None without one
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", _checked(self.values))
@@ -49,23 +45,17 @@ class MapUpdate:
 class OccupancyMap:
     """Map of cells, each of which is occupied with some probability.
 
-    Attributes:
-        values: (rows, columns) occupancies [%], read-only.
-        resolution: Edge of a cell [m].
-        origin: (3,) x, y, yaw of the corner of the first cell in the frame [m, m, rad], read-only.
-        frame: Name of the frame.
-        time: Stamp [s]; None without one.
-
     Raises:
         InputError: The cells do not have two axes, or there are none or too many; the resolution
             is not above 0; or the origin or the size is not finite or plausible.
     """
 
-    values: Cells
-    resolution: float
+    values: Cells  #: (rows, columns) occupancies [%], read-only
+    resolution: float  #: Edge of a cell [m]
+    #: (3,) x, y, yaw of the corner of the first cell in the frame [m, m, rad], read-only
     origin: Array
-    frame: str = ""
-    time: float | None = None
+    frame: str = ""  #: Name of the frame
+    time: float | None = None  #: Stamp [s]; None without one
 
     def __post_init__(self) -> None:
         values = _checked(self.values)
@@ -114,8 +104,6 @@ def cells_of(data: NDArray[np.int8], width: int, height: int) -> Cells:
 
     Args:
         data: (width * height,) occupancies, row by row from the smallest y on [%].
-        width: Number of columns.
-        height: Number of rows.
 
     Raises:
         InputError: The number of cells is 0, or not what the sizes state.
@@ -133,7 +121,6 @@ def changed_cells(before: Cells, after: Cells) -> tuple[slice, slice] | None:
 
     Args:
         before: (rows, columns) occupancies [%].
-        after: The same cells later.
     """
     differs = before != after
     rows, columns = np.flatnonzero(differs.any(axis=1)), np.flatnonzero(differs.any(axis=0))

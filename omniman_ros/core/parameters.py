@@ -21,40 +21,27 @@ from omniman_ros.core.errors import ParameterError
 
 T = TypeVar("T")
 
+#: Default of a parameter whose value the robot's configuration file must give
 REQUIRED: Any = dataclasses.MISSING
-"""Default of a parameter whose value the robot's configuration file must give."""
 
+#: Types of the fields of a dataclass, resolved once: that takes longer than all else here
 _hints: Callable[[type], Mapping[str, Any]] = cache(typing.get_type_hints)
-"""Types of the fields of a dataclass, resolved once: that takes longer than all else here."""
 
 
 @dataclass(frozen=True)
 class Spec:
-    """Declaration of one parameter.
+    """Declaration of one parameter."""
 
-    Attributes:
-        name: Full name, groups joined by dots.
-        kind: Python type: bool, int, float, str, or tuple for an array.
-        item: Type of an array's items, else None.
-        default: Default value, or REQUIRED.
-        unit: Unit as text, empty for pure numbers and words.
-        low: Smallest value, or smallest item of an array; None if there is no bound.
-        high: Largest value, or largest item of an array; None if there is no bound.
-        choices: Allowed words, or empty.
-        read_only: Whether it is fixed once the node runs.
-        doc: Description in one sentence.
-    """
-
-    name: str
-    kind: type
-    item: type | None
-    default: Any
-    unit: str
-    low: float | None
-    high: float | None
-    choices: tuple[str, ...]
-    read_only: bool
-    doc: str
+    name: str  #: Full name, groups joined by dots
+    kind: type  #: Python type: bool, int, float, str, or tuple for an array
+    item: type | None  #: Type of an array's items, else None
+    default: Any  #: Default value, or REQUIRED
+    unit: str  #: Unit as text, empty for pure numbers and words
+    low: float | None  #: Smallest value, or smallest item of an array; None if there is no bound
+    high: float | None  #: Largest value, or largest item of an array; None if there is no bound
+    choices: tuple[str, ...]  #: Allowed words, or empty
+    read_only: bool  #: Whether it is fixed once the node runs
+    doc: str  #: Description in one sentence
 
     @property
     def required(self) -> bool:
@@ -123,7 +110,6 @@ def inline() -> Any:
 
 
 def _group_prefix(entry: "dataclasses.Field[Any]", prefix: str) -> str:
-    """Return the prefix of the names in a group."""
     return prefix if entry.metadata.get("inline") else f"{prefix}{entry.name}."
 
 
@@ -171,7 +157,6 @@ def build(cls: type[T], values: Mapping[str, Any], prefix: str = "") -> T:
     """Build a parameter set from names and values; absent parameters get their defaults.
 
     Args:
-        cls: Dataclass of the set.
         values: Full parameter names to values; names of other sets are ignored.
         prefix: Prefix of the names, ending in a dot; empty at the top.
 

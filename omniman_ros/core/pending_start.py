@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.stream_monitor import StreamMonitor
 
-WAIT_TIMEOUT = 5.0
-"""Longest time for which a motion waits until the robot can start it [s]."""
+WAIT_TIMEOUT = 5.0  #: Longest time for which a motion waits until the robot can start it [s]
 
 
 class StartState(enum.Enum):
@@ -22,15 +21,10 @@ class StartState(enum.Enum):
 
 @dataclass(frozen=True)
 class StartAttempt:
-    """Result of :meth:`PendingStart.attempt`.
+    """Result of :meth:`PendingStart.attempt`."""
 
-    Attributes:
-        state: Outcome of the attempt.
-        reason: Reason why the motion waits or was refused; empty in the other states.
-    """
-
-    state: StartState
-    reason: str = ""
+    state: StartState  #: Outcome of the attempt
+    reason: str = ""  #: Reason why the motion waits or was refused; empty in the other states
 
     @property
     def refusal(self) -> str:

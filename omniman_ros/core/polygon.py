@@ -6,8 +6,7 @@ import numpy as np
 
 from omniman_ros.core.arrays import Array
 
-LEAST_WIDTH = 1e-5
-"""Width of a slab up to which it is left out [m]."""
+LEAST_WIDTH = 1e-5  #: Width of a slab up to which it is left out [m]
 
 
 def signed_area(corners: Array) -> float:

@@ -9,23 +9,16 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.hermite import Hermite
 
-MAX_POINTS = 5000
-"""Largest number of points in a preview."""
+MAX_POINTS = 5000  #: Largest number of points in a preview
 
 
 @dataclass(frozen=True)
 class Setpoint:
-    """One instant of a reference: x, x', x'' of CCTA 2017 V.B in the world frame.
+    """One instant of a reference: x, x', x'' of CCTA 2017 V.B in the world frame."""
 
-    Attributes:
-        pose: Pose (3,) [m, m, rad].
-        velocity: Velocity (3,) [m/s, m/s, rad/s].
-        acceleration: Acceleration (3,) [m/s^2, m/s^2, rad/s^2].
-    """
-
-    pose: Array
-    velocity: Array
-    acceleration: Array
+    pose: Array  #: Pose (3,) [m, m, rad]
+    velocity: Array  #: Velocity (3,) [m/s, m/s, rad/s]
+    acceleration: Array  #: Acceleration (3,) [m/s^2, m/s^2, rad/s^2]
 
 
 class Preview:

@@ -10,34 +10,23 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.repairs import note_repair
 
-Vector = tuple[float, float, float]
-"""A vector (x, y, z)."""
-Quaternion = tuple[float, float, float, float]
-"""A rotation (x, y, z, w) of unit length."""
-PlanarPose = tuple[float, float, float]
-"""A pose in the plane: x [m], y [m], heading [rad]."""
+Vector = tuple[float, float, float]  #: A vector (x, y, z)
+Quaternion = tuple[float, float, float, float]  #: A rotation (x, y, z, w) of unit length
+PlanarPose = tuple[float, float, float]  #: A pose in the plane: x [m], y [m], heading [rad]
 
-UNIT_TOLERANCE = 0.05
-"""Largest deviation of a quaternion's length from 1 that is accepted."""
-ROUNDING = 0.01
-"""Deviation of a quaternion's length from 1 above which that is noted."""
-TILT_TOLERANCE = 0.02
-"""Largest tilt of a planar rotation that is accepted [rad, approximately]."""
+UNIT_TOLERANCE = 0.05  #: Largest deviation of a quaternion's length from 1 that is accepted
+ROUNDING = 0.01  #: Deviation of a quaternion's length from 1 above which that is noted
+TILT_TOLERANCE = 0.02  #: Largest tilt of a planar rotation that is accepted [rad, approximately]
+#: Cosine of the half angle between rotations above which they are interpolated linearly [-]
 NEARLY_PARALLEL = 1.0 - 1e-6
-"""Cosine of the half angle between rotations above which they are interpolated linearly [-]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Transform:
-    """Pose of a frame in another frame; it takes coordinates from the former to the latter.
+    """Pose of a frame in another frame; it takes coordinates from the former to the latter."""
 
-    Attributes:
-        translation: Origin of the frame [m].
-        rotation: Rotation of the frame, of unit length.
-    """
-
-    translation: Vector = (0.0, 0.0, 0.0)
-    rotation: Quaternion = (0.0, 0.0, 0.0, 1.0)
+    translation: Vector = (0.0, 0.0, 0.0)  #: Origin of the frame [m]
+    rotation: Quaternion = (0.0, 0.0, 0.0, 1.0)  #: Rotation of the frame, of unit length
 
     @staticmethod
     def of_planar(pose: PlanarPose) -> "Transform":
@@ -116,10 +105,8 @@ class Transform:
         return Transform((tx, ty, tz), (x, y, z, w))
 
 
-IDENTITY = Transform()
-"""Transform of a frame into itself."""
-UPSIDE_DOWN = Transform(rotation=(1.0, 0.0, 0.0, 0.0))
-"""Half turn about the x axis."""
+IDENTITY = Transform()  #: Transform of a frame into itself
+UPSIDE_DOWN = Transform(rotation=(1.0, 0.0, 0.0, 0.0))  #: Half turn about the x axis
 
 
 def demand_unit(rotation: Quaternion) -> float:

@@ -10,16 +10,13 @@ from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import REQUIRED, flatten, parameter
 from omniman_ros.core.polygon import is_simple, signed_area
 
+#: Value of a parameter of all wheels: one for all of them, or one per wheel
 Floats = tuple[float, ...]
-"""Value of a parameter of all wheels: one for all of them, or one per wheel."""
+#: Parameter group whose arrays have one value per wheel
 Group = TypeVar("Group", "Wheels", "Friction")
-"""Parameter group whose arrays have one value per wheel."""
-MOST_CORNERS = 64
-"""Largest number of corners of the platform's outline."""
-LEAST_AREA = 0.0025
-"""Smallest area of the platform's outline [m^2]."""
-ROUND_OFF = 1e-9
-"""How far a corner may be outside of the bounding box [m]."""
+MOST_CORNERS = 64  #: Largest number of corners of the platform's outline
+LEAST_AREA = 0.0025  #: Smallest area of the platform's outline [m^2]
+ROUND_OFF = 1e-9  #: How far a corner may be outside of the bounding box [m]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,22 +6,19 @@ from numpy.typing import NDArray
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 
+#: Speed up to which a motion that is given ends at rest [m/s, rad/s].
+#:
+#: It is a twentieth of the speed at which a measured axis rests. Planners leave about 1e-4.
 REST_SPEED = 1e-3
-"""Speed up to which a motion that is given ends at rest [m/s, rad/s].
-
-It is a twentieth of the speed at which a measured axis rests. Planners leave about 1e-4.
-"""
+#: Time up to which two points of a motion are at one instant [s].
+#:
+#: A point each 0.1 ms is more than any planner gives. Single precision leaves 1e-5 s after two
+#: minutes.
 SAME_TIME = 1e-5
-"""Time up to which two points of a motion are at one instant [s].
-
-A point each 0.1 ms is more than any planner gives. Single precision leaves 1e-5 s after two
-minutes.
-"""
+#: Distance up to which two points are at one position [m, rad].
+#:
+#: It is a hundredth of the distance at which a measured axis has reached its goal.
 SAME_POSITION = 1e-4
-"""Distance up to which two points are at one position [m, rad].
-
-It is a hundredth of the distance at which a measured axis has reached its goal.
-"""
 
 
 def is_rest(velocity: Array) -> bool:

@@ -7,30 +7,21 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class SourcePublisher:
-    """Somebody who publishes on a topic.
+    """Somebody who publishes on a topic."""
 
-    Attributes:
-        name: Full name of the node.
-        mismatch: Why nothing can be received from it, or empty.
-    """
-
-    name: str
-    mismatch: str = ""
+    name: str  #: Full name of the node
+    mismatch: str = ""  #: Why nothing can be received from it, or empty
 
 
 @dataclass(frozen=True)
 class SourceTerms:
-    """What is expected of a source.
+    """What is expected of a source."""
 
-    Attributes:
-        timeout: Age of the last usable message at which the source is silent [s]; 0: never.
-        patience: Time that a publisher has until its first usable message [s]; 0: for ever.
-        is_required: Whether the source is awaited although nobody publishes it.
-    """
-
+    #: Age of the last usable message at which the source is silent [s]; 0: never
     timeout: float = 0.0
+    #: Time that a publisher has until its first usable message [s]; 0: for ever
     patience: float = 1.0
-    is_required: bool = False
+    is_required: bool = False  #: Whether the source is awaited although nobody publishes it
 
 
 class SourceMonitor:
@@ -40,12 +31,8 @@ class SourceMonitor:
     bad as what fell silent. Where nobody publishes and nothing has come, there is nothing to wait
     for, unless the source is required.
 
-    Args:
-        topic: Name of the topic in the reasons.
-        terms: What is expected of the source.
-
     Attributes:
-        terms: As above; may be changed at any time.
+        terms: May be changed at any time.
     """
 
     def __init__(self, topic: str, terms: SourceTerms) -> None:

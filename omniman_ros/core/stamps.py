@@ -8,16 +8,16 @@ import math
 
 from omniman_ros.core.errors import InputError
 
+#: Largest time that the stamp of a setpoint or a measurement may be ahead [s]: by it they age
 MAX_LEAD = 0.05
-"""Largest time that the stamp of a setpoint or a measurement may be ahead [s]: by it they age."""
+#: Largest time that the stamp of a goal, a path, a pose or a map may be ahead [s].
+#:
+#: It says at which time their frame counts, and nothing of their age: clocks may differ more.
 REQUEST_LEAD = 1.0
-"""Largest time that the stamp of a goal, a path, a pose or a map may be ahead [s].
-
-It says at which time their frame counts, and nothing of their age: clocks may differ more."""
+#: Largest time that a transform may be ahead [s]: localisations date theirs ahead, AMCL by 1 s
 TRANSFORM_LEAD = 2.0
-"""Largest time that a transform may be ahead [s]: localisations date theirs ahead, AMCL by 1 s."""
+#: Jump of a clock into the past above which what was received before counts no more [s]
 TIME_JUMP = 0.1
-"""Jump of a clock into the past above which what was received before counts no more [s]."""
 
 
 def demand_not_ahead(lead: float, most: float) -> None:

@@ -20,16 +20,11 @@ class ResetRefusedError(OmnimanError):
 
 @dataclass(frozen=True)
 class StopStatus:
-    """A state with its reason.
-
-    Attributes:
-        state: The state.
-        reason: Why the node is in that state; empty while it is running.
-        is_ending: Whether the node is stopped because it ends in order, and by nothing else.
-    """
+    """A state with its reason."""
 
     state: StopState
-    reason: str
+    reason: str  #: Why the node is in that state; empty while it is running
+    #: Whether the node is stopped because it ends in order, and by nothing else
     is_ending: bool = False
 
 
@@ -100,9 +95,6 @@ class StopLatch:
         """Set the state of a peer; this node holds for as long as the peer is stopped.
 
         Args:
-            name: Full name of the peer.
-            stopped: Whether the peer is stopped.
-            reason: Why the peer is stopped.
             is_ending: Whether it is stopped because it ends in order, and by nothing else.
         """
         self._ending_peers.discard(name)
@@ -116,9 +108,6 @@ class StopLatch:
         """End the hold by a stopped peer that has vanished.
 
         Unless the peer has ended in order, that latches a stop: nobody can reset the peer.
-
-        Args:
-            name: Full name of the peer.
         """
         if name not in self._ending_peers:
             self.stop(f"peer {name} vanished while it was stopped")
@@ -133,7 +122,6 @@ class StopLatch:
         """Clear the latch; this moves nothing by itself.
 
         Args:
-            at_rest: Whether everything has come to rest.
             fault: Fault that is still present, or empty.
 
         Raises:

@@ -1,7 +1,6 @@
 """Decide whether a stream of references may begin, and whether it is still followed."""
 
-TAKE_OVER = 0.5
-"""Time within which the platform controller begins to follow a new stream [s]."""
+TAKE_OVER = 0.5  #: Time within which the platform controller begins to follow a new stream [s]
 
 
 class StreamMonitor:
@@ -16,7 +15,7 @@ class StreamMonitor:
         overruled: Sources that the stream takes control from.
 
     Attributes:
-        silence: As above; may be changed at any time.
+        silence: May be changed at any time.
         source: Source that drives, as last reported; empty before the first report.
     """
 
@@ -42,13 +41,7 @@ class StreamMonitor:
         self._demand_silence_if_blocked()
 
     def update_stop_state(self, node: str, stopped: bool, reason: str) -> None:
-        """Set the stop state of a node that moves something.
-
-        Args:
-            node: Full name of the node.
-            stopped: Whether it is stopped.
-            reason: Why it is stopped.
-        """
+        """Set the stop state of a node that moves something."""
         if stopped:
             self._stopped[node] = reason
         else:
@@ -105,11 +98,7 @@ class StreamMonitor:
         self._last_sent = now
 
     def end(self, lost: bool) -> None:
-        """Record that the stream has ended.
-
-        Args:
-            lost: Whether it ended because control was lost.
-        """
+        """Record that the stream has ended."""
         self._began = None
         if lost:
             self._silent_until = self._last_sent + self.silence

@@ -15,16 +15,12 @@ from omniman_ros.core import plausible
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.rigid import IDENTITY, Transform, demand_unit
 
-ODOM = ""
-"""Frame of what is placed in odom, by whatever name the odom frame goes."""
+ODOM = ""  #: Frame of what is placed in odom, by whatever name the odom frame goes
+#: Age, relative to the newest sample of its frame, up to which a sample is kept [s]; as tf2
 CACHE_TIME = 10.0
-"""Age, relative to the newest sample of its frame, up to which a sample is kept [s]; as tf2."""
-MAX_FRAMES = 1000
-"""Largest number of frames; more are refused."""
-MAX_SAMPLES = 5000
-"""Largest number of samples of a frame; the oldest ones are dropped."""
-MAX_DEPTH = 100
-"""Largest number of frames between a frame and the root; a loop has more."""
+MAX_FRAMES = 1000  #: Largest number of frames; more are refused
+MAX_SAMPLES = 5000  #: Largest number of samples of a frame; the oldest ones are dropped
+MAX_DEPTH = 100  #: Largest number of frames between a frame and the root; a loop has more
 
 
 class TransformError(InputError):
@@ -57,35 +53,24 @@ class PastTransformError(TransformError):
 
 @dataclass(frozen=True, slots=True)
 class Placement:
-    """Place of coordinates in the world.
+    """Place of coordinates in the world."""
 
-    Attributes:
-        frame: A frame that does not move with the robot: an ancestor of odom in the tree of
-            transforms, such as `map`; empty for odom itself.
-        transform: Transform of the coordinates into that frame.
-    """
-
+    #: A frame that does not move with the robot: an ancestor of odom in the tree of transforms,
+    #: such as `map`; empty for odom itself.
     frame: str
-    transform: Transform = IDENTITY
+    transform: Transform = IDENTITY  #: Transform of the coordinates into that frame
 
 
 @dataclass(slots=True)
 class _Frame:
-    """A frame, its parent, and its transforms into the parent over time.
+    """A frame, its parent, and its transforms into the parent over time."""
 
-    Attributes:
-        parent: Name of the parent.
-        is_static: Whether the first transform holds for ever.
-        times: Times of the transforms [s], increasing.
-        transforms: Transforms that take coordinates of the frame to its parent.
-        updated: Time of the newest transform, at most that of its arrival [s].
-    """
-
-    parent: str
-    is_static: bool
-    times: list[float] = field(default_factory=list)
+    parent: str  #: Name of the parent
+    is_static: bool  #: Whether the first transform holds for ever
+    times: list[float] = field(default_factory=list)  #: Times of the transforms [s], increasing
+    #: Transforms that take coordinates of the frame to its parent
     transforms: list[Transform] = field(default_factory=list)
-    updated: float = -math.inf
+    updated: float = -math.inf  #: Time of the newest transform, at most that of its arrival [s]
 
     def insert(self, time: float, transform: Transform, now: float) -> None:
         """Add a sample; one that is too old, or has the time of another one, is ignored."""
@@ -159,11 +144,7 @@ class TransformTree:
         A frame that gets another parent leaves the former one; with it, its history is lost.
 
         Args:
-            parent: Name of the parent.
-            child: Name of the child.
             time: Time of the transform [s]; of no meaning for one that holds for ever.
-            transform: Pose of the child in the parent.
-            is_static: Whether the transform holds for ever.
             now: Time of its arrival [s]: one that is dated ahead is no younger than that.
 
         Raises:

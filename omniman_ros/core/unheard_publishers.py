@@ -4,10 +4,10 @@ A publisher of one message may end before a subscription is connected to it: its
 and neither side is told. The middleware tells that a publisher has come and gone.
 """
 
+#: Longest life of a publisher that counts as one that came to send one message [s]
 SHORT_VISIT = 5.0
-"""Longest life of a publisher that counts as one that came to send one message [s]."""
+#: Time by which a message and the news of its publisher may come in the wrong order [s]
 LATE_ORDER = 0.1
-"""Time by which a message and the news of its publisher may come in the wrong order [s]."""
 
 
 class UnheardPublishers:
@@ -43,7 +43,6 @@ class UnheardPublishers:
         """Register that a publisher has gone.
 
         Args:
-            now: Time.
             present: Number of publishers that are left.
         """
         if self._unheard and 0.0 <= now - self._unheard[-1] <= SHORT_VISIT:

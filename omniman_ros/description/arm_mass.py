@@ -22,7 +22,6 @@ class ArmMass:
 
     Args:
         arm: Mass of the arm and centre of its tool; all else is that of a fixed posture.
-        mount: Pose of the arm on the platform.
     """
 
     def __init__(self, arm: Arm, mount: Mount) -> None:

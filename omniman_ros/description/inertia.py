@@ -5,27 +5,21 @@ from dataclasses import dataclass
 
 from omniman_ros.core.robot import Robot
 
+#: Three components x, y, z: a position [m], roll, pitch, yaw [rad], or moments [kg m^2]
 Vector = tuple[float, float, float]
-"""Three components x, y, z: a position [m], roll, pitch, yaw [rad], or moments [kg m^2]."""
 
+#: Largest fraction of the body's mass, and of its inertia, that is assigned to the wheels
 MAX_WHEEL_FRACTION = 0.5
-"""Largest fraction of the body's mass, and of its inertia, that is assigned to the wheels."""
 
 
 @dataclass(frozen=True)
 class Inertia:
-    """Mass and principal moments of a link.
+    """Mass and principal moments of a link."""
 
-    Attributes:
-        mass: Mass [kg].
-        moments: Moments of inertia about axes through the centre of mass [kg m^2].
-        centre: Centre of mass in the link's frame [m].
-        rpy: Rotation of the axes in the link's frame: roll, pitch, yaw [rad].
-    """
-
-    mass: float
-    moments: Vector
-    centre: Vector = (0.0, 0.0, 0.0)
+    mass: float  #: Mass [kg]
+    moments: Vector  #: Moments of inertia about axes through the centre of mass [kg m^2]
+    centre: Vector = (0.0, 0.0, 0.0)  #: Centre of mass in the link's frame [m]
+    #: Rotation of the axes in the link's frame: roll, pitch, yaw [rad]
     rpy: Vector = (0.0, 0.0, 0.0)
 
 
@@ -62,8 +56,6 @@ def wheel(robot: Robot, i: int, mass: float, width: float) -> Inertia:
     """Return the inertia of a wheel with its axle along y, including gear and rotor.
 
     Args:
-        robot: Configuration of the robot.
-        i: Index of the wheel.
         mass: Mass from :func:`wheel_masses` [kg].
         width: Width of the wheel [m].
     """
@@ -83,7 +75,6 @@ def rest_of_body(robot: Robot, masses: tuple[float, ...], bottom: float, top: fl
     and wheels together have it.
 
     Args:
-        robot: Configuration of the robot.
         masses: Masses of the wheels [kg].
         bottom, top: Heights of the box above the floor [m].
     """

@@ -9,15 +9,13 @@ import numpy as np
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.polygon import trapezoids
 
+#: Directions of rectangles that are tried besides those of the outline's sides [rad]
 DIRECTIONS = np.arange(18) * (0.5 * math.pi / 18)
-"""Directions of rectangles that are tried besides those of the outline's sides [rad]."""
+#: Least area that a rectangle must save, over that of the rectangle around the outline
 SAVING = 0.01
-"""Least area that a rectangle must save, over that of the rectangle around the outline."""
-LEAST_HALF = 0.02
-"""Smallest half length and half width of a rectangle [m]."""
+LEAST_HALF = 0.02  #: Smallest half length and half width of a rectangle [m]
 
-Corners = tuple[tuple[float, float], ...]
-"""Corners of a polygon in order [m]."""
+Corners = tuple[tuple[float, float], ...]  #: Corners of a polygon in order [m]
 
 
 @lru_cache(maxsize=16)
@@ -30,7 +28,6 @@ def outline_cover(corners: Corners, most: int) -> Array:
 
     Args:
         corners: Corners of the polygon in order [m].
-        most: Largest number of rectangles.
 
     Returns:
         Rows (P, 5): centre, direction of the length, half length and half width [m, m, rad, m, m].
@@ -65,7 +62,6 @@ def _joined(parts: list[Array], directions: Array, most: int, saving: float) -> 
     Args:
         parts: Points of the parts [m].
         directions: Directions of rectangles [rad].
-        most: Largest number of rectangles.
         saving: Least quarter of an area that a rectangle must save [m^2].
     """
     known: dict[tuple[int, ...], Array] = {

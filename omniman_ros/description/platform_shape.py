@@ -10,35 +10,24 @@ from omniman_ros.core.robot import Body, Robot
 from omniman_ros.description.inertia import Vector
 from omniman_ros.description.outline_cover import outline_cover
 
-WHEEL_WIDTH = 0.5
-"""Width of a wheel over its radius, as configurations have no width."""
-CLEARANCE = 0.5
-"""Ground clearance of the body, over the largest wheel's radius."""
-DECK_BOTTOM = 2.1
-"""Height of the deck's bottom above the floor, over the largest wheel's radius."""
-DECK_THICKNESS = 0.4
-"""Thickness of the deck without an arm, over the largest wheel's radius."""
+WHEEL_WIDTH = 0.5  #: Width of a wheel over its radius, as configurations have no width
+CLEARANCE = 0.5  #: Ground clearance of the body, over the largest wheel's radius
+DECK_BOTTOM = 2.1  #: Height of the deck's bottom above the floor, over the largest wheel's radius
+DECK_THICKNESS = 0.4  #: Thickness of the deck without an arm, over the largest wheel's radius
+#: Smallest thickness of a deck above the wheels, over the largest wheel's radius
 MIN_DECK_THICKNESS = 0.1
-"""Smallest thickness of a deck above the wheels, over the largest wheel's radius."""
+#: Gap between the wheels and the box between them, over the largest wheel's radius
 WHEEL_GAP = 0.05
-"""Gap between the wheels and the box between them, over the largest wheel's radius."""
-MOST_BOXES = 12
-"""Largest number of boxes that represent a platform with an outline of its own."""
+MOST_BOXES = 12  #: Largest number of boxes that represent a platform with an outline of its own
 
 
 @dataclass(frozen=True)
 class Box:
-    """An upright box.
+    """An upright box."""
 
-    Attributes:
-        centre: Centre of the box in base_link [m].
-        size: Lengths of the edges [m].
-        yaw: Direction of the first edge in base_link [rad].
-    """
-
-    centre: Vector
-    size: Vector
-    yaw: float = 0.0
+    centre: Vector  #: Centre of the box in base_link [m]
+    size: Vector  #: Lengths of the edges [m]
+    yaw: float = 0.0  #: Direction of the first edge in base_link [rad]
 
 
 def platform_boxes(robot: Robot, mount: float | None) -> tuple[Box, ...]:
@@ -49,7 +38,6 @@ def platform_boxes(robot: Robot, mount: float | None) -> tuple[Box, ...]:
     covered by several boxes, and has no box below it.
 
     Args:
-        robot: Configuration of the robot.
         mount: Height of the arm's base above the floor [m]; None if there is no arm.
     """
     radius = max(robot.wheels.radius)
@@ -75,10 +63,6 @@ def platform_top(robot: Robot, mount: float | None) -> float:
 
 def platform_cover(body: Body, most: int) -> Array:
     """Return rectangles whose union contains the platform, from above.
-
-    Args:
-        body: The platform.
-        most: Largest number of rectangles.
 
     Returns:
         Rows (P, 5): centre in base_link, direction of the length, half length and half width

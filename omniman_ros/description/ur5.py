@@ -15,30 +15,22 @@ from dataclasses import dataclass
 from omniman_ros.core.arm_model import UR5, DhTable
 from omniman_ros.description.inertia import Inertia, Vector, cylinder
 
-QUARTER_TURN = 0.5 * math.pi
-"""Angle of 90 degrees [rad]."""
-EFFORTS = (150.0, 150.0, 150.0, 28.0, 28.0, 28.0)
-"""Largest torque of each joint [N m]."""
+QUARTER_TURN = 0.5 * math.pi  #: Angle of 90 degrees [rad]
+EFFORTS = (150.0, 150.0, 150.0, 28.0, 28.0, 28.0)  #: Largest torque of each joint [N m]
+#: Assumed moment of inertia of each joint's rotor and gear, at the joint [kg m^2]
 ROTOR_INERTIAS = (0.5, 0.5, 0.5, 0.1, 0.1, 0.1)
-"""Assumed moment of inertia of each joint's rotor and gear, at the joint [kg m^2]."""
+#: Offset of the upper arm from the first axis, along the axis of shoulder_lift [m]
 SHOULDER_OFFSET = 0.13585
-"""Offset of the upper arm from the first axis, along the axis of shoulder_lift [m]."""
-ELBOW_OFFSET = 0.0165
-"""Offset of the forearm from the first axis, along the axis of elbow [m]."""
-ARM_MASS = 18.4
-"""Mass of the whole arm without a tool [kg] (data sheet)."""
+ELBOW_OFFSET = 0.0165  #: Offset of the forearm from the first axis, along the axis of elbow [m]
+ARM_MASS = 18.4  #: Mass of the whole arm without a tool [kg] (data sheet)
+#: Masses of the moving links, from the base on [kg]
 MOVING_MASSES = (3.7, 8.393, 2.33, 1.219, 1.219, 0.1879)
-"""Masses of the moving links, from the base on [kg]."""
-TOOL = "tool"
-"""Name of what is mounted at the flange."""
+TOOL = "tool"  #: Name of what is mounted at the flange
+#: Assumed centre of mass of tool and load in the frame of the flange, `tool0` [m]
 TOOL_CENTRE: Vector = (0.0, 0.0, 0.05)
-"""Assumed centre of mass of tool and load in the frame of the flange, `tool0` [m]."""
-TOOL_GYRATION = 0.04
-"""Assumed radius of gyration of tool and load about each axis [m]."""
-FLANGE = 0.03
-"""Thickness of the last link [m]."""
-BASE_HEIGHT = 0.05
-"""Height of the part that is fixed to the platform [m]."""
+TOOL_GYRATION = 0.04  #: Assumed radius of gyration of tool and load about each axis [m]
+FLANGE = 0.03  #: Thickness of the last link [m]
+BASE_HEIGHT = 0.05  #: Height of the part that is fixed to the platform [m]
 
 
 @dataclass(frozen=True)
@@ -47,12 +39,11 @@ class Tube:
 
     Attributes:
         start, end: Centres of the end faces [m].
-        radius: Radius [m].
     """
 
     start: Vector
     end: Vector
-    radius: float
+    radius: float  #: Radius [m]
 
     @property
     def length(self) -> float:
@@ -74,23 +65,16 @@ class Tube:
 
 @dataclass(frozen=True)
 class Link:
-    """A link of the arm.
+    """A link of the arm."""
 
-    Attributes:
-        name: Public name.
-        place: Position of the frame in that of the previous link, with the joint at zero [m].
-        rpy: Rotation of the frame in that of the previous link, with the joint at zero [rad].
-        mass: Mass [kg].
-        centre: Centre of mass [m].
-        tubes: Shape; the first tube also determines the moments of inertia.
-    """
-
-    name: str
+    name: str  #: Public name
+    #: Position of the frame in that of the previous link, with the joint at zero [m]
     place: Vector
+    #: Rotation of the frame in that of the previous link, with the joint at zero [rad]
     rpy: Vector
-    mass: float
-    centre: Vector
-    tubes: tuple[Tube, ...]
+    mass: float  #: Mass [kg]
+    centre: Vector  #: Centre of mass [m]
+    tubes: tuple[Tube, ...]  #: Shape; the first tube also determines the moments of inertia
 
     @property
     def inertia(self) -> Inertia:
@@ -106,8 +90,7 @@ BASE = Link(
     ARM_MASS - sum(MOVING_MASSES),
     (0.0, 0.0, 0.025),
     (Tube((0.0, 0.0, 0.0), (0.0, 0.0, BASE_HEIGHT), 0.075),),
-)
-"""Fixed link of the arm, in `arm_base_link`; its frame is the base of the DH table."""
+)  #: Fixed link of the arm, in `arm_base_link`; its frame is the base of the DH table
 
 
 def tool_inertia(mass: float, centre: Vector = TOOL_CENTRE) -> Inertia:
@@ -122,11 +105,7 @@ def tool_inertia(mass: float, centre: Vector = TOOL_CENTRE) -> Inertia:
 
 
 def links(table: DhTable = UR5) -> tuple[Link, ...]:
-    """Return the six moving links, from the base on; the frame of the last one is `tool0`.
-
-    Args:
-        table: DH table of the arm.
-    """
+    """Return the six moving links, from the base on; the frame of the last one is `tool0`."""
     t, zero, still = table, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     elbow_to_wrist = ELBOW_OFFSET - t.d4
     return (

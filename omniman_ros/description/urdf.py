@@ -18,30 +18,25 @@ from omniman_ros.description.platform_shape import WHEEL_WIDTH, Box, platform_bo
 from omniman_ros.description.ur5 import BASE, EFFORTS, Link, Tube, links
 from omniman_ros.motion.whole_body.model import Mount
 
-ZERO = (0.0, 0.0, 0.0)
-"""Zero vector: no translation [m], or no rotation [rad]."""
-WHEEL_RPY = (1.5707963267948966, 0.0, 0.0)
-"""Rotation after which z is a wheel's axle [rad]."""
+ZERO = (0.0, 0.0, 0.0)  #: Zero vector: no translation [m], or no rotation [rad]
+WHEEL_RPY = (1.5707963267948966, 0.0, 0.0)  #: Rotation after which z is a wheel's axle [rad]
+#: Rotation from the arm's base to `base`, in which the arm's controller gives its poses [rad]
 CONTROLLER_BASE_RPY = (0.0, 0.0, 3.141592653589793)
-"""Rotation from the arm's base to `base`, in which the arm's controller gives its poses [rad]."""
+#: Rotation from the last link to `flange`, whose x points out of the arm (REP 199) [rad]
 FLANGE_RPY = (0.0, -1.5707963267948966, -1.5707963267948966)
-"""Rotation from the last link to `flange`, whose x points out of the arm (REP 199) [rad]."""
+#: Rotation from `flange` to `tool0`, which has the orientation of the last link [rad]
 TOOL_RPY = (1.5707963267948966, 0.0, 1.5707963267948966)
-"""Rotation from `flange` to `tool0`, which has the orientation of the last link [rad]."""
 COLOURS = {
     "body": "0.22 0.26 0.31 1",
     "tyre": "0.10 0.10 0.11 1",
     "mark": "0.93 0.55 0.13 1",
     "metal": "0.72 0.75 0.78 1",
     "joint": "0.30 0.52 0.72 1",
-}
-"""Red, green, blue and opacity of the robot's materials."""
+}  #: Red, green, blue and opacity of the robot's materials
+#: Edges of the mark that makes a wheel's rotation visible, over its radius, width and radius
 WHEEL_MARK = (1.5, 1.02, 0.25)
-"""Edges of the mark that makes a wheel's rotation visible, over its radius, width and radius."""
-TOOL = "tool0"
-"""Name of the tool's link."""
-ARM_BASE = "arm_base_link"
-"""Name of the link of the arm's base."""
+TOOL = "tool0"  #: Name of the tool's link
+ARM_BASE = "arm_base_link"  #: Name of the link of the arm's base
 
 
 def carries_arm(robot: Robot) -> bool:
@@ -85,9 +80,6 @@ def urdf(
 
     Args:
         robot: The platform, with any number of wheels.
-        arm: Names and limits of the joints.
-        mount: Pose of the arm on the platform.
-        name: Name of the robot.
         with_arm: Whether to describe the arm; None means if the robot carries one.
 
     Raises:

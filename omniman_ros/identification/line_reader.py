@@ -12,11 +12,7 @@ class EndOfInputError(CommandError):
 
 
 class LineReader:
-    """Reads lines from a file descriptor without blocking.
-
-    Args:
-        file: File descriptor.
-    """
+    """Reads lines from a file descriptor without blocking."""
 
     def __init__(self, file: int) -> None:
         self._file = file

@@ -11,15 +11,13 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from omniman_ros.console.errors import CommandError
 from omniman_ros.console.session import Session
 
-SIM_TIME = "use_sim_time"
-"""Parameter of every node: whether it runs on simulated time."""
+SIM_TIME = "use_sim_time"  #: Parameter of every node: whether it runs on simulated time
+#: QoS profile of topics whose last message reaches late subscribers, too
 LATCHED = QoSProfile(depth=50, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-"""QoS profile of topics whose last message reaches late subscribers, too."""
+#: QoS profile that queues two seconds of wheel_states, so that none is lost while this process
+#: waits for the processor.
 LOSSLESS = QoSProfile(depth=400)
-"""QoS profile that queues two seconds of wheel_states, so that none is lost while this process
-waits for the processor."""
-RESPONSE_TIMEOUT = 5.0
-"""Longest time to wait for a node's response [s]."""
+RESPONSE_TIMEOUT = 5.0  #: Longest time to wait for a node's response [s]
 
 
 def read_parameters(
@@ -28,10 +26,8 @@ def read_parameters(
     """Read parameters of a node.
 
     Args:
-        session: Session of the command.
         client: Client of the node's service `get_parameters`, which is ready.
         node_name: Name of the node, for messages.
-        names: Full names of the parameters.
 
     Returns:
         The values by name; parameters that the node does not have are absent.

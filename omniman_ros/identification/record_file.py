@@ -9,16 +9,13 @@ from omniman_ros.console.errors import CommandError
 from omniman_ros.console.files import write_atomically
 from omniman_ros.core.errors import OmnimanError
 
-Record = TypeVar("Record")
-"""Type of a record."""
+Record = TypeVar("Record")  #: Type of a record
 
 
 def save_record(path: Path, form: str, units: str, tree: Mapping[str, Any]) -> None:
     """Write a record completely or not at all.
 
     Args:
-        path: File to write.
-        form: Name and version of the file format.
         units: Units of the numbers, in words.
         tree: Content, with finite numbers only.
 
@@ -36,8 +33,6 @@ def load_record(
     """Read a record.
 
     Args:
-        path: File to read.
-        form: Name and version of the file format.
         what: Name of the content, for the error.
         parse: Makes the record from the content.
 

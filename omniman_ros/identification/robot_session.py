@@ -38,28 +38,20 @@ from omniman_ros.identification.node_access import (
     read_parameters,
 )
 
-ELECTRICAL = "wheel_electrical"
-"""Topic of the motors' voltages and currents."""
-CONTROLLER = "platform_controller"
-"""Name of the node that drives the robot."""
+ELECTRICAL = "wheel_electrical"  #: Topic of the motors' voltages and currents
+CONTROLLER = "platform_controller"  #: Name of the node that drives the robot
+#: Parameter of this node: whether it subscribes to a TwistStamped
 USES_STAMPED_TWISTS = "cmd_vel_stamped"
-"""Parameter of this node: whether it subscribes to a TwistStamped."""
-LEAD_TIME = 0.3
-"""Time from the first preview to the start of a motion [s]."""
-SETTLING_TIME = 0.8
-"""Time at rest after a motion before it counts as ended [s]."""
-AVERAGING_TIME = 0.5
-"""Time over which a pose at rest is averaged [s]."""
-AT_REST_SPEED = 0.02
-"""Speed below which a wheel counts as standing [rad/s]."""
+LEAD_TIME = 0.3  #: Time from the first preview to the start of a motion [s]
+SETTLING_TIME = 0.8  #: Time at rest after a motion before it counts as ended [s]
+AVERAGING_TIME = 0.5  #: Time over which a pose at rest is averaged [s]
+AT_REST_SPEED = 0.02  #: Speed below which a wheel counts as standing [rad/s]
+#: Distance from the reference at the end of a motion up to which it was driven to its end [m,
+#: rad].
 MAX_END_ERROR = 0.1
-"""Distance from the reference at the end of a motion up to which it was driven to its end
-[m, rad]."""
+#: Silence after which another path may follow a cancelled one; longer than timeouts.cancelled [s]
 CANCELLATION_TIME = 1.5
-"""Silence after which another path may follow a cancelled one; longer than timeouts.cancelled
-[s]."""
-SPEED_SAMPLES = 21
-"""Number of positions over which the speed is differenced."""
+SPEED_SAMPLES = 21  #: Number of positions over which the speed is differenced
 
 
 class Motion(Protocol):
@@ -77,23 +69,16 @@ class Motion(Protocol):
 
 @dataclass(frozen=True)
 class Controller:
-    """The configuration of the platform controller.
+    """The configuration of the platform controller."""
 
-    Attributes:
-        parameters: Its parameters, those of the robot included.
-        is_stamped: Whether it subscribes to a TwistStamped.
-    """
-
-    parameters: PlatformParameters
-    is_stamped: bool
+    parameters: PlatformParameters  #: Its parameters, those of the robot included
+    is_stamped: bool  #: Whether it subscribes to a TwistStamped
 
 
 def read_controller(session: Session, namespace: str, check: Callable[[], None]) -> Controller:
     """Read the parameters of the platform controller.
 
     Args:
-        session: Session of the command.
-        namespace: Namespace of the robot.
         check: Called many times a second; raises to end early.
 
     Raises:
@@ -120,19 +105,15 @@ def read_controller(session: Session, namespace: str, check: Callable[[], None])
 
 @dataclass
 class Recording:
-    """Feedback that was received since :meth:`RobotSession.start_recording`.
+    """Feedback that was received since :meth:`RobotSession.start_recording`."""
 
-    Attributes:
-        times: Stamps of wheel_states, ROS time [s].
-        positions: Positions of the wheels (n,), not wrapped [rad].
-        truth: Stamps (ROS time) and measured poses (x, y, heading) [s, m, m, rad].
-        electrical: Voltages and currents (n,) [V, A] of wheel_electrical, which has no stamp: each
-            with the stamp of the latest wheel_states, ROS time [s]. Empty unless requested.
-    """
-
-    times: list[float] = field(default_factory=list)
+    times: list[float] = field(default_factory=list)  #: Stamps of wheel_states, ROS time [s]
+    #: Positions of the wheels (n,), not wrapped [rad]
     positions: list[Array] = field(default_factory=list)
+    #: Stamps (ROS time) and measured poses (x, y, heading) [s, m, m, rad]
     truth: list[tuple[float, float, float, float]] = field(default_factory=list)
+    #: Voltages and currents (n,) [V, A] of wheel_electrical, which has no stamp: each with the
+    #: stamp of the latest wheel_states, ROS time [s]. Empty unless requested.
     electrical: list[tuple[float, Array, Array]] = field(default_factory=list)
 
     def differenced_speed(self) -> float:
@@ -147,10 +128,7 @@ class RobotSession:
     """Drives motions and records the wheels.
 
     Args:
-        session: Session of the command.
-        controller: Configuration of the platform controller.
         truth: Topic of a measured pose, or None.
-        progress: Display of the progress.
         poll: Called many times a second; raises to end early.
         with_electrical: Whether to record wheel_electrical, too.
 

@@ -26,34 +26,22 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.preview import Preview
 
-Pose = tuple[float, float, float]
-"""Pose x, y, theta [m, m, rad]."""
+Pose = tuple[float, float, float]  #: Pose x, y, theta [m, m, rad]
 
-LENGTH = 1.2
-"""Length of a straight line, and diameter of the circle [m]."""
-SAMPLE_PERIOD = 0.02
-"""Time between two points of a preview, which are connected by quintics [s]."""
+LENGTH = 1.2  #: Length of a straight line, and diameter of the circle [m]
+SAMPLE_PERIOD = 0.02  #: Time between two points of a preview, which are connected by quintics [s]
 
 
 @dataclass(frozen=True)
 class Movement:
-    """A line or an arc along which the heading changes at a constant rate by path length.
+    """A line or an arc along which the heading changes at a constant rate by path length."""
 
-    Attributes:
-        name: Name for display.
-        start: Pose at the start [m, m, rad].
-        length: Path length [m].
-        course: Direction of travel at the start, in the world [rad].
-        curvature: Curvature, 0 for a line [rad/m].
-        rotation: Change of the heading over the whole length [rad].
-    """
-
-    name: str
-    start: Pose
-    length: float
-    course: float
-    curvature: float = 0.0
-    rotation: float = 0.0
+    name: str  #: Name for display
+    start: Pose  #: Pose at the start [m, m, rad]
+    length: float  #: Path length [m]
+    course: float  #: Direction of travel at the start, in the world [rad]
+    curvature: float = 0.0  #: Curvature, 0 for a line [rad/m]
+    rotation: float = 0.0  #: Change of the heading over the whole length [rad]
 
     def at(self, distance: Array) -> tuple[Array, Array, Array]:
         """Return poses and two derivatives by path length (k, 3), at path lengths (k,) [m]."""
@@ -110,14 +98,10 @@ def waypoints(spacing: float, length: float = LENGTH) -> Array:
 
 @dataclass(frozen=True)
 class TimeLaw:
-    """Motion from rest to a constant speed and back to rest, with ramps 10 u^3 - 15 u^4 + 6 u^5.
+    """Motion from rest to a constant speed and back, with ramps 10 u^3 - 15 u^4 + 6 u^5."""
 
-    Attributes:
-        speed: Constant speed [m/s].
-        ramp: Time from rest to speed [s]; the largest acceleration is 1.875 speed / ramp.
-    """
-
-    speed: float = 0.4
+    speed: float = 0.4  #: Constant speed [m/s]
+    #: Time from rest to speed [s]; the largest acceleration is 1.875 speed / ramp
     ramp: float = 1.5
 
     def duration(self, length: float) -> float:
@@ -154,32 +138,20 @@ def _smooth(u: Array) -> Array:
 
 @dataclass(frozen=True)
 class Leg:
-    """A movement in time, as the platform controller accepts it.
+    """A movement in time, as the platform controller accepts it."""
 
-    Attributes:
-        name: Name for display.
-        begin: Time of the start [s].
-        preview: Motion from that time on.
-    """
-
-    name: str
-    begin: float
-    preview: Preview
+    name: str  #: Name for display
+    begin: float  #: Time of the start [s]
+    preview: Preview  #: Motion from that time on
 
 
 @dataclass(frozen=True)
 class Figure7:
-    """The path in time, which is the same for all controllers that drive it.
+    """The path in time, which is the same for all controllers that drive it."""
 
-    Attributes:
-        length: Length of a straight line, and diameter of the circle [m].
-        law: Time law of each movement.
-        rest: Time at rest before, between and after the movements [s].
-    """
-
-    length: float = LENGTH
-    law: TimeLaw = field(default_factory=TimeLaw)
-    rest: float = 0.5
+    length: float = LENGTH  #: Length of a straight line, and diameter of the circle [m]
+    law: TimeLaw = field(default_factory=TimeLaw)  #: Time law of each movement
+    rest: float = 0.5  #: Time at rest before, between and after the movements [s]
 
     @property
     def duration(self) -> float:

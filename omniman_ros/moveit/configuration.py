@@ -19,24 +19,19 @@ from omniman_ros.moveit.srdf import ARM, WHOLE_BODY, srdf
 
 ARM_CONTROLLER, BODY_CONTROLLER = "arm_controller", "body_controller"
 """Controllers whose action `follow_joint_trajectory` path_interpolator serves."""
-SOLVER_TIMEOUT = 0.05
-"""Time for the inverse kinematics of a pose [s]."""
+SOLVER_TIMEOUT = 0.05  #: Time for the inverse kinematics of a pose [s]
 
 
 @dataclass(frozen=True)
 class MoveItConfiguration:
     """What move_group needs to know of a robot.
 
-    Attributes:
-        description: The robot.
-        path: Limits of the platform on paths, which `path_interpolator` holds.
-
     Raises:
         ParameterError: The robot has no arm.
     """
 
-    description: DescriptionParameters
-    path: PathParameters
+    description: DescriptionParameters  #: The robot
+    path: PathParameters  #: Limits of the platform on paths, which `path_interpolator` holds
 
     def __post_init__(self) -> None:
         if not carries_arm(self.description.robot):

@@ -15,15 +15,12 @@ from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.description.platform_shape import WHEEL_WIDTH
 from omniman_ros.description.ur5 import BASE, links
 
-SAMPLES = 10_000
-"""Number of random postures of the arm."""
-SEED = 0
-"""Seed of the postures."""
+SAMPLES = 10_000  #: Number of random postures of the arm
+SEED = 0  #: Seed of the postures
+#: Least distance at all postures from which on a pair is not checked [m].
+#:
+#: Between the samples, links may come a little nearer.
 CLEARANCE = 0.02
-"""Least distance at all postures from which on a pair is not checked [m].
-
-Between the samples, links may come a little nearer.
-"""
 
 
 class Reason(Enum):
@@ -46,12 +43,11 @@ class UncheckedPair:
 
     Attributes:
         first, second: Names of the links.
-        reason: Why.
     """
 
     first: str
     second: str
-    reason: Reason
+    reason: Reason  #: Why
 
 
 def unchecked_pairs(description: DescriptionParameters) -> list[UncheckedPair]:

@@ -21,7 +21,6 @@ def srdf(
     """Return the SRDF of a robot with an arm.
 
     Args:
-        description: The robot.
         pairs: Pairs of links whose collisions are not checked.
         name: Name of the robot, as in its URDF.
     """

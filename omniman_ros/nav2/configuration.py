@@ -14,32 +14,23 @@ from omniman_ros.nav2.outline import convex_outline
 
 LENGTHWAYS, SIDEWAYS = 0.8, 0.6
 """Shares of the limits along x and y, which Nav2 limits one by one: together they make 1."""
-INFLATION = 0.1
-"""Distance by which costs reach beyond the robot's farthest point [m]."""
+INFLATION = 0.1  #: Distance by which costs reach beyond the robot's farthest point [m]
+#: Share of the largest yaw rate at which Nav2's recovery behaviours turn at least
 SLOWEST_TURN = 0.2
-"""Share of the largest yaw rate at which Nav2's recovery behaviours turn at least."""
-FILTER = "keepout_filter"
-"""Name of the layer that keeps the robot out of zones."""
+FILTER = "keepout_filter"  #: Name of the layer that keeps the robot out of zones
 
-Parameters = dict[str, Any]
-"""Values and groups of values by name, as in a parameter file."""
+Parameters = dict[str, Any]  #: Values and groups of values by name, as in a parameter file
 
 
 @dataclass(frozen=True)
 class Nav2Configuration:
-    """What Nav2 needs to know of a robot.
+    """What Nav2 needs to know of a robot."""
 
-    Attributes:
-        footprint: Bounds of platform, arm, tool and load in the posture that Nav2 drives in.
-        limits: Limits of the platform's twist, which `platform_controller` holds.
-        namespace: Namespace of the robot and of Nav2's nodes; empty for none.
-        keeps_out: Whether the costmaps have zones that the robot keeps out of.
-    """
-
+    #: Bounds of platform, arm, tool and load in the posture that Nav2 drives in
     footprint: Footprint
-    limits: TwistLimits
-    namespace: str = ""
-    keeps_out: bool = False
+    limits: TwistLimits  #: Limits of the platform's twist, which `platform_controller` holds
+    namespace: str = ""  #: Namespace of the robot and of Nav2's nodes; empty for none
+    keeps_out: bool = False  #: Whether the costmaps have zones that the robot keeps out of
 
     @property
     def outline(self) -> Array:

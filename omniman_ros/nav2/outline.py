@@ -4,8 +4,7 @@ import numpy as np
 
 from omniman_ros.core.arrays import Array
 
-TOLERANCE = 1e-9
-"""Twice the area of a triangle that counts as a line [m^2]."""
+TOLERANCE = 1e-9  #: Twice the area of a triangle that counts as a line [m^2]
 
 
 def convex_outline(points: Array) -> Array:

@@ -17,7 +17,6 @@ class ArmLimit:
 
     Args:
         node: Node that owns the topics.
-        joints: Names of the joints.
         options: Whether there is a limit, and what applies without its messages.
         send: Sends a share of the speed limits to the streaming process.
     """

@@ -8,12 +8,10 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.nodes.arm_states import ArmStatesReader
 from omniman_ros.nodes.omniman_node import OmnimanNode
 
+#: Period at which the posture is taken [s]; the fastest joint moves by 0.13 rad in it
 PERIOD = 0.04
-"""Period at which the posture is taken [s]; the fastest joint moves by 0.13 rad in it."""
-MAX_AGE = 0.5
-"""Age from which a joint state is stale [s]."""
-RESOLUTION = 1e-3
-"""Largest change of all angles up to which a posture counts as the same [rad]."""
+MAX_AGE = 0.5  #: Age from which a joint state is stale [s]
+RESOLUTION = 1e-3  #: Largest change of all angles up to which a posture counts as the same [rad]
 
 
 class ArmPostureInput:

@@ -12,10 +12,8 @@ from omniman_ros.ur.joint_preview import JointPreview
 from omniman_ros.ur.streaming_client import StreamingClient
 from omniman_ros.ur.streaming_messages import Command
 
-TOPIC = "arm/joint_reference"
-"""Name of the topic."""
-MAX_STAMP_LEAD = 1.0
-"""How far in the future the stamp of a preview may be [s]."""
+TOPIC = "arm/joint_reference"  #: Name of the topic
+MAX_STAMP_LEAD = 1.0  #: How far in the future the stamp of a preview may be [s]
 
 
 class ArmPreviewInput:
@@ -25,7 +23,6 @@ class ArmPreviewInput:
         node: Node that subscribes to the topic; nothing is sent unless it is active and released.
         joints: Names of the joints, from the base on.
         limit: Limit of the arm's speed, which publishes what the previews ask for.
-        streaming: Client of the streaming process.
     """
 
     def __init__(

@@ -14,10 +14,9 @@ from omniman_ros.ur.feedback import ArmSample, SafetyMode
 from omniman_ros.ur.streaming_messages import SendTiming, StreamingPhase, StreamingReport
 from omniman_ros.ur.streaming_process import StreamingProcess
 
-SCALING_PERIOD = 0.1
-"""Longest time between two messages on arm/speed_scaling [s]."""
+SCALING_PERIOD = 0.1  #: Longest time between two messages on arm/speed_scaling [s]
+#: Number of send intervals that the diagnostics summarise: those of the last 10 s
 TIMING_WINDOW = 1250
-"""Number of send intervals that the diagnostics summarise: those of the last 10 s."""
 
 
 class ArmReportPublisher:
@@ -70,7 +69,6 @@ class ArmReportPublisher:
         """Return level, message and values of a streaming process for the diagnostics.
 
         Args:
-            process: The process.
             stop: Level and message while the node's latch forbids motion, else None.
         """
         report, values = process.report, self._values(process)

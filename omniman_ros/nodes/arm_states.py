@@ -15,24 +15,18 @@ from omniman_ros.core.stamps import MAX_LEAD
 from omniman_ros.nodes.joint_state_reader import JointStateReader
 from omniman_ros.nodes.omniman_node import OmnimanNode
 
-TOPIC = "arm/joint_states"
-"""Name of the topic."""
+TOPIC = "arm/joint_states"  #: Name of the topic
+#: Time by which a measurement may seem to be older than the one before it [s]
 TIME_TOLERANCE = 1e-6
-"""Time by which a measurement may seem to be older than the one before it [s]."""
 
 
 @dataclass(frozen=True)
 class ArmStates:
-    """Measured joint states.
+    """Measured joint states."""
 
-    Attributes:
-        position: (n,) joint angles [rad].
-        velocity: (n,) joint rates [rad/s]; zeros where the message has none.
-        time: Time of the measurement on the node's clock, at the latest that of its arrival [s].
-    """
-
-    position: Array
-    velocity: Array
+    position: Array  #: (n,) joint angles [rad]
+    velocity: Array  #: (n,) joint rates [rad/s]; zeros where the message has none
+    #: Time of the measurement on the node's clock, at the latest that of its arrival [s]
     time: float
 
 

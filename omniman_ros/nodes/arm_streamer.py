@@ -21,8 +21,7 @@ from omniman_ros.ur.streaming_messages import Command, StreamingPhase
 from omniman_ros.ur.streaming_process import StreamingProcess
 from omniman_ros.ur.streaming_supervisor import joint_limits
 
-SHUTDOWN_TIMEOUT = 6.0
-"""How long the arm and its program may take to stop on shutdown [s]."""
+SHUTDOWN_TIMEOUT = 6.0  #: How long the arm and its program may take to stop on shutdown [s]
 
 
 class ArmStreamerNode(HardwareNode):
@@ -33,7 +32,6 @@ class ArmStreamerNode(HardwareNode):
     and ends the program; cleanup ends the process.
 
     Args:
-        start_process: Starts the streaming process.
         options: Options of `HardwareNode`.
     """
 

@@ -2,10 +2,8 @@
 
 import math
 
-RETRY_PERIOD = 2.0
-"""Time between two automatic attempts to start [s]."""
-MAX_RETRIES = 5
-"""Number of faults after which hardware that has not moved yet is started again."""
+RETRY_PERIOD = 2.0  #: Time between two automatic attempts to start [s]
+MAX_RETRIES = 5  #: Number of faults after which hardware that has not moved yet is started again
 
 
 class AutomaticStart:

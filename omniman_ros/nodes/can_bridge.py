@@ -21,8 +21,7 @@ from omniman_ros.nodes.wheel_reports import WheelReportPublisher
 if TYPE_CHECKING:
     from omniman_ros.can_drives.link import CanLink, OpenBus
 
-COMMAND_QOS = QoSProfile(depth=1)
-"""Quality of service of commands: only the newest one counts."""
+COMMAND_QOS = QoSProfile(depth=1)  #: Quality of service of commands: only the newest one counts
 
 
 class CanBridgeNode(HardwareNode):

@@ -13,10 +13,9 @@ from omniman_ros.core.errors import ParameterError
 if TYPE_CHECKING:
     import can
 
+#: Time that the receiver waits for a frame, or after an error of the bus [s]
 RECEIVE_TIMEOUT = 0.1
-"""Time that the receiver waits for a frame, or after an error of the bus [s]."""
-MAX_FRAME_AGE = 1.0
-"""Largest age of a frame that is believed [s]."""
+MAX_FRAME_AGE = 1.0  #: Largest age of a frame that is believed [s]
 
 
 def open_bus(parameters: CanParameters) -> "can.BusABC":

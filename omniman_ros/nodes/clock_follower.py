@@ -14,11 +14,11 @@ from std_msgs.msg import Header
 from omniman_ros.conversions.headers import time_seconds
 from omniman_ros.nodes.rclpy_compat import subscribe_to_clock, take_timers
 
+#: Topic on which nodes permit simulated time to go on; see :func:`permit_message`
 PERMITS_TOPIC = "/clock/permits"
-"""Topic on which nodes permit simulated time to go on; see :func:`permit_message`."""
 
+#: Number of times on /clock that a node keeps until it reads them, more than come at once
 CLOCK_DEPTH = 200
-"""Number of times on /clock that a node keeps until it reads them, more than come at once."""
 
 
 def permit_message(name: str, until: float | None) -> Header:

@@ -7,24 +7,19 @@ from omniman_ros.nodes.clock_parameters import ClockParameters
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.simulated_clock import AWAITED_KEY, PACE_KEY, SimulatedClock
 
-PACE_PERIOD = 5.0
-"""Real time between two looks at the pace of simulated time [s]."""
+PACE_PERIOD = 5.0  #: Real time between two looks at the pace of simulated time [s]
 
 
 class ClockGiverNode(OmnimanNode):
-    """A node that advances simulated time itself, and publishes it on /clock, if it is to.
+    """A node that advances simulated time itself, and publishes it on /clock, if it is to."""
 
-    Attributes:
-        simulated_clock: Simulated time that the node advances; None on real time.
-    """
-
+    #: Simulated time that the node advances; None on real time
     simulated_clock: SimulatedClock | None = None
 
     def give_clock(self, parameters: ClockParameters, period: float) -> None:
         """Give simulated time, if the parameters say so; to be called in the constructor.
 
         Args:
-            parameters: Pace of the time.
             period: Step of simulated time [s].
         """
         p = parameters

@@ -21,16 +21,10 @@ from omniman_ros.nodes.unseen_interface import UnseenInterface
 
 @dataclass(frozen=True)
 class MonitorState:
-    """What the monitor does, and why.
+    """What the monitor does, and why."""
 
-    Attributes:
-        name: `free`, `slowing`, `stopping` or `blind`.
-        reason: Why it limits the speed; empty if it does not.
-        limit: The limit of the speed.
-    """
-
-    name: str
-    reason: str
+    name: str  #: `free`, `slowing`, `stopping` or `blind`
+    reason: str  #: Why it limits the speed; empty if it does not
     limit: SpeedLimit
 
 

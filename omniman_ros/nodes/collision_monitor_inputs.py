@@ -28,8 +28,7 @@ from omniman_ros.nodes.trajectory_interfaces.odom_feed import OdomFeed
 from omniman_ros.planning.obstacles.grid_map import GridMap
 from omniman_ros.planning.obstacles.surroundings import ellipse_surroundings, grid_solids
 
-MAP = "map"
-"""What an occupied part of the map is called."""
+MAP = "map"  #: What an occupied part of the map is called
 
 
 class CollisionMonitorInputs:
@@ -37,7 +36,6 @@ class CollisionMonitorInputs:
 
     Args:
         node: Node that receives the messages.
-        settings: Parameters of the node.
 
     Attributes:
         braking_scale: Share of the platform's deceleration that dead wheels and the arm's posture

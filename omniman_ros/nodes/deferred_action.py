@@ -5,8 +5,7 @@ from typing import Any
 from rclpy.action import ActionServer
 from rclpy.action.server import ServerGoalHandle
 
-RESULT_TIMEOUT = 60
-"""Time for which a client can fetch a result [s]."""
+RESULT_TIMEOUT = 60  #: Time for which a client can fetch a result [s]
 
 
 class DeferredActionServer(ActionServer):
@@ -16,8 +15,6 @@ class DeferredActionServer(ActionServer):
 
     Args:
         node: Node that owns the server.
-        kind: Type of the action.
-        name: Name of the action.
         callbacks: The callbacks of rclpy's action server, except that which executes a goal.
     """
 

@@ -13,8 +13,7 @@ from omniman_ros.core.stop import StopLatch, StopState
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.simulation.plant.simulated_drives import SimulatedDrives
 
-SETPOINT = QoSProfile(depth=1)
-"""Quality of service of commands: only the latest counts."""
+SETPOINT = QoSProfile(depth=1)  #: Quality of service of commands: only the latest counts
 
 
 class DriveCommandInterface:
@@ -23,7 +22,6 @@ class DriveCommandInterface:
     Args:
         node: Node that owns the subscriptions.
         drives: Drives that are commanded.
-        latch: Stop of the drives.
         wheel_names: Names of the n wheels.
         timeout: Returns the age at which a stamped command is refused [s].
     """

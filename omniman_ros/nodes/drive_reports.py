@@ -62,9 +62,7 @@ class DriveReportPublisher:
 
         Args:
             drives: Drives whose feedback is published.
-            faults: Faults of the feedback.
             now: Current time of the drives' clock [s].
-            stamp: Stamp of the messages.
         """
         states = drives.wheel_states(now)
         message = states_message(self._wheel_names, states, stamp)

@@ -21,23 +21,16 @@ from omniman_ros.simulation.plant.imu import BaseMotion, planar_motion
 from omniman_ros.simulation.plant.lossy_channel import LossyChannel
 from omniman_ros.simulation.plant.simulated_drives import SimulatedDrives
 
-P = TypeVar("P", bound=SimulatedDriveParameters)
-"""Parameters of the node."""
+P = TypeVar("P", bound=SimulatedDriveParameters)  #: Parameters of the node
+#: Shortest period of the simulation's timer [s]: less would leave time for nothing else
 SHORTEST_PERIOD = 0.001
-"""Shortest period of the simulation's timer [s]: less would leave time for nothing else."""
-REST_SPEED = 0.05
-"""Wheel speed below which the drives count as standing [rad/s]."""
+REST_SPEED = 0.05  #: Wheel speed below which the drives count as standing [rad/s]
 
 
 class DriveSimulationNode(ClockGiverNode, Generic[P]):
     """Commands a :class:`SimulatedDrives` from topics, and publishes feedback and ground truth.
 
     With `publish_clock`, the node advances simulated time itself, and publishes it on /clock.
-
-    Args:
-        name: Name of the node.
-        kind: Parameters of the node.
-        options: Options of the node.
 
     Attributes:
         drives: The drives.
@@ -123,7 +116,6 @@ class DriveSimulationNode(ClockGiverNode, Generic[P]):
 
         Args:
             now: Time of the drives' clock [s].
-            stamp: Stamp of the messages.
         """
         self.drives.advance(now)
         if self.drives.stop_reason is not None:

@@ -11,12 +11,11 @@ from omniman_ros.core.unheard_publishers import UnheardPublishers
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.rclpy_compat import MessageOrigin, subscribe_with_origin
 
-TOPIC = "emergency_stop"
-"""Name of the topic."""
+TOPIC = "emergency_stop"  #: Name of the topic
+#: Topic on which nodes that move nothing tell those that do of a press, with its reason
 RELAY = "emergency_relay"
-"""Topic on which nodes that move nothing tell those that do of a press, with its reason."""
+#: Reason of a stop for a press that may have been lost
 MISSED = "emergency_stop: a publisher came and went, and its message did not arrive"
-"""Reason of a stop for a press that may have been lost."""
 
 
 class EmergencyInterface:

@@ -6,8 +6,8 @@ from typing import Any
 from rclpy.node import Node
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
+#: Name of the node of an endpoint that is in the graph before its node is, or has none
 UNKNOWN = "_NODE_NAME_UNKNOWN_"
-"""Name of the node of an endpoint that is in the graph before its node is, or has none."""
 
 
 class ForeignTypes:

@@ -29,7 +29,6 @@ class FrameTransforms:
 
     Args:
         node: Node that listens.
-        parameters: Returns the present parameters of the frames.
     """
 
     def __init__(self, node: OmnimanNode, parameters: Callable[[], FrameParameters]) -> None:

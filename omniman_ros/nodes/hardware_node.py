@@ -24,7 +24,6 @@ class HardwareNode(OmnimanNode, LifecycleNodeMixin, HardwareHooks):
     The constructor of a subclass ends with :meth:`begin`.
 
     Args:
-        name: Name of the node.
         allow_sim_time: Accept `use_sim_time`, for hardware that is simulated in stepped time.
         options: Options of `rclpy.node.Node`.
 

@@ -17,7 +17,6 @@ class ImuPublisher:
 
     Args:
         node: Node that owns the publishers.
-        parameters: Parameters of the node.
         motion: Returns the present motion of base_link.
     """
 
@@ -48,7 +47,6 @@ class ImuPublisher:
 
         Args:
             now: Time of the drives' clock [s].
-            stamp: Stamp of the message.
         """
         self._count += 1
         if self._count % self._every != 0:

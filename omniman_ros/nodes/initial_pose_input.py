@@ -22,7 +22,6 @@ class InitialPoseInput:
     Args:
         node: Node that simulates the robot.
         world_frame: Frame of the simulated world.
-        odom_frame: Frame of odometry.
         place: Puts the robot at a pose (x, y, theta) in the world [m, m, rad], or raises an
             InputError.
     """

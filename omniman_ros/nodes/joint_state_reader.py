@@ -16,25 +16,18 @@ from omniman_ros.nodes.serialized import deserialized
 _STAMP = struct.Struct("=iI")
 _LENGTH = struct.Struct("=I")
 _DOUBLE = 8
+#: First bytes of messages in plain CDR, in this machine's byte order (OMG DDSI-RTPS 2.5, 10.2)
 _PLAIN_CDR = b"\x00\x01\x00\x00" if sys.byteorder == "little" else b"\x00\x00\x00\x00"
-"""First bytes of messages in plain CDR, in this machine's byte order (OMG DDSI-RTPS 2.5, 10.2)."""
 _FIELDS = ("position", "velocity", "effort")
 
 
 class JointArrays(NamedTuple):
-    """Contents of a joint state in the order of a reader's names.
+    """Contents of a joint state in the order of a reader's names."""
 
-    Attributes:
-        stamp: Stamp of the message.
-        position: (n,) or None if the message has none.
-        velocity: (n,) or None.
-        effort: (n,) or None.
-    """
-
-    stamp: SerializedStamp
-    position: Array | None
-    velocity: Array | None
-    effort: Array | None
+    stamp: SerializedStamp  #: Stamp of the message
+    position: Array | None  #: (n,) or None if the message has none
+    velocity: Array | None  #: (n,) or None
+    effort: Array | None  #: (n,) or None
 
 
 class JointStateReader:
@@ -56,9 +49,6 @@ class JointStateReader:
 
     def read(self, data: bytes) -> JointArrays:
         """Return the contents of a message.
-
-        Args:
-            data: The serialized message.
 
         Raises:
             InputError: The data are no joint state, or see `joint_arrays`.

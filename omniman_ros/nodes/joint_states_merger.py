@@ -29,21 +29,13 @@ from omniman_ros.nodes.stop_interface import LATCHED
 
 @dataclass(frozen=True)
 class JointSample:
-    """States of the n joints of a topic at one time.
+    """States of the n joints of a topic at one time."""
 
-    Attributes:
-        time: Time on the node's clock [s].
-        stamp: The same time in ROS time.
-        position: (n,) [rad].
-        velocity: (n,) [rad/s], or None if absent.
-        effort: (n,) [N m], or None if absent.
-    """
-
-    time: float
-    stamp: Time
-    position: Array
-    velocity: Array | None
-    effort: Array | None
+    time: float  #: Time on the node's clock [s]
+    stamp: Time  #: The same time in ROS time
+    position: Array  #: (n,) [rad]
+    velocity: Array | None  #: (n,) [rad/s], or None if absent
+    effort: Array | None  #: (n,) [N m], or None if absent
 
     @property
     def order(self) -> tuple[int, int]:

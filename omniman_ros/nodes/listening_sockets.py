@@ -6,25 +6,15 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class ListeningSocket:
-    """A socket, or several of one kind, on which a process of the robot listens.
+    """A socket, or several of one kind, on which a process of the robot listens."""
 
-    Attributes:
-        nodes: Nodes that open it; empty if every node does.
-        kind: Transport and ports.
-        parameters: Parameters with its ports and addresses; empty if it has none.
-        is_tcp: Whether it is a TCP socket.
-        modules: Modules of the package that open it; empty if the middleware does.
-        reachable: From where it can be reached.
-        admitted: Who is let in.
-    """
-
-    nodes: tuple[str, ...]
-    kind: str
-    parameters: tuple[str, ...]
-    is_tcp: bool
-    modules: tuple[str, ...]
-    reachable: str
-    admitted: str
+    nodes: tuple[str, ...]  #: Nodes that open it; empty if every node does
+    kind: str  #: Transport and ports
+    parameters: tuple[str, ...]  #: Parameters with its ports and addresses; empty if it has none
+    is_tcp: bool  #: Whether it is a TCP socket
+    modules: tuple[str, ...]  #: Modules of the package that open it; empty if the middleware does
+    reachable: str  #: From where it can be reached
+    admitted: str  #: Who is let in
 
 
 LISTENING_SOCKETS = (
@@ -101,8 +91,7 @@ LISTENING_SOCKETS = (
         "this machine, unless multicast is routed",
         "everybody who sends CAN frames",
     ),
-)
-"""All sockets on which a process of the robot listens."""
+)  #: All sockets on which a process of the robot listens
 
 
 def markdown() -> Iterator[str]:

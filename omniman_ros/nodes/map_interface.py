@@ -24,18 +24,18 @@ from omniman_ros.nodes.source_watch import SourceWatch
 from omniman_ros.nodes.stop_interface import LATCHED
 from omniman_ros.planning.obstacles.grid_map import GridMap
 
+#: Distance by which a map may be wrong where the robot is, before it is moved [m]
 MOST_SHIFT = 0.005
-"""Distance by which a map may be wrong where the robot is, before it is moved [m]."""
+#: Angle by which a map may be wrong before it is moved [rad]: 1 cm at a distance of 5 m
 MOST_TURN = 0.002
-"""Angle by which a map may be wrong before it is moved [rad]: 1 cm at a distance of 5 m."""
+#: Period at which a map is placed again whose transform was missing [s]: it comes only once
 PLACE_PERIOD = 0.5
-"""Period at which a map is placed again whose transform was missing [s]: it comes only once."""
+#: What is expected of the source of the map: it may send once, as it is latched
 TERMS = SourceTerms(patience=2.0)
-"""What is expected of the source of the map: it may send once, as it is latched."""
 
+#: Occupancy from which on a cell counts as occupied, 1 to 100 [%], and whether cells of unknown
+#: occupancy are free.
 Rule = tuple[int, bool]
-"""Occupancy from which on a cell counts as occupied, 1 to 100 [%], and whether cells of unknown
-occupancy are free."""
 
 
 class MapInterface:
@@ -43,10 +43,7 @@ class MapInterface:
 
     Args:
         node: Node that receives the messages.
-        frames: Transforms of the node.
-        rule: How its cells are read.
         use: Called with the map in odom.
-        watch: Watch over the sources of the node.
     """
 
     def __init__(
@@ -80,9 +77,6 @@ class MapInterface:
         """Read the cells of the last map by another rule.
 
         A latched map may be sent only once, so the one that is kept has to follow its parameters.
-
-        Args:
-            rule: How its cells are read.
         """
         if rule == self._rule:
             return

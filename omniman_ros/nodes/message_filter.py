@@ -10,10 +10,9 @@ from omniman_ros.nodes.omniman_node import OmnimanNode
 
 M = TypeVar("M")
 
-MOST_WAITING = 50
-"""Largest number of messages of a topic that wait; the oldest ones are dropped."""
+MOST_WAITING = 50  #: Largest number of messages of a topic that wait; the oldest ones are dropped
+#: Period at which messages that wait for transforms are looked at, if none arrive [s]
 RETRY_PERIOD = 0.05
-"""Period at which messages that wait for transforms are looked at, if none arrive [s]."""
 
 
 class MessageFilter:
@@ -107,7 +106,6 @@ class MessageFilters:
         The handler is called in any case: after the wait, its own lookup says what is missing.
 
         Args:
-            topic: Name of the messages in warnings.
             headers: Returns the headers whose frames the handler looks up.
             handler: Handles a message as in `OmnimanNode.guarded`.
 

@@ -12,23 +12,22 @@ from typing import Any
 from builtin_interfaces.msg import Time
 from rclpy.serialization import serialize_message
 
-STAMP = Time(sec=0x5A3C1E78, nanosec=0x12B4D6F0)
-"""Mark of a stamp that is to change."""
+STAMP = Time(sec=0x5A3C1E78, nanosec=0x12B4D6F0)  #: Mark of a stamp that is to change
 _STAMP = struct.Struct("=iI")
 _STAMP_MARK = _STAMP.pack(STAMP.sec, STAMP.nanosec)
 _NUMBER = struct.Struct("=d")
 _BITS = struct.Struct("=Q")
+#: Bits of the first mark of a number, about 2**-999; the marks differ in their high words. Fast
+#: CDR leaves up to four bytes of any content between strings and numbers, and behind an empty
+#: array, in which half a mark of an earlier message may be: no length of an array is its other
+#: half.
 _FIRST_MARK = 0x01800000_7B3D5E91
-"""Bits of the first mark of a number, about 2**-999; the marks differ in their high words. Fast
-CDR leaves up to four bytes of any content between strings and numbers, and behind an empty array,
-in which half a mark of an earlier message may be: no length of an array is its other half."""
 
 
 def marks(count: int, start: int = 0) -> list[float]:
     """Return marks of numbers that are to change.
 
     Args:
-        count: Number of marks.
         start: Number of marks that the message has already; marks are numbered in the order in
             which :class:`MessageTemplate` takes their numbers.
     """

@@ -1,7 +1,6 @@
 """Numbers of motions and their outcomes, for action clients that wait for the end of one."""
 
-REMEMBERED_OUTCOMES = 20
-"""Number of latest outcomes that are remembered."""
+REMEMBERED_OUTCOMES = 20  #: Number of latest outcomes that are remembered
 
 
 class MotionLedger:
@@ -38,7 +37,6 @@ class MotionLedger:
         """Return why a motion ended; empty if it arrived; None while it waits or goes on.
 
         Args:
-            motion: Number of the motion.
             is_driven: Whether the motion that was started last goes on.
             is_pending: Whether the motion that was accepted last may still wait to be started.
         """

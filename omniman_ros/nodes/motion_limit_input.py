@@ -9,9 +9,9 @@ from omniman_ros.conversions.motion_limits import motion_limit_shares
 from omniman_ros.core.motion_limit import MotionLimit
 from omniman_ros.nodes.omniman_node import OmnimanNode
 
+#: Quality of service: with a queue of one message, that of another publisher would replace the
+#: limit before it is read.
 QUEUE = QoSProfile(depth=10)
-"""Quality of service: with a queue of one message, that of another publisher would replace the
-limit before it is read."""
 
 
 def subscribe_to_motion_limit(
@@ -25,8 +25,6 @@ def subscribe_to_motion_limit(
 
     Args:
         node: Node that subscribes.
-        platform: Limit of the platform's speed.
-        arm: Limit of the arm's speed.
         on_update: Called after each valid message.
     """
 

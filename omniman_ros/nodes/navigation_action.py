@@ -17,8 +17,7 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.nodes.deferred_action import DeferredActionServer
 from omniman_ros.nodes.omniman_node import OmnimanNode
 
-FEEDBACK_PERIOD = 0.1
-"""Time between two messages of feedback [s]."""
+FEEDBACK_PERIOD = 0.1  #: Time between two messages of feedback [s]
 
 
 class NavigationKind(Enum):
@@ -69,17 +68,11 @@ class NavigationExecutor(Protocol):
 
 @dataclass
 class _Goal:
-    """A goal under way.
-
-    Attributes:
-        handle: Handle of the goal.
-        motion: Number of its motion.
-        since: Time of its acceptance [s].
-    """
+    """A goal under way."""
 
     handle: ServerGoalHandle
-    motion: int
-    since: float
+    motion: int  #: Number of its motion
+    since: float  #: Time of its acceptance [s]
 
 
 class NavigationAction:
@@ -91,9 +84,6 @@ class NavigationAction:
 
     Args:
         node: Node that owns the action server.
-        kind: Which action.
-        name: Name of the action.
-        executor: What drives to the goals.
     """
 
     def __init__(

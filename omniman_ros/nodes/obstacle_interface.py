@@ -28,9 +28,6 @@ class ObstacleInterface:
 
     Args:
         node: Node that receives the messages.
-        frames: Transforms of the node.
-        parameters: Parameters.
-        watch: Watch over the sources of the node.
     """
 
     def __init__(
@@ -87,7 +84,6 @@ class ObstacleInterface:
 
 
 def _terms(parameters: ObstacleParameters) -> SourceTerms:
-    """Return what is expected of the source of obstacles."""
     return SourceTerms(parameters.timeout, parameters.timeout, parameters.required)
 
 

@@ -31,14 +31,13 @@ from omniman_ros.perception.unseen import RESOLUTION
 if TYPE_CHECKING:
     from omniman_ros.perception.obstacle_tracker import ObstacleTracker
 
+#: Time after which an obstacle is forgotten by readers that receive nothing more of it [s]
 LIFETIME = 0.5
-"""Time after which an obstacle is forgotten by readers that receive nothing more of it [s]."""
+#: Vertical gap up to which a part of the robot may be in the way of a beam [m]
 HEIGHT_MARGIN = 0.05
-"""Vertical gap up to which a part of the robot may be in the way of a beam [m]."""
+#: Period at which is looked whether scanners have become silent, which is logged [s]
 REPORT_PERIOD = 1.0
-"""Period at which is looked whether scanners have become silent, which is logged [s]."""
-POSTURE_TOLERANCE = 0.02
-"""Rotation of a joint up to which the robot's outline stays [rad]."""
+POSTURE_TOLERANCE = 0.02  #: Rotation of a joint up to which the robot's outline stays [rad]
 
 
 class ObstacleTrackerNode(OmnimanNode):
@@ -46,7 +45,6 @@ class ObstacleTrackerNode(OmnimanNode):
 
     Attributes:
         settings: Parameters of the node.
-        core: The tracker.
     """
 
     core: "ObstacleTracker"

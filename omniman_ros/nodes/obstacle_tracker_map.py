@@ -18,9 +18,9 @@ from omniman_ros.nodes.stop_interface import LATCHED
 if TYPE_CHECKING:
     from omniman_ros.perception.obstacle_tracker import ObstacleTracker
 
+#: Longest time between two whole maps, after which a reader that has missed an update is right
+#: again [s].
 WHOLE_PERIOD = 5.0
-"""Longest time between two whole maps, after which a reader that has missed an update is right
-again [s]."""
 
 
 class MapPublisher:
@@ -31,7 +31,6 @@ class MapPublisher:
 
     Args:
         node: Node that publishes.
-        core: The tracker.
         frame: Name of odom.
         rate: Rate [Hz].
     """

@@ -23,8 +23,6 @@ class Scanners:
 
     Args:
         node: Node that receives the messages.
-        settings: Parameters of the node.
-        poses: Returns the poses of the robot.
         use: Called with each scan and the number of its scanner.
     """
 

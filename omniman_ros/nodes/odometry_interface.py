@@ -22,22 +22,15 @@ from omniman_ros.nodes.odometry_parameters import OdometryTopicParameters
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.stop_interface import LATCHED
 
-Settings = Callable[[], OdometryTopicParameters]
-"""Returns the present parameters of the topics."""
+Settings = Callable[[], OdometryTopicParameters]  #: Returns the present parameters of the topics
 
 
 class OdometryCore(Protocol):
-    """A core that computes odometry from the reports of the wheels.
+    """A core that computes odometry from the reports of the wheels."""
 
-    Attributes:
-        odometry: Pose, twist and covariance.
-        feedback: Last feedback of the wheels.
-        imu: Measurements of an inertial sensor.
-    """
-
-    odometry: Odometry
-    feedback: WheelFeedback
-    imu: ImuFeedback
+    odometry: Odometry  #: Pose, twist and covariance
+    feedback: WheelFeedback  #: Last feedback of the wheels
+    imu: ImuFeedback  #: Measurements of an inertial sensor
 
     @property
     def coupling_error(self) -> Array:
@@ -79,7 +72,6 @@ class OdometryInputs:
         node: Node that owns the subscriptions.
         core: Core that the messages go to.
         names: Names of the n wheels.
-        settings: Returns the present parameters.
         on_report: Called with the stamp of each report of the wheels that was used.
     """
 

@@ -24,8 +24,6 @@ class OdometryOutputs:
 
     Args:
         node: Node that owns the publishers.
-        core: Core to report on.
-        settings: Returns the present parameters.
     """
 
     def __init__(self, node: OmnimanNode, core: OdometryCore, settings: Settings) -> None:

@@ -18,8 +18,7 @@ from omniman_ros.nodes.topic_publishers import topic_publishers
 
 P = ParamSpec("P")
 
-WARNING_PERIOD = 1.0
-"""Shortest time between two warnings on one subject [s]."""
+WARNING_PERIOD = 1.0  #: Shortest time between two warnings on one subject [s]
 
 
 class OmnimanNode(TimedNode):

@@ -19,14 +19,11 @@ from omniman_ros.simulation.can_link.records import (
 )
 from omniman_ros.simulation.link_connection import LOOPBACK, LinkConnection, LinkError
 
-CONNECT_TIMEOUT = 0.5
-"""Longest time for connecting [s]."""
-MAX_WAIT = 0.002
-"""Longest real time between two reads of the connection [s]."""
+CONNECT_TIMEOUT = 0.5  #: Longest time for connecting [s]
+MAX_WAIT = 0.002  #: Longest real time between two reads of the connection [s]
+#: Longest real time to wait for the drives [s]; the bridge then goes on without them
 DRIVES_TIMEOUT = 1.0
-"""Longest real time to wait for the drives [s]; the bridge then goes on without them."""
-TOLERANCE = 1e-6
-"""Difference up to which two instants count as the same [s]."""
+TOLERANCE = 1e-6  #: Difference up to which two instants count as the same [s]
 
 
 def bus_opener(port: int, clock: Callable[[], float], poll: Callable[[], None]) -> OpenBus:
@@ -35,7 +32,6 @@ def bus_opener(port: int, clock: Callable[[], float], poll: Callable[[], None]) 
     Args:
         port: TCP port of simulated drives on this machine; 0 for the installation's bus.
         clock: Returns simulated time [s].
-        poll: Receives the simulated time.
     """
     return (lambda parameters, wake: PacedBus(port, clock, poll)) if port else CanBus
 
@@ -117,9 +113,6 @@ class PacedBus(Bus):
 
     def send(self, frames: Iterable[Frame]) -> str:
         """Send all frames or, where there are none, report that the bridge is done with this step.
-
-        Args:
-            frames: The frames.
 
         Returns:
             Why the bus has failed, or an empty string.

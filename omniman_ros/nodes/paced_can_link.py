@@ -13,8 +13,7 @@ from omniman_ros.simulation.link_connection import LinkError
 if TYPE_CHECKING:
     import can
 
-PARTICIPANT = "the host of the bus"
-"""Name under which simulated time waits for the bridge."""
+PARTICIPANT = "the host of the bus"  #: Name under which simulated time waits for the bridge
 
 
 class PacedCanLink:
@@ -25,7 +24,6 @@ class PacedCanLink:
 
     Args:
         node: Node that logs warnings.
-        port: TCP port on this machine.
         step: Step of simulated time [s].
         clock: Simulated time that the node gives.
 

@@ -31,10 +31,8 @@ _PARAMETER_TYPES: dict[tuple[type, type | None], Parameter.Type] = {
     (tuple, float): Parameter.Type.DOUBLE_ARRAY,
     (tuple, str): Parameter.Type.STRING_ARRAY,
     (tuple, int): Parameter.Type.INTEGER_ARRAY,
-}
-"""Type of a ROS parameter by the Python type of its value and, for a tuple, of its items."""
-_UNBOUNDED = 1e300
-"""Bound of a range that is open on one side; descriptors need both."""
+}  #: Type of a ROS parameter by the Python type of its value and, for a tuple, of its items
+_UNBOUNDED = 1e300  #: Bound of a range that is open on one side; descriptors need both
 
 
 def descriptor(spec: Spec) -> ParameterDescriptor:
@@ -64,7 +62,6 @@ class ParameterSet(Generic[T]):
     """Keeps a parameter dataclass in step with the ROS parameters of a node.
 
     Args:
-        node: Node to declare the parameters on.
         cls: The dataclass, see `core.parameters`.
         robot: Whether the defaults come from the robot's file. The parameter `robot` names it,
             unless the given parameters describe a robot themselves (they have `wheels.names`).

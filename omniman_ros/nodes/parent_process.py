@@ -5,10 +5,10 @@ import os
 import signal
 import sys
 
+#: Environment variable with the id of the process that supervises this one, if there is one
 PARENT_VARIABLE = "OMNIMAN_PARENT"
-"""Environment variable with the id of the process that supervises this one, if there is one."""
+#: Option of prctl(2) that sets the signal a process gets when its parent dies
 PR_SET_PDEATHSIG = 1
-"""Option of prctl(2) that sets the signal a process gets when its parent dies."""
 
 
 def follow_parent(parent: int) -> None:

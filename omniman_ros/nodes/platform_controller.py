@@ -33,10 +33,8 @@ from omniman_ros.nodes.ready_notice import ReadyNotice
 from omniman_ros.nodes.runtime import run
 from omniman_ros.nodes.stop_interface import StopInterface
 
-DEMAND_RATE = 50.0
-"""Rate of `motion_demand`, as near as whole numbers of ticks allow [Hz]."""
-FINAL_ZEROS = 3
-"""Number of zero setpoints that the drives get before the node ends."""
+DEMAND_RATE = 50.0  #: Rate of `motion_demand`, as near as whole numbers of ticks allow [Hz]
+FINAL_ZEROS = 3  #: Number of zero setpoints that the drives get before the node ends
 
 
 class PlatformControllerNode(OmnimanNode):

@@ -18,8 +18,7 @@ from omniman_ros.nodes.odometry_interface import imu_fault, imu_values
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.stop_interface import LATCHED
 
-SETPOINT = QoSProfile(depth=1)
-"""Quality of service of setpoints: only the latest counts."""
+SETPOINT = QoSProfile(depth=1)  #: Quality of service of setpoints: only the latest counts
 
 
 class PlatformOutputs:
@@ -27,8 +26,6 @@ class PlatformOutputs:
 
     Args:
         node: Node that owns the publishers.
-        core: Platform controller to report on.
-        posture: Posture of the arm.
 
     Attributes:
         active: Value that was last published on `active_source`.

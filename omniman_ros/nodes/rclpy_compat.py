@@ -22,15 +22,15 @@ from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 from rosgraph_msgs.msg import Clock as ClockMessage
 
+#: Error of the middleware about data. rclpy 7.1 raises it, but does not export it
 RMWError = rclpy_implementation.RMWError
-"""Error of the middleware about data. rclpy 7.1 raises it, but does not export it."""
+#: Error of the middleware. rclpy 7.1 raises it, but exports it in its implementation only
 RCLError = rclpy_implementation.RCLError
-"""Error of the middleware. rclpy 7.1 raises it, but exports it in its implementation only."""
+#: Error about ROS arguments. rclpy 7.1 raises it, but exports it in its implementation only
 UnknownROSArgsError = rclpy_implementation.UnknownROSArgsError
-"""Error about ROS arguments. rclpy 7.1 raises it, but exports it in its implementation only."""
 
+#: Callback of a lifecycle node for one of its transitions, as a function of the node
 TransitionCallback = Callable[[Any, LifecycleState], TransitionCallbackReturn]
-"""Callback of a lifecycle node for one of its transitions, as a function of the node."""
 
 
 def parameter_overrides(node: Node) -> dict[str, Parameter]:
@@ -71,7 +71,6 @@ def subscribe_to_clock(
     before it has read the other messages of the times that it skips.
 
     Args:
-        node: The node.
         callback: Called with each message after the node's clock was set.
         depth: Number of messages that are kept.
 
@@ -102,15 +101,11 @@ def spin_for(executor: Executor, seconds: float) -> None:
 
 @dataclass(frozen=True)
 class MessageOrigin:
-    """What the middleware tells of a message.
+    """What the middleware tells of a message."""
 
-    Attributes:
-        sent: Time at which it was sent, in nanoseconds of the sending host's system clock.
-        number: Its number among the messages of its publisher, from 1 on; None if the middleware
-            does not count them.
-    """
-
-    sent: int
+    sent: int  #: Time at which it was sent, in nanoseconds of the sending host's system clock
+    #: Its number among the messages of its publisher, from 1 on; None if the middleware does not
+    #: count them.
     number: int | None
 
 
@@ -130,10 +125,7 @@ def subscribe_with_origin(
 
     Args:
         node: Node that subscribes.
-        kind: Type of the messages.
-        topic: Name of the topic.
         callback: Called with a message and its origin.
-        qos: Quality of service.
         events: Callbacks for events of the middleware; None for those of rclpy.
     """
 
@@ -153,11 +145,8 @@ def subscribe_with_source_time(
 
     Args:
         node: Node that subscribes.
-        kind: Type of the messages.
-        topic: Name of the topic.
         callback: Called with a message and the time at which it was sent, in nanoseconds of the
             sending host's system clock.
-        qos: Quality of service.
     """
     subscribe_with_origin(
         node, kind, topic, lambda message, origin: callback(message, origin.sent), qos
@@ -168,8 +157,6 @@ def deliver(subscription: Subscription, message: Any, source_time: int) -> None:
     """Call a subscription's callback with a message, as an executor would.
 
     Args:
-        subscription: The subscription.
-        message: The message.
         source_time: Time at which it was sent, in nanoseconds of the sender's clock.
     """
     if subscription._callback_type is Subscription.CallbackType.MessageOnly:
@@ -192,9 +179,8 @@ def log_exceptions(callback: TransitionCallback) -> TransitionCallback:
     return transition
 
 
+#: Time after which a process is ended that does not take its node down [s].
+#:
+#: Taking rclpy 7.1's EventsExecutor down while a message arrives can deadlock in the middleware,
+#: with Python's interpreter lock held: no Python code runs any more, whether handler or thread.
 TAKE_DOWN_TIMEOUT = 5
-"""Time after which a process is ended that does not take its node down [s].
-
-Taking rclpy 7.1's EventsExecutor down while a message arrives can deadlock in the middleware,
-with Python's interpreter lock held: no Python code runs any more, whether handler or thread.
-"""

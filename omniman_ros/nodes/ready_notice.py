@@ -9,7 +9,6 @@ class ReadyNotice:
 
     Args:
         node: Node of the controller, with the parameter `cmd_vel_stamped`.
-        core: The controller.
     """
 
     def __init__(self, node: OmnimanNode, core: PlatformController) -> None:

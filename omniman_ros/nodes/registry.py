@@ -7,6 +7,11 @@ from functools import cache
 
 from omniman_ros.core.parameters import Spec, specs
 
+#: Parameter dataclass of each executable, within the package.
+#:
+#: A node that is given a name that it has no parameter of looks it up here when it starts, node
+#: after node, so the modules named here import nothing heavy; in particular, not the nodes
+#: themselves. The robots' files name parameters of the first.
 NODES = {
     "platform_controller": "nodes.platform_controller_parameters.PlatformControllerParameters",
     "simulated_ur": "nodes.simulated_ur_parameters.SimulatedUrParameters",
@@ -25,14 +30,8 @@ NODES = {
     "odometry": "nodes.odometry_parameters.OdometryNodeParameters",
     "viewer": "viewer.ros.parameters.ViewerParameters",
 }
-"""Parameter dataclass of each executable, within the package.
-
-A node that is given a name that it has no parameter of looks it up here when it starts, node after
-node, so the modules named here import nothing heavy; in particular, not the nodes themselves. The
-robots' files name parameters of the first.
-"""
+#: Beginnings of the names of parameters that rclpy declares for every node
 _OF_RCLPY = ("use_sim_time", "qos_overrides", "start_type_description_service")
-"""Beginnings of the names of parameters that rclpy declares for every node."""
 
 
 def node_module(name: str) -> str:
@@ -63,9 +62,6 @@ def _names_of_no_node(given: Iterable[str]) -> set[str]:
 
     The nodes are asked one after the other, until all names are found: to import the parameters of
     all of them takes as much time as to make a node.
-
-    Args:
-        given: Names of parameters.
     """
     left = set(given)
     for node in NODES:
@@ -81,7 +77,6 @@ def unknown_names(given: Iterable[str], own: Iterable[str] = ()) -> list[str]:
     rclpy ignores a mistyped name in a file silently.
 
     Args:
-        given: Names of the given parameters.
         own: Names that are known to be right, those of the node itself.
     """
     strange = [name for name in {*given} - {*own, "robot"} if not name.startswith(_OF_RCLPY)]

@@ -29,15 +29,14 @@ from omniman_ros.nodes.rclpy_compat import (
 )
 from omniman_ros.yaml_files import read_parameters
 
-SPIN_TIME = 0.05
-"""Time for which callbacks are served before the signals are looked at again [s]."""
+SPIN_TIME = 0.05  #: Time for which callbacks are served before the signals are looked at again [s]
+#: Real time without a message on /clock after which a node that is to end does so [s]
 CLOCK_TIMEOUT = 2.0
-"""Real time without a message on /clock after which a node that is to end does so [s]."""
+#: Time for which a node waits for its last messages to be acknowledged [s]; a reader that has died
+#: never acknowledges them.
 DELIVERY_TIMEOUT = 2.0
-"""Time for which a node waits for its last messages to be acknowledged [s]; a reader that has
-died never acknowledges them."""
+#: Time for which callbacks are served before acknowledgements are looked at again [s]
 DELIVERY_SPIN_TIME = 0.005
-"""Time for which callbacks are served before acknowledgements are looked at again [s]."""
 
 
 def run(make: Callable[[], OmnimanNode], args: list[str] | None = None) -> int:
@@ -48,7 +47,6 @@ def run(make: Callable[[], OmnimanNode], args: list[str] | None = None) -> int:
     the node ends with it; see `nodes.parent_process`.
 
     Args:
-        make: Makes the node.
         args: Command line; None for that of the process.
 
     Returns:

@@ -22,10 +22,8 @@ class ScanPublisher:
     Args:
         node: Node that owns the publishers.
         world: The world.
-        scanners: Parameters of the scanners.
         base_frame: Frame in which they are mounted.
         state_rate: Number of calls of `publish` in a second [Hz].
-        seed: Seed of noise and dropouts.
     """
 
     def __init__(
@@ -67,11 +65,7 @@ class ScanPublisher:
         )
 
     def publish(self, stamp: Time) -> None:
-        """Publish what is due in one report.
-
-        Args:
-            stamp: Stamp of the messages.
-        """
+        """Publish what is due in one report."""
         self._count += 1
         for scanner, publisher, every in zip(
             self._scanners, self._publishers, self._every, strict=True

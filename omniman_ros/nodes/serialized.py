@@ -7,8 +7,7 @@ from rclpy.serialization import deserialize_message
 from omniman_ros.core.errors import InputError
 from omniman_ros.nodes.rclpy_compat import RMWError
 
-Message = TypeVar("Message")
-"""Type of a message."""
+Message = TypeVar("Message")  #: Type of a message
 
 
 def deserialized(data: bytes, kind: type[Message]) -> Message:
@@ -16,7 +15,6 @@ def deserialized(data: bytes, kind: type[Message]) -> Message:
 
     Args:
         data: The message as it was on the wire.
-        kind: Type of the message.
 
     Raises:
         InputError: The data are no such message.

@@ -23,12 +23,10 @@ from omniman_ros.simulation.can_drives.parameters import FAULT_FLAGS
 if TYPE_CHECKING:
     import can
 
-PERIOD = 0.001
-"""Period of the drives' firmware [s]."""
-CLOCK_STEP = 0.005
-"""Step of simulated time [s]."""
+PERIOD = 0.001  #: Period of the drives' firmware [s]
+CLOCK_STEP = 0.005  #: Step of simulated time [s]
+#: Interfaces of python-can that return the sender's own frames
 ECHOING_INTERFACES = ("udp_multicast",)
-"""Interfaces of python-can that return the sender's own frames."""
 
 
 class SimulatedCanDrivesNode(ClockGiverNode):

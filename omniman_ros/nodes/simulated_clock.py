@@ -13,24 +13,19 @@ from omniman_ros.core.stamps import demand_not_ahead
 from omniman_ros.nodes.clock_follower import PERMITS_TOPIC
 from omniman_ros.simulation.lockstep import Lockstep
 
+#: Key in the diagnostics of how fast simulated time passes, over real time
 PACE_KEY = "real_time_factor"
-"""Key in the diagnostics of how fast simulated time passes, over real time."""
+#: Key in the diagnostics of the nodes for which simulated time stands, separated by spaces
 AWAITED_KEY = "waiting_for"
-"""Key in the diagnostics of the nodes for which simulated time stands, separated by spaces."""
-CLOCK_START = 1.0
-"""First time on /clock [s]: a stamp of zero would mean "now"."""
-MAX_CATCH_UP = 4
-"""Largest number of steps at once."""
+CLOCK_START = 1.0  #: First time on /clock [s]: a stamp of zero would mean "now"
+MAX_CATCH_UP = 4  #: Largest number of steps at once
+#: Largest delay that simulated time catches up with [s]; it falls behind by what is more
 MAX_DELAY = 0.1
-"""Largest delay that simulated time catches up with [s]; it falls behind by what is more."""
-SLOW = 0.9
-"""Fraction of the requested pace below which simulated time is reported as slow."""
-MIN_REPORT_TIME = 1.0
-"""Shortest real time over which the pace is measured [s]."""
-STANDSTILL = 0.5
-"""Real time without a step after which simulated time counts as standing [s]."""
+SLOW = 0.9  #: Fraction of the requested pace below which simulated time is reported as slow
+MIN_REPORT_TIME = 1.0  #: Shortest real time over which the pace is measured [s]
+STANDSTILL = 0.5  #: Real time without a step after which simulated time counts as standing [s]
+#: Real time after which a time is published again while others have to catch up with it [s]
 REPEAT_PERIOD = 0.02
-"""Real time after which a time is published again while others have to catch up with it [s]."""
 
 
 class SimulatedClock:
@@ -42,7 +37,6 @@ class SimulatedClock:
     Args:
         node: Node that owns the publisher of /clock.
         period: Step of simulated time [s].
-        real_time_factor: Speed of simulated over real time.
         patience: Real time for which a node that lags behind is waited for [s].
         real_time: Returns real time, from any origin [s].
 
@@ -83,7 +77,6 @@ class SimulatedClock:
         """Let time go on as far as a participant is concerned, and wait for it from then on.
 
         Args:
-            name: Name of the participant.
             until: Simulated time [s].
         """
         self._lockstep.permit(name, until)
@@ -166,7 +159,6 @@ class SimulatedClock:
         """Return the age of a stamp [s]; 0 for a zero stamp, which means now.
 
         Args:
-            stamp: Stamp of a message.
             max_lead: Largest time that it may be ahead of now [s].
 
         Raises:

@@ -12,8 +12,8 @@ from omniman_ros.nodes.clock_parameters import ClockParameters
 from omniman_ros.simulation.plant.imu import ImuSensorParameters
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 
+#: Rate of /clock [Hz] below which a step is longer than some nodes let it be ahead of them
 SLOWEST_CLOCK = 100.0
-"""Rate of /clock [Hz] below which a step is longer than some nodes let it be ahead of them."""
 
 
 @dataclass(frozen=True, kw_only=True)

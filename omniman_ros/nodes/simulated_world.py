@@ -20,13 +20,9 @@ if TYPE_CHECKING:
 
 
 class SimulatedWorldNode(DriveSimulationNode[SimulatedWorldParameters]):
-    """Drives on a robot in a physics world, of which it also publishes what there is to sense.
+    """Drives on a robot in a physics world, of which it also publishes what there is to sense."""
 
-    Attributes:
-        world: The world.
-    """
-
-    world: "World"
+    world: "World"  #: The world
     _arm_link: WorldArmLink | None = None
 
     def __init__(self, **options: object) -> None:
@@ -45,9 +41,6 @@ class SimulatedWorldNode(DriveSimulationNode[SimulatedWorldParameters]):
 
     def make_body(self, parameters: SimulatedWorldParameters) -> "World":
         """Return the robot in its scene.
-
-        Args:
-            parameters: Parameters of the node.
 
         Raises:
             ParameterError: The scene or a parameter is refused, or the robot would start in
@@ -78,7 +71,6 @@ class SimulatedWorldNode(DriveSimulationNode[SimulatedWorldParameters]):
 
         Args:
             now: Time of the drives' clock [s].
-            stamp: Stamp of the messages.
         """
         super().report_step(now, stamp)
         self._world_reports.publish(stamp)

@@ -9,8 +9,8 @@ from omniman_ros.nodes.simulated_drive_parameters import SimulatedDriveParameter
 from omniman_ros.simulation.world.parameters import WorldParameters
 from omniman_ros.simulation.world.scanner_parameters import ScannerParameters
 
+#: Rate of the arm's controller [Hz]; it must not have to run twice for a step of /clock
 CONTROLLER_RATE = 125.0
-"""Rate of the arm's controller [Hz]; it must not have to run twice for a step of /clock."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,12 +16,11 @@ from omniman_ros.nodes.topic_publishers import topic_publishers
 
 M = TypeVar("M")
 
-SURVEY_PERIOD = 0.25
-"""Period at which is looked who publishes [s]."""
+SURVEY_PERIOD = 0.25  #: Period at which is looked who publishes [s]
+#: Time for which a robot must be blind until that is logged [s]: at the start it is, shortly
 REPORT_DELAY = 1.0
-"""Time for which a robot must be blind until that is logged [s]: at the start it is, shortly."""
+#: Time after the start at which is logged what the robot sees by [s]: others start, too
 START_TIME = 3.0
-"""Time after the start at which is logged what the robot sees by [s]: others start, too."""
 
 
 class SourceWatch:
@@ -29,7 +28,6 @@ class SourceWatch:
 
     Args:
         node: Node that receives the messages.
-        frames: Transforms of the node.
     """
 
     def __init__(self, node: OmnimanNode, frames: FrameTransforms) -> None:
@@ -52,11 +50,9 @@ class SourceWatch:
         """Subscribe to a source's topic.
 
         Args:
-            kind: Type of the messages.
             source: Is told of each message whether all of it could be used.
             headers: Returns the headers whose transforms a message waits for.
             handler: Handles a message as in `OmnimanNode.guarded`.
-            qos: Quality of service.
         """
 
         def handle(message: M) -> str | None:

@@ -18,8 +18,6 @@ class StationStream:
 
     Args:
         node: Node that owns topics, timers and the clock.
-        settings: Parameters of the node.
-        core: The station keeper.
 
     Attributes:
         monitor: Monitor of the source that drives the platform, and of stopped nodes.

@@ -12,18 +12,15 @@ from omniman_ros.core.stop import ResetRefusedError, StopLatch, StopState, StopS
 from omniman_ros.nodes.emergency_interface import MISSED, RELAY, TOPIC, EmergencyInterface
 from omniman_ros.nodes.omniman_node import OmnimanNode
 
+#: Topic on which each node that moves something publishes its stop state
 STOP_STATE = "stop_state"
-"""Topic on which each node that moves something publishes its stop state."""
-ENDING = "ending"
-"""Key of the value that says that a node is stopped because it ends in order."""
+ENDING = "ending"  #: Key of the value that says that a node is stopped because it ends in order
 LATCHED = QoSProfile(
     depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
-)
-"""Quality of service of a topic whose last message reaches late subscribers."""
+)  #: Quality of service of a topic whose last message reaches late subscribers
 ALL_LATCHED = QoSProfile(
     depth=50, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
-)
-"""Quality of service of a subscription to the last messages of many latched publishers."""
+)  #: Quality of service of a subscription to the last messages of many latched publishers
 _LEVELS = {
     StopState.RUNNING: DiagnosticStatus.OK,
     StopState.HOLDING: DiagnosticStatus.WARN,

@@ -12,8 +12,7 @@ from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.rclpy_compat import subscribe_with_source_time
 from omniman_ros.nodes.stop_interface import ALL_LATCHED, LATCHED, STOP_STATE, publisher_nodes
 
-REPETITION = 5.0
-"""Longest time after a report in which an older one may be delivered again [s]."""
+REPETITION = 5.0  #: Longest time after a report in which an older one may be delivered again [s]
 
 
 class StreamMonitorInterface:
@@ -24,7 +23,6 @@ class StreamMonitorInterface:
 
     Args:
         node: Node that sends references.
-        monitor: Monitor to update.
         on_update: Called after each message, to give up a stream that is no longer followed.
     """
 

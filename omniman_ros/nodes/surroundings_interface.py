@@ -22,8 +22,6 @@ class SurroundingsInterface:
 
     Args:
         node: Node that receives the messages.
-        frames: Transforms of the node.
-        parameters: Parameters.
     """
 
     def __init__(

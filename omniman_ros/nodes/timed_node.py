@@ -17,10 +17,9 @@ from omniman_ros.core.stamps import MAX_LEAD, REQUEST_LEAD, demand_not_ahead
 from omniman_ros.nodes.clock_follower import ClockFollower
 from omniman_ros.nodes.rclpy_compat import nanoseconds
 
-CLOCK_READING_TIME = 1e-4
-"""Time within which two clocks count as read simultaneously [s]."""
+CLOCK_READING_TIME = 1e-4  #: Time within which two clocks count as read simultaneously [s]
+#: Number of attempts to read two clocks simultaneously: other threads may run in between
 CLOCK_READING_ATTEMPTS = 5
-"""Number of attempts to read two clocks simultaneously: other threads may run in between."""
 
 
 class NoTimeError(InputError):
@@ -120,7 +119,6 @@ class TimedNode(Node):
         """Return the age of a stamp in ROS time [s]; 0 for a zero stamp, which means now.
 
         Args:
-            stamp: Stamp of a message.
             max_lead: Largest time that it may be ahead of now [s].
 
         Raises:
@@ -139,9 +137,6 @@ class TimedNode(Node):
 
     def demand_not_ahead(self, stamp: Stamp) -> None:
         """Check the stamp of a request, which does not age; before there is a time, any will do.
-
-        Args:
-            stamp: Stamp of a message.
 
         Raises:
             InputError: The stamp is ahead by more than `REQUEST_LEAD`.
@@ -174,7 +169,6 @@ class TimedNode(Node):
         does between the readings of two clocks: messages keep their order.
 
         Args:
-            stamp: Stamp of a message.
             max_lead: Largest time that it may be ahead of now [s].
 
         Raises:

@@ -15,8 +15,7 @@ from omniman_ros.nodes.collision_monitor_parameters import CollisionMonitorParam
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 
-POSTURE_TOLERANCE = 0.02
-"""Rotation of a joint up to which the robot's outline stays [rad]."""
+POSTURE_TOLERANCE = 0.02  #: Rotation of a joint up to which the robot's outline stays [rad]
 
 
 class UnseenInterface:
@@ -24,8 +23,6 @@ class UnseenInterface:
 
     Args:
         node: Node that receives the messages.
-        settings: Parameters of the node.
-        core: The monitor.
     """
 
     def __init__(
@@ -69,9 +66,7 @@ class UnseenInterface:
         """Return the limit of the platform's speed.
 
         Args:
-            robot: State of the robot.
             demands: Motions (9,) that are asked for.
-            sees_arm: Whether the arm's posture is known.
         """
         p = self._settings.value.unseen
         if not p.use or self._latest is None:

@@ -43,7 +43,6 @@ class WheelReportPublisher:
         """Publish the motors' voltages, currents and energies.
 
         Args:
-            link: The drives.
             dt: Time since the last call, by which the energies grow [s].
         """
         self._electrical.publish(electrical_message(link.electrical(dt)))

@@ -13,10 +13,8 @@ from omniman_ros.simulation.plant.simulated_drives import SimulatedDrives
 if TYPE_CHECKING:
     from omniman_ros.simulation.world.arm_servo import ArmServo
 
-PARTICIPANT = "the arm's controller"
-"""Name under which simulated time waits for the controller."""
-SILENCE = 1.0
-"""Time without a setpoint after which a controller counts as lost [s]."""
+PARTICIPANT = "the arm's controller"  #: Name under which simulated time waits for the controller
+SILENCE = 1.0  #: Time without a setpoint after which a controller counts as lost [s]
 
 
 class WorldArmLink:
@@ -27,9 +25,7 @@ class WorldArmLink:
 
     Args:
         node: Node that logs warnings.
-        servo: The servo.
         drives: Drives of the same world, whose clock is the node's.
-        port: Number of the TCP port.
         clock: Simulated time that the node gives; None on real time.
 
     Raises:

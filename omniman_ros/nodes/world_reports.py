@@ -26,7 +26,6 @@ class WorldReportPublisher:
     Args:
         node: Node that owns the publishers.
         world: The world.
-        parameters: Parameters of the node.
     """
 
     def __init__(
@@ -43,11 +42,7 @@ class WorldReportPublisher:
         self._count, self._is_touched = 0, False
 
     def publish(self, stamp: Time) -> None:
-        """Publish what is due in one report.
-
-        Args:
-            stamp: Stamp of the messages.
-        """
+        """Publish what is due in one report."""
         p = self._parameters
         self._count += 1
         contacts = self._world.contacts

@@ -8,32 +8,22 @@ import numpy as np
 from omniman_ros.core.arrays import Array
 from omniman_ros.perception.scan import Indices, Mask, View
 
-NONE = -1
-"""Label of a point that belongs to no track."""
-LEAST_RADIUS = 0.03
-"""Smallest radius of a disc [m]."""
-STEPS = 3
-"""Number of steps of the fit of a disc."""
+NONE = -1  #: Label of a point that belongs to no track
+LEAST_RADIUS = 0.03  #: Smallest radius of a disc [m]
+STEPS = 3  #: Number of steps of the fit of a disc
+#: Weight of the expected centre, in points: where an arc is short, its centre is uncertain across
 PRIOR = 0.01
-"""Weight of the expected centre, in points: where an arc is short, its centre is uncertain
-across."""
+#: Distance by which a neighbouring beam must end earlier to hide a part of a thing [m]
 HIDING = 0.1
-"""Distance by which a neighbouring beam must end earlier to hide a part of a thing [m]."""
 
 
 @dataclass(frozen=True)
 class Clusters:
-    """Groups of points that follow one another in a scan.
+    """Groups of points that follow one another in a scan."""
 
-    Attributes:
-        begins: (C,) index of the first point of each.
-        counts: (C,) number of points of each.
-        number: (N,) number of the cluster of each point.
-    """
-
-    begins: Indices
-    counts: Indices
-    number: Indices
+    begins: Indices  #: (C,) index of the first point of each
+    counts: Indices  #: (C,) number of points of each
+    number: Indices  #: (N,) number of the cluster of each point
 
     @staticmethod
     def of(points: Array, gaps: Array, labels: Indices | None = None) -> "Clusters":
@@ -75,17 +65,11 @@ class Clusters:
 
 @dataclass(frozen=True)
 class Outlines:
-    """What the points of clusters tell of the discs behind them.
+    """What the points of clusters tell of the discs behind them."""
 
-    Attributes:
-        radii: (C,) radii of the discs that fill the angles of the clusters [m].
-        is_whole: (C,) whether nothing hides a side of the cluster.
-        centers: (C, 2) centres by these radii [m].
-    """
-
-    radii: Array
-    is_whole: Mask
-    centers: Array
+    radii: Array  #: (C,) radii of the discs that fill the angles of the clusters [m]
+    is_whole: Mask  #: (C,) whether nothing hides a side of the cluster
+    centers: Array  #: (C, 2) centres by these radii [m]
 
     @staticmethod
     def of(clusters: Clusters, points: Array, view: View, partial_radius: float) -> "Outlines":
@@ -95,9 +79,7 @@ class Outlines:
         is at d - r.
 
         Args:
-            clusters: The clusters.
             points: Their points in odom [m].
-            view: What is seen beside them.
             partial_radius: Radius of what is hidden in part [m].
         """
         away = points - view.origin

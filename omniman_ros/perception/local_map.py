@@ -22,10 +22,9 @@ HIT, MISS = 0.9, 0.4
 """What a beam that ends in a cell adds to its log-odds, and one that passes takes away."""
 LOWEST, HIGHEST = -2.0, 3.5
 """Bounds of the log-odds: a change of the world is believed after some beams."""
+#: Log-odds from which a cell belongs to something that stands: two beams that ended there
 STANDS = 1.6
-"""Log-odds from which a cell belongs to something that stands: two beams that ended there."""
-FREE = -0.7
-"""Log-odds up to which a cell was seen free: two beams that passed."""
+FREE = -0.7  #: Log-odds up to which a cell was seen free: two beams that passed
 _AROUND = [(row, column) for row in (-1, 0, 1) for column in (-1, 0, 1)]
 
 
@@ -77,7 +76,6 @@ class LocalMap:
         """Enter what was seen.
 
         Args:
-            view: How far one sees.
             hits: (M, 2) points in odom of what stands [m].
             reach: Distance up to which free space counts [m].
         """

@@ -22,50 +22,37 @@ from omniman_ros.perception.track import Track, TrackedObstacle
 from omniman_ros.perception.unseen import UnseenSpace
 from omniman_ros.planning.obstacles.tracking import TrackingParameters
 
-OWN_MARGIN = 0.05
-"""Distance around the robot's own parts within which points are its own [m]."""
+OWN_MARGIN = 0.05  #: Distance around the robot's own parts within which points are its own [m]
+#: Time after a jump of the odometry during which scans are not used [s]: a robot that is moved by
+#: hand, or by a simulation, is not moved at the same moment as its odometry.
 SETTLING_TIME = 0.1
-"""Time after a jump of the odometry during which scans are not used [s]: a robot that is moved by
-hand, or by a simulation, is not moved at the same moment as its odometry."""
+#: Distance from the outline of a track up to which points are its own, whatever the map says [m]
 NEAR = 0.15
-"""Distance from the outline of a track up to which points are its own, whatever the map says
-[m]."""
 SPLIT, STANDING_SPLIT = 0.3, 0.1
 """Distance from the outline of a track that walks, and of one that stands, up to which points are
 not those of another one [m]."""
-LEAST_POINTS = 3
-"""Number of points with which a track begins."""
+LEAST_POINTS = 3  #: Number of points with which a track begins
+#: Share of a thing's points that must lie where free space was seen, as evidence of motion
 LEAST_SHARE = 0.2
-"""Share of a thing's points that must lie where free space was seen, as evidence of motion."""
+#: Distance outside of a track up to which the middle of points is a part of it [m]
 ABSORBING = 0.1
-"""Distance outside of a track up to which the middle of points is a part of it [m]."""
+#: Distance of two discs, in the sum of their radii, below which they are in one place
 OVERLAP = 0.5
-"""Distance of two discs, in the sum of their radii, below which they are in one place."""
+#: Distance behind the middle of a disc, in its radius, from which on a point cannot be on it
 BEHIND = 0.4
-"""Distance behind the middle of a disc, in its radius, from which on a point cannot be on it."""
-MOSTLY = 0.6
-"""Share of a thing's points in what stands from which it is not somebody who walks."""
-LEFT_RADIUS = 0.1
-"""Radius of the place that a thing must have left, as evidence of motion [m]."""
-ENDLESS = 1e6
-"""Cost of a pair that is not possible."""
+MOSTLY = 0.6  #: Share of a thing's points in what stands from which it is not somebody who walks
+LEFT_RADIUS = 0.1  #: Radius of the place that a thing must have left, as evidence of motion [m]
+ENDLESS = 1e6  #: Cost of a pair that is not possible
 
 
 @dataclass(frozen=True)
 class _Points:
-    """Points of a scan in odom, in the order of their beams.
+    """Points of a scan in odom, in the order of their beams."""
 
-    Attributes:
-        places: (N, 2) [m].
-        gaps: (N,) distances from which each does not belong to the one before [m].
-        stand: (N,) whether the map says that something stands there.
-        is_wide: (N,) whether they are a part of something wide.
-    """
-
-    places: Array
-    gaps: Array
-    stand: Mask
-    is_wide: Mask
+    places: Array  #: (N, 2) [m]
+    gaps: Array  #: (N,) distances from which each does not belong to the one before [m]
+    stand: Mask  #: (N,) whether the map says that something stands there
+    is_wide: Mask  #: (N,) whether they are a part of something wide
 
 
 class ObstacleTracker:
@@ -82,8 +69,8 @@ class ObstacleTracker:
         unseen: People who are not seen.
 
     Attributes:
-        parameters: As above; may be replaced.
-        motion: As above; tracks keep what they began with.
+        parameters: May be replaced.
+        motion: Tracks keep what they began with.
         map: Map of what stands.
         unseen: Where somebody may be who is not seen; kept while its speed is above 0.
         time: Time up to which scans were used [s].
@@ -156,9 +143,7 @@ class ObstacleTracker:
         """Use a scan; return whether it was entered in the map.
 
         Args:
-            scan: The scan.
             own: Footprint of the robot in its present posture.
-            scanner: Number of the scanner.
 
         Raises:
             InputError: The odometry does not cover the time of the scan; nothing is changed then.

@@ -9,10 +9,8 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.stamps import TIME_JUMP
 
-SPAN = 2.0
-"""Time for which poses are kept [s]."""
-LEAD = 0.1
-"""Largest time by which the newest pose is extrapolated at its velocity [s]."""
+SPAN = 2.0  #: Time for which poses are kept [s]
+LEAD = 0.1  #: Largest time by which the newest pose is extrapolated at its velocity [s]
 JUMP, FASTEST = 0.2, 3.0
 """Distance by which a pose may be off what the last one predicts [m], and its growth with time
 [m/s]; a larger one is a reset."""

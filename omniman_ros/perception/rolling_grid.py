@@ -17,7 +17,6 @@ def centered_corner(center: Array, resolution: float, count: int) -> Indices:
     Args:
         center: (2,) the place in odom [m].
         resolution: Edge of a cell [m].
-        count: Number of cells of a row.
     """
     corner: Indices = np.floor(center / resolution).astype(np.intp) - count // 2
     return corner
@@ -54,7 +53,6 @@ def grown(cells: Mask, steps: int, first: int = 0) -> Mask:
 
     Args:
         cells: The cells, rows along y.
-        steps: Number of steps.
         first: Number of steps that went before.
     """
     result = cells.copy()

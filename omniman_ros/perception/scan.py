@@ -11,43 +11,31 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.rigid import PlanarPose
 
-Mask = NDArray[np.bool_]
-"""Flags of beams, points or tracks."""
-Indices = NDArray[np.intp]
-"""Numbers of beams, points or tracks."""
+Mask = NDArray[np.bool_]  #: Flags of beams, points or tracks
+Indices = NDArray[np.intp]  #: Numbers of beams, points or tracks
 
-MOST_BEAMS = 100_000
-"""Largest number of beams of a scan."""
+MOST_BEAMS = 100_000  #: Largest number of beams of a scan
 
 
 @dataclass(frozen=True)
 class Scan:
     """Ranges of one revolution of a scanner, or of a cloud that was cut at a height.
 
-    Attributes:
-        time: Time of the first beam on the caller's clock [s].
-        ranges: (N,) distances [m]; as in REP 117, inf where a beam meets nothing up to `range_max`
-            and -inf where it meets something nearer than the scanner can measure; NaN or 0 where
-            nothing is known.
-        angle_min: Direction of the first beam in the scanner's frame [rad].
-        increment: Angle between two beams, negative if they turn to the right [rad].
-        range_max: Longest range [m].
-        mount: Pose of the scanner in base_link [m, m, rad].
-        beam_time: Time between two beams [s].
-        heights: Heights above the floor between which it sees [m].
-
     Raises:
         InputError: There are no beams or too many, or a number is not finite or out of range.
     """
 
-    time: float
+    time: float  #: Time of the first beam on the caller's clock [s]
+    #: (N,) distances [m]; as in REP 117, inf where a beam meets nothing up to `range_max` and -inf
+    #: where it meets something nearer than the scanner can measure; NaN or 0 where nothing is
+    #: known.
     ranges: Array
-    angle_min: float
-    increment: float
-    range_max: float
-    mount: PlanarPose
-    beam_time: float = 0.0
-    heights: tuple[float, float] = (0.0, 0.0)
+    angle_min: float  #: Direction of the first beam in the scanner's frame [rad]
+    increment: float  #: Angle between two beams, negative if they turn to the right [rad]
+    range_max: float  #: Longest range [m]
+    mount: PlanarPose  #: Pose of the scanner in base_link [m, m, rad]
+    beam_time: float = 0.0  #: Time between two beams [s]
+    heights: tuple[float, float] = (0.0, 0.0)  #: Heights above the floor between which it sees [m]
 
     def __post_init__(self) -> None:
         ranges = self.ranges
@@ -99,19 +87,13 @@ def placed(points: Array, poses: Array) -> Array:
 
 @dataclass(frozen=True)
 class View:
-    """How far one can see from a place: a scan as if all its beams had been measured at once.
+    """How far one can see from a place: a scan as if all its beams had been measured at once."""
 
-    Attributes:
-        origin: (2,) the place in odom [m].
-        first: Direction of the middle of the first sector in odom [rad].
-        sector: Angle of a sector [rad].
-        ranges: (N,) distance of the nearest thing in each sector [m]; inf where there is none up
-            to the longest range, NaN where nothing is known.
-    """
-
-    origin: Array
-    first: float
-    sector: float
+    origin: Array  #: (2,) the place in odom [m]
+    first: float  #: Direction of the middle of the first sector in odom [rad]
+    sector: float  #: Angle of a sector [rad]
+    #: (N,) distance of the nearest thing in each sector [m]; inf where there is none up to the
+    #: longest range, NaN where nothing is known.
     ranges: Array
 
     @staticmethod
@@ -119,7 +101,6 @@ class View:
         """Return the view from where the scanner was at the end of a scan.
 
         Args:
-            scan: The scan.
             pose: Pose of base_link at its end in odom [m, m, rad].
             beams: (M,) numbers of the beams that met something.
             points: (M, 2) what they met, in odom [m].
@@ -173,7 +154,6 @@ class View:
         Args:
             origin: (2,) corner of the first cell in odom [m].
             resolution: Edge of a cell [m].
-            count: Number of cells of a row.
             reach: Distance up to which free space counts [m].
 
         Returns:

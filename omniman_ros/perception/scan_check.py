@@ -11,8 +11,7 @@ from omniman_ros.perception.scan import Scan
 
 MOVED, TURNED = 0.02, 0.01
 """Distance [m] and angle [rad] by which the robot must have moved for its scan to change."""
-LEAST_HITS = 10
-"""Number of beams that must meet something for a scan to be recognised."""
+LEAST_HITS = 10  #: Number of beams that must meet something for a scan to be recognised
 
 
 @dataclass(frozen=True)
@@ -69,7 +68,6 @@ class ScanCheck:
         """Return why a scan must not be used, or an empty string.
 
         Args:
-            scan: The scan.
             pose: (3,) pose of the robot at its end in odom [m, m, rad].
             parameters: What it must have.
         """

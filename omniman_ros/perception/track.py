@@ -9,18 +9,14 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.perception.parameters import TrackerParameters
 from omniman_ros.planning.obstacles.tracking import ObstacleTrack, TrackingParameters
 
-MOST_MISSES = 3
-"""Number of scans in a row that look through a thing after which it is gone."""
+MOST_MISSES = 3  #: Number of scans in a row that look through a thing after which it is gone
+#: Number of scans that must show a thing where nothing was, before it counts as moving
 EVIDENCE = 3
-"""Number of scans that must show a thing where nothing was, before it counts as moving."""
-SIGNIFICANT = 3.0
-"""Ratio of a speed to its standard deviation from which something may be moving."""
-AT_REST = 0.1
-"""Speed up to which something that moved is at rest [m/s]."""
-WALKING = 0.3
-"""Speed from which something moves right now [m/s]."""
+SIGNIFICANT = 3.0  #: Ratio of a speed to its standard deviation from which something may be moving
+AT_REST = 0.1  #: Speed up to which something that moved is at rest [m/s]
+WALKING = 0.3  #: Speed from which something moves right now [m/s]
+#: Number of scans in a row as a part of something wide after which a thing belongs to it
 MOST_LIKE_STRUCTURE = 10
-"""Number of scans in a row as a part of something wide after which a thing belongs to it."""
 GATE, STANDING_GATE = 0.25, 0.15
 """Mean distance of points from the outline up to which they may be a track's [m]: of one that
 walks, and of one that stands."""
@@ -31,40 +27,28 @@ GATE_GROWTH, WIDEST_GATE = 0.8, 1.2
 
 @dataclass(frozen=True)
 class TrackedObstacle:
-    """Something that moves, or that has moved and rests.
+    """Something that moves, or that has moved and rests."""
 
-    Attributes:
-        number: Its identity.
-        time: Time of this state [s].
-        center: (x, y) in odom [m].
-        velocity: (x, y) in odom [m/s].
-        radius: Radius [m].
-        covariance: Variances of each component of position [m^2] and velocity [m^2/s^2], and
-            their covariance [m^2/s] in between.
-        age: Time since it was first seen [s].
-        silence: Time since it was last seen [s]; above 0 while it is hidden.
-    """
-
-    number: int
-    time: float
-    center: tuple[float, float]
-    velocity: tuple[float, float]
-    radius: float
+    number: int  #: Its identity
+    time: float  #: Time of this state [s]
+    center: tuple[float, float]  #: (x, y) in odom [m]
+    velocity: tuple[float, float]  #: (x, y) in odom [m/s]
+    radius: float  #: Radius [m]
+    #: Variances of each component of position [m^2] and velocity [m^2/s^2], and their covariance
+    #: [m^2/s] in between.
     covariance: tuple[float, float, float]
-    age: float
-    silence: float
+    age: float  #: Time since it was first seen [s]
+    silence: float  #: Time since it was last seen [s]; above 0 while it is hidden
 
 
 class Track:
     """A thing by its disc, from the scan on in which it was first seen.
 
     Args:
-        number: Its identity.
         time: Time of the first scan [s].
         center: (2,) centre in odom [m].
         radius: Radius [m].
         front: (2,) point of the outline that faces the scanner [m].
-        motion: Noise and largest acceleration for the filter.
 
     Attributes:
         number: Its identity.
@@ -160,7 +144,6 @@ class Track:
         Args:
             time: The time [s].
             is_new_place: Whether it is seen where free space was, or its first place is free now.
-            p: Parameters.
         """
         speed = math.hypot(*self._filter.velocity)
         if self.is_moving:

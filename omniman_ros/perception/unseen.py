@@ -17,10 +17,8 @@ from omniman_ros.perception.parameters import UnseenParameters
 from omniman_ros.perception.rolling_grid import centered_corner, grown, shifted
 from omniman_ros.perception.scan import Mask, View
 
-RESOLUTION = 0.1
-"""Edge of a cell [m]."""
-HORIZON = 3.0
-"""Time up to which arrivals are looked at [s]."""
+RESOLUTION = 0.1  #: Edge of a cell [m]
+HORIZON = 3.0  #: Time up to which arrivals are looked at [s]
 
 
 class UnseenSpace:
@@ -31,11 +29,10 @@ class UnseenSpace:
     if something stands there, or the robot does. What lies outside of the grid is not seen.
 
     Args:
-        parameters: Speed and radius of people.
         size: Edge of the grid [m].
 
     Attributes:
-        parameters: As above; may be replaced.
+        parameters: May be replaced.
         corner: (2,) column and row of the first cell in odom, counted from the origin of odom.
         hidden: (n, n) whether somebody may be there, rows along y.
     """
@@ -74,7 +71,6 @@ class UnseenSpace:
 
         Args:
             time: Time of the view [s].
-            view: How far one sees.
             reach: Distance up to which free space counts [m].
             met: (M, 2) points in odom that beams have met [m].
             standing: (K, 2) points in odom of what stands, through which nobody goes [m].

@@ -17,38 +17,25 @@ import numpy as np
 
 from omniman_ros.core.arrays import Array
 
-Pose = tuple[float, float, float]
-"""Pose x, y, heading in `odom` [m, m, rad]."""
+Pose = tuple[float, float, float]  #: Pose x, y, heading in `odom` [m, m, rad]
 
-LENGTH = 0.8
-"""Length of the robot that the cases are made for [m]."""
-WIDTH = 0.5
-"""Width of the robot that the cases are made for [m]."""
-RADIUS = 0.3
-"""Radius of all obstacles [m]."""
-GAP = 0.72
-"""Gap between neighbours in the corridor case [m]."""
-LEAN = 0.5
-"""Angle of the corridor's row of circles from the y axis [rad]."""
+LENGTH = 0.8  #: Length of the robot that the cases are made for [m]
+WIDTH = 0.5  #: Width of the robot that the cases are made for [m]
+RADIUS = 0.3  #: Radius of all obstacles [m]
+GAP = 0.72  #: Gap between neighbours in the corridor case [m]
+LEAN = 0.5  #: Angle of the corridor's row of circles from the y axis [rad]
+#: Direction of the goal of the free case, as seen from the robot [rad]
 SIDEWAYS = math.radians(70.0)
-"""Direction of the goal of the free case, as seen from the robot [rad]."""
 
 
 @dataclass(frozen=True)
 class TwoVelocityPath:
-    """Path of a point that moves at one velocity until a time, then at another one.
+    """Path of a point that moves at one velocity until a time, then at another one."""
 
-    Attributes:
-        place: (x, y) at time 0 [m].
-        velocity: (x, y) velocity from time 0 on [m/s].
-        time: Time at which the velocity changes [s]; infinity if it never does.
-        then: (x, y) velocity from that time on [m/s].
-    """
-
-    place: tuple[float, float]
-    velocity: tuple[float, float] = (0.0, 0.0)
-    time: float = math.inf
-    then: tuple[float, float] = (0.0, 0.0)
+    place: tuple[float, float]  #: (x, y) at time 0 [m]
+    velocity: tuple[float, float] = (0.0, 0.0)  #: (x, y) velocity from time 0 on [m/s]
+    time: float = math.inf  #: Time at which the velocity changes [s]; infinity if it never does
+    then: tuple[float, float] = (0.0, 0.0)  #: (x, y) velocity from that time on [m/s]
 
     def __call__(self, now: float) -> Array:
         """Return the position (2,) [m] at a time [s]."""
@@ -66,21 +53,13 @@ class TwoVelocityPath:
 
 @dataclass(frozen=True)
 class Case:
-    """A test case.
+    """A test case."""
 
-    Attributes:
-        name: Name of the case.
-        start: Pose of the robot at the start, in odom [m, m, rad].
-        goal: Goal of the robot, in odom [m, m, rad].
-        ways: Paths of the obstacles, which are circles.
-        radius: Radius of the obstacles [m].
-    """
-
-    name: str
-    start: Pose
-    goal: Pose
-    ways: tuple[TwoVelocityPath, ...] = ()
-    radius: float = RADIUS
+    name: str  #: Name of the case
+    start: Pose  #: Pose of the robot at the start, in odom [m, m, rad]
+    goal: Pose  #: Goal of the robot, in odom [m, m, rad]
+    ways: tuple[TwoVelocityPath, ...] = ()  #: Paths of the obstacles, which are circles
+    radius: float = RADIUS  #: Radius of the obstacles [m]
 
     def fitting(self, length: float, width: float) -> "Case":
         """Return the case for a robot of another size [m]: lengths and speeds scale with it."""
@@ -99,7 +78,6 @@ class Case:
 
 
 def _times(pair: tuple[float, float], factor: float) -> tuple[float, float]:
-    """Return a pair of numbers multiplied by a factor."""
     return pair[0] * factor, pair[1] * factor
 
 
@@ -117,8 +95,7 @@ _CROSSING = (
     # This obstacle suddenly moves into the robot's path.
     TwoVelocityPath((4.4, 1.7), (0.0, -0.15), 4.5, (0.0, -0.9)),
     TwoVelocityPath((5.4, -3.4), (0.0, 0.5)),
-)
-"""Paths of the obstacles of the moving case."""
+)  #: Paths of the obstacles of the moving case
 
 CASES: Mapping[str, Case] = MappingProxyType(
     {
@@ -130,5 +107,4 @@ CASES: Mapping[str, Case] = MappingProxyType(
             Case("moving", (0.0, 0.0, 0.0), (6.5, 0.0, 0.0), _CROSSING),
         )
     }
-)
-"""Test cases by name."""
+)  #: Test cases by name

@@ -8,8 +8,7 @@ from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 
-AT_REST = 0.02
-"""Speed below which the robot, or an obstacle, counts as standing [m/s, rad/s]."""
+AT_REST = 0.02  #: Speed below which the robot, or an obstacle, counts as standing [m/s, rad/s]
 
 
 class PlannerState(Enum):
@@ -41,18 +40,13 @@ class GoalOutcome(Enum):
 class MeasuredState:
     """State of the robot according to odometry.
 
-    Attributes:
-        time: Time of the measurement [s].
-        pose: (3,) pose of base_link in odom [m, m, rad].
-        twist: (3,) twist in base_link [m/s, m/s, rad/s].
-
     Raises:
         InputError: The shape is wrong, or a value is not finite or implausibly large.
     """
 
-    time: float
-    pose: Array
-    twist: Array
+    time: float  #: Time of the measurement [s]
+    pose: Array  #: (3,) pose of base_link in odom [m, m, rad]
+    twist: Array  #: (3,) twist in base_link [m/s, m/s, rad/s]
 
     def __post_init__(self) -> None:
         if self.pose.shape != (3,) or self.twist.shape != (3,):
@@ -67,25 +61,17 @@ class MeasuredState:
 
 @dataclass(frozen=True)
 class CycleReport:
-    """Result of a planning cycle.
+    """Result of a planning cycle."""
 
-    Attributes:
-        used: Whether the robot follows the new plan.
-        reason: Reason why it does not, or an empty string.
-        braking: Whether the robot brakes because no other motion is free of contact.
-        slack: Largest slack of the solution [m].
-        cost: Cost of the solution [J].
-        clear: Whether the motion that is followed keeps its clearance until it is at rest.
-        time_to_contact: Time until the first contact if robot and obstacles move as predicted
-            [s]; infinity if the motion is clear.
-        lateness: Time by which the plan was ready after it was due [s]; negative if it was early.
-    """
-
-    used: bool = False
-    reason: str = ""
-    braking: bool = False
-    slack: float = math.nan
-    cost: float = math.nan
+    used: bool = False  #: Whether the robot follows the new plan
+    reason: str = ""  #: Reason why it does not, or an empty string
+    braking: bool = False  #: Whether the robot brakes because no other motion is free of contact
+    slack: float = math.nan  #: Largest slack of the solution [m]
+    cost: float = math.nan  #: Cost of the solution [J]
+    #: Whether the motion that is followed keeps its clearance until it is at rest
     clear: bool = True
+    #: Time until the first contact if robot and obstacles move as predicted [s]; infinity if the
+    #: motion is clear.
     time_to_contact: float = math.inf
+    #: Time by which the plan was ready after it was due [s]; negative if it was early
     lateness: float = math.nan

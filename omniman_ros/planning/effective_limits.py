@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 from omniman_ros.planning.parameters import PlannerParameters
 
+#: Smallest scale of the limits [-]: without any speed there would be nothing to plan with
 MIN_LIMIT_SCALE = 0.01
-"""Smallest scale of the limits [-]: without any speed there would be nothing to plan with."""
 
 
 @dataclass(frozen=True)
@@ -14,16 +14,13 @@ class EffectiveLimits:
 
     Plans use `(1 - reserve) * limit_scale` of the velocity and acceleration limits. Braking uses
     `(1 - reserve) * braking_scale` of the deceleration limits.
-
-    Attributes:
-        parameters: Parameters of the planner.
-        limit_scale: Factor on velocity and acceleration limits [-]; 1 unless a wheel is dead, or
-            the arm's posture bears less. Values below MIN_LIMIT_SCALE are raised to it.
-        braking_scale: Factor on deceleration limits [-]; 1 unless the posture bears less.
     """
 
     parameters: PlannerParameters
+    #: Factor on velocity and acceleration limits [-]; 1 unless a wheel is dead, or the arm's
+    #: posture bears less. Values below MIN_LIMIT_SCALE are raised to it.
     limit_scale: float = 1.0
+    #: Factor on deceleration limits [-]; 1 unless the posture bears less
     braking_scale: float = 1.0
 
     def __post_init__(self) -> None:

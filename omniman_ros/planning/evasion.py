@@ -10,12 +10,9 @@ from omniman_ros.planning.mpc.solver import Solver
 from omniman_ros.planning.obstacles.pairs import Pairs
 from omniman_ros.planning.obstacles.separation import box_gap
 
-RANKED_DIRECTIONS = 16
-"""Number of directions that are compared to find the most promising one."""
-DIRECTION_STEP = 0.625 * math.pi
-"""Angle between successive directions [rad]."""
-NEAREST_OBSTACLES = 24
-"""Number of obstacles, the nearest ones, by which directions are compared."""
+RANKED_DIRECTIONS = 16  #: Number of directions that are compared to find the most promising one
+DIRECTION_STEP = 0.625 * math.pi  #: Angle between successive directions [rad]
+NEAREST_OBSTACLES = 24  #: Number of obstacles, the nearest ones, by which directions are compared
 
 
 class EvasionGuesses:
@@ -33,7 +30,6 @@ class EvasionGuesses:
         """Return the next guess.
 
         Args:
-            problem: Robot and limits.
             solver: Solver that will start from the guess.
             start: (6,) state where the plan begins: pose in odom, body twist.
             due: Time at which it begins [s].

@@ -20,10 +20,10 @@ from omniman_ros.planning.obstacles.environment import Environment
 from omniman_ros.planning.route.route_planner import CHECK_PERIOD, STATIC_SPEED, RoutePlanner
 from omniman_ros.planning.safety import Surroundings
 
+#: Growth of an obstacle's margin above which its velocity is not known yet [m/s]
 NEW_OBSTACLE_GROWTH = 0.15
-"""Growth of an obstacle's margin above which its velocity is not known yet [m/s]."""
+#: Time at rest before the goal is reached after which the robot counts as blocked [s]
 BLOCKED_TIME = 2.0
-"""Time at rest before the goal is reached after which the robot counts as blocked [s]."""
 
 
 class GoalTracker:
@@ -198,7 +198,6 @@ def require_reachable(goal: Goal, environment: Environment) -> None:
     A trajectory is not checked, as the obstacles at its time are not known.
 
     Args:
-        goal: Goal.
         environment: Outline of the robot, obstacles, moving ones included, workspace and map.
 
     Raises:
@@ -231,5 +230,4 @@ def require_reachable(goal: Goal, environment: Environment) -> None:
 
 
 def _is_standing(measured: MeasuredState) -> bool:
-    """Return whether the robot is at rest."""
     return float(np.abs(measured.twist).max()) < AT_REST

@@ -56,14 +56,11 @@ def _pose(pose: Array) -> Array:
 class PoseGoal:
     """Pose at which the robot comes to rest.
 
-    Attributes:
-        pose: (3,) pose in odom [m, m, rad].
-
     Raises:
         InputError: The pose is not finite or implausibly large.
     """
 
-    pose: Array
+    pose: Array  #: (3,) pose in odom [m, m, rad]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pose", _pose(self.pose))
@@ -93,16 +90,11 @@ class PoseGoal:
 
 @dataclass(frozen=True)
 class TrajectoryGoal:
-    """Goal that moves along a preview, and rests at its end.
+    """Goal that moves along a preview, and rests at its end."""
 
-    Attributes:
-        preview: Future motion to follow.
-        turns: Angle that is added to its headings, a multiple of 2 pi [rad].
-        frame: Pose in odom of the frame in which the preview is given [m, m, rad].
-    """
-
-    preview: Preview
-    turns: float = 0.0
+    preview: Preview  #: Future motion to follow
+    turns: float = 0.0  #: Angle that is added to its headings, a multiple of 2 pi [rad]
+    #: Pose in odom of the frame in which the preview is given [m, m, rad]
     frame: PlanarPose = (0.0, 0.0, 0.0)
 
     def targets(self, times: Array) -> tuple[Array, Array]:
@@ -137,17 +129,13 @@ class TrajectoryGoal:
 class StateGoal:
     """Pose to pass at a velocity, at a time that the robot chooses.
 
-    Attributes:
-        pose: (3,) pose in odom [m, m, rad].
-        velocity: (3,) velocity in odom [m/s, m/s, rad/s].
-        arrival: Time at which the pose is passed [s]; None until the robot is near enough.
-
     Raises:
         InputError: A value is not finite or implausibly large.
     """
 
-    pose: Array
-    velocity: Array
+    pose: Array  #: (3,) pose in odom [m, m, rad]
+    velocity: Array  #: (3,) velocity in odom [m/s, m/s, rad/s]
+    #: Time at which the pose is passed [s]; None until the robot is near enough
     arrival: float | None = None
 
     def __post_init__(self) -> None:

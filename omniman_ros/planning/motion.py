@@ -7,29 +7,19 @@ import numpy as np
 
 from omniman_ros.core.arrays import Array
 
-BRAKING_STEP = 0.05
-"""Time between two nodes while the robot brakes [s]."""
-REST_STEP = 0.1
-"""Time between two samples of a robot at rest [s]."""
-MIN_SPAN = 1e-6
-"""Time between two nodes below which they count as the same [s]."""
+BRAKING_STEP = 0.05  #: Time between two nodes while the robot brakes [s]
+REST_STEP = 0.1  #: Time between two samples of a robot at rest [s]
+MIN_SPAN = 1e-6  #: Time between two nodes below which they count as the same [s]
 
 
 @dataclass(frozen=True)
 class Motion:
-    """Nodes in time, joined by cubic Hermite polynomials; the robot rests outside of them.
+    """Nodes in time, joined by cubic Hermite polynomials; the robot rests outside of them."""
 
-    Attributes:
-        times: (K,) increasing times [s].
-        poses: (K, 3) poses of base_link in odom, headings not wrapped [m, m, rad].
-        velocities: (K, 3) velocities in odom [m/s, m/s, rad/s].
-        currents: (K - 1, n) motor currents from each node on [A]; NaN where none are planned.
-    """
-
-    times: Array
-    poses: Array
-    velocities: Array
-    currents: Array
+    times: Array  #: (K,) increasing times [s]
+    poses: Array  #: (K, 3) poses of base_link in odom, headings not wrapped [m, m, rad]
+    velocities: Array  #: (K, 3) velocities in odom [m/s, m/s, rad/s]
+    currents: Array  #: (K - 1, n) motor currents from each node on [A]; NaN where none are planned
 
     @staticmethod
     def of_states(start: float, step: float, states: Array, currents: Array) -> "Motion":
@@ -161,7 +151,6 @@ class Motion:
         Args:
             first: Time of the first sample [s].
             last: Time up to which samples go on if the motion is at rest before [s].
-            parts: Number of parts of each span.
 
         Returns:
             Times (K,), poses (K, 3) and velocities (K, 3).

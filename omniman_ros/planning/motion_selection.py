@@ -15,34 +15,26 @@ from omniman_ros.planning.mpc.model import PlanningModel
 from omniman_ros.planning.mpc.solver import Solution
 from omniman_ros.planning.safety import Surroundings
 
+#: Time by which contact must come later for another motion to be better than braking now [s]
 CONTACT_DELAY = 0.1
-"""Time by which contact must come later for another motion to be better than braking now [s]."""
+#: Increase of the smallest gap that makes a motion better if contact does not come sooner [m]
 GAP_GAIN = 0.005
-"""Increase of the smallest gap that makes a motion better if contact does not come sooner [m]."""
-PREVIEW_DURATION = 0.4
-"""Time for which a motion is sent ahead before the preview brakes [s]."""
-KEPT_PAST = 0.5
-"""Length of the past part of a motion that is kept [s]."""
+PREVIEW_DURATION = 0.4  #: Time for which a motion is sent ahead before the preview brakes [s]
+KEPT_PAST = 0.5  #: Length of the past part of a motion that is kept [s]
+#: Distance from the motion above which plans begin at the measured pose of the robot [m]
 REPLAN_POSITION_ERROR = 0.15
-"""Distance from the motion above which plans begin at the measured pose of the robot [m]."""
+#: Heading error above which plans begin at the measured pose of the robot [rad]
 REPLAN_HEADING_ERROR = 0.2
-"""Heading error above which plans begin at the measured pose of the robot [rad]."""
 
 
 @dataclass(frozen=True)
 class Proposal:
-    """Plans that may be used until they are due.
+    """Plans that may be used until they are due."""
 
-    Attributes:
-        due: Time at which the plans begin [s]; if they are ready after that, they are late.
-        solutions: Solutions of the solver: the improved last plan and, if that is unsatisfactory,
-            an evasion.
-        fault: Reason why there is no plan, or an empty string.
-    """
-
-    due: float
+    due: float  #: Time at which the plans begin [s]; if they are ready after that, they are late
+    #: Solutions of the solver: the improved last plan and, if that is unsatisfactory, an evasion
     solutions: tuple[Solution, ...] = ()
-    fault: str = ""
+    fault: str = ""  #: Reason why there is no plan, or an empty string
 
 
 @dataclass(frozen=True)
@@ -57,7 +49,6 @@ class MotionSelector:
     """Holds the motion that the robot follows, and replaces it by the best one available.
 
     Args:
-        model: Model of the robot.
         limits: Parameters of the planner and the limits in effect.
 
     Attributes:
@@ -107,7 +98,6 @@ class MotionSelector:
         """Return the largest distance of a point of the robot from its planned position [m].
 
         Args:
-            measured: State of the robot.
             radius: Distance of its farthest point from base_link [m].
         """
         pose, _ = self.motion.sample(measured.time)
@@ -120,7 +110,6 @@ class MotionSelector:
 
         Args:
             due: Time at which it begins [s].
-            measured: State of the robot.
             anchored: Whether the plan begins on the motion unless the robot is too far from it;
                 otherwise it always begins at the measured pose of the robot.
 

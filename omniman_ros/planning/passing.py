@@ -11,18 +11,15 @@ from omniman_ros.planning.effective_limits import EffectiveLimits
 from omniman_ros.planning.goals import StateGoal
 from omniman_ros.planning.parameters import Arrival
 
+#: Factor on the acceleration limit with which the robot reaches the velocity of a pose [-]
 RUN_UP_ACCELERATION = 0.7
-"""Factor on the acceleration limit with which the robot reaches the velocity of a pose [-]."""
-MAX_RUN_UP = 10.0
-"""Longest time to reach the velocity of a pose [s]."""
-APPROACH_SPEED = 0.5
-"""Factor on the speed limits at which the robot gets to the pose [-]."""
+MAX_RUN_UP = 10.0  #: Longest time to reach the velocity of a pose [s]
+APPROACH_SPEED = 0.5  #: Factor on the speed limits at which the robot gets to the pose [-]
+#: Time after the due time after which a pose that was not passed is scheduled again [s]
 RESCHEDULE_DELAY = 0.2
-"""Time after the due time after which a pose that was not passed is scheduled again [s]."""
+#: Factor on the arrival tolerances for a pose that is passed at a velocity [-]
 PASSING_TOLERANCE = 2.0
-"""Factor on the arrival tolerances for a pose that is passed at a velocity [-]."""
-PASSING_WINDOW = 0.1
-"""Time since the passing within which it is recognised [s]."""
+PASSING_WINDOW = 0.1  #: Time since the passing within which it is recognised [s]
 
 
 def scheduled(

@@ -18,21 +18,18 @@ from omniman_ros.planning.obstacles.pairs import Pairs
 from omniman_ros.planning.obstacles.walls import REACH, Walls
 from omniman_ros.planning.parameters import Horizon
 
-WALL_SLOTS = 8
-"""Number of additional obstacles in the optimisation where there are walls."""
+WALL_SLOTS = 8  #: Number of additional obstacles in the optimisation where there are walls
+#: Solver iterations on a problem without a warm start; with a warm start there is only one
 COLD_ITERATIONS = 5
-"""Solver iterations on a problem without a warm start; with a warm start there is only one."""
-EVASION_ITERATIONS = 4
-"""Solver iterations on an evasion."""
+EVASION_ITERATIONS = 4  #: Solver iterations on an evasion
+#: Solver iterations on an evasion near walls, which make each iteration slower
 EVASION_ITERATIONS_AT_WALLS = 2
-"""Solver iterations on an evasion near walls, which make each iteration slower."""
 
 
 class SolverPool:
     """Solvers for different numbers of obstacles, as empty slots cost computing time, too.
 
     Args:
-        model: Model of the robot.
         horizon: Steps of the horizon, and slots for obstacles.
     """
 
@@ -50,32 +47,21 @@ class SolverPool:
 
 @dataclass(frozen=True)
 class PlanRequest:
-    """One planning problem.
+    """One planning problem."""
 
-    Attributes:
-        start: (6,) state at which the plan begins: pose in odom, body twist.
-        due: Time at which the plan begins [s].
-        goal: Goal of the plan.
-        footprint: Outline of the robot.
-        obstacles: Obstacles as they are known now.
-        walls: Occupied cells of the map.
-        clearance: Gap to keep [m]; None means that of the parameters.
-    """
-
-    start: Array
-    due: float
+    start: Array  #: (6,) state at which the plan begins: pose in odom, body twist
+    due: float  #: Time at which the plan begins [s]
     goal: PlanTarget
-    footprint: Footprint
-    obstacles: Ellipses
-    walls: Walls
-    clearance: float | None = None
+    footprint: Footprint  #: Outline of the robot
+    obstacles: Ellipses  #: Obstacles as they are known now
+    walls: Walls  #: Occupied cells of the map
+    clearance: float | None = None  #: Gap to keep [m]; None means that of the parameters
 
 
 class PlanOptimizer:
     """Solves planning problems, each with a warm start from the plan before.
 
     Args:
-        model: Model of the robot.
         limits: Parameters of the planner and the limits in effect.
         solvers: Solvers of this model and horizon; they are built if it is None.
     """
@@ -119,7 +105,6 @@ class PlanOptimizer:
         """Improve the last plan, and try an evasion as an alternative.
 
         Args:
-            request: Planning problem.
             evade: Whether to try an evasion; it is only tried where there are obstacles.
 
         Returns:

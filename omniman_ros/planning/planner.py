@@ -40,7 +40,6 @@ class Planner:
 
     Args:
         parameters: Parameters; robot and horizon are fixed as long as the robot moves.
-        anchored: See below.
         solvers: Solvers of this robot and horizon; they are built if it is None.
 
     Attributes:
@@ -178,7 +177,6 @@ class Planner:
             change: Displacement in odom [m, m, rad]: the pose at which the odom frame would be if
                 it moved along.
             now: Time [s].
-            obstacles: Obstacles.
         """
         self._tracker.displace(change)
         self.update_route(now, obstacles, work=0)
@@ -288,7 +286,6 @@ class Planner:
 
         Args:
             now: Time [s].
-            obstacles: Obstacles.
             work: Largest work of a search in this call [expansions].
         """
         if self.route_planner is not None:

@@ -21,42 +21,33 @@ from omniman_ros.planning.obstacles.separation import (
 from omniman_ros.planning.obstacles.walls import Walls
 from omniman_ros.planning.obstacles.way_out import WayOut
 
+#: Number of parts into which the check divides each span between two nodes of a motion
 SPAN_PARTS = 4
-"""Number of parts into which the check divides each span between two nodes of a motion."""
+#: Number of these parts in the check against walls, which is less exact in space
 WALL_SPAN_PARTS = 16
-"""Number of these parts in the check against walls, which is less exact in space."""
+#: Part of the margin that may be consumed if the robot is about as close as allowed [m]
 MARGIN_TOLERANCE = 0.02
-"""Part of the margin that may be consumed if the robot is about as close as allowed [m]."""
-GAP_TOLERANCE = 1e-6
-"""Difference below which gaps count as equal [m]."""
+GAP_TOLERANCE = 1e-6  #: Difference below which gaps count as equal [m]
 
 
 @dataclass(frozen=True)
 class Surroundings:
-    """Obstacles, workspace and map that a motion is checked against.
+    """Obstacles, workspace and map that a motion is checked against."""
 
-    Attributes:
-        footprint: Outline of the robot.
-        ellipses: Obstacles as they are known now.
-        workspace: (x_min, y_min, x_max, y_max) in odom [m].
-        margin: Gap to keep to obstacles, workspace edge and walls [m].
-        until: Time up to which a motion is checked even if it is at rest before [s].
-        walls: Occupied cells of the map, without those that the way out leads along.
-        way_out: Way on which the robot leaves what it touches, and which it must not leave; None
-            if it touches nothing.
-    """
-
-    footprint: Footprint
-    ellipses: Ellipses
-    workspace: Workspace
-    margin: float
+    footprint: Footprint  #: Outline of the robot
+    ellipses: Ellipses  #: Obstacles as they are known now
+    workspace: Workspace  #: (x_min, y_min, x_max, y_max) in odom [m]
+    margin: float  #: Gap to keep to obstacles, workspace edge and walls [m]
+    #: Time up to which a motion is checked even if it is at rest before [s]
     until: float = -math.inf
+    #: Occupied cells of the map, without those that the way out leads along
     walls: Walls = field(default_factory=Walls.none)
+    #: Way on which the robot leaves what it touches, and which it must not leave; None if it
+    #: touches nothing.
     way_out: WayOut | None = None
 
     @cached_property
     def _pairs(self) -> Pairs:
-        """Parts of the robot and obstacles at the same height."""
         return Pairs.of(self.footprint, self.ellipses)
 
     def outside(self, poses: Array) -> float:

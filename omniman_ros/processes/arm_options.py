@@ -7,8 +7,7 @@ ARMS = {
     "simulated": "a simulated UR5 controller on this machine",
     "ur": "the controller of --controller",
     "none": "there is no arm",
-}
-"""Descriptions of the values of `--arm`."""
+}  #: Descriptions of the values of `--arm`
 
 UR_PORTS = {
     "dashboard": 29999,
@@ -16,17 +15,16 @@ UR_PORTS = {
     "secondary": 30002,
     "realtime": 30003,
     "rtde": 30004,
-}
-"""TCP ports of every UR controller, by interface."""
+}  #: TCP ports of every UR controller, by interface
 
+#: Lag of an arm in a world [s]: that of the simulated controller's own joints, 0.042, and 0.02
+#: more for the link and for the sampling of its setpoints.
 WORLD_SERVO_LAG = 0.062
-"""Lag of an arm in a world [s]: that of the simulated controller's own joints, 0.042, and 0.02
-more for the link and for the sampling of its setpoints."""
 
+#: Parameters that lengthen the client's timeouts for a simulated controller.
+#:
+#: Unlike a real one, it is a process that may have to wait on a busy machine.
 SIMULATED_CONTROLLER_TIMEOUTS = ("ur.read_timeout:=0.2", "ur.feedback_timeout:=0.5")
-"""Parameters that lengthen the client's timeouts for a simulated controller.
-
-Unlike a real one, it is a process that may have to wait on a busy machine."""
 
 
 def resolve_arm(arm: str | None, drive: str, sim_time: bool) -> str:
@@ -35,7 +33,6 @@ def resolve_arm(arm: str | None, drive: str, sim_time: bool) -> str:
     Args:
         arm: Value of `--arm`. None selects a simulated arm, but no arm with real drives.
         drive: Value of `--drive`.
-        sim_time: Whether the robot runs on simulated time.
 
     Returns:
         A name in `ARMS`.

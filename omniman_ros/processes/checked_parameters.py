@@ -49,11 +49,6 @@ def robot_values(
 def check_node(node: str, namespace: str, arguments: Sequence[str]) -> None:
     """Check the parameters of a node as the node does when it starts.
 
-    Args:
-        node: Name of an executable of the package.
-        namespace: Namespace of the node.
-        arguments: ROS arguments of its command line.
-
     Raises:
         CommandError: The node would refuse its parameters, or a file cannot be read.
     """
@@ -83,7 +78,6 @@ def _given(node: str, arguments: Sequence[str]) -> tuple[dict[str, Any], dict[st
     """Return the parameters on a command line, and where each is from, for messages.
 
     Args:
-        node: Absolute name of the node.
         arguments: ROS arguments; later ones go before earlier ones.
 
     Raises:

@@ -12,18 +12,18 @@ DRIVES = {
     "simulated": "simulated drives without a bus",
     "can": "simulated drives on a bus",
     "real": "the drives on the bus of the installation",
-}
-"""Descriptions of the values of `--drive`."""
+}  #: Descriptions of the values of `--drive`
 
-MULTICAST_GROUP = "239.74.163.2"
-"""Multicast group of python-can's UDP bus."""
-FIRST_PORT = 43113
-"""UDP port of the bus in ROS domain 0, without a namespace."""
+MULTICAST_GROUP = "239.74.163.2"  #: Multicast group of python-can's UDP bus
+FIRST_PORT = 43113  #: UDP port of the bus in ROS domain 0, without a namespace
+#: Number of ports reserved for each namespace slot: more than there are ROS domains
 PORTS_PER_NAMESPACE = 240
-"""Number of ports reserved for each namespace slot: more than there are ROS domains."""
+#: Number of slots over which the namespaces of one ROS domain are distributed
 NAMESPACE_SLOTS = 80
-"""Number of slots over which the namespaces of one ROS domain are distributed."""
 
+#: Arguments that lengthen the timeouts of the bus for simulated drives on real time.
+#:
+#: Unlike real drives, they are processes that may have to wait on a busy machine.
 SIMULATED_BUS_TIMEOUTS = (
     "-p",
     "can.missed_periods:=40",
@@ -32,9 +32,6 @@ SIMULATED_BUS_TIMEOUTS = (
     "-p",
     "can.heartbeat_timeout:=0.3",
 )
-"""Arguments that lengthen the timeouts of the bus for simulated drives on real time.
-
-Unlike real drives, they are processes that may have to wait on a busy machine."""
 
 
 def find_settings_file(kind: str, folder: str, name: str) -> str:
@@ -95,7 +92,6 @@ def simulated_bus_arguments(namespace: str, sim_time: bool) -> dict[str, list[st
 
     Args:
         namespace: Namespace of the robot, with or without slashes at its ends.
-        sim_time: Whether the drives give simulated time.
     """
     bridge, drives = "can_bridge", "simulated_can_drives"
     if not sim_time:

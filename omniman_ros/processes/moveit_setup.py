@@ -11,8 +11,7 @@ from omniman_ros.processes.checked_parameters import robot_values
 
 PARAMETERS = frozenset(
     spec.name for kind in (DescriptionParameters, PathParameters) for spec in specs(kind)
-)
-"""Names of the parameters that the configuration depends on."""
+)  #: Names of the parameters that the configuration depends on
 
 
 def moveit_configuration(

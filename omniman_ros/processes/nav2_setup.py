@@ -29,8 +29,8 @@ class _Robot:
     footprint: FootprintOptions
 
 
+#: Names of the parameters that Nav2's depend on
 PARAMETERS = frozenset(spec.name for spec in specs(_Robot))
-"""Names of the parameters that Nav2's depend on."""
 
 
 def nav2_parameters(

@@ -8,19 +8,15 @@ from collections.abc import Sequence
 
 from omniman_ros.console.terminal import paint, say
 
+#: Escape codes of the colours of the nodes' names, in turn
 PREFIX_COLOURS = ("36", "35", "33", "32", "34")
-"""Escape codes of the colours of the nodes' names, in turn."""
-KEPT_LINES = 30
-"""Number of last lines of the nodes' output that are printed after a failure."""
+KEPT_LINES = 30  #: Number of last lines of the nodes' output that are printed after a failure
 
 
 class PrefixedPrinter:
     """Prints each line of output, with the name of its process in front.
 
     It may be called from several threads.
-
-    Args:
-        names: Names of the processes.
     """
 
     def __init__(self, names: Sequence[str]) -> None:
@@ -60,7 +56,6 @@ class NodeOutputLog:
         """Search the kept lines of a node, the latest first.
 
         Args:
-            name: Name of the node.
             pattern: Pattern with one group.
 
         Returns:

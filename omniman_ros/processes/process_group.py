@@ -19,30 +19,24 @@ from typing import Self
 from omniman_ros.console.errors import CommandError
 from omniman_ros.console.terminal import say
 
-STOP_TIMEOUT = 20.0
-"""Time after a process's signal at which it is killed if it has not ended [s]."""
+STOP_TIMEOUT = 20.0  #: Time after a process's signal at which it is killed if it has not ended [s]
+#: Time for reading the rest of a process's output after its end [s].
+#:
+#: A process that it has started itself may hold the pipe open for longer.
 OUTPUT_TIMEOUT = 1.0
-"""Time for reading the rest of a process's output after its end [s].
-
-A process that it has started itself may hold the pipe open for longer."""
 
 
 @dataclass(frozen=True)
 class ProcessSpec:
-    """A process to run.
+    """A process to run."""
 
-    Attributes:
-        name: Name of the process in messages.
-        command: Command line.
-        stage: Order in which processes are stopped: stage 0 gets its signal first, and each later
-            stage when all processes of the earlier ones have ended. They start in reverse order.
-        essential: Whether the end of the process is an event of the group. The end of a process
-            that is not essential is only reported.
-    """
-
-    name: str
-    command: Sequence[str]
+    name: str  #: Name of the process in messages
+    command: Sequence[str]  #: Command line
+    #: Order in which processes are stopped: stage 0 gets its signal first, and each later stage
+    #: when all processes of the earlier ones have ended. They start in reverse order.
     stage: int = 0
+    #: Whether the end of the process is an event of the group. The end of a process that is not
+    #: essential is only reported.
     essential: bool = True
 
 
@@ -52,16 +46,11 @@ class ProcessExit:
 
     A node that was asked to end and has come to rest, but whose middleware does not shut down, is
     ended by SIGALRM; nodes ignore that signal before they are at rest (see `nodes.runtime.run`).
-
-    Attributes:
-        name: Name of the process.
-        code: Exit code, or minus the number of the signal that killed the process.
-        asked: Whether the group had asked the process to end.
     """
 
-    name: str
-    code: int
-    asked: bool = False
+    name: str  #: Name of the process
+    code: int  #: Exit code, or minus the number of the signal that killed the process
+    asked: bool = False  #: Whether the group had asked the process to end
 
     @property
     def is_success(self) -> bool:
@@ -70,7 +59,6 @@ class ProcessExit:
 
     @property
     def _was_at_rest(self) -> bool:
-        """Whether a node at rest was ended because its middleware did not shut down."""
         return self.asked and self.code == -signal.SIGALRM
 
     @property
@@ -89,21 +77,15 @@ class ProcessExit:
 
 @dataclass(frozen=True)
 class ReceivedSignal:
-    """A signal that the parent has received.
+    """A signal that the parent has received."""
 
-    Attributes:
-        number: Number of the signal.
-    """
-
-    number: int
+    number: int  #: Number of the signal
 
 
 class _Child:
     """A running process of a group.
 
     Args:
-        spec: Process to run.
-        environment: Environment variables of the process.
         events: Queue into which the end of the process is put.
         on_line: Called with name and line for each line of output, from a thread.
 
@@ -168,7 +150,6 @@ class ProcessGroup:
     """Runs child processes; as a context manager it starts them, and leaves none behind.
 
     Args:
-        specs: Processes to run.
         environment: Environment variables of the processes; those of this process if None.
         on_line: Called with name and line for each line of output, from threads.
         report: Called with a clause about each failure.
@@ -268,9 +249,6 @@ class ProcessGroup:
 
         A signal that is received meanwhile kills the processes that still run.
 
-        Args:
-            number: Signal to send.
-
         Returns:
             Whether every process that was running ended by itself, successfully.
         """
@@ -334,7 +312,6 @@ def redirect_signals(
 
     Args:
         receive: Called with the number of each signal, in the main thread.
-        numbers: Numbers of the signals to redirect.
     """
 
     def handler(number: int, frame: FrameType | None) -> None:

@@ -28,46 +28,35 @@ from omniman_ros.simulation.scene_files import load_scene, scene_file
 
 @dataclass(frozen=True)
 class NodeKind:
-    """A node of the package, and the conditions under which it is started and stopped.
+    """A node of the package, and the conditions under which it is started and stopped."""
 
-    Attributes:
-        name: Name of the executable and of the node.
-        stage: Stage in which the node is stopped: a drive runs until the nodes that command it
-            have come to rest and ended.
-        sim_time: Parameter that `--sim-time` sets to true.
-        is_available: Returns whether the libraries that the node needs are installed. If not, the
-            node is started only if it is requested by name, and then reports what is missing.
-        essential: Whether the robot is stopped when the node ends.
-        on_request: Whether the node is started only if it is requested by name.
-        drives: Values of `--drive` with which the node is started, where `--world` counts as
-            `world`; if empty, all.
-        arms: Values of `--arm` with which the node is started; if empty, all.
-    """
-
-    name: str
+    name: str  #: Name of the executable and of the node
+    #: Stage in which the node is stopped: a drive runs until the nodes that command it have come
+    #: to rest and ended.
     stage: int
-    sim_time: str = "use_sim_time"
+    sim_time: str = "use_sim_time"  #: Parameter that `--sim-time` sets to true
+    #: Returns whether the libraries that the node needs are installed. If not, the node is started
+    #: only if it is requested by name, and then reports what is missing.
     is_available: Callable[[], bool] = lambda: True
-    essential: bool = True
-    on_request: bool = False
+    essential: bool = True  #: Whether the robot is stopped when the node ends
+    on_request: bool = False  #: Whether the node is started only if it is requested by name
+    #: Values of `--drive` with which the node is started, where `--world` counts as `world`; if
+    #: empty, all.
     drives: tuple[str, ...] = ()
-    arms: tuple[str, ...] = ()
+    arms: tuple[str, ...] = ()  #: Values of `--arm` with which the node is started; if empty, all
 
 
-WORLD_DRIVE = "world"
-"""Kind of the drives of a robot in a world, beside those in `DRIVES`."""
+WORLD_DRIVE = "world"  #: Kind of the drives of a robot in a world, beside those in `DRIVES`
 
-COLLISION_MONITOR = "collision_monitor"
-"""Name of the node that limits the speed before contact."""
+COLLISION_MONITOR = "collision_monitor"  #: Name of the node that limits the speed before contact
 
+#: Name of the node that turns laser scans into obstacles and a map
 OBSTACLE_TRACKER = "obstacle_tracker"
-"""Name of the node that turns laser scans into obstacles and a map."""
 
+#: Name of the node that takes `tool_path` from `path_interpolator`
 WHOLE_BODY_PLANNER = "whole_body_planner"
-"""Name of the node that takes `tool_path` from `path_interpolator`."""
 
-VIEWER_NODE = "viewer"
-"""Name of the node that serves the page."""
+VIEWER_NODE = "viewer"  #: Name of the node that serves the page
 
 ROBOT_NODES = (
     NodeKind("platform_controller", stage=0),
@@ -86,20 +75,21 @@ ROBOT_NODES = (
     NodeKind("arm_streamer", stage=1, arms=("simulated", "ur")),
     NodeKind("simulated_ur", stage=2, arms=("simulated",)),
     NodeKind(VIEWER_NODE, stage=0, is_available=lambda: VIEWER.is_available, essential=False),
-)
-"""All nodes that a robot may consist of."""
+)  #: All nodes that a robot may consist of
 
 LIMITED_NODES = (
     "platform_controller",
     "path_interpolator",
     WHOLE_BODY_PLANNER,
     "arm_streamer",
-)
-"""Nodes that obey the collision monitor, and stop without it, where it is started."""
+)  #: Nodes that obey the collision monitor, and stop without it, where it is started
 
+#: Nodes that wait for the obstacles of the tracker where it is started, whatever becomes of it
 SEEING_NODES = ("mpc_planner", WHOLE_BODY_PLANNER, COLLISION_MONITOR)
-"""Nodes that wait for the obstacles of the tracker where it is started, whatever becomes of it."""
 
+#: Nodes that plan within the arm's limits, predict by them or publish them, or know its joints.
+#:
+#: Like the nodes of the arm, they get the parameters in the file of the arm's controller.
 ARM_AWARE_NODES = (
     "path_interpolator",
     WHOLE_BODY_PLANNER,
@@ -107,54 +97,37 @@ ARM_AWARE_NODES = (
     COLLISION_MONITOR,
     OBSTACLE_TRACKER,
 )
-"""Nodes that plan within the arm's limits, predict by them or publish them, or know its joints.
 
-Like the nodes of the arm, they get the parameters in the file of the arm's controller."""
-
+#: Arguments that move the transforms of a robot into its namespace.
+#:
+#: The frames of other robots have the same names.
 TRANSFORM_REMAPPING = ("-r", "/tf:=tf", "-r", "/tf_static:=tf_static")
-"""Arguments that move the transforms of a robot into its namespace.
-
-The frames of other robots have the same names.
-"""
 
 
 @dataclass(frozen=True)
 class RobotSetup:
-    """Options with which `omniman up` starts a robot.
+    """Options with which `omniman up` starts a robot."""
 
-    Attributes:
-        robot: Name of a robot of the package, or path of a robot's file.
-        only: Names of the nodes to start; if empty, all that fit the other options.
-        sim_time: Whether the nodes run on `/clock`.
-        namespace: Namespace of all nodes, with or without slashes at its ends.
-        params: Parameters for every node, each NAME:=VALUE.
-        params_file: Path of a ROS parameter file for every node.
-        drive: Kind of wheel drives, a key of `DRIVES`.
-        installation: Name of an installation of drives, or path of its file.
-        arm: Kind of arm, a key of `ARMS`; None selects the one that fits drive and time.
-        controller: Name of an arm's controller, or path of its file.
-        world: Name of a scene, or path of its file, if the robot is simulated in a world.
-        collision_monitor: Whether a collision monitor limits the robot's speed. With `only`, one
-            does if it is among these nodes.
-        obstacle_tracker: Whether laser scans are turned into obstacles and a map; with `only`,
-            likewise.
-        whole_body_planner: Whether platform and arm dodge on paths of the tool; with `only`,
-            likewise.
-    """
-
-    robot: str = "omniman"
+    robot: str = "omniman"  #: Name of a robot of the package, or path of a robot's file
+    #: Names of the nodes to start; if empty, all that fit the other options
     only: Sequence[str] = ()
-    sim_time: bool = False
-    namespace: str = ""
-    params: Sequence[str] = ()
-    params_file: str | None = None
-    drive: str = "simulated"
-    installation: str = "cia402"
+    sim_time: bool = False  #: Whether the nodes run on `/clock`
+    namespace: str = ""  #: Namespace of all nodes, with or without slashes at its ends
+    params: Sequence[str] = ()  #: Parameters for every node, each NAME:=VALUE
+    params_file: str | None = None  #: Path of a ROS parameter file for every node
+    drive: str = "simulated"  #: Kind of wheel drives, a key of `DRIVES`
+    installation: str = "cia402"  #: Name of an installation of drives, or path of its file
+    #: Kind of arm, a key of `ARMS`; None selects the one that fits drive and time
     arm: str | None = None
-    controller: str = "ur5"
+    controller: str = "ur5"  #: Name of an arm's controller, or path of its file
+    #: Name of a scene, or path of its file, if the robot is simulated in a world
     world: str | None = None
+    #: Whether a collision monitor limits the robot's speed. With `only`, one does if it is among
+    #: these nodes.
     collision_monitor: bool = False
+    #: Whether laser scans are turned into obstacles and a map; with `only`, likewise
     obstacle_tracker: bool = False
+    #: Whether platform and arm dodge on paths of the tool; with `only`, likewise
     whole_body_planner: bool = False
 
     @property
@@ -180,9 +153,6 @@ class RobotSetup:
 
 def robot_processes(setup: RobotSetup) -> list[ProcessSpec]:
     """Return the processes of a robot's nodes.
-
-    Args:
-        setup: Options of the robot.
 
     Returns:
         A process for each chosen node. A node that was requested by name is essential.
@@ -307,7 +277,6 @@ def node_command(node: str, arguments: Sequence[str]) -> tuple[str, ...]:
 
     Args:
         node: Name of an executable of the package, or of a module with `main(args)`.
-        arguments: Arguments of the node.
     """
     runner = "omniman_ros.processes.run_node"
     return (sys.executable, "-m", runner, str(os.getpid()), node, *arguments)

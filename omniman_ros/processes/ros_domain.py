@@ -4,10 +4,9 @@ import random
 import socket
 from collections.abc import MutableMapping
 
+#: Domains whose ports lie above the ephemeral ports of Linux; they are rarely used
 HIGH_DOMAINS = range(215, 233)
-"""Domains whose ports lie above the ephemeral ports of Linux; they are rarely used."""
-LOW_DOMAINS = range(1, 102)
-"""Domains whose ports lie below the ephemeral ports of Linux."""
+LOW_DOMAINS = range(1, 102)  #: Domains whose ports lie below the ephemeral ports of Linux
 
 
 def is_free(domain: int) -> bool:

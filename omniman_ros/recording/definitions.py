@@ -28,12 +28,11 @@ BUILT_IN_TYPES = {
     "uint64",
     "string",
     "wstring",
-}
-"""Types of fields that need no definition."""
+}  #: Types of fields that need no definition
+#: Name of a message type: package and name
 TYPE_PATTERN = re.compile(r"^([A-Za-z]\w*)/msg/([A-Za-z]\w*)$")
-"""Name of a message type: package and name."""
+#: Field of a definition, whose first group is its type; bounds and lengths are skipped
 FIELD_PATTERN = re.compile(r"^([A-Za-z][\w/]*)(?:<=\d+)?(?:\[[^\]]*\])?\s+[A-Za-z]\w*")
-"""Field of a definition, whose first group is its type; bounds and lengths are skipped."""
 
 
 class MessageDefinitions:
@@ -97,7 +96,6 @@ def _field_types(text: str, package: str) -> list[str]:
     """Return the message types of the fields of a definition.
 
     Args:
-        text: The definition.
         package: Package to which types without a package belong.
     """
     types = []

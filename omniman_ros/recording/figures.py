@@ -42,38 +42,26 @@ SOURCE_BANDS = {
     "path": "#fdeadd",
     "station": "#e0f2f1",
     "stop": "#ffd9d9",
-}
-"""Colour behind the lines while a source drives the platform, by source."""
-DASHED = (0, (4, 4))
-"""Line style of the ground truth."""
-ARROWS = 12
-"""Number of arrows along the path that show the heading."""
-MAX_GAP = 0.5
-"""Time without data over which no line is drawn [s]."""
+}  #: Colour behind the lines while a source drives the platform, by source
+DASHED = (0, (4, 4))  #: Line style of the ground truth
+ARROWS = 12  #: Number of arrows along the path that show the heading
+MAX_GAP = 0.5  #: Time without data over which no line is drawn [s]
 
 
 @dataclass(frozen=True)
 class StandardFigure:
-    """A standard figure.
+    """A standard figure."""
 
-    Attributes:
-        name: Name of the figure, which is part of the name of its file.
-        is_available: Whether the log contains what the figure shows.
-        draw: Draws the figure from the log.
-    """
-
-    name: str
-    is_available: Callable[[RobotLog], bool]
-    draw: Callable[[RobotLog], Any]
+    name: str  #: Name of the figure, which is part of the name of its file
+    is_available: Callable[[RobotLog], bool]  #: Whether the log contains what the figure shows
+    draw: Callable[[RobotLog], Any]  #: Draws the figure from the log
 
 
 def draw_figures(log: RobotLog, folder: Path, prefix: str) -> dict[str, Path]:
     """Draw all figures for which the log contains data, as PNG files.
 
     Args:
-        log: Recorded data of a robot.
         folder: Folder of the files, which is created where it does not exist.
-        prefix: First part of the files' names.
 
     Returns:
         The files, by the names of the figures.
@@ -199,7 +187,6 @@ def _draw_line(log: RobotLog, axes: Any, times: Array, values: Array, **options:
 
 
 def _draw_legend(axes: Any) -> None:
-    """Draw the legend beside the panel, where it hides no line."""
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
 
 
@@ -340,5 +327,4 @@ FIGURES = (
     ),
     StandardFigure("planner", lambda log: len(log.planner) > 0, draw_planner),
     StandardFigure("arm", lambda log: len(log.arm) > 0, draw_arm),
-)
-"""The standard figures, in the order in which they are drawn."""
+)  #: The standard figures, in the order in which they are drawn

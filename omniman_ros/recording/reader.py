@@ -26,15 +26,12 @@ _DAMAGE_ERRORS = (
     OverflowError,
     MemoryError,
     struct.error,
-)
-"""Exceptions of the library for a damaged file; it trusts any length that it reads."""
-_METADATA = "metadata.yaml"
-"""File beside those of a recording, with its topics."""
-_INFORMATION = "rosbag2_bagfile_information"
-"""Key below which that file has its content."""
+)  #: Exceptions of the library for a damaged file; it trusts any length that it reads
+_METADATA = "metadata.yaml"  #: File beside those of a recording, with its topics
+_INFORMATION = "rosbag2_bagfile_information"  #: Key below which that file has its content
+#: Number of bytes that Fast CDR may append: it aligns to 8 bytes where the numbers of a last,
+#: empty sequence would begin, and the library expects nothing there. They have any value.
 _ALIGNMENT = 4
-"""Number of bytes that Fast CDR may append: it aligns to 8 bytes where the numbers of a last,
-empty sequence would begin, and the library expects nothing there. They have any value."""
 
 
 class BagReader:
@@ -97,9 +94,6 @@ class BagReader:
 
     def messages(self, topics: Collection[str]) -> Iterator[tuple[str, float, Any]]:
         """Yield the messages of some topics in the order of their arrival.
-
-        Args:
-            topics: Absolute names of the topics.
 
         Yields:
             Topic, time of arrival [s] and message.

@@ -13,12 +13,10 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.recording.reader import BagReader
 from omniman_ros.recording.ros_time import ArrivalClock
 
-GAP = 0.5
-"""Time without a reference from which two movements count as separate [s]."""
+GAP = 0.5  #: Time without a reference from which two movements count as separate [s]
+#: Keys of `mpc/status` that are numbers
 PLANNER_FIGURES = ("solve_ms", "slack_m", "distance_m", "energy_j")
-"""Keys of `mpc/status` that are numbers."""
-PLANNING_STATES = ("driving", "blocked")
-"""States of the planner in which it solves."""
+PLANNING_STATES = ("driving", "blocked")  #: States of the planner in which it solves
 TOPIC_TYPES = {
     "odom": ("nav_msgs/msg/Odometry",),
     "ground_truth/odom": ("nav_msgs/msg/Odometry",),
@@ -38,13 +36,11 @@ TOPIC_TYPES = {
     "arm/joint_reference": ("trajectory_msgs/msg/JointTrajectory",),
     "arm/timing": ("std_msgs/msg/Float64MultiArray",),
     "active_source": ("std_msgs/msg/String",),
-}
-"""Types of the topics that are read; topics of other robots may have the same names."""
+}  #: Types of the topics that are read; topics of other robots may have the same names
+#: Ends of the topics by which a robot is recognised
 ROBOT_TOPICS = ("/odom", "/wheel_states", "/arm/joint_states")
-"""Ends of the topics by which a robot is recognised."""
 
-_Row = tuple[float, ...]
-"""Row of a table: time [s], then values."""
+_Row = tuple[float, ...]  #: Row of a table: time [s], then values
 
 
 @dataclass
@@ -52,46 +48,39 @@ class RobotLog:
     """Tables (k, ...) of a robot's topics, whose first column is ROS time [s].
 
     The table of a topic that was not recorded is empty.
-
-    Attributes:
-        odom: Pose x, y, theta and twist x', y', theta' of odometry.
-        truth: Pose and twist of the ground truth, likewise.
-        twist: Twist x', y', theta' of `cmd_vel`.
-        wheel_names: Names of the wheels.
-        commanded: Commanded speed of each wheel [rad/s]; NaN where none was commanded.
-        measured: Measured speed of each wheel [rad/s].
-        electrical: Voltage [V], current [A] and energy [J] of each wheel, wheel by wheel.
-        coupling: Coupling error of each constraint, without resets if it was recorded [rad].
-        references: Reference x, y, theta of the platform, by its source `path`, `body` or `mpc`;
-            rows of NaN separate movements.
-        paths: Poses (n, 3) of each path that was sent.
-        plan_ends: Position x, y of the last pose of each plan.
-        goals: Goals x, y, theta.
-        planner: One column for each of `PLANNER_FIGURES`; NaN while the planner does not solve.
-        joint_names: Names of the arm's joints.
-        arm: Measured joint angles [rad].
-        arm_reference: Reference of the joint angles [rad]; rows of NaN separate movements.
-        arm_intervals: Intervals between two setpoints sent to the arm's controller [s].
-        sources: Times [s] from which a source drove the platform, and the sources.
     """
 
+    #: Pose x, y, theta and twist x', y', theta' of odometry
     odom: Array = field(default_factory=lambda: np.zeros((0, 7)))
+    #: Pose and twist of the ground truth, likewise
     truth: Array = field(default_factory=lambda: np.zeros((0, 7)))
+    #: Twist x', y', theta' of `cmd_vel`
     twist: Array = field(default_factory=lambda: np.zeros((0, 4)))
-    wheel_names: tuple[str, ...] = ()
+    wheel_names: tuple[str, ...] = ()  #: Names of the wheels
+    #: Commanded speed of each wheel [rad/s]; NaN where none was commanded
     commanded: Array = field(default_factory=lambda: np.zeros((0, 1)))
+    #: Measured speed of each wheel [rad/s]
     measured: Array = field(default_factory=lambda: np.zeros((0, 1)))
+    #: Voltage [V], current [A] and energy [J] of each wheel, wheel by wheel
     electrical: Array = field(default_factory=lambda: np.zeros((0, 1)))
+    #: Coupling error of each constraint, without resets if it was recorded [rad]
     coupling: Array = field(default_factory=lambda: np.zeros((0, 1)))
+    #: Reference x, y, theta of the platform, by its source `path`, `body` or `mpc`; rows of NaN
+    #: separate movements.
     references: dict[str, Array] = field(default_factory=dict)
-    paths: list[Array] = field(default_factory=list)
+    paths: list[Array] = field(default_factory=list)  #: Poses (n, 3) of each path that was sent
+    #: Position x, y of the last pose of each plan
     plan_ends: Array = field(default_factory=lambda: np.zeros((0, 3)))
-    goals: Array = field(default_factory=lambda: np.zeros((0, 4)))
+    goals: Array = field(default_factory=lambda: np.zeros((0, 4)))  #: Goals x, y, theta
+    #: One column for each of `PLANNER_FIGURES`; NaN while the planner does not solve
     planner: Array = field(default_factory=lambda: np.zeros((0, 1 + len(PLANNER_FIGURES))))
-    joint_names: tuple[str, ...] = ()
-    arm: Array = field(default_factory=lambda: np.zeros((0, 1)))
+    joint_names: tuple[str, ...] = ()  #: Names of the arm's joints
+    arm: Array = field(default_factory=lambda: np.zeros((0, 1)))  #: Measured joint angles [rad]
+    #: Reference of the joint angles [rad]; rows of NaN separate movements
     arm_reference: Array = field(default_factory=lambda: np.zeros((0, 1)))
+    #: Intervals between two setpoints sent to the arm's controller [s]
     arm_intervals: Array = field(default_factory=lambda: np.zeros((0, 2)))
+    #: Times [s] from which a source drove the platform, and the sources
     sources: list[tuple[float, str]] = field(default_factory=list)
 
     @property
@@ -108,11 +97,7 @@ class RobotLog:
 
 
 def robot_namespaces(topics: Iterable[str]) -> list[str]:
-    """Return the namespaces of the robots to which topics belong, sorted.
-
-    Args:
-        topics: Absolute names of topics.
-    """
+    """Return the namespaces of the robots to which topics belong, sorted."""
     found = {
         topic.removesuffix(end).strip("/")
         for topic in topics
@@ -126,10 +111,6 @@ def read_robot_log(bag: BagReader, namespace: str = "") -> RobotLog:
     """Read the topics of one robot.
 
     A message counts if it has as many values as the first message of its topic.
-
-    Args:
-        bag: Reader of the open recording.
-        namespace: Namespace of the robot.
 
     Raises:
         InputError: The recording is damaged.
@@ -357,7 +338,6 @@ def _number(values: Mapping[str, str], key: str) -> float:
 
 
 def _seconds(stamp: Any) -> float:
-    """Return a stamp or a duration in seconds."""
     return float(stamp.sec) + 1e-9 * float(stamp.nanosec)
 
 

@@ -6,33 +6,19 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class OfferedQos:
-    """Quality of service that a publisher offers.
+    """Quality of service that a publisher offers."""
 
-    Attributes:
-        reliable: Whether lost messages are sent again.
-        transient_local: Whether late subscribers receive the last messages.
-        depth: Number of messages that the publisher keeps; 0 if unknown.
-    """
-
-    reliable: bool = True
-    transient_local: bool = False
-    depth: int = 10
+    reliable: bool = True  #: Whether lost messages are sent again
+    transient_local: bool = False  #: Whether late subscribers receive the last messages
+    depth: int = 10  #: Number of messages that the publisher keeps; 0 if unknown
 
 
 @dataclass(frozen=True)
 class TopicMetadata:
-    """Metadata of a topic that a recording stores.
+    """Metadata of a topic that a recording stores."""
 
-    Attributes:
-        name: Absolute name.
-        message_type: Type of its messages, PACKAGE/msg/NAME.
-        definition: Definition of the type; see `MessageDefinitions.lookup`.
-        type_hash: Hash of the type; see `MessageDefinitions.lookup`.
-        offered_qos: Quality of service of each of its publishers.
-    """
-
-    name: str
-    message_type: str
-    definition: str
-    type_hash: str
-    offered_qos: Sequence[OfferedQos] = ()
+    name: str  #: Absolute name
+    message_type: str  #: Type of its messages, PACKAGE/msg/NAME
+    definition: str  #: Definition of the type; see `MessageDefinitions.lookup`
+    type_hash: str  #: Hash of the type; see `MessageDefinitions.lookup`
+    offered_qos: Sequence[OfferedQos] = ()  #: Quality of service of each of its publishers

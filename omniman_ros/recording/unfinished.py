@@ -8,12 +8,10 @@ import shutil
 import struct
 from pathlib import Path
 
-MAGIC = b"\x89MCAP0\r\n"
-"""First and last bytes of a complete file."""
-_HEAD = struct.Struct("<BQ")
-"""Opcode and length of a record."""
+MAGIC = b"\x89MCAP0\r\n"  #: First and last bytes of a complete file
+_HEAD = struct.Struct("<BQ")  #: Opcode and length of a record
+#: End of the data and footer, both without a checksum, and without a summary
 _END = _HEAD.pack(0x0F, 4) + bytes(4) + _HEAD.pack(0x02, 20) + bytes(20) + MAGIC
-"""End of the data and footer, both without a checksum, and without a summary."""
 
 
 def is_unfinished(file: Path) -> bool:
@@ -33,7 +31,6 @@ def finish_copy(file: Path, target: Path) -> None:
 
     Args:
         file: The file, see :func:`is_unfinished`.
-        target: The copy.
 
     Raises:
         OSError: The file cannot be read, or the copy cannot be written.

@@ -23,15 +23,12 @@ from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
 from omniman_ros.core.errors import InputError
 from omniman_ros.recording.topic_metadata import OfferedQos, TopicMetadata
 
-METADATA_VERSION: Final = 9
-"""Version of the recording's metadata, that of ROS 2 Jazzy."""
-MAX_QUEUED_BYTES = 64 * 2**20
-"""Size of the messages that may wait to be written [bytes]."""
+METADATA_VERSION: Final = 9  #: Version of the recording's metadata, that of ROS 2 Jazzy
+MAX_QUEUED_BYTES = 64 * 2**20  #: Size of the messages that may wait to be written [bytes]
+#: Infinite duration of ROS 2's middleware interface (rmw)
 INFINITE_TIME = QosTime(9223372036, 854775807)
-"""Infinite duration of ROS 2's middleware interface (rmw)."""
 
-_Message = tuple[str, int, bytes]
-"""Topic, time of arrival [ns] and serialised message."""
+_Message = tuple[str, int, bytes]  #: Topic, time of arrival [ns] and serialised message
 
 
 def bag_qos(offered: OfferedQos) -> Qos:

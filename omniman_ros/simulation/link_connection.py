@@ -6,10 +6,9 @@ import socket
 
 from omniman_ros.core.errors import OmnimanError
 
+#: Address of both ends: the link stays on one machine, whose clock it shares
 LOOPBACK = "127.0.0.1"
-"""Address of both ends: the link stays on one machine, whose clock it shares."""
-CHUNK = 65536
-"""Largest amount of data read at once [bytes]."""
+CHUNK = 65536  #: Largest amount of data read at once [bytes]
 
 
 class LinkError(OmnimanError):

@@ -7,10 +7,8 @@ from typing import Generic, Protocol, TypeVar
 from omniman_ros.core.errors import InputError, ParameterError
 from omniman_ros.simulation.link_connection import LOOPBACK, LinkConnection, LinkError
 
-Received = TypeVar("Received")
-"""Type of an item that a client sends."""
-Sent = TypeVar("Sent")
-"""Type of what is sent to a client in one call."""
+Received = TypeVar("Received")  #: Type of an item that a client sends
+Sent = TypeVar("Sent")  #: Type of what is sent to a client in one call
 
 
 class Reader(Protocol[Received]):
@@ -30,8 +28,6 @@ class LinkServer(Generic[Received, Sent]):
     Args:
         name: Name of the parameter that has the number of the port.
         port: TCP port on this machine; any free one if 0.
-        make_reader: Makes the decoder of a new connection.
-        encode: Encodes what is sent in one call.
 
     Attributes:
         port: Number of the port.

@@ -1,7 +1,7 @@
 """Lockstep of simulated time with the processes that live in it."""
 
+#: Time by which a permit may be exceeded, since clocks on messages count nanoseconds [s]
 ROUND_OFF = 1e-6
-"""Time by which a permit may be exceeded, since clocks on messages count nanoseconds [s]."""
 
 
 class Lockstep:

@@ -32,12 +32,9 @@ KINDS: dict[str, type[Element]] = {
     "loads": Load,
     "persons": Person,
     "clutter": Clutter,
-}
-"""Kind of the elements of each list in a file."""
-START = "start"
-"""Key of the robot's start: x, y, heading [m, m, rad]."""
-E = TypeVar("E", bound=Element)
-"""Kind of an element."""
+}  #: Kind of the elements of each list in a file
+START = "start"  #: Key of the robot's start: x, y, heading [m, m, rad]
+E = TypeVar("E", bound=Element)  #: Kind of an element
 
 
 def scene_file(name: str) -> Path:

@@ -5,12 +5,11 @@ from collections import deque
 from omniman_ros.core.arrays import Array
 from omniman_ros.ur.joint_guard import JointLimits
 
+#: Time in which the source of a motion may react to a lower share by itself [s]
 REACTION_TIME = 0.1
-"""Time in which the source of a motion may react to a lower share by itself [s]."""
+#: Part of the allowed speed by which it may be exceeded, between two points of a preview
 RELATIVE_TOLERANCE = 0.02
-"""Part of the allowed speed by which it may be exceeded, between two points of a preview."""
-TOLERANCE = 1e-3
-"""Share of the speed limits that counts as rest."""
+TOLERANCE = 1e-3  #: Share of the speed limits that counts as rest
 
 
 class AllowedSpeed:

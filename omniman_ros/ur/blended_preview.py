@@ -8,28 +8,25 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.hermite import Hermite
 from omniman_ros.ur.joint_preview import JointPreview
 
+#: Fraction of the acceleration limits for joining a preview gently.
+#:
+#: It suits instants at which planned motions leave the least acceleration free.
 GENTLE_FRACTION = 0.08
-"""Fraction of the acceleration limits for joining a preview gently.
-
-It suits instants at which planned motions leave the least acceleration free.
-"""
+#: Fraction of the acceleration limits for joining a preview quickly.
+#:
+#: Planned motions leave a tenth of the limits free, and more for most of the time.
 FIRM_FRACTION = 0.4
-"""Fraction of the acceleration limits for joining a preview quickly.
-
-Planned motions leave a tenth of the limits free, and more for most of the time.
-"""
+#: Distance [rad] and velocity [rad/s] up to which a preview need not be joined smoothly
 NEGLIGIBLE = 1e-9
-"""Distance [rad] and velocity [rad/s] up to which a preview need not be joined smoothly."""
 
+#: Returns angles (n,) [rad], velocities [rad/s] and accelerations [rad/s^2] at a time [s]
 Motion = Callable[[float], tuple[Array, Array, Array]]
-"""Returns angles (n,) [rad], velocities [rad/s] and accelerations [rad/s^2] at a time [s]."""
 
 
 class BlendedPreview:
     """A preview plus an offset that decays to zero, so that it continues the present motion.
 
     Args:
-        preview: Preview to join.
         begin: Time at which joining begins [s].
         previous: Motion until that time.
         acceleration: Accelerations (n,) that the decay of the offset may use [rad/s^2].

@@ -122,7 +122,6 @@ class ControllerLink:
 
         Args:
             until: Time on the clock of the link [s].
-            others: Further file descriptors to wait for.
 
         Returns:
             The readable ones of `others`. The method returns early if there are any, or if new

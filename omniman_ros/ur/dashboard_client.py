@@ -14,14 +14,12 @@ from omniman_ros.core.stop import ResetRefusedError
 from omniman_ros.ur.parameters import UrParameters
 from omniman_ros.ur.sockets import LinkError, address_of, error_text
 
-GREETING = "Connected: Universal Robots Dashboard Server"
-"""First line of the server."""
-MAX_LINE = 1024
-"""Length of the longest line that is accepted [bytes]."""
+GREETING = "Connected: Universal Robots Dashboard Server"  #: First line of the server
+MAX_LINE = 1024  #: Length of the longest line that is accepted [bytes]
+#: Commands that unlock a protective stop
 UNLOCK_COMMANDS = ("close safety popup", "unlock protective stop")
-"""Commands that unlock a protective stop."""
+#: Beginning of the reply of a controller that unlocks its protective stop, in lower case
 UNLOCKED_REPLY = "protective stop releasing"
-"""Beginning of the reply of a controller that unlocks its protective stop, in lower case."""
 
 
 def call(
@@ -34,8 +32,6 @@ def call(
     """Send commands one after the other over a new connection.
 
     Args:
-        host: Address of the controller.
-        port: TCP port of its dashboard server.
         commands: Commands, one line each.
         timeout: Time limit of the whole exchange [s]; the look-up of a host name is not included.
         clock: Returns the monotonic time [s].

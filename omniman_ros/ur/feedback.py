@@ -3,8 +3,7 @@
 from dataclasses import dataclass
 from enum import IntEnum
 
-Joints = tuple[float, ...]
-"""One value for each joint, from the base on."""
+Joints = tuple[float, ...]  #: One value for each joint, from the base on
 
 
 class RobotMode(IntEnum):
@@ -49,39 +48,24 @@ class RuntimeState(IntEnum):
     RESUMING = 5
 
 
-MOVABLE = (SafetyMode.NORMAL, SafetyMode.REDUCED)
-"""Safety modes in which the arm may move."""
+MOVABLE = (SafetyMode.NORMAL, SafetyMode.REDUCED)  #: Safety modes in which the arm may move
 
 
 @dataclass(frozen=True)
 class ArmSample:
-    """One packet of real-time data.
+    """One packet of real-time data."""
 
-    Attributes:
-        at: Time of arrival, on the monotonic clock of this machine [s].
-        timestamp: Time of the controller [s].
-        position: Measured joint angles (6,) [rad].
-        velocity: Measured joint velocities (6,) [rad/s].
-        target: Joint angles that the controller commands (6,) [rad].
-        current: Currents of the motors (6,) [A].
-        robot_mode: Number of the :class:`RobotMode`.
-        safety_mode: Number of the :class:`SafetyMode`.
-        runtime_state: Number of the :class:`RuntimeState`.
-        speed_scaling: Speed slider times the slowdown by the controller itself, 0 to 1.
-        read: Number of setpoints that the program reports to have read since it began.
-    """
-
-    at: float
-    timestamp: float
-    position: Joints
-    velocity: Joints
-    target: Joints
-    current: Joints
-    robot_mode: int
-    safety_mode: int
-    runtime_state: int
-    speed_scaling: float
-    read: int
+    at: float  #: Time of arrival, on the monotonic clock of this machine [s]
+    timestamp: float  #: Time of the controller [s]
+    position: Joints  #: Measured joint angles (6,) [rad]
+    velocity: Joints  #: Measured joint velocities (6,) [rad/s]
+    target: Joints  #: Joint angles that the controller commands (6,) [rad]
+    current: Joints  #: Currents of the motors (6,) [A]
+    robot_mode: int  #: Number of the :class:`RobotMode`
+    safety_mode: int  #: Number of the :class:`SafetyMode`
+    runtime_state: int  #: Number of the :class:`RuntimeState`
+    speed_scaling: float  #: Speed slider times the slowdown by the controller itself, 0 to 1
+    read: int  #: Number of setpoints that the program reports to have read since it began
 
     @property
     def blocking_reason(self) -> str:

@@ -11,10 +11,10 @@ import numpy as np
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError, ParameterError
 
+#: Fraction of a limit by which it may be exceeded because of rounding errors
 RELATIVE_TOLERANCE = 1e-6
-"""Fraction of a limit by which it may be exceeded because of rounding errors."""
+#: Angle by which a position limit, and the stopping distance before it, may be exceeded [rad]
 POSITION_TOLERANCE = 1e-6
-"""Angle by which a position limit, and the stopping distance before it, may be exceeded [rad]."""
 
 
 class GuardError(InputError):
@@ -25,25 +25,17 @@ class GuardError(InputError):
 class JointLimits:
     """Limits of n joints, as read-only arrays (n,).
 
-    Attributes:
-        names: Names of the joints.
-        lower: Lower position limits [rad].
-        upper: Upper position limits [rad].
-        velocity: Largest velocities [rad/s].
-        acceleration: Largest accelerations [rad/s^2].
-        distance: Largest distances between setpoints and measured angles [rad].
-
     Raises:
         ParameterError: An array does not contain n finite numbers, a limit is not positive, or a
             lower position limit is not below the upper one.
     """
 
-    names: tuple[str, ...]
-    lower: Array
-    upper: Array
-    velocity: Array
-    acceleration: Array
-    distance: Array
+    names: tuple[str, ...]  #: Names of the joints
+    lower: Array  #: Lower position limits [rad]
+    upper: Array  #: Upper position limits [rad]
+    velocity: Array  #: Largest velocities [rad/s]
+    acceleration: Array  #: Largest accelerations [rad/s^2]
+    distance: Array  #: Largest distances between setpoints and measured angles [rad]
 
     def __post_init__(self) -> None:
         n = len(self.names)
@@ -69,7 +61,6 @@ class JointGuard:
     limits may have been lowered meanwhile, and the arm may have been pushed away.
 
     Args:
-        limits: Limits of the joints.
         period: Time between two setpoints [s].
 
     Attributes:

@@ -7,14 +7,10 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.hermite import Hermite
 
-MAX_POINTS = 5000
-"""Largest number of points of a preview."""
-MAX_ANGLE = 100.0
-"""Largest plausible joint angle [rad]."""
-MAX_SPEED = 1e3
-"""Largest plausible joint speed [rad/s]."""
-MAX_ACCELERATION = 1e5
-"""Largest plausible joint acceleration [rad/s^2]."""
+MAX_POINTS = 5000  #: Largest number of points of a preview
+MAX_ANGLE = 100.0  #: Largest plausible joint angle [rad]
+MAX_SPEED = 1e3  #: Largest plausible joint speed [rad/s]
+MAX_ACCELERATION = 1e5  #: Largest plausible joint acceleration [rad/s^2]
 
 
 class JointPreview:

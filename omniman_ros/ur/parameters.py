@@ -4,8 +4,7 @@ from dataclasses import dataclass
 
 from omniman_ros.core.parameters import parameter
 
-PERIOD = 0.008
-"""Cycle time of a CB3 controller, CCTA 2017 V.A [s]."""
+PERIOD = 0.008  #: Cycle time of a CB3 controller, CCTA 2017 V.A [s]
 
 
 @dataclass(frozen=True, kw_only=True)

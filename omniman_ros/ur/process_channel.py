@@ -10,12 +10,10 @@ from typing import Any
 
 from omniman_ros.core.errors import OmnimanError
 
-HEADER = struct.Struct("=I")
-"""Header of a message: the length of its body [bytes]."""
+HEADER = struct.Struct("=I")  #: Header of a message: the length of its body [bytes]
+#: Size of the buffers of each socket [bytes]: a preview of 5,000 points needs 720 kB
 BUFFER_SIZE = 1 << 20
-"""Size of the buffers of each socket [bytes]: a preview of 5,000 points needs 720 kB."""
-READ_SIZE = 1 << 16
-"""Largest amount of data that one call of the socket reads [bytes]."""
+READ_SIZE = 1 << 16  #: Largest amount of data that one call of the socket reads [bytes]
 
 
 class ProcessChannelError(OmnimanError):

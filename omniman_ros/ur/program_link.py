@@ -11,33 +11,26 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.ur import sockets
 from omniman_ros.ur.reverse_interface import MESSAGE
 
+#: Largest number of setpoints that may be unacknowledged: those sent in 96 ms.
+#:
+#: A host with delayed TCP acknowledgements delays them by 40 ms, in which five setpoints are sent.
 MAX_UNACKNOWLEDGED = 12
-"""Largest number of setpoints that may be unacknowledged: those sent in 96 ms.
-
-A host with delayed TCP acknowledgements delays them by 40 ms, in which five setpoints are sent.
-"""
-C_INT = struct.Struct("i")
-"""Layout of a C int, the result of the ioctl SIOCOUTQ."""
+C_INT = struct.Struct("i")  #: Layout of a C int, the result of the ioctl SIOCOUTQ
 
 
 class ProgramState(Enum):
     """State of the program on the controller, as derived from its connections."""
 
-    NONE = auto()
-    """The program was not started, or was ended by this host."""
-    STARTING = auto()
-    """The program is being sent, or has been sent and not yet connected."""
-    RUNNING = auto()
-    """The program has connected and receives setpoints."""
-    LOST = auto()
-    """The program did not connect, or its connection is lost."""
+    NONE = auto()  #: The program was not started, or was ended by this host
+    STARTING = auto()  #: The program is being sent, or has been sent and not yet connected
+    RUNNING = auto()  #: The program has connected and receives setpoints
+    LOST = auto()  #: The program did not connect, or its connection is lost
 
 
 class ProgramLink:
     """Sends a program to a controller, accepts its connection, and sends setpoints over it.
 
     Args:
-        host: Address of the controller.
         script_port: Port of the controller to which programs are sent.
         reverse_port: Local port to which the program connects; 0 for any free one.
         max_unacknowledged: Number of setpoints that may be unacknowledged, see :meth:`send`.
@@ -89,7 +82,6 @@ class ProgramLink:
         """Begin to send a program, which then has to connect; an earlier program is ended.
 
         Args:
-            text: Text of the program in URScript.
             now: Time [s].
             timeout: Time from now within which the program has to connect [s].
 

@@ -10,27 +10,19 @@ from enum import IntEnum
 
 from omniman_ros.core.errors import InputError
 
-JOINTS = 6
-"""Number of joints of a UR arm."""
-MESSAGE = struct.Struct(">8i")
-"""Layout of a message."""
-SCALE = 1e6
-"""Counts of a message per joint angle [1/rad]."""
-MAX_ANGLE = 2000.0
-"""Largest joint angle that fits into a message [rad]."""
-MIN_READ_TIMEOUT = 0.008
-"""Shortest read timeout: one cycle of the controller [s]."""
-MAX_READ_TIMEOUT = 0.2
-"""Longest read timeout that is still safe [s]."""
+JOINTS = 6  #: Number of joints of a UR arm
+MESSAGE = struct.Struct(">8i")  #: Layout of a message
+SCALE = 1e6  #: Counts of a message per joint angle [1/rad]
+MAX_ANGLE = 2000.0  #: Largest joint angle that fits into a message [rad]
+MIN_READ_TIMEOUT = 0.008  #: Shortest read timeout: one cycle of the controller [s]
+MAX_READ_TIMEOUT = 0.2  #: Longest read timeout that is still safe [s]
 
 
 class ProgramMode(IntEnum):
     """Mode that a message requests of the program."""
 
-    SERVO = 1
-    """Follow the joint angles."""
-    STOPPED = -2
-    """Decelerate and end."""
+    SERVO = 1  #: Follow the joint angles
+    STOPPED = -2  #: Decelerate and end
 
 
 def pack(joints: Sequence[float], mode: ProgramMode, read_timeout: float) -> bytes:

@@ -10,16 +10,13 @@ from omniman_ros.ur.feedback import ArmSample
 from omniman_ros.ur.rtde_packets import ProtocolError
 from omniman_ros.ur.rtde_session import MAX_KEPT, SLIDER, RtdeSession, SessionPhase
 
-RECONNECT_DELAY = 1.0
-"""Time from a loss to the next attempt to connect [s]."""
+RECONNECT_DELAY = 1.0  #: Time from a loss to the next attempt to connect [s]
 
 
 class RtdeLink:
     """Keeps a connection to a controller's RTDE port.
 
     Args:
-        host: Address of the controller.
-        port: RTDE port of the controller.
         register: Output integer register, see :class:`RtdeSession`.
 
     Attributes:

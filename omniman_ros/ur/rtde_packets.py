@@ -13,12 +13,10 @@ from typing import NamedTuple
 
 from omniman_ros.core.errors import OmnimanError
 
-VERSION = 2
-"""Version of the protocol, which has recipe ids and a requested output rate."""
-HEADER = struct.Struct(">HB")
-"""Layout of the header of a packet: size with the header, and type."""
+VERSION = 2  #: Version of the protocol, which has recipe ids and a requested output rate
+HEADER = struct.Struct(">HB")  #: Layout of the header of a packet: size with the header, and type
+#: Size of the longest packet that is accepted [bytes]; all outputs together need less
 MAX_PACKET_SIZE = 4096
-"""Size of the longest packet that is accepted [bytes]; all outputs together need less."""
 
 
 class ProtocolError(OmnimanError):
@@ -38,15 +36,10 @@ class PacketType(IntEnum):
 
 
 class Packet(NamedTuple):
-    """One packet.
+    """One packet."""
 
-    Attributes:
-        kind: Type of the packet; the peer may send any number.
-        payload: Bytes after the header.
-    """
-
-    kind: int
-    payload: bytes
+    kind: int  #: Type of the packet; the peer may send any number
+    payload: bytes  #: Bytes after the header
 
 
 FORMATS = {
@@ -60,8 +53,7 @@ FORMATS = {
     "VECTOR6D": "6d",
     "VECTOR6INT32": "6i",
     "VECTOR6UINT32": "6I",
-}
-"""Format of each type of variable, in the notation of `struct`."""
+}  #: Format of each type of variable, in the notation of `struct`
 
 
 def pack(kind: PacketType, payload: bytes = b"") -> bytes:
@@ -120,17 +112,11 @@ class PacketReader:
 
 @dataclass(frozen=True)
 class Recipe:
-    """Content of a data packet, as the controller has confirmed it.
+    """Content of a data packet, as the controller has confirmed it."""
 
-    Attributes:
-        id: Number of the recipe.
-        names: Names of the variables.
-        types: Types of the variables, keys of `FORMATS`.
-    """
-
-    id: int
-    names: tuple[str, ...]
-    types: tuple[str, ...]
+    id: int  #: Number of the recipe
+    names: tuple[str, ...]  #: Names of the variables
+    types: tuple[str, ...]  #: Types of the variables, keys of `FORMATS`
 
     @classmethod
     def confirmed(cls, names: Sequence[str], payload: bytes) -> "Recipe":

@@ -23,10 +23,9 @@ from omniman_ros.ur.rtde_packets import (
     text_message,
 )
 
-RATE = 1.0 / PERIOD
-"""Requested rate of the data [Hz]."""
+RATE = 1.0 / PERIOD  #: Requested rate of the data [Hz]
+#: Output that the oldest controllers do not have: position of the speed slider
 SLIDER = "target_speed_fraction"
-"""Output that the oldest controllers do not have: position of the speed slider."""
 OUTPUTS = {
     "timestamp": "DOUBLE",
     "actual_q": "VECTOR6D",
@@ -38,22 +37,19 @@ OUTPUTS = {
     "runtime_state": "UINT32",
     "speed_scaling": "DOUBLE",
     SLIDER: "DOUBLE",
-}
-"""Requested outputs and their types; the register of the program is requested in addition."""
-REGISTERS = 48
-"""Number of output integer registers of a controller."""
+}  #: Requested outputs and their types; the register of the program is requested in addition
+REGISTERS = 48  #: Number of output integer registers of a controller
+#: Largest plausible joint angle [rad]: the safety limits of the arm end at 363 degrees
 MAX_ANGLE = math.tau + 0.1
-"""Largest plausible joint angle [rad]: the safety limits of the arm end at 363 degrees."""
-MAX_SPEED = 20.0
-"""Largest plausible joint speed [rad/s]: several times that of any arm."""
+MAX_SPEED = 20.0  #: Largest plausible joint speed [rad/s]: several times that of any arm
+#: Step between two timestamps above which a packet counts as skipped [s]
 MAX_TIMESTAMP_STEP = 1.5 * PERIOD
-"""Step between two timestamps above which a packet counts as skipped [s]."""
+#: Backward step of the timestamps from which on the controller counts as restarted [s]
 RESTART_STEP = 2.0
-"""Backward step of the timestamps from which on the controller counts as restarted [s]."""
+#: Largest number of samples, and of texts, that are kept until they are read; the newest stay
 MAX_KEPT = 1000
-"""Largest number of samples, and of texts, that are kept until they are read; the newest stay."""
+#: Program states in which the arm stands, whatever the speed slider reports
 STANDING_STATES = (RuntimeState.PAUSED, RuntimeState.RESUMING)
-"""Program states in which the arm stands, whatever the speed slider reports."""
 
 
 class SessionPhase(Enum):
@@ -72,8 +68,7 @@ EXPECTED = {
     SessionPhase.OUTPUTS: PacketType.SETUP_OUTPUTS,
     SessionPhase.START: PacketType.START,
     SessionPhase.RUNNING: PacketType.DATA,
-}
-"""The only packet, apart from texts, that a controller may send in each phase."""
+}  #: The only packet, apart from texts, that a controller may send in each phase
 
 
 class RtdeSession:

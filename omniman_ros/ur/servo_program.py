@@ -13,10 +13,9 @@ one than the arm can move in a cycle.
 from omniman_ros.ur.parameters import PERIOD, UrParameters
 from omniman_ros.ur.reverse_interface import JOINTS, SCALE, ProgramMode
 
-STOP_DECELERATION = 4.0
-"""Deceleration of stopj at the end of the program [rad/s^2]."""
+STOP_DECELERATION = 4.0  #: Deceleration of stopj at the end of the program [rad/s^2]
+#: Largest step between two setpoints that the program accepts [rad]; pi rad/s gives 0.025 rad
 MAX_STEP = 0.04
-"""Largest step between two setpoints that the program accepts [rad]; pi rad/s gives 0.025 rad."""
 
 TEMPLATE = """\
 def omniman():

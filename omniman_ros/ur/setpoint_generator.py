@@ -22,28 +22,23 @@ from omniman_ros.ur.blended_preview import (
 from omniman_ros.ur.joint_guard import GuardError, JointGuard, JointLimits
 from omniman_ros.ur.joint_preview import JointPreview
 
+#: Fraction of the acceleration limits that braking uses, as the path may curve within a period
 BRAKING_FRACTION = 0.9
-"""Fraction of the acceleration limits that braking uses, as the path may curve within a period."""
-MAX_LEAD_AT_REST = 1.0
-"""How far in the future a preview may begin while the arm is at rest [s]."""
-MAX_LEAD_IN_MOTION = 0.1
-"""How far in the future a preview may begin while the arm moves [s]."""
+MAX_LEAD_AT_REST = 1.0  #: How far in the future a preview may begin while the arm is at rest [s]
+MAX_LEAD_IN_MOTION = 0.1  #: How far in the future a preview may begin while the arm moves [s]
+#: Number of preview periods without a new preview after which their source counts as silent
 SILENT_PERIODS = 2.0
-"""Number of preview periods without a new preview after which their source counts as silent."""
+#: Difference up to which two previews count as starting at the same time [s].
+#:
+#: Clocks do not agree more closely.
 START_TOLERANCE = 2e-3
-"""Difference up to which two previews count as starting at the same time [s].
-
-Clocks do not agree more closely.
-"""
+#: Fraction of the acceleration limits for joining a motion that accelerates at its limits
 STEEP_FRACTION = 0.55
-"""Fraction of the acceleration limits for joining a motion that accelerates at its limits."""
-SHORT_JOINING_TIME = 0.3
-"""Joining time up to which a preview is joined gently [s]."""
+SHORT_JOINING_TIME = 0.3  #: Joining time up to which a preview is joined gently [s]
+#: Length of the part of a preview that is checked on arrival [s].
+#:
+#: Each setpoint is checked again before it is sent.
 CHECKED_TIME = 1.0
-"""Length of the part of a preview that is checked on arrival [s].
-
-Each setpoint is checked again before it is sent.
-"""
 
 
 class GeneratorState(Enum):
@@ -56,16 +51,12 @@ class GeneratorState(Enum):
 
 @dataclass
 class GeneratorSettings:
-    """Settings of the generator.
+    """Settings of the generator."""
 
-    Attributes:
-        start_distance: Largest distance of a new preview from the setpoint [rad]; may change at
-            any time.
-        lead: Time by which setpoints are sent before they are due, because the arm lags behind
-            them by as much [s]; it must not change.
-    """
-
+    #: Largest distance of a new preview from the setpoint [rad]; may change at any time
     start_distance: float
+    #: Time by which setpoints are sent before they are due, because the arm lags behind them by as
+    #: much [s]; it must not change.
     lead: float = 0.0
 
 
@@ -88,7 +79,6 @@ class JointSetpointGenerator:
 
     Args:
         limits: Limits of the joints; each setpoint is checked by a :class:`JointGuard`.
-        settings: Settings of the generator.
         period: Time between two setpoints [s].
 
     Attributes:

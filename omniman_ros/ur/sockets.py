@@ -9,12 +9,12 @@ from collections.abc import Iterator
 
 from omniman_ros.core.errors import OmnimanError
 
+#: Largest amount of data that is read at once [bytes]: more than a second of real-time data
 READ_SIZE = 65536
-"""Largest amount of data that is read at once [bytes]: more than a second of real-time data."""
+#: Largest number of connections that are accepted at once: a flood must not delay the cycle
 MAX_ACCEPTS = 16
-"""Largest number of connections that are accepted at once: a flood must not delay the cycle."""
+#: Loss reason of a connection that the controller has closed regularly
 CLOSED = "closed by the controller"
-"""Loss reason of a connection that the controller has closed regularly."""
 ERROR_TEXTS = {
     errno.ECONNREFUSED: "connection refused",
     errno.ECONNRESET: "reset",
@@ -22,10 +22,9 @@ ERROR_TEXTS = {
     errno.ETIMEDOUT: "no answer",
     errno.EHOSTUNREACH: "no route to the host",
     errno.ENETUNREACH: "network unreachable",
-}
-"""Short texts of common errors."""
+}  #: Short texts of common errors
+#: Value of SO_LINGER with which closing resets a connection and discards unsent data
 LINGER_RESET = struct.pack("ii", 1, 0)
-"""Value of SO_LINGER with which closing resets a connection and discards unsent data."""
 
 
 class LinkError(OmnimanError):

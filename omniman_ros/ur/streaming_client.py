@@ -10,16 +10,15 @@ from omniman_ros.ur.parameters import UrParameters
 from omniman_ros.ur.streaming_messages import Command, StreamingPhase, StreamingReport
 from omniman_ros.ur.streaming_process import StreamingProcess
 
+#: Starts a streaming process; the arguments are those of :class:`StreamingProcess`
 StartProcess = Callable[..., StreamingProcess]
-"""Starts a streaming process; the arguments are those of :class:`StreamingProcess`."""
+#: Time without a report after which the streaming process counts as hanging [s]
 HANG_TIMEOUT = 0.5
-"""Time without a report after which the streaming process counts as hanging [s]."""
+#: Longest time between two messages to the process, which show that the node runs [s]
 KEEP_ALIVE_PERIOD = 0.1
-"""Longest time between two messages to the process, which show that the node runs [s]."""
+#: How long the controller may take to report that its protective stop is unlocked [s]
 UNLOCK_TIMEOUT = 1.0
-"""How long the controller may take to report that its protective stop is unlocked [s]."""
-FINISH_TIMEOUT = 5.0
-"""How long the arm may take to come to rest and its program to end [s]."""
+FINISH_TIMEOUT = 5.0  #: How long the arm may take to come to rest and its program to end [s]
 
 
 class StreamingClient:
@@ -29,7 +28,6 @@ class StreamingClient:
         clock: Returns the monotonic time [s], or simulated time.
         wake: Called from another thread when a report has arrived.
         receive: Calls :meth:`take` and handles the reports; used while waiting.
-        start_process: Starts a streaming process.
 
     Attributes:
         process: The process; None while there is none.
@@ -146,7 +144,6 @@ class StreamingClient:
         """Send the state of the node's latch, once for each change.
 
         Args:
-            is_held: Whether the latch forbids motion.
             reason: Why the latch is stopped, empty if it is not.
         """
         if self.process is None or (is_held, reason) == self._sent_stop:

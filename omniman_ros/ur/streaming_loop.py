@@ -32,21 +32,17 @@ from omniman_ros.ur.streaming_messages import (
 )
 from omniman_ros.ur.streaming_supervisor import StreamingSupervisor
 
-REPORT_PERIOD = 0.04
-"""Longest time between two reports [s]."""
-TIMING_COUNT = 25
-"""Number of send intervals that are reported together."""
-FINISH_TIMEOUT = 3.0
-"""How long the arm may take to come to rest when the node has ended [s]."""
+REPORT_PERIOD = 0.04  #: Longest time between two reports [s]
+TIMING_COUNT = 25  #: Number of send intervals that are reported together
+FINISH_TIMEOUT = 3.0  #: How long the arm may take to come to rest when the node has ended [s]
+#: Time without a message of the node after which the arm is brought to rest [s].
+#:
+#: A node that hangs could not stop it.
 NODE_TIMEOUT = 0.5
-"""Time without a message of the node after which the arm is brought to rest [s].
-
-A node that hangs could not stop it.
-"""
+#: Time that a `GivenClock` adds to what it is given [s], so that rounding delays no due cycle
 ROUNDING = 1e-6
-"""Time that a `GivenClock` adds to what it is given [s], so that rounding delays no due cycle."""
+#: Delay of a cycle from which on the machine counts as having been suspended [s]
 SUSPEND_TIME = 10.0
-"""Delay of a cycle from which on the machine counts as having been suspended [s]."""
 
 
 class GivenClock:
@@ -72,10 +68,6 @@ class StreamingLoop:
     """Serves the connections, the node and the clock until the node ends the loop or has ended.
 
     Args:
-        channel: Channel to the node.
-        link: Connections to the controller.
-        arm: Parameters of the arm.
-        ur: Parameters of the streaming.
         clock: Returns the monotonic time [s]; the node uses the same clock. A `GivenClock` is set
             by commands of the node.
     """

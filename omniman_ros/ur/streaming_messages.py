@@ -10,100 +10,64 @@ from omniman_ros.ur.feedback import ArmSample
 class Command(Enum):
     """Command of a node to its streaming process."""
 
+    #: Follow a preview: times, positions, velocities and accelerations of a `JointPreview`
     PREVIEW = auto()
-    """Follow a preview: times, positions, velocities and accelerations of a `JointPreview`."""
-    START = auto()
-    """Start the program, and keep it supplied with setpoints."""
-    KEEP_ALIVE = auto()
-    """Do nothing: the message shows that the node runs."""
+    START = auto()  #: Start the program, and keep it supplied with setpoints
+    KEEP_ALIVE = auto()  #: Do nothing: the message shows that the node runs
+    #: Replace a process that has ended: remain stopped until a reset starts the program
     RESUME = auto()
-    """Replace a process that has ended: remain stopped until a reset starts the program."""
-    FINISH = auto()
-    """Bring the arm to rest and end the program."""
-    STOP = auto()
-    """Latch a stop, with its reason."""
+    FINISH = auto()  #: Bring the arm to rest and end the program
+    STOP = auto()  #: Latch a stop, with its reason
+    #: Bring the arm to rest and refuse previews (True), or accept them again (False)
     HOLD = auto()
-    """Bring the arm to rest and refuse previews (True), or accept them again (False)."""
-    LIMIT = auto()
-    """Keep to a share of the joints' speed limits, 0 to 1."""
-    RESET = auto()
-    """Clear the stop, with the number of the reset."""
-    TIME = auto()
-    """Let simulated time pass, up to an instant of the node's clock [s]."""
-    CONFIGURE = auto()
-    """Replace the parameters: `ArmParameters` and `UrParameters`."""
+    LIMIT = auto()  #: Keep to a share of the joints' speed limits, 0 to 1
+    RESET = auto()  #: Clear the stop, with the number of the reset
+    TIME = auto()  #: Let simulated time pass, up to an instant of the node's clock [s]
+    CONFIGURE = auto()  #: Replace the parameters: `ArmParameters` and `UrParameters`
 
 
 @dataclass(frozen=True)
 class CommandMessage:
-    """A command with its arguments.
-
-    Attributes:
-        command: The command.
-        arguments: Arguments of the command, see :class:`Command`.
-    """
+    """A command with its arguments."""
 
     command: Command
-    arguments: tuple[Any, ...] = ()
+    arguments: tuple[Any, ...] = ()  #: Arguments of the command, see :class:`Command`
 
 
 class StreamingPhase(Enum):
     """Phase of the streaming."""
 
-    IDLE = "idle"
-    """No program of ours runs."""
-    STARTING = "starting"
-    """A program was sent; its connection is awaited."""
-    STREAMING = "streaming"
-    """Setpoints are sent to the program."""
-    ENDING = "ending"
-    """The arm is brought to rest; then the program ends."""
+    IDLE = "idle"  #: No program of ours runs
+    STARTING = "starting"  #: A program was sent; its connection is awaited
+    STREAMING = "streaming"  #: Setpoints are sent to the program
+    ENDING = "ending"  #: The arm is brought to rest; then the program ends
 
 
 @dataclass(frozen=True)
 class SendTiming:
-    """Punctuality of the setpoints since the last timing.
+    """Punctuality of the setpoints since the last timing."""
 
-    Attributes:
-        intervals: Times between two sends [s].
-        ages: Age of the newest setpoint that the program had read, when each sample arrived [s].
-    """
-
-    intervals: tuple[float, ...]
+    intervals: tuple[float, ...]  #: Times between two sends [s]
+    #: Age of the newest setpoint that the program had read, when each sample arrived [s]
     ages: tuple[float, ...]
 
 
 @dataclass(frozen=True)
 class StreamingReport:
-    """State of the streaming, sent by its process.
+    """State of the streaming, sent by its process."""
 
-    Attributes:
-        samples: New real-time data, oldest first.
-        phase: Phase of the streaming.
-        connected: Whether real-time data flow.
-        blocking_reason: Why the arm cannot be moved now, apart from a latched stop; or an empty
-            string.
-        stop_reason: Reason of the latched stop, or an empty string.
-        failure: Why the program did not start, or an empty string.
-        resets: Number of the last reset that was received.
-        at_rest: Whether the setpoints stand still.
-        refusals: Refusals of previews since the last report.
-        texts: Text messages of the controller since the last report.
-        counts: Number of unusable data and refused connections so far, by kind.
-        timing: Punctuality of the setpoints; None in most reports.
-        sent_until: Instant before which all setpoints have been sent [s].
-    """
-
-    samples: tuple[ArmSample, ...] = ()
+    samples: tuple[ArmSample, ...] = ()  #: New real-time data, oldest first
     phase: StreamingPhase = StreamingPhase.IDLE
-    connected: bool = False
+    connected: bool = False  #: Whether real-time data flow
+    #: Why the arm cannot be moved now, apart from a latched stop; or an empty string
     blocking_reason: str = "no data yet"
-    stop_reason: str = ""
-    failure: str = ""
-    resets: int = 0
-    at_rest: bool = True
-    refusals: tuple[str, ...] = ()
-    texts: tuple[str, ...] = ()
+    stop_reason: str = ""  #: Reason of the latched stop, or an empty string
+    failure: str = ""  #: Why the program did not start, or an empty string
+    resets: int = 0  #: Number of the last reset that was received
+    at_rest: bool = True  #: Whether the setpoints stand still
+    refusals: tuple[str, ...] = ()  #: Refusals of previews since the last report
+    texts: tuple[str, ...] = ()  #: Text messages of the controller since the last report
+    #: Number of unusable data and refused connections so far, by kind
     counts: tuple[tuple[str, int], ...] = ()
-    timing: SendTiming | None = None
-    sent_until: float = 0.0
+    timing: SendTiming | None = None  #: Punctuality of the setpoints; None in most reports
+    sent_until: float = 0.0  #: Instant before which all setpoints have been sent [s]

@@ -14,18 +14,16 @@ from omniman_ros.ur.process_channel import ProcessChannel, ProcessChannelError
 from omniman_ros.ur.sockets import LinkError
 from omniman_ros.ur.streaming_messages import Command, CommandMessage, StreamingReport
 
+#: Failure of a process that has ended without reporting a reason
 ENDED = "the streaming process has ended"
-"""Failure of a process that has ended without reporting a reason."""
+#: How long the process may take to end [s]: the node's shutdown must not last much longer
 EXIT_TIMEOUT = 4.0
-"""How long the process may take to end [s]: the node's shutdown must not last much longer."""
 
 
 class StreamingProcess:
     """Starts a streaming process, sends it commands, and collects its reports.
 
     Args:
-        arm: Parameters of the arm.
-        ur: Parameters of the streaming.
         wake: Called from another thread when a message has arrived.
         clock: Returns the simulated time [s], which the process then gets by `Command.TIME`; None
             for the monotonic clock.

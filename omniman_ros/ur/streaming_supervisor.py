@@ -20,16 +20,15 @@ from omniman_ros.ur.servo_program import servo_program
 from omniman_ros.ur.setpoint_generator import GeneratorSettings, JointSetpointGenerator
 from omniman_ros.ur.streaming_messages import StreamingPhase
 
+#: How long data that name the cause are awaited after the program's connection has ended [s]
 LOSS_REASON_DELAY = 0.02
-"""How long data that name the cause are awaited after the program's connection has ended [s]."""
-REST_SPEED = 0.01
-"""Measured joint speed below which the arm counts as standing [rad/s]."""
+REST_SPEED = 0.01  #: Measured joint speed below which the arm counts as standing [rad/s]
+#: Delay of a setpoint beyond which the arm has gone on by its last step instead [s].
+#:
+#: Shorter ones are caught up with, as the arm's lag hides them.
 COASTING_DELAY = 8.5 * PERIOD
-"""Delay of a setpoint beyond which the arm has gone on by its last step instead [s].
-
-Shorter ones are caught up with, as the arm's lag hides them."""
+#: Number of setpoints whose send times are kept: more than the program can leave unread
 SEND_TIMES = 256
-"""Number of setpoints whose send times are kept: more than the program can leave unread."""
 
 
 def joint_limits(arm: ArmParameters, ur: UrParameters) -> JointLimits:
@@ -49,11 +48,6 @@ class StreamingSupervisor:
     the program is lost, the connection is closed at once, so that setpoints in transit are not
     executed. After a stop no program runs until :meth:`reset`; the next one begins at the arm's
     position.
-
-    Args:
-        link: Connections to the controller.
-        arm: Parameters of the arm.
-        ur: Parameters of the streaming.
 
     Attributes:
         phase: Phase of the streaming.

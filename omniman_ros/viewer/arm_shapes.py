@@ -17,10 +17,8 @@ from omniman_ros.description.inertia import Vector
 from omniman_ros.description.ur5 import BASE, Link, Tube, links
 from omniman_ros.motion.whole_body.model import Mount
 
-START = -1
-"""Value of the field `end` in `CAPS` for the start of a tube."""
-END = 1
-"""Value of the field `end` in `CAPS` for the end of a tube."""
+START = -1  #: Value of the field `end` in `CAPS` for the start of a tube
+END = 1  #: Value of the field `end` in `CAPS` for the end of a tube
 CAPS = (
     (1, 0, END),
     (2, 1, END),
@@ -29,35 +27,22 @@ CAPS = (
     (3, 1, START),
     (4, 0, END),
     (5, 0, END),
-)
-"""Ends of tubes that a cap closes: index of the link (0: base), index of its tube, and `end`."""
-CAP_RADIUS_RATIO = 1.03
-"""Ratio of a cap's radius to that of its tube."""
+)  #: Ends of tubes that a cap closes: index of the link (0: base), index of its tube, and `end`
+CAP_RADIUS_RATIO = 1.03  #: Ratio of a cap's radius to that of its tube
 
 
 @dataclass(frozen=True)
 class Parts:
-    """Instances of one mesh on the links.
+    """Instances of one mesh on the links."""
 
-    Attributes:
-        link: (N,) indices of the instances' links, 0 for the base.
-        positions: (N, 3) positions in the frames of the links [m].
-        rotations: (N, 4) quaternions (w, x, y, z) in the frames of the links.
-        scales: (N, 3) scale factors along the axes of the mesh.
-    """
-
-    link: NDArray[np.int64]
-    positions: Array
-    rotations: Array
-    scales: Array
+    link: NDArray[np.int64]  #: (N,) indices of the instances' links, 0 for the base
+    positions: Array  #: (N, 3) positions in the frames of the links [m]
+    rotations: Array  #: (N, 4) quaternions (w, x, y, z) in the frames of the links
+    scales: Array  #: (N, 3) scale factors along the axes of the mesh
 
 
 class ArmShape:
     """The arm on its platform, as instances of two meshes.
-
-    Args:
-        mount: Mount of the arm on the platform.
-        table: Denavit-Hartenberg parameters of the arm.
 
     Attributes:
         tubes: Instances of a cylinder about z of radius 1 and length 1.
@@ -101,7 +86,6 @@ class ArmShape:
         """Return positions (N, 3) [m] and quaternions (N, 4) of parts in `base_link`.
 
         Args:
-            parts: Instances of a mesh.
             frames: Frames of base and links, see :meth:`frames`.
         """
         positions, rotations = frames[0][parts.link], frames[1][parts.link]
@@ -133,15 +117,14 @@ def rotated(rotations: Array, vectors: Array) -> Array:
     return result
 
 
+#: Factors that turn a quaternion (w, x, y, z) into its conjugate
 _CONJUGATION = np.array([1.0, -1.0, -1.0, -1.0])
-"""Factors that turn a quaternion (w, x, y, z) into its conjugate."""
 
+#: Multiplication table of 1, i, j, k.
+#:
+#: The row is the index of the second factor, the column four times that of the first factor plus
+#: that of the product; the value is the sign.
 _HAMILTON: Array = np.zeros((4, 16))
-"""Multiplication table of 1, i, j, k.
-
-The row is the index of the second factor, the column four times that of the first factor plus
-that of the product; the value is the sign.
-"""
 for _first, _second, _both, _sign in (
     (0, 0, 0, 1),
     (0, 1, 1, 1),
@@ -169,8 +152,8 @@ def _right_factors(rotations: Array) -> Array:
     return result
 
 
+#: Index of the link, position [m], quaternion and scales of an instance, as in `Parts`
 Part = tuple[int, Array, Array, Vector]
-"""Index of the link, position [m], quaternion and scales of an instance, as in `Parts`."""
 
 
 def _centre(tube: Tube) -> Array:

@@ -18,32 +18,24 @@ from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.obstacles.surroundings import FARTHEST, ellipse_surroundings
 from omniman_ros.viewer.placed_obstacles import ObstacleArrays
 
+#: Rotation of a joint up to which the footprint is not computed anew [rad]
 POSTURE_TOLERANCE = 0.01
-"""Rotation of a joint up to which the footprint is not computed anew [rad]."""
-REACH = 3.0
-"""Distance up to which something counts as near [m]."""
+REACH = 3.0  #: Distance up to which something counts as near [m]
+#: Number of points of scanners, those nearest to the robot, whose distances are computed
 NEAREST_POINTS = 60
-"""Number of points of scanners, those nearest to the robot, whose distances are computed."""
-PLATFORM_HEIGHT = 0.3
-"""Height at which a line from the platform is drawn [m]."""
+PLATFORM_HEIGHT = 0.3  #: Height at which a line from the platform is drawn [m]
+#: Places along the axis of a capsule, and along an edge of a rectangle, among which the one is
+#: chosen where the line to what is nearest begins.
 STATIONS = np.linspace(0.0, 1.0, 11)
-"""Places along the axis of a capsule, and along an edge of a rectangle, among which the one is
-chosen where the line to what is nearest begins."""
 
 
 @dataclass(frozen=True)
 class Nearest:
-    """What is nearest to the robot.
+    """What is nearest to the robot."""
 
-    Attributes:
-        part: Name of the robot's part.
-        distance: Its distance [m].
-        line: (2, 3) line between the two in `odom`, to draw [m].
-    """
-
-    part: str
-    distance: float
-    line: Array
+    part: str  #: Name of the robot's part
+    distance: float  #: Its distance [m]
+    line: Array  #: (2, 3) line between the two in `odom`, to draw [m]
 
 
 @dataclass(frozen=True)
@@ -52,16 +44,13 @@ class BodyView:
 
     Attributes:
         start, end: (S, 3) ends of the axes of the arm's capsules in `odom` [m].
-        radius: (S,) their radii [m].
-        footprint: (P, 4, 2) corners of the rectangles that bound the robot from above [m].
-        nearest: What is nearest; None if nothing is near.
     """
 
     start: Array
     end: Array
-    radius: Array
-    footprint: Array
-    nearest: Nearest | None
+    radius: Array  #: (S,) their radii [m]
+    footprint: Array  #: (P, 4, 2) corners of the rectangles that bound the robot from above [m]
+    nearest: Nearest | None  #: What is nearest; None if nothing is near
 
 
 class BodyShapes:
@@ -69,8 +58,6 @@ class BodyShapes:
 
     Args:
         description: Shapes of platform and arm, and where the arm is mounted.
-        tool: Shape of the tool.
-        load: Shape of the load.
     """
 
     def __init__(
@@ -149,8 +136,6 @@ def solids_around(
 
     Args:
         pose: Pose (3,) of base_link in `odom` [m, m, rad].
-        others: Obstacles of others.
-        placed: Obstacles of the page.
         scan: Points (k, 3) in `odom` [m].
     """
     away = np.hypot(*(scan[:, :2] - pose[:2]).T)

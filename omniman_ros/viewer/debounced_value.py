@@ -2,10 +2,8 @@
 
 from dataclasses import dataclass
 
-SETTLING_TIME = 0.4
-"""Time without a change after which an entered value is sent [s]."""
-ECHO_TIME = 2.0
-"""Time after sending during which the page keeps displaying the entered value [s]."""
+SETTLING_TIME = 0.4  #: Time without a change after which an entered value is sent [s]
+ECHO_TIME = 2.0  #: Time after sending during which the page keeps displaying the entered value [s]
 
 
 @dataclass

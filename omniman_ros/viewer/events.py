@@ -9,13 +9,11 @@ from typing import Any
 from omniman_ros.core.errors import InputError
 from omniman_ros.viewer.obstacle_paths import Motion, ObstaclePath
 
+#: Largest number of events that are processed at once, and that wait to be processed
 MAX_EVENTS = 1000
-"""Largest number of events that are processed at once, and that wait to be processed."""
-STOP = "stop"
-"""Action of the button that stops the robot."""
+STOP = "stop"  #: Action of the button that stops the robot
 
-Pose = tuple[float, float, float]
-"""x, y [m], heading [rad] in `odom`."""
+Pose = tuple[float, float, float]  #: x, y [m], heading [rad] in `odom`
 
 
 @dataclass(frozen=True)
@@ -43,15 +41,12 @@ class ClientDisconnected:
 
 @dataclass(frozen=True)
 class ButtonPressed:
-    """Any other button was clicked.
+    """Any other button was clicked."""
 
-    Attributes:
-        action: stop, reset; pause, resume, cancel (path and planner alike); go (send the displayed
-            goal); restart (move robot and obstacles back to the start); add (an obstacle); clear
-            (trails); tour (end it, or begin it anew); tool_place (the handle at the tool),
-            tool_add (a pose to its path), tool_send (the path), tool_remove (the handle).
-    """
-
+    #: stop, reset; pause, resume, cancel (path and planner alike); go (send the displayed goal);
+    #: restart (move robot and obstacles back to the start); add (an obstacle); clear (trails);
+    #: tour (end it, or begin it anew); tool_place (the handle at the tool), tool_add (a pose to
+    #: its path), tool_send (the path), tool_remove (the handle).
     action: str
 
 
@@ -176,8 +171,7 @@ Event = (
     | CaseSelected
     | ParameterChanged
     | ToolHandleMoved
-)
-"""Any event."""
+)  #: Any event
 
 
 class EventQueue:

@@ -9,18 +9,13 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.robot import Body
 from omniman_ros.viewer.meshes import Mesh, joined, plate, prism, revolved, rounded
 
-OBSTACLE_HEIGHT = 0.6
-"""Height of an obstacle [m]."""
-CIRCLE_POINTS = 32
-"""Number of corners of the polygon that approximates a circle."""
-BORDER_WIDTH = 0.05
-"""Ratio of the width of a marker's border to the platform's width."""
+OBSTACLE_HEIGHT = 0.6  #: Height of an obstacle [m]
+CIRCLE_POINTS = 32  #: Number of corners of the polygon that approximates a circle
+BORDER_WIDTH = 0.05  #: Ratio of the width of a marker's border to the platform's width
+#: Ratio of the distance of a marker's arrow tip from the platform's front to its width
 ARROW_REACH = 0.4
-"""Ratio of the distance of a marker's arrow tip from the platform's front to its width."""
-KNOB_RADIUS = 0.16
-"""Ratio of the radius of a marker's knob to the platform's width."""
-LAYER_HEIGHT = 0.004
-"""Thickness of each layer of a marker [m]."""
+KNOB_RADIUS = 0.16  #: Ratio of the radius of a marker's knob to the platform's width
+LAYER_HEIGHT = 0.004  #: Thickness of each layer of a marker [m]
 
 
 @dataclass(frozen=True)
@@ -29,22 +24,17 @@ class MarkerShape:
 
     Attributes:
         plate, border, arrow, knob: Meshes in the frame of the platform.
-        tip: Distance of the knob from the origin [m].
     """
 
     plate: Mesh
     border: Mesh
     arrow: Mesh
     knob: Mesh
-    tip: float
+    tip: float  #: Distance of the knob from the origin [m]
 
 
 def marker(body: Body) -> MarkerShape:
-    """Return the marker of a platform's pose.
-
-    Args:
-        body: Shape of the platform.
-    """
+    """Return the marker of a platform's pose."""
     length, width = body.length, body.width
     corner, edge = 0.12 * min(length, width), BORDER_WIDTH * width
     if body.outline is None:
@@ -105,7 +95,6 @@ def disc(radius: float, height: float, around: int = CIRCLE_POINTS) -> Mesh:
     Args:
         radius: Radius [m].
         height: Height [m].
-        around: Number of corners of its circles.
     """
     half = 0.5 * height
     side = revolved(np.array([-half, half]), np.full(2, radius), around)
@@ -152,5 +141,5 @@ def arrow_head(length: float, thickness: float) -> Mesh:
     return prism(np.array([[-x, -y], [x, 0.0], [-x, y]]), -0.5 * thickness, 0.5 * thickness)
 
 
+#: Rotation matrix that maps x to z (upwards)
 _UPRIGHT = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
-"""Rotation matrix that maps x to z (upwards)."""

@@ -12,10 +12,8 @@ MOTIONS: dict[str, Twist] = {
     "left": (0.0, 1.0, 0.0),
     "back": (-1.0, 0.0, 0.0),
     "right": (0.0, -1.0, 0.0),
-}
-"""Direction of the body twist of each motion button, in the order of the page, three per row."""
-DEAD_MAN_TIMEOUT = 0.2
-"""Silence of a page after which the buttons it held count as released [s]."""
+}  #: Direction of the body twist of each motion button, in the order of the page, three per row
+DEAD_MAN_TIMEOUT = 0.2  #: Silence of a page after which the buttons it held count as released [s]
 
 
 class HoldToDrive:

@@ -7,16 +7,12 @@ import numpy as np
 
 from omniman_ros.core.arrays import Array
 
-TRAIL_SPACING = 0.02
-"""Shortest distance between two points of a trail [m]."""
-TRAIL_POINTS = 1500
-"""Largest number of points of a trail: 30 m at the shortest spacing."""
+TRAIL_SPACING = 0.02  #: Shortest distance between two points of a trail [m]
+TRAIL_POINTS = 1500  #: Largest number of points of a trail: 30 m at the shortest spacing
+#: Distance between two points beyond which a trail is broken, as when odometry is set [m]
 JUMP = 0.5
-"""Distance between two points beyond which a trail is broken, as when odometry is set [m]."""
-LINE_POINTS = 1000
-"""Largest number of points drawn of a path; a longer one is thinned evenly."""
-OUTLINE_POINTS = 24
-"""Number of corners of the outline of an obstacle."""
+LINE_POINTS = 1000  #: Largest number of points drawn of a path; a longer one is thinned evenly
+OUTLINE_POINTS = 24  #: Number of corners of the outline of an obstacle
 
 
 class Trail:
@@ -59,15 +55,11 @@ class Trail:
 
 @dataclass
 class Line:
-    """A polyline.
+    """A polyline."""
 
-    Attributes:
-        points: (k, 2) on the floor or (k, 3) in space [m].
-        version: Changes whenever the points change.
-    """
-
+    #: (k, 2) on the floor or (k, 3) in space [m]
     points: Array = field(default_factory=lambda: np.empty((0, 2)))
-    version: int = 0
+    version: int = 0  #: Changes whenever the points change
 
     def set(self, points: Array) -> None:
         """Replace the points."""

@@ -9,30 +9,22 @@ from numpy.typing import NDArray
 from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 
-Pixels = NDArray[np.uint8]
-"""Image (rows, columns, 4): red, green, blue and opacity, 0 to 255."""
+Pixels = NDArray[np.uint8]  #: Image (rows, columns, 4): red, green, blue and opacity, 0 to 255
 
+#: Largest number of pixels along a side: in a larger map, a pixel stands for several cells
 MOST_PIXELS = 512
-"""Largest number of pixels along a side: in a larger map, a pixel stands for several cells."""
-FREE = (231, 245, 235, 255)
-"""Colour of what is free."""
+FREE = (231, 245, 235, 255)  #: Colour of what is free
+#: Colour of what is occupied; what lies between the two has a colour between these
 OCCUPIED = (52, 58, 64, 255)
-"""Colour of what is occupied; what lies between the two has a colour between these."""
 
 
 @dataclass(frozen=True)
 class MapImage:
-    """An image on the floor.
+    """An image on the floor."""
 
-    Attributes:
-        pixels: The image, its rows along y and its columns along x of the map.
-        size: Lengths along x and y [m].
-        middle: Pose of the middle in `odom` [m, m, rad].
-    """
-
-    pixels: Pixels
-    size: tuple[float, float]
-    middle: tuple[float, float, float]
+    pixels: Pixels  #: The image, its rows along y and its columns along x of the map
+    size: tuple[float, float]  #: Lengths along x and y [m]
+    middle: tuple[float, float, float]  #: Pose of the middle in `odom` [m, m, rad]
 
 
 def map_pixels(occupancy: NDArray[np.int8]) -> tuple[Pixels, int]:
@@ -56,7 +48,6 @@ def map_image(pixels: Pixels, pixel_size: float, corner: Array) -> MapImage:
     """Return where an image lies.
 
     Args:
-        pixels: The image.
         pixel_size: Edge of a pixel [m].
         corner: (3,) pose of the first pixel's outer corner in `odom` [m, m, rad].
     """

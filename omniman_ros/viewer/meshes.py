@@ -13,37 +13,26 @@ from omniman_ros.collision.convex_pieces import convex_pieces
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.robot import Robot
 
-Triangles = NDArray[np.int64]
-"""Indices (t, 3) of the vertices of triangles."""
+Triangles = NDArray[np.int64]  #: Indices (t, 3) of the vertices of triangles
 
 
-ROLLERS = 9
-"""Number of rollers of a wheel."""
-CORE_RADIUS = 0.82
-"""Ratio of the distance between roller axes and axle to the wheel's radius."""
-OVERLAP = 1.2
-"""Ratio of a roller's length to the length at which neighbouring rollers just meet."""
-ROLLER_POINTS_AROUND = 12
-"""Number of vertices of a roller around its axis."""
-ROLLER_POINTS_ALONG = 7
-"""Number of vertices of a roller along its axis."""
+ROLLERS = 9  #: Number of rollers of a wheel
+CORE_RADIUS = 0.82  #: Ratio of the distance between roller axes and axle to the wheel's radius
+OVERLAP = 1.2  #: Ratio of a roller's length to the length at which neighbouring rollers just meet
+ROLLER_POINTS_AROUND = 12  #: Number of vertices of a roller around its axis
+ROLLER_POINTS_ALONG = 7  #: Number of vertices of a roller along its axis
+#: Smallest ratio of a wheel's width to its radius: Omni rollers have no extent along y
 MIN_WIDTH = 0.35
-"""Smallest ratio of a wheel's width to its radius: Omni rollers have no extent along y."""
+#: Ratio of the chassis' height above the floor to the largest wheel's radius
 GROUND_CLEARANCE = 0.5
-"""Ratio of the chassis' height above the floor to the largest wheel's radius."""
 
 
 @dataclass(frozen=True)
 class Mesh:
-    """A triangle mesh.
+    """A triangle mesh."""
 
-    Attributes:
-        vertices: (v, 3) [m].
-        triangles: (t, 3) indices of vertices, counter-clockwise as seen from outside.
-    """
-
-    vertices: Array
-    triangles: Triangles
+    vertices: Array  #: (v, 3) [m]
+    triangles: Triangles  #: (t, 3) indices of vertices, counter-clockwise as seen from outside
 
     def rotated(self, rotation: Array) -> "Mesh":
         """Return the mesh rotated by a matrix (3, 3)."""
@@ -94,7 +83,6 @@ def revolved(stations: Array, radii: Array, around: int) -> Mesh:
     Args:
         stations: Positions (k,) along x [m], increasing.
         radii: Radii (k,) at these positions [m].
-        around: Number of vertices around the axis.
     """
     k = len(stations)
     angles = 2.0 * math.pi * np.arange(around) / around
@@ -208,19 +196,12 @@ def wheel_width(radius: float, roller_angle: float) -> float:
 
 @dataclass(frozen=True)
 class BodyShape:
-    """Meshes of a platform without wheels.
+    """Meshes of a platform without wheels."""
 
-    Attributes:
-        chassis: Body between the wheels.
-        deck: Plate above the wheels.
-        arrow: Arrow on the deck that points to the front.
-        height: Height of the deck's upper side [m].
-    """
-
-    chassis: Mesh
-    deck: Mesh
-    arrow: Mesh
-    height: float
+    chassis: Mesh  #: Body between the wheels
+    deck: Mesh  #: Plate above the wheels
+    arrow: Mesh  #: Arrow on the deck that points to the front
+    height: float  #: Height of the deck's upper side [m]
 
 
 def body(robot: Robot) -> BodyShape:

@@ -29,8 +29,7 @@ from omniman_ros.viewer.ros.service_calls import ServiceCalls
 from omniman_ros.viewer.ros.tool_commands import ToolCommands
 from omniman_ros.viewer.view_state import ViewState
 
-PERIOD = 0.05
-"""Period of `cmd_vel`, and of processing the events of the page [s]."""
+PERIOD = 0.05  #: Period of `cmd_vel`, and of processing the events of the page [s]
 
 
 class ViewerNode(OmnimanNode):

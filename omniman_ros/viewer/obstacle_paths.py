@@ -12,21 +12,15 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.planning.cases import TwoVelocityPath
 
-Pair = tuple[float, float]
-"""x, y: a position [m] or a velocity [m/s]."""
+Pair = tuple[float, float]  #: x, y: a position [m] or a velocity [m/s]
 
-MIN_SPEED = 0.05
-"""Smallest speed along way points [m/s]."""
-MAX_SPEED = 3.0
-"""Largest speed along way points [m/s]."""
-MAX_WAYPOINTS = 50
-"""Largest number of way points of an obstacle."""
-DEFAULT_SPEED = 0.5
-"""Speed along way points of an obstacle that stood still before [m/s]."""
+MIN_SPEED = 0.05  #: Smallest speed along way points [m/s]
+MAX_SPEED = 3.0  #: Largest speed along way points [m/s]
+MAX_WAYPOINTS = 50  #: Largest number of way points of an obstacle
+DEFAULT_SPEED = 0.5  #: Speed along way points of an obstacle that stood still before [m/s]
+#: Time after which an obstacle makes its turn, until another time is entered [s]
 DEFAULT_TURN_TIME = 3.0
-"""Time after which an obstacle makes its turn, until another time is entered [s]."""
-SHOWN_AFTER_TURN = 2.0
-"""Time for which the course after a turn is drawn [s]."""
+SHOWN_AFTER_TURN = 2.0  #: Time for which the course after a turn is drawn [s]
 
 
 class Motion(Enum):
@@ -51,19 +45,15 @@ class WaypointPath:
 
     It stands still if all its way points coincide.
 
-    Attributes:
-        points: Positions (x, y) in `odom` in the order of passing [m]; the path begins at the
-            first one.
-        speed: Speed [m/s].
-        at_end: Whether it continues to the first point, turns back, or stops at the last point.
-
     Raises:
         InputError: There are no or too many points, one is not plausible, or the speed is out of
             range.
     """
 
+    #: Positions (x, y) in `odom` in the order of passing [m]; the path begins at the first one
     points: tuple[Pair, ...]
-    speed: float = DEFAULT_SPEED
+    speed: float = DEFAULT_SPEED  #: Speed [m/s]
+    #: Whether it continues to the first point, turns back, or stops at the last point
     at_end: AtEnd = AtEnd.LOOP
 
     def __post_init__(self) -> None:
@@ -137,8 +127,7 @@ class WaypointPath:
         return replace(self, points=(*self.points[:index], point, *self.points[index + 1 :]))
 
 
-ObstaclePath = TwoVelocityPath | WaypointPath
-"""Path of an obstacle."""
+ObstaclePath = TwoVelocityPath | WaypointPath  #: Path of an obstacle
 
 
 def motion(path: ObstaclePath) -> Motion:
@@ -170,7 +159,6 @@ def converted(home: ObstaclePath, position: Pair, velocity: Pair, wanted: Motion
         home: Path that it follows from a restart on.
         position: Its position (x, y) [m].
         velocity: Its velocity (x, y) [m/s].
-        wanted: Kind of motion.
     """
     if wanted is motion(home):
         return home

@@ -4,16 +4,13 @@ from collections import deque
 from collections.abc import Hashable, Mapping
 from typing import Any
 
-Key = Hashable
-"""Identifier of a dragged object, for instance ("obstacle", 3)."""
+Key = Hashable  #: Identifier of a dragged object, for instance ("obstacle", 3)
 
-DRAG_TIMEOUT = 2.0
-"""Silence of a drag after which the confirmed value is displayed again [s]."""
+DRAG_TIMEOUT = 2.0  #: Silence of a drag after which the confirmed value is displayed again [s]
+#: Time after a release at which the confirmed value is displayed again [s].
+#:
+#: It is about the time until all nodes know the new value.
 RELEASE_TIMEOUT = 0.3
-"""Time after a release at which the confirmed value is displayed again [s].
-
-It is about the time until all nodes know the new value.
-"""
 
 
 class OptimisticUpdates:

@@ -8,8 +8,8 @@ from ipaddress import ip_address
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import parameter
 
+#: Characters and lengths that a token may have: those that an address can contain as they are
 TOKEN = re.compile(r"[A-Za-z0-9_-]{8,200}")
-"""Characters and lengths that a token may have: those that an address can contain as they are."""
 
 
 def is_loopback(host: str) -> bool:

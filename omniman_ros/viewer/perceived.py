@@ -9,36 +9,26 @@ from omniman_ros.viewer.body_view import BodyView
 from omniman_ros.viewer.lines import Line, outlines, segments
 from omniman_ros.viewer.map_image import MapImage
 
+#: Layers that can be switched on the page, and whether each is on at first
 LAYERS = {"scan": True, "map": True, "tracks": True, "contacts": True, "shapes": False}
-"""Layers that can be switched on the page, and whether each is on at first."""
+#: Age from which something perceived is not drawn any more [s]; a map is kept
 FRESHNESS_TIMEOUT = 1.0
-"""Age from which something perceived is not drawn any more [s]; a map is kept."""
+#: Number of standard deviations that the circles of uncertainty have as their radius
 DEVIATIONS = 2.0
-"""Number of standard deviations that the circles of uncertainty have as their radius."""
-ARROW_TIME = 1.0
-"""Time after which a tracked obstacle will be at the tip of its arrow [s]."""
-SLOWEST = 0.05
-"""Speed from which a tracked obstacle has an arrow [m/s]."""
-HEAD = 0.12
-"""Length of the head of an arrow [m]."""
+ARROW_TIME = 1.0  #: Time after which a tracked obstacle will be at the tip of its arrow [s]
+SLOWEST = 0.05  #: Speed from which a tracked obstacle has an arrow [m/s]
+HEAD = 0.12  #: Length of the head of an arrow [m]
 
 
 @dataclass(frozen=True)
 class Tracks:
-    """M tracked obstacles.
+    """M tracked obstacles."""
 
-    Attributes:
-        centers: (M, 2) centres in `odom` [m].
-        velocities: (M, 2) velocities in `odom` [m/s].
-        radii: (M,) radii [m].
-        position_deviations: (M,) standard deviations of either coordinate [m].
-        velocity_deviations: (M,) standard deviations of either component of the velocity [m/s].
-    """
-
-    centers: Array
-    velocities: Array
-    radii: Array
-    position_deviations: Array
+    centers: Array  #: (M, 2) centres in `odom` [m]
+    velocities: Array  #: (M, 2) velocities in `odom` [m/s]
+    radii: Array  #: (M,) radii [m]
+    position_deviations: Array  #: (M,) standard deviations of either coordinate [m]
+    #: (M,) standard deviations of either component of the velocity [m/s]
     velocity_deviations: Array
 
     @staticmethod
@@ -82,44 +72,30 @@ def uncertainty_circles(tracks: Tracks) -> Array:
 
 @dataclass(frozen=True)
 class Contact:
-    """A contact of the robot in a simulated world.
+    """A contact of the robot in a simulated world."""
 
-    Attributes:
-        text: What touches what.
-        place: (3,) where, in the frame of the simulation [m].
-        force: Magnitude of the force [N].
-        received_at: Time at which it was received [s].
-    """
-
-    text: str
-    place: Array
-    force: float
-    received_at: float
+    text: str  #: What touches what
+    place: Array  #: (3,) where, in the frame of the simulation [m]
+    force: float  #: Magnitude of the force [N]
+    received_at: float  #: Time at which it was received [s]
 
 
 @dataclass
 class Perceived:
-    """What the page shows of scanners, tracker, collision monitor and physics world.
+    """What the page shows of scanners, tracker, collision monitor and physics world."""
 
-    Attributes:
-        scan: Points (k, 3) that the scanners' beams met, in `odom` [m].
-        map: The map of what stands; None until received, and while its place is not known.
-        tracks: Tracked obstacles.
-        tracks_version: Changes whenever the tracks change.
-        contacts: Contacts by their names.
-        speed_shares: Shares of the speed limits that the collision monitor leaves platform and
-            arm; None while it is silent.
-        tip_over_margin: Tip-over margin [m]; None while it is not received.
-        body: The robot's shapes for distances; None while they are not shown.
-    """
-
+    #: Points (k, 3) that the scanners' beams met, in `odom` [m]
     scan: Line = field(default_factory=lambda: Line(np.empty((0, 3))))
+    #: The map of what stands; None until received, and while its place is not known
     map: MapImage | None = None
-    tracks: Tracks = field(default_factory=Tracks.none)
-    tracks_version: int = 0
-    contacts: dict[str, Contact] = field(default_factory=dict)
+    tracks: Tracks = field(default_factory=Tracks.none)  #: Tracked obstacles
+    tracks_version: int = 0  #: Changes whenever the tracks change
+    contacts: dict[str, Contact] = field(default_factory=dict)  #: Contacts by their names
+    #: Shares of the speed limits that the collision monitor leaves platform and arm; None while it
+    #: is silent.
     speed_shares: tuple[float, float] | None = None
-    tip_over_margin: float | None = None
+    tip_over_margin: float | None = None  #: Tip-over margin [m]; None while it is not received
+    #: The robot's shapes for distances; None while they are not shown
     body: BodyView | None = None
     _scans: dict[str, tuple[Array, float]] = field(default_factory=dict)
     _received_at: dict[str, float] = field(default_factory=dict)

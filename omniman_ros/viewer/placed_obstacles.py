@@ -13,41 +13,26 @@ from omniman_ros.planning.cases import TwoVelocityPath
 from omniman_ros.viewer import obstacle_paths
 from omniman_ros.viewer.obstacle_paths import Motion, ObstaclePath, WaypointPath
 
-Pair = tuple[float, float]
-"""x, y: a position [m], a velocity [m/s] or semi-axes [m]."""
+Pair = tuple[float, float]  #: x, y: a position [m], a velocity [m/s] or semi-axes [m]
 
 
-DEFAULT_RADIUS = 0.25
-"""Radius of a new obstacle [m]."""
-MIN_SEMI_AXIS = 0.02
-"""Smallest semi-axis of an obstacle [m]."""
-MAX_SEMI_AXIS = 5.0
-"""Largest semi-axis of an obstacle [m]."""
-MAX_VELOCITY = 3.0
-"""Largest velocity of an obstacle, in x and in y [m/s]."""
-MAX_OBSTACLES = 100
-"""Largest number of obstacles of a page; further ones are refused."""
+DEFAULT_RADIUS = 0.25  #: Radius of a new obstacle [m]
+MIN_SEMI_AXIS = 0.02  #: Smallest semi-axis of an obstacle [m]
+MAX_SEMI_AXIS = 5.0  #: Largest semi-axis of an obstacle [m]
+MAX_VELOCITY = 3.0  #: Largest velocity of an obstacle, in x and in y [m/s]
+MAX_OBSTACLES = 100  #: Largest number of obstacles of a page; further ones are refused
 
 
 @dataclass(frozen=True)
 class PlacedObstacle:
-    """One obstacle.
+    """One obstacle."""
 
-    Attributes:
-        number: Identifier, which is never used again.
-        semi_axes: Semi-axes along the obstacle's x and y axes [m].
-        angle: Direction of the obstacle's x axis in `odom` [rad].
-        home: Path that the obstacle follows from a restart on.
-        path: Path that the obstacle follows now, over the time since `since`.
-        since: Start of `path` in the obstacles' own time [s].
-    """
-
-    number: int
-    semi_axes: Pair
-    angle: float
-    home: ObstaclePath
-    path: ObstaclePath
-    since: float
+    number: int  #: Identifier, which is never used again
+    semi_axes: Pair  #: Semi-axes along the obstacle's x and y axes [m]
+    angle: float  #: Direction of the obstacle's x axis in `odom` [rad]
+    home: ObstaclePath  #: Path that the obstacle follows from a restart on
+    path: ObstaclePath  #: Path that the obstacle follows now, over the time since `since`
+    since: float  #: Start of `path` in the obstacles' own time [s]
 
     def position(self, time: float) -> Pair:
         """Return the position (x, y) [m] at a time of the obstacles' own clock [s]."""
@@ -61,26 +46,17 @@ class PlacedObstacle:
 
 @dataclass(frozen=True)
 class ObstacleArrays:
-    """All obstacles at one instant, in `odom`.
+    """All obstacles at one instant, in `odom`."""
 
-    Attributes:
-        numbers: (M,) identifiers.
-        centers: (M, 2) positions [m].
-        semi_axes: (M, 2) semi-axes [m].
-        angles: (M,) directions of their x axes [rad].
-        velocities: (M, 2) velocities [m/s]; zero while the obstacles are paused.
-        resumed_velocities: (M, 2) velocities with which they continue after a pause [m/s]; None
-            if they are `velocities`.
-        placed: The M obstacles themselves.
-    """
-
-    numbers: NDArray[np.int64]
-    centers: Array
-    semi_axes: Array
-    angles: Array
-    velocities: Array
+    numbers: NDArray[np.int64]  #: (M,) identifiers
+    centers: Array  #: (M, 2) positions [m]
+    semi_axes: Array  #: (M, 2) semi-axes [m]
+    angles: Array  #: (M,) directions of their x axes [rad]
+    velocities: Array  #: (M, 2) velocities [m/s]; zero while the obstacles are paused
+    #: (M, 2) velocities with which they continue after a pause [m/s]; None if they are
+    #: `velocities`.
     resumed_velocities: Array | None = None
-    placed: tuple[PlacedObstacle, ...] = ()
+    placed: tuple[PlacedObstacle, ...] = ()  #: The M obstacles themselves
 
     @staticmethod
     def empty() -> "ObstacleArrays":

@@ -4,10 +4,8 @@ import numpy as np
 
 from omniman_ros.core.arrays import Array
 
-PLOT_SPAN = 15.0
-"""Time that a plot covers [s]."""
-SAMPLE_RATE = 20.0
-"""Sample rate of the plots [Hz]."""
+PLOT_SPAN = 15.0  #: Time that a plot covers [s]
+SAMPLE_RATE = 20.0  #: Sample rate of the plots [Hz]
 
 
 class SignalWindow:

@@ -7,20 +7,17 @@ from html import escape
 from omniman_ros.viewer.style import BAD, GOOD, MUTED, PROMINENT, WARNING
 from omniman_ros.viewer.view_state import ViewState
 
-_LEVEL_COLOURS = (GOOD, WARNING, BAD)
-"""Colours of the levels of a condition: ok, warning, error."""
+_LEVEL_COLOURS = (GOOD, WARNING, BAD)  #: Colours of the levels of a condition: ok, warning, error
 
 _SOURCE_COLOURS = {"stop": BAD, "none": MUTED}
 _PLANNER_COLOURS = {"driving": GOOD, "arrived": GOOD, "blocked": BAD, "paused": WARNING}
-MAX_LENGTH = 160
-"""Largest number of characters displayed of one message."""
+MAX_LENGTH = 160  #: Largest number of characters displayed of one message
 
 
 def status(state: ViewState, now: float) -> str:
     """Return HTML with the tour, the pace of time, the active source, stops, pose and problems.
 
     Args:
-        state: View state of the robot.
         now: Time on the clock of `state` [s].
     """
     rows = (

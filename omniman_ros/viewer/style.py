@@ -1,7 +1,6 @@
 """Colours of the page and of the scene, and sizes of the panels."""
 
-Colour = tuple[int, int, int]
-"""Red, green and blue, 0 to 255, as the 3D scene uses them."""
+Colour = tuple[int, int, int]  #: Red, green and blue, 0 to 255, as the 3D scene uses them
 
 
 def rgb(code: str) -> Colour:
@@ -15,30 +14,25 @@ GRAY, DARK_GRAY, TEAL = "#868e96", "#495057", "#0c8599"
 
 # ---- text -------------------------------------------------------------------------------------
 
-GOOD = GREEN
-"""Colour of a state that is as it should be."""
-WARNING = DARK_ORANGE
-"""Colour of a warning."""
-BAD = RED
-"""Colour of an error or a stop."""
-MUTED = GRAY
-"""Colour of labels and hints."""
-PROMINENT = BLUE
-"""Colour of the advice to a first-time user."""
+GOOD = GREEN  #: Colour of a state that is as it should be
+WARNING = DARK_ORANGE  #: Colour of a warning
+BAD = RED  #: Colour of an error or a stop
+MUTED = GRAY  #: Colour of labels and hints
+PROMINENT = BLUE  #: Colour of the advice to a first-time user
 
 # ---- plots ------------------------------------------------------------------------------------
 
+#: Colours of the curves of a plot, in order
 SERIES = ("#1971c2", "#e8590c", "#2f9e44", "#9c36b5", "#c2255c", TEAL, "#5c940d", DARK_GRAY)
-"""Colours of the curves of a plot, in order."""
+#: Colour of the lines that mark a limit in a plot
 LIMIT = "#e03131"
-"""Colour of the lines that mark a limit in a plot."""
 
 # ---- lines of the scene -----------------------------------------------------------------------
 
+#: Colour of the reference, of the arrow on the deck and of the marks on the wheels
 ACCENT = rgb("#fd7e14")
-"""Colour of the reference, of the arrow on the deck and of the marks on the wheels."""
+#: Colour of the true pose of a simulated robot
 GHOST = rgb("#228be6")
-"""Colour of the true pose of a simulated robot."""
 PATH = rgb(GREEN)
 PLAN = rgb("#d6249f")
 PREDICTED = rgb("#d6a078")
@@ -81,13 +75,8 @@ CONTACT = rgb("#c00000")
 
 # ---- sizes ------------------------------------------------------------------------------------
 
-PANEL_WIDTH = 310.0
-"""Width of the panels at either side [px]."""
-STOP_PANEL_HEIGHT = 100
-"""Height of the panel with Stop and Reset [px]."""
-DRIVE_PANEL_HEIGHT = 180
-"""Height of the panel with the motion buttons [px]."""
-STATE_PANEL_HEIGHT = 270
-"""Height of the panel with the state in words [px]."""
-PLOT_HEIGHT = 104
-"""Height of a plot [px]: three of them fit below each other on a small screen."""
+PANEL_WIDTH = 310.0  #: Width of the panels at either side [px]
+STOP_PANEL_HEIGHT = 100  #: Height of the panel with Stop and Reset [px]
+DRIVE_PANEL_HEIGHT = 180  #: Height of the panel with the motion buttons [px]
+STATE_PANEL_HEIGHT = 270  #: Height of the panel with the state in words [px]
+PLOT_HEIGHT = 104  #: Height of a plot [px]: three of them fit below each other on a small screen

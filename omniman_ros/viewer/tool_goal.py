@@ -9,25 +9,17 @@ from omniman_ros.core import plausible
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.planar import Triple
 
-Quaternion = tuple[float, float, float, float]
-"""A rotation (w, x, y, z)."""
-MOST_POSES = 50
-"""Largest number of poses of a path."""
-_LEAST_LENGTH = 1e-3
-"""Least length of a quaternion that still tells a rotation [-]."""
+Quaternion = tuple[float, float, float, float]  #: A rotation (w, x, y, z)
+MOST_POSES = 50  #: Largest number of poses of a path
+_LEAST_LENGTH = 1e-3  #: Least length of a quaternion that still tells a rotation [-]
 
 
 @dataclass(frozen=True)
 class ToolPose:
-    """A pose of `tool0` in `odom`.
+    """A pose of `tool0` in `odom`."""
 
-    Attributes:
-        position: x, y, z [m].
-        rotation: The rotation, of unit length.
-    """
-
-    position: Triple
-    rotation: Quaternion
+    position: Triple  #: x, y, z [m]
+    rotation: Quaternion  #: The rotation, of unit length
 
     @staticmethod
     def checked(position: Triple, rotation: Quaternion) -> "ToolPose":

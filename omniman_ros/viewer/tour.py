@@ -13,21 +13,16 @@ from omniman_ros.viewer.events import (
     ObstacleVelocitySet,
 )
 
+#: Handles an event at a time [s]; raises an InputError to refuse it
 Handler = Callable[[Any, float], None]
-"""Handles an event at a time [s]; raises an InputError to refuse it."""
 
 
 @dataclass(frozen=True)
 class Step:
-    """A step of the tour.
+    """A step of the tour."""
 
-    Attributes:
-        text: What to do, and what happens then.
-        is_done_by: Whether an event of a page is what is to be done.
-    """
-
-    text: str
-    is_done_by: Callable[[Event], bool]
+    text: str  #: What to do, and what happens then
+    is_done_by: Callable[[Event], bool]  #: Whether an event of a page is what is to be done
 
 
 STEPS = (
@@ -55,16 +50,11 @@ STEPS = (
         "Task, Moving, then Go: the robot crosses a floor where obstacles move.",
         lambda event: event == ButtonPressed("go"),
     ),
-)
-"""The steps in their order."""
+)  #: The steps in their order
 
 
 class Tour:
-    """Which steps of the tour are done; they may be done in any order.
-
-    Args:
-        steps: The steps.
-    """
+    """Which steps of the tour are done; they may be done in any order."""
 
     def __init__(self, steps: tuple[Step, ...] = STEPS) -> None:
         self._steps = steps

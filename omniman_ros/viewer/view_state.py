@@ -15,41 +15,30 @@ from omniman_ros.viewer.placed_obstacles import ObstacleArrays
 from omniman_ros.viewer.signal_window import SignalWindow
 from omniman_ros.viewer.tool_goal import ToolGoal, ToolPose
 
-Pose = tuple[float, float, float]
-"""x, y [m], heading [rad] in `odom`."""
+Pose = tuple[float, float, float]  #: x, y [m], heading [rad] in `odom`
 
+#: Age at which a node's warning or error is discarded unless the node repeats it [s]
 DIAGNOSTICS_TIMEOUT = 3.0
-"""Age at which a node's warning or error is discarded unless the node repeats it [s]."""
-FRESHNESS_TIMEOUT = 1.0
-"""Age from which a value no longer counts as current [s]."""
-PATH_NODES = ("path_interpolator", "whole_body_planner")
-"""Nodes that drive along given paths."""
-PAUSABLE_NODES = (*PATH_NODES, "mpc_planner")
-"""Nodes that can be paused, resumed and cancelled."""
+FRESHNESS_TIMEOUT = 1.0  #: Age from which a value no longer counts as current [s]
+PATH_NODES = ("path_interpolator", "whole_body_planner")  #: Nodes that drive along given paths
+PAUSABLE_NODES = (*PATH_NODES, "mpc_planner")  #: Nodes that can be paused, resumed and cancelled
+#: Values of `state` in `mpc/status` while the planner has a goal to drive to
 _DRIVING_STATES = (PlannerState.DRIVING.value, PlannerState.BLOCKED.value)
-"""Values of `state` in `mpc/status` while the planner has a goal to drive to."""
 _STATES_OF_ACTION = {
     "pause": {*_DRIVING_STATES, PathState.FOLLOWING.value, PathState.SLOWING.value},
     "resume": {PlannerState.PAUSED.value, PathState.PAUSING.value, PathState.PAUSED.value},
     "cancel": {state.value for state in (*PlannerState, *PathState)}
     - {PlannerState.IDLE.value, PlannerState.ARRIVED.value, PathState.IDLE.value},
-}
-"""States of planner and path interpolator to which each action applies."""
+}  #: States of planner and path interpolator to which each action applies
 
 
 @dataclass(frozen=True)
 class Condition:
-    """State that a node reports about itself.
+    """State that a node reports about itself."""
 
-    Attributes:
-        level: 0 ok, 1 warning, 2 error.
-        text: The state in words.
-        received_at: Time at which it was received [s].
-    """
-
-    level: int
-    text: str
-    received_at: float = 0.0
+    level: int  #: 0 ok, 1 warning, 2 error
+    text: str  #: The state in words
+    received_at: float = 0.0  #: Time at which it was received [s]
 
 
 @dataclass(frozen=True)
@@ -57,15 +46,13 @@ class TunableParameter:
     """A parameter of the planner that the page can set.
 
     Attributes:
-        value: The node's present value.
         low, high: Smallest and largest values that the node accepts.
-        text: Description of the parameter.
     """
 
-    value: float
+    value: float  #: The node's present value
     low: float
     high: float
-    text: str
+    text: str  #: Description of the parameter
 
 
 class ViewState:

@@ -60,8 +60,7 @@ from omniman_ros.can_drives.frame import Frame
 from omniman_ros.control.wheel_cascade import DriveMode
 from omniman_ros.core.errors import InputError
 
-SETTLING_TICKS = 3
-"""Number of ticks after which a drive reports the effect of a command."""
+SETTLING_TICKS = 3  #: Number of ticks after which a drive reports the effect of a command
 
 
 class Cia402Axis:
@@ -73,9 +72,6 @@ class Cia402Axis:
     A drive that no longer accepts process data (another NMT state, no heartbeat, no statusword) is
     OFFLINE: it must be configured again, as it may have lost its configuration unnoticed. It is
     still commanded to stop, by PDO and, because it may not accept that, by SDO.
-
-    Args:
-        settings: Installation of the drive.
 
     Raises:
         ParameterError: See `setup.check_settings`.

@@ -7,17 +7,12 @@ from omniman_ros.can_drives.cia402.sdo import SdoDialogue
 from omniman_ros.can_drives.cia402.setup import Abilities, setup
 from omniman_ros.can_drives.frame import Frame
 
-START_TIMEOUT = 1.0
-"""Longest time from NMT start to the first heartbeat and statusword [s]."""
-RETRY_PERIOD = 0.1
-"""Period at which unacknowledged frames are repeated [s]."""
+START_TIMEOUT = 1.0  #: Longest time from NMT start to the first heartbeat and statusword [s]
+RETRY_PERIOD = 0.1  #: Period at which unacknowledged frames are repeated [s]
 
 
 class BringUp:
     """Configures one drive once, and starts it.
-
-    Args:
-        settings: Installation of the drive.
 
     Attributes:
         failure: Why the drive could not be brought up, or an empty string.

@@ -15,25 +15,16 @@ from omniman_ros.can_drives.frame import Frame
 from omniman_ros.core.errors import InputError
 
 # Function codes of the predefined connection set (7.3.3): COB-id = code + node.
-NMT = 0x000
-"""COB-id of NMT node control."""
-SYNC = 0x080
-"""COB-id of SYNC."""
-EMCY = 0x080
-"""Function code of emergency messages."""
-HEARTBEAT = 0x700
-"""Function code of heartbeats."""
-SDO_ANSWER = 0x580
-"""Function code of frames from an SDO server."""
-SDO_REQUEST = 0x600
-"""Function code of frames to an SDO server."""
-TPDO = (0x180, 0x280, 0x380, 0x480)
-"""Function codes of the PDOs that a device transmits."""
-RPDO = (0x200, 0x300, 0x400, 0x500)
-"""Function codes of the PDOs that a device receives."""
+NMT = 0x000  #: COB-id of NMT node control
+SYNC = 0x080  #: COB-id of SYNC
+EMCY = 0x080  #: Function code of emergency messages
+HEARTBEAT = 0x700  #: Function code of heartbeats
+SDO_ANSWER = 0x580  #: Function code of frames from an SDO server
+SDO_REQUEST = 0x600  #: Function code of frames to an SDO server
+TPDO = (0x180, 0x280, 0x380, 0x480)  #: Function codes of the PDOs that a device transmits
+RPDO = (0x200, 0x300, 0x400, 0x500)  #: Function codes of the PDOs that a device receives
 
-NODES = range(1, 128)
-"""Valid node ids."""
+NODES = range(1, 128)  #: Valid node ids
 
 
 class NmtCommand(IntEnum):
@@ -90,17 +81,11 @@ def parse_heartbeat(data: bytes) -> NmtState | None:
 
 @dataclass(frozen=True, slots=True)
 class Emergency:
-    """An emergency message; CiA 301 7.2.7.
+    """An emergency message; CiA 301 7.2.7."""
 
-    Attributes:
-        code: Error code, as in object 603F of CiA 402; 0 if no error is left.
-        register: Error register (object 1001).
-        vendor: 5 vendor-specific bytes.
-    """
-
-    code: int
-    register: int
-    vendor: bytes
+    code: int  #: Error code, as in object 603F of CiA 402; 0 if no error is left
+    register: int  #: Error register (object 1001)
+    vendor: bytes  #: 5 vendor-specific bytes
 
     def __str__(self) -> str:
         return f"EMCY {error_text(self.code)}, error register {self.register:02X}"
@@ -125,19 +110,12 @@ def abort_text(code: int) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """Integer entry of the object dictionary that fits into one expedited SDO.
+    """Integer entry of the object dictionary that fits into one expedited SDO."""
 
-    Attributes:
-        index: Index of the object.
-        sub: Sub-index.
-        format: Format character of `struct`: b, B, h, H, i or I.
-        name: Name of the entry.
-    """
-
-    index: int
-    sub: int
-    format: str
-    name: str
+    index: int  #: Index of the object
+    sub: int  #: Sub-index
+    format: str  #: Format character of `struct`: b, B, h, H, i or I
+    name: str  #: Name of the entry
 
     def __str__(self) -> str:
         return f"{self.index:04X}:{self.sub:02X} ({self.name})"
@@ -193,19 +171,12 @@ def upload(node: int, entry: Entry) -> Frame:
 
 @dataclass(frozen=True, slots=True)
 class SdoAnswer:
-    """Answer of an SDO server.
+    """Answer of an SDO server."""
 
-    Attributes:
-        index: Index of the object.
-        sub: Sub-index.
-        data: Read data, 1 to 4 bytes; None if nothing was read.
-        abort: Abort code; 0 if the request succeeded.
-    """
-
-    index: int
-    sub: int
-    data: bytes | None = None
-    abort: int = 0
+    index: int  #: Index of the object
+    sub: int  #: Sub-index
+    data: bytes | None = None  #: Read data, 1 to 4 bytes; None if nothing was read
+    abort: int = 0  #: Abort code; 0 if the request succeeded
 
 
 def parse_sdo(data: bytes) -> SdoAnswer | None:

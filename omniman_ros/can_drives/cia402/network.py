@@ -16,9 +16,6 @@ class CanopenNetwork:
     Both frames are sent only from the periodic update of the drives: when the host hangs, its
     heartbeat ends and the drives stop.
 
-    Args:
-        settings: Settings of each drive on the bus.
-
     Raises:
         InputError: The settings are empty.
     """

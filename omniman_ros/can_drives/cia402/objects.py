@@ -35,25 +35,18 @@ VELOCITY_OFFSET = Entry(0x60B1, 0, "i", "velocity offset")
 TARGET_VELOCITY = Entry(0x60FF, 0, "i", "target velocity")
 SUPPORTED_MODES = Entry(0x6502, 0, "I", "supported drive modes")
 
+#: Low 16 bits of the device type (object 1000) of a CiA 402 drive: its profile number
 PROFILE = 402
-"""Low 16 bits of the device type (object 1000) of a CiA 402 drive: its profile number."""
 
 
 @dataclass(frozen=True, slots=True)
 class Pdo:
-    """One process data object.
+    """One process data object."""
 
-    Attributes:
-        number: Number of the PDO, 1 to 4.
-        transmit: Whether the drive sends it.
-        entries: Mapped entries, in the order of their bytes.
-        period: Number of SYNCs per transmission (the transmission type).
-    """
-
-    number: int
-    transmit: bool
-    entries: tuple[Entry, ...] = ()
-    period: int = 1
+    number: int  #: Number of the PDO, 1 to 4
+    transmit: bool  #: Whether the drive sends it
+    entries: tuple[Entry, ...] = ()  #: Mapped entries, in the order of their bytes
+    period: int = 1  #: Number of SYNCs per transmission (the transmission type)
 
     @property
     def name(self) -> str:
@@ -105,18 +98,15 @@ class Pdo:
 # In each mode one frame per tick carries controlword, mode and setpoint together.
 RPDO_VELOCITY = Pdo(1, False, (CONTROLWORD, TARGET_VELOCITY, MODE))
 """PDO of the setpoint in velocity mode."""
+#: PDO of the setpoint in torque mode
 RPDO_TORQUE = Pdo(2, False, (CONTROLWORD, TARGET_TORQUE, MODE))
-"""PDO of the setpoint in torque mode."""
-RPDO_OFFSET = Pdo(3, False, (TORQUE_OFFSET,))
-"""PDO of the feed-forward torque."""
-TPDO_STATUS = Pdo(1, True, (STATUSWORD, MODE_DISPLAY, TORQUE))
-"""PDO of state and torque."""
-TPDO_MOTION = Pdo(2, True, (POSITION, VELOCITY))
-"""PDO of position and velocity."""
+RPDO_OFFSET = Pdo(3, False, (TORQUE_OFFSET,))  #: PDO of the feed-forward torque
+TPDO_STATUS = Pdo(1, True, (STATUSWORD, MODE_DISPLAY, TORQUE))  #: PDO of state and torque
+TPDO_MOTION = Pdo(2, True, (POSITION, VELOCITY))  #: PDO of position and velocity
+#: PDO of error code and supply voltage
 TPDO_SUPPLY = Pdo(3, True, (ERROR_CODE, BUS_VOLTAGE), period=10)
-"""PDO of error code and supply voltage."""
+#: PDO in place of TPDO_SUPPLY for a drive that does not report its supply voltage
 TPDO_ERROR = Pdo(3, True, (ERROR_CODE,), period=10)
-"""PDO in place of TPDO_SUPPLY for a drive that does not report its supply voltage."""
 
 
 def mode_text(code: int) -> str:
@@ -129,7 +119,6 @@ class Units:
     """Converts between a drive's integers and quantities at the motor's shaft.
 
     Args:
-        settings: Installation of the drive.
         rated_torque: Rated torque of the motor [N m]; the drive's torques are thousandths of it.
     """
 

@@ -15,16 +15,13 @@ from omniman_ros.can_drives.cia402.canopen import (
 from omniman_ros.can_drives.frame import Frame
 from omniman_ros.core.errors import OmnimanError
 
-TIMEOUT = 0.2
-"""Time without an answer after which a request is repeated or given up [s]."""
-ATTEMPTS = 3
-"""Number of times that a request is sent before the dialogue fails."""
+TIMEOUT = 0.2  #: Time without an answer after which a request is repeated or given up [s]
+ATTEMPTS = 3  #: Number of times that a request is sent before the dialogue fails
 
+#: SDO abort codes for an entry that does not exist: no such object, no such sub-index
 ABSENT_CODES = (0x06020000, 0x06090011)
-"""SDO abort codes for an entry that does not exist: no such object, no such sub-index."""
 
-T = TypeVar("T")
-"""Type of the result of a dialogue."""
+T = TypeVar("T")  #: Type of the result of a dialogue
 
 
 class SdoError(OmnimanError):
@@ -33,20 +30,15 @@ class SdoError(OmnimanError):
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """Request to read or write one entry of a drive's object dictionary.
+    """Request to read or write one entry of a drive's object dictionary."""
 
-    Attributes:
-        entry: Entry to read or write.
-        value: Value to write; None to read.
-    """
-
-    entry: Entry
-    value: int | None = None
+    entry: Entry  #: Entry to read or write
+    value: int | None = None  #: Value to write; None to read
 
 
+#: Steps of a dialogue: a generator that yields requests, receives each answer as the value of its
+#: `yield`, and returns the result of type T.
 Steps = Generator[Request, SdoAnswer, T]
-"""Steps of a dialogue: a generator that yields requests, receives each answer as the value of its
-`yield`, and returns the result of type T."""
 
 
 def read(entry: Entry) -> Steps[int]:
@@ -73,8 +65,6 @@ def write(entry: Entry, value: int, tolerated: tuple[int, ...] = ()) -> Steps[bo
     """Write an entry; return whether the server accepted it.
 
     Args:
-        entry: Entry to write.
-        value: Value to write.
         tolerated: Abort codes on which False is returned and no error is raised.
 
     Raises:
@@ -100,7 +90,6 @@ class SdoDialogue(Generic[T]):
 
     Args:
         node: Node id of the server, the drive.
-        steps: Steps of the dialogue.
 
     Attributes:
         result: Result of the dialogue; None before its end, or if it failed.

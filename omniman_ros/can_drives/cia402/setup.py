@@ -55,85 +55,64 @@ from omniman_ros.can_drives.cia402.state import DISABLE_VOLTAGE, POWERED, pds_st
 from omniman_ros.control.wheel_cascade import DriveMode
 from omniman_ros.core.errors import ParameterError
 
-HOST_NODE = 127
-"""Node id of this host, in its heartbeat."""
+HOST_NODE = 127  #: Node id of this host, in its heartbeat
 
 MODE_NAMES = {
     DriveMode.VELOCITY: ("CYCLIC SYNCHRONOUS VELOCITY", "PROFILED VELOCITY"),
     DriveMode.TORQUE: ("CYCLIC SYNCHRONOUS TORQUE", "PROFILED TORQUE"),
-}
-"""Suitable modes of operation by mode of the setpoint, the preferred one first."""
+}  #: Suitable modes of operation by mode of the setpoint, the preferred one first
 
+#: Accepted quick stop option codes (object 605A): ramp and stay in quick stop, or switch off
 QUICK_STOP_OPTIONS = (6, 2)
-"""Accepted quick stop option codes (object 605A): ramp and stay in quick stop, or switch off."""
+#: Accepted abort connection option codes (object 6007): quick stop, or a fault's own reaction.
+#:
+#: The option applies to a missing heartbeat of the host, bus-off, reset and NMT stop.
 ABORT_OPTIONS = (3, 1)
-"""Accepted abort connection option codes (object 6007): quick stop, or a fault's own reaction.
-
-The option applies to a missing heartbeat of the host, bus-off, reset and NMT stop.
-"""
+#: Fault reaction option code (object 605E): ramp of the quick stop, if the fault allows it
 QUICK_STOP_ON_FAULT = 2
-"""Fault reaction option code (object 605E): ramp of the quick stop, if the fault allows it."""
 
+#: Error behaviour (object 1029:01) in which a drive remains operational without the host.
+#:
+#: It then still reports how its wheel comes to rest.
 STAYS_OPERATIONAL = 1
-"""Error behaviour (object 1029:01) in which a drive remains operational without the host.
 
-It then still reports how its wheel comes to rest.
-"""
-
+#: Shortest time that a drive is given to switch its power off [s].
+#:
+#: It may have to engage a brake, or be in its reaction to a fault.
 POWER_OFF_TIMEOUT = 1.0
-"""Shortest time that a drive is given to switch its power off [s].
-
-It may have to engage a brake, or be in its reaction to a fault.
-"""
+#: Largest relative deviation of the deceleration, which drives round
 DECELERATION_TOLERANCE = 0.05
-"""Largest relative deviation of the deceleration, which drives round."""
+#: Largest relative deviation of the heartbeat: two must fit into three periods
 HEARTBEAT_TOLERANCE = 0.5
-"""Largest relative deviation of the heartbeat: two must fit into three periods."""
+#: Largest plausible ratio of the rated to the largest torque, or its inverse.
+#:
+#: Manufacturers differ in the unit of the rated torque (object 6076, in mN m by the profile): with
+#: uN m all torques would be a thousand times too small or too large.
 MAX_TORQUE_RATIO = 50.0
-"""Largest plausible ratio of the rated to the largest torque, or its inverse.
 
-Manufacturers differ in the unit of the rated torque (object 6076, in mN m by the profile): with
-uN m all torques would be a thousand times too small or too large.
-"""
-
-PDO_DISABLED = 1 << 31
-"""Bit of a PDO's COB-id that disables the PDO."""
+PDO_DISABLED = 1 << 31  #: Bit of a PDO's COB-id that disables the PDO
+#: Bit of a PDO's COB-id that forbids remote requests; its value is left to the drive
 NO_RTR = 1 << 30
-"""Bit of a PDO's COB-id that forbids remote requests; its value is left to the drive."""
 
 
 @dataclass(frozen=True)
 class Abilities:
-    """Abilities of a drive that the dialogue has found.
+    """Abilities of a drive that the dialogue has found."""
 
-    Attributes:
-        modes: Mode of operation by mode of the setpoint.
-        rated_torque: Rated torque of the motor [N m].
-        supply: PDO that reports error and supply voltage; None if the drive has none.
-    """
-
-    modes: dict[DriveMode, int]
-    rated_torque: float
-    supply: Pdo | None
+    modes: dict[DriveMode, int]  #: Mode of operation by mode of the setpoint
+    rated_torque: float  #: Rated torque of the motor [N m]
+    supply: Pdo | None  #: PDO that reports error and supply voltage; None if the drive has none
 
 
 @dataclass(frozen=True)
 class DriveNumbers:
-    """Settings in the drive's units.
+    """Settings in the drive's units."""
 
-    Attributes:
-        consumer_heartbeat: Consumer heartbeat time (object 1016:01): node id << 16 | time [ms].
-        producer_heartbeat: Producer heartbeat time (object 1017) [ms].
-        quick_stop_deceleration: Quick stop deceleration (object 6085) [velocity units/s].
-        cycle: Mantissa of the cycle time (object 60C2:01).
-        cycle_exponent: Exponent of the cycle time (object 60C2:02), which is
-            cycle x 10^cycle_exponent [s].
-    """
-
-    consumer_heartbeat: int
-    producer_heartbeat: int
-    quick_stop_deceleration: int
-    cycle: int
+    consumer_heartbeat: int  #: Consumer heartbeat time (object 1016:01): node id << 16 | time [ms]
+    producer_heartbeat: int  #: Producer heartbeat time (object 1017) [ms]
+    quick_stop_deceleration: int  #: Quick stop deceleration (object 6085) [velocity units/s]
+    cycle: int  #: Mantissa of the cycle time (object 60C2:01)
+    #: Exponent of the cycle time (object 60C2:02), which is cycle x 10^cycle_exponent [s]
     cycle_exponent: int
 
 

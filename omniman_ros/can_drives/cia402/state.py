@@ -27,13 +27,12 @@ class PdsState(Enum):
         return self.value.lower()
 
 
+#: Mask of the statusword, value under the mask, and the state that it means
 MASKS = tuple((*State402.SW_MASK[state.value], state) for state in PdsState)
-"""Mask of the statusword, value under the mask, and the state that it means."""
 
+#: States with power on the motor
 POWERED = (PdsState.ENABLED, PdsState.QUICK_STOP, PdsState.FAULT_REACTION)
-"""States with power on the motor."""
-FAULTS = (PdsState.FAULT_REACTION, PdsState.FAULT)
-"""States of a drive with a fault."""
+FAULTS = (PdsState.FAULT_REACTION, PdsState.FAULT)  #: States of a drive with a fault
 
 AXIS_STATES = {
     PdsState.NOT_READY: AxisState.READY,
@@ -44,21 +43,15 @@ AXIS_STATES = {
     PdsState.QUICK_STOP: AxisState.STOPPING,
     PdsState.FAULT_REACTION: AxisState.FAULT,
     PdsState.FAULT: AxisState.FAULT,
-}
-"""State of the axis by the state that the drive reports."""
+}  #: State of the axis by the state that the drive reports
 
-SHUTDOWN = State402.CW_SHUTDOWN
-"""Controlword "shutdown"."""
-SWITCH_ON = State402.CW_SWITCH_ON
-"""Controlword "switch on"."""
-ENABLE = State402.CW_OPERATION_ENABLED
-"""Controlword "enable operation"."""
-QUICK_STOP = State402.CW_QUICK_STOP
-"""Controlword "quick stop"."""
-DISABLE_VOLTAGE = State402.CW_DISABLE_VOLTAGE
-"""Controlword "disable voltage"."""
+SHUTDOWN = State402.CW_SHUTDOWN  #: Controlword "shutdown"
+SWITCH_ON = State402.CW_SWITCH_ON  #: Controlword "switch on"
+ENABLE = State402.CW_OPERATION_ENABLED  #: Controlword "enable operation"
+QUICK_STOP = State402.CW_QUICK_STOP  #: Controlword "quick stop"
+DISABLE_VOLTAGE = State402.CW_DISABLE_VOLTAGE  #: Controlword "disable voltage"
+#: Controlword with bit 7, whose rising edge resets a fault
 FAULT_RESET = State402.CW_SWITCH_ON_DISABLED
-"""Controlword with bit 7, whose rising edge resets a fault."""
 
 # Quick stop active is left by "disable voltage" (transition 12), which every drive has. With
 # quick stop option 6 a drive may also accept "enable operation" (transition 16), but the profile
@@ -86,8 +79,7 @@ CONTROLWORDS = {
         PdsState.FAULT: DISABLE_VOLTAGE,
     },
     Demand.STOP: dict.fromkeys(PdsState, QUICK_STOP),
-}
-"""Controlword by demand and state of the drive."""
+}  #: Controlword by demand and state of the drive
 
 
 def pds_state(statusword: int) -> PdsState | None:
@@ -106,10 +98,9 @@ class FaultReset:
         period: Time between two controlwords [s].
     """
 
+    #: Shortest time between two edges [s]: some drives do not read the controlword more often
     HOLD_TIME = 0.02
-    """Shortest time between two edges [s]: some drives do not read the controlword more often."""
-    TIMEOUT = 1.0
-    """Time after which the reset is given up [s]."""
+    TIMEOUT = 1.0  #: Time after which the reset is given up [s]
 
     def __init__(self, now: float, period: float) -> None:
         self._deadline = now + self.TIMEOUT

@@ -7,15 +7,12 @@ from omniman_ros.can_drives.axis import AxisSettings, Demand
 from omniman_ros.can_drives.cia402.objects import mode_text
 from omniman_ros.can_drives.cia402.state import PdsState
 
-MAX_MISSED = 3
-"""Largest number of heartbeats, and of statuswords, that may be missing."""
+MAX_MISSED = 3  #: Largest number of heartbeats, and of statuswords, that may be missing
+#: Longest time for which a drive may report another mode than requested, or no quick stop [s]
 REACTION_TIME = 0.1
-"""Longest time for which a drive may report another mode than requested, or no quick stop [s]."""
-MAX_REASONS = 4
-"""Largest number of reasons that are kept."""
+MAX_REASONS = 4  #: Largest number of reasons that are kept
 
-Reason = tuple[str, str]
-"""Kind of a fault reason, and its text."""
+Reason = tuple[str, str]  #: Kind of a fault reason, and its text
 
 
 class FaultReasons:
@@ -41,11 +38,7 @@ class FaultReasons:
 
 
 class Watch:
-    """Supervises the reports of a drive, and whether it follows its commands.
-
-    Args:
-        settings: Installation of the drive.
-    """
+    """Supervises the reports of a drive, and whether it follows its commands."""
 
     def __init__(self, settings: AxisSettings) -> None:
         self._settings = settings
@@ -93,7 +86,6 @@ class Watch:
 
         Args:
             state: State that the drive reports.
-            demand: Demand of the policy.
             shown: Mode of operation that the drive reports.
             requested: Mode of operation that was requested.
             now: Time [s].

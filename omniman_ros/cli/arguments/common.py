@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from omniman_ros.processes.arm_options import ARMS
 from omniman_ros.processes.drive_options import DRIVES
 
+#: Help text of `--robot`, to which each command adds its default
 ROBOT_HELP = "a robot of the package (omniman, ig42) or the path of its .yaml file"
-"""Help text of `--robot`, to which each command adds its default."""
+#: Help text of `--param` of commands that start nodes
 PARAMETER_HELP = "a parameter, set on every node; may be repeated"
-"""Help text of `--param` of commands that start nodes."""
 
 
 def add_robot(parser: argparse.ArgumentParser) -> None:
@@ -18,12 +18,7 @@ def add_robot(parser: argparse.ArgumentParser) -> None:
 
 
 def add_namespace(parser: argparse.ArgumentParser, text: str) -> None:
-    """Add `--namespace`.
-
-    Args:
-        parser: Parser of the command.
-        text: Help text.
-    """
+    """Add `--namespace`."""
     parser.add_argument("--namespace", default="", metavar="NS", help=text)
 
 
@@ -32,7 +27,6 @@ def add_parameters(parser: argparse._ActionsContainer, text: str = PARAMETER_HEL
 
     Args:
         parser: Parser of the command, or a group of its arguments.
-        text: Help text.
     """
     parser.add_argument(
         "-p", "--param", action="append", default=[], metavar="NAME:=VALUE", help=text
@@ -43,7 +37,6 @@ def add_results(parser: argparse.ArgumentParser, content: str = "JSON file") -> 
     """Add `--results`, the folder of the results.
 
     Args:
-        parser: Parser of the command.
         content: Content of the folder that the command writes, for the help text.
     """
     parser.add_argument(
@@ -58,7 +51,6 @@ def add_arm(parser: argparse.ArgumentParser, arms: Sequence[str]) -> None:
     """Add `--arm`.
 
     Args:
-        parser: Parser of the command.
         arms: Choices, names in `ARMS`.
     """
     kinds = "; ".join(f"{name}: {ARMS[name]}" for name in arms)
@@ -75,7 +67,6 @@ def add_drive(parser: argparse.ArgumentParser, drives: Sequence[str]) -> None:
     """Add `--drive` and `--installation`.
 
     Args:
-        parser: Parser of the command.
         drives: Choices of `--drive`, names in `DRIVES`.
     """
     kinds = "; ".join(f"{name}: {DRIVES[name]}" for name in drives)

@@ -140,5 +140,4 @@ SUBJECTS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "odometry": ("calibrate the odometry by drives whose ends are measured", add_odometry),
     "friction": ("measure the wheels' friction, with the wheels off the floor", add_friction),
     "floor": ("measure masses, drag and gear efficiency by a drive on the floor", add_floor),
-}
-"""Help text of each subject, with the function that adds its arguments."""
+}  #: Help text of each subject, with the function that adds its arguments

@@ -51,23 +51,18 @@ from omniman_ros.processes.process_group import redirect_signals
 from omniman_ros.processes.robot_setup import RobotSetup, resolve_robot
 from omniman_ros.robots import load_robot
 
-NAME = "identify_floor"
-"""Stem of the names of the result's files."""
-NODES = ("platform_controller", "simulated_drive")
-"""Nodes of the simulated robot."""
+NAME = "identify_floor"  #: Stem of the names of the result's files
+NODES = ("platform_controller", "simulated_drive")  #: Nodes of the simulated robot
+#: Parameters for a simulation on a busy machine: no real robot is endangered when a process waits
+#: for the processor.
 LENIENT_TIMEOUTS = (
     "timeouts.wheel_states:=3.0",
     "drive.following_time:=5.0",
     "firmware.watchdog:=0.5",
 )
-"""Parameters for a simulation on a busy machine: no real robot is endangered when a process waits
-for the processor."""
-MAX_DURATION = 600.0
-"""Longest drive that the user may choose [s]."""
-CHECK_DURATION = 20.0
-"""Duration of the drive that nothing is fitted to [s]."""
-CHECK_SEED = 1000
-"""Seed of that drive."""
+MAX_DURATION = 600.0  #: Longest drive that the user may choose [s]
+CHECK_DURATION = 20.0  #: Duration of the drive that nothing is fitted to [s]
+CHECK_SEED = 1000  #: Seed of that drive
 FACTORS = {
     "body.mass": 1.15,
     "body.inertia": 0.85,
@@ -75,10 +70,9 @@ FACTORS = {
     "friction.viscous": 1.2,
     "friction.coulomb": 0.85,
     "friction.roller": 1.2,
-}
-"""Ratios of the simulated robot's parameters to the configured ones, unless the user sets them."""
+}  #: Ratios of the simulated robot's parameters to the configured ones, unless the user sets them
+#: Differences of the simulated robot's centre of mass from the configured one [m]
 OFFSETS = {"body.com_x": -0.04, "body.com_y": 0.03}
-"""Differences of the simulated robot's centre of mass from the configured one [m]."""
 
 
 def run(args: argparse.Namespace) -> int:
@@ -162,7 +156,6 @@ def measure(
     """Drive the robot and the check; save the drives, also if the experiment ends early.
 
     Args:
-        args: Arguments of the command line.
         poll: Called many times a second; raises to end early.
         keyboard: File descriptor of the user's input; None if the user is not asked.
     """

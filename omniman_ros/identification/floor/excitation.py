@@ -22,55 +22,37 @@ from omniman_ros.identification.floor.regressor import FloorModel, SignWidths
 from omniman_ros.identification.floor.solution import WINDOW_STEP, WINDOW_WIDTH, expected_variances
 from omniman_ros.identification.floor.windows import Windows
 
-SINES = 4
-"""Number of sines in each direction."""
+SINES = 4  #: Number of sines in each direction
 LOWEST, HIGHEST = 0.5, 2.0
 """Bounds of the sines' frequencies over that of the drive's base frequency."""
+#: Shortest time in which the envelope rises at the start and falls at the end [s]
 MIN_RAMP_TIME = 2.0
-"""Shortest time in which the envelope rises at the start and falls at the end [s]."""
-RAMP_ACCELERATION = 0.4
-"""Largest acceleration by the envelope alone, over the robot's limit."""
-SMOOTHSTEP_BEND = 5.774
-"""Largest second derivative of a smoothstep of degree 5 from 0 to 1."""
+RAMP_ACCELERATION = 0.4  #: Largest acceleration by the envelope alone, over the robot's limit
+SMOOTHSTEP_BEND = 5.774  #: Largest second derivative of a smoothstep of degree 5 from 0 to 1
+#: Largest speed, yaw rate and acceleration of the drive, over the robot's limits
 LIMIT_FRACTION = 0.8
-"""Largest speed, yaw rate and acceleration of the drive, over the robot's limits."""
+#: Largest wheel torque by the configured masses, over that at which the wheel would slip
 GRIP_FRACTION = 0.5
-"""Largest wheel torque by the configured masses, over that at which the wheel would slip."""
-MOTOR_FRACTION = 0.7
-"""Largest wheel torque and wheel speed over those that the motor reaches."""
-MIN_DURATION = 15.0
-"""Shortest drive [s]."""
-SAMPLE_PERIOD = 0.04
-"""Period at which a drive is checked against the limits [s]."""
-COARSE = 3
-"""Ratio to it of the period at which torques are checked."""
-CANDIDATES = 12
-"""Number of drives from which one is chosen."""
+MOTOR_FRACTION = 0.7  #: Largest wheel torque and wheel speed over those that the motor reaches
+MIN_DURATION = 15.0  #: Shortest drive [s]
+SAMPLE_PERIOD = 0.04  #: Period at which a drive is checked against the limits [s]
+COARSE = 3  #: Ratio to it of the period at which torques are checked
+CANDIDATES = 12  #: Number of drives from which one is chosen
+#: Factor on all frequencies by which a drive that exceeds a limit is slowed down at least
 SLOWER = 0.9
-"""Factor on all frequencies by which a drive that exceeds a limit is slowed down at least."""
-MAX_SLOWDOWNS = 60
-"""Number of times that a drive is slowed down before it counts as impossible."""
+MAX_SLOWDOWNS = 60  #: Number of times that a drive is slowed down before it counts as impossible
 
 
 @dataclass(frozen=True, eq=False)
 class Excitation:
-    """A drive from rest to rest, back to where it began.
+    """A drive from rest to rest, back to where it began."""
 
-    Attributes:
-        duration: Duration [s].
-        ramp: Time in which the envelope rises, and in which it falls [s].
-        amplitudes: (3, s) amplitudes of the sines in x, y and heading [m, m, rad].
-        frequencies: (3, s) their angular frequencies [rad/s].
-        phases: (3, s) their phases at the start [rad].
-        start: Pose at its start in odom [m, m, rad].
-    """
-
-    duration: float
-    ramp: float
-    amplitudes: Array
-    frequencies: Array
-    phases: Array
-    start: Triple = (0.0, 0.0, 0.0)
+    duration: float  #: Duration [s]
+    ramp: float  #: Time in which the envelope rises, and in which it falls [s]
+    amplitudes: Array  #: (3, s) amplitudes of the sines in x, y and heading [m, m, rad]
+    frequencies: Array  #: (3, s) their angular frequencies [rad/s]
+    phases: Array  #: (3, s) their phases at the start [rad]
+    start: Triple = (0.0, 0.0, 0.0)  #: Pose at its start in odom [m, m, rad]
 
     def track(self, times: Array) -> tuple[Array, Array, Array]:
         """Return poses, velocities and accelerations relative to the start, (k, 3) each.
@@ -128,10 +110,8 @@ def choose_excitation(
 
     Args:
         robot: The robot as configured, with calibrated wheel radii.
-        limits: Limits of the platform's twist.
         reach: Largest distance of base_link from the start along x and along y [m].
         duration: Duration of the drive [s].
-        seed: Seed of the random drives.
 
     Raises:
         InputError: The duration or the reach is too short.

@@ -11,23 +11,17 @@ from omniman_ros.core.robot import Robot
 from omniman_ros.identification.floor.floor_drive import FloorDrive
 from omniman_ros.identification.floor.windows import Windows
 
-WINDOW_WIDTH = 0.3
-"""Width of the windows in which currents are compared [s]."""
-WINDOW_STEP = 0.1
-"""Distance between two windows [s]."""
+WINDOW_WIDTH = 0.3  #: Width of the windows in which currents are compared [s]
+WINDOW_STEP = 0.1  #: Distance between two windows [s]
 
 
 @dataclass(frozen=True)
 class FeedForwardResidual:
-    """Differences between measured and computed motor currents, RMS over motors and time.
+    """Differences between measured and computed motor currents, RMS over motors and time."""
 
-    Attributes:
-        motion: The part that moves the platform: wheel torques in the range of J [A].
-        strain: The part with which the wheels work against one another along the motion
-            constraints, which no feed-forward of a rigid platform knows [A].
-    """
-
-    motion: float
+    motion: float  #: The part that moves the platform: wheel torques in the range of J [A]
+    #: The part with which the wheels work against one another along the motion constraints, which
+    #: no feed-forward of a rigid platform knows [A].
     strain: float
 
 

@@ -13,23 +13,17 @@ from omniman_ros.core.errors import InputError
 class FloorDrive:
     """Recording of one drive of n wheels, from rest to rest.
 
-    Attributes:
-        times: (k,) times of the positions, increasing [s].
-        positions: (k, n) wheel positions, not wrapped [rad].
-        electrical_times: (m,) times of currents and voltages on the same clock, increasing [s].
-        currents: (m, n) motor currents [A].
-        voltages: (m, n) motor voltages [V]; NaN where a drive does not report it.
-
     Raises:
         InputError: Sizes do not match, times do not increase, or a position or current is not
             finite.
     """
 
-    times: Array
-    positions: Array
+    times: Array  #: (k,) times of the positions, increasing [s]
+    positions: Array  #: (k, n) wheel positions, not wrapped [rad]
+    #: (m,) times of currents and voltages on the same clock, increasing [s]
     electrical_times: Array
-    currents: Array
-    voltages: Array
+    currents: Array  #: (m, n) motor currents [A]
+    voltages: Array  #: (m, n) motor voltages [V]; NaN where a drive does not report it
 
     def __post_init__(self) -> None:
         n = self.positions.shape[-1]

@@ -33,80 +33,61 @@ from omniman_ros.identification.floor.solution import (
 from omniman_ros.identification.floor.windows import Windows
 from omniman_ros.identification.friction.robust_statistics import NORMAL_95, student_95
 
-BLOCKS = 20
-"""Number of blocks of time of the jackknife."""
+BLOCKS = 20  #: Number of blocks of time of the jackknife
+#: Widths of the wheels' sign function that are tried [rad/s]
 WHEEL_WIDTHS = (0.005, 0.01, 0.02, 0.05, 0.1)
-"""Widths of the wheels' sign function that are tried [rad/s]."""
+#: Widths of the rollers' sign function that are tried [m/s]
 ROLLER_WIDTHS = (0.002, 0.005, 0.01, 0.015, 0.022, 0.033, 0.05)
-"""Widths of the rollers' sign function that are tried [m/s]."""
+#: Largest part of undetermined unknowns in a quantity that counts as determined
 MAX_UNDETERMINED = 0.2
-"""Largest part of undetermined unknowns in a quantity that counts as determined."""
 DIRECTIONS = {
     "forward": (1.0, 0.0, 0.0),
     "at 45 degrees": (math.sqrt(0.5), math.sqrt(0.5), 0.0),
     "sideways": (0.0, 1.0, 0.0),
     "at 135 degrees": (-math.sqrt(0.5), math.sqrt(0.5), 0.0),
     "turning": (0.0, 0.0, 1.0),
-}
-"""Twists whose friction is reported [m/s, m/s, rad/s]."""
-SLOPES = {"x": -3, "y": -2}
-"""Indices of the unknowns for the slope of the floor."""
+}  #: Twists whose friction is reported [m/s, m/s, rad/s]
+SLOPES = {"x": -3, "y": -2}  #: Indices of the unknowns for the slope of the floor
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """An identified quantity.
-
-    Attributes:
-        value: The value.
-        half_width: Half width of its 95 % interval.
-        before: Value by the configuration.
-        is_determined: Whether the drive determines it by itself.
-    """
+    """An identified quantity."""
 
     value: float
-    half_width: float
-    before: float
-    is_determined: bool
+    half_width: float  #: Half width of its 95 % interval
+    before: float  #: Value by the configuration
+    is_determined: bool  #: Whether the drive determines it by itself
 
 
 @dataclass(frozen=True, eq=False)
 class FloorFit:
-    """Result of the identification.
+    """Result of the identification."""
 
-    Attributes:
-        robot: The robot with the identified parameters; those that are not determined are as
-            configured.
-        estimates: Quantities by name: mass, com_x, com_y, inertia (about the centre of mass) of
-            platform and arm together, wheel_inertia (over the configured), gear_efficiency,
-            `viscous.WHEEL`, `coulomb.WHEEL`, `drag.WHEEL` [N], `drag DIRECTION` and
-            `friction DIRECTION` (CCTA 2017 (23) at 1 m/s and 1 rad/s [N, N m]), slope_x and
-            slope_y [rad], and `back_emf.WHEEL` [V s/rad].
-        inseparable: Names of the unknowns that the drive cannot tell apart, in groups; a group of
-            one has too little effect.
-        widths: Widths of the sign functions that explain the drive best.
-        is_back_emf_measured: Whether the motor constants are measured; if not, the configured
-            ones set the scale of all results.
-        is_efficiency_bounded: Whether the efficiency was kept at 1, beyond which it would be best.
-        residual: (3,) RMS of what the model does not explain [N, N, N m].
-        typical: (3,) RMS of the motors' forces and torque [N, N, N m].
-    """
-
+    #: The robot with the identified parameters; those that are not determined are as configured
     robot: Robot
+    #: Quantities by name: mass, com_x, com_y, inertia (about the centre of mass) of platform and
+    #: arm together, wheel_inertia (over the configured), gear_efficiency, `viscous.WHEEL`,
+    #: `coulomb.WHEEL`, `drag.WHEEL` [N], `drag DIRECTION` and `friction DIRECTION` (CCTA 2017 (23)
+    #: at 1 m/s and 1 rad/s [N, N m]), slope_x and slope_y [rad], and `back_emf.WHEEL` [V s/rad].
     estimates: dict[str, Estimate]
+    #: Names of the unknowns that the drive cannot tell apart, in groups; a group of one has too
+    #: little effect.
     inseparable: list[tuple[str, ...]]
-    widths: SignWidths
+    widths: SignWidths  #: Widths of the sign functions that explain the drive best
+    #: Whether the motor constants are measured; if not, the configured ones set the scale of all
+    #: results.
     is_back_emf_measured: bool
+    #: Whether the efficiency was kept at 1, beyond which it would be best
     is_efficiency_bounded: bool
-    residual: Array
-    typical: Array
+    residual: Array  #: (3,) RMS of what the model does not explain [N, N, N m]
+    typical: Array  #: (3,) RMS of the motors' forces and torque [N, N, N m]
 
 
 def identify_floor(drive: FloorDrive, robot: Robot) -> FloorFit:
     """Identify a robot from a drive on the floor.
 
     Args:
-        drive: The recorded drive.
         robot: The robot as configured, with calibrated wheel radii.
 
     Raises:

@@ -12,23 +12,16 @@ from omniman_ros.identification.floor.windows import Windows, resample, speeds
 
 @dataclass(frozen=True, eq=False)
 class MotorFit:
-    """Constants of n motors.
+    """Constants of n motors."""
 
-    Attributes:
-        back_emf: (n,) constants K N at the wheel [V s/rad].
-        resistance: (n,) armature resistances [ohm].
-    """
-
-    back_emf: Array
-    resistance: Array
+    back_emf: Array  #: (n,) constants K N at the wheel [V s/rad]
+    resistance: Array  #: (n,) armature resistances [ohm]
 
 
 def fit_motors(drive: FloorDrive, windows: Windows, kept: Array | None = None) -> MotorFit | None:
     """Fit U = R i + K N phi' to each motor; the inductance's mean voltage is negligible.
 
     Args:
-        drive: The recorded drive.
-        windows: Windows within the drive.
         kept: (k,) flags of the windows to use; None for all.
 
     Returns:

@@ -12,31 +12,21 @@ from omniman_ros.core.robot import Robot
 from omniman_ros.identification.floor.floor_drive import FloorDrive
 from omniman_ros.identification.record_file import load_record, save_record
 
-FORMAT = "omniman floor drives 1"
-"""Name and version of the file format."""
-UNITS = "s, rad, A, V"
-"""Units of the numbers in the file."""
+FORMAT = "omniman floor drives 1"  #: Name and version of the file format
+UNITS = "s, rad, A, V"  #: Units of the numbers in the file
+#: Names of a drive's arrays in the file, which are those of `FloorDrive`
 DRIVE_ARRAYS = ("times", "positions", "electrical_times", "currents", "voltages")
-"""Names of a drive's arrays in the file, which are those of `FloorDrive`."""
-DIGITS = 7
-"""Number of decimals in the file."""
+DIGITS = 7  #: Number of decimals in the file
 
 
 @dataclass(frozen=True)
 class FloorRecord:
-    """Input of an identification.
+    """Input of an identification."""
 
-    Attributes:
-        robot: The robot as configured, with calibrated wheel radii.
-        drive: The drive to fit; None before it was driven.
-        check: A drive to which nothing is fitted; None if there is none.
-        truth: The simulated robot, in simulation only.
-    """
-
-    robot: Robot
-    drive: FloorDrive | None = None
-    check: FloorDrive | None = None
-    truth: Robot | None = None
+    robot: Robot  #: The robot as configured, with calibrated wheel radii
+    drive: FloorDrive | None = None  #: The drive to fit; None before it was driven
+    check: FloorDrive | None = None  #: A drive to which nothing is fitted; None if there is none
+    truth: Robot | None = None  #: The simulated robot, in simulation only
 
 
 def save(record: FloorRecord, path: Path) -> None:

@@ -27,48 +27,34 @@ from omniman_ros.core.robot import Robot
 from omniman_ros.identification.floor.floor_drive import FloorDrive
 from omniman_ros.identification.floor.windows import Windows, resample, speeds
 
-GRID_PERIOD = 0.005
-"""Period of the grid on which speeds and friction are evaluated [s]."""
+GRID_PERIOD = 0.005  #: Period of the grid on which speeds and friction are evaluated [s]
+#: Deviation of a mass, an inertia or a friction from its configured value that is expected,
+#: relative to it.
 SPREAD = 0.3
-"""Deviation of a mass, an inertia or a friction from its configured value that is expected,
-relative to it."""
-MOMENT_SPREAD = 0.1
-"""Deviation of the centre of mass that is expected [m]."""
+MOMENT_SPREAD = 0.1  #: Deviation of the centre of mass that is expected [m]
+#: Smallest drag or Coulomb friction that is expected, over the weight on a wheel: where none is
+#: configured, there may be some.
 MIN_FRICTION = 0.003
-"""Smallest drag or Coulomb friction that is expected, over the weight on a wheel: where none is
-configured, there may be some."""
-SLOPE_SPREAD = 0.01
-"""Slope of the floor that is expected [rad]."""
-EFFICIENCY_SPREAD = 0.2
-"""Deviation of the gear's efficiency that is expected."""
+SLOPE_SPREAD = 0.01  #: Slope of the floor that is expected [rad]
+EFFICIENCY_SPREAD = 0.2  #: Deviation of the gear's efficiency that is expected
 
 
 @dataclass(frozen=True)
 class SignWidths:
-    """Widths of the smooth sign functions s / sqrt(s^2 + w^2) of friction.
+    """Widths of the smooth sign functions s / sqrt(s^2 + w^2) of friction."""
 
-    Attributes:
-        wheel: Width for the Coulomb friction of a wheel [rad/s].
-        roller: Width for the drag of a roller [m/s].
-    """
-
-    wheel: float = 0.02
-    roller: float = 0.01
+    wheel: float = 0.02  #: Width for the Coulomb friction of a wheel [rad/s]
+    roller: float = 0.01  #: Width for the drag of a roller [m/s]
 
 
 @dataclass(frozen=True, eq=False)
 class Equations:
-    """Linear equations: rows of the platform's three directions in each window.
+    """Linear equations: rows of the platform's three directions in each window."""
 
-    Attributes:
-        centres: (k,) centres of the windows [s].
-        matrix: (k, 3, p) regressor; force [N], force [N], torque [N m] over the unknown's unit.
-        values: (k, 3) forces and torque of the driving motors, J' P [N, N, N m].
-    """
-
-    centres: Array
+    centres: Array  #: (k,) centres of the windows [s]
+    #: (k, 3, p) regressor; force [N], force [N], torque [N m] over the unknown's unit
     matrix: Array
-    values: Array
+    values: Array  #: (k, 3) forces and torque of the driving motors, J' P [N, N, N m]
 
 
 class FloorModel:
@@ -171,10 +157,7 @@ class FloorModel:
         """Return the equations of a drive.
 
         Args:
-            drive: The recorded drive.
             back_emf: (n,) constants K N of the motors at the wheel [N m/A].
-            windows: Windows within the drive.
-            widths: Widths of the sign functions.
         """
         times, positions = resample(drive.times, drive.positions, GRID_PERIOD)
         rates = speeds(positions, GRID_PERIOD)

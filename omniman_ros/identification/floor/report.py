@@ -24,8 +24,7 @@ UNITS = {
     "slope_x": "rad",
     "slope_y": "rad",
     "back_emf": "V s/rad",
-}
-"""Units of the quantities, by their names or the first part of them."""
+}  #: Units of the quantities, by their names or the first part of them
 
 
 def unit(name: str) -> str:

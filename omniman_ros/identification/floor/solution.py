@@ -12,43 +12,33 @@ import numpy as np
 from omniman_ros.core.arrays import Array
 from omniman_ros.identification.floor.regressor import Equations, FloorModel
 
-WINDOW_WIDTH = 0.6
-"""Width of the windows over which the equations are averaged [s]."""
+WINDOW_WIDTH = 0.6  #: Width of the windows over which the equations are averaged [s]
+#: Distance between two windows [s]; their weights are narrow, so that neighbours overlap by half
 WINDOW_STEP = 0.15
-"""Distance between two windows [s]; their weights are narrow, so
-that neighbours overlap by half."""
+#: Noise of an averaged equation over its typical value, with which a drive is planned
 PLANNED_NOISE = 0.02
-"""Noise of an averaged equation over its typical value, with which a drive is planned."""
+#: Standard deviation of a combination of unknowns, over the expected one, from which on it is not
+#: determined.
 MAX_DEVIATION = 0.5
-"""Standard deviation of a combination of unknowns, over the expected one, from which on it is not
-determined."""
+#: Factor on the standard deviations of independent residuals: neighbouring windows overlap, and
+#: errors of the model persist.
 NOISE_CORRELATION = 2.0
-"""Factor on the standard deviations of independent residuals: neighbouring windows overlap, and
-errors of the model persist."""
+#: Part of an undetermined combination that an unknown must have to be named with it
 MIN_PART = 0.1
-"""Part of an undetermined combination that an unknown must have to be named with it."""
 
 
 @dataclass(frozen=True, eq=False)
 class Directions:
-    """The combinations of unknowns that equations determine, and the rest.
+    """The combinations of unknowns that equations determine, and the rest."""
 
-    Attributes:
-        weights: (3,) factors on the rows for the two forces and the torque.
-        determined: (p, d) orthonormal combinations of scaled unknowns that are determined.
-        projector: (p, p) projector onto all others.
-    """
-
-    weights: Array
-    determined: Array
-    projector: Array
+    weights: Array  #: (3,) factors on the rows for the two forces and the torque
+    determined: Array  #: (p, d) orthonormal combinations of scaled unknowns that are determined
+    projector: Array  #: (p, p) projector onto all others
 
     def solve(self, model: FloorModel, equations: Equations, kept: Array | None = None) -> Array:
         """Return the unknowns (p,) of the determined combinations; the others stay as configured.
 
         Args:
-            model: The model.
-            equations: Its equations.
             kept: (k,) flags of the windows to use; None for all.
         """
         matrix, values = _rows(model, equations, self.weights)

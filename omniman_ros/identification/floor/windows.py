@@ -11,13 +11,11 @@ import numpy as np
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 
+#: Exponent q of the weight (1 - u^2)^q, u = -1 to 1: its first q - 1 derivatives vanish at both
+#: ends.
 DEGREE = 4
-"""Exponent q of the weight (1 - u^2)^q, u = -1 to 1: its first q - 1 derivatives vanish at both
-ends."""
-MIN_SAMPLES = 8
-"""Smallest number of samples in a window."""
-SPEED_HALF_WIDTH = 0.025
-"""Half of the time over which a speed is fitted to positions [s]."""
+MIN_SAMPLES = 8  #: Smallest number of samples in a window
+SPEED_HALF_WIDTH = 0.025  #: Half of the time over which a speed is fitted to positions [s]
 
 
 class Windows:

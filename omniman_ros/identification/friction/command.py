@@ -34,26 +34,22 @@ from omniman_ros.processes.process_group import redirect_signals
 from omniman_ros.processes.robot_setup import RobotSetup, resolve_robot
 from omniman_ros.robots import load_robot
 
-NAME = "identify_friction"
-"""Stem of the names of the result's files."""
-NODES = ("simulated_drive",)
-"""Nodes of the simulated robot."""
+NAME = "identify_friction"  #: Stem of the names of the result's files
+NODES = ("simulated_drive",)  #: Nodes of the simulated robot
+#: Parameters for a simulation on a busy machine: no real robot is endangered when a process waits
+#: for the processor.
 LENIENT_TIMEOUTS = ("firmware.watchdog:=0.5", "command_timeout:=0.5")
-"""Parameters for a simulation on a busy machine: no real robot is endangered when a process waits
-for the processor."""
-FEEDBACK_TIMEOUT = 0.3
-"""Time without feedback after which the experiment ends [s]."""
+FEEDBACK_TIMEOUT = 0.3  #: Time without feedback after which the experiment ends [s]
+#: Time without feedback after which a simulated experiment ends [s]; processes may wait for the
+#: processor.
 SIMULATED_FEEDBACK_TIMEOUT = 3.0
-"""Time without feedback after which a simulated experiment ends [s]; processes may wait for the
-processor."""
+#: Ratio of each simulated wheel's friction to the configured one, unless the user sets it
 SIMULATED_FRICTION = (1.25, 0.85, 1.1, 0.7)
-"""Ratio of each simulated wheel's friction to the configured one, unless the user sets it."""
+#: Ratio of each simulated motor's constant to the configured one, unless the user sets it
 SIMULATED_TORQUE_CONSTANT = (1.01, 0.99)
-"""Ratio of each simulated motor's constant to the configured one, unless the user sets it."""
+#: Standard deviation of the simulated current sensors, over the largest current
 SIMULATED_NOISE = 0.004
-"""Standard deviation of the simulated current sensors, over the largest current."""
-YES = ("yes", "lifted")
-"""Answers that confirm that the wheels are off the floor."""
+YES = ("yes", "lifted")  #: Answers that confirm that the wheels are off the floor
 
 
 def run(args: argparse.Namespace) -> int:
@@ -180,7 +176,6 @@ def measure(
     """Drive the wheels and measure; save the runs, also if the experiment ends early.
 
     Args:
-        args: Arguments of the command line.
         poll: Called many times a second; raises to end early.
         keyboard: File descriptor of the user's input; None if the user is not asked.
         is_simulated: Whether the drive was started by this command.
@@ -228,7 +223,6 @@ def confirm(lines: LineReader, wait: Callable[[], None]) -> None:
     """Ask until the user confirms that the wheels are off the floor.
 
     Args:
-        lines: The user's input.
         wait: Serves ROS for a moment; raises to end.
 
     Raises:

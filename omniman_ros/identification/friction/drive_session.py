@@ -29,45 +29,34 @@ from omniman_ros.identification.friction.level_samples import ExperimentError
 from omniman_ros.identification.friction.voltage_plan import VoltagePlan
 from omniman_ros.identification.node_access import LATCHED, LOSSLESS, SIM_TIME, read_parameters
 
-VOLTAGES = "wheel_voltages"
-"""Topic of the voltages for the motors."""
-COMMAND_TOPICS = (VOLTAGES, "wheel_commands")
-"""Topics that command the wheels."""
-STATES = "wheel_states"
-"""Topic of the wheels' positions and speeds."""
-ELECTRICAL = "wheel_electrical"
-"""Topic of the motors' voltages and currents."""
+VOLTAGES = "wheel_voltages"  #: Topic of the voltages for the motors
+COMMAND_TOPICS = (VOLTAGES, "wheel_commands")  #: Topics that command the wheels
+STATES = "wheel_states"  #: Topic of the wheels' positions and speeds
+ELECTRICAL = "wheel_electrical"  #: Topic of the motors' voltages and currents
+#: Parameter of the simulated drive: whether it publishes simulated time
 PUBLISHES_CLOCK = "publish_clock"
-"""Parameter of the simulated drive: whether it publishes simulated time."""
+#: Period of the voltages [s]: a tenth of the time after which the drives' watchdog reacts
 PERIOD = 0.01
-"""Period of the voltages [s]: a tenth of the time after which the drives' watchdog reacts."""
+#: Time between two searches for other publishers that command the wheels [s]
 PUBLISHER_CHECK_PERIOD = 0.5
-"""Time between two searches for other publishers that command the wheels [s]."""
+#: Name that DDS reports for a node whose name has not arrived yet
 UNKNOWN_NODE = "_NODE_NAME_UNKNOWN_"
-"""Name that DDS reports for a node whose name has not arrived yet."""
+#: Longest time to bring the wheels to rest [s]; after it the drives' watchdog stops them
 REST_TIMEOUT = 6.0
-"""Longest time to bring the wheels to rest [s]; after it the drives' watchdog stops them."""
 
 
 @dataclass(frozen=True)
 class Drive:
-    """The node that drives the wheels.
+    """The node that drives the wheels."""
 
-    Attributes:
-        name: Fully qualified name of the node.
-        values: Values of the parameters that were read from the node, by name.
-    """
-
-    name: str
-    values: dict[str, Any]
+    name: str  #: Fully qualified name of the node
+    values: dict[str, Any]  #: Values of the parameters that were read from the node, by name
 
 
 class DriveSession:
     """Runs a friction experiment on drives, as long as no other node commands them.
 
     Args:
-        session: Session of the command.
-        progress: Display of the progress.
         poll: Called many times a second; raises to end early.
         clock: Returns the current time, which never decreases [s].
     """
@@ -200,9 +189,6 @@ class DriveSession:
 
     def find_drive(self, more_parameters: tuple[str, ...] = ()) -> Drive:
         """Find the drive, and read the configuration of its robot.
-
-        Args:
-            more_parameters: Names of further parameters to read.
 
         Raises:
             CommandError: There is no drive, or more than one, or it runs on simulated time, or

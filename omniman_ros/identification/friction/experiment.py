@@ -15,24 +15,21 @@ from omniman_ros.identification.friction.friction_fit import SteadyRun
 from omniman_ros.identification.friction.level_samples import ExperimentError, LevelSamples
 from omniman_ros.identification.friction.voltage_plan import VoltagePlan
 
-TURNING_CHECK_DELAY = 1.0
-"""Time after a ramp from which all wheels must rotate [s]."""
+TURNING_CHECK_DELAY = 1.0  #: Time after a ramp from which all wheels must rotate [s]
+#: Time after a ramp from which the drives must give the commanded voltage [s]
 VOLTAGE_CHECK_DELAY = 0.2
-"""Time after a ramp from which the drives must give the commanded voltage [s]."""
-CHECK_PERIOD = 0.2
-"""Time between two checks whether a speed is constant or a mean is precise [s]."""
+CHECK_PERIOD = 0.2  #: Time between two checks whether a speed is constant or a mean is precise [s]
+#: Standard error of a mean current that is always precise enough, over the largest current
 NOISE_FLOOR = 2e-4
-"""Standard error of a mean current that is always precise enough, over the largest current."""
+#: Time after a restart in which the voltages follow the speeds, so that no current jumps [s]
 FOLLOW_TIME = 0.1
-"""Time after a restart in which the voltages follow the speeds, so that no current jumps [s]."""
-MAX_RESTARTS = 12
-"""Total number of times that levels may be restarted."""
+MAX_RESTARTS = 12  #: Total number of times that levels may be restarted
+#: Number of times in a row that a level may be restarted because of its voltages
 MAX_VOLTAGE_RESTARTS = 3
-"""Number of times in a row that a level may be restarted because of its voltages."""
+#: Time at zero voltage after which wheels without speed count as being at rest [s]
 REST_TIME = 0.2
-"""Time at zero voltage after which wheels without speed count as being at rest [s]."""
+#: Time at zero voltage after which the experiment ends even if wheels rotate [s]
 REST_TIMEOUT = 3.0
-"""Time at zero voltage after which the experiment ends even if wheels rotate [s]."""
 
 
 class Phase(enum.Enum):
@@ -173,7 +170,6 @@ class FrictionExperiment:
 
     @property
     def _is_check(self) -> bool:
-        """Whether the current level is the first, low voltage."""
         return self.level_index < 0
 
     def _begin(self, phase: Phase, now: float) -> None:

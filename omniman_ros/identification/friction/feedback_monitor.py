@@ -16,23 +16,22 @@ from omniman_ros.core.robot import Robot
 from omniman_ros.identification.friction.level_samples import ExperimentError
 from omniman_ros.identification.friction.voltage_plan import VoltagePlan
 
+#: Fraction of the speed without friction below which a wheel counts as obstructed
 MIN_FREE_SPEED_FRACTION = 0.3
-"""Fraction of the speed without friction below which a wheel counts as obstructed."""
+#: Ratio to the current of the configured friction above which a wheel counts as strained
 STRAIN_FACTOR = 5.0
-"""Ratio to the current of the configured friction above which a wheel counts as strained."""
+#: Smallest current of a strained wheel, over the motor's largest current
 MIN_STRAIN_FRACTION = 0.15
-"""Smallest current of a strained wheel, over the motor's largest current."""
+#: Number of currents whose median is checked for strain, so that single spikes do not count
 MEDIAN_LENGTH = 9
-"""Number of currents whose median is checked for strain, so that single spikes do not count."""
+#: Pause in voltages or states from which a level is restarted [s]: the drives may have ramped down
+#: by themselves.
 MAX_PAUSE = 0.08
-"""Pause in voltages or states from which a level is restarted [s]: the drives may have ramped down
-by themselves."""
+#: Difference between a voltage and its command that is accepted, over the command
 VOLTAGE_TOLERANCE_FRACTION = 0.3
-"""Difference between a voltage and its command that is accepted, over the command."""
+#: Difference between a voltage and its command that is accepted in addition [V]
 VOLTAGE_TOLERANCE = 0.5
-"""Difference between a voltage and its command that is accepted in addition [V]."""
-AT_REST_SPEED = 0.05
-"""Speed below which a wheel counts as being at rest [rad/s]."""
+AT_REST_SPEED = 0.05  #: Speed below which a wheel counts as being at rest [rad/s]
 
 
 class FeedbackMonitor:
@@ -40,7 +39,6 @@ class FeedbackMonitor:
 
     Args:
         robot: The robot as configured.
-        plan: Plan of the experiment.
         now: Current time [s].
 
     Attributes:

@@ -24,8 +24,7 @@ from omniman_ros.identification.friction.record import FrictionRecord
 FIT_COLOUR = BLUE
 INTERVAL_COLOUR = LIGHT_BLUE
 OUTLIER_COLOUR = ORANGE
-COLUMNS = 2
-"""Number of panels side by side."""
+COLUMNS = 2  #: Number of panels side by side
 
 
 def draw(record: FrictionRecord, wheels: Sequence[WheelFriction], path: Path) -> None:

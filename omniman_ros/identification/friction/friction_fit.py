@@ -37,46 +37,35 @@ from omniman_ros.identification.friction.robust_statistics import (
     zero_probability,
 )
 
-Pair = tuple[float, float]
-"""Viscous friction a [N m s/rad] and Coulomb friction b [N m]."""
+Pair = tuple[float, float]  #: Viscous friction a [N m s/rad] and Coulomb friction b [N m]
 
+#: Share of the Coulomb friction that the smooth model must reach at the speed of a usable run
 MODEL_SHARE = 0.999
-"""Share of the Coulomb friction that the smooth model must reach at the speed of a usable run."""
+#: Speed at which the model's smooth sign reaches that share [rad/s]; slower runs are left out
 MIN_SPEED = SIGN_WIDTH * MODEL_SHARE / math.sqrt(1.0 - MODEL_SHARE**2)
-"""Speed at which the model's smooth sign reaches that share [rad/s]; slower runs are left out."""
-MIN_RUNS = 3
-"""Number of runs in each direction that a fit needs."""
+MIN_RUNS = 3  #: Number of runs in each direction that a fit needs
+#: Ratio of the fastest to the slowest run in each direction that separates a from b
 MIN_SPEED_RATIO = 2.0
-"""Ratio of the fastest to the slowest run in each direction that separates a from b."""
+#: Smallest relative error of a torque that is assumed, as no measurement is more precise
 RESOLUTION = 0.002
-"""Smallest relative error of a torque that is assumed, as no measurement is more precise."""
-DIFFERENCE_LEVEL = 0.01
-"""Significance level of the test for a difference between the directions."""
+DIFFERENCE_LEVEL = 0.01  #: Significance level of the test for a difference between the directions
 
 
 @dataclass(frozen=True, eq=False)
 class SteadyRun:
     """Means over a period in which the wheels rotated steadily; arrays (n,), made read-only.
 
-    Attributes:
-        voltage: Voltage at each motor [V].
-        current: Mean current of each motor [A].
-        speed: Mean speed of each wheel [rad/s].
-        error: Standard error of each mean current [A].
-        steady: Whether each wheel's speed was constant.
-        samples: Number of current samples in a mean.
-        spikes: Number of current samples of each motor that were rejected as outliers.
-
     Raises:
         InputError: The arrays differ in length, or contain numbers that are not finite.
     """
 
-    voltage: Array
-    current: Array
-    speed: Array
-    error: Array
-    steady: Flags
-    samples: int
+    voltage: Array  #: Voltage at each motor [V]
+    current: Array  #: Mean current of each motor [A]
+    speed: Array  #: Mean speed of each wheel [rad/s]
+    error: Array  #: Standard error of each mean current [A]
+    steady: Flags  #: Whether each wheel's speed was constant
+    samples: int  #: Number of current samples in a mean
+    #: Number of current samples of each motor that were rejected as outliers
     spikes: NDArray[np.int64]
 
     def __post_init__(self) -> None:
@@ -108,37 +97,22 @@ class Estimate:
 
 @dataclass(frozen=True, eq=False)
 class WheelFriction:
-    """The identified friction of one wheel.
+    """The identified friction of one wheel."""
 
-    Attributes:
-        name: Name of the wheel.
-        viscous: Viscous friction a, common to both directions [N m s/rad].
-        coulomb: Coulomb friction b, common to both directions [N m].
-        forward: a and b of the forward direction.
-        backward: a and b of the backward direction.
-        difference: p-value of the hypothesis that the directions are equal (F test on a and b).
-        noise: Standard deviation of the torque of a run about the fit [N m].
-        freedom: Degrees of freedom.
-        outliers: Indices of the runs whose weight is zero or nearly so.
-        left_out: Indices of the runs that were too slow or not steady.
-        back_emf: N K from voltage, current and speed [V s/rad].
-        nominal_back_emf: N K as configured [V s/rad].
-        covariance: (4, 4) covariance of a, b, and half the differences of b and of a between the
-            directions.
-    """
-
-    name: str
-    viscous: Estimate
-    coulomb: Estimate
-    forward: Pair
-    backward: Pair
+    name: str  #: Name of the wheel
+    viscous: Estimate  #: Viscous friction a, common to both directions [N m s/rad]
+    coulomb: Estimate  #: Coulomb friction b, common to both directions [N m]
+    forward: Pair  #: a and b of the forward direction
+    backward: Pair  #: a and b of the backward direction
+    #: p-value of the hypothesis that the directions are equal (F test on a and b)
     difference: float
-    noise: float
-    freedom: int
-    outliers: tuple[int, ...]
-    left_out: tuple[int, ...]
-    back_emf: Estimate
-    nominal_back_emf: float
+    noise: float  #: Standard deviation of the torque of a run about the fit [N m]
+    freedom: int  #: Degrees of freedom
+    outliers: tuple[int, ...]  #: Indices of the runs whose weight is zero or nearly so
+    left_out: tuple[int, ...]  #: Indices of the runs that were too slow or not steady
+    back_emf: Estimate  #: N K from voltage, current and speed [V s/rad]
+    nominal_back_emf: float  #: N K as configured [V s/rad]
+    #: (4, 4) covariance of a, b, and half the differences of b and of a between the directions
     covariance: Array
 
     @property
@@ -190,7 +164,6 @@ def identify_friction(runs: Sequence[SteadyRun], robot: Robot) -> tuple[WheelFri
     """Fit the friction of each wheel.
 
     Args:
-        runs: Steady runs in both directions.
         robot: The robot as configured; its configured friction is not used.
 
     Returns:

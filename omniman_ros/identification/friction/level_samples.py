@@ -10,19 +10,17 @@ from omniman_ros.identification.friction.friction_fit import SteadyRun
 from omniman_ros.identification.friction.robust_statistics import line_slopes, robust_mean
 from omniman_ros.identification.friction.voltage_plan import VoltagePlan
 
+#: Ratio of the torque of inertia to that of friction below which a speed counts as constant
 INERTIA_FRACTION = 0.01
-"""Ratio of the torque of inertia to that of friction below which a speed counts as constant."""
+#: Relative change of the speed per second, over the largest speed, that always counts as constant
+#: [1/s].
 SPEED_DRIFT = 0.002
-"""Relative change of the speed per second, over the largest speed, that always counts as
-constant [1/s]."""
-WINDOW = 0.5
-"""Duration over which the slope of the speed is estimated [s]."""
-MIN_SAMPLES = 20
-"""Smallest number of speeds in a window, and of currents in a mean."""
+WINDOW = 0.5  #: Duration over which the slope of the speed is estimated [s]
+MIN_SAMPLES = 20  #: Smallest number of speeds in a window, and of currents in a mean
+#: Accepted difference between the speeds by velocities and by positions, over the speed
 MAX_RELATIVE_MISMATCH = 0.05
-"""Accepted difference between the speeds by velocities and by positions, over the speed."""
+#: Difference between these two speeds that is accepted in addition to that [rad/s]
 MAX_MISMATCH = 0.2
-"""Difference between these two speeds that is accepted in addition to that [rad/s]."""
 
 
 class ExperimentError(OmnimanError):
@@ -34,7 +32,6 @@ class LevelSamples:
 
     Args:
         robot: The robot as configured.
-        plan: Plan of the experiment.
 
     Attributes:
         reference_current: (n,) currents at the first, low voltage [A]; zero until they are set.

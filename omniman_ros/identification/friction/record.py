@@ -10,40 +10,28 @@ from omniman_ros.core.robot import Robot
 from omniman_ros.identification.friction.friction_fit import SteadyRun
 from omniman_ros.identification.record_file import load_record, save_record
 
-FORMAT = "omniman friction runs 1"
-"""Name and version of the file format."""
+FORMAT = "omniman friction runs 1"  #: Name and version of the file format
+#: Units of the numbers in the file
 UNITS = "V, A, rad/s; error: standard error of the mean current, A"
-"""Units of the numbers in the file."""
+#: Names of a run's arrays in the file, which are those of `SteadyRun`
 RUN_ARRAYS = ("voltage", "current", "speed", "error", "steady", "spikes")
-"""Names of a run's arrays in the file, which are those of `SteadyRun`."""
 
 
 @dataclass(frozen=True)
 class Truth:
-    """True friction of a simulated robot, to compare the result with.
+    """True friction of a simulated robot, to compare the result with."""
 
-    Attributes:
-        viscous: (n,) viscous friction of each wheel [N m s/rad].
-        coulomb: (n,) Coulomb friction of each wheel [N m].
-    """
-
-    viscous: tuple[float, ...]
-    coulomb: tuple[float, ...]
+    viscous: tuple[float, ...]  #: (n,) viscous friction of each wheel [N m s/rad]
+    coulomb: tuple[float, ...]  #: (n,) Coulomb friction of each wheel [N m]
 
 
 @dataclass(frozen=True)
 class FrictionRecord:
-    """Input of a fit.
+    """Input of a fit."""
 
-    Attributes:
-        robot: The robot as configured.
-        runs: Steady runs in the order in which they were measured.
-        truth: True friction, in simulation only.
-    """
-
-    robot: Robot
-    runs: tuple[SteadyRun, ...] = ()
-    truth: Truth | None = None
+    robot: Robot  #: The robot as configured
+    runs: tuple[SteadyRun, ...] = ()  #: Steady runs in the order in which they were measured
+    truth: Truth | None = None  #: True friction, in simulation only
 
 
 def save(record: FrictionRecord, path: Path) -> None:

@@ -9,11 +9,10 @@ from omniman_ros.console.terminal import table
 from omniman_ros.identification.friction.friction_fit import MIN_SPEED, Estimate, WheelFriction
 from omniman_ros.identification.friction.record import FrictionRecord, Truth
 
+#: Relative deviation of N K from the configured value above which a warning is given
 BACK_EMF_TOLERANCE = 0.03
-"""Relative deviation of N K from the configured value above which a warning is given."""
 
-Wheels = Sequence[WheelFriction]
-"""Identified friction of each wheel, in the robot's order."""
+Wheels = Sequence[WheelFriction]  #: Identified friction of each wheel, in the robot's order
 
 
 def calibrated(wheels: Wheels) -> dict[str, list[float]]:

@@ -13,44 +13,30 @@ from numpy.typing import NDArray
 
 from omniman_ros.core.arrays import Array
 
-Flags = NDArray[np.bool_]
-"""Array of flags, one per row or per wheel."""
+Flags = NDArray[np.bool_]  #: Array of flags, one per row or per wheel
 
+#: Residual over the scale at which the biweight reaches zero; 95 % efficient for normal errors
 TUKEY_CUTOFF = 4.685
-"""Residual over the scale at which the biweight reaches zero; 95 % efficient for normal errors."""
+#: Residual over the first scale up to which a row belongs to the first least squares
 START_CUTOFF = 2.5
-"""Residual over the first scale up to which a row belongs to the first least squares."""
+#: Smallest mean slope of the biweight's psi that is used; it is 0.8 for normal errors
 MIN_PSI_SLOPE = 0.2
-"""Smallest mean slope of the biweight's psi that is used; it is 0.8 for normal errors."""
-OUTLIER_CUTOFF = 3.5
-"""Residual over the scale from which a row counts as an outlier."""
-NORMAL_95 = 1.95996
-"""Two-sided 95 % quantile of the normal distribution."""
-MAD_TO_SIGMA = 1.4826
-"""Standard deviation of normal errors over their median magnitude."""
-HUBER_CUTOFF = 1.5
-"""Deviation over the scale from which Huber's weights decrease."""
-SPIKE_CUTOFF = 5.0
-"""Deviation over the scale from which a sample counts as a spike."""
+OUTLIER_CUTOFF = 3.5  #: Residual over the scale from which a row counts as an outlier
+NORMAL_95 = 1.95996  #: Two-sided 95 % quantile of the normal distribution
+MAD_TO_SIGMA = 1.4826  #: Standard deviation of normal errors over their median magnitude
+HUBER_CUTOFF = 1.5  #: Deviation over the scale from which Huber's weights decrease
+SPIKE_CUTOFF = 5.0  #: Deviation over the scale from which a sample counts as a spike
 
 
 @dataclass(frozen=True, eq=False)
 class RobustFit:
-    """Result of a robust linear regression.
+    """Result of a robust linear regression."""
 
-    Attributes:
-        values: (p,) fitted coefficients.
-        covariance: (p, p) covariance of the coefficients, read-only.
-        noise: Standard deviation of the errors, in the unit of the regressed values.
-        freedom: Degrees of freedom.
-        outliers: (k,) whether a row counts as an outlier.
-    """
-
-    values: Array
-    covariance: Array
-    noise: float
-    freedom: int
-    outliers: Flags
+    values: Array  #: (p,) fitted coefficients
+    covariance: Array  #: (p, p) covariance of the coefficients, read-only
+    noise: float  #: Standard deviation of the errors, in the unit of the regressed values
+    freedom: int  #: Degrees of freedom
+    outliers: Flags  #: (k,) whether a row counts as an outlier
 
 
 def least_median_line(x: Array, y: Array) -> Array:
@@ -144,10 +130,6 @@ def zero_probability(fit: RobustFit, pair: tuple[int, int]) -> float:
     """Return the p-value of the hypothesis that two coefficients are both 0.
 
     This is the tail of F(2, f), which has a closed form.
-
-    Args:
-        fit: Result of the regression.
-        pair: Indices of the two coefficients.
     """
     index = list(pair)
     values = fit.values[index]

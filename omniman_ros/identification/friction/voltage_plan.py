@@ -19,42 +19,27 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.core.robot import Robot
 from omniman_ros.identification.friction.friction_fit import MIN_SPEED
 
-TOP_FRACTION = 0.95
-"""Fraction of the motor's largest voltage and speed that the experiment uses."""
-CHECK_SPEED_FRACTION = 0.25
-"""Speed at the first, low voltage over the largest speed."""
-MAX_SIGN_SEARCH_WHEELS = 12
-"""Number of wheels up to which all combinations of signs are tried."""
+TOP_FRACTION = 0.95  #: Fraction of the motor's largest voltage and speed that the experiment uses
+CHECK_SPEED_FRACTION = 0.25  #: Speed at the first, low voltage over the largest speed
+MAX_SIGN_SEARCH_WHEELS = 12  #: Number of wheels up to which all combinations of signs are tried
 
 
 @dataclass(frozen=True, eq=False)
 class VoltagePlan:
-    """The voltages of an experiment, and its durations of waiting and measuring.
+    """The voltages of an experiment, and its durations of waiting and measuring."""
 
-    Attributes:
-        levels: Voltages in the order in which they are applied, signed [V].
-        check_level: Low voltage with which the experiment begins [V].
-        signs: (n,) +1 or -1, ratio of each wheel's voltage to the level.
-        ramp_rate: Rate of the voltages during the experiment [V/s].
-        stop_ramp_rate: Rate of the voltages when the experiment ends early [V/s].
-        settle_timeout: Longest time until the speeds must be constant [s].
-        min_measurement: Shortest duration of a measurement [s].
-        max_measurement: Longest duration of a measurement [s].
-        precision: Standard error of a mean current over the current of the friction, at which a
-            measurement ends.
-        feedback_timeout: Time without feedback after which the experiment ends [s].
-    """
-
-    levels: tuple[float, ...]
-    check_level: float
-    signs: Array
-    ramp_rate: float
-    stop_ramp_rate: float
-    settle_timeout: float = 6.0
-    min_measurement: float = 1.5
-    max_measurement: float = 20.0
+    levels: tuple[float, ...]  #: Voltages in the order in which they are applied, signed [V]
+    check_level: float  #: Low voltage with which the experiment begins [V]
+    signs: Array  #: (n,) +1 or -1, ratio of each wheel's voltage to the level
+    ramp_rate: float  #: Rate of the voltages during the experiment [V/s]
+    stop_ramp_rate: float  #: Rate of the voltages when the experiment ends early [V/s]
+    settle_timeout: float = 6.0  #: Longest time until the speeds must be constant [s]
+    min_measurement: float = 1.5  #: Shortest duration of a measurement [s]
+    max_measurement: float = 20.0  #: Longest duration of a measurement [s]
+    #: Standard error of a mean current over the current of the friction, at which a measurement
+    #: ends.
     precision: float = 0.005
-    feedback_timeout: float = 0.3
+    feedback_timeout: float = 0.3  #: Time without feedback after which the experiment ends [s]
 
     @property
     def top_level(self) -> float:

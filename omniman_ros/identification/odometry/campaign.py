@@ -10,37 +10,28 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.robot import Wheels
 
+#: Position and heading (x, y, theta) of base_link on the floor [m, m, rad]
 Pose = tuple[float, float, float]
-"""Position and heading (x, y, theta) of base_link on the floor [m, m, rad]."""
 
 
 @dataclass(frozen=True)
 class Run:
-    """The motion of the wheels between two measured poses.
+    """The motion of the wheels between two measured poses."""
 
-    Attributes:
-        name: Name of the run, for messages.
-        positions: (k, n) wheel positions, not wrapped, k >= 1 [rad].
-    """
-
-    name: str
-    positions: Array
+    name: str  #: Name of the run, for messages
+    positions: Array  #: (k, n) wheel positions, not wrapped, k >= 1 [rad]
 
 
 @dataclass(frozen=True)
 class Accuracy:
     """Standard deviations of a measured pose.
 
-    Attributes:
-        position: Standard deviation of each coordinate [m].
-        heading: Standard deviation of the heading [rad].
-
     Raises:
         InputError: A standard deviation is not above 0.
     """
 
-    position: float = 0.003
-    heading: float = math.radians(0.3)
+    position: float = 0.003  #: Standard deviation of each coordinate [m]
+    heading: float = math.radians(0.3)  #: Standard deviation of the heading [rad]
 
     def __post_init__(self) -> None:
         if not (0.0 < self.position < math.inf and 0.0 < self.heading < math.inf):
@@ -54,23 +45,18 @@ class Accuracy:
 class Campaign:
     """Runs in the order in which they were driven, and the measured poses between them.
 
-    Attributes:
-        wheels: The wheels as configured, without calibration.
-        runs: N runs; the robot does not move between them.
-        poses: N + 1 measured poses of base_link [m, m, rad] in one frame of the floor: before the
-            first run, between the runs, and after the last; None where the pose was not measured.
-            Headings may be wrapped.
-        accuracy: Accuracy of the poses.
-
     Raises:
         InputError: Sizes do not match, a number is not finite, or fewer than two poses were
             measured.
     """
 
-    wheels: Wheels
-    runs: tuple[Run, ...]
+    wheels: Wheels  #: The wheels as configured, without calibration
+    runs: tuple[Run, ...]  #: N runs; the robot does not move between them
+    #: N + 1 measured poses of base_link [m, m, rad] in one frame of the floor: before the first
+    #: run, between the runs, and after the last; None where the pose was not measured. Headings
+    #: may be wrapped.
     poses: tuple[Pose | None, ...]
-    accuracy: Accuracy
+    accuracy: Accuracy  #: Accuracy of the poses
 
     def __post_init__(self) -> None:
         n = len(self.wheels.names)

@@ -42,31 +42,27 @@ from omniman_ros.processes.process_group import redirect_signals
 from omniman_ros.processes.robot_setup import RobotSetup, resolve_robot
 from omniman_ros.robots import load_robot
 
-NAME = "identify_odometry"
-"""Stem of the names of the result's files."""
+NAME = "identify_odometry"  #: Stem of the names of the result's files
+#: Parameters for a simulation on a busy machine: no real robot is endangered when a process waits
+#: for the processor.
 LENIENT_TIMEOUTS = (
     "timeouts.wheel_states:=3.0",
     "drive.following_time:=5.0",
     "firmware.watchdog:=0.5",
 )
-"""Parameters for a simulation on a busy machine: no real robot is endangered when a process waits
-for the processor."""
-NODES = ("platform_controller", "simulated_drive")
-"""Nodes of the simulated robot."""
-TRUTH_TOPIC = "ground_truth/odom"
-"""Topic on which the simulated drive publishes the true pose."""
+NODES = ("platform_controller", "simulated_drive")  #: Nodes of the simulated robot
+TRUTH_TOPIC = "ground_truth/odom"  #: Topic on which the simulated drive publishes the true pose
+#: Accuracy of a tape measure and a mark on the floor
 TYPED_ACCURACY = Accuracy(0.003, math.radians(0.3))
-"""Accuracy of a tape measure and a mark on the floor."""
-TOPIC_ACCURACY = Accuracy(0.001, math.radians(0.1))
-"""Accuracy of a motion-capture system."""
+TOPIC_ACCURACY = Accuracy(0.001, math.radians(0.1))  #: Accuracy of a motion-capture system
+#: Errors of the simulated robot's geometry unless the user sets them: radii and mounting of the
+#: wheels.
 MISMATCH = {
     "mismatch.radius": (1.012, 0.991, 0.986, 1.008),
     "mismatch.offset_x": (0.004, -0.003, 0.002, -0.005),
     "mismatch.offset_y": (-0.003, -0.004, 0.005, 0.002),
     "mismatch.heading": (0.006, -0.004, 0.008, 0.003),
 }
-"""Errors of the simulated robot's geometry unless the user sets them: radii and mounting of the
-wheels."""
 
 
 def run(args: argparse.Namespace) -> int:
@@ -121,9 +117,6 @@ def drive_simulated_robot(args: argparse.Namespace, accuracy: Accuracy | None) -
 def mismatch_parameters(robot: str) -> list[str]:
     """Return parameters that make the simulated wheels differ from the configuration.
 
-    Args:
-        robot: Name or file of the robot.
-
     Returns:
         Assignments NAME:=VALUE.
     """
@@ -158,7 +151,6 @@ def measure(
     """Drive all runs and the check; save the runs, also if the experiment ends early.
 
     Args:
-        args: Arguments of the command line.
         truth: Topic of a measured pose, or None to ask the user.
         accuracy: Accuracy of the poses; None means the usual one of their source.
         poll: Called many times a second; raises to end early.

@@ -16,21 +16,16 @@ from omniman_ros.control.limits import TwistLimits
 from omniman_ros.core.planar import PlanarSample, Triple
 from omniman_ros.core.robot import Body
 
+#: Ratio of the distance that is kept from the edge of the square to the reach. The longest run is
+#: 2.8 times the reach, and uncalibrated odometry has an error of a few per cent of it.
 MARGIN = 0.1
-"""Ratio of the distance that is kept from the edge of the square to the reach. The longest run is
-2.8 times the reach, and uncalibrated odometry has an error of a few per cent of it."""
-MIN_REACH = 0.25
-"""Smallest useful distance of base_link from the middle to a side [m]."""
-MIN_RAMP_TIME = 1.0
-"""Shortest time from rest to full speed [s]."""
-MAX_SPEED_FRACTION = 0.7
-"""Largest speed that the user may choose, over the robot's limit."""
-ANGULAR_SPEED_FRACTION = 0.5
-"""Largest yaw rate of the runs, over the robot's limit."""
-ACCELERATION_FRACTION = 0.8
-"""Largest acceleration of the runs, over the robot's limit."""
+MIN_REACH = 0.25  #: Smallest useful distance of base_link from the middle to a side [m]
+MIN_RAMP_TIME = 1.0  #: Shortest time from rest to full speed [s]
+MAX_SPEED_FRACTION = 0.7  #: Largest speed that the user may choose, over the robot's limit
+ANGULAR_SPEED_FRACTION = 0.5  #: Largest yaw rate of the runs, over the robot's limit
+ACCELERATION_FRACTION = 0.8  #: Largest acceleration of the runs, over the robot's limit
+#: Largest slope of a smoothstep of degree 5, over that of the straight line
 SMOOTHSTEP_SLOPE = 1.875
-"""Largest slope of a smoothstep of degree 5, over that of the straight line."""
 
 
 CORNERS = {
@@ -39,21 +34,15 @@ CORNERS = {
     "back right": (-1, -1),
     "front right": (1, -1),
     "middle": (0, 0),
-}
-"""Ends of the runs, over the reach; front and left as seen from the initial pose."""
+}  #: Ends of the runs, over the reach; front and left as seen from the initial pose
 
 
 @dataclass(frozen=True)
 class RunTarget:
-    """The end of a run.
+    """The end of a run."""
 
-    Attributes:
-        corner: Name of the corner, a key of `CORNERS`.
-        turn: Angle by which the robot rotates in place at the corner [rad].
-    """
-
-    corner: str
-    turn: float
+    corner: str  #: Name of the corner, a key of `CORNERS`
+    turn: float  #: Angle by which the robot rotates in place at the corner [rad]
 
 
 CORNER_SEQUENCE = (
@@ -69,36 +58,28 @@ CORNER_SEQUENCE = (
     "front right",
     "front left",
     "middle",
-)
-"""Corners in the order of the runs."""
+)  #: Corners in the order of the runs
+#: The runs; rotations to the left and to the right come in pairs, and the last run ends at the
+#: initial pose.
 TARGETS = tuple(
     RunTarget(corner, math.pi if i % 4 < 2 else -math.pi)
     for i, corner in enumerate(CORNER_SEQUENCE)
 )
-"""The runs; rotations to the left and to the right come in pairs, and the last run ends at the
-initial pose."""
 
 
 @dataclass(frozen=True)
 class Speeds:
-    """The speeds of the drives.
+    """The speeds of the drives."""
 
-    Attributes:
-        linear: Largest speed [m/s].
-        angular: Largest yaw rate [rad/s].
-        ramp: Time from rest to these speeds [s].
-    """
-
-    linear: float
-    angular: float
-    ramp: float
+    linear: float  #: Largest speed [m/s]
+    angular: float  #: Largest yaw rate [rad/s]
+    ramp: float  #: Time from rest to these speeds [s]
 
     @classmethod
     def within(cls, limits: TwistLimits, linear: float) -> "Speeds":
         """Combine the speed that the user chose with a yaw rate and a ramp within the limits.
 
         Args:
-            limits: Limits of the robot.
             linear: Largest speed [m/s].
 
         Raises:
@@ -128,7 +109,6 @@ def max_reach(area: float, body: Body) -> float:
 
     Args:
         area: Side of the square, which the robot does not leave in any orientation [m].
-        body: Size of the robot.
 
     Raises:
         CommandError: The square is too small.
@@ -176,8 +156,8 @@ class SmoothProgress:
         return self._rate * self._ramp * area, self._rate * height, self._rate / self._ramp * slope
 
 
+#: A path: maps progress from 0 to 1 to a pose and its first and second derivatives by progress
 Shape = Callable[[float], tuple[Triple, Triple, Triple]]
-"""A path: maps progress from 0 to 1 to a pose and its first and second derivatives by progress."""
 
 
 class Motion:
@@ -186,7 +166,6 @@ class Motion:
     Args:
         shape: Path in the frame of `start`.
         start: Pose of this frame in odom [m, m, rad].
-        speeds: Largest speed and yaw rate.
 
     Attributes:
         duration: Duration of the drive [s].

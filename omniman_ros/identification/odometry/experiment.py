@@ -29,8 +29,8 @@ from omniman_ros.identification.odometry.record import (
 from omniman_ros.identification.odometry.wheel_integration import forward_matrix, integrate
 from omniman_ros.identification.robot_session import RobotSession
 
+#: Number of runs that a delayed controller or machine may cancel before their ends
 MAX_CANCELLED_RUNS = 3
-"""Number of runs that a delayed controller or machine may cancel before their ends."""
 
 
 class OdometryExperiment:
@@ -38,9 +38,6 @@ class OdometryExperiment:
 
     Args:
         robot: Session that drives the robot.
-        progress: Display of the progress.
-        poses: Measures the poses.
-        speeds: Speeds of the drives.
         reach: Distance of base_link from the middle to a side of the square [m].
         record: Record without runs.
 
@@ -160,9 +157,7 @@ def expected_duration(run_count: int, reach: float, speeds: Speeds) -> float:
     """Return the approximate duration of the runs and the check [s].
 
     Args:
-        run_count: Number of runs.
         reach: Distance of base_link from the middle to a side of the square [m].
-        speeds: Speeds of the drives.
     """
     origin = (0.0, 0.0, 0.0)
     side = Motion(straight_shape((2.0 * reach, 0.0, 0.0)), origin, speeds).duration

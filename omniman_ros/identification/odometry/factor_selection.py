@@ -32,123 +32,85 @@ from omniman_ros.identification.odometry.least_squares import (
     wheel_model,
 )
 
+#: Standard deviation above which a combination of factors counts as undetermined, in relative
+#: units.
 MAX_DEVIATION = 0.01
-"""Standard deviation above which a combination of factors counts as undetermined, in relative
-units."""
+#: Share of a factor in such a combination, over the largest share, from which the factor belongs
+#: to the combination.
 MIN_SHARE = 0.3
-"""Share of a factor in such a combination, over the largest share, from which the factor belongs
-to the combination."""
+#: Test value above which a measured pose is an outlier: the part of the squared residuals that an
+#: error of this pose would explain, over its 3 degrees of freedom and the variance of the rest (or
+#: 1 if that is smaller). It is 99.9 % of F(3, 20), 99.997 % of chi-square.
 OUTLIER_LIMIT = 8.0
-"""Test value above which a measured pose is an outlier: the part of the squared residuals that an
-error of this pose would explain, over its 3 degrees of freedom and the variance of the rest (or 1
-if that is smaller). It is 99.9 % of F(3, 20), 99.997 % of chi-square."""
-MAX_OUTLIER_SHARE = 0.25
-"""Largest share of the measured poses that may be left out."""
-NORMAL_95 = 1.95996
-"""Two-sided 95 % quantile of the normal distribution."""
-NORMAL_80 = 0.84162
-"""One-sided 80 % quantile of the normal distribution."""
+MAX_OUTLIER_SHARE = 0.25  #: Largest share of the measured poses that may be left out
+NORMAL_95 = 1.95996  #: Two-sided 95 % quantile of the normal distribution
+NORMAL_80 = 0.84162  #: One-sided 80 % quantile of the normal distribution
 
 
 @dataclass(frozen=True)
 class Factor:
-    """One factor of the odometry.
+    """One factor of the odometry."""
 
-    Attributes:
-        name: Name of the parameter; `wheel_scale.NAME` is the factor of one wheel.
-        value: Fitted value.
-        before: Value in force while the runs were driven.
-        half_width: Half width of the 95 % confidence interval; None if the factor was not fitted.
-    """
-
-    name: str
-    value: float
-    before: float
+    name: str  #: Name of the parameter; `wheel_scale.NAME` is the factor of one wheel
+    value: float  #: Fitted value
+    before: float  #: Value in force while the runs were driven
+    #: Half width of the 95 % confidence interval; None if the factor was not fitted
     half_width: float | None
 
 
 @dataclass(frozen=True)
 class UndeterminedFactors:
-    """Factors that the runs cannot distinguish.
+    """Factors that the runs cannot distinguish."""
 
-    Attributes:
-        together: Names of the factors.
-        left: Names of those of them that keep their values.
-    """
-
-    together: tuple[str, ...]
-    left: tuple[str, ...]
+    together: tuple[str, ...]  #: Names of the factors
+    left: tuple[str, ...]  #: Names of those of them that keep their values
 
 
 @dataclass(frozen=True)
 class Outlier:
-    """A measured pose that was left out.
+    """A measured pose that was left out."""
 
-    Attributes:
-        index: Index of the pose in the campaign.
-        name: Description of the pose in the campaign, for messages.
-        off: Deviation from the pose that the others imply, in the floor's frame [m, m, rad].
-    """
-
-    index: int
-    name: str
-    off: Pose
+    index: int  #: Index of the pose in the campaign
+    name: str  #: Description of the pose in the campaign, for messages
+    off: Pose  #: Deviation from the pose that the others imply, in the floor's frame [m, m, rad]
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """The result of a calibration.
+    """The result of a calibration."""
 
-    Attributes:
-        model: "wheels" or "twist".
-        parameters: Parameters to put into force; `correction` and `wheel_scale` have changed.
-        factors: All factors of the model.
-        undetermined: Factors that the runs cannot distinguish.
-        outliers: Measured poses that were left out.
-        chi_square: Sum of the squared residuals over their variances.
-        freedom: Degrees of freedom.
-        inflation: Factor on all variances, where the poses scatter more than was stated; else 1.
-        condition: Ratio of the Jacobian's singular values.
-        wheels_chi_square: Increase of the cost with factors per wheel relative to the whole
-            matrix, over the inflation; None if factors per wheel cannot be determined.
-        wheels_limit: Largest increase at which factors per wheel are chosen; None likewise.
-    """
-
-    model: str
+    model: str  #: "wheels" or "twist"
+    #: Parameters to put into force; `correction` and `wheel_scale` have changed
     parameters: OdometryParameters
-    factors: tuple[Factor, ...]
-    undetermined: tuple[UndeterminedFactors, ...]
-    outliers: tuple[Outlier, ...]
-    chi_square: float
-    freedom: int
+    factors: tuple[Factor, ...]  #: All factors of the model
+    undetermined: tuple[UndeterminedFactors, ...]  #: Factors that the runs cannot distinguish
+    outliers: tuple[Outlier, ...]  #: Measured poses that were left out
+    chi_square: float  #: Sum of the squared residuals over their variances
+    freedom: int  #: Degrees of freedom
+    #: Factor on all variances, where the poses scatter more than was stated; else 1
     inflation: float
-    condition: float
+    condition: float  #: Ratio of the Jacobian's singular values
+    #: Increase of the cost with factors per wheel relative to the whole matrix, over the
+    #: inflation; None if factors per wheel cannot be determined.
     wheels_chi_square: float | None
+    #: Largest increase at which factors per wheel are chosen; None likewise
     wheels_limit: float | None
 
 
 @dataclass(frozen=True)
 class _WheelFit:
-    """Factors per wheel, tested against the whole matrix on the twist.
+    """Factors per wheel, tested against the whole matrix on the twist."""
 
-    Attributes:
-        model: The model of factors per wheel.
-        solution: Its fit.
-        chi_square: Increase of the cost relative to the whole matrix, over the inflation.
-        limit: Largest value of `chi_square` at which it is chosen.
-    """
-
-    model: Model
-    solution: Solution
-    chi_square: float
-    limit: float
+    model: Model  #: The model of factors per wheel
+    solution: Solution  #: Its fit
+    chi_square: float  #: Increase of the cost relative to the whole matrix, over the inflation
+    limit: float  #: Largest value of `chi_square` at which it is chosen
 
 
 def identify(campaign: Campaign, present: OdometryParameters) -> Calibration:
     """Fit the odometry's factors to a campaign.
 
     Args:
-        campaign: Runs and measured poses.
         present: Parameters in force while the runs were driven; undetermined factors keep them.
 
     Raises:

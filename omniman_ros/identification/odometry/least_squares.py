@@ -29,40 +29,31 @@ from omniman_ros.core.robot import Wheels
 from omniman_ros.identification.odometry.campaign import Campaign
 from omniman_ros.identification.odometry.wheel_integration import arcs, between, forward_matrix
 
+#: Names of the factors on the diagonal of the matrix on the twist
 SCALES = ("scale_x", "scale_y", "scale_yaw")
-"""Names of the factors on the diagonal of the matrix on the twist."""
+#: Names of the factors beside the diagonal of that matrix
 CROSS_TERMS = ("x_per_y", "x_per_yaw", "y_per_x", "y_per_yaw", "yaw_per_x", "yaw_per_y")
-"""Names of the factors beside the diagonal of that matrix."""
-DIFFERENCE_STEP = 1e-6
-"""Step of the central differences, in relative units."""
-MAX_ITERATIONS = 30
-"""Largest number of Gauss-Newton steps."""
-JACOBIAN_UPDATE_STEP = 1e-3
-"""Step above which the Jacobian is evaluated anew, in relative units."""
-CONVERGED_STEP = 1e-9
-"""Step below which the iteration has converged, in relative units."""
+DIFFERENCE_STEP = 1e-6  #: Step of the central differences, in relative units
+MAX_ITERATIONS = 30  #: Largest number of Gauss-Newton steps
+JACOBIAN_UPDATE_STEP = 1e-3  #: Step above which the Jacobian is evaluated anew, in relative units
+CONVERGED_STEP = 1e-9  #: Step below which the iteration has converged, in relative units
 
 
 @dataclass(frozen=True)
 class Model:
-    """Some factors of the odometry as unknowns, in relative units: 0.01 is 1 % of each factor.
+    """Some factors of the odometry as unknowns, in relative units: 0.01 is 1 % of each factor."""
 
-    Attributes:
-        name: Name of the model, for messages.
-        factors: p names of the unknowns; `wheel_scale.NAME` is the factor of one wheel.
-        base: Parameters that contain all other factors.
-        units: (p,) one relative unit of each factor in the factor's own unit (a length for a
-            factor in m/rad, for example).
-        ranks: (p,) ranks: of factors that cannot be distinguished, those of the highest rank are
-            not fitted.
-        apply: Maps values (p,) in the factors' own units to parameters.
-    """
-
-    name: str
+    name: str  #: Name of the model, for messages
+    #: p names of the unknowns; `wheel_scale.NAME` is the factor of one wheel
     factors: tuple[str, ...]
-    base: OdometryParameters
+    base: OdometryParameters  #: Parameters that contain all other factors
+    #: (p,) one relative unit of each factor in the factor's own unit (a length for a factor in
+    #: m/rad, for example).
     units: Array
+    #: (p,) ranks: of factors that cannot be distinguished, those of the highest rank are not
+    #: fitted.
     ranks: tuple[int, ...]
+    #: Maps values (p,) in the factors' own units to parameters
     apply: Callable[[Sequence[float]], OdometryParameters]
 
     @property
@@ -123,9 +114,6 @@ class PoseChain:
     A residual is the measured pose of a station in the frame of the station before it, less the
     same pose by the odometry: three rows for each pair of stations. Errors e of the measured poses
     result in the residuals G e, whose covariance is G S G', block tridiagonal.
-
-    Args:
-        campaign: Runs and measured poses.
 
     Attributes:
         shifts: (r, r + 3) whitened residuals that a unit error of each measured pose would make.
@@ -196,19 +184,12 @@ class PoseChain:
 
 @dataclass(frozen=True)
 class Solution:
-    """The least-squares fit of some of a model's factors.
+    """The least-squares fit of some of a model's factors."""
 
-    Attributes:
-        free: Indices of the model's factors that were fitted.
-        values: (p,) all of the model's factors, in their own units.
-        residuals: (r,) whitened residuals.
-        jacobian: (r, f) derivatives of the whitened residuals by the fitted factors, in relative
-            units.
-    """
-
-    free: tuple[int, ...]
-    values: Array
-    residuals: Array
+    free: tuple[int, ...]  #: Indices of the model's factors that were fitted
+    values: Array  #: (p,) all of the model's factors, in their own units
+    residuals: Array  #: (r,) whitened residuals
+    #: (r, f) derivatives of the whitened residuals by the fitted factors, in relative units
     jacobian: Array
 
     @property
@@ -231,9 +212,6 @@ def jacobian(campaign: Campaign, chain: PoseChain, model: Model, values: Array) 
     """Differentiate the whitened residuals by all factors of a model.
 
     Args:
-        campaign: Runs and measured poses.
-        chain: The campaign's residuals.
-        model: The model.
         values: (p,) values of its factors, in their own units.
 
     Returns:
@@ -264,10 +242,6 @@ def solve(
     than `JACOBIAN_UPDATE_STEP`.
 
     Args:
-        campaign: Runs and measured poses.
-        chain: The campaign's residuals.
-        model: The model.
-        free: Indices of the factors to fit.
         base_jacobian: (r, p) :func:`jacobian` at the model's base.
 
     Raises:

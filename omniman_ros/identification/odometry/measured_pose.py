@@ -10,16 +10,14 @@ from omniman_ros.console.terminal import say
 from omniman_ros.core.planar import Triple
 from omniman_ros.identification.line_reader import LineReader
 
-MAX_COORDINATE = 100.0
-"""Largest coordinate that is accepted as metres [m]."""
-MAX_DEGREES = 36000.0
-"""Largest heading that is accepted [degrees]."""
+MAX_COORDINATE = 100.0  #: Largest coordinate that is accepted as metres [m]
+MAX_DEGREES = 36000.0  #: Largest heading that is accepted [degrees]
+#: Distance from the odometry above which the user must confirm a typed pose [m]
 MAX_POSITION_DEVIATION = 0.3
-"""Distance from the odometry above which the user must confirm a typed pose [m]."""
+#: Heading difference from the odometry above which the user must confirm a typed pose [rad]
 MAX_HEADING_DEVIATION = math.radians(15.0)
-"""Heading difference from the odometry above which the user must confirm a typed pose [rad]."""
+#: Description of the input that is expected
 FORMAT = "x y heading, in metres and degrees, as in: 0.853 -0.012 179.5"
-"""Description of the input that is expected."""
 
 
 class TypedPoseError(ValueError):
@@ -88,7 +86,6 @@ class PoseSource(Protocol):
         """Return the pose after a run [m, m, rad]; None if it was not measured.
 
         Args:
-            run: Name of the run.
             expected: Pose by the odometry [m, m, rad].
         """
 
@@ -97,7 +94,6 @@ class TypedPoses:
     """Poses that the user measures and types.
 
     Args:
-        lines: The user's input.
         wait: Serves ROS for a moment; raises to end.
     """
 

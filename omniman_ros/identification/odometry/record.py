@@ -14,52 +14,34 @@ from omniman_ros.core.robot import Wheels
 from omniman_ros.identification.odometry.campaign import Accuracy, Campaign, Pose, Run
 from omniman_ros.identification.record_file import load_record, save_record
 
-FORMAT = "omniman odometry runs 1"
-"""Name and version of the file format."""
+FORMAT = "omniman odometry runs 1"  #: Name and version of the file format
+#: Units of the numbers in the file
 UNITS = "m, rad, s; poses (x, y, heading) of base_link on the floor"
-"""Units of the numbers in the file."""
+#: Number of decimals of positions and poses; the rounding error is far below an encoder count
 DIGITS = 7
-"""Number of decimals of positions and poses; the rounding error is far below an encoder count."""
 
 
 @dataclass(frozen=True)
 class CheckDrive:
-    """A drive along the check path, to which no factor is fitted.
+    """A drive along the check path, to which no factor is fitted."""
 
-    Attributes:
-        times: (k,) times of the wheel positions [s].
-        positions: (k, n) wheel positions [rad].
-        start: Measured pose before the drive [m, m, rad].
-        end: Measured pose after it [m, m, rad]; None if it was not measured.
-        truth: (m, 4) times [s] and poses [m, m, rad] measured during the drive, or (0, 4).
-    """
-
-    times: Array
-    positions: Array
-    start: Pose
-    end: Pose | None
-    truth: Array
+    times: Array  #: (k,) times of the wheel positions [s]
+    positions: Array  #: (k, n) wheel positions [rad]
+    start: Pose  #: Measured pose before the drive [m, m, rad]
+    end: Pose | None  #: Measured pose after it [m, m, rad]; None if it was not measured
+    truth: Array  #: (m, 4) times [s] and poses [m, m, rad] measured during the drive, or (0, 4)
 
 
 @dataclass(frozen=True)
 class OdometryRecord:
-    """Input of a calibration.
+    """Input of a calibration."""
 
-    Attributes:
-        wheels: The wheels as configured, without calibration.
-        odometry: Parameters in force while the runs were driven.
-        accuracy: Accuracy of the measured poses.
-        runs: Runs, see :class:`Campaign`.
-        poses: Measured poses, see :class:`Campaign`.
-        check: The drive along the check path, if there was one.
-    """
-
-    wheels: Wheels
-    odometry: OdometryParameters
-    accuracy: Accuracy
-    runs: tuple[Run, ...] = ()
-    poses: tuple[Pose | None, ...] = ()
-    check: CheckDrive | None = None
+    wheels: Wheels  #: The wheels as configured, without calibration
+    odometry: OdometryParameters  #: Parameters in force while the runs were driven
+    accuracy: Accuracy  #: Accuracy of the measured poses
+    runs: tuple[Run, ...] = ()  #: Runs, see :class:`Campaign`
+    poses: tuple[Pose | None, ...] = ()  #: Measured poses, see :class:`Campaign`
+    check: CheckDrive | None = None  #: The drive along the check path, if there was one
 
     @property
     def campaign(self) -> Campaign:

@@ -15,17 +15,16 @@ from omniman_ros.identification.odometry.least_squares import CROSS_TERMS, SCALE
 from omniman_ros.identification.odometry.record import CheckDrive, OdometryRecord
 from omniman_ros.identification.odometry.wheel_integration import forward_matrix, integrate
 
+#: Names below `odometry.` of the parameters that a calibration sets
 PARAMETERS = (*SCALES, *CROSS_TERMS, "wheel_scale")
-"""Names below `odometry.` of the parameters that a calibration sets."""
+#: Scatter of the measured poses over the stated one above which the user is told
 MAX_SCATTER = 3.0
-"""Scatter of the measured poses over the stated one above which the user is told."""
 CHECK_ERRORS = {
     "rms_mm": ("along the path, RMS", "mm"),
     "max_mm": ("along the path, max", "mm"),
     "end_mm": ("at its end", "mm"),
     "end_heading_deg": ("heading at its end", "deg"),
-}
-"""Errors on the check path by their key: description and unit."""
+}  #: Errors on the check path by their key: description and unit
 
 
 def errors_on(
@@ -34,9 +33,7 @@ def errors_on(
     """Evaluate the errors of the odometry along the check path.
 
     Args:
-        check: The drive along the check path.
         record: The record with the wheels.
-        parameters: Parameters of the odometry.
 
     Returns:
         Errors by the keys of `CHECK_ERRORS`: those along the path where poses were measured on the

@@ -26,7 +26,6 @@ def forward_matrix(wheels: Wheels, parameters: OdometryParameters) -> Array:
 
     Args:
         wheels: The wheels as configured, without calibration.
-        parameters: The calibration.
 
     Returns:
         (3, n) matrix from wheel steps [rad] to displacements of the body [m, m, rad].

@@ -10,21 +10,13 @@ from omniman_ros.core.arrays import Array
 
 @dataclass(frozen=True)
 class AxisGroup:
-    """Coordinates that share limits: x and y of a platform, its heading, a joint of an arm.
+    """Coordinates that share limits: x and y of a platform, its heading, a joint of an arm."""
 
-    Attributes:
-        columns: Indices of the coordinates.
-        velocity: Limit of the length of their velocity [m/s or rad/s].
-        acceleration: Limit of the length of their acceleration [m/s^2 or rad/s^2].
-        jerk: Limit of the length of their jerk [m/s^3 or rad/s^3].
-        tolerance: Largest distance from the given path at corners [m or rad].
-    """
-
-    columns: tuple[int, ...]
-    velocity: float
-    acceleration: float
-    jerk: float
-    tolerance: float
+    columns: tuple[int, ...]  #: Indices of the coordinates
+    velocity: float  #: Limit of the length of their velocity [m/s or rad/s]
+    acceleration: float  #: Limit of the length of their acceleration [m/s^2 or rad/s^2]
+    jerk: float  #: Limit of the length of their jerk [m/s^3 or rad/s^3]
+    tolerance: float  #: Largest distance from the given path at corners [m or rad]
 
     def norm(self, values: Array) -> Array:
         """Return the length (...) of the group's part of vectors (..., d)."""
@@ -37,7 +29,6 @@ def max_utilisation(groups: Sequence[AxisGroup], values: Array, limits: Sequence
     """Return the largest utilisation (...) of any group's limit by vectors (..., d).
 
     Args:
-        groups: Groups of coordinates.
         values: Vectors (..., d).
         limits: Limit of the length of each group's part, in the unit of the values.
 

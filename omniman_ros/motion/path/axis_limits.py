@@ -12,10 +12,9 @@ from omniman_ros.motion.path.axis_group import AxisGroup
 from omniman_ros.motion.path.time_profile import SpeedCap
 from omniman_ros.motion.path.timed_curve import TimedCurve
 
-ROUND_OFF = 1e-6
-"""Relative excess over a limit that counts as round-off."""
+ROUND_OFF = 1e-6  #: Relative excess over a limit that counts as round-off
+#: Name of each derivative, and the suffix of its unit after that of the position
 QUANTITIES = (("position", ""), ("velocity", "/s"), ("acceleration", "/s^2"), ("jerk", "/s^3"))
-"""Name of each derivative, and the suffix of its unit after that of the position."""
 
 
 @dataclass(frozen=True)
@@ -23,22 +22,20 @@ class AxisLimits:
     """Names and limits of d axes; the limits are read-only arrays (d,).
 
     Attributes:
-        names: Names of the axes.
         lower, upper: Range of the positions [rad or m].
         velocity, acceleration, jerk: Limits of the absolute values [the same per s, s^2, s^3].
-        units: Units of the positions, for messages.
 
     Raises:
         ParameterError: A limit has not one finite number for each axis, or is not positive.
     """
 
-    names: tuple[str, ...]
+    names: tuple[str, ...]  #: Names of the axes
     lower: Array
     upper: Array
     velocity: Array
     acceleration: Array
     jerk: Array
-    units: tuple[str, ...]
+    units: tuple[str, ...]  #: Units of the positions, for messages
 
     def __post_init__(self) -> None:
         for label in ("lower", "upper", "velocity", "acceleration", "jerk"):
@@ -93,10 +90,6 @@ class AxisLimits:
 
     def require_kept(self, curve: TimedCurve, jerk_scale: float) -> None:
         """Require that a motion keeps all limits at every instant.
-
-        Args:
-            curve: Motion of all axes.
-            jerk_scale: Factor on the jerk limits.
 
         Raises:
             InputError: The motion violates a limit; the message names the axis, the time, the

@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 from omniman_ros.core.arrays import Array
 from omniman_ros.motion.path.axis_group import AxisGroup, max_utilisation
 
+#: Change of slope, relative to the velocity limit, up to which a corner counts as straight
 STRAIGHT = 1e-9
-"""Change of slope, relative to the velocity limit, up to which a corner counts as straight."""
-MIN_PIECE = 1e-9
-"""Length in u below which a piece is left out [s]."""
+MIN_PIECE = 1e-9  #: Length in u below which a piece is left out [s]
 
 
 class Curve:

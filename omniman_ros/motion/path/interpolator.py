@@ -19,8 +19,8 @@ from omniman_ros.motion.path.planner import AT_REST, PathPlanner, Plan
 from omniman_ros.motion.path.trajectory import Trajectory
 from omniman_ros.motion.path.window import Window
 
+#: Distance before and after a corner over which the heading changes, in corner tolerances
 HEADING_BLEND = 4.0
-"""Distance before and after a corner over which the heading changes, in corner tolerances."""
 
 
 class PathState(Enum):
@@ -40,19 +40,14 @@ class RefusedError(OmnimanError):
 
 @dataclass(frozen=True)
 class Proposal:
-    """A planned path that has not been started.
+    """A planned path that has not been started."""
 
-    Attributes:
-        trajectory: Motion along the path; from rest, it starts when the proposal is accepted.
-        since: Time from which it differs from the motion under way [s]; None if it starts at rest.
-        plan: Plan of the motion.
-        planner: Planner that made the plan.
-    """
-
+    #: Motion along the path; from rest, it starts when the proposal is accepted
     trajectory: Trajectory
+    #: Time from which it differs from the motion under way [s]; None if it starts at rest
     since: float | None
-    plan: Plan
-    planner: PathPlanner
+    plan: Plan  #: Plan of the motion
+    planner: PathPlanner  #: Planner that made the plan
 
 
 class PathInterpolator:
@@ -62,7 +57,7 @@ class PathInterpolator:
         parameters: Robot, limits and options.
 
     Attributes:
-        parameters: As above; new ones count from the next path that starts at rest.
+        parameters: New ones count from the next path that starts at rest.
         state: Present state.
         plan: Last plan, or None.
         limit_scale: Fraction of all speeds and accelerations in use, see :meth:`scale_limits`.

@@ -22,26 +22,20 @@ from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.motion.path.timed_curve import TimedCurve
 from omniman_ros.motion.path.window import Window
 
+#: Time for which a replaced motion is kept, as measurements are older than now [s]
 REPLACED_MOTION_MEMORY = 0.25
-"""Time for which a replaced motion is kept, as measurements are older than now [s]."""
-END_HOLD_TIME = 0.2
-"""Time for which the end is sent repeatedly, in case messages are lost [s]."""
+END_HOLD_TIME = 0.2  #: Time for which the end is sent repeatedly, in case messages are lost [s]
 
 
 @dataclass(frozen=True)
 class JointProposal:
-    """A planned trajectory that has not been started.
+    """A planned trajectory that has not been started."""
 
-    Attributes:
-        curve: Motion of the trajectory.
-        since: Time at which it replaces the motion under way [s]; None if it starts when the
-            proposal is accepted.
-        replaces: Motion that it continues from; None if it starts at rest.
-    """
-
-    curve: TimedCurve
+    curve: TimedCurve  #: Motion of the trajectory
+    #: Time at which it replaces the motion under way [s]; None if it starts when the proposal is
+    #: accepted.
     since: float | None
-    replaces: "JointMotion | None"
+    replaces: "JointMotion | None"  #: Motion that it continues from; None if it starts at rest
 
 
 class JointMotion:
@@ -53,7 +47,6 @@ class JointMotion:
         limits: Limits that changes of the pace keep.
 
     Attributes:
-        start, curve: As above.
         pace: Pace of this motion; 1 except for pauses and stops.
     """
 
@@ -85,10 +78,6 @@ class JointMotion:
 class JointInterpolator:
     """Follows trajectories of joints, and replaces them on the move.
 
-    Args:
-        limits: Names and limits of all joints.
-        options: Options of the trajectories.
-
     Attributes:
         planner: Planner of the motions; a new one counts from the next trajectory.
         state: Present state.
@@ -115,7 +104,6 @@ class JointInterpolator:
         """Plan a trajectory without changing the motion under way.
 
         Args:
-            points: Points of the trajectory.
             here: (d,) positions of the joints, used if no motion is under way.
             now: Time [s].
             lead: Planning time that passes before a motion under way can change [s].

@@ -14,9 +14,9 @@ from omniman_ros.motion.path.planner import MAX_DURATION, PathPlanner
 from omniman_ros.motion.path.timed_curve import TimedCurve
 from omniman_ros.motion.path.trajectory import Trajectory
 
+#: Largest difference between the velocity of a first point with time 0 and the present one
+#: [rad/s].
 MAX_START_SPEED_ERROR = 0.05
-"""Largest difference between the velocity of a first point with time 0 and the present one
-[rad/s]."""
 
 
 @dataclass(frozen=True)
@@ -24,11 +24,6 @@ class JointPoints:
     """Points of a trajectory of some axes.
 
     Attributes:
-        columns: (m,) indices of the axes.
-        times: (k,) from the start of the trajectory [s], 0 or later and increasing; None if the
-            points are to be reached as soon as the limits allow. Of points that repeat each other
-            but for round-off, the last counts.
-        positions: (k, m) [rad or m].
         velocities, accelerations: (k, m), or None if they are not given.
 
     Raises:
@@ -36,9 +31,12 @@ class JointPoints:
             increase, or there are accelerations without velocities or velocities without times.
     """
 
-    columns: tuple[int, ...]
+    columns: tuple[int, ...]  #: (m,) indices of the axes
+    #: (k,) from the start of the trajectory [s], 0 or later and increasing; None if the points are
+    #: to be reached as soon as the limits allow. Of points that repeat each other but for
+    #: round-off, the last counts.
     times: Array | None
-    positions: Array
+    positions: Array  #: (k, m) [rad or m]
     velocities: Array | None = None
     accelerations: Array | None = None
 
@@ -109,12 +107,7 @@ class JointPlanner:
     """Plans motions of all axes through points of some; the other axes keep their positions.
 
     Args:
-        limits: Names and limits of all axes.
-        options: Options of the trajectories.
         dt: Tick of the time base [s].
-
-    Attributes:
-        limits, options: As above.
     """
 
     def __init__(self, limits: AxisLimits, options: JointTrajectoryOptions, dt: float) -> None:

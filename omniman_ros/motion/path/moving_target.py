@@ -13,39 +13,28 @@ from omniman_ros.motion.path.joint_points import JointPoints, State
 from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.motion.path.timed_curve import TimedCurve
 
+#: Latest time at which a point of a stream is due [s]; later ones are those of a trajectory
 STREAM_LEAD = 0.5
-"""Latest time at which a point of a stream is due [s]; later ones are those of a trajectory."""
-SHORTEST = 4.0 * TICK
-"""Shortest time to the target that is tried [s]."""
-LONGEST = 1.0
-"""Longest time to the target [s]: what is farther away is no point of a stream."""
-STOPS = 130
-"""Number of times to rest that are tried, up to 17 s."""
-GROWTH = 1.05
-"""Ratio of two times to the target that are tried one after the other."""
+SHORTEST = 4.0 * TICK  #: Shortest time to the target that is tried [s]
+LONGEST = 1.0  #: Longest time to the target [s]: what is farther away is no point of a stream
+STOPS = 130  #: Number of times to rest that are tried, up to 17 s
+GROWTH = 1.05  #: Ratio of two times to the target that are tried one after the other
+#: Share of the limits that is used where less does not suffice; the grid misses up to 0.4 %
 FULL_SHARE = 0.99
-"""Share of the limits that is used where less does not suffice; the grid misses up to 0.4 %."""
+#: Number of motions whose limits are checked exactly, of those that keep them on the grid
 MOST_CHECKS = 4
-"""Number of motions whose limits are checked exactly, of those that keep them on the grid."""
+#: Grid of a piece's elapsed fraction on which limits are checked
 _U = np.linspace(0.0, 1.0, 25)[:, None]
-"""Grid of a piece's elapsed fraction on which limits are checked."""
 
 
 @dataclass(frozen=True)
 class MovingTarget:
-    """Where some axes are to be at a time, and how fast.
+    """Where some axes are to be at a time, and how fast."""
 
-    Attributes:
-        columns: Indices of the axes.
-        position: (m,) positions [rad or m].
-        velocity: (m,) velocities [rad/s or m/s]; zeros where the source gives none.
-        due: Time from now [s]; negative if it has passed.
-    """
-
-    columns: tuple[int, ...]
-    position: Array
-    velocity: Array
-    due: float
+    columns: tuple[int, ...]  #: Indices of the axes
+    position: Array  #: (m,) positions [rad or m]
+    velocity: Array  #: (m,) velocities [rad/s or m/s]; zeros where the source gives none
+    due: float  #: Time from now [s]; negative if it has passed
 
     @classmethod
     def last_of(cls, points: JointPoints, delay: float) -> "MovingTarget":
@@ -78,9 +67,7 @@ def curve_to(
     brake first.
 
     Args:
-        target: Target.
         state: State of all d axes at time 0.
-        limits: Limits of all axes.
         reserve: Fraction of the limits that the motion leaves unused, if it can.
         hold: Time for which the target is taken to move on after it was due [s].
 

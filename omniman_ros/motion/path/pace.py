@@ -16,40 +16,31 @@ import numpy as np
 from omniman_ros.core.arrays import Array
 from omniman_ros.motion.path.axis_group import AxisGroup
 
+#: Ticks from a decision to the first changed tick, so that the receiver gets the tick in time
 LEAD = 3
-"""Ticks from a decision to the first changed tick, so that the receiver gets the tick in time."""
+#: Largest first derivative of the pace, whatever the limits would allow [1/s]
 MAX_PACE_RATE = 10.0
-"""Largest first derivative of the pace, whatever the limits would allow [1/s]."""
+#: Largest second derivative of the pace, whatever the limits would allow [1/s^2]
 MAX_PACE_ACCELERATION = 200.0
-"""Largest second derivative of the pace, whatever the limits would allow [1/s^2]."""
+#: Fraction of an acceleration limit that a change of pace may use, as between ticks the
+#: acceleration is slightly larger.
 MARGIN = 0.95
-"""Fraction of an acceleration limit that a change of pace may use, as between ticks the
-acceleration is slightly larger."""
+#: The same fraction for a change without regard to the jerk, which is larger between two ticks
 MARGIN_AT_ONCE = 0.92
-"""The same fraction for a change without regard to the jerk, which is larger between two ticks."""
-CHUNK = 50
-"""Number of ticks that are computed together."""
+CHUNK = 50  #: Number of ticks that are computed together
+#: Difference between two paces, or two times [s], up to which they count as equal
 PACE_TOLERANCE = 1e-12
-"""Difference between two paces, or two times [s], up to which they count as equal."""
-MAX_SETTLING_TIME = 600.0
-"""Upper bound of the time in which the pace reaches its target [s]."""
+MAX_SETTLING_TIME = 600.0  #: Upper bound of the time in which the pace reaches its target [s]
 
 
 @dataclass(frozen=True)
 class Demand:
-    """Use of the limits by motions at k times, in g groups of axes; arrays (k, g).
+    """Use of the limits by motions at k times, in g groups of axes; arrays (k, g)."""
 
-    Attributes:
-        speed: x' . x' over the square of the acceleration limit [s^2].
-        mixed: x' . x'' over the square of the acceleration limit [s].
-        bend: x'' . x'' over the square of the acceleration limit.
-        jerk: |x'| over the jerk limit [s^2].
-    """
-
-    speed: Array
-    mixed: Array
-    bend: Array
-    jerk: Array
+    speed: Array  #: x' . x' over the square of the acceleration limit [s^2]
+    mixed: Array  #: x' . x'' over the square of the acceleration limit [s]
+    bend: Array  #: x'' . x'' over the square of the acceleration limit
+    jerk: Array  #: |x'| over the jerk limit [s^2]
 
     @classmethod
     def of(
@@ -77,17 +68,11 @@ class Demand:
 
 @dataclass(frozen=True)
 class Paced:
-    """Motion time at k times.
+    """Motion time at k times."""
 
-    Attributes:
-        motion: (k,) motion time s [s].
-        rate: (k,) pace p = ds/dt.
-        slope: (k,) derivative p' of the pace [1/s].
-    """
-
-    motion: Array
-    rate: Array
-    slope: Array
+    motion: Array  #: (k,) motion time s [s]
+    rate: Array  #: (k,) pace p = ds/dt
+    slope: Array  #: (k,) derivative p' of the pace [1/s]
 
     def apply(
         self, positions: Array, velocities: Array, accelerations: Array
@@ -193,7 +178,6 @@ class Pace:
 
     @property
     def _settled(self) -> bool:
-        """Whether the last knot is at the target."""
         return not self._times or (self._rates[-1] == self.target and self._slopes[-1] == 0.0)
 
     def _knots(self, rows: list[tuple[float, float, float, float]]) -> None:
@@ -264,9 +248,6 @@ class Pace:
         """Return the range of p' with |x'' p^2 + x' p'| within the limits around a tick.
 
         Args:
-            demand: Demand of the motions.
-            i: Number of the tick.
-            rate: Pace.
             margin: Fraction of the limits that counts.
         """
         speed = np.maximum(demand.speed[i : i + 3], 1e-18)

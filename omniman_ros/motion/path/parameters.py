@@ -12,8 +12,7 @@ from omniman_ros.core.robot import Robot
 from omniman_ros.motion.path.axis_group import AxisGroup
 from omniman_ros.motion.path.planner import PathPlanner
 
-TICK = 0.008
-"""The time base, 125 Hz: the cycle of the UR controller, CCTA 2017 V.A [s]."""
+TICK = 0.008  #: The time base, 125 Hz: the cycle of the UR controller, CCTA 2017 V.A [s]
 
 
 @dataclass(frozen=True)

@@ -15,20 +15,16 @@ from omniman_ros.motion.path.smoothing import Smoother, deviation, window_ticks
 from omniman_ros.motion.path.time_profile import SpeedCap, TimeProfile, TimeProfiler
 from omniman_ros.motion.path.trajectory import Ticks, concatenate
 
-FINE_SIMPLIFICATION = 0.04
-"""Fraction of the tolerance by which points may always be omitted."""
+FINE_SIMPLIFICATION = 0.04  #: Fraction of the tolerance by which points may always be omitted
+#: Fraction of the tolerance by which points may be omitted where that makes the motion faster
 COARSE_SIMPLIFICATION = 0.5
-"""Fraction of the tolerance by which points may be omitted where that makes the motion faster."""
-COARSE_GAIN = 0.95
-"""Fraction of the duration below which the coarse simplification is chosen."""
-MAX_DURATION = 3600.0
-"""Longest trajectory [s]."""
-MIN_SCALE = 1e-4
-"""Smallest scale on which points are compared [m, rad]."""
+COARSE_GAIN = 0.95  #: Fraction of the duration below which the coarse simplification is chosen
+MAX_DURATION = 3600.0  #: Longest trajectory [s]
+MIN_SCALE = 1e-4  #: Smallest scale on which points are compared [m, rad]
+#: Rate u' up to which a motion is at rest, and distance in u [s] that counts as none
 AT_REST = 1e-9
-"""Rate u' up to which a motion is at rest, and distance in u [s] that counts as none."""
+#: Length of the straight line out of a motion, relative to its shortest stopping distance
 EXIT_LENGTH = 1.1
-"""Length of the straight line out of a motion, relative to its shortest stopping distance."""
 
 
 class Route:
@@ -50,19 +46,12 @@ class Route:
 
 @dataclass(frozen=True)
 class Plan:
-    """A route and a motion along it.
+    """A route and a motion along it."""
 
-    Attributes:
-        route: Curves of the path.
-        ticks: Motion at the ticks, with a final rest that lasts as long as the smoothing.
-        bound: Minimum time for the same curves without jerk limits [s].
-        duration: Duration of the motion [s].
-    """
-
-    route: Route
-    ticks: Ticks
-    bound: float
-    duration: float
+    route: Route  #: Curves of the path
+    ticks: Ticks  #: Motion at the ticks, with a final rest that lasts as long as the smoothing
+    bound: float  #: Minimum time for the same curves without jerk limits [s]
+    duration: float  #: Duration of the motion [s]
 
 
 class PathPlanner:
@@ -75,7 +64,6 @@ class PathPlanner:
         limit_scale: Fraction of all speed and acceleration limits that is used.
 
     Attributes:
-        dt, limit_scale: As above.
         smoother: Filter that the ticks are meant for; the same for each limit scale.
     """
 
@@ -155,10 +143,7 @@ class PathPlanner:
         possible.
 
         Args:
-            route: Curves of the path.
-            section: Index of the curve.
             u: Parameter of the curve [s].
-            rate: Rate u' there.
 
         Raises:
             InputError: The motion would take too long.

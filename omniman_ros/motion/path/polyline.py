@@ -7,8 +7,7 @@ import numpy as np
 from omniman_ros.core import round_off, se2
 from omniman_ros.core.arrays import Array
 
-REPEAT_TOLERANCE = 1e-6
-"""Distance up to which poses count as repeated, relative to the tolerance."""
+REPEAT_TOLERANCE = 1e-6  #: Distance up to which poses count as repeated, relative to the tolerance
 
 
 def unwrap_headings(poses: Array, heading: float) -> Array:

@@ -36,7 +36,6 @@ class Smoother:
     is a cubic polynomial between ticks, so that x, x' and x'' at the ticks determine all of it.
 
     Args:
-        ticks: Length m of the window.
         dt: Tick [s].
 
     Attributes:

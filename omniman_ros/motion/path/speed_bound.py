@@ -6,23 +6,16 @@ import numpy as np
 
 from omniman_ros.core.arrays import Array
 
-HEADROOM = 0.95
-"""Part of the allowed speed that the motion uses; the rest is left to feedback."""
+HEADROOM = 0.95  #: Part of the allowed speed that the motion uses; the rest is left to feedback
 
 
 @dataclass(frozen=True)
 class SpeedBound:
-    """Limits of speed to which the shares of a motion limit refer.
+    """Limits of speed to which the shares of a motion limit refer."""
 
-    Attributes:
-        linear: Linear speed of the platform [m/s].
-        angular: Yaw rate [rad/s].
-        rates: Rate (6,) of each joint of the arm [rad/s].
-    """
-
-    linear: float
-    angular: float
-    rates: Array
+    linear: float  #: Linear speed of the platform [m/s]
+    angular: float  #: Yaw rate [rad/s]
+    rates: Array  #: Rate (6,) of each joint of the arm [rad/s]
 
     def pace(self, velocities: Array, platform: float, arm: float) -> float:
         """Return the largest pace, 0 to 1, at which platform and arm keep to their shares.

@@ -16,25 +16,20 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.motion.path.axis_group import AxisGroup
 from omniman_ros.motion.path.curve import MIN_PIECE, Curve
 
+#: Returns the largest u' (k,) for q (k, d) and q' (k, d), beyond the limits of axis groups.
+#:
+#: It is evaluated at the ends of cells only; between them it may be exceeded by its change there.
 SpeedCap = Callable[[Array, Array], Array]
-"""Returns the largest u' (k,) for q (k, d) and q' (k, d), beyond the limits of axis groups.
 
-It is evaluated at the ends of cells only; between them it may be exceeded by its change there.
-"""
-
-CELL = 0.02
-"""Length of the longest cell [s of u]."""
-MAX_CELLS = 20_000
-"""Approximate largest number of cells; the cells of longer curves are longer."""
+CELL = 0.02  #: Length of the longest cell [s of u]
+MAX_CELLS = 20_000  #: Approximate largest number of cells; the cells of longer curves are longer
+#: Smallest number of cells of a piece, unless it is short and has neighbours
 MIN_CELLS_PER_PIECE = 4
-"""Smallest number of cells of a piece, unless it is short and has neighbours."""
-BISECTIONS = 30
-"""Number of bisections that find the largest speed at the start of a cell."""
-ROUND_OFF = 1e-6
-"""Relative error of u'^2 that is accepted if it comes from another profile."""
+BISECTIONS = 30  #: Number of bisections that find the largest speed at the start of a cell
+ROUND_OFF = 1e-6  #: Relative error of u'^2 that is accepted if it comes from another profile
 
+#: Products for one limit at one end of a cell: |q'|^2, q'.q'', |q''|^2, limit^2
 Row = tuple[float, float, float, float]
-"""Products for one limit at one end of a cell: |q'|^2, q'.q'', |q''|^2, limit^2."""
 
 
 class TimeProfile:
@@ -45,7 +40,6 @@ class TimeProfile:
         squares: (n + 1,) u'^2 at the nodes.
 
     Attributes:
-        nodes, squares: As above.
         times: (n + 1,) time from the start [s].
     """
 

@@ -8,10 +8,9 @@ from numpy.typing import NDArray
 
 from omniman_ros.core.arrays import Array
 
+#: Number of bisections that locate an extreme; the error of its value is of second order
 BISECTIONS = 27
-"""Number of bisections that locate an extreme; the error of its value is of second order."""
-_POWERS = np.arange(6.0)
-"""Exponents of the terms of a quintic polynomial."""
+_POWERS = np.arange(6.0)  #: Exponents of the terms of a quintic polynomial
 
 
 class TimedCurve:

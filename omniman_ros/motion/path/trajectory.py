@@ -12,21 +12,13 @@ from omniman_ros.motion.path.smoothing import Smoother
 
 @dataclass(frozen=True)
 class Ticks:
-    """Positions at ticks before the smoothing, and their places on the route.
+    """Positions at ticks before the smoothing, and their places on the route."""
 
-    Attributes:
-        positions: (k, d) positions q(u).
-        section: (k,) index of the route's section.
-        u: (k,) parameter of the section's curve [s].
-        rate: (k,) rate u'.
-        progress: (k,) completed fraction of the route, 0 to 1.
-    """
-
-    positions: Array
-    section: NDArray[np.intp]
-    u: Array
-    rate: Array
-    progress: Array
+    positions: Array  #: (k, d) positions q(u)
+    section: NDArray[np.intp]  #: (k,) index of the route's section
+    u: Array  #: (k,) parameter of the section's curve [s]
+    rate: Array  #: (k,) rate u'
+    progress: Array  #: (k,) completed fraction of the route, 0 to 1
 
     def __len__(self) -> int:
         return len(self.u)
@@ -52,7 +44,6 @@ class Trajectory:
         history: (smoother.memory, d) positions before the first tick; None if it starts at rest.
 
     Attributes:
-        start, dt, ticks: As above.
         positions, velocities, accelerations: (k, d) at the ticks.
     """
 

@@ -17,12 +17,11 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import parameter
 from omniman_ros.motion.axes import PLATFORM_AXES
 
-NO_BOUND = -1.0
-"""Value of a tolerance that means no bound; 0 means the default."""
+NO_BOUND = -1.0  #: Value of a tolerance that means no bound; 0 means the default
+#: Units of the positions of linear axes; those of the other axes are radians
 UNITS = {PLATFORM_AXES[0]: "m", PLATFORM_AXES[1]: "m"}
-"""Units of the positions of linear axes; those of the other axes are radians."""
+#: Axis whose measurement may differ from its reference by whole revolutions
 HEADING = PLATFORM_AXES[2]
-"""Axis whose measurement may differ from its reference by whole revolutions."""
 
 
 class ErrorCode(IntEnum):
@@ -46,17 +45,11 @@ class Ending(Enum):
 
 @dataclass(frozen=True)
 class Verdict:
-    """Result of a goal that has ended.
+    """Result of a goal that has ended."""
 
-    Attributes:
-        ending: Terminal state.
-        code: Error code of the result.
-        text: Reason in words; may be empty.
-    """
-
-    ending: Ending
-    code: ErrorCode
-    text: str
+    ending: Ending  #: Terminal state
+    code: ErrorCode  #: Error code of the result
+    text: str  #: Reason in words; may be empty
 
 
 @dataclass(frozen=True)
@@ -118,18 +111,13 @@ class JointTolerance(Protocol):
 class GoalTolerances:
     """Largest errors of each axis; infinity means no bound.
 
-    Attributes:
-        path: (2, n) errors of position [m, rad] and velocity [m/s, rad/s] during the motion.
-        goal: (2, n) the same at the end, where the velocity should be zero.
-        time: Time after the trajectory's end within which the goal must be reached [s].
-
     Raises:
         InputError: Shapes do not match, or a value is negative or NaN.
     """
 
-    path: Array
-    goal: Array
-    time: float
+    path: Array  #: (2, n) errors of position [m, rad] and velocity [m/s, rad/s] during the motion
+    goal: Array  #: (2, n) the same at the end, where the velocity should be zero
+    time: float  #: Time after the trajectory's end within which the goal must be reached [s]
 
     def __post_init__(self) -> None:
         path, goal = (np.array(a, dtype=float) for a in (self.path, self.goal))
@@ -161,7 +149,6 @@ class GoalTolerances:
 
         Args:
             names: Names of all n axes.
-            options: Default tolerances.
             path, goal: Tolerances of some of the axes.
             time: `goal_time_tolerance` [s]; 0 means the default, -1 means no bound.
 
@@ -214,7 +201,6 @@ class GoalMonitor:
     Args:
         names: Names of all n axes.
         goal: (n,) positions at the end [m, rad]; NaN for axes that the goal does not name.
-        tolerances: Tolerances of these axes.
 
     Raises:
         InputError: Shapes do not match, or the goal names no axis.

@@ -12,11 +12,10 @@ class Window:
     """A stretch of a stream of d axes.
 
     Attributes:
-        times: Times (k,) [s].
         positions, velocities, accelerations: Motion (k, d) at these times, in SI units.
     """
 
-    times: Array
+    times: Array  #: Times (k,) [s]
     positions: Array
     velocities: Array
     accelerations: Array

@@ -2,8 +2,7 @@
 
 import math
 
-Vector = tuple[float, float]
-"""A vector in the plane [m] or [m/s]."""
+Vector = tuple[float, float]  #: A vector in the plane [m] or [m/s]
 
 
 def approach_speed(distance: float, gain: float, deceleration: float) -> float:

@@ -24,8 +24,7 @@ from omniman_ros.motion.station.approach import Vector, approach_speed, way_arou
 from omniman_ros.motion.station.leader import Leader
 from omniman_ros.motion.station.parameters import StationParameters
 
-LEAVING = 2.0
-"""Multiple of the tolerances above which a kept station counts as approached again."""
+LEAVING = 2.0  #: Multiple of the tolerances above which a kept station counts as approached again
 
 
 class StationState(Enum):

@@ -10,17 +10,11 @@ from omniman_ros.core.planar import Triple
 
 @dataclass(frozen=True)
 class Leader:
-    """The leader at the time of a measurement; its twist is taken to be constant from then on.
+    """The leader at the time of a measurement; its twist is taken to be constant from then on."""
 
-    Attributes:
-        time: Time of the measurement [s].
-        pose: Pose of its base_link in odom of the follower [m, m, rad].
-        twist: Twist (3,) in its base_link [m/s, m/s, rad/s].
-    """
-
-    time: float
-    pose: Triple
-    twist: Array
+    time: float  #: Time of the measurement [s]
+    pose: Triple  #: Pose of its base_link in odom of the follower [m, m, rad]
+    twist: Array  #: Twist (3,) in its base_link [m/s, m/s, rad/s]
 
     def predicted_pose(self, time: float) -> Triple:
         """Return the pose at a time [s], in odom of the follower [m, m, rad]."""

@@ -17,16 +17,13 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.motion.whole_body.parameters import ToolPathOptions
 
+#: Time constant with which the error rate decays, as the platform controller corrects it [s]
 RATE_DECAY_TIME = 0.3
-"""Time constant with which the error rate decays, as the platform controller corrects it [s]."""
-MAX_GAP = 0.25
-"""Time without a measurement after which the filter is reset [s]."""
-MIN_SCALED_PACE = 0.1
-"""Lowest pace from which joint speeds are scaled to another pace."""
+MAX_GAP = 0.25  #: Time without a measurement after which the filter is reset [s]
+MIN_SCALED_PACE = 0.1  #: Lowest pace from which joint speeds are scaled to another pace
+#: Number of consecutive measurements beyond the largest error that are no longer outliers
 OUTLIER_COUNT = 3
-"""Number of consecutive measurements beyond the largest error that are no longer outliers."""
-FULL_PACE_ERROR = 0.5
-"""Fraction of the largest error up to which the motion is not slowed down."""
+FULL_PACE_ERROR = 0.5  #: Fraction of the largest error up to which the motion is not slowed down
 
 
 class PlatformCorrection:
@@ -40,7 +37,6 @@ class PlatformCorrection:
         options: Bounds and filter of the correction; may be replaced at any time.
 
     Attributes:
-        options: As above.
         error: (3,) filtered measured minus reference pose at the last measurement [m, m, rad].
         rate: (3,) rate of the error [m/s, m/s, rad/s].
         time: Time of the last measurement [s]; minus infinity before the first.
@@ -141,7 +137,6 @@ def corrected_arm_motion(
     The derivatives are central differences, so that changes of the pace are contained in them.
 
     Args:
-        model: Kinematics of the robot.
         platform: (k + 2, 3) poses of base_link [m, m, rad], from a step before the first result to
             a step after the last.
         tool: (k + 2, 4, 4) poses of `tool0` in odom at the same times.

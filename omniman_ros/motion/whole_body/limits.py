@@ -22,15 +22,12 @@ class WholeBodyLimits(AxisLimits):
     """Limits of odom_x, odom_y, odom_t and the arm's joints, with x and y limited as a vector.
 
     The platform's limits are always reduced by the reserve that paths leave to feedback.
-
-    Attributes:
-        wheels: (n, 3) matrix from a twist in base_link to wheel speeds [rad/s].
-        wheel_speed: Limit of the wheel speeds [rad/s].
-        path_speeds: Linear and angular speed limits where times are computed [m/s, rad/s].
     """
 
+    #: (n, 3) matrix from a twist in base_link to wheel speeds [rad/s]
     wheels: Array = field(default_factory=lambda: np.zeros((0, 3)))
-    wheel_speed: float = np.inf
+    wheel_speed: float = np.inf  #: Limit of the wheel speeds [rad/s]
+    #: Linear and angular speed limits where times are computed [m/s, rad/s]
     path_speeds: tuple[float, float] = (np.inf, np.inf)
 
     @classmethod

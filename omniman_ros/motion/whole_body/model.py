@@ -15,8 +15,7 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import parameter
 from omniman_ros.motion.axes import AXES
 
-HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])
-"""Pose of the base of the DH table in `arm_base_link`."""
+HALF_TURN = np.diag([-1.0, -1.0, 1.0, 1.0])  #: Pose of the base of the DH table in `arm_base_link`
 
 
 @dataclass(frozen=True)
@@ -53,10 +52,6 @@ class Mount:
 
 class WholeBodyModel:
     """Kinematics of platform and arm together.
-
-    Args:
-        mount: Pose of the arm on the platform.
-        arm: Kinematics of the arm.
 
     Attributes:
         arm: Kinematics of the arm.

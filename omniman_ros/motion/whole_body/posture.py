@@ -20,59 +20,40 @@ from omniman_ros.motion.whole_body.parameters import ToolPathOptions
 from omniman_ros.motion.whole_body.tool_curve import ToolCurve
 from omniman_ros.motion.whole_body.tridiagonal import solve_block_tridiagonal
 
-NODE_SPACING = 0.04
-"""Largest distance between nodes [m of u]."""
-MIN_INTERVALS = 8
-"""Smallest number of intervals between nodes."""
+NODE_SPACING = 0.04  #: Largest distance between nodes [m of u]
+MIN_INTERVALS = 8  #: Smallest number of intervals between nodes
+#: Weight of each joint's distance from its start; that of wrist_3, which only rotates the tool, is
+#: small.
 POSTURE_WEIGHTS = np.array([1.0, 1.0, 1.0, 0.5, 1.0, 0.1])
-"""Weight of each joint's distance from its start; that of wrist_3, which only rotates the tool,
-is small."""
+#: Weights of the platform's derivatives by u, which smooth its motion over about 0.3 m
 PLATFORM_RATE_WEIGHTS = np.array([3.0, 3.0, 1.0]) * 0.3**2
-"""Weights of the platform's derivatives by u, which smooth its motion over about 0.3 m."""
-JOINT_RATE_WEIGHT = 0.3 * 0.3**2
-"""Weight of the joints' derivatives by u."""
+JOINT_RATE_WEIGHT = 0.3 * 0.3**2  #: Weight of the joints' derivatives by u
+#: Weights of violated margins to singularities and joint limits: of the first solution, and of the
+#: second one if the first violates a limit.
 MARGIN_WEIGHTS = (1e2, 1e4)
-"""Weights of violated margins to singularities and joint limits: of the first solution, and of the
-second one if the first violates a limit."""
+#: Relative excess of margins at nodes over the minimum, which covers the path between nodes
 NODE_MARGIN_RESERVE = 0.1
-"""Relative excess of margins at nodes over the minimum, which covers the path between nodes."""
+#: Margin to a singularity, relative to the minimum, below which it adds to the cost
 MARGIN_ONSET = 2.0
-"""Margin to a singularity, relative to the minimum, below which it adds to the cost."""
-LIMIT_MARGIN = 0.2
-"""Margin to a joint limit below which it adds to the cost [rad]."""
-MAX_ITERATIONS = 40
-"""Largest number of Gauss-Newton iterations."""
-CONVERGED_GAIN = 1e-4
-"""Relative decrease of the cost at which the iteration has converged."""
+LIMIT_MARGIN = 0.2  #: Margin to a joint limit below which it adds to the cost [rad]
+MAX_ITERATIONS = 40  #: Largest number of Gauss-Newton iterations
+CONVERGED_GAIN = 1e-4  #: Relative decrease of the cost at which the iteration has converged
+#: Weight of the platform's jump where it is repositioned, for the initial guess
 JUMP_WEIGHT = 30.0
-"""Weight of the platform's jump where it is repositioned, for the initial guess."""
-SINGULARITIES = ("elbow", "wrist", "shoulder")
-"""Names of the arm's singularities."""
+SINGULARITIES = ("elbow", "wrist", "shoulder")  #: Names of the arm's singularities
 
 
 @dataclass(frozen=True)
 class Postures:
-    """Platform and arm at the nodes of a path.
+    """Platform and arm at the nodes of a path."""
 
-    Attributes:
-        at: (n + 1,) parameters u of the nodes, equally spaced [m].
-        platform: (n + 1, 3) poses of the platform, from its start on [m, m, rad].
-        arm: (n + 1, 6) joint angles, unwrapped from the first on [rad].
-    """
-
-    at: Array
-    platform: Array
-    arm: Array
+    at: Array  #: (n + 1,) parameters u of the nodes, equally spaced [m]
+    platform: Array  #: (n + 1, 3) poses of the platform, from its start on [m, m, rad]
+    arm: Array  #: (n + 1, 6) joint angles, unwrapped from the first on [rad]
 
 
 class PostureResolver:
-    """Finds the motion of the platform for a path of the tool.
-
-    Args:
-        model: Kinematics of the robot.
-        limits: Limits of the nine axes.
-        options: Minimum margins to singularities.
-    """
+    """Finds the motion of the platform for a path of the tool."""
 
     def __init__(
         self, model: WholeBodyModel, limits: AxisLimits, options: ToolPathOptions
@@ -247,7 +228,6 @@ class _PostureProblem:
 
         Args:
             platform: (n + 1, 3) poses of the platform from which all nodes are in reach.
-            margin_weight: Weight of violated margins.
         """
         self._margin_weight = margin_weight
         arm, cost = self._evaluated(platform)
@@ -286,7 +266,6 @@ class _PostureProblem:
         """Return the cheapest pose (3,) of the platform, relative to the tool at node k.
 
         Args:
-            k: Index of the node.
             offset: (3,) preferred pose, relative to the tool.
 
         Raises:

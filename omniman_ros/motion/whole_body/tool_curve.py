@@ -21,27 +21,21 @@ from omniman_ros.motion.path.axis_group import AxisGroup, max_utilisation
 from omniman_ros.motion.path.curve import Curve
 from omniman_ros.motion.whole_body.parameters import ToolPathOptions
 
+#: Fractions of the tolerance for omitted poses, for corners, and for the average over u
 ToleranceSplit = tuple[float, float, float]
-"""Fractions of the tolerance for omitted poses, for corners, and for the average over u."""
 
-LEVER = 0.4
-"""Length that corresponds to a rotation [m/rad]."""
-FINE = (0.25, 0.5, 0.2)
-"""Tolerance split for clean poses."""
-COARSE = (0.7, 0.2, 0.08)
-"""Tolerance split for noisy poses."""
+LEVER = 0.4  #: Length that corresponds to a rotation [m/rad]
+FINE = (0.25, 0.5, 0.2)  #: Tolerance split for clean poses
+COARSE = (0.7, 0.2, 0.08)  #: Tolerance split for noisy poses
+#: Fraction of the poses that remains with COARSE, up to which the poses count as noisy
 NOISY_FRACTION = 0.5
-"""Fraction of the poses that remains with COARSE, up to which the poses count as noisy."""
+#: Second derivative for which no parabola needs to be longer than its straights [1/m]
 MAX_BEND = 0.25
-"""Second derivative for which no parabola needs to be longer than its straights [1/m]."""
-MAX_WINDOW = 0.02
-"""Longest averaging window [m]."""
-MAX_SWING = 3.0
-"""Largest swing [rad]; near pi its axis jumps."""
-MIN_LENGTH = 1e-4
-"""Length below which there is no path to follow [m]."""
+MAX_WINDOW = 0.02  #: Longest averaging window [m]
+MAX_SWING = 3.0  #: Largest swing [rad]; near pi its axis jumps
+MIN_LENGTH = 1e-4  #: Length below which there is no path to follow [m]
+#: Swing [rad] below which series replace quotients; also the step of a numerical derivative
 SMALL = 1e-5
-"""Swing [rad] below which series replace quotients; also the step of a numerical derivative."""
 
 
 class ToolCurve:
@@ -52,7 +46,6 @@ class ToolCurve:
 
     Args:
         poses: (k, 4, 4) rigid transforms, k >= 2; the first is the present pose of the tool.
-        options: Tolerances of the path.
         frame: (4, 4) frame of the poses, which only :meth:`position` uses.
 
     Attributes:

@@ -17,29 +17,19 @@ from omniman_ros.motion.whole_body.tool_curve import ToolCurve
 from omniman_ros.motion.whole_body.tool_timing import PathProgress, ToolTimer
 from omniman_ros.motion.whole_body.whole_body_path import WholeBodyPath
 
-RIGIDITY_TOLERANCE = 1e-6
-"""Largest deviation of an element of R R^T from the identity."""
+RIGIDITY_TOLERANCE = 1e-6  #: Largest deviation of an element of R R^T from the identity
 
 
 @dataclass(frozen=True)
 class ToolPlan:
-    """Motion of the whole body along a path of the tool.
+    """Motion of the whole body along a path of the tool."""
 
-    Attributes:
-        curve: All axes (n, 9) at ticks, from rest at the start to rest.
-        branch: Branch of the arm's inverse kinematics, :meth:`ArmModel.inverse`.
-        length: Path length of the tool [m].
-        path: Path of the tool in the frame of the platform's start.
-        progress: Path parameter as a function of time.
-        frame: (4, 4) pose of the platform at the start, in odom.
-    """
-
-    curve: TimedCurve
-    branch: int
-    length: float
-    path: ToolCurve = field(repr=False)
-    progress: PathProgress = field(repr=False)
-    frame: Array = field(repr=False)
+    curve: TimedCurve  #: All axes (n, 9) at ticks, from rest at the start to rest
+    branch: int  #: Branch of the arm's inverse kinematics, :meth:`ArmModel.inverse`
+    length: float  #: Path length of the tool [m]
+    path: ToolCurve = field(repr=False)  #: Path of the tool in the frame of the platform's start
+    progress: PathProgress = field(repr=False)  #: Path parameter as a function of time
+    frame: Array = field(repr=False)  #: (4, 4) pose of the platform at the start, in odom
 
     def tool(self, times: Array) -> Array:
         """Return poses (m, 4, 4) of `tool0` in odom at times (m,) of the curve [s]."""
@@ -54,8 +44,6 @@ class ToolPlanner:
     together with the robot gives the same motion.
 
     Args:
-        model: Kinematics of the robot.
-        limits: Limits of the nine axes.
         options: Tolerances, speeds of the tool, and margins to singularities.
     """
 

@@ -28,8 +28,7 @@ from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.motion.whole_body.parameters import ToolPathOptions
 from omniman_ros.motion.whole_body.whole_body_path import WholeBodyPath
 
-MAX_STRETCHES = 20
-"""Number of attempts to meet all limits by stretching the motion."""
+MAX_STRETCHES = 20  #: Number of attempts to meet all limits by stretching the motion
 
 
 class PathProgress:
@@ -80,7 +79,6 @@ class ToolTimer:
     """Computes the timing of paths of the whole body.
 
     Args:
-        limits: Limits of the nine axes.
         options: Limits of the tool, and the reserve of the axes.
 
     Attributes:

@@ -9,14 +9,10 @@ from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.motion.whole_body.posture import Postures
 from omniman_ros.motion.whole_body.tool_curve import ToolCurve
 
-SAMPLE_SPACING = 0.005
-"""Largest distance between samples [m of u]."""
-MIN_INTERVALS = 20
-"""Smallest number of intervals between samples."""
-SAME_SAMPLE = 1e-6
-"""Distance up to which two samples count as one [m of u]."""
-DIFFERENCE_STEP = 1e-5
-"""Step of the numerical derivative of the Jacobian [m of u]."""
+SAMPLE_SPACING = 0.005  #: Largest distance between samples [m of u]
+MIN_INTERVALS = 20  #: Smallest number of intervals between samples
+SAME_SAMPLE = 1e-6  #: Distance up to which two samples count as one [m of u]
+DIFFERENCE_STEP = 1e-5  #: Step of the numerical derivative of the Jacobian [m of u]
 
 
 class PlatformSpline:
@@ -52,8 +48,6 @@ class WholeBodyPath:
     """Nine axes as functions of u, with the tool exactly on its path.
 
     Args:
-        model: Kinematics of the robot.
-        tool: Path of the tool.
         postures: Platform and arm at nodes of the path.
         branch: Branch of the arm's inverse kinematics, :meth:`ArmModel.inverse`.
 

@@ -24,9 +24,6 @@ class GoalAdmission:
         planner: Planner that drives to the goals.
         anchor: Place of the goal in odom.
         sensors: State of the robot, and obstacles.
-        posture: Posture of the arm.
-        monitor: Monitor of the stream.
-        goals: Log of the goals' outcomes.
         silence_reason: Returns why what the planner must know is not known at a time of the node's
             clock [s], or an empty string.
     """

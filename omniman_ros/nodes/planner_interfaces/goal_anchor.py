@@ -17,23 +17,16 @@ from omniman_ros.planning.obstacles.ellipses import Ellipses
 if TYPE_CHECKING:
     from omniman_ros.planning.planner import Planner
 
-LEAST_SHIFT = 5e-4
-"""Distance by which a goal must have moved to be moved for the planner [m]."""
-LEAST_TURN = 5e-4
-"""Angle by which a goal must have turned to be turned for the planner [rad]."""
+LEAST_SHIFT = 5e-4  #: Distance by which a goal must have moved to be moved for the planner [m]
+LEAST_TURN = 5e-4  #: Angle by which a goal must have turned to be turned for the planner [rad]
 
 
 @dataclass(frozen=True)
 class PlacedGoal:
-    """A goal in a frame that does not move with the robot.
+    """A goal in a frame that does not move with the robot."""
 
-    Attributes:
-        frame: The frame; empty for odom.
-        goal: Goal in that frame.
-    """
-
-    frame: str
-    goal: Goal
+    frame: str  #: The frame; empty for odom
+    goal: Goal  #: Goal in that frame
 
 
 class GoalAnchor:
@@ -41,7 +34,6 @@ class GoalAnchor:
 
     Args:
         planner: Planner that drives to the goals.
-        frames: Transforms of the node.
     """
 
     def __init__(self, planner: "Planner", frames: FrameTransforms) -> None:

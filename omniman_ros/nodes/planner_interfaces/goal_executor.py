@@ -19,11 +19,7 @@ class GoalExecutor:
 
     Args:
         node: Node whose clock stamps the feedback.
-        goals: Conversion of the goals.
-        loop: Drives to goals.
-        sensors: State of the robot.
         planner: Planner that drives to the goals.
-        frame: Frame of odometry.
     """
 
     def __init__(

@@ -23,8 +23,6 @@ class GoalInterface:
 
     Args:
         node: Node that receives the messages.
-        settings: Parameters of the node.
-        frames: Transforms of the node.
         submit: Called for each message with a function that returns the goal, or raises
             InputError; returns why the goal is refused, or an empty string.
     """

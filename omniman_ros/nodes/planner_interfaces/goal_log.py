@@ -3,8 +3,8 @@
 from omniman_ros.nodes.motion_ledger import MotionLedger
 from omniman_ros.planning.cycle import GoalOutcome
 
+#: Outcomes of which the status warns
 _TROUBLE = (GoalOutcome.WAITING, GoalOutcome.REFUSED, GoalOutcome.GIVEN_UP)
-"""Outcomes of which the status warns."""
 
 
 class GoalLog:

@@ -21,9 +21,7 @@ class MotionPublisher:
 
     Args:
         node: Node that publishes.
-        settings: Parameters of the node.
         planner: Planner whose motion is sent.
-        monitor: Monitor of the stream.
 
     Attributes:
         reference: Publisher of `mpc/reference`.

@@ -14,8 +14,7 @@ from omniman_ros.planning.obstacles.ellipses import Ellipses
 if TYPE_CHECKING:
     from omniman_ros.planning.planner import Planner
 
-PREDICTION_TIMES = (0.5, 1.0, 1.5)
-"""Times ahead at which predicted obstacles are shown [s]."""
+PREDICTION_TIMES = (0.5, 1.0, 1.5)  #: Times ahead at which predicted obstacles are shown [s]
 
 
 class PlanPublisher:
@@ -23,7 +22,6 @@ class PlanPublisher:
 
     Args:
         node: Node that publishes.
-        frame: Frame of plans and obstacles.
         planner: Planner whose plans are shown.
     """
 

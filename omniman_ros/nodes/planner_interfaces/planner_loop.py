@@ -28,10 +28,8 @@ class PlannerLoop:
         planner: Planner that is run.
         anchor: Place of the goal in odom.
         sensors: State of the robot, and obstacles.
-        posture: Posture of the arm.
         publisher: Streams that move the robot.
         plans: Topics that show plans.
-        monitor: Monitor of the stream.
 
     Attributes:
         goals: Outcome of the latest goal.

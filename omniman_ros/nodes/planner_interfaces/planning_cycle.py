@@ -24,10 +24,8 @@ class PlanningCycle:
         planner: Planner that is run.
         anchor: Place of the goal in odom.
         sensors: State of the robot, and obstacles.
-        posture: Posture of the arm.
         publisher: Streams that move the robot.
         plans: Topics that show plans.
-        goals: Log of the goals' outcomes.
 
     Attributes:
         silence: Why the surroundings, the arm's posture or the goal's place in odom are not known,
@@ -66,7 +64,6 @@ class PlanningCycle:
 
         Args:
             now: Time of the node's clock [s].
-            measured: State of the robot.
         """
         planner = self._planner
         silence = self.silence_reason(now) or self._anchor.silence_reason()

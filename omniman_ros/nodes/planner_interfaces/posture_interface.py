@@ -18,8 +18,7 @@ from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.planner_interfaces.parameters import MpcPlannerParameters, body_outline
 from omniman_ros.nodes.serialized import deserialized
 
-REFERENCE = "arm/joint_reference"
-"""Name of the topic of the arm's previews."""
+REFERENCE = "arm/joint_reference"  #: Name of the topic of the arm's previews
 
 
 class PostureSource(Enum):
@@ -38,7 +37,6 @@ class PostureInterface:
 
     Args:
         node: Node that receives the messages.
-        settings: Parameters of the node.
     """
 
     def __init__(self, node: OmnimanNode, settings: ParameterSet[MpcPlannerParameters]) -> None:

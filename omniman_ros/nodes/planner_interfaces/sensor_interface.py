@@ -29,10 +29,7 @@ class SensorInterface:
 
     Args:
         node: Node that receives the messages.
-        settings: Parameters of the node.
-        frames: Transforms of the node.
         planner: Planner that gets the map and the scale of the limits.
-        monitor: Monitor of the planner's stream.
 
     Attributes:
         measured: Latest state of the robot, or None before the first.

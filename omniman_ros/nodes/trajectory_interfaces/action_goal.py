@@ -19,8 +19,8 @@ from omniman_ros.motion.path.trajectory_goal import (
     TrajectoryActionOptions,
 )
 
+#: Fields of a point of a trajectory, in the order of their derivatives
 PARTS = ("positions", "velocities", "accelerations")
-"""Fields of a point of a trajectory, in the order of their derivatives."""
 
 
 def goal_monitor(
@@ -30,7 +30,6 @@ def goal_monitor(
 
     Args:
         goal: A `control_msgs/action/FollowJointTrajectory` goal.
-        names: Names of all axes.
         options: Tolerances that count where the goal has none.
         now: ROS time [s].
 
@@ -92,7 +91,6 @@ def fill_feedback(
 
     Args:
         feedback: A `control_msgs/action/FollowJointTrajectory` feedback.
-        stamp: ROS time of the feedback.
         desired: Reference positions, velocities and accelerations, (n,) each.
         actual: Measured positions and velocities, (n,) each.
         errors: Errors of positions and velocities, (n,) each.

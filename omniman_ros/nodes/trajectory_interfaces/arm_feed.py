@@ -15,8 +15,7 @@ from omniman_ros.nodes.arm_states import ArmStates, ArmStatesReader
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.trajectory_interfaces.odom_feed import AT_REST
 
-MAX_LAG = 0.2
-"""Longest time by which the arm may lag behind its reference [s]."""
+MAX_LAG = 0.2  #: Longest time by which the arm may lag behind its reference [s]
 
 
 class ArmFeed:
@@ -24,7 +23,6 @@ class ArmFeed:
 
     Args:
         node: Node that subscribes to the topic.
-        names: Names of the joints.
         is_moving: Returns whether the arm follows a motion of this node; then each message is
             read at once.
         on_states: Called after each message that was read at once.

@@ -20,19 +20,13 @@ from omniman_ros.nodes.trajectory_interfaces.joint_interface import JointInterfa
 from omniman_ros.nodes.trajectory_interfaces.motion_context import MotionContext
 from omniman_ros.nodes.trajectory_interfaces.motion_outputs import ArmOutput
 
+#: Planning time that is expected of the motion to a point of a stream [s]
 STREAM_PLANNING_TIME = 0.01
-"""Planning time that is expected of the motion to a point of a stream [s]."""
-BODY = Source.BODY.value
-"""Value of `active_source` while another node moves platform and arm."""
+BODY = Source.BODY.value  #: Value of `active_source` while another node moves platform and arm
 
 
 class ArmInterface(JointInterface):
-    """Trajectories of the arm, which may run beside paths of the platform.
-
-    Args:
-        context: Services of the node.
-        core: Interpolator of the six joints.
-    """
+    """Trajectories of the arm, which may run beside paths of the platform."""
 
     def __init__(self, context: MotionContext, core: JointInterpolator) -> None:
         super().__init__(context, core, ArmOutput(context))

@@ -11,17 +11,12 @@ from omniman_ros.nodes.trajectory_interfaces.motion_interface import DrivenMotio
 from omniman_ros.nodes.trajectory_interfaces.motion_outputs import WholeBodyOutput
 from omniman_ros.nodes.trajectory_interfaces.tool_stream import ToolPosePublisher, ToolStream
 
+#: Shortest period of corrected previews of the arm between those of both parts [s]
 MIN_CORRECTION_PERIOD = 0.018
-"""Shortest period of corrected previews of the arm between those of both parts [s]."""
 
 
 class BodyInterface(MotionInterface):
     """Drives motions of the whole body; where the tool is led, the arm corrects the platform.
-
-    Args:
-        context: Services of the node.
-        core: Motion of the nine axes.
-        kind: What the interface drives.
 
     Attributes:
         limit_scale: Fraction of the platform's limits that dead wheels and the posture leave.

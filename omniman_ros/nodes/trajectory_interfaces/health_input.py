@@ -13,7 +13,6 @@ class HealthInput:
     """Scales the limits of the motions that move the platform.
 
     Args:
-        context: Services of the node.
         use: Called with the fraction of the limits that is left when it has changed.
     """
 

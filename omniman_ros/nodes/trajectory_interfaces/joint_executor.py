@@ -11,7 +11,6 @@ class JointExecutor:
     """Hands goals of an action to an interface of trajectories; see `TrajectoryExecutor`.
 
     Args:
-        context: Services of the node.
         interface: Interface that drives the trajectories.
     """
 

@@ -12,8 +12,8 @@ from omniman_ros.motion.path.joint_points import JointPoints
 from omniman_ros.nodes.trajectory_interfaces.motion_context import MIN_PLANNING_TIME, MotionContext
 from omniman_ros.nodes.trajectory_interfaces.motion_interface import MotionInterface
 
+#: Planning time that is expected for each point of a trajectory [s]
 PLANNING_TIME_PER_POINT = 1e-3
-"""Planning time that is expected for each point of a trajectory [s]."""
 
 
 class JointInterface(MotionInterface, ABC):

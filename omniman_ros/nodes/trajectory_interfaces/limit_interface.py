@@ -19,12 +19,11 @@ from omniman_ros.nodes.motion_limit_input import subscribe_to_motion_limit
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.trajectory_interfaces.parameters import StreamParameters
 
+#: Times from now at which the speed of a motion is compared with the limit [s]
 LOOK_AHEAD = np.linspace(0.0, 0.4, 9)
-"""Times from now at which the speed of a motion is compared with the limit [s]."""
+#: Smallest change of a share that is acted upon at once; others wait for the next tick
 CHANGE = 0.01
-"""Smallest change of a share that is acted upon at once; others wait for the next tick."""
-REST = 1e-6
-"""Speed up to which a motion rests [m/s, rad/s]."""
+REST = 1e-6  #: Speed up to which a motion rests [m/s, rad/s]
 
 
 class SampledMotion(Protocol):
@@ -45,7 +44,6 @@ class LimitInterface:
 
     Args:
         node: Node that owns the topics.
-        read_options: Returns the parameters of the node.
         motions: Motions, each with the axes of the whole body that it moves.
         on_change: Called when a share has changed.
     """

@@ -21,12 +21,10 @@ from omniman_ros.nodes.trajectory_interfaces.parameters import (
 )
 from omniman_ros.nodes.trajectory_interfaces.previews import Previews
 
+#: Number of attempts to plan from a motion under way, each with twice the time of the last
 PLANNING_ATTEMPTS = 3
-"""Number of attempts to plan from a motion under way, each with twice the time of the last."""
-MAX_STAMP_AGE = 0.5
-"""Age of a stamp up to which a trajectory is accepted, and starts at once [s]."""
-MIN_PLANNING_TIME = 0.03
-"""Shortest planning time that is expected of a motion [s]."""
+MAX_STAMP_AGE = 0.5  #: Age of a stamp up to which a trajectory is accepted, and starts at once [s]
+MIN_PLANNING_TIME = 0.03  #: Shortest planning time that is expected of a motion [s]
 
 Proposal = TypeVar("Proposal")
 Options = TypeVar("Options", bound=StreamParameters, covariant=True)
@@ -34,38 +32,26 @@ Options = TypeVar("Options", bound=StreamParameters, covariant=True)
 
 @dataclass(frozen=True)
 class StreamContext(Generic[Options]):
-    """Services and state that the interfaces share; the node builds it once.
+    """Services and state that the interfaces share; the node builds it once."""
 
-    Attributes:
-        node: ROS node that owns topics, timers and the clock.
-        read_options: Returns the current parameters of the node.
-        frames: Transforms into odom.
-        stream_monitor: Monitor of the source that drives the platform, and of stopped nodes.
-        odom: Measured pose and velocity of the platform.
-        arm_feed: Measured joint states of the arm.
-        time_base: Time base that all motions share.
-        platform_previews: Output `path/reference` or `body/reference`.
-        arm_previews: Output `arm/joint_reference`.
-        publish_all: Publishes previews of the given length [s] of all motions under way.
-        on_started: Called after a motion has started; publishes its first preview.
-        conflict: Returns why a motion of the given interface cannot start beside those of the
-            others, or an empty string.
-        is_ending: Returns whether the node is shutting down.
-    """
-
-    node: OmnimanNode
-    read_options: Callable[[], Options]
-    frames: FrameTransforms
+    node: OmnimanNode  #: ROS node that owns topics, timers and the clock
+    read_options: Callable[[], Options]  #: Returns the current parameters of the node
+    frames: FrameTransforms  #: Transforms into odom
+    #: Monitor of the source that drives the platform, and of stopped nodes
     stream_monitor: StreamMonitor
-    odom: OdomFeed
-    arm_feed: ArmFeed
-    time_base: MotionTimeBase
-    platform_previews: Previews
-    arm_previews: Previews
+    odom: OdomFeed  #: Measured pose and velocity of the platform
+    arm_feed: ArmFeed  #: Measured joint states of the arm
+    time_base: MotionTimeBase  #: Time base that all motions share
+    platform_previews: Previews  #: Output `path/reference` or `body/reference`
+    arm_previews: Previews  #: Output `arm/joint_reference`
+    #: Publishes previews of the given length [s] of all motions under way
     publish_all: Callable[[float], None]
+    #: Called after a motion has started; publishes its first preview
     on_started: Callable[[], None]
+    #: Returns why a motion of the given interface cannot start beside those of the others, or an
+    #: empty string.
     conflict: Callable[[object], str]
-    is_ending: Callable[[], bool]
+    is_ending: Callable[[], bool]  #: Returns whether the node is shutting down
 
     @property
     def options(self) -> Options:
@@ -78,18 +64,15 @@ class StreamContext(Generic[Options]):
         return "control was lost a moment ago" if waits else ""
 
 
+#: What interfaces need that serve more than one node
 BodyContext = StreamContext[StreamParameters]
-"""What interfaces need that serve more than one node."""
 
 
 @dataclass(frozen=True)
 class MotionContext(StreamContext[PathInterpolatorParameters]):
-    """Services and state that the interfaces of `path_interpolator` share.
+    """Services and state that the interfaces of `path_interpolator` share."""
 
-    Attributes:
-        self_collision: Returns the check of motions for collisions of the robot with itself.
-    """
-
+    #: Returns the check of motions for collisions of the robot with itself
     self_collision: Callable[[], SelfCollisionCheck]
 
     def start_delay(self, stamp: Time) -> float | None:

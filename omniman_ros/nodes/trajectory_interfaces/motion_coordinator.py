@@ -38,7 +38,6 @@ class MotionCoordinator:
 
     Args:
         node: Node that owns topics, timers and the clock.
-        settings: Parameters of the node.
 
     Attributes:
         context: Services that the interfaces share.

@@ -43,8 +43,6 @@ class MotionInterface:
 
     Args:
         context: Objects that all motions of the node share.
-        core: Motion that is driven.
-        output: Where it is sent.
         kind: What the interface drives, such as "trajectory".
 
     Attributes:
@@ -54,7 +52,7 @@ class MotionInterface:
         status: Latest event.
     """
 
-    core: DrivenMotion
+    core: DrivenMotion  #: Motion that is driven
 
     def __init__(
         self, context: BodyContext, core: DrivenMotion, output: ArmOutput, kind: str = "trajectory"

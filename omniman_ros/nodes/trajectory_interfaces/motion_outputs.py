@@ -7,11 +7,7 @@ from omniman_ros.nodes.trajectory_interfaces.motion_context import BodyContext
 
 
 class ArmOutput:
-    """Sends motions of the arm, and notes where they lead.
-
-    Args:
-        context: Services of the node.
-    """
+    """Sends motions of the arm, and notes where they lead."""
 
     def __init__(self, context: BodyContext) -> None:
         self._context = context

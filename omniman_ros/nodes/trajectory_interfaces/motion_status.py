@@ -26,10 +26,9 @@ class MotionEvent(enum.Enum):
         return self in _TROUBLE
 
 
+#: Events of which the diagnostics warn
 _TROUBLE = (MotionEvent.WAITING, MotionEvent.REFUSED, MotionEvent.PAUSED, MotionEvent.GIVEN_UP)
-"""Events of which the diagnostics warn."""
-_order = itertools.count(1)
-"""Numbers of the events of all interfaces, in the order of time."""
+_order = itertools.count(1)  #: Numbers of the events of all interfaces, in the order of time
 
 
 class MotionStatus:

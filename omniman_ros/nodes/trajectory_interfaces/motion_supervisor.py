@@ -15,10 +15,7 @@ class MotionSupervisor:
     have been without a preview, come to rest by themselves.
 
     Args:
-        context: Services of the node.
-        scaling: Speed scaling of the arm's controller.
         period: Period of the node [s].
-        whole_body: Motions of platform and arm together.
         path: Paths of the platform, if the node drives them.
         arm: Motions of the arm, if the node drives them.
     """

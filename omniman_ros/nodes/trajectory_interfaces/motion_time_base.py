@@ -12,8 +12,8 @@ from omniman_ros.motion.path.pace import Demand, Pace
 from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.nodes.trajectory_interfaces.scaling_interface import ScalingInterface
 
+#: Lowest pace for which the end of the node waits until its motions are at rest
 SLOWEST_SHUTDOWN_PACE = 0.1
-"""Lowest pace for which the end of the node waits until its motions are at rest."""
 
 
 class Interpolator(Protocol):
@@ -52,7 +52,6 @@ class MotionTimeBase:
     Args:
         interpolators: Interpolators, in the order in which their states are reported.
         clock: Returns the current time [s].
-        scaling: Speed scaling of the arm's controller.
         scaling_timeout: Returns the silence after which the scaling is forgotten while nothing
             moves [s].
 

@@ -13,8 +13,8 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.stamps import MAX_LEAD
 from omniman_ros.nodes.omniman_node import OmnimanNode
 
+#: Speed of the platform [m/s, rad/s] and of joints [rad/s] up to which they are at rest
 AT_REST = 0.02
-"""Speed of the platform [m/s, rad/s] and of joints [rad/s] up to which they are at rest."""
 
 
 class OdomFeed:
@@ -22,7 +22,6 @@ class OdomFeed:
 
     Args:
         node: Node that subscribes to the topic.
-        topic: Topic of the odometry.
         frame: Frame that the poses must be given in.
         on_pose: Called with each pose (3,) [m, m, rad] and its time on the node's clock [s].
 

@@ -8,17 +8,11 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.nodes.trajectory_interfaces.motion_context import MotionContext
 from omniman_ros.nodes.trajectory_interfaces.path_interface import PathInterface
 
-SAMPLES = 100
-"""Number of poses by which the length of the rest of a path is measured."""
+SAMPLES = 100  #: Number of poses by which the length of the rest of a path is measured
 
 
 class PathExecutor:
-    """Hands goals of an action to the platform's paths; see `NavigationExecutor`.
-
-    Args:
-        context: Services of the node.
-        path: Interface of the platform's paths.
-    """
+    """Hands goals of an action to the platform's paths; see `NavigationExecutor`."""
 
     def __init__(self, context: MotionContext, path: PathInterface) -> None:
         self._context, self._path = context, path

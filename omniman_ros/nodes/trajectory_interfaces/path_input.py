@@ -8,18 +8,14 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.nodes.serialized import deserialized
 from omniman_ros.nodes.trajectory_interfaces.motion_context import BodyContext
 
-POSE_BYTES = 160
-"""Upper bound of the size of a pose in a serialized path [bytes]."""
-SPARE_POSES = 100
-"""Number of poses whose bytes are allowed for the rest of the message."""
+POSE_BYTES = 160  #: Upper bound of the size of a pose in a serialized path [bytes]
+SPARE_POSES = 100  #: Number of poses whose bytes are allowed for the rest of the message
 
 
 class PathInput:
     """Passes each received path on, once the transform of its frame is known.
 
     Args:
-        context: Services of the node.
-        topic: Name of the topic.
         max_poses: Returns the largest number of poses of a path.
         refusal: Returns why no path at all would be accepted now, or an empty string.
         accept: Called with each path; returns why it is refused, or an empty string.

@@ -14,16 +14,11 @@ from omniman_ros.nodes.trajectory_interfaces.motion_status import MotionEvent
 from omniman_ros.nodes.trajectory_interfaces.path_input import PathInput
 from omniman_ros.nodes.trajectory_interfaces.pending_motion import PendingMotion
 
-PLANNING_TIME_PER_POSE = 1e-4
-"""Planning time that is expected for each pose of a path [s]."""
+PLANNING_TIME_PER_POSE = 1e-4  #: Planning time that is expected for each pose of a path [s]
 
 
 class PathInterface:
     """Connects a `PathInterpolator` to the messages of the node.
-
-    Args:
-        context: Services of the node.
-        core: Interpolator of the platform's paths.
 
     Attributes:
         core: Interpolator of the platform's paths.

@@ -43,8 +43,6 @@ class PendingMotion:
     """Has at most one accepted motion wait, and tells the interface's log what becomes of it.
 
     Args:
-        context: Services of the node.
-        log: Log of the interface.
         conflict: Returns which other motion excludes this one, or an empty string.
         blocking_reason: Returns why no motion can start yet, or an empty string.
     """

@@ -16,7 +16,6 @@ class PlannedToolDriver:
     """Plans with a `ToolPlanner`; see `ToolDriver`.
 
     Args:
-        context: Services of the node.
         whole_body: Interface that drives the planned motions.
     """
 

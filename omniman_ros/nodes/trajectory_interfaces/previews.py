@@ -23,7 +23,6 @@ class Previews:
 
     Args:
         node: Node that owns the publisher.
-        publisher: Publisher of the topic.
         make: Returns an empty message for a number of points and their spacing [s].
         fill: Writes a stretch into a message; its first point is due at the stamp.
         horizon: Length of most previews [s].

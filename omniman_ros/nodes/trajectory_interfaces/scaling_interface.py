@@ -7,9 +7,9 @@ from std_msgs.msg import Float64
 from omniman_ros.core.errors import InputError
 from omniman_ros.nodes.omniman_node import OmnimanNode
 
+#: Excess over the range 0 to 1 that is accepted, distance from its ends that counts as none, and
+#: smallest change that counts.
 SCALING_TOLERANCE = 1e-3
-"""Excess over the range 0 to 1 that is accepted, distance from its ends that counts as none, and
-smallest change that counts."""
 
 
 class ScalingInterface:

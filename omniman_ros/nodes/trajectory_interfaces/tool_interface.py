@@ -21,17 +21,14 @@ from omniman_ros.nodes.trajectory_interfaces.path_input import PathInput
 from omniman_ros.nodes.trajectory_interfaces.tool_driver import Plan, ToolDriver
 from omniman_ros.nodes.trajectory_interfaces.tool_stream import ToolPosePublisher
 
-TOOL_POSE_PERIOD = 0.1
-"""Period of `tool_pose` [s]."""
-MAX_START_DRIFT = 0.005
-"""Largest movement of the robot while a path is being planned [m, rad]."""
+TOOL_POSE_PERIOD = 0.1  #: Period of `tool_pose` [s]
+MAX_START_DRIFT = 0.005  #: Largest movement of the robot while a path is being planned [m, rad]
 
 
 class ToolInterface(Generic[Plan]):
     """Accepts paths of the tool, one at a time and from rest.
 
     Args:
-        context: Services of the node.
         whole_body: Interface that moves the robot.
         driver: Plans the motions, and drives them with that interface.
         on_accepted: Called after a path was accepted, before it starts or waits.
@@ -102,7 +99,6 @@ class ToolInterface(Generic[Plan]):
         Args:
             planner: Returns what plans it from positions (9,) of all axes at rest; see
                 `ToolDriver`. It may raise InputError.
-            label: What is planned.
 
         Returns:
             Why it is refused, or an empty string.
@@ -116,7 +112,6 @@ class ToolInterface(Generic[Plan]):
         """Return the poses (k, 4, 4) of a path in odom.
 
         Args:
-            message: The path.
             place: Pose (4, 4) of its frame in odom.
             here: Rotation matrix (3, 3) in odom of poses that have none.
 

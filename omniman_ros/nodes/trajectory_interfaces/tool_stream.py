@@ -22,8 +22,8 @@ from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.motion.whole_body.parameters import ToolPathOptions
 from omniman_ros.nodes.omniman_node import OmnimanNode
 
+#: Number of steps between a pace of 0 and 1; fewer changes of the pace disturb the motion less
 PACE_STEPS = 20
-"""Number of steps between a pace of 0 and 1; fewer changes of the pace disturb the motion less."""
 
 
 class LedTool(Protocol):
@@ -53,23 +53,16 @@ class PlannedAxes(Protocol):
 
 @dataclass(frozen=True)
 class CorrectedStretch:
-    """A stretch of a tool path, corrected for the platform's error.
+    """A stretch of a tool path, corrected for the platform's error."""
 
-    Attributes:
-        window: All axes (k, 9) at the times of the stretch.
-        tool: (4, 4) planned pose of `tool0` in odom at the first time.
-    """
-
-    window: Window
-    tool: Array
+    window: Window  #: All axes (k, 9) at the times of the stretch
+    tool: Array  #: (4, 4) planned pose of `tool0` in odom at the first time
 
 
 class ToolStream:
     """A planned tool path whose joint angles are corrected for the platform's error.
 
     Args:
-        model: Kinematics of the robot.
-        plan: Planned motion.
         options: Options of the correction; live parameters may be replaced later.
         velocity: (6,) limits of the joint speeds [rad/s].
 
@@ -102,7 +95,6 @@ class ToolStream:
         Args:
             times: (k,) equally spaced by a tick [s].
             pace: Pace at which the motion is driven.
-            core: Axes of the plan.
 
         Raises:
             InputError: The tool cannot be reached from where the platform is.
@@ -171,8 +163,6 @@ class ToolPosePublisher:
 
     Args:
         node: Node that owns the publisher.
-        topic: Name of the topic.
-        frame: Frame of the poses.
     """
 
     def __init__(self, node: OmnimanNode, topic: str, frame: str) -> None:

@@ -29,17 +29,11 @@ from omniman_ros.nodes.trajectory_interfaces.trajectory_executor import Trajecto
 
 @dataclass
 class _Goal:
-    """A goal under way.
-
-    Attributes:
-        handle: Handle of the goal.
-        motion: Number of its motion.
-        monitor: Monitor of its tolerances.
-    """
+    """A goal under way."""
 
     handle: ServerGoalHandle
-    motion: int
-    monitor: GoalMonitor
+    motion: int  #: Number of its motion
+    monitor: GoalMonitor  #: Monitor of its tolerances
 
 
 def action_type() -> Any:
@@ -78,7 +72,6 @@ class TrajectoryAction:
     Args:
         node: Node that owns the action server.
         kind: Type of the action, see :func:`action_type`.
-        name: Name of the action.
         executor: Interface that drives the trajectories.
         options: Tolerances of goals that have none.
 

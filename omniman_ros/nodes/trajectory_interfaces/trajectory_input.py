@@ -10,21 +10,14 @@ from omniman_ros.nodes.trajectory_interfaces.arm_interface import ArmInterface
 from omniman_ros.nodes.trajectory_interfaces.motion_context import MotionContext
 from omniman_ros.nodes.trajectory_interfaces.whole_body_interface import WholeBodyInterface
 
-POINT_BYTES = 64
-"""Upper bound of the size of a serialized point without its numbers [bytes]."""
+POINT_BYTES = 64  #: Upper bound of the size of a serialized point without its numbers [bytes]
 
+#: What is said of single points with the platform that no trajectory can keep
 NO_STREAM = "; streams of points move the arm alone, the platform takes cmd_vel"
-"""What is said of single points with the platform that no trajectory can keep."""
 
 
 class TrajectoryInput:
-    """Passes each received trajectory to the interface that it concerns.
-
-    Args:
-        context: Services of the node.
-        arm: Interface of the arm.
-        whole_body: Interface of the whole body.
-    """
+    """Passes each received trajectory to the interface that it concerns."""
 
     def __init__(
         self, context: MotionContext, arm: ArmInterface, whole_body: WholeBodyInterface

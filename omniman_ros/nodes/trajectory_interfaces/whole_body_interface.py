@@ -23,16 +23,12 @@ from omniman_ros.nodes.trajectory_interfaces.tool_stream import ToolStream
 class WholeBodyInterface(BodyInterface, JointInterface):
     """Trajectories of odom_x, odom_y, odom_t and the arm's joints.
 
-    Args:
-        context: Services of the node.
-        core: Interpolator of the nine axes.
-
     Attributes:
         pending: Motion that waits for the robot.
     """
 
     _context: MotionContext
-    core: JointInterpolator
+    core: JointInterpolator  #: Interpolator of the nine axes
 
     def __init__(self, context: MotionContext, core: JointInterpolator) -> None:
         super().__init__(context, core)

@@ -31,8 +31,7 @@ from omniman_ros.nodes.whole_body_interfaces.parameters import WholeBodyPlannerP
 if TYPE_CHECKING:
     from omniman_ros.planning.whole_body.task import BodyTask
 
-SOURCE = "body"
-"""Value of `active_source` while the node drives the platform."""
+SOURCE = "body"  #: Value of `active_source` while the node drives the platform
 
 
 class BodyCoordinator:
@@ -40,7 +39,6 @@ class BodyCoordinator:
 
     Args:
         node: Node that owns topics, timers and the clock.
-        settings: Parameters of the node.
         period: Period of the node [s].
 
     Attributes:

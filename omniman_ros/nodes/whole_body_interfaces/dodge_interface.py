@@ -22,27 +22,21 @@ if TYPE_CHECKING:
     from omniman_ros.planning.whole_body.dodging_motion import DodgingMotion
     from omniman_ros.planning.whole_body.task import BodySetup, BodyTask
 
-PROGRESS = 0.001
-"""Movement on the path that counts as progress [m]."""
+PROGRESS = 0.001  #: Movement on the path that counts as progress [m]
+#: Time without progress after which the robot counts as waiting, and another way is searched for;
+#: least time between two searches [s].
 BLOCKED = 1.0
-"""Time without progress after which the robot counts as waiting, and another way is searched
-for; least time between two searches [s]."""
 
 
 class DodgeInterface(BodyInterface):
     """Plans tasks of the whole body, and drives one at a time; see `ToolDriver`.
-
-    Args:
-        context: Services of the node.
-        core: Motion that is driven.
-        surroundings: What is around the robot.
 
     Attributes:
         cycle_time: Duration of the last cycle [s]; NaN before the first.
     """
 
     _context: StreamContext[WholeBodyPlannerParameters]
-    core: "DodgingMotion"
+    core: "DodgingMotion"  #: Motion that is driven
 
     def __init__(
         self,

@@ -17,51 +17,31 @@ from omniman_ros.control.kinematics import PlatformKinematics
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.robot import Robot
 
-STATES = 6
-"""Number of states."""
+STATES = 6  #: Number of states
+#: Wheel speed over which Coulomb friction rises [rad/s]: makes MPC 2021 (24) differentiable
 SIGN_WIDTH = 0.3
-"""Wheel speed over which Coulomb friction rises [rad/s]: makes MPC 2021 (24) differentiable."""
-ROLLING_WIDTH = 0.03
-"""Rolling speed over which the drag of rollers rises [m/s]."""
+ROLLING_WIDTH = 0.03  #: Rolling speed over which the drag of rollers rises [m/s]
 
 
 @dataclass(frozen=True)
 class PlanningModel:
-    """Constants of the model; its arrays must not be changed.
+    """Constants of the model; its arrays must not be changed."""
 
-    Attributes:
-        J: (n, 3) inverse Jacobian [1/m, 1/m, 1].
-        inertia: (3, 3) H of (14) in base_link: platform, arm and wheels [kg, kg m, kg m^2].
-        mass: (3, 3) the same without the wheels' own inertia.
-        moment: (3,) first moment of mass, for the centripetal force [kg m].
-        resistance: R of each motor [ohm].
-        emf: N K of each motor, at the wheel [V s/rad].
-        efficiency: Efficiency eta of all gears [-].
-        viscous: (n,) viscous friction a of (24) [N m s/rad].
-        coulomb: (n,) Coulomb friction b of (24) [N m].
-        rolling: (n, 3) matrix from a twist to the rolling speeds of the rollers [-, -, m].
-        drag: (n,) largest drag of each roller [N].
-        max_current: (n,) largest currents that amplifier and traction allow [A].
-        max_voltage: Largest motor voltage [V].
-        max_speed: Largest wheel speed [rad/s].
-        half: (2,) half length and half width of the bounding box [m].
-    """
-
-    J: Array
-    inertia: Array
-    mass: Array
-    moment: Array
-    resistance: float
-    emf: float
-    efficiency: float
-    viscous: Array
-    coulomb: Array
-    rolling: Array
-    drag: Array
-    max_current: Array
-    max_voltage: float
-    max_speed: float
-    half: Array
+    J: Array  #: (n, 3) inverse Jacobian [1/m, 1/m, 1]
+    inertia: Array  #: (3, 3) H of (14) in base_link: platform, arm and wheels [kg, kg m, kg m^2]
+    mass: Array  #: (3, 3) the same without the wheels' own inertia
+    moment: Array  #: (3,) first moment of mass, for the centripetal force [kg m]
+    resistance: float  #: R of each motor [ohm]
+    emf: float  #: N K of each motor, at the wheel [V s/rad]
+    efficiency: float  #: Efficiency eta of all gears [-]
+    viscous: Array  #: (n,) viscous friction a of (24) [N m s/rad]
+    coulomb: Array  #: (n,) Coulomb friction b of (24) [N m]
+    rolling: Array  #: (n, 3) matrix from a twist to the rolling speeds of the rollers [-, -, m]
+    drag: Array  #: (n,) largest drag of each roller [N]
+    max_current: Array  #: (n,) largest currents that amplifier and traction allow [A]
+    max_voltage: float  #: Largest motor voltage [V]
+    max_speed: float  #: Largest wheel speed [rad/s]
+    half: Array  #: (2,) half length and half width of the bounding box [m]
 
     @staticmethod
     def of(robot: Robot) -> "PlanningModel":

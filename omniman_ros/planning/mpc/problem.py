@@ -16,23 +16,17 @@ from omniman_ros.planning.obstacles.ellipses import Ellipses, inflated
 from omniman_ros.planning.obstacles.pairs import Pairs
 from omniman_ros.planning.obstacles.separation import box_gap, within_reach
 
-FAR_AWAY = 1e3
-"""Coordinates of the obstacle in an empty slot [m]."""
+FAR_AWAY = 1e3  #: Coordinates of the obstacle in an empty slot [m]
+#: Ratio of the slack's weight to the largest gradient of the goal's cost [-]; above 1, slack is
+#: used only as a last resort.
 SLACK_FACTOR = 3.0
-"""Ratio of the slack's weight to the largest gradient of the goal's cost [-]; above 1, slack is
-used only as a last resort."""
-MAX_BERTH = 0.3
-"""Largest additional gap to moving obstacles [m]."""
-REACTION_TIME = 0.4
-"""Time from a change of an obstacle's direction until the robot brakes [s]."""
-STANDING_SPEED = 0.05
-"""Speed below which an obstacle counts as being at rest [m/s]."""
-CAUTIOUS_SPEED = 0.2
-"""Speed that is always allowed, however close a moving obstacle is [m/s]."""
+MAX_BERTH = 0.3  #: Largest additional gap to moving obstacles [m]
+REACTION_TIME = 0.4  #: Time from a change of an obstacle's direction until the robot brakes [s]
+STANDING_SPEED = 0.05  #: Speed below which an obstacle counts as being at rest [m/s]
+CAUTIOUS_SPEED = 0.2  #: Speed that is always allowed, however close a moving obstacle is [m/s]
+#: Number of obstacles, the nearest by their centres, whose gaps are computed at each step
 DETAILED_OBSTACLES = 48
-"""Number of obstacles, the nearest by their centres, whose gaps are computed at each step."""
-VOLTAGE_HEADROOM = 0.02
-"""Part by which the voltage limit exceeds the back-EMF of the start [-]."""
+VOLTAGE_HEADROOM = 0.02  #: Part by which the voltage limit exceeds the back-EMF of the start [-]
 
 
 class Problem:
@@ -62,9 +56,7 @@ class Problem:
             start: (6,) state at which the plan begins: pose in odom, body twist.
             guess: Motion of N + 1 nodes around which gaps are linearised; the plan begins at
                 the first.
-            goal: Goal of the plan.
             pairs: Parts of the robot, and the obstacles at their heights.
-            slots: Number of pairs in the problem.
             clearance: Gap to keep [m]; None means that of the parameters.
         """
         p = self.limits.parameters
@@ -299,7 +291,6 @@ def farthest_points(headings: Array, outline: Rectangles) -> Array:
 
     Args:
         headings: (N,) headings of the robot in odom [rad].
-        outline: Outline of the robot.
 
     Returns:
         (N, 8, 2) points in base_link [m]: two for each of x_min, x_max, y_min and y_max.

@@ -14,19 +14,17 @@ TOLERANCES: dict[str, float] = {
     "res_b_max": 1e-6,
     "res_d_max": 1e-6,
     "res_m_max": 1e-4,
-}
-"""Residuals below which a quadratic program counts as solved; the next iteration refines it."""
+}  #: Residuals below which a quadratic program counts as solved; the next iteration refines it
 MODES: dict[str, dict[str, Any]] = {
     "speed": {"mode": "speed", "iter_max": 40},
     "balance": {"mode": "balance", "iter_max": 60},
-}
-"""Options of HPIPM by mode; the second mode is used if the first fails."""
+}  #: Options of HPIPM by mode; the second mode is used if the first fails
+#: Value that represents infinity in the QP solver: a larger value degrades its scaling
 INFINITY = 1e4
-"""Value that represents infinity in the QP solver: a larger value degrades its scaling."""
 
 
+#: Names of the parts of a program, in the order of casadi
 ARGUMENTS = ("h", "g", "a", "lba", "uba", "lbx", "ubx")
-"""Names of the parts of a program, in the order of casadi."""
 
 
 class SolverError(OmnimanError):

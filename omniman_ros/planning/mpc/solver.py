@@ -9,36 +9,24 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.planning.mpc.quadratic_program import QuadraticProgram, SolverError
 from omniman_ros.planning.mpc.transcription import Stage, Transcription
 
+#: Largest change of a position in one iteration [m]: the linearised gaps hold nearby only
 TRUST_RADIUS = 0.3
-"""Largest change of a position in one iteration [m]: the linearised gaps hold nearby only."""
 
 
 @dataclass(frozen=True)
 class Solution:
-    """Solution of an optimal control problem.
+    """Solution of an optimal control problem."""
 
-    Attributes:
-        currents: (N, n) motor currents over each step [A].
-        states: (N + 1, 6) states that result from them, the first being the start.
-        cost: Cost of the last iterate that was evaluated [J].
-        slack: (N,) slack of obstacles and workspace at the steps' ends [m].
-        step: Largest change of a current in the last iteration [A].
-        iterations: Number of iterations.
-    """
-
-    currents: Array
-    states: Array
-    cost: float
-    slack: Array
-    step: float
-    iterations: int
+    currents: Array  #: (N, n) motor currents over each step [A]
+    states: Array  #: (N + 1, 6) states that result from them, the first being the start
+    cost: float  #: Cost of the last iterate that was evaluated [J]
+    slack: Array  #: (N,) slack of obstacles and workspace at the steps' ends [m]
+    step: float  #: Largest change of a current in the last iteration [A]
+    iterations: int  #: Number of iterations
 
 
 class Solver:
     """Sequential quadratic programming with Gauss-Newton Hessians, one program per iteration.
-
-    Args:
-        transcription: Problem to solve.
 
     Raises:
         SolverError: casadi has no HPIPM.
@@ -75,7 +63,6 @@ class Solver:
         Args:
             start: (6,) state: pose in odom [m, m, rad], body twist [m/s, m/s, rad/s].
             guess: (N, n) currents [A].
-            stage: Parameters of the problem.
             iterations: Largest number of iterations; they end early if they change little.
 
         Raises:

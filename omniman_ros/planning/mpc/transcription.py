@@ -14,51 +14,39 @@ from numpy.typing import NDArray
 from omniman_ros.core.arrays import Array
 from omniman_ros.planning.mpc.model import STATES, PlanningModel
 
-Indices = NDArray[np.intp]
-"""Array of indices into the entries of a program."""
+Indices = NDArray[np.intp]  #: Array of indices into the entries of a program
 
+#: Number of values of an obstacle at a node: centre, whitening matrix (row by row) and scale; and
+#: of the box of the robot that keeps clear of it: centre, direction (cosine and sine), half length
+#: and half width.
 OBSTACLE = 13
-"""Number of values of an obstacle at a node: centre, whitening matrix (row by row) and scale; and
-of the box of the robot that keeps clear of it: centre, direction (cosine and sine), half length
-and half width."""
+#: Number of points of the outline that are kept in the workspace: two for each of its sides
 EXTREMES = 8
-"""Number of points of the outline that are kept in the workspace: two for each of its sides."""
-FIXED = 25 + 2 * EXTREMES
-"""Number of a stage's parameters before those of its obstacles."""
+FIXED = 25 + 2 * EXTREMES  #: Number of a stage's parameters before those of its obstacles
+#: Number of sides of the polygon inside the circle of a linear limit: it is at most 3.4 % smaller
 SIDES = 12
-"""Number of sides of the polygon inside the circle of a linear limit: it is at most 3.4 % smaller.
-"""
-INACTIVE_GAP = 1e3
-"""Gap of a row that constrains nothing [m]."""
+INACTIVE_GAP = 1e3  #: Gap of a row that constrains nothing [m]
 
 
 @dataclass(frozen=True)
 class Stage:
-    """Parameters of all stages, each (N, ...); limits apply at the stage's end.
+    """Parameters of all stages, each (N, ...); limits apply at the stage's end."""
 
-    Attributes:
-        limits: (N, 6) linear speed, yaw rate, wheel speed, voltage, linear and yaw acceleration.
-        workspace: (4,) x_min, y_min, x_max, y_max [m], less the clearance.
-        target: (N, 6) pose [m, m, rad] and velocity in odom [m/s, m/s, rad/s] at the stage's end.
-        weights: (N, 5) weights of position, heading, linear and angular velocity, and kinetic
-            energy there.
-        energy: Weight of the losses.
-        slack: Weights of the slack, linear [J/m] and quadratic [J/m^2].
-        direction: Direction in odom in which the limits of linear speed and acceleration are
-            fully available [rad]; elsewhere a polygon replaces their circle.
-        obstacles: (N, M, 13) obstacles and boxes, see OBSTACLE.
-        extremes: (N, 8, 2) points of the robot in base_link that are the farthest towards x_min,
-            x_max, y_min and y_max, two each [m].
-    """
-
+    #: (N, 6) linear speed, yaw rate, wheel speed, voltage, linear and yaw acceleration
     limits: Array
-    workspace: Array
+    workspace: Array  #: (4,) x_min, y_min, x_max, y_max [m], less the clearance
+    #: (N, 6) pose [m, m, rad] and velocity in odom [m/s, m/s, rad/s] at the stage's end
     target: Array
+    #: (N, 5) weights of position, heading, linear and angular velocity, and kinetic energy there
     weights: Array
-    energy: float
-    slack: tuple[float, float]
-    obstacles: Array
+    energy: float  #: Weight of the losses
+    slack: tuple[float, float]  #: Weights of the slack, linear [J/m] and quadratic [J/m^2]
+    obstacles: Array  #: (N, M, 13) obstacles and boxes, see OBSTACLE
+    #: (N, 8, 2) points of the robot in base_link that are the farthest towards x_min, x_max, y_min
+    #: and y_max, two each [m].
     extremes: Array
+    #: Direction in odom in which the limits of linear speed and acceleration are fully available
+    #: [rad]; elsewhere a polygon replaces their circle.
     direction: float = 0.0
 
     def table(self) -> Array:

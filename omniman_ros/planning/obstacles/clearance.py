@@ -13,17 +13,13 @@ from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.obstacles.pairs import Pairs
 from omniman_ros.planning.obstacles.separation import Workspace, box_gap, outside_by
 
-Index = NDArray[np.intp]
-"""Array of indices of obstacles."""
+Index = NDArray[np.intp]  #: Array of indices of obstacles
 
+#: Number of pairs of pose and obstacle that are processed together, to limit memory
 PAIRS = 50_000
-"""Number of pairs of pose and obstacle that are processed together, to limit memory."""
-UNTILED_OBSTACLES = 20
-"""Number of obstacles above which these are looked up by tiles."""
-TILE = 0.5
-"""Edge of the tiles [m]."""
-WIDE_TILE = 4.0
-"""Edge of the tiles from which those are made [m]."""
+UNTILED_OBSTACLES = 20  #: Number of obstacles above which these are looked up by tiles
+TILE = 0.5  #: Edge of the tiles [m]
+WIDE_TILE = 4.0  #: Edge of the tiles from which those are made [m]
 
 
 class Clearance:
@@ -32,7 +28,6 @@ class Clearance:
     Obstacles are looked up by tiles of the ground, each created for the first pose on it.
 
     Args:
-        footprint: Outline of the robot.
         around: M obstacles, which count as being at rest at their centres.
         workspace: (x_min, y_min, x_max, y_max) in odom [m].
         reach: Distance above which obstacles may be ignored [m].

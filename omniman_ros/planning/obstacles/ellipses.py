@@ -11,27 +11,17 @@ from omniman_ros.core.arrays import Array
 
 @dataclass(frozen=True)
 class Ellipses:
-    """M obstacles, each bounded by an ellipse that moves at constant velocity (MPC 2021, 4.3).
+    """M obstacles, each bounded by an ellipse that moves at constant velocity (MPC 2021, 4.3)."""
 
-    Attributes:
-        time: Time at which the obstacles are at their centres [s].
-        centers: (M, 2) centres in odom [m].
-        velocities: (M, 2) velocities in odom [m/s].
-        semi_axes: (M, 2) semi-axes along the ellipses' own x and y axes [m], above zero.
-        angles: (M,) angles of the ellipses' x axes in odom [rad].
-        growth: (M,) rates at which the margin around each grows with predicted time [m/s].
-        lower: (M,) heights of the obstacles' lower sides above the floor [m]; by default minus
-            infinity.
-        upper: (M,) heights of their upper sides [m]; by default infinity.
-    """
-
-    time: float
-    centers: Array
-    velocities: Array
-    semi_axes: Array
-    angles: Array
-    growth: Array
+    time: float  #: Time at which the obstacles are at their centres [s]
+    centers: Array  #: (M, 2) centres in odom [m]
+    velocities: Array  #: (M, 2) velocities in odom [m/s]
+    semi_axes: Array  #: (M, 2) semi-axes along the ellipses' own x and y axes [m], above zero
+    angles: Array  #: (M,) angles of the ellipses' x axes in odom [rad]
+    growth: Array  #: (M,) rates at which the margin around each grows with predicted time [m/s]
+    #: (M,) heights of the obstacles' lower sides above the floor [m]; by default minus infinity
     lower: Array = field(default_factory=lambda: np.zeros(0))
+    #: (M,) heights of their upper sides [m]; by default infinity
     upper: Array = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:

@@ -16,21 +16,13 @@ from omniman_ros.planning.obstacles.walls import REACH, Walls
 
 @dataclass(frozen=True)
 class Environment:
-    """Obstacles, workspace and map, and the outline of the robot among them.
+    """Obstacles, workspace and map, and the outline of the robot among them."""
 
-    Attributes:
-        footprint: Outline of the robot.
-        ellipses: Obstacles with their centres at the time of the set.
-        workspace: (x_min, y_min, x_max, y_max) in odom [m].
-        grid: Map, or None.
-        walls: Discs that cover the occupied cells of the map.
-    """
-
-    footprint: Footprint
-    ellipses: Ellipses
-    workspace: Workspace
-    grid: GridMap | None
-    walls: Walls
+    footprint: Footprint  #: Outline of the robot
+    ellipses: Ellipses  #: Obstacles with their centres at the time of the set
+    workspace: Workspace  #: (x_min, y_min, x_max, y_max) in odom [m]
+    grid: GridMap | None  #: Map, or None
+    walls: Walls  #: Discs that cover the occupied cells of the map
 
     def gaps(self, poses: Array, reach: float) -> Array:
         """Return the distance of the robot to obstacles, workspace and map at each pose.

@@ -22,9 +22,6 @@ class FramedObstacles:
 
     A localisation that corrects itself moves what stands in `map` all at once; tracked in odom,
     all of it would seem to drive off.
-
-    Args:
-        parameters: Parameters of tracking and of the source.
     """
 
     def __init__(self, parameters: ObstacleParameters) -> None:
@@ -67,7 +64,6 @@ class FramedObstacles:
         """Return the obstacles at a time [s] in odom, in the order of `keys`.
 
         Args:
-            now: The time.
             anchor: Returns the pose of a frame in odom [m, m, rad].
         """
         result = self._sets[ODOM].ellipses(now)

@@ -14,36 +14,26 @@ from omniman_ros.core.occupancy import MAX_CELLS, OccupancyMap
 from omniman_ros.core.rigid import PlanarPose
 from omniman_ros.planning.obstacles.ellipses import Ellipses
 
-Mask = NDArray[np.bool_]
-"""Array of flags, in the shape of the cells or of the points."""
+Mask = NDArray[np.bool_]  #: Array of flags, in the shape of the cells or of the points
 
-MIN_RESOLUTION = 0.005
-"""Smallest edge of a cell [m]."""
-MAX_RESOLUTION = 1.0
-"""Largest edge of a cell [m]."""
-UNKNOWN = -1
-"""Value of a cell of unknown occupancy."""
-CERTAIN = 100
-"""Value of a cell that is occupied for certain [%]."""
+MIN_RESOLUTION = 0.005  #: Smallest edge of a cell [m]
+MAX_RESOLUTION = 1.0  #: Largest edge of a cell [m]
+UNKNOWN = -1  #: Value of a cell of unknown occupancy
+CERTAIN = 100  #: Value of a cell that is occupied for certain [%]
 
 
 @dataclass(frozen=True)
 class GridMap:
     """Occupancy grid as in `nav_msgs/OccupancyGrid`; the area outside of it is free.
 
-    Attributes:
-        occupied: (rows, columns) occupied cells; rows along y, columns along x of the map.
-        resolution: Edge of a cell [m].
-        origin: (3,) x, y, yaw in odom of the lower left corner of cell (0, 0) [m, m, rad].
-
     Raises:
         InputError: The grid does not have two axes, or no or too many cells; the resolution is
             out of range; the origin is not finite or implausibly large.
     """
 
-    occupied: Mask
-    resolution: float
-    origin: Array
+    occupied: Mask  #: (rows, columns) occupied cells; rows along y, columns along x of the map
+    resolution: float  #: Edge of a cell [m]
+    origin: Array  #: (3,) x, y, yaw in odom of the lower left corner of cell (0, 0) [m, m, rad]
 
     def __post_init__(self) -> None:
         cells: Mask = np.asarray(self.occupied, dtype=bool)
@@ -78,7 +68,6 @@ class GridMap:
         Args:
             occupancy: The map; -1 is unknown, 0 to 100 is the occupancy [%].
             threshold: Occupancy from which a cell counts as occupied, 1 to 100 [%].
-            unknown_is_free: Whether cells of unknown occupancy are free.
 
         Raises:
             InputError: A value or the threshold is out of range; see also the class.

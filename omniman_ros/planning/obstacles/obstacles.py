@@ -16,22 +16,19 @@ from omniman_ros.planning.obstacles.tracking import (
     TrackingParameters,
 )
 
-Key = tuple[str, int]
-"""Namespace and number of an obstacle, as those of a marker."""
+Key = tuple[str, int]  #: Namespace and number of an obstacle, as those of a marker
 
-MIN_AXIS = 1e-3
-"""Length that every semi-axis must exceed [m]."""
-MAX_AXIS = 100.0
-"""Length that no semi-axis may reach [m]."""
+MIN_AXIS = 1e-3  #: Length that every semi-axis must exceed [m]
+MAX_AXIS = 100.0  #: Length that no semi-axis may reach [m]
+#: Largest lead of an observation on the caller's clock [s]; if the clock goes back by more, the
+#: tracks restart.
 MAX_LEAD = 0.1
-"""Largest lead of an observation on the caller's clock [s]; if the clock goes back by more, the
-tracks restart."""
+#: Age of an observation up to which an obstacle is predicted at its velocity [s], if the timeout
+#: is disabled.
 PREDICTION_TIME = 1.0
-"""Age of an observation up to which an obstacle is predicted at its velocity [s], if the timeout
-is disabled."""
+#: Largest standard deviation of a velocity that counts for the growth [m/s]: that of an obstacle
+#: observed for the first time would block the whole workspace.
 MAX_VELOCITY_DOUBT = 0.3
-"""Largest standard deviation of a velocity that counts for the growth [m/s]: that of an obstacle
-observed for the first time would block the whole workspace."""
 
 
 @dataclass(frozen=True)
@@ -65,29 +62,24 @@ class Observation:
     """Observation of one obstacle.
 
     Attributes:
-        key: Namespace and number of the obstacle.
-        time: Time of the observation on the caller's clock [s].
         x, y: Centre in `frame` [m].
-        angle: Angle of the ellipse's x axis in `frame` [rad].
-        semi_axes: (a, b) semi-axes along the ellipse's x and y axes [m].
-        lifetime: Time for which it stays without being observed again [s]; 0 means for ever.
-        heights: Heights of its lower and its upper side above the floor [m]; by default it has
-            no ends.
-        frame: Frame of the observation, which does not move with the robot; empty for odom.
 
     Raises:
         InputError: A value is not finite or implausible, a semi-axis is not above 1 mm and below
             100 m, the lifetime is negative, or the upper side is below the lower one.
     """
 
-    key: Key
-    time: float
+    key: Key  #: Namespace and number of the obstacle
+    time: float  #: Time of the observation on the caller's clock [s]
     x: float
     y: float
-    angle: float
-    semi_axes: tuple[float, float]
+    angle: float  #: Angle of the ellipse's x axis in `frame` [rad]
+    semi_axes: tuple[float, float]  #: (a, b) semi-axes along the ellipse's x and y axes [m]
+    #: Time for which it stays without being observed again [s]; 0 means for ever
     lifetime: float = 0.0
+    #: Heights of its lower and its upper side above the floor [m]; by default it has no ends
     heights: tuple[float, float] = (-math.inf, math.inf)
+    #: Frame of the observation, which does not move with the robot; empty for odom
     frame: str = ""
 
     def __post_init__(self) -> None:
@@ -141,9 +133,6 @@ class ObstacleSet:
     arrival). While its observation is younger than the timeout, it is predicted at constant
     velocity (MPC 2021, 4.3); after that, if the source is not silent, it counts as being at rest
     at its last observed position.
-
-    Args:
-        parameters: Parameters of tracking and of the source.
     """
 
     def __init__(self, parameters: ObstacleParameters) -> None:

@@ -12,17 +12,11 @@ from omniman_ros.planning.obstacles.ellipses import Ellipses
 
 @dataclass(frozen=True)
 class Pairs:
-    """M pairs of a rectangle of the robot and an obstacle, which may touch each other.
+    """M pairs of a rectangle of the robot and an obstacle, which may touch each other."""
 
-    Attributes:
-        footprint: Outline of the robot.
-        boxes: Rectangles (M,) of the robot, or one for all pairs.
-        ellipses: Obstacles (M,); one obstacle may be in several pairs, or in none.
-    """
-
-    footprint: Footprint
-    boxes: Rectangles
-    ellipses: Ellipses
+    footprint: Footprint  #: Outline of the robot
+    boxes: Rectangles  #: Rectangles (M,) of the robot, or one for all pairs
+    ellipses: Ellipses  #: Obstacles (M,); one obstacle may be in several pairs, or in none
 
     def __len__(self) -> int:
         return len(self.ellipses)

@@ -14,10 +14,8 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.planning.obstacles.ellipses import Ellipses
 
-Mask = NDArray[np.bool_]
-"""Array of flags, one per obstacle."""
-Workspace = tuple[float, float, float, float]
-"""Bounds x_min, y_min, x_max, y_max in odom [m]."""
+Mask = NDArray[np.bool_]  #: Array of flags, one per obstacle
+Workspace = tuple[float, float, float, float]  #: Bounds x_min, y_min, x_max, y_max in odom [m]
 
 
 def box_gap(

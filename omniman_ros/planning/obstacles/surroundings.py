@@ -9,9 +9,9 @@ from omniman_ros.collision.surroundings import Surroundings
 from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.obstacles.grid_map import GridMap
 
+#: Height above the floor, and depth below it, that are beyond every part of the robot [m]: there,
+#: an obstacle of unknown height and the cells of a map end.
 FARTHEST = 10.0
-"""Height above the floor, and depth below it, that are beyond every part of the robot [m]: there,
-an obstacle of unknown height and the cells of a map end."""
 
 
 def ellipse_surroundings(ellipses: Ellipses) -> Surroundings:

@@ -6,39 +6,30 @@ from dataclasses import dataclass
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import parameter
 
-STEADY_FACTOR = 0.02
-"""Ratio of the accelerations of the models of steady and of agile motion [-]."""
+STEADY_FACTOR = 0.02  #: Ratio of the accelerations of the models of steady and of agile motion [-]
+#: Duration of an acceleration [s]: acceleration^2 times this is its spectral density
 CORRELATION_TIME = 1.0
-"""Duration of an acceleration [s]: acceleration^2 times this is its spectral density."""
-STEADY_TIME = 5.0
-"""Mean time for which motion stays steady [s]."""
-AGILE_TIME = 0.5
-"""Mean time for which motion stays agile [s]."""
-DOUBT_GATE = 12.0
-"""Squared misfit, in standard deviations, above which an observation is doubted."""
+STEADY_TIME = 5.0  #: Mean time for which motion stays steady [s]
+AGILE_TIME = 0.5  #: Mean time for which motion stays agile [s]
+DOUBT_GATE = 12.0  #: Squared misfit, in standard deviations, above which an observation is doubted
+#: Squared misfit to agile motion above which a confirmed observation is a sudden change
 CHANGE_GATE = 25.0
-"""Squared misfit to agile motion above which a confirmed observation is a sudden change."""
+#: Time without observations after which an observation that does not fit steady motion restarts
+#: the track without confirmation [s].
 LONG_GAP = 1.0
-"""Time without observations after which an observation that does not fit steady motion restarts
-the track without confirmation [s]."""
+#: Time after which a doubted observation is accepted if no other one has contradicted it [s]
 CONFIRMATION_TIME = 0.3
-"""Time after which a doubted observation is accepted if no other one has contradicted it [s]."""
+#: Number of successive doubted observations, each unlike the last, that restart the track
 MAX_DOUBTS = 4
-"""Number of successive doubted observations, each unlike the last, that restart the track."""
+#: Weight of the newest sample in the learned noise, once there are many samples [-]
 LEARNING_GAIN = 0.08
-"""Weight of the newest sample in the learned noise, once there are many samples [-]."""
-PRIOR_SAMPLES = 5.0
-"""Number of samples by which the parameter of the noise is weighted."""
+PRIOR_SAMPLES = 5.0  #: Number of samples by which the parameter of the noise is weighted
+#: Longest time of three observations in which noise can be distinguished from motion [s]
 LEARNING_SPAN = 0.5
-"""Longest time of three observations in which noise can be distinguished from motion [s]."""
-SAMPLE_LIMIT = 9.0
-"""Largest sample of the noise's variance, over the variance learned before [-]."""
-MIN_NOISE_FACTOR = 0.01
-"""Smallest ratio of the learned noise to the parameter [-]."""
-MAX_NOISE_FACTOR = 10.0
-"""Largest ratio of the learned noise to the parameter [-]."""
-MIN_NOISE = 1e-4
-"""Smallest learned noise [m]."""
+SAMPLE_LIMIT = 9.0  #: Largest sample of the noise's variance, over the variance learned before [-]
+MIN_NOISE_FACTOR = 0.01  #: Smallest ratio of the learned noise to the parameter [-]
+MAX_NOISE_FACTOR = 10.0  #: Largest ratio of the learned noise to the parameter [-]
+MIN_NOISE = 1e-4  #: Smallest learned noise [m]
 
 
 @dataclass(frozen=True)

@@ -9,23 +9,16 @@ from omniman_ros.collision.rectangles import Rectangles
 from omniman_ros.core.arrays import Array
 from omniman_ros.planning.obstacles.ellipses import Ellipses
 
-REACH = 0.3
-"""Largest gap to walls that is computed [m]; larger gaps are returned as this value."""
-CHUNK = 24
-"""Number of poses that are checked together, against all discs near any of them."""
+REACH = 0.3  #: Largest gap to walls that is computed [m]; larger gaps are returned as this value
+CHUNK = 24  #: Number of poses that are checked together, against all discs near any of them
 
 
 @dataclass(frozen=True)
 class Walls:
-    """Discs of one radius that cover the boundary of the occupied area.
+    """Discs of one radius that cover the boundary of the occupied area."""
 
-    Attributes:
-        centers: (M, 2) centres in odom [m], sorted by x to find those near a pose quickly.
-        radius: Radius of the discs [m].
-    """
-
-    centers: Array
-    radius: float
+    centers: Array  #: (M, 2) centres in odom [m], sorted by x to find those near a pose quickly
+    radius: float  #: Radius of the discs [m]
 
     def __post_init__(self) -> None:
         x = self.centers[:, 0]

@@ -12,25 +12,18 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.planning.obstacles.environment import Environment
 from omniman_ros.planning.obstacles.walls import REACH, Walls
 
-DIRECTIONS = 48
-"""Number of directions that are tried."""
-STEP = 0.02
-"""Distance between two poses on a way [m]."""
-EXIT_GAP = 0.01
-"""Gap to everything at the end of a way [m]."""
+DIRECTIONS = 48  #: Number of directions that are tried
+STEP = 0.02  #: Distance between two poses on a way [m]
+EXIT_GAP = 0.01  #: Gap to everything at the end of a way [m]
+#: Largest distance between the points of the robot that must not enter occupied cells [m]
 SPACING = 0.05
-"""Largest distance between the points of the robot that must not enter occupied cells [m]."""
-FINEST = 0.02
-"""Distance between them that suffices for the finest maps [m]."""
+FINEST = 0.02  #: Distance between them that suffices for the finest maps [m]
+#: Length up to which a way may lead back over a thin wall, which the robot overlaps by an error of
+#: its localisation [m].
 SHORT = 0.15
-"""Length up to which a way may lead back over a thin wall, which the robot overlaps by an error
-of its localisation [m]."""
-BACK = 0.005
-"""Distance by which a motion may go back on a way, which is noise [m]."""
-ASIDE = 0.02
-"""Distance by which a motion may be beside a way [m]."""
-TURNED = 0.05
-"""Angle by which a motion may turn on a way [rad]."""
+BACK = 0.005  #: Distance by which a motion may go back on a way, which is noise [m]
+ASIDE = 0.02  #: Distance by which a motion may be beside a way [m]
+TURNED = 0.05  #: Angle by which a motion may turn on a way [rad]
 
 
 @dataclass(frozen=True)
@@ -42,14 +35,10 @@ class WayOut:
     way is the shortest translation to a pose that is clear; on it, the robot touches no obstacle
     that it does not touch already, and no part that is on free ground enters occupied cells. A
     SHORT one may lead back over cells that the robot touches already.
-
-    Attributes:
-        start: (3,) pose in odom at which it begins [m, m, rad].
-        end: (3,) clear pose at which it ends, of the same heading.
     """
 
-    start: Array
-    end: Array
+    start: Array  #: (3,) pose in odom at which it begins [m, m, rad]
+    end: Array  #: (3,) clear pose at which it ends, of the same heading
 
     @staticmethod
     def find(pose: Array, environment: Environment) -> "WayOut | None":
@@ -127,7 +116,6 @@ def _points(footprint: Footprint, spacing: float) -> Array:
     """Return points (N, 3) of the robot in base_link, of heading zero.
 
     Args:
-        footprint: Outline of the robot.
         spacing: Largest distance between neighbours [m].
     """
     spacing = min(spacing, SPACING)

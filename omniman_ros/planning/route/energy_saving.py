@@ -13,16 +13,14 @@ from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.planning.mpc.model import PlanningModel
 
+#: Smallest share of the energy that a rotation must save [-]: corrections offset a smaller one
 MIN_SAVING = 0.07
-"""Smallest share of the energy that a rotation must save [-]: corrections offset a smaller one."""
+#: Factor on the limit of the yaw rate at which the robot rotates while it drives [-]
 YAW_RATE_FACTOR = 0.7
-"""Factor on the limit of the yaw rate at which the robot rotates while it drives [-]."""
+#: Expected heading error [rad]: along a diagonal one degree may cost a tenth of the energy
 HEADING_ERROR = math.radians(2.0)
-"""Expected heading error [rad]: along a diagonal one degree may cost a tenth of the energy."""
-HEADINGS = 36
-"""Number of headings that are compared."""
-TURN_SAMPLES = 7
-"""Number of samples of each rotation."""
+HEADINGS = 36  #: Number of headings that are compared
+TURN_SAMPLES = 7  #: Number of samples of each rotation
 
 
 def power(model: PlanningModel, twists: Array) -> Array:
@@ -44,7 +42,6 @@ def straight(
     """Return poses (K, 3) along a straight line, in the heading that requires the least energy.
 
     Args:
-        model: Model of the robot.
         start, goal: Poses (3,) [m, m, rad]; the goal's heading is on the branch of arrival.
         speeds: Linear [m/s] and angular [rad/s] speed along the line.
     """

@@ -16,62 +16,41 @@ from omniman_ros.planning.route.problem import FACTORS, TURNING, RouteProblem
 from omniman_ros.planning.route.route import durations
 from omniman_ros.planning.route.tree import Queue, Tree
 
-Single = NDArray[np.float32]
-"""Array of single-precision floats, such as costs [s]."""
-Index = NDArray[np.intp]
-"""Array of indices of nodes, headings or states."""
-Mask = NDArray[np.bool_]
-"""Array of flags."""
+Single = NDArray[np.float32]  #: Array of single-precision floats, such as costs [s]
+Index = NDArray[np.intp]  #: Array of indices of nodes, headings or states
+Mask = NDArray[np.bool_]  #: Array of flags
 
+#: Initial weight of the cost to go relative to the cost so far [-]; above 1 the search is faster,
+#: and the path is not quite optimal.
 HEURISTIC_WEIGHT = 1.3
-"""Initial weight of the cost to go relative to the cost so far [-]; above 1 the search is faster,
-and the path is not quite optimal."""
-WEIGHT_GROWTH = 3e-6
-"""Increase of this weight with each expansion [-]."""
-MAX_WEIGHT = 4.0
-"""Largest weight of the cost to go [-]."""
-BATCH = 64
-"""Number of states that are expanded together at first."""
-MAX_BATCH = 1024
-"""Largest number of states that are expanded together."""
+WEIGHT_GROWTH = 3e-6  #: Increase of this weight with each expansion [-]
+MAX_WEIGHT = 4.0  #: Largest weight of the cost to go [-]
+BATCH = 64  #: Number of states that are expanded together at first
+MAX_BATCH = 1024  #: Largest number of states that are expanded together
+#: Number of expansions after which a batch grows by one state: a long search must become wide
 BATCH_GROWTH = 50
-"""Number of expansions after which a batch grows by one state: a long search must become wide."""
-CHECK_AFTER = 20_000
-"""Number of expansions after which the search checks whether any path exists."""
+CHECK_AFTER = 20_000  #: Number of expansions after which the search checks whether any path exists
+#: Positions at which lines between an end and the lattice are checked, over their length [-]
 LINE_SAMPLES = np.linspace(0.0, 1.0, 9)[1:-1]
-"""Positions at which lines between an end and the lattice are checked, over their length [-]."""
-TURNS = np.array([-1, 0, 1])
-"""Changes of the heading in a move, in headings of the lattice."""
+TURNS = np.array([-1, 0, 1])  #: Changes of the heading in a move, in headings of the lattice
 
 
 @dataclass(frozen=True)
 class Found:
-    """A path from the start to the goal.
+    """A path from the start to the goal."""
 
-    Attributes:
-        poses: (N, 3) poses of the lattice, both ends exact, headings not wrapped [m, m, rad].
-        nodes: (N - 2,) nodes of the poses between the ends.
-        headings: (N - 2,) headings at these nodes.
-    """
-
-    poses: Array
-    nodes: Index
-    headings: Index
+    poses: Array  #: (N, 3) poses of the lattice, both ends exact, headings not wrapped [m, m, rad]
+    nodes: Index  #: (N - 2,) nodes of the poses between the ends
+    headings: Index  #: (N - 2,) headings at these nodes
 
 
 @dataclass(frozen=True)
 class Joints:
-    """Free lines between an end and the lattice.
+    """Free lines between an end and the lattice."""
 
-    Attributes:
-        nodes: (N,) nodes where the lines meet the lattice.
-        headings: (N,) headings there.
-        cost: (N,) costs of the lines [s].
-    """
-
-    nodes: Index
-    headings: Index
-    cost: Single
+    nodes: Index  #: (N,) nodes where the lines meet the lattice
+    headings: Index  #: (N,) headings there
+    cost: Single  #: (N,) costs of the lines [s]
 
     def of(self, mask: Mask) -> "Joints":
         """Return the lines that a mask (N,) selects."""
@@ -82,8 +61,6 @@ class LatticeSearch:
     """Searches one lattice, and searches it again after states were forbidden.
 
     Args:
-        problem: Problem to solve.
-        lattice: States to search.
         marks: Occupancy of the lattice, filled.
 
     Attributes:

@@ -9,15 +9,11 @@ from omniman_ros.planning.route.lattice import Lattice
 from omniman_ros.planning.route.occupancy import ONE, HeadingOccupancy
 from omniman_ros.planning.route.problem import FACTORS
 
-Single = NDArray[np.float32]
-"""Array of single-precision floats: costs [s]."""
-Index = NDArray[np.intp]
-"""Array of indices of nodes or headings."""
-Words = NDArray[np.uint64]
-"""Array of words, one per node, with a bit for each heading."""
+Single = NDArray[np.float32]  #: Array of single-precision floats: costs [s]
+Index = NDArray[np.intp]  #: Array of indices of nodes or headings
+Words = NDArray[np.uint64]  #: Array of words, one per node, with a bit for each heading
 
-NODES = 20_000
-"""Number of nodes that are processed at once."""
+NODES = 20_000  #: Number of nodes that are processed at once
 
 
 def cost_to_go(
@@ -26,8 +22,6 @@ def cost_to_go(
     """Return the lowest cost from each node to the goal's position if any heading is allowed.
 
     Args:
-        lattice: Nodes and goal.
-        marks: Occupancy of the lattice.
         speed: Largest linear speed [m/s].
 
     Returns:
@@ -77,8 +71,6 @@ def enclosed(
     All headings of a node are processed at once, which is much cheaper than an exhausted search.
 
     Args:
-        lattice: Nodes.
-        marks: Occupancy of the lattice.
         first: Nodes (N,) and headings (N,) where paths begin.
         last: Nodes (N,) and headings (N,) where they end.
 

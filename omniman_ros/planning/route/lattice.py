@@ -11,36 +11,24 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.planning.obstacles.grid_map import GridMap
 from omniman_ros.planning.route.problem import RouteProblem
 
-Single = NDArray[np.float32]
-"""Array of single-precision floats: costs [s]."""
-Index = NDArray[np.intp]
-"""Array of indices of nodes, headings, columns or rows."""
-Words = NDArray[np.uint64]
-"""Array of words, one per node, with a bit for each heading."""
-Work = Generator[int, None, None]
-"""Work in pieces; each yields its amount [expansions]."""
+Single = NDArray[np.float32]  #: Array of single-precision floats: costs [s]
+Index = NDArray[np.intp]  #: Array of indices of nodes, headings, columns or rows
+Words = NDArray[np.uint64]  #: Array of words, one per node, with a bit for each heading
+Work = Generator[int, None, None]  #: Work in pieces; each yields its amount [expansions]
 
-NEAR = 2.5
-"""Distance within which a pose is joined to nodes [edges of the lattice]."""
-NEAR_TURNS = 2
-"""Number of headings to either side that a pose is joined to."""
+NEAR = 2.5  #: Distance within which a pose is joined to nodes [edges of the lattice]
+NEAR_TURNS = 2  #: Number of headings to either side that a pose is joined to
+#: Columns and rows by which moves advance; the first move only rotates
 STEPS = [(0, 0), (1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1), (-1, -1), (1, -1)]
-"""Columns and rows by which moves advance; the first move only rotates."""
 
 
 @dataclass(frozen=True)
 class Frame:
-    """Frame of a lattice: its nodes are at whole multiples of an edge.
+    """Frame of a lattice: its nodes are at whole multiples of an edge."""
 
-    Attributes:
-        origin: (2,) origin in odom [m].
-        yaw: Angle of the axes in odom [rad].
-        edge: Distance from a node to the next [m].
-    """
-
-    origin: Array
-    yaw: float
-    edge: float
+    origin: Array  #: (2,) origin in odom [m]
+    yaw: float  #: Angle of the axes in odom [rad]
+    edge: float  #: Distance from a node to the next [m]
 
     @staticmethod
     def of(start: Array, grid: GridMap | None, resolution: float) -> "Frame":
@@ -94,19 +82,12 @@ class Frame:
 
 @dataclass(frozen=True)
 class Region:
-    """Nodes of a lattice, row by row; the outermost rows and columns are not used.
+    """Nodes of a lattice, row by row; the outermost rows and columns are not used."""
 
-    Attributes:
-        first: (2,) column and row of the first node.
-        columns: Number of nodes in a row.
-        rows: Number of rows.
-        whole: Whether it contains all of the area that paths may need.
-    """
-
-    first: Index
-    columns: int
-    rows: int
-    whole: bool
+    first: Index  #: (2,) column and row of the first node
+    columns: int  #: Number of nodes in a row
+    rows: int  #: Number of rows
+    whole: bool  #: Whether it contains all of the area that paths may need
 
     @staticmethod
     def around(ends: Array, pad: float, everything: tuple[Array, Array], edge: float) -> "Region":
@@ -141,8 +122,6 @@ class Lattice:
     """Nodes and headings; a node's number is its row times the number of columns plus its column.
 
     Args:
-        frame: Frame of the nodes.
-        region: Nodes to use.
         headings: Number of headings per revolution, even, up to 128, or 64 without symmetry.
         ends: (2, 3) start and goal in odom [m, m, rad].
         is_symmetric: Whether the robot covers the same area after half a revolution.

@@ -20,27 +20,22 @@ from omniman_ros.planning.obstacles.separation import box_gap
 from omniman_ros.planning.route.lattice import Lattice, Work
 from omniman_ros.planning.route.problem import LEAST_ROOM, RouteProblem
 
-Index = NDArray[np.intp]
-"""Array of indices of nodes, headings, columns or rows."""
-Words = NDArray[np.uint64]
-"""Array of bit masks, one per node, with a bit for each heading."""
-Mask = NDArray[np.bool_]
-"""Array of flags."""
+Index = NDArray[np.intp]  #: Array of indices of nodes, headings, columns or rows
+Words = NDArray[np.uint64]  #: Array of bit masks, one per node, with a bit for each heading
+Mask = NDArray[np.bool_]  #: Array of flags
 
-ONE = np.uint64(1)
-"""Word whose first bit is set."""
+ONE = np.uint64(1)  #: Word whose first bit is set
 
+#: Distance within which a tight start or goal lowers the margin [radii of the robot], which
+#: suffices for the robot to leave it entirely.
 EASED_RADII = 3.0
-"""Distance within which a tight start or goal lowers the margin [radii of the robot], which
-suffices for the robot to leave it entirely."""
-PIECE = 40_000
-"""Approximate number of poses in each piece in which an obstacle is marked."""
+PIECE = 40_000  #: Approximate number of poses in each piece in which an obstacle is marked
+#: Number of different offsets of cells from their nodes above which they are rounded coarsely
 MAX_KINDS = 200
-"""Number of different offsets of cells from their nodes above which they are rounded coarsely."""
+#: Divisions of a lattice edge to which the offset of a cell from a node is first rounded
 FINE_PARTS = 1000
-"""Divisions of a lattice edge to which the offset of a cell from a node is first rounded."""
+#: Divisions of a lattice edge to which it is rounded if there are too many different offsets
 COARSE_PARTS = 8
-"""Divisions of a lattice edge to which it is rounded if there are too many different offsets."""
 
 
 class HeadingOccupancy:
@@ -51,7 +46,6 @@ class HeadingOccupancy:
 
     Args:
         problem: Obstacles, and the gaps to keep.
-        lattice: Nodes.
         room: (2,) gaps at the start and the goal [m].
 
     Attributes:
@@ -144,7 +138,6 @@ class HeadingOccupancy:
         """Return the words of an ellipse for some nodes.
 
         Args:
-            box: Part of the robot.
             center: (2,) centre in the lattice's frame [m].
             axes: (2,) semi-axes [m].
             angle: Angle of its x axis in the lattice's frame [rad].
@@ -280,7 +273,6 @@ def _gaps(u: Array, v: Array, headings: Array, box: Rectangles, axes: Array) -> 
         u: (N,) positions of base_link along the ellipse's x axis [m].
         v: (N,) positions along its y axis [m].
         headings: (n,) headings of base_link relative to these axes [rad].
-        box: The box.
         axes: (2,) semi-axes [m].
     """
     if axes[0] == axes[1]:

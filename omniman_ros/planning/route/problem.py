@@ -14,34 +14,25 @@ from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.obstacles.grid_map import GridMap
 from omniman_ros.planning.obstacles.separation import Workspace, outside_by
 
+#: Ratio of the smallest gap at the nodes to the margin [-], allowed in narrow passages
 NODE_GAP_FACTOR = 0.75
-"""Ratio of the smallest gap at the nodes to the margin [-], allowed in narrow passages."""
-PATH_GAP_FACTOR = 0.5
-"""Ratio of the smallest gap between the nodes to the margin [-]."""
-LEAST_ROOM = 1e-3
-"""Gap below which the robot counts as touching, without any margin [m]."""
+PATH_GAP_FACTOR = 0.5  #: Ratio of the smallest gap between the nodes to the margin [-]
+LEAST_ROOM = 1e-3  #: Gap below which the robot counts as touching, without any margin [m]
+#: Gaps in addition to the margin below which a route costs more, in two steps [m]
 COSTLY_GAPS = (0.05, 0.15)
-"""Gaps in addition to the margin below which a route costs more, in two steps [m]."""
+#: Cost of time by the number of gaps, of margin and margin + COSTLY_GAPS, that a node violates
 FACTORS = np.array([1.0, 1.25, 1.75, 3.0], dtype=np.float32)
-"""Cost of time by the number of gaps, of margin and margin + COSTLY_GAPS, that a node violates."""
-TURNING = 0.1
-"""Cost of a rotation in addition to its time, over that time [-]."""
-MAX_OUTSIDE = 0.2
-"""Largest distance by which a start may be outside of the workspace [m]."""
+TURNING = 0.1  #: Cost of a rotation in addition to its time, over that time [-]
+MAX_OUTSIDE = 0.2  #: Largest distance by which a start may be outside of the workspace [m]
 
 
 @dataclass(frozen=True)
 class Rooms:
-    """Gaps of a route search [m].
+    """Gaps of a route search [m]."""
 
-    Attributes:
-        margin: Gap that is kept where there is room.
-        floor: Gap that is kept everywhere on the path.
-        levels: Gaps at the nodes: the smallest one, the margin, and the two costly ones.
-    """
-
-    margin: float
-    floor: float
+    margin: float  #: Gap that is kept where there is room
+    floor: float  #: Gap that is kept everywhere on the path
+    #: Gaps at the nodes: the smallest one, the margin, and the two costly ones
     levels: tuple[float, float, float, float]
 
     @staticmethod
@@ -61,34 +52,24 @@ class Rooms:
 class RouteProblem:
     """Problem of a route from a pose to a pose around all static obstacles.
 
-    Attributes:
-        start: (3,) start in odom [m, m, rad].
-        goal: (3,) goal in odom [m, m, rad], its heading on any branch.
-        footprint: Outline of the robot.
-        margin: Gap that is kept around the robot where there is room [m].
-        speeds: Largest linear [m/s] and angular speed [rad/s].
-        obstacles: All static obstacles but those of the map.
-        grid: Map, or None.
-        workspace: (x_min, y_min, x_max, y_max) in odom that the robot must not leave [m]; it is
-            widened if the start is outside of it by up to MAX_OUTSIDE.
-        rooms: Gaps that follow from the margin.
-        around: Obstacles, and discs that cover the map's occupied cells.
-        clearance: Gaps to all of these, up to the largest relevant one.
-
     Raises:
         InputError: A value is not finite or out of its range.
     """
 
-    start: Array
-    goal: Array
-    footprint: Footprint
-    margin: float
-    speeds: tuple[float, float]
-    obstacles: Ellipses
-    grid: GridMap | None
+    start: Array  #: (3,) start in odom [m, m, rad]
+    goal: Array  #: (3,) goal in odom [m, m, rad], its heading on any branch
+    footprint: Footprint  #: Outline of the robot
+    margin: float  #: Gap that is kept around the robot where there is room [m]
+    speeds: tuple[float, float]  #: Largest linear [m/s] and angular speed [rad/s]
+    obstacles: Ellipses  #: All static obstacles but those of the map
+    grid: GridMap | None  #: Map, or None
+    #: (x_min, y_min, x_max, y_max) in odom that the robot must not leave [m]; it is widened if the
+    #: start is outside of it by up to MAX_OUTSIDE.
     workspace: Workspace
-    rooms: Rooms = field(init=False)
+    rooms: Rooms = field(init=False)  #: Gaps that follow from the margin
+    #: Obstacles, and discs that cover the map's occupied cells
     around: Ellipses = field(init=False)
+    #: Gaps to all of these, up to the largest relevant one
     clearance: Clearance = field(init=False)
 
     def __post_init__(self) -> None:

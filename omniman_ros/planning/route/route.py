@@ -13,20 +13,14 @@ from omniman_ros.planning.obstacles.clearance import Clearance
 from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.obstacles.separation import Workspace
 
+#: Largest distance that a point of the robot moves between two poses that are checked [m]
 SPACING = 0.02
-"""Largest distance that a point of the robot moves between two poses that are checked [m]."""
-FINE_TURN = 0.5
-"""Rotation above which a piece is divided for the projection [rad]."""
-LEVER = 0.3
-"""Distance that counts as much as a heading error of one radian [m]."""
-WINDOW_BACK = 0.5
-"""Part of the route before the last position in which a pose is searched [s]."""
-WINDOW_AHEAD = 2.0
-"""Part of the route after the last position in which a pose is searched [s]."""
-SAME_TIME = 1e-9
-"""Difference below which times count as equal [s]."""
-REACH_RESERVE = 0.01
-"""Difference above the margin up to which gaps are distinguished [m]."""
+FINE_TURN = 0.5  #: Rotation above which a piece is divided for the projection [rad]
+LEVER = 0.3  #: Distance that counts as much as a heading error of one radian [m]
+WINDOW_BACK = 0.5  #: Part of the route before the last position in which a pose is searched [s]
+WINDOW_AHEAD = 2.0  #: Part of the route after the last position in which a pose is searched [s]
+SAME_TIME = 1e-9  #: Difference below which times count as equal [s]
+REACH_RESERVE = 0.01  #: Difference above the margin up to which gaps are distinguished [m]
 
 
 @dataclass(frozen=True)
@@ -36,19 +30,14 @@ class Route:
     A position along it is the shortest time of travel from its start [s]: translation and rotation
     happen at the same time, the slower of the two at its speed.
 
-    Attributes:
-        poses: (K, 3) poses of base_link in odom, K >= 1, headings not wrapped [m, m, rad].
-        speeds: Linear [m/s] and angular speed [rad/s] for the times.
-        times: (K,) times of the poses, from 0 on [s].
-
     Raises:
         InputError: There is no pose, a pose is not finite or implausibly large, or a speed is not
             above zero.
     """
 
-    poses: Array
-    speeds: tuple[float, float]
-    times: Array = field(init=False)
+    poses: Array  #: (K, 3) poses of base_link in odom, K >= 1, headings not wrapped [m, m, rad]
+    speeds: tuple[float, float]  #: Linear [m/s] and angular speed [rad/s] for the times
+    times: Array = field(init=False)  #: (K,) times of the poses, from 0 on [s]
 
     def __post_init__(self) -> None:
         poses = np.array(self.poses, dtype=np.float64)
@@ -144,7 +133,6 @@ class Route:
         """Return whether the robot keeps a gap on a part of the route.
 
         Args:
-            footprint: Outline of the robot.
             around: Obstacles, which count as being at rest at their centres.
             workspace: (x_min, y_min, x_max, y_max) in odom [m].
             margin: Gap that both must exceed on all of the part [m].

@@ -16,22 +16,14 @@ class RouteGoal:
     The pace is the speed along the route in seconds of the route per second, 1 at its speeds. It
     rises and falls at one rate, up to a maximum, so that the targets come to rest at the end of
     the route. The same targets result from any position and pace along the route.
-
-    Attributes:
-        route: Route to follow.
-        since: Time of the cycle [s].
-        position: Position along the route at that time [s].
-        pace: Pace at that time [-].
-        rate: Change of pace, up and down [1/s], above zero.
-        max_pace: Largest pace, 1 or less [-].
     """
 
-    route: Route
-    since: float
-    position: float
-    pace: float
-    rate: float
-    max_pace: float = 1.0
+    route: Route  #: Route to follow
+    since: float  #: Time of the cycle [s]
+    position: float  #: Position along the route at that time [s]
+    pace: float  #: Pace at that time [-]
+    rate: float  #: Change of pace, up and down [1/s], above zero
+    max_pace: float = 1.0  #: Largest pace, 1 or less [-]
 
     def targets(self, times: Array) -> tuple[Array, Array]:
         """Return poses (N, 3) on the route at times (N,) [s], and zero velocities (N, 3)."""

@@ -19,51 +19,39 @@ from omniman_ros.planning.route.route import LEVER, Route, straight
 from omniman_ros.planning.route.route_goal import RouteGoal
 from omniman_ros.planning.route.search import RouteSearch
 
+#: Factor on the acceleration limits at which the targets accelerate and decelerate [-]
 PACE_RATE_FACTOR = 0.9
-"""Factor on the acceleration limits at which the targets accelerate and decelerate [-]."""
+#: Ratio of the largest pace on a short route to the pace of the shortest time [-].
+#:
+#: The route then needs a tenth more time, and a third less energy in addition to that of friction.
 SHORT_ROUTE_PACE = 0.65
-"""Ratio of the largest pace on a short route to the pace of the shortest time [-].
-
-The route then needs a tenth more time, and a third less energy in addition to that of friction.
-"""
-STATIC_SPEED = 0.1
-"""Speed below which a route leads around an obstacle [m/s]."""
-SEARCH_WORK = 4000
-"""Work of a search in one planning cycle [expansions]: about 8 ms."""
+STATIC_SPEED = 0.1  #: Speed below which a route leads around an obstacle [m/s]
+SEARCH_WORK = 4000  #: Work of a search in one planning cycle [expansions]: about 8 ms
+#: Factor on the work of a search while the robot waits for its first route [-]
 FIRST_SEARCH_FACTOR = 3
-"""Factor on the work of a search while the robot waits for its first route [-]."""
-CHECK_PERIOD = 0.5
-"""Period at which the rest of the route is checked [s]."""
-RETRY_DELAY = 2.0
-"""Time from a search without a result to the next search [s]."""
-STUCK_TIME = 1.5
-"""Time without progress after which the robot counts as stuck [s]."""
-STUCK_PROGRESS = 0.1
-"""Progress along the route that counts as progress [s of the route]."""
+CHECK_PERIOD = 0.5  #: Period at which the rest of the route is checked [s]
+RETRY_DELAY = 2.0  #: Time from a search without a result to the next search [s]
+STUCK_TIME = 1.5  #: Time without progress after which the robot counts as stuck [s]
+STUCK_PROGRESS = 0.1  #: Progress along the route that counts as progress [s of the route]
+#: Number of clearances with which routes are searched, from the usual one down to the smallest
 CLEARANCES = 3
-"""Number of clearances with which routes are searched, from the usual one down to the smallest."""
-SECOND_TRY_PACE = 0.25
-"""Largest pace of a robot that was stuck twice [-]."""
-LATER_TRY_PACE = 0.1
-"""Largest pace of a robot that was stuck more often [-]."""
+SECOND_TRY_PACE = 0.25  #: Largest pace of a robot that was stuck twice [-]
+LATER_TRY_PACE = 0.1  #: Largest pace of a robot that was stuck more often [-]
+#: Position on the new route from which the robot drives at the usual pace again [s]
 SLOW_DISTANCE = 1.0
-"""Position on the new route from which the robot drives at the usual pace again [s]."""
+#: Position on the new route up to which LATER_TRY_PACE holds; then SECOND_TRY_PACE does [s]
 SLOWEST_DISTANCE = 0.3
-"""Position on the new route up to which LATER_TRY_PACE holds; then SECOND_TRY_PACE does [s]."""
+#: Difference between the gap of the route and the smaller one that plans keep [m]
 GAP_RESERVE = 0.01
-"""Difference between the gap of the route and the smaller one that plans keep [m]."""
+#: Extent of the window, before the robot and after the plan, in which gaps count [s]
 GAP_WINDOW = 0.3
-"""Extent of the window, before the robot and after the plan, in which gaps count [s]."""
-WIDE_GAP = 0.2
-"""Gap above which gaps of the route are not distinguished [m]."""
-MIN_KEPT_GAP = 0.01
-"""Gap at which the rest of a route still counts as clear [m]."""
+WIDE_GAP = 0.2  #: Gap above which gaps of the route are not distinguished [m]
+MIN_KEPT_GAP = 0.01  #: Gap at which the rest of a route still counts as clear [m]
+#: Distance from the end of the route to a goal that moved, up to which the route is bent [m]
 MAX_BEND = 0.05
-"""Distance from the end of the route to a goal that moved, up to which the route is bent [m]."""
+#: Distance from the end of the route to a goal that moved, below which it stays [m]
 MIN_BEND = 1e-4
-"""Distance from the end of the route to a goal that moved, below which it stays [m]."""
-PACE_SPAN = 0.05
-"""Part of the route over which the pace of the robot is measured [s]."""
+PACE_SPAN = 0.05  #: Part of the route over which the pace of the robot is measured [s]
 
 
 class RouteSource(Enum):
@@ -86,7 +74,6 @@ class RoutePlanner:
     way out. Where there is no route, the robot comes to rest and stays, until there is one.
 
     Args:
-        model: Model of the robot.
         goal: (3,) pose in odom [m, m, rad].
 
     Attributes:

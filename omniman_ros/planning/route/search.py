@@ -18,23 +18,18 @@ from omniman_ros.planning.route.problem import RouteProblem
 from omniman_ros.planning.route.route import Route, straight
 from omniman_ros.planning.route.straighten import Straightener
 
-UNLIMITED: Workspace = (-1e3, -1e3, 1e3, 1e3)
-"""Workspace without practical bounds [m]."""
+UNLIMITED: Workspace = (-1e3, -1e3, 1e3, 1e3)  #: Workspace without practical bounds [m]
 
-FINEST = 120
-"""Largest number of headings per revolution: half of them fit into a word."""
+FINEST = 120  #: Largest number of headings per revolution: half of them fit into a word
+#: Largest number of headings of a robot that half a revolution changes: all fit into a word
 FINEST_WHOLE = 64
-"""Largest number of headings of a robot that half a revolution changes: all fit into a word."""
+#: Gap below which a start or goal may be in a slot, and lattices along it are tried [m]
 SLOT = 0.1
-"""Gap below which a start or goal may be in a slot, and lattices along it are tried [m]."""
-PAD = 2.0
-"""Distance around start and goal that is searched first [m]; then twice that, and so on."""
-MAX_NODES = 4_000_000
-"""Largest number of nodes of a lattice."""
+PAD = 2.0  #: Distance around start and goal that is searched first [m]; then twice that, and so on
+MAX_NODES = 4_000_000  #: Largest number of nodes of a lattice
+#: Number of searches in a region, each without the nodes that were too tight before
 MAX_SEARCHES = 40
-"""Number of searches in a region, each without the nodes that were too tight before."""
-PART = 50
-"""Number of poses of the straight line that are checked at once."""
+PART = 50  #: Number of poses of the straight line that are checked at once
 
 
 class RouteSearch:

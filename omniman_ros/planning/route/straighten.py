@@ -13,47 +13,31 @@ from omniman_ros.planning.route.occupancy import HeadingOccupancy
 from omniman_ros.planning.route.problem import RouteProblem
 from omniman_ros.planning.route.route import Route, along, durations, refined
 
-Index = NDArray[np.intp]
-"""Array of indices of poses."""
+Index = NDArray[np.intp]  #: Array of indices of poses
 
+#: Relative amount by which a straight line may cost more than the path that it replaces [-]
 MAX_COST_INCREASE = 0.003
-"""Relative amount by which a straight line may cost more than the path that it replaces [-]."""
-PART = 50
-"""Number of poses of a path that are checked at once."""
-FIRST_LOOKS = 16
-"""Number of poses of a line that are checked before all of them."""
-PASSES = 2
-"""Number of times that a path is straightened, forwards and backwards in turn."""
+PART = 50  #: Number of poses of a path that are checked at once
+FIRST_LOOKS = 16  #: Number of poses of a line that are checked before all of them
+PASSES = 2  #: Number of times that a path is straightened, forwards and backwards in turn
 
 
 @dataclass(frozen=True)
 class Checked:
-    """A path (N, 3) of the lattice with its exact gaps.
+    """A path (N, 3) of the lattice with its exact gaps."""
 
-    Attributes:
-        path: (N, 3) poses [m, m, rad].
-        fine: (K,) fractional indices of the poses that were checked, whole ones among them.
-        gap: (K,) gaps there [m].
-    """
-
-    path: Array
-    fine: Array
-    gap: Array
+    path: Array  #: (N, 3) poses [m, m, rad]
+    fine: Array  #: (K,) fractional indices of the poses that were checked, whole ones among them
+    gap: Array  #: (K,) gaps there [m]
 
 
 @dataclass(frozen=True)
 class Priced:
-    """A path of the lattice with its costs.
+    """A path of the lattice with its costs."""
 
-    Attributes:
-        path: (N, 3) poses [m, m, rad].
-        cost: (N,) costs up to each pose [s].
-        room: (N - 1,) smallest gap of each piece [m].
-    """
-
-    path: Array
-    cost: Array
-    room: Array
+    path: Array  #: (N, 3) poses [m, m, rad]
+    cost: Array  #: (N,) costs up to each pose [s]
+    room: Array  #: (N - 1,) smallest gap of each piece [m]
 
     def backwards(self) -> "Priced":
         """Return the path from its end to its start."""
@@ -64,8 +48,6 @@ class Straightener:
     """Checks and straightens paths.
 
     Args:
-        problem: Problem to solve.
-        lattice: Lattice of the paths.
         marks: Occupancy of the lattice, filled.
     """
 

@@ -6,19 +6,13 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-Single = NDArray[np.float32]
-"""Array of single-precision floats: costs [s]."""
-Index = NDArray[np.intp]
-"""Array of numbers of nodes, headings or states."""
-Moves = NDArray[np.int8]
-"""Array of numbers of moves, -1 at the beginning of a path."""
-Mask = NDArray[np.bool_]
-"""Array of flags."""
+Single = NDArray[np.float32]  #: Array of single-precision floats: costs [s]
+Index = NDArray[np.intp]  #: Array of numbers of nodes, headings or states
+Moves = NDArray[np.int8]  #: Array of numbers of moves, -1 at the beginning of a path
+Mask = NDArray[np.bool_]  #: Array of flags
 
-BAND = 0.1
-"""Width of the bands of cost in which the queue does not sort [s]."""
-FIRST_ROWS = 1024
-"""Initial number of nodes for which a tree has memory."""
+BAND = 0.1  #: Width of the bands of cost in which the queue does not sort [s]
+FIRST_ROWS = 1024  #: Initial number of nodes for which a tree has memory
 
 
 class Tree:
@@ -27,10 +21,6 @@ class Tree:
     The number of a state is its row times the number of headings plus its heading. The number of
     a move is three times that of its step, plus 0, 1 or 2 if the heading decreases by one, stays,
     or increases by one.
-
-    Args:
-        nodes: Number of nodes of the lattice.
-        headings: Number of headings at each.
 
     Attributes:
         cost: (rows * headings,) least costs so far by the number of the state [s]; infinity if it
@@ -74,7 +64,6 @@ class Tree:
         """Return nodes and headings (N,) of the path to a state, from its beginning on.
 
         Args:
-            state: Number of the state.
             offsets: Changes of the node's number in each step.
         """
         nodes, headings = [], []
@@ -138,7 +127,6 @@ class Queue:
         """Remove states from the first band, each once, those nearest to the goal if too many.
 
         Args:
-            size: Largest number of states.
             least: Lowest costs by the number of the state [s]; a state with another cost was
                 reached on a better path since, and is dropped.
 

@@ -25,29 +25,20 @@ from omniman_ros.motion.whole_body.model import HALF_TURN
 from omniman_ros.planning.whole_body.redundancy import COORDINATES, Configurations
 from omniman_ros.planning.whole_body.surroundings import Hindrances
 
-FAR = 10.0
-"""Gap of a row that constrains nothing [m]."""
-SAME_HEIGHT = 1e-6
-"""Change of a height that is round-off [m]."""
+FAR = 10.0  #: Gap of a row that constrains nothing [m]
+SAME_HEIGHT = 1e-6  #: Change of a height that is round-off [m]
 OWN, STANDING, MOVING = range(3)
 """Kinds of gaps: between parts of the robot, to what stands, to what moves."""
-PLATFORM = "platform"
-"""Name of the platform among the parts."""
+PLATFORM = "platform"  #: Name of the platform among the parts
 
 
 @dataclass(frozen=True)
 class GapRows:
-    """The nearest gaps at each of k configurations, with their derivatives.
+    """The nearest gaps at each of k configurations, with their derivatives."""
 
-    Attributes:
-        gap: Gaps (k, n), less the growth of the margin around what moves [m].
-        slope: Derivatives (k, n, 4) by the redundancy coordinates.
-        kind: What each (k, n) is a gap to: OWN, STANDING or MOVING.
-    """
-
-    gap: Array
-    slope: Array
-    kind: Indices
+    gap: Array  #: Gaps (k, n), less the growth of the margin around what moves [m]
+    slope: Array  #: Derivatives (k, n, 4) by the redundancy coordinates
+    kind: Indices  #: What each (k, n) is a gap to: OWN, STANDING or MOVING
 
     def nearest(self, count: int) -> "GapRows":
         """Return the n = `count` smallest gaps of each configuration; far ones fill up."""
@@ -75,7 +66,6 @@ class BodyGaps:
 
     Args:
         description: Shapes of platform and arm, and where the arm is mounted.
-        tool: Shape of the tool.
         load: Shape of the load, if any.
         spacing: Largest spacing of the spheres [m].
 
@@ -142,7 +132,6 @@ class BodyGaps:
 
         Args:
             placed: Spheres (K, S).
-            k: Number of the configuration among them.
         """
         to_deck, between = (gaps[k] for gaps in self._own_gaps(placed))
         if to_deck.min() <= between.min():
@@ -213,11 +202,8 @@ class BodyGaps:
         """Return the n = `count` nearest gaps at configurations (k,), with derivatives.
 
         Args:
-            at: Configurations.
-            around: Solids around the robot.
             ages: Times (k,) after that of the solids [s].
             reach: Gap beyond which a solid is left out of account [m].
-            count: Number of gaps.
         """
         placed = self.spheres.carried(self._base @ at.frames)
         moved = self.spheres.joint_derivative(placed)
@@ -327,7 +313,6 @@ def _by_coordinates(
     """Return derivatives (k, M, 4) of gaps by the coordinates.
 
     Args:
-        at: Configurations.
         normal: Derivatives (k, M, 3) of the gaps by the centres, in odom.
         centre: Centres (k, M, 3) of the spheres in the frame of the solids [m].
         moved: Derivatives (k, M, 3, 6) of the centres by the joints, in base_link.

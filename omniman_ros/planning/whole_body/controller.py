@@ -21,25 +21,17 @@ from omniman_ros.planning.whole_body.redundancy import COORDINATES, PLACE, ToolR
 from omniman_ros.planning.whole_body.surroundings import Hindrances
 from omniman_ros.planning.whole_body.way import Way
 
-PERIOD = 0.05
-"""Time from cycle to cycle [s]; a plan begins one period after its cycle."""
-KEPT_PAST = 0.2
-"""Length of the past part of a motion that is kept [s]."""
-FOLLOWED = 0.4
-"""Time for which a new plan that is not clear is followed before it brakes [s]."""
+PERIOD = 0.05  #: Time from cycle to cycle [s]; a plan begins one period after its cycle
+KEPT_PAST = 0.2  #: Length of the past part of a motion that is kept [s]
+FOLLOWED = 0.4  #: Time for which a new plan that is not clear is followed before it brakes [s]
+#: Distance of a solid from the platform's place within a horizon beyond which it is left out [m],
+#: besides the platform's own radius.
 NEAR = 1.6
-"""Distance of a solid from the platform's place within a horizon beyond which it is left out [m],
-besides the platform's own radius."""
-BRAKING_NODE = 0.05
-"""Time between two nodes while the robot brakes [s]."""
-LEAST_BRAKING = 0.2
-"""Least time in which the robot brakes [s]."""
-BRAKING_SHARE = 0.7
-"""Share of the limits on acceleration that braking along a plan uses."""
-END_DISTANCE = 0.0005
-"""Distance from the end of the path at which it is completed [m]."""
-AT_REST = 0.002
-"""Rate below which the robot is at rest at the end [m/s, rad/s]."""
+BRAKING_NODE = 0.05  #: Time between two nodes while the robot brakes [s]
+LEAST_BRAKING = 0.2  #: Least time in which the robot brakes [s]
+BRAKING_SHARE = 0.7  #: Share of the limits on acceleration that braking along a plan uses
+END_DISTANCE = 0.0005  #: Distance from the end of the path at which it is completed [m]
+AT_REST = 0.002  #: Rate below which the robot is at rest at the end [m/s, rad/s]
 
 
 class Choice(enum.Enum):
@@ -53,16 +45,11 @@ class Choice(enum.Enum):
 
 @dataclass(frozen=True)
 class CycleOutcome:
-    """Result of a cycle.
+    """Result of a cycle."""
 
-    Attributes:
-        choice: What is followed from now on.
-        verdict: What the check says of it.
-        obstruction: What is in the way of the whole new plan; None if nothing is.
-    """
-
-    choice: Choice
-    verdict: Verdict
+    choice: Choice  #: What is followed from now on
+    verdict: Verdict  #: What the check says of it
+    #: What is in the way of the whole new plan; None if nothing is
     obstruction: Obstruction | None = None
 
 
@@ -73,12 +60,7 @@ class WholeBodyController:
     followed only if it is clear to its end, or if nothing else is safer.
 
     Args:
-        redundancy: Kinematics on the path of the tool.
-        gaps: Shape of the robot.
         limits: Limits of the nine axes and of the wheels.
-        linearisation: Programs along the path.
-        check: Check of plans.
-        options: Options.
 
     Attributes:
         motion: Motion of the redundancy coordinates that is followed; it ends at rest.
@@ -119,7 +101,6 @@ class WholeBodyController:
         Args:
             now: Time [s].
             way: Way of the platform that leads the plans.
-            around: What is around the robot.
         """
         around = self._near(now, around)
         due = now + PERIOD

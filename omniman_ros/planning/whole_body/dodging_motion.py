@@ -20,12 +20,11 @@ from omniman_ros.planning.whole_body.redundancy import PLACE
 from omniman_ros.planning.whole_body.surroundings import Hindrances
 from omniman_ros.planning.whole_body.task import BodyTask
 
-END_HOLD_TIME = 0.2
-"""Time for which the end is sent repeatedly, in case messages are lost [s]."""
+END_HOLD_TIME = 0.2  #: Time for which the end is sent repeatedly, in case messages are lost [s]
+#: Step below which two motion times are the same, because motion time stands [s]
 SHORTEST_STEP = 1e-6
-"""Step below which two motion times are the same, because motion time stands [s]."""
+#: Lowest pace at which what moves is predicted: below it, the robot all but stands
 SLOWEST_PACE = 0.1
-"""Lowest pace at which what moves is predicted: below it, the robot all but stands."""
 
 
 class DodgingMotion:
@@ -35,7 +34,7 @@ class DodgingMotion:
         limits: Limits of the nine axes and of the wheels.
 
     Attributes:
-        limits: As above; others count from the next task on.
+        limits: Others count from the next task on.
         state: Present state.
         branch: Branch of the arm's inverse kinematics, `ArmModel.inverse`.
     """

@@ -26,45 +26,32 @@ from omniman_ros.planning.whole_body.redundancy import (
 from omniman_ros.planning.whole_body.surroundings import Hindrances
 from omniman_ros.planning.whole_body.way import Way
 
+#: Largest changes of the redundancy coordinates in one step [m, m, rad, m]
 TRUST = np.array([0.12, 0.12, 0.2, 0.12])
-"""Largest changes of the redundancy coordinates in one step [m, m, rad, m]."""
-SLACK_LINEAR: Array = np.array([2e3, 2e3, 3e2])
-"""Weights of the slack, by its class."""
-SLACK_QUADRATIC: Array = np.array([2e4, 2e4, 3e3])
-"""Weights of the squares of the slack."""
-PROGRESS_WEIGHT = 8.0
-"""Weight of the distance on the path from where the tool should be [1/m^2]."""
+SLACK_LINEAR: Array = np.array([2e3, 2e3, 3e2])  #: Weights of the slack, by its class
+SLACK_QUADRATIC: Array = np.array([2e4, 2e4, 3e3])  #: Weights of the squares of the slack
+PROGRESS_WEIGHT = 8.0  #: Weight of the distance on the path from where the tool should be [1/m^2]
+#: Weights of the distance from the searched way [1/m^2, 1/rad^2]
 WAY_WEIGHTS = np.array([4.0, 4.0, 1.5])
-"""Weights of the distance from the searched way [1/m^2, 1/rad^2]."""
-RATE_WEIGHT = 0.05
-"""Weight of the joints' rates [s^2/rad^2]."""
+RATE_WEIGHT = 0.05  #: Weight of the joints' rates [s^2/rad^2]
+#: Weights of the rates of the coordinates [s^2/m^2, s^2/rad^2]
 PLATFORM_RATE_WEIGHTS = np.array([0.5, 0.5, 0.2, 0.0])
-"""Weights of the rates of the coordinates [s^2/m^2, s^2/rad^2]."""
+#: Weights of the accelerations of the coordinates
 CONTROL_WEIGHTS: Array = np.array([0.15, 0.15, 0.05, 0.3])
-"""Weights of the accelerations of the coordinates."""
-GAP_REACH = 0.6
-"""Gap beyond which a solid does not matter to a plan [m]."""
-OWN_CLEARANCE = 0.02
-"""Gap that plans keep between parts of the robot [m]."""
-ONSET = 1.3
-"""Margin to singularities that plans keep, relative to the least one."""
-ANGLE_RESERVE = 0.05
-"""Distance that plans keep from the ends of the joints [rad]."""
-DIAGONAL = np.sqrt(0.5)
-"""Share of the limit of a vector that each of its components may use."""
+GAP_REACH = 0.6  #: Gap beyond which a solid does not matter to a plan [m]
+OWN_CLEARANCE = 0.02  #: Gap that plans keep between parts of the robot [m]
+ONSET = 1.3  #: Margin to singularities that plans keep, relative to the least one
+ANGLE_RESERVE = 0.05  #: Distance that plans keep from the ends of the joints [rad]
+DIAGONAL = np.sqrt(0.5)  #: Share of the limit of a vector that each of its components may use
 
 
 class Linearisation:
     """Improves plans.
 
     Args:
-        redundancy: Kinematics on the path of the tool.
-        gaps: Shape of the robot.
-        resolver: Margins to singularities.
         limits: Limits of the nine axes and of the wheels.
         tool: Largest speed [m/s], acceleration [m/s^2] of the tool on its path, least margin to
             singularities, and share of the axes' limits that is left free.
-        options: Options.
     """
 
     def __init__(
@@ -118,7 +105,6 @@ class Linearisation:
             controls: Their accelerations (N, 4) over the steps.
             times: Times (N + 1,) of the nodes [s].
             way: Way of the platform that leads the plans.
-            around: What is around the robot.
 
         Raises:
             SolverError: There is none: the guess is out of reach, or the program was not solved.

@@ -32,25 +32,19 @@ TEXTS = {
     Cause.JOINT_ACCELERATION: "{part} would accelerate too much",
     Cause.WHEEL_SPEED: "{part} would be too fast",
     Cause.PROGRAM: "{other}",
-}
-"""Sentences for each cause."""
+}  #: Sentences for each cause
 
 
 @dataclass(frozen=True)
 class Obstruction:
-    """What is in the way.
+    """What is in the way."""
 
-    Attributes:
-        cause: Why the motion must not be followed.
-        place: Place on the path of the tool [m].
-        part: Name of the part of the robot that has no room, or of the axis; empty if none.
-        other: Name of the obstacle, or of the robot's own part that is too near; the reason of
-            the solver if it has no plan; empty if none.
-    """
-
-    cause: Cause
-    place: float
+    cause: Cause  #: Why the motion must not be followed
+    place: float  #: Place on the path of the tool [m]
+    #: Name of the part of the robot that has no room, or of the axis; empty if none
     part: str = ""
+    #: Name of the obstacle, or of the robot's own part that is too near; the reason of the solver
+    #: if it has no plan; empty if none.
     other: str = ""
 
     @property

@@ -15,13 +15,12 @@ from omniman_ros.planning.whole_body.parameters import DodgeOptions
 from omniman_ros.planning.whole_body.redundancy import PLACE, ToolRedundancy
 from omniman_ros.planning.whole_body.surroundings import Hindrances
 
-SAMPLE_STEP = 0.04
-"""Time between two samples of a motion [s]."""
+SAMPLE_STEP = 0.04  #: Time between two samples of a motion [s]
+#: How much nearer a body may come that is within the least clearance at the beginning [m]
 APPROACH = 0.002
-"""How much nearer a body may come that is within the least clearance at the beginning [m]."""
+#: Share of a limit of the arm and the wheels that a motion may use between the program's nodes;
+#: the program leaves the reserve of the limits free.
 EXCESS = 1.1
-"""Share of a limit of the arm and the wheels that a motion may use between the program's nodes;
-the program leaves the reserve of the limits free."""
 AXIS_NAMES = {
     Cause.JOINT_LIMIT: "joint {}",
     Cause.REVOLUTION: "joint {}",
@@ -29,26 +28,19 @@ AXIS_NAMES = {
     Cause.JOINT_SPEED: "joint {}",
     Cause.JOINT_ACCELERATION: "joint {}",
     Cause.WHEEL_SPEED: "wheel {}",
-}
-"""What breaks a limit, by its number from 1 on."""
+}  #: What breaks a limit, by its number from 1 on
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """Result of a check.
+    """Result of a check."""
 
-    Attributes:
-        obstruction: Why the motion must not be followed; None if it may.
-        is_possible: Whether it keeps reach, limits and the gaps of the robot to itself.
-        contact: Time until a part of the robot touches something, if all move on as they do [s].
-        gap: Least gap on the way [m].
-        nearest: Obstacle that leaves the least room on the way; None without any.
-    """
-
-    obstruction: Obstruction | None
-    is_possible: bool
+    obstruction: Obstruction | None  #: Why the motion must not be followed; None if it may
+    is_possible: bool  #: Whether it keeps reach, limits and the gaps of the robot to itself
+    #: Time until a part of the robot touches something, if all move on as they do [s]
     contact: float
-    gap: float
+    gap: float  #: Least gap on the way [m]
+    #: Obstacle that leaves the least room on the way; None without any
     nearest: Obstruction | None = None
 
     @property
@@ -66,12 +58,7 @@ class PlanCheck:
     """Checks motions in the redundancy on a fine grid in time.
 
     Args:
-        redundancy: Kinematics on the path of the tool.
-        gaps: Shape of the robot.
-        resolver: Margins to singularities.
         limits: Limits of the nine axes and of the wheels.
-        least_margin: Least margin to singularities.
-        options: Options.
     """
 
     def __init__(
@@ -92,10 +79,8 @@ class PlanCheck:
         """Check a motion from a time on to its end, or longer.
 
         Args:
-            motion: Motion of the redundancy coordinates.
             now: First time [s].
             until: Time up to which what moves is looked at [s].
-            around: What is around the robot.
         """
         count = max(2, math.ceil((max(motion.end, until) - now) / SAMPLE_STEP) + 1)
         times = np.linspace(now, max(motion.end, until), count)

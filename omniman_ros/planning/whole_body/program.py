@@ -13,29 +13,21 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.planning.mpc.quadratic_program import INFINITY, QuadraticProgram
 from omniman_ros.planning.whole_body.redundancy import COORDINATES
 
-STATES = 2 * COORDINATES
-"""Number of states: the redundancy coordinates and their rates."""
+STATES = 2 * COORDINATES  #: Number of states: the redundancy coordinates and their rates
+#: Number of classes of slack: what stands and the robot itself; limits of the arm and wheels,
+#: singularities; what moves.
 CLASSES = 3
-"""Number of classes of slack: what stands and the robot itself; limits of the arm and wheels,
-singularities; what moves."""
 STANDING, LIMITS, MOVING = range(CLASSES)
 
 
 @dataclass(frozen=True)
 class StageRows:
-    """Rows value + by_x dx + by_u du + slack >= 0 of N stages, R each.
+    """Rows value + by_x dx + by_u du + slack >= 0 of N stages, R each."""
 
-    Attributes:
-        value: (N, R) values at the guess.
-        by_x: (N, R, 8) derivatives by the state at the stage's end.
-        by_u: (N, R, 4) derivatives by the stage's accelerations.
-        slack: (N, R) numbers of the classes of slack.
-    """
-
-    value: Array
-    by_x: Array
-    by_u: Array
-    slack: Array
+    value: Array  #: (N, R) values at the guess
+    by_x: Array  #: (N, R, 8) derivatives by the state at the stage's end
+    by_u: Array  #: (N, R, 4) derivatives by the stage's accelerations
+    slack: Array  #: (N, R) numbers of the classes of slack
 
     @staticmethod
     def join(parts: "list[StageRows]") -> "StageRows":
@@ -50,38 +42,23 @@ class StageRows:
 
 @dataclass(frozen=True)
 class Quadratic:
-    """Cost of a step, and its bounds.
+    """Cost of a step, and its bounds."""
 
-    Attributes:
-        hessian: (N, 8, 8) matrices of the states at the stages' ends.
-        gradient: (N, 8) their gradients.
-        control_hessian: (4,) diagonal of the matrix of the accelerations.
-        control_gradient: (N, 4) their gradients.
-        control_bounds: (2, N, 4) least and largest changes of the accelerations.
-        state_bounds: (2, N, 8) least and largest changes of the states.
-    """
-
-    hessian: Array
-    gradient: Array
-    control_hessian: Array
-    control_gradient: Array
-    control_bounds: Array
-    state_bounds: Array
+    hessian: Array  #: (N, 8, 8) matrices of the states at the stages' ends
+    gradient: Array  #: (N, 8) their gradients
+    control_hessian: Array  #: (4,) diagonal of the matrix of the accelerations
+    control_gradient: Array  #: (N, 4) their gradients
+    control_bounds: Array  #: (2, N, 4) least and largest changes of the accelerations
+    state_bounds: Array  #: (2, N, 8) least and largest changes of the states
 
 
 @dataclass(frozen=True)
 class Step:
-    """Solution of a program.
+    """Solution of a program."""
 
-    Attributes:
-        controls: (N, 4) changes of the accelerations.
-        states: (N, 8) changes of the states at the stages' ends.
-        slack: (N, 3) slack of each class.
-    """
-
-    controls: Array
-    states: Array
-    slack: Array
+    controls: Array  #: (N, 4) changes of the accelerations
+    states: Array  #: (N, 8) changes of the states at the stages' ends
+    slack: Array  #: (N, 3) slack of each class
 
 
 def transition(step: float) -> tuple[Array, Array]:

@@ -14,14 +14,10 @@ import numpy as np
 from omniman_ros.core.arrays import Array
 from omniman_ros.motion.whole_body.model import WholeBodyModel
 
-COORDINATES = 4
-"""Number of redundancy coordinates."""
-PLACE = 3
-"""Index of the place on the path among them."""
-DIFFERENCE_STEP = 1e-5
-"""Step of the numerical derivative of the Jacobian [s]."""
-SINGULAR = 1e-9
-"""Determinant of the arm's Jacobian below which it counts as singular."""
+COORDINATES = 4  #: Number of redundancy coordinates
+PLACE = 3  #: Index of the place on the path among them
+DIFFERENCE_STEP = 1e-5  #: Step of the numerical derivative of the Jacobian [s]
+SINGULAR = 1e-9  #: Determinant of the arm's Jacobian below which it counts as singular
 
 
 class LedPath(Protocol):
@@ -47,23 +43,14 @@ class LedPath(Protocol):
 
 @dataclass(frozen=True)
 class Configurations:
-    """Configurations of the whole body along a plan.
+    """Configurations of the whole body along a plan."""
 
-    Attributes:
-        z: Redundancy coordinates (k, 4).
-        q: All axes (k, 9); NaN where the arm does not reach the tool.
-        rates: G (k, 6, 4), the joints' derivatives by z.
-        frames: Poses (k, 7, 4, 4) of the arm's links in the base of the DH table.
-        jacobian: Jacobians (k, 6, 9) of the tool.
-        bend: Derivatives (k, 6) of the tool's twist per s by s.
-    """
-
-    z: Array
-    q: Array
-    rates: Array
-    frames: Array
-    jacobian: Array
-    bend: Array
+    z: Array  #: Redundancy coordinates (k, 4)
+    q: Array  #: All axes (k, 9); NaN where the arm does not reach the tool
+    rates: Array  #: G (k, 6, 4), the joints' derivatives by z
+    frames: Array  #: Poses (k, 7, 4, 4) of the arm's links in the base of the DH table
+    jacobian: Array  #: Jacobians (k, 6, 9) of the tool
+    bend: Array  #: Derivatives (k, 6) of the tool's twist per s by s
 
     @property
     def platform(self) -> Array:
@@ -80,7 +67,6 @@ class ToolRedundancy:
     """Arm and platform while the tool is on a path.
 
     Args:
-        model: Kinematics of the robot.
         path: Path of the tool in odom.
         centre: Joint angles (6,) of the start [rad]; the arm stays on their branch of the inverse
             kinematics, and each joint within half a revolution of them.

@@ -19,21 +19,18 @@ def _nothing() -> Surroundings:
 class Hindrances:
     """Solids around the robot at one time, in odom.
 
-    Attributes:
-        time: Time at which the moving ones are where they are said to be [s].
-        standing: Solids that stand.
-        moving: Solids that move at constant velocity, and those that may walk on at once.
-        growth: Rates (M,) at which the margin around each of the moving ones grows [m/s].
-        names: Names of all solids, the standing ones first; none if they are numbered.
-
     Raises:
         InputError: There are not as many rates or names as solids, or a value is not finite.
     """
 
-    time: float = 0.0
+    time: float = 0.0  #: Time at which the moving ones are where they are said to be [s]
+    #: Solids that stand
     standing: UprightSolids = field(default_factory=lambda: UprightSolids.join([]))
+    #: Solids that move at constant velocity, and those that may walk on at once
     moving: Surroundings = field(default_factory=_nothing)
+    #: Rates (M,) at which the margin around each of the moving ones grows [m/s]
     growth: Array = field(default_factory=lambda: np.zeros(0))
+    #: Names of all solids, the standing ones first; none if they are numbered
     names: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

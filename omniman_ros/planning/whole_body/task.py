@@ -29,23 +29,14 @@ from omniman_ros.planning.whole_body.way_search import WaySearch
 
 @dataclass(frozen=True)
 class BodySetup:
-    """What a task needs to know of the robot.
+    """What a task needs to know of the robot."""
 
-    Attributes:
-        description: Shapes of platform and arm, and where the arm is mounted.
-        limits: Limits of the nine axes and of the wheels.
-        tool: Shape of the tool.
-        load: Shape of the load, if any.
-        path: Options of tool paths.
-        dodge: Options of the way around obstacles.
-    """
-
-    description: DescriptionParameters
-    limits: WholeBodyLimits
+    description: DescriptionParameters  #: Shapes of platform and arm, and where the arm is mounted
+    limits: WholeBodyLimits  #: Limits of the nine axes and of the wheels
     tool: ToolShape
-    load: LoadShape | None
-    path: ToolPathOptions
-    dodge: DodgeOptions
+    load: LoadShape | None  #: Shape of the load, if any
+    path: ToolPathOptions  #: Options of tool paths
+    dodge: DodgeOptions  #: Options of the way around obstacles
 
 
 class BodyTask:
@@ -119,7 +110,6 @@ class WholeBodyTask(BodyTask):
         poses: Poses (k, 4, 4) of `tool0` in odom; the tool moves straight to the first.
         start: (9,) positions of all axes at rest.
         time: Time at which the task begins [s].
-        around: What is around the robot.
 
     Raises:
         InputError: The input is invalid, the path is too far away, the arm starts near a

@@ -14,7 +14,6 @@ class NoWayError(InputError):
     """There is no way for the platform; the message says where, and what is in the way.
 
     Args:
-        message: What a user is told.
         obstruction: What is in the way, at the place up to which there is a way.
     """
 
@@ -25,17 +24,11 @@ class NoWayError(InputError):
 
 @dataclass(frozen=True)
 class Way:
-    """Poses of the platform at equally spaced places of the tool's path, joined smoothly.
+    """Poses of the platform at equally spaced places of the tool's path, joined smoothly."""
 
-    Attributes:
-        start: Parameter of the tool's path at the first pose [m].
-        end: Parameter at the last pose [m].
-        poses: Poses (n + 1, 3) of base_link in odom, headings not wrapped [m, m, rad].
-    """
-
-    start: float
-    end: float
-    poses: Array
+    start: float  #: Parameter of the tool's path at the first pose [m]
+    end: float  #: Parameter at the last pose [m]
+    poses: Array  #: Poses (n + 1, 3) of base_link in odom, headings not wrapped [m, m, rad]
 
     def at(self, places: Array) -> tuple[Array, Array]:
         """Return poses (k, 3) at places (k,) [m], held at the ends, and their derivatives."""

@@ -27,53 +27,35 @@ from omniman_ros.planning.whole_body.redundancy import PLACE, ToolRedundancy
 from omniman_ros.planning.whole_body.surroundings import Hindrances
 from omniman_ros.planning.whole_body.way import NoWayError, Way
 
-REACH = 1.2
-"""Largest horizontal distance of base_link from the tool that is tried [m]."""
+REACH = 1.2  #: Largest horizontal distance of base_link from the tool that is tried [m]
+#: Largest change of the position on the grid, along each axis, and of the heading from layer to
+#: layer [cells].
 SHIFTS = 2
-"""Largest change of the position on the grid, along each axis, and of the heading from layer to
-layer [cells]."""
+#: Change of the tool's height up to which postures are taken over from another layer [m]
 SAME_HEIGHT = 0.03
-"""Change of the tool's height up to which postures are taken over from another layer [m]."""
-SAME_TILT = 0.1
-"""Change of the tool's tilt up to which postures are taken over [rad]."""
-SHEET_END = 0.3
-"""Distance that joints keep from half a revolution away from their start [rad]."""
-LIMIT_RESERVE = 0.1
-"""Distance that joints keep from their limits [rad]."""
-SINGULARITY_RESERVE = 1.5
-"""Margin to singularities relative to the least one."""
-OWN_GAP = 0.0
-"""Gap between the spheres of the robot's parts, which are larger than these [m]."""
+SAME_TILT = 0.1  #: Change of the tool's tilt up to which postures are taken over [rad]
+SHEET_END = 0.3  #: Distance that joints keep from half a revolution away from their start [rad]
+LIMIT_RESERVE = 0.1  #: Distance that joints keep from their limits [rad]
+SINGULARITY_RESERVE = 1.5  #: Margin to singularities relative to the least one
+OWN_GAP = 0.0  #: Gap between the spheres of the robot's parts, which are larger than these [m]
 
 
 @dataclass(frozen=True)
 class _Postures:
-    """Points of the grid from which the arm reaches the tool, in the tool's upright frame.
+    """Points of the grid from which the arm reaches the tool, in the tool's upright frame."""
 
-    Attributes:
-        cell: Their numbers (n,) on the grid.
-        pose: Poses (n, 3) of base_link.
-        placed: Spheres (n, S) in that frame.
-        cost: Costs (n,) of the arm's shape.
-    """
-
-    cell: Indices
-    pose: Array
-    placed: PlacedSpheres
-    cost: Array
+    cell: Indices  #: Their numbers (n,) on the grid
+    pose: Array  #: Poses (n, 3) of base_link
+    placed: PlacedSpheres  #: Spheres (n, S) in that frame
+    cost: Array  #: Costs (n,) of the arm's shape
 
 
 class WaySearch:
     """Finds ways of the platform.
 
     Args:
-        redundancy: Kinematics on the path of the tool.
-        path: This path.
         gaps: Shape of the robot, with few spheres.
-        resolver: Margins to singularities.
         limits: Limits of the joints, the last six axes.
-        least_margin: Least margin to singularities.
-        options: Options.
     """
 
     def __init__(
@@ -101,7 +83,6 @@ class WaySearch:
         """Find a way from coordinates (4,) to the end of the path.
 
         Args:
-            start: Redundancy coordinates of the start.
             around: What is around the robot, of which that counts which stands.
 
         Raises:
@@ -140,10 +121,8 @@ class WaySearch:
         """Return the costs (n,) of all points of the grid at a place of the path.
 
         Args:
-            grid: The grid.
             place: Parameter of the path [m].
             upright: x, y and psi (3,) of the tool there.
-            standing: What stands.
             reached: Which points (n,) can be reached from the layer before.
 
         Returns:

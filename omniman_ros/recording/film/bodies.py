@@ -17,16 +17,14 @@ from omniman_ros.viewer.floor_shapes import disc, dome, marker
 from omniman_ros.viewer.meshes import Mesh, revolved
 from omniman_ros.viewer.style import Colour
 
-PERSON_HEIGHT = 1.2
-"""Height from which a round body is drawn as a person [m]."""
+PERSON_HEIGHT = 1.2  #: Height from which a round body is drawn as a person [m]
+#: Colour of persons
 PERSON = style.rgb("#f0a252")
-"""Colour of persons."""
+#: Colour of other round bodies
 POST = style.rgb("#f0a252")
-"""Colour of other round bodies."""
+#: Colour of boxes
 BOX = style.rgb("#b8c0c8")
-"""Colour of boxes."""
-COLUMN_RADIUS = 0.09
-"""Radius of the column below an arm that is mounted above the deck [m]."""
+COLUMN_RADIUS = 0.09  #: Radius of the column below an arm that is mounted above the deck [m]
 PERSON_PROFILE = (
     (0.0, 0.75),
     (0.02, 0.82),
@@ -40,25 +38,18 @@ PERSON_PROFILE = (
     (0.91, 0.55),
     (0.96, 0.45),
     (1.0, 0.06),
-)
-"""Outline of a person: heights over the height, radii over the radius."""
-PERSON_SIDES = 28
-"""Number of corners of a person's cross-section."""
+)  #: Outline of a person: heights over the height, radii over the radius
+PERSON_SIDES = 28  #: Number of corners of a person's cross-section
+#: Rotation that turns x upwards
 _TO_Z = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
-"""Rotation that turns x upwards."""
 
 
 @dataclass(frozen=True)
 class Triangles:
-    """Triangles of one colour each.
+    """Triangles of one colour each."""
 
-    Attributes:
-        corners: (t, 3, 3) corners, counter-clockwise as seen from outside [m].
-        colours: (t, 3) red, green and blue, 0 to 255.
-    """
-
-    corners: Array
-    colours: Array
+    corners: Array  #: (t, 3, 3) corners, counter-clockwise as seen from outside [m]
+    colours: Array  #: (t, 3) red, green and blue, 0 to 255
 
     @staticmethod
     def of_mesh(mesh: Mesh, colour: Colour) -> "Triangles":
@@ -84,7 +75,6 @@ class RobotBody:
     """The robot as triangles.
 
     Args:
-        robot: The robot's geometry.
         mount: Mount of the arm; None if the robot has no arm.
     """
 
@@ -154,7 +144,6 @@ def ribbon(points: Array, width: float, colour: Colour) -> Triangles:
     Args:
         points: (k, 3) points [m].
         width: Width [m].
-        colour: Colour of the line.
     """
     start, end = points[:-1], points[1:]
     way = end - start

@@ -7,39 +7,26 @@ import numpy as np
 
 from omniman_ros.core.arrays import Array
 
-NEAREST = 0.2
-"""Distance along the view in front of which nothing is drawn [m]."""
-FIELD_OF_VIEW = math.radians(36.0)
-"""Angle that the width of the image spans [rad]."""
-ELEVATION = math.radians(38.0)
-"""Angle by which the camera looks down [rad]."""
-LEAST_DISTANCE = 4.5
-"""Least distance of the camera from the point it looks at [m]."""
+NEAREST = 0.2  #: Distance along the view in front of which nothing is drawn [m]
+FIELD_OF_VIEW = math.radians(36.0)  #: Angle that the width of the image spans [rad]
+ELEVATION = math.radians(38.0)  #: Angle by which the camera looks down [rad]
+LEAST_DISTANCE = 4.5  #: Least distance of the camera from the point it looks at [m]
+#: Distance at which the search for the least distance that shows all points begins [m]
 _FARTHEST = 200.0
-"""Distance at which the search for the least distance that shows all points begins [m]."""
-_HALVINGS = 30
-"""Number of halvings of that search."""
+_HALVINGS = 30  #: Number of halvings of that search
+#: Angle between the direction across the drive and the view, seen from above [rad]
 OBLIQUENESS = math.radians(-22.0)
-"""Angle between the direction across the drive and the view, seen from above [rad]."""
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera without roll.
+    """A pinhole camera without roll."""
 
-    Attributes:
-        target: (3,) point in the middle of the image [m].
-        azimuth: Direction of the view in the plane, from x [rad].
-        elevation: Angle by which the camera looks down [rad].
-        distance: Distance from the target [m].
-        size: Width and height of the image [px].
-    """
-
-    target: Array
-    azimuth: float
-    elevation: float
-    distance: float
-    size: tuple[int, int]
+    target: Array  #: (3,) point in the middle of the image [m]
+    azimuth: float  #: Direction of the view in the plane, from x [rad]
+    elevation: float  #: Angle by which the camera looks down [rad]
+    distance: float  #: Distance from the target [m]
+    size: tuple[int, int]  #: Width and height of the image [px]
 
     @property
     def axes(self) -> Array:

@@ -11,12 +11,10 @@ from typing import Any
 
 from omniman_ros.core.errors import InputError
 
+#: Qualities of the compression that are tried, the best one first
 QUALITIES = (80, 70, 60, 50, 40, 30, 20, 10)
-"""Qualities of the compression that are tried, the best one first."""
-EFFORT = 4
-"""Effort of the compression, 0 to 6: more takes longer and saves space."""
-LAST_FRAME = 1.5
-"""Time for which the last frame is shown before the film begins again [s]."""
+EFFORT = 4  #: Effort of the compression, 0 to 6: more takes longer and saves space
+LAST_FRAME = 1.5  #: Time for which the last frame is shown before the film begins again [s]
 
 
 def write_film(
@@ -31,7 +29,6 @@ def write_film(
     Args:
         frames: Images of Pillow, all of one size.
         rate: Frames per second.
-        path: File to write.
         most_bytes: Largest size of the file [bytes].
         report: Called with each quality that was tried and the size [bytes].
 

@@ -28,50 +28,33 @@ from omniman_ros.recording.film.picture import (
 from omniman_ros.recording.film.shots import FAULT, STOP, TITLES, TOOL, Shot
 from omniman_ros.viewer import style
 
-AROUND = 0.8
-"""Distance around the robot's positions that a camera shows [m]."""
-HEIGHT = 1.5
-"""Height above the robot's positions that a camera shows [m]."""
-SCAN_AGE = 0.4
-"""Age up to which a scan is drawn [s]."""
-SCAN_RANGE = 8.0
-"""Distance up to which points of a scan are drawn [m]."""
-PLAN_AGE = 0.6
-"""Age up to which a plan is drawn [s]."""
-TRAIL = 12.0
-"""Length of the trail behind the robot [s]."""
-MAP_PERIOD = 2.0
-"""Time for which a map is drawn until the next one is [s]."""
-TOOL_PATH_WIDTH = 0.022
-"""Width of a path of the tool [m]."""
+AROUND = 0.8  #: Distance around the robot's positions that a camera shows [m]
+HEIGHT = 1.5  #: Height above the robot's positions that a camera shows [m]
+SCAN_AGE = 0.4  #: Age up to which a scan is drawn [s]
+SCAN_RANGE = 8.0  #: Distance up to which points of a scan are drawn [m]
+PLAN_AGE = 0.6  #: Age up to which a plan is drawn [s]
+TRAIL = 12.0  #: Length of the trail behind the robot [s]
+MAP_PERIOD = 2.0  #: Time for which a map is drawn until the next one is [s]
+TOOL_PATH_WIDTH = 0.022  #: Width of a path of the tool [m]
+#: Angles of the points of the outline of an obstacle [rad]
 CIRCLE = np.linspace(0.0, 2.0 * np.pi, 33)
-"""Angles of the points of the outline of an obstacle [rad]."""
+#: Distance of the outline of an obstacle that the robot knows from the obstacle [m]
 OBSTACLE_MARGIN = 0.06
-"""Distance of the outline of an obstacle that the robot knows from the obstacle [m]."""
 
 
 @dataclass(frozen=True)
 class FilmFormat:
-    """Format of a film.
+    """Format of a film."""
 
-    Attributes:
-        size: Width and height [px].
-        rate: Frames per second.
-    """
-
-    size: tuple[int, int] = (800, 450)
-    rate: float = 12.0
+    size: tuple[int, int] = (800, 450)  #: Width and height [px]
+    rate: float = 12.0  #: Frames per second
 
 
 class Film:
     """Draws the frames of a film.
 
     Args:
-        log: What was recorded.
-        shots: Cut of the film.
-        robot: The robot's geometry.
         mount: Mount of the arm; None if the robot has no arm.
-        form: Format of the film.
     """
 
     def __init__(
@@ -239,8 +222,7 @@ class Film:
         return Caption(title, subtitle, corner, alarm, share)
 
 
-_DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))
-"""Directions around a position."""
+_DIRECTIONS = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))  #: Directions around a position
 
 
 def _outline(solid: Solid) -> Array:

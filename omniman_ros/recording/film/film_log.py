@@ -32,16 +32,13 @@ TOPIC_TYPES = {
     "ground_truth/obstacles": "visualization_msgs/msg/MarkerArray",
     "stop_state": "diagnostic_msgs/msg/DiagnosticStatus",
     "wheel_health": "diagnostic_msgs/msg/DiagnosticStatus",
-}
-"""Types of the topics that are read."""
+}  #: Types of the topics that are read
 CUBE, SPHERE, CYLINDER = 1, 2, 3
 """Types of markers that are drawn."""
 ADD, DELETE = 0, 2
 """Actions of markers; any other one deletes all markers of a namespace."""
-WITHOUT_TORQUE = ("dead", IDLE)
-"""States in `wheel_health` of a wheel whose motor gives no torque."""
-STOPPED = 2
-"""Level of `stop_state` from which a node is stopped."""
+WITHOUT_TORQUE = ("dead", IDLE)  #: States in `wheel_health` of a wheel whose motor gives no torque
+STOPPED = 2  #: Level of `stop_state` from which a node is stopped
 
 
 T = TypeVar("T")
@@ -49,19 +46,12 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Solid:
-    """An upright body.
+    """An upright body."""
 
-    Attributes:
-        is_round: Whether it is an elliptic cylinder; else it is a box.
-        place: x, y [m] and direction [rad] of its middle.
-        size: Lengths along its own x and y [m].
-        heights: Heights of its lower and upper end [m].
-    """
-
-    is_round: bool
-    place: tuple[float, float, float]
-    size: tuple[float, float]
-    heights: tuple[float, float]
+    is_round: bool  #: Whether it is an elliptic cylinder; else it is a box
+    place: tuple[float, float, float]  #: x, y [m] and direction [rad] of its middle
+    size: tuple[float, float]  #: Lengths along its own x and y [m]
+    heights: tuple[float, float]  #: Heights of its lower and upper end [m]
 
 
 class Series(Generic[T]):
@@ -99,31 +89,29 @@ class FilmLog:
     """What a film shows; times are ROS time [s], coordinates in `odom` unless stated otherwise.
 
     Attributes:
-        robot: Tables of the robot.
-        wheels: (k, 1 + n) time and angle of each wheel [rad], in the order of `robot.wheel_names`.
         paths, plans: Positions (n, 2) of each path that was sent, and of each plan [m].
-        tool_paths: Positions (n, 3) of each path of the tool that was sent [m].
-        trajectories: Each joint trajectory that was sent.
-        maps: Maps.
-        scans: Points (n, 2) that the beams of each scan met, in base_link [m]; the scanner is
-            taken to be where `simulated_world` mounts it by default.
-        obstacles: Obstacles that are known to the robot.
-        world: Bodies where the simulation has them, in its own frame.
-        stops: By the name of a node, why it is stopped; empty while it is not.
-        dead_wheels: Names of the wheels without torque.
     """
 
-    robot: RobotLog
+    robot: RobotLog  #: Tables of the robot
+    #: (k, 1 + n) time and angle of each wheel [rad], in the order of `robot.wheel_names`
     wheels: Array = field(default_factory=lambda: np.zeros((0, 1)))
     paths: Series[Array] = field(default_factory=Series)
+    #: Positions (n, 3) of each path of the tool that was sent [m]
     tool_paths: Series[Array] = field(default_factory=Series)
+    #: Each joint trajectory that was sent
     trajectories: Series[None] = field(default_factory=Series)
     plans: Series[Array] = field(default_factory=Series)
     maps: Series[OccupancyMap] = field(default_factory=Series)
+    #: Points (n, 2) that the beams of each scan met, in base_link [m]; the scanner is taken to be
+    #: where `simulated_world` mounts it by default.
     scans: Series[Array] = field(default_factory=Series)
+    #: Obstacles that are known to the robot
     obstacles: Series[tuple[Solid, ...]] = field(default_factory=Series)
+    #: Bodies where the simulation has them, in its own frame
     world: Series[tuple[Solid, ...]] = field(default_factory=Series)
+    #: By the name of a node, why it is stopped; empty while it is not
     stops: dict[str, Series[str]] = field(default_factory=dict)
+    #: Names of the wheels without torque
     dead_wheels: Series[tuple[str, ...]] = field(default_factory=Series)
 
     def stop_reason(self, time: float) -> str:
@@ -141,10 +129,6 @@ class FilmLog:
 
 def read_film_log(bag: BagReader, namespace: str = "") -> FilmLog:
     """Read what a film shows of one robot; messages that cannot be shown are left out.
-
-    Args:
-        bag: Reader of the open recording.
-        namespace: Namespace of the robot.
 
     Raises:
         InputError: The recording is damaged, or contains no data of a robot.
@@ -175,9 +159,6 @@ def read_film_log(bag: BagReader, namespace: str = "") -> FilmLog:
 
 class _Collector:
     """Collects messages into a log.
-
-    Args:
-        log: The log.
 
     Attributes:
         handlers: Handler of each topic, called with the ROS time of arrival [s] and a message.
@@ -277,5 +258,4 @@ def _positions(message: Any) -> Array:
 
 
 def _seconds(stamp: Any) -> float:
-    """Return a stamp or a duration in seconds."""
     return float(stamp.sec) + 1e-9 * float(stamp.nanosec)

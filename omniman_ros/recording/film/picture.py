@@ -18,50 +18,36 @@ from omniman_ros.recording.film.camera import NEAREST, Camera
 from omniman_ros.recording.film.rasterizer import Rasterizer
 from omniman_ros.viewer.style import Colour, rgb
 
-SAMPLES = 2
-"""Pixels along each side that are drawn for one of the film."""
+SAMPLES = 2  #: Pixels along each side that are drawn for one of the film
 FLOOR = rgb("#f6f7f9")
 GRID = rgb("#e3e7eb")
-SHADOW = 0.72
-"""Share of the light that reaches the floor in a shadow."""
-SHADOW_BLUR = 2.0
-"""Radius of the blur of a shadow's edge [drawn px]."""
+SHADOW = 0.72  #: Share of the light that reaches the floor in a shadow
+SHADOW_BLUR = 2.0  #: Radius of the blur of a shadow's edge [drawn px]
+#: Direction towards the light, in `odom`
 LIGHT = np.array([0.25, 0.45, 0.86]) / math.hypot(0.25, 0.45, 0.86)
-"""Direction towards the light, in `odom`."""
 AMBIENT, DIFFUSE = 0.58, 0.52
 """Shares of light from all around, and from the light's direction."""
+#: Colour of dots
 DOT = rgb("#e03131")
-"""Colour of dots."""
-DOT_RADIUS = 1.3
-"""Radius of dots [px of the film]."""
+DOT_RADIUS = 1.3  #: Radius of dots [px of the film]
+#: Colour of occupied cells of a map, opaque; others are transparent
 OCCUPIED = (*rgb("#8a94a0"), 255)
-"""Colour of occupied cells of a map, opaque; others are transparent."""
-OCCUPANCY = 50
-"""Occupancy from which a cell is drawn [%]."""
-OPACITY = 0.62
-"""Opacity of the bodies around the robot, through which it is seen."""
-PANEL = 0.78
-"""Opacity of the panel behind the title."""
-GRID_CELL = 1.0
-"""Distance of the lines of the floor's grid [m]."""
+OCCUPANCY = 50  #: Occupancy from which a cell is drawn [%]
+OPACITY = 0.62  #: Opacity of the bodies around the robot, through which it is seen
+PANEL = 0.78  #: Opacity of the panel behind the title
+GRID_CELL = 1.0  #: Distance of the lines of the floor's grid [m]
+#: Number of lines of the grid on either side of the point that the camera looks at
 GRID_EXTENT = 30
-"""Number of lines of the grid on either side of the point that the camera looks at."""
 INK, QUIET = rgb("#1f2933"), rgb("#5f6b7a")
 
 
 @dataclass(frozen=True)
 class FloorLine:
-    """A line on the floor.
+    """A line on the floor."""
 
-    Attributes:
-        points: (k, 2) points in `odom` [m].
-        colour: Colour of the line.
-        width: Width [px of the film].
-    """
-
-    points: Array
-    colour: Colour
-    width: float
+    points: Array  #: (k, 2) points in `odom` [m]
+    colour: Colour  #: Colour of the line
+    width: float  #: Width [px of the film]
 
 
 @dataclass(frozen=True)
@@ -70,23 +56,19 @@ class Caption:
 
     Attributes:
         title, subtitle: Texts at the upper left.
-        corner: Text at the upper right.
-        alarm: Text of a banner, which is empty if there is none.
-        share: Share of the film that has been shown, 0 to 1.
     """
 
     title: str
     subtitle: str
-    corner: str
-    alarm: str = ""
-    share: float = 0.0
+    corner: str  #: Text at the upper right
+    alarm: str = ""  #: Text of a banner, which is empty if there is none
+    share: float = 0.0  #: Share of the film that has been shown, 0 to 1
 
 
 def floor_picture(camera: Camera, occupancy: OccupancyMap | None) -> Any:
     """Return the floor with its grid and a map, as an image of Pillow.
 
     Args:
-        camera: Camera of the film.
         occupancy: The map; None to leave it out.
     """
     camera = _drawn(camera)
@@ -117,7 +99,6 @@ def drawn_frame(
     """Return a frame without captions, as an image of Pillow.
 
     Args:
-        camera: Camera of the film.
         floor: Image of `floor_picture`, which is not changed.
         lines: Lines on the floor, from the lowest to the topmost.
         dots: (k, 3) points in `odom` that are drawn as dots [m].

@@ -9,13 +9,11 @@ from numpy.typing import NDArray
 
 from omniman_ros.core.arrays import Array
 
+#: Largest number of pixels of spans that are compared at once; it bounds the memory
 PIXELS = 4_000_000
-"""Largest number of pixels of spans that are compared at once; it bounds the memory."""
-_MIN_AREA = 1e-9
-"""Smallest doubled area of a triangle that is drawn [px^2]."""
+_MIN_AREA = 1e-9  #: Smallest doubled area of a triangle that is drawn [px^2]
 
-Image = NDArray[np.uint8]
-"""Image (rows, columns, 3): red, green and blue, 0 to 255."""
+Image = NDArray[np.uint8]  #: Image (rows, columns, 3): red, green and blue, 0 to 255
 
 
 class Rasterizer:

@@ -10,14 +10,10 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.recording.film.film_log import FilmLog
 
-STOP = "stop"
-"""Source while the robot is stopped."""
-NO_SOURCE = ("none", "")
-"""Sources while nothing drives."""
-TOOL = "tool"
-"""Kind of a part in which `path` follows a path of the tool."""
-FAULT = "fault"
-"""Kind of a part in which a wheel is without torque."""
+STOP = "stop"  #: Source while the robot is stopped
+NO_SOURCE = ("none", "")  #: Sources while nothing drives
+TOOL = "tool"  #: Kind of a part in which `path` follows a path of the tool
+FAULT = "fault"  #: Kind of a part in which a wheel is without torque
 TITLES = {
     "cmd_vel": ("Teleoperation", "twists, in any direction"),
     "path": ("A path", "platform and arm in step"),
@@ -27,20 +23,14 @@ TITLES = {
     "station": ("Beside another robot", "keeps its station"),
     FAULT: ("A wheel without torque", "noticed; the path goes on with the others"),
     STOP: ("Stop", "platform and arm come to rest"),
-}
-"""Title and subtitle by the kind of a part."""
-LEAST_LENGTH = 1.0
-"""Length from which a part is shown [s]."""
-LONGEST_REST = 0.8
-"""Longest time between two parts that are shown as one [s]."""
+}  #: Title and subtitle by the kind of a part
+LEAST_LENGTH = 1.0  #: Length from which a part is shown [s]
+LONGEST_REST = 0.8  #: Longest time between two parts that are shown as one [s]
+#: Time for which a shot is seen at least, if it is not slowed down for that [s]
 LEAST_ON_SCREEN = 2.0
-"""Time for which a shot is seen at least, if it is not slowed down for that [s]."""
-STOP_SHOWN = 1.8
-"""Time for which a stop is shown [s]."""
-RUN_UP = 2.0
-"""Longest part of the drive before a stop that is shown with it [s]."""
-_HALVINGS = 40
-"""Number of halvings of the search for the common speed."""
+STOP_SHOWN = 1.8  #: Time for which a stop is shown [s]
+RUN_UP = 2.0  #: Longest part of the drive before a stop that is shown with it [s]
+_HALVINGS = 40  #: Number of halvings of the search for the common speed
 
 
 @dataclass(frozen=True)
@@ -48,15 +38,13 @@ class Shot:
     """A part of the drive that is shown.
 
     Attributes:
-        kind: One of `TITLES`.
         start, end: ROS times [s].
-        speed: How many times faster than ROS time it is shown.
     """
 
-    kind: str
+    kind: str  #: One of `TITLES`
     start: float
     end: float
-    speed: float = 1.0
+    speed: float = 1.0  #: How many times faster than ROS time it is shown
 
     @property
     def length(self) -> float:
@@ -85,7 +73,6 @@ def cut(log: FilmLog, duration: float) -> list[Shot]:
     shots have the same speed, except short ones, which are slower.
 
     Args:
-        log: What was recorded.
         duration: Length of the film [s]; a drive that is shorter is shown at its own speed.
 
     Raises:

@@ -11,8 +11,7 @@ from omniman_ros.simulation.arm_link.frames import (
 )
 from omniman_ros.simulation.link_connection import LOOPBACK, LinkConnection, LinkError
 
-CONNECT_TIMEOUT = 0.02
-"""Longest time for connecting [s], during which the caller is blocked."""
+CONNECT_TIMEOUT = 0.02  #: Longest time for connecting [s], during which the caller is blocked
 
 
 class ArmLinkClient:

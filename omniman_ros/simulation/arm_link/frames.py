@@ -17,66 +17,46 @@ from dataclasses import dataclass
 
 from omniman_ros.core.errors import InputError
 
-JOINTS = 6
-"""Number of joints."""
-MAGIC = b"OAL1"
-"""First bytes of each frame."""
-MAX_VALUE = 1e4
-"""Magnitude above which no angle, speed or torque is meant [rad, rad/s, N m]."""
-MAX_SEQUENCE = 2**32 - 1
-"""Largest sequence number; at 125 Hz, it is reached after a year."""
+JOINTS = 6  #: Number of joints
+MAGIC = b"OAL1"  #: First bytes of each frame
+MAX_VALUE = 1e4  #: Magnitude above which no angle, speed or torque is meant [rad, rad/s, N m]
+MAX_SEQUENCE = 2**32 - 1  #: Largest sequence number; at 125 Hz, it is reached after a year
 
 _HEADER = struct.Struct(">4sBBHI")
 _SETPOINT = struct.Struct(">13d")
 _STATE = struct.Struct(">18d")
 _SETPOINT_KIND, _STATE_KIND = 1, 2
 _BEGINS_ANEW, _BRAKED = 1, 2
-SETPOINT_SIZE = _HEADER.size + _SETPOINT.size
-"""Length of the frame of a setpoint [bytes]."""
-STATE_SIZE = _HEADER.size + _STATE.size
-"""Length of the frame of a state [bytes]."""
+SETPOINT_SIZE = _HEADER.size + _SETPOINT.size  #: Length of the frame of a setpoint [bytes]
+STATE_SIZE = _HEADER.size + _STATE.size  #: Length of the frame of a state [bytes]
 
-Joints = tuple[float, ...]
-"""A value per joint, (6,)."""
+Joints = tuple[float, ...]  #: A value per joint, (6,)
 
 
 @dataclass(frozen=True)
 class ArmSetpoint:
-    """Where the joints shall be, and how fast.
+    """Where the joints shall be, and how fast."""
 
-    Attributes:
-        sequence: Number of the setpoint, which the state that answers it has as well.
-        due: Instant at which the joints shall be there, on the clock that both sides share [s].
-        positions: Angles (6,) [rad].
-        velocities: Speeds (6,) [rad/s].
-        begins_anew: Whether the way to the setpoint is one of constant speeds that begins
-            elsewhere than the last one has ended; else it continues that one smoothly.
-        braked: Whether the brakes hold the joints until then, and the motors give no torque.
-    """
-
-    sequence: int
+    sequence: int  #: Number of the setpoint, which the state that answers it has as well
+    #: Instant at which the joints shall be there, on the clock that both sides share [s]
     due: float
-    positions: Joints
-    velocities: Joints
+    positions: Joints  #: Angles (6,) [rad]
+    velocities: Joints  #: Speeds (6,) [rad/s]
+    #: Whether the way to the setpoint is one of constant speeds that begins elsewhere than the
+    #: last one has ended; else it continues that one smoothly.
     begins_anew: bool = False
+    #: Whether the brakes hold the joints until then, and the motors give no torque
     braked: bool = False
 
 
 @dataclass(frozen=True)
 class ArmState:
-    """What the joints measure.
+    """What the joints measure."""
 
-    Attributes:
-        sequence: Number of the setpoint that was due at this instant; 0 before the first one.
-        positions: Angles (6,) [rad].
-        velocities: Speeds (6,) [rad/s].
-        torques: Mean torques of the drives since the last state (6,) [N m].
-    """
-
-    sequence: int
-    positions: Joints
-    velocities: Joints
-    torques: Joints
+    sequence: int  #: Number of the setpoint that was due at this instant; 0 before the first one
+    positions: Joints  #: Angles (6,) [rad]
+    velocities: Joints  #: Speeds (6,) [rad/s]
+    torques: Joints  #: Mean torques of the drives since the last state (6,) [N m]
 
 
 def encode_setpoint(setpoint: ArmSetpoint) -> bytes:

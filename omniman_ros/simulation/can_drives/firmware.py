@@ -8,8 +8,7 @@ import can
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.simulation.can_drives.motor import DriveFaults, Motor
 
-ROUNDING = 1e-6
-"""Fraction of a period by which a rounded time may lie before its grid point."""
+ROUNDING = 1e-6  #: Fraction of a period by which a rounded time may lie before its grid point
 
 
 class Timer:
@@ -47,12 +46,7 @@ class ReportFaults:
         self._delayed: dict[int, can.Message] = {}
 
     def apply(self, message: can.Message, faults: DriveFaults) -> list[can.Message]:
-        """Return the messages to send now in place of a report that is due.
-
-        Args:
-            message: The report.
-            faults: The faults to apply.
-        """
+        """Return the messages to send now in place of a report that is due."""
         delayed = self._delayed.pop(message.arbitration_id, None)
         messages = [message]
         if faults.reordered_reports:
@@ -78,12 +72,6 @@ def _without_last_byte(message: can.Message) -> can.Message:
 def require_above(name: str, value: float, low: float = 0.0, inclusive: bool = True) -> None:
     """Check that a parameter is finite and not below a lower limit.
 
-    Args:
-        name: Name of the parameter.
-        value: Value of the parameter.
-        low: Lower limit.
-        inclusive: Whether the limit itself is allowed.
-
     Raises:
         ParameterError: The value is not finite, or below the limit, or at it unless `inclusive`.
     """
@@ -98,7 +86,6 @@ class Firmware(ABC):
     and the encoder with its faults.
 
     Args:
-        motor: Motor of the drive.
         boot_time: Time after a restart in which no frame is received or sent [s].
 
     Attributes:

@@ -56,41 +56,26 @@ class Motor(Protocol):
 
 @dataclass(frozen=True)
 class DriveFaults:
-    """Simulated faults of one drive; a protocol ignores faults that it cannot have.
+    """Simulated faults of one drive; a protocol ignores faults that it cannot have."""
 
-    Attributes:
-        silent: The drive sends nothing, but still receives commands.
-        deaf: The drive receives nothing.
-        frozen_reports: Position and velocity reports stop, but the heartbeat continues.
-        frozen_encoder: Reports continue with an unchanging position and velocity.
-        no_heartbeat: The heartbeat stops, but reports continue.
-        fault: The drive has an error: it stops and reports it, until this fault ends and the host
-            resets the drive.
-        refuse_enable: The drive does not switch the motor on.
-        wrong_mode: The drive reports another mode than the one that was set.
-        stuck_status: The status no longer changes.
-        configuration_refused: Each write of the configuration is answered with an error.
-        configuration_unanswered: Reads and writes of the configuration are not answered.
-        short_reports: Reports lack their last byte.
-        duplicated_reports: Each report is sent twice.
-        reordered_reports: Of each pair of reports, the later one is sent first.
-        supply: Supply voltage [V]; 0 selects that of the motor.
-        reboots: Number of requested restarts: the drive restarts whenever it increases.
-    """
-
-    silent: bool = False
-    deaf: bool = False
+    silent: bool = False  #: The drive sends nothing, but still receives commands
+    deaf: bool = False  #: The drive receives nothing
+    #: Position and velocity reports stop, but the heartbeat continues
     frozen_reports: bool = False
-    frozen_encoder: bool = False
-    no_heartbeat: bool = False
+    frozen_encoder: bool = False  #: Reports continue with an unchanging position and velocity
+    no_heartbeat: bool = False  #: The heartbeat stops, but reports continue
+    #: The drive has an error: it stops and reports it, until this fault ends and the host resets
+    #: the drive.
     fault: bool = False
-    refuse_enable: bool = False
-    wrong_mode: bool = False
-    stuck_status: bool = False
+    refuse_enable: bool = False  #: The drive does not switch the motor on
+    wrong_mode: bool = False  #: The drive reports another mode than the one that was set
+    stuck_status: bool = False  #: The status no longer changes
+    #: Each write of the configuration is answered with an error
     configuration_refused: bool = False
+    #: Reads and writes of the configuration are not answered
     configuration_unanswered: bool = False
-    short_reports: bool = False
-    duplicated_reports: bool = False
-    reordered_reports: bool = False
-    supply: float = 0.0
-    reboots: int = 0
+    short_reports: bool = False  #: Reports lack their last byte
+    duplicated_reports: bool = False  #: Each report is sent twice
+    reordered_reports: bool = False  #: Of each pair of reports, the later one is sent first
+    supply: float = 0.0  #: Supply voltage [V]; 0 selects that of the motor
+    reboots: int = 0  #: Number of requested restarts: the drive restarts whenever it increases

@@ -17,30 +17,23 @@ from omniman_ros.simulation.can_drives.shaft import MotorShaft
 from omniman_ros.simulation.plant.driven_wheels import DrivenWheels
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 
-PERIOD = 1e-3
-"""Time between two runs of the drives' firmware [s]."""
+PERIOD = 1e-3  #: Time between two runs of the drives' firmware [s]
+#: Longest time between two calls that is simulated [s]; by then everything is at rest
 MAX_GAP = 5.0
-"""Longest time between two calls that is simulated [s]; by then everything is at rest."""
-REST_SPEED = 0.05
-"""Speed below which a wheel counts as at rest [rad/s]."""
-RAMP_END_SPEED = 0.2
-"""Wheel speed at which a drive considers its ramp to rest complete [rad/s]."""
+REST_SPEED = 0.05  #: Speed below which a wheel counts as at rest [rad/s]
+RAMP_END_SPEED = 0.2  #: Wheel speed at which a drive considers its ramp to rest complete [rad/s]
+#: Ratio of the supply voltage below which a drive has an error to the motor's largest voltage
 UNDERVOLTAGE = 0.5
-"""Ratio of the supply voltage below which a drive has an error to the motor's largest voltage."""
-ECHO_TIMEOUT = 0.5
-"""Longest time after which the echo of a frame arrives [s]."""
+ECHO_TIMEOUT = 0.5  #: Longest time after which the echo of a frame arrives [s]
 
 
 class BusDrive(Protocol):
     """Firmware of one drive, which receives and sends frames and controls a motor.
 
     Times are arguments [s]. A new drive switches its motor's power off.
-
-    Attributes:
-        faults: Faults to simulate; the caller may change them at any time.
     """
 
-    faults: DriveFaults
+    faults: DriveFaults  #: Faults to simulate; the caller may change them at any time
 
     def receive(self, message: can.Message, now: float) -> list[can.Message]:
         """Process a frame from the bus, of any sender and kind; return the answers."""
@@ -54,23 +47,14 @@ class BusDrive(Protocol):
 
 @dataclass(frozen=True)
 class DriveSetup:
-    """Data from which a drive is created.
+    """Data from which a drive is created."""
 
-    Attributes:
-        motor: Motor of the drive.
-        node: Id of the drive.
-        robot: The robot.
-        simulation: Parameters of the plant and of the drives' loops.
-        can: The installation.
-        number: Number of the wheel.
-    """
-
-    motor: MotorShaft
-    node: int
+    motor: MotorShaft  #: Motor of the drive
+    node: int  #: Id of the drive
     robot: Robot
-    simulation: SimulationParameters
-    can: CanParameters
-    number: int
+    simulation: SimulationParameters  #: Parameters of the plant and of the drives' loops
+    can: CanParameters  #: The installation
+    number: int  #: Number of the wheel
 
 
 def _cia402(setup: DriveSetup) -> BusDrive:
@@ -129,8 +113,7 @@ PROTOCOLS: dict[str, Callable[[DriveSetup], BusDrive]] = {
     "cia402": _cia402,
     "vesc": _vesc,
     "odrive": _odrive,
-}
-"""Factories of drives by value of the parameter `can.protocol`; each imports its own module."""
+}  #: Factories of drives by value of the parameter `can.protocol`; each imports its own module
 
 
 class SimulatedBus:
@@ -139,11 +122,8 @@ class SimulatedBus:
     The drives do not receive each other's frames: none of the protocols needs it.
 
     Args:
-        robot: The robot.
         simulation: Parameters of the plant and of the drives' loops.
-        can: The installation.
         faults: Faults to simulate; None if there are none.
-        seed: Seed of noise and losses.
 
     Attributes:
         drives: Drives by name of the wheel.

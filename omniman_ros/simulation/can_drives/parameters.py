@@ -65,8 +65,7 @@ FAULT_FLAGS = (
     "short_reports",
     "duplicated_reports",
     "reordered_reports",
-)
-"""Names of the faults that are on or off, the same in `CanFaultParameters` and `DriveFaults`."""
+)  #: Names of the faults that are on or off, the same in `CanFaultParameters` and `DriveFaults`
 
 
 def drive_faults(
@@ -78,8 +77,6 @@ def drive_faults(
     """Return the faults of each wheel's drive.
 
     Args:
-        parameters: All faults.
-        names: Names of the wheels.
         previous: Faults until now: a drive restarts if its name is new in `reboot`.
         reboots: Number of restarts of each drive so far; empty if there were none.
 

@@ -14,8 +14,6 @@ class MotorShaft:
     encoder is that of the wheel: its steps are multiplied by the gear ratio.
 
     Args:
-        wheels: The wheels of the plant.
-        wheel: Number of this wheel.
         robot: The robot, for its motor.
         gear_ratio: Revolutions of the motor per revolution of the wheel; 0 selects the robot's.
             The torque constant at the motor is adapted, so that the one at the wheel stays the

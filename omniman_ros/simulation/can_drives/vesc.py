@@ -16,8 +16,7 @@ from omniman_ros.core.errors import ParameterError
 from omniman_ros.simulation.can_drives.firmware import Firmware, Timer, require_above
 from omniman_ros.simulation.can_drives.motor import Motor
 
-REVOLUTION = 2.0 * math.pi
-"""Angle of one revolution [rad]."""
+REVOLUTION = 2.0 * math.pi  #: Angle of one revolution [rad]
 
 
 class Mode(enum.Enum):
@@ -32,19 +31,18 @@ class Mode(enum.Enum):
 
 @dataclass(frozen=True)
 class SimpleCommand:
-    """Layout of a simple command: a big-endian 32-bit integer, which is the value times a scale.
+    """Layout of a simple command: a big-endian 32-bit integer, the value times a scale."""
 
-    Attributes:
-        mode: Mode that the command selects.
-        scale: Units of the frame per duty cycle of 1, A, eRPM or fraction of the largest current.
-        is_relative: Whether the value is a fraction of the largest current.
-    """
-
-    mode: Mode
+    mode: Mode  #: Mode that the command selects
+    #: Units of the frame per duty cycle of 1, A, eRPM or fraction of the largest current
     scale: float
-    is_relative: bool = False
+    is_relative: bool = False  #: Whether the value is a fraction of the largest current
 
 
+#: Simple commands by their number (comm_can.md, Single-Frame Commands).
+#:
+#: The scale of SET_RPM is 1, as in the code and the C example, not 1000 as in the table. Commands
+#: 12 and 13 are the handbrake.
 SIMPLE_COMMANDS = {
     0: SimpleCommand(Mode.DUTY, 1e5),
     1: SimpleCommand(Mode.CURRENT, 1e3),
@@ -55,28 +53,16 @@ SIMPLE_COMMANDS = {
     12: SimpleCommand(Mode.BRAKE, 1e3),
     13: SimpleCommand(Mode.BRAKE, 1e5, is_relative=True),
 }
-"""Simple commands by their number (comm_can.md, Single-Frame Commands).
-
-The scale of SET_RPM is 1, as in the code and the C example, not 1000 as in the table. Commands 12
-and 13 are the handbrake.
-"""
 
 
 @dataclass(frozen=True)
 class StatusLayout:
-    """Layout of a status frame: big-endian integers, each a value times a scale.
+    """Layout of a status frame: big-endian integers, each a value times a scale."""
 
-    Attributes:
-        command: Command number in the identifier.
-        layout: Format of `struct`.
-        values: Name and scale of each value.
-        has_motion: Whether the frame reports position or velocity.
-    """
-
-    command: int
-    layout: str
-    values: tuple[tuple[str, float], ...]
-    has_motion: bool
+    command: int  #: Command number in the identifier
+    layout: str  #: Format of `struct`
+    values: tuple[tuple[str, float], ...]  #: Name and scale of each value
+    has_motion: bool  #: Whether the frame reports position or velocity
 
 
 STATUS_1 = StatusLayout(9, ">ihh", (("erpm", 1.0), ("current", 10.0), ("duty", 1000.0)), True)
@@ -87,20 +73,15 @@ STATUS_5 = StatusLayout(
     27, ">ihh", (("tachometer", 1.0), ("supply", 10.0), ("reserved", 1.0)), True
 )
 
-PING = 17
-"""Command number of a ping."""
-PONG = 18
-"""Command number of the answer to a ping."""
-HARDWARE_VESC = 0
-"""Hardware type in the answer to a ping."""
-BROADCAST_NODE = 255
-"""Node id that addresses all drives."""
-TACHOMETER_STEPS = 6
-"""Steps of the tachometer per electrical revolution."""
+PING = 17  #: Command number of a ping
+PONG = 18  #: Command number of the answer to a ping
+HARDWARE_VESC = 0  #: Hardware type in the answer to a ping
+BROADCAST_NODE = 255  #: Node id that addresses all drives
+TACHOMETER_STEPS = 6  #: Steps of the tachometer per electrical revolution
+#: Temperature of power stage and motor [degrees Celsius]; heating is not modelled
 TEMPERATURE = 25.0
-"""Temperature of power stage and motor [degrees Celsius]; heating is not modelled."""
+#: Largest integer by its format character of `struct`
 INTEGER_LIMITS = {"h": 2**15 - 1, "i": 2**31 - 1}
-"""Largest integer by its format character of `struct`."""
 
 
 def _pack(status: StatusLayout, values: dict[str, float]) -> bytes:
@@ -116,45 +97,33 @@ def _pack(status: StatusLayout, values: dict[str, float]) -> bytes:
 class VescSettings:
     """Commissioning of a VESC.
 
-    Attributes:
-        pole_pairs: Electrical revolutions per revolution of the motor.
-        torque_constant: Torque constant of the motor [N m/A].
-        timeout: Time after the last command at which the motor is braked [s]; 0 disables it. (The
-            firmware has 1 s, or 0.5 s.)
-        timeout_brake_current: Brake current after the timeout [A]. The firmware has 0, which lets
-            the motor coast: an installation must set it.
-        status_1_rate: Rate of status 1 [Hz]; 0 disables it. Rates are set in VESC Tool.
-        status_4_rate: Rate of status 4 [Hz]; 0 disables it.
-        status_5_rate: Rate of status 5 [Hz]; 0 disables it.
-        max_duty: Largest duty cycle, 0 to 1.
-        max_current: Largest current [A].
-        min_current: Current below which the motor is released [A].
-        min_erpm: Smallest speed that is controlled [eRPM]. The firmware has 900: a wheel that must
-            stand still on command needs 0.
-        min_supply: Supply voltage below which there is an error [V].
-        fault_stop_time: Time after the end of an error in which commands are ignored [s].
-        boot_time: Time after a restart in which no frame is received or sent [s].
-        tachometer: Initial count of the tachometer; a restart sets it to 0.
-
     Raises:
         ParameterError: A number is out of range.
     """
 
-    pole_pairs: int
-    torque_constant: float
+    pole_pairs: int  #: Electrical revolutions per revolution of the motor
+    torque_constant: float  #: Torque constant of the motor [N m/A]
+    #: Time after the last command at which the motor is braked [s]; 0 disables it. (The firmware
+    #: has 1 s, or 0.5 s.).
     timeout: float = 0.5
+    #: Brake current after the timeout [A]. The firmware has 0, which lets the motor coast: an
+    #: installation must set it.
     timeout_brake_current: float = 5.0
+    #: Rate of status 1 [Hz]; 0 disables it. Rates are set in VESC Tool.
     status_1_rate: float = 200.0
-    status_4_rate: float = 20.0
-    status_5_rate: float = 200.0
-    max_duty: float = 0.95
-    max_current: float = 60.0
-    min_current: float = 0.05
+    status_4_rate: float = 20.0  #: Rate of status 4 [Hz]; 0 disables it
+    status_5_rate: float = 200.0  #: Rate of status 5 [Hz]; 0 disables it
+    max_duty: float = 0.95  #: Largest duty cycle, 0 to 1
+    max_current: float = 60.0  #: Largest current [A]
+    min_current: float = 0.05  #: Current below which the motor is released [A]
+    #: Smallest speed that is controlled [eRPM]. The firmware has 900: a wheel that must stand
+    #: still on command needs 0.
     min_erpm: float = 0.0
-    min_supply: float = 8.0
+    min_supply: float = 8.0  #: Supply voltage below which there is an error [V]
+    #: Time after the end of an error in which commands are ignored [s]
     fault_stop_time: float = 0.5
-    boot_time: float = 1.0
-    tachometer: int = 0
+    boot_time: float = 1.0  #: Time after a restart in which no frame is received or sent [s]
+    tachometer: int = 0  #: Initial count of the tachometer; a restart sets it to 0
 
     def __post_init__(self) -> None:
         require_above("pole_pairs", self.pole_pairs, 1)
@@ -206,9 +175,7 @@ class VescDrive(Firmware):
     effect. With `refuse_enable` the motor stays released, whatever the command.
 
     Args:
-        motor: Motor of the drive.
         node: Id of the drive, 0 to 254.
-        settings: Commissioning.
 
     Raises:
         ParameterError: The node is not from 0 to 254.

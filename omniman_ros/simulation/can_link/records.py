@@ -19,10 +19,8 @@ from dataclasses import dataclass
 
 from omniman_ros.core.errors import InputError
 
-MAGIC = b"OCL1"
-"""First bytes of each record."""
-MAX_PAYLOAD = 8
-"""Largest payload of a frame [bytes]."""
+MAGIC = b"OCL1"  #: First bytes of each record
+MAX_PAYLOAD = 8  #: Largest payload of a frame [bytes]
 MAX_ID, MAX_EXTENDED_ID = 2**11 - 1, 2**29 - 1
 """Largest arbitration ids of 11 and of 29 bits."""
 
@@ -30,40 +28,27 @@ _HEADER = struct.Struct(">4sBBBxI")
 _INSTANT = struct.Struct(">d")
 _FRAME_KIND, _INSTANT_KIND = 1, 2
 _EXTENDED, _REMOTE = 1, 2
-RECORD_SIZE = _HEADER.size + MAX_PAYLOAD
-"""Length of a record [bytes]."""
+RECORD_SIZE = _HEADER.size + MAX_PAYLOAD  #: Length of a record [bytes]
 
 
 @dataclass(frozen=True)
 class BusFrame:
-    """A frame on the bus.
+    """A frame on the bus."""
 
-    Attributes:
-        id: Arbitration id of 11 bits, or of 29 bits if `extended`.
-        data: Payload of 0 to 8 bytes.
-        extended: Whether the id has 29 bits.
-        remote: Whether this is a remote frame.
-    """
-
-    id: int
-    data: bytes
-    extended: bool = False
-    remote: bool = False
+    id: int  #: Arbitration id of 11 bits, or of 29 bits if `extended`
+    data: bytes  #: Payload of 0 to 8 bytes
+    extended: bool = False  #: Whether the id has 29 bits
+    remote: bool = False  #: Whether this is a remote frame
 
 
 @dataclass(frozen=True)
 class Instant:
-    """How far the sender has come.
+    """How far the sender has come."""
 
-    Attributes:
-        time: Simulated time [s].
-    """
-
-    time: float
+    time: float  #: Simulated time [s]
 
 
-Record = BusFrame | Instant
-"""What a record holds."""
+Record = BusFrame | Instant  #: What a record holds
 
 
 def encode(record: Record) -> bytes:

@@ -46,7 +46,6 @@ def carried_arm(arm: Arm, mount: Mount, posture: Sequence[float]) -> Arm:
 
     Args:
         arm: Mass of the arm, and centre of its tool.
-        mount: Pose of the arm on the platform.
         posture: Joint angles (6,) [rad].
     """
     weight = min(1.0, arm.mass / ARM_MASS)

@@ -15,8 +15,7 @@ from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.robot import Robot, Wheels
 from omniman_ros.simulation.plant.parameters import MismatchParameters, per_wheel
 
-Vector3 = tuple[float, float, float]
-"""Direction (x, y) and lever about the vertical axis [m]."""
+Vector3 = tuple[float, float, float]  #: Direction (x, y) and lever about the vertical axis [m]
 
 
 @dataclass(frozen=True)
@@ -30,33 +29,21 @@ class Direction:
 
     A contact force f along e does the work f * speed, so it loads the chassis with row * f and
     the wheel with the torque -arm * f.
-
-    Attributes:
-        row: Direction e, and its lever about the point whose twist is used [m]; shape (3,).
-        arm: Wheel radius times d . e [m].
     """
 
-    row: Vector3
-    arm: float
+    row: Vector3  #: Direction e, and its lever about the point whose twist is used [m]; shape (3,)
+    arm: float  #: Wheel radius times d . e [m]
 
 
 @dataclass(frozen=True)
 class Mounting:
-    """Mounting of a real wheel.
+    """Mounting of a real wheel."""
 
-    Attributes:
-        x: Contact point in base_link, forward [m].
-        y: Contact point in base_link, to the left [m].
-        heading: Rolling direction in base_link [rad].
-        roller_angle: Angle from the rolling direction to the roller's axis [rad].
-        radius: Wheel radius [m].
-    """
-
-    x: float
-    y: float
-    heading: float
-    roller_angle: float
-    radius: float
+    x: float  #: Contact point in base_link, forward [m]
+    y: float  #: Contact point in base_link, to the left [m]
+    heading: float  #: Rolling direction in base_link [rad]
+    roller_angle: float  #: Angle from the rolling direction to the roller's axis [rad]
+    radius: float  #: Wheel radius [m]
 
 
 def mounted_wheels(wheels: Wheels, mismatch: MismatchParameters) -> list[Mounting]:

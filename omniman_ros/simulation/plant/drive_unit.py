@@ -6,18 +6,18 @@ from dataclasses import dataclass
 from omniman_ros.core.robot import Robot
 from omniman_ros.simulation.plant.parameters import FirmwareParameters
 
+#: Time constant of the velocity that is estimated from the back-EMF [s]
 BACK_EMF_TIME_CONSTANT = 0.01
-"""Time constant of the velocity that is estimated from the back-EMF [s]."""
+#: Time for which that estimate must differ from the encoder's velocity for a fault [s]
 MISMATCH_TIME = 0.1
-"""Time for which that estimate must differ from the encoder's velocity for a fault [s]."""
+#: Fraction of the estimated velocity in the allowed difference, because motors differ
 VELOCITY_TOLERANCE_FRACTION = 0.25
-"""Fraction of the estimated velocity in the allowed difference, because motors differ."""
+#: Fraction of the no-load velocity in the allowed difference, because amplifiers differ
 VOLTAGE_TOLERANCE_FRACTION = 0.1
-"""Fraction of the no-load velocity in the allowed difference, because amplifiers differ."""
+#: Fraction of the largest current below which the motor's circuit counts as open
 OPEN_CIRCUIT_FRACTION = 0.01
-"""Fraction of the largest current below which the motor's circuit counts as open."""
+#: Fraction of the largest current from which on the current counts as limited
 SATURATION_FRACTION = 0.98
-"""Fraction of the largest current from which on the current counts as limited."""
 
 
 class DriveUnitMode(enum.Enum):
@@ -35,23 +35,19 @@ class DriveSettings:
 
     Attributes:
         resistance, inductance: Resistance [ohm] and inductance [H] of the motor.
-        back_emf: Torque constant times gear ratio, K N, at the wheel [V s/rad] or [N m/A].
-        efficiency: Efficiency of the gear.
         max_voltage, max_current: Limits of voltage [V] and current [A].
-        inertia: Inertia of the wheel and of its share of the robot's mass, at the wheel [kg m^2].
-        step: Period of the loops [s].
-        firmware: Parameters of the loops.
     """
 
     resistance: float
     inductance: float
-    back_emf: float
-    efficiency: float
+    back_emf: float  #: Torque constant times gear ratio, K N, at the wheel [V s/rad] or [N m/A]
+    efficiency: float  #: Efficiency of the gear
     max_voltage: float
     max_current: float
+    #: Inertia of the wheel and of its share of the robot's mass, at the wheel [kg m^2]
     inertia: float
-    step: float
-    firmware: FirmwareParameters
+    step: float  #: Period of the loops [s]
+    firmware: FirmwareParameters  #: Parameters of the loops
 
     @property
     def damping(self) -> float:

@@ -16,8 +16,8 @@ from omniman_ros.simulation.plant.energy_ledger import EnergyLedger
 from omniman_ros.simulation.plant.parameters import SimulationParameters, flags
 from omniman_ros.simulation.plant.plant import Plant
 
+#: Longest time between two calls that is integrated [s]; by then everything is at rest
 MAX_GAP = 5.0
-"""Longest time between two calls that is integrated [s]; by then everything is at rest."""
 
 
 class DrivenWheels:
@@ -28,9 +28,6 @@ class DrivenWheels:
     robot's order.
 
     Args:
-        robot: The robot.
-        parameters: Parameters of the simulation.
-        seed: Seed of the sensor noise.
         body: What the drives move, of this robot and with these parameters; None for a
             :class:`Plant`.
 

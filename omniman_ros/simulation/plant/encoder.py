@@ -3,8 +3,7 @@
 import math
 from collections import deque
 
-REVOLUTION = 2.0 * math.pi
-"""Angle of one revolution [rad]."""
+REVOLUTION = 2.0 * math.pi  #: Angle of one revolution [rad]
 
 
 class Encoder:

@@ -5,31 +5,19 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class EnergyLedger:
-    """Energies since the start [J]. No entry is computed as the remainder of the others.
+    """Energies since the start [J]. No entry is computed as the remainder of the others."""
 
-    Attributes:
-        electrical: Work of the amplifiers, the integral of v i.
-        external: Work done on the robot from outside, when it is lifted or its mass is changed in
-            motion.
-        copper: Loss in the windings, the integral of R i^2.
-        gear: Loss in the gears.
-        shaft: Loss by viscous and Coulomb friction at the axles.
-        roller: Loss by the drag of the rotating rollers.
-        slip: Loss by slip along the rollers' axes.
-        kinetic: Change of the kinetic energy of body and wheels.
-        inductive: Change of the energy L i^2 / 2 in the motors.
-        turnover: Integral of the sum of the magnitudes of all powers, the scale of `residual`.
-    """
-
-    electrical: float
+    electrical: float  #: Work of the amplifiers, the integral of v i
+    #: Work done on the robot from outside, when it is lifted or its mass is changed in motion
     external: float
-    copper: float
-    gear: float
-    shaft: float
-    roller: float
-    slip: float
-    kinetic: float
-    inductive: float
+    copper: float  #: Loss in the windings, the integral of R i^2
+    gear: float  #: Loss in the gears
+    shaft: float  #: Loss by viscous and Coulomb friction at the axles
+    roller: float  #: Loss by the drag of the rotating rollers
+    slip: float  #: Loss by slip along the rollers' axes
+    kinetic: float  #: Change of the kinetic energy of body and wheels
+    inductive: float  #: Change of the energy L i^2 / 2 in the motors
+    #: Integral of the sum of the magnitudes of all powers, the scale of `residual`
     turnover: float
 
     @property

@@ -120,7 +120,6 @@ def configure_motors(
 
     Args:
         motors: Gear motors of the wheels, in the robot's order.
-        robot: The robot.
         parameters: Mismatch, faults and substep.
 
     Raises:

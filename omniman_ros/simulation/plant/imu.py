@@ -35,17 +35,11 @@ class ImuSensorParameters:
 
 @dataclass(frozen=True)
 class BaseMotion:
-    """Motion of base_link in one instant.
+    """Motion of base_link in one instant."""
 
-    Attributes:
-        rotation: Rotation (3, 3) of base_link in the world.
-        velocity: Velocity (3,) of its origin, in its own axes [m/s].
-        rate: Angular velocity (3,), in its own axes [rad/s].
-    """
-
-    rotation: Array
-    velocity: Array
-    rate: Array
+    rotation: Array  #: Rotation (3, 3) of base_link in the world
+    velocity: Array  #: Velocity (3,) of its origin, in its own axes [m/s]
+    rate: Array  #: Angular velocity (3,), in its own axes [rad/s]
 
 
 def planar_motion(twist: Array) -> BaseMotion:
@@ -59,9 +53,7 @@ class SimulatedImu:
 
     Args:
         mount: Pose of the sensor in base_link.
-        parameters: Errors and faults.
         gravity: Gravity [m/s^2].
-        seed: Seed of the noise.
     """
 
     def __init__(

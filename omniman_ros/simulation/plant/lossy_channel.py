@@ -4,16 +4,11 @@ import random
 from collections import deque
 from typing import Generic, TypeVar
 
-T = TypeVar("T")
-"""Type of a message."""
+T = TypeVar("T")  #: Type of a message
 
 
 class LossyChannel(Generic[T]):
-    """Keeps messages until they are due, and loses some; their order is kept.
-
-    Args:
-        seed: Seed of the losses.
-    """
+    """Keeps messages until they are due, and loses some; their order is kept."""
 
     def __init__(self, seed: int = 0) -> None:
         self._random = random.Random(seed)
@@ -23,7 +18,6 @@ class LossyChannel(Generic[T]):
         """Send an item.
 
         Args:
-            item: Item to send.
             now: Time [s].
             lost: Probability that the item is lost, 0 to 1.
             late: Delay until the item arrives [s].

@@ -9,10 +9,8 @@ from dataclasses import dataclass
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import parameter
 
-Floats = tuple[float, ...]
-"""One value for all wheels, or one per wheel."""
-Names = tuple[str, ...]
-"""Names of wheels."""
+Floats = tuple[float, ...]  #: One value for all wheels, or one per wheel
+Names = tuple[str, ...]  #: Names of wheels
 
 
 @dataclass(frozen=True)

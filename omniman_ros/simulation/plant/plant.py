@@ -18,10 +18,8 @@ from omniman_ros.simulation.plant.gear_motor import configure_motors
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 from omniman_ros.simulation.plant.wheel import Wheel
 
-TOLERANCE = 1e-6
-"""Allowed deviation of a contact force from its law, as a fraction of its bound."""
-MAX_ITERATIONS = 40
-"""Largest number of Newton iterations per step."""
+TOLERANCE = 1e-6  #: Allowed deviation of a contact force from its law, as a fraction of its bound
+MAX_ITERATIONS = 40  #: Largest number of Newton iterations per step
 
 
 class Plant:
@@ -36,7 +34,6 @@ class Plant:
     step, where the contact laws hold.
 
     Args:
-        robot: The robot.
         parameters: Plant, mismatch and faults.
 
     Raises:

@@ -15,23 +15,16 @@ from omniman_ros.simulation.plant.driven_wheels import DrivenWheels
 from omniman_ros.simulation.plant.energy_ledger import EnergyLedger
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 
-MIN_RAMP_FRACTION = 0.05
-"""Smallest fraction of the deceleration with which a wheel ramps to rest."""
+MIN_RAMP_FRACTION = 0.05  #: Smallest fraction of the deceleration with which a wheel ramps to rest
 
 
 @dataclass(frozen=True)
 class WheelStates:
-    """Feedback of all wheels; read-only arrays, shape (n,).
+    """Feedback of all wheels; read-only arrays, shape (n,)."""
 
-    Attributes:
-        position: Wheel angles in whole encoder steps [rad]; not wrapped.
-        velocity: Wheel speeds from the encoders [rad/s].
-        effort: Torques at the wheels [N m], from the currents by nominal motor values.
-    """
-
-    position: Array
-    velocity: Array
-    effort: Array
+    position: Array  #: Wheel angles in whole encoder steps [rad]; not wrapped
+    velocity: Array  #: Wheel speeds from the encoders [rad/s]
+    effort: Array  #: Torques at the wheels [N m], from the currents by nominal motor values
 
 
 class SimulatedDrives:
@@ -41,9 +34,6 @@ class SimulatedDrives:
     substep old. A time before the latest one has no effect.
 
     Args:
-        robot: The robot.
-        parameters: Parameters of the simulation.
-        seed: Seed of the sensor noise.
         body: What the drives move, see :class:`DrivenWheels`.
 
     Raises:

@@ -9,13 +9,10 @@ from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import parameter
 from omniman_ros.simulation.ur.dynamics import ArmDynamics
 
-JOINTS = 6
-"""Number of joints."""
-CYCLE = 0.008
-"""Cycle time of a CB3 controller [s]."""
+JOINTS = 6  #: Number of joints
+CYCLE = 0.008  #: Cycle time of a CB3 controller [s]
 
-REST_SPEED = 1e-3
-"""Joint speed below which the arm counts as at rest [rad/s]."""
+REST_SPEED = 1e-3  #: Joint speed below which the arm counts as at rest [rad/s]
 
 
 @dataclass(frozen=True, kw_only=True)

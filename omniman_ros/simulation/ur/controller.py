@@ -20,20 +20,13 @@ from omniman_ros.simulation.ur.safety_checks import SafetyChecks
 from omniman_ros.simulation.ur.urscript.errors import ScriptError, ScriptRuntimeError
 from omniman_ros.simulation.ur.urscript.host import Done
 
-SCALING_RATE = 2.0
-"""Rate at which the speed slider and a pause take effect [1/s]."""
-RESUMING_TIME = 0.1
-"""Time for which the controller resumes a program before the program runs [s]."""
-UNCOMMANDED_DECELERATION = 20.0
-"""Deceleration while a program gives no command [rad/s^2]."""
-END_DECELERATION = 4.0
-"""Deceleration when a program ends [rad/s^2]."""
-STEADY_TIME = 0.1
-"""Time for which the arm must be at rest to count as steady [s]."""
-MIN_SLIDER = 0.01
-"""Lowest position of the speed slider."""
-LOG_LENGTH = 100
-"""Largest number of log lines; older ones are deleted."""
+SCALING_RATE = 2.0  #: Rate at which the speed slider and a pause take effect [1/s]
+RESUMING_TIME = 0.1  #: Time for which the controller resumes a program before the program runs [s]
+UNCOMMANDED_DECELERATION = 20.0  #: Deceleration while a program gives no command [rad/s^2]
+END_DECELERATION = 4.0  #: Deceleration when a program ends [rad/s^2]
+STEADY_TIME = 0.1  #: Time for which the arm must be at rest to count as steady [s]
+MIN_SLIDER = 0.01  #: Lowest position of the speed slider
+LOG_LENGTH = 100  #: Largest number of log lines; older ones are deleted
 
 
 class RunningProgram(Protocol):
@@ -62,38 +55,24 @@ class RunningProgram(Protocol):
         ...
 
 
+#: Parses the text of a program and starts it on a controller, or raises ScriptError
 Launch = Callable[[str, "Controller"], RunningProgram]
-"""Parses the text of a program and starts it on a controller, or raises ScriptError."""
 
 
 @dataclass
 class Counts:
-    """Numbers of events since the start.
+    """Numbers of events since the start."""
 
-    Attributes:
-        servo_calls: Calls of servoj.
-        servo_repeats: Calls of servoj with the same angles as the call before.
-        servo_gaps: Cycles in which a servoing program gave no command.
-        programs: Programs that were started.
-        refused: Programs that were refused.
-        protective_stops: Protective stops.
-    """
-
-    servo_calls: int = 0
-    servo_repeats: int = 0
-    servo_gaps: int = 0
-    programs: int = 0
-    refused: int = 0
+    servo_calls: int = 0  #: Calls of servoj
+    servo_repeats: int = 0  #: Calls of servoj with the same angles as the call before
+    servo_gaps: int = 0  #: Cycles in which a servoing program gave no command
+    programs: int = 0  #: Programs that were started
+    refused: int = 0  #: Programs that were refused
     protective_stops: int = 0
 
 
 class Controller:
     """A UR5 with a CB3 controller, without its ports.
-
-    Args:
-        parameters: Parameters of the arm.
-        arm: The joints.
-        launch: Parses and starts programs.
 
     Attributes:
         faults: Faults that are simulated; may be replaced at any time.

@@ -20,10 +20,10 @@ from omniman_ros.simulation.ur.urscript.compiler import Program as Text
 from omniman_ros.simulation.ur.urscript.machine import Machine
 from omniman_ros.simulation.ur.world_arm import WorldArm
 
+#: Delay above which missed cycles are skipped, so that the controller's time stops [s]
 MAX_DELAY = 1.0
-"""Delay above which missed cycles are skipped, so that the controller's time stops [s]."""
+#: Matches a number on the line after its "=", before anything else on that line
 NEXT_LINE = re.compile(r"=[ \t]*(?:#[^\n]*)?\n[ \t]*(-?[0-9.]+)[ \t]*")
-"""Matches a number on the line after its "=", before anything else on that line."""
 
 
 def launcher(network: ProgramSockets) -> Launch:
@@ -31,9 +31,6 @@ def launcher(network: ProgramSockets) -> Launch:
 
     A controller reads the end of a line as a blank. The program of ur_rtde relies on that where
     it inserts the numbers of its registers.
-
-    Args:
-        network: Connections of the programs.
     """
 
     def launch(text: str, controller: Controller) -> RunningProgram:
@@ -43,12 +40,7 @@ def launcher(network: ProgramSockets) -> Launch:
 
 
 def make_arm(parameters: UrArmParameters, is_lockstep: bool) -> ArmBody:
-    """Return joints of the controller's own, or those of a world.
-
-    Args:
-        parameters: Parameters of the arm.
-        is_lockstep: Whether time is simulated.
-    """
+    """Return joints of the controller's own, or those of a world."""
     if not parameters.world_port:
         return SimulatedArm(parameters)
     return WorldArm(parameters, ArmLinkClient(parameters.world_port), is_lockstep)
@@ -56,25 +48,17 @@ def make_arm(parameters: UrArmParameters, is_lockstep: bool) -> ArmBody:
 
 @dataclass(frozen=True)
 class MeasuredMotion:
-    """Motion of the joints at one instant.
+    """Motion of the joints at one instant."""
 
-    Attributes:
-        at: The instant, on the clock of the controller's thread [s].
-        q: Angles (6,) [rad].
-        qd: Speeds (6,) [rad/s].
-    """
-
-    at: float
-    q: Array
-    qd: Array
+    at: float  #: The instant, on the clock of the controller's thread [s]
+    q: Array  #: Angles (6,) [rad]
+    qd: Array  #: Speeds (6,) [rad/s]
 
 
 class ControllerServer:
     """A simulated UR controller on TCP.
 
     Args:
-        arm: Parameters of the arm.
-        ports: Address and numbers of the ports.
         pace: Time on which the thread runs; None for real time.
 
     Attributes:

@@ -10,17 +10,14 @@ from typing import Protocol
 from omniman_ros.core.errors import InputError
 from omniman_ros.simulation.ur.modes import RobotMode, RuntimeState, SafetyMode
 
-GREETING = "Connected: Universal Robots Dashboard Server"
-"""First line of the server."""
+GREETING = "Connected: Universal Robots Dashboard Server"  #: First line of the server
 TOO_EARLY_REPLY = (
     "Cannot unlock protective stop until 5s after occurrence. "
     "Always inspect cause of protective stop before unlocking"
-)
-"""Reply to an unlock that is refused."""
+)  #: Reply to an unlock that is refused
+#: Name and version of the controller's software
 SOFTWARE = "URSoftware 3.15.8.106339 (Jun 20 2022)"
-"""Name and version of the controller's software."""
-MAX_LINE = 4096
-"""Length of the longest line that is accepted [bytes]."""
+MAX_LINE = 4096  #: Length of the longest line that is accepted [bytes]
 
 
 class Pendant(Protocol):
@@ -193,8 +190,7 @@ _PLAIN_COMMANDS: dict[str, Callable[[DashboardSession], str]] = {
     "get robot model": _always("UR5"),
     "get serial number": _always("20000000000"),
     "shutdown": _always("Failed to execute: shutdown"),
-}
-"""Commands without an argument; case is ignored."""
+}  #: Commands without an argument; case is ignored
 
 _COMMANDS_WITH_ARGUMENT: dict[str, Callable[[DashboardSession, str], str]] = {
     "load installation": lambda d, name: f"File not found: {name}",
@@ -202,5 +198,4 @@ _COMMANDS_WITH_ARGUMENT: dict[str, Callable[[DashboardSession, str], str]] = {
     "popup": DashboardSession._popup,
     "addtolog": DashboardSession._log,
     "setuserrole": lambda d, role: f"Setting user role: {role}",
-}
-"""Commands that an argument follows; this controller has no files."""
+}  #: Commands that an argument follows; this controller has no files

@@ -10,12 +10,11 @@ from omniman_ros.description.transforms import transform
 from omniman_ros.description.ur5 import ROTOR_INERTIAS, links, tool_inertia
 from omniman_ros.simulation.ur.kinematics import GRAVITY
 
+#: Torque at each joint per motor current [N m/A]; similar to a UR5's
 TORQUE_CONSTANTS = np.array([12.5, 12.5, 12.5, 9.2, 9.2, 9.2])
-"""Torque at each joint per motor current [N m/A]; similar to a UR5's."""
+#: Viscous friction of each motor with its gear [N m s/rad]; similar to a UR5's
 FRICTION = np.array([8.0, 8.0, 5.0, 2.0, 2.0, 2.0])
-"""Viscous friction of each motor with its gear [N m s/rad]; similar to a UR5's."""
-AXIS = np.array([0.0, 0.0, 1.0])
-"""Axis of each joint in the frame of its link."""
+AXIS = np.array([0.0, 0.0, 1.0])  #: Axis of each joint in the frame of its link
 
 
 class ArmDynamics:

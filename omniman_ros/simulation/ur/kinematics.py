@@ -10,30 +10,21 @@ from omniman_ros.core.arrays import Array
 
 @dataclass(frozen=True)
 class DhTable:
-    """Denavit-Hartenberg parameters, joint by joint: T = Rz(q) Tz(d) Tx(a) Rx(alpha).
+    """Denavit-Hartenberg parameters, joint by joint: T = Rz(q) Tz(d) Tx(a) Rx(alpha)."""
 
-    Attributes:
-        a: Link lengths [m].
-        d: Link offsets [m].
-        alpha: Link twists [rad].
-    """
-
-    a: tuple[float, ...]
-    d: tuple[float, ...]
-    alpha: tuple[float, ...]
+    a: tuple[float, ...]  #: Link lengths [m]
+    d: tuple[float, ...]  #: Link offsets [m]
+    alpha: tuple[float, ...]  #: Link twists [rad]
 
 
 UR5 = DhTable(
     a=(0.0, -0.425, -0.39225, 0.0, 0.0, 0.0),
     d=(0.089159, 0.0, 0.0, 0.10915, 0.09465, 0.0823),
     alpha=(math.pi / 2, 0.0, 0.0, math.pi / 2, -math.pi / 2, 0.0),
-)
-"""Universal Robots, "DH parameters for calculations of kinematics and dynamics", UR5."""
+)  #: Universal Robots, "DH parameters for calculations of kinematics and dynamics", UR5
 
-GRAVITY = 9.82
-"""Gravity [m/s^2]."""
-ELBOW = 2
-"""Number of the frame at the elbow joint."""
+GRAVITY = 9.82  #: Gravity [m/s^2]
+ELBOW = 2  #: Number of the frame at the elbow joint
 
 
 def frames(q: Array, table: DhTable = UR5) -> list[Array]:

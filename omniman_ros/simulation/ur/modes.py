@@ -49,48 +49,36 @@ class RuntimeState(IntEnum):
     RESUMING = 5
 
 
+#: safety_status_bits: 0 normal, 2 protective stopped, 5 system and 6 robot emergency stopped, 7
+#: emergency stopped, 10 stopped due to safety.
 SAFETY_BITS = {
     SafetyMode.NORMAL: 1 << 0,
     SafetyMode.PROTECTIVE_STOP: 1 << 2 | 1 << 10,
     SafetyMode.SYSTEM_EMERGENCY_STOP: 1 << 5 | 1 << 7 | 1 << 10,
     SafetyMode.ROBOT_EMERGENCY_STOP: 1 << 6 | 1 << 7 | 1 << 10,
 }
-"""safety_status_bits: 0 normal, 2 protective stopped, 5 system and 6 robot emergency stopped,
-7 emergency stopped, 10 stopped due to safety."""
+#: Modes in which the joints have power
 POWERED = (RobotMode.POWER_ON, RobotMode.IDLE, RobotMode.BACKDRIVE, RobotMode.RUNNING)
-"""Modes in which the joints have power."""
-MOVING = (RuntimeState.PLAYING, RuntimeState.RESUMING)
-"""States in which the program runs."""
-JOINT_RUNNING = 253
-"""joint_mode of a joint that runs (RTDE guide, "Joint modes")."""
-JOINT_IDLE = 255
-"""joint_mode of a joint with its brake on."""
-JOINT_POWER_OFF = 239
-"""joint_mode of a joint without power."""
+MOVING = (RuntimeState.PLAYING, RuntimeState.RESUMING)  #: States in which the program runs
+JOINT_RUNNING = 253  #: joint_mode of a joint that runs (RTDE guide, "Joint modes")
+JOINT_IDLE = 255  #: joint_mode of a joint with its brake on
+JOINT_POWER_OFF = 239  #: joint_mode of a joint without power
 
+#: Time after a protective stop during which it cannot be unlocked [s] (Dashboard Server)
 UNLOCK_DELAY = 5.0
-"""Time after a protective stop during which it cannot be unlocked [s] (Dashboard Server)."""
+#: Duration of each step of switching power and brakes [s]; some seconds on a real arm
 SWITCHING_TIME = 0.5
-"""Duration of each step of switching power and brakes [s]; some seconds on a real arm."""
 
 
 @dataclass(frozen=True)
 class Modes:
-    """All modes together.
+    """All modes together."""
 
-    Attributes:
-        robot: Mode of the arm.
-        safety: Mode of the safety system.
-        wanted: Mode to which the arm is being switched.
-        due: Time at which the next step of switching is complete [s].
-        stopped: Time of the last protective stop [s].
-    """
-
-    robot: RobotMode = RobotMode.RUNNING
-    safety: SafetyMode = SafetyMode.NORMAL
-    wanted: RobotMode = RobotMode.RUNNING
-    due: float = 0.0
-    stopped: float = 0.0
+    robot: RobotMode = RobotMode.RUNNING  #: Mode of the arm
+    safety: SafetyMode = SafetyMode.NORMAL  #: Mode of the safety system
+    wanted: RobotMode = RobotMode.RUNNING  #: Mode to which the arm is being switched
+    due: float = 0.0  #: Time at which the next step of switching is complete [s]
+    stopped: float = 0.0  #: Time of the last protective stop [s]
 
     @property
     def ready(self) -> bool:

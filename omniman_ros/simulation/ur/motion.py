@@ -12,32 +12,24 @@ import numpy as np
 
 from omniman_ros.core.arrays import Array
 
-JOINTS = 6
-"""Number of joints."""
-TIME_TOLERANCE = 1e-9
-"""Remaining time up to which a command counts as over [s]."""
-REST_SPEED = 1e-6
-"""Speed below which the target counts as at rest [rad/s]."""
+JOINTS = 6  #: Number of joints
+TIME_TOLERANCE = 1e-9  #: Remaining time up to which a command counts as over [s]
+REST_SPEED = 1e-6  #: Speed below which the target counts as at rest [rad/s]
 
 
 @dataclass
 class Target:
-    """Point of the trajectory.
+    """Point of the trajectory."""
 
-    Attributes:
-        q: Joint angles (6,) [rad].
-        w: Joint velocities (6,) in the time of the program [rad/s].
-    """
-
-    q: Array
+    q: Array  #: Joint angles (6,) [rad]
+    #: Joint velocities (6,) in the time of the program [rad/s]
     w: Array = field(default_factory=lambda: np.zeros(JOINTS))
 
 
 class Motion(Protocol):
     """Motion command."""
 
-    stretched: bool
-    """Whether the speed slider stretches the time of the command."""
+    stretched: bool  #: Whether the speed slider stretches the time of the command
 
     @property
     def over(self) -> bool:

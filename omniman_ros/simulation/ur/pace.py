@@ -5,10 +5,8 @@ import threading
 import time
 from typing import Protocol
 
-CATCH_UP_PERIOD = 0.002
-"""Period of cycles that are late on real time [s]."""
-MAX_WAIT = 0.1
-"""Longest wait for simulated time before the caller may look at other things [s]."""
+CATCH_UP_PERIOD = 0.002  #: Period of cycles that are late on real time [s]
+MAX_WAIT = 0.1  #: Longest wait for simulated time before the caller may look at other things [s]
 
 
 class Pace(Protocol):

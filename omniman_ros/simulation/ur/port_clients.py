@@ -9,15 +9,14 @@ from omniman_ros.simulation.ur.modes import MOVING, RuntimeState
 from omniman_ros.simulation.ur.rtde_outputs import currents
 from omniman_ros.simulation.ur.rtde_server import URCONTROL, RtdeFaults, RtdeServerSession
 
-SECONDARY_PERIOD = 12
-"""Number of cycles between two robot state messages: 10 Hz."""
+SECONDARY_PERIOD = 12  #: Number of cycles between two robot state messages: 10 Hz
 
 
 class PortClient(Protocol):
     """Protocol of a port with one client."""
 
+    #: Whether the client may be slow: it then misses messages instead of being disconnected
     patient: bool
-    """Whether the client may be slow: it then misses messages instead of being disconnected."""
 
     @property
     def closed(self) -> bool:
@@ -120,7 +119,6 @@ class ScriptClient:
     """Client that sends programs; two of the three ports also send the robot state.
 
     Args:
-        controller: The controller.
         sends_state: Whether the port sends the version message and the robot state.
     """
 

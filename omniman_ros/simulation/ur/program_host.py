@@ -19,7 +19,6 @@ class ProgramHost:
 
     Args:
         controller: Controller that runs the program.
-        network: Connections of the program.
     """
 
     def __init__(self, controller: Controller, network: ProgramSockets) -> None:

@@ -9,12 +9,9 @@ import socket
 import struct
 import termios
 
-CONNECT_TIMEOUT = 0.02
-"""Longest time for connecting [s], during which the controller is blocked."""
-CHUNK = 65536
-"""Largest amount of data read at once [bytes]."""
-LINGER_RESET = struct.pack("ii", 1, 0)
-"""SO_LINGER with which closing sends RST."""
+CONNECT_TIMEOUT = 0.02  #: Longest time for connecting [s], during which the controller is blocked
+CHUNK = 65536  #: Largest amount of data read at once [bytes]
+LINGER_RESET = struct.pack("ii", 1, 0)  #: SO_LINGER with which closing sends RST
 
 
 def prepare(connection: socket.socket) -> None:

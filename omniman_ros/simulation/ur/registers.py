@@ -5,10 +5,10 @@ from collections.abc import Mapping
 from omniman_ros.simulation.ur.rtde_fields import BOOLS, INPUTS, OUTPUTS, REGISTERS, Number, Value
 from omniman_ros.simulation.ur.urscript.errors import ScriptRuntimeError
 
+#: Groups of digital outputs: first bit and number of bits of actual_digital_output_bits
 DIGITAL = {"standard": (0, 8), "configurable": (8, 8), "tool": (16, 2)}
-"""Groups of digital outputs: first bit and number of bits of actual_digital_output_bits."""
+#: Number of the first bit that RTDE transfers by itself; lower ones are in groups of 32
 GROUPED = 64
-"""Number of the first bit that RTDE transfers by itself; lower ones are in groups of 32."""
 
 
 class Registers:
@@ -42,9 +42,7 @@ class Registers:
         """Return the value of a register.
 
         Args:
-            side: "input" or "output".
             kind: "int", "double" or "bool".
-            index: Number of the register.
 
         Raises:
             ScriptRuntimeError: There is no such register.

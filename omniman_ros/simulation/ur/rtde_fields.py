@@ -7,10 +7,8 @@ inputs" and "Robot controller outputs"; numbers are big-endian.
 import struct
 from collections.abc import Iterable, Sequence
 
-Number = int | float | bool
-"""Value of a scalar field, or one element of a vector."""
-Value = Number | Sequence[Number]
-"""Value of a field: a number, or the numbers of a vector."""
+Number = int | float | bool  #: Value of a scalar field, or one element of a vector
+Value = Number | Sequence[Number]  #: Value of a field: a number, or the numbers of a vector
 
 FORMATS = {
     "BOOL": "?",
@@ -23,12 +21,11 @@ FORMATS = {
     "VECTOR6D": "6d",
     "VECTOR6INT32": "6i",
     "VECTOR6UINT32": "6I",
-}
-"""Format of each type, as `struct` writes it."""
+}  #: Format of each type, as `struct` writes it
+#: Number of integer registers, and of double registers; RTDE clients use those from 24 on
 REGISTERS = 48
-"""Number of integer registers, and of double registers; RTDE clients use those from 24 on."""
+#: Numbers of the bits that are transferred one by one; lower ones are in groups of 32
 BOOLS = range(64, 128)
-"""Numbers of the bits that are transferred one by one; lower ones are in groups of 32."""
 
 
 def _registers(side: str) -> dict[str, str]:
@@ -54,8 +51,7 @@ INPUTS = {
     **_all("DOUBLE", "standard_analog_output_0 standard_analog_output_1"),
     "external_force_torque": "VECTOR6D",
     **_registers("input"),
-}
-"""Fields that a client writes."""
+}  #: Fields that a client writes
 
 OUTPUTS = {
     "timestamp": "DOUBLE",
@@ -84,8 +80,7 @@ OUTPUTS = {
     ),
     **_registers("output"),
     **_registers("input"),
-}
-"""Fields that a client reads."""
+}  #: Fields that a client reads
 
 
 def codec(kinds: Iterable[str]) -> struct.Struct:

@@ -14,12 +14,9 @@ from omniman_ros.simulation.ur.motion import Target
 from omniman_ros.simulation.ur.registers import Registers
 from omniman_ros.simulation.ur.rtde_fields import OUTPUTS, Value, size
 
-VOLTAGE = 48.0
-"""Voltage of joints and robot [V]."""
-TEMPERATURE = 30.0
-"""Temperature of joints and tool [deg C]."""
-TOOL_MODE = 253
-"""tool_mode of a tool that runs."""
+VOLTAGE = 48.0  #: Voltage of joints and robot [V]
+TEMPERATURE = 30.0  #: Temperature of joints and tool [deg C]
+TOOL_MODE = 253  #: tool_mode of a tool that runs
 
 
 class State(Protocol):
@@ -114,15 +111,13 @@ _READ: dict[str, Callable[[State], Value]] = {
     "actual_tool_accelerometer": lambda c: _vector(
         kinematics.frames(c.arm.q)[-1][2, :3] * kinematics.GRAVITY
     ),
-}
-"""Functions of the outputs that are not constantly zero, unlike forces and analog inputs."""
+}  #: Functions of the outputs that are not constantly zero, unlike forces and analog inputs
 
 
 def value(controller: State, name: str) -> Value:
     """Return the present value of an RTDE output.
 
     Args:
-        controller: State of the controller.
         name: Name of the output, a key of `rtde_fields.OUTPUTS`.
     """
     read = _READ.get(name)

@@ -11,23 +11,20 @@ from typing import Protocol
 
 from omniman_ros.simulation.ur.rtde_fields import INPUTS, OUTPUTS, Value, codec, flatten, regroup
 
+#: Header of a package: size of the package, itself included [bytes], and type
 HEADER = struct.Struct(">HB")
-"""Header of a package: size of the package, itself included [bytes], and type."""
+#: Frequency of the controller's cycle, and largest output frequency of a client [Hz]
 FREQUENCY = 125.0
-"""Frequency of the controller's cycle, and largest output frequency of a client [Hz]."""
-VERSION = 2
-"""Version of the protocol that is simulated."""
+VERSION = 2  #: Version of the protocol that is simulated
+#: Version of the software of a CB3 controller: major, minor, bugfix and build
 URCONTROL = (3, 15, 8, 106339)
-"""Version of the software of a CB3 controller: major, minor, bugfix and build."""
 REQUEST_VERSION, URCONTROL_VERSION, TEXT = ord("V"), ord("v"), ord("M")
 SETUP_OUTPUTS, SETUP_INPUTS, START, PAUSE, DATA = (ord(letter) for letter in "OISPU")
 """Types of packages."""
 ERROR_MESSAGE, SOURCE = 1, b"RTDE"
 """Level and source of text messages."""
-MAX_NAMES_LENGTH = 2048
-"""Length of the longest list of names [bytes]."""
-MAX_RECIPES = 255
-"""Largest number of input recipes of a client."""
+MAX_NAMES_LENGTH = 2048  #: Length of the longest list of names [bytes]
+MAX_RECIPES = 255  #: Largest number of input recipes of a client
 
 
 class Variables(Protocol):
@@ -44,17 +41,11 @@ class Variables(Protocol):
 
 @dataclass(frozen=True)
 class RtdeFaults:
-    """Faults of the server.
+    """Faults of the server."""
 
-    Attributes:
-        refuse_version: Accept no version of the protocol.
-        not_found: Outputs that the server does not have.
-        in_use: Inputs that are reported to be in use by somebody else.
-    """
-
-    refuse_version: bool = False
-    not_found: tuple[str, ...] = ()
-    in_use: tuple[str, ...] = ()
+    refuse_version: bool = False  #: Accept no version of the protocol
+    not_found: tuple[str, ...] = ()  #: Outputs that the server does not have
+    in_use: tuple[str, ...] = ()  #: Inputs that are reported to be in use by somebody else
 
 
 class RtdeError(Exception):

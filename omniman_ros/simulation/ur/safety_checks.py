@@ -12,24 +12,15 @@ from omniman_ros.simulation.ur.arm_body import ArmBody
 
 @dataclass(frozen=True)
 class Violation:
-    """Exceeded limit.
+    """Exceeded limit."""
 
-    Attributes:
-        reason: Which limit is exceeded, and the values.
-        is_hindered: Whether something keeps the joints from their reference, whichever limit is
-            found first.
-    """
-
-    reason: str
+    reason: str  #: Which limit is exceeded, and the values
+    #: Whether something keeps the joints from their reference, whichever limit is found first
     is_hindered: bool
 
 
 class SafetyChecks:
-    """Compares the arm with its limits, once per cycle.
-
-    Args:
-        parameters: The limits.
-    """
+    """Compares the arm with its limits, once per cycle."""
 
     def __init__(self, parameters: UrArmParameters) -> None:
         self._parameters = parameters
@@ -40,7 +31,6 @@ class SafetyChecks:
         """Return which limit is exceeded; None if none is.
 
         Args:
-            arm: The arm.
             target: Angles that its reference follows (6,) [rad].
         """
         p = self._parameters

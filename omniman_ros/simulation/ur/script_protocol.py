@@ -10,14 +10,12 @@ from dataclasses import dataclass
 
 from omniman_ros.core.errors import InputError
 
-MAX_PROGRAM_LENGTH = 1 << 20
-"""Length of the longest program that is accepted [bytes]."""
+MAX_PROGRAM_LENGTH = 1 << 20  #: Length of the longest program that is accepted [bytes]
 ROBOT_STATE, ROBOT_MESSAGE, VERSION_MESSAGE = 16, 20, 3
 """Types of packages, and type of the robot message that reports the version."""
 MODE_DATA, JOINT_DATA, CARTESIAN_INFO = 0, 1, 4
 """Types of the parts of a robot state."""
-SOURCE = 254
-"""Source of messages from the controller itself: -2 as an unsigned byte."""
+SOURCE = 254  #: Source of messages from the controller itself: -2 as an unsigned byte
 PROJECT, BUILT = b"URControl", b"20-06-2022, 00:00:00"
 """Name and build date of the controller's software."""
 REMOTE_CONTROL, SPEED_LIMIT = 1, 1.0
@@ -98,33 +96,27 @@ class RobotState:
     """Content of the robot state message.
 
     Attributes:
-        time: Time since the start of the controller [s].
-        powered: Whether the joints have power.
         emergency_stopped, protective_stopped: Whether there is a stop of this kind.
         playing, paused: Whether the program runs, or is paused.
-        robot_mode: Value of a `RobotMode`.
         slider, scaling: Fraction of full speed that is set, and in effect, 0 to 1.
         actual_q, target_q: Joint angles, actual and of the target [rad].
-        actual_qd: Joint speeds [rad/s].
-        current: Motor currents [A].
-        joint_mode: Value of joint_mode, the same for each joint.
-        pose: Position [m] and rotation vector [rad] of the tool flange in the base.
     """
 
-    time: float
-    powered: bool
+    time: float  #: Time since the start of the controller [s]
+    powered: bool  #: Whether the joints have power
     emergency_stopped: bool
     protective_stopped: bool
     playing: bool
     paused: bool
-    robot_mode: int
+    robot_mode: int  #: Value of a `RobotMode`
     slider: float
     scaling: float
     actual_q: tuple[float, ...]
     target_q: tuple[float, ...]
-    actual_qd: tuple[float, ...]
-    current: tuple[float, ...]
-    joint_mode: int
+    actual_qd: tuple[float, ...]  #: Joint speeds [rad/s]
+    current: tuple[float, ...]  #: Motor currents [A]
+    joint_mode: int  #: Value of joint_mode, the same for each joint
+    #: Position [m] and rotation vector [rad] of the tool flange in the base
     pose: tuple[float, ...]
 
 

@@ -15,8 +15,7 @@ from omniman_ros.simulation.ur.port_parameters import UrPortParameters
 from omniman_ros.simulation.ur.program_sockets import CHUNK, ProgramSockets, abort, prepare
 from omniman_ros.simulation.ur.rtde_server import RtdeError, RtdeServerSession
 
-MAX_CLIENTS = 20
-"""Largest number of clients of a port."""
+MAX_CLIENTS = 20  #: Largest number of clients of a port
 
 
 class Connection:
@@ -160,11 +159,6 @@ class TcpPort:
 
 class ControllerPorts:
     """All ports of a controller.
-
-    Args:
-        controller: The controller.
-        network: Connections of its program.
-        parameters: Address and numbers of the ports.
 
     Raises:
         ParameterError: A port is not available.

@@ -11,27 +11,24 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.simulation.arm_link.frames import ArmSetpoint, ArmState
 from omniman_ros.simulation.ur.arm import CYCLE, JOINTS, SimulatedArm, UrArmParameters
 
+#: Time from a cycle until its setpoint is due [s]: the next cycle, in which the world may learn of
+#: it, and the one in which the joints move.
 LEAD = 2.0 * CYCLE
-"""Time from a cycle until its setpoint is due [s]: the next cycle, in which the world may learn of
-it, and the one in which the joints move."""
-TIME_TOLERANCE = 1e-6
-"""Time before an instant at which it counts as reached [s]."""
-RETRY_CYCLES = 12
-"""Number of cycles between two attempts to connect."""
+TIME_TOLERANCE = 1e-6  #: Time before an instant at which it counts as reached [s]
+RETRY_CYCLES = 12  #: Number of cycles between two attempts to connect
+#: Longest real time of one wait for the world, after which other states are checked [s]
 WAIT = 0.1
-"""Longest real time of one wait for the world, after which other states are checked [s]."""
+#: Real time of waiting after which a world on simulated time counts as silent [s]
 LOCKSTEP_SILENCE = 5.0
-"""Real time of waiting after which a world on simulated time counts as silent [s]."""
+#: Time without a state after which a world on real time counts as silent [s]: more than that of
+#: the cycles that a controller runs at once after it was held up.
 SILENCE = 2.0
-"""Time without a state after which a world on real time counts as silent [s]: more than that of
-the cycles that a controller runs at once after it was held up."""
 
 
 class ArmLink(Protocol):
     """The controller's end of the link; see `ArmLinkClient`."""
 
-    failure: str
-    """Why there is no connection."""
+    failure: str  #: Why there is no connection
 
     @property
     def is_open(self) -> bool:
@@ -70,7 +67,6 @@ class WorldArm:
     that it always knows the same, however busy the machine is.
 
     Args:
-        parameters: Limits of the joints.
         link: The link to the world.
         is_lockstep: Whether the controller runs on simulated time that the world gives.
 

@@ -10,15 +10,14 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.simulation.arm_link.frames import ArmSetpoint
 
+#: Time after the last setpoint for which the joints keep their speeds [s]: two cycles of a CB3
 COASTING_TIME = 0.016
-"""Time after the last setpoint for which the joints keep their speeds [s]: two cycles of a CB3."""
+#: Deceleration of the fastest joint without setpoints, the others in proportion [rad/s^2]
 DECELERATION = 15.0
-"""Deceleration of the fastest joint without setpoints, the others in proportion [rad/s^2]."""
-TIME_TOLERANCE = 1e-6
-"""Time before an instant at which it counts as reached [s]."""
+TIME_TOLERANCE = 1e-6  #: Time before an instant at which it counts as reached [s]
+#: Largest time by which a setpoint may be ahead or late [s]: more than a controller on a busy
+#: machine may be behind before it gives up the cycles that it missed.
 MAX_OFFSET = 2.0
-"""Largest time by which a setpoint may be ahead or late [s]: more than a controller on a busy
-machine may be behind before it gives up the cycles that it missed."""
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,7 @@ from omniman_ros.simulation.arm_link.frames import ArmSetpoint, ArmState
 from omniman_ros.simulation.world.arm_reference import TIME_TOLERANCE, ArmReference
 from omniman_ros.simulation.world.engine import Engine
 
-BANDWIDTH = 200.0
-"""Angular frequency of the closed position loop, critically damped [rad/s]."""
+BANDWIDTH = 200.0  #: Angular frequency of the closed position loop, critically damped [rad/s]
 
 
 class ArmServo:
@@ -25,10 +24,6 @@ class ArmServo:
     w = BANDWIDTH. `bias` holds gravity and Coriolis forces. As no force acts from outside, the
     platform carries the arm and feels its reaction. With the brakes on, the drives give no torque,
     and the joints have dry friction that withstands the drives' largest torques.
-
-    Args:
-        engine: The engine.
-        joints: Names of the joints.
 
     Attributes:
         reference: The motion that the joints are told to make; its time is the world's.

@@ -18,17 +18,16 @@ import numpy as np
 from omniman_ros.core.arrays import Array
 from omniman_ros.simulation.world.velocity_program import HalfPlane
 
+#: Number of directions; even, so that of each direction there is the opposite, too
 DIRECTION_COUNT = 72
-"""Number of directions; even, so that of each direction there is the opposite, too."""
 _ANGLES = math.tau / DIRECTION_COUNT * np.arange(DIRECTION_COUNT)
+#: Unit vectors to which outlines are sampled, (d, 2)
 DIRECTIONS: Array = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])
-"""Unit vectors to which outlines are sampled, (d, 2)."""
+#: Preference for passing on the right [m/s]: who meet head-on would otherwise stop
 KEEP_RIGHT = 0.2
-"""Preference for passing on the right [m/s]: who meet head-on would otherwise stop."""
-RECOVERY = 0.5
-"""Time in which bodies that are too near to each other move apart [s]."""
+RECOVERY = 0.5  #: Time in which bodies that are too near to each other move apart [s]
+#: Preference for each direction (second index) while another (first index) is the nearest
 _SIDES: Array = KEEP_RIGHT * np.sin(_ANGLES[None, :] - _ANGLES[:, None])
-"""Preference for each direction (second index) while another (first index) is the nearest."""
 
 
 def outline(points: Array, radius: float = 0.0) -> Array:
@@ -44,26 +43,16 @@ def outline(points: Array, radius: float = 0.0) -> Array:
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What a person keeps clear of.
+    """What a person keeps clear of."""
 
-    Attributes:
-        outlines: Support functions in the world, (m, d) [m].
-        velocities: Velocities in the world, (m, 2) [m/s].
-        wishes: Velocities that they would have if they had not to give way, (m, 2) [m/s].
-        reaches: Least distances of the person's middle to each, (m,) [m].
-        horizons: How far ahead each is minded, (m,) [s].
-        shares: Share of the avoidance that the person takes, (m,): 1, or 1/2 where the other
-            does the same.
-        fixed: Number of the first of them that are fixed.
-    """
-
-    outlines: Array
-    velocities: Array
-    wishes: Array
-    reaches: Array
-    horizons: Array
+    outlines: Array  #: Support functions in the world, (m, d) [m]
+    velocities: Array  #: Velocities in the world, (m, 2) [m/s]
+    wishes: Array  #: Velocities that they would have if they had not to give way, (m, 2) [m/s]
+    reaches: Array  #: Least distances of the person's middle to each, (m,) [m]
+    horizons: Array  #: How far ahead each is minded, (m,) [s]
+    #: Share of the avoidance that the person takes, (m,): 1, or 1/2 where the other does the same
     shares: Array
-    fixed: int
+    fixed: int  #: Number of the first of them that are fixed
 
 
 def half_planes(
@@ -80,7 +69,6 @@ def half_planes(
         position: Position of the person in the world, (2,) [m].
         velocity: Velocity of the person, (2,) [m/s].
         wish: Velocity that the person would have if there were nothing around, (2,) [m/s].
-        around: The m things.
     """
     heights = around.outlines - DIRECTIONS @ position + around.reaches[:, None]
     nearest = heights.argmin(axis=1)

@@ -16,8 +16,6 @@ class Base:
     """Pose and twist of base_link.
 
     Args:
-        engine: The engine.
-        loads: Names of the loads.
         deck: Height of the platform's upper side, above which loads lie on it [m].
     """
 

@@ -20,13 +20,10 @@ from omniman_ros.simulation.world.scene import Element, Post
 
 FILLING, CLEARING = 5, 1
 """Number of filled neighbours from which a cell is filled, and up to which it is emptied."""
-MAX_DRAWS = 2000
-"""Largest number of draws of a field."""
-MAX_CELLS = 100_000
-"""Largest number of cells of a field."""
+MAX_DRAWS = 2000  #: Largest number of draws of a field
+MAX_CELLS = 100_000  #: Largest number of cells of a field
 
-Cells = NDArray[np.bool_]
-"""Flags of the cells, rows along x, columns along y."""
+Cells = NDArray[np.bool_]  #: Flags of the cells, rows along x, columns along y
 
 
 @dataclass(frozen=True, kw_only=True)

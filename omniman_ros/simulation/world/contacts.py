@@ -10,8 +10,8 @@ from omniman_ros.simulation.world.engine import Engine
 from omniman_ros.simulation.world.model.floor import FLOOR
 from omniman_ros.simulation.world.model.platform import BASE
 
+#: Time for which a contact that has ended is still reported, in time constants of the filter
 MEMORY = 5.0
-"""Time for which a contact that has ended is still reported, in time constants of the filter."""
 
 
 @dataclass(frozen=True)
@@ -19,21 +19,15 @@ class RobotContact:
     """A contact of a part of the robot with something else; not of a wheel with the floor.
 
     Attributes:
-        part: Link of the robot.
-        thing: Element of the scene, or the floor.
-        place: Where they touch, or last touched, in the world [m], (3,).
-        force: Force on the robot in the world, low-pass filtered [N], (3,).
-        impulse: Integral of the force, unfiltered, since the contact began [N s], (3,).
-        touches: Whether they touch now.
         part_speed, thing_speed: Speeds of their points that touched first, just before [m/s].
     """
 
-    part: str
-    thing: str
-    place: Array
-    force: Array
-    impulse: Array
-    touches: bool
+    part: str  #: Link of the robot
+    thing: str  #: Element of the scene, or the floor
+    place: Array  #: Where they touch, or last touched, in the world [m], (3,)
+    force: Array  #: Force on the robot in the world, low-pass filtered [N], (3,)
+    impulse: Array  #: Integral of the force, unfiltered, since the contact began [N s], (3,)
+    touches: bool  #: Whether they touch now
     part_speed: float
     thing_speed: float
 
@@ -55,7 +49,6 @@ class RobotContacts:
     """Contacts of the robot, from step to step.
 
     Args:
-        engine: The engine.
         time_constant: Time constant of the filter of forces [s].
     """
 

@@ -11,14 +11,11 @@ from omniman_ros.simulation.world.surroundings import Neighbourhood
 from omniman_ros.simulation.world.velocity_program import nearest_velocity
 from omniman_ros.simulation.world.walker import HURRY, ReactiveWalk, ScriptedWalk
 
-AGILITY = 12.0
-"""Rate at which a person reaches the wanted velocity [1/s]."""
-PERIOD = 0.05
-"""Time between two decisions of a person [s]."""
+AGILITY = 12.0  #: Rate at which a person reaches the wanted velocity [1/s]
+PERIOD = 0.05  #: Time between two decisions of a person [s]
+#: Time for which a person's force stays the same [s], short against 1 / AGILITY
 FORCE_PERIOD = 0.005
-"""Time for which a person's force stays the same [s], short against 1 / AGILITY."""
-TINY = 1e-12
-"""Force below which its direction does not matter [N]."""
+TINY = 1e-12  #: Force below which its direction does not matter [N]
 
 
 class Crowd:
@@ -28,8 +25,6 @@ class Crowd:
     :mod:`~omniman_ros.simulation.world.avoidance`, and waits where that permits no way.
 
     Args:
-        engine: The engine.
-        scene: The scene.
         force: Largest force of a person [N].
     """
 

@@ -14,29 +14,20 @@ from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.description.platform_shape import platform_top
 from omniman_ros.simulation.world.solids import ellipse_corners, prism_corners
 
-SIGNS: Array = np.array(list(product((-1.0, 1.0), repeat=3)))
-"""Corners of a cube, (8, 3)."""
+SIGNS: Array = np.array(list(product((-1.0, 1.0), repeat=3)))  #: Corners of a cube, (8, 3)
+#: Corners of a square, (4, 2)
 CORNERS: Array = np.array([(1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)])
-"""Corners of a square, (4, 2)."""
-SHOULDER_SHAPES = 2
-"""Number of the shapes of the shoulder, which stands on the platform."""
-ACCURACY = 1e-9
-"""Accuracy of a distance [m]."""
+SHOULDER_SHAPES = 2  #: Number of the shapes of the shoulder, which stands on the platform
+ACCURACY = 1e-9  #: Accuracy of a distance [m]
 
 
 @dataclass(frozen=True)
 class Prism:
-    """An upright obstacle with an elliptic outline.
+    """An upright obstacle with an elliptic outline."""
 
-    Attributes:
-        semi_axes: Semi-axes of the ellipse [m].
-        angle: Direction of its first axis [rad].
-        heights: Heights of its lower and its upper side [m].
-    """
-
-    semi_axes: tuple[float, float]
-    angle: float
-    heights: tuple[float, float]
+    semi_axes: tuple[float, float]  #: Semi-axes of the ellipse [m]
+    angle: float  #: Direction of its first axis [rad]
+    heights: tuple[float, float]  #: Heights of its lower and its upper side [m]
 
 
 class PostureDistances:
@@ -44,10 +35,6 @@ class PostureDistances:
 
     The platform is the box of the body's length and width from the floor to the deck's top, too. A
     platform with an outline of its own is a prism with this outline instead.
-
-    Args:
-        description: Description of the robot.
-        prisms: The obstacles.
     """
 
     def __init__(self, description: DescriptionParameters, prisms: Sequence[Prism]) -> None:

@@ -12,10 +12,9 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.simulation.world.model.floor import FLOOR
 from omniman_ros.simulation.world.model.world import WorldModel
 
-Indices = NDArray[np.int32]
-"""Indices of shapes."""
+Indices = NDArray[np.int32]  #: Indices of shapes
+#: Corners of a cube, (8, 3)
 SIGNS: Array = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
-"""Corners of a cube, (8, 3)."""
 
 
 class Engine:
@@ -25,31 +24,21 @@ class Engine:
     those of the step and have forces, and :meth:`refresh`, which finds positions and contacts of
     the new state.
 
-    Args:
-        model: The model.
-
     The arrays among the attributes are live views; :meth:`replace` makes new ones.
 
     Attributes:
         step_time: Length of a step [s].
-        coordinates: Coordinates of all joints; may be written before :meth:`refresh`.
-        velocities: Velocities of all joints; may be written before :meth:`refresh`.
-        applied: Forces and torques to apply at the joints in the next step; to be written.
-        bias: Forces and torques that hold the joints against gravity and Coriolis forces.
-        damping: Damping of all joints, implicit in a step; may be written.
-        dry_friction: Dry friction of all joints; may be written.
-        shape_friction: Coefficients of friction of all shapes; the first column may be written.
-        shape_positions: Positions of all shapes in the world [m], (m, 3).
     """
 
-    coordinates: Array
-    velocities: Array
-    applied: Array
-    bias: Array
-    damping: Array
-    dry_friction: Array
+    coordinates: Array  #: Coordinates of all joints; may be written before :meth:`refresh`
+    velocities: Array  #: Velocities of all joints; may be written before :meth:`refresh`
+    applied: Array  #: Forces and torques to apply at the joints in the next step; to be written
+    bias: Array  #: Forces and torques that hold the joints against gravity and Coriolis forces
+    damping: Array  #: Damping of all joints, implicit in a step; may be written
+    dry_friction: Array  #: Dry friction of all joints; may be written
+    #: Coefficients of friction of all shapes; the first column may be written
     shape_friction: Array
-    shape_positions: Array
+    shape_positions: Array  #: Positions of all shapes in the world [m], (m, 3)
 
     def __init__(self, model: WorldModel) -> None:
         self._use(*self._compile(model))
@@ -130,11 +119,7 @@ class Engine:
         return below
 
     def corners(self, shapes: NDArray[np.intp]) -> Array:
-        """Return the corners of the boxes that hold shapes, along the shapes' axes, (8 k, 3) [m].
-
-        Args:
-            shapes: Indices of the k shapes.
-        """
+        """Return the corners (8 k, 3) of the boxes around shapes, along the shapes' axes [m]."""
         model, data = self._model, self._data
         middles, halves = np.split(model.geom_aabb[shapes], 2, axis=1)
         local = middles[:, None, :] + halves[:, None, :] * SIGNS
@@ -220,7 +205,6 @@ class Engine:
         """Return the velocity of a point of a shape's body at the begin of the step, (3,) [m/s].
 
         Args:
-            shape: Index of the shape.
             place: The point in the world, (3,) [m].
         """
         body, motion = int(self._model.geom_bodyid[shape]), np.empty(6)

@@ -2,10 +2,8 @@
 
 from omniman_ros.simulation.plant.gear_motor import GearMotor
 
-STANDSTILL = 1e-3
-"""Speed below which a wheel is held by `breakaway` [rad/s]."""
-BLOCKED_FRICTION = 1e4
-"""Dry friction of a blocked wheel [N m]."""
+STANDSTILL = 1e-3  #: Speed below which a wheel is held by `breakaway` [rad/s]
+BLOCKED_FRICTION = 1e4  #: Dry friction of a blocked wheel [N m]
 
 
 class HingeMotor(GearMotor):

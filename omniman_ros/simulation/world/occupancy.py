@@ -11,23 +11,16 @@ from omniman_ros.core.errors import ParameterError
 from omniman_ros.simulation.world.scene import Scene
 from omniman_ros.simulation.world.solids import Box, EllipticPrism, Solid, fixed_solids
 
-MAX_CELLS = 4_000_000
-"""Largest number of cells of a grid."""
+MAX_CELLS = 4_000_000  #: Largest number of cells of a grid
 
 
 @dataclass(frozen=True)
 class Occupancy:
-    """Cells that are occupied, as in `nav_msgs/OccupancyGrid`.
+    """Cells that are occupied, as in `nav_msgs/OccupancyGrid`."""
 
-    Attributes:
-        occupied: Whether each cell is occupied, (rows along y, columns along x).
-        resolution: Edge of a cell [m].
-        origin: Corner (x, y) of cell (0, 0) in the world [m], (2,).
-    """
-
-    occupied: NDArray[np.bool_]
-    resolution: float
-    origin: Array
+    occupied: NDArray[np.bool_]  #: Whether each cell is occupied, (rows along y, columns along x)
+    resolution: float  #: Edge of a cell [m]
+    origin: Array  #: Corner (x, y) of cell (0, 0) in the world [m], (2,)
 
 
 def occupancy(
@@ -36,7 +29,6 @@ def occupancy(
     """Return the cells that fixed elements touch below a height: a high table leaves its legs.
 
     Args:
-        scene: The scene.
         resolution: Edge of a cell [m].
         height: Height of what shall pass, such as the platform's [m].
         margin: Free space around the elements and the robot's start [m].
@@ -91,7 +83,6 @@ def _touches(solid: Solid, x: Array, y: Array, half: float) -> NDArray[np.bool_]
     """Return whether cells at (x, y) [m] touch a solid.
 
     Args:
-        solid: The solid.
         x, y: Centres of the cells [m].
         half: Half the edge of a cell [m].
     """

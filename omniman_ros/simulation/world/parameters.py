@@ -6,12 +6,10 @@ from omniman_ros.core.arm_model import JOINTS
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import parameter
 
-Floats = tuple[float, ...]
-"""Angle of each joint [rad]."""
+Floats = tuple[float, ...]  #: Angle of each joint [rad]
+#: Kind of wheel: one contact that slips along the roller's axis and rolls across it
 IDEAL = "ideal"
-"""Kind of wheel: one contact that slips along the roller's axis and rolls across it."""
-ROLLERS = "rollers"
-"""Kind of wheel: passive rollers around its rim, each a body of its own."""
+ROLLERS = "rollers"  #: Kind of wheel: passive rollers around its rim, each a body of its own
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,6 @@ class Scanner:
 
     Args:
         world: The world.
-        parameters: Mounting and measurement.
-        seed: Seed of noise and dropouts.
 
     Attributes:
         parameters: Its present parameters.

@@ -12,14 +12,10 @@ from dataclasses import dataclass, fields
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import REQUIRED, parameter, specs
 
-Floats = tuple[float, ...]
-"""Coordinates of points [m]."""
-SCRIPTED = "scripted"
-"""Behaviour of a person who gives way to nobody."""
-REACTIVE = "reactive"
-"""Behaviour of a person who keeps clear of everything."""
-EXTENT = 1000.0
-"""Largest coordinate [m]."""
+Floats = tuple[float, ...]  #: Coordinates of points [m]
+SCRIPTED = "scripted"  #: Behaviour of a person who gives way to nobody
+REACTIVE = "reactive"  #: Behaviour of a person who keeps clear of everything
+EXTENT = 1000.0  #: Largest coordinate [m]
 
 
 def _coordinate(doc: str = "Position of the centre, x.") -> float:
@@ -215,25 +211,22 @@ class Scene:
     """What is around the robot, and where the robot starts.
 
     Attributes:
-        start: Pose (x, y, heading) of base_link at the start [m, m, rad].
         walls, posts, columns, tables, pallets: What stands fixed.
-        crates: What can be pushed.
-        loads: What lies on the platform.
-        persons: Who walks or stands there.
 
     Raises:
         ParameterError: The start is not three finite numbers, or two elements have the same name.
     """
 
+    #: Pose (x, y, heading) of base_link at the start [m, m, rad]
     start: tuple[float, float, float] = (0.0, 0.0, 0.0)
     walls: tuple[Wall, ...] = ()
     posts: tuple[Post, ...] = ()
     columns: tuple[Column, ...] = ()
     tables: tuple[Table, ...] = ()
     pallets: tuple[Pallet, ...] = ()
-    crates: tuple[Crate, ...] = ()
-    loads: tuple[Load, ...] = ()
-    persons: tuple[Person, ...] = ()
+    crates: tuple[Crate, ...] = ()  #: What can be pushed
+    loads: tuple[Load, ...] = ()  #: What lies on the platform
+    persons: tuple[Person, ...] = ()  #: Who walks or stands there
 
     def __post_init__(self) -> None:
         numbers = [isinstance(value, int | float) for value in self.start]

@@ -9,25 +9,19 @@ import numpy as np
 from omniman_ros.core.arrays import Array
 from omniman_ros.simulation.world.scene import Column, Pallet, Post, Scene, Table, Wall
 
+#: Sides of the prism that stands for an elliptic cylinder: it is at most 0.06 % smaller
 SIDES = 96
-"""Sides of the prism that stands for an elliptic cylinder: it is at most 0.06 % smaller."""
+#: Position (x, y, z) in the world, or edges along the axes of a box [m]
 Vector = tuple[float, float, float]
-"""Position (x, y, z) in the world, or edges along the axes of a box [m]."""
 
 
 @dataclass(frozen=True)
 class Box:
-    """An upright box.
+    """An upright box."""
 
-    Attributes:
-        centre: Centre in the world [m].
-        size: Lengths of the edges [m].
-        yaw: Rotation about the vertical [rad].
-    """
-
-    centre: Vector
-    size: Vector
-    yaw: float = 0.0
+    centre: Vector  #: Centre in the world [m]
+    size: Vector  #: Lengths of the edges [m]
+    yaw: float = 0.0  #: Rotation about the vertical [rad]
 
     @property
     def height(self) -> float:
@@ -40,30 +34,22 @@ class Cylinder:
     """An upright cylinder.
 
     Attributes:
-        centre: Centre in the world [m].
         radius, height: Radius and height [m].
     """
 
-    centre: Vector
+    centre: Vector  #: Centre in the world [m]
     radius: float
     height: float
 
 
 @dataclass(frozen=True)
 class EllipticPrism:
-    """An upright prism whose outline has `SIDES` corners on an ellipse.
+    """An upright prism whose outline has `SIDES` corners on an ellipse."""
 
-    Attributes:
-        centre: Centre in the world [m].
-        semi_axes: Semi-axes of the ellipse [m].
-        yaw: Direction of the first axis [rad].
-        height: Height [m].
-    """
-
-    centre: Vector
-    semi_axes: tuple[float, float]
-    yaw: float
-    height: float
+    centre: Vector  #: Centre in the world [m]
+    semi_axes: tuple[float, float]  #: Semi-axes of the ellipse [m]
+    yaw: float  #: Direction of the first axis [rad]
+    height: float  #: Height [m]
 
     @property
     def outline(self) -> Array:
@@ -71,8 +57,7 @@ class EllipticPrism:
         return ellipse_corners(self.semi_axes, self.yaw)
 
 
-Solid = Box | Cylinder | EllipticPrism
-"""Convex part of an element."""
+Solid = Box | Cylinder | EllipticPrism  #: Convex part of an element
 
 
 def ellipse_corners(semi_axes: tuple[float, float], yaw: float) -> Array:

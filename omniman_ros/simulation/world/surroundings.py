@@ -14,21 +14,14 @@ from omniman_ros.simulation.world.model.platform import BASE
 from omniman_ros.simulation.world.scene import REACTIVE, Scene
 from omniman_ros.simulation.world.solids import fixed_solids, footprint
 
-HORIZON = 2.5
-"""How far ahead persons mind what moves, and the robot [s]."""
+HORIZON = 2.5  #: How far ahead persons mind what moves, and the robot [s]
+#: How far ahead persons mind what is fixed [s]; were it longer, they would creep along walls
 FIXED_HORIZON = 0.8
-"""How far ahead persons mind what is fixed [s]; were it longer, they would creep along walls."""
-SIGHT = 4.0
-"""Distance up to which fixed things are minded [m]."""
+SIGHT = 4.0  #: Distance up to which fixed things are minded [m]
 
 
 class Neighbourhood:
-    """Finds what is around each person: fixed things, the robot with its arm, and what moves.
-
-    Args:
-        engine: The engine.
-        scene: The scene.
-    """
+    """Finds what is around each person: fixed things, the robot with its arm, and what moves."""
 
     def __init__(self, engine: Engine, scene: Scene) -> None:
         self._engine, persons = engine, scene.persons

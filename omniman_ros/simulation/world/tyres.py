@@ -15,17 +15,11 @@ from omniman_ros.simulation.world.model.wheels import body_name
 
 @dataclass(frozen=True, slots=True)
 class _Tyre:
-    """What rolls on the floor.
+    """What rolls on the floor."""
 
-    Attributes:
-        hinge: Index of the velocity of the hinge on which it rolls freely.
-        wheel: Number of its wheel.
-        radius: Its radius [m].
-    """
-
-    hinge: int
-    wheel: int
-    radius: float
+    hinge: int  #: Index of the velocity of the hinge on which it rolls freely
+    wheel: int  #: Number of its wheel
+    radius: float  #: Its radius [m]
 
 
 class TyreContacts:
@@ -33,10 +27,6 @@ class TyreContacts:
 
     A roller's drag is as in the plant: in proportion to its load, against its rolling, and smooth
     about zero. It acts as damping of the roller's hinge, which the engine takes implicitly.
-
-    Args:
-        engine: The engine.
-        names: Names of the wheels.
 
     Attributes:
         drag_loss: Energy lost by the drag of the rollers since the start [J].

@@ -9,14 +9,10 @@ to go through one by one than as arrays.
 import math
 from collections.abc import Sequence
 
-HalfPlane = tuple[float, float, float]
-"""Unit normal (x, y) and the least velocity along it [m/s]."""
-Velocity = tuple[float, float]
-"""Velocity (x, y) [m/s]."""
-TOLERANCE = 1e-9
-"""By how much a half-plane may be violated [m/s]."""
-FAR = 1e6
-"""Where an objective lies that is a direction, over the largest speed."""
+HalfPlane = tuple[float, float, float]  #: Unit normal (x, y) and the least velocity along it [m/s]
+Velocity = tuple[float, float]  #: Velocity (x, y) [m/s]
+TOLERANCE = 1e-9  #: By how much a half-plane may be violated [m/s]
+FAR = 1e6  #: Where an objective lies that is a direction, over the largest speed
 
 
 def nearest_velocity(

@@ -5,17 +5,14 @@ import math
 from omniman_ros.simulation.world.scene import Person
 from omniman_ros.simulation.world.velocity_program import Velocity
 
-APPROACH = 3.0
-"""Velocity per distance with which a scripted person returns to the path [1/s]."""
-HURRY = 1.2
-"""Ratio of the highest velocity of a person to the walking speed [-]."""
+APPROACH = 3.0  #: Velocity per distance with which a scripted person returns to the path [1/s]
+HURRY = 1.2  #: Ratio of the highest velocity of a person to the walking speed [-]
+#: Distance from the scripted position above which the script waits for the person [m]
 WAITING_DISTANCE = 0.5
-"""Distance from the scripted position above which the script waits for the person [m]."""
+#: Velocity per distance with which a reactive person returns to a single way point [1/s]; with a
+#: larger one, the person would oscillate while somebody approaches.
 RETURN = 1.0
-"""Velocity per distance with which a reactive person returns to a single way point [1/s]; with a
-larger one, the person would oscillate while somebody approaches."""
-ARRIVAL = 0.25
-"""Distance from which on a reactive person has reached a way point [m]."""
+ARRIVAL = 0.25  #: Distance from which on a reactive person has reached a way point [m]
 
 
 class ScriptedWalk:
@@ -23,9 +20,6 @@ class ScriptedWalk:
 
     A goal goes along the way points at the walking speed, and the person goes after it. Who is
     held up pushes on, and the goal waits.
-
-    Args:
-        person: The person.
     """
 
     def __init__(self, person: Person) -> None:
@@ -66,9 +60,6 @@ class ReactiveWalk:
     """The walk that a person who gives way would take if nothing were in the way.
 
     The person goes straight to the next way point, from wherever giving way has led.
-
-    Args:
-        person: The person.
     """
 
     def __init__(self, person: Person) -> None:

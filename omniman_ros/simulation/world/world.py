@@ -25,27 +25,19 @@ from omniman_ros.simulation.world.parameters import IDEAL, WorldParameters
 from omniman_ros.simulation.world.scene import Scene
 from omniman_ros.simulation.world.tyres import TyreContacts
 
-MAX_DEPTH = 0.02
-"""How deep the robot may be in something where it is put [m]."""
+MAX_DEPTH = 0.02  #: How deep the robot may be in something where it is put [m]
 
 
 @dataclass(frozen=True)
 class Obstacle:
-    """Where something that moves truly is.
+    """Where something that moves truly is."""
 
-    Attributes:
-        name: Name of the element.
-        pose: Pose (x, y, heading) of its middle in the world [m, m, rad].
-        velocity: Velocity (x, y) in the world [m/s].
-        size: Length, width and height [m].
-        is_round: Whether it is a cylinder; else it is a box.
-    """
-
-    name: str
+    name: str  #: Name of the element
+    #: Pose (x, y, heading) of its middle in the world [m, m, rad]
     pose: tuple[float, float, float]
-    velocity: tuple[float, float]
-    size: tuple[float, float, float]
-    is_round: bool
+    velocity: tuple[float, float]  #: Velocity (x, y) in the world [m/s]
+    size: tuple[float, float, float]  #: Length, width and height [m]
+    is_round: bool  #: Whether it is a cylinder; else it is a box
 
 
 class World:
@@ -58,7 +50,6 @@ class World:
         description: Robot, arm and where the arm is mounted.
         simulation: Parameters of floor, motors, mismatch and faults.
         parameters: Parameters of the world.
-        scene: The scene.
 
     Attributes:
         engine: The engine.

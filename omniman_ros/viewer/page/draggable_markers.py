@@ -29,36 +29,25 @@ from omniman_ros.viewer.placed_obstacles import MAX_VELOCITY, ObstacleArrays
 from omniman_ros.viewer.style import Colour
 from omniman_ros.viewer.view_state import Pose, ViewState
 
-OPAQUE = 1.0
-"""Opacity of a marker."""
-PALE = 0.3
-"""Opacity of the goal's marker while there is no goal."""
-OBSTACLE_OPACITY = 0.8
-"""Opacity of an obstacle."""
-PLATE_OPACITY = 0.25
-"""Ratio of the opacity of a marker's plate to that of its other parts."""
+OPAQUE = 1.0  #: Opacity of a marker
+PALE = 0.3  #: Opacity of the goal's marker while there is no goal
+OBSTACLE_OPACITY = 0.8  #: Opacity of an obstacle
+PLATE_OPACITY = 0.25  #: Ratio of the opacity of a marker's plate to that of its other parts
+#: Height of the goal above the start [m], which lets it be grabbed where both coincide
 GOAL_LIFT = 0.02
-"""Height of the goal above the start [m], which lets it be grabbed where both coincide."""
-GOAL_GAP = 1.0
-"""Distance between the robot and a goal that waits to be dragged [m]."""
-ARROW_HEIGHT = OBSTACLE_HEIGHT + 0.02
-"""Height of the velocity arrows above the floor [m]."""
-ARROW_LENGTH = 0.2
-"""Length of the head of a velocity arrow [m]."""
-ARROW_THICKNESS = 0.03
-"""Thickness of the head of a velocity arrow [m]."""
-REST_SPEED = 0.04
-"""Speed below which a dragged velocity counts as zero [m/s]."""
+GOAL_GAP = 1.0  #: Distance between the robot and a goal that waits to be dragged [m]
+ARROW_HEIGHT = OBSTACLE_HEIGHT + 0.02  #: Height of the velocity arrows above the floor [m]
+ARROW_LENGTH = 0.2  #: Length of the head of a velocity arrow [m]
+ARROW_THICKNESS = 0.03  #: Thickness of the head of a velocity arrow [m]
+REST_SPEED = 0.04  #: Speed below which a dragged velocity counts as zero [m/s]
 
 
 class DraggableMarkers:
     """Start, goal and obstacles of the page, and the obstacles of other sources.
 
     Args:
-        api: Scene of the page.
         root: Name of the parent frame, which is `odom`.
         robot: Robot that start and goal belong to.
-        dragging: Lets the markers be dragged.
     """
 
     def __init__(
@@ -104,8 +93,6 @@ class MeshBatch:
     viser lets their number change, but not to zero: the last ones are then hidden instead.
 
     Args:
-        api: Scene of the page.
-        name: Name of the scene node.
         mesh: Mesh of which instances are drawn.
         colour: Colour of the instances, unless `draw` gives others.
         opacity: Opacity of all instances, 0 to 1.
@@ -165,11 +152,7 @@ class _PoseMarker:
     """A pose on the floor: dragging its plate moves it, dragging its knob rotates it.
 
     Args:
-        api: Scene of the page.
         name: Name of the marker's frame.
-        body: Body of the robot.
-        colour: Colour of the marker.
-        dragging: Lets the marker be dragged.
         height: Height above the floor [m].
     """
 
@@ -255,13 +238,7 @@ class _GoalMarker(_PoseMarker):
 
 
 class _ObstacleMarkers:
-    """Obstacles of the page: dragging one moves it, dragging its arrow sets its velocity.
-
-    Args:
-        api: Scene of the page.
-        name: Name of the obstacles' scene node.
-        dragging: Lets the obstacles be dragged.
-    """
+    """Obstacles of the page: dragging one moves it, dragging its arrow sets its velocity."""
 
     def __init__(self, api: viser.SceneApi, name: str, dragging: FloorDragging) -> None:
         self._dragging = dragging

@@ -16,19 +16,15 @@ from omniman_ros.viewer.optimistic_updates import Key, OptimisticUpdates
 from omniman_ros.viewer.page.inputs import Post
 from omniman_ros.viewer.page.viser_compat import camera_position
 
-Pair = tuple[float, float]
-"""x, y on the floor or in a level plane [m]."""
-Pointer = Hashable
-"""Identifier of a drag: the browser and the scene node that it has grabbed."""
+Pair = tuple[float, float]  #: x, y on the floor or in a level plane [m]
+Pointer = Hashable  #: Identifier of a drag: the browser and the scene node that it has grabbed
+#: Maps the index of the grabbed instance to the object and its position; None refuses the drag
 Grab = Callable[[int | None], tuple[Key, Pair] | None]
-"""Maps the index of the grabbed instance to the object and its position; None refuses the drag."""
+#: Handles a dragged object: its key, its new position, and whether it was released there
 Move = Callable[[Key, Pair, bool], None]
-"""Handles a dragged object: its key, its new position, and whether it was released there."""
-Handle = viser.MeshHandle | viser.BatchedMeshHandle
-"""Scene node that can be dragged."""
+Handle = viser.MeshHandle | viser.BatchedMeshHandle  #: Scene node that can be dragged
 
-MAX_DISTANCE = 60.0
-"""Distance beyond which a ray counts as pointing at the horizon [m]."""
+MAX_DISTANCE = 60.0  #: Distance beyond which a ray counts as pointing at the horizon [m]
 
 
 def on_plane(eye: Sequence[float], through: Sequence[float], height: float) -> Pair | None:
@@ -56,19 +52,12 @@ def on_plane(eye: Sequence[float], through: Sequence[float], height: float) -> P
 
 @dataclass(frozen=True)
 class Drag:
-    """One drag under way.
+    """One drag under way."""
 
-    Attributes:
-        key: Identifier of the dragged object.
-        height: Height of the point where it was grabbed [m].
-        offset: Offset (x, y) from that point to the object's position [m].
-        position: Latest position (x, y) on the floor [m].
-    """
-
-    key: Key
-    height: float
-    offset: Pair
-    position: Pair
+    key: Key  #: Identifier of the dragged object
+    height: float  #: Height of the point where it was grabbed [m]
+    offset: Pair  #: Offset (x, y) from that point to the object's position [m]
+    position: Pair  #: Latest position (x, y) on the floor [m]
 
 
 class DragTracker:
@@ -87,8 +76,6 @@ class DragTracker:
         """Start a drag.
 
         Args:
-            pointer: Identifier of the drag.
-            key: Identifier of the dragged object.
             position: Position of the object (x, y) [m].
             point: Point where it was grabbed (x, y, z) [m].
             floor: Position of the floor's origin in the world (x, y) [m].
@@ -124,7 +111,6 @@ class FloorDragging:
     All callbacks run in the server's thread, in the order in which the browsers sent the events.
 
     Args:
-        server: Server of the page.
         floor: Returns the position of the floor's origin in the world of the cameras [m].
         post: Accepts events; must not block.
 
@@ -143,7 +129,6 @@ class FloorDragging:
         """Let a scene node be dragged with the left mouse button.
 
         Args:
-            handle: Scene node.
             grab: Called at the start of a drag, see `Grab`.
             move: Called at each movement and at the end of a drag, see `Move`.
         """

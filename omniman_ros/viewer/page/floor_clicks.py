@@ -13,7 +13,6 @@ class FloorClicks:
     A drag on the floor, which turns the camera, is no click.
 
     Args:
-        api: Scene of the page.
         floor: Returns the position of the floor's origin in the world of the cameras [m].
     """
 

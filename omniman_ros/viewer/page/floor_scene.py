@@ -11,27 +11,20 @@ from omniman_ros.viewer.lines import JUMP, segments
 from omniman_ros.viewer.style import Colour
 from omniman_ros.viewer.view_state import ViewState
 
+#: Height of the lowest line above the floor, and of each layer above the one below [m]
 LAYER_HEIGHT = 0.004
-"""Height of the lowest line above the floor, and of each layer above the one below [m]."""
-DASH_LENGTH = 0.12
-"""Length of a dash, and of the gap behind it [m]."""
-MAX_DASHES = 500
-"""Largest number of dashes of a line; the dashes of a longer line are longer."""
-UNBOUNDED_WIDTH = 200.0
-"""Width in any direction from which a workspace counts as unbounded [m]."""
+DASH_LENGTH = 0.12  #: Length of a dash, and of the gap behind it [m]
+MAX_DASHES = 500  #: Largest number of dashes of a line; the dashes of a longer line are longer
+UNBOUNDED_WIDTH = 200.0  #: Width in any direction from which a workspace counts as unbounded [m]
 
 
 class SceneLine:
     """A line that is sent again only when it has changed.
 
     Args:
-        api: Scene of the page.
-        name: Name of the scene node.
-        colour: Colour of the line.
         width: Width of the line [px].
         layer: Layer of a line on the floor: higher layers hide lower ones.
         jump: Length from which a segment is left out [m].
-        dashed: Whether the line is dashed.
     """
 
     def __init__(
@@ -58,12 +51,7 @@ class SceneLine:
         )
 
     def show(self, points: Array, version: int) -> None:
-        """Draw points (k, 2) on the floor or (k, 3) in space [m]; NaN breaks the line.
-
-        Args:
-            points: The points.
-            version: Changes whenever the points change.
-        """
+        """Draw points (k, 2) on the floor or (k, 3) in space [m]; NaN breaks the line."""
         if version != self._version:
             self._version = version
             self.draw(self._segments(points))
@@ -125,7 +113,6 @@ class FloorScene:
     """The floor and the lines.
 
     Args:
-        api: Scene of the page.
         root: Name of the parent frame, which is `odom`.
     """
 

@@ -12,10 +12,9 @@ import viser
 from omniman_ros.viewer.debounced_value import DebouncedValue
 from omniman_ros.viewer.events import Event
 
-Post = Callable[[Event], None]
-"""Accepts an event from any thread of the server; must not block."""
+Post = Callable[[Event], None]  #: Accepts an event from any thread of the server; must not block
+#: Name of a button's colour in viser
 ButtonColour = Literal["red", "green", "gray", "blue", "orange"]
-"""Name of a button's colour in viser."""
 
 
 def add_button(
@@ -40,10 +39,7 @@ class NumberInput:
     """A number that both the page and a node can set.
 
     Args:
-        gui: GUI of the page.
-        label: Displayed name and unit.
         low, high: Accepted range; other values are refused by the page, or discarded.
-        step: Step of the arrows beside the input.
         hint: Description that the page displays.
 
     Attributes:
@@ -75,7 +71,6 @@ class NumberInput:
         """Display the node's value; return a newly requested value once, else None.
 
         Args:
-            value: Present value of the node.
             now: Time of any steady clock [s].
         """
         requested = self._entry.step(now)
@@ -96,8 +91,6 @@ def draw_pair(
     """Display two numbers, rounded to 1/1000; return them, with newly requested values instead.
 
     Args:
-        inputs: The two inputs.
-        pair: Present values of the node.
         now: Time of any steady clock [s].
     """
     first, second = (

@@ -20,18 +20,16 @@ KEYS = {
     "right": "L",
     "turn_left": "U",
     "turn_right": "O",
-}
-"""Key of each motion: the letter that a US keyboard has at the key's place."""
+}  #: Key of each motion: the letter that a US keyboard has at the key's place
+#: Pairs of opposite motions, of which at most one is part of a chord
 _AXES = (("forward", "back"), ("left", "right"), ("turn_left", "turn_right"))
-"""Pairs of opposite motions, of which at most one is part of a chord."""
 CHORDS = tuple(
     chord
     for choice in product(*((None, *axis) for axis in _AXES))
     if (chord := tuple(motion for motion in choice if motion is not None))
-)
-"""Combinations of motions that can be held at once, in the order of the axes."""
+)  #: Combinations of motions that can be held at once, in the order of the axes
+#: Attribute of the element of a motion button while its key is down
 KEY_DOWN_ATTRIBUTE = "data-held"
-"""Attribute of the element of a motion button while its key is down."""
 
 # The script uses key codes rather than characters: they are the same at release, even if shift was
 # pressed in between. The listeners are attached once: a page that reconnects only has new buttons.

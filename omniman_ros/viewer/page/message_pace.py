@@ -1,14 +1,12 @@
 """Rate up to which the messages of one connection are read."""
 
+#: Largest rate of messages of a connection in the long run [1/s].
+#:
+#: A page that drags something sends up to 60.
 RATE = 200.0
-"""Largest rate of messages of a connection in the long run [1/s].
-
-A page that drags something sends up to 60.
-"""
+#: Number of messages of a connection that may come at once: a page that connects sends many
 BURST = 200
-"""Number of messages of a connection that may come at once: a page that connects sends many."""
-ROUND_OFF = 1e-6
-"""Delay that does not count [s]."""
+ROUND_OFF = 1e-6  #: Delay that does not count [s]
 
 
 class MessagePace:

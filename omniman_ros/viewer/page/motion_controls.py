@@ -13,17 +13,14 @@ from omniman_ros.viewer.page.viser_compat import row_css, style_html
 from omniman_ros.viewer.page.waypoint_controls import WaypointControls
 from omniman_ros.viewer.placed_obstacles import MAX_VELOCITY, PlacedObstacle
 
-MAX_TURN_TIME = 600.0
-"""Latest time of a turn that can be entered [s]."""
-STANDING = TwoVelocityPath((0.0, 0.0))
-"""Path that is displayed while no obstacle is selected."""
+MAX_TURN_TIME = 600.0  #: Latest time of a turn that can be entered [s]
+STANDING = TwoVelocityPath((0.0, 0.0))  #: Path that is displayed while no obstacle is selected
 
 
 class MotionControls:
     """Buttons for the kind of motion, and the numbers that belong to it.
 
     Args:
-        gui: GUI of the page.
         clicks: Clicks on the floor, which can add way points.
         post: Accepts events; must not block.
     """

@@ -28,7 +28,6 @@ class ObstaclePanel:
     """Buttons for all obstacles, and the motion and size of the selected one.
 
     Args:
-        gui: GUI of the page.
         clicks: Clicks on the floor, which can add way points.
         post: Accepts events; must not block.
     """

@@ -23,26 +23,18 @@ from omniman_ros.viewer.page_access import PageAccess
 from omniman_ros.viewer.style import PANEL_WIDTH
 from omniman_ros.viewer.view_state import ViewState
 
-MAX_PORTS = 20
-"""Number of ports that are tried, starting with the requested one."""
-TOKEN_BYTES = 24
-"""Number of random bytes of a token."""
+MAX_PORTS = 20  #: Number of ports that are tried, starting with the requested one
+TOKEN_BYTES = 24  #: Number of random bytes of a token
+#: Number of frames between two updates of scan, tracks and the robot's shapes
 PERCEIVED_INTERVAL = 2
-"""Number of frames between two updates of scan, tracks and the robot's shapes."""
-LINES_INTERVAL = 5
-"""Number of frames between two updates of the lines on the floor."""
-PLOTS_INTERVAL = 4
-"""Number of frames between two updates of plots and texts."""
+LINES_INTERVAL = 5  #: Number of frames between two updates of the lines on the floor
+PLOTS_INTERVAL = 4  #: Number of frames between two updates of plots and texts
+#: Errors of binding to an address that is not one of this machine
 _FOREIGN_HOST_ERRORS = (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT, errno.EINVAL)
-"""Errors of binding to an address that is not one of this machine."""
 
 
 def free_port(host: str, port: int) -> int:
     """Return the requested port, or the next one that is free.
-
-    Args:
-        host: Address to serve on.
-        port: Requested port.
 
     Raises:
         ParameterError: `host` is not an address of this machine, or all ports are in use.
@@ -72,9 +64,7 @@ class Page:
     browsers to `post`.
 
     Args:
-        robot: The robot's geometry.
         mount: Mount of its arm; None if the robot has no arm.
-        constraints: Number of coupling errors.
         limits: Largest speed [m/s] and yaw rate [rad/s] of the motion buttons.
         access: Address to serve on, and who may open the page.
         post: Accepts events; must not block.

@@ -34,8 +34,7 @@ from omniman_ros.viewer.style import (
 )
 from omniman_ros.viewer.view_state import PAUSABLE_NODES, ViewState
 
-HEARTBEAT = 20.0
-"""Rate at which a page repeats that a button is held [Hz]."""
+HEARTBEAT = 20.0  #: Rate at which a page repeats that a button is held [Hz]
 
 _MOTION_ICONS = {
     "forward": viser.Icon.ARROW_UP,
@@ -65,7 +64,6 @@ class Controls:
     """Stop and Reset at the top, the motion buttons below them, then tabs with all other controls.
 
     Args:
-        server: Server of the page.
         limits: Largest speed [m/s] and yaw rate [rad/s] of the sliders.
         clicks: Clicks on the floor, which can add way points of obstacles.
         post: Accepts events; must not block.
@@ -208,12 +206,7 @@ class Controls:
 
 
 class StatusPanel:
-    """The robot's state in words.
-
-    Args:
-        server: Server of the page.
-        above: Panel above this one.
-    """
+    """The robot's state in words."""
 
     def __init__(self, server: viser.ViserServer, above: viser.PanelHandle) -> None:
         gui = server.gui

@@ -14,8 +14,6 @@ class ParameterPanel:
     """A number input for each parameter of the planner, added when it is first received.
 
     Args:
-        gui: GUI of the page.
-        tab: Tab for the inputs.
         post: Accepts events; must not block.
     """
 

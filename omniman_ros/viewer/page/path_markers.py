@@ -14,21 +14,16 @@ from omniman_ros.viewer.page.dragging import FloorDragging, Pair
 from omniman_ros.viewer.page.floor_scene import SceneLine
 from omniman_ros.viewer.placed_obstacles import ObstacleArrays
 
-WAYPOINT_RADIUS = 0.07
-"""Radius of the disc at a way point [m]."""
-WAYPOINT_HEIGHT = 0.03
-"""Height of the disc at a way point [m]."""
-LINE_BREAK = np.full((1, 2), np.nan)
-"""Separates two paths of one line."""
+WAYPOINT_RADIUS = 0.07  #: Radius of the disc at a way point [m]
+WAYPOINT_HEIGHT = 0.03  #: Height of the disc at a way point [m]
+LINE_BREAK = np.full((1, 2), np.nan)  #: Separates two paths of one line
 
 
 class PathMarkers:
     """Lines along the paths that turn or follow way points, and a disc at each way point.
 
     Args:
-        api: Scene of the page.
         root: Name of the parent frame, which is `odom`.
-        dragging: Lets the way points be dragged.
     """
 
     def __init__(self, api: viser.SceneApi, root: str, dragging: FloorDragging) -> None:

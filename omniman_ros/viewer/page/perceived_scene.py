@@ -13,23 +13,17 @@ from omniman_ros.viewer.page.draggable_markers import OPAQUE, MeshBatch
 from omniman_ros.viewer.page.floor_scene import SceneLine
 from omniman_ros.viewer.perceived import Contact, Perceived, uncertainty_circles, velocity_arrows
 
-MAP_HEIGHT = 0.002
-"""Height of the map above the floor, below all lines [m]."""
-TRACK_HEIGHT = 0.05
-"""Height of the arrows of tracked obstacles [m]."""
-POINT_SIZE = 0.035
-"""Size of a point of a scan [m]."""
-CONTACT_RADIUS = 0.06
-"""Radius of the ball at a contact [m]."""
-TRANSPARENT = 0.35
-"""Opacity of the robot's shapes."""
+MAP_HEIGHT = 0.002  #: Height of the map above the floor, below all lines [m]
+TRACK_HEIGHT = 0.05  #: Height of the arrows of tracked obstacles [m]
+POINT_SIZE = 0.035  #: Size of a point of a scan [m]
+CONTACT_RADIUS = 0.06  #: Radius of the ball at a contact [m]
+TRANSPARENT = 0.35  #: Opacity of the robot's shapes
 
 
 class PerceivedScene:
     """Draws what the robot perceives.
 
     Args:
-        api: Scene of the page.
         root: Name of the parent frame, which is `odom`.
     """
 

@@ -13,22 +13,16 @@ from omniman_ros.viewer.signal_window import PLOT_SPAN, SignalWindow
 from omniman_ros.viewer.style import LIMIT, PLOT_HEIGHT, SERIES
 from omniman_ros.viewer.view_state import ViewState
 
-DEFAULT_DEADLINE = 40.0
-"""Deadline of the planner until it has reported its own [ms]."""
-ARM_PERIOD = 8.0
-"""Period between two setpoints of the arm [ms], CCTA 2017."""
+DEFAULT_DEADLINE = 40.0  #: Deadline of the planner until it has reported its own [ms]
+ARM_PERIOD = 8.0  #: Period between two setpoints of the arm [ms], CCTA 2017
 
-Signal = tuple[str, str, bool]
-"""Name and colour of a curve, and whether it is dashed."""
+Signal = tuple[str, str, bool]  #: Name and colour of a curve, and whether it is dashed
 
 
 class Plots:
     """All plots of the page.
 
     Args:
-        server: Server of the page.
-        wheels: Names of the wheels.
-        constraints: Number of coupling errors.
         max_voltage: Largest voltage of the wheels' amplifiers [V].
 
     Attributes:
@@ -95,7 +89,6 @@ class Plots:
         """Update the curves; most of the page's computing time is spent here.
 
         Args:
-            state: Source of the curves.
             now: Time on the clock of `state` [s].
         """
         deadline = state.planner_parameters.get("safety.deadline")
@@ -114,10 +107,7 @@ class _Plot:
     """Signals over the last seconds; hidden until there are any.
 
     Args:
-        gui: GUI of the page.
-        title: Title of the plot.
         min_amplitude: Half the smallest range of the y axis, so that noise is not magnified.
-        signals: Curves of the plot.
         limits: Values of the lines that mark limits.
         unit: Unit of the plot, expressed in the unit of the window.
 

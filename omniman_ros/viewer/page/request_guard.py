@@ -36,12 +36,7 @@ class RequestGuard:
         self._is_encrypted = is_encrypted
 
     def rejection_reason(self, path: str, headers: Headers) -> str:
-        """Return why a request is rejected, or an empty string.
-
-        Args:
-            path: Path and query of the request.
-            headers: Headers of the request.
-        """
+        """Return why a request is rejected, or an empty string."""
         requested = headers.get("Host", "")
         if is_loopback(self._host) and not is_loopback(urlsplit(f"//{requested}").hostname or ""):
             # The name belongs to somebody else, who made it point here (DNS rebinding).
@@ -54,18 +49,13 @@ class RequestGuard:
         return ""
 
     def cookie(self, path: str) -> str:
-        """Return the cookie for a browser that shows the token in its address; else nothing.
-
-        Args:
-            path: Path and query of the request.
-        """
+        """Return the cookie for a browser that shows the token in its address; else nothing."""
         if not (self._token and self._is_shown(path)):
             return ""
         secure = "; Secure" if self._is_encrypted else ""
         return f"{self._cookie}={self._token}; Path=/; HttpOnly; SameSite=Strict{secure}"
 
     def _is_shown(self, path: str) -> bool:
-        """Return whether the token is in the query of an address."""
         return any(map(self._is_token, parse_qs(urlsplit(path).query).get("token", ())))
 
     def _has_cookie(self, headers: Headers) -> bool:

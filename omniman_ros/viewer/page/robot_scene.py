@@ -15,17 +15,14 @@ from omniman_ros.viewer.meshes import Mesh, rotation, wheel_rotations
 from omniman_ros.viewer.style import Colour
 from omniman_ros.viewer.view_state import Pose, ViewState
 
-COLUMN_RADIUS = 0.09
-"""Radius of the column below an arm that is mounted above the deck [m]."""
+COLUMN_RADIUS = 0.09  #: Radius of the column below an arm that is mounted above the deck [m]
 
 
 class RobotScene:
     """The robot and its ghost.
 
     Args:
-        api: Scene of the page.
         root: Name of the parent frame, which is `odom`.
-        robot: The robot's geometry.
         mount: Mount of the arm; None if the robot has no arm.
     """
 
@@ -63,14 +60,7 @@ class RobotScene:
 
 
 class _Wheels:
-    """All wheels of one shape; each part is one batch, at a tenth of the cost of single meshes.
-
-    Args:
-        api: Scene of the page.
-        name: Name of the scene nodes.
-        robot: The robot's geometry.
-        members: Indices of the wheels of this shape.
-    """
+    """All wheels of one shape; each part is one batch, at a tenth of the cost of single meshes."""
 
     def __init__(
         self, api: viser.SceneApi, name: str, robot: Robot, members: Sequence[int]
@@ -117,9 +107,7 @@ class _Arm:
     """The arm as two batches, tubes and caps; hidden until its first pose is known.
 
     Args:
-        api: Scene of the page.
         name: Name of its frame.
-        mount: Mount of the arm.
         deck: Height of the deck below it [m].
     """
 
@@ -188,12 +176,7 @@ def add_mesh(
     """Add a mesh of one colour, without shadows.
 
     Args:
-        api: Scene of the page.
-        name: Name of the scene node.
-        mesh: Mesh to add.
-        colour: Colour of the mesh.
         opacity: Opacity, 0 to 1; None if it is opaque.
-        scale: Scale factor.
         flat: Whether its triangles are shaded flat, with visible edges.
     """
     return api.add_mesh_simple(

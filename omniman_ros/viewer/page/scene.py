@@ -19,19 +19,17 @@ from omniman_ros.viewer.page.robot_scene import RobotScene
 from omniman_ros.viewer.page.tool_handle import ToolHandle
 from omniman_ros.viewer.view_state import ViewState
 
+#: Name of the frame of `odom`, the parent of all objects in the scene.
+#:
+#: To follow the robot, this frame is moved rather than the camera, so that every browser keeps its
+#: own view.
 ROOT = "/world"
-"""Name of the frame of `odom`, the parent of all objects in the scene.
-
-To follow the robot, this frame is moved rather than the camera, so that every browser keeps its
-own view.
-"""
 
 
 class Scene:
     """Draws the floor, the lines, the robot, its ghost and the draggable markers.
 
     Args:
-        server: Server of the page.
         robot: Parameters of the robot, for its geometry.
         mount: Mount of its arm, or None for a robot without an arm.
         post: Function that receives the events of dragging; it must not block.
@@ -73,7 +71,6 @@ class Scene:
         """Draw the moving objects.
 
         Args:
-            state: Data to draw.
             follow: Whether the scene is moved so that the robot stays in its middle.
         """
         if follow and state.odom is not None:
@@ -91,7 +88,6 @@ class Scene:
         """Draw what the robot perceives; call this less often, as most of it changes always.
 
         Args:
-            state: Data to draw.
             layers: Names of the layers to draw, see `perceived.LAYERS`.
         """
         self._perceived.draw(state.perceived, layers)

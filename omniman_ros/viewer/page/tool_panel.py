@@ -12,22 +12,19 @@ from omniman_ros.viewer.status_text import hint
 from omniman_ros.viewer.tool_goal import ToolPose
 from omniman_ros.viewer.view_state import ViewState
 
-MAX_COORDINATE = 1000.0
-"""Largest coordinate of the handle that can be entered [m]."""
+MAX_COORDINATE = 1000.0  #: Largest coordinate of the handle that can be entered [m]
 BUTTONS = {
     "tool_place": ("Place handle", viser.Icon.CROSSHAIR),
     "tool_add": ("Add pose", viser.Icon.PLUS),
     "tool_send": ("Lead tool", viser.Icon.PLAYER_PLAY),
     "tool_remove": ("Remove", viser.Icon.X),
-}
-"""Label and icon of each button, by its action."""
+}  #: Label and icon of each button, by its action
 
 
 class ToolPanel:
     """Buttons, and the handle's pose in numbers, by which it is moved without a mouse.
 
     Args:
-        gui: GUI of the page.
         post: Accepts events; must not block.
     """
 

@@ -33,16 +33,15 @@ from websockets.http11 import Request, Response
 from omniman_ros.viewer.page.message_pace import MessagePace
 from omniman_ros.viewer.page.request_guard import RequestGuard
 
+#: Returns the response that rejects a request, or None to accept it
 RequestHandler = Callable[[ServerConnection, Request], Response | None]
-"""Returns the response that rejects a request, or None to accept it."""
 
 PLOT_CSS = (
     ".uplot .u-title{font-size:0.75em!important;padding:2px 0 0!important}"
     ".uplot-container{margin-block:0.3em!important;padding:0!important}"
-)
-"""CSS that makes titles and margins of viser's plots smaller."""
+)  #: CSS that makes titles and margins of viser's plots smaller
+#: CSS that hides the bar that folds the panels at the right: Stop would be folded with them
 FIXED_DOCK_CSS = '[data-dock-region-handle="right"]{display:none!important}'
-"""CSS that hides the bar that folds the panels at the right: Stop would be folded with them."""
 
 
 # ---- server -----------------------------------------------------------------------------------
@@ -82,7 +81,6 @@ def guarded_server(guard: RequestGuard, tls: ssl.SSLContext | None = None) -> It
     replaced meanwhile.
 
     Args:
-        guard: Decides about the requests.
         tls: What encrypts the connections; None for http.
     """
     serve = websockets.asyncio.server.serve
@@ -227,7 +225,6 @@ def marked_panel_html(name: str, height: int) -> str:
 
     Args:
         name: Class that marks the panel, unique in the page.
-        height: Height of the panel.
     """
     return (
         f'<style class="{name}">[data-dock-scroll]>div:has(.{name}){{flex:0 0 '

@@ -12,13 +12,12 @@ from omniman_ros.viewer.page.inputs import NumberInput, Post, add_button, draw_p
 from omniman_ros.viewer.page.viser_compat import row_css, style_html
 from omniman_ros.viewer.status_text import hint
 
-MAX_COORDINATE = 1000.0
-"""Largest coordinate of a way point that can be entered [m]."""
+MAX_COORDINATE = 1000.0  #: Largest coordinate of a way point that can be entered [m]
+#: Distance along x from the last way point to one that is added by the button [m]
 NEW_POINT_DISTANCE = 1.0
-"""Distance along x from the last way point to one that is added by the button [m]."""
 
+#: Control that can be hidden
 Handle = viser.GuiInputHandle[Any] | viser.GuiButtonHandle | viser.GuiHtmlHandle
-"""Control that can be hidden."""
 
 
 class WaypointControls:
@@ -28,8 +27,6 @@ class WaypointControls:
     until the button is pressed again or another obstacle is selected.
 
     Args:
-        gui: GUI of the page.
-        clicks: Clicks on the floor.
         post: Accepts events; must not block.
     """
 
@@ -109,7 +106,6 @@ class WaypointControls:
         Args:
             number: Number of the obstacle, or None if none is selected.
             path: Its path, or None if it does not follow way points: all controls are hidden.
-            now: The time.
         """
         shown = number if path is not None else None
         for handle in self._handles:

@@ -15,7 +15,6 @@ class ManualDrive:
 
     Args:
         node: Node that owns the publisher.
-        parameters: Parameters of the node.
 
     Attributes:
         buttons: The motion buttons that are held.

@@ -28,20 +28,15 @@ from omniman_ros.viewer.events import (
 from omniman_ros.viewer.placed_obstacles import DEFAULT_RADIUS, PlacedObstacles
 from omniman_ros.viewer.view_state import ViewState
 
+#: Namespaces for the markers, of which the first is chosen that no other viewer uses
 NAMESPACES = ("viewer", *(f"viewer_{k}" for k in range(2, 10)))
-"""Namespaces for the markers, of which the first is chosen that no other viewer uses."""
-MARKER_PERIOD = 0.1
-"""Period of the markers [s]."""
-MARKER_LIFETIME = 1.0
-"""Lifetime of a marker, which ends if this node dies [s]."""
-CYLINDER_HEIGHT = 0.5
-"""Height of the published cylinders [m]."""
-NEW_OBSTACLE_DISTANCE = 1.2
-"""Distance of a new obstacle in front of the robot [m]."""
-NEW_OBSTACLE_CLEARANCE = 0.15
-"""Clearance between a new obstacle and the others [m]."""
+MARKER_PERIOD = 0.1  #: Period of the markers [s]
+MARKER_LIFETIME = 1.0  #: Lifetime of a marker, which ends if this node dies [s]
+CYLINDER_HEIGHT = 0.5  #: Height of the published cylinders [m]
+NEW_OBSTACLE_DISTANCE = 1.2  #: Distance of a new obstacle in front of the robot [m]
+NEW_OBSTACLE_CLEARANCE = 0.15  #: Clearance between a new obstacle and the others [m]
+#: Offsets to the left that are tried for a new obstacle [m], until one is clear
 LATERAL_OFFSETS = tuple((k + 1) // 2 * (0.3 if k % 2 else -0.3) for k in range(60))
-"""Offsets to the left that are tried for a new obstacle [m], until one is clear."""
 _COLOUR = ColorRGBA(r=0.61, g=0.21, b=0.09, a=0.8)
 
 
@@ -51,7 +46,6 @@ class ObstacleInterface:
     Args:
         node: Node that owns the publisher.
         state: View state into which the obstacles are written.
-        frame: Frame of the obstacles.
 
     Attributes:
         obstacles: The obstacles.

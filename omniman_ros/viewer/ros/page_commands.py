@@ -20,11 +20,7 @@ class PageCommands:
     Args:
         state: View state, which gets the reason of a refusal.
         buttons: Motion buttons that are held.
-        poses: Goal and start.
-        obstacles: Obstacles of the page.
-        planner_parameters: Parameters of the planner.
         calls: Services that stop and reset.
-        tool: Paths of the tool.
 
     Attributes:
         tour: The tour, which follows what is done on the page.

@@ -17,7 +17,6 @@ class PageFrames:
 
     Args:
         node: Node that listens to the transforms.
-        parameters: Parameters of the node.
         state: View state into which it is written what cannot be placed.
 
     Attributes:

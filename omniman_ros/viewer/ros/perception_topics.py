@@ -33,12 +33,9 @@ from omniman_ros.viewer.ros.lazy_subscriptions import LATEST_READING, LazySubscr
 from omniman_ros.viewer.ros.parameters import ViewerParameters
 from omniman_ros.viewer.view_state import ViewState
 
-MAX_POINTS = 1500
-"""Largest number of points drawn of a scan; more are thinned evenly."""
-MAX_TRACKS = 100
-"""Largest number of tracked obstacles drawn."""
-MAX_CONTACTS = 50
-"""Largest number of contacts drawn."""
+MAX_POINTS = 1500  #: Largest number of points drawn of a scan; more are thinned evenly
+MAX_TRACKS = 100  #: Largest number of tracked obstacles drawn
+MAX_CONTACTS = 50  #: Largest number of contacts drawn
 
 
 class PerceptionTopics:
@@ -48,10 +45,7 @@ class PerceptionTopics:
 
     Args:
         node: Node whose clock is used.
-        subscriptions: The node's subscriptions.
         state: View state into which the values are written.
-        parameters: Parameters of the node.
-        frames: Transforms of the node.
     """
 
     def __init__(

@@ -15,8 +15,7 @@ from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.viewer.events import ParameterChanged
 from omniman_ros.viewer.view_state import TunableParameter, ViewState
 
-PLANNER = "mpc_planner"
-"""Name of the planner's node."""
+PLANNER = "mpc_planner"  #: Name of the planner's node
 
 PARAMETER_NAMES = (
     "weights.position",
@@ -27,12 +26,10 @@ PARAMETER_NAMES = (
     "safety.clearance",
     "safety.least_clearance",
     "safety.berth",
-)
-"""Names of the parameters that the page sets, in the order of the page."""
+)  #: Names of the parameters that the page sets, in the order of the page
+#: Names of the parameters of the workspace's bounds
 WORKSPACE_NAMES = ("workspace.x_min", "workspace.y_min", "workspace.x_max", "workspace.y_max")
-"""Names of the parameters of the workspace's bounds."""
-ANSWER_TIMEOUT = 4.0
-"""Time for which an answer is awaited [s]."""
+ANSWER_TIMEOUT = 4.0  #: Time for which an answer is awaited [s]
 
 
 class PlannerParameterClient:

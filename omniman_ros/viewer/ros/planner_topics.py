@@ -24,12 +24,9 @@ from omniman_ros.viewer.ros.page_frames import PageFrames
 from omniman_ros.viewer.ros.robot_topics import path_points
 from omniman_ros.viewer.view_state import FRESHNESS_TIMEOUT, ViewState
 
-MAX_OBSTACLES = 100
-"""Largest number of obstacles drawn; more are thinned evenly."""
-MAX_PREDICTED = 200
-"""Largest number of predicted obstacles drawn; more are thinned evenly."""
-MAX_PLOTTED = 1e6
-"""Largest number that is plotted: no plot can scale a larger one."""
+MAX_OBSTACLES = 100  #: Largest number of obstacles drawn; more are thinned evenly
+MAX_PREDICTED = 200  #: Largest number of predicted obstacles drawn; more are thinned evenly
+MAX_PLOTTED = 1e6  #: Largest number that is plotted: no plot can scale a larger one
 
 
 class PlannerTopics:
@@ -37,7 +34,6 @@ class PlannerTopics:
 
     Args:
         node: Node whose clock is used.
-        subscriptions: The node's subscriptions.
         state: View state into which the values are written.
         odom_names: Names of the frame `odom`, in which the planner plans.
         frames: Frames in which obstacles may be.

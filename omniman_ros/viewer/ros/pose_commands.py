@@ -19,10 +19,9 @@ from omniman_ros.viewer.ros.relocation import RelocationStep, Relocator
 from omniman_ros.viewer.ros.service_calls import ServiceCalls
 from omniman_ros.viewer.view_state import PATH_NODES, Pose, ViewState
 
-GOAL_PERIOD = 0.2
-"""Shortest time between two goals while the goal is dragged [s]."""
+GOAL_PERIOD = 0.2  #: Shortest time between two goals while the goal is dragged [s]
+#: Number of latest own goals that are recognised when they come back on `goal_pose`
 REMEMBERED_GOALS = 20
-"""Number of latest own goals that are recognised when they come back on `goal_pose`."""
 
 
 class PoseCommands:
@@ -30,10 +29,8 @@ class PoseCommands:
 
     Args:
         node: Node that owns the topics.
-        parameters: Parameters of the node.
         state: View state that contains goal and start.
         obstacles: Obstacles of the page, which pause and continue together with the robot.
-        calls: Services of path and planner.
         frames: Frames in which others may send goals.
     """
 

@@ -11,22 +11,17 @@ from omniman_ros.core import se2
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.viewer.view_state import Pose, ViewState
 
-REST_TIMEOUT = 3.0
-"""Time that the robot may take to come to rest [s]."""
+REST_TIMEOUT = 3.0  #: Time that the robot may take to come to rest [s]
+#: Time that odometry may take to report the new pose, longer than `SOURCE_TIMEOUT` [s]
 ODOMETRY_TIMEOUT = 2.0
-"""Time that odometry may take to report the new pose, longer than `SOURCE_TIMEOUT` [s]."""
+#: Time to wait after odometry was set [s].
+#:
+#: Setting odometry cancels the sources that drive; they are accepted again only after a period of
+#: silence, so a goal that is sent sooner would be given up.
 SOURCE_TIMEOUT = 1.2
-"""Time to wait after odometry was set [s].
-
-Setting odometry cancels the sources that drive; they are accepted again only after a period of
-silence, so a goal that is sent sooner would be given up.
-"""
-POSE_TOLERANCE = 0.05
-"""Distance [m] and angle [rad] within which the robot has reached the pose."""
-REST_SPEED = 0.02
-"""Speed below which the robot counts as at rest [m/s, rad/s]."""
-IDLE_SOURCES = ("", "none", "stop")
-"""Values of `active_source` while no source drives."""
+POSE_TOLERANCE = 0.05  #: Distance [m] and angle [rad] within which the robot has reached the pose
+REST_SPEED = 0.02  #: Speed below which the robot counts as at rest [m/s, rad/s]
+IDLE_SOURCES = ("", "none", "stop")  #: Values of `active_source` while no source drives
 
 
 class RelocationStep(Enum):
@@ -41,17 +36,11 @@ class RelocationStep(Enum):
 
 @dataclass
 class Relocation:
-    """State machine of one relocation.
+    """State machine of one relocation."""
 
-    Args:
-        pose: Pose to move the robot to.
-        requested_at: Time of the request [s].
-        moved_at: Time at which the robot was moved [s]; None before that.
-    """
-
-    pose: Pose
-    requested_at: float
-    moved_at: float | None = None
+    pose: Pose  #: Pose to move the robot to
+    requested_at: float  #: Time of the request [s]
+    moved_at: float | None = None  #: Time at which the robot was moved [s]; None before that
 
     def step(self, at_rest: bool, odom: Pose | None, now: float) -> RelocationStep:
         """Return the next step; MOVE comes once, and a final step ends the relocation.
@@ -85,7 +74,6 @@ class Relocator:
     Args:
         node: Node that owns the publishers.
         state: View state with pose, speeds and active source of the robot.
-        odom_frame: Frame of odometry.
     """
 
     def __init__(self, node: OmnimanNode, state: ViewState, odom_frame: str) -> None:

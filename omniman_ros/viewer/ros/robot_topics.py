@@ -30,12 +30,11 @@ from omniman_ros.viewer.ros.page_frames import PageFrames
 from omniman_ros.viewer.ros.parameters import ViewerParameters
 from omniman_ros.viewer.view_state import PATH_NODES, Condition, Pose, ViewState
 
+#: Largest number of intervals between setpoints of the arm in one sample of the plots
 MAX_INTERVALS = 1000
-"""Largest number of intervals between setpoints of the arm in one sample of the plots."""
-MAX_ENERGY = 1e15
-"""Largest plausible value of an energy counter [J]."""
+MAX_ENERGY = 1e15  #: Largest plausible value of an energy counter [J]
+#: Keys of the states of the motions in the diagnostics of the nodes that drive along paths
 _MOTION_KEYS = ("state", "arm", "body")
-"""Keys of the states of the motions in the diagnostics of the nodes that drive along paths."""
 
 
 class RobotTopics:
@@ -43,9 +42,7 @@ class RobotTopics:
 
     Args:
         node: Node whose clock is used.
-        subscriptions: The node's subscriptions.
         state: View state into which the values are written.
-        parameters: Parameters of the node.
         frames: Frames in which paths may be.
         on_standstill: Called when simulated time is known to stand, and when it goes on: while it
             stands, nothing is done that is due at a time.
@@ -244,7 +241,6 @@ def path_points(message: Path, frames: tuple[str, ...]) -> Array:
     """Return the positions (k, 3) of a path [m], thinned.
 
     Args:
-        message: The path.
         frames: Names of the frames that are accepted.
 
     Raises:

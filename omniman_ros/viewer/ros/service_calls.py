@@ -8,10 +8,9 @@ from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.stoppable_nodes import TriggerCalls, find_stoppable_nodes
 from omniman_ros.viewer.view_state import PAUSABLE_NODES, ViewState
 
+#: Time for which nodes to stop or reset are searched, and for which answers are awaited [s]
 ANSWER_TIMEOUT = 4.0
-"""Time for which nodes to stop or reset are searched, and for which answers are awaited [s]."""
-ACTIONS = ("pause", "resume", "cancel")
-"""Names of the services of these nodes."""
+ACTIONS = ("pause", "resume", "cancel")  #: Names of the services of these nodes
 
 
 class ServiceCalls:
@@ -65,8 +64,6 @@ class ServiceCalls:
         Args:
             action: One of `ACTIONS`.
             now: Time [s].
-            nodes: Names of the nodes.
-            report: Whether the note reports their answers.
         """
         self._drop_requests()
         self._action, self._reports, self._deadline = action, report, now + ANSWER_TIMEOUT

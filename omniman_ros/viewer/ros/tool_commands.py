@@ -20,8 +20,6 @@ class ToolCommands:
 
     Args:
         node: Node that owns the topics.
-        subscriptions: The node's subscriptions.
-        parameters: Parameters of the node.
         state: View state that contains handle and path.
 
     Attributes:

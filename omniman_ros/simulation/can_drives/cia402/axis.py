@@ -25,63 +25,42 @@ from omniman_ros.simulation.can_drives.cia402.state_machine import (
 )
 from omniman_ros.simulation.can_drives.motor import DriveFaults, Motor
 
-REVOLUTION = 2.0 * math.pi
-"""Angle of one revolution [rad]."""
-PROFILE_VELOCITY = 3
-"""Mode of operation: profile velocity."""
-PROFILE_TORQUE = 4
-"""Mode of operation: profile torque."""
-SYNC_VELOCITY = 9
-"""Mode of operation: cyclic synchronous velocity."""
-SYNC_TORQUE = 10
-"""Mode of operation: cyclic synchronous torque."""
-OTHER_MODE = 1
-"""Mode that is reported with the fault `wrong_mode`: profile position."""
-RAMP_MARGIN = 1.0
-"""Time beyond its calculated end after which a ramp to rest is given up [s]."""
+REVOLUTION = 2.0 * math.pi  #: Angle of one revolution [rad]
+PROFILE_VELOCITY = 3  #: Mode of operation: profile velocity
+PROFILE_TORQUE = 4  #: Mode of operation: profile torque
+SYNC_VELOCITY = 9  #: Mode of operation: cyclic synchronous velocity
+SYNC_TORQUE = 10  #: Mode of operation: cyclic synchronous torque
+OTHER_MODE = 1  #: Mode that is reported with the fault `wrong_mode`: profile position
+RAMP_MARGIN = 1.0  #: Time beyond its calculated end after which a ramp to rest is given up [s]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Cia402Settings:
     """Hardware and commissioning of a drive; quantities at the motor's shaft.
 
-    Attributes:
-        counts: Units of the position actual value (object 6064) per revolution.
-        velocity_scale: Units of velocities (objects 606C, 60FF) per revolution per second, and
-            units of accelerations (objects 6083 to 6085) per revolution per second squared.
-        rated_torque: Rated torque of the motor, object 6076 [N m].
-        rated_current: Rated current of the motor, object 6075 [A].
-        quick_stop_deceleration: Quick stop deceleration, object 6085, after a start [rad/s^2].
-        acceleration: Profile acceleration, object 6083, after a start [rad/s^2].
-        deceleration: Profile deceleration, object 6084, after a start [rad/s^2].
-        max_speed: Speed to which targets are clipped [rad/s].
-        max_torque: Torque to which targets are clipped [N m].
-        undervoltage: Supply voltage below which there is an error [V].
-        standstill: Speed below which the motor counts as standing [rad/s].
-        modes: Supported modes of operation, among 3, 4, 9 and 10.
-        start_count: Count of the encoder at the first start.
-        boot_time: Time from power-on or a reset to the boot-up message [s].
-        serial: Serial number.
-
     Raises:
         ParameterError: A number is not above zero, or a mode is unknown.
     """
 
-    counts: float = 4096.0
+    counts: float = 4096.0  #: Units of the position actual value (object 6064) per revolution
+    #: Units of velocities (objects 606C, 60FF) per revolution per second, and units of
+    #: accelerations (objects 6083 to 6085) per revolution per second squared.
     velocity_scale: float = 4096.0
-    rated_torque: float = 1.0
-    rated_current: float = 10.0
+    rated_torque: float = 1.0  #: Rated torque of the motor, object 6076 [N m]
+    rated_current: float = 10.0  #: Rated current of the motor, object 6075 [A]
+    #: Quick stop deceleration, object 6085, after a start [rad/s^2]
     quick_stop_deceleration: float = 100.0
-    acceleration: float = 100.0
-    deceleration: float = 100.0
-    max_speed: float = math.inf
-    max_torque: float = math.inf
-    undervoltage: float = 0.0
-    standstill: float = 1.0
+    acceleration: float = 100.0  #: Profile acceleration, object 6083, after a start [rad/s^2]
+    deceleration: float = 100.0  #: Profile deceleration, object 6084, after a start [rad/s^2]
+    max_speed: float = math.inf  #: Speed to which targets are clipped [rad/s]
+    max_torque: float = math.inf  #: Torque to which targets are clipped [N m]
+    undervoltage: float = 0.0  #: Supply voltage below which there is an error [V]
+    standstill: float = 1.0  #: Speed below which the motor counts as standing [rad/s]
+    #: Supported modes of operation, among 3, 4, 9 and 10
     modes: tuple[int, ...] = (PROFILE_VELOCITY, PROFILE_TORQUE, SYNC_VELOCITY, SYNC_TORQUE)
-    start_count: int = 0
-    boot_time: float = 0.02
-    serial: int = 0
+    start_count: int = 0  #: Count of the encoder at the first start
+    boot_time: float = 0.02  #: Time from power-on or a reset to the boot-up message [s]
+    serial: int = 0  #: Serial number
 
     def __post_init__(self) -> None:
         for name in (
@@ -123,10 +102,7 @@ class PowerDrive:
     enabled.
 
     Args:
-        motor: Motor of the drive.
-        settings: Hardware and commissioning.
         values: Values of all objects, which are read, and updated by measurements.
-        errors: Errors of the drive.
 
     Attributes:
         faults: Faults to simulate.
@@ -436,5 +412,4 @@ class PowerDrive:
 
 
 def _towards(value: float, goal: float, change: float) -> float:
-    """Return a value moved towards a goal by a limited change."""
     return min(max(goal, value - change), value + change)

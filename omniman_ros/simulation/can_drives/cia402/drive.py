@@ -25,56 +25,36 @@ from omniman_ros.simulation.can_drives.motor import DriveFaults, Motor
 __all__ = ["Cia402Drive", "Cia402Settings"]
 
 # States of the node, as in its heartbeat (CiA 301, 7.2.8.3.2)
-BOOTING = 0
-"""State of the node: booting."""
-STOPPED = 4
-"""State of the node: stopped."""
-OPERATIONAL = 5
-"""State of the node: operational."""
-PRE_OPERATIONAL = 127
-"""State of the node: pre-operational."""
+BOOTING = 0  #: State of the node: booting
+STOPPED = 4  #: State of the node: stopped
+OPERATIONAL = 5  #: State of the node: operational
+PRE_OPERATIONAL = 127  #: State of the node: pre-operational
 
-START = 1
-"""NMT command: start."""
-STOP = 2
-"""NMT command: stop."""
-ENTER_PRE_OPERATIONAL = 128
-"""NMT command: enter pre-operational."""
-RESET_NODE = 129
-"""NMT command: reset the node."""
-RESET_COMMUNICATION = 130
-"""NMT command: reset the communication."""
+START = 1  #: NMT command: start
+STOP = 2  #: NMT command: stop
+ENTER_PRE_OPERATIONAL = 128  #: NMT command: enter pre-operational
+RESET_NODE = 129  #: NMT command: reset the node
+RESET_COMMUNICATION = 130  #: NMT command: reset the communication
+#: State of the node after an NMT command (CiA 301, 7.2.8.2.1)
 STATE_BY_COMMAND = {START: OPERATIONAL, STOP: STOPPED, ENTER_PRE_OPERATIONAL: PRE_OPERATIONAL}
-"""State of the node after an NMT command (CiA 301, 7.2.8.2.1)."""
+#: State of an operational node after a loss of its host, by error behaviour (object 1029:01)
 STATE_ON_ERROR = {0: PRE_OPERATIONAL, 2: STOPPED}
-"""State of an operational node after a loss of its host, by error behaviour (object 1029:01)."""
 
-NMT = 0x000
-"""CAN id of NMT commands."""
-RESPONSE = 0x580
-"""CAN id of SDO answers, without the node."""
-REQUEST = 0x600
-"""CAN id of SDO requests, without the node."""
-MONITOR = 0x700
-"""CAN id of heartbeats, without the node."""
-GENERAL_ERROR = 0x0800_0000
-"""Abort code: general error."""
-NO_DATA = 0x0800_0024
-"""Abort code: no data."""
-INCOMPATIBLE = 0x0604_0043
-"""Abort code: incompatible parameter."""
-REFUSED = 0x0800_0022
-"""Abort code: the value cannot be stored in the present state."""
-ABORT = struct.Struct("<BHBL")
-"""Layout of an SDO abort."""
-MOTION = (indices.POSITION, indices.VELOCITY)
-"""Indices of the objects with position and velocity."""
+NMT = 0x000  #: CAN id of NMT commands
+RESPONSE = 0x580  #: CAN id of SDO answers, without the node
+REQUEST = 0x600  #: CAN id of SDO requests, without the node
+MONITOR = 0x700  #: CAN id of heartbeats, without the node
+GENERAL_ERROR = 0x0800_0000  #: Abort code: general error
+NO_DATA = 0x0800_0024  #: Abort code: no data
+INCOMPATIBLE = 0x0604_0043  #: Abort code: incompatible parameter
+REFUSED = 0x0800_0022  #: Abort code: the value cannot be stored in the present state
+ABORT = struct.Struct("<BHBL")  #: Layout of an SDO abort
+MOTION = (indices.POSITION, indices.VELOCITY)  #: Indices of the objects with position and velocity
+#: Longest time between two runs of the timers that still detects a late heartbeat [s]
 MAX_STEP = 0.002
-"""Longest time between two runs of the timers that still detects a late heartbeat [s]."""
+#: Time by which a timer may expire early, because sums of periods are not exact [s]
 TIMER_TOLERANCE = 1e-6
-"""Time by which a timer may expire early, because sums of periods are not exact [s]."""
-COMMUNICATION_OBJECTS = range(0x1000, 0x2000)
-"""Indices of the communication objects."""
+COMMUNICATION_OBJECTS = range(0x1000, 0x2000)  #: Indices of the communication objects
 
 
 class _NoTask:
@@ -116,7 +96,6 @@ class Cia402Drive:
     timer.
 
     Args:
-        motor: Motor of the drive.
         node: Id of the drive, 1 to 127.
         settings: Hardware and commissioning; None selects the defaults.
 

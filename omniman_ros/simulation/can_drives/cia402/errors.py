@@ -5,38 +5,28 @@ from canopen.emcy import EmcyProducer
 from omniman_ros.simulation.can_drives.cia402 import indices
 from omniman_ros.simulation.can_drives.cia402.objects import HISTORY, Key, Value
 
-OVER_CURRENT = 0x2310
-"""Error code: over-current."""
-UNDER_VOLTAGE = 0x3220
-"""Error code: under-voltage."""
-SENSOR = 0x7305
-"""Error code: encoder."""
-COMMUNICATION = 0x8100
-"""Error code: communication."""
-HEARTBEAT = 0x8130
-"""Error code: missing heartbeat."""
-PDO_SHORT = 0x8210
-"""Error code: PDO too short."""
-PDO_LONG = 0x8220
-"""Error code: PDO too long."""
+OVER_CURRENT = 0x2310  #: Error code: over-current
+UNDER_VOLTAGE = 0x3220  #: Error code: under-voltage
+SENSOR = 0x7305  #: Error code: encoder
+COMMUNICATION = 0x8100  #: Error code: communication
+HEARTBEAT = 0x8130  #: Error code: missing heartbeat
+PDO_SHORT = 0x8210  #: Error code: PDO too short
+PDO_LONG = 0x8220  #: Error code: PDO too long
 
-GENERIC = 0x01
-"""Bit of the error register for any error."""
+GENERIC = 0x01  #: Bit of the error register for any error
 REGISTER = (
     (0xF000, 0x2000, 0x02),
     (0xF000, 0x3000, 0x04),
     (0xF000, 0x4000, 0x08),
     (0xF000, 0x8000, 0x10),
     (0xF000, 0x7000, 0x20),
-)
-"""Mask and value of error codes, and their bit of the error register (CiA 301, 7.5.2.2)."""
+)  #: Mask and value of error codes, and their bit of the error register (CiA 301, 7.5.2.2)
 
 
 class Errors:
     """Active errors of a drive: each is reported once, and so is the end of the last one.
 
     Args:
-        values: Values of all objects.
         producer: Sender of emergency messages (CiA 301, 7.2.7).
 
     Attributes:

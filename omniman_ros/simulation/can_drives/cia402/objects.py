@@ -6,22 +6,17 @@ from typing import NamedTuple
 
 from canopen import objectdictionary as od
 
-PDOS = 4
-"""Number of PDOs in each direction."""
-ENTRIES = 8
-"""Largest number of objects in a PDO."""
-HISTORY = 8
-"""Number of errors in the history (object 1003)."""
+PDOS = 4  #: Number of PDOs in each direction
+ENTRIES = 8  #: Largest number of objects in a PDO
+HISTORY = 8  #: Number of errors in the history (object 1003)
 
 # Data types of objects.
 U8, U16, U32 = od.UNSIGNED8, od.UNSIGNED16, od.UNSIGNED32
 I8, I16, I32 = od.INTEGER8, od.INTEGER16, od.INTEGER32
 TEXT = od.VISIBLE_STRING
 
-Key = tuple[int, int]
-"""Index and sub-index of an object."""
-Value = int | str
-"""Value of an object."""
+Key = tuple[int, int]  #: Index and sub-index of an object
+Value = int | str  #: Value of an object
 
 
 class Mapping(NamedTuple):
@@ -37,27 +32,16 @@ NONE, IN, OUT = Mapping(), Mapping(receive=True, transmit=True), Mapping(transmi
 
 @dataclass(frozen=True)
 class Object:
-    """One object of the dictionary (CiA 301, 7.5 and CiA 402-2).
+    """One object of the dictionary (CiA 301, 7.5 and CiA 402-2)."""
 
-    Attributes:
-        index: Index in the dictionary.
-        sub: Sub-index; None for a plain variable.
-        name: Name of the object.
-        kind: Data type of the value.
-        access: Access of SDO clients: rw, ro or const.
-        default: Value after a start.
-        mapping: PDOs into which the object can be mapped.
-        allowed: Values that may be written; if empty, all that fit.
-    """
-
-    index: int
-    sub: int | None
-    name: str
-    kind: int
-    access: str
-    default: Value = 0
-    mapping: Mapping = NONE
-    allowed: tuple[int, ...] = ()
+    index: int  #: Index in the dictionary
+    sub: int | None  #: Sub-index; None for a plain variable
+    name: str  #: Name of the object
+    kind: int  #: Data type of the value
+    access: str  #: Access of SDO clients: rw, ro or const
+    default: Value = 0  #: Value after a start
+    mapping: Mapping = NONE  #: PDOs into which the object can be mapped
+    allowed: tuple[int, ...] = ()  #: Values that may be written; if empty, all that fit
 
 
 OBJECTS = (
@@ -113,8 +97,8 @@ OBJECTS = (
     Object(0x6502, None, "Supported drive modes", U32, "ro"),
 )
 
+#: Length of the data types that stand for unused bits in received PDOs, by their index [bit]
 DUMMIES = {0x0002: 8, 0x0003: 16, 0x0004: 32, 0x0005: 8, 0x0006: 16, 0x0007: 32}
-"""Length of the data types that stand for unused bits in received PDOs, by their index [bit]."""
 
 
 def _pdo_objects() -> Iterator[Object]:
@@ -134,8 +118,8 @@ def _pdo_objects() -> Iterator[Object]:
                 yield Object(index, sub, f"{name} entry {sub}", U32, "rw")
 
 
+#: All objects by index and sub-index
 ALL = {(entry.index, entry.sub or 0): entry for entry in (*OBJECTS, *_pdo_objects())}
-"""All objects by index and sub-index."""
 
 
 def dictionary() -> od.ObjectDictionary:

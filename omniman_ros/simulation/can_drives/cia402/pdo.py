@@ -12,33 +12,21 @@ from omniman_ros.simulation.can_drives.cia402.objects import (
     Value,
 )
 
-INVALID = 1 << 31
-"""Bit of a COB-ID: the PDO is disabled."""
-NO_RTR = 1 << 30
-"""Bit of a TPDO's COB-ID: no remote requests."""
-EXTENDED = 1 << 29
-"""Bit of a COB-ID: the id has 29 bits."""
-ID_BITS = 0x1FFF_FFFF
-"""Mask of the id in a COB-ID."""
+INVALID = 1 << 31  #: Bit of a COB-ID: the PDO is disabled
+NO_RTR = 1 << 30  #: Bit of a TPDO's COB-ID: no remote requests
+EXTENDED = 1 << 29  #: Bit of a COB-ID: the id has 29 bits
+ID_BITS = 0x1FFF_FFFF  #: Mask of the id in a COB-ID
 
 # Abort codes (CiA 301, table 22)
-UNSUPPORTED = 0x0601_0000
-"""Abort code: unsupported access."""
-NO_OBJECT = 0x0602_0000
-"""Abort code: no such object."""
-NOT_MAPPABLE = 0x0604_0041
-"""Abort code: the object cannot be mapped."""
-TOO_LONG = 0x0604_0042
-"""Abort code: too many or too long objects in a PDO."""
-NO_SUBINDEX = 0x0609_0011
-"""Abort code: no such sub-index."""
-INVALID_VALUE = 0x0609_0030
-"""Abort code: invalid value."""
+UNSUPPORTED = 0x0601_0000  #: Abort code: unsupported access
+NO_OBJECT = 0x0602_0000  #: Abort code: no such object
+NOT_MAPPABLE = 0x0604_0041  #: Abort code: the object cannot be mapped
+TOO_LONG = 0x0604_0042  #: Abort code: too many or too long objects in a PDO
+NO_SUBINDEX = 0x0609_0011  #: Abort code: no such sub-index
+INVALID_VALUE = 0x0609_0030  #: Abort code: invalid value
 
-SYNCHRONOUS = range(0, 241)
-"""Transmission types of PDOs that are sent or applied at a SYNC."""
-EVENT = (254, 255)
-"""Transmission types of event-driven PDOs."""
+SYNCHRONOUS = range(0, 241)  #: Transmission types of PDOs that are sent or applied at a SYNC
+EVENT = (254, 255)  #: Transmission types of event-driven PDOs
 RESTRICTED = (
     range(0x000, 0x080),
     range(0x101, 0x181),
@@ -46,8 +34,7 @@ RESTRICTED = (
     range(0x601, 0x680),
     range(0x6E0, 0x780),
     range(0x780, 0x800),
-)
-"""CAN ids that no PDO may use (CiA 301, 7.3.5)."""
+)  #: CAN ids that no PDO may use (CiA 301, 7.3.5)
 
 DEFAULTS: dict[int, tuple[bool, tuple[int, ...]]] = {
     0x1400: (True, (0x6040_0010,)),
@@ -58,8 +45,7 @@ DEFAULTS: dict[int, tuple[bool, tuple[int, ...]]] = {
     0x1801: (True, (0x6041_0010, 0x6061_0008)),
     0x1802: (False, (0x6041_0010, 0x6064_0020)),
     0x1803: (False, (0x6041_0010, 0x606C_0020)),
-}
-"""Whether each PDO is enabled after a start, and its mapping (CiA 402-2, generic PDOs)."""
+}  #: Whether each PDO is enabled after a start, and its mapping (CiA 402-2, generic PDOs)
 
 
 class Pdo:
@@ -67,8 +53,6 @@ class Pdo:
 
     Args:
         number: Number of the PDO, from 0.
-        transmit: Whether the drive sends it.
-        node: Id of the drive.
         values: Values of all objects, by index and sub-index.
         variables: Variables of the library's dictionary, by the same keys.
 

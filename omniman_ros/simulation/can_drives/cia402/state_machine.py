@@ -26,11 +26,12 @@ class Command(Enum):
     ENABLE = (0x0F, 0x0F)
 
 
-FAULT_RESET = 0x80
-"""Bit of the controlword whose rising edge resets a fault."""
-HALT = 0x100
-"""Bit of the controlword that halts the motor in profile modes."""
+FAULT_RESET = 0x80  #: Bit of the controlword whose rising edge resets a fault
+HALT = 0x100  #: Bit of the controlword that halts the motor in profile modes
 
+#: State by previous state and command, with the number of the transition.
+#:
+#: Transitions 0, 1, 13, 14 and 15, and 12 at the end of a ramp, have other causes.
 TRANSITIONS = {
     (State.SWITCH_ON_DISABLED, Command.SHUTDOWN): State.READY,  # 2
     (State.READY, Command.SWITCH_ON): State.SWITCHED_ON,  # 3
@@ -48,20 +49,15 @@ TRANSITIONS = {
     (State.QUICK_STOP, Command.DISABLE_VOLTAGE): State.SWITCH_ON_DISABLED,  # 12
     (State.QUICK_STOP, Command.ENABLE): State.ENABLED,  # 16, if the quick stop option (605A) stays
 }
-"""State by previous state and command, with the number of the transition.
 
-Transitions 0, 1, 13, 14 and 15, and 12 at the end of a ramp, have other causes.
-"""
-
+#: States in which the motor has power
 POWERED = (State.ENABLED, State.QUICK_STOP, State.FAULT_REACTION)
-"""States in which the motor has power."""
 
 
 BY_BITS = tuple(
     next(command for command in Command if bits & command.value[0] == command.value[1])
     for bits in range(16)
-)
-"""Command by the low four bits of a controlword: exactly one matches."""
+)  #: Command by the low four bits of a controlword: exactly one matches
 
 
 def command(controlword: int) -> Command:

@@ -15,27 +15,19 @@ from omniman_ros.simulation.can_drives.odrive.cansimple import (
 )
 from omniman_ros.simulation.can_drives.odrive.settings import OdriveSettings
 
-REVOLUTION = 2.0 * math.pi
-"""Angle of one revolution [rad]."""
+REVOLUTION = 2.0 * math.pi  #: Angle of one revolution [rad]
+#: Ratio of the speed at which the axis disarms itself to the limit (vel_limit_tolerance)
 OVERSPEED = 1.2
-"""Ratio of the speed at which the axis disarms itself to the limit (vel_limit_tolerance)."""
 
 
 @dataclass(frozen=True, slots=True)
 class AxisReadings:
-    """Readings of an axis' hardware.
+    """Readings of an axis' hardware."""
 
-    Attributes:
-        velocity: Velocity that the encoder measures [rev/s].
-        supply: Supply voltage [V].
-        has_driver_fault: Whether the driver of the power stage reports a fault.
-        is_calibrated: Whether the axis is calibrated; it cannot be armed otherwise.
-    """
-
-    velocity: float
-    supply: float
-    has_driver_fault: bool
-    is_calibrated: bool
+    velocity: float  #: Velocity that the encoder measures [rev/s]
+    supply: float  #: Supply voltage [V]
+    has_driver_fault: bool  #: Whether the driver of the power stage reports a fault
+    is_calibrated: bool  #: Whether the axis is calibrated; it cannot be armed otherwise
 
 
 class OdriveAxis:
@@ -60,11 +52,6 @@ class OdriveAxis:
     velocity control only the feed-forward: the loop is the motor's). Not modelled: calibration and
     other states (refused: INVALID_STATE), position control, gains, trajectories, INITIALIZING
     after a restart.
-
-    Args:
-        motor: Motor of the axis.
-        settings: Settings of the axis.
-        read: Returns the present readings of the hardware.
 
     Attributes:
         state: State of the axis.

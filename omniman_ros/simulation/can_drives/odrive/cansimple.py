@@ -73,11 +73,10 @@ MODES = {
     (Control.TORQUE, Input.TORQUE_RAMP),
     (Control.VELOCITY, Input.PASSTHROUGH),
     (Control.VELOCITY, Input.VELOCITY_RAMP),
-}
-"""Modelled pairs of control mode and input mode; in other modes the axis disarms itself."""
+}  #: Modelled pairs of control mode and input mode; in other modes the axis disarms itself
 
+#: Content of Get_Version.
+#:
+#: Protocol; hardware: product line, version, variant; firmware: major, minor, revision,
+#: unreleased.
 VERSION = (2, 4, 4, 58, 0, 6, 10, 0)
-"""Content of Get_Version.
-
-Protocol; hardware: product line, version, variant; firmware: major, minor, revision, unreleased.
-"""

@@ -13,21 +13,16 @@ from omniman_ros.simulation.can_drives.odrive.axis import REVOLUTION, AxisReadin
 from omniman_ros.simulation.can_drives.odrive.cansimple import VERSION, Command, Error, State
 from omniman_ros.simulation.can_drives.odrive.settings import OdriveSettings
 
+#: Temperature of power stage and motor [degrees Celsius]; heating is not modelled
 TEMPERATURE = 25.0
-"""Temperature of power stage and motor [degrees Celsius]; heating is not modelled."""
 
 
 @dataclass(frozen=True)
 class HostFrame:
-    """Handling of a frame from the host.
+    """Handling of a frame from the host."""
 
-    Attributes:
-        layout: `struct` format of its signals; shorter frames are ignored.
-        handle: Handler, called with the signals and the time [s].
-    """
-
-    layout: str
-    handle: Callable[..., None]
+    layout: str  #: `struct` format of its signals; shorter frames are ignored
+    handle: Callable[..., None]  #: Handler, called with the signals and the time [s]
 
 
 class OdriveDrive(Firmware):
@@ -52,9 +47,7 @@ class OdriveDrive(Firmware):
     result NOT_CALIBRATED. `stuck_status` freezes the content of the heartbeat.
 
     Args:
-        motor: Motor of the axis.
         node: Node id of the axis, 0 to 63.
-        settings: Settings of the axis.
 
     Attributes:
         axis: Behaviour of the axis.

@@ -11,45 +11,29 @@ from omniman_ros.simulation.can_drives.firmware import require_above
 class OdriveSettings:
     """Settings with which an ODrive axis was commissioned.
 
-    Attributes:
-        torque_constant: Torque constant of the motor [N m/A].
-        heartbeat: Period of the heartbeat [s]; 0 if it is never sent.
-        encoder: Period of the encoder estimates [s]; 0 if they are sent only on request.
-        iq: Period of the current reports [s]; 0 if they are sent only on request.
-        bus: Period of the supply reports [s]; 0 if they are sent only on request.
-        watchdog: Timeout of the watchdog [s]; 0 if there is none.
-        watchdog_when_idle: Whether the watchdog also runs while the axis is idle, as in firmware
-            0.5. The vendor's examples for 0.6 arm the axis after any time without frames, without
-            clearing errors.
-        velocity_limit: Velocity limit until the host sets it [rev/s].
-        current_limit: Current limit until the host sets it [A].
-        velocity_ramp: Rate of the ramped velocity mode [rev/s^2].
-        torque_ramp: Rate of the ramped torque mode [N m/s].
-        min_supply: Supply voltage below which there is an error [V].
-        brake_deceleration: Deceleration of a mechanical brake at the axis's brake output
-            [rad/s^2]; 0 if there is none.
-        boot_time: Time after a restart in which no frame is received or sent [s].
-        position: Position at power-up [rev]; a restart sets it to 0.
-
     Raises:
         ParameterError: A number is negative or not finite, or the torque constant is 0.
     """
 
-    torque_constant: float
-    heartbeat: float = 0.1
+    torque_constant: float  #: Torque constant of the motor [N m/A]
+    heartbeat: float = 0.1  #: Period of the heartbeat [s]; 0 if it is never sent
+    #: Period of the encoder estimates [s]; 0 if they are sent only on request
     encoder: float = 0.01
-    iq: float = 0.0
-    bus: float = 0.0
-    watchdog: float = 0.1
+    iq: float = 0.0  #: Period of the current reports [s]; 0 if they are sent only on request
+    bus: float = 0.0  #: Period of the supply reports [s]; 0 if they are sent only on request
+    watchdog: float = 0.1  #: Timeout of the watchdog [s]; 0 if there is none
+    #: Whether the watchdog also runs while the axis is idle, as in firmware 0.5. The vendor's
+    #: examples for 0.6 arm the axis after any time without frames, without clearing errors.
     watchdog_when_idle: bool = False
-    velocity_limit: float = 1000.0
-    current_limit: float = 1000.0
-    velocity_ramp: float = 1.0
-    torque_ramp: float = 0.01
-    min_supply: float = 10.0
+    velocity_limit: float = 1000.0  #: Velocity limit until the host sets it [rev/s]
+    current_limit: float = 1000.0  #: Current limit until the host sets it [A]
+    velocity_ramp: float = 1.0  #: Rate of the ramped velocity mode [rev/s^2]
+    torque_ramp: float = 0.01  #: Rate of the ramped torque mode [N m/s]
+    min_supply: float = 10.0  #: Supply voltage below which there is an error [V]
+    #: Deceleration of a mechanical brake at the axis's brake output [rad/s^2]; 0 if there is none
     brake_deceleration: float = 0.0
-    boot_time: float = 1.0
-    position: float = 0.0
+    boot_time: float = 1.0  #: Time after a restart in which no frame is received or sent [s]
+    position: float = 0.0  #: Position at power-up [rev]; a restart sets it to 0
 
     def __post_init__(self) -> None:
         require_above("torque_constant", self.torque_constant, inclusive=False)

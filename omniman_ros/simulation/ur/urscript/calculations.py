@@ -29,8 +29,7 @@ MATHS: dict[str, Callable[[float], float]] = {
     "ceil": math.ceil,
     "d2r": math.radians,
     "r2d": math.degrees,
-}
-"""Functions of one number, by their names in URScript."""
+}  #: Functions of one number, by their names in URScript
 
 
 # Lists and strings
@@ -171,5 +170,4 @@ FUNCTIONS: dict[str, Callable[..., object]] = {
     "pow": power,
     "log": logarithm,
     "to_str": string_of,
-}
-"""Functions of this module, by their names in URScript."""
+}  #: Functions of this module, by their names in URScript

@@ -46,17 +46,11 @@ class Scope:
 
 @dataclass(frozen=True)
 class _Arguments:
-    """Arguments of a call.
+    """Arguments of a call."""
 
-    Attributes:
-        values: Code of all of them, in the order of the text.
-        positional: How many of them come by position, before those by name.
-        names: Names of the others.
-    """
-
-    values: tuple[Expression, ...]
-    positional: int
-    names: tuple[str, ...]
+    values: tuple[Expression, ...]  #: Code of all of them, in the order of the text
+    positional: int  #: How many of them come by position, before those by name
+    names: tuple[str, ...]  #: Names of the others
 
 
 class CallCompiler:
@@ -64,7 +58,6 @@ class CallCompiler:
 
     Args:
         scope: Functions that the body can call.
-        expression: Compiles an argument.
     """
 
     def __init__(self, scope: Scope, expression: Callable[[Node], Expression]) -> None:

@@ -97,7 +97,6 @@ def short_circuit(conditions: Sequence[Code[bool]], decisive: bool) -> Code[Valu
     """Return the code of conditions that are evaluated from left to right until one decides.
 
     Args:
-        conditions: Code of the conditions.
         decisive: Value of a condition that decides the result: False for `and`, True for `or`.
     """
 
@@ -169,13 +168,7 @@ def branch(
 
 
 def loop(condition: Code[bool], body: Code[Outcome], line: int) -> Code[Outcome]:
-    """Return the code of a loop that executes a body while a condition is true.
-
-    Args:
-        condition: Code of the condition.
-        body: Code of the body.
-        line: Line of the loop in the program.
-    """
+    """Return the code of a loop that executes a body while a condition is true."""
 
     def suspending(frame: Frame) -> Suspending[Outcome]:
         while (yield from condition.execute(frame)):

@@ -27,9 +27,6 @@ class Program:
     statements, among which there may be definitions. `pass`, which does nothing, counts as no
     statement. `sec` defines a secondary program.
 
-    Args:
-        text: Text of the program.
-
     Attributes:
         main: Function that the main thread executes; its variables are the global ones.
         secondary: Whether it is a secondary program, which takes no time.
@@ -54,13 +51,7 @@ class Program:
 
 
 def _body(block: Node, scope: Scope, nesting: Nesting) -> Statement:
-    """Compile the body of a function; all of its statements can call the functions it defines.
-
-    Args:
-        block: Statements and definitions of the body.
-        scope: Where its definitions go.
-        nesting: Depth of the body within the program.
-    """
+    """Compile the body of a function; all of its statements can call the functions it defines."""
     declared = [(node, _declare(node, scope)) for node in definitions(block)]
     for node, function in declared:
         with nesting.enter(node):

@@ -6,37 +6,25 @@ from random import Random
 
 from omniman_ros.simulation.ur.urscript.host import Host
 
-PENDING = object()
-"""Result of a poll: the wait is not over."""
+PENDING = object()  #: Result of a poll: the wait is not over
 
 
 @dataclass(frozen=True, slots=True)
 class Wait:
-    """Wait of a thread for a condition.
+    """Wait of a thread for a condition."""
 
-    Attributes:
-        poll: Returns the value of the call that waits, or PENDING; called once per cycle.
-        takes_time: Whether the wait uses up the thread's time slice; a join does not.
-    """
-
+    #: Returns the value of the call that waits, or PENDING; called once per cycle
     poll: Callable[[], object]
-    takes_time: bool = True
+    takes_time: bool = True  #: Whether the wait uses up the thread's time slice; a join does not
 
 
 @dataclass
 class Context:
-    """State of a running program beyond its variables.
+    """State of a running program beyond its variables."""
 
-    Attributes:
-        host: The controller that the program queries and commands.
-        random: Generator of the function `random`.
-        sockets: Names of the sockets that the program opened.
-        kept: Bytes, by socket, of a message that has not arrived in full; the next read uses them.
-        popups_closed: Number of times that the person at the pendant closed the messages.
-    """
-
-    host: Host
-    random: Random
-    sockets: set[str] = field(default_factory=set)
+    host: Host  #: The controller that the program queries and commands
+    random: Random  #: Generator of the function `random`
+    sockets: set[str] = field(default_factory=set)  #: Names of the sockets that the program opened
+    #: Bytes, by socket, of a message that has not arrived in full; the next read uses them
     kept: dict[str, bytearray] = field(default_factory=dict)
-    popups_closed: int = 0
+    popups_closed: int = 0  #: Number of times that the person at the pendant closed the messages

@@ -15,8 +15,7 @@ from omniman_ros.simulation.ur.urscript.context import Context, Wait
 from omniman_ros.simulation.ur.urscript.errors import ScriptRuntimeError
 from omniman_ros.simulation.ur.urscript.values import Value
 
-T = TypeVar("T")
-"""Type of the value of compiled code."""
+T = TypeVar("T")  #: Type of the value of compiled code
 
 
 @dataclass(frozen=True)
@@ -53,10 +52,10 @@ class Halt:
     """Request to end the program."""
 
 
+#: Request of compiled code to the machine
 Request: TypeAlias = Call | Start | Kill | Join | Halt | Wait
-"""Request of compiled code to the machine."""
+#: Generator that yields requests, receives their answers, and returns a value
 Suspending: TypeAlias = Generator[Request, Any, T]
-"""Generator that yields requests, receives their answers, and returns a value."""
 
 
 class LoopControl(Enum):
@@ -73,46 +72,31 @@ class Return:
     value: Value
 
 
+#: Result of a statement; None if the next statement is to be executed
 Outcome: TypeAlias = LoopControl | Return | None
-"""Result of a statement; None if the next statement is to be executed."""
 
 
 @dataclass(slots=True)
 class Thread:
-    """A thread of a program.
+    """A thread of a program."""
 
-    Attributes:
-        handle: What `run` returned; 0 for the main thread.
-        calls: Generators of the calls that are under way, the innermost last.
-        wait: What it waits for.
-        answer: Answer to its last request.
-        line: Line of the last request or error.
-        budget: Statements and calls that it may still execute in this cycle.
-    """
-
-    handle: int
+    handle: int  #: What `run` returned; 0 for the main thread
+    #: Generators of the calls that are under way, the innermost last
     calls: list[Suspending[Value]] = field(default_factory=list)
-    wait: Wait | None = None
-    answer: Any = None
-    line: int = 0
-    budget: int = 0
+    wait: Wait | None = None  #: What it waits for
+    answer: Any = None  #: Answer to its last request
+    line: int = 0  #: Line of the last request or error
+    budget: int = 0  #: Statements and calls that it may still execute in this cycle
 
 
 @dataclass(slots=True)
 class Frame:
-    """Variables of a call, and its surroundings.
+    """Variables of a call, and its surroundings."""
 
-    Attributes:
-        variables: The function's own variables.
-        globals: Variables of the program.
-        thread: Thread that executes the call.
-        context: What the functions of the controller work on.
-    """
-
-    variables: dict[str, Value]
-    globals: dict[str, Value]
-    thread: Thread
-    context: Context
+    variables: dict[str, Value]  #: The function's own variables
+    globals: dict[str, Value]  #: Variables of the program
+    thread: Thread  #: Thread that executes the call
+    context: Context  #: What the functions of the controller work on
 
     def charge(self, line: int) -> None:
         """Count a statement or a call against the thread's budget for the cycle.
@@ -129,14 +113,11 @@ class Frame:
 
 @dataclass(frozen=True, slots=True)
 class Code(Generic[T]):
-    """A compiled part of a program, in one of its two forms.
+    """A compiled part of a program, in one of its two forms."""
 
-    Attributes:
-        plain: Function of the frame, or None where the part may suspend its thread.
-        suspending: Generator function of the frame otherwise.
-    """
-
+    #: Function of the frame, or None where the part may suspend its thread
     plain: Callable[[Frame], T] | None = None
+    #: Generator function of the frame otherwise
     suspending: Callable[[Frame], Suspending[T]] | None = None
 
     def execute(self, frame: Frame) -> Suspending[T]:
@@ -147,30 +128,21 @@ class Code(Generic[T]):
         return (yield from self.suspending(frame))
 
 
-Expression: TypeAlias = Code[Value]
-"""Code of an expression."""
-Statement: TypeAlias = Code[Outcome]
-"""Code of a statement, or of several that follow each other."""
+Expression: TypeAlias = Code[Value]  #: Code of an expression
+Statement: TypeAlias = Code[Outcome]  #: Code of a statement, or of several that follow each other
 
 
 @dataclass
 class Function:
-    """A function, thread or program.
-
-    Attributes:
-        name: Its name.
-        is_thread: Whether it is run rather than called.
-        parameters: Names of its parameters, in order.
-        optional: Names of those that have a default.
-        defaults: Code of the defaults by name; evaluated in the frame of the call.
-        body: Its statements.
-    """
+    """A function, thread or program."""
 
     name: str
-    is_thread: bool = False
-    parameters: tuple[str, ...] = ()
-    optional: frozenset[str] = frozenset()
+    is_thread: bool = False  #: Whether it is run rather than called
+    parameters: tuple[str, ...] = ()  #: Names of its parameters, in order
+    optional: frozenset[str] = frozenset()  #: Names of those that have a default
+    #: Code of the defaults by name; evaluated in the frame of the call
     defaults: dict[str, Code[Value]] = field(default_factory=dict)
+    #: Its statements
     body: Code[Outcome] = field(default_factory=lambda: Code(lambda frame: None))
 
     def execute(self, frame: Frame) -> Suspending[Value]:

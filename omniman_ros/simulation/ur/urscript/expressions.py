@@ -32,7 +32,6 @@ class ExpressionCompiler:
 
     Args:
         scope: Functions that the body can call.
-        nesting: Depth of the expressions within the program.
     """
 
     def __init__(self, scope: Scope, nesting: Nesting) -> None:

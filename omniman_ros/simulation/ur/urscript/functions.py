@@ -13,10 +13,8 @@ from omniman_ros.simulation.ur.urscript.context import PENDING, Context, Wait
 from omniman_ros.simulation.ur.urscript.host import Done
 from omniman_ros.simulation.ur.urscript.values import Value, integer, joints, number, to_str, truth
 
-STEP_TIME = 0.008
-"""Time of a cycle [s]."""
-TIMING = 1e-6
-"""Tolerance of a time [s], which may be a sum of many cycles."""
+STEP_TIME = 0.008  #: Time of a cycle [s]
+TIMING = 1e-6  #: Tolerance of a time [s], which may be a sum of many cycles
 
 WITHOUT_EFFECT = (
     "end_force_mode",  # modes that are never on
@@ -31,8 +29,7 @@ WITHOUT_EFFECT = (
     "set_payload",
     "set_target_payload",
     "set_tcp",
-)
-"""Functions that are accepted with any arguments, and have no effect in this simulation."""
+)  #: Functions that are accepted with any arguments, and have no effect in this simulation
 
 
 # Motion
@@ -167,8 +164,7 @@ def write(kind: str, convert: Callable[[Value], float]) -> Callable[[Context, Va
 SUSPENDING: dict[str, Callable[..., object]] = {
     function.__name__: function
     for function in (servoj, speedj, stopj, stopl, movej, sync, sleep, popup)
-}
-"""Functions of this module that may return a Wait, by name."""
+}  #: Functions of this module that may return a Wait, by name
 
 FUNCTIONS: dict[str, Callable[..., object]] = {
     **{function.__name__: function for function in (is_steady, get_steptime, textmsg, random)},
@@ -188,8 +184,7 @@ FUNCTIONS: dict[str, Callable[..., object]] = {
     "write_output_integer_register": write("int", lambda value: integer(value, "value")),
     "write_output_float_register": write("double", lambda value: number(value, "value")),
     "write_output_boolean_register": write("bool", truth),
-}
-"""All functions of the controller, by name."""
+}  #: All functions of the controller, by name
 
+#: Names of all functions that may return a Wait
 SUSPENDING_FUNCTIONS = frozenset({*SUSPENDING, *sockets.SUSPENDING})
-"""Names of all functions that may return a Wait."""

@@ -17,8 +17,7 @@ KEYWORDS = (
     *("if", "elif", "else", "while", "break", "continue", "end", "pass"),
     *("def", "thread", "return", "global", "local"),
     *("run", "join", "kill", "halt", "enter_critical", "exit_critical"),
-)
-"""Words that cannot be names."""
+)  #: Words that cannot be names
 
 GRAMMAR = r"""
 start: block
@@ -91,12 +90,11 @@ BLANK: /[ \t\f\v]+/
 
 BRACKETS = {"LPAR": 1, "LSQB": 1, "RPAR": -1, "RSQB": -1}
 BLOCKS = {"DEF": 1, "THREAD": 1, "SECONDARY": 1, "IF": 1, "WHILE": 1, "END": -1}
-NESTING = BRACKETS | BLOCKS
-"""By how many levels a terminal deepens the nesting of a program."""
+NESTING = BRACKETS | BLOCKS  #: By how many levels a terminal deepens the nesting of a program
+#: Terminals before an operand, each of which deepens the nesting until the operand begins
 PREFIXES = {"NOT", "SIGN"}
-"""Terminals before an operand, each of which deepens the nesting until the operand begins."""
+#: Terminals after which an expression continues on the next line
 CONTINUED_AFTER = {"OR", "XOR", "AND", "COMPARISON", "SIGN", "SCALE"}
-"""Terminals after which an expression continues on the next line."""
 SYMBOLS = {"_NEWLINE": "newline", "$END": "end of text"}
 
 
@@ -141,8 +139,7 @@ PARSER = Lark(
     postlex=_LineJoiner(),
     propagate_positions=True,
     maybe_placeholders=True,
-)
-"""Made with the module: it takes 0.2 s, in which a running controller would miss its cycles."""
+)  #: Made with the module: it takes 0.2 s, in which a running controller would miss its cycles
 
 WARM_UP = """
 def f(a, b=[1, -a[0]], c="s",):

@@ -3,10 +3,9 @@
 from collections.abc import Callable
 from typing import Protocol
 
-Joints = tuple[float, ...]
-"""Six values, one per joint [rad] or [rad/s]."""
+Joints = tuple[float, ...]  #: Six values, one per joint [rad] or [rad/s]
+#: Returns whether a motion command has ended; called in each cycle while its thread waits
 Done = Callable[[], bool]
-"""Returns whether a motion command has ended; called in each cycle while its thread waits."""
 
 
 class Host(Protocol):

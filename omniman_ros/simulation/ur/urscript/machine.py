@@ -22,23 +22,20 @@ from omniman_ros.simulation.ur.urscript.execution import (
 from omniman_ros.simulation.ur.urscript.host import Host
 from omniman_ros.simulation.ur.urscript.values import Value
 
+#: Largest number of statements and calls of a thread in a cycle; above it, its loop is endless.
+#:
+#: Drivers need some 120 in a cycle, and some 50 for each setpoint that they read late. The largest
+#: number lasts some 30 ms, in which the controller reports nothing; hosts wait 80 ms for feedback.
 MAX_STATEMENTS = 10_000
-"""Largest number of statements and calls of a thread in a cycle; above it, its loop is endless.
-
-Drivers need some 120 in a cycle, and some 50 for each setpoint that they read late. The largest
-number lasts some 30 ms, in which the controller reports nothing; hosts wait 80 ms for feedback.
-"""
-MAX_CALL_DEPTH = 200
-"""Largest depth of calls within calls."""
+MAX_CALL_DEPTH = 200  #: Largest depth of calls within calls
+#: Largest number of threads at once, and of threads that are started in one cycle
 MAX_THREADS = 64
-"""Largest number of threads at once, and of threads that are started in one cycle."""
 
 
 class Machine:
     """A program that is being executed.
 
     Args:
-        program: The program.
         host: The controller that it queries and commands.
         max_statements: Number of statements and calls that a thread may execute in a cycle.
         seed: Seed of the function `random`.

@@ -24,18 +24,14 @@ from omniman_ros.simulation.ur.urscript.values import (
     to_str,
 )
 
-SOCKET = "socket_0"
-"""Name of the socket that is used if a program gives none."""
-MOST_NUMBERS = 30
-"""Largest count of numbers in one read."""
-TIMING = 1e-6
-"""Tolerance of a time-out [s]."""
-ENCODING = "latin-1"
-"""Encoding of text, in which every byte is a character."""
+SOCKET = "socket_0"  #: Name of the socket that is used if a program gives none
+MOST_NUMBERS = 30  #: Largest count of numbers in one read
+TIMING = 1e-6  #: Tolerance of a time-out [s]
+ENCODING = "latin-1"  #: Encoding of text, in which every byte is a character
 
 T = TypeVar("T")
+#: Tries to read, given whether this is the last time; returns PENDING to be called again
 Attempt = Callable[[bool], object]
-"""Tries to read, given whether this is the last time; returns PENDING to be called again."""
 
 
 def socket_open(
@@ -224,8 +220,7 @@ SUSPENDING: dict[str, Callable[..., object]] = {
     "socket_read_byte_list": binary("B"),
     "socket_read_line": socket_read_line,
     "socket_read_string": socket_read_string,
-}
-"""Functions that may return a Wait, by name."""
+}  #: Functions that may return a Wait, by name
 
 FUNCTIONS: dict[str, Callable[..., object]] = {
     each.__name__: each
@@ -237,5 +232,4 @@ FUNCTIONS: dict[str, Callable[..., object]] = {
         socket_send_string,
         socket_send_line,
     )
-}
-"""The other functions, by name."""
+}  #: The other functions, by name

@@ -36,7 +36,6 @@ class StatementCompiler:
 
     Args:
         scope: Functions that the body can call.
-        nesting: Depth of the body within the program.
     """
 
     def __init__(self, scope: Scope, nesting: Nesting) -> None:

@@ -10,11 +10,10 @@ from omniman_ros.simulation.ur.urscript.errors import ScriptError
 
 Node: TypeAlias = Tree
 
+#: Largest number of definitions, blocks and expressions within each other.
+#:
+#: It keeps Python's stack shallow, both where a program is compiled and where it is executed.
 MAX_NESTING = 40
-"""Largest number of definitions, blocks and expressions within each other.
-
-It keeps Python's stack shallow, both where a program is compiled and where it is executed.
-"""
 
 
 def subtrees(node: Node) -> list[Node]:

@@ -14,22 +14,17 @@ from typing import TypeAlias
 
 from omniman_ros.simulation.ur.urscript.errors import ScriptRuntimeError
 
+#: Value of an expression; None is the value of a function that returns nothing
 Value: TypeAlias = "bool | int | float | str | tuple[Value, ...] | None"
-"""Value of an expression; None is the value of a function that returns nothing."""
 
-Operator: TypeAlias = Callable[[Value, Value], Value]
-"""Function of a binary operator."""
-Number: TypeAlias = Callable[[float, float], float]
-"""Function of two numbers."""
+Operator: TypeAlias = Callable[[Value, Value], Value]  #: Function of a binary operator
+Number: TypeAlias = Callable[[float, float], float]  #: Function of two numbers
 
-SMALLEST = -(2**31)
-"""Smallest integer."""
-LARGEST = 2**31 - 1
-"""Largest integer."""
+SMALLEST = -(2**31)  #: Smallest integer
+LARGEST = 2**31 - 1  #: Largest integer
+#: Largest number of characters of a string, so that a program cannot use all memory
 MAX_STRING_LENGTH = 4096
-"""Largest number of characters of a string, so that a program cannot use all memory."""
-JOINTS = 6
-"""Number of joints, and of elements of a pose."""
+JOINTS = 6  #: Number of joints, and of elements of a pose
 
 
 class Pose(tuple[Value, ...]):
@@ -50,8 +45,7 @@ NAMES: dict[type, str] = {
     str: "string",
     tuple: "list",
     Pose: "pose",
-}
-"""Names of the types in URScript."""
+}  #: Names of the types in URScript
 
 
 def is_number(value: Value) -> bool:
@@ -247,7 +241,6 @@ def arithmetic(symbol: str, function: Number, shapes: str) -> Operator:
 
     Args:
         symbol: Symbol of the operator, for messages.
-        function: Function of two numbers.
         shapes: Accepted operands, separated by blanks: "ll" for two lists of equal length, "ln"
             for a list and a number, "nl" for a number and a list.
     """
@@ -298,8 +291,7 @@ BINARY: dict[str, Operator] = {
     "<=": ordering("<=", operator.le),
     ">=": ordering(">=", operator.ge),
     "xor": lambda a, b: truth(a) != truth(b),
-}
-"""Functions of the binary operators, by symbol."""
+}  #: Functions of the binary operators, by symbol
 
 
 def negative(value: Value) -> Value:

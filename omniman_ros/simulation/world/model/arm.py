@@ -36,8 +36,6 @@ def add_arm(base: Element, arm: ArmParameters, mount: Mount, tool: Inertia) -> N
 
     Args:
         base: Body of base_link.
-        arm: Names of the joints.
-        mount: Pose of the arm's base.
         tool: Inertia of the tool, which has no shape.
     """
     position, rotation = (mount.x, mount.y, mount.z), (0.0, 0.0, mount.yaw)

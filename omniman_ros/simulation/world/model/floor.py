@@ -15,12 +15,10 @@ from omniman_ros.simulation.world.model.mjcf import (
     add,
 )
 
-FLOOR = "floor"
-"""Name of the floor."""
+FLOOR = "floor"  #: Name of the floor
+#: Impedance of tyres on the floor: the fraction of a force that keeps the tyre's shape
 IMPEDANCE = 0.9
-"""Impedance of tyres on the floor: the fraction of a force that keeps the tyre's shape."""
-STANDARD_GRAVITY = 9.81
-"""Gravity at which the tyres' friction is scaled [m/s^2]."""
+STANDARD_GRAVITY = 9.81  #: Gravity at which the tyres' friction is scaled [m/s^2]
 
 
 @dataclass(frozen=True)
@@ -32,18 +30,12 @@ class Tyres:
     stiffness. Along the floor the same law holds with R over `impratio`, where k is zero: friction
     creeps in proportion to its force, here as fast as the friction of the plant does at its
     beginning.
-
-    Attributes:
-        stiffness: Stiffness of a tyre [N/m].
-        share: Mass that a wheel carries [kg].
-        mu: Coefficient of friction.
-        slip_velocity: Slip at which the plant's friction has 71 % of its bound [m/s].
     """
 
-    stiffness: float
-    share: float
-    mu: float
-    slip_velocity: float
+    stiffness: float  #: Stiffness of a tyre [N/m]
+    share: float  #: Mass that a wheel carries [kg]
+    mu: float  #: Coefficient of friction
+    slip_velocity: float  #: Slip at which the plant's friction has 71 % of its bound [m/s]
 
     @property
     def rate(self) -> float:
@@ -76,9 +68,7 @@ def tyres_of(robot: Robot, mass: float, plant: PlantParameters, stiffness: float
     """Return the contact of a robot's tyres.
 
     Args:
-        robot: The robot.
         mass: Mass of the robot, arm and loads included [kg].
-        plant: Parameters of the friction.
         stiffness: Stiffness of a tyre [N/m].
     """
     return Tyres(stiffness, mass / robot.wheel_count, robot.friction.mu, plant.slip_velocity)

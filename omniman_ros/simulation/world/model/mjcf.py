@@ -5,8 +5,7 @@ from xml.etree.ElementTree import Element, SubElement
 
 from omniman_ros.description.inertia import Inertia
 
-Value = str | float | Sequence[float]
-"""A word, a number or several numbers."""
+Value = str | float | Sequence[float]  #: A word, a number or several numbers
 
 TYRE, ROBOT, WHEEL, LOOSE, PERSON = 1, 2, 4, 8, 16
 """Bits of what collides: tyres, the robot's other parts, wheels but for the floor, things that
@@ -17,8 +16,7 @@ WORLD_GROUP, ROBOT_GROUP, TYRE_GROUP = 0, 1, 2
 HINGE_FRICTION: dict[str, Value] = {
     "solreffriction": (0.002, 1.0),
     "solimpfriction": (0.999, 0.999, 0.001),
-}
-"""Stiff dry friction, so that a hinge that friction holds does not creep."""
+}  #: Stiff dry friction, so that a hinge that friction holds does not creep
 
 
 def add(parent: Element, tag: str, **attributes: Value) -> Element:

@@ -14,15 +14,13 @@ from omniman_ros.simulation.world.model.wheels import add_wheel
 from omniman_ros.simulation.world.parameters import WorldParameters
 from omniman_ros.simulation.world.solids import prism_corners
 
-BASE = "base_link"
-"""Name of the platform's body, and of its joint to the world."""
+BASE = "base_link"  #: Name of the platform's body, and of its joint to the world
 
 
 def deck_height(robot: Robot, mount: float | None) -> float:
     """Return the height of the deck's upper side above the floor [m].
 
     Args:
-        robot: The robot.
         mount: Height of the arm's base above the floor [m]; None if there is no arm.
     """
     deck = platform_boxes(robot, mount)[0]
@@ -41,13 +39,9 @@ def add_platform(
     """Add the platform, and return its body, whose frame is base_link.
 
     Args:
-        assets: Element of the meshes.
         world: Element of the world.
-        robot: The robot.
-        mismatch: How the real wheels differ.
         mount: Height of the arm's base above the floor [m]; None if there is no arm.
         tyres: Contact of the wheels with the floor.
-        parameters: Kind of the wheels.
 
     Raises:
         ParameterError: A mismatch has neither one value nor one per wheel.

@@ -21,8 +21,7 @@ from omniman_ros.simulation.world.solids import (
     prism_corners,
 )
 
-MEETS = str(ROBOT | WHEEL | LOOSE | PERSON)
-"""What fixed and loose things collide with."""
+MEETS = str(ROBOT | WHEEL | LOOSE | PERSON)  #: What fixed and loose things collide with
 
 
 def person_joints(name: str) -> tuple[str, str]:
@@ -36,9 +35,7 @@ def add_things(assets: Element, world: Element, scene: Scene, deck: float) -> No
     A column is a body that a study may place elsewhere (`mocap`); nothing else moves it.
 
     Args:
-        assets: Element of the meshes.
         world: Element of the world.
-        scene: The scene.
         deck: Height of the platform's upper side, on which loads lie [m].
     """
     for name, solids in plain_solids(scene):

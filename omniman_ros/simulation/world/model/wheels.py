@@ -26,12 +26,10 @@ from omniman_ros.simulation.world.model.mjcf import (
 )
 from omniman_ros.simulation.world.parameters import IDEAL, WorldParameters
 
+#: Inertia of an ideal wheel's sphere in each direction, over the wheel's about its axle
 IDEAL_INERTIA = 0.02
-"""Inertia of an ideal wheel's sphere in each direction, over the wheel's about its axle."""
-ROLLER_MASS = 0.25
-"""Fraction of a wheel's mass that its rollers have together."""
-QUARTER_TURN = 0.5 * math.pi
-"""Angle of 90 degrees [rad]."""
+ROLLER_MASS = 0.25  #: Fraction of a wheel's mass that its rollers have together
+QUARTER_TURN = 0.5 * math.pi  #: Angle of 90 degrees [rad]
 
 
 def body_name(wheel: str) -> str:
@@ -60,7 +58,6 @@ def add_wheel(
         mounting: Where the wheel is, and its angles.
         inertia: Mass and moments; the one about y includes gear and rotor.
         tyres: Contact with the floor.
-        parameters: Kind and number of rollers.
     """
     radius = mounting.radius
     body = add(
@@ -163,7 +160,6 @@ def roller_half_length(radius: float, middle: float, angle: float, count: int) -
         radius: Radius of the wheel [m].
         middle: Radius of the roller at its middle [m].
         angle: Angle from the wheel's rolling direction to the roller's axis [rad].
-        count: Number of rollers.
     """
     turn = math.pi / count
     depth = radius - (radius - middle) * math.cos(turn)

@@ -18,21 +18,15 @@ from omniman_ros.simulation.world.model.things import add_things
 from omniman_ros.simulation.world.parameters import IDEAL, WorldParameters
 from omniman_ros.simulation.world.scene import Scene
 
-MAX_SUBSTEP = 0.001
-"""Longest step: at 2 ms, energy rises by 5 to 14 % [s]."""
+MAX_SUBSTEP = 0.001  #: Longest step: at 2 ms, energy rises by 5 to 14 % [s]
 
 
 @dataclass(frozen=True)
 class WorldModel:
-    """A model to be compiled.
+    """A model to be compiled."""
 
-    Attributes:
-        xml: The model in MJCF.
-        tyres: Contact of the wheels with the floor.
-    """
-
-    xml: str
-    tyres: Tyres
+    xml: str  #: The model in MJCF
+    tyres: Tyres  #: Contact of the wheels with the floor
 
 
 def world_model(
@@ -47,7 +41,6 @@ def world_model(
         description: Robot, arm and where the arm is mounted.
         simulation: Gravity, substep, friction and mismatch of the wheels.
         parameters: Parameters of the world.
-        scene: The scene.
 
     Raises:
         ParameterError: The substep is too long, the platform is to be lifted, a mismatch has
