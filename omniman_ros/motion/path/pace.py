@@ -40,7 +40,7 @@ class Demand:
     speed: Array  #: x' . x' over the square of the acceleration limit [s^2]
     mixed: Array  #: x' . x'' over the square of the acceleration limit [s]
     bend: Array  #: x'' . x'' over the square of the acceleration limit
-    jerk: Array  #: |x'| over the jerk limit [s^2]
+    jerk: Array  #: `|x'|` over the jerk limit [s^2]
 
     @classmethod
     def of(

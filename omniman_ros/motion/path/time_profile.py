@@ -28,7 +28,7 @@ MIN_CELLS_PER_PIECE = 4
 BISECTIONS = 30  #: Number of bisections that find the largest speed at the start of a cell
 ROUND_OFF = 1e-6  #: Relative error of u'^2 that is accepted if it comes from another profile
 
-#: Products for one limit at one end of a cell: |q'|^2, q'.q'', |q''|^2, limit^2
+#: Products for one limit at one end of a cell: `|q'|^2, q'.q'', |q''|^2, limit^2`
 Row = tuple[float, float, float, float]
 
 
