@@ -4,12 +4,16 @@ The test advances one period at a time: it sets every node's clock and serves wh
 the wait for matched endpoints sleeps; it has its own timeout.
 """
 
+import fcntl
 import itertools
 import os
+import random
+import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from functools import partial
+from pathlib import Path
 from typing import Any, TypeVar
 
 import rclpy
@@ -18,11 +22,14 @@ from rclpy.event_handler import EventHandler, SubscriptionEventCallbacks
 from rclpy.executors import InvalidHandle, SingleThreadedExecutor, TimeoutException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSCompatibility, QoSProfile, qos_check_compatible
 from rclpy.service import Service
 from rclpy.subscription import Subscription
 from rclpy.time import Time
 from rclpy.timer import Timer
+
+from omniman_ros.processes.ros_domain import is_free
 
 T = TypeVar("T")
 
@@ -30,17 +37,33 @@ PERIOD = 0.005
 START = 1000.0
 MATCH_TIMEOUT = 20.0
 
-WORKER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
-WORKERS = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
-DOMAINS = range(40, 100)[WORKER::WORKERS]
-"""ROS domains of the tests in this process (0 to 101 are safe on every system)."""
+DOMAINS = range(40, 102)  #: ROS domains of the tests; up to 101, they are safe on every system
+KEPT_DOMAINS = 4  #: Number of domains that a process takes in turn
 
-_next = itertools.count(os.getpid() * 7)
+_locks: dict[int, int] = {}  # file descriptors by domain, until the process ends
+_turns = itertools.count()
 
 
 def free_domain() -> int:
-    """Return a ROS_DOMAIN_ID that no other test uses."""
-    return DOMAINS[next(_next) % len(DOMAINS)]
+    """Return a ROS_DOMAIN_ID that no test of another process uses.
+
+    Processes that ran on a domain at the same time, of two runs even, would hear each other.
+    """
+    folder = Path(tempfile.gettempdir(), f"omniman_ros_test_domains_{os.getuid()}")
+    folder.mkdir(exist_ok=True)
+    for domain in random.sample(DOMAINS, len(DOMAINS)):
+        if len(_locks) == KEPT_DOMAINS:
+            break
+        lock = os.open(folder / str(domain), os.O_CREAT | os.O_RDWR)
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(lock)
+            continue
+        if is_free(domain):
+            _locks[domain] = lock
+    assert _locks, "all ROS domains of the tests are in use"
+    return list(_locks)[next(_turns) % len(_locks)]
 
 
 class SteppedExecutor(SingleThreadedExecutor):
@@ -91,6 +114,16 @@ class SteppedExecutor(SingleThreadedExecutor):
             return
         finally:
             self.is_serving_by_rclpy = False
+
+
+def _do_match(publisher: Publisher, subscription: Subscription) -> bool:
+    """Return whether two endpoints find each other, by topic, type and quality of service."""
+    return bool(
+        subscription.topic_name == publisher.topic_name
+        and subscription.msg_type is publisher.msg_type
+        and qos_check_compatible(publisher.qos_profile, subscription.qos_profile)[0]
+        != QoSCompatibility.ERROR
+    )
 
 
 def _has_other_entities(node: Node) -> bool:
@@ -199,17 +232,20 @@ class World:
         The middleware repeats a latched message to a later subscription from a thread of its own,
         now and then 70 ms after the match: this waits for it, too.
         """
-        for publisher in (publisher for node in self.nodes for publisher in node.publishers):
-            matching = sum(
-                subscription.topic_name == publisher.topic_name
-                and subscription.msg_type is publisher.msg_type
-                and qos_check_compatible(publisher.qos_profile, subscription.qos_profile)[0]
-                is not QoSCompatibility.ERROR
-                for node in self.nodes
-                for subscription in node.subscriptions
-            )
+        publishers = [publisher for node in self.nodes for publisher in node.publishers]
+        subscriptions = [
+            subscription for node in self.nodes for subscription in node.subscriptions
+        ]
+        for subscription in subscriptions:
+            writers = sum(_do_match(publisher, subscription) for publisher in publishers)
             self._await(
-                lambda p=publisher, n=matching: p.get_subscription_count() >= n,
+                lambda s=subscription, n=writers: s.get_publisher_count() >= n,
+                f"the publishers of {subscription.topic_name}",
+            )
+        for publisher in publishers:
+            readers = sum(_do_match(publisher, subscription) for subscription in subscriptions)
+            self._await(
+                lambda p=publisher, n=readers: p.get_subscription_count() >= n,
                 f"the subscribers of {publisher.topic_name}",
             )
             if publisher.qos_profile.durability is DurabilityPolicy.TRANSIENT_LOCAL:
@@ -257,16 +293,40 @@ class World:
         self.received[topic] = received
         matched: list[object] = []
         events = SubscriptionEventCallbacks(matched=matched.append, use_default_callbacks=False)
-        self.probe.create_subscription(kind, topic, received.append, qos, event_callbacks=events)
+        publishers = [publisher for node in self.nodes for publisher in node.publishers]
+        counts = {publisher: publisher.get_subscription_count() for publisher in publishers}
+        subscription = self.probe.create_subscription(
+            kind, topic, received.append, qos, event_callbacks=events
+        )
         self._await(lambda: bool(matched), f"a publisher of {topic}")
+        for publisher in publishers:
+            if _do_match(publisher, subscription):
+                self._await(
+                    lambda p=publisher, n=counts[publisher]: p.get_subscription_count() > n,
+                    f"a subscriber of {topic}",
+                )
         if isinstance(qos, QoSProfile) and qos.durability is DurabilityPolicy.TRANSIENT_LOCAL:
             self._await(lambda: bool(received), f"the latched message of {topic}")
         return received
 
     def publisher(self, kind: type[T], topic: str, qos: QoSProfile | int = 10) -> Any:
-        """Return a publisher of the probe that is matched with a subscription."""
+        """Return a publisher of the probe that is matched with a subscription.
+
+        Both ends must know of the other. What is published before the subscription does arrives
+        only when the middleware repeats it, and holds up all that follows.
+        """
+        subscriptions = [
+            subscription for node in self.nodes for subscription in node.subscriptions
+        ]
+        before = [subscription.get_publisher_count() for subscription in subscriptions]
         publisher = self.probe.create_publisher(kind, topic, qos)
         self._await(lambda: publisher.get_subscription_count() > 0, f"a subscriber of {topic}")
+        for subscription, count in zip(subscriptions, before, strict=True):
+            if _do_match(publisher, subscription):
+                self._await(
+                    lambda s=subscription, n=count: s.get_publisher_count() > n,
+                    f"a publisher of {topic}",
+                )
         return publisher
 
     def call(self, kind: Any, name: str, request: Any = None) -> Any:
