@@ -16,9 +16,8 @@ from omniman_ros.console.terminal import GREEN, paint, say
 from omniman_ros.core.errors import OmnimanError
 from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
-from omniman_ros.demo.demo import Demo, judge
+from omniman_ros.demo.demo import drive, judge, load_demo
 from omniman_ros.demo.driver import Driver
-from omniman_ros.demo.recorder import Recording
 from omniman_ros.demo.report import fault_lines, report_lines
 from omniman_ros.extras import TRACKING, WORLD
 from omniman_ros.nodes.clock_follower import ClockFollower
@@ -31,12 +30,9 @@ from omniman_ros.processes.ros_domain import isolate_ros_domain
 
 DRIVE_ON = "drive.dead_wheel:=drive_on"
 """Parameter value with which the robot continues when a wheel is dead."""
-DEMO_WORLD = "hall"
-"""Scene in which the demo drives if none is named."""
-WORLD_ROBOT = "omniman"
-"""Robot that drives there: the scene has room for it."""
-NO_WORLD = "none"
-"""Value of `--world` with which the demo drives on the plant, without a world."""
+DEMO_WORLD = "hall"  #: Scene in which the demo drives if none is named.
+WORLD_ROBOT = "omniman"  #: Robot that drives there: the scene has room for it.
+NO_WORLD = "none"  #: Value of `--world` with which the demo drives on the plant.
 WORLD_WHEELS = ("world.wheels:=ideal", "world.tyre_stiffness:=1.0e7")
 """Parameters with which wheels in a world roll as odometry assumes that nobody has calibrated: on
 rollers, a platform loses 1 to 2 % of its way sideways, and tyres of 1e6 N/m sink, which makes the
@@ -44,8 +40,6 @@ rolling radius 0.16 % smaller."""
 SCANNER = ("scanners.field_of_view:=[4.71238898]", "scanners.rate:=[10.0]", "map_rate:=2.0")
 """Parameters with which the scanner at the robot's front sees 270 degrees, at a rate that leaves
 the processor to the robot on a small machine."""
-WORLD_PARAMETERS = (*WORLD_WHEELS, *SCANNER)
-"""Parameters in a world."""
 WHEEL_DIFFERENCES = {
     "mismatch.friction": (1.3, 0.8, 1.1, 0.9),
     "mismatch.torque_constant": (0.97, 1.03, 1.0, 0.98),
@@ -56,18 +50,11 @@ PAGE_PATTERN = re.compile(r"the page is at (http\S+)")
 """Log line of the viewer that gives the address of its page."""
 LOOKAHEAD = 0.02
 """How far simulated time may be ahead of this process, which commands and measures [s]."""
-PAGE_TIMEOUT = 10.0
-"""Time to wait for the viewer's page [s]."""
+PAGE_TIMEOUT = 10.0  #: Time to wait for the viewer's page [s].
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman demo`.
-
-    Args:
-        args: Parsed arguments of the command.
-
-    Returns:
-        The exit code: 0 if all figures are within their limits, else 1.
+    """Run `omniman demo`; the exit code is 0 if all figures are within their limits, else 1.
 
     Raises:
         CommandError: The demo could not be completed.
@@ -113,15 +100,12 @@ def run(args: argparse.Namespace) -> int:
 def demo_setup(args: argparse.Namespace) -> RobotSetup:
     """Return the robot of the demo.
 
-    Args:
-        args: Parsed arguments of the command.
-
     Raises:
         CommandError: The robot does not exist.
     """
     world = demo_world(args)
     params = [
-        *(WORLD_PARAMETERS if world else ()),
+        *((*WORLD_WHEELS, *SCANNER) if world else ()),
         DRIVE_ON,
         *wheel_differences(resolve_robot(args.robot)),
         *args.param,
@@ -143,9 +127,6 @@ def demo_world(args: argparse.Namespace) -> str | None:
 
     Without `--world`, the package's own robot drives in a world where all is installed that it
     needs to see by its scanner.
-
-    Args:
-        args: Parsed arguments of the command.
     """
     if args.world is not None:
         return None if args.world == NO_WORLD else str(args.world)
@@ -155,17 +136,11 @@ def demo_world(args: argparse.Namespace) -> str | None:
 
 
 def choose_domain(keep: bool) -> bool:
-    """Set the ROS domain of this process, which the nodes inherit.
+    """Set the ROS domain of this process, which the nodes inherit; return whether it is private.
 
     By default the demo uses a domain of its own, so that it meets no other robot. With --keep it
     uses the domain that the user's next terminal will use. In both cases it is invisible to other
     machines unless the user has chosen otherwise: no robot elsewhere receives its `cmd_vel`.
-
-    Args:
-        keep: Whether the robot is kept for the user.
-
-    Returns:
-        Whether the domain is private to this demo.
     """
     if keep:
         os.environ.setdefault("ROS_DOMAIN_ID", "0")
@@ -198,7 +173,7 @@ def perform(
         CommandError: The robot did not complete the demo.
     """
     has_arm = setup.arm != "none"
-    demo = Demo(setup.robot, has_arm, by_scanner=setup.obstacle_tracker)
+    demo = load_demo(setup.robot, has_arm, by_scanner=setup.obstacle_tracker)
     with Session("omniman_demo", sim_time=True) as session:
         pace = ClockFollower(session.node, LOOKAHEAD, lambda: None, session.now)
         driver = Driver(session, progress, group.check, setup.wheel_drive, has_arm)
@@ -209,43 +184,28 @@ def perform(
                 driver.wait(lambda: bool(viewer.find("viewer", PAGE_PATTERN)), PAGE_TIMEOUT)
                 page = viewer.find("viewer", PAGE_PATTERN)
                 progress.headline(page_hint(page))
-            demo.drive(driver)
+            drive(demo, driver)
         finally:
             driver.halt()
             pace.leave()
         recording = driver.recorder.recording
-        result = judge(recording, demo.legs, driver.arm_moves)
-    picture = draw(demo, recording, folder)
-    return {"robot": setup.robot, **result, "picture": picture and str(picture), "page": page}
+        result = judge(demo, recording)
+    try:
+        from omniman_ros.demo.picture import draw_demo
+
+        picture = str(draw_demo(demo, recording, folder / "demo.png"))
+    except ImportError:  # without matplotlib, there is no picture
+        picture = None
+    return {"robot": setup.robot, **result, "picture": picture, "page": page}
 
 
 def page_hint(page: str) -> str:
-    """Return where to watch the robot.
-
-    Args:
-        page: Address of the viewer's page; empty if there is none.
-    """
+    """Return where to watch the robot: the address of the viewer's page, if it has one."""
     return f"watch it at {page}" if page else "the viewer has no page (see --verbose)"
-
-
-def draw(demo: Demo, recording: Recording, folder: Path) -> Path | None:
-    """Draw the demo into a PNG file.
-
-    Returns:
-        The path of the file; None if matplotlib is not installed.
-    """
-    try:
-        from omniman_ros.demo.figure import draw_demo
-    except ImportError:
-        return None
-    return draw_demo(demo, recording, folder / "demo.png")
 
 
 def wheel_differences(robot: str) -> list[str]:
     """Return parameters that make the simulated wheels differ, like real ones (CCTA 2017, V.C).
-
-    Args:
-        robot: Name of the robot, or path of its file.
 
     Raises:
         CommandError: The robot's file cannot be used.
@@ -286,15 +246,9 @@ Ctrl-C here ends it.""")
 
 
 def conclude(result: dict[str, Any], log: NodeOutputLog, args: argparse.Namespace) -> int:
-    """Print the result unless `keep` has done so, and write it as JSON.
+    """Print the result unless `keep` has done so, write it as JSON, and return the exit code.
 
-    Args:
-        result: The figures of the demo.
-        log: Output of the nodes, printed if a figure is beyond its limit.
-        args: Parsed arguments of the command.
-
-    Returns:
-        The exit code: 0 if all figures are within their limits, else 1.
+    The output of the nodes is printed if a figure is beyond its limit.
     """
     ok = not result["faults"]
     if not args.keep:

@@ -1,109 +1,103 @@
-"""The demo as a list of legs, and the evaluation of its result."""
+"""The demo of one robot: its legs in their order, and the evaluation of its result."""
 
-from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Any
+
+import numpy as np
 
 from omniman_ros.control.limits import TwistLimits
 from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
-from omniman_ros.demo.arm_moves import ARM_LIMITS, ArmMove, arm_figures
-from omniman_ros.demo.dead_wheel_leg import DeadWheelLeg
+from omniman_ros.demo import figures, legs
 from omniman_ros.demo.driver import Driver
-from omniman_ros.demo.goal_leg import GoalLeg
-from omniman_ros.demo.leg import Leg
-from omniman_ros.demo.limits import Limit, violations
-from omniman_ros.demo.path_leg import PathLeg
+from omniman_ros.demo.measures import Interval, violations
 from omniman_ros.demo.recorder import Recording
-from omniman_ros.demo.stop_leg import StopLeg
-from omniman_ros.demo.tool_leg import ToolLeg
-from omniman_ros.demo.twist_leg import Pace, TwistLeg
-from omniman_ros.demo.whole_drive import WHOLE_DRIVE_LIMITS, whole_drive_figures
 from omniman_ros.motion.whole_body.model import Mount, WholeBodyModel
 from omniman_ros.robots import load_robot
 
-LIMITS: tuple[Limit, ...] = (
-    *PathLeg.limits,
-    *WHOLE_DRIVE_LIMITS,
-    *GoalLeg.limits,
-    *ARM_LIMITS,
-    *ToolLeg.limits,
-    *DeadWheelLeg.limits,
-    *StopLeg.limits,
-    *TwistLeg.limits,
-)
-"""All limits of the demo."""
 
-
+@dataclass
 class Demo:
-    """The legs of the demo of one robot, in the order in which they are driven.
+    """A robot, and what it has driven, leg by leg; legs that were not driven are empty or None."""
 
-    Args:
-        robot: Name of the robot, or path of its file.
-        has_arm: Whether the robot has an arm.
-        by_scanner: Whether it drives to the goal by its scanner, among the persons of a world.
-
-    Attributes:
-        robot: Parameters of the robot.
-        twists: Leg that is driven through `cmd_vel`.
-        path: Leg that follows the path of CCTA 2017, Fig. 7.
-        tool: Leg that moves the tool along a path; None if the robot has no arm.
-        goal: Leg that drives to a goal among obstacles.
-        dead_wheel: Leg with a dead wheel; None if no wheel can be spared.
-        stop: Leg with the emergency stop.
-    """
-
-    def __init__(self, robot: str, has_arm: bool = True, *, by_scanner: bool = False) -> None:
-        parameters = load_robot(robot)
-        self.robot = build(Robot, parameters)
-        body = self.robot.body
-        pace = Pace.within(build(TwistLimits, parameters, "limits."))
-        wheel = expendable_wheel(self.robot)
-        self.twists = TwistLeg(pace)
-        self.path = PathLeg()
-        self.tool = (
-            ToolLeg(WholeBodyModel(build(Mount, parameters, "mount."))) if has_arm else None
-        )
-        self.goal = GoalLeg((0.5 * body.length, 0.5 * body.width), by_scanner=by_scanner)
-        self.dead_wheel = DeadWheelLeg(wheel) if wheel else None
-        self.stop = StopLeg(pace.speed)
+    robot: Robot
+    pace: legs.Pace
+    model: WholeBodyModel | None  #: platform and arm; None if the robot has no arm
+    by_scanner: bool  #: whether it drives to the goal by its scanner, among a world's persons
+    twists: list[figures.TwistPhase] = field(default_factory=list)  #: driven through `cmd_vel`
+    movements: list[Interval] = field(default_factory=list)  #: path of CCTA 2017, Fig. 7
+    arm_moves: list[figures.ArmMove] = field(default_factory=list)
+    tool: Interval | None = None  #: path of the tool
+    goal: figures.DrivenGoal | None = None
+    dead_wheel: legs.DeadWheel | None = None
+    stop: figures.DrivenStop | None = None
 
     @property
-    def legs(self) -> list[Leg]:
-        """The legs, in the order in which they are driven."""
-        legs = (self.twists, self.path, self.tool, self.goal, self.dead_wheel, self.stop)
-        return [leg for leg in legs if leg is not None]
+    def half_size(self) -> tuple[float, float]:
+        """Half length and half width of the robot's bounding box [m]."""
+        return 0.5 * self.robot.body.length, 0.5 * self.robot.body.width
 
-    def drive(self, driver: Driver) -> None:
-        """Drive all legs; stalls of the machine are measured from here on.
-
-        Raises:
-            CommandError: The robot did not do what was asked, or stopped.
-        """
-        driver.restart_stall_watch()
-        for leg in self.legs:
-            leg.drive(driver)
+    @property
+    def path_intervals(self) -> list[Interval]:
+        """Intervals in which the platform followed a path."""
+        return self.movements + ([self.dead_wheel.interval] if self.dead_wheel else [])
 
 
-def judge(
-    recording: Recording, legs: Sequence[Leg], arm_moves: Sequence[ArmMove] = ()
-) -> dict[str, Any]:
+def load_demo(robot: str, has_arm: bool = True, *, by_scanner: bool = False) -> Demo:
+    """Return the demo of a robot, given by its name or the path of its file."""
+    parameters = load_robot(robot)
+    model = WholeBodyModel(build(Mount, parameters, "mount.")) if has_arm else None
+    pace = legs.Pace.within(build(TwistLimits, parameters, "limits."))
+    return Demo(build(Robot, parameters), pace, model, by_scanner)
+
+
+def drive(demo: Demo, driver: Driver) -> None:
+    """Drive all legs; stalls of the machine are measured from here on.
+
+    Raises:
+        CommandError: The robot did not do what was asked, or stopped.
+    """
+    driver.restart_stall_watch()
+    demo.twists = legs.drive_twists(driver, demo.pace)
+    demo.movements, demo.arm_moves = legs.drive_path(driver)
+    if demo.model is not None:
+        demo.tool, move = legs.drive_tool(driver, demo.model)
+        demo.arm_moves.append(move)
+    demo.goal = legs.drive_to_goal(driver, demo.by_scanner)
+    if wheel := expendable_wheel(demo.robot):
+        demo.dead_wheel = legs.drive_with_dead_wheel(driver, wheel)
+    demo.stop = legs.drive_and_stop(driver, demo.pace.speed)
+
+
+def judge(demo: Demo, recording: Recording) -> dict[str, Any]:
     """Return all figures of the demo, and those that are beyond their limits.
-
-    Args:
-        recording: What the robot published.
-        legs: Legs that have been driven.
-        arm_moves: Moves of the arm that are measured.
 
     Returns:
         Figures by section, and under `faults` a sentence for each figure beyond its limit.
     """
-    result: dict[str, Any] = {}
-    for leg in legs:
-        result |= leg.measure(recording)
-    if arm_moves:
-        result["arm"] = arm_figures(recording, arm_moves)
-    result |= whole_drive_figures(recording)
-    result["faults"] = [text + recording.stall_note for text in violations(result, LIMITS)]
+    odom, reference = np.array(recording.odom), figures.Reference(recording.reference)
+    result: dict[str, Any] = {
+        "twists": figures.twist_figures(odom, demo.twists),
+        "tracking": figures.tracking_figures(odom, reference, demo.movements),
+        "coupling": figures.coupling_figures(recording.coupling, demo.movements),
+    }
+    if demo.model is not None and demo.tool:
+        result["tool"] = figures.tool_figures(figures.tool_track(recording, demo.model, demo.tool))
+    if demo.goal:
+        truth = np.array(recording.truth)
+        result["goal"] = figures.goal_figures(odom, truth, demo.goal, demo.half_size)
+    if demo.dead_wheel:
+        result["dead_wheel"] = {
+            "wheel": demo.dead_wheel.wheel,
+            "noticed_s": demo.dead_wheel.delay,
+            **figures.tracking_figures(odom, reference, [demo.dead_wheel.interval]),
+        }
+    if demo.stop:
+        result["emergency_stop"] = figures.stop_figures(recording, demo.stop)
+    if demo.arm_moves:
+        result["arm"] = figures.arm_figures(recording, demo.arm_moves)
+    result |= figures.whole_drive_figures(recording)
+    result["faults"] = [text + recording.stall_note for text in violations(result)]
     return result
 
 

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from contextlib import AbstractContextManager
 from typing import Any
 
 import numpy as np
@@ -15,34 +15,23 @@ from omniman_ros.console.progress import Progress
 from omniman_ros.console.session import DISCOVERY_TIMEOUT, PeriodicTicks, Session
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.planar import Triple
-from omniman_ros.demo.arm_moves import ArmMove
-from omniman_ros.demo.interval import Interval
-from omniman_ros.demo.perception_recorder import PerceptionRecorder
+from omniman_ros.demo.figures import ArmMove
+from omniman_ros.demo.measures import Interval
+from omniman_ros.demo.perception import Perception, record_perception
 from omniman_ros.demo.recorder import Recorder
 from omniman_ros.demo.robot_interface import RobotInterface
 from omniman_ros.nodes.stoppable_nodes import TriggerCalls
 from omniman_ros.processes.robot_setup import WORLD_DRIVE
 
-ARM_MOVE_TIME = 2.5
-"""Duration of a measured move of the arm, within its limits [s]."""
-PERIOD = 0.02
-"""Period at which the demo sends twists and checks the progress [s]."""
-PAUSE = 0.7
-"""Shortest pause between two parts of the demo [s]."""
-AGREEMENT_TIME = 0.1
-"""Time in which a change of the source that drives reaches all nodes [s]."""
-IDLE_TIMEOUT = 5.0
-"""Time within which no source drives the platform any more after the end of a motion [s]."""
-SERVICE_TIMEOUT = 5.0
-"""Time within which a service must answer [s]."""
-RESET_TIMEOUT = 10.0
-"""Time for the reset of all nodes, in which the arm's controller releases its brakes [s]."""
-SLOWEST_SPEED = 0.1
-"""Mean speed below which a motion is given up [m/s]."""
-EXTRA_TIME = 20.0
-"""Time that a motion may take beyond its length at `SLOWEST_SPEED` [s]."""
-STANDSTILL: Triple = (0.0, 0.0, 0.0)
-"""Body twist of a platform at rest [m/s, m/s, rad/s]."""
+ARM_MOVE_TIME = 2.5  #: Duration of a measured move of the arm, within its limits [s].
+PERIOD = 0.02  #: Period at which the demo sends twists and checks the progress [s].
+PAUSE = 0.7  #: Shortest pause between two parts of the demo [s].
+AGREEMENT_TIME = 0.1  #: Time in which a change of the source that drives reaches all nodes [s].
+IDLE_TIMEOUT = 5.0  #: Time after a motion within which no source drives the platform any more [s].
+SERVICE_TIMEOUT = 5.0  #: Time within which a service must answer [s].
+RESET_TIMEOUT = 10.0  #: Time for the reset of all nodes, in which the arm releases its brakes [s].
+SLOWEST_SPEED = 0.1  #: Mean speed below which a motion is given up [m/s].
+EXTRA_TIME = 20.0  #: Time that a motion may take beyond its length at `SLOWEST_SPEED` [s].
 
 
 class Driver:
@@ -55,14 +44,6 @@ class Driver:
         drive: Kind of drive: "simulated", "can" for simulated drives on a CAN bus, or "world" for
             those in a physics world, which also tells contacts.
         has_arm: Whether the robot has an arm.
-
-    Attributes:
-        robot: Commands to the robot.
-        recorder: Recorder of the robot's topics.
-        progress: Display of the progress.
-        has_arm: Whether the robot has an arm.
-        arm_moves: Moves of the arm that are measured.
-        expects_stop: Whether nodes are meant to be stopped at the moment.
     """
 
     def __init__(
@@ -79,8 +60,7 @@ class Driver:
         self.recorder = Recorder(session.node, contacts=drive == WORLD_DRIVE)
         self.progress = progress
         self.has_arm = has_arm
-        self.arm_moves: list[ArmMove] = []
-        self.expects_stop = False
+        self.expects_stop = False  #: whether nodes are meant to be stopped at the moment
         self._last_check = time.monotonic()
 
     # ---- state ------------------------------------------------------------------------------
@@ -120,20 +100,16 @@ class Driver:
             raise CommandError(f"not ready within {DISCOVERY_TIMEOUT:g} s: {self._missing()}")
         self.progress.end(f"all nodes connected after {time.monotonic() - start:.1f} s")
 
-    def record_perception(self) -> PerceptionRecorder:
-        """Record what scanner, tracker and world tell from now on; the caller closes it."""
-        return PerceptionRecorder(self._session.node)
+    def record_perception(self) -> AbstractContextManager[Perception]:
+        """Record what scanner, tracker and world tell within a `with` block."""
+        return record_perception(self._session.node)
 
     def restart_stall_watch(self) -> None:
         """Restart the measurement of the longest time for which this process was not served."""
         self._last_check, self.recorder.recording.stall = time.monotonic(), 0.0
 
     def wait(self, condition: Callable[[], bool], timeout: float) -> bool:
-        """Serve ROS and watch the robot until a condition holds.
-
-        Args:
-            condition: Condition, evaluated many times per second.
-            timeout: Longest time to wait [s].
+        """Serve ROS and watch the robot until a condition holds, or for a time [s].
 
         Returns:
             Whether the condition held in time.
@@ -153,12 +129,7 @@ class Driver:
         self.wait(lambda: False, duration)
 
     def ticks(self, duration: float, period: float = PERIOD) -> PeriodicTicks:
-        """Return an iterator over the elapsed time [s] that serves ROS and watches the robot.
-
-        Args:
-            duration: Time after which the iteration ends [s].
-            period: Time between two items [s].
-        """
+        """Return an iterator over the elapsed time [s] that serves ROS and watches the robot."""
         return PeriodicTicks(self._session, duration, period, self._check)
 
     def wait_until_idle(self) -> bool:
@@ -183,29 +154,13 @@ class Driver:
             raise CommandError(f"the robot stopped: {name} is {reason}{recording.stall_note}")
 
     def _missing(self) -> str:
-        """Return the missing topics as text; empty if none is missing."""
-        unconnected = [f"a subscriber of {topic}" for topic in self.robot.unconnected_topics]
-        arm = ["arm/joint_states"] if self.has_arm and not self.recorder.has_arm_states else []
-        return ", ".join(self.recorder.missing_topics + arm + unconnected)
+        missing = self.recorder.missing_topics
+        if self.has_arm and not self.recorder.recording.arm:
+            missing.append("arm/joint_states")
+        missing += [f"a subscriber of {topic}" for topic in self.robot.unconnected_topics]
+        return ", ".join(missing)
 
     # ---- motions ----------------------------------------------------------------------------
-
-    def follow_path(
-        self,
-        name: str,
-        poses: Array,
-        length: float,
-        on_tick: Callable[[], None] = lambda: None,
-    ) -> Interval:
-        """Send a path of the platform and wait for its end; see `follow`.
-
-        Args:
-            name: Name of the part, displayed with the progress.
-            poses: Poses (k, 3) in odom [m, m, rad].
-            length: Path length [m].
-            on_tick: Called every `PERIOD` while the robot is moving.
-        """
-        return self.follow(name, lambda: self.robot.send_path(poses), length, on_tick)
 
     def follow(
         self,
@@ -247,18 +202,14 @@ class Driver:
         self.progress.end(self.note)
         return interval
 
-    def begin_arm_move(self, goal: Array) -> None:
+    def move_arm(self, goal: Array) -> ArmMove:
         """Start a measured move of the arm to joint angles (6,) [rad]; do not wait for its end."""
         self.robot.send_arm_goal(goal, ARM_MOVE_TIME)
-        self.arm_moves.append(ArmMove(tuple(goal.tolist()), self.now))
-
-    def end_arm_move(self, end: float) -> None:
-        """Set the ROS time [s] until which the last move of the arm is measured."""
-        self.arm_moves[-1] = replace(self.arm_moves[-1], end=end)
+        return ArmMove(tuple(goal.tolist()), self.now)
 
     def halt(self) -> None:
         """Send a twist of zero."""
-        self.robot.send_twist(STANDSTILL)
+        self.robot.send_twist((0.0, 0.0, 0.0))
 
     # ---- services ---------------------------------------------------------------------------
 

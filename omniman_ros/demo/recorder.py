@@ -1,6 +1,8 @@
 """Recording of the topics that the robot publishes during the demo."""
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
@@ -22,8 +24,7 @@ DEPTH = 1000
 them: those of 5 s at 200 Hz."""
 Row = tuple[float, ...]
 """Values of one message, mostly a stamp [s] and the values at that time; see `Recording`."""
-FRESH_POINTS = 6
-"""Number of points of a preview that are due until about the arrival of the next preview."""
+FRESH_POINTS = 6  #: Number of points of a preview that are due until the next one may change it.
 STALL_LIMIT = 0.15
 """Time without the processor from which on a failure may be the machine's fault [s]."""
 
@@ -33,36 +34,29 @@ class Recording:
     """Values that the robot published, in the order of arrival.
 
     Stamps are ROS time [s], as the nodes have set them: how late a message reaches this process
-    does not count.
-
-    Attributes:
-        odom: Stamp, pose x, y, theta in odom [m, m, rad] and twist x', y', theta' in base_link
-            [m/s, m/s, rad/s].
-        truth: Stamp and pose x, y, theta of the ground truth [m, m, rad].
-        coupling: Stamp and coupling error of each constraint, without resets [rad].
-        reference: Time and pose x, y, theta of the path's reference [m, m, rad]; times may repeat.
-        energy: Energy drawn by the motor of each wheel since the start of its drive [J].
-        arm: Stamp and measured joint angles [rad].
-        arm_reference: Time and reference of the joint angles [rad]; times may repeat.
-        tool_reference: Stamp and reference of the tool's position x, y, z in odom [m].
-        arm_intervals: Intervals between two setpoints sent to the arm's controller [s].
-        commands: Stamps of `wheel_commands`, or `wheel_voltages` in voltage mode.
-        contacts: What the robot touched, each as "part, thing"; None without a physics world.
-        stall: Longest time for which this process did not run [s]. On the same machine, the nodes
-            mostly did not run either.
+    does not count. Poses are x, y, theta [m, m, rad].
     """
 
+    #: stamp, pose in odom, and twist x', y', theta' in base_link [m/s, m/s, rad/s]
     odom: list[Row] = field(default_factory=list)
-    truth: list[Row] = field(default_factory=list)
+    truth: list[Row] = field(default_factory=list)  #: stamp and pose of the ground truth
+    #: stamp, and coupling error of each constraint, without resets [rad]
     coupling: list[Row] = field(default_factory=list)
-    reference: list[Row] = field(default_factory=list)
-    energy: list[Row] = field(default_factory=list)
-    arm: list[Row] = field(default_factory=list)
+    reference: list[Row] = field(
+        default_factory=list
+    )  #: time and pose on the path; times may repeat
+    energy: list[Row] = field(default_factory=list)  #: drawn by each motor since its start [J]
+    arm: list[Row] = field(default_factory=list)  #: stamp and measured joint angles [rad]
+    #: time and reference of the joint angles [rad]; times may repeat
     arm_reference: list[Row] = field(default_factory=list)
+    #: stamp and reference of the tool's position x, y, z in odom [m]
     tool_reference: list[Row] = field(default_factory=list)
+    #: intervals between two setpoints sent to the arm's controller [s]
     arm_intervals: list[float] = field(default_factory=list)
+    #: stamps of `wheel_commands`, or `wheel_voltages` in voltage mode [s]
     commands: list[float] = field(default_factory=list)
-    contacts: list[str] | None = None
+    contacts: list[str] | None = None  #: each as "part, thing"; None without a physics world
+    #: longest time for which this process, and mostly the nodes beside it, did not run [s]
     stall: float = 0.0
 
     @property
@@ -79,54 +73,48 @@ class Recorder:
     Args:
         node: Node that owns the subscriptions.
         contacts: Whether the robot is in a physics world, which tells contacts.
-
-    Attributes:
-        recording: Values that have been recorded.
-        active_source: Last `active_source`, which drives the platform; empty before the first.
-        progress: Last `path_progress` of the motion that `begin_motion` announced, from 0 to 1.
-        planner: Values of the last `mpc/status`, by key.
-        health: Values of the last `wheel_health`, by wheel and other keys.
-        stopped: Reason why a node is stopped, by the name of the node.
     """
 
     def __init__(self, node: Node, *, contacts: bool = False) -> None:
-        self.recording = Recording(contacts=[] if contacts else None)
-        self.active_source = ""
-        self.progress = 0.0
+        self.recording = rows = Recording(contacts=[] if contacts else None)
+        self.active_source = ""  #: what drives the platform; empty before the first message
+        self.progress = 0.0  #: of the motion that `begin_motion` announced, from 0 to 1
         self._has_started = False
-        self.health: dict[str, str] = {}
-        self.planner: dict[str, str] = {}
-        self.stopped: dict[str, str] = {}
-        for message_type, topic, callback, qos in (
-            (Odometry, "odom", self._on_odom, DEPTH),
-            (Odometry, "ground_truth/odom", self._on_truth, DEPTH),
-            (JointState, "wheel_commands", self._on_command, DEPTH),
-            (JointState, "wheel_voltages", self._on_command, DEPTH),  # instead, in voltage mode
-            (JointState, "coupling_error", self._on_coupling, DEPTH),
-            (Float64MultiArray, "wheel_electrical", self._on_electrical, DEPTH),
-            (MultiDOFJointTrajectory, "path/reference", self._on_reference, DEPTH),
-            (JointState, "arm/joint_states", self._on_arm, DEPTH),
-            (JointTrajectory, "arm/joint_reference", self._on_arm_reference, DEPTH),
-            (PoseStamped, "tool_reference", self._on_tool_reference, DEPTH),
-            (Float64MultiArray, "arm/timing", self._on_arm_timing, DEPTH),
+        self.health: dict[str, str] = {}  #: last `wheel_health`, by wheel and other keys
+        self.planner: dict[str, str] = {}  #: last `mpc/status`, by key
+        self.stopped: dict[str, str] = {}  #: reason why a node is stopped, by its name
+
+        def record(
+            kind: Any, topic: str, target: list[Any], convert: Callable[[Any], Iterable[Any]]
+        ) -> None:
+            node.create_subscription(kind, topic, lambda m: target.extend(convert(m)), DEPTH)
+
+        record(Odometry, "odom", rows.odom, lambda m: [(*_pose(m), *_twist(m))])
+        record(Odometry, "ground_truth/odom", rows.truth, lambda m: [_pose(m)])
+        # Voltages are published instead of commands in voltage mode.
+        for topic in ("wheel_commands", "wheel_voltages"):
+            record(JointState, topic, rows.commands, lambda m: [_stamp(m)])
+        record(JointState, "coupling_error", rows.coupling, _coupling_rows)
+        record(Float64MultiArray, "wheel_electrical", rows.energy, lambda m: [tuple(m.data[2::3])])
+        record(MultiDOFJointTrajectory, "path/reference", rows.reference, _reference_rows)
+        record(JointState, "arm/joint_states", rows.arm, lambda m: [(_stamp(m), *m.position)])
+        record(JointTrajectory, "arm/joint_reference", rows.arm_reference, _arm_reference_rows)
+        record(PoseStamped, "tool_reference", rows.tool_reference, _tool_rows)
+        record(Float64MultiArray, "arm/timing", rows.arm_intervals, _arm_intervals)
+        for kind, topic, callback, qos in (
             (Float64, "path_progress", self.on_progress, DEPTH),
             (DiagnosticStatus, "mpc/status", self._on_planner, DEPTH),
             (String, "active_source", self._on_source, LATCHED),
             (DiagnosticStatus, "stop_state", self._on_stop_state, LATCHED),
             (DiagnosticStatus, "wheel_health", self._on_health, LATCHED),
         ):
-            node.create_subscription(message_type, topic, callback, qos)
+            node.create_subscription(kind, topic, callback, qos)
         # Contacts are published only while there are some: no message must mean no contact.
         self._contacts = (
             node.create_subscription(DiagnosticArray, "contacts", self._on_contacts, 50)
             if contacts
             else None
         )
-
-    @property
-    def has_arm_states(self) -> bool:
-        """Whether an arm has reported its joint angles."""
-        return bool(self.recording.arm)
 
     @property
     def missing_topics(self) -> list[str]:
@@ -161,57 +149,6 @@ class Recorder:
         self._has_started = self._has_started or message.data < 1.0
         self.progress = message.data if self._has_started else 0.0
 
-    def _on_odom(self, message: Odometry) -> None:
-        twist = message.twist.twist
-        self.recording.odom.append(
-            (*_stamped_pose(message), twist.linear.x, twist.linear.y, twist.angular.z)
-        )
-
-    def _on_truth(self, message: Odometry) -> None:
-        self.recording.truth.append(_stamped_pose(message))
-
-    def _on_command(self, message: JointState) -> None:
-        self.recording.commands.append(time_seconds(message.header.stamp))
-
-    def _on_coupling(self, message: JointState) -> None:
-        stamp = time_seconds(message.header.stamp)
-        self.recording.coupling.append((stamp, *total_coupling_error(message)))
-
-    def _on_electrical(self, message: Float64MultiArray) -> None:
-        self.recording.energy.append(tuple(message.data[2::3]))
-
-    def _on_reference(self, message: MultiDOFJointTrajectory) -> None:
-        """Record the points that are due before the next preview, which may change the others."""
-        stamp = time_seconds(message.header.stamp)
-        for point in message.points[:FRESH_POINTS]:
-            position = point.transforms[0].translation
-            self.recording.reference.append(
-                (
-                    stamp + time_seconds(point.time_from_start),
-                    position.x,
-                    position.y,
-                    yaw_from_quaternion(point.transforms[0].rotation),
-                )
-            )
-
-    def _on_arm(self, message: JointState) -> None:
-        self.recording.arm.append((time_seconds(message.header.stamp), *message.position))
-
-    def _on_arm_reference(self, message: JointTrajectory) -> None:
-        stamp = time_seconds(message.header.stamp)
-        for point in message.points[:FRESH_POINTS]:
-            due = stamp + time_seconds(point.time_from_start)
-            self.recording.arm_reference.append((due, *point.positions))
-
-    def _on_tool_reference(self, message: PoseStamped) -> None:
-        position = message.pose.position
-        stamp = time_seconds(message.header.stamp)
-        self.recording.tool_reference.append((stamp, position.x, position.y, position.z))
-
-    def _on_arm_timing(self, message: Float64MultiArray) -> None:
-        count = message.layout.dim[0].size
-        self.recording.arm_intervals.extend(message.data[:count])
-
     def _on_source(self, message: String) -> None:
         self.active_source = message.data
 
@@ -233,11 +170,46 @@ class Recorder:
             self.stopped.pop(message.name, None)
 
 
-def _stamped_pose(message: Odometry) -> Row:
+def _stamp(message: Any) -> float:
+    return time_seconds(message.header.stamp)
+
+
+def _pose(message: Odometry) -> Row:
     pose = message.pose.pose
-    return (
-        time_seconds(message.header.stamp),
-        pose.position.x,
-        pose.position.y,
-        yaw_from_quaternion(pose.orientation),
-    )
+    yaw = yaw_from_quaternion(pose.orientation)
+    return _stamp(message), pose.position.x, pose.position.y, yaw
+
+
+def _twist(message: Odometry) -> Row:
+    twist = message.twist.twist
+    return twist.linear.x, twist.linear.y, twist.angular.z
+
+
+def _coupling_rows(message: JointState) -> list[Row]:
+    return [(_stamp(message), *total_coupling_error(message))]
+
+
+def _reference_rows(message: MultiDOFJointTrajectory) -> list[Row]:
+    rows: list[Row] = []
+    for point in message.points[:FRESH_POINTS]:
+        due = _stamp(message) + time_seconds(point.time_from_start)
+        pose = point.transforms[0]
+        yaw = yaw_from_quaternion(pose.rotation)
+        rows.append((due, pose.translation.x, pose.translation.y, yaw))
+    return rows
+
+
+def _arm_reference_rows(message: JointTrajectory) -> list[Row]:
+    return [
+        (_stamp(message) + time_seconds(point.time_from_start), *point.positions)
+        for point in message.points[:FRESH_POINTS]
+    ]
+
+
+def _tool_rows(message: PoseStamped) -> list[Row]:
+    position = message.pose.position
+    return [(_stamp(message), position.x, position.y, position.z)]
+
+
+def _arm_intervals(message: Float64MultiArray) -> list[float]:
+    return list(message.data[: message.layout.dim[0].size])

@@ -20,8 +20,7 @@ from omniman_ros.core.planar import Triple
 from omniman_ros.demo.recorder import LATCHED
 from omniman_ros.processes.robot_setup import WORLD_DRIVE
 
-FRAME = "odom"
-"""Frame in which the demo sends its paths and goals."""
+FRAME = "odom"  #: Frame in which the demo sends its paths and goals.
 FAULTY_NODE = {
     "simulated": "simulated_drive",
     "can": "simulated_can_drives",
@@ -38,10 +37,6 @@ class RobotInterface:
     Args:
         node: Node that owns the publishers and clients.
         drive: Kind of drive, a key of `FAULTY_NODE`.
-
-    Attributes:
-        fault_client: Client that sets parameters of the node that simulates the motors' faults.
-        reset_clients: Clients that reset the wheel driver and the platform's controller.
     """
 
     def __init__(self, node: Node, drive: str) -> None:
@@ -52,9 +47,8 @@ class RobotInterface:
         self._goals = node.create_publisher(PoseStamped, "goal_pose", 10)
         self._obstacles = node.create_publisher(MarkerArray, "obstacles", 50)
         self._emergency_stop = node.create_publisher(Bool, "emergency_stop", LATCHED)
-        faulty = FAULTY_NODE[drive]
-        self.fault_client = node.create_client(SetParameters, f"{faulty}/set_parameters")
-        self.reset_clients = [
+        self.faults = node.create_client(SetParameters, f"{FAULTY_NODE[drive]}/set_parameters")
+        self.resets = [  #: those of the wheel driver and of the platform's controller
             node.create_client(Trigger, f"{name}/reset")
             for name in (WHEEL_DRIVER[drive], "platform_controller")
         ]
@@ -62,14 +56,8 @@ class RobotInterface:
     @property
     def unconnected_topics(self) -> list[str]:
         """Topics of platform and planner that have no subscriber yet."""
-        publishers = (
-            self._twists,
-            self._paths,
-            self._tool_paths,
-            self._goals,
-            self._obstacles,
-        )
-        return [p.topic_name for p in publishers if not p.get_subscription_count()]
+        needed = (self._twists, self._paths, self._tool_paths, self._goals, self._obstacles)
+        return [p.topic_name for p in needed if not p.get_subscription_count()]
 
     def send_twist(self, twist: Triple) -> None:
         """Send a body twist x', y' [m/s], theta' [rad/s]."""
@@ -94,11 +82,9 @@ class RobotInterface:
         self._obstacles.publish(obstacles)
 
     def send_arm_goal(self, angles: Array, duration: float = 0.0) -> None:
-        """Send joint angles [rad] that the arm moves to.
+        """Send joint angles (6,) [rad] that the arm moves to, in the order of `UR_JOINTS`.
 
-        Args:
-            angles: Angles (6,) in the order of `UR_JOINTS`.
-            duration: Time for the motion [s]; 0 lets the arm move as fast as its limits allow.
+        A duration of 0 s lets the arm move as fast as its limits allow.
         """
         point = JointTrajectoryPoint(positions=angles.tolist())
         if duration:
@@ -111,11 +97,7 @@ class RobotInterface:
 
 
 def dead_motors_request(wheels: list[str]) -> SetParameters.Request:
-    """Return the request that switches the torque of some motors off, and of all others on.
-
-    Args:
-        wheels: Names of the wheels whose motors have no torque.
-    """
+    """Return the request that switches the torque of some motors off, and of all others on."""
     value = ParameterValue(type=ParameterType.PARAMETER_STRING_ARRAY, string_array_value=wheels)
     return SetParameters.Request(
         parameters=[ParameterMessage(name="faults.dead_motor", value=value)]

@@ -4,11 +4,10 @@ import math
 
 import numpy as np
 
-from omniman_ros.demo.arm_moves import ArmMove
-from omniman_ros.demo.interval import Interval
-from omniman_ros.demo.path_leg import PathLeg
+from omniman_ros.demo.demo import load_demo
+from omniman_ros.demo.figures import ArmMove, TwistPhase
+from omniman_ros.demo.measures import Interval
 from omniman_ros.demo.recorder import Recording
-from omniman_ros.demo.twist_leg import DrivenPhase, Pace, TwistLeg, TwistPhase
 
 START = 1000.0
 DURATION = 8.0
@@ -42,7 +41,7 @@ def odometry_rows(error=(0.0, 0.0, 0.0), delay=0.0):
 
 
 def perfect_run():
-    """A recording whose figures are all within their limits, and its legs."""
+    """A demo whose figures are all within their limits, and its recording."""
     odom = odometry_rows()
     recording = Recording(
         odom=[tuple(row) for row in odom],
@@ -52,33 +51,28 @@ def perfect_run():
         energy=[(1.0, 2.0), (4.0, 2.5)],
         commands=(np.arange(2000) * 0.005).tolist(),
     )
-    twists, path = TwistLeg(Pace()), PathLeg()
-    twists.driven = [DrivenPhase(TwistPhase("rest", 3.0, lambda t: (0.0, 0.0, 0.0)), START)]
-    path.movements = list(MOVEMENTS)
-    return recording, [twists, path]
+    demo = load_demo("omniman", has_arm=False)
+    demo.twists = [TwistPhase("rest", 3.0, lambda t: (0.0, 0.0, 0.0), START)]
+    demo.movements = MOVEMENTS
+    return demo, recording
 
 
 def arm_run(lag=0.04, offset=0.0):
-    """A recording of an arm that moves there and back behind its reference, and its moves.
-
-    Args:
-        lag: Delay of the arm behind its reference [s].
-        offset: Constant error of all joints [rad].
-    """
+    """The same of an arm that moves there and back with a delay [s] and a constant error [rad]."""
 
     def joints(times):
         return np.column_stack([1.0 - np.cos(np.pi * times / 2.0), 0.5 * np.sin(np.pi * times)])
 
     times = np.arange(0.0, 4.0, 0.008)
     delayed = np.clip(times - lag, 0.0, 4.0)
-    recording, legs = perfect_run()
+    demo, recording = perfect_run()
     recording.arm = [(START + t, *q) for t, q in zip(times, joints(delayed) + offset, strict=True)]
     recording.arm_reference = [
         (START + t, *q) for t, q in zip(times, joints(times), strict=True) for _ in range(2)
     ]
     recording.arm_intervals = [0.008] * 500
-    moves = [
-        ArmMove(tuple(joints(np.array([2.0 - lag]))[0]), START, START + 2.0),
-        ArmMove(tuple(joints(np.array([3.9 - lag]))[0]), START + 2.0, START + 3.9),
+    demo.arm_moves = [
+        ArmMove(tuple(joints(np.array([end - lag]))[0]), START + start, START + end)
+        for start, end in ((0.0, 2.0), (2.0, 3.9))
     ]
-    return recording, legs, moves
+    return demo, recording

@@ -138,13 +138,6 @@ def test_a_robot_that_stops_ends_the_demo_with_the_reason(tmp_path):
     assert not (tmp_path / "demo.json").exists()
 
 
-def test_a_contact_is_reported_with_what_was_touched(tmp_path, capfd):
-    contacts = {"count": 1, "with": ["base_link, pallet"]}
-    args = Namespace(keep=False, results=str(tmp_path))
-    conclude(RESULT | {"contacts": contacts}, NodeOutputLog(), args)
-    assert "1: base_link, pallet" in capfd.readouterr().out
-
-
 @pytest.mark.parametrize(
     ("arguments", "world"),
     [
@@ -200,20 +193,11 @@ def test_a_kept_robot_runs_until_a_signal(monkeypatch, capfd, number):
     monkeypatch.setenv("ROS_DOMAIN_ID", "0")
     with ProcessGroup([ProcessSpec("node", ("sleep", "99"))]) as children:
         children.interrupt(number)
-        keep(children, RESULT)
-    text = capfd.readouterr().out
-    assert "omniman teleop" in text
-    assert "ROS_DOMAIN_ID" not in text
-
-
-def test_a_robot_with_faults_is_kept_and_they_are_reported(monkeypatch, capfd):
-    monkeypatch.setenv("ROS_DOMAIN_ID", "0")
-    with ProcessGroup([ProcessSpec("node", ("sleep", "99"))]) as children:
-        children.interrupt(signal.SIGINT)
         keep(children, RESULT | {"faults": ["tracking RMS, mm: 7, at most 5"]})
     text = capfd.readouterr().out
     assert "  tracking RMS, mm: 7, at most 5" in text
-    assert "The robot stays up" in text
+    assert "The robot stays up" in text and "omniman teleop" in text
+    assert "ROS_DOMAIN_ID" not in text
 
 
 def test_the_end_of_a_node_of_a_kept_robot_is_an_error(monkeypatch, capfd):

@@ -1,20 +1,43 @@
 """The legs of the demo, driven on stepped time."""
 
+import math
+
 import numpy as np
 import pytest
-from geometry_msgs.msg import Twist
+from builtin_interfaces.msg import Time
+from nav_msgs.msg import OccupancyGrid
+from sensor_msgs.msg import LaserScan
+from visualization_msgs.msg import Marker, MarkerArray
 
 from omniman_ros.console.errors import CommandError
-from omniman_ros.demo.demo import Demo, judge
-from omniman_ros.demo.report import report_lines
+from omniman_ros.control.limits import TwistLimits
+from omniman_ros.conversions.maps import map_message
+from omniman_ros.core.parameters import build
+from omniman_ros.demo import legs
+from omniman_ros.demo.demo import drive, judge, load_demo
+from omniman_ros.demo.legs import Pace, twist_phases
+from omniman_ros.demo.moving_obstacles import DEMO_OBSTACLES, MovingObstacles
+from omniman_ros.demo.perception import record_perception
+from omniman_ros.demo.report import ROWS, report_lines
+from omniman_ros.motion.whole_body.model import Mount, WholeBodyModel
+from test import robots
 from test.demo.stepped_robot import NOTICE_TIME, SteppedRobot, stepped_driver
 
+LEGS = {
+    "twists": lambda driver: legs.drive_twists(driver, Pace()),
+    "path": legs.drive_path,
+    "tool": lambda driver: legs.drive_tool(driver, WholeBodyModel(Mount())),
+    "goal": lambda driver: legs.drive_to_goal(driver, by_scanner=False),
+    "dead_wheel": lambda driver: legs.drive_with_dead_wheel(driver, "rear_right"),
+    "stop": lambda driver: legs.drive_and_stop(driver, 0.3),
+}
 
-def drive(monkeypatch, robot, leg, has_arm=True):
+
+def drive_leg(monkeypatch, robot, leg):
     """Drive one leg of the demo with a robot that is ready."""
-    driver = stepped_driver(monkeypatch, robot, has_arm=has_arm)
+    driver = stepped_driver(monkeypatch, robot)
     driver.wait(lambda: bool(driver.recorder.recording.odom), 1.0)
-    getattr(Demo("omniman"), leg).drive(driver)
+    LEGS[leg](driver)
 
 
 @pytest.fixture(scope="module")
@@ -22,18 +45,18 @@ def driven():
     """A demo that has been driven, its recording and its result."""
     with pytest.MonkeyPatch.context() as monkeypatch:
         driver = stepped_driver(monkeypatch, SteppedRobot())
-        demo = Demo("omniman")
+        demo = load_demo("omniman")
         driver.wait_until_ready()
-        demo.drive(driver)
+        drive(demo, driver)
     recording = driver.recorder.recording
-    return demo, recording, judge(recording, demo.legs, driver.arm_moves)
+    return demo, recording, judge(demo, recording)
 
 
 def test_all_legs_are_driven_and_measured(driven):
     demo, _, result = driven
     assert [twist["name"] for twist in result["twists"]] == ["diagonal", "spin", "circle + spin"]
     assert max(twist["linear_m_s"] for twist in result["twists"]) < 0.03
-    assert len(demo.path.movements) == 5
+    assert len(demo.movements) == 5
     assert result["tracking"]["rms_mm"] < 5.0
     assert result["arm"]["moves"] == 6 and result["arm"]["final_mrad"] == pytest.approx(0.0)
     assert result["goal"]["position_mm"] < 40.0
@@ -45,26 +68,19 @@ def test_all_legs_are_driven_and_measured(driven):
     assert result["tool"]["samples"] > 50
 
 
-def test_the_report_has_a_row_for_every_leg(driven):
+def test_the_report_has_all_rows_of_a_robot_in_a_world_and_those_that_there_are(driven):
     _, _, result = driven
-    text = "\n".join(report_lines(result))
-    for row in (
-        "tracking error in odom, RMS",
-        "twist error, worst",
-        "odometry error",
-        "arm after 6 moves: error of the worst joint",
-        "tool on a path of",
-        "goal among obstacles",
-        "wheel 'rear_right' without torque: detected after",
-        "emergency stop at 0.30 m/s",
-        "wheel_commands: rate, p50 / p99",
-    ):
-        assert row in text
+    rows = len(ROWS.splitlines())
+    lines = report_lines(result | {"contacts": {"count": 1, "with": ["base_link, pallet"]}})
+    assert len(lines) == 2 + rows
+    assert any("1: base_link, pallet" in line for line in lines)
+    without = {key: value for key, value in result.items() if key not in ("arm", "goal")}
+    assert len(report_lines(without)) == 2 + rows - 6, "nor has it touched something"
 
 
 def test_the_demo_is_drawn(driven, tmp_path):
     pyplot = pytest.importorskip("matplotlib.pyplot")
-    from omniman_ros.demo.figure import draw_demo
+    from omniman_ros.demo.picture import draw_demo
 
     demo, recording, _ = driven
     path = draw_demo(demo, recording, tmp_path / "new" / "demo.png")
@@ -76,11 +92,11 @@ def test_the_demo_is_drawn(driven, tmp_path):
 def test_without_an_arm_only_the_platform_is_commanded(monkeypatch):
     robot = SteppedRobot()
     driver = stepped_driver(monkeypatch, robot, has_arm=False)
-    demo = Demo("omniman", has_arm=False)
+    demo = load_demo("omniman", has_arm=False)
     driver.wait_until_ready()
-    demo.drive(driver)
+    drive(demo, driver)
     assert "joint_trajectory" not in robot.received and "tool_path" not in robot.received
-    assert driver.arm_moves == []
+    assert demo.arm_moves == [] and demo.tool is None
 
 
 @pytest.mark.parametrize(
@@ -97,7 +113,7 @@ def test_without_an_arm_only_the_platform_is_commanded(monkeypatch):
 )
 def test_a_robot_that_does_not_do_what_a_leg_asks_ends_the_demo(monkeypatch, leg, defect, message):
     with pytest.raises(CommandError, match=message):
-        drive(monkeypatch, SteppedRobot(defect), leg)
+        drive_leg(monkeypatch, SteppedRobot(defect), leg)
 
 
 def test_the_demo_does_not_begin_before_all_topics_are_there(monkeypatch):
@@ -112,7 +128,7 @@ def test_a_stopped_robot_ends_the_demo_with_the_reason(monkeypatch):
     with pytest.raises(
         CommandError, match="the robot stopped: /platform_controller is stopped: x"
     ):
-        drive(monkeypatch, robot, "twists")
+        drive_leg(monkeypatch, robot, "twists")
 
 
 def test_a_platform_that_is_still_driven_does_not_get_a_path(monkeypatch):
@@ -121,10 +137,102 @@ def test_a_platform_that_is_still_driven_does_not_get_a_path(monkeypatch):
     driver.robot.send_path(np.zeros((2, 3)))
     driver.wait(lambda: driver.recorder.active_source == "path", 1.0)
     with pytest.raises(CommandError, match="'path' still drives the platform, expected none"):
-        Demo("omniman").path.drive(driver)
+        legs.drive_path(driver)
 
 
-def test_a_halted_driver_sends_a_twist_of_zero(monkeypatch):
+# ---- what is sent ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", robots.ALL)
+def test_the_twists_are_within_the_limits_of_every_robot_and_short(name):
+    bounds = build(TwistLimits, robots.values(name), "limits.")
+    pace = Pace.within(bounds)
+    total = 0.0
+    for phase in twist_phases(pace):
+        total += phase.duration + 1.0
+        for t in np.linspace(0.0, phase.duration, 200):
+            x, y, turn = phase.twist(t)
+            assert math.hypot(x, y) <= bounds.linear_velocity
+            assert abs(turn) <= bounds.angular_velocity
+    assert total < 20.0
+
+
+def test_the_circle_is_a_circle_in_the_world_while_the_platform_turns():
+    pace = Pace()
+    circle = twist_phases(pace)[-1]
+    step = 1e-3
+    pose = np.zeros(3)
+    track = []
+    for t in np.arange(0.0, circle.duration, step):
+        x, y, turn = circle.twist(t)
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        pose += step * np.array([c * x - s * y, s * x + c * y, turn])
+        track.append(pose[:2].copy())
+    track = np.array(track)
+    radius = pace.speed * circle.duration / math.tau
+    centre = np.array([0.0, radius])
+    np.testing.assert_allclose(np.linalg.norm(track - centre, axis=1), radius, rtol=0.01)
+    np.testing.assert_allclose(track[-1], track[0], atol=0.01)
+    assert pose[2] > 1.0
+
+
+def test_the_path_begins_at_the_tool_and_keeps_its_orientation():
+    length = legs.STRAIGHT + legs.RADIUS * legs.BEND
+    start = WholeBodyModel(Mount()).forward(np.concatenate([[0.3, -0.2, 0.7], legs.START_ANGLES]))
+    poses = legs.tool_poses(start, 0.7)
+    assert poses[0] == pytest.approx(start)
+    assert np.abs(poses[:, :3, :3] - start[:3, :3]).max() == 0.0
+    steps = np.linalg.norm(np.diff(poses[:, :2, 3], axis=0), axis=1)
+    assert steps.sum() == pytest.approx(length, rel=1e-3) and steps.max() < 0.021
+    assert np.ptp(poses[:, 2, 3]) == pytest.approx(legs.WAVE_HEIGHT, rel=1e-3)
+    ahead = poses[10, :2, 3] - poses[0, :2, 3]
+    assert math.atan2(ahead[1], ahead[0]) == pytest.approx(0.7)
+
+
+def test_obstacles_are_placed_and_move_relative_to_the_robot():
+    obstacles = MovingObstacles.in_front_of((1.0, 2.0, math.pi / 2), 100.0)
+    x, y, vx, vy, _ = DEMO_OBSTACLES[0]
+    assert obstacles.at(100.0)[0] == pytest.approx([1.0 - y, 2.0 + x])
+    moved = obstacles.at(102.0)[0] - obstacles.at(100.0)[0]
+    assert moved == pytest.approx([-2.0 * vy, 2.0 * vx])
+
+
+def test_the_message_has_the_positions_at_its_time():
+    obstacles = MovingObstacles.in_front_of((1.0, 2.0, math.pi / 2), 100.0)
+    message = obstacles.message(103.0, Time(sec=103))
+    assert [(m.pose.position.x, m.pose.position.y) for m in message.markers] == [
+        pytest.approx(tuple(position)) for position in obstacles.at(103.0)
+    ]
+    for marker, row in zip(message.markers, DEMO_OBSTACLES, strict=True):
+        assert (marker.type, marker.action) == (Marker.CYLINDER, Marker.ADD)
+        assert marker.scale.x == marker.scale.y == 2.0 * row[4]
+        assert marker.header.frame_id == "odom"
+    assert [m.action for m in obstacles.removal_message().markers] == [Marker.DELETEALL]
+
+
+def test_what_is_perceived_is_recorded_until_the_goal():
     robot = SteppedRobot()
-    stepped_driver(monkeypatch, robot).halt()
-    assert robot.received["cmd_vel"] == [Twist()]
+    hear = robot._callbacks
+    with record_perception(robot) as seen:
+        hear["scan"](
+            LaserScan(angle_min=-0.5, angle_increment=0.5, range_max=9.0, ranges=[math.inf, 2.0])
+        )
+        cells = np.array([[0, 100]], dtype=np.int8)
+        stamp = OccupancyGrid().header.stamp
+        hear["map"](map_message(cells, 0.1, np.array([1.0, 2.0]), "odom", stamp))
+        person, crate = Marker(type=Marker.CYLINDER), Marker(type=Marker.CUBE)
+        person.pose.position.x, person.scale.x = 3.0, 0.5
+        hear["ground_truth/obstacles"](MarkerArray(markers=[person, crate]))
+    assert seen.scans[0][1] == pytest.approx(np.array([[0.55 + 2.0, 0.0]]))
+    assert seen.map.values.tolist() == [[0, 100]]
+    assert seen.people[0][1].tolist() == [[3.0, 0.0, 0.25]]
+    assert set(robot.ended) == {"scan", "map", "obstacle_tracks", "ground_truth/obstacles"}
+
+
+def test_by_the_scanner_the_robot_is_told_of_nobody(monkeypatch):
+    robot = SteppedRobot()
+    driver = stepped_driver(monkeypatch, robot)
+    robot.spin(0.1)
+    driven = legs.drive_to_goal(driver, by_scanner=True)
+    assert "obstacles" not in robot.received and "goal_pose" in robot.received
+    assert driven.perception is not None

@@ -1,4 +1,4 @@
-"""Figure of the demo: the path of the robot from above, and its errors over time.
+"""Picture of the demo: the path of the robot from above, and its errors over time.
 
 Importing this module raises ImportError if matplotlib is not installed.
 """
@@ -27,78 +27,51 @@ from omniman_ros.console.figure_style import (
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.robot import Robot
 from omniman_ros.demo.demo import Demo
-from omniman_ros.demo.goal_leg import DrivenGoal
-from omniman_ros.demo.interval import Interval
-from omniman_ros.demo.perception_recorder import Perception
+from omniman_ros.demo.figures import DrivenGoal, Reference, ToolTrack, tool_track
+from omniman_ros.demo.perception import Perception
 from omniman_ros.demo.recorder import Recording
-from omniman_ros.demo.tool_leg import ToolTrack
-from omniman_ros.demo.tracking import Reference, pose_errors
 
-TWISTS = BLUE
-"""Colour of the part that is driven through `cmd_vel`."""
-PATH = ORANGE
-"""Colour of the part that follows paths."""
-TRUTH = GREEN
-"""Colour of the ground truth."""
-GOAL = MAGENTA
-"""Colour of the part that drives to the goal."""
-OBSTACLE = BROWN
-"""Colour of the obstacles."""
-SCAN = "#e03131"
-"""Colour of the points of a scan."""
-TRACK = "#0b7285"
-"""Colour of tracked persons and their velocities."""
-OCCUPIED = 60
-"""Occupancy above which a cell of the map is drawn [%]."""
-ARROWS = 12
-"""Number of velocities of tracked persons that are drawn, each as long as the way in 1 s."""
-AROUND = 1.6
-"""Distance around the robot's way up to which the map is shown [m]."""
-TOOL = CYAN
-"""Colour of the tool's path."""
-WHEEL = "#9aa5b1"
-"""Colour of the robot's wheels."""
-BAND = "#eef2f7"
-"""Colour of the bands behind the intervals in which the robot was driven."""
-DASHED = (0, (4, 4))
-"""Line style of the ground truth."""
-TOOL_LINES = 16
-"""Number of instants for which a line is drawn from the platform to the tool."""
-OUTLINES = 10
-"""Number of poses along the path, with the first and the last, at which the robot is outlined."""
+TWISTS = BLUE  #: Colour of the part that is driven through `cmd_vel`.
+PATH = ORANGE  #: Colour of the part that follows paths.
+TRUTH = GREEN  #: Colour of the ground truth.
+GOAL = MAGENTA  #: Colour of the part that drives to the goal.
+OBSTACLE = BROWN  #: Colour of the obstacles.
+SCAN = "#e03131"  #: Colour of the points of a scan.
+TRACK = "#0b7285"  #: Colour of tracked persons and their velocities.
+TOOL = CYAN  #: Colour of the tool's path.
+WHEEL = "#9aa5b1"  #: Colour of the robot's wheels.
+BAND = "#eef2f7"  #: Colour of the bands behind the intervals in which the robot was driven.
+DASHED = (0, (4, 4))  #: Line style of the ground truth.
+OCCUPIED = 60  #: Occupancy above which a cell of the map is drawn [%].
+ARROWS = 12  #: Number of velocities of tracked persons drawn, each as long as the way in 1 s.
+AROUND = 1.6  #: Distance around the robot's way up to which the map is shown [m].
+TOOL_LINES = 16  #: Number of instants for which a line is drawn from the platform to the tool.
+OUTLINES = 10  #: Number of poses along the path, with the ends, at which the robot is outlined.
 CORNERS = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]])
 """Corners (4, 2) of a square with sides of length 2 about the origin, in clockwise order."""
 
 
 def draw_demo(demo: Demo, recording: Recording, path: Path) -> Path:
-    """Draw the demo into a file.
-
-    Args:
-        demo: The demo, driven and measured.
-        recording: What the robot published.
-        path: Path of the file.
-
-    Returns:
-        The path.
-    """
+    """Draw the demo, driven and measured, into a file, and return the file's path."""
     odom = np.array(recording.odom)
-    tool = demo.tool.track if demo.tool else None
-    start = demo.twists.driven[0].start
+    tool = tool_track(recording, demo.model, demo.tool) if demo.model and demo.tool else None
+    start = demo.twists[0].start
     with figure_style(axes_titlesize=10, legend_fontsize=9, lines_linewidth=1.2):
         count = 3 + bool(recording.arm) + (tool is not None)
         figure = plt.figure(figsize=(11, 2.0 * count), layout="constrained")
         grid = figure.add_gridspec(count, 2, width_ratios=(1.15, 1))
-        _draw_top_view(figure.add_subplot(grid[:, 0]), demo, recording)
+        _draw_top_view(figure.add_subplot(grid[:, 0]), demo, recording, tool)
         panels = [figure.add_subplot(grid[i, 1]) for i in range(count)]
         _draw_twist(panels[0], odom, start)
         _draw_coupling(panels[1], np.array(recording.coupling), start)
-        _draw_tracking(panels[2], odom, Reference(recording.reference), _path_legs(demo), start)
+        _draw_tracking(panels[2], odom, Reference(recording.reference), demo, start)
         if recording.arm:
             _draw_arm(panels[3], np.array(recording.arm), start)
         if tool is not None:
             _draw_tool(panels[-1], tool, start)
         for axes in panels:
-            _draw_bands(axes, demo, start)
+            for begin, end in _driven_spans(demo):
+                axes.axvspan(begin - start, end - start, color=BAND, zorder=0, lw=0)
             axes.set_xlim(0.0, odom[-1, 0] - start)
         for axes in panels[:-1]:
             axes.tick_params(labelbottom=False)
@@ -106,36 +79,32 @@ def draw_demo(demo: Demo, recording: Recording, path: Path) -> Path:
         return save_figure(figure, path)
 
 
-def _path_legs(demo: Demo) -> list[Interval]:
-    """Return the intervals in which the platform followed a path."""
-    return demo.path.movements + ([demo.dead_wheel.interval] if demo.dead_wheel else [])
+def _driven_spans(demo: Demo) -> list[tuple[float, float]]:
+    """Return the ROS times [s] between which the robot was driven."""
+    intervals = [*demo.path_intervals, demo.goal and demo.goal.interval, demo.tool]
+    return [(phase.start, phase.start + phase.duration) for phase in demo.twists] + [
+        (interval.start, interval.end) for interval in intervals if interval
+    ]
 
 
 # ---- top view -------------------------------------------------------------------------------
 
 
-def _draw_top_view(axes: Any, demo: Demo, recording: Recording) -> None:
+def _draw_top_view(axes: Any, demo: Demo, recording: Recording, tool: ToolTrack | None) -> None:
     """Draw the path of platform and tool: x points up, y to the left."""
     odom, truth = np.array(recording.odom), np.array(recording.truth)
-    if demo.goal.driven is not None:
-        _draw_goal(axes, odom, demo.goal.driven)
-    on_path = odom[:, 0] >= demo.path.movements[0].start
-    for rows, colour, name in (
-        (odom[~on_path], TWISTS, "cmd_vel"),
-        (odom[on_path], PATH, "path"),
+    if demo.goal is not None:
+        _draw_goal(axes, odom, demo.goal)
+    on_path = odom[:, 0] >= demo.movements[0].start
+    wide, thin = {"lw": 2.0, "zorder": 4}, {"lw": 1.0, "ls": DASHED, "zorder": 5}
+    for rows, colour, name, style in (
+        (odom[~on_path], TWISTS, "cmd_vel", wide),
+        (odom[on_path], PATH, "path", wide),
+        (truth, TRUTH, "ground truth", thin),
     ):
-        axes.plot(-rows[:, 2], rows[:, 1], color=colour, lw=2.0, zorder=4, label=name)
-    axes.plot(
-        -truth[:, 2],
-        truth[:, 1],
-        color=TRUTH,
-        lw=1.0,
-        ls=DASHED,
-        zorder=5,
-        label="ground truth",
-    )
-    if demo.tool and demo.tool.track:
-        _draw_tool_path(axes, demo.tool.track)
+        axes.plot(-rows[:, 2], rows[:, 1], color=colour, label=name, **style)
+    if tool is not None:
+        _draw_tool_path(axes, tool)
     for i in np.linspace(0, len(odom) - 1, OUTLINES).astype(int)[1:-1]:
         _draw_outline(axes, demo.robot, odom[i, 1:4], alpha=0.5)
     _draw_robot(axes, demo.robot, odom[-1, 1:4])
@@ -150,7 +119,7 @@ def _draw_top_view(axes: Any, demo: Demo, recording: Recording) -> None:
 
 def _draw_tool_path(axes: Any, tool: ToolTrack) -> None:
     """Draw the path of the tool, and lines to it from the platform."""
-    x, y = tool.measured[:, 0, 3], tool.measured[:, 1, 3]
+    x, y = tool.measured[:, :2].T
     axes.plot(-y, x, color=TOOL, lw=1.6, zorder=5.5, label="tool")
     for k in np.linspace(0, len(x) - 1, TOOL_LINES).astype(int):
         base = tool.platform[k]
@@ -167,7 +136,7 @@ def _draw_goal(axes: Any, odom: Array, driven: DrivenGoal) -> None:
         _draw_perception(axes, odom, driven.perception)
     if not len(obstacles.radii):
         return
-    nearest = obstacles.gaps(during[:, :4], (0.0, 0.0)).argmin(axis=0)
+    nearest = driven.gaps(during[:, :4], (0.0, 0.0)).argmin(axis=0)
     ways = np.array([obstacles.at(time) for time in during[::20, 0].tolist()])
     for k, radius in enumerate(obstacles.radii.tolist()):
         x, y = obstacles.at(float(during[nearest[k], 0]))[k]
@@ -190,13 +159,8 @@ def _draw_perception(axes: Any, odom: Array, perception: Perception) -> None:
     tracks = np.concatenate([np.zeros((0, 4)), *perception.tracks])
     axes.plot(-tracks[:, 1], tracks[:, 0], ".", color=TRACK, ms=2.5, zorder=3, label="tracked")
     for x, y, vx, vy in tracks[:: len(tracks) // ARROWS + 1].tolist():
-        axes.annotate(
-            "",
-            xy=(-y - vy, x + vx),
-            xytext=(-y, x),
-            arrowprops={"arrowstyle": "->", "color": TRACK, "lw": 1.0},
-            zorder=3,
-        )
+        arrow = {"arrowstyle": "->", "color": TRACK, "lw": 1.0}
+        axes.annotate("", xy=(-y - vy, x + vx), xytext=(-y, x), arrowprops=arrow, zorder=3)
     x, y = odom[:, 1], odom[:, 2]
     axes.set_xlim(-y.max() - AROUND, -y.min() + AROUND)
     axes.set_ylim(x.min() - AROUND, x.max() + AROUND)
@@ -246,44 +210,31 @@ def _polygon(points: Array, pose: Array, **options: Any) -> Polygon:
 
 
 def _draw_twist(axes: Any, odom: Array, start: float) -> None:
-    """Draw the measured twist."""
-    time = odom[:, 0] - start
-    for column, name, colour in (
-        (4, "x' [m/s]", TWISTS),
-        (5, "y' [m/s]", PATH),
-        (6, "θ' [rad/s]", TRUTH),
-    ):
-        axes.plot(time, odom[:, column], color=colour, label=name)
+    series = ((4, "x' [m/s]", TWISTS), (5, "y' [m/s]", PATH), (6, "θ' [rad/s]", TRUTH))
+    for column, name, colour in series:
+        axes.plot(odom[:, 0] - start, odom[:, column], color=colour, label=name)
     axes.set_title("Twist in base_link, from the encoders")
     axes.legend(ncols=3, loc="lower left")
 
 
 def _draw_coupling(axes: Any, coupling: Array, start: float) -> None:
-    """Draw the coupling error of each constraint since the start, without resets."""
     axes.set_title("Coupling error ε, not reset at rest [rad]")
     if coupling.shape[1] < 2:
-        axes.text(
-            0.5, 0.5, "three wheels have no constraint", transform=axes.transAxes, ha="center"
-        )
-        return
-    for column in range(1, coupling.shape[1]):
-        axes.plot(coupling[:, 0] - start, coupling[:, column], color=INK)
+        text = "three wheels have no constraint"
+        axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center")
+    for column in coupling[:, 1:].T:
+        axes.plot(coupling[:, 0] - start, column, color=INK)
 
 
-def _draw_tracking(
-    axes: Any, odom: Array, reference: Reference, legs: list[Interval], start: float
-) -> None:
-    """Draw the distance from the reference while the platform followed a path."""
-    for leg in legs:
-        during = odom[reference.during(odom[:, 0], [leg])]
-        error = 1e3 * pose_errors(during, reference)[0]
-        axes.plot(during[:, 0] - start, error, color=PATH)
+def _draw_tracking(axes: Any, odom: Array, reference: Reference, demo: Demo, start: float) -> None:
+    for interval in demo.path_intervals:
+        during = odom[reference.during(odom[:, 0], [interval])]
+        axes.plot(during[:, 0] - start, 1e3 * reference.errors(during)[0], color=PATH)
     axes.set_title("Tracking error on the path [mm]")
     axes.set_ylim(bottom=0.0)
 
 
 def _draw_arm(axes: Any, arm: Array, start: float) -> None:
-    """Draw the joint angles relative to those at the start."""
     for column in range(1, arm.shape[1]):
         axes.plot(arm[:, 0] - start, arm[:, column] - arm[0, column], label=str(column))
     axes.set_title("Measured joint angles, relative to the start [rad]")
@@ -291,24 +242,9 @@ def _draw_arm(axes: Any, arm: Array, start: float) -> None:
 
 
 def _draw_tool(axes: Any, tool: ToolTrack, start: float) -> None:
-    """Draw the distance of the tool from its reference."""
     times = tool.times - start
     axes.plot(times, 1e3 * tool.errors, color=TOOL, lw=1.0, label="in odom")
     axes.plot(times, 1e3 * tool.true_errors, color=TRUTH, lw=1.0, ls=DASHED, label="ground truth")
     axes.set_title("Tracking error of the tool [mm]")
     axes.set_ylim(bottom=0.0)
     axes.legend(loc="upper left")
-
-
-def _draw_bands(axes: Any, demo: Demo, start: float) -> None:
-    """Draw bands behind the intervals in which the robot was driven."""
-    spans = [(driven.start, driven.phase.duration) for driven in demo.twists.driven]
-    legs = _path_legs(demo)
-    if demo.goal.driven is not None:
-        legs = [*legs, demo.goal.driven.interval]
-    if demo.tool and demo.tool.track:
-        times = demo.tool.track.times
-        legs = [*legs, Interval("tool", times[0], times[-1])]
-    spans += [(leg.start, leg.end - leg.start) for leg in legs]
-    for begin, duration in spans:
-        axes.axvspan(begin - start, begin - start + duration, color=BAND, zorder=0, lw=0)
