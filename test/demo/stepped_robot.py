@@ -22,14 +22,9 @@ from omniman_ros.conversions.geometry import quaternion_from_yaw, yaw_from_quate
 from omniman_ros.demo import driver as demo_driver
 from omniman_ros.demo.driver import Driver
 
-STEP = 0.02
-"""Time between two steps [s]."""
-MOTION_TIME = 2.0
-"""Time that each path and each goal takes [s]."""
-NOTICE_TIME = 0.2
-"""Time after which a dead motor is reported [s]."""
-START_TIME = 1000.0
-"""ROS time at the start [s]."""
+STEP = 0.02  # time between two steps [s]
+MOTION_TIME = 2.0  # time that each path and each goal takes [s]
+NOTICE_TIME = 0.2  # time after which a dead motor is reported [s]
 
 
 class SteppedRobot:
@@ -38,24 +33,16 @@ class SteppedRobot:
     Args:
         defects: What the robot does not do, of "publish", "progress", "plan", "move_arm",
             "notice", "repair", "stop", "reset".
-
-    Attributes:
-        node: The node that the demo uses.
-        time: ROS time [s].
-        received: Messages by topic.
-        ended: Topics whose subscriptions were ended.
-        stopped: Whether the platform's controller is stopped.
-        defects: What the robot does not do.
     """
 
     def __init__(self, *defects):
         self.node = self
-        self.time = START_TIME
-        self.received = {}
-        self.stopped = False
+        self.time = 1000.0  # ROS time [s]
+        self.received = {}  # messages by topic
+        self.stopped = False  # whether the platform's controller is stopped
         self.defects = defects
-        self.ended = []
-        self._callbacks = {}
+        self.ended = []  # topics whose subscriptions were ended
+        self.callbacks = {}  # by topic
         self._pose = np.zeros(3)
         self._twist = np.zeros(3)
         self._arm = np.zeros(6)
@@ -91,7 +78,7 @@ class SteppedRobot:
         return "/"
 
     def create_subscription(self, message_type, topic, callback, qos):
-        self._callbacks[topic] = callback
+        self.callbacks[topic] = callback
         return topic
 
     def destroy_subscription(self, subscription):
@@ -169,72 +156,53 @@ class SteppedRobot:
         return min(progress, 1.0)
 
     def _publish(self, progress):
-        stamp = self.get_clock().now().to_msg()
-        odom = Odometry()
-        odom.header.stamp = stamp
+        odom = self._stamped(Odometry)
         odom.pose.pose.position.x, odom.pose.pose.position.y = self._pose[:2].tolist()
         odom.pose.pose.orientation = quaternion_from_yaw(float(self._pose[2]))
         twist = odom.twist.twist
         twist.linear.x, twist.linear.y, twist.angular.z = self._twist.tolist()
-        arm = JointState(position=self._arm.tolist())
-        arm.header.stamp = stamp
-        coupling = JointState(position=[0.0])
-        coupling.header.stamp = stamp
-        command = JointState()
-        command.header.stamp = stamp
+        angles = self._arm.tolist()
+        x, y, theta = self._pose.tolist()
+        pose = Transform(translation=Vector3(x=x, y=y), rotation=quaternion_from_yaw(theta))
+        due = MultiDOFJointTrajectoryPoint(transforms=[pose])
         timing = Float64MultiArray(data=[STEP])
         timing.layout.dim = [MultiArrayDimension(size=1)]
+        is_noticed = self.time - self._dead_since > NOTICE_TIME and "notice" not in self.defects
+        level = DiagnosticStatus.ERROR if self.stopped else DiagnosticStatus.OK
         messages = {
             "odom": odom,
             "ground_truth/odom": odom,
-            "wheel_commands": command,
-            "coupling_error": coupling,
+            "wheel_commands": self._stamped(JointState),
+            "coupling_error": self._stamped(JointState, position=[0.0]),
             "wheel_electrical": Float64MultiArray(data=[24.0, 1.0, self.time] * 4),
-            "arm/joint_states": arm,
-            "arm/joint_reference": self._arm_reference(stamp),
-            "path/reference": self._reference(stamp),
-            "tool_reference": self._tool_reference(stamp),
+            "arm/joint_states": self._stamped(JointState, position=angles),
+            "arm/joint_reference": self._stamped(
+                JointTrajectory, points=[JointTrajectoryPoint(positions=angles)]
+            ),
+            "path/reference": self._stamped(MultiDOFJointTrajectory, points=[due]),
+            "tool_reference": self._stamped(PoseStamped),
             "arm/timing": timing,
             "active_source": String(data="path" if self._motion else "none"),
-            "mpc/status": self._status("mpc_planner", state=self._planner, last="no way"),
-            "wheel_health": self._status("wheels", rear_right=self._health()),
-            "stop_state": self._stop_state(),
+            "mpc/status": status(state=self._planner, last="no way"),
+            "wheel_health": status(rear_right="no torque" if is_noticed else "driving"),
+            "stop_state": DiagnosticStatus(
+                level=level, name="/platform_controller", message="stopped: x"
+            ),
         }
         if progress is not None:
             messages["path_progress"] = Float64(data=progress)
         for topic, message in messages.items():
-            self._callbacks[topic](message)
+            self.callbacks[topic](message)
 
-    def _health(self):
-        noticed = self.time - self._dead_since > NOTICE_TIME and "notice" not in self.defects
-        return "no torque" if noticed else "driving"
-
-    def _stop_state(self):
-        level = DiagnosticStatus.ERROR if self.stopped else DiagnosticStatus.OK
-        return DiagnosticStatus(level=level, name="/platform_controller", message="stopped: x")
-
-    @staticmethod
-    def _status(name, **values):
-        pairs = [KeyValue(key=key, value=value) for key, value in values.items()]
-        return DiagnosticStatus(name=name, values=pairs)
-
-    def _arm_reference(self, stamp):
-        message = JointTrajectory(points=[JointTrajectoryPoint(positions=self._arm.tolist())])
-        message.header.stamp = stamp
+    def _stamped(self, message_type, **values):
+        message = message_type(**values)
+        message.header.stamp = self.get_clock().now().to_msg()
         return message
 
-    def _reference(self, stamp):
-        x, y, theta = self._pose.tolist()
-        transform = Transform(translation=Vector3(x=x, y=y), rotation=quaternion_from_yaw(theta))
-        point = MultiDOFJointTrajectoryPoint(transforms=[transform])
-        message = MultiDOFJointTrajectory(points=[point])
-        message.header.stamp = stamp
-        return message
 
-    def _tool_reference(self, stamp):
-        message = PoseStamped()
-        message.header.stamp = stamp
-        return message
+def status(**values):
+    pairs = [KeyValue(key=key, value=value) for key, value in values.items()]
+    return DiagnosticStatus(values=pairs)
 
 
 class SteppedReset:

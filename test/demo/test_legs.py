@@ -212,7 +212,7 @@ def test_the_message_has_the_positions_at_its_time():
 
 def test_what_is_perceived_is_recorded_until_the_goal():
     robot = SteppedRobot()
-    hear = robot._callbacks
+    hear = robot.callbacks
     with record_perception(robot) as seen:
         hear["scan"](
             LaserScan(angle_min=-0.5, angle_increment=0.5, range_max=9.0, ranges=[math.inf, 2.0])
