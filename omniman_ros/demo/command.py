@@ -28,11 +28,11 @@ from omniman_ros.processes.process_group import ProcessExit, ProcessGroup, redir
 from omniman_ros.processes.robot_setup import RobotSetup, resolve_robot, robot_processes
 from omniman_ros.processes.ros_domain import isolate_ros_domain
 
+#: Parameter value with which the robot continues when a wheel is dead
 DRIVE_ON = "drive.dead_wheel:=drive_on"
-"""Parameter value with which the robot continues when a wheel is dead."""
-DEMO_WORLD = "hall"  #: Scene in which the demo drives if none is named.
-WORLD_ROBOT = "omniman"  #: Robot that drives there: the scene has room for it.
-NO_WORLD = "none"  #: Value of `--world` with which the demo drives on the plant.
+DEMO_WORLD = "hall"  #: Scene in which the demo drives if none is named
+WORLD_ROBOT = "omniman"  #: Robot that drives there: the scene has room for it
+NO_WORLD = "none"  #: Value of `--world` with which the demo drives on the plant
 WORLD_WHEELS = ("world.wheels:=ideal", "world.tyre_stiffness:=1.0e7")
 """Parameters with which wheels in a world roll as odometry assumes that nobody has calibrated: on
 rollers, a platform loses 1 to 2 % of its way sideways, and tyres of 1e6 N/m sink, which makes the
@@ -44,13 +44,12 @@ WHEEL_DIFFERENCES = {
     "mismatch.friction": (1.3, 0.8, 1.1, 0.9),
     "mismatch.torque_constant": (0.97, 1.03, 1.0, 0.98),
     "mismatch.amplifier_gain": (1.02, 0.98, 1.01, 0.97),
-}
-"""Parameters by which the simulated wheels differ: a factor for each wheel, in turn."""
+}  #: Parameters by which the simulated wheels differ: a factor for each wheel, in turn
+#: Log line of the viewer that gives the address of its page
 PAGE_PATTERN = re.compile(r"the page is at (http\S+)")
-"""Log line of the viewer that gives the address of its page."""
+#: How far simulated time may be ahead of this process, which commands and measures [s]
 LOOKAHEAD = 0.02
-"""How far simulated time may be ahead of this process, which commands and measures [s]."""
-PAGE_TIMEOUT = 10.0  #: Time to wait for the viewer's page [s].
+PAGE_TIMEOUT = 10.0  #: Time to wait for the viewer's page [s]
 
 
 def run(args: argparse.Namespace) -> int:

@@ -22,12 +22,12 @@ class Demo:
 
     robot: Robot
     pace: legs.Pace
-    model: WholeBodyModel | None  #: platform and arm; None if the robot has no arm
-    by_scanner: bool  #: whether it drives to the goal by its scanner, among a world's persons
-    twists: list[figures.TwistPhase] = field(default_factory=list)  #: driven through `cmd_vel`
-    movements: list[Interval] = field(default_factory=list)  #: path of CCTA 2017, Fig. 7
+    model: WholeBodyModel | None  #: Platform and arm; None if the robot has no arm
+    by_scanner: bool  #: Whether it drives to the goal by its scanner, among a world's persons
+    twists: list[figures.TwistPhase] = field(default_factory=list)  #: Driven through `cmd_vel`
+    movements: list[Interval] = field(default_factory=list)  #: Path of CCTA 2017, Fig. 7
     arm_moves: list[figures.ArmMove] = field(default_factory=list)
-    tool: Interval | None = None  #: path of the tool
+    tool: Interval | None = None  #: Path of the tool
     goal: figures.DrivenGoal | None = None
     dead_wheel: legs.DeadWheel | None = None
     stop: figures.DrivenStop | None = None

@@ -23,15 +23,15 @@ from omniman_ros.demo.robot_interface import RobotInterface
 from omniman_ros.nodes.stoppable_nodes import TriggerCalls
 from omniman_ros.processes.robot_setup import WORLD_DRIVE
 
-ARM_MOVE_TIME = 2.5  #: Duration of a measured move of the arm, within its limits [s].
-PERIOD = 0.02  #: Period at which the demo sends twists and checks the progress [s].
-PAUSE = 0.7  #: Shortest pause between two parts of the demo [s].
-AGREEMENT_TIME = 0.1  #: Time in which a change of the source that drives reaches all nodes [s].
-IDLE_TIMEOUT = 5.0  #: Time after a motion within which no source drives the platform any more [s].
-SERVICE_TIMEOUT = 5.0  #: Time within which a service must answer [s].
-RESET_TIMEOUT = 10.0  #: Time for the reset of all nodes, in which the arm releases its brakes [s].
-SLOWEST_SPEED = 0.1  #: Mean speed below which a motion is given up [m/s].
-EXTRA_TIME = 20.0  #: Time that a motion may take beyond its length at `SLOWEST_SPEED` [s].
+ARM_MOVE_TIME = 2.5  #: Duration of a measured move of the arm, within its limits [s]
+PERIOD = 0.02  #: Period at which the demo sends twists and checks the progress [s]
+PAUSE = 0.7  #: Shortest pause between two parts of the demo [s]
+AGREEMENT_TIME = 0.1  #: Time in which a change of the source that drives reaches all nodes [s]
+IDLE_TIMEOUT = 5.0  #: Time after a motion within which no source drives the platform any more [s]
+SERVICE_TIMEOUT = 5.0  #: Time within which a service must answer [s]
+RESET_TIMEOUT = 10.0  #: Time for the reset of all nodes, in which the arm releases its brakes [s]
+SLOWEST_SPEED = 0.1  #: Mean speed below which a motion is given up [m/s]
+EXTRA_TIME = 20.0  #: Time that a motion may take beyond its length at `SLOWEST_SPEED` [s]
 
 
 class Driver:
@@ -60,7 +60,7 @@ class Driver:
         self.recorder = Recorder(session.node, contacts=drive == WORLD_DRIVE)
         self.progress = progress
         self.has_arm = has_arm
-        self.expects_stop = False  #: whether nodes are meant to be stopped at the moment
+        self.expects_stop = False  #: Whether nodes are meant to be stopped at the moment
         self._last_check = time.monotonic()
 
     # ---- state ------------------------------------------------------------------------------

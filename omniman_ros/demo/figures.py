@@ -23,13 +23,13 @@ from omniman_ros.demo.recorder import Recording, Row
 from omniman_ros.motion.whole_body.model import WholeBodyModel, planar_transform
 from omniman_ros.planning.obstacles.separation import box_gap
 
-TWIST_SETTLING = 1.0  #: Time after which the robot is to drive the commanded twist [s].
-END_SETTLING = 0.5  #: Time after a movement at which the platform is at rest at its end [s].
-SAME_TIME = 1e-3  #: Time difference below which two points of the reference are the same [s].
-ARM_SETTLING = 1.0  #: Time after the start of a move from which on its errors are measured [s].
-LAGS = np.arange(-0.1, 0.2, 0.002)  #: Candidates for the lag of the arm behind its reference [s].
-REST_SPEED = 0.01  #: Speed below which platform and arm count as at rest [m/s, rad/s].
-ARM_SPEED_STEP = 0.05  #: Time step of the difference quotient that gives the arm's speed [s].
+TWIST_SETTLING = 1.0  #: Time after which the robot is to drive the commanded twist [s]
+END_SETTLING = 0.5  #: Time after a movement at which the platform is at rest at its end [s]
+SAME_TIME = 1e-3  #: Time difference below which two points of the reference are the same [s]
+ARM_SETTLING = 1.0  #: Time after the start of a move from which on its errors are measured [s]
+LAGS = np.arange(-0.1, 0.2, 0.002)  #: Candidates for the lag of the arm behind its reference [s]
+REST_SPEED = 0.01  #: Speed below which platform and arm count as at rest [m/s, rad/s]
+ARM_SPEED_STEP = 0.05  #: Time step of the difference quotient that gives the arm's speed [s]
 
 
 def rms(values: Array) -> float:
@@ -52,7 +52,7 @@ class TwistPhase:
 
     name: str
     duration: float  #: [s]
-    #: from the time since the start [s] to x', y' [m/s], theta' [rad/s] in base_link
+    #: From the time since the start [s] to x', y' [m/s], theta' [rad/s] in base_link
     twist: Callable[[float], Triple]
     start: float = math.nan  #: ROS time at which it was driven [s]
 
@@ -90,7 +90,7 @@ class Reference:
         table = np.array(rows).reshape(-1, 4)
         table = table[np.argsort(table[:, 0], kind="stable")]
         is_new = np.concatenate([[True], np.diff(table[:, 0]) > SAME_TIME])[: len(table)]
-        self.times = table[is_new, 0]  #: times (k,) in increasing order [s]
+        self.times = table[is_new, 0]  #: Times (k,) in increasing order [s]
         self._poses = np.column_stack([table[is_new, 1:3], np.unwrap(table[is_new, 3])])
 
     def during(self, times: Array, intervals: Sequence[Interval]) -> NDArray[np.bool_]:
@@ -171,7 +171,7 @@ def coupling_figures(rows: Sequence[Row], movements: Sequence[Interval]) -> dict
 class ArmMove:
     """A move of the arm to joint angles."""
 
-    goal: tuple[float, ...]  #: joint angles at the end of the move [rad]
+    goal: tuple[float, ...]  #: Joint angles at the end of the move [rad]
     start: float  #: ROS time at which the move was sent [s]
     end: float = math.nan  #: ROS time until which the move is measured [s]
 
@@ -217,11 +217,11 @@ class ToolTrack:
     """Positions (k, 3) of the tool on its path [m], one for each message of the arm's angles."""
 
     times: Array  #: ROS times (k,) [s]
-    platform: Array  #: poses (k, 3) of the platform in odom [m, m, rad]
-    measured: Array  #: tool in odom, from the arm's angles and odometry
-    reference: Array  #: tool on its path at these times, in odom
-    errors: Array  #: distances (k,) of the tool from its reference [m]
-    true_errors: Array  #: the same by the ground truth, with odometry's drift since the start [m]
+    platform: Array  #: Poses (k, 3) of the platform in odom [m, m, rad]
+    measured: Array  #: Tool in odom, from the arm's angles and odometry
+    reference: Array  #: Tool on its path at these times, in odom
+    errors: Array  #: Distances (k,) of the tool from its reference [m]
+    true_errors: Array  #: The same by the ground truth, with odometry's drift since the start [m]
 
 
 def tool_track(recording: Recording, model: WholeBodyModel, interval: Interval) -> ToolTrack:
@@ -272,10 +272,10 @@ def _poses_at(rows: Array, times: Array) -> Array:
 class DrivenGoal:
     """A goal that was reached among obstacles."""
 
-    goal: Array  #: pose (3,) in odom [m, m, rad]
-    obstacles: MovingObstacles | People  #: on the way
-    interval: Interval  #: in which the robot drove to the goal
-    perception: Perception | None = None  #: if it drove by its scanner
+    goal: Array  #: Pose (3,) in odom [m, m, rad]
+    obstacles: MovingObstacles | People  #: On the way
+    interval: Interval  #: In which the robot drove to the goal
+    perception: Perception | None = None  #: If it drove by its scanner
 
     def gaps(self, rows: Array, half_size: Sequence[float]) -> Array:
         """Return the gaps (K, M) of the robot's box at rows (K, 4) of stamp and pose [m]."""
@@ -319,8 +319,8 @@ class DrivenStop:
     """An emergency stop, in ROS time."""
 
     pressed: float  #: [s]
-    reset: float  #: time at which the reset was answered [s]
-    end: float  #: time until which the robot was watched [s]
+    reset: float  #: Time at which the reset was answered [s]
+    end: float  #: Time until which the robot was watched [s]
 
 
 def stop_figures(recording: Recording, driven: DrivenStop) -> dict[str, Any]:

@@ -28,43 +28,42 @@ from omniman_ros.demo.robot_interface import FRAME, dead_motors_request
 from omniman_ros.motion.figure7 import Movement, movements
 from omniman_ros.motion.whole_body.model import WholeBodyModel
 
-MAX_SPEED = 0.3  #: Largest linear speed of the twists [m/s].
-MAX_YAW_RATE = 0.8  #: Largest yaw rate of the twists [rad/s].
-LAP_TIME = 5.0  #: Time for the circle [s].
+MAX_SPEED = 0.3  #: Largest linear speed of the twists [m/s]
+MAX_YAW_RATE = 0.8  #: Largest yaw rate of the twists [rad/s]
+LAP_TIME = 5.0  #: Time for the circle [s]
 
-SPACING = 0.02  #: Largest horizontal distance between two poses of a path [m].
+SPACING = 0.02  #: Largest horizontal distance between two poses of a path [m]
 ARM_POSES = (
     (0.6, -0.5, 0.9, -0.4, 0.4, 0.8),
     (-0.5, -0.2, 0.4, -0.8, -0.6, -0.7),
     (0.3, -0.7, 0.2, 0.5, 0.7, 0.4),
     (0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
-)
-"""Joint angles to which the arm moves in each movement, relative to those at the start [rad]."""
+)  #: Joint angles to which the arm moves in each movement, relative to those at the start [rad]
 
+#: Joint angles for the tool's path: arm bent, tool pointing down in front of the robot [rad]
 START_ANGLES = np.array([0.0, -1.9, 2.0, -1.7, -1.57, 0.0])
-"""Joint angles for the tool's path: arm bent, tool pointing down in front of the robot [rad]."""
-START_TIMEOUT = 10.0  #: Time within which the arm must reach these angles [s].
-START_TOLERANCE = 0.005  #: Deviation within which the arm has reached these angles [rad].
-STRAIGHT = 1.2  #: Length of the straight at the start of the tool's path [m].
-RADIUS = 0.7  #: Radius of the left bend after the straight [m].
-BEND = math.pi  #: Angle of the left bend [rad].
-WAVE_HEIGHT = 0.06  #: Height between the highest and the lowest point of the tool's path [m].
-WAVES = 2.0  #: Number of waves of its height.
+START_TIMEOUT = 10.0  #: Time within which the arm must reach these angles [s]
+START_TOLERANCE = 0.005  #: Deviation within which the arm has reached these angles [rad]
+STRAIGHT = 1.2  #: Length of the straight at the start of the tool's path [m]
+RADIUS = 0.7  #: Radius of the left bend after the straight [m]
+BEND = math.pi  #: Angle of the left bend [rad]
+WAVE_HEIGHT = 0.06  #: Height between the highest and the lowest point of the tool's path [m]
+WAVES = 2.0  #: Number of waves of its height
 
+#: Pose of the goal, beyond the obstacles, in the robot's frame at the start [m, m, rad]
 GOAL = (3.2, 0.3, 1.5707963)
-"""Pose of the goal, beyond the obstacles, in the robot's frame at the start [m, m, rad]."""
-GOAL_TIMEOUT = 30.0  #: Time within which the goal must be reached [s].
-OBSERVATION_PERIOD = 0.05  #: Period of the observations of the obstacles [s].
+GOAL_TIMEOUT = 30.0  #: Time within which the goal must be reached [s]
+OBSERVATION_PERIOD = 0.05  #: Period of the observations of the obstacles [s]
 
-EDGE = 0.5  #: Length of each of the two straights that are driven with a dead wheel [m].
-FAULT_PROGRESS = 0.15  #: Progress on this path at which the motor loses its torque.
-DRIVING = "driving"  #: State of a healthy wheel in `wheel_health`.
+EDGE = 0.5  #: Length of each of the two straights that are driven with a dead wheel [m]
+FAULT_PROGRESS = 0.15  #: Progress on this path at which the motor loses its torque
+DRIVING = "driving"  #: State of a healthy wheel in `wheel_health`
 
-DRIVING_TIME = 1.2  #: Time for which the robot drives before the emergency stop [s].
-STOPPED_TIME = 1.5  #: Time for which twists are still sent while the stop is pressed [s].
-WATCHED_TIME = 1.0  #: Time for which the robot is watched after the reset [s].
-ARM_SWING = np.array([0.9, 0.0, 0.0, 0.0, 0.0, 1.2])  #: Change of the arm's joint angles [rad].
-ARM_SWING_TIME = 3.0  #: Time that this change would take without the stop [s].
+DRIVING_TIME = 1.2  #: Time for which the robot drives before the emergency stop [s]
+STOPPED_TIME = 1.5  #: Time for which twists are still sent while the stop is pressed [s]
+WATCHED_TIME = 1.0  #: Time for which the robot is watched after the reset [s]
+ARM_SWING = np.array([0.9, 0.0, 0.0, 0.0, 0.0, 1.2])  #: Change of the arm's joint angles [rad]
+ARM_SWING_TIME = 3.0  #: Time that this change would take without the stop [s]
 
 # ---- twists through `cmd_vel` --------------------------------------------------------------
 
@@ -73,7 +72,7 @@ ARM_SWING_TIME = 3.0  #: Time that this change would take without the stop [s].
 class Pace:
     """Speeds of the demo, well within the limits of a robot."""
 
-    speed: float = 0.3  #: linear [m/s]
+    speed: float = 0.3  #: Linear [m/s]
     yaw_rate: float = 0.6  #: [rad/s]
 
     @classmethod
@@ -295,8 +294,8 @@ class DeadWheel:
     """A path on which a motor lost its torque."""
 
     wheel: str
-    interval: Interval  #: in which the path was driven
-    delay: float  #: from the loss until the controller reported it [s]
+    interval: Interval  #: In which the path was driven
+    delay: float  #: From the loss until the controller reported it [s]
 
 
 def drive_with_dead_wheel(driver: Driver, wheel: str) -> DeadWheel:

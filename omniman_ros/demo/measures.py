@@ -16,7 +16,7 @@ from omniman_ros.core.arrays import Array
 class Interval:
     """A named interval of ROS time, both ends included; without bounds it contains no time."""
 
-    name: str = ""  #: name of the motion that was driven
+    name: str = ""  #: Name of the motion that was driven
     start: float = math.nan  #: ROS time [s]
     end: float = math.nan  #: ROS time [s]
 
@@ -37,9 +37,9 @@ class Bound(Enum):
 class Limit:
     """A limit of one figure of the demo's result; a maximum applies to the magnitude."""
 
-    figure: str  #: keys in the result, separated by dots; of a list, the limit is each item's
-    name: str  #: quantity and unit, for reports
-    value: float  #: the limit, in that unit
+    figure: str  #: Keys in the result, separated by dots; of a list, the limit is each item's
+    name: str  #: Quantity and unit, for reports
+    value: float  #: The limit, in that unit
     bound: Bound = Bound.AT_MOST
 
     def holds(self, value: float) -> bool:
@@ -75,8 +75,7 @@ LIMITS = (
     Limit("emergency_stop.arm_moved_mrad", "arm moved after the reset, mrad", 1.0),
     Limit("twists.linear_m_s", "twist error, m/s", 0.03),
     Limit("twists.angular_rad_s", "twist error, rad/s", 0.05),
-)
-"""All limits of the demo."""
+)  #: All limits of the demo
 
 
 def violations(result: Mapping[str, Any], limits: Iterable[Limit] = LIMITS) -> list[str]:

@@ -10,14 +10,13 @@ from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.planar import Triple
 
-HEIGHT = 1.0  #: Height of the cylinders [m].
-NAMESPACE = "demo"  #: Namespace of the markers.
+HEIGHT = 1.0  #: Height of the cylinders [m]
+NAMESPACE = "demo"  #: Namespace of the markers
 DEMO_OBSTACLES = (
     (1.3, -1.9, 0.0, 0.45, 0.3),
     (2.2, 2.0, 0.0, -0.4, 0.3),
     (1.9, -0.95, 0.0, 0.0, 0.25),
-)
-"""Position [m], velocity [m/s] and radius [m] of the demo's obstacles, in the robot's frame."""
+)  #: Position [m], velocity [m/s] and radius [m] of the demo's obstacles, in the robot's frame
 
 
 class MovingObstacles:

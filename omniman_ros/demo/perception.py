@@ -28,9 +28,9 @@ Stamped = tuple[float, Array]  #: ROS time [s], and values at that time
 class Perception:
     """What was perceived on the way to a goal."""
 
-    scans: list[Stamped] = field(default_factory=list)  #: points (k, 2) met, in base_link [m]
+    scans: list[Stamped] = field(default_factory=list)  #: Points (k, 2) met, in base_link [m]
     tracks: list[Array] = field(default_factory=list)  #: (m, 4) x, y [m], x', y' [m/s] in odom
-    map: OccupancyMap | None = None  #: the last map; None before the first
+    map: OccupancyMap | None = None  #: The last map; None before the first
     people: list[Stamped] = field(default_factory=list)  #: (m, 3) true x, y and radius [m]
 
 

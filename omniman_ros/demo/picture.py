@@ -31,24 +31,24 @@ from omniman_ros.demo.figures import DrivenGoal, Reference, ToolTrack, tool_trac
 from omniman_ros.demo.perception import Perception
 from omniman_ros.demo.recorder import Recording
 
-TWISTS = BLUE  #: Colour of the part that is driven through `cmd_vel`.
-PATH = ORANGE  #: Colour of the part that follows paths.
-TRUTH = GREEN  #: Colour of the ground truth.
-GOAL = MAGENTA  #: Colour of the part that drives to the goal.
-OBSTACLE = BROWN  #: Colour of the obstacles.
-SCAN = "#e03131"  #: Colour of the points of a scan.
-TRACK = "#0b7285"  #: Colour of tracked persons and their velocities.
-TOOL = CYAN  #: Colour of the tool's path.
-WHEEL = "#9aa5b1"  #: Colour of the robot's wheels.
-BAND = "#eef2f7"  #: Colour of the bands behind the intervals in which the robot was driven.
-DASHED = (0, (4, 4))  #: Line style of the ground truth.
-OCCUPIED = 60  #: Occupancy above which a cell of the map is drawn [%].
-ARROWS = 12  #: Number of velocities of tracked persons drawn, each as long as the way in 1 s.
-AROUND = 1.6  #: Distance around the robot's way up to which the map is shown [m].
-TOOL_LINES = 16  #: Number of instants for which a line is drawn from the platform to the tool.
-OUTLINES = 10  #: Number of poses along the path, with the ends, at which the robot is outlined.
+TWISTS = BLUE  #: Colour of the part that is driven through `cmd_vel`
+PATH = ORANGE  #: Colour of the part that follows paths
+TRUTH = GREEN  #: Colour of the ground truth
+GOAL = MAGENTA  #: Colour of the part that drives to the goal
+OBSTACLE = BROWN  #: Colour of the obstacles
+SCAN = "#e03131"  #: Colour of the points of a scan
+TRACK = "#0b7285"  #: Colour of tracked persons and their velocities
+TOOL = CYAN  #: Colour of the tool's path
+WHEEL = "#9aa5b1"  #: Colour of the robot's wheels
+BAND = "#eef2f7"  #: Colour of the bands behind the intervals in which the robot was driven
+DASHED = (0, (4, 4))  #: Line style of the ground truth
+OCCUPIED = 60  #: Occupancy above which a cell of the map is drawn [%]
+ARROWS = 12  #: Number of velocities of tracked persons drawn, each as long as the way in 1 s
+AROUND = 1.6  #: Distance around the robot's way up to which the map is shown [m]
+TOOL_LINES = 16  #: Number of instants for which a line is drawn from the platform to the tool
+OUTLINES = 10  #: Number of poses along the path, with the ends, at which the robot is outlined
+#: Corners (4, 2) of a square with sides of length 2 about the origin, in clockwise order
 CORNERS = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]])
-"""Corners (4, 2) of a square with sides of length 2 about the origin, in clockwise order."""
 
 
 def draw_demo(demo: Demo, recording: Recording, path: Path) -> Path:

@@ -17,16 +17,16 @@ from omniman_ros.conversions.coupling import total_coupling_error
 from omniman_ros.conversions.geometry import yaw_from_quaternion
 from omniman_ros.conversions.headers import time_seconds
 
+#: Quality of service of topics whose last messages reach late subscribers
 LATCHED = QoSProfile(depth=50, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-"""Quality of service of topics whose last messages reach late subscribers."""
 DEPTH = 1000
 """Number of messages of a topic that are kept until this process, held up by a busy machine, reads
 them: those of 5 s at 200 Hz."""
+#: Values of one message, mostly a stamp [s] and the values at that time; see `Recording`
 Row = tuple[float, ...]
-"""Values of one message, mostly a stamp [s] and the values at that time; see `Recording`."""
-FRESH_POINTS = 6  #: Number of points of a preview that are due until the next one may change it.
+FRESH_POINTS = 6  #: Number of points of a preview that are due until the next one may change it
+#: Time without the processor from which on a failure may be the machine's fault [s]
 STALL_LIMIT = 0.15
-"""Time without the processor from which on a failure may be the machine's fault [s]."""
 
 
 @dataclass
@@ -37,26 +37,25 @@ class Recording:
     does not count. Poses are x, y, theta [m, m, rad].
     """
 
-    #: stamp, pose in odom, and twist x', y', theta' in base_link [m/s, m/s, rad/s]
+    #: Stamp, pose in odom, and twist x', y', theta' in base_link [m/s, m/s, rad/s]
     odom: list[Row] = field(default_factory=list)
-    truth: list[Row] = field(default_factory=list)  #: stamp and pose of the ground truth
-    #: stamp, and coupling error of each constraint, without resets [rad]
+    truth: list[Row] = field(default_factory=list)  #: Stamp and pose of the ground truth
+    #: Stamp, and coupling error of each constraint, without resets [rad]
     coupling: list[Row] = field(default_factory=list)
-    reference: list[Row] = field(
-        default_factory=list
-    )  #: time and pose on the path; times may repeat
-    energy: list[Row] = field(default_factory=list)  #: drawn by each motor since its start [J]
-    arm: list[Row] = field(default_factory=list)  #: stamp and measured joint angles [rad]
-    #: time and reference of the joint angles [rad]; times may repeat
+    #: Time and pose on the path; times may repeat
+    reference: list[Row] = field(default_factory=list)
+    energy: list[Row] = field(default_factory=list)  #: Drawn by each motor since its start [J]
+    arm: list[Row] = field(default_factory=list)  #: Stamp and measured joint angles [rad]
+    #: Time and reference of the joint angles [rad]; times may repeat
     arm_reference: list[Row] = field(default_factory=list)
-    #: stamp and reference of the tool's position x, y, z in odom [m]
+    #: Stamp and reference of the tool's position x, y, z in odom [m]
     tool_reference: list[Row] = field(default_factory=list)
-    #: intervals between two setpoints sent to the arm's controller [s]
+    #: Intervals between two setpoints sent to the arm's controller [s]
     arm_intervals: list[float] = field(default_factory=list)
-    #: stamps of `wheel_commands`, or `wheel_voltages` in voltage mode [s]
+    #: Stamps of `wheel_commands`, or `wheel_voltages` in voltage mode [s]
     commands: list[float] = field(default_factory=list)
-    contacts: list[str] | None = None  #: each as "part, thing"; None without a physics world
-    #: longest time for which this process, and mostly the nodes beside it, did not run [s]
+    contacts: list[str] | None = None  #: Each as "part, thing"; None without a physics world
+    #: Longest time for which this process, and mostly the nodes beside it, did not run [s]
     stall: float = 0.0
 
     @property
@@ -77,12 +76,12 @@ class Recorder:
 
     def __init__(self, node: Node, *, contacts: bool = False) -> None:
         self.recording = rows = Recording(contacts=[] if contacts else None)
-        self.active_source = ""  #: what drives the platform; empty before the first message
-        self.progress = 0.0  #: of the motion that `begin_motion` announced, from 0 to 1
+        self.active_source = ""  #: What drives the platform; empty before the first message
+        self.progress = 0.0  #: Of the motion that `begin_motion` announced, from 0 to 1
         self._has_started = False
-        self.health: dict[str, str] = {}  #: last `wheel_health`, by wheel and other keys
-        self.planner: dict[str, str] = {}  #: last `mpc/status`, by key
-        self.stopped: dict[str, str] = {}  #: reason why a node is stopped, by its name
+        self.health: dict[str, str] = {}  #: Last `wheel_health`, by wheel and other keys
+        self.planner: dict[str, str] = {}  #: Last `mpc/status`, by key
+        self.stopped: dict[str, str] = {}  #: Reason why a node is stopped, by its name
 
         def record(
             kind: Any, topic: str, target: list[Any], convert: Callable[[Any], Iterable[Any]]

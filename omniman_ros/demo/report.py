@@ -51,8 +51,7 @@ odom: rate, interval p50 / p99 | {timing[odom][rate_hz]:.1f} Hz, \
 wheel_commands: rate, p50 / p99 | {timing[wheel_commands][rate_hz]:.1f} Hz, \
 {timing[wheel_commands][p50_ms]:.2f} / {timing[wheel_commands][p99_ms]:.2f} ms \
 | {limit[timing.wheel_commands.rate_hz]:g} Hz
-"""
-"""Name, value and limit of each row; a row is left out if the result lacks one of its figures."""
+"""  #: Name, value and limit of each row; a row is left out if the result lacks one of its figures
 
 
 def report_lines(result: dict[str, Any]) -> list[str]:

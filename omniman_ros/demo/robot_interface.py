@@ -20,15 +20,14 @@ from omniman_ros.core.planar import Triple
 from omniman_ros.demo.recorder import LATCHED
 from omniman_ros.processes.robot_setup import WORLD_DRIVE
 
-FRAME = "odom"  #: Frame in which the demo sends its paths and goals.
+FRAME = "odom"  #: Frame in which the demo sends its paths and goals
 FAULTY_NODE = {
     "simulated": "simulated_drive",
     "can": "simulated_can_drives",
     WORLD_DRIVE: "simulated_world",
-}
-"""Node that simulates faults of the motors, by kind of drive."""
+}  #: Node that simulates faults of the motors, by kind of drive
+#: Node that executes the wheel commands, by kind of drive
 WHEEL_DRIVER = FAULTY_NODE | {"can": "can_bridge"}
-"""Node that executes the wheel commands, by kind of drive."""
 
 
 class RobotInterface:
@@ -48,7 +47,8 @@ class RobotInterface:
         self._obstacles = node.create_publisher(MarkerArray, "obstacles", 50)
         self._emergency_stop = node.create_publisher(Bool, "emergency_stop", LATCHED)
         self.faults = node.create_client(SetParameters, f"{FAULTY_NODE[drive]}/set_parameters")
-        self.resets = [  #: those of the wheel driver and of the platform's controller
+        #: Resets of the wheel driver and of the platform's controller
+        self.resets = [
             node.create_client(Trigger, f"{name}/reset")
             for name in (WHEEL_DRIVER[drive], "platform_controller")
         ]
