@@ -42,9 +42,6 @@ def run_motion(
     Args:
         move: Sends the motion through the driver, and follows it to its end.
 
-    Returns:
-        The exit code, 0.
-
     Raises:
         CommandError: The motion failed.
         KeyboardInterrupt: The motion was cancelled by a signal.

@@ -18,10 +18,7 @@ WIDTH_STEP = 16  #: Unit of the width, so that the height at 16:9 is whole [px]
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman film`.
-
-    Returns:
-        The exit code, 0.
+    """Run `omniman film`; the exit code is 0.
 
     Raises:
         CommandError: A library is missing, an option is refused, the recording cannot be read or

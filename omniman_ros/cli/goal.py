@@ -132,10 +132,7 @@ class GoalDriver:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman goal`.
-
-    Returns:
-        The exit code, 0.
+    """Run `omniman goal`; the exit code is 0.
 
     Raises:
         CommandError: The robot does not reach the goal.

@@ -15,10 +15,7 @@ from omniman_ros.processes.robot_setup import resolve_robot
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman moveit`.
-
-    Returns:
-        The exit code, 0.
+    """Run `omniman moveit`; the exit code is 0.
 
     Raises:
         CommandError: The options cannot be used, or a file cannot be written.

@@ -8,11 +8,7 @@ from omniman_ros.nodes.registry import NODES, markdown, node_specs
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman parameters`.
-
-    Returns:
-        The exit code, 0.
-    """
+    """Run `omniman parameters`; the exit code is 0."""
     write_output((node_table(args.node) if args.node else all_tables()) + "\n")
     return 0
 

@@ -12,10 +12,7 @@ from omniman_ros.extras import RECORDING, pip_install
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman plot`.
-
-    Returns:
-        The exit code, 0.
+    """Run `omniman plot`; the exit code is 0.
 
     Raises:
         CommandError: A library is missing, the recording cannot be read, or it does not contain

@@ -18,10 +18,7 @@ OCCUPIED, FREE = 0, 254
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman map`.
-
-    Returns:
-        The exit code, 0.
+    """Run `omniman map`; the exit code is 0.
 
     Raises:
         CommandError: The scene or the resolution cannot be used, or a file cannot be written.

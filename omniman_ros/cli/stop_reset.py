@@ -11,48 +11,6 @@ from omniman_ros.nodes.stoppable_nodes import TriggerCalls
 ANSWER_TIMEOUT = 5.0  #: Time within which a node must answer [s]
 
 
-class ExhaustiveTriggerCalls(TriggerCalls):
-    """Calls one service of each node that can be stopped, until no more nodes are discovered.
-
-    Args:
-        action: Name of the service: "stop" or "reset".
-        namespace: Namespace of the nodes to call; empty means all nodes.
-        on_answer: Called with node name, success and message as each answer comes.
-    """
-
-    def __init__(
-        self,
-        session: Session,
-        action: str,
-        namespace: str = "",
-        on_answer: Callable[[str, bool, str], None] = lambda name, success, message: None,
-    ) -> None:
-        super().__init__(session.node, action, namespace, on_answer)
-        self._session = session
-
-    def run(self, timeout: float) -> None:
-        """Call the nodes as they are discovered, until no more have been for a while.
-
-        Args:
-            timeout: Time to wait for the first node [s].
-        """
-        found, found_at = 0, time.monotonic()
-
-        def has_begun() -> bool:
-            self.poll()
-            return bool(self.answers)
-
-        def is_complete() -> bool:
-            nonlocal found, found_at
-            answered = self.poll()
-            if len(self.answers) > found:
-                found, found_at = len(self.answers), time.monotonic()
-            return answered and time.monotonic() - found_at > ANNOUNCEMENT_TIME
-
-        self._session.wait(has_begun, timeout)
-        self._session.wait(is_complete, ANNOUNCEMENT_TIME + ANSWER_TIMEOUT)
-
-
 def call_all(
     session: Session, action: str, namespace: str = "", out: Callable[[str], None] = say
 ) -> int:
@@ -70,8 +28,8 @@ def call_all(
         verdict = "done" if success else "REFUSED"
         out(f"{name}: {action} {verdict}" + (f" ({message})" if message else ""))
 
-    calls = ExhaustiveTriggerCalls(session, action, namespace, report)
-    calls.run(DISCOVERY_TIMEOUT)
+    calls = TriggerCalls(session.node, action, namespace, report)
+    _call_found(session, calls)
     if not calls.answers:
         out(
             f"no node that can be stopped was found within {DISCOVERY_TIMEOUT:g} s; check that "
@@ -84,11 +42,26 @@ def call_all(
     return 0 if all(answer is not None and answer[0] for answer in calls.answers.values()) else 1
 
 
-def run(args: argparse.Namespace) -> int:
-    """Run `omniman stop` or `omniman reset`.
+def _call_found(session: Session, calls: TriggerCalls) -> None:
+    """Call the nodes as they are discovered, until no more have been for a while."""
+    found, found_at = 0, time.monotonic()
 
-    Returns:
-        The exit code; see :func:`call_all`.
-    """
+    def has_begun() -> bool:
+        calls.poll()
+        return bool(calls.answers)
+
+    def is_complete() -> bool:
+        nonlocal found, found_at
+        answered = calls.poll()
+        if len(calls.answers) > found:
+            found, found_at = len(calls.answers), time.monotonic()
+        return answered and time.monotonic() - found_at > ANNOUNCEMENT_TIME
+
+    session.wait(has_begun, DISCOVERY_TIMEOUT)
+    session.wait(is_complete, ANNOUNCEMENT_TIME + ANSWER_TIMEOUT)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run `omniman stop` or `omniman reset`; the exit code is that of :func:`call_all`."""
     with Session(f"omniman_{args.command}") as session:
         return call_all(session, args.command, args.namespace)

@@ -231,10 +231,7 @@ def teleoperate(
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman teleop`.
-
-    Returns:
-        The exit code, 0.
+    """Run `omniman teleop`; the exit code is 0.
 
     Raises:
         CommandError: A speed is refused, or stdin is not a terminal.

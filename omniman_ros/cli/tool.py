@@ -155,10 +155,7 @@ def straight_path(start: Position, end: Position) -> Path:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman tool`.
-
-    Returns:
-        The exit code, 0.
+    """Run `omniman tool`; the exit code is 0.
 
     Raises:
         CommandError: The tool does not arrive.

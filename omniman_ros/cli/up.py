@@ -14,10 +14,7 @@ from omniman_ros.processes.robot_setup import RobotSetup, robot_processes
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman up`.
-
-    Returns:
-        The exit code; see :func:`supervise`.
+    """Run `omniman up`; the exit code is that of :func:`supervise`.
 
     Raises:
         CommandError: The options cannot be used.

@@ -14,10 +14,7 @@ from omniman_ros.processes.robot_setup import resolve_robot
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman urdf`.
-
-    Returns:
-        The exit code, 0.
+    """Run `omniman urdf`; the exit code is 0.
 
     Raises:
         CommandError: The options cannot be used, or the file cannot be written.

@@ -14,16 +14,11 @@ import matplotlib
 matplotlib.use("Agg")
 from matplotlib import pyplot
 
-#: Colour of text and of the main line
-INK = "#1f2933"
-#: Colour of ticks, annotations and secondary lines
-GREY = "#5f6b7a"
-#: Colour of filled outlines, such as the robot's
-NEUTRAL = "#7b8794"
-#: Colour of axes and of lines in the background
-FAINT = "#c3cad2"
-#: Colour of a grid that stays in the background
-GRID = "#e4e7eb"
+INK = "#1f2933"  #: Colour of text and of the main line
+GREY = "#5f6b7a"  #: Colour of ticks, annotations and secondary lines
+NEUTRAL = "#7b8794"  #: Colour of filled outlines, such as the robot's
+FAINT = "#c3cad2"  #: Colour of axes and of lines in the background
+GRID = "#e4e7eb"  #: Colour of a grid that stays in the background
 BLUE = "#2f6fde"
 LIGHT_BLUE = "#bcd2f7"
 CYAN = "#0891b2"

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.spatial import ConvexHull
 
 from omniman_ros.collision.footprint import Footprint
 from omniman_ros.control.limits import TwistLimits
 from omniman_ros.core.arrays import Array
-from omniman_ros.nav2.outline import convex_outline
 
 LENGTHWAYS, SIDEWAYS = 0.8, 0.6
 """Shares of the limits along x and y, which Nav2 limits one by one: together they make 1."""
@@ -35,7 +35,9 @@ class Nav2Configuration:
     @property
     def outline(self) -> Array:
         """Convex outline (k, 2) of the robot in base_link, counter-clockwise [m]."""
-        return convex_outline(self.footprint.whole.corners.reshape(-1, 2))
+        points = self.footprint.whole.corners.reshape(-1, 2)
+        result: Array = points[ConvexHull(points).vertices]
+        return result
 
     def complete(self, common: Mapping[str, Any]) -> Parameters:
         """Return the parameters of all of Nav2's nodes.

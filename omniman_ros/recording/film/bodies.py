@@ -18,12 +18,9 @@ from omniman_ros.viewer.meshes import Mesh, revolved
 from omniman_ros.viewer.style import Colour
 
 PERSON_HEIGHT = 1.2  #: Height from which a round body is drawn as a person [m]
-#: Colour of persons
-PERSON = style.rgb("#f0a252")
-#: Colour of other round bodies
-POST = style.rgb("#f0a252")
-#: Colour of boxes
-BOX = style.rgb("#b8c0c8")
+PERSON = style.rgb("#f0a252")  #: Colour of persons
+POST = style.rgb("#f0a252")  #: Colour of other round bodies
+BOX = style.rgb("#b8c0c8")  #: Colour of boxes
 COLUMN_RADIUS = 0.09  #: Radius of the column below an arm that is mounted above the deck [m]
 PERSON_PROFILE = (
     (0.0, 0.75),
