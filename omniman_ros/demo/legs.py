@@ -23,7 +23,7 @@ from omniman_ros.demo.driver import PAUSE, SERVICE_TIMEOUT, Driver
 from omniman_ros.demo.figures import ArmMove, DrivenGoal, DrivenStop, TwistPhase
 from omniman_ros.demo.measures import Interval
 from omniman_ros.demo.moving_obstacles import MovingObstacles
-from omniman_ros.demo.perception import People, Perception
+from omniman_ros.demo.perception import People
 from omniman_ros.demo.robot_interface import FRAME, dead_motors_request
 from omniman_ros.motion.figure7 import Movement, movements
 from omniman_ros.motion.whole_body.model import WholeBodyModel
@@ -166,16 +166,6 @@ def drive_tool(driver: Driver, model: WholeBodyModel) -> tuple[Interval, ArmMove
     Raises:
         CommandError: The arm did not reach the start, or the path was not completed.
     """
-    move = _prepare_arm(driver)
-    start = model.forward(np.array([*driver.pose, *driver.arm_angles]))
-    poses = tool_poses(start, driver.pose[2])
-    length = float(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1).sum())
-    path = tool_path_message(poses, FRAME)
-    return driver.follow("tool path", lambda: driver.robot.send_tool_path(path), length), move
-
-
-def _prepare_arm(driver: Driver) -> ArmMove:
-    """Move the arm to the angles at which the tool's path starts."""
     driver.progress.begin("arm to start pose")
     move = driver.move_arm(START_ANGLES)
     if not driver.wait(
@@ -186,7 +176,11 @@ def _prepare_arm(driver: Driver) -> ArmMove:
     driver.rest()
     move = replace(move, end=driver.now)
     driver.progress.end(driver.note)
-    return move
+    start = model.forward(np.array([*driver.pose, *driver.arm_angles]))
+    poses = tool_poses(start, driver.pose[2])
+    length = float(np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1).sum())
+    path = tool_path_message(poses, FRAME)
+    return driver.follow("tool path", lambda: driver.robot.send_tool_path(path), length), move
 
 
 def tool_poses(start: Array, heading: float) -> Array:
@@ -237,32 +231,28 @@ def drive_to_goal(driver: Driver, by_scanner: bool) -> DrivenGoal:
     driver.wait_until_idle()
     start = driver.now
     goal = to_odom(np.array([GOAL]), driver.pose)[0]
-    drive = _drive_by_scanner if by_scanner else _drive_among_told
-    obstacles, perception = drive(driver, goal, start)
+    obstacles: MovingObstacles | People
+    if by_scanner:
+        with driver.record_perception() as perception:
+            _drive_to(driver, goal, lambda: None)
+        obstacles = People(perception.people or [(start, np.zeros((0, 3)))])
+    else:
+        perception = None
+        obstacles = MovingObstacles.in_front_of(driver.pose, start)
+        observe = partial(_observe, driver, obstacles)
+        observe()
+        _drive_to(driver, goal, observe)
+        driver.robot.send_obstacles(obstacles.removal_message())
     driven = DrivenGoal(goal, obstacles, Interval("goal", start, driver.now), perception)
     driver.rest()
     driver.progress.end(driver.note)
     return driven
 
 
-def _drive_among_told(driver: Driver, goal: Array, start: float) -> tuple[MovingObstacles, None]:
-    obstacles = MovingObstacles.in_front_of(driver.pose, start)
-
-    def observe() -> None:
-        now = driver.now
-        stamp = Time(nanoseconds=round(1e9 * now)).to_msg()
-        driver.robot.send_obstacles(obstacles.message(now, stamp))
-
-    observe()
-    _drive_to(driver, goal, observe)
-    driver.robot.send_obstacles(obstacles.removal_message())
-    return obstacles, None
-
-
-def _drive_by_scanner(driver: Driver, goal: Array, start: float) -> tuple[People, Perception]:
-    with driver.record_perception() as perception:
-        _drive_to(driver, goal, lambda: None)
-    return People(perception.people or [(start, np.zeros((0, 3)))]), perception
+def _observe(driver: Driver, obstacles: MovingObstacles) -> None:
+    now = driver.now
+    stamp = Time(nanoseconds=round(1e9 * now)).to_msg()
+    driver.robot.send_obstacles(obstacles.message(now, stamp))
 
 
 def _drive_to(driver: Driver, goal: Array, observe: Callable[[], None]) -> None:

@@ -157,25 +157,6 @@ def test_the_twists_are_within_the_limits_of_every_robot_and_short(name):
     assert total < 20.0
 
 
-def test_the_circle_is_a_circle_in_the_world_while_the_platform_turns():
-    pace = Pace()
-    circle = twist_phases(pace)[-1]
-    step = 1e-3
-    pose = np.zeros(3)
-    track = []
-    for t in np.arange(0.0, circle.duration, step):
-        x, y, turn = circle.twist(t)
-        c, s = math.cos(pose[2]), math.sin(pose[2])
-        pose += step * np.array([c * x - s * y, s * x + c * y, turn])
-        track.append(pose[:2].copy())
-    track = np.array(track)
-    radius = pace.speed * circle.duration / math.tau
-    centre = np.array([0.0, radius])
-    np.testing.assert_allclose(np.linalg.norm(track - centre, axis=1), radius, rtol=0.01)
-    np.testing.assert_allclose(track[-1], track[0], atol=0.01)
-    assert pose[2] > 1.0
-
-
 def test_the_path_begins_at_the_tool_and_keeps_its_orientation():
     length = legs.STRAIGHT + legs.RADIUS * legs.BEND
     start = WholeBodyModel(Mount()).forward(np.concatenate([[0.3, -0.2, 0.7], legs.START_ANGLES]))

@@ -14,10 +14,18 @@ from omniman_ros.nodes.simulated_world import SimulatedWorldNode
 from test.nodes.harness import World
 
 
-def new_recorder():
-    recorder = Recorder(SimpleNamespace(create_subscription=lambda *args: None))
+def recorder_with(publishers=0, **options):
+    """Return a recorder of a motion that begins, and its callbacks by topic."""
+    callbacks = {}
+
+    def create_subscription(kind, topic, callback, qos):
+        callbacks[topic] = callback
+        return SimpleNamespace(get_publisher_count=lambda: publishers)
+
+    node = SimpleNamespace(create_subscription=create_subscription)
+    recorder = Recorder(node, **options)
     recorder.begin_motion()
-    return recorder
+    return recorder, callbacks
 
 
 def report(recorder, *progress):
@@ -26,7 +34,7 @@ def report(recorder, *progress):
 
 
 def test_a_motion_arrives_when_its_progress_is_complete():
-    recorder = new_recorder()
+    recorder, _ = recorder_with()
     report(recorder, 0.0, 0.4)
     assert recorder.progress == 0.4 and not recorder.has_arrived
     report(recorder, 1.0)
@@ -34,25 +42,13 @@ def test_a_motion_arrives_when_its_progress_is_complete():
 
 
 def test_a_late_end_of_the_motion_before_does_not_count():
-    recorder = new_recorder()
+    recorder, _ = recorder_with()
     report(recorder, 0.5, 1.0)
     recorder.begin_motion()
     report(recorder, 1.0)
     assert not recorder.has_arrived and recorder.progress == 0.0
     report(recorder, 0.1, 1.0)
     assert recorder.has_arrived
-
-
-def recorder_with(publishers, **options):
-    """Return a recorder in a world, and its callback of `contacts`; other topics are silent."""
-    callbacks = {}
-
-    def create_subscription(kind, topic, callback, qos):
-        callbacks[topic] = callback
-        return SimpleNamespace(get_publisher_count=lambda: publishers)
-
-    node = SimpleNamespace(create_subscription=create_subscription)
-    return Recorder(node, **options), callbacks
 
 
 def test_in_a_world_each_contact_is_recorded_once():
@@ -72,7 +68,7 @@ def test_in_a_world_somebody_has_to_tell_contacts():
 
 
 def test_without_a_world_nothing_is_said_of_contacts():
-    recorder, callbacks = recorder_with(0)
+    recorder, callbacks = recorder_with()
     assert "contacts" not in callbacks
     assert recorder.recording.contacts is None
 
@@ -92,7 +88,7 @@ def test_a_contact_of_the_real_world_is_recorded(tmp_path):
 
 def test_the_times_of_messages_are_those_of_their_senders():
     """Nothing is measured by when this process, on a clock that may not run yet, hears them."""
-    recorder, callbacks = recorder_with(0)
+    recorder, callbacks = recorder_with()
     for topic, kind in (("odom", Odometry), ("wheel_commands", JointState)):
         for nanosec in (0, 10_000_000):
             message = kind()
