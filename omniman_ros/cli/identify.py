@@ -11,10 +11,6 @@ SUBJECTS = {
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run `omniman identify`.
-
-    Returns:
-        The exit code of the subject's own command.
-    """
+    """Run `omniman identify`; the exit code is that of the subject's own command."""
     module = importlib.import_module(SUBJECTS[args.subject])
     return int(module.run(args))

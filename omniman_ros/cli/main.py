@@ -59,13 +59,10 @@ def make_parser() -> argparse.ArgumentParser:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command of `omniman`.
+    """Run a command of `omniman`, and return its exit code.
 
     Args:
         arguments: Command line without the program's name; that of this process if None.
-
-    Returns:
-        The exit code.
     """
     args = make_parser().parse_args(arguments)
     try:

@@ -107,7 +107,6 @@ class TopicRecorder:
     Each subscription has the best quality of service that all publishers of its topic offer.
 
     Args:
-        node: Node that subscribes.
         requested: Full names of the topics to record; empty means all topics of the robot.
         namespace: Namespace of the robot; empty means all robots.
 
@@ -239,10 +238,7 @@ def offered_qos(publisher: TopicEndpointInfo) -> OfferedQos:
 
 
 def message_type(name: str) -> type:
-    """Return the class of a message type.
-
-    Args:
-        name: Name of the type, PACKAGE/msg/NAME.
+    """Return the class of a message type, PACKAGE/msg/NAME.
 
     Raises:
         InputError: The type is not installed.
@@ -256,14 +252,7 @@ def message_type(name: str) -> type:
 
 
 def report(folder: Path, writer: Any, recorder: TopicRecorder, seconds: float) -> int:
-    """Report the numbers of written and of lost messages.
-
-    Args:
-        seconds: Length of the recording [s].
-
-    Returns:
-        The exit code; see :func:`run`.
-    """
+    """Report the messages written in a time [s], and those lost; the exit code is `run`'s."""
     rows: list[tuple[str, ...]] = [("topic", "messages", "Hz")]
     rows += [
         (name, str(count), f"{count / seconds:.1f}")

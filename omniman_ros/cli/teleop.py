@@ -148,13 +148,8 @@ class Teleop:
     def status(self, twist: Twist | None, keys: KeyTeleop) -> str:
         """Return the status line.
 
-        Args:
-            twist: Commanded body twist [m/s, m/s, rad/s]; None if there is no command.
-            keys: The keys, for their speeds.
-
-        Returns:
-            The active source of commands, the commanded twist, the pose, the stopped nodes, the
-            speeds of the keys and the latest event.
+        It has the active source of commands, the commanded twist [m/s, m/s, rad/s], if any, the
+        pose, the stopped nodes, the speeds of the keys and the latest event.
         """
         x, y, yaw_rate = twist or (0.0, 0.0, 0.0)
         linear, angular = keys.speeds
@@ -170,15 +165,7 @@ class Teleop:
 
 
 def handle_key(key: str, now: float, keys: KeyTeleop, teleop: Teleop) -> bool:
-    """Execute the action of a key.
-
-    Args:
-        now: Time at which it was sent [s].
-        keys: The keys that are held.
-
-    Returns:
-        Whether to continue; False if the user quits.
-    """
+    """Execute the action of a key that was sent at a time [s]; return False if the user quits."""
     if key in ("x", "\x03"):
         return False
     if keys.press(key, now):
@@ -200,12 +187,7 @@ def handle_key(key: str, now: float, keys: KeyTeleop, teleop: Teleop) -> bool:
 def teleoperate(
     keyboard: Keyboard, keys: KeyTeleop, teleop: Teleop, session: Session, signals: list[int]
 ) -> None:
-    """Serve keys and ROS until the user quits, a signal is received or the terminal is gone.
-
-    Args:
-        keys: The keys that are held.
-        signals: Numbers of the signals that were received so far.
-    """
+    """Serve keys and ROS until the user quits, a signal is received or the terminal is gone."""
     framing = CmdVelFraming()
     due = time.monotonic()
     while not signals:

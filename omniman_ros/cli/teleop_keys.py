@@ -97,14 +97,7 @@ class KeyTeleop:
         self.scale = 1.0
 
     def press(self, key: str, now: float) -> bool:
-        """Process a key that the terminal sent.
-
-        Args:
-            now: Time at which it was sent [s].
-
-        Returns:
-            Whether it is a key that moves the robot.
-        """
+        """Process a key that was sent at a time [s]; return whether it moves the robot."""
         if key not in MOTIONS:
             return False
         if now >= self._until:
@@ -137,15 +130,9 @@ class KeyTeleop:
         return self._linear * self.scale, self._angular * self.scale
 
     def twist(self, now: float) -> Twist | None:
-        """Return the commanded body twist.
+        """Return the commanded body twist [m/s, m/s, rad/s] while keys are held, else None.
 
         Diagonal motions are as fast as the others; opposite keys cancel.
-
-        Args:
-            now: Present time [s].
-
-        Returns:
-            The twist [m/s, m/s, rad/s] while keys are held, else None.
         """
         if now >= self._until:
             self.release()

@@ -4,11 +4,8 @@
 class CommandError(Exception):
     """Ends a command with a message for the user.
 
-    Args:
-        message: What went wrong, as one line.
-
-    Attributes:
-        code: Exit code: 1, or 2 if the command line is invalid.
+    The message says in one line what went wrong. The exit code is 1, or 2 if the command line is
+    invalid.
     """
 
     def __init__(self, message: str, code: int = 1) -> None:

@@ -58,12 +58,8 @@ STYLE: dict[str, Any] = {
 def figure_style(**changes: Any) -> AbstractContextManager[None]:
     """Apply the style to all figures that are made within a `with` block.
 
-    Args:
-        changes: Parameters of matplotlib that differ from `STYLE`, with `_` in place of `.`
-            where that makes them keywords: `figure_style(lines_linewidth=1.2)`.
-
-    Returns:
-        A context manager that restores matplotlib's parameters at its end.
+    Parameters of matplotlib that differ from `STYLE` are given as keywords, with `_` in place of
+    `.`: `figure_style(lines_linewidth=1.2)`.
     """
     by_keyword = {name.replace(".", "_"): name for name in matplotlib.rcParams}
     named = {by_keyword.get(name, name): value for name, value in changes.items()}
@@ -73,13 +69,9 @@ def figure_style(**changes: Any) -> AbstractContextManager[None]:
 
 
 def save_figure(figure: Any, path: Path) -> Path:
-    """Save a figure in the format given by the file's suffix, and close the figure.
+    """Save a figure in the format given by the file's suffix, and close it; return the path.
 
-    Args:
-        path: Path of the file; its folder is created if it does not exist.
-
-    Returns:
-        The path.
+    The folder of the file is created if it does not exist.
 
     Raises:
         OSError: The file cannot be written.

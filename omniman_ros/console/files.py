@@ -37,11 +37,7 @@ def output_errors(option: str) -> Iterator[None]:
 
 
 def write_file_or_stdout(option: str | None, text: str) -> None:
-    """Write the text that a command was asked for.
-
-    Args:
-        option: Value of `--output`: the file to write, or None for stdout.
-        text: The whole text, with its line ends.
+    """Write the text that a command was asked for to the file of `--output`, or to stdout.
 
     Raises:
         CommandError: The file cannot be written.

@@ -44,9 +44,7 @@ class Keyboard:
     def read(self) -> str | None:
         """Return the text typed since the last call, without waiting.
 
-        Returns:
-            The text as the terminal sent it, escape sequences included; None if the terminal is
-            gone.
+        Escape sequences are included. The text is None if the terminal is gone.
         """
         try:
             if not select.select([self._descriptor], [], [], 0.0)[0]:

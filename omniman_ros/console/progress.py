@@ -13,11 +13,7 @@ LINE_PERIOD = 5.0  #: Shortest time between two lines about a part that is not o
 
 
 class Progress:
-    """Shows the progress of a command that has several parts, one part after the other.
-
-    Args:
-        stream: Stream to write to; stdout if None.
-    """
+    """Shows the progress of a command that has several parts, one part after the other."""
 
     def __init__(self, stream: TextIO | None = None) -> None:
         self._stream = stream or sys.stdout

@@ -35,14 +35,9 @@ def run_metadata() -> dict[str, Any]:
 
 
 def publish(name: str, result: Mapping[str, Any], folder: str | Path = "results") -> Path:
-    """Write a result with :func:`save`, and print it as the last line.
+    """Write a result with :func:`save`, print it as the last line, and return the file's path.
 
-    Args:
-        result: Values of the result; its floats are rounded to four significant digits.
-        folder: Folder of the file, created if it does not exist.
-
-    Returns:
-        The path of the file.
+    Floats are rounded to four significant digits. The folder is created if it does not exist.
 
     Raises:
         OSError: The folder cannot be written.

@@ -102,14 +102,11 @@ class Session:
         self._executor.spin_until_future_complete(future, timeout_sec=seconds)
 
     def wait(self, condition: Callable[[], bool], timeout: float) -> bool:
-        """Serve callbacks until a condition holds.
+        """Serve callbacks until a condition holds; return whether it does.
 
         Args:
             condition: Checked after each callback, at least every `MAX_SPIN_TIME`.
             timeout: Longest time to wait [s]; where simulated time stands, the wait ends, too.
-
-        Returns:
-            Whether the condition holds.
         """
         end, last_moment = self.now() + timeout, time.monotonic() + timeout / SLOWEST_PACE
         while not condition():
@@ -130,7 +127,6 @@ class PeriodicTicks:
     are skipped.
 
     Args:
-        session: ROS session whose callbacks are served.
         duration: Time after which the iteration ends [s].
         period: Time between two ticks [s].
         check: Called before each tick; it raises to end the iteration early.

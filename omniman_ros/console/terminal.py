@@ -24,12 +24,7 @@ def is_terminal(stream: TextIO) -> bool:
 def paint(text: str, colour: str, stream: TextIO) -> str:
     """Return a text in a colour if the stream is a terminal and `NO_COLOR` is not set.
 
-    Args:
-        colour: Escape code, such as `RED`.
-        stream: Stream to which the text will be written.
-
-    Returns:
-        The text, with escape sequences around it if the stream is to be coloured.
+    The colour is an escape code, such as `RED`.
     """
     if not is_terminal(stream) or os.environ.get("NO_COLOR"):
         return text
@@ -41,10 +36,6 @@ def say(text: str = "", stream: TextIO | None = None) -> None:
 
     A stream that cannot be written is ignored: a terminal that was closed must not keep a command
     from stopping a robot.
-
-    Args:
-        text: The line, without its end.
-        stream: Stream to write to; stdout if None.
     """
     stream = stream or sys.stdout
     with contextlib.suppress(OSError, ValueError):
@@ -55,9 +46,6 @@ def say(text: str = "", stream: TextIO | None = None) -> None:
 def write_output(text: str) -> None:
     """Write the output that a command was asked for to stdout.
 
-    Args:
-        text: The whole output, with its line ends.
-
     Raises:
         OSError: Stdout cannot be written, for instance because the disk is full.
     """
@@ -67,11 +55,7 @@ def write_output(text: str) -> None:
 def table(rows: list[tuple[str, ...]], indent: str = "  ") -> list[str]:
     """Lay out a table with its first column aligned to the left and the others to the right.
 
-    Args:
-        rows: Cells of each row, the header first; a row may be shorter than the header.
-
-    Returns:
-        The lines of the table.
+    The first row is the header; others may be shorter.
     """
     widths = [max(len(row[i]) for row in rows if i < len(row)) for i in range(len(rows[0]))]
     lines = []

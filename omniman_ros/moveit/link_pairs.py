@@ -56,9 +56,6 @@ def unchecked_pairs(description: DescriptionParameters) -> list[UncheckedPair]:
     Besides neighbours, these are pairs that keep clear of each other at all of 10,000 random
     postures within the limits of the joints, by the capsules that contain the links of the arm,
     and those whose distance the joints hardly change.
-
-    Args:
-        description: The robot, with an arm.
     """
     geometry = BodyGeometry(description)
     wheels = [f"{name}_wheel" for name in description.robot.wheels.names]

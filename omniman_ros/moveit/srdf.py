@@ -18,12 +18,7 @@ ARM, BASE, WHOLE_BODY = "arm", "base", "whole_body"
 def srdf(
     description: DescriptionParameters, pairs: Iterable[UncheckedPair], name: str = "omniman"
 ) -> str:
-    """Return the SRDF of a robot with an arm.
-
-    Args:
-        pairs: Pairs of links whose collisions are not checked.
-        name: Name of the robot, as in its URDF.
-    """
+    """Return the SRDF of a robot with an arm; its name is that in its URDF."""
     root = ElementTree.Element("robot", name=name)
 
     def add(parent: ElementTree.Element, tag: str, **attributes: str) -> ElementTree.Element:

@@ -47,10 +47,7 @@ class MessageDefinitions:
         self._store = get_typestore(Stores.ROS2_JAZZY)
 
     def lookup(self, message_type: str) -> tuple[str, str]:
-        """Return the definition and the hash of a message type.
-
-        Args:
-            message_type: The type, PACKAGE/msg/NAME.
+        """Return the definition and the hash of a message type, PACKAGE/msg/NAME.
 
         Returns:
             The definition, followed by those of the types in it, in MCAP's format `ros2msg`; and
@@ -93,11 +90,7 @@ class MessageDefinitions:
 
 
 def _field_types(text: str, package: str) -> list[str]:
-    """Return the message types of the fields of a definition.
-
-    Args:
-        package: Package to which types without a package belong.
-    """
+    """Return the message types of a definition's fields; those without a package are its own."""
     types = []
     for line in text.splitlines():
         field = FIELD_PATTERN.match(line.split("#")[0].strip())

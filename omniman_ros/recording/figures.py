@@ -58,13 +58,9 @@ class StandardFigure:
 
 
 def draw_figures(log: RobotLog, folder: Path, prefix: str) -> dict[str, Path]:
-    """Draw all figures for which the log contains data, as PNG files.
+    """Draw all figures for which the log contains data; return their PNG files by name.
 
-    Args:
-        folder: Folder of the files, which is created where it does not exist.
-
-    Returns:
-        The files, by the names of the figures.
+    The folder is created where it does not exist.
     """
     folder.mkdir(parents=True, exist_ok=True)
     drawn = {}

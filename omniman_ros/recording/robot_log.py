@@ -311,10 +311,7 @@ def _joined(previews: list[list[_Row]]) -> Array:
     """Return the reference that consists of previews.
 
     Only the rows of each preview that are due before the next preview begins are used. Rows of NaN
-    separate movements.
-
-    Args:
-        previews: Rows of each preview, which begin with the time [s].
+    separate movements. Rows begin with the time [s].
     """
     previews = [rows for rows in previews if rows]
     width = len(previews[0][0]) if previews else 0

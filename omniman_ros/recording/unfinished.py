@@ -29,9 +29,6 @@ def is_unfinished(file: Path) -> bool:
 def finish_copy(file: Path, target: Path) -> None:
     """Copy an unfinished file up to its last complete record, and finish the copy.
 
-    Args:
-        file: The file, see :func:`is_unfinished`.
-
     Raises:
         OSError: The file cannot be read, or the copy cannot be written.
     """

@@ -112,15 +112,12 @@ class BagWriter:
             self._changed.notify()
 
     def put(self, topic: str, stamp: int, data: bytes) -> bool:
-        """Queue a message to be written.
+        """Queue a message to be written, or count it as dropped; return whether it is queued.
 
         Args:
             topic: Name of its topic, which has been added.
             stamp: Time of its arrival [ns].
             data: The serialised message (CDR).
-
-        Returns:
-            Whether it was queued; otherwise it is counted as dropped.
         """
         with self._changed:
             if self.failure or self._queued_bytes + len(data) > self._max_queued_bytes:

@@ -136,12 +136,7 @@ def solid_body(solid: Solid) -> Triangles:
 
 
 def ribbon(points: Array, width: float, colour: Colour) -> Triangles:
-    """Return a line in space as a tube of four sides.
-
-    Args:
-        points: (k, 3) points [m].
-        width: Width [m].
-    """
+    """Return a line through points (k, 3) as a tube of four sides of a width [m]."""
     start, end = points[:-1], points[1:]
     way = end - start
     length = np.linalg.norm(way, axis=1)

@@ -72,12 +72,7 @@ class Series(Generic[T]):
         return bisect_right(self.times, time) - 1
 
     def at(self, time: float, max_age: float = np.inf) -> T | None:
-        """Return the value that holds at a time; None before the first one.
-
-        Args:
-            time: ROS time [s].
-            max_age: Age from which a value does not count any more [s].
-        """
+        """Return the value that holds at a time [s]; None if there is none, or it is too old."""
         index = self.index(time)
         if index < 0 or time - self.times[index] > max_age:
             return None

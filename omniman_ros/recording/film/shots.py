@@ -57,11 +57,7 @@ class Shot:
         return self.length / self.speed
 
     def times(self, rate: float) -> Array:
-        """Return the ROS times (k,) of its frames [s].
-
-        Args:
-            rate: Frames per second of the film.
-        """
+        """Return the ROS times (k,) of its frames [s] at a number of frames per second."""
         count = max(1, round(self.on_screen * rate))
         return self.start + (np.arange(count) + 0.5) / count * self.length
 
