@@ -197,9 +197,7 @@ def tool_poses(start: Array, heading: float) -> Array:
     y = RADIUS * (1.0 - np.cos(angle))
     z = 0.5 * WAVE_HEIGHT * (1.0 - np.cos(WAVES * math.tau * s / length))
     poses = np.repeat(start[None], len(s), axis=0)
-    cosine, sine = math.cos(heading), math.sin(heading)
-    poses[:, 0, 3] += cosine * x - sine * y
-    poses[:, 1, 3] += sine * x + cosine * y
+    poses[:, :2, 3] += np.column_stack([x, y]) @ se2.rotation(heading)[:2, :2]
     poses[:, 2, 3] += z
     return poses
 

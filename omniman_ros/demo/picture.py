@@ -3,7 +3,6 @@
 Importing this module raises ImportError if matplotlib is not installed.
 """
 
-import math
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +23,7 @@ from omniman_ros.console.figure_style import (
     figure_style,
     save_figure,
 )
+from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.robot import Robot
 from omniman_ros.demo.demo import Demo
@@ -190,8 +190,7 @@ def _draw_robot(axes: Any, robot: Robot, pose: Array) -> None:
 
 def _rotate(points: Array, angle: float) -> Array:
     """Rotate points (k, 2) about the origin."""
-    cosine, sine = math.cos(angle), math.sin(angle)
-    result: Array = points @ np.array([[cosine, sine], [-sine, cosine]])
+    result: Array = points @ se2.rotation(angle)[:2, :2]
     return result
 
 
