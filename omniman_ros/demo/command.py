@@ -158,10 +158,8 @@ def perform(
     """Drive all legs of the demo, evaluate and draw them.
 
     Args:
-        setup: The robot.
         folder: Folder of the picture.
         group: Processes of the nodes, which must stay alive.
-        progress: Display of the progress.
         viewer: Log in which the viewer announces its page, for which the robot waits; None if no
             viewer is started.
 

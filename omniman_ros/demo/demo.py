@@ -70,11 +70,7 @@ def drive(demo: Demo, driver: Driver) -> None:
 
 
 def judge(demo: Demo, recording: Recording) -> dict[str, Any]:
-    """Return all figures of the demo, and those that are beyond their limits.
-
-    Returns:
-        Figures by section, and under `faults` a sentence for each figure beyond its limit.
-    """
+    """Return all figures by section; under `faults` is a sentence for each beyond its limit."""
     odom, reference = np.array(recording.odom), figures.Reference(recording.reference)
     result: dict[str, Any] = {
         "twists": figures.twist_figures(odom, demo.twists),

@@ -38,12 +38,9 @@ class Driver:
     """Executes motions one after the other, shows their progress, and ends the demo on a stop.
 
     Args:
-        session: Session whose node talks to the robot.
-        progress: Display of the progress.
         poll: Called many times per second; raises an exception to end the demo early.
         drive: Kind of drive: "simulated", "can" for simulated drives on a CAN bus, or "world" for
             those in a physics world, which also tells contacts.
-        has_arm: Whether the robot has an arm.
     """
 
     def __init__(
@@ -109,10 +106,7 @@ class Driver:
         self._last_check, self.recorder.recording.stall = time.monotonic(), 0.0
 
     def wait(self, condition: Callable[[], bool], timeout: float) -> bool:
-        """Serve ROS and watch the robot until a condition holds, or for a time [s].
-
-        Returns:
-            Whether the condition held in time.
+        """Serve ROS and watch the robot until a condition holds; return whether it did in time.
 
         Raises:
             CommandError: A node stopped, or a process ended.
@@ -169,16 +163,11 @@ class Driver:
         length: float,
         on_tick: Callable[[], None] = lambda: None,
     ) -> Interval:
-        """Send a motion that reports its progress, and wait for its end.
+        """Send a motion that reports its progress; return the interval until its arrival.
 
         Args:
-            name: Name of the part, displayed with the progress.
-            send: Sends the motion.
             length: Path length, which determines the timeout [m].
             on_tick: Called every `PERIOD` while the robot is moving.
-
-        Returns:
-            The interval from sending until arrival.
 
         Raises:
             CommandError: The motion was not accepted, or did not reach its end in time.

@@ -160,8 +160,7 @@ def drive_path(driver: Driver) -> tuple[list[Interval], list[ArmMove]]:
 def drive_tool(driver: Driver, model: WholeBodyModel) -> tuple[Interval, ArmMove]:
     """Move the arm to its start angles, and the tool along the path from there.
 
-    Returns:
-        The interval in which the tool was moved, and the arm's move before it.
+    The result is the interval in which the tool was moved, and the arm's move before it.
 
     Raises:
         CommandError: The arm did not reach the start, or the path was not completed.

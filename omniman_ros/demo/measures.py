@@ -1,6 +1,5 @@
 """Intervals in which the demo measures, and the limits of its figures."""
 
-import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import Enum
@@ -14,11 +13,11 @@ from omniman_ros.core.arrays import Array
 
 @dataclass(frozen=True)
 class Interval:
-    """A named interval of ROS time, both ends included; without bounds it contains no time."""
+    """A named interval of ROS time, both ends included."""
 
-    name: str = ""  #: Name of the motion that was driven
-    start: float = math.nan  #: ROS time [s]
-    end: float = math.nan  #: ROS time [s]
+    name: str  #: Name of the motion that was driven
+    start: float  #: [s]
+    end: float  #: [s]
 
     def contains(self, times: Array) -> NDArray[np.bool_]:
         """Return which of the times (k,) lie in the interval."""

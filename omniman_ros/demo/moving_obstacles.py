@@ -35,12 +35,7 @@ class MovingObstacles:
 
     @staticmethod
     def in_front_of(robot: Triple, start: float) -> "MovingObstacles":
-        """Return the obstacles of the demo, which start in front of a robot.
-
-        Args:
-            robot: Pose of the robot in odom [m, m, rad].
-            start: ROS time [s].
-        """
+        """Return the demo's obstacles before a robot at a pose in odom, from a ROS time on [s]."""
         table = np.array(DEMO_OBSTACLES)
         rotation = se2.rotation(robot[2])[:2, :2]
         positions = table[:, :2] @ rotation + np.array(robot[:2])

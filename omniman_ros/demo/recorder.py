@@ -70,7 +70,6 @@ class Recorder:
     """Subscriptions that record the robot's topics and keep its latest state.
 
     Args:
-        node: Node that owns the subscriptions.
         contacts: Whether the robot is in a physics world, which tells contacts.
     """
 

@@ -34,7 +34,6 @@ class RobotInterface:
     """Publishers and service clients of the topics and services that command the robot.
 
     Args:
-        node: Node that owns the publishers and clients.
         drive: Kind of drive, a key of `FAULTY_NODE`.
     """
 

@@ -144,11 +144,6 @@ def test_a_demo_in_a_world_without_the_engine_says_what_to_install(own_domain, m
     assert "pip install 'mujoco-core==4.*'" in capfd.readouterr().err
 
 
-def test_drives_on_a_bus_are_refused_in_a_world(own_domain, capfd):
-    assert main(["demo", "--world", "--drive", "can"]) == 2
-    assert "not in a world" in capfd.readouterr().err
-
-
 def test_a_fault_is_reported_and_gives_exit_code_1(tmp_path, capfd):
     result = RESULT | {"faults": ["tracking RMS, mm: 7, at most 5"]}
     args = Namespace(keep=False, results=str(tmp_path))

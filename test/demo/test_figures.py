@@ -93,10 +93,6 @@ def test_the_error_is_infinite_without_a_reference_at_those_times(rows, movement
     assert figures["rms_mm"] == math.inf
 
 
-def test_an_undefined_interval_contains_no_time():
-    assert not Interval().contains(np.array([0.0, START])).any()
-
-
 def test_the_twist_error_is_that_of_the_mean_once_settled():
     phase = TwistPhase("forward", 3.0, lambda t: (0.3, 0.0, 0.0), START)
     times = np.arange(0.0, 4.0, 0.01)
