@@ -118,10 +118,11 @@ def tracking_figures(
     """Return the tracking errors in odom, each at the stamp of its odometry message.
 
     They are those of position and heading, in the intervals in which the path was driven and at
-    its end; infinite if there is no reference at those times.
+    its end; infinite if in any of them no reference was published, or no odometry.
     """
     during = reference.during(odom[:, 0], intervals)
-    if not during.any():
+    is_driven = all(interval.contains(reference.times).any() for interval in intervals)
+    if not is_driven or not during.any():
         means, maxima = ("rms_mm", "heading_rms_deg"), ("max_mm", "heading_max_deg")
         return dict.fromkeys((*means, *maxima, "final_mm", "final_heading_deg"), math.inf)
     distance, angle = reference.errors(odom[during])

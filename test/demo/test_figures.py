@@ -93,6 +93,12 @@ def test_the_error_is_infinite_without_a_reference_at_those_times(rows, movement
     assert figures["rms_mm"] == math.inf
 
 
+def test_the_error_is_infinite_if_one_movement_was_not_driven():
+    later = [row for row in reference_rows() if not MOVEMENTS[0].contains(np.array(row[0]))]
+    figures = tracking_figures(odometry_rows(), Reference(later), MOVEMENTS)
+    assert figures["rms_mm"] == math.inf
+
+
 def test_the_twist_error_is_that_of_the_mean_once_settled():
     phase = TwistPhase("forward", 3.0, lambda t: (0.3, 0.0, 0.0), START)
     times = np.arange(0.0, 4.0, 0.01)
