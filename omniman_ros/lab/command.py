@@ -7,8 +7,6 @@ from omniman_ros.console.errors import CommandError
 from omniman_ros.extras import WORLD
 from omniman_ros.lab.registry import BENCHMARKS, EXPERIMENTS
 
-ARM_ROBOT = "omniman"  # of `scenes --arm`
-
 
 def run(args: argparse.Namespace) -> int:
     """Run a benchmark or an experiment.
@@ -20,10 +18,9 @@ def run(args: argparse.Namespace) -> int:
     study = (BENCHMARKS if args.command == "bench" else EXPERIMENTS)[args.name]
     if getattr(args, "seed", 0) < 0:
         raise CommandError(f"--seed must be 0 or more, got {args.seed}", code=2)
-    has_arm = getattr(args, "arm", False)
-    if (getattr(args, "world", None) or has_arm) and not WORLD.is_available:
+    if getattr(args, "world", None) and not WORLD.is_available:
         raise CommandError(WORLD.hint)
     if study.robot is not None:
-        args.robot = args.robot or (ARM_ROBOT if has_arm else study.robot)
+        args.robot = args.robot or study.robot
     code: int = importlib.import_module(f"omniman_ros.lab.{study.module}").run(args)
     return code

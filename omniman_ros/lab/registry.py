@@ -220,12 +220,6 @@ EXPERIMENTS = {
             option("--seeds", metavar="A:B", help="seeds A to B - 1, or a single seed"),
             JOBS,
             option(
-                "--arm",
-                action="store_true",
-                help="with the arm in random postures among obstacles of all heights, judged in "
-                "three dimensions; default robot: omniman",
-            ),
-            option(
                 "--solve-time",
                 type=float,
                 metavar="SECONDS",

@@ -79,14 +79,14 @@ def test_negative_seed_is_a_usage_error(capsys):
     assert "--seed" in capsys.readouterr().err
 
 
-def test_each_experiment_has_its_robot_and_scenes_with_the_arm_another(monkeypatch):
+def test_each_experiment_has_its_robot(monkeypatch):
     asked = []
     stub = type("module", (), {"run": staticmethod(lambda args: asked.append(args.robot) or 0)})
     monkeypatch.setattr(command.importlib, "import_module", lambda name: stub)
     monkeypatch.setattr(type(WORLD), "is_available", property(lambda extra: True))
-    for words in (["coupling"], ["free", "--robot", "mine.yaml"], ["scenes"], ["scenes", "--arm"]):
+    for words in (["coupling"], ["free", "--robot", "mine.yaml"], ["scenes"]):
         assert command.run(make_parser().parse_args(["reproduce", *words])) == 0
-    assert asked == ["omniman", "mine.yaml", "ig42", "omniman"]
+    assert asked == ["omniman", "mine.yaml", "ig42"]
 
 
 def test_without_the_engine_the_world_is_refused_with_the_way_to_get_it(monkeypatch, capsys):

@@ -24,10 +24,6 @@ BENCHMARKS = (
 FEW = {"clutter": ["--worlds", "2"], "crowd": ["--worlds", "1"]}
 IN_WORLD = ("tracker", "clutter", "crowd", "world")
 EXPERIMENTS = ("coupling", "odometry", "tool_path", "free", "handover", "workshop")
-SMALL = {
-    "scenes": ["--count", "2", "--jobs", "1", "--solve-time", "0.01"],
-    "scenes --arm": ["--count", "1", "--jobs", "1", "--solve-time", "0.01"],
-}
 
 
 def written(capfd, folder, name):
@@ -62,10 +58,7 @@ def test_an_experiment_runs_in_the_physics_world(name, tmp_path, capfd):
     assert written(capfd, tmp_path, f"reproduce_{name}_rollers")["world"] == "rollers"
 
 
-@pytest.mark.parametrize("words", SMALL)
-def test_random_scenes_are_driven(words, tmp_path, capfd):
-    if "--arm" in words:
-        pytest.importorskip("mujoco")
-    assert main(["reproduce", *words.split(), *SMALL[words], "--results", str(tmp_path)]) == 0
-    name = "reproduce_arm_scenes" if "--arm" in words else "reproduce_scenes"
-    assert written(capfd, tmp_path, name)["failed"] == []
+def test_random_scenes_are_driven(tmp_path, capfd):
+    words = ["--count", "2", "--jobs", "1", "--solve-time", "0.01", "--results", str(tmp_path)]
+    assert main(["reproduce", "scenes", *words]) == 0
+    assert written(capfd, tmp_path, "reproduce_scenes")["failed"] == []

@@ -3,7 +3,9 @@
 `omniman bench faults` plays the rows against the running robot, and the documentation shows them.
 """
 
+from dataclasses import dataclass
 from signal import SIGKILL, SIGSTOP
+from typing import Any
 
 from omniman_ros.lab.faults.injections import (
     ARM,
@@ -15,6 +17,7 @@ from omniman_ros.lab.faults.injections import (
     STREAMER,
     STREAMING_PROCESS,
     EmergencyStop,
+    Injection,
     InvalidContent,
     Publication,
     Restart,
@@ -27,13 +30,80 @@ from omniman_ros.lab.faults.injections import (
 from omniman_ros.lab.faults.rows import GoingOn, Motion, Outcome, Row, Subject
 
 FRONT_LEFT = ("front_left",)  # wheel whose drive fails
-MISSED_REPORTS = (0.06, "can.missed_periods")
-"""Time for which reports of a drive are missing until it counts as lost [s], and what sets it."""
-LOST_SOURCE = 0.1
-"""Longest permitted time from the evidence that a source is lost until the robot brakes [s]."""
+LOST_SOURCE = 0.1  # longest time from the evidence of a lost source until the robot brakes [s]
 
 
-def _twist_row(name: str, fault: str, injection: TwistFault) -> Row:
+@dataclass(frozen=True)
+class Timeout:
+    """A time-out by which a fault becomes evident."""
+
+    unnoticed: float  # [s]
+    timeout: str  # what sets it, mostly a parameter
+
+
+AT_ONCE = Timeout(0.0, "")
+CMD_VEL = Timeout(0.5, "timeouts.cmd_vel")
+HORIZON = Timeout(0.4, "horizon")
+ODOM_PAUSE = Timeout(0.1, "odom_pause")
+WHEEL_STATES = Timeout(0.2, "timeouts.wheel_states")
+ARM_STATES = Timeout(0.2, "joint_trajectory.states_timeout")
+ARM_FEEDBACK = Timeout(0.1, "ur.feedback_timeout")
+MOTION_LIMIT = Timeout(0.2, "collision_monitor.timeout")
+MISSED_REPORTS = Timeout(0.06, "can.missed_periods")
+
+
+def _latched(
+    name: str,
+    subject: Subject,
+    fault: str,
+    injection: Injection,
+    stopped: tuple[str, ...],
+    late: Timeout = AT_ONCE,
+    going_on: GoingOn = GoingOn.RESET,
+    **more: Any,
+) -> Row:
+    """Return the row of a fault that stops a trajectory of platform and arm until a reset."""
+    return Row(
+        name,
+        subject,
+        fault,
+        injection,
+        Outcome.LATCHED,
+        going_on,
+        Motion.TRAJECTORY,
+        late.unnoticed,
+        late.timeout,
+        stopped=stopped,
+        **more,
+    )
+
+
+def _process(
+    name: str,
+    fault: str,
+    injection: Injection,
+    late: Timeout,
+    going_on: GoingOn,
+    outcome: Outcome = Outcome.ENDED,
+    **more: Any,
+) -> Row:
+    """Return the row of a process whose end or pause stops the motion, without a reset."""
+    motion = Motion.TRAJECTORY if outcome is Outcome.ENDED else Motion.TWIST
+    return Row(
+        name,
+        Subject.PROCESS,
+        fault,
+        injection,
+        outcome,
+        going_on,
+        motion,
+        late.unnoticed,
+        late.timeout,
+        **more,
+    )
+
+
+def _twist(name: str, fault: str, injection: TwistFault) -> Row:
     """Return the row of a source of twists that is lost."""
     return Row(
         name,
@@ -42,9 +112,10 @@ def _twist_row(name: str, fault: str, injection: TwistFault) -> Row:
         injection,
         Outcome.PAUSED,
         GoingOn.COMMAND,
-        unnoticed=0.5,
-        timeout="timeouts.cmd_vel",
-        reaction=LOST_SOURCE,
+        Motion.TWIST,
+        CMD_VEL.unnoticed,
+        CMD_VEL.timeout,
+        LOST_SOURCE,
         arm=False,
         source="none",
     )
@@ -54,60 +125,30 @@ def _harmless(
     name: str,
     subject: Subject,
     fault: str,
-    injection: TwistFault | Publication,
+    injection: Injection,
     outcome: Outcome = Outcome.UNHARMED,
 ) -> Row:
     """Return the row of a fault that must not stop the robot."""
-    return Row(
-        name,
-        subject,
-        fault,
-        injection,
-        outcome,
-        GoingOn.NOTHING,
-        platform=False,
-        arm=False,
-    )
+    nothing = GoingOn.NOTHING
+    return Row(name, subject, fault, injection, outcome, nothing, platform=False, arm=False)
 
 
-def _drive_row(
-    name: str, fault: str, parameter: str, unnoticed: float = 0.0, timeout: str = ""
-) -> Row:
+def _drive(name: str, fault: str, parameter: str, late: Timeout = AT_ONCE) -> Row:
     """Return the row of a drive that fails."""
-    return Row(
-        name,
-        Subject.DRIVE,
-        fault,
-        Setting(DRIVES, f"can_faults.{parameter}", FRONT_LEFT, ()),
-        Outcome.LATCHED,
-        GoingOn.RESET,
-        motion=Motion.TRAJECTORY,
-        unnoticed=unnoticed,
-        timeout=timeout,
-        stopped=(BRIDGE,),
-    )
+    injection = Setting(DRIVES, f"can_faults.{parameter}", FRONT_LEFT, ())
+    return _latched(name, Subject.DRIVE, fault, injection, (BRIDGE,), late)
 
 
-def _arm_row(name: str, fault: str, parameter: str, unnoticed: float = 0.0) -> Row:
+def _arm(name: str, fault: str, parameter: str, late: Timeout = AT_ONCE, **more: Any) -> Row:
     """Return the row of a fault of the arm's controller or of the connection to it."""
-    return Row(
-        name,
-        Subject.ARM,
-        fault,
-        Setting(ARM, f"faults.{parameter}", True, False),
-        Outcome.LATCHED,
-        GoingOn.RESET,
-        motion=Motion.TRAJECTORY,
-        unnoticed=unnoticed,
-        timeout="ur.feedback_timeout" if unnoticed else "",
-        stopped=(STREAMER,),
-    )
+    injection = Setting(ARM, f"faults.{parameter}", True, False)
+    return _latched(name, Subject.ARM, fault, injection, (STREAMER,), late, **more)
 
 
 ROWS = (
-    _twist_row("cmd_vel silent", "The publisher of `cmd_vel` falls silent.", TwistFault.SILENT),
-    _twist_row("cmd_vel NaN", "`cmd_vel` is NaN from now on.", TwistFault.NAN),
-    _twist_row("cmd_vel infinite", "`cmd_vel` is infinite from now on.", TwistFault.INFINITE),
+    _twist("cmd_vel silent", "The publisher of `cmd_vel` falls silent.", TwistFault.SILENT),
+    _twist("cmd_vel NaN", "`cmd_vel` is NaN from now on.", TwistFault.NAN),
+    _twist("cmd_vel infinite", "`cmd_vel` is infinite from now on.", TwistFault.INFINITE),
     _harmless(
         "cmd_vel jump",
         Subject.SOURCE,
@@ -125,229 +166,174 @@ ROWS = (
     _harmless(
         "cmd_vel flood", Subject.SOURCE, "`cmd_vel` comes 1000 times a second.", TwistFault.FLOOD
     ),
-    Row(
+    _process(
         "interpolator killed",
-        Subject.PROCESS,
         "`path_interpolator` is killed.",
         Signal(INTERPOLATOR, SIGKILL),
-        Outcome.ENDED,
+        HORIZON,
         GoingOn.RESTART,
-        motion=Motion.TRAJECTORY,
         reaction=LOST_SOURCE,
-        unnoticed=0.4,
-        timeout="horizon",
         source="none",
     ),
-    Row(
+    _process(
         "interpolator suspended",
-        Subject.PROCESS,
         "`path_interpolator` is suspended for 1 s, and goes on.",
         Signal(INTERPOLATOR, SIGSTOP, resume=1.0),
-        Outcome.ENDED,
+        HORIZON,
         GoingOn.COMMAND,
-        motion=Motion.TRAJECTORY,
         reaction=LOST_SOURCE,
-        unnoticed=0.4,
-        timeout="horizon",
         source="none",
     ),
-    Row(
+    _process(
         "controller killed",
-        Subject.PROCESS,
         "`platform_controller` is killed.",
         Signal(CONTROLLER, SIGKILL),
-        Outcome.ENDED,
+        ODOM_PAUSE,
         GoingOn.RESTART,
-        motion=Motion.TRAJECTORY,
-        unnoticed=0.1,
-        timeout="odom_pause",
         slowly=1.6,
     ),
-    Row(
+    _process(
         "controller suspended",
-        Subject.PROCESS,
         "`platform_controller` is suspended, and goes on after the judgement.",
         Signal(CONTROLLER, SIGSTOP),
-        Outcome.ENDED,
+        ODOM_PAUSE,
         GoingOn.COMMAND,
-        motion=Motion.TRAJECTORY,
-        unnoticed=0.1,
-        timeout="odom_pause",
         slowly=1.6,
     ),
-    Row(
+    _process(
         "controller restarted",
-        Subject.PROCESS,
         "`platform_controller` is killed in motion, and started again at once.",
         Restart(CONTROLLER),
-        Outcome.ENDED,
+        ODOM_PAUSE,
         GoingOn.COMMAND,
-        motion=Motion.TRAJECTORY,
-        unnoticed=0.1,
-        timeout="odom_pause",
         slowly=1.6,
     ),
-    Row(
+    _latched(
         "bridge killed",
         Subject.PROCESS,
         "`can_bridge` is killed.",
         Signal(BRIDGE, SIGKILL),
-        Outcome.LATCHED,
+        (CONTROLLER,),
+        WHEEL_STATES,
         GoingOn.RESTART,
-        motion=Motion.TRAJECTORY,
-        unnoticed=0.2,
-        timeout="timeouts.wheel_states",
-        stopped=(CONTROLLER,),
     ),
-    Row(
+    _latched(
         "bridge suspended",
         Subject.PROCESS,
         "`can_bridge` is suspended, and goes on after the judgement.",
         Signal(BRIDGE, SIGSTOP),
-        Outcome.LATCHED,
-        GoingOn.RESET,
-        motion=Motion.TRAJECTORY,
-        unnoticed=0.2,
-        timeout="timeouts.wheel_states",
-        stopped=(CONTROLLER,),
+        (CONTROLLER,),
+        WHEEL_STATES,
     ),
-    Row(
+    _harmless(
         "bridge twice",
         Subject.PROCESS,
         "A second `can_bridge` is started on the same bus: it leaves the drives alone.",
         Second(BRIDGE),
-        Outcome.UNHARMED,
-        GoingOn.NOTHING,
-        platform=False,
-        arm=False,
     ),
-    Row(
+    _process(
         "streamer killed",
-        Subject.PROCESS,
         "`arm_streamer` is killed.",
         Signal(STREAMER, SIGKILL),
-        Outcome.ENDED,
+        ARM_STATES,
         GoingOn.RESTART,
-        motion=Motion.TRAJECTORY,
-        unnoticed=0.2,
-        timeout="joint_trajectory.states_timeout",
         slowly=1.5,
     ),
-    Row(
+    _latched(
         "streaming process killed",
         Subject.PROCESS,
         "The streaming process of `arm_streamer` is killed.",
         Signal(STREAMING_PROCESS, SIGKILL),
-        Outcome.LATCHED,
-        GoingOn.RESET,
-        motion=Motion.TRAJECTORY,
-        stopped=(STREAMER,),
+        (STREAMER,),
     ),
-    Row(
+    _latched(
         "streaming process suspended",
         Subject.PROCESS,
         "The streaming process of `arm_streamer` is suspended, and goes on after the judgement.",
         Signal(STREAMING_PROCESS, SIGSTOP),
-        Outcome.LATCHED,
-        GoingOn.RESET,
-        motion=Motion.TRAJECTORY,
-        unnoticed=0.5,
-        timeout="the streamer waits for its process",
-        stopped=(STREAMER,),
+        (STREAMER,),
+        Timeout(0.5, "the streamer waits for its process"),
     ),
-    Row(
+    _latched(
         "arm controller killed",
         Subject.ARM,
         "The arm's controller is gone.",
         Signal(ARM, SIGKILL),
-        Outcome.LATCHED,
-        GoingOn.RESTART,
-        motion=Motion.TRAJECTORY,
-        stopped=(STREAMER,),
+        (STREAMER,),
+        going_on=GoingOn.RESTART,
         arm=False,
     ),
-    _arm_row(
+    _arm(
         "arm protective stop", "The arm's controller makes a protective stop.", "protective_stop"
     ),
-    Row(
+    _latched(
         "arm emergency stop",
         Subject.ARM,
         "The emergency stop of the arm's pendant is pressed.",
         Setting(ARM, "faults.emergency_stop", True, False, ("power on", "brake release")),
-        Outcome.LATCHED,
-        GoingOn.PENDANT,
-        motion=Motion.TRAJECTORY,
-        stopped=(STREAMER,),
+        (STREAMER,),
+        going_on=GoingOn.PENDANT,
     ),
-    _arm_row("arm program paused", "The program is paused at the pendant.", "pause_program"),
-    _arm_row(
-        "arm data frozen", "The controller's data stop; the connections stay.", "freeze_rtde", 0.1
+    _arm("arm program paused", "The program is paused at the pendant.", "pause_program"),
+    _arm(
+        "arm data frozen",
+        "The controller's data stop; the connections stay.",
+        "freeze_rtde",
+        ARM_FEEDBACK,
     ),
-    Row(
+    _arm(
         "arm frozen",
-        Subject.ARM,
         "The controller does nothing, and its connections stay. What it has received and not read "
         "is driven when it goes on: 0.1 s of the motion.",
-        Setting(ARM, "faults.freeze_all", True, False),
-        Outcome.LATCHED,
-        GoingOn.RESET,
-        motion=Motion.TRAJECTORY,
-        unnoticed=0.1,
-        timeout="ur.feedback_timeout",
+        "freeze_all",
+        ARM_FEEDBACK,
         leftover=0.1,
-        stopped=(STREAMER,),
     ),
-    _arm_row(
+    _arm(
         "arm connections reset",
         "All connections to the controller are reset.",
         "reset_connections",
     ),
-    _drive_row("drive fault", "A drive has an error (EMCY).", "fault"),
-    _drive_row("drive silent", "A drive sends nothing.", "silent", *MISSED_REPORTS),
-    _drive_row("drive restarts", "A drive restarts in motion.", "reboot", *MISSED_REPORTS),
-    _drive_row("drive deaf", "A drive receives nothing.", "deaf", 0.1, "can.heartbeat_timeout"),
-    _drive_row(
+    _drive("drive fault", "A drive has an error (EMCY).", "fault"),
+    _drive("drive silent", "A drive sends nothing.", "silent", MISSED_REPORTS),
+    _drive("drive restarts", "A drive restarts in motion.", "reboot", MISSED_REPORTS),
+    _drive(
+        "drive deaf", "A drive receives nothing.", "deaf", Timeout(0.1, "can.heartbeat_timeout")
+    ),
+    _drive(
         "drive reports frozen",
         "A drive's reports stop; its heartbeat goes on.",
         "frozen_reports",
-        *MISSED_REPORTS,
+        MISSED_REPORTS,
     ),
-    _drive_row(
+    _drive(
         "drive heartbeat lost",
         "A drive's heartbeat stops; its reports go on.",
         "no_heartbeat",
-        0.09,
-        "can.drive_heartbeat",
+        Timeout(0.09, "can.drive_heartbeat"),
     ),
-    _drive_row(
+    _drive(
         "drive reports short",
         "A drive's reports lack their last byte.",
         "short_reports",
-        *MISSED_REPORTS,
+        MISSED_REPORTS,
     ),
-    Row(
+    _latched(
         "encoder frozen",
         Subject.SENSOR,
         "A drive reports an unchanging position and velocity; the robot speeds up meanwhile, "
         "within its limits.",
         Setting(DRIVES, "can_faults.frozen_encoder", FRONT_LEFT, ()),
-        Outcome.LATCHED,
-        GoingOn.RESET,
-        motion=Motion.TRAJECTORY,
-        unnoticed=0.07,
-        timeout="0.2 rad of the wheel, and a report",
+        (BRIDGE,),
+        Timeout(0.07, "0.2 rad of the wheel, and a report"),
         slowly=0.2,
-        stopped=(BRIDGE,),
     ),
-    Row(
+    _latched(
         "supply fails",
         Subject.DRIVE,
         "The supply voltage of all drives fails.",
         Setting(DRIVES, "can_faults.supply", 5.0, 0.0),
-        Outcome.LATCHED,
-        GoingOn.RESET,
-        motion=Motion.TRAJECTORY,
-        stopped=(BRIDGE,),
+        (BRIDGE,),
     ),
     *(
         _harmless(
@@ -370,57 +356,44 @@ ROWS = (
             ("motion_limit", InvalidContent.NAN),
         )
     ),
-    Row(
+    _process(
         "monitor killed",
-        Subject.PROCESS,
         "`collision_monitor` is killed.",
         Signal(MONITOR, SIGKILL),
-        Outcome.PAUSED,
+        MOTION_LIMIT,
         GoingOn.RESTART,
-        unnoticed=0.2,
-        timeout="collision_monitor.timeout",
+        Outcome.PAUSED,
     ),
-    Row(
+    _process(
         "monitor suspended",
-        Subject.PROCESS,
         "`collision_monitor` is suspended, and goes on after the judgement.",
         Signal(MONITOR, SIGSTOP),
-        Outcome.PAUSED,
+        MOTION_LIMIT,
         GoingOn.NOTHING,
-        unnoticed=0.2,
-        timeout="collision_monitor.timeout",
+        Outcome.PAUSED,
     ),
-    Row(
+    _latched(
         "emergency stop",
         Subject.PERSON,
         "The emergency stop is pressed.",
         EmergencyStop(),
-        Outcome.LATCHED,
-        GoingOn.RESET,
-        motion=Motion.TRAJECTORY,
-        stopped=(CONTROLLER, BRIDGE, STREAMER),
+        (CONTROLLER, BRIDGE, STREAMER),
     ),
-    Row(
+    _latched(
         "emergency stop contradicted",
         Subject.PERSON,
         "The emergency stop is pressed, and another publisher sends false all the while: no reset "
         "is granted before the first one is released.",
         EmergencyStop(others_release=True),
-        Outcome.LATCHED,
-        GoingOn.RESET,
-        motion=Motion.TRAJECTORY,
-        stopped=(CONTROLLER, BRIDGE, STREAMER),
+        (CONTROLLER, BRIDGE, STREAMER),
     ),
     *(
-        Row(
+        _latched(
             f"stop of {node}",
             Subject.PERSON,
             f"`~/stop` of `{node}` is called.",
             ServiceStop(node),
-            Outcome.LATCHED,
-            GoingOn.RESET,
-            motion=Motion.TRAJECTORY,
-            stopped=(node,),
+            (node,),
         )
         for node in (CONTROLLER, BRIDGE, STREAMER)
     ),

@@ -9,23 +9,20 @@ paper's.
 
 import argparse
 import os
-import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
-from pathlib import Path
 from statistics import fmean
 from typing import Any
 
 import numpy as np
 
-from omniman_ros.console.progress import Progress
-from omniman_ros.console.terminal import table
 from omniman_ros.control.kinematics import PlatformKinematics
 from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
-from omniman_ros.lab.reproduce.pipeline import collect, in_parallel, publish, result_name
+from omniman_ros.lab.reproduce.pipeline import Cell, Experiment, columns, in_parallel
+from omniman_ros.lab.studies.calibration import measure_roller_lag
 from omniman_ros.lab.studies.coupling import (
     GROUPS,
     LAG_CONTROLLER,
@@ -38,7 +35,6 @@ from omniman_ros.lab.studies.coupling import (
     draw_mismatch,
     drive,
 )
-from omniman_ros.lab.studies.roller_lag import measure_roller_lag
 from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.lab.verdicts import verdict
 from omniman_ros.motion.figure7 import Figure7
@@ -113,46 +109,43 @@ def run(args: argparse.Namespace) -> int:
     extent = QUICK if args.quick else FULL if args.full else STANDARD
     robot = load_robot(args.robot)
     own_gain = build(PlatformParameters, robot).coupling.k_epsilon
-    started = time.monotonic()
-    progress = Progress()
-    setup, where = Setup(robot, extent.figure), ""
+    setup = Setup(robot, extent.figure)
+    selected = cases(extent, robot, own_gain, args.seed, in_world=bool(args.world))
+    experiment = Experiment(
+        args,
+        f"Coupling control along the path of CCTA 2017, Fig. 7: {len(selected)} drives of "
+        f"{extent.figure.duration:.0f} s each",
+    )
     if args.world:
         world = WorldChoice.of(robot, args.world)
-        lag = measure_roller_lag(robot, world, extent.rotation)
-        setup = Setup(robot, extent.figure, world, lag)
-        where = f", in the physics world on wheels '{args.world}'"
-    selected = cases(extent, robot, own_gain, args.seed, in_world=bool(args.world))
-    progress.headline(
-        f"Coupling control along the path of CCTA 2017, Fig. 7{where}: {len(selected)} drives of "
-        f"{extent.figure.duration:.0f} s each, robot '{args.robot}'"
-    )
+        setup = replace(
+            setup, world=world, roller_lag=measure_roller_lag(robot, world, extent.rotation)
+        )
     driven = in_parallel(partial(drive, setup), selected, os.cpu_count() or 1)
-    runs = collect(progress, "drives", driven, len(selected), "drives")
+    runs = experiment.collect(driven, len(selected))
     rows = summary(runs)
     result: dict[str, Any] = {
-        "robot": args.robot,
-        "world": args.world,
-        "quick": args.quick,
         "full": args.full,
-        "seed": args.seed,
         "chosen_gain": own_gain,
         "samples": extent.samples,
         "spread": MISMATCH_SPREAD,
         "table": rows,
     }
-    stem = result_name("coupling", args.world)
     if args.world:
         result["roller_lag_s"] = setup.roller_lag
         result["aims"] = [
             world_aim(rows, mode, form) for mode in extent.in_world for form in MEASURES
         ]
-        publish(stem, result, report_world, started, args.results)
+        experiment.publish(result, report_world)
         return 0
     reached = remaining_ratio(rows, own_gain)
     result["paper_gain"], result["printed_gain"] = PAPER_GAIN, printed_gain(robot)
     result["aim"] = {"ratio": AIM, "reached": reached, "met": reached <= AIM}
-    result["picture"] = draw(build(Robot, robot), extent, runs, result, Path(args.results, stem))
-    publish(stem, result, report, started, args.results)
+    body = build(Robot, robot)
+    result["picture"] = experiment.picture(
+        lambda f, path: f.draw_coupling(body, extent.figure, runs, result, path)
+    )
+    experiment.publish(result, report)
     return 0
 
 
@@ -217,19 +210,6 @@ def world_aim(rows: Sequence[Mapping[str, Any]], mode: str, form: str) -> dict[s
     }
 
 
-def draw(
-    robot: Robot, extent: Extent, runs: Sequence[Run], result: Mapping[str, Any], stem: Path
-) -> str | None:
-    """Draw the experiment as a PNG file; return its path, or None without matplotlib."""
-    try:
-        from omniman_ros.lab.figures import coupling as picture
-    except ImportError:
-        return None
-    path = stem.with_suffix(".png")
-    picture.draw(robot, extent.figure, runs, result, path)
-    return str(path)
-
-
 def _about(row: Mapping[str, Any], printed: float | None) -> str:
     """Return controller and gain of a row."""
     if row["k"] == 0.0:
@@ -242,33 +222,30 @@ def _about(row: Mapping[str, Any], printed: float | None) -> str:
 def _tables(result: Mapping[str, Any]) -> list[str]:
     """Return a table for each group; values are means over the sets of wheels."""
     lines = []
-    header: tuple[str, ...] = ("k [1/s]", "max |eps|", "less lag", "ratio to off", "less lag")
-    header += ("worst", "slip loss", "energy", "ratio to off", "copper", "tracking")
-    header += ("odom error: end", "max", "heading")
     for about in dict.fromkeys(row["about"] for row in result["table"]):
-        rows = [header]
-        for row in (row for row in result["table"] if row["about"] == about):
-            mean = {name: value["mean"] for name, value in row.items() if isinstance(value, dict)}
-            rows.append(
-                (
-                    _about(row, result.get("printed_gain")),
-                    f"{mean['epsilon_max']:.3f} rad",
-                    f"{mean['error_max']:.3f} rad",
-                    f"{mean['epsilon_ratio']:.3f}",
-                    f"{mean['error_ratio']:.2f}",
-                    f"{row['epsilon_ratio']['worst']:.3f}, {row['error_ratio']['worst']:.2f}",
-                    f"{mean['slip']:.2f} J",
-                    f"{mean['energy']:.0f} J",
-                    f"{mean['energy_ratio']:.3f}",
-                    f"{mean['copper']:.0f} J",
-                    f"{1e3 * mean['tracking_max']:.1f} mm",
-                    f"{1e3 * mean['odometry_end']:.1f}",
-                    f"{1e3 * mean['odometry_max']:.1f} mm",
-                    f"{1e3 * mean['heading_end']:.1f} mrad",
-                )
-            )
-        lines += ["", f"{about}, mean of {result['samples']} sets of wheels:", *table(rows)]
+        table = columns(
+            (row for row in result["table"] if row["about"] == about),
+            ("k [1/s]", lambda row: _about(row, result.get("printed_gain"))),
+            ("max |eps|", "{epsilon_max[mean]:.3f} rad"),
+            ("less lag", "{error_max[mean]:.3f} rad"),
+            ("ratio to off", "{epsilon_ratio[mean]:.3f}"),
+            ("less lag", "{error_ratio[mean]:.2f}"),
+            ("worst", "{epsilon_ratio[worst]:.3f}, {error_ratio[worst]:.2f}"),
+            ("slip loss", "{slip[mean]:.2f} J"),
+            ("energy", "{energy[mean]:.0f} J"),
+            ("ratio to off", "{energy_ratio[mean]:.3f}"),
+            ("copper", "{copper[mean]:.0f} J"),
+            ("tracking", _thousandths("tracking_max", " mm")),
+            ("odom error: end", _thousandths("odometry_end", "")),
+            ("max", _thousandths("odometry_max", " mm")),
+            ("heading", _thousandths("heading_end", " mrad")),
+        )
+        lines += ["", f"{about}, mean of {result['samples']} sets of wheels:", *table]
     return lines
+
+
+def _thousandths(key: str, unit: str) -> Cell:
+    return lambda row: f"{1e3 * row[key]['mean']:.1f}{unit}"
 
 
 def report(result: Mapping[str, Any]) -> list[str]:
@@ -281,7 +258,6 @@ def report(result: Mapping[str, Any]) -> list[str]:
         "",
         f"max |eps| at k = {result['chosen_gain']:g} in relation to that without control: "
         f"{aim['reached']:.3f}, aim at most {aim['ratio']:g}: {verdict(aim['met'])}",
-        f"Picture: {result['picture'] or 'no matplotlib'}",
     ]
 
 

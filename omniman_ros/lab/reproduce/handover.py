@@ -7,31 +7,26 @@ the physics world, the odometry of both is calibrated first, as neither sees wha
 import argparse
 import math
 import os
-import time
-from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Mapping
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from omniman_ros.console.progress import Progress
-from omniman_ros.console.terminal import table
 from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
-from omniman_ros.lab.reproduce.pipeline import collect, publish, result_name
+from omniman_ros.lab.reproduce.pipeline import Experiment, columns, in_parallel
+from omniman_ros.lab.studies.calibration import calibrate
 from omniman_ros.lab.studies.handover import (
     HANDOVER_WHEELS,
     KEPT_TIME,
+    LENGTH,
     SIDE_GAP,
     SPEED,
-    UNCALIBRATED,
     Case,
     Run,
+    drive,
 )
-from omniman_ros.lab.studies.handover_drives import LENGTH, drive
-from omniman_ros.lab.studies.odometry_calibration import calibrate
 from omniman_ros.lab.studies.tool_courses import COURSES
 from omniman_ros.lab.studies.tool_path import rms
 from omniman_ros.lab.studies.worlds import WorldChoice
@@ -49,56 +44,41 @@ def run(args: argparse.Namespace) -> int:
     Returns:
         1 if the aim is missed in a drive that has one, else 0.
     """
-    robot = load_robot(args.robot)
-    selected = cases(args.quick, args.seed)
-    started = time.monotonic()
-    progress = Progress()
-    progress.headline(
-        f"Two robots '{args.robot}' side by side at {SPEED:g} m/s, {SIDE_GAP:g} m apart: "
-        f"{len(selected)} drives"
-        + (f", in the physics world on wheels '{args.world}'" if args.world else "")
+    robot, selected = load_robot(args.robot), cases(args.quick, args.seed)
+    experiment = Experiment(
+        args, f"Robots side by side at {SPEED:g} m/s, {SIDE_GAP:g} m apart: {len(selected)} drives"
     )
     calibration = calibrate(robot, WorldChoice.of(robot, args.world)) if args.world else {}
     robot = {**robot, **calibration}
-    with ProcessPoolExecutor(min(len(selected), os.cpu_count() or 1)) as pool:
-        generator = pool.map(partial(drive, dict(robot), args.world), selected)
-        runs = collect(progress, "drives", generator, len(selected), "drives")
-    rows = [drive_row(driven) for driven in runs]
-    result: dict[str, Any] = {
-        "robot": args.robot,
-        "world": args.world,
-        "quick": args.quick,
+    driven = in_parallel(partial(drive, robot, args.world), selected, os.cpu_count() or 1)
+    runs = experiment.collect(driven, len(selected))
+    rows = [drive_row(each) for each in runs]
+    passed = all(row["kept"] for row in rows if row["is_aim"])
+    position, heading = 1e3 * POSITION_BOUND, math.degrees(HEADING_BOUND)
+    body = build(Robot, robot)
+    result = {
         "full": args.full,
-        "seed": args.seed,
         "speed_m_s": SPEED,
         "length_m": LENGTH,
         "side_gap_m": SIDE_GAP,
         "kept_s": KEPT_TIME,
         "calibration": calibration,
-        "bounds": {
-            "position_mm": 1e3 * POSITION_BOUND,
-            "heading_deg": math.degrees(HEADING_BOUND),
-        },
+        "bounds": {"position_mm": position, "heading_deg": heading},
         "drives": rows,
-        "passed": all(row["kept"] for row in rows if row["is_aim"]),
+        "passed": passed,
+        "picture": experiment.picture(
+            lambda f, path: f.draw_handover(body, runs, POSITION_BOUND, HEADING_BOUND, path)
+        ),
     }
-    name = result_name("handover", args.world)
-    picture = draw(build(Robot, robot), runs, Path(args.results) / f"{name}.png")
-    result["picture"] = picture and str(picture)
-    publish(name, result, report, started, args.results)
-    return 0 if result["passed"] else 1
+    experiment.publish(result, report)
+    return 0 if passed else 1
 
 
 def cases(quick: bool, seed: int) -> list[Case]:
     """Return the drives, those with an aim first."""
     if quick:
-        return [Case("station_keeper", "S", "PI", seed)]
-    aims = [wheels for wheels in HANDOVER_WHEELS if wheels != UNCALIBRATED]
-    return [
-        *(Case("station_keeper", course, wheels, seed) for wheels in aims for course in COURSES),
-        *(Case("station_keeper", course, UNCALIBRATED, seed) for course in COURSES),
-        *(Case("mpc_planner", course, aims[0], seed) for course in ("straight", "S")),
-    ]
+        return [Case("S", "PI", seed)]
+    return [Case(course, wheels, seed) for wheels in HANDOVER_WHEELS for course in COURSES]
 
 
 def drive_row(run: Run) -> dict[str, Any]:
@@ -118,7 +98,7 @@ def drive_row(run: Run) -> dict[str, Any]:
         and gaps.min() > 0.0
     )
     return {
-        "follower": run.case.follower,
+        "follower": "station_keeper",
         "course": run.case.course,
         "wheels": HANDOVER_WHEELS[run.case.wheels].about,
         "is_aim": run.case.is_aim,
@@ -137,57 +117,27 @@ def drive_row(run: Run) -> dict[str, Any]:
     }
 
 
-def draw(robot: Robot, runs: Sequence[Run], path: Path) -> Path | None:
-    """Draw the drives as a PNG file; return its path, or None if matplotlib is not installed."""
-    try:
-        from omniman_ros.lab.figures import handover as handover_picture
-    except ImportError:
-        return None
-    handover_picture.draw(robot, runs, POSITION_BOUND, HEADING_BOUND, path)
-    return path
-
-
 def report(result: Mapping[str, Any]) -> list[str]:
     """Return the lines of the report on the terminal."""
-    rows: list[tuple[str, ...]] = [
-        (
-            "follower, leader's path",
-            "wheels",
-            "true error RMS",
-            "max",
-            "heading max",
-            "judged from",
-            "least gap",
-            "follower's speed",
-            "energy",
-            "aim",
-        )
-    ]
-    rows += [
-        (
-            f"{row['follower']}, {row['course']}",
-            row["wheels"],
-            f"{row['rms_mm']:.1f}",
-            f"{row['max_mm']:.1f} mm",
-            f"{row['heading_max_deg']:.2f} deg",
-            f"{row['judged_from_s']:.1f} s",
-            f"{row['least_gap_m']:.2f} m",
-            f"{row['follower_m_s']:.2f} m/s",
-            f"{row['follower_j']:.0f} J",
-            verdict(row["kept"], "kept") if row["is_aim"] else "",
-        )
-        for row in result["drives"]
-    ]
     bounds = result["bounds"]
-    lines = [
+    return [
         "",
         f"Station kept for {result['kept_s']:g} s beside a leader at {result['speed_m_s']:g} m/s, "
         "by the ground truth:",
-        *table(rows),
+        *columns(
+            result["drives"],
+            ("follower, leader's path", "{follower}, {course}"),
+            ("wheels", "{wheels}"),
+            ("true error RMS", "{rms_mm:.1f}"),
+            ("max", "{max_mm:.1f} mm"),
+            ("heading max", "{heading_max_deg:.2f} deg"),
+            ("judged from", "{judged_from_s:.1f} s"),
+            ("least gap", "{least_gap_m:.2f} m"),
+            ("follower's speed", "{follower_m_s:.2f} m/s"),
+            ("energy", "{follower_j:.0f} J"),
+            ("aim", lambda row: verdict(row["kept"], "kept") if row["is_aim"] else ""),
+        ),
         "",
         f"Within {bounds['position_mm']:g} mm and {bounds['heading_deg']:g} degree: "
         f"{verdict(result['passed'], 'kept')}",
     ]
-    if result["picture"]:
-        lines.append(f"Picture: {result['picture']}")
-    return lines

@@ -1,22 +1,31 @@
-"""Steps that all experiments share: collecting results with a progress bar, and publishing."""
+"""What all experiments share: drives in several processes, the report, and the result."""
 
+import argparse
 import multiprocessing
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from types import ModuleType
 from typing import Any, TypeVar
 
 from omniman_ros.console import results
 from omniman_ros.console.progress import Progress
-from omniman_ros.console.terminal import say
+from omniman_ros.console.terminal import say, table
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+Cell = str | Callable[[Mapping[str, Any]], str]
+"""A column's cells: a format of a row's values, or a function of the row."""
 
 
-def result_name(experiment: str, wheels: str | None = None) -> str:
-    """Return the name of the results, without a suffix; `wheels` of the physics world or None."""
-    return f"reproduce_{experiment}_{wheels}" if wheels else f"reproduce_{experiment}"
+def columns(rows: Iterable[Mapping[str, Any]], *layout: tuple[str, Cell]) -> list[str]:
+    """Return the lines of a table; a column is its header and its cell."""
+    cells = [tuple(header for header, _ in layout)]
+    for row in rows:
+        each = (cell.format(**row) if isinstance(cell, str) else cell(row) for _, cell in layout)
+        cells.append(tuple(each))
+    return table(cells)
 
 
 def in_parallel(
@@ -26,38 +35,60 @@ def in_parallel(
 
     With one worker, the function runs in this process.
     """
+    workers = min(workers, len(items))
     if workers == 1:
         yield from map(function, items)
         return
     # Each worker is a new interpreter: forking a process that may have threads is not safe.
-    pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
+    spawn = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(workers, mp_context=spawn)
     try:
         yield from pool.map(function, items)
     finally:
         pool.shutdown(cancel_futures=True)
 
 
-def collect(
-    progress: Progress, part: str, items: Iterable[Item], count: int, unit: str
-) -> list[Item]:
-    """Return results that are computed one after the other, and show the progress meanwhile."""
-    collected: list[Item] = []
-    progress.begin(part)
-    for item in items:
-        collected.append(item)
-        progress.update(len(collected) / count, f"{len(collected)} of {count}")
-    progress.end(f"{len(collected)} {unit}")
-    return collected
+class Experiment:
+    """A run of `omniman reproduce`: its progress, its picture and its result."""
 
+    def __init__(self, args: argparse.Namespace, about: str) -> None:
+        self._args, self._started = args, time.monotonic()
+        self._name = f"reproduce_{args.name}" + (f"_{args.world}" if args.world else "")
+        self.progress = Progress()
+        where = f", in the physics world on wheels '{args.world}'" if args.world else ""
+        self.progress.headline(f"{about}, robot '{args.robot}'{where}")
 
-def publish(
-    name: str,
-    result: dict[str, Any],
-    report: Callable[[dict[str, Any]], list[str]],
-    started: float,
-    folder: str,
-) -> None:
-    """Add the duration `took_s` to a result, print its report, and publish it as JSON."""
-    result["took_s"] = time.monotonic() - started
-    say("\n".join(report(result)))
-    results.publish(name, result, folder)
+    def collect(
+        self, items: Iterable[Item], count: int, note: Callable[[list[Item]], str] = lambda _: ""
+    ) -> list[Item]:
+        """Return drives that are computed one after the other, and show the progress meanwhile."""
+        collected: list[Item] = []
+        self.progress.begin("drives")
+        for item in items:
+            collected.append(item)
+            text = f"{len(collected)} of {count}{note(collected)}"
+            self.progress.update(len(collected) / count, text)
+        self.progress.end(f"{len(collected)} drives{note(collected)}")
+        return collected
+
+    def picture(self, draw: Callable[[ModuleType, Path], None]) -> str | None:
+        """Draw a PNG file with `lab.figures`; return its path, or None without matplotlib."""
+        try:
+            from omniman_ros.lab import figures
+        except ImportError:
+            return None
+        path = Path(self._args.results, f"{self._name}.png")
+        draw(figures, path)
+        return str(path)
+
+    def publish(
+        self, figures: Mapping[str, Any], report: Callable[[dict[str, Any]], list[str]]
+    ) -> None:
+        """Print the report of an experiment's figures, and publish them as JSON."""
+        common = {key: getattr(self._args, key) for key in ("robot", "world", "quick", "seed")}
+        result = {**common, **figures, "took_s": time.monotonic() - self._started}
+        lines = report(result)
+        if "picture" in result:
+            lines.append(f"Picture: {result['picture'] or 'no matplotlib'}")
+        say("\n".join(lines))
+        results.publish(self._name, result, self._args.results)

@@ -7,11 +7,10 @@ answer reaches the controller only after its measured computation time, and mess
 wait until then, as in a node with a single-threaded executor.
 """
 
+import contextlib
 import math
 import os
-import re
 import time
-from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache, partial
@@ -23,10 +22,8 @@ from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Odometry
 from rclpy.parameter import Parameter
-from rclpy.serialization import serialize_message
 from rclpy.subscription import Subscription
 from rclpy.time import Time
-from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 from visualization_msgs.msg import Marker, MarkerArray
@@ -42,10 +39,8 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
-from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.lab.studies.closed_loop import PERIOD, ClosedLoop
 from omniman_ros.lab.studies.scene_generator import RandomScene, scene
-from omniman_ros.lab.studies.scene_worlds import scene_world
 from omniman_ros.lab.studies.scenes import (
     TIME_LIMIT,
     Outcome,
@@ -54,29 +49,24 @@ from omniman_ros.lab.studies.scenes import (
     judge_drive,
     true_robot,
 )
-from omniman_ros.lab.studies.worlds import place_column
+from omniman_ros.lab.studies.worlds import obstacle_name, place_obstacles, scene_world
 from omniman_ros.nodes.mpc_planner import MpcPlannerNode
 from omniman_ros.nodes.rclpy_compat import deliver
 from omniman_ros.planning.cycle import PlannerState
 from omniman_ros.robots import load_robot
 from omniman_ros.simulation.plant.parameters import SimulationParameters
-from omniman_ros.simulation.world.scene import Column
 
-EPOCH = 1000.0
-"""ROS time at which the simulation starts [s]; a stamp of zero would mean the present time."""
+EPOCH = 1000.0  # ROS time at which the simulation starts [s]; a stamp of 0 is the present time
 ODOM_EVERY = 2  # number of ticks of the plant per message on `odom`, which results in 100 Hz
-STATES_EVERY = 4  # number of ticks of the plant per message on `arm/joint_states`
 ODOM_NOISE = (0.002, 0.002, 0.002, 0.005, 0.005, 0.005)
 """Standard deviations of the pose [m, m, rad] and the twist [m/s, m/s, rad/s] on `odom`."""
 MARKER_NOISE = 0.01  # standard deviation of a marker's x and y [m]
 MARKER_PERIOD = (0.04, 0.12)  # range of the random time between two messages on `obstacles` [s]
-MARKER_DELAY = (0.005, 0.03)
-"""Range of the random delay from an observation of the obstacles to its arrival [s]."""
-GOAL_TIME = 0.25
-"""Time of the plant at which the goal is sent; a few observations have arrived by then [s]."""
+MARKER_DELAY = (0.005, 0.03)  # range of the random delay of an observation's arrival [s]
+GOAL_TIME = 0.25  # time at which the goal is sent, after a few observations [s]
+UPRIGHT = (0.0, -0.5 * math.pi, 0.0, -0.5 * math.pi, 0.0, 0.0)
+"""Posture of the arm, if the robot has one, in which it is above the platform [rad]."""
 IDLE_TIMEOUT = 1.0  # time after which a drive ends if the planner has no goal [s]
-_NUMBER = re.compile(r"-?\d+(\.\d+)?")
-"""Pattern of the numbers that are masked so that reasons differing in numbers count as one."""
 
 
 class CallbackPublisher:
@@ -123,38 +113,21 @@ def context() -> rclpy.Context:
 
 @dataclass(frozen=True)
 class SceneRunSettings:
-    """Settings of drives through random scenes.
-
-    Attributes:
-        solve_time: Time assumed for each answer of the planner [s]; None means the CPU time that
-            the answer has taken.
-        arm: Whether the arm is in a random posture, and obstacles have heights; needs the physics
-            engine.
-        calibration: Calibration of the odometry, full names to values.
-    """
+    """Settings of drives through random scenes."""
 
     robot: str = "ig42"  # name of the robot, or path of its file
     seed: int = 0  # seed of the noise, which is combined with the seed of the scene
-    solve_time: float | None = None
-    arm: bool = False
+    solve_time: float | None = None  # assumed for each answer [s]; None: the CPU time it takes
     wheels: str | None = None  # kind of wheels in the physics world; None for the plant
-    calibration: Mapping[str, float] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        if self.solve_time is not None and not 0.0 <= self.solve_time < math.inf:
-            raise InputError(f"the solve time must be 0 s or more, got {self.solve_time} s")
+    calibration: Mapping[str, float] = field(default_factory=dict)  # of odometry, names to values
 
 
 class NodeLoop:
-    """Closed loop of the planner's node, the controller and the simulation in one scene.
-
-    Attributes:
-        poses: True pose (3,) in odom at each tick [m, m, rad].
-    """
+    """Closed loop of the planner's node, the controller and the simulation in one scene."""
 
     def __init__(self, random_scene: RandomScene, settings: SceneRunSettings) -> None:
         self.scene = random_scene
-        self.loop, self._columns = _closed_loop(random_scene, settings)
+        self.loop = _closed_loop(random_scene, settings)
         self.node = CallbackPlanner(
             self._on_reference,
             context=context(),
@@ -183,11 +156,10 @@ class NodeLoop:
         self._next_observation = 0.0
         self._source = self._health = ""
         self.times: list[float] = []
-        self.poses: list[Array] = []
+        self.poses: list[Array] = []  # true poses (3,) in odom [m, m, rad]
         self.energy: list[float] = []
         self.answers: list[float] = []
         self.late = 0
-        self.rejections: Counter[str] = Counter()
         self.touched: tuple[float, int] | None = None
 
     def close(self) -> None:
@@ -237,14 +209,14 @@ class NodeLoop:
             float(np.hypot(*(odometry - self.poses[-1])[:2])),
             core.state.value,
             message if message == last else f"{message}; {last}",
-            dict(self.rejections.most_common(5)),
             self.touched,
         )
 
     def step(self) -> None:
         """Run one tick of the plant, and the callbacks of the node that are due after it."""
         self._deliver()
-        self._move_columns()
+        if self.loop.world is not None:
+            place_obstacles(self.loop.world, self.scene.obstacles, self.now)
         self.loop.step()
         self.times.append(self.now - PERIOD)
         self._receive_contacts()
@@ -252,25 +224,17 @@ class NodeLoop:
         self.energy.append(float(self.loop.drives.electrical()[:, 2].sum()))
         self._send_controller_state()
         self._send_obstacles()
-        self._send_posture()
         if self.now >= self._busy_until - 1e-9:
             self._run_callbacks()
 
     # ---- the world ----------------------------------------------------------------------------
-
-    def _move_columns(self) -> None:
-        """Put the obstacles of the world where they are when the next tick is measured."""
-        world = self.loop.world
-        if world is not None:
-            for column, obstacle in zip(self._columns, self.scene.obstacles, strict=True):
-                place_column(world, column, obstacle.place(self.now))
 
     def _receive_contacts(self) -> None:
         """Note the first contact with an obstacle in the world."""
         world = self.loop.world
         if world is None or self.touched is not None or not world.contacts:
             return
-        names = [column.name for column in self._columns]
+        names = [obstacle_name(index) for index in range(len(self.scene.obstacles))]
         met = [names.index(each.thing) for each in world.contacts if each.thing in names]
         if met:
             self.touched = self.times[-1], met[0]
@@ -307,10 +271,7 @@ class NodeLoop:
             # There is no reference if the robot is to stand still.
             has_reference = not math.isnan(self._answer_time)
             self.answers.append(self._answer_time if has_reference else duration)
-            report = self.node.core.report
-            self.late += report.lateness > 0.0
-            if report.reason:
-                self.rejections[_NUMBER.sub("#", report.reason)] += 1
+            self.late += self.node.core.report.lateness > 0.0
 
     def _elapsed(self) -> float:
         """Return the time since the start of the node's tick, measured or assumed [s]."""
@@ -340,13 +301,9 @@ class NodeLoop:
         self._outbox = [item for item in self._outbox if item[0] > self.now + 1e-9]
         message = arrived[-1]
         start = time_seconds(message.header.stamp) - EPOCH
-        try:
+        with contextlib.suppress(InputError):  # what is refused is not followed
             preview = preview_from_message(message, start, ("odom",))
-            refusal = self.loop.controller.set_preview(Source.MPC, preview, self.now)
-        except InputError as error:
-            refusal = str(error)
-        if refusal:
-            self.rejections[_NUMBER.sub("#", f"controller: {refusal}")] += 1
+            self.loop.controller.set_preview(Source.MPC, preview, self.now)
 
     def _set_clock(self, now: float) -> None:
         # The method exists on ROS clocks only; the node has one, as it uses simulated time.
@@ -385,15 +342,6 @@ class NodeLoop:
             limit_scale = KeyValue(key=LIMIT_SCALE_KEY, value=health)
             self._send("wheel_health", DiagnosticStatus(values=[limit_scale]))
 
-    def _send_posture(self) -> None:
-        """Send the joint states of the arm, serialized, as the node receives them."""
-        if not self.scene.posture or self.loop.tick % STATES_EVERY:
-            return
-        names = self.node.settings.value.arm.joints
-        message = JointState(name=names, position=self.scene.posture)
-        message.header.stamp = _stamp(self.now)
-        self._send("arm/joint_states", serialize_message(message))
-
     def _send_obstacles(self) -> None:
         """Send noisy positions of the obstacles, at random intervals and with a random delay."""
         if self.now < self._next_observation - 1e-9:
@@ -408,29 +356,26 @@ class NodeLoop:
             marker.pose.position.x, marker.pose.position.y = x, y
             marker.pose.orientation = quaternion_from_yaw(obstacle.angle)
             marker.scale.x, marker.scale.y = (2.0 * axis for axis in obstacle.semi_axes)
-            if self.scene.heights:
-                low, high = self.scene.heights[number]
-                marker.pose.position.z, marker.scale.z = 0.5 * (low + high), high - low
             message.markers.append(marker)
         self._send("obstacles", message, float(self._random.uniform(*MARKER_DELAY)))
 
 
-def _closed_loop(
-    random_scene: RandomScene, settings: SceneRunSettings
-) -> tuple[ClosedLoop, tuple[Column, ...]]:
+def _closed_loop(random_scene: RandomScene, settings: SceneRunSettings) -> ClosedLoop:
     """Return a loop with the controller of the nominal robot and the drives of the true robot."""
     values = {**load_robot(settings.robot), **settings.calibration}
     true_values, changes = true_robot(values, random_scene.mismatch)
-    world = settings.wheels and scene_world(true_values, settings.wheels, random_scene)
+    start, world = random_scene.start, None
+    if settings.wheels:
+        obstacles = random_scene.obstacles
+        world = scene_world(true_values, settings.wheels, start, obstacles, posture=UPRIGHT)
     loop = ClosedLoop(
         build(PlatformParameters, values),
         build(SimulationParameters, changes),
-        world=world or None,
+        world=world,
         robot=build(Robot, true_values),
     )
-    loop.drives.set_pose(random_scene.start)
-    loop.controller.set_pose(random_scene.start)
-    return loop, world.scene.columns if world else ()
+    loop.set_pose(start)
+    return loop
 
 
 def _overrides(robot: str, random_scene: RandomScene) -> list[Parameter]:
@@ -457,31 +402,10 @@ def _stamp(now: float) -> Any:
 
 def drive_scene(settings: SceneRunSettings, seed: int) -> Outcome:
     """Drive through the random scene of a seed, and judge the drive by the ground truth."""
-    values = load_robot(settings.robot)
-    random_scene = _draw_scene(settings, values, seed)
+    box = box_of(load_robot(settings.robot))
+    random_scene = scene(seed, box)
     loop = NodeLoop(random_scene, settings)
     try:
-        drive = loop.run()
+        return judge_drive(random_scene, loop.run(), box)
     finally:
         loop.close()
-    if settings.arm:
-        from omniman_ros.lab.studies.arm_scenes import judge_arm_drive
-
-        description = build(DescriptionParameters, values)
-        return judge_arm_drive(random_scene, drive, description)
-    return judge_drive(random_scene, drive, box_of(values))
-
-
-def _draw_scene(settings: SceneRunSettings, values: Mapping[str, Any], seed: int) -> RandomScene:
-    """Return the random scene of a seed."""
-    if not settings.arm:
-        return scene(seed, box_of(values))
-    # Imported here, as the physics engine is an extra.
-    from omniman_ros.lab.studies.arm_scenes import arm_scene
-
-    return arm_scene(seed, box_of(values), build(DescriptionParameters, values))
-
-
-def make_driver(settings: SceneRunSettings) -> Callable[[int], Outcome]:
-    """Return :func:`drive_scene` with fixed settings, in a form that can be pickled."""
-    return partial(drive_scene, settings)

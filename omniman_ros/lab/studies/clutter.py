@@ -261,5 +261,5 @@ def drive_clutter(
         touched=tuple(loop.touched),
         seconds=loop.now - since - PERIOD,
         best_time=world.best_time,
-        cycle_times=tuple(seconds for seconds in loop.trace.cycle_times if seconds > 0.0),
+        cycle_times=tuple(each.cycle_time for each in loop.cycles if each.cycle_time > 0.0),
     )

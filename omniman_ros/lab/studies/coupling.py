@@ -1,69 +1,45 @@
 """The experiment of CCTA 2017, section V.C: a drive along the path of Fig. 7, and its figures."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from omniman_ros.control.coupling_controller import CouplingController, CouplingParameters
-from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.core.arbiter import Source
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
-from omniman_ros.lab.studies.closed_loop import PERIOD, ClosedLoop, StudyError
+from omniman_ros.lab.studies.closed_loop import PERIOD, ClosedLoop
 from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.motion.figure7 import Figure7
-from omniman_ros.simulation.plant.parameters import MismatchParameters, SimulationParameters
+from omniman_ros.simulation.plant.parameters import MismatchParameters
 
-P_LOOP_INTEGRAL_TIME = 100.0
-"""Integral time of a PI loop that acts like a P loop: too long to matter in a movement of 10 s
-[s]."""
-MISMATCH_SPREAD = 0.2
-"""Largest relative error of a wheel's friction, torque constant and amplifier gain [-]."""
+MISMATCH_SPREAD = 0.2  # largest relative error of friction, torque constant and gain [-]
 SENDING_LEAD = 0.05  # time by which a movement is sent to the controller before it begins [s]
-TRACE_STRIDE = 4
-"""Number of ticks from one sample of a recorded trace to the next, which gives 50 Hz."""
+TRACE_STRIDE = 4  # ticks from one sample of a recorded trace to the next, which gives 50 Hz
 
 
 @dataclass(frozen=True)
 class Group:
-    """A group of drives with common parameters.
-
-    Attributes:
-        changes: Changed parameters of controller and simulation, full names to values.
-        radius_spread: Largest relative error of a wheel's radius, unknown to the controller [-].
-    """
+    """A group of drives with common parameters."""
 
     about: str  # description of the group in the tables
-    changes: Mapping[str, Any] = field(default_factory=dict)
-    radius_spread: float = 0.0
-    delay: float = 0.0  # additional delay of the commands to the drives [s]
+    changes: Mapping[str, Any] = field(default_factory=dict)  # parameters, full names to values
+    radius_spread: float = 0.0  # largest relative error of a radius, unknown to the controller [-]
 
 
 NO_FOLLOWING_ERROR_STOP = {"drive.following_error": 100.0}
 """Parameters that prevent a stop by the following error, as P loops of unequal wheels can lag by
 more than a healthy robot may."""
-P_LOOPS = {"firmware.integral_time": P_LOOP_INTEGRAL_TIME}
-"""Parameters that turn the velocity loops of the drives into P loops."""
-ICE = {
-    "drive.mode": "torque",
-    "plant.patch_x_min": 0.4,
-    "plant.patch_x_max": 0.7,
-    "plant.patch_y_min": 0.1,
-    "plant.patch_y_max": 2.0,
-    "plant.patch_mu": 0.02,
-}
-"""Parameters of torque mode and of a patch of ice on the path."""
+P_LOOPS = {"firmware.integral_time": 100.0}  # too long to matter in a movement of 10 s [s]
 GROUPS: Mapping[str, Group] = {
     "P": Group("P velocity loops", P_LOOPS),
     "PI": Group("PI velocity loops"),
     "torque": Group("torque mode", {"drive.mode": "torque"}),
     "radii": Group("P velocity loops, wheel radii off by up to 0.5 %", P_LOOPS, 0.005),
-    "ice": Group("torque mode, across a patch of ice", ICE),
-    "late": Group("P velocity loops, commands 50 ms late", P_LOOPS, delay=0.05),
 }
 """Groups of drives, by name."""
 OWN_CONTROLLER, PAPER_CONTROLLER, LAG_CONTROLLER = "package", "paper", "package, with lag"
@@ -122,17 +98,12 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Run:
-    """A completed drive.
-
-    Attributes:
-        epsilon: (k, m) coupling errors by CCTA 2017 (24), from the encoders: as `coupling_error`
-            publishes them without resets [rad].
-    """
+    """A completed drive."""
 
     case: Case  # the case
     outcome: Outcome  # its figures
     time: Array  # (k,) times at 50 Hz [s]
-    epsilon: Array
+    epsilon: Array  # (k, m) coupling errors by CCTA 2017 (24), never reset [rad]
 
 
 def draw_mismatch(group: str, seed: int, sample: int, wheels: int) -> MismatchParameters:
@@ -149,9 +120,15 @@ def draw_mismatch(group: str, seed: int, sample: int, wheels: int) -> MismatchPa
 
 def drive(setup: Setup, case: Case) -> Run:
     """Drive along the path once."""
-    # Without reported torques, dead wheels are not detected, so this cannot affect the experiment.
-    late = round(GROUPS[case.group].delay / PERIOD)
-    loop = ClosedLoop(*_parameters(setup, case), late, torques=False, world=setup.world)
+    values = {
+        **setup.robot,
+        **GROUPS[case.group].changes,
+        **NO_FOLLOWING_ERROR_STOP,
+        **CONTROLLERS[case.controller],
+        "coupling.k_epsilon": case.gain,
+        "coupling.roller_lag": setup.roller_lag if case.controller == LAG_CONTROLLER else 0.0,
+    }
+    loop = ClosedLoop.of_robot(values, setup.world, case.mismatch)
     core, drives = loop.controller, loop.drives
     rolling = CouplingController(
         core.cascade.kinematics, CouplingParameters(roller_lag=setup.roller_lag)
@@ -163,15 +140,9 @@ def drive(setup: Setup, case: Case) -> Run:
     tracking = 0.0
     for _ in range(ticks):
         if pending and loop.now >= pending[0].begin - SENDING_LEAD:
-            refusal = core.set_preview(Source.PATH, pending.pop(0).preview, loop.now)
-            if refusal:
-                raise StudyError(f"path/reference was refused: {refusal}")
+            loop.send(Source.PATH, pending.pop(0).preview)
         loop.step()
-        stopped = core.cancelled or core.latch.status.reason or drives.stop_reason
-        if stopped:
-            raise StudyError(
-                f"group {case.group}, sample {case.sample}, k = {case.gain:g}: {stopped}"
-            )
+        loop.check(f"group {case.group}, sample {case.sample}, k = {case.gain:g}")
         if core.arbiter.active is not None:
             tracking = max(tracking, float(np.hypot(*core.tracking_error[:2])))
         yaw_rate = float(core.odometry.twist[2])
@@ -193,17 +164,3 @@ def drive(setup: Setup, case: Case) -> Run:
     )
     time: Array = PERIOD * np.arange(ticks, dtype=np.float64)
     return Run(case, outcome, time[::TRACE_STRIDE], epsilon[::TRACE_STRIDE])
-
-
-def _parameters(setup: Setup, case: Case) -> tuple[PlatformParameters, SimulationParameters]:
-    """Return the parameters of controller and simulation for a case."""
-    values = {
-        **setup.robot,
-        **GROUPS[case.group].changes,
-        **NO_FOLLOWING_ERROR_STOP,
-        **CONTROLLERS[case.controller],
-        "coupling.k_epsilon": case.gain,
-        "coupling.roller_lag": setup.roller_lag if case.controller == LAG_CONTROLLER else 0.0,
-    }
-    simulation = build(SimulationParameters, values)
-    return build(PlatformParameters, values), replace(simulation, mismatch=case.mismatch)

@@ -14,7 +14,8 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.parameters import build
 from omniman_ros.lab.studies.closed_loop import PERIOD
-from omniman_ros.lab.studies.mpc_loop import LoopOptions, MovingObstacle, MpcLoop
+from omniman_ros.lab.studies.mpc_loop import LoopOptions, MpcLoop
+from omniman_ros.lab.studies.scene_geometry import MovingObstacle
 from omniman_ros.planning.cycle import PlannerState
 from omniman_ros.planning.goals import PoseGoal
 from omniman_ros.planning.parameters import PlannerParameters
@@ -190,7 +191,7 @@ def drive_in_crowd(
         goals + (loop.planner.state is PlannerState.ARRIVED),
         contacts[0],
         contacts[1],
-        tuple(taken for taken in loop.trace.cycle_times if taken > 0.0),
+        tuple(cycle.cycle_time for cycle in loop.cycles if cycle.cycle_time > 0.0),
     )
 
 

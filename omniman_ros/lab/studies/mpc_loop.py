@@ -1,16 +1,18 @@
 """MPC planner, controller and slipping plant in a closed loop in simulated time."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.core.arbiter import Source
 from omniman_ros.core.arrays import Array
+from omniman_ros.core.planar import Triple
 from omniman_ros.core.preview import Preview
-from omniman_ros.lab.studies.closed_loop import LATENCY, PERIOD, ClosedLoop
-from omniman_ros.lab.studies.worlds import WorldChoice, move_person
+from omniman_ros.lab.studies.closed_loop import LATENCY, PERIOD, ClosedLoop, MotionRecord
+from omniman_ros.lab.studies.scene_geometry import MovingObstacle
+from omniman_ros.lab.studies.worlds import WorldChoice, place_obstacles
 from omniman_ros.planning.cycle import CycleReport, MeasuredState, PlannerState
 from omniman_ros.planning.goals import Goal
 from omniman_ros.planning.obstacles.ellipses import Ellipses
@@ -21,106 +23,43 @@ from omniman_ros.simulation.plant.parameters import SimulationParameters
 
 PLANNER_PERIOD = 0.05  # period of the planner [s]
 OBSERVATION_PERIOD = 0.05  # period of the observations of obstacles [s]
+SOLVE_TICKS = 2  # simulated duration of planning in a cycle, in ticks
 WARM_UP_TICKS = 12
 """Number of ticks before the first goal: the planner keeps its initial motion, at rest at the
 origin, for 50 ms."""
 
 
 @dataclass(frozen=True)
-class MovingObstacle:
-    """An obstacle as it truly moves.
+class Cycle:
+    """The record of one cycle of the planner."""
 
-    Attributes:
-        place: Function from a time [s] to the position (2,) of its centre in odom [m].
-    """
-
-    semi_axes: tuple[float, float]  # semi-axes [m]
-    place: Callable[[float], Array]
-    angle: float = 0.0  # angle of its first semi-axis in odom [rad]
-
-    @property
-    def is_fixed(self) -> bool:
-        """Whether it stands still in the first second."""
-        return not np.ptp([self.place(0.0), self.place(1.0)], axis=0).any()
-
-
-@dataclass
-class Trace:
-    """The record of a planner, with a row for each of its cycles.
-
-    Attributes:
-        poses: True poses (3,) of the robot in odom [m, m, rad].
-        references: Reference poses (3,) in odom [m, m, rad].
-        obstacles: True positions (M, 2) of the obstacles in odom [m].
-        planning_times: Durations of planning on the timer of the loop [s]; 0 in cycles
-            without planning.
-    """
-
-    times: list[float] = field(default_factory=list)  # times of the cycles [s]
-    poses: list[Array] = field(default_factory=list)
-    references: list[Array] = field(default_factory=list)
-    plans: list[Array] = field(default_factory=list)  # planned poses (k, 3) in odom [m, m, rad]
-    obstacles: list[Array] = field(default_factory=list)
-    reports: list[CycleReport] = field(default_factory=list)
-    energy: list[float] = field(default_factory=list)  # electric energy consumed so far [J]
-    states: list[PlannerState] = field(default_factory=list)  # states of the planner
-    plan_times: list[Array] = field(default_factory=list)  # times (k,) of the planned poses [s]
-    known: list[Ellipses] = field(default_factory=list)  # obstacles as the planner knows them
-    planning_times: list[float] = field(default_factory=list)
-    cycle_times: list[float] = field(default_factory=list)  # the same, with the search for routes
-
-
-@dataclass
-class MotionRecord:
-    """The record of a robot's motion, with a row for each tick of the controller.
-
-    Attributes:
-        twists: Twists (3,) in base_link, from the encoders [m/s, m/s, rad/s].
-    """
-
-    times: list[float] = field(default_factory=list)  # times of the ticks [s]
-    poses: list[Array] = field(default_factory=list)  # true poses (3,) in odom [m, m, rad]
-    odometry: list[Array] = field(default_factory=list)  # poses (3,) by odometry [m, m, rad]
-    twists: list[Array] = field(default_factory=list)
-    energy: list[float] = field(default_factory=list)  # electric energy consumed so far [J]
-
-    def add(self, loop: ClosedLoop) -> None:
-        """Record the latest tick of a loop."""
-        odometry = loop.controller.odometry
-        self.times.append(loop.now - PERIOD)
-        self.poses.append(loop.truth.copy())
-        self.odometry.append(np.array(odometry.pose))
-        self.twists.append(np.array(odometry.twist))
-        self.energy.append(float(loop.drives.electrical()[:, 2].sum()))
+    time: float  # [s]
+    pose: Array  # true pose (3,) of the robot in odom [m, m, rad]
+    reference: Array  # reference pose (3,) in odom [m, m, rad]
+    plan_times: Array  # times (k,) of the planned poses [s]
+    plan: Array  # planned poses (k, 3) in odom [m, m, rad]
+    known: Ellipses  # obstacles as the planner knows them
+    report: CycleReport
+    state: PlannerState
+    planning_time: float  # duration of planning on the timer of the loop [s]; 0 without planning
+    cycle_time: float  # the same, with the search for routes [s]
 
 
 @dataclass(frozen=True)
 class LoopOptions:
-    """The conditions of a drive.
+    """The conditions of a drive."""
 
-    Attributes:
-        voltages: Whether the planner's motor voltages are applied, instead of its reference being
-            followed.
-        solve_time: Simulated duration of planning in a cycle, a multiple of the tick of 5 ms [s].
-        timer: Function that returns a time [s], by which the duration of planning is measured;
-            None if it is not measured.
-        world: World in which the robot drives; None for the plant. Its persons are the moving
-            obstacles, in their order.
-        observe: Function that tells planner and set of obstacles what is seen, called in each
-            cycle; None if the obstacles are observed themselves.
-        on_tick: Function that is called after each tick of the controller, or None.
-    """
-
-    start: Sequence[float] = (0.0, 0.0, 0.0)  # (3,) pose at the start in odom [m, m, rad]
+    start: Triple = (0.0, 0.0, 0.0)  # pose at the start in odom [m, m, rad]
     obstacles: Sequence[MovingObstacle] = ()  # obstacles as they truly move
-    voltages: bool = False
-    solve_time: float = 0.01
+    voltages: bool = False  # whether the planner's motor voltages are applied, not its reference
     noise: float = 0.0  # standard deviation of the observed positions of obstacles [m]
     seed: int = 0  # seed of the noise
-    timer: Callable[[], float] | None = None
-    world: WorldChoice | None = None
+    timer: Callable[[], float] = lambda: 0.0  # time by which planning is measured [s]
+    world: WorldChoice | None = None  # world in which the robot drives; None for the plant
     observe: Callable[["MpcLoop"], None] | None = None
-    on_tick: Callable[["MpcLoop"], None] | None = None
+    """Function that tells planner and set of obstacles what is seen, called in each cycle; None if
+    the obstacles are observed themselves."""
+    on_tick: Callable[["MpcLoop"], None] | None = None  # called after each tick of the controller
 
 
 class MpcLoop:
@@ -131,28 +70,18 @@ class MpcLoop:
         planner: PlannerParameters,
         platform: PlatformParameters,
         simulation: SimulationParameters,
-        options: LoopOptions | None = None,
+        options: LoopOptions,
     ) -> None:
-        options = options or LoopOptions()
+        self.options = options
         self.loop = ClosedLoop(platform, simulation, world=options.world)
-        x, y, theta = map(float, options.start)
-        self.loop.drives.set_pose((x, y, theta))
-        self.loop.controller.set_pose((x, y, theta))
+        self.loop.set_pose(options.start)
         for _ in range(WARM_UP_TICKS):
             self.loop.step()
         self.planner = Planner(planner, anchored=not options.voltages)
         self.observed = ObstacleSet(planner.obstacles)
-        self.obstacles = list(options.obstacles)
         self.touched: list[str] = []
-        persons = options.world.scene.persons if options.world else ()
-        moving = [obstacle for obstacle in self.obstacles if not obstacle.is_fixed]
-        self._persons = list(zip(persons, moving, strict=True)) if options.world else []
-        self.trace, self.motion_record = Trace(), MotionRecord()
-        self._timer = options.timer or (lambda: 0.0)
-        self._planning_time = self._cycle_time = 0.0
-        self._observe_by, self._on_tick = options.observe, options.on_tick
-        self._voltages, self._noise = options.voltages, options.noise
-        self._solve_ticks = round(options.solve_time / PERIOD)
+        self.cycles: list[Cycle] = []
+        self.motion_record = MotionRecord()
         self._random = np.random.default_rng(options.seed)
         self._last_observation = -np.inf
 
@@ -173,67 +102,58 @@ class MpcLoop:
         self._observe()
         self.planner.drive(goal, self.measured(), self.observed.ellipses(self.now))
 
-    def run(self, seconds: float, until: Callable[[], bool] | None = None) -> None:
+    def run(self, seconds: float, until: Callable[[], bool] = lambda: False) -> None:
         """Run cycles for a time, or until a condition holds."""
         end = self.now + seconds
         while self.now < end - 1e-9:
             self.cycle()
-            if self.planner.state is PlannerState.ARRIVED and until is None:
-                return
-            if until is not None and until():
+            if until():
                 return
 
     def cycle(self) -> None:
         """Run one cycle of the planner, and the ticks of the controller until the next cycle."""
         self._observe()
-        now, planner = self.now, self.planner
+        now, planner, timer = self.now, self.planner, self.options.timer
         ticks = round(PLANNER_PERIOD / PERIOD)
-        self._planning_time = self._cycle_time = 0.0
+        planning_time = cycle_time = 0.0
         if planner.active:
-            begin = self._timer()
+            begin = timer()
             proposal = planner.propose(now, self.measured(), self.observed.ellipses(now))
-            self._planning_time = self._timer() - begin
-            for _ in range(self._solve_ticks):
+            planning_time = timer() - begin
+            for _ in range(SOLVE_TICKS):
                 self._step()
-            begin = self._timer()
+            begin = timer()
             planner.take(proposal, self.now, self.measured(), self.observed.ellipses(self.now))
-            self._planning_time += self._timer() - begin
-            begin = self._timer()
+            planning_time += timer() - begin
+            begin = timer()
             planner.update_route(self.now, self.observed.ellipses(self.now))
-            self._cycle_time = self._planning_time + self._timer() - begin
-            ticks -= self._solve_ticks
+            cycle_time = planning_time + timer() - begin
+            ticks -= SOLVE_TICKS
             self._publish()
-        self._record()
+        self._record(planning_time, cycle_time)
         for _ in range(ticks):
             self._step()
 
     def _step(self) -> None:
         """Run one tick of controller and plant, and record it."""
-        if self._voltages and self.loop.tick % 2 == 0:
+        world = self.loop.world
+        if self.options.voltages and self.loop.tick % 2 == 0:
             self._apply()
-        self._move_persons()
+        if world is not None:
+            place_obstacles(world, self.options.obstacles, self.now)
         self.loop.step()
         self.motion_record.add(self.loop)
-        if self._on_tick is not None:
-            self._on_tick(self)
-        if self.loop.world is not None:
-            things = [contact.thing for contact in self.loop.world.contacts]
+        if self.options.on_tick is not None:
+            self.options.on_tick(self)
+        if world is not None:
+            things = [contact.thing for contact in world.contacts]
             self.touched += sorted(set(things) - set(self.touched))
-
-    def _move_persons(self) -> None:
-        """Move the persons of the world with the obstacles that they are, up to the next tick."""
-        world, begin = self.loop.world, self.now - PERIOD
-        if world is None:
-            return
-        for person, obstacle in self._persons:
-            place = obstacle.place(begin)
-            move_person(world, person, place, (obstacle.place(self.now) - place) / PERIOD)
 
     def _publish(self) -> None:
         """Pass the planner's motion to the controller as a preview, unless voltages drive it."""
         motion, now = self.planner.motion, self.now
         currents = motion.currents_at(now)
-        if self._voltages and np.isfinite(currents).all():
+        if self.options.voltages and np.isfinite(currents).all():
             return
         if motion.end <= now + 1e-3:
             return
@@ -250,14 +170,15 @@ class MpcLoop:
 
     def _observe(self) -> None:
         """Observe all obstacles with noise once the period of observations has passed."""
-        if self._observe_by is not None:
-            self._observe_by(self)
+        options = self.options
+        if options.observe is not None:
+            options.observe(self)
             return
-        if self.now - self._last_observation < OBSERVATION_PERIOD - 1e-9 or not self.obstacles:
+        if self.now - self._last_observation < OBSERVATION_PERIOD - 1e-9 or not options.obstacles:
             return
         self._last_observation = self.now
-        for k, obstacle in enumerate(self.obstacles):
-            x, y = obstacle.place(self.now) + self._noise * self._random.standard_normal(2)
+        for k, obstacle in enumerate(options.obstacles):
+            x, y = obstacle.place(self.now) + options.noise * self._random.standard_normal(2)
             observation = Observation(
                 key=("obstacle", k),
                 time=self.now,
@@ -269,18 +190,20 @@ class MpcLoop:
             )
             self.observed.add(observation, self.now)
 
-    def _record(self) -> None:
-        """Add a row for the present cycle to the trace."""
-        trace, now = self.trace, self.now
-        trace.times.append(now)
-        trace.poses.append(self.loop.truth.copy())
-        trace.references.append(self.planner.motion.sample(now)[0])
-        trace.plans.append(self.planner.motion.poses.copy())
-        trace.obstacles.append(np.array([o.place(now) for o in self.obstacles]).reshape(-1, 2))
-        trace.reports.append(self.planner.report)
-        trace.energy.append(float(self.loop.drives.electrical()[:, 2].sum()))
-        trace.states.append(self.planner.state)
-        trace.plan_times.append(self.planner.motion.times.copy())
-        trace.known.append(self.observed.ellipses(now))
-        trace.planning_times.append(self._planning_time)
-        trace.cycle_times.append(self._cycle_time)
+    def _record(self, planning_time: float, cycle_time: float) -> None:
+        """Record the present cycle."""
+        motion, now = self.planner.motion, self.now
+        self.cycles.append(
+            Cycle(
+                now,
+                self.loop.truth.copy(),
+                motion.sample(now)[0],
+                motion.times.copy(),
+                motion.poses.copy(),
+                self.observed.ellipses(now),
+                self.planner.report,
+                self.planner.state,
+                planning_time,
+                cycle_time,
+            )
+        )

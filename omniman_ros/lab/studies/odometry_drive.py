@@ -6,19 +6,19 @@ the sensor alone. The controller drives by the wheels.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.control.wheel_odometry import WheelOdometry, WheelOdometryParameters
 from omniman_ros.core.arbiter import Source
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.imu_mount import ImuMount
 from omniman_ros.core.parameters import build
+from omniman_ros.core.robot import Robot
 from omniman_ros.core.se2 import wrap
-from omniman_ros.lab.studies.closed_loop import LATENCY, PERIOD, ClosedLoop, StudyError
+from omniman_ros.lab.studies.closed_loop import LATENCY, PERIOD, ClosedLoop
 from omniman_ros.lab.studies.coupling import GROUPS, NO_FOLLOWING_ERROR_STOP, draw_mismatch
 from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.motion.figure7 import Figure7
@@ -26,8 +26,7 @@ from omniman_ros.simulation.plant.imu import ImuSensorParameters, SimulatedImu, 
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 
 REST = 1.5  # time of rest before the path, which shows the bias of the yaw rate, and after [s]
-IMU_STRIDE = 2
-"""Number of ticks from one measurement of the inertial sensor to the next, which gives 100 Hz."""
+IMU_STRIDE = 2  # ticks from one measurement of the inertial sensor to the next: 100 Hz
 
 
 @dataclass(frozen=True)
@@ -59,24 +58,17 @@ def drive_odometry(
         **NO_FOLLOWING_ERROR_STOP,
         "coupling.roller_lag": case.roller_lag,
     }
-    parameters, simulation = build(PlatformParameters, values), build(SimulationParameters, values)
-    wheels = parameters.robot.wheel_count
+    wheels = build(Robot, values).wheel_count
     mismatch = draw_mismatch(case.group, case.seed, case.sample, wheels)
-    loop = ClosedLoop(
-        parameters, replace(simulation, mismatch=mismatch), torques=False, world=world
-    )
+    loop = ClosedLoop.of_robot(values, world, mismatch)
     observer = _Observer(values, loop)
     observer.run(REST)
     for leg in figure.legs(loop.now):
         observer.run(leg.begin - loop.now)
-        refusal = loop.controller.set_preview(Source.PATH, leg.preview, loop.now)
-        if refusal:
-            raise StudyError(f"path/reference was refused: {refusal}")
+        loop.send(Source.PATH, leg.preview)
         observer.run(leg.preview.end - loop.now)
     observer.run(REST)
-    stopped = loop.controller.latch.status.reason or loop.drives.stop_reason
-    if stopped:
-        raise StudyError(f"{case}: {stopped}")
+    loop.check(case)
     return OdometryErrors(
         _error(loop.controller.odometry.pose, loop.truth),
         _error(observer.core.odometry.pose, loop.truth),

@@ -14,37 +14,29 @@ import numpy as np
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError, OmnimanError
-from omniman_ros.lab.studies.scene_gaps import ellipse_gap
-from omniman_ros.lab.studies.scene_geometry import Area, Box, Ellipse, PolylineMotion
+from omniman_ros.core.planar import Triple
+from omniman_ros.lab.studies.scene_geometry import Area, Box, Ellipse, PolylineMotion, ellipse_gaps
 
-Pose = tuple[float, float, float]  # pose x, y, heading in odom [m, m, rad]
-
-AREA: Area = (0.0, 0.0, 8.0, 6.0)
-"""Area that contains the start, the goal, and the centres of all obstacles at time 0 [m]."""
+AREA: Area = (0.0, 0.0, 8.0, 6.0)  # contains start, goal, and all obstacles' centres at first [m]
 ROBOT = Box(0.8, 0.5)  # default outline of the robot
 OBSTACLE_COUNTS = (3, 8)  # smallest and largest number of obstacles
 SEMI_AXES = (0.1, 0.5)  # range of the semi-axes of obstacles [m]
 DISC_SHARE = 0.5  # probability that an obstacle is a disc
-MOVING_SHARE = 0.5
-"""Probability that an obstacle moves, except for one drawn to block the straight line."""
+MOVING_SHARE = 0.5  # probability that an obstacle moves, unless drawn to block the way
 SPEEDS = (0.1, 0.6)  # range of the speeds of moving obstacles [m/s]
 MIN_DISTANCE = 3.5  # smallest distance from start to goal [m]
 MARGIN = 0.15
 """Smallest gap from obstacles to the robot at the start, and from fixed obstacles to the robot at
 the goal [m]."""
-CLEAR_START_TIME = 1.0
-"""Time from 0 on during which moving obstacles keep the margin to the start [s]."""
-MAX_GOAL_STAY = 5.0
-"""Longest time for which a moving obstacle stays nearer to the goal than the margin [s]."""
-TURN_TIMES = (1.0, 8.0)
-"""Range of the times at which obstacles that turn once change their velocity [s]."""
+CLEAR_START_TIME = 1.0  # time for which moving obstacles keep the margin to the start [s]
+MAX_GOAL_STAY = 5.0  # longest time of a moving obstacle nearer to the goal than the margin [s]
+TURN_TIMES = (1.0, 8.0)  # range of the times at which obstacles change their velocity [s]
 MOTION_DURATION = 60.0
 """Time for which obstacles bounce off the border of the area, and for which their stay at the goal
 is checked; afterwards they move straight on [s]."""
 MAX_MISMATCH = 0.2  # largest relative error of the model's mass, friction and motor constant
 CHECK_PERIOD = 0.05  # period of the samples at which moving obstacles are checked [s]
-MAX_DRAWS = 2000
-"""Largest number of draws of a scene, and of draws of obstacles for one draw of a scene."""
+MAX_DRAWS = 2000  # largest number of draws of a scene, and of obstacles in each draw
 
 
 class SceneError(OmnimanError):
@@ -53,37 +45,24 @@ class SceneError(OmnimanError):
 
 @dataclass(frozen=True)
 class Mismatch:
-    """Ratios of the robot's true parameters to those of its model.
-
-    Attributes:
-        motor_constant: Ratio of the torque constant, which is also the back-EMF constant.
-    """
+    """Ratios of the robot's true parameters to those of its model."""
 
     mass: float = 1.0  # ratio of masses and inertias
     friction: float = 1.0  # ratio of all friction
-    motor_constant: float = 1.0
+    motor_constant: float = 1.0  # ratio of the torque constant, also the back-EMF constant
 
 
 @dataclass(frozen=True)
 class RandomScene:
-    """A random scene: start, goal, obstacles, workspace and the robot's model mismatch.
-
-    Attributes:
-        workspace: x_min, y_min, x_max, y_max of the robot's workspace in odom [m]; None if the
-            workspace is unlimited.
-        heights: Heights of the lower and the upper side of each obstacle [m]; empty if all stand
-            on the floor and are higher than the robot.
-    """
+    """A random scene: start, goal, obstacles, workspace and the robot's model mismatch."""
 
     seed: int  # seed of the scene
-    start: Pose  # pose of the start in odom [m, m, rad]
-    goal: Pose  # pose of the goal in odom [m, m, rad]
+    start: Triple  # pose of the start in odom [m, m, rad]
+    goal: Triple  # pose of the goal in odom [m, m, rad]
     obstacles: tuple[Ellipse, ...]  # obstacles as they truly move from time 0 on
-    workspace: Area | None
+    workspace: Area | None  # workspace of the robot in odom [m]; None if it is unlimited
     blocked: bool  # whether the straight line from start to goal leads through a fixed obstacle
     mismatch: Mismatch  # mismatch between the true robot and its model
-    posture: tuple[float, ...] = ()  # joint angles of the arm [rad]; empty if it plays no role
-    heights: tuple[tuple[float, float], ...] = ()
 
 
 def scene(seed: int, box: Box = ROBOT) -> RandomScene:
@@ -99,7 +78,7 @@ def scene(seed: int, box: Box = ROBOT) -> RandomScene:
     raise SceneError(f"no scene was found for seed {seed} in {MAX_DRAWS} draws")
 
 
-def blocks(obstacle: Ellipse, start: Pose, goal: Pose) -> bool:
+def blocks(obstacle: Ellipse, start: Triple, goal: Triple) -> bool:
     """Return whether the straight line from start to goal leads through an obstacle at time 0.
 
     The line connects the positions of the two poses.
@@ -140,12 +119,12 @@ def _draw_scene(seed: int, box: Box, random: np.random.Generator) -> RandomScene
         goal,
         tuple(obstacles),
         AREA if seed % 3 == 0 else None,
-        any(o.fixed and blocks(o, start, goal) for o in obstacles),
+        any(o.is_fixed and blocks(o, start, goal) for o in obstacles),
         Mismatch(*factors) if seed // 2 % 2 == 0 else Mismatch(),
     )
 
 
-def _draw_pose(box: Box, random: np.random.Generator) -> Pose:
+def _draw_pose(box: Box, random: np.random.Generator) -> Triple:
     """Draw a pose at which the box would keep `MARGIN` to the border at any heading."""
     room = box.radius + MARGIN
     x, y = (float(random.uniform(AREA[i] + room, AREA[i + 2] - room)) for i in (0, 1))
@@ -160,7 +139,7 @@ def _draw_shape(random: np.random.Generator) -> tuple[tuple[float, float], float
     return (one, two), float(random.uniform(-math.pi, math.pi))
 
 
-def _draw_blocking_obstacle(start: Pose, goal: Pose, random: np.random.Generator) -> Ellipse:
+def _draw_blocking_obstacle(start: Triple, goal: Triple, random: np.random.Generator) -> Ellipse:
     """Draw a fixed obstacle that the straight line from start to goal leads through.
 
     The distance of its centre from the line is less than its smaller semi-axis.
@@ -198,12 +177,7 @@ def _draw_velocity(random: np.random.Generator) -> tuple[float, float]:
 
 
 def _bouncing(place: tuple[float, float], velocity: tuple[float, float]) -> PolylineMotion:
-    """Return the motion of an obstacle that bounces off the border of the area.
-
-    Args:
-        place: Position (x, y) of its centre at time 0 [m].
-        velocity: Velocity (x, y) at time 0 [m/s].
-    """
+    """Return the motion of an obstacle that bounces off the border of the area."""
     times, places = [0.0], [place]
     (x, y), (u, v) = place, velocity
     while times[-1] < MOTION_DURATION:
@@ -220,9 +194,9 @@ def _bouncing(place: tuple[float, float], velocity: tuple[float, float]) -> Poly
     return PolylineMotion(tuple(times), tuple(places), (u, v))
 
 
-def _leaves_room(obstacle: Ellipse, start: Pose, goal: Pose, box: Box) -> bool:
+def _leaves_room(obstacle: Ellipse, start: Triple, goal: Triple, box: Box) -> bool:
     """Return whether an obstacle leaves room for the robot at the start, and later at the goal."""
-    if obstacle.fixed:
+    if obstacle.is_fixed:
         gaps = _gaps(obstacle, np.array([start, goal]), np.zeros(2), box)
         return bool((gaps >= MARGIN).all())
     # Between two samples, it comes nearer by no more than its travel in half a period.
@@ -237,17 +211,7 @@ def _leaves_room(obstacle: Ellipse, start: Pose, goal: Pose, box: Box) -> bool:
 
 
 def _gaps(obstacle: Ellipse, poses: Array, times: Array, box: Box) -> Array:
-    """Return the gaps (N,) from an obstacle to the robot [m].
-
-    Args:
-        poses: (N, 3) poses of the robot in odom, or (1, 3) if it is at rest [m, m, rad].
-        times: (N,) times that determine the positions of the obstacle [s].
-    """
-    count = len(times)
-    return ellipse_gap(
-        np.broadcast_to(poses, (count, 3)),
-        box,
-        obstacle.place.at(times),
-        np.tile(obstacle.semi_axes, (count, 1)),
-        np.full(count, obstacle.angle),
-    )
+    """Return the gaps (N,) from an obstacle at times (N,) to the robot at (N, 3) or (1, 3)."""
+    centers, axes = obstacle.place.at(times)[:, None], np.array([obstacle.semi_axes])
+    gaps: Array = ellipse_gaps(poses, box, centers, axes, np.array([obstacle.angle]))[:, 0]
+    return gaps

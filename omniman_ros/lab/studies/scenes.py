@@ -1,13 +1,13 @@
 """Drives through random scenes: the true robot of a scene, judged outcomes, and their figures.
 
 A drive is judged from true poses and true obstacles alone, by code that it does not share with the
-planner: `scene_judge` decides whether the robot touched anything.
+planner: `scene_geometry` decides whether the robot touched anything.
 Every contact counts as the robot's fault, and every goal as reachable.
 """
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,8 +17,7 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
 from omniman_ros.lab.studies.scene_generator import Mismatch, RandomScene
-from omniman_ros.lab.studies.scene_geometry import Box
-from omniman_ros.lab.studies.scene_judge import Verdict, judge
+from omniman_ros.lab.studies.scene_geometry import Box, Verdict, judge
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 
 TIME_LIMIT = 60.0  # from when the goal is sent [s]
@@ -55,13 +54,7 @@ def box_of(robot: Mapping[str, Any]) -> Box:
 
 @dataclass(frozen=True)
 class SceneDrive:
-    """A drive through a scene: K samples from the sending of the goal to the end of the drive.
-
-    Attributes:
-        rejections: Reasons why plans were not used, each with the number of such plans.
-        touched: Time [s] of the first contact by the physics engine, and the index of the
-            obstacle; None without a contact, and on the plant.
-    """
+    """A drive through a scene: K samples from the sending of the goal to the end of the drive."""
 
     times: Array  # (K,) times on the clock by which the obstacles move [s]
     poses: Array  # (K, 3) true poses in odom [m, m, rad]
@@ -72,8 +65,7 @@ class SceneDrive:
     drift: float  # distance of the pose by odometry from the true pose at the end [m]
     state: str  # state of the planner at the end
     last_status: str  # last status text of the planner
-    rejections: Mapping[str, int] = field(default_factory=dict)
-    touched: tuple[float, int] | None = None
+    touched: tuple[float, int] | None = None  # time [s] and obstacle of the engine's first contact
 
 
 @dataclass(frozen=True)
@@ -127,7 +119,6 @@ class Outcome:
             "end": drive.poses[-1].tolist(),
             "state": drive.state,
             "last": drive.last_status,
-            "whys": dict(drive.rejections),
             "cycles": len(drive.answers),
             "late": drive.late,
             **answer_statistics(drive.answers),
@@ -156,7 +147,9 @@ def groups(outcomes: Sequence[Outcome]) -> dict[str, list[Outcome]]:
         "all": list(outcomes),
         "line blocked": [o for o in outcomes if o.scene.blocked],
         "model off by up to 20 %": [o for o in outcomes if o.scene.mismatch != Mismatch()],
-        "moving obstacles": [o for o in outcomes if not all(e.fixed for e in o.scene.obstacles)],
+        "moving obstacles": [
+            o for o in outcomes if not all(e.is_fixed for e in o.scene.obstacles)
+        ],
     }
     return {name: members for name, members in members_by_name.items() if members}
 

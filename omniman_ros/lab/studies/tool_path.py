@@ -7,12 +7,11 @@ that follows these previews is an argument.
 
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from omniman_ros.control.platform_parameters import PlatformParameters
 from omniman_ros.core.arbiter import Source
 from omniman_ros.core.arm_parameters import ArmParameters
 from omniman_ros.core.arrays import Array
@@ -26,7 +25,7 @@ from omniman_ros.motion.whole_body.correction import PlatformCorrection, correct
 from omniman_ros.motion.whole_body.model import WholeBodyModel, planar_transform
 from omniman_ros.motion.whole_body.parameters import ToolPathOptions
 from omniman_ros.motion.whole_body.tool_planner import ToolPlan
-from omniman_ros.simulation.plant.parameters import MismatchParameters, SimulationParameters
+from omniman_ros.simulation.plant.parameters import MismatchParameters
 from omniman_ros.simulation.ur.arm_body import ArmBody
 from omniman_ros.simulation.ur.motion import ServoJ, Target
 from omniman_ros.ur.joint_preview import JointPreview
@@ -41,6 +40,8 @@ ODOM_LATENCY = (0.005, 0.02)
 """Range of the latency from the tick that computes a measured pose to the interpolator [s]."""
 PREVIEW_LATENCY = (0.002, 0.006)
 """Range of the latency of the arm's previews from the interpolator to the streamer [s]."""
+ARM_PREVIEW_PERIOD = 0.02  # period of the arm's previews [s]
+ARM_PREVIEW_HORIZON = 0.2  # duration that a preview of the arm covers [s]
 PLATFORM_PREVIEW_PERIOD = 0.04  # period of the platform's previews [s]
 PLATFORM_PREVIEW_HORIZON = 0.4  # duration that a preview of the platform covers [s]
 MOTION_START = 0.5  # time at which the motion begins [s]
@@ -64,22 +65,11 @@ class StreamedArm:
     def preview(
         self, times: Array, positions: Array, velocities: Array, accelerations: Array, now: float
     ) -> None:
-        """Follow a preview of the joints from now on.
-
-        Args:
-            times: (k,) times of the points [s].
-            positions: (k, 6) joint angles [rad].
-            velocities: (k, 6) joint velocities [rad/s].
-            accelerations: (k, 6) joint accelerations [rad/s^2].
-        """
+        """Follow a preview of the joints from now on: times (k,) [s], and (k, 6) each [rad, s]."""
         self._generator.follow(JointPreview(times, positions, velocities, accelerations), now)
 
     def cycle(self, now: float) -> Array:
-        """Send the setpoint of a time [s], and simulate the servo for one period.
-
-        Returns:
-            (6,) joint angles of the arm at that time [rad].
-        """
+        """Send the setpoint of a time [s]; return the angles (6,) after one servo period [rad]."""
         self._body.measure(now)
         setpoint = self._generator.tick(now, self._body.q)
         servo = ServoJ(setpoint, ARM_PERIOD, self._ur.lookahead_time, self._ur.gain)
@@ -89,48 +79,27 @@ class StreamedArm:
 
 
 @dataclass(frozen=True)
-class Case:
-    """One drive of the study.
-
-    Attributes:
-        changes: Changed parameters of controller and simulation, full names to values.
-        mismatch: Errors of the wheels, names to factors by wheel.
-        options: Options of the tool path, such as the correction.
-    """
+class Wheels:
+    """Settings of a robot's drives, and errors of its wheels."""
 
     about: str  # description in the tables
-    changes: Mapping[str, Any] = field(default_factory=dict)
-    mismatch: Mapping[str, Any] = field(default_factory=dict)
-    period: float = 0.02  # period of the arm's previews, at least that of the measured poses [s]
-    horizon: float = 0.2  # duration that a preview of the arm covers [s]
-    options: ToolPathOptions = field(default_factory=ToolPathOptions)
+    changes: Mapping[str, Any]  # parameters of controller and simulation, full names to values
+    mismatch: Mapping[str, Any]  # errors of the wheels, names to factors by wheel
+
+
+@dataclass(frozen=True)
+class Case:
+    """One drive of the study."""
+
+    course: str  # name of the path, a key of `tool_courses.COURSES`
+    wheels: Wheels
+    options: ToolPathOptions = field(default_factory=ToolPathOptions)  # such as the correction
     seed: int = 0  # seed of the latencies
 
     def platform(self, robot: Mapping[str, Any], world: WorldChoice | None = None) -> ClosedLoop:
         """Return the controller and the drives."""
-        values = {**robot, **self.changes}
-        simulation = build(SimulationParameters, values)
-        simulation = replace(simulation, mismatch=build(MismatchParameters, self.mismatch))
-        # Without reported torques, dead wheels are not detected, so this cannot affect the study.
-        parameters = build(PlatformParameters, values)
-        return ClosedLoop(parameters, simulation, torques=False, world=world)
-
-
-@dataclass(frozen=True)
-class Wheels:
-    """Settings of a robot's drives, and errors of its wheels.
-
-    Attributes:
-        changes: Changed parameters of controller and simulation, full names to values.
-    """
-
-    about: str  # description in the tables
-    changes: Mapping[str, Any]
-    mismatch: Mapping[str, Any]  # errors of the wheels, names to factors by wheel
-
-    def case(self, options: ToolPathOptions, seed: int) -> Case:
-        """Return the case of a drive with these wheels."""
-        return Case(self.about, self.changes, self.mismatch, options=options, seed=seed)
+        mismatch = build(MismatchParameters, self.wheels.mismatch)
+        return ClosedLoop.of_robot({**robot, **self.wheels.changes}, world, mismatch)
 
 
 DEMO_MISMATCH = {
@@ -138,13 +107,12 @@ DEMO_MISMATCH = {
     "torque_constant": [0.97, 1.03, 1.0, 0.98],
     "amplifier_gain": [1.02, 0.98, 1.01, 0.97],
 }
-"""Errors of the wheels in the demo: ratios of true to nominal values, by wheel."""
+"""Errors of the wheels in the demo, ratios of true to nominal values by wheel, and larger ones."""
 LARGE_MISMATCH = {
     "friction": [1.8, 0.5, 1.4, 0.7],
     "torque_constant": [0.9, 1.1, 1.0, 0.93],
     "amplifier_gain": [1.05, 0.93, 1.02, 0.92],
 }
-"""Larger errors of the wheels: ratios of true to nominal values, by wheel."""
 P_LOOPS = {"firmware.integral_time": 100.0, "drive.following_error": 100.0}
 """Parameters that turn the velocity loops into P loops, and prevent a stop by the following error,
 which then is larger than on a healthy robot."""
@@ -166,21 +134,13 @@ WHEELS: Mapping[str, Wheels] = {
 
 @dataclass(frozen=True)
 class Run:
-    """A completed drive, at k times of the tool's motion.
-
-    Attributes:
-        odom: (k, 3) positions of the tool in odom, from the arm's true joint angles and the
-            measured pose of the platform [m].
-        truth: (k, 3) true positions of the tool in the world [m]; where the platform is a body in
-            a physics world, with its tilt.
-    """
+    """A completed drive, at k times of the tool's motion."""
 
     case: Case  # the case
-    course: str  # name of the path
     times: Array  # (k,) times since the beginning of the motion [s]
     reference: Array  # (k, 3) reference positions of the tool in odom [m]
-    odom: Array
-    truth: Array
+    odom: Array  # (k, 3) positions by the arm's true angles and the platform's measured pose [m]
+    truth: Array  # (k, 3) true positions of the tool in the world, with the platform's tilt [m]
     base: Array  # (k, 3) measured poses of base_link in odom [m, m, rad]
     platform: Array  # (k, 3) errors of these poses relative to the reference [m, m, rad]
     turned: Array  # (k,) errors of the tool's orientation in odom: angles to its reference [rad]
@@ -188,14 +148,12 @@ class Run:
     @property
     def error(self) -> Array:
         """(k,) distances of the tool from its reference at the same time, in odom [m]."""
-        distance: Array = np.linalg.norm(self.odom - self.reference, axis=1)
-        return distance
+        return _lengths(self.odom - self.reference)
 
     @property
     def true_error(self) -> Array:
         """(k,) distances of the tool from its reference at the same time, in the world [m]."""
-        distance: Array = np.linalg.norm(self.truth - self.reference, axis=1)
-        return distance
+        return _lengths(self.truth - self.reference)
 
 
 class ToolPathLoop:
@@ -205,12 +163,11 @@ class ToolPathLoop:
         self,
         platform: ClosedLoop,
         case: Case,
-        course: str,
         motion: ToolPlan,
         model: WholeBodyModel,
         arm: StreamedArm,
     ) -> None:
-        self._platform, self._case, self._course = platform, case, course
+        self._platform, self._case = platform, case
         self._motion, self._model, self._arm = motion, model, arm
         self._correction = PlatformCorrection(case.options)
         self._random = np.random.default_rng(case.seed)
@@ -247,18 +204,13 @@ class ToolPathLoop:
             self._announced = now
             times = _grid(now, PLATFORM_PREVIEW_HORIZON)
             x, v, a = (part[:, :3] for part in self._motion.curve.sample(times - MOTION_START))
-            refusal = loop.controller.set_preview(Source.PATH, Preview(times, x, v, a), now)
-            if refusal:
-                raise StudyError(f"path/reference was refused: {refusal}")
+            loop.send(Source.PATH, Preview(times, x, v, a))
         measured = loop.now
         loop.drives.advance(measured)
         base = self._base_frame()
         loop.step()
-        core = loop.controller
-        stopped = core.cancelled or core.latch.status.reason or loop.drives.stop_reason
-        if stopped:
-            raise StudyError(f"{self._case.about}: {stopped}")
-        pose = np.array(core.odometry.pose)
+        loop.check(self._case.wheels.about)
+        pose = np.array(loop.controller.odometry.pose)
         self._platform_rows.append(np.array([measured, *pose, *base[:3].ravel()]))
         if round(measured / PERIOD) % round(ODOM_PERIOD / PERIOD) == 0:
             arrival = measured + LATENCY + self._random.uniform(*ODOM_LATENCY)
@@ -286,10 +238,10 @@ class ToolPathLoop:
         end = MOTION_START + self._motion.curve.duration + RECORDING_TAIL
         if not has_arrived or not MOTION_START - PREVIEW_LEAD <= now < end:
             return
-        if now < self._sent + self._case.period - 0.5 * STEP:
+        if now < self._sent + ARM_PREVIEW_PERIOD - 0.5 * STEP:
             return
         self._sent = now
-        times = _grid(now, self._case.horizon)
+        times = _grid(now, ARM_PREVIEW_HORIZON)
         extended = np.concatenate([[times[0] - TICK], times, [times[-1] + TICK]])
         planned = self._motion.curve.sample(extended - MOTION_START)[0]
         platform = self._correction.platform_at(planned[:, :3], extended)
@@ -309,7 +261,7 @@ class ToolPathLoop:
         try:
             self._arm.preview(*preview, now)
         except InputError as error:
-            raise StudyError(f"{self._case.about}: arm/joint_reference: {error}") from error
+            raise StudyError(f"{self._case.wheels.about}: arm/joint_reference: {error}") from error
 
     def _completed_run(self) -> Run:
         """Return the drive, evaluated at the cycles of the arm during the motion."""
@@ -330,7 +282,6 @@ class ToolPathLoop:
         trace = np.einsum("kij,kij->k", measured[:, :3, :3], reference[:, :3, :3])
         return Run(
             self._case,
-            self._course,
             times - MOTION_START,
             reference[:, :3, 3],
             measured[:, :3, 3],
@@ -346,6 +297,11 @@ def _grid(now: float, horizon: float) -> Array:
     first = np.floor(now / TICK + 1e-6)
     times: Array = TICK * (first + np.arange(int(horizon / TICK) + 1))
     return times
+
+
+def _lengths(vectors: Array) -> Array:
+    result: Array = np.linalg.norm(vectors, axis=1)
+    return result
 
 
 def rms(values: Array) -> float:

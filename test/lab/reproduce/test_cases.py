@@ -3,6 +3,7 @@
 import json
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,16 +11,15 @@ import pytest
 from omniman_ros.cli.main import main
 from omniman_ros.core.parameters import build
 from omniman_ros.lab.reproduce import cases
-from omniman_ros.lab.studies.closed_loop import StudyError
-from omniman_ros.lab.studies.mpc_cases import Scene, circle, corridor
-from omniman_ros.lab.studies.mpc_loop import MotionRecord
-from omniman_ros.lab.studies.planned_drives import drive_with_planner
-from omniman_ros.lab.studies.recorded_drive import SETTLING_TIME, Drive
+from omniman_ros.lab.studies.closed_loop import MotionRecord, StudyError
+from omniman_ros.lab.studies.mpc_cases import SCENES, Scene, circle
+from omniman_ros.lab.studies.planned_drives import SETTLING_TIME, Drive, drive_with_planner
+from omniman_ros.lab.studies.scene_geometry import Box
 from omniman_ros.planning.cases import RADIUS, TwoVelocityPath
 from omniman_ros.planning.parameters import Arrival
 from test import robots
 
-HALF = np.array([0.4, 0.25])
+BOX = Box(0.8, 0.5)
 SHORT = Scene("corridor", (0.3, 0.0, 0.0), obstacles=(circle(0.3, TwoVelocityPath((0.2, 0.9))),))
 
 
@@ -32,7 +32,7 @@ def driven(xs, obstacles=(), goal=(1.0, 0.0, 0.0), since=0.0):
         record.odometry.append(np.array([x, 0.0, 0.0]))
         record.twists.append(np.array([(x - xs[k - 1]) / 0.005 if k else 0.0, 0.0, 0.0]))
         record.energy.append(5.0 + 0.05 * k)
-    return Drive.of(record, since, goal, build(Arrival, {}), HALF, obstacles)
+    return Drive.of(record, since, goal, build(Arrival, {}), BOX, obstacles)
 
 
 def there_and_rest(seconds=1.0, rest=1.0):
@@ -78,16 +78,17 @@ def test_energy_counts_until_half_a_second_after_arrival():
 
 
 def test_gaps_of_the_corridor_are_wider_than_the_robot_and_shorter():
-    places = np.array([o.place(0.0) for o in corridor().obstacles])
+    places = np.array([o.place(0.0) for o in SCENES["corridor"]().obstacles])
     gaps = np.hypot(*np.diff(places, axis=0).T) - 2 * RADIUS
-    assert (gaps > 2 * HALF[1] + 0.1).all() and (gaps < 2 * HALF[0]).all()
+    assert (gaps > BOX.width + 0.1).all() and (gaps < BOX.length).all()
 
 
 @pytest.fixture(scope="module")
 def ride():
     """Return a drive of 0.3 m past a circle."""
     ticks = iter(range(10**6))
-    return drive_with_planner(robots.values("ig42"), SHORT, timer=lambda: 1e-3 * next(ticks))
+    values = robots.values("ig42")
+    return drive_with_planner(values, SHORT, {}, False, 0, lambda: 1e-3 * next(ticks), None)
 
 
 @pytest.fixture
@@ -97,12 +98,12 @@ def case(monkeypatch, tmp_path, ride):
     def run(spoil=lambda ride, number: ride, name="corridor"):
         asked = []
 
-        def drive(robot, scene, voltages, *_):
-            asked.append((dict(scene.changes), voltages))
+        def drive(robot, scene, changes, voltages, *_):
+            asked.append((dict(changes), voltages))
             return spoil(ride, len(asked))
 
         monkeypatch.setattr(cases, "drive_with_planner", drive)
-        monkeypatch.setitem(cases.CASES, name, lambda: replace(SHORT, name=name))
+        monkeypatch.setitem(cases.SCENES, name, lambda: replace(SHORT, name=name))
         code = main(["reproduce", name, "--results", str(tmp_path)])
         return code, json.loads((tmp_path / f"reproduce_{name}.json").read_text()), asked
 
@@ -142,9 +143,8 @@ def test_contact_with_changed_parameters_is_not_a_failure(case, capsys):
     assert "CONTACT" in capsys.readouterr().out
 
 
-def test_the_workshop_is_drawn_as_a_trail(case, monkeypatch):
-    drawn = []
-    picture = pytest.importorskip("omniman_ros.lab.figures.mpc")
-    monkeypatch.setattr(picture, "draw_trail", lambda *args: drawn.append(args[1].name))
-    code, _, asked = case(name="workshop")
-    assert (code, len(asked), drawn) == (0, 2, ["workshop"])
+def test_the_workshop_is_driven_by_both_outputs_and_drawn_with_its_map(case):
+    pytest.importorskip("matplotlib")
+    code, result, asked = case(name="workshop")
+    assert (code, [voltages for _, voltages in asked]) == (0, [False, True])
+    assert Path(result["picture"]).read_bytes()[:4] == b"\x89PNG"

@@ -9,15 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from omniman_ros.cli.main import main
 from omniman_ros.console.errors import CommandError
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.lab.reproduce import scenes
-from omniman_ros.lab.reproduce.scene_runs import (
-    NodeLoop,
-    SceneRunSettings,
-    drive_scene,
-)
+from omniman_ros.lab.reproduce.scene_runs import NodeLoop, SceneRunSettings, drive_scene
 from omniman_ros.lab.studies.scene_generator import Mismatch, RandomScene, SceneError
 from omniman_ros.lab.studies.scene_geometry import Box, Ellipse, PolylineMotion
 from omniman_ros.lab.studies.scenes import (
@@ -111,7 +106,6 @@ def args(tmp_path=None, **given):
         "seeds": None,
         "jobs": 1,
         "solve_time": None,
-        "arm": False,
         "world": None,
         "results": str(tmp_path),
     }
@@ -147,7 +141,7 @@ def test_seeds_are_selected_by_options(given, seeds):
     ],
 )
 def test_usage_error_is_reported(monkeypatch, given, said):
-    monkeypatch.setattr(scenes, "drive_scenes", lambda *_: pytest.fail("drives"))
+    monkeypatch.setattr(scenes, "in_parallel", lambda *_: pytest.fail("drives"))
     with pytest.raises(CommandError, match=said) as error:
         scenes.run(args(**given))
     assert error.value.code == 2
@@ -174,11 +168,11 @@ def outcome(seed, end=(2.0, 0.0, 0.5), obstacles=(), arrived=True):
 def command(monkeypatch, tmp_path, outcomes, **given):
     asked = []
 
-    def driven(settings, seeds, jobs):
-        asked.append((settings, list(seeds), jobs))
+    def driven(function, seeds, jobs):
+        asked.append((*function.args, list(seeds), jobs))
         yield from outcomes
 
-    monkeypatch.setattr(scenes, "drive_scenes", driven)
+    monkeypatch.setattr(scenes, "in_parallel", driven)
     code = scenes.run(args(tmp_path, count=len(outcomes), **given))
     return code, json.loads((tmp_path / "reproduce_scenes.json").read_text()), asked
 
@@ -218,7 +212,7 @@ def test_seed_without_a_scene_is_reported(monkeypatch, tmp_path):
         raise SceneError("no scene was found for seed 9")
         yield
 
-    monkeypatch.setattr(scenes, "drive_scenes", driven)
+    monkeypatch.setattr(scenes, "in_parallel", driven)
     with pytest.raises(CommandError, match="seed 9"):
         scenes.run(args(tmp_path, count=1))
 
@@ -240,18 +234,6 @@ def test_in_the_world_a_contact_by_the_engine_counts(loop_in):
     assert not judge_drive(there, drive, box).verdict.collided
     verdict = judge_drive(there, replace(drive, touched=(0.2, 0)), box).verdict
     assert (verdict.contact, verdict.touched) == (0.2, 0)
-
-
-@IN_WORLD
-def test_an_arm_in_a_random_posture_has_no_world(capsys):
-    assert main(["reproduce", "scenes", "--arm", "--world", "--count", "1"]) == 2
-    assert "exclude each other" in capsys.readouterr().err
-
-
-@IN_WORLD
-def test_scenes_with_an_arm_need_a_robot_that_has_one(tmp_path, capsys):
-    assert main(["reproduce", "scenes", "--arm", "--robot", "ig42", "--count", "1"]) == 2
-    assert "has no arm" in capsys.readouterr().err
 
 
 # ---- what decides the aims ----------------------------------------------------------------------

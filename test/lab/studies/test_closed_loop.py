@@ -7,9 +7,9 @@ from omniman_ros.simulation.plant.parameters import SimulationParameters
 from test import robots
 
 
-def make(late=0, torques=True, **changes):
+def make(torques=True, **changes):
     parameters = robots.parameters("omniman", changes)
-    return ClosedLoop(parameters, build(SimulationParameters, {}), late, torques)
+    return ClosedLoop(parameters, build(SimulationParameters, {}), torques)
 
 
 def drive(loop, ticks, twist=(0.3, 0.0, 0.0)):
@@ -23,15 +23,3 @@ def test_true_state_is_of_the_time_of_the_measurement():
     loop = drive(make(), 400)
     after = loop.drives.ground_truth()[0]
     assert after[0] - loop.truth[0] == pytest.approx(0.3 * LATENCY, rel=0.05)
-
-
-def ticks_to_voltage(loop):
-    while not loop.drives.electrical()[:, 0].any():
-        drive(loop, 1)
-        assert loop.tick < 100
-    return loop.tick
-
-
-@pytest.mark.parametrize("late", [1, 10])
-def test_delayed_commands_reach_the_drives_after_the_given_ticks(late):
-    assert ticks_to_voltage(make(late)) == ticks_to_voltage(make()) + late

@@ -4,17 +4,8 @@ import numpy as np
 import pytest
 
 from omniman_ros.core.errors import InputError
-from omniman_ros.lab.studies.scene_gaps import outside
-from omniman_ros.lab.studies.scene_generator import (
-    AREA,
-    MARGIN,
-    ROBOT,
-    Mismatch,
-    blocks,
-    scene,
-)
-from omniman_ros.lab.studies.scene_geometry import Box, Ellipse, PolylineMotion
-from omniman_ros.lab.studies.scene_judge import judge
+from omniman_ros.lab.studies.scene_generator import AREA, MARGIN, ROBOT, Mismatch, blocks, scene
+from omniman_ros.lab.studies.scene_geometry import Box, Ellipse, PolylineMotion, judge, outside
 
 SCENES = [scene(seed) for seed in range(48)]
 STANDING = Mismatch()
@@ -41,7 +32,7 @@ def test_blocked_flag_matches_contact_on_the_straight_line():
     share = np.linspace(0.0, 1.0, 4001)
     for made in SCENES:
         line = np.outer(1.0 - share, made.start) + np.outer(share, made.goal)
-        fixed = [o for o in made.obstacles if o.fixed]
+        fixed = [o for o in made.obstacles if o.is_fixed]
         hit = judge(share, line * [1.0, 1.0, 0.0], Box(1e-6, 1e-6), fixed).collided
         assert hit == made.blocked
 
@@ -65,7 +56,7 @@ def test_start_is_clear_for_a_second_and_goal_of_standing_obstacles():
     for made in [*SCENES, scene(580), scene(774)]:
         at_start = drive([0.0, 1.0], [made.start] * 2, made.obstacles)
         assert at_start.gap >= MARGIN - 1e-9
-        fixed = [o for o in made.obstacles if o.fixed]
+        fixed = [o for o in made.obstacles if o.is_fixed]
         assert drive([0.0], [made.goal], fixed).gap >= MARGIN
         assert (outside(np.array([made.start, made.goal]), ROBOT, AREA) <= -MARGIN + 1e-9).all()
 

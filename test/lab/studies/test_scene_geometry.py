@@ -1,14 +1,20 @@
 import math
-from dataclasses import astuple
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from omniman_ros.lab.studies.scene_gaps import ellipse_gap, outside, wall_gap
-from omniman_ros.lab.studies.scene_geometry import Box, Ellipse, PolylineMotion, Wall
-from omniman_ros.lab.studies.scene_judge import judge
+from omniman_ros.lab.studies.scene_geometry import (
+    Box,
+    Ellipse,
+    PolylineMotion,
+    Wall,
+    ellipse_gaps,
+    judge,
+    outside,
+    wall_gap,
+)
 
 BOX = Box(0.8, 0.5)
 places = st.floats(-1.5, 1.5)
@@ -17,12 +23,13 @@ sizes = st.floats(0.05, 0.6)
 
 
 def gap(pose, center, axes, angle=0.0):
-    one = [np.array([values], dtype=float) for values in (pose, center, axes)]
-    return float(ellipse_gap(one[0], BOX, one[1], one[2], np.array([angle]))[0])
+    centers = np.array([[center]], dtype=float)
+    gaps = ellipse_gaps(np.array([pose]), BOX, centers, np.array([axes]), np.array([angle]))
+    return float(gaps[0, 0])
 
 
 def gap_to(pose, wall):
-    return float(wall_gap(np.array([pose]), BOX, np.array([astuple(wall)]))[0])
+    return float(wall_gap(np.array([pose]), BOX, wall.row)[0])
 
 
 def from_box(points, pose, box=BOX):
@@ -172,10 +179,8 @@ def test_no_contact_of_dense_sampling_escapes_the_judge(seed):
     obstacle = Ellipse(axes, PolylineMotion((0.0, 1.0), there, (0.3, -0.5)), angle)
     dense = np.linspace(times[0], times[-1], 4001)
     between = np.stack([np.interp(dense, times, poses[:, i]) for i in range(3)], axis=1)
-    count = len(dense)
-    gaps = ellipse_gap(
-        between, BOX, obstacle.place.at(dense), np.tile(axes, (count, 1)), np.full(count, angle)
-    )
+    centers = obstacle.place.at(dense)[:, None]
+    gaps = ellipse_gaps(between, BOX, centers, np.array([axes]), np.array([angle]))[:, 0]
     verdict = judge(times, poses, BOX, [obstacle])
     assert verdict.gap >= gaps.min() - 2e-3 or verdict.collided
     if gaps.min() < 0.0:

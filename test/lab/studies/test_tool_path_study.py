@@ -13,7 +13,6 @@ from omniman_ros.core.parameters import build
 from omniman_ros.lab.studies.closed_loop import StudyError
 from omniman_ros.lab.studies.tool_courses import start, tool_poses
 from omniman_ros.lab.studies.tool_path import (
-    DEMO_MISMATCH,
     MOST_DEMANDING,
     WHEELS,
     Case,
@@ -58,16 +57,16 @@ def planned(course):
     return ToolPlanner(MODEL, limits, ON).plan(tool_poses(MODEL, course, LENGTH), start())
 
 
-def drive(case, course="S", arm=None):
-    motion = planned(course)
+def drive(case, arm=None):
+    motion = planned(case.course)
     arm = arm or Arm(motion.curve.positions[0, 3:])
     platform = case.platform(load_robot("omniman"))
-    return ToolPathLoop(platform, case, course, motion, MODEL, arm).run()
+    return ToolPathLoop(platform, case, motion, MODEL, arm).run()
 
 
 @cache
 def harsh(on):
-    return drive(WHEELS[MOST_DEMANDING].case(ON if on else OFF, 0))
+    return drive(Case("S", WHEELS[MOST_DEMANDING], ON if on else OFF))
 
 
 @pytest.mark.exhaustive
@@ -82,10 +81,10 @@ def test_correction_removes_most_of_the_error_of_the_platform():
 
 
 def test_timed_point_counts_and_not_the_nearest():
-    case = Case("demo", mismatch=DEMO_MISMATCH, options=OFF)
+    case = Case("straight", WHEELS["PI"], OFF)
     motion = planned("straight")
-    late = drive(case, "straight", Arm(motion.curve.positions[0, 3:], late=10))
-    on_time = drive(case, "straight")
+    late = drive(case, Arm(motion.curve.positions[0, 3:], late=10))
+    on_time = drive(case)
     shift = (
         motion.tool(on_time.times)[:, :3, 3]
         - MODEL.forward(
@@ -107,5 +106,5 @@ def test_arm_that_takes_no_preview_ends_the_drive():
         def preview(self, *_):
             raise InputError("too far")
 
-    with pytest.raises(StudyError, match=r"demo: arm/joint_reference: too far"):
-        drive(WHEELS["PI"].case(ON, 0), arm=Refusing(start()[3:]))
+    with pytest.raises(StudyError, match=r"wheels of the demo: arm/joint_reference: too far"):
+        drive(Case("S", WHEELS["PI"], ON), arm=Refusing(start()[3:]))

@@ -3,9 +3,9 @@ import importlib.util
 import pytest
 
 from omniman_ros.core.parameters import build
-from omniman_ros.lab.studies.case_worlds import case_world
-from omniman_ros.lab.studies.mpc_cases import Scene, circle
 from omniman_ros.lab.studies.mpc_loop import LoopOptions, MpcLoop
+from omniman_ros.lab.studies.scene_geometry import MovingObstacle
+from omniman_ros.lab.studies.worlds import scene_world
 from omniman_ros.planning.cases import TwoVelocityPath
 from omniman_ros.planning.parameters import PlannerParameters
 from omniman_ros.simulation.plant.parameters import SimulationParameters
@@ -14,24 +14,17 @@ from test import robots
 IN_WORLD = pytest.mark.skipif(importlib.util.find_spec("mujoco") is None, reason="needs mujoco")
 
 
-def loop_through(scene):
+@IN_WORLD
+def test_the_engine_tells_what_touches_the_robot():
     values = robots.values("ig42")
-    return MpcLoop(
+    obstacle = MovingObstacle((0.3, 0.3), TwoVelocityPath((0.85, 0.0), (-0.8, 0.0)))
+    world = scene_world(values, "ideal", (0.0, 0.0, 0.0), [obstacle])
+    loop = MpcLoop(
         build(PlannerParameters, values),
         robots.parameters("ig42"),
         build(SimulationParameters, {}),
-        LoopOptions(
-            start=scene.start,
-            obstacles=scene.obstacles,
-            world=case_world(values, "ideal", scene),
-        ),
+        LoopOptions(obstacles=[obstacle], world=world),
     )
-
-
-@IN_WORLD
-def test_the_engine_tells_what_touches_the_robot():
-    path = TwoVelocityPath((0.85, 0.0), (-0.8, 0.0))
-    loop = loop_through(Scene("hit", (5.0, 0.0, 0.0), obstacles=(circle(0.3, path),)))
     for _ in range(6):
         loop.cycle()
     assert loop.touched == ["obstacle 1"]
