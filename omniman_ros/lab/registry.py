@@ -202,7 +202,6 @@ EXPERIMENTS = {
         "reproduce.handover",
         "MPC 2021, 5: two robots meet in motion, drive side by side, and part again",
         (SEED, WORLD),
-        ("quick", "full"),
     ),
     "workshop": Study(
         "reproduce.cases",
@@ -216,8 +215,7 @@ EXPERIMENTS = {
         (
             SEED,
             WORLD,
-            option("--count", type=int, help="number of scenes, from seed 0 on; default: 240"),
-            option("--seeds", metavar="A:B", help="seeds A to B - 1, or a single seed"),
+            option("--seeds", metavar="A:B", help="seeds A to B - 1, or one; default: 0:240"),
             JOBS,
             option(
                 "--solve-time",

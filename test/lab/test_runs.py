@@ -59,6 +59,6 @@ def test_an_experiment_runs_in_the_physics_world(name, tmp_path, capfd):
 
 
 def test_random_scenes_are_driven(tmp_path, capfd):
-    words = ["--count", "2", "--jobs", "1", "--solve-time", "0.01", "--results", str(tmp_path)]
+    words = ["--seeds", "0:2", "--jobs", "1", "--solve-time", "0.01", "--results", str(tmp_path)]
     assert main(["reproduce", "scenes", *words]) == 0
     assert written(capfd, tmp_path, "reproduce_scenes")["failed"] == []

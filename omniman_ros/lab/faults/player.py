@@ -1,7 +1,7 @@
 """Carries out and removes the injections of the table."""
 
-from functools import singledispatchmethod
-from signal import SIGCONT, SIGKILL, SIGSTOP
+from signal import SIGCONT, SIGSTOP
+from typing import assert_never
 
 from std_msgs.msg import Bool
 
@@ -50,50 +50,33 @@ class Player:
             case ServiceStop(node):
                 self.robot.services.connect(node, "stop")
 
-    @singledispatchmethod
     def inject(self, injection: Injection) -> None:
         """Inject a fault."""
-        raise TypeError(f"no way to inject {injection}")
-
-    @inject.register
-    def _(self, injection: Signal) -> None:
-        if injection.number is SIGKILL:
-            self.robot.processes.signal(injection.process, SIGKILL)
-            return
-        self.robot.processes.signal(injection.process, injection.number)
-        if injection.resume is not None:
-            self.robot.pause(injection.resume)
-            self.robot.processes.signal(injection.process, SIGCONT)
-
-    @inject.register
-    def _(self, injection: Restart) -> None:
-        self.robot.processes.kill(injection.process)
-        self.robot.processes.start(injection.process)
-
-    @inject.register
-    def _(self, injection: Second) -> None:
-        self.robot.processes.start(injection.process, copy=_copy_of(injection.process))
-
-    @inject.register
-    def _(self, injection: Setting) -> None:
-        self.robot.services.set_parameter(injection.node, injection.parameter, injection.value)
-
-    @inject.register
-    def _(self, injection: TwistFault) -> None:
-        self.driver.fault = injection
-
-    @inject.register
-    def _(self, injection: Publication) -> None:
-        self._invalid.publication = injection
-
-    @inject.register
-    def _(self, injection: EmergencyStop) -> None:
-        self._button.publish(Bool(data=True))
-        self._releasing = injection.others_release
-
-    @inject.register
-    def _(self, injection: ServiceStop) -> None:
-        self.robot.services.trigger(injection.node, "stop")
+        processes, services = self.robot.processes, self.robot.services
+        match injection:
+            case Signal(process, number, resume):
+                processes.signal(process, number)
+                if resume is not None:
+                    self.robot.pause(resume)
+                    processes.signal(process, SIGCONT)
+            case Restart(process):
+                processes.kill(process)
+                processes.start(process)
+            case Second(process):
+                processes.start(process, copy=_copy_of(process))
+            case Setting(node, parameter, value, _, _):
+                services.set_parameter(node, parameter, value)
+            case TwistFault():
+                self.driver.fault = injection
+            case Publication():
+                self._invalid.publication = injection
+            case EmergencyStop(others_release):
+                self._button.publish(Bool(data=True))
+                self._releasing = others_release
+            case ServiceStop(node):
+                services.trigger(node, "stop")
+            case _:
+                assert_never(injection)
 
     def remove(self, injection: Injection) -> None:
         """Remove a fault; what was killed stays away until :meth:`repair`."""
@@ -122,5 +105,4 @@ class Player:
 
 
 def _copy_of(process: str) -> str:
-    """Return the name of a second copy of a process."""
     return f"{process} (second)"

@@ -53,7 +53,6 @@ class RunningRobot:
         node.create_subscription(String, "active_source", self._on_source, LATCHED)
 
     def _forget(self, name: str) -> None:
-        """Forget the stop state of a node that starts anew."""
         self.stop_states.pop(name, None)
 
     def follow_clock(self) -> None:

@@ -3,8 +3,8 @@
 `omniman bench faults` plays the rows against the running robot, and the documentation shows them.
 """
 
-from dataclasses import dataclass
-from signal import SIGKILL, SIGSTOP
+from dataclasses import dataclass, replace
+from signal import SIGKILL, SIGSTOP, Signals
 from typing import Any
 
 from omniman_ros.lab.faults.injections import (
@@ -30,7 +30,15 @@ from omniman_ros.lab.faults.injections import (
 from omniman_ros.lab.faults.rows import GoingOn, Motion, Outcome, Row, Subject
 
 FRONT_LEFT = ("front_left",)  # wheel whose drive fails
+PROCESS_NAMES = {STREAMING_PROCESS: "The streaming process of `arm_streamer`"}
+AFTER_SUSPENSION = {
+    Outcome.LATCHED: GoingOn.RESET,
+    Outcome.ENDED: GoingOn.COMMAND,
+    Outcome.PAUSED: GoingOn.NOTHING,
+}
+"""What a user does to drive on once a suspended process goes on."""
 LOST_SOURCE = 0.1  # longest time from the evidence of a lost source until the robot brakes [s]
+SOURCE_LOST: dict[str, Any] = {"reaction": LOST_SOURCE, "source": "none"}
 
 
 @dataclass(frozen=True)
@@ -79,28 +87,37 @@ def _latched(
 
 
 def _process(
-    name: str,
-    fault: str,
-    injection: Injection,
-    late: Timeout,
-    going_on: GoingOn,
+    label: str,
+    process: str,
+    number: Signals,
+    late: Timeout = AT_ONCE,
     outcome: Outcome = Outcome.ENDED,
+    stopped: tuple[str, ...] = (),
     **more: Any,
 ) -> Row:
-    """Return the row of a process whose end or pause stops the motion, without a reset."""
-    motion = Motion.TRAJECTORY if outcome is Outcome.ENDED else Motion.TWIST
-    return Row(
+    """Return the row of a process that is killed, or suspended until after the judgement."""
+    subject = PROCESS_NAMES.get(process, f"`{process}`")
+    if number is SIGKILL:
+        name, fault, going_on = f"{label} killed", f"{subject} is killed.", GoingOn.RESTART
+    else:
+        name, fault = (
+            f"{label} suspended",
+            f"{subject} is suspended, and goes on after the judgement.",
+        )
+        going_on = AFTER_SUSPENSION[outcome]
+    row = Row(
         name,
         Subject.PROCESS,
         fault,
-        injection,
+        Signal(process, number),
         outcome,
         going_on,
-        motion,
+        Motion.TWIST if outcome is Outcome.PAUSED else Motion.TRAJECTORY,
         late.unnoticed,
         late.timeout,
-        **more,
+        stopped=stopped,
     )
+    return replace(row, **more)
 
 
 def _twist(name: str, fault: str, injection: TwistFault) -> Row:
@@ -166,93 +183,53 @@ ROWS = (
     _harmless(
         "cmd_vel flood", Subject.SOURCE, "`cmd_vel` comes 1000 times a second.", TwistFault.FLOOD
     ),
+    _process("interpolator", INTERPOLATOR, SIGKILL, HORIZON, **SOURCE_LOST),
     _process(
-        "interpolator killed",
-        "`path_interpolator` is killed.",
-        Signal(INTERPOLATOR, SIGKILL),
+        "interpolator",
+        INTERPOLATOR,
+        SIGSTOP,
         HORIZON,
-        GoingOn.RESTART,
-        reaction=LOST_SOURCE,
-        source="none",
+        fault="`path_interpolator` is suspended for 1 s, and goes on.",
+        injection=Signal(INTERPOLATOR, SIGSTOP, resume=1.0),
+        **SOURCE_LOST,
     ),
+    _process("controller", CONTROLLER, SIGKILL, ODOM_PAUSE, slowly=1.6),
+    _process("controller", CONTROLLER, SIGSTOP, ODOM_PAUSE, slowly=1.6),
     _process(
-        "interpolator suspended",
-        "`path_interpolator` is suspended for 1 s, and goes on.",
-        Signal(INTERPOLATOR, SIGSTOP, resume=1.0),
-        HORIZON,
-        GoingOn.COMMAND,
-        reaction=LOST_SOURCE,
-        source="none",
-    ),
-    _process(
-        "controller killed",
-        "`platform_controller` is killed.",
-        Signal(CONTROLLER, SIGKILL),
+        "controller",
+        CONTROLLER,
+        SIGKILL,
         ODOM_PAUSE,
-        GoingOn.RESTART,
+        name="controller restarted",
+        fault="`platform_controller` is killed in motion, and started again at once.",
+        injection=Restart(CONTROLLER),
+        going_on=GoingOn.COMMAND,
         slowly=1.6,
     ),
-    _process(
-        "controller suspended",
-        "`platform_controller` is suspended, and goes on after the judgement.",
-        Signal(CONTROLLER, SIGSTOP),
-        ODOM_PAUSE,
-        GoingOn.COMMAND,
-        slowly=1.6,
-    ),
-    _process(
-        "controller restarted",
-        "`platform_controller` is killed in motion, and started again at once.",
-        Restart(CONTROLLER),
-        ODOM_PAUSE,
-        GoingOn.COMMAND,
-        slowly=1.6,
-    ),
-    _latched(
-        "bridge killed",
-        Subject.PROCESS,
-        "`can_bridge` is killed.",
-        Signal(BRIDGE, SIGKILL),
-        (CONTROLLER,),
-        WHEEL_STATES,
-        GoingOn.RESTART,
-    ),
-    _latched(
-        "bridge suspended",
-        Subject.PROCESS,
-        "`can_bridge` is suspended, and goes on after the judgement.",
-        Signal(BRIDGE, SIGSTOP),
-        (CONTROLLER,),
-        WHEEL_STATES,
-    ),
+    _process("bridge", BRIDGE, SIGKILL, WHEEL_STATES, Outcome.LATCHED, (CONTROLLER,)),
+    _process("bridge", BRIDGE, SIGSTOP, WHEEL_STATES, Outcome.LATCHED, (CONTROLLER,)),
     _harmless(
         "bridge twice",
         Subject.PROCESS,
         "A second `can_bridge` is started on the same bus: it leaves the drives alone.",
         Second(BRIDGE),
     ),
+    _process("streamer", STREAMER, SIGKILL, ARM_STATES, slowly=1.5),
     _process(
-        "streamer killed",
-        "`arm_streamer` is killed.",
-        Signal(STREAMER, SIGKILL),
-        ARM_STATES,
-        GoingOn.RESTART,
-        slowly=1.5,
+        "streaming process",
+        STREAMING_PROCESS,
+        SIGKILL,
+        outcome=Outcome.LATCHED,
+        stopped=(STREAMER,),
+        going_on=GoingOn.RESET,
     ),
-    _latched(
-        "streaming process killed",
-        Subject.PROCESS,
-        "The streaming process of `arm_streamer` is killed.",
-        Signal(STREAMING_PROCESS, SIGKILL),
-        (STREAMER,),
-    ),
-    _latched(
-        "streaming process suspended",
-        Subject.PROCESS,
-        "The streaming process of `arm_streamer` is suspended, and goes on after the judgement.",
-        Signal(STREAMING_PROCESS, SIGSTOP),
-        (STREAMER,),
+    _process(
+        "streaming process",
+        STREAMING_PROCESS,
+        SIGSTOP,
         Timeout(0.5, "the streamer waits for its process"),
+        Outcome.LATCHED,
+        (STREAMER,),
     ),
     _latched(
         "arm controller killed",
@@ -356,22 +333,8 @@ ROWS = (
             ("motion_limit", InvalidContent.NAN),
         )
     ),
-    _process(
-        "monitor killed",
-        "`collision_monitor` is killed.",
-        Signal(MONITOR, SIGKILL),
-        MOTION_LIMIT,
-        GoingOn.RESTART,
-        Outcome.PAUSED,
-    ),
-    _process(
-        "monitor suspended",
-        "`collision_monitor` is suspended, and goes on after the judgement.",
-        Signal(MONITOR, SIGSTOP),
-        MOTION_LIMIT,
-        GoingOn.NOTHING,
-        Outcome.PAUSED,
-    ),
+    _process("monitor", MONITOR, SIGKILL, MOTION_LIMIT, Outcome.PAUSED),
+    _process("monitor", MONITOR, SIGSTOP, MOTION_LIMIT, Outcome.PAUSED),
     _latched(
         "emergency stop",
         Subject.PERSON,

@@ -57,7 +57,6 @@ def run(args: argparse.Namespace) -> int:
     position, heading = 1e3 * POSITION_BOUND, math.degrees(HEADING_BOUND)
     body = build(Robot, robot)
     result = {
-        "full": args.full,
         "speed_m_s": SPEED,
         "length_m": LENGTH,
         "side_gap_m": SIDE_GAP,

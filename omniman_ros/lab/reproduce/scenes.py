@@ -79,13 +79,9 @@ def run(args: argparse.Namespace) -> int:
 
 
 def scene_seeds(args: argparse.Namespace) -> range:
-    """Return the seeds of the scenes: those of `--seeds`, or the first `--count` from 0 on."""
+    """Return the seeds of the scenes: those of `--seeds`, or as many as the effort asks for."""
     if args.seeds is None:
-        default = QUICK if args.quick else FULL if args.full else COUNT
-        count: int = default if args.count is None else args.count
-        if count < 1:
-            raise CommandError(f"--count must be 1 or more, got {count}", code=2)
-        return range(count)
+        return range(QUICK if args.quick else FULL if args.full else COUNT)
     try:
         first, _, last = args.seeds.partition(":")
         seeds = range(int(first), int(last) if last else int(first) + 1)

@@ -102,7 +102,6 @@ def args(tmp_path=None, **given):
         "seed": 0,
         "quick": False,
         "full": False,
-        "count": None,
         "seeds": None,
         "jobs": 1,
         "solve_time": None,
@@ -118,7 +117,6 @@ def args(tmp_path=None, **given):
         ({}, range(240)),
         ({"quick": True}, range(8)),
         ({"full": True}, range(1000)),
-        ({"count": 3, "quick": True}, range(3)),
         ({"seeds": "17"}, range(17, 18)),
         ({"seeds": "5:9"}, range(5, 9)),
     ],
@@ -130,8 +128,6 @@ def test_seeds_are_selected_by_options(given, seeds):
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ({"count": -1}, "--count"),
-        ({"count": 0}, "--count"),
         ({"seeds": "9:5"}, "9:5"),
         ({"seeds": "-3:5"}, "-3:5"),
         ({"seeds": "a"}, "'a'"),
@@ -173,7 +169,7 @@ def command(monkeypatch, tmp_path, outcomes, **given):
         yield from outcomes
 
     monkeypatch.setattr(scenes, "in_parallel", driven)
-    code = scenes.run(args(tmp_path, count=len(outcomes), **given))
+    code = scenes.run(args(tmp_path, seeds=f"0:{len(outcomes)}", **given))
     return code, json.loads((tmp_path / "reproduce_scenes.json").read_text()), asked
 
 
@@ -214,7 +210,7 @@ def test_seed_without_a_scene_is_reported(monkeypatch, tmp_path):
 
     monkeypatch.setattr(scenes, "in_parallel", driven)
     with pytest.raises(CommandError, match="seed 9"):
-        scenes.run(args(tmp_path, count=1))
+        scenes.run(args(tmp_path, seeds="0"))
 
 
 @IN_WORLD
