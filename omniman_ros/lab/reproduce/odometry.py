@@ -6,7 +6,6 @@ coupling control and unknown.
 """
 
 import argparse
-import math
 import os
 from collections.abc import Mapping
 from functools import partial
@@ -14,8 +13,7 @@ from typing import Any
 
 from omniman_ros.lab.reproduce.pipeline import Experiment, columns, in_parallel
 from omniman_ros.lab.studies.calibration import calibrate, measure_roller_lag
-from omniman_ros.lab.studies.coupling import GROUPS
-from omniman_ros.lab.studies.odometry_drive import OdometryCase, OdometryErrors, drive_odometry
+from omniman_ros.lab.studies.odometry_drive import OdometryCase, drive_odometry
 from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.lab.verdicts import verdict
 from omniman_ros.motion.figure7 import Figure7
@@ -47,8 +45,7 @@ def run(args: argparse.Namespace) -> int:
     ]
     one = partial(drive_odometry, {**robot, **calibration}, world, figure)
     generator = in_parallel(one, selected, os.cpu_count() or 1)
-    driven = experiment.collect(generator, len(selected))
-    rows = [row(case, errors) for case, errors in zip(selected, driven, strict=True)]
+    rows = experiment.collect(generator, len(selected))
     result = {
         "full": args.full,
         "calibration": calibration,
@@ -58,25 +55,6 @@ def run(args: argparse.Namespace) -> int:
     }
     experiment.publish(result, report)
     return 0
-
-
-def row(case: OdometryCase, errors: OdometryErrors) -> dict[str, Any]:
-    """Return the figures of a drive for the JSON, with the units in their names."""
-    ends = {
-        kind: {
-            "end_mm": 1e3 * math.hypot(error[0], error[1]),
-            "heading_mrad": 1e3 * float(error[2]),
-        }
-        for kind, error in (("wheels", errors.wheels), ("imu", errors.imu))
-    }
-    return {
-        "group": case.group,
-        "about": GROUPS[case.group].about,
-        "roller_lag_s": case.roller_lag,
-        "sample": case.sample,
-        "largest_mm": 1e3 * errors.largest,
-        **ends,
-    }
 
 
 def report(result: Mapping[str, Any]) -> list[str]:

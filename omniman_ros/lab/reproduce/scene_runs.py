@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache, partial
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -69,18 +70,6 @@ UPRIGHT = (0.0, -0.5 * math.pi, 0.0, -0.5 * math.pi, 0.0, 0.0)
 IDLE_TIMEOUT = 1.0  # time after which a drive ends if the planner has no goal [s]
 
 
-class CallbackPublisher:
-    """Replacement for a publisher of the node that passes each message to a function."""
-
-    def __init__(self, on_message: Callable[[Any], None], has_subscriber: bool) -> None:
-        self.publish = on_message
-        self._has_subscriber = has_subscriber
-
-    def get_subscription_count(self) -> int:
-        """Return the reported number of subscribers, 0 or 1."""
-        return int(self._has_subscriber)
-
-
 class CallbackPlanner(MpcPlannerNode):
     """The planner's node with its publishers replaced; references are passed to a function."""
 
@@ -93,13 +82,18 @@ class CallbackPlanner(MpcPlannerNode):
     def create_publisher(self, msg_type: Any, topic: str, *args: Any, **options: Any) -> Any:
         """Create a callback publisher for the node's own topics, and a real one for all others."""
         if topic == "mpc/reference":
-            return CallbackPublisher(self._on_reference, has_subscriber=True)
+            return _publisher(self._on_reference, subscribers=1)
         if topic.startswith("mpc/") or topic == "/diagnostics":
-            return CallbackPublisher(lambda _: None, has_subscriber=topic == "mpc/status")
+            return _publisher(lambda _: None, subscribers=int(topic == "mpc/status"))
         return super().create_publisher(msg_type, topic, *args, **options)
 
     def warn(self, subject: str, text: str) -> None:
         """Suppress warnings: those of hundreds of drives would fill the terminal."""
+
+
+def _publisher(on_message: Callable[[Any], None], subscribers: int) -> SimpleNamespace:
+    """Return a replacement for a publisher that passes each message to a function."""
+    return SimpleNamespace(publish=on_message, get_subscription_count=lambda: subscribers)
 
 
 @cache

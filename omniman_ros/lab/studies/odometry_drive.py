@@ -9,13 +9,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from omniman_ros.control.wheel_odometry import WheelOdometry, WheelOdometryParameters
 from omniman_ros.core.arbiter import Source
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.imu_mount import ImuMount
 from omniman_ros.core.parameters import build
+from omniman_ros.core.planar import Triple
 from omniman_ros.core.robot import Robot
 from omniman_ros.core.se2 import wrap
 from omniman_ros.lab.studies.closed_loop import LATENCY, PERIOD, ClosedLoop
@@ -39,19 +38,10 @@ class OdometryCase:
     seed: int  # seed of the random wheels
 
 
-@dataclass(frozen=True)
-class OdometryErrors:
-    """Errors (3,) of both odometries at the end [m, m, rad], and the wheels' on the way."""
-
-    wheels: Array  # by the wheels alone
-    imu: Array  # with the inertial sensor
-    largest: float  # largest distance of the pose by the wheels alone from the true pose [m]
-
-
 def drive_odometry(
     robot: Mapping[str, Any], world: WorldChoice | None, figure: Figure7, case: OdometryCase
-) -> OdometryErrors:
-    """Drive along the path once."""
+) -> dict[str, Any]:
+    """Drive along the path once; return the figures, with the units in their names."""
     values = {
         **robot,
         **GROUPS[case.group].changes,
@@ -69,11 +59,15 @@ def drive_odometry(
         observer.run(leg.preview.end - loop.now)
     observer.run(REST)
     loop.check(case)
-    return OdometryErrors(
-        _error(loop.controller.odometry.pose, loop.truth),
-        _error(observer.core.odometry.pose, loop.truth),
-        observer.largest,
-    )
+    return {
+        "group": case.group,
+        "about": GROUPS[case.group].about,
+        "roller_lag_s": case.roller_lag,
+        "sample": case.sample,
+        "largest_mm": 1e3 * observer.largest,
+        "wheels": _figures(loop.controller.odometry.pose, loop.truth),
+        "imu": _figures(observer.core.odometry.pose, loop.truth),
+    }
 
 
 class _Observer:
@@ -105,12 +99,13 @@ class _Observer:
                     self.core.imu.update(now, now, *measured)
             states = loop.states
             self.core.update_wheels(now, now + LATENCY, states.position, states.velocity)
-            error = _error(loop.controller.odometry.pose, loop.truth)
-            self.largest = max(self.largest, math.hypot(error[0], error[1]))
+            x, y, _ = loop.controller.odometry.pose
+            self.largest = max(self.largest, math.hypot(x - loop.truth[0], y - loop.truth[1]))
 
 
-def _error(pose: tuple[float, float, float], truth: Array) -> Array:
-    """Return the error (3,) of a pose [m, m, rad]."""
-    error: Array = np.array(pose) - truth
-    error[2] = wrap(float(error[2]))
-    return error
+def _figures(pose: Triple, truth: Array) -> dict[str, float]:
+    """Return distance and heading error of a pose by odometry [m, m, rad] from the true one."""
+    return {
+        "end_mm": 1e3 * math.hypot(pose[0] - truth[0], pose[1] - truth[1]),
+        "heading_mrad": 1e3 * wrap(pose[2] - float(truth[2])),
+    }
