@@ -3,7 +3,6 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import product
 
 import mujoco
 import numpy as np
@@ -14,10 +13,8 @@ from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.description.platform_shape import platform_top
 from omniman_ros.simulation.world.solids import ellipse_corners, prism_corners
 
-SIGNS: Array = np.array(list(product((-1.0, 1.0), repeat=3)))  #: Corners of a cube, (8, 3)
 #: Corners of a square, (4, 2)
 CORNERS: Array = np.array([(1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)])
-SHOULDER_SHAPES = 2  #: Number of the shapes of the shoulder, which stands on the platform
 ACCURACY = 1e-9  #: Accuracy of a distance [m]
 
 
@@ -53,17 +50,10 @@ class PostureDistances:
         self._data = mujoco.MjData(model)
         self._prisms = [int(model.body(f"prism {k}").geomadr[0]) for k in range(len(prisms))]
         self._robot = [k for k in range(model.ngeom) if k not in self._prisms]
-        self._platform = [int(model.geom(f"platform {k}").id) for k in range(len(outlines))]
+        platform = [int(model.geom(f"platform {k}").id) for k in range(len(outlines))]
         if body.outline is not None:  # boxes of the URDF cover it from outside
             cover = set(np.flatnonzero(model.geom_bodyid == model.body("base_link").id))
-            self._robot = [k for k in self._robot if k not in cover - set(self._platform)]
-        self._arm = [k for k in self._robot if self._is_moved(int(model.geom_bodyid[k]))]
-
-    def _is_moved(self, body: int) -> bool:
-        """Return whether a body is a link of the arm that its joints move."""
-        while body and self._model.body(body).name != "shoulder_link":
-            body = int(self._model.body_parentid[body])
-        return body > 0
+            self._robot = [k for k in self._robot if k not in cover - set(platform)]
 
     def place(self, pose: Array, posture: Array, places: Array) -> None:
         """Place the robot and the prisms.
@@ -90,30 +80,6 @@ class PostureDistances:
                 for prism in self._prisms
             ]
         )
-        return result
-
-    def arm_clearance(self) -> float:
-        """Return the distance of the arm beyond its shoulder from platform and floor [m]."""
-        rest = self._model, self._data
-        platform: float = min(
-            mujoco.mj_geomDistance(*rest, shape, piece, 1.0, None)
-            for shape in self._arm[SHOULDER_SHAPES:]
-            for piece in self._platform
-        )
-        return min(platform, float(self.corners(self._arm)[:, 2].min()))
-
-    def outline(self) -> Array:
-        """Return the corners (8 k, 3) of the boxes around the k shapes of the robot [m]."""
-        return self.corners(self._robot)
-
-    def corners(self, shapes: Sequence[int]) -> Array:
-        """Return the corners (8 k, 3) of the boxes around shapes, by their k numbers [m]."""
-        model, data = self._model, self._data
-        middle, half = np.split(model.geom_aabb[list(shapes)], 2, axis=1)
-        local = middle[:, None] + half[:, None] * SIGNS
-        axes = data.geom_xmat[list(shapes)].reshape(-1, 3, 3)
-        placed = local @ axes.transpose(0, 2, 1) + data.geom_xpos[list(shapes)][:, None]
-        result: Array = placed.reshape(-1, 3)
         return result
 
 
