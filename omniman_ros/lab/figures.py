@@ -45,17 +45,17 @@ from omniman_ros.motion.figure7 import Figure7, waypoints
 BOX_CORNERS = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]])
 FRONT_MARK = np.array([[1.0, 0.0], [0.72, 0.3], [0.72, -0.3]])
 """Corners of a box and of the triangle that marks its front, in half lengths and half widths."""
-OUTLINE_SPACING = 1.0  # distance along the path of Fig. 7 between two outlines of the robot [m]
-SNAPSHOT_PERIOD = 4.0  # time between two outlines of robots side by side [s]
-ROUND_WAYS = 0.8  # margin around their ways from above [m]
-BEFORE, AFTER = 2.0, 1.0  # time that is shown before and after the judged time [s]
-COLUMNS = 3  # of snapshots of a case
-SNAPSHOTS = 5  # where the scene defines none
-TRAIL_INTERVAL = 0.8  # time between two drawings of the robot on a trail [s]
-MAX_GAP = 1.2  # largest gap that is drawn [m]
-MOVING_SPEED = 0.05  # from which an obstacle is shown with its predicted positions [m/s]
-MARGIN = 0.25  # between the drawn objects and the frame of the axes [m]
-PREDICTION_STEP = 0.5  # between two predicted positions of an obstacle [s]
+OUTLINE_SPACING = 1.0  #: distance along the path of Fig. 7 between two outlines of the robot [m]
+SNAPSHOT_PERIOD = 4.0  #: time between two outlines of robots side by side [s]
+ROUND_WAYS = 0.8  #: margin around their ways from above [m]
+BEFORE, AFTER = 2.0, 1.0  #: time that is shown before and after the judged time [s]
+COLUMNS = 3  #: of snapshots of a case
+SNAPSHOTS = 5  #: where the scene defines none
+TRAIL_INTERVAL = 0.8  #: time between two drawings of the robot on a trail [s]
+MAX_GAP = 1.2  #: largest gap that is drawn [m]
+MOVING_SPEED = 0.05  #: from which an obstacle is shown with its predicted positions [m/s]
+MARGIN = 0.25  #: between the drawn objects and the frame of the axes [m]
+PREDICTION_STEP = 0.5  #: between two predicted positions of an obstacle [s]
 
 
 # ---- CCTA 2017, Fig. 7 --------------------------------------------------------------------------

@@ -19,17 +19,17 @@ from omniman_ros.lab.faults.ground_truth import GroundTruth
 from omniman_ros.lab.faults.injections import TwistFault
 from omniman_ros.lab.faults.rows import Motion
 
-SPEED = 0.5  # speed of the platform when a fault begins [m/s]
-ARM_SPEED = 0.6  # speed of the first joint of the arm when a fault begins [rad/s]
-RAMP = 1.2  # time in which a trajectory reaches its speed [s]
-CRUISE = 4.0  # time for which a trajectory has its speed [s]
-STEP = 0.1  # time between two points of a trajectory [s]
-TWIST_PERIOD = 0.02  # period of `cmd_vel` [s]
-FLOOD = 20  # number of twists that are sent in each period of a flood
-JUMP = 100.0  # factor of a twist that jumps
+SPEED = 0.5  #: speed of the platform when a fault begins [m/s]
+ARM_SPEED = 0.6  #: speed of the first joint of the arm when a fault begins [rad/s]
+RAMP = 1.2  #: time in which a trajectory reaches its speed [s]
+CRUISE = 4.0  #: time for which a trajectory has its speed [s]
+STEP = 0.1  #: time between two points of a trajectory [s]
+TWIST_PERIOD = 0.02  #: period of `cmd_vel` [s]
+FLOOD = 20  #: number of twists that are sent in each period of a flood
+JUMP = 100.0  #: factor of a twist that jumps
 PLATFORM_JOINTS = ("odom_x", "odom_y", "odom_t")
 """Names of the platform's coordinates in `joint_trajectory`."""
-NEWEST = QoSProfile(depth=1)  # quality of service of topics of which only the last message counts
+NEWEST = QoSProfile(depth=1)  #: quality of service of topics of which only the last message counts
 
 
 def cruise(ramp: float, duration: float, step: float) -> tuple[Array, Array, Array]:

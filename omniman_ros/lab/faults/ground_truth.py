@@ -11,9 +11,9 @@ from omniman_ros.conversions.headers import time_seconds
 from omniman_ros.core.arrays import Array
 from omniman_ros.nodes.rclpy_compat import subscribe_with_source_time
 
-YAW_ARM = 0.5  # distance from its centre at which a turn of the platform counts as speed [m]
+YAW_ARM = 0.5  #: distance from its centre at which a turn of the platform counts as speed [m]
 
-ALL = QoSProfile(depth=1000)  # quality of service of reports of which none may be lost
+ALL = QoSProfile(depth=1000)  #: quality of service of reports of which none may be lost
 
 
 class GroundTruth:

@@ -4,14 +4,14 @@ import signal
 from dataclasses import dataclass
 from enum import Enum
 
-CONTROLLER = "platform_controller"  # node that computes the wheel commands
-BRIDGE = "can_bridge"  # node between the wheel commands and the bus
-DRIVES = "simulated_can_drives"  # node that simulates the drives and the plant
-STREAMER = "arm_streamer"  # node that streams the arm's setpoints
-ARM = "simulated_ur"  # node that simulates the arm's controller
-INTERPOLATOR = "path_interpolator"  # node that sends paths and trajectories as previews
-MONITOR = "collision_monitor"  # node that limits the speed before contact
-STREAMING_PROCESS = "streaming process"  # child process of the streamer that sends the setpoints
+CONTROLLER = "platform_controller"  #: node that computes the wheel commands
+BRIDGE = "can_bridge"  #: node between the wheel commands and the bus
+DRIVES = "simulated_can_drives"  #: node that simulates the drives and the plant
+STREAMER = "arm_streamer"  #: node that streams the arm's setpoints
+ARM = "simulated_ur"  #: node that simulates the arm's controller
+INTERPOLATOR = "path_interpolator"  #: node that sends paths and trajectories as previews
+MONITOR = "collision_monitor"  #: node that limits the speed before contact
+STREAMING_PROCESS = "streaming process"  #: child process of the streamer that sends the setpoints
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Signal:
         resume: Time after which a suspended process goes on [s]; None until the judgement.
     """
 
-    process: str  # name of the process
+    process: str  #: name of the process
     number: signal.Signals
     resume: float | None = None
 
@@ -51,10 +51,10 @@ class Setting:
         afterwards: Commands to the dashboard of the arm's controller once it is cleared.
     """
 
-    node: str  # node of the simulated device
-    parameter: str  # name of the parameter
-    value: bool | float | tuple[str, ...]  # value with the fault
-    cleared: bool | float | tuple[str, ...]  # value without it
+    node: str  #: node of the simulated device
+    parameter: str  #: name of the parameter
+    value: bool | float | tuple[str, ...]  #: value with the fault
+    cleared: bool | float | tuple[str, ...]  #: value without it
     afterwards: tuple[str, ...] = ()
 
 
@@ -84,15 +84,15 @@ class InvalidContent(Enum):
 class Publication:
     """A second publisher of a topic sends invalid messages 100 times a second."""
 
-    topic: str  # name of the topic, a key of `invalid_messages.TOPICS`
-    content: InvalidContent  # what it sends
+    topic: str  #: name of the topic, a key of `invalid_messages.TOPICS`
+    content: InvalidContent  #: what it sends
 
 
 @dataclass(frozen=True)
 class EmergencyStop:
     """The emergency stop is pressed."""
 
-    others_release: bool = False  # whether a second publisher sends false all the while
+    others_release: bool = False  #: whether a second publisher sends false all the while
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from omniman_ros.conversions.motion_limits import LIMITED
 from omniman_ros.core.arm_parameters import UR_JOINTS
 from omniman_ros.lab.faults.injections import InvalidContent, Publication
 
-PERIOD = 0.01  # period of invalid messages [s]
+PERIOD = 0.01  #: period of invalid messages [s]
 NUMBERS = {
     InvalidContent.NAN: math.nan,
     InvalidContent.INFINITE: math.inf,

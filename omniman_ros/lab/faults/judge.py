@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from omniman_ros.core.arrays import Array
 
-BRAKED_SHARE = 0.95  # share of the speed before the fault below which a motion has begun to brake
-STEADY_TIME = 0.2  # time before the fault over which the speed is averaged [s]
-WINDOW = 0.06  # time over which a deceleration is averaged [s]
+BRAKED_SHARE = 0.95  #: share of the speed before the fault below which a motion has begun to brake
+STEADY_TIME = 0.2  #: time before the fault over which the speed is averaged [s]
+WINDOW = 0.06  #: time over which a deceleration is averaged [s]
 
 
 @dataclass(frozen=True)
@@ -25,11 +25,11 @@ class Stop:
             it did not.
     """
 
-    speed: float  # speed before the fault [m/s or rad/s]
+    speed: float  #: speed before the fault [m/s or rad/s]
     reaction: float
-    rest: float  # time from the fault from which on it was at rest [s]; infinite if it was not
-    deceleration: float  # largest deceleration of the speed [m/s^2 or rad/s^2]
-    fastest: float  # largest speed after the fault [m/s or rad/s]
+    rest: float  #: time from the fault from which on it was at rest [s]; infinite if it was not
+    deceleration: float  #: largest deceleration of the speed [m/s^2 or rad/s^2]
+    fastest: float  #: largest speed after the fault [m/s or rad/s]
 
 
 UNKNOWN = Stop(math.nan, math.inf, math.inf, math.nan, math.nan)

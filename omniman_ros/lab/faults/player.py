@@ -23,7 +23,7 @@ from omniman_ros.nodes.stop_interface import LATCHED
 
 DASHBOARD_PAUSE = 1.0
 """Time for which the arm's controller carries a command of its dashboard out [s]."""
-RELEASE_PERIOD = 0.01  # period at which a second button says that it is not pressed [s]
+RELEASE_PERIOD = 0.01  #: period at which a second button says that it is not pressed [s]
 
 
 class Player:

@@ -11,8 +11,8 @@ from std_srvs.srv import Trigger
 
 from omniman_ros.console.errors import CommandError
 
-SERVICE_TIMEOUT = 10.0  # longest time for the answer of a service [s]
-CALLS = 3  # number of calls of a service that does not answer
+SERVICE_TIMEOUT = 10.0  #: longest time for the answer of a service [s]
+CALLS = 3  #: number of calls of a service that does not answer
 
 
 class RobotServices:

@@ -21,8 +21,8 @@ class Subject(Enum):
 class Motion(Enum):
     """What the robot does when the fault begins."""
 
-    TWIST = "twist"  # the platform follows `cmd_vel`, the arm a trajectory
-    TRAJECTORY = "trajectory"  # platform and arm follow one trajectory
+    TWIST = "twist"  #: the platform follows `cmd_vel`, the arm a trajectory
+    TRAJECTORY = "trajectory"  #: platform and arm follow one trajectory
 
 
 class Outcome(Enum):
@@ -30,12 +30,12 @@ class Outcome(Enum):
 
     LATCHED = "stops until a reset"
     """Platform and arm come to rest, and nothing moves again before a reset."""
-    PAUSED = "stops, goes on"  # the platform comes to rest, and goes on when the fault has gone
+    PAUSED = "stops, goes on"  #: the platform comes to rest, and goes on when the fault has gone
     ENDED = "stops for this motion"
     """All come to rest; the motion is over, and the next command moves again without a reset."""
     LIMITED = "stays within the limits"
     """Neither speed nor acceleration exceed the limits, whatever is asked for."""
-    UNHARMED = "drives on"  # the motion goes on as if nothing had happened
+    UNHARMED = "drives on"  #: the motion goes on as if nothing had happened
 
 
 class GoingOn(Enum):
@@ -60,22 +60,22 @@ class Row:
             stay on their path [s].
     """
 
-    name: str  # name of the row, for `--row`
-    subject: Subject  # what fails
-    fault: str  # fault, in words for the documentation
-    injection: Injection  # how it is injected
-    outcome: Outcome  # what must become of the motion
-    going_on: GoingOn  # what a user does to drive on
-    motion: Motion = Motion.TWIST  # motion of the robot when the fault begins
+    name: str  #: name of the row, for `--row`
+    subject: Subject  #: what fails
+    fault: str  #: fault, in words for the documentation
+    injection: Injection  #: how it is injected
+    outcome: Outcome  #: what must become of the motion
+    going_on: GoingOn  #: what a user does to drive on
+    motion: Motion = Motion.TWIST  #: motion of the robot when the fault begins
     unnoticed: float = 0.0
-    timeout: str = ""  # what sets this time, mostly a parameter; empty if there is none
+    timeout: str = ""  #: what sets this time, mostly a parameter; empty if there is none
     reaction: float = 0.12
     slowly: float = 0.0
-    leftover: float = 2e-3  # largest motion once the fault has gone, before a reset [m or rad]
-    platform: bool = True  # whether the platform has to react
-    arm: bool = True  # whether the arm has to react
-    stopped: tuple[str, ...] = ()  # names of the nodes whose `stop_state` must be `stopped`
-    source: str = ""  # required value of `active_source`; empty if any will do
+    leftover: float = 2e-3  #: largest motion once the fault has gone, before a reset [m or rad]
+    platform: bool = True  #: whether the platform has to react
+    arm: bool = True  #: whether the arm has to react
+    stopped: tuple[str, ...] = ()  #: names of the nodes whose `stop_state` must be `stopped`
+    source: str = ""  #: required value of `active_source`; empty if any will do
 
     def __post_init__(self) -> None:
         if self.outcome is Outcome.LATCHED and not self.stopped:

@@ -17,9 +17,9 @@ from omniman_ros.processes.robot_setup import RobotSetup, robot_processes
 
 MOVERS = (CONTROLLER, BRIDGE, STREAMER)
 """Nodes whose stop states tell whether the robot can be driven."""
-LOOKAHEAD = 0.01  # how far simulated time may be ahead of this process, which injects faults [s]
-RESET_PERIOD = 0.3  # time between two attempts to reset the robot [s]
-NANOSECOND = 1e-9  # seconds in a nanosecond
+LOOKAHEAD = 0.01  #: how far simulated time may be ahead of this process, which injects faults [s]
+RESET_PERIOD = 0.3  #: time between two attempts to reset the robot [s]
+NANOSECOND = 1e-9  #: seconds in a nanosecond
 LATEST_TRUTH = 5.0
 """Longest time after an instant until its ground truth is received from a busy machine [s]."""
 DASHBOARD_PORT = "ports.dashboard:="

@@ -29,7 +29,7 @@ from omniman_ros.lab.faults.injections import (
 )
 from omniman_ros.lab.faults.rows import GoingOn, Motion, Outcome, Row, Subject
 
-FRONT_LEFT = ("front_left",)  # wheel whose drive fails
+FRONT_LEFT = ("front_left",)  #: wheel whose drive fails
 PROCESS_NAMES = {STREAMING_PROCESS: "The streaming process of `arm_streamer`"}
 AFTER_SUSPENSION = {
     Outcome.LATCHED: GoingOn.RESET,
@@ -37,7 +37,7 @@ AFTER_SUSPENSION = {
     Outcome.PAUSED: GoingOn.NOTHING,
 }
 """What a user does to drive on once a suspended process goes on."""
-LOST_SOURCE = 0.1  # longest time from the evidence of a lost source until the robot brakes [s]
+LOST_SOURCE = 0.1  #: longest time from the evidence of a lost source until the robot brakes [s]
 SOURCE_LOST: dict[str, Any] = {"reaction": LOST_SOURCE, "source": "none"}
 
 
@@ -45,8 +45,8 @@ SOURCE_LOST: dict[str, Any] = {"reaction": LOST_SOURCE, "source": "none"}
 class Timeout:
     """A time-out by which a fault becomes evident."""
 
-    unnoticed: float  # [s]
-    timeout: str  # what sets it, mostly a parameter
+    unnoticed: float  #: [s]
+    timeout: str  #: what sets it, mostly a parameter
 
 
 AT_ONCE = Timeout(0.0, "")

@@ -13,25 +13,25 @@ from omniman_ros.lab.faults.rows import GoingOn, Outcome, Row, Subject
 
 STILL_PLATFORM, STILL_ARM = 0.01, 0.05
 """Speeds below which platform [m/s] and arm [rad/s] are at rest; the arm's servo dies down."""
-LARGEST_SPEED = 1.05  # largest speed of the platform, 5 % above the robot's limit [m/s]
-DECELERATION = 1.2  # deceleration limit of the robot [m/s^2]; that of its drives is 1.14 m/s^2
-ARM_DECELERATION = 5.0  # deceleration limit of the arm [rad/s^2]
-PROTECTIVE_DECELERATION = 15.0  # deceleration of the arm in a stop by its controller [rad/s^2]
+LARGEST_SPEED = 1.05  #: largest speed of the platform, 5 % above the robot's limit [m/s]
+DECELERATION = 1.2  #: deceleration limit of the robot [m/s^2]; that of its drives is 1.14 m/s^2
+ARM_DECELERATION = 5.0  #: deceleration limit of the arm [rad/s^2]
+PROTECTIVE_DECELERATION = 15.0  #: deceleration of the arm in a stop by its controller [rad/s^2]
 TOLERANCE = 1.25
 """Factor by which a measured deceleration may exceed its limit: the drives follow with a lag."""
 REST_MARGIN = 0.4
 """Time by which a stop may last longer than a straight ramp from the reaction on [s]."""
-OBSERVED_REST = 0.5  # time for which the robot is observed at rest [s]
-HARMLESS_TIME = 1.0  # time for which the robot is observed after a fault that must not stop it [s]
-MOVED = 2e-3  # way beyond which a robot that ought to stand has moved [m or rad]
-STEADY = 0.3  # time for which the robot must have had its speed before a fault [s]
-READY_TIMEOUT = 40.0  # longest time until a robot whose processes were started is ready [s]
-SPEED_TIMEOUT = RAMP + 2.5  # longest time until the robot has its speed [s]
-ATTEMPTS = 15  # number of attempts to bring the robot to speed
+OBSERVED_REST = 0.5  #: time for which the robot is observed at rest [s]
+HARMLESS_TIME = 1.0  #: time for which the robot is observed after a harmless fault [s]
+MOVED = 2e-3  #: way beyond which a robot that ought to stand has moved [m or rad]
+STEADY = 0.3  #: time for which the robot must have had its speed before a fault [s]
+READY_TIMEOUT = 40.0  #: longest time until a robot whose processes were started is ready [s]
+SPEED_TIMEOUT = RAMP + 2.5  #: longest time until the robot has its speed [s]
+ATTEMPTS = 15  #: number of attempts to bring the robot to speed
 LONGEST_HOLD_UP = 0.04
 """Time for which the machine held drives or arm up beyond which a trial is not judged, whether it
 passed or failed [s]; their reports are 10 ms apart."""
-RESUME_TIMEOUT = 5.0  # longest time until a robot that goes on by itself has done so [s]
+RESUME_TIMEOUT = 5.0  #: longest time until a robot that goes on by itself has done so [s]
 
 
 @dataclass
@@ -42,12 +42,12 @@ class Trial:
         false_stops: Number of stops before the fault, each with its reason.
     """
 
-    platform: Stop  # stop of the platform
-    arm: Stop  # stop of the arm
-    failures: list[str]  # what was not as it must be; empty if the trial passed
-    held_up: float = 0.0  # longest time for which the machine held drives or arm up [s]
+    platform: Stop  #: stop of the platform
+    arm: Stop  #: stop of the arm
+    failures: list[str]  #: what was not as it must be; empty if the trial passed
+    held_up: float = 0.0  #: longest time for which the machine held drives or arm up [s]
     false_stops: list[str] = field(default_factory=list)
-    recovery: float = math.nan  # time until the robot was ready again [s]
+    recovery: float = math.nan  #: time until the robot was ready again [s]
 
     @property
     def is_judged(self) -> bool:

@@ -32,9 +32,9 @@ counts at the end only. Limits and a clipped goal remain."""
 class Variant:
     """A setting in which a case is driven."""
 
-    about: str  # short description, which names the drive in the results
-    changes: Mapping[str, Any] = field(default_factory=dict)  # parameters of the planner
-    voltages: bool = False  # whether motor voltages are put out, as in MPC 2021, (20)
+    about: str  #: short description, which names the drive in the results
+    changes: Mapping[str, Any] = field(default_factory=dict)  #: parameters of the planner
+    voltages: bool = False  #: whether motor voltages are put out, as in MPC 2021, (20)
 
 
 VARIANTS = (

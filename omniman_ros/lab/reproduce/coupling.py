@@ -40,10 +40,10 @@ from omniman_ros.lab.verdicts import verdict
 from omniman_ros.motion.figure7 import Figure7
 from omniman_ros.robots import load_robot
 
-PAPER_GAIN = 2.0  # k_epsilon in Fig. 7 of CCTA 2017 [1/s]
-AIM = 0.1  # largest ratio of the coupling error to that without control, on the plant [-]
-WORLD_GAIN = 5.0  # gain in the physics world, beside the robot's own [1/s]
-ERROR_AIM, ENERGY_AIM = 0.25, 1.01  # largest ratios to those without control in the world [-]
+PAPER_GAIN = 2.0  #: k_epsilon in Fig. 7 of CCTA 2017 [1/s]
+AIM = 0.1  #: largest ratio of the coupling error to that without control, on the plant [-]
+WORLD_GAIN = 5.0  #: gain in the physics world, beside the robot's own [1/s]
+ERROR_AIM, ENERGY_AIM = 0.25, 1.01  #: largest ratios to those without control in the world [-]
 MEASURES = {OWN_CONTROLLER: "epsilon_ratio", LAG_CONTROLLER: "error_ratio"}
 """The error that each form of coupling control takes out: epsilon by CCTA 2017 (24), and, of the
 form that knows the lag of the rollers, epsilon less what the lag explains."""
@@ -58,7 +58,7 @@ class Extent:
     on_plant: Sequence[str]
     in_world: Sequence[str]
     samples: int
-    rotation: float  # duration of the rotation that measures the lag [s]
+    rotation: float  #: duration of the rotation that measures the lag [s]
 
 
 QUICK = Extent(Figure7(length=1.0), ("P",), ("PI",), samples=1, rotation=2.0)

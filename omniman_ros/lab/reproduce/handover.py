@@ -33,9 +33,9 @@ from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.lab.verdicts import verdict
 from omniman_ros.robots import load_robot
 
-POSITION_BOUND = 0.02  # bound of the true distance from the station [m]
-HEADING_BOUND = math.radians(1.0)  # bound of the true heading error [rad]
-LEAST_SPEED = 0.95 * SPEED  # speed of the leader below which it does not count as in motion [m/s]
+POSITION_BOUND = 0.02  #: bound of the true distance from the station [m]
+HEADING_BOUND = math.radians(1.0)  #: bound of the true heading error [rad]
+LEAST_SPEED = 0.95 * SPEED  #: speed of the leader below which it does not count as in motion [m/s]
 
 
 def run(args: argparse.Namespace) -> int:

@@ -57,17 +57,17 @@ from omniman_ros.planning.cycle import PlannerState
 from omniman_ros.robots import load_robot
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 
-EPOCH = 1000.0  # ROS time at which the simulation starts [s]; a stamp of 0 is the present time
-ODOM_EVERY = 2  # number of ticks of the plant per message on `odom`, which results in 100 Hz
+EPOCH = 1000.0  #: ROS time at which the simulation starts [s]; a stamp of 0 is the present time
+ODOM_EVERY = 2  #: number of ticks of the plant per message on `odom`, which results in 100 Hz
 ODOM_NOISE = (0.002, 0.002, 0.002, 0.005, 0.005, 0.005)
 """Standard deviations of the pose [m, m, rad] and the twist [m/s, m/s, rad/s] on `odom`."""
-MARKER_NOISE = 0.01  # standard deviation of a marker's x and y [m]
-MARKER_PERIOD = (0.04, 0.12)  # range of the random time between two messages on `obstacles` [s]
-MARKER_DELAY = (0.005, 0.03)  # range of the random delay of an observation's arrival [s]
-GOAL_TIME = 0.25  # time at which the goal is sent, after a few observations [s]
+MARKER_NOISE = 0.01  #: standard deviation of a marker's x and y [m]
+MARKER_PERIOD = (0.04, 0.12)  #: range of the random time between two messages on `obstacles` [s]
+MARKER_DELAY = (0.005, 0.03)  #: range of the random delay of an observation's arrival [s]
+GOAL_TIME = 0.25  #: time at which the goal is sent, after a few observations [s]
 UPRIGHT = (0.0, -0.5 * math.pi, 0.0, -0.5 * math.pi, 0.0, 0.0)
 """Posture of the arm, if the robot has one, in which it is above the platform [rad]."""
-IDLE_TIMEOUT = 1.0  # time after which a drive ends if the planner has no goal [s]
+IDLE_TIMEOUT = 1.0  #: time after which a drive ends if the planner has no goal [s]
 
 
 class CallbackPlanner(MpcPlannerNode):
@@ -109,11 +109,11 @@ def context() -> rclpy.Context:
 class SceneRunSettings:
     """Settings of drives through random scenes."""
 
-    robot: str = "ig42"  # name of the robot, or path of its file
-    seed: int = 0  # seed of the noise, which is combined with the seed of the scene
-    solve_time: float | None = None  # assumed for each answer [s]; None: the CPU time it takes
-    wheels: str | None = None  # kind of wheels in the physics world; None for the plant
-    calibration: Mapping[str, float] = field(default_factory=dict)  # of odometry, names to values
+    robot: str = "ig42"  #: name of the robot, or path of its file
+    seed: int = 0  #: seed of the noise, which is combined with the seed of the scene
+    solve_time: float | None = None  #: assumed for each answer [s]; None: the CPU time it takes
+    wheels: str | None = None  #: kind of wheels in the physics world; None for the plant
+    calibration: Mapping[str, float] = field(default_factory=dict)  #: of odometry, names to values
 
 
 class NodeLoop:

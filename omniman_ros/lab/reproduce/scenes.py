@@ -21,7 +21,7 @@ from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.lab.verdicts import verdict
 from omniman_ros.robots import load_robot
 
-COUNT, QUICK, FULL = 240, 8, 1000  # numbers of scenes
+COUNT, QUICK, FULL = 240, 8, 1000  #: numbers of scenes
 AIMS = {
     "contacts": ("drives with a contact", "0"),
     "left_workspace": ("drives that left the workspace", "0"),

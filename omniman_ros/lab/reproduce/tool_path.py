@@ -43,7 +43,7 @@ from omniman_ros.ur.parameters import UrParameters
 
 RMS_BOUND, MAX_BOUND = 0.002, 0.005
 """Bounds of the distance of the tool from its reference position at each time, in odom [m]."""
-LENGTH, QUICK_LENGTH = 4.0, 1.0  # lengths of the tool's path, projected onto the floor [m]
+LENGTH, QUICK_LENGTH = 4.0, 1.0  #: lengths of the tool's path, projected onto the floor [m]
 
 
 def run(args: argparse.Namespace) -> int:

@@ -21,13 +21,13 @@ AREA = 2.5
 """Half the edge of the square in which goals and paths are, about the origin of the truth [m]."""
 OBSTACLES = np.array([[3.2, 1.0, 0.3], [-0.5, 3.0, 0.25], [-3.0, -1.5, 0.3]])
 """Positions [m] and radii [m] of what stands around, in the frame of the ground truth."""
-AT_REST = np.zeros((len(OBSTACLES), 2))  # their velocities [m/s]
-LARGEST_TWIST = (0.5, 0.4, 0.8)  # largest components of a twist [m/s, m/s, rad/s]
-TOOL_STEP = 0.25  # largest way of the tool along each axis [m]
-ARM_STEP = 0.5  # largest change of a joint [rad]
+AT_REST = np.zeros((len(OBSTACLES), 2))  #: their velocities [m/s]
+LARGEST_TWIST = (0.5, 0.4, 0.8)  #: largest components of a twist [m/s, m/s, rad/s]
+TOOL_STEP = 0.25  #: largest way of the tool along each axis [m]
+ARM_STEP = 0.5  #: largest change of a joint [rad]
 LASTING = (2.0, 8.0)
 """Shortest and longest time for which a motion may last before the next activity [s]."""
-SUSPENSION = (0.02, 0.6)  # shortest and longest time for which a process is suspended [s]
+SUSPENSION = (0.02, 0.6)  #: shortest and longest time for which a process is suspended [s]
 
 FAULTS = [
     row

@@ -11,7 +11,7 @@ import numpy as np
 from omniman_ros.console.errors import CommandError
 from omniman_ros.lab.measurement import cpu_time
 
-MEBIBYTE = 2**20  # bytes in a mebibyte
+MEBIBYTE = 2**20  #: bytes in a mebibyte
 SETTLED_SHARE = 0.5
 """Share of the samples, the later ones, from which growth is computed: caches fill at first."""
 
@@ -20,12 +20,12 @@ SETTLED_SHARE = 0.5
 class Usage:
     """What a process uses at one time."""
 
-    at: float  # time [s]
-    pid: int  # process id: a process that was started anew begins anew
-    memory: float  # resident memory [MiB]
-    descriptors: int  # number of open file descriptors
-    threads: int  # number of threads
-    cpu: float  # CPU time used so far [s]
+    at: float  #: time [s]
+    pid: int  #: process id: a process that was started anew begins anew
+    memory: float  #: resident memory [MiB]
+    descriptors: int  #: number of open file descriptors
+    threads: int  #: number of threads
+    cpu: float  #: CPU time used so far [s]
 
 
 def usage(pid: int, at: float) -> Usage | None:

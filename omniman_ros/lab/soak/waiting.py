@@ -3,9 +3,9 @@
 from collections.abc import Iterable
 from pathlib import Path
 
-PERIOD = 0.2  # shortest time between two samples [s]
-LONGEST_WAIT = 0.1  # time of waiting between two samples from which on a thread is held up [s]
-NANOSECOND = 1e-9  # seconds in a nanosecond
+PERIOD = 0.2  #: shortest time between two samples [s]
+LONGEST_WAIT = 0.1  #: time of waiting between two samples from which on a thread is held up [s]
+NANOSECOND = 1e-9  #: seconds in a nanosecond
 
 
 def waited(pid: int, proc: Path = Path("/proc")) -> dict[int, float]:

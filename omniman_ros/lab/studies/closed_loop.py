@@ -23,7 +23,7 @@ from omniman_ros.simulation.plant.simulated_drives import SimulatedDrives, Wheel
 if TYPE_CHECKING:  # The command line must do without the engine.
     from omniman_ros.simulation.world.world import World
 
-PERIOD = 0.005  # time between two ticks [s]
+PERIOD = 0.005  #: time between two ticks [s]
 LATENCY = 0.001
 """Time from a measurement to the tick that uses it, which is also when the drives receive the
 tick's command [s]."""
@@ -130,11 +130,11 @@ class ClosedLoop:
 class MotionRecord:
     """The record of a robot's motion, with a row for each tick of the controller."""
 
-    times: list[float] = field(default_factory=list)  # times of the ticks [s]
-    poses: list[Array] = field(default_factory=list)  # true poses (3,) in odom [m, m, rad]
-    odometry: list[Array] = field(default_factory=list)  # poses (3,) by odometry [m, m, rad]
-    twists: list[Array] = field(default_factory=list)  # (3,) in base_link [m/s, m/s, rad/s]
-    energy: list[float] = field(default_factory=list)  # electric energy consumed so far [J]
+    times: list[float] = field(default_factory=list)  #: times of the ticks [s]
+    poses: list[Array] = field(default_factory=list)  #: true poses (3,) in odom [m, m, rad]
+    odometry: list[Array] = field(default_factory=list)  #: poses (3,) by odometry [m, m, rad]
+    twists: list[Array] = field(default_factory=list)  #: (3,) in base_link [m/s, m/s, rad/s]
+    energy: list[float] = field(default_factory=list)  #: electric energy consumed so far [J]
 
     def add(self, loop: ClosedLoop) -> None:
         """Record the latest tick of a loop."""

@@ -17,24 +17,24 @@ from omniman_ros.lab.studies.worlds import WorldChoice
 from omniman_ros.motion.figure7 import Figure7
 from omniman_ros.simulation.plant.parameters import MismatchParameters
 
-MISMATCH_SPREAD = 0.2  # largest relative error of friction, torque constant and gain [-]
-SENDING_LEAD = 0.05  # time by which a movement is sent to the controller before it begins [s]
-TRACE_STRIDE = 4  # ticks from one sample of a recorded trace to the next, which gives 50 Hz
+MISMATCH_SPREAD = 0.2  #: largest relative error of friction, torque constant and gain [-]
+SENDING_LEAD = 0.05  #: time by which a movement is sent to the controller before it begins [s]
+TRACE_STRIDE = 4  #: ticks from one sample of a recorded trace to the next, which gives 50 Hz
 
 
 @dataclass(frozen=True)
 class Group:
     """A group of drives with common parameters."""
 
-    about: str  # description of the group in the tables
-    changes: Mapping[str, Any] = field(default_factory=dict)  # parameters, full names to values
-    radius_spread: float = 0.0  # largest relative error of a radius, unknown to the controller [-]
+    about: str  #: description of the group in the tables
+    changes: Mapping[str, Any] = field(default_factory=dict)  #: parameters, full names to values
+    radius_spread: float = 0.0  #: largest relative error of a radius, not known to the controller
 
 
 NO_FOLLOWING_ERROR_STOP = {"drive.following_error": 100.0}
 """Parameters that prevent a stop by the following error, as P loops of unequal wheels can lag by
 more than a healthy robot may."""
-P_LOOPS = {"firmware.integral_time": 100.0}  # too long to matter in a movement of 10 s [s]
+P_LOOPS = {"firmware.integral_time": 100.0}  #: too long to matter in a movement of 10 s [s]
 GROUPS: Mapping[str, Group] = {
     "P": Group("P velocity loops", P_LOOPS),
     "PI": Group("PI velocity loops"),
@@ -59,21 +59,21 @@ The package's with lag knows the lag of the rollers, `Setup.roller_lag`; the oth
 class Case:
     """One drive of the study."""
 
-    group: str  # name of the group, a key of GROUPS
-    sample: int  # index of the set of random wheels
-    gain: float  # k_epsilon [1/s]; 0 for no coupling control
-    mismatch: MismatchParameters  # errors of the wheels
-    controller: str = OWN_CONTROLLER  # name of the coupling controller, a key of CONTROLLERS
+    group: str  #: name of the group, a key of GROUPS
+    sample: int  #: index of the set of random wheels
+    gain: float  #: k_epsilon [1/s]; 0 for no coupling control
+    mismatch: MismatchParameters  #: errors of the wheels
+    controller: str = OWN_CONTROLLER  #: name of the coupling controller, a key of CONTROLLERS
 
 
 @dataclass(frozen=True)
 class Setup:
     """Robot and path, which all drives of a study have in common."""
 
-    robot: Mapping[str, Any]  # parameters of the robot, full names to values
-    figure: Figure7  # the path as a function of time
-    world: WorldChoice | None = None  # world in which the robot drives; None for the plant
-    roller_lag: float = 0.0  # time by which its rollers take over late [s]
+    robot: Mapping[str, Any]  #: parameters of the robot, full names to values
+    figure: Figure7  #: the path as a function of time
+    world: WorldChoice | None = None  #: world in which the robot drives; None for the plant
+    roller_lag: float = 0.0  #: time by which its rollers take over late [s]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "robot", dict(self.robot))  # so that it can be pickled
@@ -85,25 +85,25 @@ class Setup:
 class Outcome:
     """The figures of a drive."""
 
-    epsilon_max: float  # largest |epsilon| by CCTA 2017 (24), from the encoders [rad]
-    error_max: float  # largest |epsilon|, less what the lag of the rollers explains [rad]
-    slip: float  # energy dissipated by slip of the rollers on the floor [J]
-    copper: float  # energy dissipated in the windings of the motors [J]
-    energy: float  # electrical energy that the amplifiers deliver [J]
-    odometry_end: float  # position error of the odometry at the end [m]
-    odometry_max: float  # largest position error of the odometry [m]
-    heading_end: float  # magnitude of the heading error of the odometry at the end [rad]
-    tracking_max: float  # largest distance of the measured position from the reference [m]
+    epsilon_max: float  #: largest |epsilon| by CCTA 2017 (24), from the encoders [rad]
+    error_max: float  #: largest |epsilon|, less what the lag of the rollers explains [rad]
+    slip: float  #: energy dissipated by slip of the rollers on the floor [J]
+    copper: float  #: energy dissipated in the windings of the motors [J]
+    energy: float  #: electrical energy that the amplifiers deliver [J]
+    odometry_end: float  #: position error of the odometry at the end [m]
+    odometry_max: float  #: largest position error of the odometry [m]
+    heading_end: float  #: magnitude of the heading error of the odometry at the end [rad]
+    tracking_max: float  #: largest distance of the measured position from the reference [m]
 
 
 @dataclass(frozen=True)
 class Run:
     """A completed drive."""
 
-    case: Case  # the case
-    outcome: Outcome  # its figures
-    time: Array  # (k,) times at 50 Hz [s]
-    epsilon: Array  # (k, m) coupling errors by CCTA 2017 (24), never reset [rad]
+    case: Case  #: the case
+    outcome: Outcome  #: its figures
+    time: Array  #: (k,) times at 50 Hz [s]
+    epsilon: Array  #: (k, m) coupling errors by CCTA 2017 (24), never reset [rad]
 
 
 def draw_mismatch(group: str, seed: int, sample: int, wheels: int) -> MismatchParameters:

@@ -45,22 +45,22 @@ from omniman_ros.motion.station.keeper import StationKeeper, StationState
 from omniman_ros.motion.station.parameters import StationParameters
 from omniman_ros.simulation.plant.parameters import MismatchParameters
 
-SPEED = 0.3  # speed of the leader along its path [m/s]
-SIDE_GAP = 0.6  # gap between the sides of the two robots at the station [m]
-KEPT_TIME = 5.0  # time for which the station is to be kept [s]
-LENGTH = 7.0  # length of the leader's path [m]
-PATH_SPACING = 0.05  # distance between poses of the leader's path [m]
-DEPARTURE = 0.5  # time at which the leader departs [s]
-REQUEST = 1.5  # time at which the follower is sent to the station [s]
-REST_TIME = 1.0  # time for which the leader is recorded at the end of its path [s]
-LEADER_START: Triple = (0.0, 0.0, 0.0)  # pose of the leader at the start [m, m, rad]
-FOLLOWER_START: Triple = (-1.0, -3.0, 1.2)  # pose of the follower at the start [m, m, rad]
-SETTLING_TIME = 1.0  # time from the report that the station is kept to the judged time [s]
-PARTING = 1.2  # distance by which the follower moves away from the station sideways to part [m]
-PARTING_TIME = 4.0  # time from the beginning of the parting until the keeper is released [s]
-PREVIEW_PERIOD = 0.04  # period of the previews of paths and stations [s]
-PREVIEW_HORIZON = 0.4  # duration that these previews cover [s]
-UNCALIBRATED = "radii"  # name of the wheels with radii that neither robot knows
+SPEED = 0.3  #: speed of the leader along its path [m/s]
+SIDE_GAP = 0.6  #: gap between the sides of the two robots at the station [m]
+KEPT_TIME = 5.0  #: time for which the station is to be kept [s]
+LENGTH = 7.0  #: length of the leader's path [m]
+PATH_SPACING = 0.05  #: distance between poses of the leader's path [m]
+DEPARTURE = 0.5  #: time at which the leader departs [s]
+REQUEST = 1.5  #: time at which the follower is sent to the station [s]
+REST_TIME = 1.0  #: time for which the leader is recorded at the end of its path [s]
+LEADER_START: Triple = (0.0, 0.0, 0.0)  #: pose of the leader at the start [m, m, rad]
+FOLLOWER_START: Triple = (-1.0, -3.0, 1.2)  #: pose of the follower at the start [m, m, rad]
+SETTLING_TIME = 1.0  #: time from the report that the station is kept to the judged time [s]
+PARTING = 1.2  #: distance by which the follower moves away from the station sideways to part [m]
+PARTING_TIME = 4.0  #: time from the beginning of the parting until the keeper is released [s]
+PREVIEW_PERIOD = 0.04  #: period of the previews of paths and stations [s]
+PREVIEW_HORIZON = 0.4  #: duration that these previews cover [s]
+UNCALIBRATED = "radii"  #: name of the wheels with radii that neither robot knows
 HANDOVER_WHEELS = {
     "PI": WHEELS["PI"],
     "P": WHEELS["P"],
@@ -77,9 +77,9 @@ HANDOVER_WHEELS = {
 class Case:
     """One drive of the study."""
 
-    course: str  # shape of the leader's path, a key of `tool_courses.COURSES`
-    wheels: str  # wheels of the robots, a key of `HANDOVER_WHEELS`
-    seed: int = 0  # seed of the latencies
+    course: str  #: shape of the leader's path, a key of `tool_courses.COURSES`
+    wheels: str  #: wheels of the robots, a key of `HANDOVER_WHEELS`
+    seed: int = 0  #: seed of the latencies
 
     @property
     def is_aim(self) -> bool:
@@ -91,14 +91,14 @@ class Case:
 class Run:
     """A completed drive, with a row for each of K ticks of 5 ms."""
 
-    case: Case  # the case
-    offset: Triple  # pose of the station in base_link of the leader [m, m, rad]
-    box: Box  # outline of each robot
-    times: Array  # (K,) times since the follower was sent to the station [s]
-    leader: Array  # (K, 3) true poses of the leader [m, m, rad]
-    follower: Array  # (K, 3) true poses of the follower [m, m, rad]
-    energies: Array  # (K, 2) electric energy that leader and follower have consumed [J]
-    kept_from: float  # time at which the judged time begins [s]
+    case: Case  #: the case
+    offset: Triple  #: pose of the station in base_link of the leader [m, m, rad]
+    box: Box  #: outline of each robot
+    times: Array  #: (K,) times since the follower was sent to the station [s]
+    leader: Array  #: (K, 3) true poses of the leader [m, m, rad]
+    follower: Array  #: (K, 3) true poses of the follower [m, m, rad]
+    energies: Array  #: (K, 2) electric energy that leader and follower have consumed [J]
+    kept_from: float  #: time at which the judged time begins [s]
 
     @staticmethod
     def of(

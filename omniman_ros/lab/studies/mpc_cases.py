@@ -17,25 +17,25 @@ from omniman_ros.lab.studies.scene_geometry import Box, MovingObstacle, Wall, wa
 from omniman_ros.planning.cases import CASES, RADIUS, Pose
 from omniman_ros.planning.obstacles.grid_map import GridMap
 
-RESOLUTION = 0.05  # edge of a cell of the map [m]
-AREA = (-1.5, -1.5, 11.0, 6.0)  # area of the map: x_min, y_min, x_max, y_max in odom [m]
-DOOR_WIDTH = 0.6  # width of the doors [m]; the robot is 0.8 m long and 0.5 m wide
-WALL_THICKNESS = 0.1  # thickness of the walls [m]
+RESOLUTION = 0.05  #: edge of a cell of the map [m]
+AREA = (-1.5, -1.5, 11.0, 6.0)  #: area of the map: x_min, y_min, x_max, y_max in odom [m]
+DOOR_WIDTH = 0.6  #: width of the doors [m]; the robot is 0.8 m long and 0.5 m wide
+WALL_THICKNESS = 0.1  #: thickness of the walls [m]
 
 
 @dataclass(frozen=True)
 class Scene:
     """A test case: start, goal, and the fixed and moving obstacles between them."""
 
-    name: str  # name of the case
-    goal: Pose  # pose of the goal in odom [m, m, rad]
-    start: Pose = (0.0, 0.0, 0.0)  # pose of the start in odom [m, m, rad]
-    obstacles: tuple[MovingObstacle, ...] = ()  # obstacles as they truly are
-    snapshots: tuple[float, ...] = ()  # times that figures show, from the sending of the goal [s]
-    noise: float = 0.0  # standard deviation of the observed positions of obstacles [m]
-    time_limit: float = 30.0  # time within which the goal must be reached [s]
-    walls: tuple[Wall, ...] = ()  # walls; touching one counts as a contact
-    grid: GridMap | None = None  # map of the walls that the planner receives, if any
+    name: str  #: name of the case
+    goal: Pose  #: pose of the goal in odom [m, m, rad]
+    start: Pose = (0.0, 0.0, 0.0)  #: pose of the start in odom [m, m, rad]
+    obstacles: tuple[MovingObstacle, ...] = ()  #: obstacles as they truly are
+    snapshots: tuple[float, ...] = ()  #: times that figures show, from the sending of the goal [s]
+    noise: float = 0.0  #: standard deviation of the observed positions of obstacles [m]
+    time_limit: float = 30.0  #: time within which the goal must be reached [s]
+    walls: tuple[Wall, ...] = ()  #: walls; touching one counts as a contact
+    grid: GridMap | None = None  #: map of the walls that the planner receives, if any
 
 
 def circle(radius: float, place: Callable[[float], Array]) -> MovingObstacle:

@@ -21,9 +21,9 @@ from omniman_ros.planning.parameters import PlannerParameters
 from omniman_ros.planning.planner import Planner
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 
-PLANNER_PERIOD = 0.05  # period of the planner [s]
-OBSERVATION_PERIOD = 0.05  # period of the observations of obstacles [s]
-SOLVE_TICKS = 2  # simulated duration of planning in a cycle, in ticks
+PLANNER_PERIOD = 0.05  #: period of the planner [s]
+OBSERVATION_PERIOD = 0.05  #: period of the observations of obstacles [s]
+SOLVE_TICKS = 2  #: simulated duration of planning in a cycle, in ticks
 WARM_UP_TICKS = 12
 """Number of ticks before the first goal: the planner keeps its initial motion, at rest at the
 origin, for 50 ms."""
@@ -33,33 +33,33 @@ origin, for 50 ms."""
 class Cycle:
     """The record of one cycle of the planner."""
 
-    time: float  # [s]
-    pose: Array  # true pose (3,) of the robot in odom [m, m, rad]
-    reference: Array  # reference pose (3,) in odom [m, m, rad]
-    plan_times: Array  # times (k,) of the planned poses [s]
-    plan: Array  # planned poses (k, 3) in odom [m, m, rad]
-    known: Ellipses  # obstacles as the planner knows them
+    time: float  #: [s]
+    pose: Array  #: true pose (3,) of the robot in odom [m, m, rad]
+    reference: Array  #: reference pose (3,) in odom [m, m, rad]
+    plan_times: Array  #: times (k,) of the planned poses [s]
+    plan: Array  #: planned poses (k, 3) in odom [m, m, rad]
+    known: Ellipses  #: obstacles as the planner knows them
     report: CycleReport
     state: PlannerState
-    planning_time: float  # duration of planning on the timer of the loop [s]; 0 without planning
-    cycle_time: float  # the same, with the search for routes [s]
+    planning_time: float  #: duration of planning on the timer of the loop [s]; 0 without planning
+    cycle_time: float  #: the same, with the search for routes [s]
 
 
 @dataclass(frozen=True)
 class LoopOptions:
     """The conditions of a drive."""
 
-    start: Triple = (0.0, 0.0, 0.0)  # pose at the start in odom [m, m, rad]
-    obstacles: Sequence[MovingObstacle] = ()  # obstacles as they truly move
-    voltages: bool = False  # whether the planner's motor voltages are applied, not its reference
-    noise: float = 0.0  # standard deviation of the observed positions of obstacles [m]
-    seed: int = 0  # seed of the noise
-    timer: Callable[[], float] = lambda: 0.0  # time by which planning is measured [s]
-    world: WorldChoice | None = None  # world in which the robot drives; None for the plant
+    start: Triple = (0.0, 0.0, 0.0)  #: pose at the start in odom [m, m, rad]
+    obstacles: Sequence[MovingObstacle] = ()  #: obstacles as they truly move
+    voltages: bool = False  #: whether the planner's motor voltages are applied, not its reference
+    noise: float = 0.0  #: standard deviation of the observed positions of obstacles [m]
+    seed: int = 0  #: seed of the noise
+    timer: Callable[[], float] = lambda: 0.0  #: time by which planning is measured [s]
+    world: WorldChoice | None = None  #: world in which the robot drives; None for the plant
     observe: Callable[["MpcLoop"], None] | None = None
     """Function that tells planner and set of obstacles what is seen, called in each cycle; None if
     the obstacles are observed themselves."""
-    on_tick: Callable[["MpcLoop"], None] | None = None  # called after each tick of the controller
+    on_tick: Callable[["MpcLoop"], None] | None = None  #: called after each tick of the controller
 
 
 class MpcLoop:

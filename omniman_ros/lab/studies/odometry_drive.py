@@ -24,18 +24,18 @@ from omniman_ros.motion.figure7 import Figure7
 from omniman_ros.simulation.plant.imu import ImuSensorParameters, SimulatedImu, planar_motion
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 
-REST = 1.5  # time of rest before the path, which shows the bias of the yaw rate, and after [s]
-IMU_STRIDE = 2  # ticks from one measurement of the inertial sensor to the next: 100 Hz
+REST = 1.5  #: time of rest before the path, which shows the bias of the yaw rate, and after [s]
+IMU_STRIDE = 2  #: ticks from one measurement of the inertial sensor to the next: 100 Hz
 
 
 @dataclass(frozen=True)
 class OdometryCase:
     """One drive."""
 
-    group: str  # how the drives hold a wheel's speed, a key of `GROUPS`
-    sample: int  # index of the set of random wheels
-    roller_lag: float  # lag of the rollers that coupling control knows [s]
-    seed: int  # seed of the random wheels
+    group: str  #: how the drives hold a wheel's speed, a key of `GROUPS`
+    sample: int  #: index of the set of random wheels
+    roller_lag: float  #: lag of the rollers that coupling control knows [s]
+    seed: int  #: seed of the random wheels
 
 
 def drive_odometry(

@@ -28,23 +28,23 @@ from omniman_ros.planning.goals import PoseGoal
 from omniman_ros.planning.parameters import Arrival, PlannerParameters
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 
-RECORDING_TAIL = 2.0  # time for which a drive is recorded after the planner has finished [s]
-SETTLING_TIME = 0.5  # time after the arrival for which consumed energy still counts [s]
-REST_SPEED = 0.02  # speed below which the robot rests, the same as in the planner [m/s, rad/s]
+RECORDING_TAIL = 2.0  #: time for which a drive is recorded after the planner has finished [s]
+SETTLING_TIME = 0.5  #: time after the arrival for which consumed energy still counts [s]
+REST_SPEED = 0.02  #: speed below which the robot rests, the same as in the planner [m/s, rad/s]
 
 
 @dataclass(frozen=True)
 class Drive:
     """A recorded drive to a goal, with a row for each of K ticks of 5 ms."""
 
-    times: Array  # (K,) times since the goal was sent [s]
-    poses: Array  # (K, 3) true poses in odom [m, m, rad]
-    odometry: Array  # (K, 3) poses by odometry [m, m, rad]
-    twists: Array  # (K, 3) twists in base_link, from the encoders [m/s, m/s, rad/s]
-    energy: Array  # (K,) electric energy consumed since the goal was sent, less that fed back [J]
-    goal: Pose  # pose of the goal in odom [m, m, rad]
-    tolerance: Arrival  # largest errors of position and heading with which the robot has arrived
-    gaps: Array  # (K, M) true gaps to the obstacles, and then to the nearest wall if any [m]
+    times: Array  #: (K,) times since the goal was sent [s]
+    poses: Array  #: (K, 3) true poses in odom [m, m, rad]
+    odometry: Array  #: (K, 3) poses by odometry [m, m, rad]
+    twists: Array  #: (K, 3) twists in base_link, from the encoders [m/s, m/s, rad/s]
+    energy: Array  #: (K,) electric energy consumed since the goal was sent, less that fed back [J]
+    goal: Pose  #: pose of the goal in odom [m, m, rad]
+    tolerance: Arrival  #: largest errors of position and heading with which the robot has arrived
+    gaps: Array  #: (K, M) true gaps to the obstacles, and then to the nearest wall if any [m]
 
     @staticmethod
     def of(
@@ -122,11 +122,11 @@ class Drive:
 class PlannedDrive:
     """A drive with the MPC planner."""
 
-    drive: Drive  # recorded drive of the robot
-    cycles: list[Cycle]  # record of the planner's cycles
-    state: PlannerState  # state of the planner when it finished
-    since: float  # time at which the goal was sent, on the clock of loop, plans and obstacles [s]
-    touched: tuple[str, ...] = ()  # what the robot touched according to the physics world
+    drive: Drive  #: recorded drive of the robot
+    cycles: list[Cycle]  #: record of the planner's cycles
+    state: PlannerState  #: state of the planner when it finished
+    since: float  #: time at which the goal was sent, on the clock of loop, plans and obstacles [s]
+    touched: tuple[str, ...] = ()  #: what the robot touched according to the physics world
 
     @property
     def collided(self) -> bool:

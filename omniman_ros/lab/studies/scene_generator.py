@@ -17,26 +17,26 @@ from omniman_ros.core.errors import InputError, OmnimanError
 from omniman_ros.core.planar import Triple
 from omniman_ros.lab.studies.scene_geometry import Area, Box, Ellipse, PolylineMotion, ellipse_gaps
 
-AREA: Area = (0.0, 0.0, 8.0, 6.0)  # contains start, goal, and all obstacles' centres at first [m]
-ROBOT = Box(0.8, 0.5)  # default outline of the robot
-OBSTACLE_COUNTS = (3, 8)  # smallest and largest number of obstacles
-SEMI_AXES = (0.1, 0.5)  # range of the semi-axes of obstacles [m]
-DISC_SHARE = 0.5  # probability that an obstacle is a disc
-MOVING_SHARE = 0.5  # probability that an obstacle moves, unless drawn to block the way
-SPEEDS = (0.1, 0.6)  # range of the speeds of moving obstacles [m/s]
-MIN_DISTANCE = 3.5  # smallest distance from start to goal [m]
+AREA: Area = (0.0, 0.0, 8.0, 6.0)  #: contains start, goal, and all obstacles' centres at first [m]
+ROBOT = Box(0.8, 0.5)  #: default outline of the robot
+OBSTACLE_COUNTS = (3, 8)  #: smallest and largest number of obstacles
+SEMI_AXES = (0.1, 0.5)  #: range of the semi-axes of obstacles [m]
+DISC_SHARE = 0.5  #: probability that an obstacle is a disc
+MOVING_SHARE = 0.5  #: probability that an obstacle moves, unless drawn to block the way
+SPEEDS = (0.1, 0.6)  #: range of the speeds of moving obstacles [m/s]
+MIN_DISTANCE = 3.5  #: smallest distance from start to goal [m]
 MARGIN = 0.15
 """Smallest gap from obstacles to the robot at the start, and from fixed obstacles to the robot at
 the goal [m]."""
-CLEAR_START_TIME = 1.0  # time for which moving obstacles keep the margin to the start [s]
-MAX_GOAL_STAY = 5.0  # longest time of a moving obstacle nearer to the goal than the margin [s]
-TURN_TIMES = (1.0, 8.0)  # range of the times at which obstacles change their velocity [s]
+CLEAR_START_TIME = 1.0  #: time for which moving obstacles keep the margin to the start [s]
+MAX_GOAL_STAY = 5.0  #: longest time of a moving obstacle nearer to the goal than the margin [s]
+TURN_TIMES = (1.0, 8.0)  #: range of the times at which obstacles change their velocity [s]
 MOTION_DURATION = 60.0
 """Time for which obstacles bounce off the border of the area, and for which their stay at the goal
 is checked; afterwards they move straight on [s]."""
-MAX_MISMATCH = 0.2  # largest relative error of the model's mass, friction and motor constant
-CHECK_PERIOD = 0.05  # period of the samples at which moving obstacles are checked [s]
-MAX_DRAWS = 2000  # largest number of draws of a scene, and of obstacles in each draw
+MAX_MISMATCH = 0.2  #: largest relative error of the model's mass, friction and motor constant
+CHECK_PERIOD = 0.05  #: period of the samples at which moving obstacles are checked [s]
+MAX_DRAWS = 2000  #: largest number of draws of a scene, and of obstacles in each draw
 
 
 class SceneError(OmnimanError):
@@ -47,22 +47,22 @@ class SceneError(OmnimanError):
 class Mismatch:
     """Ratios of the robot's true parameters to those of its model."""
 
-    mass: float = 1.0  # ratio of masses and inertias
-    friction: float = 1.0  # ratio of all friction
-    motor_constant: float = 1.0  # ratio of the torque constant, also the back-EMF constant
+    mass: float = 1.0  #: ratio of masses and inertias
+    friction: float = 1.0  #: ratio of all friction
+    motor_constant: float = 1.0  #: ratio of the torque constant, also the back-EMF constant
 
 
 @dataclass(frozen=True)
 class RandomScene:
     """A random scene: start, goal, obstacles, workspace and the robot's model mismatch."""
 
-    seed: int  # seed of the scene
-    start: Triple  # pose of the start in odom [m, m, rad]
-    goal: Triple  # pose of the goal in odom [m, m, rad]
-    obstacles: tuple[Ellipse, ...]  # obstacles as they truly move from time 0 on
-    workspace: Area | None  # workspace of the robot in odom [m]; None if it is unlimited
-    blocked: bool  # whether the straight line from start to goal leads through a fixed obstacle
-    mismatch: Mismatch  # mismatch between the true robot and its model
+    seed: int  #: seed of the scene
+    start: Triple  #: pose of the start in odom [m, m, rad]
+    goal: Triple  #: pose of the goal in odom [m, m, rad]
+    obstacles: tuple[Ellipse, ...]  #: obstacles as they truly move from time 0 on
+    workspace: Area | None  #: workspace of the robot in odom [m]; None if it is unlimited
+    blocked: bool  #: whether the straight line from start to goal leads through a fixed obstacle
+    mismatch: Mismatch  #: mismatch between the true robot and its model
 
 
 def scene(seed: int, box: Box = ROBOT) -> RandomScene:

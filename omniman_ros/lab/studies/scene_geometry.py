@@ -14,9 +14,9 @@ import numpy as np
 
 from omniman_ros.core.arrays import Array
 
-Point = tuple[float, float]  # components along x and y of a position [m] or a velocity [m/s]
-Area = tuple[float, float, float, float]  # x_min, y_min, x_max, y_max in odom [m]
-NEWTON_STEPS = 12  # number of Newton steps towards an ellipse's point nearest to a corner
+Point = tuple[float, float]  #: components along x and y of a position [m] or a velocity [m/s]
+Area = tuple[float, float, float, float]  #: x_min, y_min, x_max, y_max in odom [m]
+NEWTON_STEPS = 12  #: number of Newton steps towards an ellipse's point nearest to a corner
 
 
 @dataclass(frozen=True)
@@ -45,9 +45,9 @@ class PolylineMotion:
     after the last time.
     """
 
-    times: tuple[float, ...]  # at which the corners are reached [s], increasing
-    places: tuple[Point, ...]  # corners in odom [m], one for each time
-    velocity: Point = (0.0, 0.0)  # in odom after the last time [m/s]
+    times: tuple[float, ...]  #: at which the corners are reached [s], increasing
+    places: tuple[Point, ...]  #: corners in odom [m], one for each time
+    velocity: Point = (0.0, 0.0)  #: in odom after the last time [m/s]
 
     @staticmethod
     def still(x: float, y: float) -> "PolylineMotion":
@@ -84,9 +84,9 @@ class PolylineMotion:
 class MovingObstacle:
     """An elliptic obstacle as it truly moves; it never turns."""
 
-    semi_axes: tuple[float, float]  # [m]
-    place: Callable[[float], Array]  # position (2,) of its centre in odom [m] at a time [s]
-    angle: float = 0.0  # of its first semi-axis in odom [rad]
+    semi_axes: tuple[float, float]  #: [m]
+    place: Callable[[float], Array]  #: position (2,) of its centre in odom [m] at a time [s]
+    angle: float = 0.0  #: of its first semi-axis in odom [rad]
 
     @property
     def is_fixed(self) -> bool:
@@ -126,10 +126,10 @@ class Wall:
 class Verdict:
     """The judge's verdict on a drive; gap and room at the samples."""
 
-    gap: float  # smallest gap [m]; not above zero after a contact, inf with nothing to touch
-    contact: float  # time of the first contact [s]; inf without one
-    touched: int | None  # index of the obstacle that the robot touched first
-    outside: float  # largest distance by which the robot left its area [m]; -inf without one
+    gap: float  #: smallest gap [m]; not above zero after a contact, inf with nothing to touch
+    contact: float  #: time of the first contact [s]; inf without one
+    touched: int | None  #: index of the obstacle that the robot touched first
+    outside: float  #: largest distance by which the robot left its area [m]; -inf without one
 
     @property
     def collided(self) -> bool:

@@ -20,11 +20,11 @@ from omniman_ros.lab.studies.scene_generator import Mismatch, RandomScene
 from omniman_ros.lab.studies.scene_geometry import Box, Verdict, judge
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 
-TIME_LIMIT = 60.0  # from when the goal is sent [s]
+TIME_LIMIT = 60.0  #: from when the goal is sent [s]
 GOAL_TOLERANCE = (0.04, 0.04)
 """Largest true distance [m] and angle [rad] from the goal at which an arrival counts. The planner
 itself judges its arrival by odometry, which has drifted by then."""
-AIM_REACHED = 0.98  # smallest share of reached goals
+AIM_REACHED = 0.98  #: smallest share of reached goals
 MASS_PARAMETERS = ("body.mass", "body.inertia", "arm.mass", "arm.inertia")
 
 
@@ -56,16 +56,16 @@ def box_of(robot: Mapping[str, Any]) -> Box:
 class SceneDrive:
     """A drive through a scene: K samples from the sending of the goal to the end of the drive."""
 
-    times: Array  # (K,) times on the clock by which the obstacles move [s]
-    poses: Array  # (K, 3) true poses in odom [m, m, rad]
-    energy: float  # electric energy consumed, less the energy fed back [J]
-    arrived: bool  # whether the planner reported its arrival
-    answers: Array  # (C,) times from the beginning of a planning cycle to its reference [s]
-    late: int  # number of references published after the planner's deadline
-    drift: float  # distance of the pose by odometry from the true pose at the end [m]
-    state: str  # state of the planner at the end
-    last_status: str  # last status text of the planner
-    touched: tuple[float, int] | None = None  # time [s] and obstacle of the engine's first contact
+    times: Array  #: (K,) times on the clock by which the obstacles move [s]
+    poses: Array  #: (K, 3) true poses in odom [m, m, rad]
+    energy: float  #: electric energy consumed, less the energy fed back [J]
+    arrived: bool  #: whether the planner reported its arrival
+    answers: Array  #: (C,) times from the beginning of a planning cycle to its reference [s]
+    late: int  #: number of references published after the planner's deadline
+    drift: float  #: distance of the pose by odometry from the true pose at the end [m]
+    state: str  #: state of the planner at the end
+    last_status: str  #: last status text of the planner
+    touched: tuple[float, int] | None = None  #: time [s] and obstacle of the engine's contact
 
 
 @dataclass(frozen=True)

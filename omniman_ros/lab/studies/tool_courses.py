@@ -11,10 +11,10 @@ from omniman_ros.motion.whole_body.model import WholeBodyModel
 
 POSTURE = (0.0, -1.9, 2.0, -1.7, -1.57, 0.0)
 """Joint angles of the arm at the start, where base_link is at the origin of odom [rad]."""
-SPACING = 0.02  # largest distance along the path between successive poses [m]
-CIRCLE_RADIUS = 1.2  # radius of the circle [m]
-S_HEADING = 0.8  # largest heading along the S, relative to its start [rad]
-S_HEIGHT = 0.1  # amplitude of the height along the S [m]
+SPACING = 0.02  #: largest distance along the path between successive poses [m]
+CIRCLE_RADIUS = 1.2  #: radius of the circle [m]
+S_HEADING = 0.8  #: largest heading along the S, relative to its start [rad]
+S_HEIGHT = 0.1  #: amplitude of the height along the S [m]
 
 Course = Callable[[Array, float], Array]
 """The shape of a path: a function from distances (k,) along the path and the length of the path,
@@ -23,21 +23,14 @@ both in the plane [m], to positions and headings (k, 4) relative to its start [m
 
 def straight(distance: Array, length: float) -> Array:
     """Return positions and headings (k, 4) on a straight line; see `Course`."""
-    zero = np.zeros_like(distance)
-    return np.column_stack([distance, zero, zero, zero])
+    return np.outer(distance, [1.0, 0.0, 0.0, 0.0])
 
 
 def circle(distance: Array, length: float) -> Array:
     """Return positions and headings (k, 4) on a circle; headings are tangential; see `Course`."""
     angle = distance / CIRCLE_RADIUS
-    return np.column_stack(
-        [
-            CIRCLE_RADIUS * np.sin(angle),
-            CIRCLE_RADIUS * (1.0 - np.cos(angle)),
-            np.zeros_like(distance),
-            angle,
-        ]
-    )
+    x, y = CIRCLE_RADIUS * np.sin(angle), CIRCLE_RADIUS * (1.0 - np.cos(angle))
+    return np.column_stack([x, y, np.zeros_like(distance), angle])
 
 
 def s_curve(distance: Array, length: float) -> Array:

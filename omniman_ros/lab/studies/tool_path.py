@@ -34,19 +34,19 @@ from omniman_ros.ur.parameters import UrParameters
 from omniman_ros.ur.setpoint_generator import GeneratorSettings, JointSetpointGenerator
 from omniman_ros.ur.streaming_supervisor import joint_limits
 
-STEP = 0.001  # period of the study's clock [s]
-ODOM_PERIOD = 0.01  # period of the measured poses [s]
+STEP = 0.001  #: period of the study's clock [s]
+ODOM_PERIOD = 0.01  #: period of the measured poses [s]
 ODOM_LATENCY = (0.005, 0.02)
 """Range of the latency from the tick that computes a measured pose to the interpolator [s]."""
 PREVIEW_LATENCY = (0.002, 0.006)
 """Range of the latency of the arm's previews from the interpolator to the streamer [s]."""
-ARM_PREVIEW_PERIOD = 0.02  # period of the arm's previews [s]
-ARM_PREVIEW_HORIZON = 0.2  # duration that a preview of the arm covers [s]
-PLATFORM_PREVIEW_PERIOD = 0.04  # period of the platform's previews [s]
-PLATFORM_PREVIEW_HORIZON = 0.4  # duration that a preview of the platform covers [s]
-MOTION_START = 0.5  # time at which the motion begins [s]
-PREVIEW_LEAD = 0.024  # time by which the first previews are sent before the motion begins [s]
-RECORDING_TAIL = 0.5  # time for which a drive continues after the motion [s]
+ARM_PREVIEW_PERIOD = 0.02  #: period of the arm's previews [s]
+ARM_PREVIEW_HORIZON = 0.2  #: duration that a preview of the arm covers [s]
+PLATFORM_PREVIEW_PERIOD = 0.04  #: period of the platform's previews [s]
+PLATFORM_PREVIEW_HORIZON = 0.4  #: duration that a preview of the platform covers [s]
+MOTION_START = 0.5  #: time at which the motion begins [s]
+PREVIEW_LEAD = 0.024  #: time by which the first previews are sent before the motion begins [s]
+RECORDING_TAIL = 0.5  #: time for which a drive continues after the motion [s]
 
 
 class StreamedArm:
@@ -82,19 +82,19 @@ class StreamedArm:
 class Wheels:
     """Settings of a robot's drives, and errors of its wheels."""
 
-    about: str  # description in the tables
-    changes: Mapping[str, Any]  # parameters of controller and simulation, full names to values
-    mismatch: Mapping[str, Any]  # errors of the wheels, names to factors by wheel
+    about: str  #: description in the tables
+    changes: Mapping[str, Any]  #: parameters of controller and simulation, full names to values
+    mismatch: Mapping[str, Any]  #: errors of the wheels, names to factors by wheel
 
 
 @dataclass(frozen=True)
 class Case:
     """One drive of the study."""
 
-    course: str  # name of the path, a key of `tool_courses.COURSES`
+    course: str  #: name of the path, a key of `tool_courses.COURSES`
     wheels: Wheels
-    options: ToolPathOptions = field(default_factory=ToolPathOptions)  # such as the correction
-    seed: int = 0  # seed of the latencies
+    options: ToolPathOptions = field(default_factory=ToolPathOptions)  #: such as the correction
+    seed: int = 0  #: seed of the latencies
 
     def platform(self, robot: Mapping[str, Any], world: WorldChoice | None = None) -> ClosedLoop:
         """Return the controller and the drives."""
@@ -123,7 +123,7 @@ LOW_GAINS = {
     "position.k_theta": 2.0,
 }
 """Parameters of P velocity loops under a position control with low gains and no feed-forward."""
-MOST_DEMANDING = "soft"  # name of the wheels with which the platform deviates most from its path
+MOST_DEMANDING = "soft"  #: name of the wheels with which the platform deviates most from its path
 WHEELS: Mapping[str, Wheels] = {
     "PI": Wheels("wheels of the demo", {}, DEMO_MISMATCH),
     "P": Wheels("larger mismatch, P loops", P_LOOPS, LARGE_MISMATCH),
@@ -136,14 +136,14 @@ WHEELS: Mapping[str, Wheels] = {
 class Run:
     """A completed drive, at k times of the tool's motion."""
 
-    case: Case  # the case
-    times: Array  # (k,) times since the beginning of the motion [s]
-    reference: Array  # (k, 3) reference positions of the tool in odom [m]
-    odom: Array  # (k, 3) positions by the arm's true angles and the platform's measured pose [m]
-    truth: Array  # (k, 3) true positions of the tool in the world, with the platform's tilt [m]
-    base: Array  # (k, 3) measured poses of base_link in odom [m, m, rad]
-    platform: Array  # (k, 3) errors of these poses relative to the reference [m, m, rad]
-    turned: Array  # (k,) errors of the tool's orientation in odom: angles to its reference [rad]
+    case: Case  #: the case
+    times: Array  #: (k,) times since the beginning of the motion [s]
+    reference: Array  #: (k, 3) reference positions of the tool in odom [m]
+    odom: Array  #: (k, 3) positions by the arm's true angles and the platform's measured pose [m]
+    truth: Array  #: (k, 3) true positions of the tool in the world, with the platform's tilt [m]
+    base: Array  #: (k, 3) measured poses of base_link in odom [m, m, rad]
+    platform: Array  #: (k, 3) errors of these poses relative to the reference [m, m, rad]
+    turned: Array  #: (k,) errors of the tool's orientation in odom: angles to its reference [rad]
 
     @property
     def error(self) -> Array:

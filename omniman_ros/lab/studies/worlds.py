@@ -17,16 +17,16 @@ from omniman_ros.simulation.world.parameters import WorldParameters
 if TYPE_CHECKING:  # The command line must do without the engine.
     from omniman_ros.simulation.world.world import World
 
-HEIGHT = 2.0  # height of obstacles and walls [m]
+HEIGHT = 2.0  #: height of obstacles and walls [m]
 
 
 @dataclass(frozen=True)
 class WorldChoice:
     """A physics world: the robot's body and arm, its wheels, and what is around it."""
 
-    description: DescriptionParameters  # robot, arm, and the mount of the arm
-    parameters: WorldParameters  # wheels, and what happens in contacts
-    scene: things.Scene = field(default_factory=things.Scene)  # what is around the robot
+    description: DescriptionParameters  #: robot, arm, and the mount of the arm
+    parameters: WorldParameters  #: wheels, and what happens in contacts
+    scene: things.Scene = field(default_factory=things.Scene)  #: what is around the robot
 
     @staticmethod
     def of(
