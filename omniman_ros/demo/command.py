@@ -33,13 +33,13 @@ DRIVE_ON = "drive.dead_wheel:=drive_on"
 DEMO_WORLD = "hall"  #: Scene in which the demo drives if none is named
 WORLD_ROBOT = "omniman"  #: Robot that drives there: the scene has room for it
 NO_WORLD = "none"  #: Value of `--world` with which the demo drives on the plant
+#: Parameters with which wheels in a world roll as odometry assumes that nobody has calibrated: on
+#: rollers, a platform loses 1 to 2 % of its way sideways, and tyres of 1e6 N/m sink, which makes
+#: the rolling radius 0.16 % smaller.
 WORLD_WHEELS = ("world.wheels:=ideal", "world.tyre_stiffness:=1.0e7")
-"""Parameters with which wheels in a world roll as odometry assumes that nobody has calibrated: on
-rollers, a platform loses 1 to 2 % of its way sideways, and tyres of 1e6 N/m sink, which makes the
-rolling radius 0.16 % smaller."""
+#: Parameters with which the scanner at the robot's front sees 270 degrees, at a rate that leaves
+#: the processor to the robot on a small machine.
 SCANNER = ("scanners.field_of_view:=[4.71238898]", "scanners.rate:=[10.0]", "map_rate:=2.0")
-"""Parameters with which the scanner at the robot's front sees 270 degrees, at a rate that leaves
-the processor to the robot on a small machine."""
 WHEEL_DIFFERENCES = {
     "mismatch.friction": (1.3, 0.8, 1.1, 0.9),
     "mismatch.torque_constant": (0.97, 1.03, 1.0, 0.98),
@@ -158,7 +158,6 @@ def perform(
     """Drive all legs of the demo, evaluate and draw them.
 
     Args:
-        folder: Folder of the picture.
         group: Processes of the nodes, which must stay alive.
         viewer: Log in which the viewer announces its page, for which the robot waits; None if no
             viewer is started.

@@ -278,13 +278,19 @@ class DrivenGoal:
     interval: Interval  #: In which the robot drove to the goal
     perception: Perception | None = None  #: If it drove by its scanner
 
-    def gaps(self, rows: Array, half_size: Sequence[float]) -> Array:
-        """Return the gaps (K, M) of the robot's box at rows (K, 4) of stamp and pose [m]."""
-        centers = np.array([self.obstacles.at(time) for time in rows[:, 0].tolist()])
-        radii = self.obstacles.radii
-        axes = np.broadcast_to(radii[:, None], centers.shape)
-        box = Rectangles.centred(np.array(half_size))
-        return box_gap(rows[:, 1:4], box, centers, axes, np.zeros(len(radii)))
+
+def obstacle_gaps(
+    obstacles: MovingObstacles | People, rows: Array, half_size: Sequence[float]
+) -> Array:
+    """Return the gaps (K, M) of the robot's box at rows (K, 4) of stamp and pose [m].
+
+    `half_size` are half length and half width of the box [m].
+    """
+    centers = np.array([obstacles.at(time) for time in rows[:, 0].tolist()])
+    radii = obstacles.radii
+    axes = np.broadcast_to(radii[:, None], centers.shape)
+    box = Rectangles.centred(np.array(half_size))
+    return box_gap(rows[:, 1:4], box, centers, axes, np.zeros(len(radii)))
 
 
 def goal_figures(
@@ -308,7 +314,7 @@ def goal_figures(
         "time_s": driven.interval.end - driven.interval.start,
     }
     if len(driven.obstacles.radii):
-        figures["clearance_m"] = float(driven.gaps(near, half_size).min())
+        figures["clearance_m"] = float(obstacle_gaps(driven.obstacles, near, half_size).min())
     return figures
 
 

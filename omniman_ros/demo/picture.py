@@ -27,7 +27,7 @@ from omniman_ros.core import se2
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.robot import Robot
 from omniman_ros.demo.demo import Demo
-from omniman_ros.demo.figures import DrivenGoal, Reference, ToolTrack, tool_track
+from omniman_ros.demo.figures import DrivenGoal, Reference, ToolTrack, obstacle_gaps, tool_track
 from omniman_ros.demo.perception import Perception
 from omniman_ros.demo.recorder import Recording
 
@@ -136,7 +136,7 @@ def _draw_goal(axes: Any, odom: Array, driven: DrivenGoal) -> None:
         _draw_perception(axes, odom, driven.perception)
     if not len(obstacles.radii):
         return
-    nearest = driven.gaps(during[:, :4], (0.0, 0.0)).argmin(axis=0)
+    nearest = obstacle_gaps(driven.obstacles, during[:, :4], (0.0, 0.0)).argmin(axis=0)
     ways = np.array([obstacles.at(time) for time in during[::20, 0].tolist()])
     for k, radius in enumerate(obstacles.radii.tolist()):
         x, y = obstacles.at(float(during[nearest[k], 0]))[k]

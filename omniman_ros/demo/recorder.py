@@ -19,9 +19,9 @@ from omniman_ros.conversions.headers import time_seconds
 
 #: Quality of service of topics whose last messages reach late subscribers
 LATCHED = QoSProfile(depth=50, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+#: Number of messages of a topic that are kept until this process, held up by a busy machine, reads
+#: them: those of 5 s at 200 Hz.
 DEPTH = 1000
-"""Number of messages of a topic that are kept until this process, held up by a busy machine, reads
-them: those of 5 s at 200 Hz."""
 #: Values of one message, mostly a stamp [s] and the values at that time; see `Recording`
 Row = tuple[float, ...]
 FRESH_POINTS = 6  #: Number of points of a preview that are due until the next one may change it

@@ -43,8 +43,8 @@ from omniman_ros.lab.studies.scene_geometry import Wall
 from omniman_ros.motion.figure7 import Figure7, waypoints
 
 BOX_CORNERS = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]])
+#: Corners of a box and of the triangle that marks its front, in half lengths and half widths
 FRONT_MARK = np.array([[1.0, 0.0], [0.72, 0.3], [0.72, -0.3]])
-"""Corners of a box and of the triangle that marks its front, in half lengths and half widths."""
 OUTLINE_SPACING = 1.0  #: distance along the path of Fig. 7 between two outlines of the robot [m]
 SNAPSHOT_PERIOD = 4.0  #: time between two outlines of robots side by side [s]
 ROUND_WAYS = 0.8  #: margin around their ways from above [m]

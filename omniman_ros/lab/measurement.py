@@ -11,14 +11,13 @@ import numpy as np
 
 from omniman_ros.console.errors import CommandError
 
+#: Environment variables that restrict numerical libraries to one thread.
+#:
+#: Helper threads that spin would add to the CPU time. The libraries read the variables when they
+#: are loaded.
 SINGLE_THREADED = {
     f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMEXPR", "VECLIB_MAXIMUM")
 }
-"""Environment variables that restrict numerical libraries to one thread.
-
-Helper threads that spin would add to the CPU time. The libraries read the variables when they are
-loaded.
-"""
 
 
 def cpu_time(pid: int) -> float:
@@ -33,11 +32,7 @@ def cpu_time(pid: int) -> float:
 
 
 def cpu_shares(pids: Mapping[str, int], serve: Callable[[], None]) -> dict[str, float]:
-    """Measure the share of one core that processes use while a function runs.
-
-    Returns:
-        CPU time over elapsed time, by name; 1 is one core.
-    """
+    """Return the CPU time over the elapsed time of processes while a function runs, by name."""
     start = time.monotonic()
     before = {name: cpu_time(pid) for name, pid in pids.items()}
     serve()
@@ -71,9 +66,7 @@ def best_cpu(work: Callable[[], object], min_block_time: float) -> float:
     return best
 
 
-def percentiles_ms(seconds: Sequence[float]) -> tuple[float, float, float]:
-    """Return the median, the 99th percentile (interpolated) and the maximum of times [ms]."""
-    median, p99, largest = 1e3 * np.percentile(
-        np.asarray(seconds, dtype=float), (50.0, 99.0, 100.0)
-    )
-    return float(median), float(p99), float(largest)
+def spread_ms(seconds: Sequence[float]) -> dict[str, float]:
+    """Return the median, the 99th percentile and the maximum of times [ms]; NaN without any."""
+    values = 1e3 * np.percentile(np.asarray(seconds or [np.nan]), (50.0, 99.0, 100.0))
+    return dict(zip(("median_ms", "p99_ms", "max_ms"), values.tolist(), strict=True))

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-WHEELS = ("rollers", "ideal")  # of the physics world, whose module is too heavy for help
+WHEELS = ("rollers", "ideal")  #: of the physics world, whose module is too heavy for help
 
 
 class Option(NamedTuple):
@@ -25,19 +25,14 @@ def option(flag: str, **settings: Any) -> Option:
 
 @dataclass(frozen=True)
 class Study:
-    """A benchmark or an experiment.
+    """A benchmark or an experiment."""
 
-    Attributes:
-        efforts: `--quick`, and `--full` where there is more to be measured.
-        robot: Robot that is used if `--robot` names none; None if it has one of its own.
-    """
-
-    module: str  # module below `omniman_ros.lab` with the function `run(args) -> int`
-    about: str  # what is measured or driven, for help and documentation
-    options: tuple[Option, ...] = ()  # options of its own
-    efforts: tuple[str, ...] = ("quick",)
-    robot: str | None = "omniman"
-    parameters: bool = False  # whether it takes `--param`
+    module: str  #: module below `omniman_ros.lab` with the function `run(args) -> int`
+    about: str  #: what is measured or driven, for help and documentation
+    options: tuple[Option, ...] = ()  #: options of its own
+    efforts: tuple[str, ...] = ("quick",)  #: `--quick`, and `--full` where there is more
+    robot: str | None = "omniman"  #: if `--robot` names none; None if it has one of its own
+    parameters: bool = False  #: whether it takes `--param`
 
     def defaults(self, name: str, **given: Any) -> argparse.Namespace:
         """Return the arguments of a run without options, less those that are given."""
@@ -89,8 +84,6 @@ BENCHMARKS = {
         "bench.arm",
         "setpoints of the arm at 125 Hz in the whole running robot beside a bare loop",
         (
-            option("--pairs", type=int, metavar="N", help="pairs of blocks; default: 5"),
-            option("--seconds", type=float, metavar="S", help="length of a block; default: 8"),
             option(
                 "--priority",
                 type=int,
@@ -104,7 +97,7 @@ BENCHMARKS = {
     ),
     "whole_body": Study(
         "bench.whole_body",
-        "planning of tool paths, CPU time of their stream, inverse kinematics beside `pin`",
+        "planning of tool paths, CPU time of their stream, inverse kinematics beside Newton's",
     ),
     "whole_body_obstacles": Study(
         "bench.whole_body_obstacles",
@@ -120,12 +113,7 @@ BENCHMARKS = {
         "bench.clutter",
         "the planner in worlds of BARN's kind, map known and by scanner: goals, contacts, score, "
         "CPU time",
-        (
-            worlds(300),
-            JOBS,
-            SEED,
-            option("--sense", choices=("known", "scanner"), help="this only; default: both"),
-        ),
+        (worlds(300), JOBS, SEED),
         robot=None,
     ),
     "crowd": Study(
@@ -172,7 +160,6 @@ BENCHMARKS = {
         ),
     ),
 }
-"""Benchmarks by name."""
 EXPERIMENTS = {
     "coupling": Study(
         "reproduce.coupling",
@@ -236,7 +223,6 @@ EXPERIMENTS = {
         robot=None,
     ),
 }
-"""Experiments by name."""
 
 
 def markdown(command: str) -> Iterator[str]:

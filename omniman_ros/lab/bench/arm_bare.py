@@ -17,7 +17,7 @@ from omniman_ros.console.terminal import say
 from omniman_ros.lab.priority import scheduling
 from omniman_ros.ur.parameters import PERIOD
 
-SIZE = 32  # size of a setpoint: a time-out, six joints and a mode, four bytes each [byte]
+SIZE = 32  #: size of a setpoint: a time-out, six joints and a mode, four bytes each [byte]
 
 
 def main(args: list[str] | None = None) -> int:
@@ -34,18 +34,12 @@ def main(args: list[str] | None = None) -> int:
     if int(priority):
         with contextlib.suppress(OSError):  # the benchmark compares the scheduling classes
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(int(priority)))
-    intervals = block(out, float(seconds))
-    say(json.dumps({"scheduling": scheduling(os.getpid()), "intervals": intervals}))
-    return 0
-
-
-def block(out: socket.socket, seconds: float) -> list[float]:
-    """Send at absolute deadlines, one per period; return the intervals between the sends [s]."""
-    message, sent = bytes(SIZE), []
-    due = time.monotonic()
-    for _ in range(round(seconds / PERIOD) + 1):
+    sent, due = list[float](), time.monotonic()
+    for _ in range(round(float(seconds) / PERIOD) + 1):
         due += PERIOD
         time.sleep(max(due - time.monotonic(), 0.0))
-        out.sendall(message)
+        out.sendall(bytes(SIZE))
         sent.append(time.monotonic())
-    return [after - before for before, after in itertools.pairwise(sent)]
+    intervals = [after - before for before, after in itertools.pairwise(sent)]
+    say(json.dumps({"scheduling": scheduling(os.getpid()), "intervals": intervals}))
+    return 0

@@ -14,8 +14,8 @@ from omniman_ros.processes.drive_options import MULTICAST_GROUP
 from omniman_ros.simulation.can_drives.cia402.drive import Cia402Drive, Cia402Settings
 from omniman_ros.simulation.can_drives.network import EchoFilter
 
-COUNTS = 4096.0  # encoder counts per revolution of a wheel
-TORQUE_CONSTANT = 0.05  # of the motors [N m/A]
+COUNTS = 4096.0  #: encoder counts per revolution of a wheel
+TORQUE_CONSTANT = 0.05  #: of the motors [N m/A]
 
 
 class FreeMotor:

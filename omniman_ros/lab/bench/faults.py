@@ -26,8 +26,12 @@ from omniman_ros.processes.process_group import redirect_signals
 from omniman_ros.processes.robot_setup import RobotSetup
 from omniman_ros.processes.ros_domain import isolate_ros_domain
 
+#: Nodes that are not started: no row is about them, and none needs them
 UNNEEDED = ("joint_states_merger", "viewer", "mpc_planner")
-"""Nodes that are not started: no row is about them, and none needs them."""
+#: Time-outs near those of real installations, which `omniman up` lengthens further.
+#:
+#: The feedback of a wheel may be missing for 60 ms instead of 15 ms, and a setpoint of the arm for
+#: 80 ms instead of 40 ms, as drives and arm are processes beside the nodes.
 SHORT_TIMEOUTS = (
     "can.missed_periods:=12",
     "can.drive_heartbeat:=0.03",
@@ -35,12 +39,8 @@ SHORT_TIMEOUTS = (
     "ur.read_timeout:=0.08",
     "ur.feedback_timeout:=0.1",
 )
-"""Time-outs near those of real installations, which `omniman up` lengthens further.
-
-The feedback of a wheel may be missing for 60 ms instead of 15 ms, and a setpoint of the arm for
-80 ms instead of 40 ms, as drives and arm are processes beside the nodes."""
-TRIALS = 3  # number of times in a row that each row is played
-AIM = 0.12  # aim: largest 99th percentile of the time from the evidence until the robot brakes [s]
+TRIALS = 3  #: number of times in a row that each row is played
+AIM = 0.12  #: aim: largest p99 of the time from the evidence until the robot brakes [s]
 
 
 def run(args: argparse.Namespace) -> int:

@@ -1,23 +1,29 @@
-"""Common parts of all benchmarks: nodes that run during a measurement, and the final report.
+"""Common parts of all benchmarks: nodes and processes that run, the report and its aims.
 
-A benchmark measures, compares its figures with its aims, prints a table and publishes its JSON.
-Its exit code states whether the measurement succeeded, independent of the figures.
+A benchmark measures, prints tables of figures with their aims, and publishes its JSON. Its exit
+code states whether the measurement succeeded, independent of the figures.
 """
 
 import contextlib
+import multiprocessing
+import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any
+from concurrent.futures import ProcessPoolExecutor
+from typing import Any, NamedTuple, TypeVar
 
 from omniman_ros.console import results
 from omniman_ros.console.errors import CommandError
 from omniman_ros.console.session import Session
 from omniman_ros.console.terminal import say, table
-from omniman_ros.lab.measurement import cpu_shares
+from omniman_ros.lab.measurement import SINGLE_THREADED, cpu_shares, spread_ms
+from omniman_ros.lab.verdicts import verdict
 from omniman_ros.processes.node_output import NodeOutputLog
 from omniman_ros.processes.process_group import ProcessGroup, ProcessSpec, redirect_signals
 
-POLL_PERIOD = 0.05  # period at which the processes are checked while callbacks are served [s]
+POLL_PERIOD = 0.05  #: period at which the processes are checked while callbacks are served [s]
+#: Parameters with long time-outs and wide tolerances: simulated hardware shares the CPU with the
+#: nodes, and must not stop the robot when it is late.
 LENIENT = (
     "timeouts.wheel_states:=2.0",
     "firmware.watchdog:=2.0",
@@ -32,10 +38,41 @@ LENIENT = (
     "ur.read_timeout:=0.2",
     "drive.dead_wheel:=drive_on",
 )
-"""Parameters with long time-outs and wide tolerances: simulated hardware shares the CPU with the
-nodes, and must not stop the robot when it is late."""
+#: Rows of a table as tuples of cells; the first row of a table is its header
 Rows = list[tuple[str, ...]]
-"""Rows of a table as tuples of cells; the first row of a table is its header."""
+T = TypeVar("T")  # result of a function
+
+
+class Figure(NamedTuple):
+    """A row of a report: a quantity, its values, and its aim if it has one."""
+
+    about: str
+    values: Sequence[str]
+    aim: str = ""
+    met: bool | None = None  #: whether the aim is met; None where nothing decides
+
+
+def at_most(about: str, value: float | None, aim: float, text: str = "{:.3g}") -> Figure:
+    """Return a figure whose aim is an upper bound; None was not measured."""
+    shown = "-" if value is None else text.format(value)
+    return Figure(
+        about, (shown,), f"<= {text.format(aim)}", None if value is None else value <= aim
+    )
+
+
+def at_least(about: str, value: float | None, aim: float, text: str = "{:.3g}") -> Figure:
+    """Return a figure whose aim is a lower bound; None was not measured."""
+    shown = "-" if value is None else text.format(value)
+    return Figure(
+        about, (shown,), f">= {text.format(aim)}", None if value is None else value >= aim
+    )
+
+
+class Table(NamedTuple):
+    """A table of a report, with the titles of the columns of values."""
+
+    titles: Sequence[str]
+    figures: Sequence[Figure]
 
 
 class RunningNodes:
@@ -44,12 +81,12 @@ class RunningNodes:
     def __init__(self, session: Session, children: ProcessGroup) -> None:
         self.session, self.children = session, children
 
-    def pids(self, names: Sequence[str]) -> dict[str, int]:
-        """Return the process ids of the named nodes, by name."""
-        return {name: self.children.pid(name) for name in names}
-
     def wait(self, condition: Callable[[], bool], timeout: float, missing: str) -> None:
-        """Serve callbacks until a condition holds."""
+        """Serve callbacks until a condition holds.
+
+        Raises:
+            CommandError: It does not hold within `timeout` [s], or a node has ended.
+        """
 
         def checked() -> bool:
             self.children.check()
@@ -58,8 +95,14 @@ class RunningNodes:
         if not self.session.wait(checked, timeout):
             raise CommandError(f"{missing} within {timeout:g} s")
 
+    def received(self, kind: type[Any], topic: str, depth: int = 10) -> list[Any]:
+        """Subscribe to a topic; return the list to which its messages will be added."""
+        messages: list[Any] = []
+        self.session.node.create_subscription(kind, topic, messages.append, depth)
+        return messages
+
     def serve(self, seconds: float, feed: Callable[[float], None] | None = None) -> None:
-        """Serve callbacks for a given time."""
+        """Serve callbacks for a time, and call a function with the time since the begin [s]."""
         start = time.monotonic()
         while (now := time.monotonic() - start) < seconds:
             self.children.check()
@@ -73,12 +116,9 @@ class RunningNodes:
         seconds: float,
         feed: Callable[[float], None] | None = None,
     ) -> dict[str, float]:
-        """Measure the share of one core that each node uses while callbacks are served.
-
-        Returns:
-            CPU time over elapsed time, by node.
-        """
-        return cpu_shares(self.pids(names), lambda: self.serve(seconds, feed))
+        """Return the share of one core that each node uses while callbacks are served, by node."""
+        pids = {name: self.children.pid(name) for name in names}
+        return cpu_shares(pids, lambda: self.serve(seconds, feed))
 
 
 @contextlib.contextmanager
@@ -95,16 +135,38 @@ def running_nodes(tasks: Sequence[ProcessSpec]) -> Iterator[RunningNodes]:
             raise
 
 
-def cpu_share_rows(share: Mapping[str, Any], idle_label: str) -> Rows:
-    """Return one table row per node, with the share of a core that it uses."""
+def in_processes(work: Callable[..., T], tasks: Sequence[tuple[Any, ...]], jobs: int) -> list[T]:
+    """Return the results of a function for tuples of arguments, computed in new processes.
+
+    The processes have one thread each, so that CPU times are those of the function.
+    """
+    os.environ.update(SINGLE_THREADED)
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(jobs, mp_context=context) as pool:
+        return [each.result() for each in [pool.submit(work, *task) for task in tasks]]
+
+
+def cpu_share_figures(share: Mapping[str, Any], idle: str) -> list[Figure]:
+    """Return a row for each node: the share of a core that it uses driving, and idle."""
     return [
-        (
-            f"share of a core, {name}",
-            f"{100 * driving:.1f} %",
-            f"{100 * share['idle'][name]:.1f} % {idle_label}",
+        Figure(f"share of a core, {name}", (f"{driving:.1%}", f"{other:.1%} {idle}"))
+        for (name, driving), other in zip(
+            share["driving"].items(), share["idle"].values(), strict=True
         )
-        for name, driving in share["driving"].items()
     ]
+
+
+def cycle_figures(times: Sequence[Sequence[float]]) -> dict[str, float]:
+    """Return the CPU time of the cycles of all drives, and the worst drive's percentile [ms]."""
+    worst = max(spread_ms(drive)["p99_ms"] for drive in times)
+    return {**spread_ms([taken for drive in times for taken in drive]), "worst_p99_ms": worst}
+
+
+def spread_text(spread: Mapping[str, float], digits: int = 0) -> str:
+    """Return the median, the 99th percentile and the maximum of `spread_ms` as text."""
+    return (
+        ", ".join(f"{spread[f'{key}_ms']:.{digits}f}" for key in ("median", "p99", "max")) + " ms"
+    )
 
 
 def tables(*each: Rows) -> list[str]:
@@ -115,20 +177,28 @@ def tables(*each: Rows) -> list[str]:
     return lines
 
 
-def conclude(
-    name: str,
-    result: dict[str, Any],
-    report: Callable[[dict[str, Any]], list[str]],
-    folder: str,
-    aims: Callable[[dict[str, Any]], Mapping[str, bool | None]] | None = None,
-) -> int:
-    """Compare a result with its aims, print its report, and publish it as JSON.
+def aims(report: Sequence[Table]) -> dict[str, bool | None]:
+    """Return whether the aims of a report are met, by quantity."""
+    return {row.about: row.met for part in report for row in part.figures if row.aim}
 
-    Returns:
-        0, the exit code of a benchmark whose measurement succeeded.
-    """
-    if aims is not None:
-        result["aims"] = dict(aims(result))
-    say("\n".join(report(result)))
+
+def lines(report: Sequence[Table]) -> list[str]:
+    """Return the lines of a report."""
+    parts = []
+    for titles, figures in report:
+        rows: Rows = [("", *titles)]
+        if any(figure.aim for figure in figures):
+            rows[0] += ("aim", "")
+        for about, values, aim, met in figures:
+            filled = [*values, *[""] * (len(titles) - len(values))]
+            rows.append((about, *filled, *((aim, verdict(met)) if aim else ())))
+        parts.append(rows)
+    return tables(*parts)
+
+
+def conclude(name: str, result: dict[str, Any], report: Sequence[Table], folder: str) -> int:
+    """Print a report, and publish its result as JSON; return 0, the exit code."""
+    result["aims"] = aims(report)
+    say("\n".join(lines(report)))
     results.publish(f"bench_{name}", result, folder)
     return 0

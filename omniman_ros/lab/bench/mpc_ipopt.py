@@ -1,20 +1,17 @@
 """IPOPT on the problem of the planner's transcription: the peer in `omniman bench mpc`."""
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from omniman_ros.core.arrays import Array
-from omniman_ros.lab.studies.mpc_scenes import Task, penalty
+from omniman_ros.lab.bench.mpc_rig import Task
 from omniman_ros.planning.mpc.model import STATES
-from omniman_ros.planning.mpc.transcription import Stage, Transcription
+from omniman_ros.planning.mpc.transcription import Transcription
 
-PUSH = (
-    1e-3  # distance from the bounds to which IPOPT moves a warm start, absolute and relative [-]
-)
 # With this initial barrier parameter, closed-loop steps take two thirds of the time that they take
-# with the default.
+# with the default. A warm start is moved by 1e-3 from the bounds, absolute and relative.
 OPTIONS: dict[str, Any] = {
     "linear_solver": "mumps",
     "print_level": 0,
@@ -23,40 +20,9 @@ OPTIONS: dict[str, Any] = {
     "max_iter": 300,
     "mu_init": 1e-3,
     "warm_start_init_point": "yes",
-    "warm_start_bound_push": PUSH,
-    "warm_start_bound_frac": PUSH,
-    "warm_start_slack_bound_push": PUSH,
-    "warm_start_slack_bound_frac": PUSH,
-    "warm_start_mult_bound_push": PUSH,
 }
-
-
-class Evaluation(NamedTuple):
-    """Cost [J], smallest slacks (N,) [m], and largest relative violation of another limit [-]."""
-
-    cost: float
-    slack: Array
-    excess: float
-
-
-class Evaluator:
-    """Evaluates currents with the transcription's own functions, whichever solver found them."""
-
-    def __init__(self, transcription: Transcription) -> None:
-        self._t = t = transcription
-        self._cost, self._rows = t.stage_cost.map(t.steps), t.stage_rows.map(t.steps)
-
-    def value(self, start: Array, currents: Array, stage: Stage) -> Evaluation:
-        """Evaluate currents (N, n) [A] from a state (6,): pose in odom, twist in base_link."""
-        t, table = self._t, stage.table().T
-        ends = np.asarray(t.rollout(start, currents.T)).reshape(STATES, t.steps)
-        before = np.vstack([start, ends.T])[:-1].T
-        costs = np.asarray(self._cost(before, currents.T, table))
-        rows, low, high = (np.asarray(part) for part in self._rows(before, currents.T, table))
-        violation = np.maximum(low - rows, rows - high)
-        slack = np.maximum(violation[t.relaxed :], 0.0).max(axis=0, initial=0.0)
-        excess = float(violation[: t.relaxed].max(initial=0.0))
-        return Evaluation(float(costs.sum()) + penalty(stage, slack), slack, excess)
+PUSHED = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
+OPTIONS |= {f"warm_start_{name}": 1e-3 for name in PUSHED}
 
 
 class Ipopt:
@@ -68,7 +34,7 @@ class Ipopt:
     of the previous step, shifted by one stage.
     """
 
-    def __init__(self, transcription: Transcription, folded: bool = False) -> None:
+    def __init__(self, transcription: Transcription) -> None:
         t = self._t = transcription
         stage, low, high = self._stage()
         x, cost = ca.SX.sym("start", STATES), ca.SX(0)
@@ -92,8 +58,7 @@ class Ipopt:
         # Multipliers of the parameters are not used, and roots of zero weights make them NaN.
         options: dict[str, Any] = {"print_time": False, "error_on_fail": False}
         options |= {"calc_lam_p": False, "ipopt": OPTIONS}
-        if folded:
-            options["common_options"] = {"final_options": {"cse": True}}
+        options["common_options"] = {"final_options": {"cse": True}}
         g = ca.vertcat(*constraints)
         program = {"x": ca.vertcat(*variables), "p": parameters, "f": cost, "g": g}
         self._solve = ca.nlpsol("peer", "ipopt", program, options)

@@ -1,7 +1,7 @@
 """Baseline of the latency: a node that relays `cmd_vel` to `wheel_commands` without any control.
 
 The relay has the same life cycle, executor, timer and messages as `platform_controller`. It
-subscribes to `relay/cmd_vel` and publishes four wheel speeds on `relay/wheel_commands` at 200 Hz.
+subscribes to `relay/cmd_vel` and publishes four wheel speeds on `relay/wheel_commands`.
 """
 
 from geometry_msgs.msg import Twist
@@ -11,11 +11,9 @@ from sensor_msgs.msg import JointState
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.runtime import run
 
-RATE = 200.0  # rate of the wheel commands [Hz]
-SETPOINT = QoSProfile(depth=1)
-"""Quality of service of topics of which only the last message counts."""
+RATE = 200.0  #: rate of the wheel commands, that of the controller [Hz]
+SETPOINT = QoSProfile(depth=1)  #: of topics of which only the last message counts
 WHEELS = ("front_left", "front_right", "rear_left", "rear_right")
-"""Names of the wheels in the commands."""
 
 
 class RelayNode(OmnimanNode):

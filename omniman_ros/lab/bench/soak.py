@@ -15,6 +15,7 @@ from omniman_ros.console.errors import CommandError
 from omniman_ros.console.session import Session
 from omniman_ros.console.terminal import say
 from omniman_ros.core.arrays import Array
+from omniman_ros.demo.figures import obstacle_gaps
 from omniman_ros.lab.bench.harness import Rows, tables
 from omniman_ros.lab.faults.injections import STREAMING_PROCESS
 from omniman_ros.lab.faults.player import Player
@@ -30,17 +31,17 @@ from omniman_ros.processes.robot_setup import RobotSetup
 from omniman_ros.processes.ros_domain import isolate_ros_domain
 from omniman_ros.robots import load_robot
 
-MINUTES, QUICK_MINUTES = 60.0, 3.0  # duration without options, and with `--quick` [min]
+MINUTES, QUICK_MINUTES = 60.0, 3.0  #: duration without options, and with `--quick` [min]
 LEFT_OUT = ("viewer",)  # nodes that are not started
-SAMPLE_PERIOD = 2.0  # shortest time between two samples of what the processes use [s]
-READY_TIMEOUT = 60.0  # longest time until a robot is ready, or reset [s]
-AFTERMATH = 1.0  # time after a reset in which a stop still counts as that of the fault before [s]
-SPEED_TOLERANCE = 1.05  # ratio of the true speed to its limit that is permitted: drives overshoot
+SAMPLE_PERIOD = 2.0  #: shortest time between two samples of what the processes use [s]
+READY_TIMEOUT = 60.0  #: longest time until a robot is ready, or reset [s]
+AFTERMATH = 1.0  #: time after a reset in which a stop still counts as that of the fault before [s]
+SPEED_TOLERANCE = 1.05  #: ratio of the true speed to its limit that is permitted: drives overshoot
+#: Speed by which a turn at the largest yaw rate adds to that of the platform [m/s]
 YAW_ARM_SPEED = 0.6
-"""Speed by which a turn at the largest yaw rate adds to that of the platform [m/s]."""
-JUDGED_TIME = 600.0  # duration from which on the growth of the memory is judged [s]
-MEMORY_GROWTH = 20.0  # aim: largest growth of the memory of a process [MiB per hour]
-COUNT_GROWTH = 8  # aim: largest growth of the number of descriptors or threads of a process
+JUDGED_TIME = 600.0  #: duration from which on the growth of the memory is judged [s]
+MEMORY_GROWTH = 20.0  #: aim: largest growth of the memory of a process [MiB per hour]
+COUNT_GROWTH = 8  #: aim: largest growth of the number of descriptors or threads of a process
 
 
 class Watch:
@@ -100,7 +101,7 @@ class Watch:
 
     def _gap(self, platform: Array) -> float:
         rows = np.column_stack([np.zeros(len(platform)), platform[:, 2:5]])
-        return float(self._activities.obstacles.gaps(rows, self._half_size).min())
+        return float(obstacle_gaps(self._activities.obstacles, rows, self._half_size).min())
 
     def note_stops(self) -> None:
         """Note the stops of a robot that was not disturbed, and those of a busy machine apart."""

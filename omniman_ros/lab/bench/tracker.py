@@ -1,165 +1,207 @@
 """`omniman bench tracker`: how well people are tracked by laser scans, and what it costs.
 
-The physics world moves the people and judges; times are CPU times of this process, but for the
-latency, which is that of the running node on real time.
+The physics world moves the people and measures the scans; the judge knows the true discs and the
+beams. Times are CPU times of this process.
 """
 
 import argparse
 import math
 import time
-from array import array
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
+from omniman_ros.collision.body_outline import BodyOutline
 from omniman_ros.console.errors import CommandError
 from omniman_ros.console.terminal import say
+from omniman_ros.control.kinematics import PlatformKinematics
+from omniman_ros.core import se2
+from omniman_ros.core.arrays import Array
+from omniman_ros.core.parameters import build
+from omniman_ros.description.parameters import DescriptionParameters
 from omniman_ros.extras import TRACKING, WORLD
-from omniman_ros.lab.bench.harness import Rows, conclude, running_nodes, tables
-from omniman_ros.lab.measurement import percentiles_ms
-from omniman_ros.lab.verdicts import verdict
-from omniman_ros.processes.process_group import ProcessSpec
-from omniman_ros.processes.robot_setup import node_command, resolve_robot
+from omniman_ros.lab.bench.harness import Figure, Table, at_least, at_most, conclude, spread_text
+from omniman_ros.lab.bench.scans import new_tracker, scan_of
+from omniman_ros.lab.bench.tracking_judge import TrackingJudge
+from omniman_ros.lab.measurement import spread_ms
+from omniman_ros.processes.robot_setup import resolve_robot
 from omniman_ros.robots import load_robot
+from omniman_ros.simulation.plant.parameters import SimulationParameters
+from omniman_ros.simulation.plant.simulated_drives import SimulatedDrives
+from omniman_ros.simulation.world.parameters import IDEAL, WorldParameters
+from omniman_ros.simulation.world.scanner_parameters import ScannerParameters
+from omniman_ros.simulation.world.scene import (
+    REACTIVE,
+    SCRIPTED,
+    Crate,
+    Person,
+    Post,
+    Scene,
+    Wall,
+)
+from omniman_ros.simulation.world.scene import (
+    Table as TableTop,
+)
 
-SCENES = 12  # number of scenes of people who give way, in half of which the robot drives
-SUDDEN_SCENES = 4  # number of scenes of people who turn on the spot
-PERSONS, CROWD = 6, 20  # number of persons in a scene, and where the CPU time is measured
-SECONDS = 30.0  # simulated duration of a scene [s]
-RATE = 20.0  # rate of the scans [Hz]
-VELOCITY_AIM = 0.1
-"""Aim: largest root mean square of the velocity's error from 0.5 s after the first sight on
-[m/s]."""
-FALSE_AIM = 0.01
-"""Aim: largest share of standing things that are reported as moving for longer than 0.5 s."""
-IDENTITY_AIM = 0.95  # aim: least share of crossings after which the identity is the same
-CPU_AIM = 0.25  # aim: largest share of a core for 720 beams at 20 Hz with 20 people
-LATENCY_AIM = 60.0  # aim: largest 99th percentile of the time from a scan to its obstacles [ms]
-SETTLING = 2.0  # time that the node has to see the crowd before the measurement [s]
-START_TIMEOUT = 20.0  # longest time until the node answers [s]
+SCENES = 12  #: number of scenes of people who give way; the robot drives in half of them
+SUDDEN_SHARE = 1 / 3  #: number of scenes of people who turn on the spot, relative to that
+PERSONS, CROWD = 6, 20  #: number of persons in a scene, and where the CPU time is measured
+SECONDS = 30.0  #: simulated duration of a scene [s]
+VELOCITY_AIM = (
+    0.1  #: aim: largest RMS error of the velocity from 0.5 s after the first sight [m/s]
+)
+FALSE_AIM = 0.01  #: aim: largest share of standing things reported as moving for over 0.5 s
+IDENTITY_AIM = 0.95  #: aim: least share of crossings after which the identity is the same
+CPU_AIM = 0.25  #: aim: largest share of a core for 720 beams at 20 Hz with 20 people
+HALF = 5.0  #: half edge of the square room [m]
+RADIUS = 0.25  #: radius of a person [m]
+SPACE = 1.3  #: distance of what stands from the robot's place and from each other [m]
+STAND = 0.05  #: time for which a person stands at each repetition of a way point [s]
+PERIOD, TICK = 0.05, 0.01  #: periods of scans and odometry [s]
+SWAY = (0.25, 0.5)  #: largest speed of a robot that drives [m/s] and its turn rate [rad/s]
+WIDE = 4.71  #: field of view of the scanner [rad]: 270 degrees
 
 
-def measure(robot: Mapping[str, Any], scenes: int, seconds: float) -> dict[str, Any]:
-    """Track people in scenes of the physics world.
+@dataclass(frozen=True)
+class Case:
+    """A scene, and whether the robot drives in it."""
 
-    Returns:
-        Figures of people who give way, of those who turn on the spot, and of a crowd.
+    seed: int  #: of all random choices
+    persons: int = PERSONS
+    behaviour: str = REACTIVE  #: give way, or turn on the spot and run into each other
+
+    @property
+    def drives(self) -> bool:
+        """Whether the robot drives to and fro and turns; else it stands."""
+        return self.seed % 2 == 1
+
+
+@dataclass
+class Run:
+    """What a case has shown."""
+
+    judge: TrackingJudge
+    cpu: list[float] = field(default_factory=list)  #: CPU time of each scan [s]
+
+
+def tracking_scene(case: Case) -> Scene:
+    """Return the room of a case: walls, posts, a table, a crate, and persons on random ways.
+
+    Each person walks at an own speed through way points, and stands for up to 2 s at some.
     """
+    rng = np.random.default_rng(case.seed)
+    taken: list[Array] = [np.zeros(2)]
+
+    def free_place() -> dict[str, float]:
+        for _ in range(200):
+            place = rng.uniform(-HALF + 0.8, HALF - 0.8, 2)
+            if min(float(np.hypot(*(place - other))) for other in taken) > SPACE:
+                break
+        taken.append(place)
+        return {"x": float(place[0]), "y": float(place[1])}
+
+    def way_point() -> tuple[float, float]:
+        while True:
+            x, y = rng.uniform(-HALF + 0.7, HALF - 0.7, 2).tolist()
+            away = min(math.hypot(x - thing.x, y - thing.y) for thing in things)
+            if math.hypot(x, y) > 1.5 and away > 0.9 and math.hypot(x - 2.2, y - 2.7) > 1.1:
+                return x, y
+
+    posts = tuple(
+        Post(name=f"post {k}", **free_place(), radius=float(rng.uniform(0.05, 0.2)))
+        for k in range(5)
+    )
+    table = TableTop(name="table", **free_place(), yaw=float(rng.uniform(0.0, 3.0)))
+    crate = Crate(name="crate", **free_place(), yaw=float(rng.uniform(0.0, 3.0)))
+    things: list[Any] = [*posts, table, crate]
+    room = (-HALF, HALF, HALF, -HALF, -HALF), (-HALF, -HALF, HALF, HALF, -HALF)
+    walls = (
+        Wall(name="room", x=room[0], y=room[1]),
+        Wall(name="screen", x=(2.2, 2.2), y=(2.0, 3.4), thickness=0.1),
+    )
+    persons = []
+    for k in range(case.persons):
+        way: list[tuple[float, float]] = []
+        for _ in range(5):
+            place = way_point()
+            way += [place] * (1 + int(rng.random() < 0.4) * int(rng.uniform(0.5, 2.0) / STAND))
+        x, y = zip(*way, strict=True)
+        person = {"speed": float(rng.uniform(0.6, 1.4)), "radius": RADIUS}
+        persons.append(Person(name=f"person {k}", x=x, y=y, **person, behaviour=case.behaviour))
+    return Scene(
+        walls=walls, posts=posts, tables=(table,), crates=(crate,), persons=tuple(persons)
+    )
+
+
+def run_case(case: Case, robot: Mapping[str, Any], seconds: float) -> Run:
+    """Let people walk around a robot, and track them by its scans."""
     # The command line must do without the engine.
-    from omniman_ros.lab.studies.tracking import TrackingCase, TrackingRun, run_case
-    from omniman_ros.lab.studies.tracking_judge import root_mean_square
-    from omniman_ros.simulation.world.scene import SCRIPTED
+    from omniman_ros.simulation.world.scanner import Scanner
+    from omniman_ros.simulation.world.world import World
 
-    def run(case: TrackingCase) -> TrackingRun:
-        say(f"scene {case.seed}, {case.persons} persons ...")
-        return run_case(case, robot, seconds)
-
-    def figures(runs: Sequence[TrackingRun]) -> dict[str, Any]:
-        judges = [run.judge for run in runs]
-        walking = [error for judge in judges for error in judge.walking_errors]
-        errors = [error for judge in judges for error in judge.errors]
-        missed = sum(judge.missed for judge in judges)
-        crossings = sum(judge.crossings for judge in judges)
-        cpu = [each for run in runs for each in run.cpu]
-        median, p99, largest = percentiles_ms(cpu)
-        return {
-            "scenes": len(runs),
-            "velocity_rmse": root_mean_square(errors),
-            "walking_velocity_rmse": root_mean_square(walking),
-            "velocity_error_median": float(np.median(errors)) if errors else math.nan,
-            "walking_missed_share": missed / max(missed + len(walking), 1),
-            "static_things": sum(judge.statics for judge in judges),
-            "false_movers": sum(len(judge.false_movers) for judge in judges),
-            "crossings": crossings,
-            "identities_kept": sum(judge.kept for judge in judges),
-            "cpu_ms": {"median": median, "p99": p99, "max": largest},
-            "cpu_share": RATE * float(np.mean(cpu)),
-        }
-
-    sudden = max(1, scenes * SUDDEN_SCENES // SCENES)
-    calm = [run(TrackingCase(seed, PERSONS, seed % 2 == 1)) for seed in range(scenes)]
-    turning = [
-        run(TrackingCase(seed, PERSONS, seed % 2 == 1, behaviour=SCRIPTED))
-        for seed in range(sudden)
-    ]
-    crowd = [run(TrackingCase(100, CROWD))]
-    return {"people": figures(calm), "sudden": figures(turning), "crowd": figures(crowd)}
-
-
-def measure_latency(robot_name: str, seconds: float) -> dict[str, float]:
-    """Measure the time from the stamp of a scan to the arrival of its obstacles.
-
-    Returns:
-        Median, 99th percentile and maximum [ms], and the node's share of a core.
-    """
-    from nav_msgs.msg import Odometry
-    from sensor_msgs.msg import LaserScan
-    from visualization_msgs.msg import MarkerArray
-
-    given = ["--ros-args", "-p", f"robot:={robot_name}", "-p", "scanners_by_tf:=false"]
-    task = ProcessSpec("obstacle_tracker", node_command("obstacle_tracker", given))
-    angles = np.linspace(-0.5 * math.pi, 0.5 * math.pi, 720)
-    rng = np.random.default_rng(0)
-    sent: dict[int, float] = {}
-    taken: list[float] = []
-
-    with running_nodes([task]) as nodes:
-        node = nodes.session.node
-        scans = node.create_publisher(LaserScan, "scan", 5)
-        odometry = node.create_publisher(Odometry, "odom", 5)
-
-        def receive(message: Any) -> None:
-            for marker in message.markers[-1:]:
-                stamp = marker.header.stamp
-                key = stamp.sec * 10**9 + stamp.nanosec
-                near = min(sent, key=lambda other: abs(other - key), default=None)
-                if near is not None and abs(near - key) < 2_000_000:
-                    taken.append(time.monotonic() - sent.pop(near))
-
-        node.create_subscription(MarkerArray, "obstacles", receive, 50)
-        count = 0
-
-        def feed(now: float) -> None:
-            nonlocal count
-            stamp = node.get_clock().now()
-            message = Odometry(child_frame_id="base_link")
-            message.header.frame_id, message.header.stamp = "odom", stamp.to_msg()
-            odometry.publish(message)
-            count += 1
-            scan = LaserScan(
-                angle_min=-0.5 * math.pi,
-                angle_max=0.5 * math.pi,
-                angle_increment=math.pi / 719.0,
-                range_max=20.0,
-                ranges=array("f", _crowd_ranges(now, angles, rng).astype(np.float32).tobytes()),
-            )
-            scan.header.frame_id, scan.header.stamp = "scanner", stamp.to_msg()
-            sent[stamp.nanoseconds] = time.monotonic()
-            scans.publish(scan)
-
-        nodes.wait(lambda: scans.get_subscription_count() > 0, START_TIMEOUT, "no node")
-        nodes.serve(SETTLING, feed)
-        taken.clear()
-        share = nodes.cpu_shares(["obstacle_tracker"], seconds, feed)["obstacle_tracker"]
-    if not taken:
-        raise CommandError("obstacle_tracker has sent no obstacles")
-    median, p99, largest = percentiles_ms(taken)
-    return {"median": median, "p99": p99, "max": largest, "scans": len(taken), "cpu_share": share}
+    say(f"scene {case.seed}, {case.persons} persons ...")
+    description = build(DescriptionParameters, robot)
+    simulation, scene = build(SimulationParameters, robot), tracking_scene(case)
+    world = World(description, simulation, build(WorldParameters, {"wheels": IDEAL}), scene)
+    drives = SimulatedDrives(description.robot, simulation, case.seed, world)
+    inverse = PlatformKinematics(description.robot.wheels).J
+    mounting = ScannerParameters(
+        field_of_view=WIDE, noise=0.01, dropouts=0.002, sees_robot=False, x=0.3
+    )
+    scanner, tracker = Scanner(world, mounting, case.seed), new_tracker()
+    own = BodyOutline(description).footprint(np.zeros((1, 6)), 0.05)
+    standing = len(scene.walls) + len(scene.posts) + 4 * len(scene.tables) + len(scene.crates)
+    run = Run(TrackingJudge(standing))
+    drives.advance(0.0)
+    for tick in range(1, round(seconds / TICK) + 1):
+        now = tick * TICK
+        side = math.sin(0.7 * now)
+        twist = np.array([SWAY[0] * side, 0.1 * math.cos(0.5 * now), SWAY[1] * side])
+        drives.command_velocity(inverse @ (case.drives * twist), None, now - TICK)
+        drives.advance(now)
+        theta = float(world.pose[2])
+        tracker.add_pose(now, world.pose, se2.to_world(theta, world.twist))
+        if tick % round(PERIOD / TICK):
+            continue
+        scan = scan_of(scanner, now)
+        begin = time.process_time()
+        tracker.add_scan(scan, own)
+        obstacles = tracker.obstacles(now)
+        run.cpu.append(time.process_time() - begin)
+        people = np.array([[*thing.pose[:2], *thing.velocity] for thing in world.obstacles])
+        offset = se2.to_world(theta, np.array([mounting.x, mounting.y, 0.0]))
+        beams = world.pose[:2] + offset[:2], theta + scanner.angles, scan.ranges
+        run.judge.judge(now, beams, people[: case.persons], RADIUS, obstacles)
+    run.judge.finish()
+    return run
 
 
-def _crowd_ranges(now: float, angles: Any, rng: np.random.Generator) -> Any:
-    """Return ranges to 20 people on circles within a round room, from its middle."""
-    found = np.full(len(angles), 9.0)
-    for k in range(CROWD):
-        phase = 0.9 * k + (0.3 if k % 2 else -0.3) * now
-        distance = 2.0 + 0.3 * k
-        aside = np.sin(phase - angles) * distance
-        along = np.cos(phase - angles) * distance
-        chord = np.sqrt(np.maximum(0.0625 - aside * aside, 0.0))
-        met = (np.abs(aside) < 0.25) & (along > 0.0)
-        found = np.where(met, np.minimum(found, along - chord), found)
-    return found + rng.normal(0.0, 0.01, len(angles))
+def figures(runs: Sequence[Run]) -> dict[str, Any]:
+    """Return the figures of cases."""
+    judges = [run.judge for run in runs]
+    walking = [error for judge in judges for error in judge.walking_errors]
+    errors = [error for judge in judges for error in judge.errors]
+    missed = sum(judge.missed for judge in judges)
+    cpu = [each for run in runs for each in run.cpu]
+    return {
+        "scenes": len(runs),
+        "velocity_rmse": _root_mean_square(errors),
+        "walking_velocity_rmse": _root_mean_square(walking),
+        "velocity_error_median": float(np.median(errors)) if errors else math.nan,
+        "walking_missed_share": missed / max(missed + len(walking), 1),
+        "static_things": sum(judge.statics for judge in judges),
+        "false_movers": sum(len(judge.false_movers) for judge in judges),
+        "crossings": sum(judge.crossings for judge in judges),
+        "identities_kept": sum(judge.kept for judge in judges),
+        "cpu": spread_ms(cpu),
+        "cpu_share": float(np.mean(cpu)) / PERIOD,
+    }
+
+
+def _root_mean_square(errors: Sequence[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(errors)))) if errors else math.nan
 
 
 def run(args: argparse.Namespace) -> int:
@@ -167,57 +209,39 @@ def run(args: argparse.Namespace) -> int:
     for extra in (WORLD, TRACKING):
         if not extra.is_available:
             raise CommandError(extra.hint)
-    robot_name = resolve_robot(args.robot)
+    robot = load_robot(resolve_robot(args.robot))
     scenes, seconds = (2, 10.0) if args.quick else (SCENES, SECONDS)
-    result: dict[str, Any] = {"robot": args.robot, "quick": args.quick}
-    result |= measure(load_robot(robot_name), scenes, seconds)
-    say("latency of the running node ...")
-    result["latency_ms"] = measure_latency(robot_name, 4.0 if args.quick else 20.0)
-    return conclude("tracker", result, report, args.results, aims)
-
-
-def aims(result: dict[str, Any]) -> dict[str, bool]:
-    """Return whether each aim was met."""
-    people, sudden, crowd = result["people"], result["sudden"], result["crowd"]
-    latency = result["latency_ms"]
-    return {
-        "velocity": people["velocity_rmse"] <= VELOCITY_AIM,
-        "sudden_velocity": sudden["velocity_rmse"] <= VELOCITY_AIM,
-        "false_movers": people["false_movers"] <= FALSE_AIM * people["static_things"],
-        "identity": people["identities_kept"] >= IDENTITY_AIM * people["crossings"],
-        "cpu": max(crowd["cpu_share"], latency["cpu_share"]) <= CPU_AIM,
-        "latency": latency["p99"] <= LATENCY_AIM,
+    sudden = range(max(1, round(scenes * SUDDEN_SHARE)))
+    groups = {
+        "people": [Case(seed) for seed in range(scenes)],
+        "sudden": [Case(seed, behaviour=SCRIPTED) for seed in sudden],
+        "crowd": [Case(100, CROWD)],
     }
+    result: dict[str, Any] = {"robot": args.robot, "quick": args.quick}
+    for name, cases in groups.items():
+        result[name] = figures([run_case(case, robot, seconds) for case in cases])
+    return conclude("tracker", result, report(result), args.results)
 
 
-def report(result: dict[str, Any]) -> list[str]:
-    """Return the lines of the report on a result."""
-    met = {key: verdict(good) for key, good in result["aims"].items()}
+def report(result: Mapping[str, Any]) -> list[Table]:
+    """Return the tables of a result."""
     people, sudden, crowd = result["people"], result["sudden"], result["crowd"]
-    latency = result["latency_ms"]
-    rows: Rows = [("", "measured", "aim", "")]
-    for name, label, key in (
-        ("people", "who give way", "velocity"),
-        ("sudden", "who turn on the spot", "sudden_velocity"),
-    ):
-        value = f"{result[name]['velocity_rmse']:.3f} m/s"
-        rows.append((f"velocity, RMSE, people {label}", value, f"{VELOCITY_AIM:g} m/s", met[key]))
+    rows = [
+        at_most(f"velocity, RMSE, people {who}", each["velocity_rmse"], VELOCITY_AIM, "{:.3g} m/s")
+        for who, each in (("who give way", people), ("who turn on the spot", sudden))
+    ]
     walking = f"{people['walking_velocity_rmse']:.3f} m/s"
-    rows.append(("the same, while they walk", walking, "", ""))
-    missed = f"{100.0 * people['walking_missed_share']:.1f} %"
-    rows.append(("walking and seen, but not reported", missed, "", ""))
-    false = f"{people['false_movers']} of {people['static_things']}"
-    rows.append(("standing things reported as moving", false, "1 %", met["false_movers"]))
-    kept = f"{people['identities_kept']} of {people['crossings']}"
-    rows.append(("identity kept in crossings", kept, "95 %", met["identity"]))
+    rows.append(Figure("velocity, RMSE, who give way, while they walk", (walking,)))
+    missed = f"{people['walking_missed_share']:.1%}"
+    rows.append(Figure("walking and seen, but not reported", (missed,)))
+    shares = people["false_movers"] / people["static_things"], FALSE_AIM
+    rows.append(at_most("standing things reported as moving", *shares, "{:.1%}"))
+    kept, of = people["identities_kept"], people["crossings"]
+    about = f"identity kept in {of} crossings, who give way"
+    rows.append(at_least(about, kept / of if of else None, IDENTITY_AIM, "{:.1%}"))
     kept = f"{sudden['identities_kept']} of {sudden['crossings']}"
-    rows.append(("the same, who turn on the spot", kept, "", ""))
-    share = f"{100.0 * crowd['cpu_share']:.1f} %"
-    rows.append((f"share of a core, core alone, {CROWD} people", share, "", ""))
-    share = f"{100.0 * latency['cpu_share']:.1f} %"
-    rows.append((f"share of a core, the node, {CROWD} people", share, "25 %", met["cpu"]))
-    times = f"{latency['median']:.1f} / {latency['p99']:.1f} ms"
-    rows.append(
-        ("scan to obstacle, median / p99", times, f"p99 {LATENCY_AIM:g} ms", met["latency"])
-    )
-    return tables(rows)
+    rows.append(Figure("identity kept, who turn on the spot", (kept,)))
+    rows.append(at_most(f"share of a core, {CROWD} people", crowd["cpu_share"], CPU_AIM, "{:.1%}"))
+    about = f"CPU of a scan, {CROWD} people: median, p99, max"
+    rows.append(Figure(about, (spread_text(crowd["cpu"], 1),)))
+    return [Table(("measured",), rows)]

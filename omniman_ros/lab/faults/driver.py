@@ -27,8 +27,8 @@ STEP = 0.1  #: time between two points of a trajectory [s]
 TWIST_PERIOD = 0.02  #: period of `cmd_vel` [s]
 FLOOD = 20  #: number of twists that are sent in each period of a flood
 JUMP = 100.0  #: factor of a twist that jumps
+#: Names of the platform's coordinates in `joint_trajectory`
 PLATFORM_JOINTS = ("odom_x", "odom_y", "odom_t")
-"""Names of the platform's coordinates in `joint_trajectory`."""
 NEWEST = QoSProfile(depth=1)  #: quality of service of topics of which only the last message counts
 
 

@@ -16,16 +16,12 @@ STREAMING_PROCESS = "streaming process"  #: child process of the streamer that s
 
 @dataclass(frozen=True)
 class Signal:
-    """A signal to a process.
-
-    Attributes:
-        number: Number of the signal. A process that was killed is started again before the next
-            row.
-        resume: Time after which a suspended process goes on [s]; None until the judgement.
-    """
+    """A signal to a process."""
 
     process: str  #: name of the process
+    #: Number of the signal. A process that was killed is started again before the next row.
     number: signal.Signals
+    #: Time after which a suspended process goes on [s]; None until the judgement
     resume: float | None = None
 
 
@@ -45,16 +41,13 @@ class Second:
 
 @dataclass(frozen=True)
 class Setting:
-    """A fault that a simulated device simulates itself.
-
-    Attributes:
-        afterwards: Commands to the dashboard of the arm's controller once it is cleared.
-    """
+    """A fault that a simulated device simulates itself."""
 
     node: str  #: node of the simulated device
     parameter: str  #: name of the parameter
     value: bool | float | tuple[str, ...]  #: value with the fault
     cleared: bool | float | tuple[str, ...]  #: value without it
+    #: Commands to the dashboard of the arm's controller once it is cleared
     afterwards: tuple[str, ...] = ()
 
 
@@ -104,5 +97,4 @@ class ServiceStop:
 
 Injection = (
     Signal | Restart | Second | Setting | TwistFault | Publication | EmergencyStop | ServiceStop
-)
-"""Any way to inject a fault."""
+)  #: Any way to inject a fault

@@ -20,8 +20,7 @@ NUMBERS = {
     InvalidContent.NAN: math.nan,
     InvalidContent.INFINITE: math.inf,
     InvalidContent.HUGE: 1e300,
-}
-"""Numbers that messages consist of."""
+}  #: Numbers that messages consist of
 
 
 class InvalidMessages:
@@ -89,5 +88,4 @@ TOPICS: dict[str, tuple[type, Callable[[InvalidContent], Any]]] = {
     "arm/joint_states": (JointState, _joints),
     "arm/joint_reference": (JointTrajectory, _trajectory_message),
     "motion_limit": (JointState, _joint_message(list(LIMITED))),
-}
-"""Type of each topic that can be disturbed, and the function that makes its messages."""
+}  #: Type of each topic that can be disturbed, and the function that makes its messages

@@ -18,22 +18,19 @@ WINDOW = 0.06  #: time over which a deceleration is averaged [s]
 
 @dataclass(frozen=True)
 class Stop:
-    """What became of a motion after a fault.
-
-    Attributes:
-        reaction: Time from the fault until the motion had begun to brake for good [s]; infinite if
-            it did not.
-    """
+    """What became of a motion after a fault."""
 
     speed: float  #: speed before the fault [m/s or rad/s]
+    #: Time from the fault until the motion had begun to brake for good [s]; infinite if it did
+    #: not.
     reaction: float
     rest: float  #: time from the fault from which on it was at rest [s]; infinite if it was not
     deceleration: float  #: largest deceleration of the speed [m/s^2 or rad/s^2]
     fastest: float  #: largest speed after the fault [m/s or rad/s]
 
 
+#: What became of a motion that was not seen
 UNKNOWN = Stop(math.nan, math.inf, math.inf, math.nan, math.nan)
-"""What became of a motion that was not seen."""
 
 
 def judge_stop(times: Array, speeds: Array, fault: float, end: float, still: float) -> Stop:

@@ -21,8 +21,8 @@ from omniman_ros.lab.faults.invalid_messages import InvalidMessages
 from omniman_ros.lab.faults.running_robot import RunningRobot
 from omniman_ros.nodes.stop_interface import LATCHED
 
+#: Time for which the arm's controller carries a command of its dashboard out [s]
 DASHBOARD_PAUSE = 1.0
-"""Time for which the arm's controller carries a command of its dashboard out [s]."""
 RELEASE_PERIOD = 0.01  #: period at which a second button says that it is not pressed [s]
 
 

@@ -13,8 +13,8 @@ from omniman_ros.lab.faults.injections import ARM, DRIVES, STREAMER, STREAMING_P
 from omniman_ros.lab.priority import set_niceness
 from omniman_ros.processes.process_group import ProcessGroup, ProcessSpec
 
+#: Processes that simulate hardware, which on a real robot has processors of its own
 HARDWARE = (DRIVES, ARM)
-"""Processes that simulate hardware, which on a real robot has processors of its own."""
 HARDWARE_NICENESS, NICENESS = -15, -10
 """Niceness of these and of the other processes, where the system permits it."""
 

@@ -28,13 +28,13 @@ class Motion(Enum):
 class Outcome(Enum):
     """What must become of the motion."""
 
+    #: Platform and arm come to rest, and nothing moves again before a reset
     LATCHED = "stops until a reset"
-    """Platform and arm come to rest, and nothing moves again before a reset."""
     PAUSED = "stops, goes on"  #: the platform comes to rest, and goes on when the fault has gone
+    #: All come to rest; the motion is over, and the next command moves again without a reset
     ENDED = "stops for this motion"
-    """All come to rest; the motion is over, and the next command moves again without a reset."""
+    #: Neither speed nor acceleration exceed the limits, whatever is asked for
     LIMITED = "stays within the limits"
-    """Neither speed nor acceleration exceed the limits, whatever is asked for."""
     UNHARMED = "drives on"  #: the motion goes on as if nothing had happened
 
 
@@ -50,15 +50,7 @@ class GoingOn(Enum):
 
 @dataclass(frozen=True)
 class Row:
-    """A row of the table of faults.
-
-    Attributes:
-        unnoticed: Time from the injection within which nobody can know of the fault: the time-out
-            by which it becomes evident [s].
-        reaction: Longest permitted time from then until platform and arm begin to brake [s].
-        slowly: Time by which the stop may last longer than the hardest one, as platform and arm
-            stay on their path [s].
-    """
+    """A row of the table of faults."""
 
     name: str  #: name of the row, for `--row`
     subject: Subject  #: what fails
@@ -67,9 +59,14 @@ class Row:
     outcome: Outcome  #: what must become of the motion
     going_on: GoingOn  #: what a user does to drive on
     motion: Motion = Motion.TWIST  #: motion of the robot when the fault begins
+    #: Time from the injection within which nobody can know of the fault: the time-out by which it
+    #: becomes evident [s].
     unnoticed: float = 0.0
     timeout: str = ""  #: what sets this time, mostly a parameter; empty if there is none
+    #: Longest permitted time from then until platform and arm begin to brake [s]
     reaction: float = 0.12
+    #: Time by which the stop may last longer than the hardest one, as platform and arm stay on
+    #: their path [s].
     slowly: float = 0.0
     leftover: float = 2e-3  #: largest motion once the fault has gone, before a reset [m or rad]
     platform: bool = True  #: whether the platform has to react

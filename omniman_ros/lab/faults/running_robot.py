@@ -15,15 +15,15 @@ from omniman_ros.nodes.clock_follower import ClockFollower
 from omniman_ros.nodes.stop_interface import ALL_LATCHED, LATCHED
 from omniman_ros.processes.robot_setup import RobotSetup, robot_processes
 
+#: Nodes whose stop states tell whether the robot can be driven
 MOVERS = (CONTROLLER, BRIDGE, STREAMER)
-"""Nodes whose stop states tell whether the robot can be driven."""
 LOOKAHEAD = 0.01  #: how far simulated time may be ahead of this process, which injects faults [s]
 RESET_PERIOD = 0.3  #: time between two attempts to reset the robot [s]
 NANOSECOND = 1e-9  #: seconds in a nanosecond
+#: Longest time after an instant until its ground truth is received from a busy machine [s]
 LATEST_TRUTH = 5.0
-"""Longest time after an instant until its ground truth is received from a busy machine [s]."""
+#: Beginning of the argument that gives the port of the dashboard
 DASHBOARD_PORT = "ports.dashboard:="
-"""Beginning of the argument that gives the port of the dashboard."""
 
 
 class RunningRobot:

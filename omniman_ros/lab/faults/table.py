@@ -35,8 +35,7 @@ AFTER_SUSPENSION = {
     Outcome.LATCHED: GoingOn.RESET,
     Outcome.ENDED: GoingOn.COMMAND,
     Outcome.PAUSED: GoingOn.NOTHING,
-}
-"""What a user does to drive on once a suspended process goes on."""
+}  #: What a user does to drive on once a suspended process goes on
 LOST_SOURCE = 0.1  #: longest time from the evidence of a lost source until the robot brakes [s]
 SOURCE_LOST: dict[str, Any] = {"reaction": LOST_SOURCE, "source": "none"}
 
@@ -360,5 +359,4 @@ ROWS = (
         )
         for node in (CONTROLLER, BRIDGE, STREAMER)
     ),
-)
-"""All rows of the table."""
+)  #: All rows of the table

@@ -17,10 +17,10 @@ LARGEST_SPEED = 1.05  #: largest speed of the platform, 5 % above the robot's li
 DECELERATION = 1.2  #: deceleration limit of the robot [m/s^2]; that of its drives is 1.14 m/s^2
 ARM_DECELERATION = 5.0  #: deceleration limit of the arm [rad/s^2]
 PROTECTIVE_DECELERATION = 15.0  #: deceleration of the arm in a stop by its controller [rad/s^2]
+#: Factor by which a measured deceleration may exceed its limit: the drives follow with a lag
 TOLERANCE = 1.25
-"""Factor by which a measured deceleration may exceed its limit: the drives follow with a lag."""
+#: Time by which a stop may last longer than a straight ramp from the reaction on [s]
 REST_MARGIN = 0.4
-"""Time by which a stop may last longer than a straight ramp from the reaction on [s]."""
 OBSERVED_REST = 0.5  #: time for which the robot is observed at rest [s]
 HARMLESS_TIME = 1.0  #: time for which the robot is observed after a harmless fault [s]
 MOVED = 2e-3  #: way beyond which a robot that ought to stand has moved [m or rad]
@@ -28,24 +28,21 @@ STEADY = 0.3  #: time for which the robot must have had its speed before a fault
 READY_TIMEOUT = 40.0  #: longest time until a robot whose processes were started is ready [s]
 SPEED_TIMEOUT = RAMP + 2.5  #: longest time until the robot has its speed [s]
 ATTEMPTS = 15  #: number of attempts to bring the robot to speed
+#: Time for which the machine held drives or arm up beyond which a trial is not judged, whether it
+#: passed or failed [s]; their reports are 10 ms apart.
 LONGEST_HOLD_UP = 0.04
-"""Time for which the machine held drives or arm up beyond which a trial is not judged, whether it
-passed or failed [s]; their reports are 10 ms apart."""
 RESUME_TIMEOUT = 5.0  #: longest time until a robot that goes on by itself has done so [s]
 
 
 @dataclass
 class Trial:
-    """What was measured in a trial.
-
-    Attributes:
-        false_stops: Number of stops before the fault, each with its reason.
-    """
+    """What was measured in a trial."""
 
     platform: Stop  #: stop of the platform
     arm: Stop  #: stop of the arm
     failures: list[str]  #: what was not as it must be; empty if the trial passed
     held_up: float = 0.0  #: longest time for which the machine held drives or arm up [s]
+    #: Number of stops before the fault, each with its reason
     false_stops: list[str] = field(default_factory=list)
     recovery: float = math.nan  #: time until the robot was ready again [s]
 

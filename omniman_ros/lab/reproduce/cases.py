@@ -19,13 +19,13 @@ from omniman_ros.lab.studies.planned_drives import PlannedDrive, drive_with_plan
 from omniman_ros.lab.verdicts import verdict
 from omniman_ros.robots import load_robot
 
+#: Parameters of the paper's horizon: n = 10 stages of 0.1 s, and no running cost, so that (31)
+#: counts at the end only. Limits and a clipped goal remain.
 PAPER_HORIZON: Mapping[str, Any] = {
     "horizon.steps": 10,
     "horizon.step": 0.1,
     "weights.running": 0.0,
 }
-"""Parameters of the paper's horizon: n = 10 stages of 0.1 s, and no running cost, so that (31)
-counts at the end only. Limits and a clipped goal remain."""
 
 
 @dataclass(frozen=True)

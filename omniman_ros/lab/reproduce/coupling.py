@@ -44,9 +44,9 @@ PAPER_GAIN = 2.0  #: k_epsilon in Fig. 7 of CCTA 2017 [1/s]
 AIM = 0.1  #: largest ratio of the coupling error to that without control, on the plant [-]
 WORLD_GAIN = 5.0  #: gain in the physics world, beside the robot's own [1/s]
 ERROR_AIM, ENERGY_AIM = 0.25, 1.01  #: largest ratios to those without control in the world [-]
+#: The error that each form of coupling control takes out: epsilon by CCTA 2017 (24), and, of the
+#: form that knows the lag of the rollers, epsilon less what the lag explains.
 MEASURES = {OWN_CONTROLLER: "epsilon_ratio", LAG_CONTROLLER: "error_ratio"}
-"""The error that each form of coupling control takes out: epsilon by CCTA 2017 (24), and, of the
-form that knows the lag of the rollers, epsilon less what the lag explains."""
 RATIOS = {"epsilon": "epsilon_max", "error": "error_max", "energy": "energy"}
 
 

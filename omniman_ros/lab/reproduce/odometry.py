@@ -21,8 +21,8 @@ from omniman_ros.robots import load_robot
 
 MODES = ("P", "PI", "torque")  #: groups of drives: how the drives hold a wheel's speed
 AIM = 0.02  #: aim: largest error of the position at the end [m]
+#: Kinds of odometry: names in the result and in the report
 SENSORS = {"wheels": "wheels alone", "imu": "wheels and imu"}
-"""Kinds of odometry: names in the result and in the report."""
 
 
 def run(args: argparse.Namespace) -> int:

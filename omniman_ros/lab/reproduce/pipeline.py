@@ -15,8 +15,8 @@ from omniman_ros.console.terminal import say, table
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+#: A column's cells: a format of a row's values, or a function of the row
 Cell = str | Callable[[Mapping[str, Any]], str]
-"""A column's cells: a format of a row's values, or a function of the row."""
 
 
 def columns(rows: Iterable[Mapping[str, Any]], *layout: tuple[str, Cell]) -> list[str]:

@@ -59,14 +59,14 @@ from omniman_ros.simulation.plant.parameters import SimulationParameters
 
 EPOCH = 1000.0  #: ROS time at which the simulation starts [s]; a stamp of 0 is the present time
 ODOM_EVERY = 2  #: number of ticks of the plant per message on `odom`, which results in 100 Hz
+#: Standard deviations of the pose [m, m, rad] and the twist [m/s, m/s, rad/s] on `odom`
 ODOM_NOISE = (0.002, 0.002, 0.002, 0.005, 0.005, 0.005)
-"""Standard deviations of the pose [m, m, rad] and the twist [m/s, m/s, rad/s] on `odom`."""
 MARKER_NOISE = 0.01  #: standard deviation of a marker's x and y [m]
 MARKER_PERIOD = (0.04, 0.12)  #: range of the random time between two messages on `obstacles` [s]
 MARKER_DELAY = (0.005, 0.03)  #: range of the random delay of an observation's arrival [s]
 GOAL_TIME = 0.25  #: time at which the goal is sent, after a few observations [s]
+#: Posture of the arm, if the robot has one, in which it is above the platform [rad]
 UPRIGHT = (0.0, -0.5 * math.pi, 0.0, -0.5 * math.pi, 0.0, 0.0)
-"""Posture of the arm, if the robot has one, in which it is above the platform [rad]."""
 IDLE_TIMEOUT = 1.0  #: time after which a drive ends if the planner has no goal [s]
 
 

@@ -17,16 +17,16 @@ from omniman_ros.lab.faults.player import Player
 from omniman_ros.lab.faults.rows import GoingOn, Motion
 from omniman_ros.lab.faults.table import ROWS
 
+#: Half the edge of the square in which goals and paths are, about the origin of the truth [m]
 AREA = 2.5
-"""Half the edge of the square in which goals and paths are, about the origin of the truth [m]."""
+#: Positions [m] and radii [m] of what stands around, in the frame of the ground truth
 OBSTACLES = np.array([[3.2, 1.0, 0.3], [-0.5, 3.0, 0.25], [-3.0, -1.5, 0.3]])
-"""Positions [m] and radii [m] of what stands around, in the frame of the ground truth."""
 AT_REST = np.zeros((len(OBSTACLES), 2))  #: their velocities [m/s]
 LARGEST_TWIST = (0.5, 0.4, 0.8)  #: largest components of a twist [m/s, m/s, rad/s]
 TOOL_STEP = 0.25  #: largest way of the tool along each axis [m]
 ARM_STEP = 0.5  #: largest change of a joint [rad]
+#: Shortest and longest time for which a motion may last before the next activity [s]
 LASTING = (2.0, 8.0)
-"""Shortest and longest time for which a motion may last before the next activity [s]."""
 SUSPENSION = (0.02, 0.6)  #: shortest and longest time for which a process is suspended [s]
 
 FAULTS = [
@@ -34,8 +34,7 @@ FAULTS = [
     for row in ROWS
     if row.going_on is not GoingOn.RESTART
     and isinstance(row.injection, (Setting, EmergencyStop, ServiceStop, Signal))
-]
-"""Rows of the table that the soak draws from; what is killed stays for `omniman bench faults`."""
+]  #: Rows of the table that the soak draws from; what is killed stays for `omniman bench faults`
 
 
 class Activities:

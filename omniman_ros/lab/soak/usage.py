@@ -12,8 +12,8 @@ from omniman_ros.console.errors import CommandError
 from omniman_ros.lab.measurement import cpu_time
 
 MEBIBYTE = 2**20  #: bytes in a mebibyte
+#: Share of the samples, the later ones, from which growth is computed: caches fill at first
 SETTLED_SHARE = 0.5
-"""Share of the samples, the later ones, from which growth is computed: caches fill at first."""
 
 
 @dataclass(frozen=True)

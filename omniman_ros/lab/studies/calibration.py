@@ -20,18 +20,18 @@ from omniman_ros.lab.studies.closed_loop import PERIOD, ClosedLoop
 from omniman_ros.lab.studies.worlds import WorldChoice
 
 SETTLING = 1.5  #: time from the last setpoint of a drive to its end, and before the lag [s]
+#: The drives: the scale that is measured, its component of the twist, the speed in that direction
+#: [m/s or rad/s] and the way by the setpoints [m or rad].
 RUNS = (
     ("odometry.scale_x", 0, 0.3, 2.0),
     ("odometry.scale_y", 1, 0.3, 2.0),
     ("odometry.scale_yaw", 2, 0.5, math.tau),
 )
-"""The drives: the scale that is measured, its component of the twist, the speed in that direction
-[m/s or rad/s] and the way by the setpoints [m or rad]."""
 UNIT = 0.01  #: lag to which the measured one is related [s]
 YAW_RATE = 0.6  #: yaw rate of the rotation that measures the lag [rad/s]
 DURATION = 6.0  #: duration of the measurement of the lag [s]
+#: Parameters with which nothing but the floor decides on the coupling error
 COMPLIANT = {"drive.mode": "torque", "coupling.k_epsilon": 0.0, "drive.following_error": 100.0}
-"""Parameters with which nothing but the floor decides on the coupling error."""
 
 
 def calibrate(robot: Mapping[str, Any], world: WorldChoice | None) -> dict[str, float]:

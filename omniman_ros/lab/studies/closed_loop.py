@@ -24,9 +24,9 @@ if TYPE_CHECKING:  # The command line must do without the engine.
     from omniman_ros.simulation.world.world import World
 
 PERIOD = 0.005  #: time between two ticks [s]
+#: Time from a measurement to the tick that uses it, which is also when the drives receive the
+#: tick's command [s].
 LATENCY = 0.001
-"""Time from a measurement to the tick that uses it, which is also when the drives receive the
-tick's command [s]."""
 
 
 class StudyError(OmnimanError):

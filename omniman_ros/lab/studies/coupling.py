@@ -31,28 +31,27 @@ class Group:
     radius_spread: float = 0.0  #: largest relative error of a radius, not known to the controller
 
 
+#: Parameters that prevent a stop by the following error, as P loops of unequal wheels can lag by
+#: more than a healthy robot may.
 NO_FOLLOWING_ERROR_STOP = {"drive.following_error": 100.0}
-"""Parameters that prevent a stop by the following error, as P loops of unequal wheels can lag by
-more than a healthy robot may."""
 P_LOOPS = {"firmware.integral_time": 100.0}  #: too long to matter in a movement of 10 s [s]
 GROUPS: Mapping[str, Group] = {
     "P": Group("P velocity loops", P_LOOPS),
     "PI": Group("PI velocity loops"),
     "torque": Group("torque mode", {"drive.mode": "torque"}),
     "radii": Group("P velocity loops, wheel radii off by up to 0.5 %", P_LOOPS, 0.005),
-}
-"""Groups of drives, by name."""
+}  #: Groups of drives, by name
 OWN_CONTROLLER, PAPER_CONTROLLER, LAG_CONTROLLER = "package", "paper", "package, with lag"
 """Names of the coupling controllers."""
+#: Changed parameters of each coupling controller. The paper's integrates from 0 to t, (24), and
+#: has no bound of its own; its correction is the gain times that integral, (25), through J_a of
+#: (14). The package's with lag knows the lag of the rollers, `Setup.roller_lag`; the others do
+#: not.
 CONTROLLERS: Mapping[str, Mapping[str, Any]] = {
     OWN_CONTROLLER: {},
     PAPER_CONTROLLER: {"coupling.reset_at_rest": False, "coupling.authority": 1.0},
     LAG_CONTROLLER: {},
 }
-"""Changed parameters of each coupling controller. The paper's integrates from 0 to t, (24), and
-has no bound of its own; its correction is the gain times that integral, (25), through J_a of (14).
-The package's with lag knows the lag of the rollers, `Setup.roller_lag`; the others do not.
-"""
 
 
 @dataclass(frozen=True)

@@ -69,8 +69,7 @@ HANDOVER_WHEELS = {
         {},
         {**DEMO_MISMATCH, "radius": [1.002, 0.998, 1.001, 0.999]},
     ),
-}
-"""Wheels of the leader, by name; the follower has them in reverse order."""
+}  #: Wheels of the leader, by name; the follower has them in reverse order
 
 
 @dataclass(frozen=True)

@@ -109,5 +109,4 @@ SCENES: Mapping[str, Callable[[], Scene]] = {
     "corridor": partial(case_of_paper, "corridor", snapshots=(0.8, 1.9, 2.7, 3.4, 4.8)),
     "moving": partial(case_of_paper, "moving", noise=0.01),
     "workshop": workshop,
-}
-"""Functions that return the scenes, by name."""
+}  #: Functions that return the scenes, by name

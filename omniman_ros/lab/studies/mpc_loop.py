@@ -24,9 +24,9 @@ from omniman_ros.simulation.plant.parameters import SimulationParameters
 PLANNER_PERIOD = 0.05  #: period of the planner [s]
 OBSERVATION_PERIOD = 0.05  #: period of the observations of obstacles [s]
 SOLVE_TICKS = 2  #: simulated duration of planning in a cycle, in ticks
+#: Number of ticks before the first goal: the planner keeps its initial motion, at rest at the
+#: origin, for 50 ms.
 WARM_UP_TICKS = 12
-"""Number of ticks before the first goal: the planner keeps its initial motion, at rest at the
-origin, for 50 ms."""
 
 
 @dataclass(frozen=True)
@@ -56,9 +56,9 @@ class LoopOptions:
     seed: int = 0  #: seed of the noise
     timer: Callable[[], float] = lambda: 0.0  #: time by which planning is measured [s]
     world: WorldChoice | None = None  #: world in which the robot drives; None for the plant
+    #: Function that tells planner and set of obstacles what is seen, called in each cycle; None if
+    #: the obstacles are observed themselves.
     observe: Callable[["MpcLoop"], None] | None = None
-    """Function that tells planner and set of obstacles what is seen, called in each cycle; None if
-    the obstacles are observed themselves."""
     on_tick: Callable[["MpcLoop"], None] | None = None  #: called after each tick of the controller
 
 

@@ -25,15 +25,15 @@ DISC_SHARE = 0.5  #: probability that an obstacle is a disc
 MOVING_SHARE = 0.5  #: probability that an obstacle moves, unless drawn to block the way
 SPEEDS = (0.1, 0.6)  #: range of the speeds of moving obstacles [m/s]
 MIN_DISTANCE = 3.5  #: smallest distance from start to goal [m]
+#: Smallest gap from obstacles to the robot at the start, and from fixed obstacles to the robot at
+#: the goal [m].
 MARGIN = 0.15
-"""Smallest gap from obstacles to the robot at the start, and from fixed obstacles to the robot at
-the goal [m]."""
 CLEAR_START_TIME = 1.0  #: time for which moving obstacles keep the margin to the start [s]
 MAX_GOAL_STAY = 5.0  #: longest time of a moving obstacle nearer to the goal than the margin [s]
 TURN_TIMES = (1.0, 8.0)  #: range of the times at which obstacles change their velocity [s]
+#: Time for which obstacles bounce off the border of the area, and for which their stay at the goal
+#: is checked; afterwards they move straight on [s].
 MOTION_DURATION = 60.0
-"""Time for which obstacles bounce off the border of the area, and for which their stay at the goal
-is checked; afterwards they move straight on [s]."""
 MAX_MISMATCH = 0.2  #: largest relative error of the model's mass, friction and motor constant
 CHECK_PERIOD = 0.05  #: period of the samples at which moving obstacles are checked [s]
 MAX_DRAWS = 2000  #: largest number of draws of a scene, and of obstacles in each draw

@@ -143,7 +143,6 @@ def judge(
     """Judge a drive, given by its times (K,) [s] and true poses (K, 3) in odom [m, m, rad].
 
     Args:
-        box: The robot's outline.
         obstacles: What the robot may have touched.
         area: Where its whole outline should stay; leaving it is no contact. None: anywhere.
     """

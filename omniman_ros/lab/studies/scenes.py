@@ -21,9 +21,9 @@ from omniman_ros.lab.studies.scene_geometry import Box, Verdict, judge
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 
 TIME_LIMIT = 60.0  #: from when the goal is sent [s]
+#: Largest true distance [m] and angle [rad] from the goal at which an arrival counts. The planner
+#: itself judges its arrival by odometry, which has drifted by then.
 GOAL_TOLERANCE = (0.04, 0.04)
-"""Largest true distance [m] and angle [rad] from the goal at which an arrival counts. The planner
-itself judges its arrival by odometry, which has drifted by then."""
 AIM_REACHED = 0.98  #: smallest share of reached goals
 MASS_PARAMETERS = ("body.mass", "body.inertia", "arm.mass", "arm.inertia")
 

@@ -9,16 +9,16 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.motion.axes import PLATFORM_AXES
 from omniman_ros.motion.whole_body.model import WholeBodyModel
 
+#: Joint angles of the arm at the start, where base_link is at the origin of odom [rad]
 POSTURE = (0.0, -1.9, 2.0, -1.7, -1.57, 0.0)
-"""Joint angles of the arm at the start, where base_link is at the origin of odom [rad]."""
 SPACING = 0.02  #: largest distance along the path between successive poses [m]
 CIRCLE_RADIUS = 1.2  #: radius of the circle [m]
 S_HEADING = 0.8  #: largest heading along the S, relative to its start [rad]
 S_HEIGHT = 0.1  #: amplitude of the height along the S [m]
 
+#: The shape of a path: a function from distances (k,) along the path and the length of the path,
+#: both in the plane [m], to positions and headings (k, 4) relative to its start [m, m, m, rad].
 Course = Callable[[Array, float], Array]
-"""The shape of a path: a function from distances (k,) along the path and the length of the path,
-both in the plane [m], to positions and headings (k, 4) relative to its start [m, m, m, rad]."""
 
 
 def straight(distance: Array, length: float) -> Array:
@@ -48,8 +48,8 @@ def s_curve(distance: Array, length: float) -> Array:
     return np.column_stack([x, y, S_HEIGHT * np.sin(phase), S_HEADING * np.sin(phase)])
 
 
+#: Shapes of the paths, by name
 COURSES: Mapping[str, Course] = {"straight": straight, "S": s_curve, "circle": circle}
-"""Shapes of the paths, by name."""
 
 
 def start() -> Array:

@@ -36,10 +36,10 @@ from omniman_ros.ur.streaming_supervisor import joint_limits
 
 STEP = 0.001  #: period of the study's clock [s]
 ODOM_PERIOD = 0.01  #: period of the measured poses [s]
+#: Range of the latency from the tick that computes a measured pose to the interpolator [s]
 ODOM_LATENCY = (0.005, 0.02)
-"""Range of the latency from the tick that computes a measured pose to the interpolator [s]."""
+#: Range of the latency of the arm's previews from the interpolator to the streamer [s]
 PREVIEW_LATENCY = (0.002, 0.006)
-"""Range of the latency of the arm's previews from the interpolator to the streamer [s]."""
 ARM_PREVIEW_PERIOD = 0.02  #: period of the arm's previews [s]
 ARM_PREVIEW_HORIZON = 0.2  #: duration that a preview of the arm covers [s]
 PLATFORM_PREVIEW_PERIOD = 0.04  #: period of the platform's previews [s]
@@ -106,30 +106,27 @@ DEMO_MISMATCH = {
     "friction": [1.3, 0.8, 1.1, 0.9],
     "torque_constant": [0.97, 1.03, 1.0, 0.98],
     "amplifier_gain": [1.02, 0.98, 1.01, 0.97],
-}
-"""Errors of the wheels in the demo, ratios of true to nominal values by wheel, and larger ones."""
+}  #: Errors of the wheels in the demo, ratios of true to nominal values by wheel, and larger ones
 LARGE_MISMATCH = {
     "friction": [1.8, 0.5, 1.4, 0.7],
     "torque_constant": [0.9, 1.1, 1.0, 0.93],
     "amplifier_gain": [1.05, 0.93, 1.02, 0.92],
 }
+#: Parameters that turn the velocity loops into P loops, and prevent a stop by the following error,
+#: which then is larger than on a healthy robot.
 P_LOOPS = {"firmware.integral_time": 100.0, "drive.following_error": 100.0}
-"""Parameters that turn the velocity loops into P loops, and prevent a stop by the following error,
-which then is larger than on a healthy robot."""
 LOW_GAINS = {
     **P_LOOPS,
     "drive.feed_forward": False,
     "position.k_xy": 2.0,
     "position.k_theta": 2.0,
-}
-"""Parameters of P velocity loops under a position control with low gains and no feed-forward."""
+}  #: Parameters of P velocity loops under a position control with low gains and no feed-forward
 MOST_DEMANDING = "soft"  #: name of the wheels with which the platform deviates most from its path
 WHEELS: Mapping[str, Wheels] = {
     "PI": Wheels("wheels of the demo", {}, DEMO_MISMATCH),
     "P": Wheels("larger mismatch, P loops", P_LOOPS, LARGE_MISMATCH),
     MOST_DEMANDING: Wheels("the same, low position gains", LOW_GAINS, LARGE_MISMATCH),
-}
-"""Wheels of the study, by name."""
+}  #: Wheels of the study, by name
 
 
 @dataclass(frozen=True)

@@ -1,28 +1,56 @@
-from omniman_ros.lab.bench import clutter as bench
-from omniman_ros.lab.studies.clutter import ClutterRun
+import math
+
+import numpy as np
+import pytest
+
+from omniman_ros.core.parameters import build
+from omniman_ros.lab.bench.clutter import (
+    JACKAL_SIZE,
+    ClutterRun,
+    clutter_world,
+    drive_clutter,
+    shortest_length,
+)
+from omniman_ros.planning.parameters import PlannerParameters
+from omniman_ros.robots import load_robot
 
 
-def drives(*runs):
-    found = {"drives": {bench.AIMED: bench.figures(runs)}}
-    return found | {"aims": bench.aims(found)}
+@pytest.mark.parametrize(
+    ("reached", "seconds", "expected"),
+    [
+        (True, 3.0, 0.5),
+        (True, 10.0, 0.5),
+        (True, 20.0, 0.25),
+        (True, 99.0, 0.125),
+        (False, 3.0, 0),
+    ],
+)
+def test_the_score_counts_times_between_two_and_eight_best_times(reached, seconds, expected):
+    assert ClutterRun(0, reached, (), seconds, 5.0).score == pytest.approx(expected)
 
 
-def run(seed=0, seconds=6.0, touched=()):
-    return ClutterRun(seed, not touched, touched, seconds, 5.0, (0.01, 0.02))
+def test_the_shortest_path_leads_around_posts():
+    assert shortest_length(np.zeros((0, 2)), 0.3) == pytest.approx(10.0)
+    post = np.array([[5.0, 0.0]])
+    tangents = 2.0 * (math.sqrt(25.0 - 1.0) + math.asin(0.2))
+    assert tangents < shortest_length(post, 1.0) < 1.03 * tangents
+    wall = np.column_stack([np.full(31, 5.0), np.linspace(-2.25, 2.25, 31)])
+    assert shortest_length(wall, 0.3) == math.inf
 
 
-def test_a_missed_aim_is_reported_as_missed():
-    assert all(drives(run(), run())["aims"].values())
-    missed = drives(run(), run(seed=7, touched=("post_3",)))
-    assert missed["aims"] == {"reached": False, "contacts": False, "score": False, "time": True}
-    assert missed["drives"][bench.AIMED]["failed_seeds"] == [7]
-    assert sum("MISSED" in line for line in bench.report(missed)) == 3
-    slow = drives(run(), run(seconds=8.0))
-    assert slow["aims"] == {"reached": True, "contacts": True, "score": True, "time": False}
+def test_a_world_follows_its_seed():
+    robot = build(PlannerParameters, {**load_robot("ig42"), **JACKAL_SIZE}).robot
+    first, again, other = (clutter_world(seed, robot) for seed in (2, 2, 3))
+    assert first == again != other
+    assert 5.0 <= first[1] < 6.0
 
 
-def test_aims_are_open_without_the_drives_they_are_about():
-    found = {"drives": {"ig42 known": bench.figures([run()])}}
-    found["aims"] = bench.aims(found)
-    assert set(found["aims"].values()) == {None}
-    assert any("1 of 1" in line for line in bench.report(found))
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("by_scanner", [False, True])
+def test_a_robot_gets_through(by_scanner):
+    pytest.importorskip("mujoco")
+    robot = {**load_robot("ig42"), **JACKAL_SIZE}
+    run = drive_clutter(robot, 2, by_scanner)
+    assert run.reached
+    assert not run.touched
+    assert run.score > 0.45

@@ -1,16 +1,35 @@
-from omniman_ros.lab.bench import crowd as bench
-from omniman_ros.lab.studies.crowd import CrowdRun
+import math
+
+import numpy as np
+import pytest
+
+from omniman_ros.lab.bench.crowd import HALF, RADIUS, DiscCrowd, disc_gaps, drive_in_crowd
+from omniman_ros.lab.studies.closed_loop import PERIOD
+from omniman_ros.robots import load_robot
+
+BOX = np.array([0.4, 0.25])
 
 
-def result(contacts=0, taken=0.03, at_rest=2):
-    runs = [CrowdRun(k, False, 30.0, 3, contacts, at_rest, (taken, taken)) for k in (0, 1)]
-    found = {"crowds": {"crossing": bench.figures(runs)}}
-    return found | {"aims": bench.aims(found)}
+def test_a_gap_is_that_of_disc_and_box():
+    pose = np.array([1.0, 2.0, math.pi / 2])  # its length along y
+    places = np.array([[1.0, 3.0], [2.0, 2.0], [1.1, 2.1], [1.25 + 0.3, 2.4 + 0.4]])
+    expected = [0.6 - RADIUS, 0.75 - RADIUS, -RADIUS, 0.5 - RADIUS]
+    assert disc_gaps(pose, BOX, places) == pytest.approx(expected)
 
 
-def test_a_missed_aim_is_reported_as_missed():
-    assert result()["aims"] == {"contacts": True, "cpu": True}
-    assert result(contacts=1)["aims"] == {"contacts": False, "cpu": True}
-    assert result(taken=0.041)["aims"] == {"contacts": True, "cpu": False}
-    assert sum("MISSED" in line for line in bench.report(result(contacts=1))) == 1
-    assert result()["crowds"]["crossing"]["goals_per_minute"] == 6.0
+def test_discs_cross_their_square_again_and_again():
+    crowd, way = DiscCrowd(8, seed=1), np.zeros(8)
+    for _ in range(round(30.0 / PERIOD)):
+        before = crowd.positions
+        crowd.advance()
+        way += np.hypot(*(crowd.positions - before).T)
+    assert np.abs(crowd.positions).max() <= HALF
+    assert way.min() == pytest.approx(30.0 * crowd._speeds.min())
+    assert way.min() > 2.0 * HALF
+
+
+@pytest.mark.exhaustive
+def test_a_robot_that_moves_touches_nobody():
+    run = drive_in_crowd(load_robot("ig42"), 0, 20.0, 8)
+    assert run.contacts == 0
+    assert run.goals > 0

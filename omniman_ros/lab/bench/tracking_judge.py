@@ -4,73 +4,41 @@ import math
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from omniman_ros.core.arrays import Array
 
-LEAST_BEAMS = 3  # number of beams that must meet somebody who is seen
-TOLERANCE = 0.06  # distance of a beam's end from a disc up to which the beam has met it [m]
-SETTLING = 0.5  # time after the first sight from which the velocity counts [s]
-UNSEEN = 3.0  # time without being seen after which somebody is seen for the first time again [s]
-MATCH = 0.5  # distance of a reported centre from the true one up to which they are the same [m]
-WALKING = 0.3  # speed from which somebody walks [m/s]
-FALSE_SPEED = 0.2  # speed from which something that stands is reported as moving [m/s]
-FALSE_TIME = 0.5  # time for which it must be, to count [s]
-BEFORE, AFTER = 0.3, 0.5  # times before and after a crossing at which identities are compared [s]
+if TYPE_CHECKING:  # the command line must do without scipy
+    from omniman_ros.perception.track import TrackedObstacle
+
+LEAST_BEAMS = 3  #: number of beams that must meet somebody who is seen
+TOLERANCE = 0.06  #: distance of a beam's end from a disc up to which the beam has met it [m]
+SETTLING = 0.5  #: time after the first sight from which the velocity counts [s]
+UNSEEN = 3.0  #: time without being seen after which somebody is seen for the first time again [s]
+MATCH = 0.5  #: distance of a reported centre from the true one up to which they are the same [m]
+WALKING = 0.3  #: speed from which somebody walks [m/s]
+FALSE_SPEED = 0.2  #: speed from which something that stands is reported as moving [m/s]
+FALSE_TIME = 0.5  #: time for which it must be, to count [s]
+BEFORE, AFTER = 0.3, 0.5  #: times before and after a crossing at which identities are compared [s]
 
 
-class Reported(Protocol):
-    """What is reported of an obstacle."""
-
-    @property
-    def number(self) -> int:
-        """Its identity."""
-        ...
-
-    @property
-    def center(self) -> tuple[float, float]:
-        """Its centre [m]."""
-        ...
-
-    @property
-    def velocity(self) -> tuple[float, float]:
-        """Its velocity [m/s]."""
-        ...
-
-    @property
-    def silence(self) -> float:
-        """Time since it was last seen [s]."""
-        ...
-
-
-@dataclass(frozen=True)
-class Sighting:
-    """A scan as the judge sees it."""
-
-    origin: Array  # (2,) place of the scanner [m]
-    directions: Array  # (N,) directions of the beams [rad]
-    ranges: Array  # (N,) their ranges [m]
+#: A scan: the scanner's place (2,) [m], directions (N,) [rad] and ranges (N,) of the beams [m]
+Beams = tuple[Array, Array, Array]
 
 
 @dataclass
 class TrackingJudge:
-    """Compares what is reported with the truth, scan by scan.
+    """Compares what is reported with the truth, scan by scan."""
 
-    Attributes:
-        errors: Errors of velocity [m/s] of all who were seen for long enough.
-        false_movers: Identities of standing things that were reported as moving for too long.
-    """
-
-    statics: int  # number of things that stand
-    errors: list[float] = field(default_factory=list)
-    walking_errors: list[float] = field(default_factory=list)  # those of them who walked
-    missed: int = 0  # number of scans and persons for which a walking person was not reported
-    false_movers: set[int] = field(default_factory=set)
-    crossings: int = 0  # number of crossings, once for each of the two who cross
-    kept: int = 0  # number of them after which the identity was the same
+    statics: int  #: number of things that stand
+    errors: list[float] = field(default_factory=list)  #: of velocity, seen for long enough [m/s]
+    walking_errors: list[float] = field(default_factory=list)  #: those of them who walked
+    missed: int = 0  #: number of scans and persons for which a walking person was not reported
+    false_movers: set[int] = field(default_factory=set)  #: identities of what stands
+    crossings: int = 0  #: number of crossings, once for each of the two who cross
+    kept: int = 0  #: number of them after which the identity was the same
     _first: dict[int, float] = field(default_factory=dict)
     _last: dict[int, float] = field(default_factory=dict)
     _false_since: dict[int, float] = field(default_factory=dict)
@@ -82,17 +50,13 @@ class TrackingJudge:
     def judge(
         self,
         now: float,
-        sighting: Sighting,
+        scan: Beams,
         people: Array,
         radius: float,
-        obstacles: Sequence[Reported],
+        obstacles: Sequence["TrackedObstacle"],
     ) -> None:
-        """Judge what is reported at a scan.
-
-        Args:
-            people: (P, 4) true positions and velocities [m, m/s].
-        """
-        beams = visible_beams(sighting, people[:, :2], radius)
+        """Judge what is reported of people (P, 4), true positions and velocities [m, m/s]."""
+        beams = visible_beams(scan, people[:, :2], radius)
         centers = np.array([thing.center for thing in obstacles]).reshape(-1, 2)
         velocities = np.array([thing.velocity for thing in obstacles]).reshape(-1, 2)
         off = np.hypot(*(people[:, None, :2] - centers[None]).transpose(2, 0, 1))
@@ -118,9 +82,9 @@ class TrackingJudge:
             elif walks:
                 self.missed += 1
         self._judge_false(now, obstacles, off)
-        self._note_crossings(now, sighting.origin, people[:, :2], radius)
+        self._note_crossings(now, scan[0], people[:, :2], radius)
 
-    def _judge_false(self, now: float, obstacles: Sequence[Reported], off: Array) -> None:
+    def _judge_false(self, now: float, obstacles: Sequence["TrackedObstacle"], off: Array) -> None:
         """Note what is seen as moving where nobody is; who is hidden is nowhere for sure."""
         moving = set()
         for k, thing in enumerate(obstacles):
@@ -165,19 +129,15 @@ class TrackingJudge:
                 self.kept += bool(after) and after[-1] == before[-1]
 
 
-def visible_beams(sighting: Sighting, places: Array, radius: float) -> NDArray[np.intp]:
+def visible_beams(scan: Beams, places: Array, radius: float) -> Array:
     """Return the number of beams (P,) that meet each of the discs at places (P, 2) [m]."""
-    away = places[:, None, :] - sighting.origin
-    ux, uy = np.cos(sighting.directions), np.sin(sighting.directions)
+    origin, directions, ranges = scan
+    away = places[:, None, :] - origin
+    ux, uy = np.cos(directions), np.sin(directions)
     along = away[..., 0] * ux + away[..., 1] * uy
     aside = away[..., 0] * uy - away[..., 1] * ux
     chord = np.sqrt(np.maximum(radius**2 - aside**2, 0.0))
     with np.errstate(invalid="ignore"):
-        meets = (np.abs(aside) < radius) & (np.abs(along - chord - sighting.ranges) < TOLERANCE)
-    counts: NDArray[np.intp] = meets.sum(axis=1)
+        meets = (np.abs(aside) < radius) & (np.abs(along - chord - ranges) < TOLERANCE)
+    counts: Array = meets.sum(axis=1).astype(np.float64)
     return counts
-
-
-def root_mean_square(errors: Sequence[float]) -> float:
-    """Return the root mean square of errors; NaN without any."""
-    return math.sqrt(sum(error * error for error in errors) / len(errors)) if errors else math.nan
