@@ -13,13 +13,7 @@ from omniman_ros.nodes.omniman_node import OmnimanNode
 
 
 class ArmLimit:
-    """Subscribes to `motion_limit`, and publishes on `motion_demand` what previews ask for.
-
-    Args:
-        node: Node that owns the topics.
-        options: Whether there is a limit, and what applies without its messages.
-        send: Sends a share of the speed limits to the streaming process.
-    """
+    """Subscribes to `motion_limit`, and publishes on `motion_demand` what previews ask for."""
 
     def __init__(
         self,

@@ -20,8 +20,6 @@ class ArmPostureInput:
     While the arm is silent, its last posture holds: its mass does not vanish.
 
     Args:
-        node: Node that owns the subscription.
-        names: Names of the six joints, from the base on.
         on_posture: Called with the joint angles (6,) [rad] when they have changed.
     """
 

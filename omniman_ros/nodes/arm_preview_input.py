@@ -17,12 +17,10 @@ MAX_STAMP_LEAD = 1.0  #: How far in the future the stamp of a preview may be [s]
 
 
 class ArmPreviewInput:
-    """Sends the previews on `arm/joint_reference` to the streaming process while the arm may move.
+    """Sends the previews on `arm/joint_reference` to the streaming process.
 
     Args:
-        node: Node that subscribes to the topic; nothing is sent unless it is active and released.
-        joints: Names of the joints, from the base on.
-        limit: Limit of the arm's speed, which publishes what the previews ask for.
+        node: Node that subscribes; nothing is sent unless it is active and released.
     """
 
     def __init__(

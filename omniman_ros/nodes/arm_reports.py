@@ -20,12 +20,7 @@ TIMING_WINDOW = 1250
 
 
 class ArmReportPublisher:
-    """Publishes arm/joint_states, arm/speed_scaling and arm/timing, and logs what needs attention.
-
-    Args:
-        node: Node that owns the publishers.
-        joint_names: Names of the joints, from the base on.
-    """
+    """Publishes arm/joint_states, arm/speed_scaling and arm/timing, and logs problems."""
 
     def __init__(self, node: OmnimanNode, joint_names: Sequence[str]) -> None:
         self._node = node
@@ -66,11 +61,7 @@ class ArmReportPublisher:
     def status(
         self, process: StreamingProcess, stop: tuple[bytes, str] | None
     ) -> tuple[bytes, str, list[tuple[str, object]]]:
-        """Return level, message and values of a streaming process for the diagnostics.
-
-        Args:
-            stop: Level and message while the node's latch forbids motion, else None.
-        """
+        """Return level, message and values for the diagnostics; a `stop` goes first."""
         report, values = process.report, self._values(process)
         if process.failure:
             return DiagnosticStatus.ERROR, process.failure, values

@@ -36,13 +36,8 @@ class ArmStatesReader:
     The arm reports more often than most need to know: messages stay serialized until then.
 
     Args:
-        node: Node that subscribes to the topic.
-        names: Names of the n joints.
         on_message: Called on arrival of each message, which is still to be read.
         max_age: Age above which states are refused [s].
-
-    Attributes:
-        last: States that were read last and are valid; None before the first.
     """
 
     def __init__(

@@ -30,9 +30,6 @@ class ArmStreamerNode(HardwareNode):
     configure starts the streaming process and waits for the controller's data; activate has the
     controller run our program, which holds the arm where it is; deactivate brings the arm to rest
     and ends the program; cleanup ends the process.
-
-    Args:
-        options: Options of `HardwareNode`.
     """
 
     lookahead = 0.01

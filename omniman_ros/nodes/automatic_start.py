@@ -36,11 +36,7 @@ class AutomaticStart:
         self._next_attempt = now + RETRY_PERIOD
 
     def retry(self, now: float) -> str:
-        """Count a fault at the time `now` [s], and postpone the next attempt.
-
-        Returns:
-            Number of the retry, and of how many, for a warning.
-        """
+        """Count a fault at `now` [s], postpone the next attempt, and return "n of m"."""
         self.faults += 1
         self.postpone(now)
         return f"{self.faults} of {MAX_RETRIES}"

@@ -33,7 +33,6 @@ class CanBridgeNode(HardwareNode):
 
     Args:
         open_bus: Opens the bus in place of `bus_opener`, on the time of the caller's choice.
-        options: Options of `HardwareNode`.
 
     Attributes:
         link: The drives and their bus; None unless the node is configured.

@@ -33,14 +33,10 @@ class CanBridgeParameters:
 
 
 def require_time_of_bus(port: int, is_simulated: bool) -> None:
-    """Require the time that the drives run on.
-
-    Args:
-        port: Value of `simulated_bus_port`.
-        is_simulated: Whether the node has `use_sim_time`.
+    """Require `use_sim_time` with the simulated bus, and with no other.
 
     Raises:
-        ParameterError: The node has it with real drives, or drives in simulated time without it.
+        ParameterError: Real drives in simulated time, or simulated drives without it.
     """
     if is_simulated is not bool(port):
         reason = "a bus runs on real time, and the one at simulated_bus_port on /clock"

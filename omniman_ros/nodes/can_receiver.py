@@ -19,11 +19,7 @@ MAX_FRAME_AGE = 1.0  #: Largest age of a frame that is believed [s]
 
 
 def open_bus(parameters: CanParameters) -> "can.BusABC":
-    """Open the bus of an installation.
-
-    Raises:
-        ParameterError: The bus cannot be opened.
-    """
+    """Open the bus of an installation; raise ParameterError if that is impossible."""
     import can
 
     multicast = parameters.interface == "udp_multicast"
@@ -53,7 +49,6 @@ class CanReceiver:
     """Receives the frames of a bus in a thread, until :meth:`close`.
 
     Args:
-        bus: The bus, which the caller shuts down after the receiver is closed.
         on_received: Called from the thread when a frame is received and none was waiting.
 
     Attributes:

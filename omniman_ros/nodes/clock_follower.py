@@ -25,9 +25,7 @@ def permit_message(name: str, until: float | None) -> Header:
     """Return a permit for simulated time to go on.
 
     Args:
-        name: Full name of the node, which becomes the frame.
-        until: Simulated time up to which it may go on [s], which becomes the stamp; None if it
-            need not wait for the node any more, a zero stamp.
+        until: Simulated time up to which it may go on [s]; None: it need not wait for the node.
     """
     nanoseconds = 0 if until is None else round(until * 1e9)
     return Header(frame_id=name, stamp=Time(nanoseconds=nanoseconds).to_msg())

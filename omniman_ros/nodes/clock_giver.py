@@ -17,11 +17,7 @@ class ClockGiverNode(OmnimanNode):
     simulated_clock: SimulatedClock | None = None
 
     def give_clock(self, parameters: ClockParameters, period: float) -> None:
-        """Give simulated time, if the parameters say so; to be called in the constructor.
-
-        Args:
-            period: Step of simulated time [s].
-        """
+        """Give simulated time in steps of `period` [s], if the parameters say so."""
         p = parameters
         if p.publish_clock:
             self.simulated_clock = SimulatedClock(

@@ -29,13 +29,7 @@ class MonitorState:
 
 
 class CollisionMonitorNode(OmnimanNode):
-    """Connects a collision monitor to its topics.
-
-    Attributes:
-        settings: Parameters of the node.
-        core: The monitor.
-        inputs: What is known of the robot and its surroundings.
-    """
+    """Connects a collision monitor to its topics."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__("collision_monitor", **options)
@@ -54,7 +48,6 @@ class CollisionMonitorNode(OmnimanNode):
         self.every(1.0 / p.state_rate, self._publish_state)
 
     def _configure(self, new: CollisionMonitorParameters) -> None:
-        """Use new parameters."""
         self._whole = new.geometry(with_arm=True)
         self.core.parameters = new.monitor
         self.inputs.configure(new)

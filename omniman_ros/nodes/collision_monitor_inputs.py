@@ -34,9 +34,6 @@ MAP = "map"  #: What an occupied part of the map is called
 class CollisionMonitorInputs:
     """Subscribes to the state of the robot, its surroundings and `motion_demand`.
 
-    Args:
-        node: Node that receives the messages.
-
     Attributes:
         braking_scale: Share of the platform's deceleration that dead wheels and the arm's posture
             leave.

@@ -14,7 +14,6 @@ class DeferredActionServer(ActionServer):
     rclpy's executors call a coroutine that waits again and again.
 
     Args:
-        node: Node that owns the server.
         callbacks: The callbacks of rclpy's action server, except that which executes a goal.
     """
 

@@ -20,9 +20,6 @@ class DriveCommandInterface:
     """Subscribes to `wheel_commands` and `wheel_voltages`; while stopped, commands do nothing.
 
     Args:
-        node: Node that owns the subscriptions.
-        drives: Drives that are commanded.
-        wheel_names: Names of the n wheels.
         timeout: Returns the age at which a stamped command is refused [s].
     """
 

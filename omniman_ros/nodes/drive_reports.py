@@ -19,12 +19,9 @@ class DriveReportPublisher:
     """Publishes wheel_states, and at lower rates ground_truth/odom and wheel_electrical.
 
     Args:
-        node: Node that owns the publishers.
-        wheel_names: Names of the robot's wheels, in the robot's order.
         channel: Channel that loses and delays wheel_states as the faults specify.
         truth_every: Number of reports per message on ground_truth/odom.
         electrical_every: Number of reports per message on wheel_electrical.
-        frames: World frame of the ground truth, and frame of its twist.
     """
 
     def __init__(
@@ -58,12 +55,7 @@ class DriveReportPublisher:
     def publish(
         self, drives: SimulatedDrives, faults: FaultParameters, now: float, stamp: Time
     ) -> None:
-        """Publish one report.
-
-        Args:
-            drives: Drives whose feedback is published.
-            now: Current time of the drives' clock [s].
-        """
+        """Publish one report."""
         states = drives.wheel_states(now)
         message = states_message(self._wheel_names, states, stamp)
         self._channel.put(message, now, faults.lost_messages, faults.late_messages)

@@ -31,9 +31,6 @@ class DriveSimulationNode(ClockGiverNode, Generic[P]):
     """Commands a :class:`SimulatedDrives` from topics, and publishes feedback and ground truth.
 
     With `publish_clock`, the node advances simulated time itself, and publishes it on /clock.
-
-    Attributes:
-        drives: The drives.
     """
 
     def __init__(self, name: str, kind: type[P], **options: object) -> None:
@@ -71,11 +68,7 @@ class DriveSimulationNode(ClockGiverNode, Generic[P]):
         return planar_motion(self.drives.ground_truth()[1])
 
     def configure(self, new: P) -> None:
-        """Use new parameters.
-
-        Raises:
-            ParameterError: One of them is refused; nothing is changed then.
-        """
+        """Use new parameters, or raise ParameterError and change nothing."""
         self.drives.configure(new.robot, new.simulation)
         self._imu.configure(new)
 
@@ -112,11 +105,7 @@ class DriveSimulationNode(ClockGiverNode, Generic[P]):
             self.report_step(self.now(), self.stamp())
 
     def report_step(self, now: float, stamp: TimeMsg) -> None:
-        """Advance the simulation, and publish one report.
-
-        Args:
-            now: Time of the drives' clock [s].
-        """
+        """Advance the simulation to `now` [s], and publish one report."""
         self.drives.advance(now)
         if self.drives.stop_reason is not None:
             self.latch.stop(self.drives.stop_reason)

@@ -13,10 +13,6 @@ UNKNOWN = "_NODE_NAME_UNKNOWN_"
 class ForeignTypes:
     """Warns, once for each publisher, that a topic which a node reads is published otherwise.
 
-    Args:
-        node: Node that reads.
-        warn: Logs a warning with a subject and a text.
-
     Attributes:
         selectors: Parameters that select the type of a topic, by the topic's name in the node.
     """

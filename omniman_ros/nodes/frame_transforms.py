@@ -26,9 +26,6 @@ class FrameTransforms:
     What is given in a frame that moves with the robot, such as a sensor's, is transformed at its
     stamp. What is given in a frame that does not, such as `map`, stays there; where it is in odom
     is known from the newest transform only, as a localisation corrects itself.
-
-    Args:
-        node: Node that listens.
     """
 
     def __init__(self, node: OmnimanNode, parameters: Callable[[], FrameParameters]) -> None:
@@ -113,20 +110,13 @@ class FrameTransforms:
             raise
 
     def mount(self, frame: str, base: str) -> Transform:
-        """Return the newest pose of a frame, such as a sensor's, in that of the robot.
-
-        Raises:
-            TransformError: Nothing relates the two.
-        """
+        """Return the newest pose of a frame in that of the robot, or raise TransformError."""
         return self._tree.lookup(base, frame.lstrip("/"), None)
 
     def anchor(self, frame: str) -> Transform:
         """Return the newest transform from a frame that does not move with the robot to odom.
 
         After time went back, it is the last one that was used, until another one arrives.
-
-        Args:
-            frame: The frame of a placement.
 
         Raises:
             TransformError: There is none, and never was.
@@ -142,11 +132,7 @@ class FrameTransforms:
         return self._anchors[frame]
 
     def into_odom(self, header: Header) -> Transform:
-        """Return the transform of a message's coordinates into odom as it is known now.
-
-        Raises:
-            TransformError: See `placement`.
-        """
+        """Return the transform into odom of coordinates as it is known now; see `placement`."""
         place = self.placement(header)
         return self.anchor(place.frame) @ place.transform
 

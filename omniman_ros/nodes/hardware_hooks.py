@@ -41,10 +41,7 @@ class HardwareHooks(ABC):
 
     @abstractmethod
     def open_hardware(self) -> str:
-        """Open the hardware and wait until it is configured.
-
-        Returns:
-            A line for the log.
+        """Open the hardware, wait until it is configured, and return a line for the log.
 
         Raises:
             HardwareError: The hardware is missing or not ready; it is then closed.
@@ -52,10 +49,7 @@ class HardwareHooks(ABC):
 
     @abstractmethod
     def enable_hardware(self) -> str:
-        """Enable the open hardware, which then holds where it is.
-
-        Returns:
-            A line for the log.
+        """Enable the open hardware, which then holds where it is, and return a line for the log.
 
         Raises:
             HardwareError: It could not be enabled; the hook has disabled it again.
@@ -72,11 +66,7 @@ class HardwareHooks(ABC):
 
     @abstractmethod
     def reset_hardware(self) -> None:
-        """Reset the latch and the hardware, which must not move by that.
-
-        Raises:
-            ResetRefusedError: The reset is refused.
-        """
+        """Reset latch and hardware, which must not move by that, or raise ResetRefusedError."""
 
     @abstractmethod
     def follow_latch(self) -> None:

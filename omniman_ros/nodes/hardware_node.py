@@ -25,12 +25,9 @@ class HardwareNode(OmnimanNode, LifecycleNodeMixin, HardwareHooks):
 
     Args:
         allow_sim_time: Accept `use_sim_time`, for hardware that is simulated in stepped time.
-        options: Options of `rclpy.node.Node`.
 
     Attributes:
-        latch: Latch of the node's stops.
         is_active: Whether the node is active: only then may the hardware move.
-        stop_interface: Stop services and topics of the node.
 
     Raises:
         ParameterError: `use_sim_time` is set and not allowed.
@@ -49,12 +46,7 @@ class HardwareNode(OmnimanNode, LifecycleNodeMixin, HardwareHooks):
         self._automatic_start = AutomaticStart()
 
     def begin(self, autostart: bool) -> None:
-        """Open the stop interface; a subclass calls this at the end of its constructor.
-
-        Args:
-            autostart: Configure and activate the node automatically, and again after faults that
-                come before anything may have moved.
-        """
+        """Open the stop interface; a subclass calls this at the end of its constructor."""
         self.stop_interface = StopInterface(self, self.latch, self._reset, self.follow_latch)
         if autostart:
             self.every(0.1, self._start)

@@ -13,12 +13,7 @@ from omniman_ros.simulation.plant.imu import BaseMotion, SimulatedImu
 
 
 class ImuPublisher:
-    """Publishes imu, and the pose of its frame on /tf_static.
-
-    Args:
-        node: Node that owns the publishers.
-        motion: Returns the present motion of base_link.
-    """
+    """Publishes imu, and the pose of its frame on /tf_static."""
 
     def __init__(
         self,
@@ -43,11 +38,7 @@ class ImuPublisher:
         self._mount.publish([imu_transform(p.imu, self._base_frame, self._node.stamp())])
 
     def publish(self, now: float, stamp: Time) -> None:
-        """Publish a measurement if one is due; call this once a report.
-
-        Args:
-            now: Time of the drives' clock [s].
-        """
+        """Publish a measurement if one is due; call this once a report."""
         self._count += 1
         if self._count % self._every != 0:
             return

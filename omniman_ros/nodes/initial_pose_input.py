@@ -20,8 +20,6 @@ class InitialPoseInput:
     its stamp. As long as TF relates neither of them to that frame, `map` and odom count as it.
 
     Args:
-        node: Node that simulates the robot.
-        world_frame: Frame of the simulated world.
         place: Puts the robot at a pose (x, y, theta) in the world [m, m, rad], or raises an
             InputError.
     """

@@ -36,9 +36,6 @@ class JointStateReader:
     A sender's messages differ in stamp, numbers and padding only. A message that is like the last
     one in all other bytes is read from where stamp and numbers are; any other one is deserialized
     and checked.
-
-    Args:
-        names: Names of the n joints, in the order of the results.
     """
 
     def __init__(self, names: Sequence[str]) -> None:
@@ -48,11 +45,7 @@ class JointStateReader:
         self._places: list[int | None] = []
 
     def read(self, data: bytes) -> JointArrays:
-        """Return the contents of a message.
-
-        Raises:
-            InputError: The data are no joint state, or see `joint_arrays`.
-        """
+        """Return the contents of a message, or raise the InputError of `joint_arrays`."""
         if len(data) == self._size and all(data[part] == same for part, same in self._constant):
             n = len(self._names)
             position, velocity, effort = (

@@ -130,7 +130,6 @@ class JointStatesMergerNode(OmnimanNode):
         self._joint_states.publish(message)
 
     def _fresh_topics(self) -> list[str]:
-        """Return the topics whose last message is not too old."""
         now, timeout = self.now(), self.settings.value.timeout
         return [
             topic

@@ -39,12 +39,7 @@ Rule = tuple[int, bool]
 
 
 class MapInterface:
-    """Keeps the last map of `map` and `map_updates`, and says where it is in odom on any change.
-
-    Args:
-        node: Node that receives the messages.
-        use: Called with the map in odom.
-    """
+    """Keeps the last map of `map` and `map_updates`, and says where it is in odom."""
 
     def __init__(
         self,
@@ -74,10 +69,7 @@ class MapInterface:
         )
 
     def configure(self, rule: Rule) -> None:
-        """Read the cells of the last map by another rule.
-
-        A latched map may be sent only once, so the one that is kept has to follow its parameters.
-        """
+        """Read the cells of the last map, which may be sent only once, by another rule."""
         if rule == self._rule:
             return
         self._rule = rule
@@ -85,11 +77,7 @@ class MapInterface:
             self._keep(self._map, self._placement)
 
     def update(self, robot: PlanarPose) -> None:
-        """Move the map if its frame has moved against odom.
-
-        Args:
-            robot: Pose of the robot in odom, near which the map has to be right [m, m, rad].
-        """
+        """Move the map if its frame has moved against odom near the robot."""
         if self._grid is None:
             return
         anchor = self._frames.anchor(self._placement.frame).planar()

@@ -39,27 +39,14 @@ class MessageFilter:
         self._waiting: deque[tuple[float, Any]] = deque(maxlen=MOST_WAITING)
 
     def handle(self, message: Any, now: float) -> str | None:
-        """Handle a message, or have it wait.
-
-        Args:
-            message: The message that has arrived.
-            now: Time of its arrival [s].
-
-        Returns:
-            What the handler returns; None while the message waits.
-        """
+        """Handle a message that arrives at `now` [s]; return None if it waits."""
         if not self._waiting and self._is_ready(self._headers(message)):
             return self._handle_now(message)
         self._waiting.append((now, message))
         return None
 
     def retry(self, now: float, max_wait: float) -> None:
-        """Hand on the messages that have their transforms, or have waited for too long.
-
-        Args:
-            now: Present time, on the same clock as the arrivals [s].
-            max_wait: Time after which a message is handed on without its transforms [s].
-        """
+        """Hand on the messages that have their transforms, or have waited for `max_wait` [s]."""
         while self._waiting:
             arrival, message = self._waiting[0]
             headers = list(self._headers(message))
@@ -72,18 +59,11 @@ class MessageFilter:
             self._handle_later(message)
 
     def _is_ready(self, headers: Iterable[Header]) -> bool:
-        """Return whether no transform is missing that may come yet."""
         return not any(self._is_awaited(header) for header in headers)
 
 
 class MessageFilters:
-    """The message filters of a node, and the frames for which they do not wait any more.
-
-    Args:
-        node: Node whose messages wait.
-        may_come: Returns whether the transform of a header is missing, but may arrive yet.
-        is_related: Returns whether transforms relate the frame of a header to odom.
-    """
+    """The message filters of a node, and the frames for which they do not wait any more."""
 
     def __init__(
         self,
@@ -107,10 +87,6 @@ class MessageFilters:
 
         Args:
             headers: Returns the headers whose frames the handler looks up.
-            handler: Handles a message as in `OmnimanNode.guarded`.
-
-        Returns:
-            A handler for `OmnimanNode.guarded`.
         """
         handle_later = self._node.guarded(topic, handler)
         waiting = MessageFilter(headers, self._is_awaited, self._give_up, handler, handle_later)
@@ -118,11 +94,7 @@ class MessageFilters:
         return lambda message: waiting.handle(message, self._node.now())
 
     def retry(self, max_wait: float) -> None:
-        """Hand on the messages that have their transforms, or have waited for too long.
-
-        Args:
-            max_wait: Time after which a message is handed on without its transforms [s].
-        """
+        """Hand on the messages that have their transforms, or have waited for `max_wait` [s]."""
         for waiting in self._filters:
             waiting.retry(self._node.now(), max_wait)
 

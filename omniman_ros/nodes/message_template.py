@@ -62,12 +62,7 @@ class MessageTemplate:
         self._stamps = _places(self._data, _STAMP_MARK)
 
     def pack(self, stamp: int, numbers: Sequence[float]) -> bytes:
-        """Return the serialized message with other contents.
-
-        Args:
-            stamp: ROS time for the stamps [ns].
-            numbers: A number for each mark, in their order.
-        """
+        """Return the serialized message with a ROS time [ns] and a number for each mark."""
         data = self._data
         sec, nanosec = divmod(stamp, 10**9)
         for place in self._stamps:

@@ -21,12 +21,7 @@ def subscribe_to_motion_limit(
     arm: MotionLimit | None = None,
     on_update: Callable[[], None] = lambda: None,
 ) -> None:
-    """Update limits from `motion_limit`.
-
-    Args:
-        node: Node that subscribes.
-        on_update: Called after each valid message.
-    """
+    """Update limits from `motion_limit`; `on_update` is called after each valid message."""
 
     def receive(message: JointState) -> None:
         sent, now = node.instant(message.header.stamp), node.now()

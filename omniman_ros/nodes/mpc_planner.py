@@ -29,18 +29,7 @@ from omniman_ros.planning.cycle import PlannerState
 
 
 class MpcPlannerNode(OmnimanNode):
-    """Serves the planner as a ROS node.
-
-    Attributes:
-        settings: Parameters of the node.
-        core: The planner.
-        frames: Transforms into odom.
-        sensors: State of the robot, and obstacles.
-        posture: Posture of the arm.
-        loop: Drives to goals: requests, supervision and planning cycle.
-        publisher: Streams that move the robot.
-        actions: Action `navigate_to_pose`, where nav2_msgs is installed.
-    """
+    """Serves the planner as a ROS node."""
 
     lookahead = 0.04  # about the time that a plan takes
 

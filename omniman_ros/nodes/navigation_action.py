@@ -46,11 +46,7 @@ class NavigationExecutor(Protocol):
     """What drives the platform to a goal; its motions are identified by numbers."""
 
     def send(self, request: Any) -> int:
-        """Accept a goal of the action, and return the number of its motion.
-
-        Raises:
-            InputError: The goal is refused; the motion under way goes on.
-        """
+        """Accept a goal and return the number of its motion; raise InputError if it is refused."""
         ...
 
     def outcome(self, motion: int) -> str | None:
@@ -81,9 +77,6 @@ class NavigationAction:
     Each goal is accepted, and aborted with code and reason if it cannot be used; then the motion
     under way goes on. A new goal replaces the last one, which is aborted. A goal that is cancelled
     ends when the robot has come to rest.
-
-    Args:
-        node: Node that owns the action server.
     """
 
     def __init__(
@@ -157,7 +150,6 @@ class NavigationAction:
             goal.handle.publish_feedback(feedback)
 
     def _end(self, handle: ServerGoalHandle, outcome: str) -> None:
-        """Send the result of a goal that ended with an outcome."""
         if handle.is_cancel_requested:
             handle.canceled()
             self._node.get_logger().info(f"{self._name}: a goal is canceled")

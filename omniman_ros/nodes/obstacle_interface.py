@@ -24,11 +24,7 @@ from omniman_ros.planning.obstacles.obstacles import (
 
 
 class ObstacleInterface:
-    """Keeps the obstacles of `obstacles`.
-
-    Args:
-        node: Node that receives the messages.
-    """
+    """Keeps the obstacles of `obstacles`."""
 
     def __init__(
         self,
@@ -50,7 +46,6 @@ class ObstacleInterface:
         self._source.terms = _terms(parameters)
 
     def __len__(self) -> int:
-        """Return the number of obstacles."""
         return len(self._known)
 
     @property
@@ -102,16 +97,10 @@ def update_obstacles(
     obstacles: FramedObstacles | ObstacleSet,
     place: Callable[[Header], Placement],
 ) -> list[str]:
-    """Apply the valid changes of a message in their order.
+    """Apply the valid changes of a message in order; return why each invalid one was ignored.
 
     Args:
-        node: Node whose clock is used.
-        message: Markers to add, change or delete.
         obstacles: Obstacles to update; a plain set takes what is placed in odom only.
-        place: Returns where the coordinates under a header are.
-
-    Returns:
-        Why each of the invalid changes was ignored.
     """
     now = node.now()
     changes, faults = marker_changes(message, place, lambda stamp: min(node.instant(stamp), now))

@@ -41,11 +41,7 @@ POSTURE_TOLERANCE = 0.02  #: Rotation of a joint up to which the robot's outline
 
 
 class ObstacleTrackerNode(OmnimanNode):
-    """Connects an obstacle tracker to its topics.
-
-    Attributes:
-        settings: Parameters of the node.
-    """
+    """Connects an obstacle tracker to its topics."""
 
     core: "ObstacleTracker"
 
@@ -75,7 +71,6 @@ class ObstacleTrackerNode(OmnimanNode):
         self.every(REPORT_PERIOD, self._report_scanners)
 
     def _configure(self, new: ObstacleTrackerParameters) -> None:
-        """Use new parameters."""
         self._shape(new)
         self.core.parameters, self.core.map_parameters = new.tracker, new.local_map
         self.core.motion, self.core.unseen.parameters = new.tracks, new.unseen
@@ -127,7 +122,6 @@ class ObstacleTrackerNode(OmnimanNode):
     # ---- outputs --------------------------------------------------------------------------------
 
     def _publish_obstacles(self, time: float) -> None:
-        """Publish what moves."""
         obstacles, stamp = self.core.obstacles(time), self.stamp(time)
         present = {obstacle.number for obstacle in obstacles}
         gone, self._reported = self._reported - present, present

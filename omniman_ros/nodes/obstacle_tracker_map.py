@@ -28,11 +28,6 @@ class MapPublisher:
 
     A whole map is sent where the map has moved, for a new reader, and every `WHOLE_PERIOD`; in
     between, if all readers of `map` read `map_updates` too, the rectangle of what has changed.
-
-    Args:
-        node: Node that publishes.
-        frame: Name of odom.
-        rate: Rate [Hz].
     """
 
     def __init__(
@@ -71,7 +66,6 @@ class MapPublisher:
         self._time, self._sent = core.time, (cells, origin)
 
     def _is_whole(self, time: float, origin: Array) -> bool:
-        """Return whether the whole map has to be sent."""
         before, self._readers = self._readers, self._maps.get_subscription_count()
         if self._updates is None or self._sent is None:
             return True

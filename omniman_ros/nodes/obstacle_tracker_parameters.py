@@ -75,11 +75,6 @@ class CloudSlice:
     )
 
     def __post_init__(self) -> None:
-        """Check the heights.
-
-        Raises:
-            ParameterError: The upper one is not above the lower one.
-        """
         if not self.low < self.high:
             raise ParameterError("cloud.high", self.high, f"must be above low, {self.low:g} m")
 
@@ -118,11 +113,6 @@ class ObstacleTrackerParameters:
     frames: FrameParameters = inline()
 
     def __post_init__(self) -> None:
-        """Check the topics of the scanners.
-
-        Raises:
-            ParameterError: Two of them have the same.
-        """
         topics = tuple(scanner.topic for scanner in self.scanners)
         if len(set(topics)) < len(topics):
             raise ParameterError("scanners.topic", topics, "two scanners have the same topic")

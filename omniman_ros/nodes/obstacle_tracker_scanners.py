@@ -19,12 +19,7 @@ from omniman_ros.perception.scan_check import ScanCheck
 
 
 class Scanners:
-    """Subscribes to scans, and hands on those that can be used.
-
-    Args:
-        node: Node that receives the messages.
-        use: Called with each scan and the number of its scanner.
-    """
+    """Subscribes to scans, and hands on those that can be used."""
 
     def __init__(
         self,
@@ -90,7 +85,6 @@ class Scanners:
         return ""
 
     def _mount(self, number: int, frame: str) -> Transform:
-        """Return the pose of a scanner in base_link."""
         p = self._settings.value
         if self._frames is None:
             return p.scanners[number].mount

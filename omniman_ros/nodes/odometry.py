@@ -23,11 +23,7 @@ from omniman_ros.nodes.stop_interface import LATCHED
 
 
 class Cadence:
-    """Selects reports for a topic of a lower rate: one of k, the k that is nearest to that rate.
-
-    Args:
-        rate: Rate of the topic [Hz].
-    """
+    """Selects reports for a topic of a lower rate [Hz]: one of k, the nearest to that rate."""
 
     def __init__(self, rate: float) -> None:
         self._period = 1.0 / rate
@@ -87,7 +83,6 @@ class OdometryNode(OmnimanNode):
         return level, message, values
 
     def _level(self) -> tuple[bytes, str]:
-        """Return level and message of the most severe condition."""
         feedback = self.core.feedback
         if not feedback.received:
             return DiagnosticStatus.WARN, "waiting for wheel_states"

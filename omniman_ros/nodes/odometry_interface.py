@@ -69,9 +69,6 @@ class OdometryInputs:
     """Subscribes to the wheels' topics, `set_pose` and, with `imu.use`, `imu`; serves a reset.
 
     Args:
-        node: Node that owns the subscriptions.
-        core: Core that the messages go to.
-        names: Names of the n wheels.
         on_report: Called with the stamp of each report of the wheels that was used.
     """
 

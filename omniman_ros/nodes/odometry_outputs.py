@@ -20,11 +20,7 @@ from omniman_ros.nodes.static_transforms import StaticTransforms
 
 
 class OdometryOutputs:
-    """Publishes `odom`, `coupling_error` and, on `/tf` and `/tf_static`, transforms.
-
-    Args:
-        node: Node that owns the publishers.
-    """
+    """Publishes `odom`, `coupling_error` and, on `/tf` and `/tf_static`, transforms."""
 
     def __init__(self, node: OmnimanNode, core: OdometryCore, settings: Settings) -> None:
         self._core = core
@@ -62,11 +58,7 @@ class OdometryOutputs:
         StaticTransforms(node, "map_is_odom and odom").publish([same])
 
     def publish_odometry(self, stamp: int) -> None:
-        """Publish the odometry and, if `publish_tf` is set, odom -> base_link on /tf.
-
-        Args:
-            stamp: ROS time of the last report of the wheels [ns].
-        """
+        """Publish the odometry at a ROS time [ns] and, with `publish_tf`, its transform."""
         odometry = self._core.odometry
         numbers = odometry_numbers(odometry.pose, odometry.twist, odometry.covariance)
         self._odom.publish(self._odom_template.pack(stamp, numbers))
@@ -74,11 +66,7 @@ class OdometryOutputs:
             self._tf.publish(self._tf_template.pack(stamp, numbers))
 
     def publish_coupling_error(self, stamp: int) -> None:
-        """Publish the coupling errors, since the last rest and without resets, and their rate.
-
-        Args:
-            stamp: ROS time of the last report of the wheels [ns].
-        """
+        """Publish the coupling errors, since the last rest and without resets, and their rate."""
         odometry = self._core.odometry
         numbers = coupling_error_numbers(
             self._core.coupling_error, odometry.coupling_error, odometry.constraint_rate

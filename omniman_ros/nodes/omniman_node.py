@@ -25,9 +25,6 @@ class OmnimanNode(TimedNode):
     """A node that warns at a limited rate, reports diagnostics, and comes to rest at its end.
 
     It warns of publishers whose quality of service keeps its subscriptions from receiving them.
-
-    Attributes:
-        foreign_types: Warns of publishers whose type is not what the node reads.
     """
 
     def __init__(self, name: str, **options: Any) -> None:
@@ -87,13 +84,9 @@ class OmnimanNode(TimedNode):
         What is repaired in a message leads to a warning at the first one of the subject.
 
         Args:
-            subject: What the warning calls the messages, such as their topic.
             handler: Handles a message, and what the subscription passes with it. It returns why
                 the message is not used, or nothing; or it raises an InputError about the message's
                 content.
-
-        Returns:
-            The callback for a subscription.
         """
 
         def callback(*args: P.args, **kwargs: P.kwargs) -> None:

@@ -31,7 +31,6 @@ def bus_opener(port: int, clock: Callable[[], float], poll: Callable[[], None]) 
 
     Args:
         port: TCP port of simulated drives on this machine; 0 for the installation's bus.
-        clock: Returns simulated time [s].
     """
     return (lambda parameters, wake: PacedBus(port, clock, poll)) if port else CanBus
 
@@ -46,12 +45,7 @@ class PacedBus(Bus):
     waits for a core, and an answer takes no simulated time.
 
     Args:
-        port: TCP port of the drives on this machine.
-        clock: Returns simulated time [s].
         poll: Receives the simulated time while the bridge waits.
-
-    Attributes:
-        invalid: Number of received items that were not frames; always 0.
 
     Raises:
         BusError: There are no drives at the port.
@@ -112,11 +106,7 @@ class PacedBus(Bus):
             self._connection.wait(MAX_WAIT)
 
     def send(self, frames: Iterable[Frame]) -> str:
-        """Send all frames or, where there are none, report that the bridge is done with this step.
-
-        Returns:
-            Why the bus has failed, or an empty string.
-        """
+        """Send all frames, or an empty step's end; return why the bus has failed, or ""."""
         if self._failure:
             return self._failure
         records: list[Record] = [BusFrame(f.id, f.data, f.extended, f.remote) for f in frames]

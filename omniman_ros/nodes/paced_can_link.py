@@ -22,11 +22,6 @@ class PacedCanLink:
     Simulated time makes its next step when the bridge is done with the last one. A bridge that
     sends anything but records is disconnected with a warning.
 
-    Args:
-        node: Node that logs warnings.
-        step: Step of simulated time [s].
-        clock: Simulated time that the node gives.
-
     Raises:
         ParameterError: The port is not available.
     """

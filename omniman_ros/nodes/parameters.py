@@ -62,12 +62,8 @@ class ParameterSet(Generic[T]):
     """Keeps a parameter dataclass in step with the ROS parameters of a node.
 
     Args:
-        cls: The dataclass, see `core.parameters`.
         robot: Whether the defaults come from the robot's file. The parameter `robot` names it,
             unless the given parameters describe a robot themselves (they have `wheels.names`).
-
-    Attributes:
-        value: The current parameters.
 
     Raises:
         ParameterError: A value is refused.
@@ -113,11 +109,7 @@ class ParameterSet(Generic[T]):
         return values
 
     def _declare(self, spec: Spec, default: Any) -> None:
-        """Declare a parameter.
-
-        Raises:
-            ParameterError: The given value has the wrong type or is out of range.
-        """
+        """Declare a parameter; raise ParameterError for a given value of wrong type or range."""
         kind = _PARAMETER_TYPES[spec.kind, spec.item]
         try:
             if default == ():

@@ -12,13 +12,10 @@ PR_SET_PDEATHSIG = 1
 
 
 def follow_parent(parent: int) -> None:
-    """Have the kernel send SIGINT to this process when its parent dies.
+    """Have the kernel send SIGINT to this process when its parent dies; exit if it has died.
 
     To the kernel, the parent is the thread that started this process, here the main thread. Only
     Linux offers this; elsewhere the call does nothing.
-
-    Args:
-        parent: Process id of the parent. This process exits if the parent has died already.
     """
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, int(signal.SIGINT), 0, 0, 0)

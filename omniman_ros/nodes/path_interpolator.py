@@ -26,8 +26,6 @@ class PathInterpolatorNode(OmnimanNode):
     """Serves the motions of platform, arm and whole body as a ROS node.
 
     Attributes:
-        settings: Parameters of the node.
-        motions: All motions of the node.
         actions: Actions `follow_joint_trajectory` of the arm and of the whole body, and
             `follow_path` of the platform, where their packages are installed.
     """

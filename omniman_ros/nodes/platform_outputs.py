@@ -24,9 +24,6 @@ SETPOINT = QoSProfile(depth=1)  #: Quality of service of setpoints: only the lat
 class PlatformOutputs:
     """Publishes what a platform controller commands and reports.
 
-    Args:
-        node: Node that owns the publishers.
-
     Attributes:
         active: Value that was last published on `active_source`.
     """
@@ -72,11 +69,7 @@ class PlatformOutputs:
             publisher.publish(self._velocity_template.pack(stamp, numbers))
 
     def publish_demand(self, frame: str) -> None:
-        """Publish the twist that the active source asks for, for a collision monitor in use.
-
-        Args:
-            frame: Name of base_link.
-        """
+        """Publish the twist that the active source asks for, for a collision monitor in use."""
         if self._core.parameters.collision_monitor.use:
             motion = self._core.demand.tolist()
             self._demand.publish(motion_demand_message((), motion, self._node.stamp(), frame))
@@ -114,7 +107,6 @@ class PlatformOutputs:
         self._health.publish(self._node.status_message(level, monitor.summary, values))
 
     def _publish_margin(self) -> None:
-        """Publish the tip-over margin of a robot with an arm."""
         support, core = self._core.stability.support, self._core
         if support is not None:
             margin = support.margin(core.acceleration, float(core.setpoint[2]))
@@ -128,7 +120,6 @@ class PlatformOutputs:
         return *self._level(), self._values()
 
     def _values(self) -> Iterator[tuple[str, object]]:
-        """Yield the values for the diagnostics."""
         core = self._core
         monitor = core.wheel_health
         no_torque = "not reported: a dead wheel that the floor drives goes unnoticed"
@@ -153,7 +144,6 @@ class PlatformOutputs:
         )
 
     def _stability_values(self) -> list[tuple[str, object]]:
-        """Return values about loads and posture for the diagnostics."""
         core, support = self._core, self._core.stability.support
         if support is None:
             return []
@@ -175,7 +165,6 @@ class PlatformOutputs:
         return f"the tip-over margin at rest is below {margin:g} m"
 
     def _level(self) -> tuple[bytes, str]:
-        """Return level and message of the most severe condition."""
         core = self._core
         if not core.latch.released:
             return DiagnosticStatus.ERROR, core.latch.status.reason

@@ -65,17 +65,10 @@ def take_timers(node: Node) -> list[Timer]:
 def subscribe_to_clock(
     node: Node, callback: Callable[[ClockMessage], None], depth: int
 ) -> Subscription:
-    """Have a node with `use_sim_time` follow /clock.
+    """Have a node with `use_sim_time` follow /clock; its clock is set before `callback` is called.
 
     rclpy 7.1 keeps the last message only. A node that lags behind would read the newest time
     before it has read the other messages of the times that it skips.
-
-    Args:
-        callback: Called with each message after the node's clock was set.
-        depth: Number of messages that are kept.
-
-    Returns:
-        The subscription.
     """
     source = node._time_source
     assert source._clock_sub is not None
@@ -122,11 +115,6 @@ def subscribe_with_origin(
     A callback for the message's information gets message and information as two arguments from the
     executors of rclpy 7.1, but from EventsExecutor as one, a tuple. rclpy takes one that can be
     called with either for a callback that gets the message alone.
-
-    Args:
-        node: Node that subscribes.
-        callback: Called with a message and its origin.
-        events: Callbacks for events of the middleware; None for those of rclpy.
     """
 
     def receive(*taken: Any) -> None:
@@ -141,10 +129,9 @@ def subscribe_with_origin(
 def subscribe_with_source_time(
     node: Node, kind: type, topic: str, callback: Callable[[Any, int], None], qos: QoSProfile
 ) -> None:
-    """Subscribe to a topic with a callback that also gets the time of sending.
+    """Subscribe with a callback that also gets the sender's system time of a message [ns].
 
     Args:
-        node: Node that subscribes.
         callback: Called with a message and the time at which it was sent, in nanoseconds of the
             sending host's system clock.
     """
@@ -154,11 +141,7 @@ def subscribe_with_source_time(
 
 
 def deliver(subscription: Subscription, message: Any, source_time: int) -> None:
-    """Call a subscription's callback with a message, as an executor would.
-
-    Args:
-        source_time: Time at which it was sent, in nanoseconds of the sender's clock.
-    """
+    """Call a subscription's callback with a message, as an executor would; `source_time` in ns."""
     if subscription._callback_type is Subscription.CallbackType.MessageOnly:
         subscription.callback(message)
     else:

@@ -92,7 +92,6 @@ def markdown(node: str, *, robot: bool, listed: Collection[Spec] = ()) -> Iterat
     """Yield the lines of a Markdown table of a node's parameters.
 
     Args:
-        node: A name from NODES.
         robot: Whether to list the parameters of the robot, or the others.
         listed: Parameters that another table lists; their groups are only named.
     """
@@ -117,7 +116,6 @@ def markdown(node: str, *, robot: bool, listed: Collection[Spec] = ()) -> Iterat
 
 
 def _robot_names() -> set[str]:
-    """Return the names that all nodes with a robot have in common."""
     names = [{spec.name for spec in node_specs(node)} for node in NODES]
     return set.intersection(*(known for known in names if "wheels.names" in known))
 

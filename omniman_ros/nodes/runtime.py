@@ -46,9 +46,6 @@ def run(make: Callable[[], OmnimanNode], args: list[str] | None = None) -> int:
     be sent. A second signal ends the node at once. Under a supervisor that the environment names,
     the node ends with it; see `nodes.parent_process`.
 
-    Args:
-        args: Command line; None for that of the process.
-
     Returns:
         Exit code: 0, or 1 if the node could not start or did not come to rest. Where the
         middleware does not shut down, this function does not return: after `TAKE_DOWN_TIMEOUT`

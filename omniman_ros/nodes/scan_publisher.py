@@ -20,9 +20,6 @@ class ScanPublisher:
     A single scanner publishes on `scan`, several on `NAME/scan`.
 
     Args:
-        node: Node that owns the publishers.
-        world: The world.
-        base_frame: Frame in which they are mounted.
         state_rate: Number of calls of `publish` in a second [Hz].
     """
 

@@ -11,14 +11,7 @@ Message = TypeVar("Message")  #: Type of a message
 
 
 def deserialized(data: bytes, kind: type[Message]) -> Message:
-    """Return the message that a raw subscription has received.
-
-    Args:
-        data: The message as it was on the wire.
-
-    Raises:
-        InputError: The data are no such message.
-    """
+    """Return the message that a raw subscription has received; raise InputError for other data."""
     try:
         message: Message = deserialize_message(data, kind)
     except (RMWError, UnicodeError) as error:

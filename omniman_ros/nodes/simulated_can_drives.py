@@ -69,7 +69,6 @@ class SimulatedCanDrivesNode(ClockGiverNode):
     # ---- bus ----------------------------------------------------------------------------------
 
     def _deliver(self) -> None:
-        """Have the executor deliver the received frames at once."""
         executor = self.executor
         if executor is not None:
             executor.create_task(self.tick)

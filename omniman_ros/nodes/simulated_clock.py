@@ -35,10 +35,7 @@ class SimulatedClock:
     waits, it repeats the time, so that they report how far they have come.
 
     Args:
-        node: Node that owns the publisher of /clock.
-        period: Step of simulated time [s].
         patience: Real time for which a node that lags behind is waited for [s].
-        real_time: Returns real time, from any origin [s].
 
     Attributes:
         now: Simulated time [s].
@@ -74,11 +71,7 @@ class SimulatedClock:
             self.leave(message.frame_id)
 
     def permit(self, name: str, until: float) -> None:
-        """Let time go on as far as a participant is concerned, and wait for it from then on.
-
-        Args:
-            until: Simulated time [s].
-        """
+        """Let time go on to `until` [s] for a participant, and wait for it from then on."""
         self._lockstep.permit(name, until)
 
     def leave(self, name: str) -> None:
@@ -86,11 +79,7 @@ class SimulatedClock:
         self._lockstep.leave(name)
 
     def steps(self) -> Iterator[None]:
-        """Advance and publish simulated time step by step, as far as real time demands.
-
-        Yields:
-            Once after each step, with `now` at its end.
-        """
+        """Advance simulated time as far as real time demands, and yield after each step."""
         real_time = self._real_time()
         due = CLOCK_START + self._real_time_factor * (real_time - self._started)
         for _ in range(MAX_CATCH_UP):
@@ -123,11 +112,7 @@ class SimulatedClock:
         self._publisher.publish(Clock(clock=self.stamp()))
 
     def pace_report(self) -> str:
-        """Return how fast time passed since the last report, if that was slower than it should.
-
-        Returns:
-            A sentence that names the nodes that were waited for; empty if time kept its pace.
-        """
+        """Return whom time waited for since the last report, as a sentence; may be empty."""
         real_time = self._real_time()
         elapsed = real_time - self._reported_at[0]
         if elapsed < MIN_REPORT_TIME:
@@ -158,11 +143,8 @@ class SimulatedClock:
     def age(self, stamp: TimeMsg, max_lead: float) -> float:
         """Return the age of a stamp [s]; 0 for a zero stamp, which means now.
 
-        Args:
-            max_lead: Largest time that it may be ahead of now [s].
-
         Raises:
-            InputError: The stamp is further ahead.
+            InputError: The stamp is more than `max_lead` [s] ahead.
         """
         if not is_stamped(stamp):
             return 0.0

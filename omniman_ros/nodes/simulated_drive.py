@@ -21,11 +21,7 @@ class SimulatedDriveNode(DriveSimulationNode[SimulatedDriveParameters]):
         self._posture = ArmPostureInput(self, p.arm.joints, self._on_posture)
 
     def configure(self, new: SimulatedDriveParameters) -> None:
-        """Use new parameters; the arm keeps its posture.
-
-        Raises:
-            ParameterError: One of them is refused; nothing is changed then.
-        """
+        """Use new parameters; the arm keeps its posture."""
         super().configure(new)
         self._parameters_in_use = new
         self._posture.repeat()

@@ -70,11 +70,6 @@ class SimulatedDriveParameters(ClockParameters):
     )
 
     def __post_init__(self) -> None:
-        """Check the steps of simulated time.
-
-        Raises:
-            ParameterError: The nodes that follow /clock would not let it make such a step.
-        """
         if self.publish_clock and self.state_rate < SLOWEST_CLOCK:
             reason = f"must be at least {SLOWEST_CLOCK:g} Hz with publish_clock"
             raise ParameterError("state_rate", self.state_rate, reason)

@@ -46,7 +46,6 @@ class SimulatedUrNode(OmnimanNode):
             self._slider = self.controller.slider = new.pendant.speed_slider
 
     def _report_truth(self) -> None:
-        """Publish the motion of the joints at the instant of the cycle that measured it."""
         measured = self.server.measured
         if self.controller.is_booting or measured is None:
             return
@@ -56,7 +55,6 @@ class SimulatedUrNode(OmnimanNode):
         self._truth.publish(self._truth_msg)
 
     def _write_log(self) -> None:
-        """Write the messages of the controller into the log of the node."""
         log = self.controller.log
         while log:
             self.get_logger().info(log.popleft())

@@ -19,11 +19,6 @@ class ArmNames:
     )
 
     def __post_init__(self) -> None:
-        """Check the names.
-
-        Raises:
-            ParameterError: The names are not six different ones.
-        """
         if len(self.joints) != JOINTS or len(set(self.joints)) != JOINTS or not all(self.joints):
             raise ParameterError("arm.joints", self.joints, f"must be {JOINTS} different names")
 

@@ -40,12 +40,7 @@ class SimulatedWorldNode(DriveSimulationNode[SimulatedWorldParameters]):
             self.get_logger().warning("the robot has no arm: arm_port is not used")
 
     def make_body(self, parameters: SimulatedWorldParameters) -> "World":
-        """Return the robot in its scene.
-
-        Raises:
-            ParameterError: The scene or a parameter is refused, or the robot would start in
-                something.
-        """
+        """Return the robot in its scene; raise ParameterError if it would start in something."""
         # Here, so that the parameters of this module can be read without the engine.
         from omniman_ros.simulation.world.world import World
 
@@ -58,20 +53,12 @@ class SimulatedWorldNode(DriveSimulationNode[SimulatedWorldParameters]):
         return self.world.base_motion
 
     def configure(self, new: SimulatedWorldParameters) -> None:
-        """Use new parameters.
-
-        Raises:
-            ParameterError: One of them is refused; nothing is changed then.
-        """
+        """Use new parameters, or raise ParameterError and change nothing."""
         super().configure(new)
         self._scans.configure(new.scanners)
 
     def report_step(self, now: float, stamp: TimeMsg) -> None:
-        """Advance the simulation, and publish what is due.
-
-        Args:
-            now: Time of the drives' clock [s].
-        """
+        """Advance the simulation, and publish what is due."""
         super().report_step(now, stamp)
         self._world_reports.publish(stamp)
         self._scans.publish(stamp)

@@ -42,12 +42,6 @@ class SimulatedWorldParameters(SimulatedDriveParameters):
     )
 
     def __post_init__(self) -> None:
-        """Check the names of joints and scanners, and the steps of simulated time.
-
-        Raises:
-            ParameterError: A joint's name is used twice, or cannot be written; two scanners have
-                the same name; or the arm's controller would have to run faster than it does.
-        """
         super().__post_init__()
         _ = self.description
         if self.arm_port and self.publish_clock and self.state_rate < CONTROLLER_RATE:

@@ -24,11 +24,7 @@ START_TIME = 3.0
 
 
 class SourceWatch:
-    """Subscribes to the sources of a node, surveys who publishes them, and logs what is not known.
-
-    Args:
-        node: Node that receives the messages.
-    """
+    """Subscribes to the sources of a node, surveys who publishes them, and logs gaps."""
 
     def __init__(self, node: OmnimanNode, frames: FrameTransforms) -> None:
         self._node, self._frames = node, frames
@@ -47,13 +43,7 @@ class SourceWatch:
         handler: Callable[[M], str | None],
         qos: QoSProfile,
     ) -> None:
-        """Subscribe to a source's topic.
-
-        Args:
-            source: Is told of each message whether all of it could be used.
-            headers: Returns the headers whose transforms a message waits for.
-            handler: Handles a message as in `OmnimanNode.guarded`.
-        """
+        """Subscribe to a source; each message waits for the transforms of its `headers`."""
 
         def handle(message: M) -> str | None:
             try:
@@ -109,7 +99,6 @@ class SourceWatch:
             self._node.get_logger().info("the robot is not blind any more")
 
     def _sight(self) -> str:
-        """Return by what the robot sees what is around it."""
         parts = [
             f"{source.topic} of {' and '.join(sorted({p.name for p in source.publishers}))}"
             for source, _ in self._sources

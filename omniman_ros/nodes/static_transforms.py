@@ -12,7 +12,6 @@ class StaticTransforms:
     """Publishes transforms that hardly ever change; does nothing where tf2_msgs is missing.
 
     Args:
-        node: Node that owns the publisher.
         parameters: Parameters that have the same poses, for the note that /tf_static is off.
     """
 

@@ -23,13 +23,7 @@ from omniman_ros.nodes.trajectory_interfaces.odom_feed import OdomFeed
 
 
 class StationKeeperNode(OmnimanNode):
-    """Connects a station keeper to its topics.
-
-    Attributes:
-        settings: Parameters of the node.
-        core: The station keeper.
-        stream: Stream of references.
-    """
+    """Connects a station keeper to its topics."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__("station_keeper", **options)

@@ -14,15 +14,7 @@ from omniman_ros.nodes.trajectory_interfaces.previews import platform_previews
 
 
 class StationStream:
-    """Starts, supervises and publishes the motion of a station keeper.
-
-    Args:
-        node: Node that owns topics, timers and the clock.
-
-    Attributes:
-        monitor: Monitor of the source that drives the platform, and of stopped nodes.
-        odom: Measured pose of the own robot.
-    """
+    """Starts, supervises and publishes the motion of a station keeper."""
 
     def __init__(
         self,
@@ -43,11 +35,7 @@ class StationStream:
     # ---- requests -----------------------------------------------------------------------------
 
     def submit(self, offset: Triple) -> str:
-        """Approach a station as soon as possible; return why it is refused, or an empty string.
-
-        Args:
-            offset: Pose of the station in base_link of the leader [m, m, rad].
-        """
+        """Approach a station [m, m, rad] as soon as possible; return why it is refused, or ""."""
         self._pending.put(lambda: self._start(offset))
         return self._start_pending()
 

@@ -40,8 +40,6 @@ class StopInterface:
     """Connects a stop latch to `~/stop`, `~/reset`, `emergency_stop`, its relay and `stop_state`.
 
     Args:
-        node: Node that moves something.
-        latch: Latch that stops it.
         reset: Clears the latch, or raises ResetRefusedError.
         on_stop: Called when the latch no longer allows motion; may be called again.
     """
@@ -71,11 +69,7 @@ class StopInterface:
         self.publish()
 
     def publish(self, news: str = "motion is possible again") -> None:
-        """Publish and log the stop state if it has changed; call this once a tick.
-
-        Args:
-            news: What is logged where the node is released.
-        """
+        """Publish and log the stop state if it has changed; call this once a tick."""
         status = self._latch.status
         if status == self._published:
             return
@@ -139,7 +133,6 @@ class StopInterface:
             self.publish()
 
     def _check_peers(self) -> None:
-        """Notice that stopped peers have vanished."""
         if not self._latch.peers:
             return
         present = publisher_nodes(self._node, STOP_STATE)

@@ -13,12 +13,7 @@ _STOP_STATE_TYPE = "diagnostic_msgs/msg/DiagnosticStatus"
 
 
 def find_stoppable_nodes(node: Node, namespace: str = "") -> list[str]:
-    """Return the full names of nodes that publish a stop state, as the graph is known now.
-
-    Args:
-        node: Node whose view of the graph is searched.
-        namespace: Namespace to search, with those below it; if empty, all are searched.
-    """
+    """Return the full names of nodes in or below a namespace that publish a stop state."""
     prefix = f"/{namespace.strip('/')}/" if namespace.strip("/") else "/"
     topics = [
         topic
@@ -38,10 +33,7 @@ class TriggerCalls:
     """Calls one Trigger service of each node that has a stop state, as the nodes are found.
 
     Args:
-        node: Node that calls.
         action: Name of the service: "stop" or "reset".
-        namespace: Namespace of the nodes to call; if empty, all are called.
-        on_answer: Called with node name, success and message as each answer comes.
 
     Attributes:
         answers: Success and message by full node name; None while there is no answer.
@@ -63,11 +55,7 @@ class TriggerCalls:
         self.answers: dict[str, tuple[bool, str] | None] = {}
 
     def poll(self) -> bool:
-        """Call the nodes that are new in the graph, and collect the answers.
-
-        Returns:
-            Whether every node that was called has answered.
-        """
+        """Call the nodes that are new in the graph; return whether all have answered."""
         for name in find_stoppable_nodes(self._node, self._namespace):
             service = f"{name}/{self._action}"
             if name in self.answers or not has_service(self._node, service):

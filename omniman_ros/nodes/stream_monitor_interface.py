@@ -22,7 +22,6 @@ class StreamMonitorInterface:
     ends after one message may have reached this node alone.
 
     Args:
-        node: Node that sends references.
         on_update: Called after each message, to give up a stream that is no longer followed.
     """
 
@@ -66,7 +65,6 @@ class StreamMonitorInterface:
         self._on_update()
 
     def _tell(self, reason: str) -> None:
-        """Tell the nodes that move something of a press."""
         self._relay.publish(String(data=reason))
 
     def _forget_vanished(self) -> None:

@@ -18,11 +18,7 @@ from omniman_ros.planning.whole_body.surroundings import Hindrances
 
 
 class SurroundingsInterface:
-    """Subscribes to `obstacles`, `map` and `map_updates`.
-
-    Args:
-        node: Node that receives the messages.
-    """
+    """Subscribes to `obstacles`, `map` and `map_updates`."""
 
     def __init__(
         self, node: OmnimanNode, frames: FrameTransforms, parameters: SurroundingsParameters
@@ -42,7 +38,6 @@ class SurroundingsInterface:
         self._map.configure(parameters.map_reading.rule)
 
     def __len__(self) -> int:
-        """Return the number of obstacles."""
         return len(self._obstacles)
 
     def update_map(self, robot: PlanarPose) -> None:

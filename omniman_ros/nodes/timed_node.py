@@ -118,11 +118,8 @@ class TimedNode(Node):
     def age(self, stamp: Stamp, max_lead: float = MAX_LEAD) -> float:
         """Return the age of a stamp in ROS time [s]; 0 for a zero stamp, which means now.
 
-        Args:
-            max_lead: Largest time that it may be ahead of now [s].
-
         Raises:
-            InputError: The stamp is further ahead.
+            InputError: The stamp is more than `max_lead` [s] ahead.
             NoTimeError: The node runs on /clock, on which no time has come yet.
         """
         if not is_stamped(stamp):
@@ -136,22 +133,15 @@ class TimedNode(Node):
         return age
 
     def demand_not_ahead(self, stamp: Stamp) -> None:
-        """Check the stamp of a request, which does not age; before there is a time, any will do.
-
-        Raises:
-            InputError: The stamp is ahead by more than `REQUEST_LEAD`.
-        """
+        """Raise InputError if the stamp of a request is ahead by more than `REQUEST_LEAD`."""
         with suppress(NoTimeError):
             self.age(stamp, REQUEST_LEAD)
 
     def sent(self, source_time: int) -> float | None:
-        """Return the instant of the node's clock at which a message was sent [s].
+        """Return the instant of the node's clock [s] of a source timestamp [ns].
 
         It is right if both hosts' clocks agree. In simulation, whose time DDS does not know, it is
         None.
-
-        Args:
-            source_time: Source timestamp of the message, in the sender's system time [ns].
         """
         if self.is_simulated:
             return None
@@ -168,11 +158,8 @@ class TimedNode(Node):
         Unlike the present minus the age, it does not depend on what this process or another one
         does between the readings of two clocks: messages keep their order.
 
-        Args:
-            max_lead: Largest time that it may be ahead of now [s].
-
         Raises:
-            InputError: The stamp is further ahead.
+            InputError: The stamp is more than `max_lead` [s] ahead.
         """
         if not is_stamped(stamp):
             return self.now()

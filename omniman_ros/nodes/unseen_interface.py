@@ -19,11 +19,7 @@ POSTURE_TOLERANCE = 0.02  #: Rotation of a joint up to which the robot's outline
 
 
 class UnseenInterface:
-    """Subscribes to `unseen`, and has a collision monitor respect it.
-
-    Args:
-        node: Node that receives the messages.
-    """
+    """Subscribes to `unseen`, and has a collision monitor respect it."""
 
     def __init__(
         self,
@@ -63,11 +59,7 @@ class UnseenInterface:
         return "" if 0.0 <= age <= p.timeout else f"unseen is {age:.2f} s old"
 
     def limit(self, robot: RobotMotion, demands: list[Array], *, sees_arm: bool) -> UnseenLimit:
-        """Return the limit of the platform's speed.
-
-        Args:
-            demands: Motions (9,) that are asked for.
-        """
+        """Return the limit of the platform's speed for motions (9,) that are asked for."""
         p = self._settings.value.unseen
         if not p.use or self._latest is None:
             return UnseenLimit()

@@ -15,12 +15,7 @@ if TYPE_CHECKING:
 
 
 class WheelReportPublisher:
-    """Publishes `wheel_states`, `wheel_electrical` and `wheel_restarts`.
-
-    Args:
-        node: Node that owns the publishers.
-        wheel_names: Names of the robot's wheels, in the robot's order.
-    """
+    """Publishes `wheel_states`, `wheel_electrical` and `wheel_restarts`."""
 
     def __init__(self, node: OmnimanNode, wheel_names: Sequence[str]) -> None:
         self._node, self._wheel_names = node, list(wheel_names)
@@ -40,9 +35,5 @@ class WheelReportPublisher:
             self._states.publish(states_message(self._wheel_names, states, stamp))
 
     def publish_electrical(self, link: "CanLink", dt: float) -> None:
-        """Publish the motors' voltages, currents and energies.
-
-        Args:
-            dt: Time since the last call, by which the energies grow [s].
-        """
+        """Publish the motors' voltages, currents and energies, which grow over `dt` [s]."""
         self._electrical.publish(electrical_message(link.electrical(dt)))

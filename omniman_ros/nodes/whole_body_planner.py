@@ -15,12 +15,7 @@ from omniman_ros.planning.whole_body.obstruction import status_values
 
 
 class WholeBodyPlannerNode(OmnimanNode):
-    """Serves paths and holds of the tool among obstacles as a ROS node.
-
-    Attributes:
-        settings: Parameters of the node.
-        motions: The motion of the whole body, and the paths of the tool that it follows.
-    """
+    """Serves paths and holds of the tool among obstacles as a ROS node."""
 
     lookahead = 0.04  # about the time that a plan takes
 

@@ -23,11 +23,6 @@ class WorldArmLink:
     Simulated time goes on as far as there are setpoints. A controller that is lost, silent or
     sends nonsense is disconnected with a warning, and the arm brakes.
 
-    Args:
-        node: Node that logs warnings.
-        drives: Drives of the same world, whose clock is the node's.
-        clock: Simulated time that the node gives; None on real time.
-
     Raises:
         ParameterError: The port is not available.
     """
@@ -51,11 +46,7 @@ class WorldArmLink:
         return self._server.is_connected
 
     def exchange(self, now: float) -> None:
-        """Receive setpoints, and send the states that were measured since the last call.
-
-        Args:
-            now: Time up to which the world has come [s].
-        """
+        """Receive setpoints, and send the states measured since the last call, up to `now` [s]."""
         try:
             self._accept(now)
             for setpoint in self._server.receive():
@@ -72,7 +63,6 @@ class WorldArmLink:
             self.disconnect()
 
     def _accept(self, now: float) -> None:
-        """Greet a controller that has connected."""
         if self._server.accept():
             self._arrival = now
             self._servo.take_states()

@@ -21,12 +21,7 @@ if TYPE_CHECKING:
 
 
 class WorldReportPublisher:
-    """Publishes contacts, wheel_loads and ground_truth/obstacles.
-
-    Args:
-        node: Node that owns the publishers.
-        world: The world.
-    """
+    """Publishes contacts, wheel_loads and ground_truth/obstacles."""
 
     def __init__(
         self, node: OmnimanNode, world: "World", parameters: SimulatedWorldParameters

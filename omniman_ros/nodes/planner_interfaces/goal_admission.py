@@ -20,10 +20,6 @@ class GoalAdmission:
     """Has a goal wait until the robot is ready for it, and hands it to the planner then.
 
     Args:
-        node: Node whose clock is used.
-        planner: Planner that drives to the goals.
-        anchor: Place of the goal in odom.
-        sensors: State of the robot, and obstacles.
         silence_reason: Returns why what the planner must know is not known at a time of the node's
             clock [s], or an empty string.
     """
@@ -51,14 +47,7 @@ class GoalAdmission:
         return bool(self._pending)
 
     def submit(self, make_goal: Callable[[], PlacedGoal]) -> StartAttempt:
-        """Have a goal wait in place of the one that waits, and try to start it at once.
-
-        Args:
-            make_goal: Returns the goal, or raises InputError.
-
-        Raises:
-            InputError: The goal is invalid, or no goals are accepted any more.
-        """
+        """Have a goal wait in place of the one that waits; start it, or raise InputError."""
         try:
             if self._is_closed:
                 raise InputError("the node is shutting down")

@@ -30,11 +30,7 @@ class PlacedGoal:
 
 
 class GoalAnchor:
-    """Gives the planner goals in odom, and moves them there when their frame moves against odom.
-
-    Args:
-        planner: Planner that drives to the goals.
-    """
+    """Gives the planner goals in odom, and moves them when their frame moves against odom."""
 
     def __init__(self, planner: "Planner", frames: FrameTransforms) -> None:
         self._planner, self._frames = planner, frames
@@ -42,11 +38,7 @@ class GoalAnchor:
         self._anchor: PlanarPose = (0.0, 0.0, 0.0)
 
     def drive(self, placed: PlacedGoal, measured: MeasuredState, obstacles: Ellipses) -> None:
-        """Drive to a goal.
-
-        Raises:
-            InputError: The robot cannot be at the goal, or where the goal is in odom is not known.
-        """
+        """Drive to a goal; raise InputError if it is occupied, or unknown in odom."""
         silence = self._frames.silence_reason(placed.frame)
         if silence:
             raise InputError(silence)
@@ -59,12 +51,7 @@ class GoalAnchor:
         return "" if self._planner.goal is None else self._frames.silence_reason(self._frame)
 
     def update(self, now: float, obstacles: Ellipses) -> None:
-        """Move the goal if its frame has moved against odom.
-
-        Args:
-            now: Time [s].
-            obstacles: Obstacles in odom.
-        """
+        """Move the goal if its frame has moved against odom."""
         goal = self._planner.goal
         if goal is None or not self._frame:
             return

@@ -15,12 +15,7 @@ if TYPE_CHECKING:
 
 
 class GoalExecutor:
-    """Hands goals of an action to the planner; see `NavigationExecutor`.
-
-    Args:
-        node: Node whose clock stamps the feedback.
-        planner: Planner that drives to the goals.
-    """
+    """Hands goals of an action to the planner; see `NavigationExecutor`."""
 
     def __init__(
         self,
@@ -35,11 +30,7 @@ class GoalExecutor:
         self._sensors, self._planner, self._frame = sensors, planner, frame
 
     def send(self, request: Any) -> int:
-        """Drive to the pose of a goal, and return the goal's number.
-
-        Raises:
-            InputError: The goal is refused.
-        """
+        """Drive to a goal's pose and return its number; raise InputError if it is refused."""
         if request.behavior_tree:
             raise InputError(f"behavior_tree must be empty, not '{request.behavior_tree}'")
         refusal = self._goals.submit_pose(request.pose)

@@ -22,7 +22,6 @@ class GoalInterface:
     """Subscribes to `goal_pose`, `goal_state` and `goal_trajectory`.
 
     Args:
-        node: Node that receives the messages.
         submit: Called for each message with a function that returns the goal, or raises
             InputError; returns why the goal is refused, or an empty string.
     """
@@ -45,18 +44,13 @@ class GoalInterface:
             node.create_subscription(kind, topic, node.guarded(topic, handler), 10)
 
     def submit_pose(self, message: PoseStamped) -> str:
-        """Submit a pose to come to rest at; return why it is refused, or an empty string.
-
-        Raises:
-            InputError: The goal is invalid.
-        """
+        """Submit a pose to come to rest at; return why it is refused, or an empty string."""
         return self._handler(self._pose_goal)(message)
 
     def _handler(self, convert: Callable[[Any], Goal]) -> Callable[[Any], str]:
         return lambda message: self._submit(lambda: self._placed(message, convert))
 
     def _placed(self, message: Any, convert: Callable[[Any], Goal]) -> PlacedGoal:
-        """Return the goal of a message in a frame that does not move with the robot."""
         placement = self._frames.placement(message.header)
         goal = convert(message).displaced(placement.transform.planar())
         return PlacedGoal(placement.frame, goal)

@@ -11,10 +11,7 @@ class GoalLog:
     """Outcome of the latest goal, the outcomes of goals by their numbers, and counts of goals.
 
     Attributes:
-        outcome: Outcome of the latest goal.
         text: The latest event in words, for humans only: nothing parses it.
-        accepted: Number of goals that were accepted.
-        refused: Number of goals that were refused.
     """
 
     def __init__(self) -> None:

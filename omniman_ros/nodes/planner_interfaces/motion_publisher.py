@@ -17,15 +17,7 @@ if TYPE_CHECKING:
 
 
 class MotionPublisher:
-    """Publishes the motion of the planner as references or as motor voltages.
-
-    Args:
-        node: Node that publishes.
-        planner: Planner whose motion is sent.
-
-    Attributes:
-        reference: Publisher of `mpc/reference`.
-    """
+    """Publishes the motion of the planner as references or as motor voltages."""
 
     def __init__(
         self,

@@ -18,12 +18,7 @@ PREDICTION_TIMES = (0.5, 1.0, 1.5)  #: Times ahead at which predicted obstacles 
 
 
 class PlanPublisher:
-    """Publishes `mpc/plan`, `mpc/route` and `mpc/predicted_obstacles`.
-
-    Args:
-        node: Node that publishes.
-        planner: Planner whose plans are shown.
-    """
+    """Publishes `mpc/plan`, `mpc/route` and `mpc/predicted_obstacles`."""
 
     def __init__(self, node: OmnimanNode, frame: str, planner: "Planner") -> None:
         self._node, self._frame, self._planner = node, frame, planner

@@ -21,20 +21,7 @@ if TYPE_CHECKING:
 
 
 class PlannerLoop:
-    """Serves requests, supervises the drive, and runs one planning cycle per tick.
-
-    Args:
-        node: Node whose clock is used.
-        planner: Planner that is run.
-        anchor: Place of the goal in odom.
-        sensors: State of the robot, and obstacles.
-        publisher: Streams that move the robot.
-        plans: Topics that show plans.
-
-    Attributes:
-        goals: Outcome of the latest goal.
-        cycle: Planning, checking and sending.
-    """
+    """Serves requests, supervises the drive, and runs one planning cycle per tick."""
 
     def __init__(
         self,
@@ -66,11 +53,7 @@ class PlannerLoop:
     # ---- requests -----------------------------------------------------------------------------
 
     def submit(self, make_goal: Callable[[], PlacedGoal]) -> str:
-        """Drive to a goal as soon as possible; return why it is refused, or an empty string.
-
-        Raises:
-            InputError: The goal is invalid, or the node is shutting down.
-        """
+        """Drive to a goal as soon as possible; return or raise why it is refused."""
         return self._attended(self._admission.submit(make_goal))
 
     def _attended(self, attempt: StartAttempt) -> str:

@@ -19,14 +19,6 @@ if TYPE_CHECKING:
 class PlanningCycle:
     """Plans the next stretch of the motion from what is known now, and sends it.
 
-    Args:
-        node: Node whose clock is used.
-        planner: Planner that is run.
-        anchor: Place of the goal in odom.
-        sensors: State of the robot, and obstacles.
-        publisher: Streams that move the robot.
-        plans: Topics that show plans.
-
     Attributes:
         silence: Why the surroundings, the arm's posture or the goal's place in odom are not known,
             while the robot waits for them, or empty.
@@ -51,20 +43,12 @@ class PlanningCycle:
         self.solve_time = math.nan
 
     def silence_reason(self, now: float) -> str:
-        """Return why the surroundings or the arm's posture are not known, or an empty string.
-
-        Args:
-            now: Time of the node's clock [s].
-        """
+        """Return why the surroundings or the arm's posture are not known, or an empty string."""
         posture = self._posture.silence_reason(now)
         return self._sensors.blind_reason() or posture
 
     def run(self, now: float, measured: MeasuredState) -> None:
-        """Plan towards the goal, check the plan and send it; brake while something is unknown.
-
-        Args:
-            now: Time of the node's clock [s].
-        """
+        """Plan towards the goal, check the plan and send it; brake while something is unknown."""
         planner = self._planner
         silence = self.silence_reason(now) or self._anchor.silence_reason()
         obstacles = self._sensors.obstacles.ellipses()
@@ -92,11 +76,7 @@ class PlanningCycle:
         planner.update_route(done, obstacles)
 
     def coast(self, now: float) -> None:
-        """Finish a motion without a goal, still watching the obstacles.
-
-        Args:
-            now: Time of the node's clock [s].
-        """
+        """Finish a motion without a goal, still watching the obstacles."""
         measured = self._sensors.measured
         if self._planner.motion.end > now and measured is not None:
             if self.silence_reason(now):

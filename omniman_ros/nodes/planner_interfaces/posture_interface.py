@@ -31,13 +31,7 @@ class PostureSource(Enum):
 
 
 class PostureInterface:
-    """Subscribes to `arm/joint_states` and `arm/joint_reference`.
-
-    The messages stay serialized until a cycle needs them.
-
-    Args:
-        node: Node that receives the messages.
-    """
+    """Subscribes to `arm/joint_states` and `arm/joint_reference`, read when a cycle needs them."""
 
     def __init__(self, node: OmnimanNode, settings: ParameterSet[MpcPlannerParameters]) -> None:
         self._node, self._settings = node, settings
@@ -110,7 +104,6 @@ class PostureInterface:
     # ---- messages -----------------------------------------------------------------------------
 
     def _log_assumption(self) -> None:
-        """Warn once that the posture is assumed."""
         if not self._has_logged:
             self._has_logged = True
             text = "footprint.posture is the arm's posture until arm/joint_states are received"

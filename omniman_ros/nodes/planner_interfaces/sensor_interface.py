@@ -25,16 +25,7 @@ if TYPE_CHECKING:
 
 
 class SensorInterface:
-    """Subscribes to `odom`, `obstacles`, `map` and `wheel_health`.
-
-    Args:
-        node: Node that receives the messages.
-        planner: Planner that gets the map and the scale of the limits.
-
-    Attributes:
-        measured: Latest state of the robot, or None before the first.
-        obstacles: Obstacles that are known.
-    """
+    """Subscribes to `odom`, `obstacles`, `map` and `wheel_health`."""
 
     def __init__(
         self,
@@ -90,7 +81,6 @@ class SensorInterface:
         )
 
     def _on_health(self, message: DiagnosticStatus) -> None:
-        """Apply the fraction of the limits that dead wheels and the arm's posture leave."""
         scales, before = reported_limit_scales(message), self._limit_scales
         self._limit_scales = scales
         # A scale that grows shows that the controller was reset and expects a pause of the stream.

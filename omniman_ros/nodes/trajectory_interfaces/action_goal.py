@@ -28,11 +28,6 @@ def goal_monitor(
 ) -> GoalMonitor:
     """Create the monitor of a goal.
 
-    Args:
-        goal: A `control_msgs/action/FollowJointTrajectory` goal.
-        options: Tolerances that count where the goal has none.
-        now: ROS time [s].
-
     Raises:
         InputError: The goal is invalid, or ended in the past.
     """
@@ -90,7 +85,6 @@ def fill_feedback(
     """Write the motion of n axes into a feedback of the action.
 
     Args:
-        feedback: A `control_msgs/action/FollowJointTrajectory` feedback.
         desired: Reference positions, velocities and accelerations, (n,) each.
         actual: Measured positions and velocities, (n,) each.
         errors: Errors of positions and velocities, (n,) each.

@@ -22,10 +22,8 @@ class ArmFeed:
     """Subscribes to `arm/joint_states`, and remembers the recent reference of the arm.
 
     Args:
-        node: Node that subscribes to the topic.
         is_moving: Returns whether the arm follows a motion of this node; then each message is
             read at once.
-        on_states: Called after each message that was read at once.
 
     Attributes:
         position: (6,) joint angles [rad]; None before the first message.
@@ -58,11 +56,7 @@ class ArmFeed:
             self._on_states()
 
     def measure(self) -> None:
-        """Read the message that was received last, unless it has been read already.
-
-        Raises:
-            InputError: The message cannot be used.
-        """
+        """Read the last message, unless that was done; raise InputError if it is unusable."""
         self._adopt(self._reader.read())
 
     def _adopt(self, states: ArmStates | None) -> None:
@@ -104,11 +98,7 @@ class ArmFeed:
             self._references.popleft()
 
     def following_error(self, max_error: float) -> str:
-        """Return which joint is too far from its recent reference, or an empty string.
-
-        Args:
-            max_error: Largest distance of a joint from its reference of the last 0.2 s [rad].
-        """
+        """Return which joint is over `max_error` [rad] from its reference of the last 0.2 s."""
         if self.position is None or not self._references:
             return ""
         recent = np.array([reference for _, reference in self._references])
@@ -119,14 +109,9 @@ class ArmFeed:
         return f"{self._names[k]} is {error[k]:.3f} rad from its reference"
 
     def start_position(self, tolerance: float) -> Array | None:
-        """Return the joint angles (6,) at which a motion from rest starts [rad].
+        """Return the joint angles (6,) at which a motion from rest starts [rad], or None.
 
-        They are None if nothing is measured.
-
-        The motion starts exactly where the last one came to rest if the arm is near there.
-
-        Args:
-            tolerance: Largest distance of a joint from there [rad].
+        They are exactly those at which the last motion came to rest, within the tolerance [rad].
         """
         rest, measured = self.rest_position, self.position
         if rest is None or measured is None:
@@ -136,13 +121,7 @@ class ArmFeed:
     def blocking_reason(self, options: ArmFollowing, *, idle: bool) -> str:
         """Return why no motion of the arm can start, or an empty string.
 
-        It is such a reason that the last message cannot be used. This method may be called outside
-        of message callbacks.
-
-        Args:
-            options: Age at which the joint states are too old, and distance from the last
-                motion's end up to which the arm counts as resting there.
-            idle: Whether the arm follows no motion of the caller.
+        It is such a reason that the last message cannot be used.
         """
         try:
             self.measure()

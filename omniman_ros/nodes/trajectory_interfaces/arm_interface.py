@@ -62,14 +62,7 @@ class ArmInterface(JointInterface):
         return len(message.points) == 1 or in_motion or self._stream.active
 
     def follow_point(self, message: JointTrajectory) -> str:
-        """Move the arm to the last point of a message of a stream.
-
-        Returns:
-            Why it is not used, or an empty string; the motion under way goes on.
-
-        Raises:
-            InputError: The point cannot be used or reached; the motion under way goes on.
-        """
+        """Move the arm to the last point of a stream's message; return or raise why not."""
         points, context = self.points(message), self._context
         target = MovingTarget.last_of(points, context.time_to(message.header.stamp))
         why = self._blocking_reason() or self._held_reason

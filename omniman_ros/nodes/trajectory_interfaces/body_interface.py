@@ -66,12 +66,7 @@ class BodyInterface(MotionInterface):
     # ---- the tool -------------------------------------------------------------------------------
 
     def update_pose(self, pose: Array, at: float) -> None:
-        """Correct the arm for the platform's error as soon as it is measured.
-
-        Args:
-            pose: (3,) measured pose of the platform in odom [m, m, rad].
-            at: Time of the measurement on the node's clock [s].
-        """
+        """Correct the arm for the platform's pose (3,) in odom [m, m, rad] at a time [s]."""
         tool, pace = self._tool, self._context.time_base.pace
         if self.idle or tool is None or at <= tool.correction.time:
             return  # a controller that was held up repeats a measurement

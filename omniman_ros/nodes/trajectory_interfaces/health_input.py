@@ -10,11 +10,7 @@ from omniman_ros.nodes.trajectory_interfaces.motion_context import BodyContext
 
 
 class HealthInput:
-    """Scales the limits of the motions that move the platform.
-
-    Args:
-        use: Called with the fraction of the limits that is left when it has changed.
-    """
+    """Scales the limits of the motions that move the platform."""
 
     def __init__(self, context: BodyContext, use: Callable[[float], None]) -> None:
         self._context, self._use = context, use

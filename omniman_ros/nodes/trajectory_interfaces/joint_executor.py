@@ -8,11 +8,7 @@ from omniman_ros.nodes.trajectory_interfaces.motion_context import MotionContext
 
 
 class JointExecutor:
-    """Hands goals of an action to an interface of trajectories; see `TrajectoryExecutor`.
-
-    Args:
-        interface: Interface that drives the trajectories.
-    """
+    """Hands goals of an action to an interface of trajectories; see `TrajectoryExecutor`."""
 
     def __init__(self, context: MotionContext, interface: JointInterface) -> None:
         self._context, self._interface = context, interface
@@ -23,11 +19,7 @@ class JointExecutor:
         return self._interface.names
 
     def send(self, message: JointTrajectory) -> int:
-        """Accept a trajectory; return the number of its motion.
-
-        Raises:
-            InputError: The trajectory is refused; the motion under way goes on.
-        """
+        """Accept a trajectory, and return the number of its motion; see `TrajectoryExecutor`."""
         if self._context.is_ending():
             raise self._interface.log.refuse("the node is shutting down")
         why = self._interface.trajectory(message)

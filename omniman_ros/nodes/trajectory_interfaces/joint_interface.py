@@ -31,11 +31,7 @@ class JointInterface(MotionInterface, ABC):
 
     @abstractmethod
     def trajectory(self, message: JointTrajectory) -> str:
-        """Start a trajectory, or let it wait; return why it is refused, or an empty string.
-
-        Raises:
-            InputError: The trajectory cannot be used.
-        """
+        """Start a trajectory, or let it wait; return or raise (InputError) why it is refused."""
 
     @abstractmethod
     def rest_position(self) -> Array:
@@ -55,21 +51,13 @@ class JointInterface(MotionInterface, ABC):
         return False
 
     def desired(self) -> tuple[Array, Array, Array] | None:
-        """Return the references of the instant at which :meth:`actual` was measured.
-
-        Returns:
-            Positions, velocities and accelerations (d,); None while no motion is under way.
-        """
+        """Return references (d,) and their rates at the instant of :meth:`actual`, if any."""
         return None if self.idle else self._desired_at(self._context.arm_feed.time)
 
     # ---- requests -----------------------------------------------------------------------------
 
     def points(self, message: JointTrajectory) -> JointPoints:
-        """Convert the points of a trajectory of these axes.
-
-        Raises:
-            InputError: The points cannot be used.
-        """
+        """Convert the points of a trajectory of these axes, or raise InputError."""
         max_points = self._context.options.joint_trajectory.max_points
         return arm_conversions.joint_points(message, self.names, max_points)
 
@@ -79,11 +67,7 @@ class JointInterface(MotionInterface, ABC):
             self.core.cancel(self._context.time_base.now())
 
     def start(self, points: JointPoints, delay: float | None) -> None:
-        """Plan a trajectory and start it after a delay [s], or at once if it is None.
-
-        Raises:
-            InputError: The trajectory cannot be driven from here.
-        """
+        """Plan a trajectory, or raise InputError; start it after a delay [s], None: at once."""
         begin, time_base = self._node.now(), self._context.time_base
 
         def propose(lead: float) -> JointProposal:

@@ -43,9 +43,7 @@ class LimitInterface:
     it.
 
     Args:
-        node: Node that owns the topics.
         motions: Motions, each with the axes of the whole body that it moves.
-        on_change: Called when a share has changed.
     """
 
     def __init__(
@@ -83,11 +81,7 @@ class LimitInterface:
         return self._platform.share(now), self._arm.share(now)
 
     def max_pace(self, motion_time: float) -> float:
-        """Return the highest pace, 0 to 1, at which the motions keep to the limit.
-
-        Args:
-            motion_time: Present motion time [s].
-        """
+        """Return the highest pace, 0 to 1, within the limit from a motion time [s]."""
         shares = self.shares
         if min(shares) >= 1.0:
             return 1.0

@@ -76,11 +76,7 @@ class MotionContext(StreamContext[PathInterpolatorParameters]):
     self_collision: Callable[[], SelfCollisionCheck]
 
     def start_delay(self, stamp: Time) -> float | None:
-        """Return the time until a stamp [s]; None for a zero stamp, which means now.
-
-        Raises:
-            InputError: The stamp is too old, or too far ahead.
-        """
+        """Return the time until a stamp [s]; None if it is zero, an InputError if far from now."""
         if not is_stamped(stamp):
             return None
         delay = self.time_to(stamp)
@@ -109,8 +105,6 @@ class MotionContext(StreamContext[PathInterpolatorParameters]):
         Before each attempt, previews are published that last longer than the planning.
 
         Args:
-            propose: Plans the motion for a planning time [s].
-            take: Starts the motion at a motion time [s]; returns False if it comes too late.
             planning_time: Expected duration of the first attempt [s].
 
         Raises:

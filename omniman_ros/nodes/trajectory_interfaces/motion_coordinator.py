@@ -36,18 +36,8 @@ from omniman_ros.nodes.trajectory_interfaces.whole_body_interface import WholeBo
 class MotionCoordinator:
     """Runs the motions of platform, arm and whole body side by side.
 
-    Args:
-        node: Node that owns topics, timers and the clock.
-
     Attributes:
-        context: Services that the interfaces share.
-        path: Paths of the platform.
-        arm: Trajectories of the arm.
-        whole_body: Trajectories of platform and arm together.
         tool: Paths of the tool, which the whole body drives; None if another node takes them.
-        scaling: Speed scaling of the arm's controller.
-        limits: Limit of the speed before contact.
-        is_ending: Whether the node is shutting down, so that nothing new is accepted.
     """
 
     def __init__(
@@ -105,11 +95,7 @@ class MotionCoordinator:
         self._scaled_at, self._ticked_at = float("-inf"), node.now()
 
     def configure(self, new: PathInterpolatorParameters) -> None:
-        """Set new parameters, which apply from the next motions on.
-
-        Raises:
-            ParameterError: No path could be planned with them.
-        """
+        """Set parameters for the next motions; raise ParameterError if none fits them."""
         new.core.planner()  # raises
         self._self_collision = new.self_collision_check()
         self.arm.configure(new.arm, new.joint_trajectory)
@@ -154,11 +140,7 @@ class MotionCoordinator:
     # ---- requests -----------------------------------------------------------------------------
 
     def cancel(self) -> None:
-        """Discard all pending motions, and bring those under way to rest on their paths.
-
-        Raises:
-            RefusedError: Nothing is pending or under way.
-        """
+        """Discard what waits and brake what moves; raise RefusedError if there is nothing."""
         discarded = [motion for motion in self._startable.values() if motion.discard_pending()]
         for motion in discarded:
             motion.status.report(MotionEvent.CANCELLED, MotionEvent.CANCELLED.value)

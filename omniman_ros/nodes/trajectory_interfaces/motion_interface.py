@@ -39,18 +39,7 @@ class DrivenMotion(Interpolator, Protocol):
 
 
 class MotionInterface:
-    """Drives a motion: sends its previews, and reports its end.
-
-    Args:
-        context: Objects that all motions of the node share.
-        kind: What the interface drives, such as "trajectory".
-
-    Attributes:
-        core: Motion that is driven.
-        log: Log of the events of the motions.
-        output: Where the motions are sent.
-        status: Latest event.
-    """
+    """Drives a motion: sends its previews, and reports its end."""
 
     core: DrivenMotion  #: Motion that is driven
 
@@ -82,7 +71,6 @@ class MotionInterface:
         """End the motion under way; the axes come to rest.
 
         Args:
-            why: Reason, in words.
             brake: Whether to send a last preview that leads to rest on the path. Receivers that
                 are stopped come to rest by themselves, as do those that have run out of
                 references, which would start again.

@@ -7,16 +7,7 @@ from omniman_ros.nodes.trajectory_interfaces.motion_status import MotionEvent, M
 
 
 class MotionLog:
-    """Records each event of an interface's motions where it is asked for.
-
-    Args:
-        node: Node whose log is written.
-        kind: What the interface drives, such as "path".
-
-    Attributes:
-        status: Latest event.
-        ledger: Numbers of the motions, and how they ended.
-    """
+    """Records each event of an interface's motions where it is asked for."""
 
     def __init__(self, node: OmnimanNode, kind: str) -> None:
         self._node, self._kind = node, kind

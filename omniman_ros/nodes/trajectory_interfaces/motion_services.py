@@ -14,8 +14,6 @@ class MotionServices:
     """Serves requests that concern all motions of a node.
 
     Args:
-        node: Node that owns the services.
-        time_base: Time base of the motions, which is paused and resumed.
         cancel: Ends all motions; raises a RefusedError where there are none.
         publish: Called after a request was accepted, so that it takes effect at once.
     """
@@ -36,13 +34,7 @@ class MotionServices:
             self.add(name, request, lambda: time_base.state.value)
 
     def add(self, name: str, request: Callable[[], None], answer: Callable[[], str]) -> None:
-        """Serve another request.
-
-        Args:
-            name: Name of the service, without the node's.
-            request: Executes it; raises a RefusedError where that is impossible.
-            answer: Returns what is answered after it was accepted.
-        """
+        """Serve `~/NAME`: a request that may raise RefusedError, and the answer after it."""
         serve = functools.partial(self._serve, request, answer)
         self._node.create_service(Trigger, f"~/{name}", serve)
 

@@ -34,11 +34,7 @@ _order = itertools.count(1)  #: Numbers of the events of all interfaces, in the 
 class MotionStatus:
     """Latest event of one interface, comparable in time with those of the others.
 
-    Args:
-        text: Description of the state before anything has happened.
-
     Attributes:
-        event: The latest event.
         text: The latest event in words, for humans only: nothing parses it.
         order: Grows with each event of any interface; 0 before the first event of this one.
     """

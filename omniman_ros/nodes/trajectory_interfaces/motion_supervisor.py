@@ -13,11 +13,6 @@ class MotionSupervisor:
 
     A motion brakes on its path where its receivers still listen. Receivers that are stopped, or
     have been without a preview, come to rest by themselves.
-
-    Args:
-        period: Period of the node [s].
-        path: Paths of the platform, if the node drives them.
-        arm: Motions of the arm, if the node drives them.
     """
 
     def __init__(
@@ -61,17 +56,12 @@ class MotionSupervisor:
             motion.give_up(f"no arm/joint_states for {silence:.2f} s", brake=True)
 
     def limit_pace(self, max_pace: float) -> None:
-        """Limit the pace; a motion of platform and arm waits on its path while odom is late.
-
-        Args:
-            max_pace: Highest pace that the motions allow, 0 to 1.
-        """
+        """Limit the pace; a motion of platform and arm waits on its path while odom is late."""
         waits = self._is_platform_silent
         self._context.time_base.limit_pace(0.0 if waits else max_pace, at_once=waits)
 
     @property
     def _is_platform_silent(self) -> bool:
-        """Whether a motion of platform and arm has had no odom for some time."""
         context = self._context
         return not self._whole_body.idle and context.odom.age > context.options.odom_pause
 
@@ -87,11 +77,7 @@ class MotionSupervisor:
             self._context.publish_all(self._context.options.horizon)
 
     def check_time(self, since_tick: float) -> None:
-        """Give up motions that cannot continue after a time, and let that time pass for inputs.
-
-        Args:
-            since_tick: Time since the last tick of the node [s]; negative if time went back.
-        """
+        """Give up motions that a time [s] ends, and let it pass for inputs."""
         context = self._context
         if since_tick < -TIME_JUMP:
             self._restart()

@@ -47,17 +47,7 @@ class Interpolator(Protocol):
 
 
 class MotionTimeBase:
-    """Motion time of several interpolators, and requests that concern all of them.
-
-    Args:
-        interpolators: Interpolators, in the order in which their states are reported.
-        clock: Returns the current time [s].
-        scaling_timeout: Returns the silence after which the scaling is forgotten while nothing
-            moves [s].
-
-    Attributes:
-        pace: Motion time as a function of time.
-    """
+    """Motion time of several interpolators, and requests that concern all of them."""
 
     def __init__(
         self,
@@ -101,7 +91,6 @@ class MotionTimeBase:
         """Aim for the highest pace that is allowed by the arm's controller and by the motions.
 
         Args:
-            max_pace: Highest pace that the motions allow, 0 to 1.
             at_once: Whether a pace that falls does so without regard to the jerk limits.
         """
         now = self._clock()
@@ -121,31 +110,19 @@ class MotionTimeBase:
         self._paused_at_rest = False
 
     def pause(self) -> None:
-        """Bring all motions to rest on their paths.
-
-        Raises:
-            RefusedError: No motion can be paused.
-        """
+        """Bring all motions to rest on their paths; raise RefusedError if none can be paused."""
         now = self.now()
         self._request([partial(motion.pause, now) for motion in self._addressed()])
         self._paused_at_rest = self.pace.stands(self._clock())
 
     def resume(self) -> None:
-        """Continue all paused motions.
-
-        Raises:
-            RefusedError: No motion is paused.
-        """
+        """Continue all paused motions; raise RefusedError if there is none."""
         now = self.now()
         self._request([partial(motion.resume, now) for motion in self._addressed()])
         self._paused_at_rest = False
 
     def cancel(self) -> None:
-        """Bring all motions to rest on their paths, and forget them.
-
-        Raises:
-            RefusedError: No motion is under way.
-        """
+        """Bring all motions to rest, and forget them; raise RefusedError if there is none."""
         now = self.now()
         self._request([partial(motion.cancel, now) for motion in self._addressed()])
 

@@ -21,8 +21,6 @@ class OdomFeed:
     """Subscribes to an odometry, and keeps the latest pose and velocity.
 
     Args:
-        node: Node that subscribes to the topic.
-        frame: Frame that the poses must be given in.
         on_pose: Called with each pose (3,) [m, m, rad] and its time on the node's clock [s].
 
     Attributes:
@@ -80,11 +78,7 @@ class OdomFeed:
         self.time = float("-inf")
 
     def blocking_reason(self, timeout: float) -> str:
-        """Return why no motion of the platform can start from rest yet, or an empty string.
-
-        Args:
-            timeout: Age at which odom is too old [s].
-        """
+        """Return why no motion can start from rest; odom older than `timeout` [s] is a reason."""
         age = self.age
         if self.pose is None:
             return "no odom"

@@ -22,9 +22,6 @@ class PathExecutor:
 
         `controller_id` and the checkers of goal and progress name plugins of Nav2, and count for
         nothing here.
-
-        Raises:
-            InputError: The path is refused.
         """
         refusal = self._path.accept(request.path)
         if refusal:

@@ -16,9 +16,7 @@ class PathInput:
     """Passes each received path on, once the transform of its frame is known.
 
     Args:
-        max_poses: Returns the largest number of poses of a path.
         refusal: Returns why no path at all would be accepted now, or an empty string.
-        accept: Called with each path; returns why it is refused, or an empty string.
         refuse: Reports a refusal, and returns the error for it.
     """
 

@@ -18,14 +18,7 @@ PLANNING_TIME_PER_POSE = 1e-4  #: Planning time that is expected for each pose o
 
 
 class PathInterface:
-    """Connects a `PathInterpolator` to the messages of the node.
-
-    Attributes:
-        core: Interpolator of the platform's paths.
-        status: Latest event.
-        pending: Path that waits for the robot.
-        ledger: Numbers of the paths, and how they ended.
-    """
+    """Connects a `PathInterpolator` to the messages of the node."""
 
     def __init__(self, context: MotionContext, core: PathInterpolator) -> None:
         self._context, self._node = context, context.node
@@ -52,14 +45,7 @@ class PathInterface:
     # ---- paths --------------------------------------------------------------------------------
 
     def accept(self, message: Path) -> str:
-        """Start a path, or let it wait, in odom as its frame is known now: it stays there.
-
-        Returns:
-            Why it is refused, or an empty string.
-
-        Raises:
-            InputError: The path cannot be used.
-        """
+        """Start a path, placed in odom now, or let it wait; return or raise why it is refused."""
         p, frames = self._context.options, self._context.frames
         try:
             place = frames.into_odom(message.header).planar()

@@ -62,14 +62,7 @@ class PendingMotion:
         return bool(self._pending)
 
     def accept(self, start: Callable[[], None]) -> str:
-        """Accept a motion in place of the one that waits, and start it if possible.
-
-        Args:
-            start: Starts the motion; it may raise InputError to refuse it.
-
-        Returns:
-            Why it is refused, or an empty string.
-        """
+        """Accept a motion in place of the one that waits; start it, return or raise why not."""
         self._log.accept(replaces_pending=bool(self))
         self._pending.put(start)
         return self.start()

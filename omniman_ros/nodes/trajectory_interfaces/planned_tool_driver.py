@@ -13,11 +13,7 @@ from omniman_ros.nodes.trajectory_interfaces.whole_body_interface import WholeBo
 
 
 class PlannedToolDriver:
-    """Plans with a `ToolPlanner`; see `ToolDriver`.
-
-    Args:
-        whole_body: Interface that drives the planned motions.
-    """
+    """Plans with a `ToolPlanner`; see `ToolDriver`."""
 
     def __init__(self, context: MotionContext, whole_body: WholeBodyInterface) -> None:
         self._context, self._whole_body = context, whole_body

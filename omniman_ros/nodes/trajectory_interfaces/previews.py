@@ -22,14 +22,11 @@ class Previews:
     """Publishes stretches of a stream on a topic.
 
     Args:
-        node: Node that owns the publisher.
         make: Returns an empty message for a number of points and their spacing [s].
         fill: Writes a stretch into a message; its first point is due at the stamp.
-        horizon: Length of most previews [s].
 
     Attributes:
         covered_until: Time up to which receivers have a reference [s].
-        publisher: Publisher of the topic.
     """
 
     def __init__(

@@ -15,10 +15,6 @@ SCALING_TOLERANCE = 1e-3
 class ScalingInterface:
     """Subscribes to `arm/speed_scaling`, 0 to 1.
 
-    Args:
-        node: Node that subscribes to the topic.
-        on_change: Called after each change of the value.
-
     Attributes:
         value: Speed scaling that was received last; 1 before the first message.
         silence: Time since the last message [s]; 0 before the first message.

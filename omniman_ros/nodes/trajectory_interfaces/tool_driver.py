@@ -12,18 +12,9 @@ class ToolDriver(Protocol[Plan]):
     """Plans motions along paths of the tool, and drives them."""
 
     def planner(self, poses: Array, start: Array) -> Callable[[], Plan]:
-        """Return what plans a motion, which may be called in a thread.
-
-        Args:
-            poses: Poses (k, 4, 4) of `tool0` in odom.
-            start: (9,) positions of all axes at rest.
-        """
+        """Return what plans tool poses (k, 4, 4) in odom from axes (9,), also in a thread."""
         ...
 
     def drive(self, plan: Plan) -> None:
-        """Start a planned motion.
-
-        Raises:
-            InputError: It cannot be driven any more.
-        """
+        """Start a planned motion; raise InputError if it cannot be driven any more."""
         ...

@@ -26,17 +26,7 @@ MAX_START_DRIFT = 0.005  #: Largest movement of the robot while a path is being 
 
 
 class ToolInterface(Generic[Plan]):
-    """Accepts paths of the tool, one at a time and from rest.
-
-    Args:
-        whole_body: Interface that moves the robot.
-        driver: Plans the motions, and drives them with that interface.
-        on_accepted: Called after a path was accepted, before it starts or waits.
-
-    Attributes:
-        pending: Path that waits for the robot.
-        status: Latest event.
-    """
+    """Accepts paths of the tool, one at a time and from rest."""
 
     def __init__(
         self,
@@ -94,14 +84,11 @@ class ToolInterface(Generic[Plan]):
         return self.take(planner, f"a tool path of {len(message.poses)} poses")
 
     def take(self, planner: Callable[[Array], Callable[[], Plan]], label: str) -> str:
-        """Take a motion in place of the one that waits, if any.
+        """Take a motion in place of the one that waits; return why it is refused, or "".
 
         Args:
             planner: Returns what plans it from positions (9,) of all axes at rest; see
                 `ToolDriver`. It may raise InputError.
-
-        Returns:
-            Why it is refused, or an empty string.
         """
         self.discard_pending()
         self._on_accepted()
@@ -109,15 +96,7 @@ class ToolInterface(Generic[Plan]):
         return self.start_pending()
 
     def _poses(self, message: Path, place: Array, here: Array) -> Array:
-        """Return the poses (k, 4, 4) of a path in odom.
-
-        Args:
-            place: Pose (4, 4) of its frame in odom.
-            here: Rotation matrix (3, 3) in odom of poses that have none.
-
-        Raises:
-            InputError: See `tool_poses`.
-        """
+        """Return poses (k, 4, 4) in odom of a path in a frame at `place`; see `tool_poses`."""
         names = self._context.options.frames.odom.beside(message.header.frame_id)
         poses: Array = place @ arm_conversions.tool_poses(message, names, place[:3, :3].T @ here)
         return poses
@@ -142,11 +121,7 @@ class ToolInterface(Generic[Plan]):
         return self.pending.discard() or plan is not None
 
     def start_pending(self) -> str:
-        """Plan the path that waits, or start the planned one, if possible.
-
-        Returns:
-            Why the path is refused, or an empty string.
-        """
+        """Plan the path that waits, or start it once planned; return why it is refused, or ""."""
         refusal = self._refusal()
         if self._plan is not None and refusal:  # a reset must not start the path
             self.discard_pending()

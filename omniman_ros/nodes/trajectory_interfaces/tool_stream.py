@@ -63,12 +63,7 @@ class ToolStream:
     """A planned tool path whose joint angles are corrected for the platform's error.
 
     Args:
-        options: Options of the correction; live parameters may be replaced later.
         velocity: (6,) limits of the joint speeds [rad/s].
-
-    Attributes:
-        plan: Planned motion.
-        correction: Filter of the platform's error.
     """
 
     def __init__(
@@ -94,7 +89,6 @@ class ToolStream:
 
         Args:
             times: (k,) equally spaced by a tick [s].
-            pace: Pace at which the motion is driven.
 
         Raises:
             InputError: The tool cannot be reached from where the platform is.
@@ -159,11 +153,7 @@ class ToolStream:
 
 
 class ToolPosePublisher:
-    """Publisher of poses of the tool in odom.
-
-    Args:
-        node: Node that owns the publisher.
-    """
+    """Publisher of poses of the tool in odom."""
 
     def __init__(self, node: OmnimanNode, topic: str, frame: str) -> None:
         self._node = node

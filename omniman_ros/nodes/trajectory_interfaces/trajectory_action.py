@@ -69,12 +69,6 @@ class TrajectoryAction:
     replaces the last one, which is aborted. A goal that is cancelled, or violates a path
     tolerance, ends when the axes have come to rest on its path.
 
-    Args:
-        node: Node that owns the action server.
-        kind: Type of the action, see :func:`action_type`.
-        executor: Interface that drives the trajectories.
-        options: Tolerances of goals that have none.
-
     Attributes:
         options: Tolerances of goals that have none; may be replaced.
     """

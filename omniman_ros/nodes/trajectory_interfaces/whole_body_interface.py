@@ -21,11 +21,7 @@ from omniman_ros.nodes.trajectory_interfaces.tool_stream import ToolStream
 
 
 class WholeBodyInterface(BodyInterface, JointInterface):
-    """Trajectories of odom_x, odom_y, odom_t and the arm's joints.
-
-    Attributes:
-        pending: Motion that waits for the robot.
-    """
+    """Trajectories of odom_x, odom_y, odom_t and the arm's joints."""
 
     _context: MotionContext
     core: JointInterpolator  #: Interpolator of the nine axes

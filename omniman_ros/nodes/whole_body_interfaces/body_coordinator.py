@@ -35,21 +35,7 @@ SOURCE = "body"  #: Value of `active_source` while the node drives the platform
 
 
 class BodyCoordinator:
-    """Runs the paths of the tool.
-
-    Args:
-        node: Node that owns topics, timers and the clock.
-        period: Period of the node [s].
-
-    Attributes:
-        context: Services that the interfaces share.
-        surroundings: What is around the robot.
-        whole_body: Motion of platform and arm.
-        tool: Paths of the tool.
-        scaling: Speed scaling of the arm's controller.
-        limits: Limit of the speed before contact.
-        is_ending: Whether the node is shutting down, so that nothing new is accepted.
-    """
+    """Runs the paths of the tool."""
 
     def __init__(
         self,
@@ -131,22 +117,14 @@ class BodyCoordinator:
     # ---- requests -----------------------------------------------------------------------------
 
     def hold(self) -> None:
-        """Hold the tool where it is, as soon as platform and arm are at rest.
-
-        Raises:
-            RefusedError: A motion is under way, or none may begin.
-        """
+        """Hold the tool where it is, or raise RefusedError if no motion may begin."""
         if self.is_ending:
             raise RefusedError("the node is shutting down")
         if why := self.tool.take(self.whole_body.hold_planner, "a hold of the tool"):
             raise RefusedError(why)
 
     def cancel(self) -> None:
-        """Discard a path that waits, or bring the robot to rest on the one under way.
-
-        Raises:
-            RefusedError: Nothing waits or is under way.
-        """
+        """Discard what waits or brake what moves; raise RefusedError if there is nothing."""
         is_discarded = self.tool.discard_pending()
         if is_discarded:
             self.tool.status.report(MotionEvent.CANCELLED, MotionEvent.CANCELLED.value)
