@@ -27,9 +27,7 @@ def joint_preview(
     """Return the arguments of a `JointPreview`, which checks their content.
 
     Args:
-        message: Positions and velocities (needed), accelerations (all or none) of all joints.
         start: Time of the header's stamp on the receiver's clock [s].
-        names: Names of the n joints, in the order of the result.
 
     Returns:
         Times (k,) [s], positions (k, n) [rad], velocities (k, n) [rad/s], and accelerations
@@ -66,7 +64,6 @@ def joint_points(message: JointTrajectory, names: Sequence[str], most: int) -> J
 
     Args:
         message: Trajectory with at least one point, for some of the joints in any order.
-        most: Largest number of points that is accepted.
 
     Raises:
         InputError: A name is unknown or repeated, a size is wrong, only some points have
@@ -101,7 +98,6 @@ def tool_poses(message: Path, frames: Sequence[str], here: Array) -> Array:
 
     Args:
         message: Path; a pose without a frame of its own is in the path's frame.
-        frames: Names of frames that count as odom.
         here: Rotation matrix (3, 3) of poses whose quaternion is all zeros.
 
     Raises:
@@ -206,11 +202,7 @@ def _rows(points: Sequence[JointTrajectoryPoint], label: str, width: int) -> Arr
 
 
 def joint_reference_message(names: Sequence[str], points: int, tick: float) -> JointTrajectory:
-    """Allocate a preview of joints, to be filled repeatedly by :func:`fill_joint_reference`.
-
-    Args:
-        tick: Time between two points [s].
-    """
+    """Allocate a preview, points `tick` [s] apart, for :func:`fill_joint_reference`."""
     message = JointTrajectory(joint_names=list(names))
     for i in range(points):
         message.points.append(JointTrajectoryPoint(time_from_start=duration_message(i * tick)))
@@ -218,12 +210,7 @@ def joint_reference_message(names: Sequence[str], points: int, tick: float) -> J
 
 
 def fill_joint_reference(message: JointTrajectory, stamp: Time, window: Window) -> None:
-    """Write a window of a stream into a message, as far as the message has points.
-
-    Args:
-        message: Message from :func:`joint_reference_message`.
-        window: Positions, velocities and accelerations of the joints.
-    """
+    """Write a window of a stream into a message, as far as the message has points."""
     message.header.stamp = stamp
     rows = zip(
         message.points, window.positions, window.velocities, window.accelerations, strict=False

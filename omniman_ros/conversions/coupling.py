@@ -37,9 +37,6 @@ def total_coupling_error(message: Any) -> Sequence[float]:
 
     A message without any, from a sender that knows no others or an older recording, has one kind
     only, which is returned.
-
-    Args:
-        message: Joint state, from ROS or from a recording.
     """
     pairs = zip(message.name, message.position, strict=False)
     totals = [value for name, value in pairs if name.endswith(TOTAL_SUFFIX)]

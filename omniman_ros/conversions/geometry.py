@@ -42,14 +42,10 @@ def transform_message(transform: Transform) -> TransformMsg:
 
 
 def twist_array(message: Twist, bound: float = plausible.SPEED) -> Array:
-    """Return the planar part (3,) of a twist or of an acceleration.
+    """Return x, y and rotation about z (3,) of a twist or an acceleration, in its unit.
 
     Args:
-        message: Twist [m/s, rad/s] or acceleration [m/s^2, rad/s^2].
-        bound: Largest plausible magnitude of each of its six numbers.
-
-    Returns:
-        x, y and rotation about z, in the unit of the message.
+        bound: Largest plausible magnitude of each of its six numbers, in its unit.
 
     Raises:
         InputError: One of the six numbers is not finite or beyond +-`bound`.
@@ -61,11 +57,7 @@ def twist_array(message: Twist, bound: float = plausible.SPEED) -> Array:
 
 
 def stamped_twist_array(message: TwistStamped, base_frame: str) -> Array:
-    """Return the body twist (3,) of a stamped message [m/s, m/s, rad/s].
-
-    Args:
-        message: Twist in the base frame; an empty frame counts as the base frame.
-        base_frame: Name of the base frame.
+    """Return the body twist (3,) of a message [m/s, m/s, rad/s]; an empty frame is base.
 
     Raises:
         InputError: The frame is another one, or a number is not finite.

@@ -53,10 +53,7 @@ def duration_message(seconds: float) -> Duration:
 
 
 def within(*frames: str) -> Callable[[Header], Placement]:
-    """Return a function that places coordinates in odom, whose names are `frames`.
-
-    It raises an InputError for every other frame.
-    """
+    """Return a function that places coordinates in odom; it raises InputError for other frames."""
 
     def place(header: Header) -> Placement:
         check_frame(header.frame_id, *frames)
@@ -66,11 +63,7 @@ def within(*frames: str) -> Callable[[Header], Placement]:
 
 
 def check_frame(frame: str, *allowed: str) -> None:
-    """Check that a frame is one of those allowed; a leading slash does not count.
-
-    Raises:
-        InputError: The frame is not allowed.
-    """
+    """Raise InputError unless a frame, without its leading slash, is one of those allowed."""
     if frame.lstrip("/") not in allowed:
         names = " or ".join(repr(name) for name in allowed)
         raise InputError(f"it has frame '{frame[:40]}', expected {names}")

@@ -35,9 +35,6 @@ def imu_message(rate: Array, acceleration: Array, frame: str, stamp: Time) -> Im
 def imu_arrays(message: Imu, frame: str) -> tuple[Array, Array]:
     """Return angular velocity (3,) [rad/s] and acceleration (3,) [m/s^2] of a message.
 
-    Args:
-        frame: Frame that it must have.
-
     Raises:
         InputError: It has another frame, or says that one of the two is not measured.
     """
@@ -54,12 +51,7 @@ def imu_arrays(message: Imu, frame: str) -> tuple[Array, Array]:
 
 
 def imu_transform(mount: ImuMount, base_frame: str, stamp: Time) -> TransformStamped:
-    """Return the pose of the sensor in the base frame.
-
-    Args:
-        mount: Pose and frame of the sensor.
-        base_frame: Frame in which it is mounted.
-    """
+    """Return the pose of the sensor in the base frame."""
     result = TransformStamped(
         header=Header(stamp=stamp, frame_id=base_frame), child_frame_id=mount.frame
     )

@@ -26,10 +26,6 @@ def joint_arrays(
 
     An array that is empty in the message is None. Joints that are not in `names` are ignored.
 
-    Args:
-        message: Joint state whose joints may be in any order.
-        names: Names of the n joints.
-
     Raises:
         InputError: A joint is missing, a name is repeated, or an array and the names in the
             message differ in length.
@@ -64,12 +60,8 @@ def abbreviate_names(names: Sequence[str]) -> str:
 def require_array(array: Array | None, bound: float, label: str) -> Array:
     """Return an array after checking that it is present, finite and within +-`bound`.
 
-    Args:
-        array: Array to check, or None if the message lacks it.
-        bound: Largest plausible magnitude, in the array's unit.
-
     Raises:
-        InputError: The array is missing, or a value is not finite or beyond the bound.
+        InputError: It is missing, or a value is not finite or beyond the bound, in its unit.
     """
     if array is None:
         raise InputError(f"it has no {label}")

@@ -34,11 +34,7 @@ def map_from_message(message: OccupancyGrid) -> OccupancyMap:
 
 
 def map_update_from_message(message: Any) -> MapUpdate:
-    """Return the update of a message, `map_msgs/OccupancyGridUpdate`.
-
-    Raises:
-        InputError: The number of cells is not what the message states.
-    """
+    """Return the update of a `map_msgs/OccupancyGridUpdate`; raise InputError for a wrong size."""
     values = np.asarray(message.data, dtype=np.int8)
     return MapUpdate(
         cells_of(values, message.width, message.height),
@@ -58,8 +54,6 @@ def map_message(
         occupancy: (rows along y, columns along x) occupancy [%], -1 where nothing is known.
         resolution: Edge of a cell [m].
         origin: (2,) corner of the first cell [m].
-        frame: Name of the frame.
-        stamp: Time of the map.
     """
     message = OccupancyGrid(header=Header(stamp=stamp, frame_id=frame))
     info = message.info
@@ -80,8 +74,6 @@ def map_update_message(
     Args:
         kind: The type, `map_msgs/OccupancyGridUpdate`, which is not installed everywhere.
         occupancy: (rows along y, columns along x) occupancy of the whole map [%].
-        frame: Name of the map's frame.
-        stamp: Time of the map.
     """
     rows, columns = part
     message = kind(header=Header(stamp=stamp, frame_id=frame))

@@ -44,9 +44,7 @@ def motion_demand_message(
     """Return the message of a motion that is asked for.
 
     Args:
-        joints: Names of the joints that it has rates of, in their order; may be empty.
         motion: Twist in base_link and rates of these joints [m/s, m/s, rad/s, rad/s ...].
-        frame: Name of base_link.
     """
     message = JointState(name=[*TWIST, *joints], velocity=list(motion))
     message.header.stamp, message.header.frame_id = stamp, frame

@@ -71,7 +71,6 @@ def marker_changes(
 def _observation(
     marker: Marker, place: Callable[[Header], Placement], clock: Callable[[Time], float]
 ) -> Observation:
-    """Return the observation of an obstacle that a marker shows."""
     time, placement = clock(marker.header.stamp), place(marker.header)
     if marker.type not in (Marker.CYLINDER, Marker.SPHERE):
         raise InputError(f"it has type {marker.type}, expected CYLINDER or SPHERE")
@@ -113,10 +112,8 @@ def ellipse_markers(
     The first marker deletes those of the previous message.
 
     Args:
-        ellipses: M obstacles.
         times: Times (K,) at which the obstacles are shown [s].
         margin: Margin around each obstacle in addition to its growth [m].
-        height: Height of the cylinders [m].
 
     Returns:
         1 + K M markers; namespace `predicted_i` for obstacle i, numbers 0 to K - 1 in order of

@@ -16,11 +16,7 @@ ODOMETRY_NUMBERS = 16  #: Count of the numbers of an odometry message that chang
 
 
 def initialize_odometry(message: Odometry, twist_variance: float) -> None:
-    """Write the constant parts: the variance of the twist, and those of z, roll and pitch.
-
-    Args:
-        twist_variance: Variance of the planar twist [m^2/s^2, rad^2/s^2].
-    """
+    """Write the constant parts; `twist_variance` is in m^2/s^2 and rad^2/s^2."""
     for i in range(6):
         measured = i in PLANAR_INDICES
         message.twist.covariance[7 * i] = twist_variance if measured else UNMEASURED_VARIANCE
@@ -41,11 +37,7 @@ def odometry_numbers(pose: Sequence[float], twist: Array, covariance: Array) -> 
 
 
 def set_odometry_numbers(message: Odometry, numbers: Sequence[float]) -> None:
-    """Write :func:`odometry_numbers` into a message.
-
-    Args:
-        numbers: As many as `ODOMETRY_NUMBERS`.
-    """
+    """Write :func:`odometry_numbers` into a message."""
     pose, twist = message.pose.pose, message.twist.twist
     pose.position.x, pose.position.y = numbers[:2]
     pose.orientation.z, pose.orientation.w = numbers[2:4]
@@ -59,13 +51,7 @@ def set_odometry_numbers(message: Odometry, numbers: Sequence[float]) -> None:
 def fill_odometry(
     message: Odometry, pose: Sequence[float], twist: Array, covariance: Array, stamp: Time
 ) -> None:
-    """Write the parts that change; see :func:`odometry_numbers`.
-
-    Args:
-        pose: Pose x, y, theta in the header's frame [m, m, rad].
-        twist: Twist (3,) in the child frame [m/s, m/s, rad/s].
-        covariance: Covariance (3, 3) of the pose.
-    """
+    """Write the parts that change; see :func:`odometry_numbers`."""
     message.header.stamp = stamp
     set_odometry_numbers(message, odometry_numbers(pose, twist, covariance))
 

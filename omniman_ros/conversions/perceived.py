@@ -29,10 +29,7 @@ def tracked_obstacles(message: PointCloud2) -> Array:
 
 
 def contact_place(values: Mapping[str, str]) -> tuple[Array, float]:
-    """Return the place (3,) [m] and the force [N] of a contact.
-
-    Args:
-        values: Values of the contact by key, see `contacts_message`.
+    """Return the place (3,) [m] and the force [N] of a contact in `contacts_message`.
 
     Raises:
         InputError: A number is missing, or is not finite or plausible.

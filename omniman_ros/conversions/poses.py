@@ -25,9 +25,6 @@ def planar_pose(
 ) -> tuple[tuple[float, float, float], Array]:
     """Return the pose (x, y, theta) [m, m, rad] of a message and its covariance (3, 3).
 
-    Args:
-        frames: Names of frames that count as odom.
-
     Raises:
         InputError: The frame is another one, or the pose is not planar or not finite.
     """
@@ -44,7 +41,6 @@ def path_poses(message: Path, frames: Sequence[str], headings: bool) -> Array:
 
     Args:
         message: Path; a pose without a frame of its own is in the path's frame.
-        frames: Names of frames that count as odom.
         headings: Whether to read the orientations; if not, they may be anything and theta is 0.
 
     Raises:
@@ -85,9 +81,6 @@ def pose_message(pose: Array) -> Pose:
 def goal_pose_from_message(message: PoseStamped, frames: Sequence[str]) -> Array:
     """Return the pose (3,) x, y, theta of a goal in odom [m, m, rad].
 
-    Args:
-        frames: Names of frames that count as odom.
-
     Raises:
         InputError: The frame is another one, or the pose is not planar or not finite.
     """
@@ -104,7 +97,6 @@ def goal_state_from_message(message: Odometry, frames: Sequence[str]) -> tuple[A
     Args:
         message: Goal. As in odometry, its twist is in `child_frame_id`: in the goal's own frame,
             unless that is one of `frames`.
-        frames: Names of frames that count as odom.
 
     Raises:
         InputError: The frame is another one, or the goal is not planar or not finite.

@@ -37,7 +37,6 @@ def track_markers(
 
     Args:
         gone: Identities of those that are there no longer.
-        frame: Name of odom.
         lifetime: Time after which each is forgotten without another message [s].
         height: Height of the cylinders above the floor [m].
     """
@@ -66,11 +65,7 @@ def track_markers(
 
 
 def track_cloud(obstacles: Sequence[TrackedObstacle], frame: str, stamp: Time) -> PointCloud2:
-    """Return all that is known of obstacles, one point for each, with the fields `FIELDS`.
-
-    Args:
-        frame: Name of odom.
-    """
+    """Return all that is known of obstacles, one point for each, with the fields `FIELDS`."""
     rows = np.array(
         [
             (*o.center, 0.0, *o.velocity, o.radius, *o.covariance, o.age, o.silence, o.number)

@@ -33,7 +33,6 @@ def preview_from_message(
         message: Poses and velocities in the odom frame; either all points have an acceleration
             or none has.
         start: Time of the header's stamp on the receiver's clock [s].
-        frames: Accepted names of the odom frame.
 
     Raises:
         InputError: The frame, the joint name or the number of values is wrong, a pose is not
@@ -86,7 +85,6 @@ def preview_message(
     """Return the message for a preview of the platform.
 
     Args:
-        frame: Name of the frame of poses and velocities.
         times: Times (k,) of the points [s]; their origin is arbitrary.
         poses: Poses (k, 3), x, y, theta, in `frame` [m, m, rad].
         velocities: Velocities (k, 3), x', y', theta', in `frame` [m/s, m/s, rad/s].
@@ -108,12 +106,7 @@ def preview_message(
 
 
 def reference_message(frame: str, points: int, tick: float) -> MultiDOFJointTrajectory:
-    """Return a preview message with empty points, to be filled repeatedly by `fill_reference`.
-
-    Args:
-        frame: Name of the frame of the preview.
-        tick: Time between two points [s].
-    """
+    """Return a preview message for `fill_reference` with points `tick` [s] apart."""
     message = MultiDOFJointTrajectory(joint_names=[PLATFORM_JOINT])
     message.header.frame_id = frame
     for i in range(points):
@@ -135,7 +128,6 @@ def fill_reference(message: MultiDOFJointTrajectory, stamp: Time, window: Window
     points are not changed.
 
     Args:
-        message: Message from :func:`reference_message`.
         window: Positions, velocities and accelerations (k, 3) of the platform in the message's
             frame, sampled at the message's `tick`.
     """

@@ -22,14 +22,12 @@ NOW, NEVER = 100, -1
 def unseen_message(
     times: Array, resolution: float, origin: Array, frame: str, stamp: Time
 ) -> OccupancyGrid:
-    """Return the message for times of arrival.
+    """Return the message for times of arrival from its stamp on.
 
     Args:
         times: (rows along y, columns along x) [s]; NaN where nobody can be.
         resolution: Edge of a cell [m].
         origin: (2,) corner of the first cell [m].
-        frame: Name of the frame.
-        stamp: Time from which the times count.
     """
     # Rounded up: towards an earlier arrival.
     values = np.ceil(NOW * (1.0 - np.minimum(times, HORIZON) / HORIZON))

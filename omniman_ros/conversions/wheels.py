@@ -62,13 +62,7 @@ def _scale(key: str, text: str) -> float:
 
 
 def reported_idle_wheels(message: DiagnosticStatus, names: Sequence[str]) -> tuple[int, ...]:
-    """Return the indices of the wheels that `wheel_health` reports as idle.
-
-    A wheel that it does not report counts as driving.
-
-    Args:
-        names: Names of the n wheels.
-    """
+    """Return the indices of the wheels that `wheel_health` reports as idle; others drive."""
     state = {item.key: item.value for item in message.values}
     return tuple(i for i, name in enumerate(names) if state.get(name) == IDLE)
 
@@ -80,8 +74,6 @@ def wheel_command_from_message(
 
     Args:
         message: Command with efforts [V or N m], velocities [rad/s], or both.
-        names: Names of the n wheels, in the order of the result.
-        voltage: Whether the message comes from `wheel_voltages`.
 
     Raises:
         InputError: Names, sizes or content are wrong, or velocity and effort are both missing.
@@ -147,11 +139,7 @@ def restarts_message(restarts: Sequence[int]) -> UInt32MultiArray:
 
 
 def restarts_of_message(message: UInt32MultiArray, n: int) -> tuple[int, ...]:
-    """Return the numbers of restarts of n drives.
-
-    Raises:
-        InputError: The number of values, or the size that the message states, is not n.
-    """
+    """Return the numbers of restarts of n drives; raise InputError if there are others."""
     sizes = [dimension.size for dimension in message.layout.dim]
     if len(message.data) != n or sizes not in ([], [n]):
         raise InputError(f"wheel_restarts: {len(message.data)} values, sizes {sizes}, {n} wheels")
@@ -182,10 +170,6 @@ def electrical_rows(message: Float64MultiArray, n: int) -> Array:
 
 
 def electrical_arrays(message: Float64MultiArray, n: int) -> tuple[Array, Array]:
-    """Return the voltages and currents of n wheels (n,) [V, A], in the message's order.
-
-    Raises:
-        InputError: See `electrical_rows`.
-    """
+    """Return voltages and currents (n,) [V, A] of n wheels; see :func:`electrical_rows`."""
     rows = electrical_rows(message, n)
     return rows[:, 0], rows[:, 1]

@@ -29,9 +29,6 @@ def contacts_message(
 ) -> DiagnosticArray:
     """Return the message for the contacts of the robot.
 
-    Args:
-        contacts: Contacts; empty for none.
-
     Returns:
         One status per contact, of level WARN while they touch and OK afterwards. Its values are
         part and thing; x, y, z [m]; force_x, force_y, force_z [N]; impulse_x, impulse_y,
@@ -82,7 +79,7 @@ def scan_message(
     """Return the message for a scan whose beams are all measured at once.
 
     Args:
-        ranges: Ranges (beams,), infinite as in REP 117 where there is no measurement [m].
+        ranges: Ranges (beams,), infinite without a return, as in REP 117 [m].
         period: Time between two scans [s].
     """
     half = 0.5 * scanner.field_of_view
@@ -101,11 +98,7 @@ def scan_message(
 def scanner_transform(
     scanner: ScannerParameters, base_frame: str, stamp: Time
 ) -> TransformStamped:
-    """Return the pose in which a scanner is said to be mounted.
-
-    Args:
-        base_frame: Frame in which it is mounted.
-    """
+    """Return the pose in which a scanner is said to be mounted."""
     result = TransformStamped(
         header=Header(stamp=stamp, frame_id=base_frame), child_frame_id=scanner.name
     )
@@ -116,9 +109,6 @@ def scanner_transform(
 
 def obstacle_markers(obstacles: "Sequence[Obstacle]", frame: str) -> MarkerArray:
     """Return one marker per obstacle: a cylinder or a box of its true size.
-
-    Args:
-        obstacles: Obstacles; those of all messages are the same, in the same order.
 
     Returns:
         Markers whose namespace is the obstacle's name, with number 0; poses and stamp are still to
@@ -143,11 +133,7 @@ def obstacle_markers(obstacles: "Sequence[Obstacle]", frame: str) -> MarkerArray
 def fill_obstacle_markers(
     message: MarkerArray, obstacles: "Sequence[Obstacle]", stamp: Time
 ) -> None:
-    """Write the poses of obstacles.
-
-    Args:
-        message: Their markers, see :func:`obstacle_markers`.
-    """
+    """Write the poses of obstacles into their markers, see :func:`obstacle_markers`."""
     for marker, obstacle in zip(message.markers, obstacles, strict=True):
         x, y, heading = obstacle.pose
         marker.header.stamp = stamp
