@@ -21,7 +21,6 @@ class AllowedSpeed:
 
     Attributes:
         target: Share that applies in the end, 0 to 1; may be changed at any time.
-        value: Share that applies now.
     """
 
     def __init__(self) -> None:
@@ -29,13 +28,7 @@ class AllowedSpeed:
         self._targets = deque([1.0])
 
     def step(self, velocity: Array, limits: JointLimits, dt: float) -> None:
-        """Let a time pass [s].
-
-        Args:
-            velocity: Velocities (n,) of the joints [rad/s].
-            limits: Limits within which they brake.
-            dt: The time [s], always the same.
-        """
+        """Let the time `dt` [s] pass, always the same; `velocity` (n,) in [rad/s]."""
         self._targets.append(self.target)
         while len(self._targets) * dt > REACTION_TIME + dt:
             self._targets.popleft()

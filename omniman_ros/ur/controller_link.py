@@ -109,19 +109,12 @@ class ControllerLink:
     # ---- time -----------------------------------------------------------------------------------
 
     def tick(self, now: float) -> None:
-        """Give up connections that do not answer in time, and reconnect.
-
-        Args:
-            now: Time on the clock of the link [s].
-        """
+        """Give up connections that do not answer until `now` [s], and reconnect."""
         self._rtde.tick(now, self.parameters.connect_timeout)
         self._program.tick(now)
 
     def wait(self, until: float, others: Sequence[int] = ()) -> list[int]:
-        """Serve the connections until a time, at least once.
-
-        Args:
-            until: Time on the clock of the link [s].
+        """Serve the connections until a time on the link's clock [s], at least once.
 
         Returns:
             The readable ones of `others`. The method returns early if there are any, or if new

@@ -29,15 +29,10 @@ def call(
     timeout: float,
     clock: Callable[[], float] = time.monotonic,
 ) -> list[str]:
-    """Send commands one after the other over a new connection.
+    """Send commands, one line each, over a new connection, and return the reply to each.
 
     Args:
-        commands: Commands, one line each.
         timeout: Time limit of the whole exchange [s]; the look-up of a host name is not included.
-        clock: Returns the monotonic time [s].
-
-    Returns:
-        The reply to each command, without the end of the line.
 
     Raises:
         LinkError: The server cannot be reached, is not a dashboard server, or does not answer
@@ -69,14 +64,7 @@ def call(
 
 
 def unlock(parameters: UrParameters, clock: Callable[[], float] = time.monotonic) -> str:
-    """Ask a controller to leave its protective stop.
-
-    Args:
-        parameters: Address of the controller, and the time limit.
-        clock: Returns the monotonic time [s].
-
-    Returns:
-        The refusal in the controller's own words, or an empty string.
+    """Ask a controller to leave its protective stop; return its refusal, or an empty string.
 
     Raises:
         LinkError: The dashboard server cannot be used.
@@ -90,10 +78,6 @@ def unlock_for_reset(
     parameters: UrParameters, clock: Callable[[], float] = time.monotonic
 ) -> None:
     """Unlock the protective stop of a controller for a reset of the node.
-
-    Args:
-        parameters: Permission, address of the controller, and the time limit.
-        clock: Returns the monotonic time [s].
 
     Raises:
         ResetRefusedError: `ur.unlock` does not allow it, the dashboard server cannot be used, or
@@ -146,7 +130,6 @@ class _Connection:
         self._socket.close()
 
     def _set_remaining_timeout(self) -> None:
-        """Limit the next operation of the socket to the remaining time."""
         remaining = self._end - self._clock()
         if remaining <= 0.0:
             raise TimeoutError

@@ -64,7 +64,6 @@ class JointGuard:
         period: Time between two setpoints [s].
 
     Attributes:
-        limits: Limits of the joints; they may be replaced at any time.
         last: Last setpoint (n,) [rad].
         velocity: Velocity (n,) of the last step [rad/s].
 
@@ -107,7 +106,6 @@ class JointGuard:
         A refused setpoint changes nothing: the next one is compared with the last accepted one.
 
         Args:
-            setpoint: Joint angles (n,), one period after the last setpoint [rad].
             measured: Joint angles (n,) [rad]; None for the step of a stop.
 
         Raises:

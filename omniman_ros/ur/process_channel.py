@@ -21,11 +21,7 @@ class ProcessChannelError(OmnimanError):
 
 
 class ProcessChannel:
-    """One end of a pair of connected sockets; a message is a picklable object of this package.
-
-    Args:
-        sock: Socket of this end; it is made non-blocking.
-    """
+    """One end, made non-blocking, of connected sockets; a message is a picklable object."""
 
     def __init__(self, sock: socket.socket) -> None:
         sock.setblocking(False)
@@ -54,11 +50,7 @@ class ProcessChannel:
         self.flush()
 
     def flush(self) -> None:
-        """Send messages that did not fit into the buffer before.
-
-        Raises:
-            ProcessChannelError: The other process has ended.
-        """
+        """Send messages that did not fit before; raise ProcessChannelError at the peer's end."""
         try:
             if self._unsent:
                 self._unsent = self._unsent[self._sock.send(self._unsent) :]
@@ -68,12 +60,7 @@ class ProcessChannel:
             raise ProcessChannelError(f"the other process has ended: {error}") from error
 
     def receive(self) -> list[Any]:
-        """Return the messages that have arrived.
-
-        Raises:
-            ProcessChannelError: The other process has ended, and all its messages have been
-                returned.
-        """
+        """Return what has arrived; raise ProcessChannelError after the peer's last message."""
         while not self._end_reason:
             try:
                 data = self._sock.recv(READ_SIZE)

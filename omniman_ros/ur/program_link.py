@@ -31,12 +31,9 @@ class ProgramLink:
     """Sends a program to a controller, accepts its connection, and sends setpoints over it.
 
     Args:
-        script_port: Port of the controller to which programs are sent.
         reverse_port: Local port to which the program connects; 0 for any free one.
-        max_unacknowledged: Number of setpoints that may be unacknowledged, see :meth:`send`.
 
     Attributes:
-        state: State of the program.
         loss_reason: Why the program is lost, or an empty string.
         refused_connections: Number of refused connections, by kind: "foreign" ones from other
             hosts, "second" ones while a program runs, and "unawaited" ones when no program is
@@ -79,11 +76,7 @@ class ProgramLink:
         return [self._script] if self._script is not None and self._unsent_text else []
 
     def start(self, text: str, now: float, timeout: float) -> None:
-        """Begin to send a program, which then has to connect; an earlier program is ended.
-
-        Args:
-            now: Time [s].
-            timeout: Time from now within which the program has to connect [s].
+        """Send a program, which has to connect within a time [s]; an earlier one is ended.
 
         Raises:
             InputError: The text is blank.
@@ -112,11 +105,7 @@ class ProgramLink:
             )
 
     def serve(self, ready: Container[object]) -> None:
-        """Read from and write to the sockets that are ready.
-
-        Args:
-            ready: Those of :meth:`readers` and :meth:`writers` that are readable or writable.
-        """
+        """Read from and write to those of :meth:`readers` and :meth:`writers` that are ready."""
         if self._reverse is not None and self._reverse in ready:
             self._serve_reverse(self._reverse)
         if self._script is not None and self._script in ready:
@@ -132,9 +121,6 @@ class ProgramLink:
         `max_unacknowledged` setpoints unacknowledged. A program that does not read is not detected
         here, since its host buffers and acknowledges setpoints for minutes; `ArmSample.read` shows
         it.
-
-        Args:
-            data: The message, of the size of `MESSAGE`.
         """
         if self._reverse is None:
             return False

@@ -30,7 +30,6 @@ def pack(joints: Sequence[float], mode: ProgramMode, read_timeout: float) -> byt
 
     Args:
         joints: Six joint angles [rad].
-        mode: Mode that is requested of the program.
         read_timeout: Time without another message after which the program stops the arm [s].
 
     Raises:

@@ -16,9 +16,6 @@ RECONNECT_DELAY = 1.0  #: Time from a loss to the next attempt to connect [s]
 class RtdeLink:
     """Keeps a connection to a controller's RTDE port.
 
-    Args:
-        register: Output integer register, see :class:`RtdeSession`.
-
     Attributes:
         loss_reason: Why there is no connection, or why the last one was lost.
         local: Address of this machine in the last connection, or an empty string.
@@ -26,9 +23,6 @@ class RtdeLink:
         texts: Text messages of the controller that have not been read, as many.
         newest: Newest usable data; None before the first. It remains when the connection is lost,
             which its age shows.
-
-    Raises:
-        ParameterError: There is no such register.
     """
 
     def __init__(self, host: str, port: int, register: int) -> None:
@@ -52,12 +46,7 @@ class RtdeLink:
         return {kind: n + self._session.counts[kind] for kind, n in self._counts.items()}
 
     def blocking_reason(self, now: float, timeout: float) -> str:
-        """Return why no data flow, or an empty string.
-
-        Args:
-            now: Time [s].
-            timeout: Age of the newest usable data above which data count as not flowing [s].
-        """
+        """Return why no data flow, or an empty string; older ones than `timeout` [s] do not."""
         if self._socket is None or not self._session.running:
             return self.loss_reason
         age = now - self._session.progress
@@ -72,12 +61,7 @@ class RtdeLink:
         return [self._socket] if self._socket is not None and self._connecting else []
 
     def tick(self, now: float, timeout: float) -> None:
-        """Connect if an attempt is due; give up a connection that does not answer.
-
-        Args:
-            now: Time [s].
-            timeout: How long an answer may take [s].
-        """
+        """Connect if that is due; give up a connection without an answer for `timeout` [s]."""
         if self._socket is None:
             if now >= self._next_attempt:
                 self._connect(now)

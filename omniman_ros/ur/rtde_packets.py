@@ -77,11 +77,7 @@ def start() -> bytes:
 
 
 def accepted(payload: bytes) -> bool:
-    """Return whether the answer to a version or start request is positive.
-
-    Raises:
-        ProtocolError: The payload is not such an answer.
-    """
+    """Return whether an answer to a request is positive; raise ProtocolError if it is none."""
     if len(payload) != 1:
         raise ProtocolError(f"RTDE: an answer must have 1 byte, got {len(payload)}")
     return payload[0] == 1

@@ -81,10 +81,8 @@ class RtdeSession:
             (The guide does not say that a second recipe may be set up on the same connection.)
 
     Attributes:
-        phase: Phase of the dialogue.
         progress: Time of the last positive answer or usable sample [s]; texts and unusable data do
             not count.
-        missing: Outputs that the controller does not have.
         counts: Number of data packets so far by kind: those with "repeated" or "backward"
             timestamps or "implausible" values were discarded; "skipped" counts gaps, after
             which the data were used.
@@ -120,11 +118,7 @@ class RtdeSession:
         return request_version()
 
     def feed(self, data: bytes, now: float) -> bytes:
-        """Process received bytes, and return the bytes to send.
-
-        Args:
-            data: Bytes from the controller, in pieces of any length.
-            now: Time of arrival [s].
+        """Process bytes that came at `now` [s], in pieces of any length; return those to send.
 
         Raises:
             ProtocolError: The controller refuses a request or violates the protocol. The session

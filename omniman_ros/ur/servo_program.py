@@ -95,13 +95,7 @@ end
 
 
 def servo_program(parameters: UrParameters, host: str, port: int) -> str:
-    """Return the text of the program.
-
-    Args:
-        parameters: Parameters of servoj, and the register in which the program counts setpoints.
-        host: Address of this host, to which the program connects.
-        port: TCP port to which the program connects.
-    """
+    """Return the program's text, which connects to a host's address and TCP port."""
     return TEMPLATE.format(
         host=host,
         port=port,

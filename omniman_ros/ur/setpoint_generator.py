@@ -78,12 +78,9 @@ class JointSetpointGenerator:
     faster, and refuses previews that stay so.
 
     Args:
-        limits: Limits of the joints; each setpoint is checked by a :class:`JointGuard`.
         period: Time between two setpoints [s].
 
     Attributes:
-        state: State of the setpoints.
-        settings: Settings of the generator.
         allowed: Share of the speed limits that is allowed.
     """
 
@@ -133,14 +130,7 @@ class JointSetpointGenerator:
         return self.state is GeneratorState.HOLDING
 
     def begin(self, measured: Array, now: float) -> Array:
-        """Begin at rest at the measured angles, and accept previews from now on.
-
-        Args:
-            measured: Joint angles (n,) [rad].
-            now: Time [s].
-
-        Returns:
-            The first setpoint (n,) [rad].
+        """Begin at rest at the measured angles (n,) [rad], and return them as the first setpoint.
 
         Raises:
             GuardError: The measured angles are not finite, or not of n joints.
@@ -251,11 +241,7 @@ class JointSetpointGenerator:
         self.pause()
 
     def pause(self) -> bool:
-        """Brake along the preview, then hold until the next one.
-
-        Returns:
-            Whether a preview was followed.
-        """
+        """Brake along the preview, then hold; return whether a preview was followed."""
         was_following = self.state is GeneratorState.FOLLOWING
         if was_following:
             self.state = GeneratorState.BRAKING
@@ -298,9 +284,6 @@ class JointSetpointGenerator:
 
     def coast(self, now: float) -> Array:
         """Return the setpoint (n,) [rad] of a time that has passed: one more step like the last.
-
-        Args:
-            now: When the setpoint was due, one period after the last one [s].
 
         Raises:
             GuardError: A joint limit is too near; call :meth:`tick` with `measured` None then.

@@ -39,11 +39,7 @@ def error_text(error: OSError) -> str:
 
 
 def address_of(host: str) -> str:
-    """Return the IPv4 address of a host; this may block while a name is resolved.
-
-    Raises:
-        LinkError: The host has no address.
-    """
+    """Return the IPv4 address of a host, for whose name this may block, or raise LinkError."""
     try:
         return socket.gethostbyname(host)
     except (OSError, UnicodeError) as error:
@@ -76,11 +72,7 @@ def listen(port: int, peer: str) -> socket.socket:
 
 
 def connect(host: str, port: int) -> socket.socket:
-    """Return a socket that is being connected; it is connected once it is writable.
-
-    Raises:
-        OSError: Connecting fails at once.
-    """
+    """Return a socket that is connected once it is writable, or raise OSError."""
     sock = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     sock.setblocking(False)
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -92,22 +84,14 @@ def connect(host: str, port: int) -> socket.socket:
 
 
 def check_connected(sock: socket.socket) -> None:
-    """Check the result of connecting.
-
-    Raises:
-        OSError: Connecting has failed.
-    """
+    """Raise OSError if connecting has failed."""
     code = sock.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
     if code:
         raise OSError(code, os.strerror(code))
 
 
 def receive(sock: socket.socket) -> bytes | None:
-    """Return received bytes, b"" at the end of the stream, or None if nothing has arrived.
-
-    Raises:
-        OSError: The connection is lost.
-    """
+    """Return received bytes, b"" at the end, None if there are none; raise OSError if lost."""
     try:
         return sock.recv(READ_SIZE)
     except BlockingIOError:
@@ -115,11 +99,7 @@ def receive(sock: socket.socket) -> bytes | None:
 
 
 def send(sock: socket.socket, data: bytes) -> int:
-    """Send as many bytes as the socket accepts, and return their number.
-
-    Raises:
-        OSError: The connection is lost.
-    """
+    """Send as many bytes as the socket accepts, and return their number, or raise OSError."""
     try:
         return sock.send(data)
     except BlockingIOError:
@@ -138,12 +118,7 @@ def accept(listener: socket.socket) -> Iterator[tuple[socket.socket, str]]:
 
 
 def close(sock: socket.socket | None, reset: bool = False) -> None:
-    """Close a connection.
-
-    Args:
-        sock: Socket of the connection; None if there is none.
-        reset: Whether to discard unsent data (RST); otherwise they are sent, followed by FIN.
-    """
+    """Close a connection, if any: with `reset`, unsent data are discarded (RST)."""
     if sock is None:
         return
     with contextlib.suppress(OSError):

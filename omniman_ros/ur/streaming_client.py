@@ -30,7 +30,6 @@ class StreamingClient:
         receive: Calls :meth:`take` and handles the reports; used while waiting.
 
     Attributes:
-        process: The process; None while there is none.
         resets: Number of resets that were sent to this process; an older report has a lower one.
     """
 
@@ -93,15 +92,7 @@ class StreamingClient:
         return reports
 
     def wait_for(self, condition: Callable[[StreamingReport], bool], timeout: float) -> bool:
-        """Receive reports until one meets a condition.
-
-        Args:
-            condition: Returns whether a report is the awaited one.
-            timeout: Longest wait [s].
-
-        Returns:
-            Whether there was one within the timeout; False if the process has ended.
-        """
+        """Receive reports for `timeout` [s]; return whether one met a condition."""
         end = self._clock() + timeout
         while self.process is not None:
             self._receive()
@@ -127,11 +118,7 @@ class StreamingClient:
         return self.wait_for(lambda r: r.phase is StreamingPhase.IDLE, FINISH_TIMEOUT)
 
     def unlock_protective_stop(self, ur: UrParameters) -> None:
-        """Have the controller unlock its protective stop, and wait until it reports that.
-
-        Raises:
-            ResetRefusedError: Unlocking is not allowed, not possible, or refused.
-        """
+        """Have the protective stop unlocked and wait for it, or raise ResetRefusedError."""
         unlock_for_reset(ur)
         self.wait_for(lambda report: not report.blocking_reason, UNLOCK_TIMEOUT)
 
@@ -141,11 +128,7 @@ class StreamingClient:
             self.process.send(command, *arguments)
 
     def send_stop(self, is_held: bool, reason: str) -> None:
-        """Send the state of the node's latch, once for each change.
-
-        Args:
-            reason: Why the latch is stopped, empty if it is not.
-        """
+        """Send the state of the node's latch and its reason, if any, once for each change."""
         if self.process is None or (is_held, reason) == self._sent_stop:
             return
         self._sent_stop = is_held, reason

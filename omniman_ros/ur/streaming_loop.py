@@ -46,11 +46,7 @@ SUSPEND_TIME = 10.0
 
 
 class GivenClock:
-    """Clock that shows the time it was last given, for simulated time.
-
-    Args:
-        now: First time that it shows [s].
-    """
+    """Clock that shows the time it was last given, for simulated time."""
 
     def __init__(self, now: float) -> None:
         self._now = now
@@ -243,14 +239,7 @@ class StreamingLoop:
 
 
 def make_punctual(priority: int) -> str:
-    """Give this process real-time priority if permitted, and switch garbage collection off.
-
-    Args:
-        priority: Priority of SCHED_FIFO, 1 to 99; 0 requests none.
-
-    Returns:
-        Why the process has no real-time priority, or an empty string.
-    """
+    """Request SCHED_FIFO (1 to 99; 0: no) without garbage collection; return why not, or ""."""
     gc.collect()
     gc.freeze()
     gc.disable()  # a cycle of the loop creates no reference cycles

@@ -29,7 +29,6 @@ class StreamingProcess:
             for the monotonic clock.
 
     Attributes:
-        report: The last report.
         failure: Why the process has ended, or an empty string.
         priority_warning: Why the process has no real-time priority, or an empty string.
     """
@@ -114,11 +113,7 @@ class StreamingProcess:
         self._wake()
 
     def close(self, kill: bool = False) -> None:
-        """End the process, which brings the arm to rest first.
-
-        Args:
-            kill: Whether to kill it without waiting, because it hangs.
-        """
+        """End the process, which brings the arm to rest first unless it hangs and is killed."""
         self._wake = lambda: None
         self._channel.shut_down()
         try:

@@ -50,8 +50,6 @@ class StreamingSupervisor:
     position.
 
     Attributes:
-        phase: Phase of the streaming.
-        stop_reason: Reason of the latched stop, or an empty string.
         failure: Why the first program since :meth:`start` did not start, or an empty string.
         ages: Age of the newest setpoint that the program had read, for each sample since the last
             report [s].
@@ -165,12 +163,7 @@ class StreamingSupervisor:
     # ---- cycle ----------------------------------------------------------------------------------
 
     def check(self, samples: Sequence[ArmSample], now: float) -> None:
-        """Check the received data, and whether data are overdue.
-
-        Args:
-            samples: New real-time data, oldest first.
-            now: Time [s].
-        """
+        """Check received samples, oldest first, and whether data are overdue at `now` [s]."""
         if self.phase is StreamingPhase.IDLE:
             return
         reason = self.blocking_reason
@@ -197,7 +190,6 @@ class StreamingSupervisor:
         Args:
             due: Time at which it is due, one period after the last one [s]; the setpoint is that
                 of `ur.servo_lag` later.
-            now: Time [s].
         """
         if self.phase not in (StreamingPhase.STREAMING, StreamingPhase.ENDING):
             return
