@@ -28,14 +28,7 @@ SIMULATED_CONTROLLER_TIMEOUTS = ("ur.read_timeout:=0.2", "ur.feedback_timeout:=0
 
 
 def resolve_arm(arm: str | None, drive: str, sim_time: bool) -> str:
-    """Return the kind of arm to start.
-
-    Args:
-        arm: Value of `--arm`. None selects a simulated arm, but no arm with real drives.
-        drive: Value of `--drive`.
-
-    Returns:
-        A name in `ARMS`.
+    """Return the kind of arm; without `--arm` a simulated one, but none with real drives.
 
     Raises:
         CommandError: A real arm was requested together with simulated time.

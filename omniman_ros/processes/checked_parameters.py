@@ -23,7 +23,6 @@ def robot_values(
     """Return the parameters of a robot, of which the platform can be driven.
 
     Args:
-        robot: Name of a robot of the package, or path of a robot's file.
         file: Path of a ROS parameter file, whose values for all nodes go before those of the
             robot.
         values: Values of single parameters by name, which go before both.
@@ -47,11 +46,7 @@ def robot_values(
 
 
 def check_node(node: str, namespace: str, arguments: Sequence[str]) -> None:
-    """Check the parameters of a node as the node does when it starts.
-
-    Raises:
-        CommandError: The node would refuse its parameters, or a file cannot be read.
-    """
+    """Raise CommandError for parameters that a node would refuse when it starts."""
     given, sources = _given("/".join(("", *namespace.strip("/").split("/"), node)), arguments)
     robot = str(given.get("robot", "omniman"))
     try:
@@ -75,14 +70,7 @@ def _robot(robot: str) -> dict[str, Any]:
 
 
 def _given(node: str, arguments: Sequence[str]) -> tuple[dict[str, Any], dict[str, str]]:
-    """Return the parameters on a command line, and where each is from, for messages.
-
-    Args:
-        arguments: ROS arguments; later ones go before earlier ones.
-
-    Raises:
-        CommandError: A file cannot be read, or a value is not YAML.
-    """
+    """Return the parameters of ROS arguments, later ones first, and where each is from."""
     given: dict[str, Any] = {}
     sources: dict[str, str] = {}
     for option, argument in pairwise(arguments):

@@ -35,16 +35,7 @@ SIMULATED_BUS_TIMEOUTS = (
 
 
 def find_settings_file(kind: str, folder: str, name: str) -> str:
-    """Return the path of a file with parameters.
-
-    Args:
-        kind: What the file describes, for the error message.
-        folder: Folder in `config/` to which a name without suffix refers.
-        name: Name of the file without `.yaml`, or its path.
-
-    Raises:
-        CommandError: There is no such file.
-    """
+    """Return the path of a file, named by path or without `.yaml`, or raise CommandError."""
     path = Path(name).expanduser()
     if path.suffix in (".yaml", ".yml"):
         if path.is_file():
@@ -67,9 +58,6 @@ def private_bus_arguments(namespace: str = "") -> list[str]:
 
     Each ROS domain has a bus of its own, and so has each namespace in it, unless two of them fall
     into the same of `NAMESPACE_SLOTS` slots.
-
-    Args:
-        namespace: Namespace of the robot, with or without slashes at its ends.
     """
     domain = int(os.environ.get("ROS_DOMAIN_ID", "0"))
     name = namespace.strip("/").encode()
@@ -89,9 +77,6 @@ def simulated_bus_arguments(namespace: str, sim_time: bool) -> dict[str, list[st
 
     On real time, they are on a bus of UDP multicast. In simulated time, which waits for both, they
     exchange frames over TCP, and all timeouts are those of the installation.
-
-    Args:
-        namespace: Namespace of the robot, with or without slashes at its ends.
     """
     bridge, drives = "can_bridge", "simulated_can_drives"
     if not sim_time:

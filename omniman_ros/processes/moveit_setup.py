@@ -17,12 +17,7 @@ PARAMETERS = frozenset(
 def moveit_configuration(
     robot: str, file: str | None = None, values: Mapping[str, Any] | None = None
 ) -> MoveItConfiguration:
-    """Return the configuration of MoveIt for a robot.
-
-    Args:
-        robot: Name of a robot of the package, or path of a robot's file.
-        file: Path of a ROS parameter file, whose values go before those of the robot.
-        values: Values of single parameters by name, which go before both.
+    """Return the configuration of MoveIt for a robot; see :func:`robot_values`.
 
     Raises:
         OmnimanError: A file cannot be read, a value is refused, or the robot has no arm.

@@ -41,14 +41,10 @@ def nav2_parameters(
     namespace: str = "",
     keeps_out: bool = False,
 ) -> dict[str, Any]:
-    """Return the parameters of Nav2's nodes for a robot.
+    """Return the parameters of Nav2's nodes for a robot; see :func:`robot_values`.
 
     Args:
-        robot: Name of a robot of the package, or path of a robot's file.
-        file: Path of a ROS parameter file, whose values go before those of the robot.
-        values: Values of single parameters by name, which go before both; `footprint.posture` is
-            the posture in which the arm is driven around.
-        namespace: Namespace of the robot and of Nav2's nodes; empty for none.
+        values: `footprint.posture` is the posture in which the arm is driven around.
         keeps_out: Whether the costmaps have zones that the robot keeps out of.
 
     Raises:

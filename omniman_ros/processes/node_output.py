@@ -30,37 +30,26 @@ class PrefixedPrinter:
         self._lock = threading.Lock()
 
     def __call__(self, name: str, line: str) -> None:
-        """Print a line of the output of a process."""
+        """Print a line of a process."""
         with self._lock:
             say(self._prefixes[name] + line)
 
 
 class NodeOutputLog:
-    """Keeps the last lines of the nodes' output, to print them on stderr after a failure.
-
-    Args:
-        verbose: Whether to print every line at once instead.
-    """
+    """Keeps the last lines of the nodes' output, to print them on stderr after a failure."""
 
     def __init__(self, verbose: bool = False) -> None:
         self._verbose = verbose
         self._lines: deque[str] = deque(maxlen=KEPT_LINES)
 
     def __call__(self, name: str, line: str) -> None:
-        """Add a line of the output of a node."""
+        """Add a line of a node."""
         self._lines.append(f"  [{name}] {line}")
         if self._verbose:
             say(f"[{name}] {line}", sys.stderr)
 
     def find(self, name: str, pattern: re.Pattern[str]) -> str:
-        """Search the kept lines of a node, the latest first.
-
-        Args:
-            pattern: Pattern with one group.
-
-        Returns:
-            The group in the latest line that matches, or an empty string if none does.
-        """
+        """Return the group of a pattern in a node's latest kept line that matches it, or ""."""
         for line in reversed(self._lines):
             match = pattern.search(line) if line.startswith(f"  [{name}] ") else None
             if match:

@@ -11,9 +11,6 @@ from omniman_ros.console.session import ANNOUNCEMENT_TIME, Session
 def refuse_other_robots(check: Callable[[], None]) -> None:
     """Check that there is no robot in this ROS domain before nodes are started in it.
 
-    Args:
-        check: Called repeatedly during the search; it may raise an error, which ends the search.
-
     Raises:
         CommandError: There is a robot: commands meant for the new one would drive it as well,
             and both drives would publish on the same topics.

@@ -67,7 +67,6 @@ class ProcessExit:
         return self.asked and self.code == -signal.SIGINT
 
     def __str__(self) -> str:
-        """Return a clause that says how the process ended."""
         if self._was_at_rest:
             return f"{self.name} came to rest, but its middleware did not shut down (SIGALRM)"
         if self.code >= 0:
@@ -85,14 +84,8 @@ class ReceivedSignal:
 class _Child:
     """A running process of a group.
 
-    Args:
-        events: Queue into which the end of the process is put.
-        on_line: Called with name and line for each line of output, from a thread.
-
     Attributes:
-        spec: Process that is run.
         code: Exit code once the group has recorded it; None before that.
-        process: Handle of the process.
     """
 
     def __init__(
@@ -204,14 +197,7 @@ class ProcessGroup:
         self._events.put(ReceivedSignal(number))
 
     def next_event(self, timeout: float | None = None) -> ProcessExit | ReceivedSignal | None:
-        """Wait for the end of an essential process, or for a signal.
-
-        Args:
-            timeout: Longest time to wait for an event [s]; unlimited if None.
-
-        Returns:
-            The event, or None if there was none within the timeout.
-        """
+        """Wait for an essential process's end or a signal, up to `timeout` [s] or for ever."""
         while True:
             event = self._next_event(timeout)
             if not isinstance(event, ProcessExit) or self._children[event.name].spec.essential:
@@ -232,12 +218,7 @@ class ProcessGroup:
         return event
 
     def check(self) -> None:
-        """Raise an error if there is an event, without waiting for one.
-
-        Raises:
-            CommandError: An essential process has ended.
-            KeyboardInterrupt: A signal was received.
-        """
+        """Raise CommandError if an essential process ended, KeyboardInterrupt after a signal."""
         event = self.next_event(0.0)
         if isinstance(event, ProcessExit):
             raise CommandError(str(event))
@@ -245,12 +226,9 @@ class ProcessGroup:
             raise KeyboardInterrupt
 
     def stop(self, number: int = signal.SIGINT) -> bool:
-        """Send a signal to each stage once the previous stage has ended, and wait for all.
+        """Signal each stage once the previous one has ended; return whether all ended well.
 
         A signal that is received meanwhile kills the processes that still run.
-
-        Returns:
-            Whether every process that was running ended by itself, successfully.
         """
         all_succeeded = True
         for stage in sorted({child.spec.stage for child in self._children.values()}):
@@ -269,11 +247,7 @@ class ProcessGroup:
         ]
 
     def _wait_for(self, members: list[_Child]) -> bool:
-        """Wait until processes have ended, and kill them after the timeout.
-
-        Returns:
-            Whether all processes that ended meanwhile did so by themselves, successfully.
-        """
+        """Wait for processes, kill them after the timeout; return whether all ended well."""
         all_succeeded = True
         deadline = time.monotonic() + self._stop_timeout
         while any(child.code is None for child in members):
@@ -308,11 +282,7 @@ def redirect_signals(
     receive: Callable[[int], None],
     numbers: Sequence[int] = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP),
 ) -> Iterator[None]:
-    """Pass signals to a function instead of to their handlers, within a `with` block.
-
-    Args:
-        receive: Called with the number of each signal, in the main thread.
-    """
+    """Pass signals to a function instead of to their handlers, in the main thread."""
 
     def handler(number: int, frame: FrameType | None) -> None:
         receive(number)

@@ -152,10 +152,7 @@ class RobotSetup:
 
 
 def robot_processes(setup: RobotSetup) -> list[ProcessSpec]:
-    """Return the processes of a robot's nodes.
-
-    Returns:
-        A process for each chosen node. A node that was requested by name is essential.
+    """Return a process for each chosen node; one that was requested by name is essential.
 
     Raises:
         CommandError: The robot, a node, the installation, the controller or a file does not
@@ -257,14 +254,7 @@ def _arm_arguments(
 
 
 def resolve_robot(robot: str) -> str:
-    """Return a robot's name unchanged, or the absolute path of its file.
-
-    Args:
-        robot: Name of a robot of the package, or path of a robot's file.
-
-    Raises:
-        CommandError: There is no such robot.
-    """
+    """Return a robot's name, or its file's absolute path; raise CommandError for others."""
     try:
         path = robot_file(robot)
     except ParameterError as error:
@@ -273,11 +263,7 @@ def resolve_robot(robot: str) -> str:
 
 
 def node_command(node: str, arguments: Sequence[str]) -> tuple[str, ...]:
-    """Return the command line of a node that ends when this process does.
-
-    Args:
-        node: Name of an executable of the package, or of a module with `main(args)`.
-    """
+    """Return the command line of a node that ends when this process does."""
     runner = "omniman_ros.processes.run_node"
     return (sys.executable, "-m", runner, str(os.getpid()), node, *arguments)
 

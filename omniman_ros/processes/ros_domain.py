@@ -37,14 +37,7 @@ def free_domain() -> int:
 
 
 def isolate_ros_domain(environment: MutableMapping[str, str]) -> int:
-    """Choose a free domain and restrict discovery to this machine, unless the user has set them.
-
-    Args:
-        environment: Environment variables, to which the missing ones are added.
-
-    Returns:
-        The domain.
-    """
+    """Choose and return a free domain on this machine alone, unless the user has set them."""
     environment.setdefault("ROS_DOMAIN_ID", str(free_domain()))
     environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     return int(environment["ROS_DOMAIN_ID"])
