@@ -143,11 +143,7 @@ class Axis(Protocol):
 
 
 class WrappingCounter:
-    """Unwraps the readings of an integer counter that overflows in both directions.
-
-    Attributes:
-        value: Unwrapped value of the latest reading.
-    """
+    """Unwraps the readings of an integer counter that overflows in both directions."""
 
     def __init__(self, bits: int = 32) -> None:
         self._span = 1 << bits

@@ -7,14 +7,7 @@ from omniman_ros.can_drives.frame import Frame
 
 
 class AxisGroup:
-    """Passes frames and demands to the axes of all wheels, and says what they have in common.
-
-    Args:
-        axes: One axis per wheel, in the robot's order.
-
-    Attributes:
-        axes: These axes.
-    """
+    """Passes frames and demands to the axes of all wheels, in the robot's order."""
 
     def __init__(self, axes: Sequence[Axis]) -> None:
         self.axes = tuple(axes)
@@ -43,11 +36,7 @@ class AxisGroup:
                 axis.reset(now)
 
     def receive(self, frame: Frame, now: float) -> tuple[int, Receipt] | None:
-        """Pass a frame to the axis whose drive has sent it.
-
-        Returns:
-            Number of the axis, and how it dealt with the frame; None if no drive has sent it.
-        """
+        """Pass a frame to the axis whose drive has sent it; return its number and receipt."""
         key = (frame.id, frame.extended)
         owner = self._owners.get(key)
         candidates = range(len(self.axes)) if owner is None else (owner,)

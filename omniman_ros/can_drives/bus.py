@@ -56,7 +56,6 @@ class CanBus(Bus):
     until it is readable and :meth:`take` reads the frames; otherwise the thread reads them.
 
     Args:
-        p: Interface, channel and bit rate.
         wake: Called from the thread when frames have arrived, after which :meth:`take` must be
             called; None if there is nothing to call.
 

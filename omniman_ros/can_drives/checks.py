@@ -12,11 +12,7 @@ IMPOSSIBLE_SPEED = 3.0
 
 
 def require_positive(settings: AxisSettings, *names: str) -> None:
-    """Check that settings by which a codec divides are finite and above zero.
-
-    Raises:
-        ParameterError: One of the fields is not finite or not above zero.
-    """
+    """Raise ParameterError unless settings by which a codec divides are finite and above zero."""
     for name in names:
         value = getattr(settings, name)
         if not (math.isfinite(value) and value > 0.0):
@@ -24,11 +20,7 @@ def require_positive(settings: AxisSettings, *names: str) -> None:
 
 
 def clip_setpoint(setpoint: Setpoint, settings: AxisSettings) -> Setpoint:
-    """Clip a setpoint to the largest speed and torque; a voltage is not clipped.
-
-    Raises:
-        ValueError: The value or the feed-forward torque is not finite.
-    """
+    """Clip speed and torque, not voltage; raise ValueError if the setpoint is not finite."""
     value, torque = setpoint.value, setpoint.feedforward
     if not (math.isfinite(value) and math.isfinite(torque)):
         raise ValueError(f"setpoint of {settings.name} must be finite: {value}, {torque}")
@@ -42,14 +34,10 @@ def clip_setpoint(setpoint: Setpoint, settings: AxisSettings) -> Setpoint:
 
 
 def is_reachable(step: float, elapsed: float, settings: AxisSettings) -> bool:
-    """Return whether a shaft can have rotated by a step between two reports.
+    """Return whether a shaft can rotate by a step [rad] between reports `elapsed` [s] apart.
 
     Reports may be late: each may be as old as the feedback timeout, on top of the time that
     elapsed between the receptions. After a long silence nearly any step is reachable.
-
-    Args:
-        step: Change of the position [rad].
-        elapsed: Time between the receptions of the two reports [s].
     """
     longest_time = max(elapsed, 0.0) + settings.feedback_timeout
     return abs(step) <= IMPOSSIBLE_SPEED * settings.max_speed * longest_time + 0.5 * math.pi

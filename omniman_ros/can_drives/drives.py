@@ -54,12 +54,6 @@ class CanDrives:
     * After a stop, when all wheels are at rest, the power is switched off. Enabling begins at zero
       speed.
 
-    Attributes:
-        axes: One axis per wheel, in the robot's order.
-        phase: Phase of the drives.
-        stop_reason: Why all drives are stopped, or an empty string.
-        host_detector: Detector of a second host, with the counts of frames that were not used.
-
     Raises:
         ParameterError: The installation does not fit the robot.
     """
@@ -105,11 +99,7 @@ class CanDrives:
         self._is_listening = True
 
     def enable(self, now: float) -> None:
-        """Begin to enable all drives at zero speed; `tick` continues until the phase is DRIVING.
-
-        Raises:
-            InputError: The drives are not configured, or stopped.
-        """
+        """Enable all drives at zero speed over the next ticks, or raise InputError if not IDLE."""
         if self.phase in (Phase.UNCONFIGURED, Phase.CONFIGURING):
             raise InputError(f"the drives are {self.phase.value}")
         if self.stop_reason:
@@ -123,11 +113,7 @@ class CanDrives:
             self._begin_stop(now)
 
     def stop(self, reason: str, now: float) -> list[Frame]:
-        """Latch a quick stop of all drives until :meth:`reset`.
-
-        Returns:
-            Frames to send at once.
-        """
+        """Latch a quick stop of all drives until :meth:`reset`; return frames to send at once."""
         if self.stop_reason:
             return []
         self._latch(reason, now)
@@ -168,14 +154,7 @@ class CanDrives:
         self._feedback.restart_monitors()
 
     def set_command(self, command: WheelCommand, now: float, age: float = 0.0) -> str:
-        """Set the command to follow, wheels in the robot's order.
-
-        Args:
-            now: Time [s].
-            age: Age of the command [s].
-
-        Returns:
-            Why the command is not used, or an empty string.
+        """Set the command, `age` [s] old, of wheels in the robot's order; return why not, or "".
 
         Raises:
             InputError: The command is invalid or stale; the last one remains, and ages on.
@@ -391,9 +370,5 @@ class CanDrives:
         return self._feedback.take_states(self._last_tick, self._tick_before)
 
     def electrical(self, dt: float) -> Array:
-        """Return voltage [V], current [A] and energy [J] of each motor, (n, 3).
-
-        Args:
-            dt: Time since the last call, by which the energy grows [s].
-        """
+        """Return voltage [V], current [A], energy [J] grown over `dt` [s], of motors (n, 3)."""
         return self._feedback.electrical(dt)

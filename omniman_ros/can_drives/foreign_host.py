@@ -17,9 +17,6 @@ class ForeignHostDetector:
 
     Args:
         command_ids: Ids, and whether they are extended, that only a host sends.
-
-    Attributes:
-        counts: Number of frames that were not used, by "echo", "unknown" and "malformed".
     """
 
     def __init__(self, command_ids: Iterable[tuple[int, bool]]) -> None:

@@ -29,12 +29,6 @@ class CanLink:
         clock: Returns the time of a steady clock [s].
         wake: Called from another thread when frames wait for :meth:`receive`; None if unused.
 
-    Attributes:
-        drives: The policy.
-        bus: The bus.
-        sent: Number of frames sent.
-        received: Number of frames received.
-
     Raises:
         ParameterError: The installation does not fit the robot.
         BusError: The bus cannot be opened.
@@ -96,29 +90,14 @@ class CanLink:
         self.drives.reset(self._clock())
 
     def reopen_failed_bus(self) -> None:
-        """Open the bus anew if it has failed: an interface that is back needs a new connection.
-
-        Raises:
-            BusError: The bus cannot be opened; the next call tries again.
-        """
+        """Open the bus anew if it has failed, or raise BusError; the next call tries again."""
         if self._has_bus_failed:
             self.bus.close()
             self.bus = self._open_bus()
             self._has_bus_failed = False
 
     def set_command(self, command: WheelCommand, age: float) -> str:
-        """Set the command to follow; see :meth:`CanDrives.set_command`.
-
-        Args:
-            command: The command, wheels in the robot's order.
-            age: Age of the command [s].
-
-        Returns:
-            Why the command is not used, or an empty string.
-
-        Raises:
-            InputError: The command is invalid or stale.
-        """
+        """Set the command to follow; see :meth:`CanDrives.set_command`."""
         return self.drives.set_command(command, self._clock(), age)
 
     def update_parameters(self, robot: Robot, p: CanParameters) -> None:
@@ -162,11 +141,7 @@ class CanLink:
         return self.drives.take_states()
 
     def electrical(self, dt: float) -> Array:
-        """Return voltage [V], current [A] and energy [J] of each motor, (n, 3).
-
-        Args:
-            dt: Time since the last call, by which the energy grows [s].
-        """
+        """Return the motors' values; see :meth:`CanDrives.electrical`."""
         return self.drives.electrical(dt)
 
     @property
@@ -229,14 +204,7 @@ class CanLink:
         return self.drives.on_bus_failure(reason, self._clock())
 
     def run_until(self, done: Callable[[], bool], timeout: float) -> bool:
-        """Run periods until a condition holds.
-
-        Args:
-            timeout: Longest time to wait [s].
-
-        Returns:
-            Whether the condition held in time.
-        """
+        """Run periods for up to `timeout` [s]; return whether a condition held in time."""
         now = self._clock()
         end, due = now + timeout, now
         while not done():

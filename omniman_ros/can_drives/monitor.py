@@ -34,14 +34,7 @@ class WheelMonitor:
         self._at = None
 
     def check(self, feedback: Feedback, ratio: float, max_speed: float, min_supply: float) -> str:
-        """Return why a new report cannot be accepted, or an empty string.
-
-        Args:
-            feedback: The report, at the motor's shaft.
-            ratio: Revolutions of the motor per revolution of the wheel.
-            max_speed: Largest speed of the wheel [rad/s].
-            min_supply: Lowest supply voltage [V].
-        """
+        """Return why a report at the motor's shaft cannot be accepted, or an empty string."""
         speed = feedback.velocity / ratio
         if abs(speed) > RUNAWAY_SPEED * max_speed:
             return f"runs away at {speed:.1f} rad/s, the limit is {max_speed:.1f} rad/s"

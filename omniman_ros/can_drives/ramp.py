@@ -19,12 +19,7 @@ class SpeedRamp:
         self._at, self._is_catching_up = None, True
 
     def begin(self, speeds: Array, at: float | None = None) -> None:
-        """Start from given speeds.
-
-        Args:
-            speeds: Wheel speeds (n,) [rad/s].
-            at: Time of these speeds [s]; None means the time of the next call.
-        """
+        """Start from speeds (n,) [rad/s] of a time [s], or else of the next call's."""
         self._speeds, self._at, self._is_catching_up = speeds, at, True
 
     def step_to_rest(self, deceleration: float, now: float) -> Array:
@@ -32,7 +27,6 @@ class SpeedRamp:
 
         Args:
             deceleration: Deceleration of the fastest wheel [rad/s^2].
-            now: Time [s].
         """
         step, fastest = self._step(deceleration, now), float(np.abs(self._speeds).max())
         self._is_catching_up = True
@@ -44,9 +38,7 @@ class SpeedRamp:
         """Return the next speeds (n,) [rad/s] of the ramp to a command, then the command itself.
 
         Args:
-            target: Commanded speeds (n,) [rad/s].
             acceleration: Acceleration of the wheel with the largest change [rad/s^2].
-            now: Time [s].
         """
         step = self._step(acceleration, now)
         if self._is_catching_up:

@@ -23,22 +23,14 @@ class HasSocket(Protocol):
 
 
 def enlarge_receive_buffer(bus: HasSocket) -> None:
-    """Have a bus over UDP keep the frames that arrive while its reader waits for a core.
-
-    Raises:
-        OSError: The descriptor is not that of a socket.
-    """
+    """Have a bus over UDP keep the frames that arrive while its reader waits for a core."""
     # A second descriptor of the same socket: the first one remains that of the bus.
     with socket.socket(fileno=os.dup(bus.fileno())) as own:
         own.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
 
 
 def is_invalid_frame(error: Exception) -> bool:
-    """Return whether a received item was no frame; otherwise the bus itself cannot be read.
-
-    Args:
-        error: Error that the bus raised when it was read.
-    """
+    """Return whether a received item was no frame; otherwise the bus itself cannot be read."""
     import can
 
     if isinstance(error, can.CanError):

@@ -20,9 +20,6 @@ class SetpointGenerator:
 
     A stale command becomes a ramp to rest on the curve that the robot is on.
 
-    Args:
-        axes: One axis per wheel, in the robot's order.
-
     Attributes:
         max_speed: Largest wheel speed that a command may have [rad/s].
     """
@@ -45,11 +42,6 @@ class SetpointGenerator:
 
     def check(self, command: WheelCommand, at: float, now: float) -> None:
         """Check that a command is valid and fresh.
-
-        Args:
-            command: The command, wheels in the robot's order.
-            at: Time of the command [s].
-            now: Time [s].
 
         Raises:
             InputError: The command is stale, its mode is not the installation's, or it has values
@@ -108,7 +100,6 @@ class SetpointGenerator:
         Args:
             speeds: Measured wheel speeds (n,) [rad/s], at which a ramp after torques or voltages
                 begins.
-            now: Time [s].
         """
         p = self._parameters
         command = self._command

@@ -30,19 +30,13 @@ class Transmission:
 
         Args:
             torque: Torque at the wheel [N m]; it is clipped to `max_torque`.
-            velocity: Speed of the wheel [rad/s].
         """
         torque = min(max(torque, -self.max_torque), self.max_torque)
         factor = 1.0 / self.efficiency if _is_driving(torque, velocity) else self.efficiency
         return torque * factor / self.ratio
 
     def to_wheel(self, torque: float, velocity: float) -> float:
-        """Return the torque at the wheel [N m] for a torque at the motor.
-
-        Args:
-            torque: Torque at the motor [N m].
-            velocity: Speed of the wheel [rad/s].
-        """
+        """Return the torque at the wheel for one at the motor [N m] and a wheel speed [rad/s]."""
         lossless = torque * self.ratio
         is_driving = _is_driving(lossless, velocity)
         return lossless * self.efficiency if is_driving else lossless / self.efficiency
@@ -54,7 +48,6 @@ class Transmission:
             value: Wheel speed [rad/s] in velocity mode; unused in others.
             effort: Torque at the wheel [N m], the feed-forward in velocity mode and the command in
                 torque mode; motor voltage [V] in voltage mode.
-            velocity: Measured wheel speed [rad/s].
         """
         if mode is DriveMode.VELOCITY:
             return Setpoint(mode, value * self.ratio, self.to_motor(effort, value))
@@ -67,10 +60,6 @@ class Transmission:
 
         The torque is tau = K (V - K w) / R (MPC 2021 (21), L = 0). The measured supply voltage
         limits the voltage, as it does at the motor.
-
-        Args:
-            setpoint: Setpoint of the motor voltage [V].
-            feedback: Measured speed and supply voltage of the motor.
         """
         supply = feedback.bus_voltage
         limit = min(supply, self.max_voltage) if supply > 0.0 else self.max_voltage
@@ -120,11 +109,7 @@ def max_wheel_speed(robot: Robot, p: CanParameters) -> float:
 
 
 def axis_settings(robot: Robot, p: CanParameters) -> tuple[AxisSettings, ...]:
-    """Return the settings of each axis, wheels in the robot's order.
-
-    Raises:
-        ParameterError: The parameters do not fit the robot.
-    """
+    """Return the axes' settings in the robot's order; raise ParameterError if they do not fit."""
     p.check(robot)
     gears = transmissions(robot, p)
     speed = max_wheel_speed(robot, p)

@@ -32,12 +32,7 @@ class WheelStates:
 
 
 class WheelFeedback:
-    """Converts the feedback of the axes into measurements of the wheels.
-
-    Args:
-        axes: One axis per wheel, in the robot's order.
-        samples_at_sync: Whether the drives measure at the SYNC of a period.
-    """
+    """Converts the feedback of the axes into measurements of the wheels."""
 
     def __init__(
         self,
@@ -101,12 +96,7 @@ class WheelFeedback:
         return np.clip(self.velocity(), -self._max_believed_speed, self._max_believed_speed)
 
     def take_states(self, last_tick: float, tick_before: float) -> WheelStates | None:
-        """Return the states of all wheels whenever all have reported again, else None.
-
-        Args:
-            last_tick: Time of the last period [s].
-            tick_before: Time of the period before [s].
-        """
+        """Return all wheels' states once all have reported; the last two periods' times in [s]."""
         feedback = [axis.feedback for axis in self._axes]
         counts = [report.count for report in feedback]
         if any(count == taken for count, taken in zip(counts, self._taken, strict=True)):
@@ -128,11 +118,7 @@ class WheelFeedback:
         return WheelStates(at, *table)
 
     def electrical(self, dt: float) -> Array:
-        """Return voltage [V], current [A] and energy [J] of each motor, (n, 3).
-
-        Args:
-            dt: Time since the last call, by which the energy grows [s].
-        """
+        """Return the motors' values; see :meth:`CanDrives.electrical`."""
         rows = np.array(
             [
                 gear.electrical(axis.feedback)

@@ -110,7 +110,6 @@ class Cia402Axis:
         self._forget()
 
     def _forget(self) -> None:
-        """Forget all reports of the drive."""
         self._watch.begin()
         self._nmt: NmtState | None = None
         self._sdo_sent_at = -math.inf
@@ -147,7 +146,6 @@ class Cia402Axis:
 
     @property
     def _is_configured(self) -> bool:
-        """Whether the drive is configured, as far as is known."""
         return self.state not in (AxisState.OFFLINE, AxisState.CONFIGURING)
 
     def _clear(self) -> None:
@@ -350,7 +348,6 @@ class Cia402Axis:
         return frames
 
     def _supervise(self, demand: Demand, now: float) -> None:
-        """Detect missing reports and ignored commands."""
         if loss := self._watch.loss(now):
             self._lose(*loss)
             self._restart_counter()

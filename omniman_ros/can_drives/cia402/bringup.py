@@ -42,7 +42,6 @@ class BringUp:
 
         Args:
             reported: State that the drive's heartbeat has reported since its start.
-            now: Time [s].
         """
         if not self._has_begun:
             self._has_begun = True

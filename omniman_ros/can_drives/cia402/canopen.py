@@ -64,11 +64,7 @@ def sync() -> Frame:
 
 
 def heartbeat(node: int, state: NmtState) -> Frame:
-    """Return a heartbeat of a node; CiA 301 7.2.8.3.2.2.
-
-    Raises:
-        InputError: The node is not one of 1 to 127.
-    """
+    """Return a heartbeat of a node 1 to 127 (or raise InputError); CiA 301 7.2.8.3.2.2."""
     return Frame(HEARTBEAT + _checked_node(node), bytes((state,)))
 
 
@@ -131,11 +127,7 @@ class Entry:
         return self.index << 16 | self.sub << 8 | 8 * self.size
 
     def pack(self, value: int) -> bytes:
-        """Return the bytes of a value.
-
-        Raises:
-            InputError: The value does not fit.
-        """
+        """Return the bytes of a value; raise InputError if it does not fit."""
         try:
             return struct.pack("<" + self.format, value)
         except struct.error as error:
@@ -160,11 +152,7 @@ def download(node: int, entry: Entry, value: int) -> Frame:
 
 
 def upload(node: int, entry: Entry) -> Frame:
-    """Return a request to read an entry; CiA 301 7.2.4.3.6.
-
-    Raises:
-        InputError: The node is not one of 1 to 127.
-    """
+    """Return a request to read an entry of a node 1 to 127; CiA 301 7.2.4.3.6."""
     head = struct.pack("<BHB", 0x40, entry.index, entry.sub)
     return Frame(SDO_REQUEST + _checked_node(node), head + bytes(4))
 

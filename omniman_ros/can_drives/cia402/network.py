@@ -15,9 +15,6 @@ class CanopenNetwork:
 
     Both frames are sent only from the periodic update of the drives: when the host hangs, its
     heartbeat ends and the drives stop.
-
-    Raises:
-        InputError: The settings are empty.
     """
 
     def __init__(self, settings: tuple[AxisSettings, ...]) -> None:

@@ -42,20 +42,12 @@ Steps = Generator[Request, SdoAnswer, T]
 
 
 def read(entry: Entry) -> Steps[int]:
-    """Read an entry and return its value.
-
-    Raises:
-        SdoError: The server aborted the request.
-    """
+    """Read an entry and return its value; raise SdoError if the server aborts that."""
     return answer_value(entry, (yield Request(entry)))
 
 
 def answer_value(entry: Entry, answer: SdoAnswer) -> int:
-    """Return the value in the answer to a read.
-
-    Raises:
-        SdoError: The server aborted the request.
-    """
+    """Return the value in the answer to a read; raise SdoError if that was aborted."""
     if answer.data is None:
         raise SdoError(f"SDO {entry}: abort {abort_text(answer.abort)}")
     return entry.unpack(answer.data)
@@ -93,7 +85,6 @@ class SdoDialogue(Generic[T]):
 
     Attributes:
         result: Result of the dialogue; None before its end, or if it failed.
-        failure: Why the dialogue failed, or an empty string.
     """
 
     def __init__(self, node: int, steps: Steps[T]) -> None:

@@ -138,11 +138,7 @@ def check_settings(settings: AxisSettings) -> None:
 
 
 def drive_numbers(settings: AxisSettings) -> DriveNumbers:
-    """Convert settings to the drive's units.
-
-    Raises:
-        ParameterError: A setting does not fit; a time of 0 would switch a watchdog off.
-    """
+    """Convert settings to the drive's units; raise ParameterError if one does not fit."""
     ramp = settings.quick_stop_deceleration / math.tau * settings.velocity_scale
     cycle, exponent = _cycle(settings.period)
     return DriveNumbers(

@@ -91,12 +91,7 @@ def pds_state(statusword: int) -> PdsState | None:
 
 
 class FaultReset:
-    """Repeats rising edges of the controlword's bit 7 until the fault is gone or the time is over.
-
-    Args:
-        now: Time at which the reset begins [s].
-        period: Time between two controlwords [s].
-    """
+    """Repeats rising edges of the controlword's bit 7 every `period` [s], for a limited time."""
 
     #: Shortest time between two edges [s]: some drives do not read the controlword more often
     HOLD_TIME = 0.02

@@ -85,10 +85,8 @@ class Watch:
         """Yield the commands that the drive does not follow.
 
         Args:
-            state: State that the drive reports.
             shown: Mode of operation that the drive reports.
             requested: Mode of operation that was requested.
-            now: Time [s].
         """
         enabled = state is PdsState.ENABLED
         wrong = enabled and demand is Demand.DRIVE and shown != requested
