@@ -16,7 +16,7 @@ from omniman_ros.console.errors import CommandError
 from omniman_ros.console.progress import Progress
 from omniman_ros.console.session import DISCOVERY_TIMEOUT, Session
 from omniman_ros.conversions.geometry import yaw_from_quaternion
-from omniman_ros.nodes.trajectory_interfaces.motion_status import MotionEvent
+from omniman_ros.nodes.trajectory_interfaces.motion_log import MotionEvent
 
 ANSWER_TIMEOUT = 2.0  #: Time within which the node must answer a service [s]
 #: Names of the nodes that may move the tool; one of them takes its paths

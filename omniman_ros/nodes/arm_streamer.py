@@ -7,8 +7,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.stop import StopState
-from omniman_ros.nodes.arm_limit import ArmLimit
-from omniman_ros.nodes.arm_preview_input import ArmPreviewInput
+from omniman_ros.nodes.arm_preview_input import ArmLimit, ArmPreviewInput
 from omniman_ros.nodes.arm_reports import ArmReportPublisher
 from omniman_ros.nodes.arm_streamer_parameters import ArmStreamerParameters
 from omniman_ros.nodes.hardware_hooks import HardwareError, HardwareLostError

@@ -1,27 +1,60 @@
 """Node `can_bridge`: wheel commands to motor drives on a CAN bus, and their feedback back."""
 
 import sys
+from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray, UInt32MultiArray
 
-from omniman_ros.conversions.wheels import wheel_command_from_message
+from omniman_ros.conversions.wheels import (
+    electrical_message,
+    restarts_message,
+    states_message,
+    wheel_command_from_message,
+)
 from omniman_ros.core.stop import StopState
 from omniman_ros.extras import CAN
 from omniman_ros.nodes.can_bridge_parameters import CanBridgeParameters, require_time_of_bus
 from omniman_ros.nodes.hardware_hooks import HardwareError
 from omniman_ros.nodes.hardware_node import HardwareNode
+from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.runtime import run
-from omniman_ros.nodes.wheel_reports import WheelReportPublisher
+from omniman_ros.nodes.stop_interface import LATCHED
 
 if TYPE_CHECKING:
     from omniman_ros.can_drives.link import CanLink, OpenBus
 
 COMMAND_QOS = QoSProfile(depth=1)  #: Quality of service of commands: only the newest one counts
+
+
+class WheelReportPublisher:
+    """Publishes `wheel_states`, `wheel_electrical` and `wheel_restarts`."""
+
+    def __init__(self, node: OmnimanNode, wheel_names: Sequence[str]) -> None:
+        self._node, self._wheel_names = node, list(wheel_names)
+        self._states = node.create_publisher(JointState, "wheel_states", 5)
+        self._electrical = node.create_publisher(Float64MultiArray, "wheel_electrical", 10)
+        self._restarts = node.create_publisher(UInt32MultiArray, "wheel_restarts", LATCHED)
+        self._published_restarts: tuple[int, ...] = ()
+
+    def publish(self, link: "CanLink", is_active: bool) -> None:
+        """Publish new restarts of the drives and, while the node is active, the wheels' states."""
+        if link.drives.restarts != self._published_restarts:
+            self._published_restarts = link.drives.restarts
+            self._restarts.publish(restarts_message(self._published_restarts))
+        states = link.take_states()
+        if states is not None and is_active:
+            stamp = self._node.stamp(states.at)
+            self._states.publish(states_message(self._wheel_names, states, stamp))
+
+    def publish_electrical(self, link: "CanLink", dt: float) -> None:
+        """Publish the motors' voltages, currents and energies, which grow over `dt` [s]."""
+        self._electrical.publish(electrical_message(link.electrical(dt)))
 
 
 class CanBridgeNode(HardwareNode):

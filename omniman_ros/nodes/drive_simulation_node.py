@@ -1,30 +1,175 @@
 """Base of the nodes that simulate the robot and its wheel drives without a bus."""
 
+from collections.abc import Callable
+from functools import partial
 from typing import Generic, TypeVar
 
 import numpy as np
-from builtin_interfaces.msg import Time as TimeMsg
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticStatus
+from nav_msgs.msg import Odometry
 from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import Imu, JointState
+from std_msgs.msg import Float64MultiArray
 
+from omniman_ros.control.wheel_cascade import DriveMode
+from omniman_ros.conversions.imu import imu_message, imu_transform
+from omniman_ros.conversions.odometry import fill_odometry
+from omniman_ros.conversions.wheels import (
+    electrical_message,
+    states_message,
+    wheel_command_from_message,
+)
+from omniman_ros.core.errors import InputError
 from omniman_ros.core.stop import StopLatch, StopState
 from omniman_ros.nodes.clock_giver import ClockGiverNode
-from omniman_ros.nodes.drive_command_interface import DriveCommandInterface
-from omniman_ros.nodes.drive_reports import DriveReportPublisher
-from omniman_ros.nodes.imu_publisher import ImuPublisher
 from omniman_ros.nodes.initial_pose_input import InitialPoseInput
+from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.simulated_drive_parameters import SimulatedDriveParameters
+from omniman_ros.nodes.static_transforms import StaticTransforms
 from omniman_ros.nodes.stop_interface import StopInterface
 from omniman_ros.simulation.plant.body import Body
-from omniman_ros.simulation.plant.imu import BaseMotion, planar_motion
+from omniman_ros.simulation.plant.imu import BaseMotion, SimulatedImu, planar_motion
 from omniman_ros.simulation.plant.lossy_channel import LossyChannel
+from omniman_ros.simulation.plant.parameters import FaultParameters
 from omniman_ros.simulation.plant.simulated_drives import SimulatedDrives
 
+SETPOINT = QoSProfile(depth=1)  #: Quality of service of commands: only the latest counts
 P = TypeVar("P", bound=SimulatedDriveParameters)  #: Parameters of the node
 #: Shortest period of the simulation's timer [s]: less would leave time for nothing else
 SHORTEST_PERIOD = 0.001
 REST_SPEED = 0.05  #: Wheel speed below which the drives count as standing [rad/s]
+
+
+class DriveReportPublisher:
+    """Publishes wheel_states, and at lower rates ground_truth/odom and wheel_electrical.
+
+    Args:
+        channel: Channel that loses and delays wheel_states as the faults specify.
+        truth_every: Number of reports per message on ground_truth/odom.
+        electrical_every: Number of reports per message on wheel_electrical.
+    """
+
+    def __init__(
+        self,
+        node: OmnimanNode,
+        wheel_names: list[str],
+        channel: LossyChannel[JointState],
+        truth_every: int,
+        electrical_every: int,
+        frames: tuple[str, str],
+    ) -> None:
+        self._wheel_names, self._channel = wheel_names, channel
+        self._truth_every, self._electrical_every = truth_every, electrical_every
+        self._states = node.create_publisher(JointState, "wheel_states", 5)
+        self._electrical = node.create_publisher(Float64MultiArray, "wheel_electrical", 10)
+        self._truth = node.create_publisher(Odometry, "ground_truth/odom", 10)
+        world_frame, base_frame = frames
+        self._truth_message = Odometry(child_frame_id=base_frame)
+        self._truth_message.header.frame_id = world_frame
+        self._count = 0
+
+    @property
+    def truth_publisher(self) -> Publisher:
+        """Publisher of the ground truth."""
+        return self._truth
+
+    def publish_truth_with_every_report(self) -> None:
+        """Publish the ground truth with every report from now on, the last one included."""
+        self._truth_every = 1
+
+    def publish(
+        self, drives: SimulatedDrives, faults: FaultParameters, now: float, stamp: Time
+    ) -> None:
+        """Publish one report."""
+        states = drives.wheel_states(now)
+        message = states_message(self._wheel_names, states, stamp)
+        self._channel.put(message, now, faults.lost_messages, faults.late_messages)
+        for due in self._channel.due(now):
+            self._states.publish(due)
+        self._count += 1
+        if self._count % self._truth_every == 0:
+            pose, twist = drives.ground_truth()
+            fill_odometry(self._truth_message, pose.tolist(), twist, np.zeros((3, 3)), stamp)
+            self._truth.publish(self._truth_message)
+        if self._count % self._electrical_every == 0:
+            self._electrical.publish(electrical_message(drives.electrical()))
+
+
+class DriveCommandInterface:
+    """Subscribes to `wheel_commands` and `wheel_voltages`; while stopped, commands do nothing.
+
+    Args:
+        timeout: Returns the age at which a stamped command is refused [s].
+    """
+
+    def __init__(
+        self,
+        node: OmnimanNode,
+        drives: SimulatedDrives,
+        latch: StopLatch,
+        wheel_names: list[str],
+        timeout: Callable[[], float],
+    ) -> None:
+        self._node, self._drives, self._latch = node, drives, latch
+        self._wheel_names, self._timeout = wheel_names, timeout
+        for topic, volts in (("wheel_commands", False), ("wheel_voltages", True)):
+            handler = node.guarded(topic, partial(self._on_command, volts=volts))
+            node.create_subscription(JointState, topic, handler, SETPOINT)
+
+    def _on_command(self, message: JointState, volts: bool) -> str:
+        command = wheel_command_from_message(message, self._wheel_names, volts)
+        age = self._node.age(message.header.stamp)
+        if age > self._timeout():
+            raise InputError(f"the command is stale, {age:.3f} s old")
+        if self._latch.status.state is StopState.STOPPED:
+            requested = command.effort if command.velocity is None else command.velocity
+            return f"stopped: {self._latch.status.reason}" if requested.any() else ""
+        now = self._node.now()
+        if command.mode is DriveMode.VOLTAGE:
+            self._drives.command_voltage(command.effort, now)
+        elif command.velocity is None:
+            self._drives.command_torque(command.effort, now)
+        else:
+            self._drives.command_velocity(command.velocity, command.effort, now)
+        return ""
+
+
+class ImuPublisher:
+    """Publishes imu, and the pose of its frame on /tf_static."""
+
+    def __init__(
+        self,
+        node: OmnimanNode,
+        parameters: SimulatedDriveParameters,
+        motion: Callable[[], BaseMotion],
+    ) -> None:
+        p = parameters
+        self._node, self._motion, self._base_frame = node, motion, p.base_frame
+        self._every = max(1, round(p.state_rate / p.imu_rate))
+        self._count = 0
+        self._imu = SimulatedImu(p.imu, p.imu_sensor, p.simulation.plant.gravity, p.seed)
+        self._publisher = node.create_publisher(Imu, "imu", 10)
+        self._mount = StaticTransforms(node, "imu.*")
+        self.configure(p)
+
+    def configure(self, parameters: SimulatedDriveParameters) -> None:
+        """Measure with new parameters from now on."""
+        p = parameters
+        self._frame = p.imu.frame
+        self._imu.configure(p.imu, p.imu_sensor, p.simulation.plant.gravity)
+        self._mount.publish([imu_transform(p.imu, self._base_frame, self._node.stamp())])
+
+    def publish(self, now: float, stamp: Time) -> None:
+        """Publish a measurement if one is due; call this once a report."""
+        self._count += 1
+        if self._count % self._every != 0:
+            return
+        measured = self._imu.measure(now, self._motion())
+        if measured is not None:
+            self._publisher.publish(imu_message(*measured, self._frame, stamp))
 
 
 class DriveSimulationNode(ClockGiverNode, Generic[P]):
@@ -104,7 +249,7 @@ class DriveSimulationNode(ClockGiverNode, Generic[P]):
         for _ in self.simulated_clock.steps():
             self.report_step(self.now(), self.stamp())
 
-    def report_step(self, now: float, stamp: TimeMsg) -> None:
+    def report_step(self, now: float, stamp: Time) -> None:
         """Advance the simulation to `now` [s], and publish one report."""
         self.drives.advance(now)
         if self.drives.stop_reason is not None:

@@ -15,11 +15,9 @@ from omniman_ros.nodes.navigation_action import NavigationKind, serve_navigation
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.planner_interfaces.goal_anchor import GoalAnchor
-from omniman_ros.nodes.planner_interfaces.goal_executor import GoalExecutor
-from omniman_ros.nodes.planner_interfaces.goal_interface import GoalInterface
-from omniman_ros.nodes.planner_interfaces.motion_publisher import MotionPublisher
+from omniman_ros.nodes.planner_interfaces.goal_interface import GoalExecutor, GoalInterface
+from omniman_ros.nodes.planner_interfaces.motion_publisher import MotionPublisher, PlanPublisher
 from omniman_ros.nodes.planner_interfaces.parameters import MpcPlannerParameters
-from omniman_ros.nodes.planner_interfaces.plan_publisher import PlanPublisher
 from omniman_ros.nodes.planner_interfaces.planner_loop import PlannerLoop
 from omniman_ros.nodes.planner_interfaces.posture_interface import PostureInterface
 from omniman_ros.nodes.planner_interfaces.sensor_interface import SensorInterface

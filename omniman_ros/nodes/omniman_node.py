@@ -12,9 +12,8 @@ from rclpy.subscription import Subscription
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.repairs import noted_repairs
 from omniman_ros.core.throttle import Throttle
-from omniman_ros.nodes.foreign_types import ForeignTypes
 from omniman_ros.nodes.timed_node import NoTimeError, TimedNode
-from omniman_ros.nodes.topic_publishers import topic_publishers
+from omniman_ros.nodes.topic_publishers import ForeignTypes, topic_publishers
 
 P = ParamSpec("P")
 

@@ -10,11 +10,11 @@ from omniman_ros.nodes.navigation_action import (
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.runtime import run
-from omniman_ros.nodes.trajectory_interfaces.joint_executor import JointExecutor
+from omniman_ros.nodes.trajectory_interfaces.joint_interface import JointExecutor
 from omniman_ros.nodes.trajectory_interfaces.motion_coordinator import MotionCoordinator
 from omniman_ros.nodes.trajectory_interfaces.motion_services import MotionServices
 from omniman_ros.nodes.trajectory_interfaces.parameters import PathInterpolatorParameters
-from omniman_ros.nodes.trajectory_interfaces.path_executor import PathExecutor
+from omniman_ros.nodes.trajectory_interfaces.path_interface import PathExecutor
 from omniman_ros.nodes.trajectory_interfaces.trajectory_action import (
     TrajectoryAction,
     serve_actions,

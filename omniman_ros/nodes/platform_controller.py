@@ -27,9 +27,8 @@ from omniman_ros.nodes.odometry_parameters import OdometryTopicParameters
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.platform_controller_parameters import PlatformControllerParameters
-from omniman_ros.nodes.platform_outputs import SETPOINT, PlatformOutputs
+from omniman_ros.nodes.platform_outputs import SETPOINT, PlatformOutputs, ReadyNotice
 from omniman_ros.nodes.rclpy_compat import subscribe_with_source_time
-from omniman_ros.nodes.ready_notice import ReadyNotice
 from omniman_ros.nodes.runtime import run
 from omniman_ros.nodes.stop_interface import StopInterface
 

@@ -12,7 +12,7 @@ import pytest
 
 from omniman_ros.can_drives.drives import Phase
 from omniman_ros.can_drives.frame import Frame
-from omniman_ros.can_drives.monitor import UNMOVED_TRAVEL
+from omniman_ros.can_drives.wheel_feedback import UNMOVED_TRAVEL
 from omniman_ros.control.wheel_cascade import DriveMode, WheelCommand
 from test.can_drives.rig import SPEED, STEP, Rig
 from test.tiers import combinations

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from omniman_ros.can_drives.axis import Feedback
-from omniman_ros.can_drives.monitor import (
+from omniman_ros.can_drives.wheel_feedback import (
     MAX_REPORT_INTERVAL,
     MIN_COMPARED_SPEED,
     RUNAWAY_SPEED,

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from omniman_ros.can_drives.ramp import SpeedRamp
+from omniman_ros.can_drives.setpoints import SpeedRamp
 
 SPEEDS = np.array([4.0, -2.0, 1.0, 3.0])
 finite = st.floats(-1e3, 1e3)

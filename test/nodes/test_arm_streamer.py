@@ -21,7 +21,7 @@ from omniman_ros.conversions.headers import duration_message
 from omniman_ros.core.arm_parameters import UR_JOINTS
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.nodes.arm_streamer import ArmStreamerNode
-from omniman_ros.nodes.automatic_start import RETRY_PERIOD
+from omniman_ros.nodes.hardware_node import RETRY_PERIOD
 from omniman_ros.nodes.stop_interface import ALL_LATCHED, LATCHED
 from omniman_ros.simulation.ur.arm import CYCLE
 from omniman_ros.simulation.ur.modes import UNLOCK_DELAY, RobotMode, SafetyMode

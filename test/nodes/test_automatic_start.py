@@ -2,7 +2,7 @@
 
 import pytest
 
-from omniman_ros.nodes.automatic_start import MAX_RETRIES, RETRY_PERIOD, AutomaticStart
+from omniman_ros.nodes.hardware_node import MAX_RETRIES, RETRY_PERIOD, AutomaticStart
 
 NOW = 50.0
 

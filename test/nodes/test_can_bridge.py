@@ -24,8 +24,8 @@ from omniman_ros.core.can_parameters import CanParameters
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import build
 from omniman_ros.core.robot import Robot
-from omniman_ros.nodes.automatic_start import MAX_RETRIES, RETRY_PERIOD
 from omniman_ros.nodes.can_bridge import CanBridgeNode
+from omniman_ros.nodes.hardware_node import MAX_RETRIES, RETRY_PERIOD
 from omniman_ros.nodes.stop_interface import ALL_LATCHED, LATCHED
 from omniman_ros.robots import load_robot
 from omniman_ros.simulation.can_drives.network import SimulatedBus

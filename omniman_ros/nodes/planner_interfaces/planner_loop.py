@@ -1,23 +1,180 @@
 """Drives of the node, from the request of a goal until the robot is at rest."""
 
+import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from omniman_ros.core.pending_start import StartAttempt, StartState
+from omniman_ros.core.errors import InputError
+from omniman_ros.core.pending_start import PendingStart, StartAttempt, StartState
 from omniman_ros.core.stamps import TIME_JUMP
 from omniman_ros.core.stream_monitor import StreamMonitor
 from omniman_ros.nodes.omniman_node import OmnimanNode
-from omniman_ros.nodes.planner_interfaces.goal_admission import GoalAdmission
 from omniman_ros.nodes.planner_interfaces.goal_anchor import GoalAnchor, PlacedGoal
 from omniman_ros.nodes.planner_interfaces.goal_log import GoalLog
-from omniman_ros.nodes.planner_interfaces.motion_publisher import MotionPublisher
-from omniman_ros.nodes.planner_interfaces.plan_publisher import PlanPublisher
-from omniman_ros.nodes.planner_interfaces.planning_cycle import PlanningCycle
+from omniman_ros.nodes.planner_interfaces.motion_publisher import MotionPublisher, PlanPublisher
 from omniman_ros.nodes.planner_interfaces.posture_interface import PostureInterface
 from omniman_ros.nodes.planner_interfaces.sensor_interface import SensorInterface
+from omniman_ros.planning.cycle import MeasuredState, PlannerState
 
 if TYPE_CHECKING:
     from omniman_ros.planning.planner import Planner
+
+
+class GoalAdmission:
+    """Has a goal wait until the robot is ready for it, and hands it to the planner then.
+
+    Args:
+        silence_reason: Returns why what the planner must know is not known at a time of the node's
+            clock [s], or an empty string.
+    """
+
+    def __init__(
+        self,
+        node: OmnimanNode,
+        planner: "Planner",
+        anchor: GoalAnchor,
+        sensors: SensorInterface,
+        posture: PostureInterface,
+        monitor: StreamMonitor,
+        goals: GoalLog,
+        silence_reason: Callable[[float], str],
+    ) -> None:
+        self._node, self._planner, self._anchor = node, planner, anchor
+        self._sensors, self._posture, self._monitor = sensors, posture, monitor
+        self._goals, self._silence_reason = goals, silence_reason
+        self._pending = PendingStart(node.now, monitor)
+        self._is_closed = False
+
+    @property
+    def is_pending(self) -> bool:
+        """Whether a goal waits."""
+        return bool(self._pending)
+
+    def submit(self, make_goal: Callable[[], PlacedGoal]) -> StartAttempt:
+        """Have a goal wait in place of the one that waits; start it, or raise InputError."""
+        try:
+            if self._is_closed:
+                raise InputError("the node is shutting down")
+            goal = make_goal()
+        except InputError as error:
+            self._goals.reject(str(error))
+            raise
+        self._sensors.obstacles.dismiss_silent_source()
+        self._goals.receive()
+        self._pending.put(lambda: self._start(goal))
+        return self.attempt()
+
+    def attempt(self) -> StartAttempt:
+        """Start the goal that waits, if there is one and the robot is ready."""
+        attempt = self._pending.attempt(self._monitor.blocking_reason, self._blocking_reason)
+        if attempt.state is StartState.WAITING:
+            self._goals.wait(attempt.reason)
+        elif attempt.state is StartState.REFUSED:
+            self._goals.refuse(attempt.reason)
+        elif attempt.state is StartState.STARTED:
+            self._goals.accept()
+            self._node.get_logger().info("goal accepted")
+        return attempt
+
+    def discard(self) -> None:
+        """Discard the goal that waits, if there is one."""
+        self._pending.discard()
+
+    def restart_timeout(self) -> None:
+        """Let the goal wait for the whole timeout from now on."""
+        self._pending.restart_timeout()
+
+    def close(self) -> None:
+        """Discard the goal that waits, and accept no other."""
+        self._is_closed = True
+        self.discard()
+
+    def _blocking_reason(self) -> str:
+        """Return why no goal can be driven to yet, or an empty string."""
+        now = self._node.now()
+        fault = self._sensors.odom_fault(now)
+        if fault:
+            return fault
+        if self._monitor.waiting_time(now) > 0.0:
+            return "control was lost a moment ago"
+        return self._silence_reason(now)
+
+    def _start(self, goal: PlacedGoal) -> None:
+        measured = self._sensors.measured
+        assert measured is not None
+        now = self._node.now()
+        self._planner.footprint = self._posture.footprint(now)
+        self._anchor.drive(goal, measured, self._sensors.obstacles.ellipses())
+
+
+class PlanningCycle:
+    """Plans the next stretch of the motion from what is known now, and sends it.
+
+    Attributes:
+        silence: Why the surroundings, the arm's posture or the goal's place in odom are not known,
+            while the robot waits for them, or empty.
+        solve_time: Duration of the last planning [s]; NaN before the first.
+    """
+
+    def __init__(
+        self,
+        node: OmnimanNode,
+        planner: "Planner",
+        anchor: GoalAnchor,
+        sensors: SensorInterface,
+        posture: PostureInterface,
+        publisher: MotionPublisher,
+        plans: PlanPublisher,
+        goals: GoalLog,
+    ) -> None:
+        self._node, self._planner, self._anchor = node, planner, anchor
+        self._sensors, self._posture = sensors, posture
+        self._publisher, self._plans, self._goals = publisher, plans, goals
+        self.silence = ""
+        self.solve_time = math.nan
+
+    def silence_reason(self, now: float) -> str:
+        """Return why the surroundings or the arm's posture are not known, or an empty string."""
+        posture = self._posture.silence_reason(now)
+        return self._sensors.blind_reason() or posture
+
+    def run(self, now: float, measured: MeasuredState) -> None:
+        """Plan towards the goal, check the plan and send it; brake while something is unknown."""
+        planner = self._planner
+        silence = self.silence_reason(now) or self._anchor.silence_reason()
+        obstacles = self._sensors.obstacles.ellipses()
+        if silence:
+            if not self.silence:
+                planner.brake(now)
+            self.silence = silence
+            self._node.warn("silent", f"the robot stops: {silence}")
+            self._publisher.send(now)
+            return
+        self.silence = ""
+        self._anchor.update(now, obstacles)
+        proposal = planner.propose(now, measured, obstacles)
+        done = self._node.now()
+        self.solve_time = done - now
+        planner.take(proposal, done, measured, obstacles)
+        if planner.report.reason:
+            self._goals.reject_plan(planner.report.reason)
+            self._node.warn("plan", self._goals.text)
+        if planner.state is PlannerState.ARRIVED:
+            self._goals.arrive()
+            self._node.get_logger().info("goal reached")
+        self._publisher.send(done)
+        self._plans.publish(done, obstacles)
+        planner.update_route(done, obstacles)
+
+    def coast(self, now: float) -> None:
+        """Finish a motion without a goal, still watching the obstacles."""
+        measured = self._sensors.measured
+        if self._planner.motion.end > now and measured is not None:
+            if self.silence_reason(now):
+                self._planner.brake(now)
+            else:
+                self._planner.coast(now, measured, self._sensors.obstacles.ellipses())
+        self._publisher.send(now)
 
 
 class PlannerLoop:

@@ -18,7 +18,7 @@ from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.motion.path.point_stream import PointStream
 from omniman_ros.nodes.trajectory_interfaces.joint_interface import JointInterface
 from omniman_ros.nodes.trajectory_interfaces.motion_context import MotionContext
-from omniman_ros.nodes.trajectory_interfaces.motion_outputs import ArmOutput
+from omniman_ros.nodes.trajectory_interfaces.motion_interface import ArmOutput
 
 #: Planning time that is expected of the motion to a point of a stream [s]
 STREAM_PLANNING_TIME = 0.01

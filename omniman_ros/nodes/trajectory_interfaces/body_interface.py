@@ -7,8 +7,11 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.motion.axes import JOINT_COLUMNS, PLATFORM_COLUMNS
 from omniman_ros.motion.path.window import Window
 from omniman_ros.nodes.trajectory_interfaces.motion_context import BodyContext
-from omniman_ros.nodes.trajectory_interfaces.motion_interface import DrivenMotion, MotionInterface
-from omniman_ros.nodes.trajectory_interfaces.motion_outputs import WholeBodyOutput
+from omniman_ros.nodes.trajectory_interfaces.motion_interface import (
+    DrivenMotion,
+    MotionInterface,
+    WholeBodyOutput,
+)
 from omniman_ros.nodes.trajectory_interfaces.tool_stream import ToolPosePublisher, ToolStream
 
 #: Shortest period of corrected previews of the arm between those of both parts [s]

@@ -1,13 +1,15 @@
-"""Limit of the speed before contact, and what motions ask for."""
+"""Limits of the speed: before contact, and by what dead wheels and the posture leave."""
 
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 
 from omniman_ros.conversions.motion_limits import motion_demand_message
+from omniman_ros.conversions.wheels import LimitScales, reported_limit_scales
 from omniman_ros.core import se2
 from omniman_ros.core.arm_model import JOINTS
 from omniman_ros.core.arrays import Array
@@ -17,6 +19,8 @@ from omniman_ros.motion.path.interpolator import PathState
 from omniman_ros.motion.path.speed_bound import SpeedBound
 from omniman_ros.nodes.motion_limit_input import subscribe_to_motion_limit
 from omniman_ros.nodes.omniman_node import OmnimanNode
+from omniman_ros.nodes.stop_interface import LATCHED
+from omniman_ros.nodes.trajectory_interfaces.motion_context import BodyContext
 from omniman_ros.nodes.trajectory_interfaces.parameters import StreamParameters
 
 #: Times from now at which the speed of a motion is compared with the limit [s]
@@ -24,6 +28,23 @@ LOOK_AHEAD = np.linspace(0.0, 0.4, 9)
 #: Smallest change of a share that is acted upon at once; others wait for the next tick
 CHANGE = 0.01
 REST = 1e-6  #: Speed up to which a motion rests [m/s, rad/s]
+
+
+class HealthInput:
+    """Scales the limits of the motions that move the platform."""
+
+    def __init__(self, context: BodyContext, use: Callable[[float], None]) -> None:
+        self._context, self._use = context, use
+        self._scales = LimitScales()
+        on_health = context.node.guarded("wheel_health", self._on_health)
+        context.node.create_subscription(DiagnosticStatus, "wheel_health", on_health, LATCHED)
+
+    def _on_health(self, message: DiagnosticStatus) -> None:
+        before, self._scales = self._scales, reported_limit_scales(message)
+        if self._scales.wheels > before.wheels:  # the controller was reset, and expects a silence
+            self._context.stream_monitor.restart(self._context.node.now())
+        if self._scales.total != before.total:
+            self._use(self._scales.total)
 
 
 class SampledMotion(Protocol):

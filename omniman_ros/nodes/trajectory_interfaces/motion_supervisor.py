@@ -4,8 +4,8 @@ from omniman_ros.core.stamps import TIME_JUMP
 from omniman_ros.nodes.trajectory_interfaces.body_interface import BodyInterface
 from omniman_ros.nodes.trajectory_interfaces.motion_context import BodyContext
 from omniman_ros.nodes.trajectory_interfaces.motion_interface import MotionInterface
+from omniman_ros.nodes.trajectory_interfaces.motion_time_base import ScalingInterface
 from omniman_ros.nodes.trajectory_interfaces.path_interface import PathInterface
-from omniman_ros.nodes.trajectory_interfaces.scaling_interface import ScalingInterface
 
 
 class MotionSupervisor:

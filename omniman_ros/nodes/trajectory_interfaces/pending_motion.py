@@ -5,8 +5,7 @@ from typing import Protocol
 
 from omniman_ros.core.pending_start import PendingStart, StartState
 from omniman_ros.nodes.trajectory_interfaces.motion_context import MotionContext
-from omniman_ros.nodes.trajectory_interfaces.motion_log import MotionLog
-from omniman_ros.nodes.trajectory_interfaces.motion_status import MotionStatus
+from omniman_ros.nodes.trajectory_interfaces.motion_log import MotionLog, MotionStatus
 
 
 class Waiting(Protocol):

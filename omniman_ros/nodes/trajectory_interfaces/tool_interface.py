@@ -1,8 +1,9 @@
 """Paths of the tool: `tool_path` in, planned in the background, driven by the whole body."""
 
+import threading
 from collections.abc import Callable
 from concurrent.futures import Future
-from typing import Generic
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 from nav_msgs.msg import Path
@@ -13,16 +14,45 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.pending_start import PendingStart, StartState
 from omniman_ros.motion.whole_body.model import WholeBodyModel
-from omniman_ros.nodes.trajectory_interfaces.background import in_background
 from omniman_ros.nodes.trajectory_interfaces.body_interface import BodyInterface
 from omniman_ros.nodes.trajectory_interfaces.motion_context import BodyContext
-from omniman_ros.nodes.trajectory_interfaces.motion_status import MotionEvent, MotionStatus
+from omniman_ros.nodes.trajectory_interfaces.motion_log import MotionEvent, MotionStatus
 from omniman_ros.nodes.trajectory_interfaces.path_input import PathInput
-from omniman_ros.nodes.trajectory_interfaces.tool_driver import Plan, ToolDriver
 from omniman_ros.nodes.trajectory_interfaces.tool_stream import ToolPosePublisher
 
+Plan = TypeVar("Plan")
 TOOL_POSE_PERIOD = 0.1  #: Period of `tool_pose` [s]
 MAX_START_DRIFT = 0.005  #: Largest movement of the robot while a path is being planned [m, rad]
+
+
+def in_background(plan: Callable[[], Plan]) -> Future[Plan]:
+    """Plan in a thread, because planning takes up to seconds and must not delay stops.
+
+    The thread does not delay the end of the process either: it is a daemon, which runs on if its
+    plan is discarded.
+    """
+    future: Future[Plan] = Future()
+
+    def work() -> None:
+        try:
+            future.set_result(plan())
+        except BaseException as error:  # raised again by `result()`
+            future.set_exception(error)
+
+    threading.Thread(target=work, name="tool_path", daemon=True).start()
+    return future
+
+
+class ToolDriver(Protocol[Plan]):
+    """Plans motions along paths of the tool, and drives them."""
+
+    def planner(self, poses: Array, start: Array) -> Callable[[], Plan]:
+        """Return what plans tool poses (k, 4, 4) in odom from axes (9,), also in a thread."""
+        ...
+
+    def drive(self, plan: Plan) -> None:
+        """Start a planned motion; raise InputError if it cannot be driven any more."""
+        ...
 
 
 class ToolInterface(Generic[Plan]):

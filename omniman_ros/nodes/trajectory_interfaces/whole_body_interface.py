@@ -1,4 +1,4 @@
-"""Trajectories of the whole body: platform and arm on one time base, in previews of both."""
+"""Trajectories and paths of the tool, which platform and arm drive together."""
 
 from collections.abc import Callable
 
@@ -11,12 +11,14 @@ from omniman_ros.motion.path.joint_interpolator import JointInterpolator, JointP
 from omniman_ros.motion.path.joint_points import JointPlanner, JointPoints
 from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
-from omniman_ros.motion.whole_body.tool_planner import ToolPlan
+from omniman_ros.motion.whole_body.model import WholeBodyModel
+from omniman_ros.motion.whole_body.tool_planner import ToolPlan, ToolPlanner
 from omniman_ros.nodes.trajectory_interfaces.body_interface import BodyInterface
 from omniman_ros.nodes.trajectory_interfaces.joint_interface import JointInterface
 from omniman_ros.nodes.trajectory_interfaces.motion_context import MotionContext
 from omniman_ros.nodes.trajectory_interfaces.parameters import PathInterpolatorParameters
 from omniman_ros.nodes.trajectory_interfaces.pending_motion import PendingMotion
+from omniman_ros.nodes.trajectory_interfaces.tool_interface import ToolInterface
 from omniman_ros.nodes.trajectory_interfaces.tool_stream import ToolStream
 
 
@@ -107,3 +109,40 @@ class WholeBodyInterface(BodyInterface, JointInterface):
         proposal = super()._take(propose, planning_time)
         self._tool = None
         return proposal
+
+
+class PlannedToolDriver:
+    """Plans with a `ToolPlanner`; see `ToolDriver`."""
+
+    def __init__(self, context: MotionContext, whole_body: WholeBodyInterface) -> None:
+        self._context, self._whole_body = context, whole_body
+        self._model = WholeBodyModel(context.options.mount)
+
+    def planner(self, poses: Array, start: Array) -> Callable[[], ToolPlan]:
+        """Return what plans a motion, and checks it for collisions of the robot with itself."""
+        p = self._context.options
+        limits = WholeBodyLimits.of_whole_body(p.core, p.arm)
+        planner = ToolPlanner(self._model, limits, p.tool_path)
+        self_collision = self._context.self_collision()
+
+        def plan() -> ToolPlan:
+            result = planner.plan(poses, start)
+            self_collision.require_clear(result.curve)
+            return result
+
+        return plan
+
+    def drive(self, plan: ToolPlan) -> None:
+        """Start a planned motion."""
+        p = self._context.options
+        stream = ToolStream(self._model, plan, p.tool_path, p.arm.each("velocity"))
+        self._whole_body.follow_tool_path(plan, stream)
+
+
+def planned_tool_paths(
+    context: MotionContext, whole_body: WholeBodyInterface
+) -> ToolInterface[ToolPlan] | None:
+    """Return the interface for paths of the tool, or None if another node takes them."""
+    if not context.options.takes_tool_paths:
+        return None
+    return ToolInterface(context, whole_body, PlannedToolDriver(context, whole_body))

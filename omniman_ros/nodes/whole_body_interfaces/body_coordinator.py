@@ -15,15 +15,16 @@ from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.stream_monitor_interface import StreamMonitorInterface
 from omniman_ros.nodes.surroundings_interface import SurroundingsInterface
 from omniman_ros.nodes.trajectory_interfaces.arm_feed import ArmFeed
-from omniman_ros.nodes.trajectory_interfaces.health_input import HealthInput
-from omniman_ros.nodes.trajectory_interfaces.limit_interface import LimitInterface
+from omniman_ros.nodes.trajectory_interfaces.limit_interface import HealthInput, LimitInterface
 from omniman_ros.nodes.trajectory_interfaces.motion_context import StreamContext
-from omniman_ros.nodes.trajectory_interfaces.motion_status import MotionEvent
+from omniman_ros.nodes.trajectory_interfaces.motion_log import MotionEvent
 from omniman_ros.nodes.trajectory_interfaces.motion_supervisor import MotionSupervisor
-from omniman_ros.nodes.trajectory_interfaces.motion_time_base import MotionTimeBase
+from omniman_ros.nodes.trajectory_interfaces.motion_time_base import (
+    MotionTimeBase,
+    ScalingInterface,
+)
 from omniman_ros.nodes.trajectory_interfaces.odom_feed import OdomFeed
 from omniman_ros.nodes.trajectory_interfaces.previews import arm_previews, platform_previews
-from omniman_ros.nodes.trajectory_interfaces.scaling_interface import ScalingInterface
 from omniman_ros.nodes.trajectory_interfaces.tool_interface import ToolInterface
 from omniman_ros.nodes.whole_body_interfaces.dodge_interface import DodgeInterface
 from omniman_ros.nodes.whole_body_interfaces.parameters import WholeBodyPlannerParameters

@@ -10,9 +10,9 @@ from omniman_ros.motion.path.interpolator import PathState
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
 from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.nodes.surroundings_interface import SurroundingsInterface
-from omniman_ros.nodes.trajectory_interfaces.background import in_background
 from omniman_ros.nodes.trajectory_interfaces.body_interface import BodyInterface
 from omniman_ros.nodes.trajectory_interfaces.motion_context import StreamContext
+from omniman_ros.nodes.trajectory_interfaces.tool_interface import in_background
 from omniman_ros.nodes.trajectory_interfaces.tool_stream import ToolStream
 from omniman_ros.nodes.whole_body_interfaces.parameters import WholeBodyPlannerParameters
 from omniman_ros.planning.whole_body.obstruction import Cause, Obstruction

@@ -23,7 +23,7 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.simulated_clock import AWAITED_KEY, PACE_KEY
 from omniman_ros.nodes.stop_interface import ALL_LATCHED, LATCHED
-from omniman_ros.nodes.trajectory_interfaces.motion_status import MotionEvent
+from omniman_ros.nodes.trajectory_interfaces.motion_log import MotionEvent
 from omniman_ros.viewer.lines import thinned
 from omniman_ros.viewer.ros.lazy_subscriptions import LazySubscriptions
 from omniman_ros.viewer.ros.page_frames import PageFrames

@@ -7,8 +7,7 @@ import pytest
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.pending_start import WAIT_TIMEOUT
 from omniman_ros.core.stream_monitor import StreamMonitor
-from omniman_ros.nodes.trajectory_interfaces.motion_log import MotionLog
-from omniman_ros.nodes.trajectory_interfaces.motion_status import MotionEvent
+from omniman_ros.nodes.trajectory_interfaces.motion_log import MotionEvent, MotionLog
 from omniman_ros.nodes.trajectory_interfaces.pending_motion import PendingMotion
 
 
