@@ -14,8 +14,6 @@ class AxisGroup:
         self._owners: dict[tuple[int, bool], int] = {}
         self._was_reset = [False] * len(self.axes)
 
-    # ---- frames and demands -------------------------------------------------------------------
-
     def configure(self, now: float) -> None:
         """Begin to configure all drives."""
         self._was_reset = [False] * len(self.axes)
@@ -60,8 +58,6 @@ class AxisGroup:
             except Exception as error:  # whatever it is: it must not keep a wheel moving
                 failure = failure or f"{axis.settings.name}: {type(error).__name__}: {error}"
         return frames, failure
-
-    # ---- what the drives report ---------------------------------------------------------------
 
     def are_all(self, state: AxisState) -> bool:
         """Return whether all drives are in a state."""

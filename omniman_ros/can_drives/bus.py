@@ -93,8 +93,6 @@ class CanBus(Bus):
         if wake is not None or self._socket < 0:
             self._thread.start()
 
-    # ---- the thread ---------------------------------------------------------------------------
-
     def _watch(self) -> None:
         """Wake the receiver when there are frames, and wait until it has read them."""
         while not self._closing.is_set():
@@ -121,8 +119,6 @@ class CanBus(Bus):
     def _call_wake(self) -> None:
         if self._wake is not None:
             self._wake()
-
-    # ---- receiving ----------------------------------------------------------------------------
 
     def _receive(self, timeout: float) -> Frame | str | None:
         """Return a frame, the description of a bus failure, or None if there is neither."""
@@ -181,8 +177,6 @@ class CanBus(Bus):
             self._event.wait(max(timeout, 0.0))
         else:
             select.select([self._socket], [], [], max(timeout, 0.0))
-
-    # ---- sending ------------------------------------------------------------------------------
 
     def send(self, frames: Iterable[Frame]) -> str:
         """Send all frames, even if one fails; return the last failure, or an empty string."""

@@ -51,8 +51,6 @@ class CanLink:
         self.bus = self._open_bus()
         self._has_bus_failed = False
 
-    # ---- requests -----------------------------------------------------------------------------
-
     def configure(self) -> str:
         """Configure the drives and wait for them; return why that failed, or an empty string."""
         drives = self.drives
@@ -103,8 +101,6 @@ class CanLink:
     def update_parameters(self, robot: Robot, p: CanParameters) -> None:
         """Replace limits and timeouts; other parameters keep their values of the start."""
         self.drives.update_parameters(robot, p)
-
-    # ---- state --------------------------------------------------------------------------------
 
     @property
     def is_driving(self) -> bool:
@@ -169,8 +165,6 @@ class CanLink:
         values += [("frames invalid", self.bus.invalid)]
         counts = self.drives.host_detector.counts
         return values + [(f"frames {kind}", count) for kind, count in counts.items()]
-
-    # ---- the bus ------------------------------------------------------------------------------
 
     def receive(self) -> None:
         """Process the received frames; if one makes the drives stop, send the stop at once."""

@@ -88,8 +88,6 @@ class SetpointGenerator:
         self._mode = DriveMode(parameters.mode)
         self.max_speed = max_wheel_speed(robot, parameters)
 
-    # ---- commands -----------------------------------------------------------------------------
-
     def check(self, command: WheelCommand, at: float, now: float) -> None:
         """Check that a command is valid and fresh.
 
@@ -126,8 +124,6 @@ class SetpointGenerator:
 
     def _is_stale(self, at: float, now: float) -> bool:
         return now - at > self._parameters.command_timeout
-
-    # ---- setpoints ----------------------------------------------------------------------------
 
     def begin_ramp(self, speeds: Array, at: float | None = None) -> None:
         """Begin a ramp at wheel speeds (n,) [rad/s], at a time [s] or, if None, the next call."""

@@ -28,12 +28,10 @@ class Stamp(Protocol):
     @property
     def sec(self) -> int:
         """Seconds [s]."""
-        ...
 
     @property
     def nanosec(self) -> int:
         """Nanoseconds beyond these [ns]."""
-        ...
 
 
 def time_seconds(stamp: Time | Duration) -> float:

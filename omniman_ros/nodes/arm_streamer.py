@@ -54,8 +54,6 @@ class ArmStreamerNode(HardwareNode):
         self.every(KEEP_ALIVE_PERIOD, lambda: self.streaming.send(Command.KEEP_ALIVE))
         self.begin(p.autostart)
 
-    # ---- hooks of the life cycle ----------------------------------------------------------------
-
     @property
     def is_configured(self) -> bool:
         """Whether there is a streaming process."""
@@ -143,8 +141,6 @@ class ArmStreamerNode(HardwareNode):
         self.limit.configure(new.collision_monitor)
         self.streaming.send(Command.CONFIGURE, new.arm, new.ur)
 
-    # ---- stops ----------------------------------------------------------------------------------
-
     def follow_latch(self) -> None:
         """Send the state of the latch to the process, once for each change."""
         status = self.latch.status
@@ -171,8 +167,6 @@ class ArmStreamerNode(HardwareNode):
         self.latch.reset(at_rest=report.at_rest, fault=fault)
         self.follow_latch()  # so that the same stop is sent again if it returns
         self.streaming.send_reset()
-
-    # ---- diagnostics and end --------------------------------------------------------------------
 
     def status(self) -> tuple[bytes, str, list[tuple[str, object]]]:
         """Return level, message and values for the diagnostics."""

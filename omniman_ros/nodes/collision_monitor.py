@@ -137,8 +137,6 @@ class CollisionMonitorInputs:
         self._obstacles.configure(new.obstacles)
         self._grid.configure(new.map_reading.rule)
 
-    # ---- messages -------------------------------------------------------------------------------
-
     def _use_map(self, grid: GridMap) -> None:
         self._map = grid_solids(grid)
 
@@ -151,8 +149,6 @@ class CollisionMonitorInputs:
 
     def _on_health(self, message: DiagnosticStatus) -> None:
         self.braking_scale = reported_limit_scales(message).total
-
-    # ---- state ----------------------------------------------------------------------------------
 
     @property
     def sees_arm(self) -> bool:
@@ -283,8 +279,6 @@ class CollisionMonitorNode(OmnimanNode):
         limits, scale = self.settings.value.speed_limits, self.inputs.braking_scale
         linear, angular = limits.deceleration
         return replace(limits, deceleration=(scale * linear, scale * angular))
-
-    # ---- status -------------------------------------------------------------------------------
 
     def _publish_state(self) -> None:
         """Publish what the monitor does if that has changed."""

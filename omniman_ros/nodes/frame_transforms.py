@@ -45,8 +45,6 @@ class FrameTransforms:
             node.create_subscription(tf_messages.TFMessage, topic, handler, qos)
         node.every(RETRY_PERIOD, self._retry)
 
-    # ---- transforms -----------------------------------------------------------------------------
-
     def _handler(self, topic: str, is_static: bool) -> Callable[[Any], None]:
         insert = self._node.guarded(topic, lambda stamped: self._insert(stamped, is_static))
 
@@ -79,8 +77,6 @@ class FrameTransforms:
         """Forget the transforms if ROS time went back."""
         if self._watch.went_back(1e-9 * self._node.ros_time()):
             self._tree.clear()
-
-    # ---- lookup ---------------------------------------------------------------------------------
 
     def placement(self, header: Header) -> Placement:
         """Return where the coordinates of a message with a header are.
@@ -149,8 +145,6 @@ class FrameTransforms:
             return str(error)
         age = 1e-9 * self._node.ros_time() - updated
         return f"'{frame}' to '{odom}' is {age:.1f} s old" if age > timeout else ""
-
-    # ---- messages that wait ---------------------------------------------------------------------
 
     def deferred(
         self,

@@ -96,8 +96,6 @@ class HardwareNode(OmnimanNode, LifecycleNodeMixin, HardwareHooks):
         else:
             self._automatic_start.end()
 
-    # ---- transitions --------------------------------------------------------------------------
-
     @log_exceptions
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Open the hardware."""
@@ -167,8 +165,6 @@ class HardwareNode(OmnimanNode, LifecycleNodeMixin, HardwareHooks):
             self._automatic_start.end()
         return response
 
-    # ---- automatic start ----------------------------------------------------------------------
-
     @property
     def is_starting(self) -> bool:
         """Whether a fault leads to another start: nothing has moved, and nobody stopped it."""
@@ -197,8 +193,6 @@ class HardwareNode(OmnimanNode, LifecycleNodeMixin, HardwareHooks):
         """Reset the hardware, and give the automatic start all its retries again."""
         self.reset_hardware()
         self._automatic_start.faults = 0
-
-    # ---- running ------------------------------------------------------------------------------
 
     def wake(self) -> None:
         """Have the executor call :meth:`receive`; to be called from another thread."""

@@ -75,8 +75,6 @@ class JointStatesMergerNode(OmnimanNode):
             self._description.publish(String(data=text))
         self._urdf = text
 
-    # ---- inputs -------------------------------------------------------------------------------
-
     def _subscribe(self, topic: str) -> None:
         handler = self.guarded(topic, lambda data: self._on_states(topic, data))
 
@@ -106,8 +104,6 @@ class JointStatesMergerNode(OmnimanNode):
         if known is not None and out_of_order and known.time <= self.now() + MAX_LEAD:
             raise InputError(f"out of order, {known.time - time:.4f} s before the last message")
         self._samples[topic] = sample
-
-    # ---- output -------------------------------------------------------------------------------
 
     def tick(self) -> None:
         """Publish the joints that are known now, unless the same states were published before."""

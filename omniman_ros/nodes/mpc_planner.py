@@ -107,8 +107,6 @@ class MpcPlannerNode(OmnimanNode):
         self.loop.tick()
         self._publish_status()
 
-    # ---- status -------------------------------------------------------------------------------
-
     def _publish_status(self) -> None:
         if not self._status_publisher.get_subscription_count():
             return
@@ -145,8 +143,6 @@ class MpcPlannerNode(OmnimanNode):
         if not core.active and loop.goals.is_trouble:
             return DiagnosticStatus.WARN, loop.goals.text, values
         return DiagnosticStatus.OK, core.state.value, values
-
-    # ---- life cycle ---------------------------------------------------------------------------
 
     def begin_shutdown(self, reason: str) -> None:
         """Bring the robot to rest, and accept no other goal."""

@@ -47,19 +47,15 @@ class NavigationExecutor(Protocol):
 
     def send(self, request: Any) -> int:
         """Accept a goal and return the number of its motion; raise InputError if it is refused."""
-        ...
 
     def outcome(self, motion: int) -> str | None:
         """Return why a motion ended: empty if it arrived; None while it waits or goes on."""
-        ...
 
     def cancel(self, motion: int) -> None:
         """Bring a motion to rest, unless it has ended already."""
-        ...
 
     def fill_feedback(self, feedback: Any) -> bool:
         """Write what is known into the action's feedback; return whether the pose is known."""
-        ...
 
 
 @dataclass
@@ -109,8 +105,6 @@ class NavigationAction:
         self._node.destroy_timer(self._timer)
         self._server.destroy()
 
-    # ---- goals --------------------------------------------------------------------------------
-
     def _on_accepted(self, handle: ServerGoalHandle) -> None:
         handle.execute()
         try:
@@ -129,8 +123,6 @@ class NavigationAction:
             return CancelResponse.REJECT
         self._executor.cancel(goal.motion)
         return CancelResponse.ACCEPT
-
-    # ---- goal under way -----------------------------------------------------------------------
 
     def update(self) -> None:
         """Publish the feedback of the goal under way, or its result if it has ended."""

@@ -224,8 +224,6 @@ class ObstacleTrackerNode(OmnimanNode):
         self._own = BodyOutline(platform).footprint(np.zeros((1, 6)), HEIGHT_MARGIN)
         self._posture: Array | None = None
 
-    # ---- inputs ---------------------------------------------------------------------------------
-
     def _on_pose(self, pose: Array, at: float) -> None:
         reason = self.core.add_pose(at, pose, self._odom.velocity)
         if reason:
@@ -260,8 +258,6 @@ class ObstacleTrackerNode(OmnimanNode):
             self._own = self._outline.footprint(states.position[None], HEIGHT_MARGIN)
         return self._own
 
-    # ---- outputs --------------------------------------------------------------------------------
-
     def _publish_obstacles(self, time: float) -> None:
         obstacles, stamp = self.core.obstacles(time), self.stamp(time)
         present = {obstacle.number for obstacle in obstacles}
@@ -281,8 +277,6 @@ class ObstacleTrackerNode(OmnimanNode):
         elif self._is_silent and not faults:
             self.get_logger().info("all scanners see again")
         self._is_silent = bool(faults)
-
-    # ---- status ---------------------------------------------------------------------------------
 
     def status(self) -> tuple[bytes, str, list[tuple[str, object]]]:
         """Return level, message and values for the diagnostics."""

@@ -55,8 +55,6 @@ class PathInterpolatorNode(OmnimanNode):
         for action in self._trajectory_actions:
             action.options = new.trajectory_action
 
-    # ---- life cycle ---------------------------------------------------------------------------
-
     def begin_shutdown(self, reason: str) -> None:
         """Bring all motions to rest on their paths, and accept nothing new."""
         self.motions.begin_shutdown()

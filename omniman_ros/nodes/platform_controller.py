@@ -87,8 +87,6 @@ class PlatformControllerNode(OmnimanNode):
         subscribe(JointState, "mpc/voltages", self._on_voltages, SETPOINT)
         subscribe_to_motion_limit(self, platform=self.core.motion_limit)
 
-    # ---- inputs: each handler returns why the message is not used, or nothing ------------------
-
     def _on_cmd_vel(self, message: Twist | TwistStamped, source_time: int) -> str:
         sent = self.sent(source_time)
         if isinstance(message, Twist):

@@ -66,8 +66,6 @@ class SimulatedCanDrivesNode(ClockGiverNode):
             self._steps = 0
         self.every(PERIOD, self.tick)
 
-    # ---- bus ----------------------------------------------------------------------------------
-
     def _deliver(self) -> None:
         executor = self.executor
         if executor is not None:
@@ -114,8 +112,6 @@ class SimulatedCanDrivesNode(ClockGiverNode):
             except (can.CanError, OSError, ValueError) as error:
                 self.warn("send", f"cannot send: {error}")
 
-    # ---- simulation ---------------------------------------------------------------------------
-
     def _update_parameters(self, new: SimulatedCanDrivesParameters) -> None:
         self.drives.configure(new.robot, new.simulation, new.can_faults)
 
@@ -125,8 +121,6 @@ class SimulatedCanDrivesNode(ClockGiverNode):
         stamp = self.stamp(self.drives.simulated_until)
         fill_odometry(self._truth_message, pose.tolist(), twist, np.zeros((3, 3)), stamp)
         self._truth.publish(self._truth_message)
-
-    # ---- life ---------------------------------------------------------------------------------
 
     def status(self) -> tuple[bytes, str, list[tuple[str, object]]]:
         """Return level, message and values for the diagnostics."""

@@ -70,8 +70,6 @@ class SimulatedUrNode(OmnimanNode):
         """Simulated time up to which the controller has run [s]."""
         return min(self.now(), self.server.done)
 
-    # ---- life ---------------------------------------------------------------------------------
-
     def status(self) -> tuple[bytes, str, list[tuple[str, object]]]:
         """Return level, message and values for the diagnostics."""
         controller = self.controller

@@ -178,8 +178,6 @@ class SimulatedWorldNode(DriveSimulationNode[SimulatedWorldParameters]):
         if self._arm_link is not None and self.world.time > 0.0:
             self._arm_link.exchange(now)
 
-    # ---- life ---------------------------------------------------------------------------------
-
     def status(self) -> tuple[bytes, str, list[tuple[str, object]]]:
         """Return level, message and values for the diagnostics."""
         level, message, values = super().status()

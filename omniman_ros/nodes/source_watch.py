@@ -78,8 +78,6 @@ class SourceWatch:
         found = {source.topic: source.blind_reason(now) for source, _ in self._sources}
         return {topic: reason for topic, reason in found.items() if reason}
 
-    # ---- log ------------------------------------------------------------------------------------
-
     def _look(self) -> None:
         """Survey, and log by what the robot sees, and when it begins and ends to be blind."""
         self.survey()

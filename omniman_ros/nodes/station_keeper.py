@@ -46,8 +46,6 @@ class StationStream:
         self._logged = (core.state, core.reason)
         StreamMonitorInterface(node, self.monitor, self._abort_if_lost)
 
-    # ---- requests -----------------------------------------------------------------------------
-
     def submit(self, offset: Triple) -> str:
         """Approach a station [m, m, rad] as soon as possible; return why it is refused, or ""."""
         self._pending.put(lambda: self._start(offset))
@@ -59,8 +57,6 @@ class StationStream:
         was_active = self._core.state is not StationState.IDLE
         self._core.release()
         return was_pending or was_active
-
-    # ---- start and end ------------------------------------------------------------------------
 
     def _start_pending(self) -> str:
         return self._pending.attempt(self.monitor.blocking_reason, self._blocking_reason).refusal
@@ -92,8 +88,6 @@ class StationStream:
         reason = self.monitor.loss_reason(self._node.now())
         if reason:
             self._abort(reason)
-
-    # ---- cycle --------------------------------------------------------------------------------
 
     def tick(self) -> None:
         """Supervise the motion, start a station that waits, and publish the next preview."""
@@ -171,8 +165,6 @@ class StationKeeperNode(OmnimanNode):
         self.core.configure(new.core)
         self.stream.monitor.silence = new.restart
 
-    # ---- inputs -------------------------------------------------------------------------------
-
     def _on_leader(self, pose: Array, at: float) -> None:
         x, y, theta = pose.tolist()
         self.core.update_leader(at, (x, y, theta), se2.to_robot(theta, self._leader.velocity))
@@ -198,8 +190,6 @@ class StationKeeperNode(OmnimanNode):
         response.message = self.core.state.value
         return response
 
-    # ---- status -------------------------------------------------------------------------------
-
     def status(self) -> tuple[bytes, str, list[tuple[str, object]]]:
         """Return level, message and values for the diagnostics."""
         core = self.core
@@ -215,8 +205,6 @@ class StationKeeperNode(OmnimanNode):
         is_waiting = core.state is StationState.WAITING
         level = DiagnosticStatus.WARN if is_waiting else DiagnosticStatus.OK
         return level, core.state.value, values
-
-    # ---- life cycle ---------------------------------------------------------------------------
 
     def begin_shutdown(self, reason: str) -> None:
         """Bring the robot to rest, and accept no other station."""

@@ -38,8 +38,6 @@ class WholeBodyPlannerNode(OmnimanNode):
         if self._status_publisher.get_subscription_count():
             self._status_publisher.publish(self.status_message(*self.status()))
 
-    # ---- life cycle ---------------------------------------------------------------------------
-
     def begin_shutdown(self, reason: str) -> None:
         """Bring the robot to rest on its path, and accept nothing new."""
         self.motions.begin_shutdown()

@@ -38,8 +38,6 @@ class ControllerLink:
         max_unacknowledged = max(MAX_UNACKNOWLEDGED, math.ceil(p.read_timeout / PERIOD) + 4)
         self._program = ProgramLink(host, p.script_port, p.reverse_port, max_unacknowledged)
 
-    # ---- real-time data -------------------------------------------------------------------------
-
     @property
     def blocking_reason(self) -> str:
         """Why no real-time data flow, or an empty string."""
@@ -72,8 +70,6 @@ class ControllerLink:
         self._rtde.texts.clear()
         return result
 
-    # ---- the program ----------------------------------------------------------------------------
-
     @property
     def program(self) -> ProgramState:
         """State of the program."""
@@ -105,8 +101,6 @@ class ControllerLink:
     def end_program(self) -> None:
         """End the connection of the program; data already sent still arrive, followed by FIN."""
         self._program.end()
-
-    # ---- time -----------------------------------------------------------------------------------
 
     def tick(self, now: float) -> None:
         """Give up connections that do not answer until `now` [s], and reconnect."""

@@ -153,8 +153,6 @@ class StreamingLoop:
         else:
             self._send_time = 0.0
 
-    # ---- commands -------------------------------------------------------------------------------
-
     def _check_node(self, now: float) -> None:
         """Bring the arm to rest if the node hangs, as it could not stop the arm."""
         if now - self._node_time > NODE_TIMEOUT:
@@ -183,8 +181,6 @@ class StreamingLoop:
     def _reset(self, number: int) -> None:
         self._resets = number
         self._supervisor.reset(self._clock())
-
-    # ---- reports --------------------------------------------------------------------------------
 
     def _report(self, samples: list[ArmSample], now: float) -> None:
         """Send a report if anything has changed, or if the last one is too old."""

@@ -80,8 +80,6 @@ class StreamingSupervisor:
         self._generator.limits = joint_limits(arm, ur)
         self._generator.settings.start_distance = ur.start_distance
 
-    # ---- commands -------------------------------------------------------------------------------
-
     def start(self, now: float) -> None:
         """Start a program at time `now` [s], and send setpoints until :meth:`finish`."""
         self.stop_reason = ""  # the node starts programs only while it is not stopped
@@ -142,8 +140,6 @@ class StreamingSupervisor:
         refusals, self._refusals = tuple(self._refusals), []
         return refusals
 
-    # ---- state ----------------------------------------------------------------------------------
-
     @property
     def at_rest(self) -> bool:
         """Whether the setpoints stand still or, while none are sent, the arm does."""
@@ -159,8 +155,6 @@ class StreamingSupervisor:
         """Why the arm cannot be moved now, or an empty string."""
         sample = self._link.sample
         return self._link.blocking_reason or (sample.blocking_reason if sample else "no data yet")
-
-    # ---- cycle ----------------------------------------------------------------------------------
 
     def check(self, samples: Sequence[ArmSample], now: float) -> None:
         """Check received samples, oldest first, and whether data are overdue at `now` [s]."""
@@ -209,8 +203,6 @@ class StreamingSupervisor:
         self._send(setpoint, now)
         if self.phase is StreamingPhase.ENDING and self._generator.at_rest:
             self._end_program()
-
-    # ---- program --------------------------------------------------------------------------------
 
     def _begin_program(self, now: float) -> None:
         if self.phase is not StreamingPhase.IDLE or self.stop_reason or self.blocking_reason:
@@ -272,8 +264,6 @@ class StreamingSupervisor:
 
     def _message(self, setpoint: Array, mode: ProgramMode) -> bytes:
         return reverse_interface.pack(setpoint.tolist(), mode, self._ur.read_timeout)
-
-    # ---- feedback -------------------------------------------------------------------------------
 
     def _measured(self) -> Array | None:
         sample = self._link.sample

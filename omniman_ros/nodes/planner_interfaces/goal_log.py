@@ -39,8 +39,6 @@ class GoalLog:
         """Return why a goal ended: empty if it was reached; None while it has not ended."""
         return None if goal in (self._waiting, self._driven) else self._ledger.outcome(goal)
 
-    # ---- events -------------------------------------------------------------------------------
-
     def receive(self) -> None:
         """Number a goal that can be used; it waits from now on."""
         self._ledger.accept()

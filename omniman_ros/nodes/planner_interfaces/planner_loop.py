@@ -207,8 +207,6 @@ class PlannerLoop:
         """Whether there is a goal to drive to, or the motion is not over."""
         return self._planner.active or self._planner.motion.end > self._node.now()
 
-    # ---- requests -----------------------------------------------------------------------------
-
     def submit(self, make_goal: Callable[[], PlacedGoal]) -> str:
         """Drive to a goal as soon as possible; return or raise why it is refused."""
         return self._attended(self._admission.submit(make_goal))
@@ -253,8 +251,6 @@ class PlannerLoop:
         if self.goals.has_goal:
             self.goals.cancel()
 
-    # ---- end of a drive ------------------------------------------------------------------------
-
     def give_up_if_lost(self) -> None:
         """Give the goal up if the robot does not follow this planner any more."""
         reason = self._monitor.loss_reason(self._node.now())
@@ -281,8 +277,6 @@ class PlannerLoop:
         now = self._node.now()
         self._planner.cancel(now)
         self._publisher.send(now)
-
-    # ---- a cycle ------------------------------------------------------------------------------
 
     def tick(self) -> None:
         """Supervise the drive, start the goal that waits, and run one planning cycle."""

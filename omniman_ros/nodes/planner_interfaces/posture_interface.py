@@ -101,8 +101,6 @@ class PostureInterface:
         times, positions = self._expected
         return np.concatenate([here[None], positions[times > now]])
 
-    # ---- messages -----------------------------------------------------------------------------
-
     def _log_assumption(self) -> None:
         if not self._has_logged:
             self._has_logged = True

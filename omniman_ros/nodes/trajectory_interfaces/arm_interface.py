@@ -46,8 +46,6 @@ class ArmInterface(JointInterface):
             self._stream.lose("a trajectory took over")
         return why
 
-    # ---- streams of points ---------------------------------------------------------------------
-
     def is_stream(self, message: JointTrajectory) -> bool:
         """Return whether a message belongs to a stream: a single point, due soon.
 

@@ -50,8 +50,6 @@ class BodyInterface(MotionInterface):
         why = context.odom.blocking_reason(options.odom_timeout)
         return why or context.control_wait_reason()
 
-    # ---- state of the axes --------------------------------------------------------------------
-
     def actual(self) -> tuple[Array, Array] | None:
         """Return measured positions and velocities (9,), with odom's heading as it is."""
         odom, arm = self._context.odom, self._context.arm_feed.state()
@@ -65,8 +63,6 @@ class BodyInterface(MotionInterface):
         arm = self._context.arm_feed.start_position(tolerance)
         assert self._context.odom.pose is not None and arm is not None
         return np.concatenate([self._context.odom.pose, arm])
-
-    # ---- the tool -------------------------------------------------------------------------------
 
     def update_pose(self, pose: Array, at: float) -> None:
         """Correct the arm for the platform's pose (3,) in odom [m, m, rad] at a time [s]."""

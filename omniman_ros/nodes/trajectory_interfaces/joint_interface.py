@@ -27,8 +27,6 @@ class JointInterface(MotionInterface, ABC):
         """Names of the axes."""
         return self.core.planner.limits.names
 
-    # ---- to be implemented by each interface ---------------------------------------------------
-
     @abstractmethod
     def trajectory(self, message: JointTrajectory) -> str:
         """Start a trajectory, or let it wait; return or raise (InputError) why it is refused."""
@@ -53,8 +51,6 @@ class JointInterface(MotionInterface, ABC):
     def desired(self) -> tuple[Array, Array, Array] | None:
         """Return references (d,) and their rates at the instant of :meth:`actual`, if any."""
         return None if self.idle else self._desired_at(self._context.arm_feed.time)
-
-    # ---- requests -----------------------------------------------------------------------------
 
     def points(self, message: JointTrajectory) -> JointPoints:
         """Convert the points of a trajectory of these axes, or raise InputError."""

@@ -54,7 +54,6 @@ class SampledMotion(Protocol):
 
     def sample(self, times: Array) -> tuple[Array, Array, Array]:
         """Return x, x', x'' (k, d) at motion times (k,) [s]."""
-        ...
 
 
 class LimitInterface:

@@ -166,8 +166,6 @@ class MotionCoordinator:
         self.limits.configure(new)
         self.context.stream_monitor.silence = new.restart
 
-    # ---- inputs -------------------------------------------------------------------------------
-
     def _on_slowed(self) -> None:
         """Slow down at once; further changes within a tick wait for the next one."""
         if not self.context.time_base.idle and self._node.now() - self._scaled_at >= TICK:
@@ -178,8 +176,6 @@ class MotionCoordinator:
         self.whole_body.limit_scale = scale
         self.path.core.scale_limits(scale, self.context.time_base.now())
         self.tick()
-
-    # ---- services to the interfaces -----------------------------------------------------------
 
     def _conflict(self, interface: object) -> str:
         if interface is not self.whole_body:
@@ -199,8 +195,6 @@ class MotionCoordinator:
         self.context.time_base.release()
         self.tick()
 
-    # ---- requests -----------------------------------------------------------------------------
-
     def cancel(self) -> None:
         """Discard what waits and brake what moves; raise RefusedError if there is nothing."""
         discarded = [motion for motion in self._startable.values() if motion.discard_pending()]
@@ -217,8 +211,6 @@ class MotionCoordinator:
         if not self.context.time_base.idle:
             self.context.time_base.cancel()
             self.tick()
-
-    # ---- cycle --------------------------------------------------------------------------------
 
     def tick(self) -> None:
         """Supervise all motions, start pending ones, and publish previews and progress."""

@@ -87,23 +87,18 @@ class DrivenMotion(Interpolator, Protocol):
 
     def sample(self, times: Array) -> tuple[Array, Array, Array]:
         """Return x, x', x'' (k, d) of the motion under way at increasing times (k,) [s]."""
-        ...
 
     def plan_times(self, times: Array) -> Array:
         """Return the times (k,) of the planned motion at increasing times (k,) [s]."""
-        ...
 
     def update(self, now: float) -> None:
         """Update the state when the motion has come to rest."""
-        ...
 
     def abort(self) -> None:
         """Discard the motion at once: it is at rest, or the receiver stops it."""
-        ...
 
     def paced_stop_window(self, now: float, pace: Pace) -> Window | None:
         """Return the final window of a stream at a pace, which ends at rest on the path."""
-        ...
 
 
 class MotionInterface:
@@ -133,8 +128,6 @@ class MotionInterface:
         self.log.announce(text)
         self._context.on_started()
 
-    # ---- supervision --------------------------------------------------------------------------
-
     def give_up(self, why: str, *, brake: bool) -> None:
         """End the motion under way; the axes come to rest.
 
@@ -155,8 +148,6 @@ class MotionInterface:
 
     def _stop_window(self, now: float) -> Window | None:
         return self.core.paced_stop_window(now, self._context.time_base.pace)
-
-    # ---- output -------------------------------------------------------------------------------
 
     def tick(self) -> None:
         """Publish the next preview, and report the end of the motion."""

@@ -60,8 +60,6 @@ class MotionLog:
         self.status = MotionStatus(f"no {kind} yet")
         self.ledger = MotionLedger()
 
-    # ---- before the start ---------------------------------------------------------------------
-
     def refuse(self, why: str) -> InputError:
         """Record a refusal; return the error for it."""
         self.status.report(MotionEvent.REFUSED, f"a {self._kind} was refused: {why}")
@@ -85,8 +83,6 @@ class MotionLog:
     def discard_pending(self) -> None:
         """Record that the motion that waited was discarded."""
         self.ledger.close(MotionEvent.CANCELLED.value, self.ledger.accepted)
-
-    # ---- from the start on --------------------------------------------------------------------
 
     def start(self, *, replaces_driven: bool) -> None:
         """Record that the motion that was accepted last has started."""

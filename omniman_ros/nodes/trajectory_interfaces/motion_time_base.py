@@ -66,27 +66,21 @@ class Interpolator(Protocol):
 
     def demand(self, times: Array) -> Demand | None:
         """Return what the motion uses of its limits at motion times (k,) [s]; None if idle."""
-        ...
 
     def progress(self, now: float) -> float:
         """Return the completed fraction of the motion, 0 to 1."""
-        ...
 
     def remaining(self, now: float) -> float:
         """Return the time to the end of the motion [s]."""
-        ...
 
     def pause(self, now: float) -> None:
         """Come to rest on the path, and keep the rest of it."""
-        ...
 
     def resume(self, now: float) -> None:
         """Continue after a pause."""
-        ...
 
     def cancel(self, now: float) -> None:
         """Come to rest on the path, and forget the rest of it."""
-        ...
 
 
 class MotionTimeBase:

@@ -45,8 +45,6 @@ class PathInterface:
         """Whether no path is under way."""
         return self.core.state is PathState.IDLE
 
-    # ---- paths --------------------------------------------------------------------------------
-
     def accept(self, message: Path) -> str:
         """Start a path, placed in odom now, or let it wait; return or raise why it is refused."""
         p, frames = self._context.options, self._context.frames
@@ -99,16 +97,12 @@ class PathInterface:
         """Discard the path that waits, and return whether there was one."""
         return self.pending.discard()
 
-    # ---- supervision --------------------------------------------------------------------------
-
     def give_up(self, why: str) -> None:
         """Discard the path, because the platform no longer follows it."""
         if not self.idle:
             self._log.give_up(why)
             self.core.abort()
             self._context.stream_monitor.end(lost=True)
-
-    # ---- output -------------------------------------------------------------------------------
 
     def tick(self) -> None:
         """Publish the next preview, and report the end of the path."""

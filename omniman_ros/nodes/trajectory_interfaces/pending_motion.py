@@ -13,7 +13,6 @@ class Waiting(Protocol):
 
     def restart_timeout(self) -> None:
         """Let the motion wait for the whole timeout from now on."""
-        ...
 
 
 class Startable(Protocol):
@@ -22,20 +21,16 @@ class Startable(Protocol):
     @property
     def pending(self) -> Waiting:
         """Motion that waits."""
-        ...
 
     @property
     def status(self) -> MotionStatus:
         """Latest event."""
-        ...
 
     def start_pending(self) -> str:
         """Start the waiting motion if possible; return why it is refused, or an empty string."""
-        ...
 
     def discard_pending(self) -> bool:
         """Discard the motion that waits, and return whether there was one."""
-        ...
 
 
 class PendingMotion:

@@ -48,11 +48,9 @@ class ToolDriver(Protocol[Plan]):
 
     def planner(self, poses: Array, start: Array) -> Callable[[], Plan]:
         """Return what plans tool poses (k, 4, 4) in odom from axes (9,), also in a thread."""
-        ...
 
     def drive(self, plan: Plan) -> None:
         """Start a planned motion; raise InputError if it cannot be driven any more."""
-        ...
 
 
 class ToolInterface(Generic[Plan]):

@@ -32,11 +32,9 @@ class LedTool(Protocol):
     @property
     def branch(self) -> int:
         """Branch of the arm's inverse kinematics."""
-        ...
 
     def tool(self, times: Array) -> Array:
         """Return poses (m, 4, 4) of `tool0` in odom at times (m,) of the motion [s]."""
-        ...
 
 
 class PlannedAxes(Protocol):
@@ -44,11 +42,9 @@ class PlannedAxes(Protocol):
 
     def sample(self, times: Array) -> tuple[Array, Array, Array]:
         """Return x, x', x'' (k, 9) at increasing motion times (k,) [s]."""
-        ...
 
     def plan_times(self, times: Array) -> Array:
         """Return the times (k,) of the tool's motion at increasing motion times (k,) [s]."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -190,8 +190,6 @@ class TrajectoryAction:
         self._node.destroy_timer(self._timer)
         self._server.destroy()
 
-    # ---- goals --------------------------------------------------------------------------------
-
     def _on_goal(self, goal: Any) -> GoalResponse:
         try:
             self._monitor(goal)
@@ -229,8 +227,6 @@ class TrajectoryAction:
         goal.monitor.cancel()
         self._executor.cancel(goal.motion)
         return CancelResponse.ACCEPT
-
-    # ---- goal under way -----------------------------------------------------------------------
 
     def update(self) -> None:
         """Check the goal under way; publish its feedback, or its result if it has ended."""

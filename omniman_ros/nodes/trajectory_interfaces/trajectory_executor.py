@@ -13,7 +13,6 @@ class TrajectoryExecutor(Protocol):
     @property
     def names(self) -> tuple[str, ...]:
         """Return the names of the n axes."""
-        ...
 
     def send(self, message: JointTrajectory) -> int:
         """Accept a trajectory, and return the number of its motion.
@@ -21,20 +20,15 @@ class TrajectoryExecutor(Protocol):
         Raises:
             InputError: The trajectory is refused; the motion under way goes on.
         """
-        ...
 
     def outcome(self, motion: int) -> str | None:
         """Return why a motion ended: empty if it arrived; None while it goes on."""
-        ...
 
     def cancel(self, motion: int) -> None:
         """Bring a motion to rest on its path, unless it has ended already."""
-        ...
 
     def desired(self) -> tuple[Array, Array, Array] | None:
         """Return the reference positions, velocities and accelerations (n,), if there are any."""
-        ...
 
     def actual(self) -> tuple[Array, Array] | None:
         """Return measured positions and velocities (n,), if they are known."""
-        ...

@@ -41,8 +41,6 @@ class WholeBodyInterface(BodyInterface, JointInterface):
         if self._tool is not None:
             self._tool.correction.options = new.tool_path
 
-    # ---- trajectories -------------------------------------------------------------------------
-
     def trajectory(self, message: JointTrajectory) -> str:
         """Start a trajectory, or let it wait for the robot; see the base class."""
         points = self.points(message)
@@ -77,8 +75,6 @@ class WholeBodyInterface(BodyInterface, JointInterface):
         """Start the waiting motion if possible; return why it is refused, or an empty string."""
         return self.pending.start()
 
-    # ---- state of the axes --------------------------------------------------------------------
-
     def desired(self) -> tuple[Array, Array, Array] | None:
         """Return each part's references at its own time of measurement; see the base class."""
         if self.idle:
@@ -91,16 +87,12 @@ class WholeBodyInterface(BodyInterface, JointInterface):
         )
         return x, v, a
 
-    # ---- paths of the tool --------------------------------------------------------------------
-
     def follow_tool_path(self, plan: ToolPlan, tool: ToolStream) -> None:
         """Start a path of the tool that was planned from the robot's present position."""
         self.log.accept(replaces_pending=False)
         self._take(lambda _: JointProposal(plan.curve, None, None), 0.0)
         self._tool = tool
         self._announce(f"{plan.length:.2f} m of the tool in {plan.curve.duration:.2f} s")
-
-    # ---- hooks --------------------------------------------------------------------------------
 
     def _take(
         self, propose: Callable[[float], JointProposal], planning_time: float

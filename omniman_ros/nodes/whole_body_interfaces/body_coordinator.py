@@ -99,8 +99,6 @@ class BodyCoordinator:
         self.limits.configure(new)
         self.context.stream_monitor.silence = new.restart
 
-    # ---- inputs -------------------------------------------------------------------------------
-
     def _on_slowed(self) -> None:
         """Slow down at once; further changes within a tick of the stream wait for the next."""
         if self._node.now() - self._scaled_at >= TICK:
@@ -114,8 +112,6 @@ class BodyCoordinator:
     def _on_started(self) -> None:
         self.context.time_base.release()
         self.send()
-
-    # ---- requests -----------------------------------------------------------------------------
 
     def hold(self) -> None:
         """Hold the tool where it is, or raise RefusedError if no motion may begin."""
@@ -139,8 +135,6 @@ class BodyCoordinator:
         if not self.context.time_base.idle:
             self.context.time_base.cancel()
             self.send()
-
-    # ---- cycle --------------------------------------------------------------------------------
 
     def tick(self) -> None:
         """Supervise the motion, start a path that waits, plan, and publish previews."""

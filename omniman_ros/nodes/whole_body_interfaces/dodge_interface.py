@@ -61,8 +61,6 @@ class DodgeInterface(BodyInterface):
         if self._tool is not None:
             self._tool.correction.options = new.tool_path
 
-    # ---- tasks --------------------------------------------------------------------------------
-
     def planner(self, poses: Array, start: Array) -> "Callable[[], BodyTask]":
         """Return what makes a task: it searches for the platform's way."""
         # Imported here, so that the parameters of the node can be read without casadi.
@@ -102,8 +100,6 @@ class DodgeInterface(BodyInterface):
     def platform_reference(self, motion_time: float) -> Array:
         """Return the planned pose of the platform; see the base class."""
         return self.core.platform(motion_time)
-
-    # ---- cycle --------------------------------------------------------------------------------
 
     @property
     def max_pace(self) -> float:
