@@ -59,9 +59,6 @@ class CanBus(Bus):
         wake: Called from the thread when frames have arrived, after which :meth:`take` must be
             called; None if there is nothing to call.
 
-    Attributes:
-        invalid: Number of received items that were not classic CAN frames.
-
     Raises:
         BusError: The bus cannot be opened.
     """

@@ -74,11 +74,10 @@ def frame_bits(frame: Frame) -> int:
 
 
 def bus_load(frames: Iterable[Frame], duration: float, bitrate: float) -> float:
-    """Return the fraction of time in which frames occupy the bus; above 1 they do not fit.
+    """Return the fraction of a time [s] in which frames occupy the bus; above 1 they don't fit.
 
     Args:
         frames: All frames on the bus, from the host and from all drives.
-        duration: Time in which they are sent [s].
         bitrate: Bit rate of the bus [bit/s].
 
     Raises:

@@ -26,7 +26,6 @@ class CanLink:
     """Runs the policy over all drives on an open bus.
 
     Args:
-        clock: Returns the time of a steady clock [s].
         wake: Called from another thread when frames wait for :meth:`receive`; None if unused.
 
     Raises:

@@ -32,11 +32,7 @@ class SpeedRamp:
         self._speeds, self._at, self._is_catching_up = speeds, at, True
 
     def step_to_rest(self, deceleration: float, now: float) -> Array:
-        """Return the next speeds (n,) [rad/s] of the ramp to rest.
-
-        Args:
-            deceleration: Deceleration of the fastest wheel [rad/s^2].
-        """
+        """Return the next speeds (n,) [rad/s] of the ramp to rest; `deceleration` of the fastest."""
         step, fastest = self._step(deceleration, now), float(np.abs(self._speeds).max())
         self._is_catching_up = True
         scale = 1.0 - step / fastest if fastest > step else 0.0
@@ -44,11 +40,7 @@ class SpeedRamp:
         return self._speeds
 
     def step_towards(self, target: Array, acceleration: float, now: float) -> Array:
-        """Return the next speeds (n,) [rad/s] of the ramp to a command, then the command itself.
-
-        Args:
-            acceleration: Acceleration of the wheel with the largest change [rad/s^2].
-        """
+        """Return the next speeds (n,) [rad/s] on the ramp to a command, then the command."""
         step = self._step(acceleration, now)
         if self._is_catching_up:
             change = target - self._speeds
@@ -69,9 +61,6 @@ class SetpointGenerator:
     """Converts wheel commands into setpoints at the motors.
 
     A stale command becomes a ramp to rest on the curve that the robot is on.
-
-    Attributes:
-        max_speed: Largest wheel speed that a command may have [rad/s].
     """
 
     def __init__(self, axes: Sequence[Axis], robot: Robot, parameters: CanParameters) -> None:
@@ -141,12 +130,7 @@ class SetpointGenerator:
         )
 
     def driving(self, speeds: Array, now: float) -> list[Setpoint]:
-        """Return the setpoints that follow the command, or ramp to rest if it is stale.
-
-        Args:
-            speeds: Measured wheel speeds (n,) [rad/s], at which a ramp after torques or voltages
-                begins.
-        """
+        """Return the setpoints that follow the command, or ramp to rest if it is stale."""
         p = self._parameters
         command = self._command
         if command is None or self._is_stale(self._commanded_at, now):

@@ -72,9 +72,6 @@ def _plane(mount: Transform) -> tuple[PlanarPose, float]:
 
     The angles of one that hangs upside down, by a half turn about any axis in its plane, grow to
     the right: their sense is -1.
-
-    Raises:
-        InputError: The scanner is tilted.
     """
     x, y, up = mount.rotated((0.0, 0.0, 1.0))
     slope = math.hypot(x, y)

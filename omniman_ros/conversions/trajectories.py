@@ -85,7 +85,6 @@ def preview_message(
     """Return the message for a preview of the platform.
 
     Args:
-        times: Times (k,) of the points [s]; their origin is arbitrary.
         poses: Poses (k, 3), x, y, theta, in `frame` [m, m, rad].
         velocities: Velocities (k, 3), x', y', theta', in `frame` [m/s, m/s, rad/s].
     """

@@ -34,10 +34,6 @@ class ArmStatesReader:
     """Keeps the last message on `arm/joint_states`, and reads it when it is needed.
 
     The arm reports more often than most need to know: messages stay serialized until then.
-
-    Args:
-        on_message: Called on arrival of each message, which is still to be read.
-        max_age: Age above which states are refused [s].
     """
 
     def __init__(
@@ -66,11 +62,7 @@ class ArmStatesReader:
         self._received = -math.inf
 
     def read(self) -> ArmStates | None:
-        """Return the states that were received last, or None if they have been read already.
-
-        Raises:
-            InputError: The message cannot be used, is too old, or older than the last one.
-        """
+        """Return the last states, unless they were read; raise InputError if they are no use."""
         data, self._data = self._data, None
         if data is None:
             return None

@@ -63,12 +63,6 @@ class CanBridgeNode(HardwareNode):
     configure opens the bus and configures the drives, activate enables them at zero speed,
     deactivate stops the wheels and takes the power off, cleanup closes the bus. The transitions
     wait for the drives; meanwhile only the bus is served.
-
-    Args:
-        open_bus: Opens the bus in place of `bus_opener`, on the time of the caller's choice.
-
-    Attributes:
-        link: The drives and their bus; None unless the node is configured.
     """
 
     def __init__(self, *, open_bus: "OpenBus | None" = None, **options: Any) -> None:

@@ -33,11 +33,7 @@ class CanBridgeParameters:
 
 
 def require_time_of_bus(port: int, is_simulated: bool) -> None:
-    """Require `use_sim_time` with the simulated bus, and with no other.
-
-    Raises:
-        ParameterError: Real drives in simulated time, or simulated drives without it.
-    """
+    """Raise ParameterError unless `use_sim_time` goes with the simulated bus, and only it."""
     if is_simulated is not bool(port):
         reason = "a bus runs on real time, and the one at simulated_bus_port on /clock"
         raise ParameterError("use_sim_time", is_simulated, reason)

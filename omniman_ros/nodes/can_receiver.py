@@ -48,9 +48,6 @@ def frame_age(message: "can.Message") -> float:
 class CanReceiver:
     """Receives the frames of a bus in a thread, until :meth:`close`.
 
-    Args:
-        on_received: Called from the thread when a frame is received and none was waiting.
-
     Attributes:
         received: Received frames, the oldest first; the caller takes them out.
         errors: The last error of reception, unless the caller has taken it out.

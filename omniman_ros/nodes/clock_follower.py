@@ -22,11 +22,7 @@ CLOCK_DEPTH = 200
 
 
 def permit_message(name: str, until: float | None) -> Header:
-    """Return a permit for simulated time to go on.
-
-    Args:
-        until: Simulated time up to which it may go on [s]; None: it need not wait for the node.
-    """
+    """Return a permit for simulated time to go on until a time [s], or for ever if None."""
     nanoseconds = 0 if until is None else round(until * 1e9)
     return Header(frame_id=name, stamp=Time(nanoseconds=nanoseconds).to_msg())
 
@@ -35,14 +31,9 @@ class ClockFollower:
     """Calls a node's timers when a message on /clock arrives, and then lets time go on.
 
     Args:
-        node: Node on simulated time, before it is added to an executor.
         lookahead: How far time may go on beyond what the node has done [s]; infinite if it need
             not wait for the node.
-        time_passed: Called when time has passed, before the timers.
         progress: Returns the simulated time up to which the node has done its work [s].
-
-    Attributes:
-        publisher: Publisher of the permits.
     """
 
     def __init__(

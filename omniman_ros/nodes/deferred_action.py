@@ -12,9 +12,6 @@ class DeferredActionServer(ActionServer):
     """An action server whose goals end by a call: no callback or coroutine waits for the end.
 
     rclpy's executors call a coroutine that waits again and again.
-
-    Args:
-        callbacks: The callbacks of rclpy's action server, except that which executes a goal.
     """
 
     def __init__(self, node: Any, kind: Any, name: str, **callbacks: Any) -> None:

@@ -47,7 +47,6 @@ class DriveReportPublisher:
     """Publishes wheel_states, and at lower rates ground_truth/odom and wheel_electrical.
 
     Args:
-        channel: Channel that loses and delays wheel_states as the faults specify.
         truth_every: Number of reports per message on ground_truth/odom.
         electrical_every: Number of reports per message on wheel_electrical.
     """
@@ -99,11 +98,7 @@ class DriveReportPublisher:
 
 
 class DriveCommandInterface:
-    """Subscribes to `wheel_commands` and `wheel_voltages`; while stopped, commands do nothing.
-
-    Args:
-        timeout: Returns the age at which a stamped command is refused [s].
-    """
+    """Subscribes to `wheel_commands` and `wheel_voltages`; while stopped, commands do nothing."""
 
     def __init__(
         self,

@@ -22,7 +22,6 @@ class EmergencyInterface:
     """Subscribes to `emergency_stop`, and tells whether one of its publishers says true.
 
     Args:
-        on_state: Called with that after each message, and when a publisher has gone.
         on_missed: Called when a publisher came and went whose message did not arrive.
     """
 

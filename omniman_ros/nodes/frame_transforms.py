@@ -110,12 +110,9 @@ class FrameTransforms:
         return self._tree.lookup(base, frame.lstrip("/"), None)
 
     def anchor(self, frame: str) -> Transform:
-        """Return the newest transform from a frame that does not move with the robot to odom.
+        """Return the newest transform to odom from a frame that stands, or raise TransformError.
 
         After time went back, it is the last one that was used, until another one arrives.
-
-        Raises:
-            TransformError: There is none, and never was.
         """
         if frame == ODOM:
             return Transform()

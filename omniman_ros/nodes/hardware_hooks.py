@@ -41,11 +41,7 @@ class HardwareHooks(ABC):
 
     @abstractmethod
     def open_hardware(self) -> str:
-        """Open the hardware, wait until it is configured, and return a line for the log.
-
-        Raises:
-            HardwareError: The hardware is missing or not ready; it is then closed.
-        """
+        """Open the hardware, wait until it is configured, and return a line for the log."""
 
     @abstractmethod
     def enable_hardware(self) -> str:

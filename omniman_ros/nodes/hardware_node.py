@@ -24,9 +24,6 @@ class AutomaticStart:
     Hardware that is missing is waited for without a limit. A fault of hardware that is there, be
     it enabled or not, leads to another start, but at most :data:`MAX_RETRIES` times: a fault that
     stays is a stop.
-
-    Attributes:
-        faults: Number of faults since the first attempt or the last reset.
     """
 
     def __init__(self) -> None:
@@ -65,12 +62,6 @@ class HardwareNode(OmnimanNode, LifecycleNodeMixin, HardwareHooks):
     activate enables it, deactivate brings it to rest and disables it, cleanup closes it. A stopped
     node is not activated, and hardware that may have moved is never started again automatically.
     The constructor of a subclass ends with :meth:`begin`.
-
-    Args:
-        allow_sim_time: Accept `use_sim_time`, for hardware that is simulated in stepped time.
-
-    Attributes:
-        is_active: Whether the node is active: only then may the hardware move.
 
     Raises:
         ParameterError: `use_sim_time` is set and not allowed.

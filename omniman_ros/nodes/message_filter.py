@@ -19,9 +19,6 @@ class MessageFilter:
     """Hands the messages of a topic on in their order, each when its transforms are known.
 
     Args:
-        headers: Returns the headers whose frames are looked up for a message.
-        is_awaited: Returns whether the transform of a header is missing, but may come.
-        give_up: Called with the headers of a message that has waited for too long.
         handle_now: Handles a message that need not wait; its result is that of `handle`.
         handle_later: Handles a message that has waited, whether its transforms came or not.
     """
@@ -81,12 +78,9 @@ class MessageFilters:
         headers: Callable[[M], Iterable[Header]],
         handler: Callable[[M], str | None],
     ) -> Callable[[M], str | None]:
-        """Wrap a handler so that its messages wait for their transforms, in their order.
+        """Wrap a handler so that messages wait for the transforms of their `headers`, in order.
 
         The handler is called in any case: after the wait, its own lookup says what is missing.
-
-        Args:
-            headers: Returns the headers whose frames the handler looks up.
         """
         handle_later = self._node.guarded(topic, handler)
         waiting = MessageFilter(headers, self._is_awaited, self._give_up, handler, handle_later)

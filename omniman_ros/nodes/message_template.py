@@ -25,12 +25,7 @@ _FIRST_MARK = 0x01800000_7B3D5E91
 
 
 def marks(count: int, start: int = 0) -> list[float]:
-    """Return marks of numbers that are to change.
-
-    Args:
-        start: Number of marks that the message has already; marks are numbered in the order in
-            which :class:`MessageTemplate` takes their numbers.
-    """
+    """Return marks of numbers that are to change, in order, after `start` earlier ones."""
     return [_mark(start + k) for k in range(count)]
 
 

@@ -34,12 +34,7 @@ class MotionLedger:
         return self._outcomes.get(motion, "refused")
 
     def outcome_so_far(self, motion: int, *, is_driven: bool, is_pending: bool) -> str | None:
-        """Return why a motion ended; empty if it arrived; None while it waits or goes on.
-
-        Args:
-            is_driven: Whether the motion that was started last goes on.
-            is_pending: Whether the motion that was accepted last may still wait to be started.
-        """
+        """Return why a motion ended; empty if it arrived; None while it waits or goes on."""
         under_way = is_driven and motion == self.started
         waits = is_pending and motion == self.accepted != self.started
         return None if under_way or waits else self.outcome(motion)

@@ -66,11 +66,7 @@ def imu_values(core: OdometryCore) -> list[tuple[str, object]]:
 
 
 class OdometryInputs:
-    """Subscribes to the wheels' topics, `set_pose` and, with `imu.use`, `imu`; serves a reset.
-
-    Args:
-        on_report: Called with the stamp of each report of the wheels that was used.
-    """
+    """Subscribes to the wheels' topics, `set_pose` and, with `imu.use`, `imu`; serves a reset."""
 
     def __init__(
         self,

@@ -27,11 +27,7 @@ TOLERANCE = 1e-6  #: Difference up to which two instants count as the same [s]
 
 
 def bus_opener(port: int, clock: Callable[[], float], poll: Callable[[], None]) -> OpenBus:
-    """Return a function that opens the bus of an installation, or a simulated one.
-
-    Args:
-        port: TCP port of simulated drives on this machine; 0 for the installation's bus.
-    """
+    """Return a function that opens the bus of an installation, or of a port above 0."""
     return (lambda parameters, wake: PacedBus(port, clock, poll)) if port else CanBus
 
 
@@ -43,9 +39,6 @@ class PacedBus(Bus):
     instant, it reads these frames, sends its own, reads the answers, and sends the instant to
     report that it is done. Until then the drives wait. No frame is late, however long a process
     waits for a core, and an answer takes no simulated time.
-
-    Args:
-        poll: Receives the simulated time while the bridge waits.
 
     Raises:
         BusError: There are no drives at the port.

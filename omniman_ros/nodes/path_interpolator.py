@@ -23,12 +23,7 @@ from omniman_ros.nodes.trajectory_interfaces.trajectory_executor import Trajecto
 
 
 class PathInterpolatorNode(OmnimanNode):
-    """Serves the motions of platform, arm and whole body as a ROS node.
-
-    Attributes:
-        actions: Actions `follow_joint_trajectory` of the arm and of the whole body, and
-            `follow_path` of the platform, where their packages are installed.
-    """
+    """Serves the motions of platform, arm and whole body as a ROS node."""
 
     def __init__(self, **options: object) -> None:
         super().__init__("path_interpolator", **options)

@@ -22,11 +22,7 @@ SETPOINT = QoSProfile(depth=1)  #: Quality of service of setpoints: only the lat
 
 
 class ReadyNotice:
-    """Logs, once, that a platform controller is ready to drive, and by what.
-
-    Args:
-        node: Node of the controller, with the parameter `cmd_vel_stamped`.
-    """
+    """Logs, once, that a platform controller is ready to drive, and by what."""
 
     def __init__(self, node: OmnimanNode, core: PlatformController) -> None:
         self._node, self._core = node, core
@@ -45,11 +41,7 @@ class ReadyNotice:
 
 
 class PlatformOutputs:
-    """Publishes what a platform controller commands and reports.
-
-    Attributes:
-        active: Value that was last published on `active_source`.
-    """
+    """Publishes what a platform controller commands and reports."""
 
     def __init__(
         self, node: OmnimanNode, core: PlatformController, posture: ArmPostureInput

@@ -75,9 +75,6 @@ def unknown_names(given: Iterable[str], own: Iterable[str] = ()) -> list[str]:
     """Return a sentence about each given parameter name that no node of the package has.
 
     rclpy ignores a mistyped name in a file silently.
-
-    Args:
-        own: Names that are known to be right, those of the node itself.
     """
     strange = [name for name in {*given} - {*own, "robot"} if not name.startswith(_OF_RCLPY)]
     sentences = []

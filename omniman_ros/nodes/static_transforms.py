@@ -9,11 +9,7 @@ from omniman_ros.nodes.omniman_node import OmnimanNode
 
 
 class StaticTransforms:
-    """Publishes transforms that hardly ever change; does nothing where tf2_msgs is missing.
-
-    Args:
-        parameters: Parameters that have the same poses, for the note that /tf_static is off.
-    """
+    """Publishes transforms that hardly ever change; does nothing where tf2_msgs is missing."""
 
     def __init__(self, node: OmnimanNode, parameters: str) -> None:
         self._publisher = None

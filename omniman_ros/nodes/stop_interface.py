@@ -40,7 +40,6 @@ class StopInterface:
     """Connects a stop latch to `~/stop`, `~/reset`, `emergency_stop`, its relay and `stop_state`.
 
     Args:
-        reset: Clears the latch, or raises ResetRefusedError.
         on_stop: Called when the latch no longer allows motion; may be called again.
     """
 

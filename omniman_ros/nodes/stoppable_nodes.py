@@ -32,9 +32,6 @@ def has_service(node: Node, service: str) -> bool:
 class TriggerCalls:
     """Calls one Trigger service of each node that has a stop state, as the nodes are found.
 
-    Args:
-        action: Name of the service: "stop" or "reset".
-
     Attributes:
         answers: Success and message by full node name; None while there is no answer.
     """

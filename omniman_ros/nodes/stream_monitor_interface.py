@@ -20,9 +20,6 @@ class StreamMonitorInterface:
 
     What it hears of `emergency_stop` it relays to the nodes that move something: a publisher that
     ends after one message may have reached this node alone.
-
-    Args:
-        on_update: Called after each message, to give up a stream that is no longer followed.
     """
 
     def __init__(

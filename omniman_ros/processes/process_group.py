@@ -82,11 +82,7 @@ class ReceivedSignal:
 
 
 class _Child:
-    """A running process of a group.
-
-    Attributes:
-        code: Exit code once the group has recorded it; None before that.
-    """
+    """A running process of a group."""
 
     def __init__(
         self,
@@ -145,7 +141,6 @@ class ProcessGroup:
     Args:
         environment: Environment variables of the processes; those of this process if None.
         on_line: Called with name and line for each line of output, from threads.
-        report: Called with a clause about each failure.
         stop_timeout: Time after a process's signal at which it is killed if it has not ended [s].
     """
 

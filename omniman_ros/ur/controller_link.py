@@ -17,10 +17,6 @@ class ControllerLink:
 
     No method blocks except :meth:`wait`, which ends at a given time.
 
-    Args:
-        parameters: Addresses, ports and timeouts.
-        clock: Returns the monotonic time [s].
-
     Attributes:
         parameters: Addresses, ports and timeouts. They may be replaced; addresses, ports and the
             register then keep their old values.

@@ -64,11 +64,7 @@ def call(
 
 
 def unlock(parameters: UrParameters, clock: Callable[[], float] = time.monotonic) -> str:
-    """Ask a controller to leave its protective stop; return its refusal, or an empty string.
-
-    Raises:
-        LinkError: The dashboard server cannot be used.
-    """
+    """Ask a controller to leave its protective stop; return its refusal, or an empty string."""
     p = parameters
     reply = call(p.host, p.dashboard_port, UNLOCK_COMMANDS, p.connect_timeout, clock)[-1]
     return "" if reply.lower().startswith(UNLOCKED_REPLY) else reply or "an empty reply"

@@ -81,12 +81,9 @@ class JointGuard:
         self.velocity: Array = np.zeros(len(limits.names))
 
     def begin(self, measured: Array) -> Array:
-        """Begin at rest at the measured angles, and return them as the first setpoint.
+        """Begin at rest at measured angles (n,) [rad], and return them as the first setpoint.
 
         A joint that is beyond a position limit may stay there or move back.
-
-        Args:
-            measured: Joint angles (n,) [rad].
 
         Raises:
             GuardError: The angles are not finite, or not of n joints.

@@ -34,11 +34,9 @@ class ProgramLink:
         reverse_port: Local port to which the program connects; 0 for any free one.
 
     Attributes:
-        loss_reason: Why the program is lost, or an empty string.
         refused_connections: Number of refused connections, by kind: "foreign" ones from other
             hosts, "second" ones while a program runs, and "unawaited" ones when no program is
             expected to connect.
-        port: Local port to which the program has to connect.
 
     Raises:
         LinkError: The reverse port is not available.
@@ -76,11 +74,7 @@ class ProgramLink:
         return [self._script] if self._script is not None and self._unsent_text else []
 
     def start(self, text: str, now: float, timeout: float) -> None:
-        """Send a program, which has to connect within a time [s]; an earlier one is ended.
-
-        Raises:
-            InputError: The text is blank.
-        """
+        """Send a program, which has to connect within a time [s]; an earlier one is ended."""
         if not text.strip():
             raise InputError("the program must not be empty")
         self.end()

@@ -17,7 +17,6 @@ class RtdeLink:
     """Keeps a connection to a controller's RTDE port.
 
     Attributes:
-        loss_reason: Why there is no connection, or why the last one was lost.
         local: Address of this machine in the last connection, or an empty string.
         samples: Usable data that have not been read, at most the newest `MAX_KEPT`.
         texts: Text messages of the controller that have not been read, as many.

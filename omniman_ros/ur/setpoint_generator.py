@@ -76,12 +76,6 @@ class JointSetpointGenerator:
 
     Where less than the whole speed is allowed, the generator brakes along a preview that is
     faster, and refuses previews that stay so.
-
-    Args:
-        period: Time between two setpoints [s].
-
-    Attributes:
-        allowed: Share of the speed limits that is allowed.
     """
 
     def __init__(self, limits: JointLimits, settings: GeneratorSettings, period: float) -> None:
@@ -130,11 +124,7 @@ class JointSetpointGenerator:
         return self.state is GeneratorState.HOLDING
 
     def begin(self, measured: Array, now: float) -> Array:
-        """Begin at rest at the measured angles (n,) [rad], and return them as the first setpoint.
-
-        Raises:
-            GuardError: The measured angles are not finite, or not of n joints.
-        """
+        """Begin at rest at measured angles (n,) [rad], and return them as first setpoint."""
         first = self._guard.begin(measured)
         self._come_to_rest()
         self._time, self._accepts = now + self.settings.lead, True
@@ -181,11 +171,7 @@ class JointSetpointGenerator:
         self.state, self._off_path, self._has_coasted = GeneratorState.FOLLOWING, False, False
 
     def _join(self, preview: JointPreview, begin: float, previous: Motion) -> BlendedPreview:
-        """Return the preview, joined as gently as the guard allows.
-
-        Raises:
-            InputError: The guard refuses every way to join it.
-        """
+        """Return the preview, joined as gently as the guard allows, or raise InputError."""
         limits = self._guard.limits.acceleration
         gentle, firm, steep = (
             BlendedPreview(preview, begin, previous, fraction * limits, self._period)

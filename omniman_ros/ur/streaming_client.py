@@ -25,7 +25,6 @@ class StreamingClient:
     """Starts and ends streaming processes, and exchanges messages with the one that runs.
 
     Args:
-        clock: Returns the monotonic time [s], or simulated time.
         wake: Called from another thread when a report has arrived.
         receive: Calls :meth:`take` and handles the reports; used while waiting.
 

@@ -27,10 +27,6 @@ class StreamingProcess:
         wake: Called from another thread when a message has arrived.
         clock: Returns the simulated time [s], which the process then gets by `Command.TIME`; None
             for the monotonic clock.
-
-    Attributes:
-        failure: Why the process has ended, or an empty string.
-        priority_warning: Why the process has no real-time priority, or an empty string.
     """
 
     def __init__(

@@ -72,9 +72,6 @@ class Cia402Axis:
     A drive that no longer accepts process data (another NMT state, no heartbeat, no statusword) is
     OFFLINE: it must be configured again, as it may have lost its configuration unnoticed. It is
     still commanded to stop, by PDO and, because it may not accept that, by SDO.
-
-    Raises:
-        ParameterError: See `setup.check_settings`.
     """
 
     def __init__(self, settings: AxisSettings) -> None:

@@ -12,11 +12,7 @@ RETRY_PERIOD = 0.1  #: Period at which unacknowledged frames are repeated [s]
 
 
 class BringUp:
-    """Configures one drive once, and starts it.
-
-    Attributes:
-        failure: Why the drive could not be brought up, or an empty string.
-    """
+    """Configures one drive once, and starts it."""
 
     def __init__(self, settings: AxisSettings) -> None:
         self._node = settings.node
@@ -38,11 +34,7 @@ class BringUp:
         return is_answer
 
     def tick(self, reported: NmtState | None, now: float) -> list[Frame]:
-        """Return the frames to send now.
-
-        Args:
-            reported: State that the drive's heartbeat has reported since its start.
-        """
+        """Return the frames to send now; `reported` is the heartbeat's state since the start."""
         if not self._has_begun:
             self._has_begun = True
             return [nmt(NmtCommand.PRE_OPERATIONAL, self._node)]

@@ -79,12 +79,6 @@ class SdoDialogue(Generic[T]):
 
     At most one request is pending; the next one is sent by the first :meth:`tick` after its
     answer.
-
-    Args:
-        node: Node id of the server, the drive.
-
-    Attributes:
-        result: Result of the dialogue; None before its end, or if it failed.
     """
 
     def __init__(self, node: int, steps: Steps[T]) -> None:

@@ -82,12 +82,7 @@ class Watch:
     def refusals(
         self, state: PdsState, demand: Demand, shown: int, requested: int, now: float
     ) -> Iterator[Reason]:
-        """Yield the commands that the drive does not follow.
-
-        Args:
-            shown: Mode of operation that the drive reports.
-            requested: Mode of operation that was requested.
-        """
+        """Yield the commands that the drive does not follow; `shown` is its mode of operation."""
         enabled = state is PdsState.ENABLED
         wrong = enabled and demand is Demand.DRIVE and shown != requested
         self._wrong_mode_since = _first(self._wrong_mode_since, now) if wrong else None

@@ -29,12 +29,7 @@ if TYPE_CHECKING:
 
 
 class GoalInterface:
-    """Subscribes to `goal_pose`, `goal_state` and `goal_trajectory`.
-
-    Args:
-        submit: Called for each message with a function that returns the goal, or raises
-            InputError; returns why the goal is refused, or an empty string.
-    """
+    """Subscribes to `goal_pose`, `goal_state` and `goal_trajectory`."""
 
     def __init__(
         self,

@@ -8,11 +8,7 @@ _TROUBLE = (GoalOutcome.WAITING, GoalOutcome.REFUSED, GoalOutcome.GIVEN_UP)
 
 
 class GoalLog:
-    """Outcome of the latest goal, the outcomes of goals by their numbers, and counts of goals.
-
-    Attributes:
-        text: The latest event in words, for humans only: nothing parses it.
-    """
+    """Outcome of the latest goal, the outcomes of goals by their numbers, and counts of goals."""
 
     def __init__(self) -> None:
         self.outcome, self.text = GoalOutcome.NONE, "no goal yet"

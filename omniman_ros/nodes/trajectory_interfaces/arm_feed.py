@@ -21,14 +21,7 @@ MAX_LAG = 0.2  #: Longest time by which the arm may lag behind its reference [s]
 class ArmFeed:
     """Subscribes to `arm/joint_states`, and remembers the recent reference of the arm.
 
-    Args:
-        is_moving: Returns whether the arm follows a motion of this node; then each message is
-            read at once.
-
     Attributes:
-        position: (6,) joint angles [rad]; None before the first message.
-        velocity: (6,) joint rates [rad/s]; zeros where the message has none.
-        time: Time of the measurement on the node's clock [s].
         silence: Age of the states on arrival plus the node's own time since then [s].
         rest_position: (6,) joint angles at which the last motion came to rest [rad]; None if it
             was given up, or there was none.
@@ -43,8 +36,8 @@ class ArmFeed:
     ) -> None:
         self._node, self._names = node, names
         self._is_moving, self._on_states = is_moving, on_states
-        self.position: Array | None = None
-        self.velocity: Array = np.zeros(len(names))
+        self.position: Array | None = None  #: (6,) joint angles [rad]
+        self.velocity: Array = np.zeros(len(names))  #: (6,) joint rates [rad/s]; or zeros
         self.silence, self.time = 0.0, float("-inf")
         self.rest_position: Array | None = None
         self._references: deque[tuple[float, Array]] = deque()

@@ -19,11 +19,7 @@ MIN_CORRECTION_PERIOD = 0.018
 
 
 class BodyInterface(MotionInterface):
-    """Drives motions of the whole body; where the tool is led, the arm corrects the platform.
-
-    Attributes:
-        limit_scale: Fraction of the platform's limits that dead wheels and the posture leave.
-    """
+    """Drives motions of the whole body; where the tool is led, the arm corrects the platform."""
 
     def __init__(self, context: BodyContext, core: DrivenMotion, kind: str = "trajectory") -> None:
         super().__init__(context, core, WholeBodyOutput(context), kind)

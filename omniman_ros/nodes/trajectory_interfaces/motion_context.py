@@ -104,9 +104,6 @@ class MotionContext(StreamContext[PathInterpolatorParameters]):
 
         Before each attempt, previews are published that last longer than the planning.
 
-        Args:
-            planning_time: Expected duration of the first attempt [s].
-
         Raises:
             InputError: The motion cannot be driven, or cannot be planned in time.
         """

@@ -96,11 +96,7 @@ class TrajectoryInput:
 
 
 class MotionCoordinator:
-    """Runs the motions of platform, arm and whole body side by side.
-
-    Attributes:
-        tool: Paths of the tool, which the whole body drives; None if another node takes them.
-    """
+    """Runs the motions of platform, arm and whole body side by side."""
 
     def __init__(
         self, node: OmnimanNode, settings: ParameterSet[PathInterpolatorParameters]

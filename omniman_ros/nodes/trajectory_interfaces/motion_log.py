@@ -39,7 +39,6 @@ class MotionStatus:
     """Latest event of one interface, comparable in time with those of the others.
 
     Attributes:
-        text: The latest event in words, for humans only: nothing parses it.
         order: Grows with each event of any interface; 0 before the first event of this one.
     """
 

@@ -14,7 +14,6 @@ class MotionServices:
     """Serves requests that concern all motions of a node.
 
     Args:
-        cancel: Ends all motions; raises a RefusedError where there are none.
         publish: Called after a request was accepted, so that it takes effect at once.
     """
 

@@ -22,12 +22,7 @@ SLOWEST_SHUTDOWN_PACE = 0.1
 
 
 class ScalingInterface:
-    """Subscribes to `arm/speed_scaling`, 0 to 1.
-
-    Attributes:
-        value: Speed scaling that was received last; 1 before the first message.
-        silence: Time since the last message [s]; 0 before the first message.
-    """
+    """Subscribes to `arm/speed_scaling`, 0 to 1."""
 
     def __init__(self, node: OmnimanNode, on_change: Callable[[], None]) -> None:
         self.value, self.silence = 1.0, 0.0
@@ -125,11 +120,7 @@ class MotionTimeBase:
         return self.pace.motion(now)
 
     def limit_pace(self, max_pace: float, *, at_once: bool) -> None:
-        """Aim for the highest pace that is allowed by the arm's controller and by the motions.
-
-        Args:
-            at_once: Whether a pace that falls does so without regard to the jerk limits.
-        """
+        """Aim for the highest allowed pace; one that falls `at_once` breaks the jerk limits."""
         now = self._clock()
         self.pace.refresh(now)  # the motions may have changed since
         target = 0.0 if self._paused_at_rest else min(self._scaling.value, max_pace)

@@ -20,9 +20,6 @@ AT_REST = 0.02
 class OdomFeed:
     """Subscribes to an odometry, and keeps the latest pose and velocity.
 
-    Args:
-        on_pose: Called with each pose (3,) [m, m, rad] and its time on the node's clock [s].
-
     Attributes:
         pose: Pose (x, y, theta) of base_link in odom [m, m, rad]; None before the first message.
         velocity: (3,) rate of the pose, in odom [m/s, m/s, rad/s].

@@ -13,12 +13,7 @@ SPARE_POSES = 100  #: Number of poses whose bytes are allowed for the rest of th
 
 
 class PathInput:
-    """Passes each received path on, once the transform of its frame is known.
-
-    Args:
-        refusal: Returns why no path at all would be accepted now, or an empty string.
-        refuse: Reports a refusal, and returns the error for it.
-    """
+    """Passes each received path on, once the transform of its frame is known."""
 
     def __init__(
         self,

@@ -34,12 +34,7 @@ class Startable(Protocol):
 
 
 class PendingMotion:
-    """Has at most one accepted motion wait, and tells the interface's log what becomes of it.
-
-    Args:
-        conflict: Returns which other motion excludes this one, or an empty string.
-        blocking_reason: Returns why no motion can start yet, or an empty string.
-    """
+    """Has at most one accepted motion wait, and tells the interface's log what becomes of it."""
 
     def __init__(
         self,

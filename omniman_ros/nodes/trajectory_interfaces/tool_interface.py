@@ -112,12 +112,7 @@ class ToolInterface(Generic[Plan]):
         return self.take(planner, f"a tool path of {len(message.poses)} poses")
 
     def take(self, planner: Callable[[Array], Callable[[], Plan]], label: str) -> str:
-        """Take a motion in place of the one that waits; return why it is refused, or "".
-
-        Args:
-            planner: Returns what plans it from positions (9,) of all axes at rest; see
-                `ToolDriver`. It may raise InputError.
-        """
+        """Take a motion, planned from axes (9,) at rest; return why it is refused, or ""."""
         self.discard_pending()
         self._on_accepted()
         self.pending.put(lambda: self._start_planning(planner, label))

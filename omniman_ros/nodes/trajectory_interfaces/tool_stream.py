@@ -56,11 +56,7 @@ class CorrectedStretch:
 
 
 class ToolStream:
-    """A planned tool path whose joint angles are corrected for the platform's error.
-
-    Args:
-        velocity: (6,) limits of the joint speeds [rad/s].
-    """
+    """A planned tool path whose joint angles are corrected for the platform's error."""
 
     def __init__(
         self,
@@ -81,14 +77,7 @@ class ToolStream:
         return max(float(steps), 1.0) / PACE_STEPS  # a pace of 0 would remain 0
 
     def corrected(self, times: Array, pace: Pace, core: PlannedAxes) -> CorrectedStretch:
-        """Correct a stretch of the planned motion.
-
-        Args:
-            times: (k,) equally spaced by a tick [s].
-
-        Raises:
-            InputError: The tool cannot be reached from where the platform is.
-        """
+        """Correct the plan at times (k,) a tick apart [s]; raise InputError if out of reach."""
         # The times are padded by one tick on either side, for central differences.
         padded = np.concatenate([times[:1] - TICK, times, times[-1:] + TICK])
         paced = pace.sample(padded)
@@ -106,16 +95,7 @@ class ToolStream:
         return replace(planned, positions=positions)
 
     def correct(self, time: float, pose: Array, reference: Array) -> str:
-        """Correct the arm for a measured pose of the platform from now on.
-
-        Args:
-            time: Time of the measurement on the node's clock [s].
-            pose: (3,) measured pose of the platform in odom [m, m, rad].
-            reference: (3,) planned pose at that time.
-
-        Returns:
-            How far the platform is off its path if that is too far, or an empty string.
-        """
+        """Correct the arm for a measured and a planned pose (3,); return any excessive error."""
         self.correction.update(time, pose, reference)
         if self.correction.error_ratio <= 1.0:
             return ""
@@ -132,9 +112,6 @@ class ToolStream:
 
         Returns:
             The corrected motion (k, 9).
-
-        Raises:
-            InputError: The tool cannot be reached from where the platform is.
         """
         platform = self.correction.platform_at(
             planned.positions[:, PLATFORM_COLUMNS], planned.times

@@ -39,11 +39,7 @@ PARTS = ("positions", "velocities", "accelerations")
 def goal_monitor(
     goal: Any, names: Sequence[str], options: TrajectoryActionOptions, now: float
 ) -> GoalMonitor:
-    """Create the monitor of a goal.
-
-    Raises:
-        InputError: The goal is invalid, or ended in the past.
-    """
+    """Create the monitor of a goal; raise InputError if it is invalid, or ended in the past."""
     multi_dof = goal.multi_dof_trajectory
     if multi_dof.joint_names or multi_dof.points:
         raise InputError(
@@ -153,9 +149,6 @@ class TrajectoryAction:
     is aborted with the reason as its result, and the motion under way goes on. An accepted goal
     replaces the last one, which is aborted. A goal that is cancelled, or violates a path
     tolerance, ends when the axes have come to rest on its path.
-
-    Attributes:
-        options: Tolerances of goals that have none; may be replaced.
     """
 
     def __init__(

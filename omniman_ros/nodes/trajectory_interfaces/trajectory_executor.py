@@ -15,11 +15,7 @@ class TrajectoryExecutor(Protocol):
         """Return the names of the n axes."""
 
     def send(self, message: JointTrajectory) -> int:
-        """Accept a trajectory, and return the number of its motion.
-
-        Raises:
-            InputError: The trajectory is refused; the motion under way goes on.
-        """
+        """Accept a trajectory, or raise InputError; return the number of its motion."""
 
     def outcome(self, motion: int) -> str | None:
         """Return why a motion ended: empty if it arrived; None while it goes on."""

@@ -29,11 +29,7 @@ BLOCKED = 1.0
 
 
 class DodgeInterface(BodyInterface):
-    """Plans tasks of the whole body, and drives one at a time; see `ToolDriver`.
-
-    Attributes:
-        cycle_time: Duration of the last cycle [s]; NaN before the first.
-    """
+    """Plans tasks of the whole body, and drives one at a time; see `ToolDriver`."""
 
     _context: StreamContext[WholeBodyPlannerParameters]
     core: "DodgingMotion"  #: Motion that is driven
