@@ -32,7 +32,7 @@ class SpeedRamp:
         self._speeds, self._at, self._is_catching_up = speeds, at, True
 
     def step_to_rest(self, deceleration: float, now: float) -> Array:
-        """Return the next speeds (n,) [rad/s] of the ramp to rest; `deceleration` of the fastest."""
+        """Return the next speeds (n,) [rad/s] of the ramp to rest of the fastest wheel."""
         step, fastest = self._step(deceleration, now), float(np.abs(self._speeds).max())
         self._is_catching_up = True
         scale = 1.0 - step / fastest if fastest > step else 0.0

@@ -125,7 +125,7 @@ class MpcPlannerNode(OmnimanNode):
             ("refused", loop.goals.refused),
             ("distance_m", round(distance, 3)),
             ("angle_rad", round(angle, 3)),
-            ("solve_ms", round(1e3 * loop.cycle.solve_time, 2)),
+            ("solve_ms", round(1e3 * loop.solve_time, 2)),
             ("slack_m", round(report.slack, 4)),
             ("cost_j", round(report.cost, 1)),
             ("energy_j", round(core.energy(), 1)),
@@ -133,11 +133,11 @@ class MpcPlannerNode(OmnimanNode):
             ("arm", self.posture.source(self.now()).value),
             ("led_by", "the goal" if route is None else route.source.value),
             ("plan_used", report.used),
-            ("why", loop.cycle.silence or why),
+            ("why", loop.silence or why),
             ("last", loop.goals.text),
         ]
-        if loop.cycle.silence:
-            return DiagnosticStatus.WARN, f"waits: {loop.cycle.silence}", values
+        if loop.silence:
+            return DiagnosticStatus.WARN, f"waits: {loop.silence}", values
         if core.state is PlannerState.BLOCKED:
             return DiagnosticStatus.WARN, f"blocked: {why or 'no clear way found'}", values
         if not core.active and loop.goals.is_trouble:

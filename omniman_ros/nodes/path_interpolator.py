@@ -19,7 +19,6 @@ from omniman_ros.nodes.trajectory_interfaces.trajectory_action import (
     TrajectoryAction,
     serve_actions,
 )
-from omniman_ros.nodes.trajectory_interfaces.trajectory_executor import TrajectoryExecutor
 
 
 class PathInterpolatorNode(OmnimanNode):
@@ -30,7 +29,7 @@ class PathInterpolatorNode(OmnimanNode):
         self.settings = ParameterSet(self, PathInterpolatorParameters)
         p = self.settings.value
         self.motions = MotionCoordinator(self, self.settings)
-        executors: dict[str, TrajectoryExecutor] = {
+        executors = {
             p.arm_action: JointExecutor(self.motions.context, self.motions.arm),
             p.body_action: JointExecutor(self.motions.context, self.motions.whole_body),
         }

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from omniman_ros.core.errors import InputError
-from omniman_ros.core.pending_start import PendingStart, StartAttempt, StartState
+from omniman_ros.core.pending_start import PendingStart, StartState
 from omniman_ros.core.stamps import TIME_JUMP
 from omniman_ros.core.stream_monitor import StreamMonitor
 from omniman_ros.nodes.omniman_node import OmnimanNode
@@ -20,95 +20,8 @@ if TYPE_CHECKING:
     from omniman_ros.planning.planner import Planner
 
 
-class GoalAdmission:
-    """Has a goal wait until the robot is ready for it, and hands it to the planner then.
-
-    Args:
-        silence_reason: Returns why what the planner must know is not known at a time of the node's
-            clock [s], or an empty string.
-    """
-
-    def __init__(
-        self,
-        node: OmnimanNode,
-        planner: "Planner",
-        anchor: GoalAnchor,
-        sensors: SensorInterface,
-        posture: PostureInterface,
-        monitor: StreamMonitor,
-        goals: GoalLog,
-        silence_reason: Callable[[float], str],
-    ) -> None:
-        self._node, self._planner, self._anchor = node, planner, anchor
-        self._sensors, self._posture, self._monitor = sensors, posture, monitor
-        self._goals, self._silence_reason = goals, silence_reason
-        self._pending = PendingStart(node.now, monitor)
-        self._is_closed = False
-
-    @property
-    def is_pending(self) -> bool:
-        """Whether a goal waits."""
-        return bool(self._pending)
-
-    def submit(self, make_goal: Callable[[], PlacedGoal]) -> StartAttempt:
-        """Have a goal wait in place of the one that waits; start it, or raise InputError."""
-        try:
-            if self._is_closed:
-                raise InputError("the node is shutting down")
-            goal = make_goal()
-        except InputError as error:
-            self._goals.reject(str(error))
-            raise
-        self._sensors.obstacles.dismiss_silent_source()
-        self._goals.receive()
-        self._pending.put(lambda: self._start(goal))
-        return self.attempt()
-
-    def attempt(self) -> StartAttempt:
-        """Start the goal that waits, if there is one and the robot is ready."""
-        attempt = self._pending.attempt(self._monitor.blocking_reason, self._blocking_reason)
-        if attempt.state is StartState.WAITING:
-            self._goals.wait(attempt.reason)
-        elif attempt.state is StartState.REFUSED:
-            self._goals.refuse(attempt.reason)
-        elif attempt.state is StartState.STARTED:
-            self._goals.accept()
-            self._node.get_logger().info("goal accepted")
-        return attempt
-
-    def discard(self) -> None:
-        """Discard the goal that waits, if there is one."""
-        self._pending.discard()
-
-    def restart_timeout(self) -> None:
-        """Let the goal wait for the whole timeout from now on."""
-        self._pending.restart_timeout()
-
-    def close(self) -> None:
-        """Discard the goal that waits, and accept no other."""
-        self._is_closed = True
-        self.discard()
-
-    def _blocking_reason(self) -> str:
-        """Return why no goal can be driven to yet, or an empty string."""
-        now = self._node.now()
-        fault = self._sensors.odom_fault(now)
-        if fault:
-            return fault
-        if self._monitor.waiting_time(now) > 0.0:
-            return "control was lost a moment ago"
-        return self._silence_reason(now)
-
-    def _start(self, goal: PlacedGoal) -> None:
-        measured = self._sensors.measured
-        assert measured is not None
-        now = self._node.now()
-        self._planner.footprint = self._posture.footprint(now)
-        self._anchor.drive(goal, measured, self._sensors.obstacles.ellipses())
-
-
-class PlanningCycle:
-    """Plans the next stretch of the motion from what is known now, and sends it.
+class PlannerLoop:
+    """Serves requests, supervises the drive, and runs one planning cycle per tick.
 
     Attributes:
         silence: Why the surroundings, the arm's posture or the goal's place in odom are not known,
@@ -125,81 +38,13 @@ class PlanningCycle:
         posture: PostureInterface,
         publisher: MotionPublisher,
         plans: PlanPublisher,
-        goals: GoalLog,
-    ) -> None:
-        self._node, self._planner, self._anchor = node, planner, anchor
-        self._sensors, self._posture = sensors, posture
-        self._publisher, self._plans, self._goals = publisher, plans, goals
-        self.silence = ""
-        self.solve_time = math.nan
-
-    def silence_reason(self, now: float) -> str:
-        """Return why the surroundings or the arm's posture are not known, or an empty string."""
-        posture = self._posture.silence_reason(now)
-        return self._sensors.blind_reason() or posture
-
-    def run(self, now: float, measured: MeasuredState) -> None:
-        """Plan towards the goal, check the plan and send it; brake while something is unknown."""
-        planner = self._planner
-        silence = self.silence_reason(now) or self._anchor.silence_reason()
-        obstacles = self._sensors.obstacles.ellipses()
-        if silence:
-            if not self.silence:
-                planner.brake(now)
-            self.silence = silence
-            self._node.warn("silent", f"the robot stops: {silence}")
-            self._publisher.send(now)
-            return
-        self.silence = ""
-        self._anchor.update(now, obstacles)
-        proposal = planner.propose(now, measured, obstacles)
-        done = self._node.now()
-        self.solve_time = done - now
-        planner.take(proposal, done, measured, obstacles)
-        if planner.report.reason:
-            self._goals.reject_plan(planner.report.reason)
-            self._node.warn("plan", self._goals.text)
-        if planner.state is PlannerState.ARRIVED:
-            self._goals.arrive()
-            self._node.get_logger().info("goal reached")
-        self._publisher.send(done)
-        self._plans.publish(done, obstacles)
-        planner.update_route(done, obstacles)
-
-    def coast(self, now: float) -> None:
-        """Finish a motion without a goal, still watching the obstacles."""
-        measured = self._sensors.measured
-        if self._planner.motion.end > now and measured is not None:
-            if self.silence_reason(now):
-                self._planner.brake(now)
-            else:
-                self._planner.coast(now, measured, self._sensors.obstacles.ellipses())
-        self._publisher.send(now)
-
-
-class PlannerLoop:
-    """Serves requests, supervises the drive, and runs one planning cycle per tick."""
-
-    def __init__(
-        self,
-        node: OmnimanNode,
-        planner: "Planner",
-        anchor: GoalAnchor,
-        sensors: SensorInterface,
-        posture: PostureInterface,
-        publisher: MotionPublisher,
-        plans: PlanPublisher,
         monitor: StreamMonitor,
     ) -> None:
-        self._node, self._planner, self._sensors = node, planner, sensors
-        self._posture, self._publisher, self._monitor = posture, publisher, monitor
-        self.goals = GoalLog()
-        self.cycle = PlanningCycle(
-            node, planner, anchor, sensors, posture, publisher, plans, self.goals
-        )
-        self._admission = GoalAdmission(
-            node, planner, anchor, sensors, posture, monitor, self.goals, self.cycle.silence_reason
-        )
+        self._node, self._planner, self._anchor = node, planner, anchor
+        self._sensors, self._posture, self._monitor = sensors, posture, monitor
+        self._publisher, self._plans, self.goals = publisher, plans, GoalLog()
+        self._pending, self._is_closed = PendingStart(node.now, monitor), False
+        self.silence, self.solve_time = "", math.nan
         self._last_tick = node.now()
 
     @property
@@ -209,19 +54,52 @@ class PlannerLoop:
 
     def submit(self, make_goal: Callable[[], PlacedGoal]) -> str:
         """Drive to a goal as soon as possible; return or raise why it is refused."""
-        return self._attended(self._admission.submit(make_goal))
+        try:
+            if self._is_closed:
+                raise InputError("the node is shutting down")
+            goal = make_goal()
+        except InputError as error:
+            self.goals.reject(str(error))
+            raise
+        self._sensors.obstacles.dismiss_silent_source()
+        self.goals.receive()
+        self._pending.put(lambda: self._start(goal))
+        return self._attempt()
 
-    def _attended(self, attempt: StartAttempt) -> str:
-        """Return why a goal is refused; one that starts ends the silence of the one before."""
-        if attempt.state is StartState.STARTED:
-            self.cycle.silence = ""
+    def _attempt(self) -> str:
+        """Start the goal that waits if the robot is ready; return why it is refused, or ""."""
+        attempt = self._pending.attempt(self._monitor.blocking_reason, self._blocking_reason)
+        if attempt.state is StartState.WAITING:
+            self.goals.wait(attempt.reason)
+        elif attempt.state is StartState.REFUSED:
+            self.goals.refuse(attempt.reason)
+        elif attempt.state is StartState.STARTED:
+            self.goals.accept()
+            self._node.get_logger().info("goal accepted")
+            self.silence = ""
         return attempt.refusal
+
+    def _blocking_reason(self) -> str:
+        """Return why no goal can be driven to yet, or an empty string."""
+        now = self._node.now()
+        fault = self._sensors.odom_fault(now)
+        if fault:
+            return fault
+        if self._monitor.waiting_time(now) > 0.0:
+            return "control was lost a moment ago"
+        return self._silence_reason(now)
+
+    def _start(self, goal: PlacedGoal) -> None:
+        measured = self._sensors.measured
+        assert measured is not None
+        self._planner.footprint = self._posture.footprint(self._node.now())
+        self._anchor.drive(goal, measured, self._sensors.obstacles.ellipses())
 
     def pause(self) -> str:
         """Bring the robot to rest and keep the goal; return any reason for refusal, or ""."""
         if not self._planner.active:
             return f"nothing to pause: {self._planner.state.value}"
-        self.cycle.silence = ""
+        self.silence = ""
         now = self._node.now()
         self._planner.pause(now)
         self._publisher.send(now)
@@ -236,16 +114,17 @@ class PlannerLoop:
 
     def cancel(self) -> str:
         """Bring the robot to rest and discard the goal; return any reason for refusal, or ""."""
-        if not self._admission.is_pending and self._planner.goal is None:
+        if not self._pending and self._planner.goal is None:
             return f"nothing to cancel: {self._planner.state.value}"
-        self._admission.discard()
+        self._pending.discard()
         self._brake_for_good()
         self.goals.cancel()
         return ""
 
     def begin_shutdown(self) -> None:
         """Bring the robot to rest, and accept no other goal."""
-        self._admission.close()
+        self._is_closed = True
+        self._pending.discard()
         if self._planner.goal is not None:
             self._brake_for_good()
         if self.goals.has_goal:
@@ -267,13 +146,13 @@ class PlannerLoop:
         self._monitor.end(lost=True)
 
     def _log_given_up(self, reason: str) -> None:
-        self.cycle.silence = ""
+        self.silence = ""
         if self._planner.goal is not None:
             self.goals.give_up(reason)
             self._node.warn("given up", self.goals.text)
 
     def _brake_for_good(self) -> None:
-        self.cycle.silence = ""
+        self.silence = ""
         now = self._node.now()
         self._planner.cancel(now)
         self._publisher.send(now)
@@ -287,17 +166,60 @@ class PlannerLoop:
         self.give_up_if_lost()
         self._planner.footprint = self._posture.footprint(now)
         self._sensors.update_map()
-        refusal = self._attended(self._admission.attempt())
+        refusal = self._attempt()
         if refusal:
             self._node.warn("goal refused", f"goal not used: {refusal}")
         measured, fault = self._sensors.measured, self._sensors.odom_fault(now)
         if not self._planner.active or measured is None:
-            self.cycle.coast(now)
+            self._coast(now)
         elif fault:
             self._log_given_up(fault)
             self._brake_for_good()
         else:
-            self.cycle.run(now, measured)
+            self._plan(now, measured)
+
+    def _silence_reason(self, now: float) -> str:
+        """Return why the surroundings or the arm's posture are not known, or an empty string."""
+        posture = self._posture.silence_reason(now)
+        return self._sensors.blind_reason() or posture
+
+    def _plan(self, now: float, measured: MeasuredState) -> None:
+        """Plan towards the goal, check the plan and send it; brake while something is unknown."""
+        planner = self._planner
+        silence = self._silence_reason(now) or self._anchor.silence_reason()
+        obstacles = self._sensors.obstacles.ellipses()
+        if silence:
+            if not self.silence:
+                planner.brake(now)
+            self.silence = silence
+            self._node.warn("silent", f"the robot stops: {silence}")
+            self._publisher.send(now)
+            return
+        self.silence = ""
+        self._anchor.update(now, obstacles)
+        proposal = planner.propose(now, measured, obstacles)
+        done = self._node.now()
+        self.solve_time = done - now
+        planner.take(proposal, done, measured, obstacles)
+        if planner.report.reason:
+            self.goals.reject_plan(planner.report.reason)
+            self._node.warn("plan", self.goals.text)
+        if planner.state is PlannerState.ARRIVED:
+            self.goals.arrive()
+            self._node.get_logger().info("goal reached")
+        self._publisher.send(done)
+        self._plans.publish(done, obstacles)
+        planner.update_route(done, obstacles)
+
+    def _coast(self, now: float) -> None:
+        """Finish a motion without a goal, still watching the obstacles."""
+        measured = self._sensors.measured
+        if self._planner.motion.end > now and measured is not None:
+            if self._silence_reason(now):
+                self._planner.brake(now)
+            else:
+                self._planner.coast(now, measured, self._sensors.obstacles.ellipses())
+        self._publisher.send(now)
 
     def _restart(self, now: float) -> None:
         """Discard everything that was received, because time went back."""
@@ -305,4 +227,4 @@ class PlannerLoop:
         self._monitor.restart(now)
         self._sensors.measured = None
         self._posture.forget()
-        self._admission.restart_timeout()
+        self._pending.restart_timeout()

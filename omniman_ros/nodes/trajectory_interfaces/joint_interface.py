@@ -89,7 +89,7 @@ class JointInterface(MotionInterface, ABC):
 
 
 class JointExecutor:
-    """Hands goals of an action to an interface of trajectories; see `TrajectoryExecutor`."""
+    """Hands goals of an action to an interface of trajectories; their numbers name motions."""
 
     def __init__(self, context: MotionContext, interface: JointInterface) -> None:
         self._context, self._interface = context, interface
@@ -100,7 +100,7 @@ class JointExecutor:
         return self._interface.names
 
     def send(self, message: JointTrajectory) -> int:
-        """Accept a trajectory, and return the number of its motion; see `TrajectoryExecutor`."""
+        """Accept a trajectory, or raise InputError; return the number of its motion."""
         if self._context.is_ending():
             raise self._interface.log.refuse("the node is shutting down")
         why = self._interface.trajectory(message)

@@ -13,6 +13,7 @@ from omniman_ros.motion.path.interpolator import PathInterpolator
 from omniman_ros.motion.path.joint_interpolator import JointInterpolator
 from omniman_ros.motion.path.parameters import TICK
 from omniman_ros.motion.whole_body.limits import WholeBodyLimits
+from omniman_ros.motion.whole_body.tool_planner import ToolPlan
 from omniman_ros.nodes.frame_transforms import FrameTransforms
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
@@ -31,8 +32,8 @@ from omniman_ros.nodes.trajectory_interfaces.motion_time_base import (
 from omniman_ros.nodes.trajectory_interfaces.odom_feed import OdomFeed
 from omniman_ros.nodes.trajectory_interfaces.parameters import PathInterpolatorParameters
 from omniman_ros.nodes.trajectory_interfaces.path_interface import PathInterface
-from omniman_ros.nodes.trajectory_interfaces.pending_motion import Startable
 from omniman_ros.nodes.trajectory_interfaces.previews import arm_previews, platform_previews
+from omniman_ros.nodes.trajectory_interfaces.tool_interface import ToolInterface
 from omniman_ros.nodes.trajectory_interfaces.whole_body_interface import (
     WholeBodyInterface,
     planned_tool_paths,
@@ -141,7 +142,7 @@ class MotionCoordinator:
         self.arm = ArmInterface(self.context, arm)
         self.whole_body = WholeBodyInterface(self.context, whole_body)
         TrajectoryInput(self.context, self.arm, self.whole_body)
-        self._startable: dict[str, Startable]
+        self._startable: dict[str, PathInterface | WholeBodyInterface | ToolInterface[ToolPlan]]
         self._startable = {"path": self.path, "trajectory": self.whole_body}
         self.tool = planned_tool_paths(self.context, self.whole_body)
         self._startable |= {} if self.tool is None else {"tool path": self.tool}

@@ -1,36 +1,10 @@
 """A motion of an interface that waits until the robot is ready for it."""
 
 from collections.abc import Callable
-from typing import Protocol
 
 from omniman_ros.core.pending_start import PendingStart, StartState
 from omniman_ros.nodes.trajectory_interfaces.motion_context import MotionContext
-from omniman_ros.nodes.trajectory_interfaces.motion_log import MotionLog, MotionStatus
-
-
-class Waiting(Protocol):
-    """A motion that waits until the robot is ready for it."""
-
-    def restart_timeout(self) -> None:
-        """Let the motion wait for the whole timeout from now on."""
-
-
-class Startable(Protocol):
-    """An interface whose motions may wait."""
-
-    @property
-    def pending(self) -> Waiting:
-        """Motion that waits."""
-
-    @property
-    def status(self) -> MotionStatus:
-        """Latest event."""
-
-    def start_pending(self) -> str:
-        """Start the waiting motion if possible; return why it is refused, or an empty string."""
-
-    def discard_pending(self) -> bool:
-        """Discard the motion that waits, and return whether there was one."""
+from omniman_ros.nodes.trajectory_interfaces.motion_log import MotionLog
 
 
 class PendingMotion:
