@@ -10,8 +10,7 @@ from omniman_ros.core.stop import StopState
 from omniman_ros.nodes.arm_preview_input import ArmLimit, ArmPreviewInput
 from omniman_ros.nodes.arm_reports import ArmReportPublisher
 from omniman_ros.nodes.arm_streamer_parameters import ArmStreamerParameters
-from omniman_ros.nodes.hardware_hooks import HardwareError, HardwareLostError
-from omniman_ros.nodes.hardware_node import HardwareNode
+from omniman_ros.nodes.hardware_node import HardwareError, HardwareLostError, HardwareNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.runtime import run
 from omniman_ros.ur.reverse_interface import JOINTS

@@ -19,8 +19,7 @@ from omniman_ros.conversions.wheels import (
 from omniman_ros.core.stop import StopState
 from omniman_ros.extras import CAN
 from omniman_ros.nodes.can_bridge_parameters import CanBridgeParameters, require_time_of_bus
-from omniman_ros.nodes.hardware_hooks import HardwareError
-from omniman_ros.nodes.hardware_node import HardwareNode
+from omniman_ros.nodes.hardware_node import HardwareError, HardwareNode
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.runtime import run

@@ -23,10 +23,10 @@ from omniman_ros.conversions.wheels import (
 )
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.stop import StopLatch, StopState
-from omniman_ros.nodes.clock_giver import ClockGiverNode
 from omniman_ros.nodes.initial_pose_input import InitialPoseInput
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
+from omniman_ros.nodes.simulated_clock import ClockGiverNode
 from omniman_ros.nodes.simulated_drive_parameters import SimulatedDriveParameters
 from omniman_ros.nodes.static_transforms import StaticTransforms
 from omniman_ros.nodes.stop_interface import StopInterface

@@ -12,7 +12,7 @@ from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.runtime import run
 from omniman_ros.nodes.trajectory_interfaces.joint_interface import JointExecutor
 from omniman_ros.nodes.trajectory_interfaces.motion_coordinator import MotionCoordinator
-from omniman_ros.nodes.trajectory_interfaces.motion_services import MotionServices
+from omniman_ros.nodes.trajectory_interfaces.motion_time_base import MotionServices
 from omniman_ros.nodes.trajectory_interfaces.parameters import PathInterpolatorParameters
 from omniman_ros.nodes.trajectory_interfaces.path_interface import PathExecutor
 from omniman_ros.nodes.trajectory_interfaces.trajectory_action import (

@@ -11,13 +11,12 @@ from omniman_ros.conversions.odometry import fill_odometry
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.extras import CAN
 from omniman_ros.nodes.can_receiver import CanReceiver, frame_age, open_bus
-from omniman_ros.nodes.clock_giver import ClockGiverNode
 from omniman_ros.nodes.initial_pose_input import InitialPoseInput
 from omniman_ros.nodes.paced_can_link import PacedCanLink
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.runtime import run
 from omniman_ros.nodes.simulated_can_drives_parameters import SimulatedCanDrivesParameters
-from omniman_ros.nodes.simulated_clock import SimulatedClock
+from omniman_ros.nodes.simulated_clock import ClockGiverNode, SimulatedClock
 from omniman_ros.simulation.can_drives.parameters import FAULT_FLAGS
 
 if TYPE_CHECKING:

@@ -7,10 +7,18 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from std_msgs.msg import String
 
 from omniman_ros.core.stream_monitor import StreamMonitor
-from omniman_ros.nodes.emergency_interface import MISSED, RELAY, TOPIC, EmergencyInterface
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.rclpy_compat import subscribe_with_source_time
-from omniman_ros.nodes.stop_interface import ALL_LATCHED, LATCHED, STOP_STATE, publisher_nodes
+from omniman_ros.nodes.stop_interface import (
+    ALL_LATCHED,
+    LATCHED,
+    MISSED,
+    RELAY,
+    STOP_STATE,
+    TOPIC,
+    EmergencyInterface,
+    publisher_nodes,
+)
 
 REPETITION = 5.0  #: Longest time after a report in which an older one may be delivered again [s]
 

@@ -8,7 +8,7 @@ from omniman_ros.extras import PLANNING
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.runtime import run
-from omniman_ros.nodes.trajectory_interfaces.motion_services import MotionServices
+from omniman_ros.nodes.trajectory_interfaces.motion_time_base import MotionServices
 from omniman_ros.nodes.whole_body_interfaces.body_coordinator import BodyCoordinator
 from omniman_ros.nodes.whole_body_interfaces.parameters import WholeBodyPlannerParameters
 from omniman_ros.planning.whole_body.obstruction import status_values

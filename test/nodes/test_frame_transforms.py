@@ -12,8 +12,7 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.core.rigid import Transform
 from omniman_ros.core.transform_tree import TransformError
 from omniman_ros.nodes.frame_parameters import FrameParameters, OdomFrame, TransformOptions
-from omniman_ros.nodes.frame_transforms import FrameTransforms
-from omniman_ros.nodes.message_filter import MOST_WAITING
+from omniman_ros.nodes.frame_transforms import MOST_WAITING, FrameTransforms
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from test.nodes.harness import World
 from test.nodes.transforms import Transforms, tf_installed

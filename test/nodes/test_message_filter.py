@@ -2,7 +2,7 @@
 
 from std_msgs.msg import Header
 
-from omniman_ros.nodes.message_filter import MOST_WAITING, MessageFilter
+from omniman_ros.nodes.frame_transforms import MOST_WAITING, MessageFilter
 
 WAIT = 0.3
 

@@ -12,10 +12,9 @@ from rclpy.time import Time
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, String
 
-from omniman_ros.nodes.emergency_interface import MISSED, RELAY
 from omniman_ros.nodes.odometry import OdometryNode
 from omniman_ros.nodes.simulated_drive import SimulatedDriveNode
-from omniman_ros.nodes.stop_interface import LATCHED
+from omniman_ros.nodes.stop_interface import LATCHED, MISSED, RELAY
 from test.nodes.harness import World
 
 ROS_TIME_LEAD = 1_000_000_000

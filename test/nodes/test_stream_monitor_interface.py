@@ -4,9 +4,8 @@ import pytest
 from std_msgs.msg import Bool, String
 
 from omniman_ros.core.stream_monitor import StreamMonitor
-from omniman_ros.nodes.emergency_interface import RELAY
 from omniman_ros.nodes.omniman_node import OmnimanNode
-from omniman_ros.nodes.stop_interface import LATCHED
+from omniman_ros.nodes.stop_interface import LATCHED, RELAY
 from omniman_ros.nodes.stream_monitor_interface import REPETITION, StreamMonitorInterface
 from test.nodes.harness import World
 

@@ -1,11 +1,13 @@
 """The time base that all motions share, which can be slowed down for all of them together."""
 
+import functools
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Protocol
 
 import numpy as np
 from std_msgs.msg import Float64
+from std_srvs.srv import Trigger
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
@@ -188,3 +190,47 @@ class MotionTimeBase:
         for part in others:
             total = total.beside(part)
         return total
+
+
+class MotionServices:
+    """Serves requests that concern all motions of a node.
+
+    Args:
+        publish: Called after a request was accepted, so that it takes effect at once.
+    """
+
+    def __init__(
+        self,
+        node: OmnimanNode,
+        time_base: MotionTimeBase,
+        cancel: Callable[[], None],
+        publish: Callable[[], None],
+    ) -> None:
+        self._node, self._publish = node, publish
+        for name, request in (
+            ("pause", time_base.pause),
+            ("resume", time_base.resume),
+            ("cancel", cancel),
+        ):
+            self.add(name, request, lambda: time_base.state.value)
+
+    def add(self, name: str, request: Callable[[], None], answer: Callable[[], str]) -> None:
+        """Serve `~/NAME`: a request that may raise RefusedError, and the answer after it."""
+        serve = functools.partial(self._serve, request, answer)
+        self._node.create_service(Trigger, f"~/{name}", serve)
+
+    def _serve(
+        self,
+        request: Callable[[], None],
+        answer: Callable[[], str],
+        _: Trigger.Request,
+        response: Trigger.Response,
+    ) -> Trigger.Response:
+        try:
+            request()
+        except RefusedError as error:
+            response.success, response.message = False, str(error)
+        else:
+            self._publish()
+            response.success, response.message = True, answer()
+        return response

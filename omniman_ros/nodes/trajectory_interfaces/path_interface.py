@@ -13,8 +13,7 @@ from omniman_ros.motion.path.interpolator import PathInterpolator, PathState, Pr
 from omniman_ros.motion.path.window import Window, paced_window
 from omniman_ros.nodes.trajectory_interfaces.motion_context import MIN_PLANNING_TIME, MotionContext
 from omniman_ros.nodes.trajectory_interfaces.motion_log import MotionEvent, MotionLog
-from omniman_ros.nodes.trajectory_interfaces.path_input import PathInput
-from omniman_ros.nodes.trajectory_interfaces.pending_motion import PendingMotion
+from omniman_ros.nodes.trajectory_interfaces.pending_motion import PathInput, PendingMotion
 
 SAMPLES = 100  #: Number of poses by which the length of the rest of a path is measured
 PLANNING_TIME_PER_POSE = 1e-4  #: Planning time that is expected for each pose of a path [s]

@@ -17,7 +17,7 @@ from omniman_ros.motion.whole_body.model import WholeBodyModel
 from omniman_ros.nodes.trajectory_interfaces.body_interface import BodyInterface
 from omniman_ros.nodes.trajectory_interfaces.motion_context import BodyContext
 from omniman_ros.nodes.trajectory_interfaces.motion_log import MotionEvent, MotionStatus
-from omniman_ros.nodes.trajectory_interfaces.path_input import PathInput
+from omniman_ros.nodes.trajectory_interfaces.pending_motion import PathInput
 from omniman_ros.nodes.trajectory_interfaces.tool_stream import ToolPosePublisher
 
 Plan = TypeVar("Plan")
