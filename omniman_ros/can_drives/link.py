@@ -6,9 +6,7 @@ from functools import partial
 from omniman_ros.can_drives.bus import Bus, CanBus
 from omniman_ros.can_drives.drives import CanDrives, Phase
 from omniman_ros.can_drives.frame import Frame
-from omniman_ros.can_drives.wheel_feedback import WheelStates
 from omniman_ros.control.wheel_cascade import WheelCommand
-from omniman_ros.core.arrays import Array
 from omniman_ros.core.can_parameters import CanParameters
 from omniman_ros.core.errors import InputError
 from omniman_ros.core.robot import Robot
@@ -97,29 +95,15 @@ class CanLink:
         """Set the command to follow; see :meth:`CanDrives.set_command`."""
         return self.drives.set_command(command, self._clock(), age)
 
-    def update_parameters(self, robot: Robot, p: CanParameters) -> None:
-        """Replace limits and timeouts; other parameters keep their values of the start."""
-        self.drives.update_parameters(robot, p)
-
     @property
     def is_driving(self) -> bool:
         """Whether the drives are enabled and follow commands."""
         return self.drives.phase is Phase.DRIVING
 
     @property
-    def is_off(self) -> bool:
-        """Whether no drive has power on its motor, as far as the drives report."""
-        return self.drives.is_off
-
-    @property
     def at_rest(self) -> bool:
         """Whether no wheel rotates; see :meth:`CanDrives.at_rest`."""
         return self.drives.at_rest(self._clock())
-
-    @property
-    def may_have_moved(self) -> bool:
-        """Whether a wheel may have moved under power; see :attr:`CanDrives.may_have_moved`."""
-        return self.drives.may_have_moved
 
     @property
     def stop_reason(self) -> str:
@@ -131,28 +115,15 @@ class CanLink:
         """Time within which the drives report that their power is off after a stop [s]."""
         return self.drives.longest_stop + POWER_OFF_MARGIN
 
-    def take_states(self) -> WheelStates | None:
-        """Return the states of all wheels whenever all have reported again, else None."""
-        return self.drives.take_states()
-
-    def electrical(self, dt: float) -> Array:
-        """Return the motors' values; see :meth:`CanDrives.electrical`."""
-        return self.drives.electrical(dt)
-
     @property
     def description(self) -> str:
         """Number of drives and their protocol, for the log."""
         return f"{len(self.drives.axes)} drives ({self._protocol})"
 
-    @property
-    def phase_text(self) -> str:
-        """Phase of the drives, for the diagnostics."""
-        return self.drives.phase.value
-
     def diagnostics(self) -> list[tuple[str, object]]:
         """Return keys and values for the diagnostics."""
         now = self._clock()
-        values: list[tuple[str, object]] = [("phase", self.phase_text)]
+        values: list[tuple[str, object]] = [("phase", self.drives.phase.value)]
         for axis in self.drives.axes:
             name, feedback = axis.settings.name, axis.feedback
             values += [

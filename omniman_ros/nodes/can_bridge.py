@@ -46,14 +46,14 @@ class WheelReportPublisher:
         if link.drives.restarts != self._published_restarts:
             self._published_restarts = link.drives.restarts
             self._restarts.publish(restarts_message(self._published_restarts))
-        states = link.take_states()
+        states = link.drives.take_states()
         if states is not None and is_active:
             stamp = self._node.stamp(states.at)
             self._states.publish(states_message(self._wheel_names, states, stamp))
 
     def publish_electrical(self, link: "CanLink", dt: float) -> None:
         """Publish the motors' voltages, currents and energies, which grow over `dt` [s]."""
-        self._electrical.publish(electrical_message(link.electrical(dt)))
+        self._electrical.publish(electrical_message(link.drives.electrical(dt)))
 
 
 class CanBridgeNode(HardwareNode):
@@ -90,12 +90,12 @@ class CanBridgeNode(HardwareNode):
     @property
     def is_hardware_off(self) -> bool:
         """Whether no drive has power on its motor."""
-        return self.link is None or self.link.is_off
+        return self.link is None or self.link.drives.is_off
 
     @property
     def may_have_moved(self) -> bool:
         """Whether a command has asked for motion, or a wheel has rotated under power."""
-        return self.link is not None and self.link.may_have_moved
+        return self.link is not None and self.link.drives.may_have_moved
 
     @property
     def start_fault(self) -> str:
@@ -187,7 +187,7 @@ class CanBridgeNode(HardwareNode):
 
     def _update_parameters(self, new: CanBridgeParameters) -> None:
         if self.link is not None:
-            self.link.update_parameters(new.robot, new.can)
+            self.link.drives.update_parameters(new.robot, new.can)
 
     def _publish(self, link: "CanLink") -> None:
         if link.stop_reason and not self.is_starting:
@@ -205,7 +205,7 @@ class CanBridgeNode(HardwareNode):
             return DiagnosticStatus.WARN, "unconfigured", []
         level = DiagnosticStatus.OK if self.link.is_driving else DiagnosticStatus.WARN
         stopped = self.stop_diagnostics()
-        return *(stopped or (level, self.link.phase_text)), self.link.diagnostics()
+        return *(stopped or (level, self.link.drives.phase.value)), self.link.diagnostics()
 
     @property
     def stop_timeout(self) -> float:

@@ -284,7 +284,7 @@ def test_drives_that_may_have_moved_are_not_started_again(effort):
     with Bench() as bench:
         bench.until_driving()
         bench.send(0.0 if effort else 0.1, effort=effort)
-        bench.until(lambda: bench.node.link.may_have_moved, "the command")
+        bench.until(lambda: bench.node.link.drives.may_have_moved, "the command")
         silence_drives(bench)
         assert "start" not in bench.node.warning_counts
         assert "no feedback" in bench.node.latch.status.reason
@@ -335,7 +335,7 @@ def test_the_life_cycle_opens_enables_disables_and_closes():
         assert bench.state == State.PRIMARY_STATE_UNCONFIGURED
         assert bench.node.link is None
         assert bench.change(Transition.TRANSITION_CONFIGURE)
-        assert bench.node.link.phase_text == "idle"
+        assert bench.node.link.drives.phase.value == "idle"
         bench.send(3.0)
         bench.until_warned()
         assert bench.change(Transition.TRANSITION_ACTIVATE)
@@ -344,7 +344,7 @@ def test_the_life_cycle_opens_enables_disables_and_closes():
         bench.speed = None
         assert bench.change(Transition.TRANSITION_DEACTIVATE)
         bench.until(lambda: bench.bus.at_rest, "rest")
-        assert bench.node.link.is_off
+        assert bench.node.link.drives.is_off
         assert bench.change(Transition.TRANSITION_CLEANUP)
         assert bench.node.link is None
         assert bench.state == State.PRIMARY_STATE_UNCONFIGURED
@@ -428,7 +428,7 @@ def test_drives_that_cannot_be_enabled_stay_off_and_the_node_inactive():
         bench.bus.simulated.set_faults(CanFaultParameters(refuse_enable=("rear_left",)))
         assert not bench.change(Transition.TRANSITION_ACTIVATE)
         assert bench.state == State.PRIMARY_STATE_INACTIVE
-        assert bench.node.link.is_off
+        assert bench.node.link.drives.is_off
         assert not bench.change(Transition.TRANSITION_ACTIVATE), "a stopped node is refused"
 
 
@@ -437,7 +437,7 @@ def test_stop_is_latched_until_a_reset_that_starts_no_motion():
         bench.drive()
         assert bench.trigger("stop").success
         bench.until(lambda: bench.bus.at_rest, "rest")
-        bench.until(lambda: bench.node.link.is_off, "power off")
+        bench.until(lambda: bench.node.link.drives.is_off, "power off")
         answer = bench.trigger("reset")
         assert answer.success, answer.message
         assert bench.bus.at_rest
@@ -459,7 +459,7 @@ def test_emergency_stop_before_the_start_keeps_the_drives_off():
         bench.publish_emergency()
         assert bench.change(Transition.TRANSITION_CONFIGURE)
         assert not bench.change(Transition.TRANSITION_ACTIVATE)
-        assert bench.node.link.is_off
+        assert bench.node.link.drives.is_off
 
 
 def test_fault_stops_all_wheels_and_appears_in_the_diagnostics():
