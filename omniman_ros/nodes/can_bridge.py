@@ -1,6 +1,5 @@
 """Node `can_bridge`: wheel commands to motor drives on a CAN bus, and their feedback back."""
 
-import sys
 from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -215,7 +214,4 @@ class CanBridgeNode(HardwareNode):
 
 def main(args: list[str] | None = None) -> int:
     """Entry point of `ros2 run omniman_ros can_bridge`."""
-    if not CAN.is_available:
-        sys.stderr.write(f"cannot start: {CAN.hint}\n")
-        return 1
-    return run(CanBridgeNode, args)
+    return run(CanBridgeNode, args, CAN)

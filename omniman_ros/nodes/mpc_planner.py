@@ -1,7 +1,6 @@
 """Node `mpc_planner`: goals and obstacles in, a checked motion on `mpc/reference` out."""
 
 import functools
-import sys
 from collections.abc import Callable
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -161,7 +160,4 @@ class MpcPlannerNode(OmnimanNode):
 
 def main(args: list[str] | None = None) -> int:
     """Run the node: entry point of `ros2 run omniman_ros mpc_planner`."""
-    if not PLANNING.is_available:
-        sys.stderr.write(f"cannot start: {PLANNING.hint}\n")
-        return 1
-    return run(MpcPlannerNode, args)
+    return run(MpcPlannerNode, args, PLANNING)

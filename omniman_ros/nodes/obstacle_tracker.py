@@ -1,7 +1,6 @@
 """Node `obstacle_tracker`: turns laser scans into tracked obstacles and a map."""
 
 import math
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -290,7 +289,4 @@ class ObstacleTrackerNode(OmnimanNode):
 
 def main(args: list[str] | None = None) -> int:
     """Run the node: entry point of `ros2 run omniman_ros obstacle_tracker`."""
-    if not TRACKING.is_available:
-        sys.stderr.write(f"cannot start: {TRACKING.hint}\n")
-        return 1
-    return run(ObstacleTrackerNode, args)
+    return run(ObstacleTrackerNode, args, TRACKING)

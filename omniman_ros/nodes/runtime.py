@@ -19,6 +19,7 @@ from rclpy.publisher import Publisher
 from rclpy.signals import SignalHandlerOptions
 
 from omniman_ros.core.errors import FileError, OmnimanError
+from omniman_ros.extras import Extra
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parent_process import obey_supervisor
 from omniman_ros.nodes.rclpy_compat import (
@@ -39,12 +40,15 @@ DELIVERY_TIMEOUT = 2.0
 DELIVERY_SPIN_TIME = 0.005
 
 
-def run(make: Callable[[], OmnimanNode], args: list[str] | None = None) -> int:
+def run(
+    make: Callable[[], OmnimanNode], args: list[str] | None = None, needs: Extra | None = None
+) -> int:
     """Run a node until SIGINT or SIGTERM; it comes to rest before it ends.
 
     rclpy's own signal handlers would shut the context down first, so that a last stop could not
     be sent. A second signal ends the node at once. Under a supervisor that the environment names,
-    the node ends with it; see `nodes.parent_process`.
+    the node ends with it; see `nodes.parent_process`. A node that `needs` libraries which are not
+    installed says so and does not start.
 
     Returns:
         Exit code: 0, or 1 if the node could not start or did not come to rest. Where the
@@ -62,6 +66,7 @@ def run(make: Callable[[], OmnimanNode], args: list[str] | None = None) -> int:
     # Once the node is at rest, SIGALRM may end it; before that, no SIGALRM has an effect.
     previous[signal.SIGALRM] = signal.signal(signal.SIGALRM, lambda number, frame: None)
     try:
+        _require(needs)
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         node = make()
     except (OmnimanError, ParameterException, RCLError, UnknownROSArgsError) as error:
@@ -106,6 +111,11 @@ def run(make: Callable[[], OmnimanNode], args: list[str] | None = None) -> int:
         for number, handler in previous.items():
             signal.signal(number, handler)
     return exit_code
+
+
+def _require(needs: Extra | None) -> None:
+    if needs is not None and not needs.is_available:
+        raise OmnimanError(needs.hint)
 
 
 def _unreadable_file(args: list[str] | None) -> FileError | None:

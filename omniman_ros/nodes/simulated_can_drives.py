@@ -1,6 +1,5 @@
 """Node `simulated_can_drives`: simulated drives on a CAN bus, and the robot that they move."""
 
-import sys
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -172,7 +171,4 @@ class SimulatedCanDrivesNode(ClockGiverNode):
 
 def main(args: list[str] | None = None) -> int:
     """Entry point of `ros2 run omniman_ros simulated_can_drives`."""
-    if not CAN.is_available:
-        sys.stderr.write(f"cannot start: {CAN.hint}\n")
-        return 1
-    return run(SimulatedCanDrivesNode, args)
+    return run(SimulatedCanDrivesNode, args, CAN)

@@ -1,6 +1,5 @@
 """Node `simulated_world`: simulates the whole robot in a scene, with contacts and laser scans."""
 
-import sys
 from typing import TYPE_CHECKING
 
 from builtin_interfaces.msg import Time
@@ -204,7 +203,4 @@ class SimulatedWorldNode(DriveSimulationNode[SimulatedWorldParameters]):
 
 def main(args: list[str] | None = None) -> int:
     """Entry point of `ros2 run omniman_ros simulated_world`."""
-    if not WORLD.is_available:
-        sys.stderr.write(f"cannot start: {WORLD.hint}\n")
-        return 1
-    return run(SimulatedWorldNode, args)
+    return run(SimulatedWorldNode, args, WORLD)

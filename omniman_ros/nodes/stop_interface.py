@@ -15,7 +15,7 @@ from omniman_ros.core.unheard_publishers import UnheardPublishers
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.rclpy_compat import MessageOrigin, subscribe_with_origin
 
-TOPIC = "emergency_stop"  #: Name of the topic
+EMERGENCY_STOP = "emergency_stop"  #: Topic on which buttons stop everything
 #: Topic on which nodes that move nothing tell those that do of a press, with its reason
 RELAY = "emergency_relay"
 #: Reason of a stop for a press that may have been lost
@@ -59,7 +59,7 @@ class EmergencyInterface:
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         matched = SubscriptionEventCallbacks(matched=self._on_matched)  # with any publisher
         for qos, events in ((latched, silent), (QoSProfile(depth=10), matched)):
-            subscribe_with_origin(node, Bool, TOPIC, self._on_message, qos, events)
+            subscribe_with_origin(node, Bool, EMERGENCY_STOP, self._on_message, qos, events)
         node.every(1.0, self.check)
         node.every(0.05, self._check_missed)
 
@@ -85,7 +85,7 @@ class EmergencyInterface:
             self._report()
 
     def _is_pressed(self) -> bool:
-        return self._buttons.is_pressed(self._node.count_publishers(TOPIC))
+        return self._buttons.is_pressed(self._node.count_publishers(EMERGENCY_STOP))
 
     def _report(self) -> None:
         self._state = self._is_pressed()
@@ -181,7 +181,7 @@ class StopInterface:
         self.publish()
 
     def _on_relay(self, message: String) -> None:
-        self._latch_press(message.data or TOPIC)
+        self._latch_press(message.data or EMERGENCY_STOP)
 
     def _latch_press(self, reason: str) -> None:
         """Latch a stop for a press that another node has heard, or that may have been lost."""

@@ -11,11 +11,11 @@ from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.rclpy_compat import subscribe_with_source_time
 from omniman_ros.nodes.stop_interface import (
     ALL_LATCHED,
+    EMERGENCY_STOP,
     LATCHED,
     MISSED,
     RELAY,
     STOP_STATE,
-    TOPIC,
     EmergencyInterface,
     publisher_nodes,
 )
@@ -64,7 +64,7 @@ class StreamMonitorInterface:
 
     def _on_emergency(self, pressed: bool) -> None:
         if pressed and not self._is_pressed:
-            self._tell(TOPIC)
+            self._tell(EMERGENCY_STOP)
         self._is_pressed = pressed
         self._monitor.update_emergency(pressed)
         self._on_update()

@@ -1,7 +1,5 @@
 """Node `whole_body_planner`: the tool on its path while platform and arm dodge."""
 
-import sys
-
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from omniman_ros.extras import PLANNING
@@ -80,7 +78,4 @@ class WholeBodyPlannerNode(OmnimanNode):
 
 def main(args: list[str] | None = None) -> int:
     """Run the node: entry point of `ros2 run omniman_ros whole_body_planner`."""
-    if not PLANNING.is_available:
-        sys.stderr.write(f"cannot start: {PLANNING.hint}\n")
-        return 1
-    return run(WholeBodyPlannerNode, args)
+    return run(WholeBodyPlannerNode, args, PLANNING)
