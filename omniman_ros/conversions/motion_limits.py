@@ -11,21 +11,21 @@ from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 
-#: Names in `motion_limit`; the velocities are shares of the speed limits, 0 to 1
+#: Names in `motion_limit`; the velocities are fractions of the speed limits, 0 to 1
 LIMITED = ("platform", "arm")
 #: Names of the platform's twist in `motion_demand`: along x and y of base_link, and about z
 TWIST = ("base_x", "base_y", "base_theta")
 
 
 def motion_limit_message(platform: float, arm: float, stamp: Time) -> JointState:
-    """Return the message of the shares of the speed limits that platform and arm may use."""
+    """Return the message of the fractions of the speed limits that platform and arm may use."""
     message = JointState(name=list(LIMITED), velocity=[platform, arm])
     message.header.stamp = stamp
     return message
 
 
 def motion_limit_shares(message: JointState) -> tuple[float, float]:
-    """Return the shares of the speed limits in a message, for platform and arm.
+    """Return the fractions of the speed limits in a message, for platform and arm.
 
     Raises:
         InputError: A name or a value is missing, or a value is not 0 to 1.

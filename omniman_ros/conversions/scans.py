@@ -19,7 +19,7 @@ SECTORS = 720  #: Number of sectors into which the points of a cloud are sorted
 MOST_POINTS = 2_000_000  #: Largest number of points accepted in a cloud
 #: Increments by which `angle_max` may be off: many drivers count a gap more than there are
 END_SLACK = 1.5
-SCAN_TIME_SLACK = 1.5  #: Share of `scan_time` that all beams together may take
+SCAN_TIME_SLACK = 1.5  #: Fraction of `scan_time` that all beams together may take
 
 
 @dataclass(frozen=True)

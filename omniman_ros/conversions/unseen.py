@@ -1,7 +1,7 @@
-"""Convert between messages and how soon somebody whom nobody sees could be where.
+"""Convert between messages and when an occluded pedestrian could be where.
 
-A cell of the grid is 100 where somebody may be now, falls to 0 where nobody can be within
-`HORIZON`, and is -1 where nobody can be at all: so viewers of maps draw it.
+A cell of the grid is 100 where a pedestrian may be now, falls to 0 where none can be within
+`HORIZON`, and is -1 where none can be at all. Viewers of maps draw it like that.
 """
 
 import numpy as np
@@ -16,7 +16,7 @@ from omniman_ros.core.errors import InputError
 from omniman_ros.perception.unseen import HORIZON
 
 NOW, NEVER = 100, -1
-"""Values of a cell where somebody may be now, and where nobody can be."""
+"""Values of a cell where a pedestrian may be now, and where none can be."""
 
 
 def unseen_message(
@@ -25,7 +25,7 @@ def unseen_message(
     """Return the message for times of arrival from its stamp on.
 
     Args:
-        times: (rows along y, columns along x) [s]; NaN where nobody can be.
+        times: (rows along y, columns along x) [s]; NaN where none can be.
         resolution: Edge of a cell [m].
         origin: (2,) corner of the first cell [m].
     """

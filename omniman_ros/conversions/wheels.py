@@ -18,27 +18,27 @@ from omniman_ros.core import plausible
 from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 
-#: Key in `wheel_health` of the share of the limits that remains if a wheel is dead
+#: Key in `wheel_health` of the fraction of the limits that remains if a wheel is dead
 LIMIT_SCALE_KEY = "limits"
-#: Key in `wheel_health` of the share of the limits that the arm's posture bears
+#: Key in `wheel_health` of the fraction of the limits that the arm's configuration allows
 POSTURE_SCALE_KEY = "posture_limits"
 
 
 @dataclass(frozen=True)
 class LimitScales:
-    """Shares of the limits that `wheel_health` reports as left, above 0 and up to 1."""
+    """Fractions of the limits that `wheel_health` reports as left, above 0 and up to 1."""
 
-    wheels: float = 1.0  #: Share that dead wheels leave. Where it grows, the controller was reset.
-    posture: float = 1.0  #: Share that the arm's posture bears
+    wheels: float = 1.0  #: Fraction that dead wheels leave; grows when the controller is reset
+    posture: float = 1.0  #: Fraction that the arm's configuration allows
 
     @property
     def total(self) -> float:
-        """Share of velocity and acceleration that both leave."""
+        """Fraction of velocity and acceleration that both leave."""
         return self.wheels * self.posture
 
 
 def reported_limit_scales(message: DiagnosticStatus) -> LimitScales:
-    """Return the shares of the limits that `wheel_health` reports as left; 1 if it does not.
+    """Return the fractions of the limits that `wheel_health` reports as left; 1 if it does not.
 
     Raises:
         InputError: A value is not a number above 0 and up to 1.
@@ -51,7 +51,7 @@ def reported_limit_scales(message: DiagnosticStatus) -> LimitScales:
 
 
 def _scale(key: str, text: str) -> float:
-    """Return a share of the limits above 0 and up to 1 [-]; raises an InputError."""
+    """Return a fraction of the limits above 0 and up to 1 [-]; raises an InputError."""
     try:
         scale = float(text)
     except ValueError:

@@ -42,11 +42,11 @@ class ArmLimit:
 
     @property
     def share(self) -> float:
-        """Share of the speed limits that the arm may use now, 0 to 1."""
+        """Fraction of the speed limits that the arm may use now, 0 to 1."""
         return self._limit.share(self._node.now())
 
     def send(self) -> None:
-        """Send the share that applies now; again and again, as the process may be a new one."""
+        """Send the fraction that applies now; again and again, as the process may be a new one."""
         share = self.share
         if self._limit.parameters.use or share != self._sent:
             self._sent = share

@@ -106,8 +106,7 @@ class CollisionMonitorInputs:
     """Subscribes to the state of the robot, its surroundings and `motion_demand`.
 
     Attributes:
-        braking_scale: Share of the platform's deceleration that dead wheels and the arm's posture
-            leave.
+        braking_scale: Fraction of the deceleration that dead wheels and the arm's posture leave.
     """
 
     def __init__(

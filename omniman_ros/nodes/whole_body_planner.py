@@ -1,4 +1,4 @@
-"""Node `whole_body_planner`: the tool on its path while platform and arm dodge."""
+"""Node `whole_body_planner`: the tool on its path while platform and arm avoid obstacles."""
 
 from diagnostic_msgs.msg import DiagnosticStatus
 

@@ -46,7 +46,7 @@ class NodeKind:
     arms: tuple[str, ...] = ()  #: Values of `--arm` with which the node is started; if empty, all
 
 
-WORLD_DRIVE = "world"  #: Kind of the drives of a robot in a world, beside those in `DRIVES`
+WORLD_DRIVE = "world"  #: Kind of the drives of a robot in a world, next to those in `DRIVES`
 
 COLLISION_MONITOR = "collision_monitor"  #: Name of the node that limits the speed before contact
 
@@ -127,7 +127,7 @@ class RobotSetup:
     collision_monitor: bool = False
     #: Whether laser scans are turned into obstacles and a map; with `only`, likewise
     obstacle_tracker: bool = False
-    #: Whether platform and arm dodge on paths of the tool; with `only`, likewise
+    #: Whether platform and arm avoid obstacles on paths of the tool; with `only`, likewise
     whole_body_planner: bool = False
 
     @property

@@ -1,26 +1,25 @@
-"""Share of the joints' speed limits that is left, which falls no faster than a motion can."""
+"""Fraction of the joints' speed limits that is left, which falls no faster than a motion can."""
 
 from collections import deque
 
 from omniman_ros.core.arrays import Array
 from omniman_ros.ur.joint_guard import JointLimits
 
-#: Time in which the source of a motion may react to a lower share by itself [s]
+#: Time in which the source of a motion may react to a lower fraction by itself [s]
 REACTION_TIME = 0.1
 #: Part of the allowed speed by which it may be exceeded, between two points of a preview
 RELATIVE_TOLERANCE = 0.02
-TOLERANCE = 1e-3  #: Share of the speed limits that counts as rest
+TOLERANCE = 1e-3  #: Fraction of the speed limits that counts as rest
 
 
 class AllowedSpeed:
-    """Follows a share of the speed limits that may fall suddenly.
+    """Follows a fraction of the speed limits that may fall suddenly.
 
-    A source that obeys the share itself, and slows down on its path, is left to do so: the share
-    follows `REACTION_TIME` later, and falls from the speed that is used as fast as the joints can
-    brake.
+    A source that obeys the fraction itself slows down on its path first. The value follows
+    `REACTION_TIME` later. It falls from the speed in use as fast as the joints can brake.
 
     Attributes:
-        target: Share that applies in the end, 0 to 1; may be changed at any time.
+        target: Fraction that applies in the end, 0 to 1; may be changed at any time.
     """
 
     def __init__(self) -> None:
@@ -46,5 +45,5 @@ class AllowedSpeed:
 
 
 def _used(velocity: Array, limits: JointLimits) -> float:
-    """Return the share of the speed limits that joints with velocities (n,) [rad/s] use."""
+    """Return the fraction of the speed limits that joints with velocities (n,) [rad/s] use."""
     return float((abs(velocity) / limits.velocity).max())

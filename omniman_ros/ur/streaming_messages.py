@@ -20,7 +20,7 @@ class Command(Enum):
     STOP = auto()  #: Latch a stop, with its reason
     #: Bring the arm to rest and refuse previews (True), or accept them again (False)
     HOLD = auto()
-    LIMIT = auto()  #: Keep to a share of the joints' speed limits, 0 to 1
+    LIMIT = auto()  #: Keep to a fraction of the joints' speed limits, 0 to 1
     RESET = auto()  #: Clear the stop, with the number of the reset
     TIME = auto()  #: Let simulated time pass, up to an instant of the node's clock [s]
     CONFIGURE = auto()  #: Replace the parameters: `ArmParameters` and `UrParameters`

@@ -114,7 +114,7 @@ class StreamingSupervisor:
             self._generator.release()
 
     def limit_speed(self, share: float) -> None:
-        """Keep to a share of the joints' speed limits, 0 to 1, from now on."""
+        """Keep to a fraction of the joints' speed limits, 0 to 1, from now on."""
         self._generator.allowed.target = share
 
     def reset(self, now: float) -> None:

@@ -26,7 +26,7 @@ BODY = Source.BODY.value  #: Value of `active_source` while another node moves p
 
 
 class ArmInterface(JointInterface):
-    """Trajectories of the arm, which may run beside paths of the platform."""
+    """Trajectories of the arm, which may run next to paths of the platform."""
 
     def __init__(self, context: MotionContext, core: JointInterpolator) -> None:
         super().__init__(context, core, ArmOutput(context))

@@ -25,7 +25,7 @@ from omniman_ros.nodes.trajectory_interfaces.parameters import StreamParameters
 
 #: Times from now at which the speed of a motion is compared with the limit [s]
 LOOK_AHEAD = np.linspace(0.0, 0.4, 9)
-#: Smallest change of a share that is acted upon at once; others wait for the next tick
+#: Smallest change of a fraction that is acted upon at once; others wait for the next tick
 CHANGE = 0.01
 REST = 1e-6  #: Speed up to which a motion rests [m/s, rad/s]
 
@@ -88,7 +88,7 @@ class LimitInterface:
         self._platform.parameters = self._arm.parameters = new.collision_monitor
 
     def _act(self) -> None:
-        """Report a change of a share that is large enough."""
+        """Report a change of a fraction that is large enough."""
         change = np.abs(np.array(self.shares) - self._acted_on).max()
         if change > CHANGE:
             self._acted_on = self.shares
@@ -96,7 +96,7 @@ class LimitInterface:
 
     @property
     def shares(self) -> tuple[float, float]:
-        """Shares of the speed limits that platform and arm may use now, 0 to 1."""
+        """Fractions of the speed limits that platform and arm may use now, 0 to 1."""
         now = self._node.now()
         return self._platform.share(now), self._arm.share(now)
 

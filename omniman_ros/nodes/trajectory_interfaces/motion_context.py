@@ -48,7 +48,7 @@ class StreamContext(Generic[Options]):
     publish_all: Callable[[float], None]
     #: Called after a motion has started; publishes its first preview
     on_started: Callable[[], None]
-    #: Returns why a motion of the given interface cannot start beside those of the others, or an
+    #: Returns why a motion of the given interface cannot start next to those of the others, or an
     #: empty string.
     conflict: Callable[[object], str]
     is_ending: Callable[[], bool]  #: Returns whether the node is shutting down
