@@ -12,7 +12,6 @@ from omniman_ros.core.errors import InputError
 CRC_POLYNOMIAL = 0x4599
 
 #: Number of bits at the end of a frame that are never stuffed.
-#:
 #: They are the CRC delimiter, 2 bits of the acknowledgement, 7 of the end of frame and 3 of the
 #: interframe space.
 UNSTUFFED_BITS = 13

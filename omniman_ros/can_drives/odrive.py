@@ -85,13 +85,11 @@ UNUSED_REPORTS = (
 #: Layout of a heartbeat: axis error, axis state, and flags that differ between the firmwares
 HEARTBEAT_LAYOUT = struct.Struct("<IBBBB")
 #: Layout of two floats.
-#:
 #: Encoder: position [rev], velocity [rev/s]. Input velocity: velocity [rev/s], torque [N m].
 #: Limits: velocity [rev/s], current [A]. Iq: setpoint and measurement [A]. Bus: voltage [V],
 #: current [A]. Input torque: torque [N m], unused.
 TWO_FLOATS = struct.Struct("<ff")
 #: Layout of two integers.
-#:
 #: Axis state: state, unused. Controller mode: control mode, input mode.
 TWO_INTEGERS = struct.Struct("<II")
 

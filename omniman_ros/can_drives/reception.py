@@ -8,7 +8,6 @@ import socket
 from typing import Protocol
 
 #: Size of the receive buffer that is asked for [bytes].
-#:
 #: The 104 KiB that Linux grants unasked hold 256 frames: those of 0.2 s, if four drives answer 100
 #: times a second. A process that waits longer for a core, as on a busy machine, lost frames. Up to
 #: `net.core.rmem_max` is granted.

@@ -56,7 +56,6 @@ class Packet(IntEnum):
 
 
 #: Scale of a command's integer: counts per duty cycle of 1, per A, and per electrical rpm.
-#:
 #: The table of comm_can.md says 1000 for SET_RPM; its C code and comm_can.c do not scale it.
 SCALES = {Packet.SET_DUTY: 1e5, Packet.SET_CURRENT: 1e3, Packet.SET_RPM: 1.0}
 

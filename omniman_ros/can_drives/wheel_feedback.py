@@ -24,7 +24,6 @@ UNMOVED_REPORTS = 4
 MIN_MOVED_FRACTION = 0.1
 MAX_REPORT_INTERVAL = 0.05  #: Longest time for which a reported speed is integrated [s]
 #: Smallest step between the stamps of two wheel states, in periods.
-#:
 #: Of several reports that arrive late in a bunch only one is used.
 MIN_STAMP_STEP = 0.25
 

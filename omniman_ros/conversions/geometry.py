@@ -32,15 +32,6 @@ def transform_from_message(message: TransformMsg) -> Transform:
     return Transform((t.x, t.y, t.z), (r.x, r.y, r.z, r.w))
 
 
-def transform_message(transform: Transform) -> TransformMsg:
-    """Return the message of a transform [m]."""
-    message = TransformMsg()
-    t, r = message.translation, message.rotation
-    t.x, t.y, t.z = transform.translation
-    r.x, r.y, r.z, r.w = transform.rotation
-    return message
-
-
 def twist_array(message: Twist, bound: float = plausible.SPEED) -> Array:
     """Return x, y and rotation about z (3,) of a twist or an acceleration, in its unit.
 

@@ -163,7 +163,6 @@ def log_exceptions(callback: TransitionCallback) -> TransitionCallback:
 
 
 #: Time after which a process is ended that does not take its node down [s].
-#:
 #: Taking rclpy 7.1's EventsExecutor down while a message arrives can deadlock in the middleware,
 #: with Python's interpreter lock held: no Python code runs any more, whether handler or thread.
 TAKE_DOWN_TIMEOUT = 5

@@ -8,7 +8,6 @@ from functools import cache
 from omniman_ros.core.parameters import Spec, specs
 
 #: Parameter dataclass of each executable, within the package.
-#:
 #: A node that is given a name that it has no parameter of looks it up here when it starts, node
 #: after node, so the modules named here import nothing heavy; in particular, not the nodes
 #: themselves. The robots' files name parameters of the first.

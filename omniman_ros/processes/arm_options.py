@@ -22,7 +22,6 @@ UR_PORTS = {
 WORLD_SERVO_LAG = 0.062
 
 #: Parameters that lengthen the client's timeouts for a simulated controller.
-#:
 #: Unlike a real one, it is a process that may have to wait on a busy machine.
 SIMULATED_CONTROLLER_TIMEOUTS = ("ur.read_timeout:=0.2", "ur.feedback_timeout:=0.5")
 

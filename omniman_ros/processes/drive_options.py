@@ -22,7 +22,6 @@ PORTS_PER_NAMESPACE = 240
 NAMESPACE_SLOTS = 80
 
 #: Arguments that lengthen the timeouts of the bus for simulated drives on real time.
-#:
 #: Unlike real drives, they are processes that may have to wait on a busy machine.
 SIMULATED_BUS_TIMEOUTS = (
     "-p",

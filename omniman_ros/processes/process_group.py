@@ -21,7 +21,6 @@ from omniman_ros.console.terminal import say
 
 STOP_TIMEOUT = 20.0  #: Time after a process's signal at which it is killed if it has not ended [s]
 #: Time for reading the rest of a process's output after its end [s].
-#:
 #: A process that it has started itself may hold the pipe open for longer.
 OUTPUT_TIMEOUT = 1.0
 

@@ -88,7 +88,6 @@ LIMITED_NODES = (
 SEEING_NODES = ("mpc_planner", WHOLE_BODY_PLANNER, COLLISION_MONITOR)
 
 #: Nodes that plan within the arm's limits, predict by them or publish them, or know its joints.
-#:
 #: Like the nodes of the arm, they get the parameters in the file of the arm's controller.
 ARM_AWARE_NODES = (
     "path_interpolator",
@@ -99,7 +98,6 @@ ARM_AWARE_NODES = (
 )
 
 #: Arguments that move the transforms of a robot into its namespace.
-#:
 #: The frames of other robots have the same names.
 TRANSFORM_REMAPPING = ("-r", "/tf:=tf", "-r", "/tf_static:=tf_static")
 

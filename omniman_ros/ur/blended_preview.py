@@ -9,11 +9,9 @@ from omniman_ros.core.hermite import Hermite
 from omniman_ros.ur.joint_preview import JointPreview
 
 #: Fraction of the acceleration limits for joining a preview gently.
-#:
 #: It suits instants at which planned motions leave the least acceleration free.
 GENTLE_FRACTION = 0.08
 #: Fraction of the acceleration limits for joining a preview quickly.
-#:
 #: Planned motions leave a tenth of the limits free, and more for most of the time.
 FIRM_FRACTION = 0.4
 #: Distance [rad] and velocity [rad/s] up to which a preview need not be joined smoothly

@@ -12,7 +12,6 @@ from omniman_ros.ur import sockets
 from omniman_ros.ur.reverse_interface import MESSAGE
 
 #: Largest number of setpoints that may be unacknowledged: those sent in 96 ms.
-#:
 #: A host with delayed TCP acknowledgements delays them by 40 ms, in which five setpoints are sent.
 MAX_UNACKNOWLEDGED = 12
 C_INT = struct.Struct("i")  #: Layout of a C int, the result of the ioctl SIOCOUTQ

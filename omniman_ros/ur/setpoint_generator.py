@@ -29,14 +29,12 @@ MAX_LEAD_IN_MOTION = 0.1  #: How far in the future a preview may begin while the
 #: Number of preview periods without a new preview after which their source counts as silent
 SILENT_PERIODS = 2.0
 #: Difference up to which two previews count as starting at the same time [s].
-#:
 #: Clocks do not agree more closely.
 START_TOLERANCE = 2e-3
 #: Fraction of the acceleration limits for joining a motion that accelerates at its limits
 STEEP_FRACTION = 0.55
 SHORT_JOINING_TIME = 0.3  #: Joining time up to which a preview is joined gently [s]
 #: Length of the part of a preview that is checked on arrival [s].
-#:
 #: Each setpoint is checked again before it is sent.
 CHECKED_TIME = 1.0
 

@@ -36,7 +36,6 @@ REPORT_PERIOD = 0.04  #: Longest time between two reports [s]
 TIMING_COUNT = 25  #: Number of send intervals that are reported together
 FINISH_TIMEOUT = 3.0  #: How long the arm may take to come to rest when the node has ended [s]
 #: Time without a message of the node after which the arm is brought to rest [s].
-#:
 #: A node that hangs could not stop it.
 NODE_TIMEOUT = 0.5
 #: Time that a `GivenClock` adds to what it is given [s], so that rounding delays no due cycle

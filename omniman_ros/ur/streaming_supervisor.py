@@ -24,7 +24,6 @@ from omniman_ros.ur.streaming_messages import StreamingPhase
 LOSS_REASON_DELAY = 0.02
 REST_SPEED = 0.01  #: Measured joint speed below which the arm counts as standing [rad/s]
 #: Delay of a setpoint beyond which the arm has gone on by its last step instead [s].
-#:
 #: Shorter ones are caught up with, as the arm's lag hides them.
 COASTING_DELAY = 8.5 * PERIOD
 #: Number of setpoints whose send times are kept: more than the program can leave unread

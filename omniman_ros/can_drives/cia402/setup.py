@@ -65,19 +65,16 @@ MODE_NAMES = {
 #: Accepted quick stop option codes (object 605A): ramp and stay in quick stop, or switch off
 QUICK_STOP_OPTIONS = (6, 2)
 #: Accepted abort connection option codes (object 6007): quick stop, or a fault's own reaction.
-#:
 #: The option applies to a missing heartbeat of the host, bus-off, reset and NMT stop.
 ABORT_OPTIONS = (3, 1)
 #: Fault reaction option code (object 605E): ramp of the quick stop, if the fault allows it
 QUICK_STOP_ON_FAULT = 2
 
 #: Error behaviour (object 1029:01) in which a drive remains operational without the host.
-#:
 #: It then still reports how its wheel comes to rest.
 STAYS_OPERATIONAL = 1
 
 #: Shortest time that a drive is given to switch its power off [s].
-#:
 #: It may have to engage a brake, or be in its reaction to a fault.
 POWER_OFF_TIMEOUT = 1.0
 #: Largest relative deviation of the deceleration, which drives round
@@ -85,7 +82,6 @@ DECELERATION_TOLERANCE = 0.05
 #: Largest relative deviation of the heartbeat: two must fit into three periods
 HEARTBEAT_TOLERANCE = 0.5
 #: Largest plausible ratio of the rated to the largest torque, or its inverse.
-#:
 #: Manufacturers differ in the unit of the rated torque (object 6076, in mN m by the profile): with
 #: uN m all torques would be a thousand times too small or too large.
 MAX_TORQUE_RATIO = 50.0
