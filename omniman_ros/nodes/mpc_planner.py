@@ -18,8 +18,7 @@ from omniman_ros.nodes.planner_interfaces.goal_interface import GoalExecutor, Go
 from omniman_ros.nodes.planner_interfaces.motion_publisher import MotionPublisher, PlanPublisher
 from omniman_ros.nodes.planner_interfaces.parameters import MpcPlannerParameters
 from omniman_ros.nodes.planner_interfaces.planner_loop import PlannerLoop
-from omniman_ros.nodes.planner_interfaces.posture_interface import PostureInterface
-from omniman_ros.nodes.planner_interfaces.sensor_interface import SensorInterface
+from omniman_ros.nodes.planner_interfaces.sensor_interface import PostureInterface, SensorInterface
 from omniman_ros.nodes.runtime import run
 from omniman_ros.nodes.stream_monitor_interface import StreamMonitorInterface
 from omniman_ros.planning.cycle import PlannerState

@@ -13,8 +13,12 @@ from omniman_ros.control.wheel_feedback import MAX_GAP
 from omniman_ros.control.wheel_odometry import WheelOdometry
 from omniman_ros.conversions.headers import SerializedStamp, is_stamped
 from omniman_ros.conversions.wheels import reported_idle_wheels
-from omniman_ros.nodes.odometry_interface import OdometryInputs, imu_fault, imu_values
-from omniman_ros.nodes.odometry_outputs import OdometryOutputs
+from omniman_ros.nodes.odometry_interface import (
+    OdometryInputs,
+    OdometryOutputs,
+    imu_fault,
+    imu_values,
+)
 from omniman_ros.nodes.odometry_parameters import OdometryNodeParameters
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet

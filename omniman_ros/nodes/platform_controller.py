@@ -21,8 +21,7 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.description.arm_mass import ArmMass
 from omniman_ros.nodes.arm_posture import ArmPostureInput
 from omniman_ros.nodes.motion_limit_input import subscribe_to_motion_limit
-from omniman_ros.nodes.odometry_interface import OdometryInputs
-from omniman_ros.nodes.odometry_outputs import OdometryOutputs
+from omniman_ros.nodes.odometry_interface import OdometryInputs, OdometryOutputs
 from omniman_ros.nodes.odometry_parameters import OdometryTopicParameters
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet

@@ -12,7 +12,7 @@ from omniman_ros.core.errors import ParameterError
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.planner_interfaces.parameters import MpcPlannerParameters
-from omniman_ros.nodes.planner_interfaces.posture_interface import PostureInterface, PostureSource
+from omniman_ros.nodes.planner_interfaces.sensor_interface import PostureInterface, PostureSource
 from test.nodes.harness import World
 
 STRETCHED = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
