@@ -10,11 +10,9 @@ from omniman_ros.nodes.navigation_action import (
 from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.runtime import run
-from omniman_ros.nodes.trajectory_interfaces.joint_interface import JointExecutor
 from omniman_ros.nodes.trajectory_interfaces.motion_coordinator import MotionCoordinator
 from omniman_ros.nodes.trajectory_interfaces.motion_time_base import MotionServices
 from omniman_ros.nodes.trajectory_interfaces.parameters import PathInterpolatorParameters
-from omniman_ros.nodes.trajectory_interfaces.path_interface import PathExecutor
 from omniman_ros.nodes.trajectory_interfaces.trajectory_action import (
     TrajectoryAction,
     serve_actions,
@@ -29,15 +27,11 @@ class PathInterpolatorNode(OmnimanNode):
         self.settings = ParameterSet(self, PathInterpolatorParameters)
         p = self.settings.value
         self.motions = MotionCoordinator(self, self.settings)
-        executors = {
-            p.arm_action: JointExecutor(self.motions.context, self.motions.arm),
-            p.body_action: JointExecutor(self.motions.context, self.motions.whole_body),
-        }
-        self._trajectory_actions = serve_actions(self, executors, p.trajectory_action)
-        path = PathExecutor(self.motions.context, self.motions.path)
+        served = {p.arm_action: self.motions.arm, p.body_action: self.motions.whole_body}
+        self._trajectory_actions = serve_actions(self, served, p.trajectory_action)
         self.actions: tuple[TrajectoryAction | NavigationAction, ...] = (
             *self._trajectory_actions,
-            *serve_navigation(self, NavigationKind.FOLLOW_PATH, p.path_action, path),
+            *serve_navigation(self, NavigationKind.FOLLOW_PATH, p.path_action, self.motions.path),
         )
         self.settings.on_change(self._configure)
         time_base = self.motions.context.time_base

@@ -87,47 +87,29 @@ class JointInterface(MotionInterface, ABC):
         self.output.begin(from_rest=from_rest)
         return proposal
 
-
-class JointExecutor:
-    """Hands goals of an action to an interface of trajectories; their numbers name motions."""
-
-    def __init__(self, context: MotionContext, interface: JointInterface) -> None:
-        self._context, self._interface = context, interface
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the axes."""
-        return self._interface.names
-
     def send(self, message: JointTrajectory) -> int:
-        """Accept a trajectory, or raise InputError; return the number of its motion."""
+        """Accept the trajectory of an action's goal; return the number of its motion.
+
+        Raises:
+            InputError: The trajectory is refused; the motion under way goes on.
+        """
         if self._context.is_ending():
-            raise self._interface.log.refuse("the node is shutting down")
-        why = self._interface.trajectory(message)
+            raise self.log.refuse("the node is shutting down")
+        why = self.trajectory(message)
         if why:
-            raise self._interface.log.refuse(why)
-        return self._interface.log.ledger.accepted
+            raise self.log.refuse(why)
+        return self.log.ledger.accepted
 
     def outcome(self, motion: int) -> str | None:
         """Return why a motion ended: empty if it arrived; None while it waits or goes on."""
-        interface = self._interface
-        return interface.log.ledger.outcome_so_far(
-            motion, is_driven=not interface.idle, is_pending=interface.is_pending
+        return self.log.ledger.outcome_so_far(
+            motion, is_driven=not self.idle, is_pending=self.is_pending
         )
 
     def cancel(self, motion: int) -> None:
         """Discard a motion that waits, or bring the one under way to rest on its path."""
-        interface, ledger = self._interface, self._interface.log.ledger
-        if motion == ledger.accepted and interface.discard_pending():
+        if motion == self.log.ledger.accepted and self.discard_pending():
             return
-        if motion == ledger.started and not interface.idle:
-            interface.stop()
+        if motion == self.log.ledger.started and not self.idle:
+            self.stop()
             self._context.on_started()
-
-    def desired(self) -> tuple[Array, Array, Array] | None:
-        """Return the references of the instant at which :meth:`actual` was measured."""
-        return self._interface.desired()
-
-    def actual(self) -> tuple[Array, Array] | None:
-        """Return measured positions and velocities of the axes; None if they are unknown."""
-        return self._interface.actual()

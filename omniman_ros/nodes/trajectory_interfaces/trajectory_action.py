@@ -30,7 +30,7 @@ from omniman_ros.motion.path.trajectory_goal import (
 )
 from omniman_ros.nodes.deferred_action import DeferredActionServer
 from omniman_ros.nodes.omniman_node import OmnimanNode
-from omniman_ros.nodes.trajectory_interfaces.joint_interface import JointExecutor
+from omniman_ros.nodes.trajectory_interfaces.joint_interface import JointInterface
 
 #: Fields of a point of a trajectory, in the order of their derivatives
 PARTS = ("positions", "velocities", "accelerations")
@@ -128,7 +128,7 @@ def action_type() -> Any:
 
 def serve_actions(
     node: OmnimanNode,
-    executors: Mapping[str, JointExecutor],
+    executors: Mapping[str, JointInterface],
     options: TrajectoryActionOptions,
 ) -> tuple["TrajectoryAction", ...]:
     """Serve an action for each executor, by action names; none without control_msgs."""
@@ -156,7 +156,7 @@ class TrajectoryAction:
         node: OmnimanNode,
         kind: Any,
         name: str,
-        executor: JointExecutor,
+        executor: JointInterface,
         options: TrajectoryActionOptions,
     ) -> None:
         self._node, self._kind, self._name, self._executor = node, kind, name, executor
