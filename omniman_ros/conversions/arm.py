@@ -154,37 +154,12 @@ def unit_quaternion(rotation: Array) -> Array:
 
     Its largest entry is positive.
     """
-    r = rotation
-    # The matrix has four times the products of the entries: the row with the largest square is
-    # used.
-    products = np.array(
-        [
-            [
-                1.0 + r[0, 0] - r[1, 1] - r[2, 2],
-                r[0, 1] + r[1, 0],
-                r[0, 2] + r[2, 0],
-                r[2, 1] - r[1, 2],
-            ],
-            [
-                r[0, 1] + r[1, 0],
-                1.0 - r[0, 0] + r[1, 1] - r[2, 2],
-                r[1, 2] + r[2, 1],
-                r[0, 2] - r[2, 0],
-            ],
-            [
-                r[0, 2] + r[2, 0],
-                r[1, 2] + r[2, 1],
-                1.0 - r[0, 0] - r[1, 1] + r[2, 2],
-                r[1, 0] - r[0, 1],
-            ],
-            [
-                r[2, 1] - r[1, 2],
-                r[0, 2] - r[2, 0],
-                r[1, 0] - r[0, 1],
-                1.0 + r[0, 0] + r[1, 1] + r[2, 2],
-            ],
-        ]
-    )
+    r, trace = rotation, np.trace(rotation)
+    # Four times the products of the entries: the row with the largest square is used.
+    products = np.empty((4, 4))
+    products[:3, :3] = r + r.T + (1.0 - trace) * np.eye(3)
+    products[3, :3] = products[:3, 3] = r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]
+    products[3, 3] = 1.0 + trace
     row = products[int(np.diag(products).argmax())]
     result: Array = row / np.sqrt((row * row).sum())
     return result
