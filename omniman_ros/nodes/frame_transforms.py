@@ -68,51 +68,6 @@ class MessageFilter:
         return not any(self._is_awaited(header) for header in headers)
 
 
-class MessageFilters:
-    """The message filters of a node, and the frames for which they do not wait any more."""
-
-    def __init__(
-        self,
-        node: OmnimanNode,
-        may_come: Callable[[Header], bool],
-        is_related: Callable[[Header], bool],
-    ) -> None:
-        self._node, self._may_come, self._is_related = node, may_come, is_related
-        self._filters: list[MessageFilter] = []
-        self._abandoned: set[str] = set()
-
-    def deferred(
-        self,
-        topic: str,
-        headers: Callable[[M], Iterable[Header]],
-        handler: Callable[[M], str | None],
-    ) -> Callable[[M], str | None]:
-        """Wrap a handler so that messages wait for the transforms of their `headers`, in order.
-
-        The handler is called in any case: after the wait, its own lookup says what is missing.
-        """
-        handle_later = self._node.guarded(topic, handler)
-        waiting = MessageFilter(headers, self._is_awaited, self._give_up, handler, handle_later)
-        self._filters.append(waiting)
-        return lambda message: waiting.handle(message, self._node.now())
-
-    def retry(self, max_wait: float) -> None:
-        """Hand on the messages that have their transforms, or have waited for `max_wait` [s]."""
-        for waiting in self._filters:
-            waiting.retry(self._node.now(), max_wait)
-
-    def reconsider(self) -> None:
-        """Wait for all frames again, because there is a new one that may relate them to odom."""
-        self._abandoned.clear()
-
-    def _is_awaited(self, header: Header) -> bool:
-        return header.frame_id not in self._abandoned and self._may_come(header)
-
-    def _give_up(self, headers: Iterable[Header]) -> None:
-        """Wait no more for frames that nothing relates to odom, until there are other frames."""
-        self._abandoned.update(h.frame_id for h in headers if not self._is_related(h))
-
-
 class FrameTransforms:
     """Listens to transforms, and has messages wait for theirs.
 
@@ -125,7 +80,8 @@ class FrameTransforms:
         self._node, self._parameters = node, parameters
         self._tree = TransformTree()
         self._anchors: dict[str, Transform] = {}
-        self._filters = MessageFilters(node, self._may_come, self._is_related)
+        self._filters: list[MessageFilter] = []
+        self._abandoned: set[str] = set()  #: Frames for which messages do not wait any more
         self._watch = ClockWatch()
         if tf_messages.TFMessage is None:
             node.get_logger().info("tf2_msgs is not installed: /tf is not received")
@@ -155,7 +111,7 @@ class FrameTransforms:
         if {parent, child} == set(self._parameters().odom.names):
             return  # odom and another name of it
         if not self._tree.is_child(child):
-            self._filters.reconsider()
+            self._abandoned.clear()  # it may relate them to odom
         if not is_static:  # the stamp of one that holds for ever means nothing
             try:
                 self._node.age(message.header.stamp, TRANSFORM_LEAD)
@@ -242,11 +198,25 @@ class FrameTransforms:
         headers: Callable[[M], Iterable[Header]],
         handler: Callable[[M], str | None],
     ) -> Callable[[M], str | None]:
-        """Wrap a handler so that its messages wait for their transforms; see `MessageFilters`."""
-        return self._filters.deferred(topic, headers, handler)
+        """Wrap a handler so that messages wait for the transforms of their `headers`, in order.
+
+        The handler is called in any case: after the wait, its own lookup says what is missing.
+        """
+        handle_later = self._node.guarded(topic, handler)
+        waiting = MessageFilter(headers, self._is_awaited, self._give_up, handler, handle_later)
+        self._filters.append(waiting)
+        return lambda message: waiting.handle(message, self._node.now())
 
     def _retry(self) -> None:
-        self._filters.retry(self._parameters().tf.wait)
+        for waiting in self._filters:
+            waiting.retry(self._node.now(), self._parameters().tf.wait)
+
+    def _is_awaited(self, header: Header) -> bool:
+        return header.frame_id not in self._abandoned and self._may_come(header)
+
+    def _give_up(self, headers: Iterable[Header]) -> None:
+        """Wait no more for frames that nothing relates to odom, until there are other frames."""
+        self._abandoned.update(h.frame_id for h in headers if not self._is_related(h))
 
     def _may_come(self, header: Header) -> bool:
         """Return whether the transform of a header is missing, but may arrive yet."""
