@@ -24,7 +24,7 @@ from omniman_ros.nodes.parameters import ParameterSet
 from omniman_ros.nodes.runtime import run
 from omniman_ros.nodes.stop_interface import LATCHED
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # needs python-can, which is optional
     from omniman_ros.can_drives.link import CanLink, OpenBus
 
 COMMAND_QOS = QoSProfile(depth=1)  #: Quality of service of commands: only the newest one counts

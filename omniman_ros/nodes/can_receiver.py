@@ -10,7 +10,7 @@ from omniman_ros.can_drives.reception import enlarge_receive_buffer, is_invalid_
 from omniman_ros.core.can_parameters import CanParameters
 from omniman_ros.core.errors import ParameterError
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # needs python-can, which is optional
     import can
 
 #: Time that the receiver waits for a frame, or after an error of the bus [s]

@@ -39,7 +39,7 @@ from omniman_ros.perception.scan import Scan
 from omniman_ros.perception.scan_check import ScanCheck
 from omniman_ros.perception.unseen import RESOLUTION
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # needs scipy, which is optional
     from omniman_ros.perception.obstacle_tracker import ObstacleTracker
 
 #: Longest time between two whole maps, after which a reader that has missed an update is right

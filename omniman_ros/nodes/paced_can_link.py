@@ -10,7 +10,7 @@ from omniman_ros.simulation.can_link.records import BusFrame, Instant, Record
 from omniman_ros.simulation.can_link.server import CanLinkServer
 from omniman_ros.simulation.link_connection import LinkError
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # needs python-can, which is optional
     import can
 
 PARTICIPANT = "the host of the bus"  #: Name under which simulated time waits for the bridge

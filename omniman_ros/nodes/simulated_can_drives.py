@@ -18,7 +18,7 @@ from omniman_ros.nodes.simulated_can_drives_parameters import SimulatedCanDrives
 from omniman_ros.nodes.simulated_clock import ClockGiverNode, SimulatedClock
 from omniman_ros.simulation.can_drives.parameters import FAULT_FLAGS
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # needs python-can, which is optional
     import can
 
 PERIOD = 0.001  #: Period of the drives' firmware [s]

@@ -27,7 +27,7 @@ from omniman_ros.nodes.world_arm_link import WorldArmLink
 from omniman_ros.simulation.scene_files import load_scene
 from omniman_ros.simulation.world.scanner_parameters import ScannerParameters
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # needs the physics engine, which is optional
     from omniman_ros.simulation.plant.imu import BaseMotion
     from omniman_ros.simulation.world.world import World
 

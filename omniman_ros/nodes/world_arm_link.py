@@ -10,7 +10,7 @@ from omniman_ros.simulation.arm_link.server import ArmLinkServer
 from omniman_ros.simulation.link_connection import LinkError
 from omniman_ros.simulation.plant.simulated_drives import SimulatedDrives
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # needs the physics engine, which is optional
     from omniman_ros.simulation.world.arm_servo import ArmServo
 
 PARTICIPANT = "the arm's controller"  #: Name under which simulated time waits for the controller

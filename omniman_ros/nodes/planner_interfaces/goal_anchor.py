@@ -14,7 +14,7 @@ from omniman_ros.planning.cycle import MeasuredState
 from omniman_ros.planning.goals import Goal
 from omniman_ros.planning.obstacles.ellipses import Ellipses
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # needs casadi, which is optional
     from omniman_ros.planning.planner import Planner
 
 LEAST_SHIFT = 5e-4  #: Distance by which a goal must have moved to be moved for the planner [m]

@@ -24,7 +24,7 @@ from omniman_ros.nodes.planner_interfaces.planner_loop import PlannerLoop
 from omniman_ros.nodes.planner_interfaces.sensor_interface import SensorInterface
 from omniman_ros.planning.goals import Goal, PoseGoal, TrajectoryGoal, goal_of_state
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # needs casadi, which is optional
     from omniman_ros.planning.planner import Planner
 
 

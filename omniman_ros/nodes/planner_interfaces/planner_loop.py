@@ -15,7 +15,7 @@ from omniman_ros.nodes.planner_interfaces.motion_publisher import MotionPublishe
 from omniman_ros.nodes.planner_interfaces.sensor_interface import PostureInterface, SensorInterface
 from omniman_ros.planning.cycle import GoalOutcome, MeasuredState, PlannerState
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # needs casadi, which is optional
     from omniman_ros.planning.planner import Planner
 
 #: Outcomes of which the status warns

@@ -31,7 +31,7 @@ from omniman_ros.nodes.source_watch import SourceWatch
 from omniman_ros.nodes.stop_interface import LATCHED
 from omniman_ros.planning.cycle import MeasuredState
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # needs casadi, which is optional
     from omniman_ros.planning.planner import Planner
 
 REFERENCE = "arm/joint_reference"  #: Name of the topic of the arm's previews

@@ -37,7 +37,7 @@ from omniman_ros.nodes.whole_body_interfaces.parameters import WholeBodyPlannerP
 from omniman_ros.planning.whole_body.obstruction import Cause, Obstruction
 from omniman_ros.planning.whole_body.way import NoWayError
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # needs casadi, which is optional
     from omniman_ros.planning.whole_body.dodging_motion import DodgingMotion
     from omniman_ros.planning.whole_body.task import BodySetup, BodyTask
 
