@@ -3,7 +3,6 @@
 from typing import TYPE_CHECKING
 
 from builtin_interfaces.msg import Time
-from builtin_interfaces.msg import Time as TimeMsg
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import LaserScan
 from std_msgs.msg import Float64MultiArray
@@ -157,7 +156,7 @@ class SimulatedWorldNode(DriveSimulationNode[SimulatedWorldParameters]):
         super().configure(new)
         self._scans.configure(new.scanners)
 
-    def report_step(self, now: float, stamp: TimeMsg) -> None:
+    def report_step(self, now: float, stamp: Time) -> None:
         """Advance the simulation, and publish what is due."""
         super().report_step(now, stamp)
         self._world_reports.publish(stamp)
