@@ -1,6 +1,6 @@
 """Data of one robot that the viewer shows: the latest values, trails and plots."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Set
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,15 +43,11 @@ class Condition:
 
 @dataclass(frozen=True)
 class TunableParameter:
-    """A parameter of the planner that the page can set.
-
-    Attributes:
-        low, high: Smallest and largest values that the node accepts.
-    """
+    """A parameter of the planner that the page can set."""
 
     value: float  #: The node's present value
-    low: float
-    high: float
+    low: float  #: Smallest value that the node accepts
+    high: float  #: Largest value that the node accepts
     text: str  #: Description of the parameter
 
 
@@ -65,55 +61,30 @@ class ViewState:
     Attributes:
         odom, truth: Poses by odometry and by the simulation's ground truth; None until received.
         odom_trail, truth_trail: Past positions of both, at most as many as a trail holds.
-        speeds: Largest absolute component of the twist of `odom` and of `truth` [m/s, rad/s].
         path, reference: The platform's path as sent, and the part of it to be driven next.
         tool_path: Path of the tool (k, 3) [m].
         plan, route: The planner's planned motion, and the route that guides it.
         predicted: Outlines of the obstacles as the planner predicts them.
-        wheel_angles: Measured wheel angles (n,) [rad].
-        arm: Measured joint angles (6,) [rad]; None until received.
         windows: Curves of the plots by name: `speeds`, n measured and n commanded wheel speeds
             [rad/s]; `coupling`, m coupling errors without resets [rad]; `voltages`, n motor
             voltages [V]; `energy`, energy of all wheels since it was first received [J];
             `solving`, the planner's solution time [ms] and slack [mm]; `sending`, mean and
             longest interval between two setpoints of the arm [ms].
         goal, start: Poses of the planner's goal and of the start; None until there is one.
-        obstacles: Obstacles that were placed on the page.
-        selected_obstacle: Number of the obstacle selected for editing, or None.
-        obstacles_paused: Whether the obstacles of the page stand still until Go or Resume.
-        other_obstacles: Obstacles that were not placed on the page, at their present positions.
-        workspace: The planner's x_min, y_min, x_max, y_max in `odom` [m]; None while unknown.
-        planner_parameters: The planner's tunable parameters by name, in the order of the page.
-        planner: Values of `mpc/status` by key.
-        path_states: States of the motions (platform, arm, whole body) of each of `PATH_NODES`.
-        case: Name of the case (start, goal, obstacles) that is loaded, empty for none.
-        active_source: Command source that drives the robot, empty until received.
-        progress: Progress on the path, 0 to 1; valid while it is fresh.
-        stops: Stop state of each node by its name.
-        diagnostics: Current warnings and errors from the diagnostics by name of the node.
-        pace: Speed of simulated over real time; None on real time.
-        awaited: Names of the nodes for which simulated time stands.
-        services: Names of the available services, such as `path_interpolator/pause`.
-        perceived: What scanners, tracker, collision monitor and physics world tell.
-        tool: Pose of the tool; None until received.
         tool_reports: Number of reports of the nodes that take paths of the tool since the page has
             sent one; None once the outcome is known.
-        tool_goal: Handle and path of the tool that are set on the page.
-        tour: The present step of the tour, empty at its end.
-        unplaced: Why the last message of a topic is not shown, by topic, where its frame is not
-            known.
-        note: Outcome of the last action on the page.
     """
 
     def __init__(self, wheels: int, constraints: int) -> None:
         self.odom: Pose | None = None
         self.truth: Pose | None = None
         self.odom_trail, self.truth_trail = Trail(), Trail()
+        #: Largest absolute component of the twist of `odom` and of `truth` [m/s, rad/s]
         self.speeds: dict[str, float] = {}
         self.path, self.reference, self.tool_path = Line(), Line(), Line()
         self.plan, self.route, self.predicted = Line(), Line(), Line()
-        self.wheel_angles = np.zeros(wheels)
-        self.arm: Array | None = None
+        self.wheel_angles = np.zeros(wheels)  #: Measured wheel angles (n,) [rad]
+        self.arm: Array | None = None  #: Measured joint angles (6,) [rad]; None until received
         self._counts = {
             "measured": wheels,
             "commanded": wheels,
@@ -133,30 +104,41 @@ class ViewState:
         }
         self.goal: Pose | None = None
         self.start: Pose | None = None
-        self.obstacles = ObstacleArrays.empty()
+        self.obstacles = ObstacleArrays.empty()  #: Obstacles that were placed on the page
+        #: Number of the obstacle selected for editing, or None
         self.selected_obstacle: int | None = None
+        #: Whether the obstacles of the page stand still until Go or Resume
         self.obstacles_paused = False
+        #: Obstacles that were not placed on the page, at their present positions
         self.other_obstacles = Ellipses.none()
+        #: The planner's x_min, y_min, x_max, y_max in `odom` [m]; None while unknown
         self.workspace: tuple[float, float, float, float] | None = None
+        #: The planner's tunable parameters by name, in the order of the page
         self.planner_parameters: dict[str, TunableParameter] = {}
-        self.planner: dict[str, str] = {}
-        self._earlier_outcome = ""
+        self.planner: dict[str, str] = {}  #: Values of `mpc/status` by key
+        self._outcomes: dict[str, Set[str]] = {}
+        self._earlier_outcomes: dict[str, Set[str]] = {}
+        #: States of the motions (platform, arm, whole body) of each of `PATH_NODES`
         self.path_states: dict[str, frozenset[str]] = {}
-        self.case = ""
-        self.active_source = ""
-        self.progress = 0.0
-        self.stops: dict[str, Condition] = {}
+        self.case = ""  #: Name of the case (start, goal, obstacles) that is loaded, empty for none
+        self.active_source = ""  #: Command source that drives the robot, empty until received
+        self.progress = 0.0  #: Progress on the path, 0 to 1; valid while it is fresh
+        self.stops: dict[str, Condition] = {}  #: Stop state of each node by its name
+        #: Current warnings and errors from the diagnostics by name of the node
         self.diagnostics: dict[str, Condition] = {}
-        self.pace: float | None = None
-        self.awaited: tuple[str, ...] = ()
+        self.pace: float | None = None  #: Speed of simulated over real time; None on real time
+        self.awaited: tuple[str, ...] = ()  #: Names of the nodes for which simulated time stands
+        #: Names of the available services, such as `path_interpolator/pause`
         self.services: frozenset[str] = frozenset()
+        #: What scanners, tracker, collision monitor and physics world tell
         self.perceived = Perceived()
-        self.tool: ToolPose | None = None
-        self.tool_goal = ToolGoal()
+        self.tool: ToolPose | None = None  #: Pose of the tool; None until received
+        self.tool_goal = ToolGoal()  #: Handle and path of the tool that are set on the page
         self.tool_reports: int | None = None
-        self.tour = ""
+        self.tour = ""  #: The present step of the tour, empty at its end
+        #: Why the last message of a topic is not shown, by topic, where its frame is not known
         self.unplaced: dict[str, str] = {}
-        self.note = ""
+        self.note = ""  #: Outcome of the last action on the page
         self._received_at: dict[str, float] = {}
 
     def update_odom(self, pose: Pose, now: float) -> None:
@@ -200,7 +182,6 @@ class ViewState:
             name: `measured`, `commanded`, `coupling`, `voltages`, `energy`, `solving` or
                 `sending`; units as in the attribute `windows`.
             values: Values of the signal; surplus ones are dropped, missing ones become NaN.
-            now: Time of reception [s].
         """
         kept = self._values[name] = np.full(self._counts[name], np.nan)
         count = min(len(values), len(kept))
@@ -225,17 +206,15 @@ class ViewState:
     def update_planner(self, values: dict[str, str], now: float) -> None:
         """Store the planner's status, the values of `mpc/status` by key."""
         self.planner = values
-        if values.get("last") != self._earlier_outcome:
-            self._earlier_outcome = ""
         self._received_at["planner"] = now
 
     def begin_run(self) -> None:
-        """Forget how the planner's last goal ended: a new run begins."""
-        self._earlier_outcome = outcome = self.planner.get("last", "")
+        """Forget how the motions of each node ended: a new run begins."""
+        self._earlier_outcomes = dict(self._outcomes)
         self.diagnostics = {
             name: condition
             for name, condition in self.diagnostics.items()
-            if condition.text != outcome
+            if condition.text not in self._outcomes[name]
         }
 
     def update_progress(self, progress: float, now: float) -> None:
@@ -243,9 +222,16 @@ class ViewState:
         self.progress = progress
         self._received_at["progress"] = now
 
-    def update_diagnostics(self, name: str, level: int, text: str, now: float) -> None:
-        """Store a node's warning or error; level 0 clears it, and so does an earlier run's end."""
-        if level == 0 or (text and text == self._earlier_outcome):
+    def update_diagnostics(
+        self, name: str, level: int, text: str, now: float, outcomes: Set[str] = frozenset()
+    ) -> None:
+        """Store a node's warning or error, and in which words it tells how its motions ended.
+
+        Level 0 clears it, and so does the end of a motion of an earlier run.
+        """
+        earlier = self._earlier_outcomes.get(name, frozenset()) & outcomes
+        self._outcomes[name], self._earlier_outcomes[name] = outcomes, earlier
+        if level == 0 or text in earlier:
             self.diagnostics.pop(name, None)
         else:
             self.diagnostics[name] = Condition(level, text, now)
@@ -292,7 +278,6 @@ class ViewState:
         Args:
             name: `odom`, `truth`, `arm`, `tool`, `reference`, `plan`, `predicted`, `planner`,
                 `progress` or a signal of :meth:`update_signal`.
-            now: Time [s].
         """
         return now - self._received_at.get(name, -np.inf) < FRESHNESS_TIMEOUT
 

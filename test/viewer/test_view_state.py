@@ -178,16 +178,23 @@ def test_actions_that_do_not_apply_to_the_path_interpolator_are_known(reported, 
     } == applicable
 
 
-def test_a_new_run_forgets_how_the_last_goal_ended_until_another_ends():
-    state = ViewState(4, 1)
-    ended = {"state": "idle", "last": "the goal was given up: emergency_stop"}
-    state.update_planner(ended, 1.0)
-    state.update_diagnostics("mpc_planner", 1, ended["last"], 1.0)
+@pytest.mark.parametrize("node", ["mpc_planner", "path_interpolator"])
+def test_a_new_run_forgets_how_the_last_one_ended_until_another_ends(node):
+    state, ended = ViewState(4, 1), "given up: emergency_stop"
+    state.update_diagnostics(node, 1, ended, 1.0, {ended, ""})
     state.update_diagnostics("other", 1, "something else", 1.0)
     state.begin_run()
-    state.update_diagnostics("mpc_planner", 1, ended["last"], 2.0)
+    state.update_diagnostics(node, 1, ended, 2.0, {ended, ""})
     assert list(state.diagnostics) == ["other"]
-    state.update_planner({"state": "driving", "last": ""}, 3.0)
-    state.update_planner(ended, 4.0)
-    state.update_diagnostics("mpc_planner", 1, ended["last"], 4.0)
-    assert "mpc_planner" in state.diagnostics
+    state.update_diagnostics(node, 0, "driving", 3.0, {""})
+    state.update_diagnostics(node, 1, ended, 4.0, {ended, ""})
+    assert node in state.diagnostics
+
+
+def test_an_outcome_that_a_stop_hides_is_forgotten_too():
+    state, ended = ViewState(4, 1), "given up: emergency_stop"
+    state.update_diagnostics("planner", 2, "stopped: emergency_stop", 1.0, {ended})
+    state.begin_run()
+    assert "planner" in state.diagnostics
+    state.update_diagnostics("planner", 1, ended, 2.0, {ended})
+    assert not state.diagnostics

@@ -40,12 +40,8 @@ _MOTION_KEYS = ("state", "arm", "body")
 class RobotTopics:
     """Receives the topics of platform, arm, paths and stops.
 
-    Args:
-        node: Node whose clock is used.
-        state: View state into which the values are written.
-        frames: Frames in which paths may be.
-        on_standstill: Called when simulated time is known to stand, and when it goes on: while it
-            stands, nothing is done that is due at a time.
+    `on_standstill` is called when simulated time is known to stand, and when it goes on: while it
+    stands, nothing is done that is due at a time.
     """
 
     def __init__(
@@ -195,15 +191,18 @@ class RobotTopics:
         node = self._node
         prefix = node.get_namespace().rstrip("/") + "/"
         for status in message.status:
+            name = status.name.removeprefix(prefix)
+            values = {item.key: item.value for item in status.values}
             if status.name.startswith(prefix) and status.name != node.get_fully_qualified_name():
+                outcomes = {text for key, text in values.items() if key.split("_")[-1] == "last"}
                 self._state.update_diagnostics(
-                    status.name, level(status), status.message, node.now()
+                    status.name, level(status), status.message, node.now(), outcomes
                 )
-                self._update_pace({item.key: item.value for item in status.values})
-            if status.name.removeprefix(prefix) in PATH_NODES:
-                self._note_tool_path({item.key: item.value for item in status.values})
-                self._state.path_states[status.name.removeprefix(prefix)] = frozenset(
-                    item.value for item in status.values if item.key in _MOTION_KEYS
+                self._update_pace(values)
+            if name in PATH_NODES:
+                self._note_tool_path(values)
+                self._state.path_states[name] = frozenset(
+                    values[key] for key in _MOTION_KEYS if key in values
                 )
 
     def _note_tool_path(self, values: dict[str, str]) -> None:
@@ -239,9 +238,6 @@ class RobotTopics:
 
 def path_points(message: Path, frames: tuple[str, ...]) -> Array:
     """Return the positions (k, 3) of a path [m], thinned.
-
-    Args:
-        frames: Names of the frames that are accepted.
 
     Raises:
         InputError: The frame is not accepted, or a position is not finite or implausibly large.
