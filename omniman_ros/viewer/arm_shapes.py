@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from omniman_ros.core.arm_model import JOINTS, UR5, DhTable
 from omniman_ros.core.arrays import Array
 from omniman_ros.description.inertia import Vector
-from omniman_ros.description.ur5 import BASE, Link, Tube, links
+from omniman_ros.description.ur5 import BASE, Link, links
 from omniman_ros.motion.whole_body.model import Mount
 
 START = -1  #: Value of the field `end` in `CAPS` for the start of a tube
@@ -46,26 +46,28 @@ class ArmShape:
 
     Attributes:
         tubes: Instances of a cylinder about z of radius 1 and length 1.
-        caps: Instances of a dome along z of radius 1.
     """
 
     def __init__(self, mount: Mount, table: DhTable = UR5) -> None:
         chain = (BASE, *links(table))
         self.tubes = _parts(
-            (k, _centre(tube), quaternion(tube.rpy), (tube.radius, tube.radius, tube.length))
+            (
+                k,
+                np.array(tube.centre),
+                quaternion(tube.rpy),
+                (tube.radius, tube.radius, tube.length),
+            )
             for k, link in enumerate(chain)
             for tube in link.tubes
         )
+        #: Instances of a dome along z of radius 1
         self.caps = _parts(_cap(chain[k], k, tube, end) for k, tube, end in CAPS)
         self._root = np.array([mount.x, mount.y, mount.z]), quaternion((0.0, 0.0, mount.yaw))
         self._link_offsets = np.array([link.place for link in chain])
         self._link_rotations = np.array([quaternion(link.rpy) for link in chain])
 
     def frames(self, angles: Array) -> tuple[Array, Array]:
-        """Return the frames of base and links in `base_link`.
-
-        Args:
-            angles: Joint angles (6,) [rad].
+        """Return the frames of base and links in `base_link` at joint angles (6,) [rad].
 
         Returns:
             Positions (7, 3) [m] and quaternions (7, 4), (w, x, y, z).
@@ -83,11 +85,7 @@ class ArmShape:
 
     @staticmethod
     def placed(parts: Parts, frames: tuple[Array, Array]) -> tuple[Array, Array]:
-        """Return positions (N, 3) [m] and quaternions (N, 4) of parts in `base_link`.
-
-        Args:
-            frames: Frames of base and links, see :meth:`frames`.
-        """
+        """Return positions (N, 3) [m] and quaternions (N, 4) of parts in `base_link`."""
         positions, rotations = frames[0][parts.link], frames[1][parts.link]
         return (
             positions + rotated(rotations, parts.positions),
@@ -154,10 +152,6 @@ def _right_factors(rotations: Array) -> Array:
 
 #: Index of the link, position [m], quaternion and scales of an instance, as in `Parts`
 Part = tuple[int, Array, Array, Vector]
-
-
-def _centre(tube: Tube) -> Array:
-    return np.array(tube.centre)
 
 
 def _cap(link: Link, k: int, index: int, end: int) -> Part:

@@ -54,11 +54,7 @@ class BodyView:
 
 
 class BodyShapes:
-    """Computes the view of a robot's shapes.
-
-    Args:
-        description: Shapes of platform and arm, and where the arm is mounted.
-    """
+    """Computes the view of a robot's shapes."""
 
     def __init__(
         self, description: DescriptionParameters, tool: ToolShape, load: LoadShape
@@ -76,7 +72,6 @@ class BodyShapes:
         Args:
             pose: Pose (3,) of base_link in `odom` [m, m, rad].
             joints: Joint angles (6,) [rad]; not used without an arm.
-            solids: What is around, in `odom`.
 
         Raises:
             InputError: A number is not finite.
@@ -102,7 +97,6 @@ class BodyShapes:
     def _nearest(
         self, pose: Array, joints: Array, solids: UprightSolids, start: Array, end: Array
     ) -> Nearest | None:
-        """Return what is nearest, of the robot whose capsules have these axes."""
         if not len(solids):
             return None
         distances = self._geometry.distances(pose, joints, solids, REACH)
@@ -133,10 +127,6 @@ def solids_around(
     """Return what is around the robot: obstacles, and the nearest points of scanners.
 
     Like the cells of a map, the points count at all heights.
-
-    Args:
-        pose: Pose (3,) of base_link in `odom` [m, m, rad].
-        scan: Points (k, 3) in `odom` [m].
     """
     away = np.hypot(*(scan[:, :2] - pose[:2]).T)
     points = scan[np.argsort(away)[:NEAREST_POINTS], :2]

@@ -200,10 +200,6 @@ class EventQueue:
     ) -> Iterator[InputError]:
         """Pass the queued events to the handlers of their types.
 
-        Args:
-            handlers: Handler of each type of event; its arguments are the event and `now`.
-            now: Time of the node's clock [s].
-
         Yields:
             The errors of the handlers that refused an event, as they occur.
         """

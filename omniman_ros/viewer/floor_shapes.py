@@ -20,10 +20,9 @@ LAYER_HEIGHT = 0.004  #: Thickness of each layer of a marker [m]
 
 @dataclass(frozen=True)
 class MarkerShape:
-    """Marker of a pose on the floor: footprint with border, arrow, and a knob at the arrow's tip.
+    """Marker of a pose on the floor, as meshes in the frame of the platform.
 
-    Attributes:
-        plate, border, arrow, knob: Meshes in the frame of the platform.
+    It has a footprint with a border, an arrow, and a knob at the arrow's tip.
     """
 
     plate: Mesh
@@ -58,13 +57,9 @@ def marker(body: Body) -> MarkerShape:
 
 
 def narrowed(outline: Array, edge: float) -> Array:
-    """Return an outline (k, 2) whose corners are moved inwards, so that its sides are.
+    """Return a counter-clockwise outline (k, 2) whose sides are moved inwards by `edge` [m].
 
     Where two sides meet at an acute angle, the corner moves by at most three edges.
-
-    Args:
-        outline: Outline (k, 2), counter-clockwise [m].
-        edge: Distance of the sides from those of the outline [m].
     """
     sides = np.roll(outline, -1, axis=0) - outline
     normals = np.column_stack((-sides[:, 1], sides[:, 0])) / np.hypot(*sides.T)[:, None]
@@ -75,12 +70,7 @@ def narrowed(outline: Array, edge: float) -> Array:
 
 
 def band(outer: Array, inner: Array, height: float) -> Mesh:
-    """Return a flat band between two outlines, visible from above.
-
-    Args:
-        outer, inner: Outlines (k, 2) with equal numbers of points [m].
-        height: Height above the floor [m].
-    """
+    """Return a flat band between two outlines (k, 2), visible from above, at a height [m]."""
     k = len(outer)
     flat = np.column_stack([np.concatenate([outer, inner]), np.full(2 * k, height)])
     i = np.arange(k)
@@ -90,12 +80,7 @@ def band(outer: Array, inner: Array, height: float) -> Mesh:
 
 
 def disc(radius: float, height: float, around: int = CIRCLE_POINTS) -> Mesh:
-    """Return an upright cylinder about the origin, with a smooth wall and sharp edges.
-
-    Args:
-        radius: Radius [m].
-        height: Height [m].
-    """
+    """Return an upright cylinder [m] about the origin, with a smooth wall and sharp edges."""
     half = 0.5 * height
     side = revolved(np.array([-half, half]), np.full(2, radius), around)
     # Only the wall is used: the ends have vertices of their own, which makes the edges sharp.
@@ -112,12 +97,7 @@ def disc(radius: float, height: float, around: int = CIRCLE_POINTS) -> Mesh:
 
 
 def dome(flat: float = 0.45, height: float = 0.7) -> Mesh:
-    """Return a cap of radius 1 that stands on the origin, with a round edge.
-
-    Args:
-        flat: Height of its cylindrical wall, over its radius.
-        height: Total height, over its radius.
-    """
+    """Return a cap of radius 1 on the origin, `height` high, with a round edge above `flat`."""
     angles = np.linspace(0.0, 0.5 * math.pi, 6)
     edge = height - flat
     stations = np.concatenate([[0.0], flat + edge * np.sin(angles)])
@@ -131,12 +111,7 @@ def obstacle() -> Mesh:
 
 
 def arrow_head(length: float, thickness: float) -> Mesh:
-    """Return the head of an arrow along x about the origin.
-
-    Args:
-        length: Length [m].
-        thickness: Thickness along z [m].
-    """
+    """Return the head of an arrow along x about the origin; its thickness is along z [m]."""
     x, y = 0.5 * length, 0.45 * length
     return prism(np.array([[-x, -y], [x, 0.0], [-x, y]]), -0.5 * thickness, 0.5 * thickness)
 

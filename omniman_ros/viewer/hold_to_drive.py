@@ -23,9 +23,6 @@ class HoldToDrive:
     whatever the reason: a lost connection, a stalled browser, a page in the background. When
     several pages hold buttons, only the page that pressed last drives. Two buttons of one page
     (two fingers) add up.
-
-    Args:
-        timeout: Silence after which a button counts as released [s].
     """
 
     def __init__(self, timeout: float = DEAD_MAN_TIMEOUT) -> None:
@@ -50,10 +47,7 @@ class HoldToDrive:
     def twist(self, now: float, linear: float, angular: float) -> Twist | None:
         """Return the body twist that the held buttons request, or None while none is held.
 
-        Args:
-            now: Time on the clock of :meth:`update` [s].
-            linear: Speed of a button [m/s]; diagonals are as fast as the other directions.
-            angular: Yaw rate of a button [rad/s].
+        A button has a linear speed [m/s], which diagonals have too, or a yaw rate [rad/s].
         """
         for key, held_at in list(self._held_at.items()):
             if now - held_at >= self._timeout:

@@ -16,18 +16,14 @@ OUTLINE_POINTS = 24  #: Number of corners of the outline of an obstacle
 
 
 class Trail:
-    """Past positions of a moving object.
-
-    Attributes:
-        version: Changes whenever the points change.
-    """
+    """Past positions of a moving object."""
 
     def __init__(self, spacing: float = TRAIL_SPACING, limit: int = TRAIL_POINTS) -> None:
         self._spacing = spacing
         self._limit = limit
         self._points = np.empty((2 * limit, 2))
         self._end = 0
-        self.version = 0
+        self.version = 0  #: Changes whenever the points change
 
     def add(self, x: float, y: float) -> None:
         """Add a position [m] unless it is too close to the previous one."""
@@ -77,10 +73,7 @@ def segments(points: Array, jump: float = np.inf) -> Array:
 def outlines(centers: Array, semi_axes: Array, angles: Array) -> Array:
     """Return the outlines (k, 2) of M ellipses [m], separated by rows of NaN.
 
-    Args:
-        centers: Centers (M, 2) [m].
-        semi_axes: Semi-axes (M, 2) [m].
-        angles: Directions (M,) of the first semi-axes [rad].
+    Centers and semi-axes are (M, 2) [m], the directions of the first semi-axes (M,) [rad].
     """
     parameter = np.append(np.linspace(0.0, 2.0 * np.pi, OUTLINE_POINTS + 1), np.nan)
     x = semi_axes[:, :1] * np.cos(parameter)

@@ -28,13 +28,10 @@ class MapImage:
 
 
 def map_pixels(occupancy: NDArray[np.int8]) -> tuple[Pixels, int]:
-    """Return the image of a map, and the number of cells along a side of a pixel.
+    """Return an image of occupancies (rows, columns) [%], and the cells along a pixel's side.
 
-    What is unknown is transparent. A pixel shows the most occupied one of its cells, and the image
-    is filled up to whole pixels with what is unknown.
-
-    Args:
-        occupancy: (rows, columns) occupancies [%], negative where nothing is known.
+    What is unknown (negative) is transparent. A pixel shows the most occupied of its cells; the
+    image is filled up to whole pixels with what is unknown.
     """
     count = max(1, math.ceil(max(occupancy.shape) / MOST_PIXELS))
     rows, columns = (-size % count for size in occupancy.shape)
@@ -45,12 +42,7 @@ def map_pixels(occupancy: NDArray[np.int8]) -> tuple[Pixels, int]:
 
 
 def map_image(pixels: Pixels, pixel_size: float, corner: Array) -> MapImage:
-    """Return where an image lies.
-
-    Args:
-        pixel_size: Edge of a pixel [m].
-        corner: (3,) pose of the first pixel's outer corner in `odom` [m, m, rad].
-    """
+    """Return where an image lies whose first pixel has its outer corner at a pose (3,)."""
     width, height = pixel_size * pixels.shape[1], pixel_size * pixels.shape[0]
     x, y, theta = se2.compose(tuple(corner.tolist()), (0.5 * width, 0.5 * height, 0.0))
     return MapImage(pixels, (width, height), (x, y, theta))

@@ -66,24 +66,14 @@ def rotation(theta: float) -> Array:
 
 
 def wheel_rotations(headings: Array, angles: Array) -> Array:
-    """Return the quaternions (n, 4) of wheels.
-
-    Args:
-        headings: Directions (n,) of the wheels [rad].
-        angles: Angles (n,) by which the wheels have rolled [rad].
-    """
+    """Return the quaternions (n, 4) of wheels with headings (n,), rolled by angles (n,) [rad]."""
     ch, sh = np.cos(0.5 * headings), np.sin(0.5 * headings)
     ca, sa = np.cos(0.5 * angles), np.sin(0.5 * angles)
     return np.stack([ch * ca, -sh * sa, ch * sa, sh * ca], axis=1)
 
 
 def revolved(stations: Array, radii: Array, around: int) -> Mesh:
-    """Return a solid of revolution about x, closed at both ends.
-
-    Args:
-        stations: Positions (k,) along x [m], increasing.
-        radii: Radii (k,) at these positions [m].
-    """
+    """Return a closed solid about x, of radii (k,) at increasing stations (k,) [m]."""
     k = len(stations)
     angles = 2.0 * math.pi * np.arange(around) / around
     circle = np.stack([np.zeros(around), np.cos(angles), np.sin(angles)], axis=1)
@@ -110,12 +100,7 @@ def sphere(around: int = 16) -> Mesh:
 
 
 def prism(outline: Array, bottom: float, top: float) -> Mesh:
-    """Return an upright prism with sharp edges.
-
-    Args:
-        outline: Convex outline (k, 2), counter-clockwise [m].
-        bottom, top: Heights of its ends [m].
-    """
+    """Return an upright, sharp-edged prism of a convex, counter-clockwise outline (k, 2) [m]."""
     k = len(outline)
     low = np.column_stack([outline, np.full(k, bottom)])
     high = np.column_stack([outline, np.full(k, top)])
@@ -152,12 +137,8 @@ class WheelShape:
 def wheel(radius: float, roller_angle: float) -> WheelShape:
     """Return the meshes of a wheel whose rollers form a cylinder of its radius.
 
-    The axis of the roller on the floor points along (cos gamma, sin gamma): the wheel drives the
-    motion along this axis (CCTA 2017 (8)).
-
-    Args:
-        radius: Radius r [m].
-        roller_angle: Angle gamma [rad], 0 for an Omni wheel.
+    The axis of the roller on the floor points along (cos gamma, sin gamma), gamma = `roller_angle`
+    [rad], 0 for an Omni wheel: the wheel drives the motion along this axis (CCTA 2017 (8)).
     """
     core = CORE_RADIUS * radius
     reach = core * math.sin(math.pi / ROLLERS) * OVERLAP
@@ -231,10 +212,5 @@ def body(robot: Robot) -> BodyShape:
 
 
 def plate(outline: Array, bottom: float, top: float) -> Mesh:
-    """Return an upright prism with any outline.
-
-    Args:
-        outline: Outline (k, 2), convex or not, counter-clockwise [m].
-        bottom, top: Heights of its ends [m].
-    """
+    """Return an upright prism of a counter-clockwise outline (k, 2), convex or not [m]."""
     return joined(*(prism(piece, bottom, top) for piece in convex_pieces(outline)))

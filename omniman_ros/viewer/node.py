@@ -37,10 +37,6 @@ class ViewerNode(OmnimanNode):
 
     The page has threads of its own, which put events into a queue; a timer of this node empties
     it. Nothing here waits for a browser.
-
-    Args:
-        make_page: Creates the page, see `viewer.page.page.Page`.
-        options: Options of `rclpy.node.Node`.
     """
 
     lookahead = math.inf

@@ -31,11 +31,7 @@ class OptimisticUpdates:
         self._received.append((key, value, done))
 
     def values(self, now: float) -> Mapping[Key, Any]:
-        """Return the values to display instead of the confirmed ones.
-
-        Args:
-            now: Time of any steady clock [s].
-        """
+        """Return the values to display in place of the confirmed ones, at any steady time [s]."""
         while self._received:
             key, value, done = self._received.popleft()
             self._values[key] = value

@@ -68,7 +68,8 @@ class ObstacleArrays:
 class PlacedObstacles:
     """Obstacles that can be added, moved, resized, paused and moved back to their homes.
 
-    They have a clock of their own, which stands still while they are paused.
+    They have a clock of their own, which stands still while they are paused. A change raises an
+    InputError, and has no effect, if there is no such obstacle, or if a value is out of range.
     """
 
     def __init__(self) -> None:
@@ -78,19 +79,13 @@ class PlacedObstacles:
         self._paused_time: float | None = None
 
     def __len__(self) -> int:
-        """Return the number of obstacles."""
         return len(self._obstacles)
 
     def __contains__(self, number: object) -> bool:
-        """Return whether there is an obstacle of this number."""
         return number in self._obstacles
 
     def __getitem__(self, number: int) -> PlacedObstacle:
-        """Return the obstacle of a number.
-
-        Raises:
-            InputError: There is no obstacle of this number.
-        """
+        """Return the obstacle of a number."""
         if number not in self._obstacles:
             raise InputError(f"there is no obstacle {number}")
         return self._obstacles[number]
@@ -129,12 +124,7 @@ class PlacedObstacles:
         semi_axes: Pair = (DEFAULT_RADIUS, DEFAULT_RADIUS),
         angle: float = 0.0,
     ) -> int:
-        """Add an obstacle whose path begins now, and return its number.
-
-        Raises:
-            InputError: There are too many obstacles, or position, shape or velocity is out of
-                range.
-        """
+        """Add an obstacle whose path begins now, and return its number."""
         if len(self) >= MAX_OBSTACLES:
             raise InputError(f"there must be at most {MAX_OBSTACLES} obstacles")
         number = self._next_number
@@ -143,11 +133,7 @@ class PlacedObstacles:
         return number
 
     def move(self, number: int, position: Pair, now: float) -> None:
-        """Move an obstacle to a position [m], where its whole path now begins, at its start.
-
-        Raises:
-            InputError: There is no such obstacle, or the position is out of range.
-        """
+        """Move an obstacle to a position [m], where its whole path now begins, at its start."""
         obstacle = self[number]
         path = obstacle_paths.moved(obstacle.home, position)
         self._store(replace(obstacle, home=path, path=path, since=self.time(now)))
@@ -156,10 +142,6 @@ class PlacedObstacles:
         """Set the velocity (x, y) of an obstacle [m/s], for now and after a restart.
 
         A turn that it is to make comes its time after this change.
-
-        Raises:
-            InputError: There is no such obstacle, it follows way points, or the velocity is out
-                of range.
         """
         home = self[number].home
         if isinstance(home, WaypointPath):
@@ -167,11 +149,7 @@ class PlacedObstacles:
         self.set_path(number, replace(home, velocity=velocity), now)
 
     def set_motion(self, number: int, motion: Motion, now: float) -> None:
-        """Change the kind of motion of an obstacle, see :func:`obstacle_paths.converted`.
-
-        Raises:
-            InputError: There is no such obstacle.
-        """
+        """Change the kind of motion of an obstacle, see :func:`obstacle_paths.converted`."""
         obstacle, time = self[number], self.time(now)
         place, velocity = obstacle.position(time), obstacle.velocity(time)
         path = obstacle_paths.converted(obstacle.home, place, velocity, motion)
@@ -182,9 +160,6 @@ class PlacedObstacles:
 
         Until a restart, it begins where the obstacle is; way points are followed from the place
         on their lines that is nearest to the obstacle.
-
-        Raises:
-            InputError: There is no such obstacle, or the path is out of range.
         """
         obstacle, time = self[number], self.time(now)
         position = obstacle.position(time)
@@ -196,23 +171,14 @@ class PlacedObstacles:
             self._store(replace(obstacle, home=path, path=path_from_here, since=time))
 
     def add_waypoint(self, number: int, position: Pair, now: float) -> None:
-        """Append a way point (x, y) [m] to the path of an obstacle.
-
-        Raises:
-            InputError: There is no such obstacle, it does not follow way points, it has too many
-                of them, or the position is out of range.
-        """
+        """Append a way point (x, y) [m] to the path of an obstacle."""
         home = self[number].home
         if not isinstance(home, WaypointPath):
             raise InputError(f"obstacle {number} does not follow way points")
         self.set_path(number, replace(home, points=(*home.points, position)), now)
 
     def resize(self, number: int, semi_axes: Pair, angle: float) -> None:
-        """Set the semi-axes [m] and the heading [rad] of an obstacle.
-
-        Raises:
-            InputError: There is no such obstacle, or its size is out of range.
-        """
+        """Set the semi-axes [m] and the heading [rad] of an obstacle."""
         self._store(replace(self[number], semi_axes=semi_axes, angle=angle))
 
     def delete(self, number: int | None) -> None:

@@ -11,10 +11,7 @@ SAMPLE_RATE = 20.0  #: Sample rate of the plots [Hz]
 class SignalWindow:
     """The most recent seconds of some signals, sampled at an even rate.
 
-    Args:
-        signals: Number of signals n.
-        span: Time covered [s].
-        rate: Sample rate [Hz]; a value that arrives sooner replaces the previous one.
+    A value that arrives sooner replaces the previous one.
     """
 
     def __init__(self, signals: int, span: float = PLOT_SPAN, rate: float = SAMPLE_RATE) -> None:

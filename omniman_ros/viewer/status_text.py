@@ -15,11 +15,7 @@ MAX_LENGTH = 160  #: Largest number of characters displayed of one message
 
 
 def status(state: ViewState, now: float) -> str:
-    """Return HTML with the tour, the pace of time, the active source, stops, pose and problems.
-
-    Args:
-        now: Time on the clock of `state` [s].
-    """
+    """Return HTML with the tour, the pace of time, the active source, stops, pose and problems."""
     rows = (
         _tour_rows,
         _time_rows,

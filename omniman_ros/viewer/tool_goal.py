@@ -39,15 +39,11 @@ class ToolPose:
 
 
 class ToolGoal:
-    """The handle, and the poses before it.
-
-    Attributes:
-        handle: Pose of the handle; None while there is none.
-        poses: Poses that the tool passes before it comes to the handle.
-    """
+    """The handle, and the poses before it; what is not possible raises an InputError."""
 
     def __init__(self) -> None:
-        self.handle: ToolPose | None = None
+        self.handle: ToolPose | None = None  #: Pose of the handle; None while there is none
+        #: Poses that the tool passes before it comes to the handle
         self.poses: tuple[ToolPose, ...] = ()
 
     def place(self, pose: ToolPose) -> None:
@@ -55,21 +51,13 @@ class ToolGoal:
         self.handle, self.poses = pose, ()
 
     def move(self, pose: ToolPose) -> None:
-        """Move the handle.
-
-        Raises:
-            InputError: There is no handle.
-        """
+        """Move the handle."""
         if self.handle is None:
             raise InputError("there is no handle yet: Place handle")
         self.handle = pose
 
     def add(self) -> None:
-        """Have the path pass through the pose of the handle.
-
-        Raises:
-            InputError: There is no handle, the path ends there already, or it has too many poses.
-        """
+        """Have the path pass through the pose of the handle."""
         path = self.path
         if self.poses == path:
             raise InputError("move the handle first: the path ends there already")
@@ -83,11 +71,7 @@ class ToolGoal:
 
     @property
     def path(self) -> tuple[ToolPose, ...]:
-        """The path: the poses, and the handle's unless that is the last one of them.
-
-        Raises:
-            InputError: There is no handle.
-        """
+        """The path: the poses, and the handle's unless that is the last one of them."""
         if self.handle is None:
             raise InputError("there is no handle yet: Place handle")
         if self.poses and self.poses[-1] == self.handle:

@@ -43,19 +43,18 @@ REST_SPEED = 0.04  #: Speed below which a dragged velocity counts as zero [m/s]
 
 
 class DraggableMarkers:
-    """Start, goal and obstacles of the page, and the obstacles of other sources.
-
-    Args:
-        root: Name of the parent frame, which is `odom`.
-        robot: Robot that start and goal belong to.
-    """
+    """Start, goal and obstacles of the page, and the obstacles of other sources."""
 
     def __init__(
         self, api: viser.SceneApi, root: str, robot: Robot, dragging: FloorDragging
     ) -> None:
         self._updates = dragging.updates
-        self._start = _StartMarker(api, f"{root}/start", robot.body, style.START, dragging, 0.0)
-        self._goal = _GoalMarker(api, f"{root}/goal", robot.body, style.GOAL, dragging, GOAL_LIFT)
+        self._start = _PoseMarker(
+            api, f"{root}/start", robot.body, style.START, dragging, StartDragged
+        )
+        self._goal = _PoseMarker(
+            api, f"{root}/goal", robot.body, style.GOAL, dragging, GoalDragged
+        )
         self._goal_distance = robot.body.length + GOAL_GAP
         self._obstacles = _ObstacleMarkers(api, f"{root}/obstacles", dragging)
         self._drawn_others = Ellipses.none()
@@ -91,14 +90,6 @@ class MeshBatch:
     """Instances of one mesh, in any number.
 
     viser lets their number change, but not to zero: the last ones are then hidden instead.
-
-    Args:
-        mesh: Mesh of which instances are drawn.
-        colour: Colour of the instances, unless `draw` gives others.
-        opacity: Opacity of all instances, 0 to 1.
-
-    Attributes:
-        handle: The scene node.
     """
 
     def __init__(
@@ -124,13 +115,9 @@ class MeshBatch:
     def draw(
         self, positions: Array, rotations: Array, scales: Array, colours: NDArray[np.uint8] | None
     ) -> None:
-        """Draw N instances.
+        """Draw N instances at positions (N, 3) [m] with quaternions, scales and colours of N rows.
 
-        Args:
-            positions: Positions (N, 3) [m].
-            rotations: Quaternions (N, 4), (w, x, y, z).
-            scales: Scale factors (N, 3).
-            colours: Colours (N, 3), 0 to 255; None selects the colour of the batch.
+        Without colours, they have that of the batch.
         """
         if len(positions):
             if colours is None:
@@ -149,14 +136,7 @@ class MeshBatch:
 
 
 class _PoseMarker:
-    """A pose on the floor: dragging its plate moves it, dragging its knob rotates it.
-
-    Args:
-        name: Name of the marker's frame.
-        height: Height above the floor [m].
-    """
-
-    _event: type[StartDragged] | type[GoalDragged]
+    """A pose on the floor: dragging its plate moves it, dragging its knob rotates it."""
 
     def __init__(
         self,
@@ -165,9 +145,10 @@ class _PoseMarker:
         body: Body,
         colour: Colour,
         dragging: FloorDragging,
-        height: float,
+        event: type[StartDragged] | type[GoalDragged],
     ) -> None:
-        shape = marker(body)
+        height = GOAL_LIFT if event is GoalDragged else 0.0
+        self._event, shape = event, marker(body)
         self._name, self._dragging, self._knob_distance = name, dragging, shape.tip
         self._pose: Pose | None = None
         self._frame = FloorFrame(api, name)
@@ -188,7 +169,6 @@ class _PoseMarker:
         dragging.enable(knob, self._grab_knob, self._rotate)
 
     def draw(self, pose: Pose | None, updates: Mapping[Key, Any], pale: bool = False) -> None:
-        """Draw the marker at a pose, or where it is being dragged."""
         pose = self._pose = updates.get(self._name, pose)
         self._frame.place(pose)
         opacity = PALE if pale and self._name not in updates else OPAQUE
@@ -225,18 +205,6 @@ class _PoseMarker:
         self._dragging.report(self._name, pose, self._event(pose, done), done=done)
 
 
-class _StartMarker(_PoseMarker):
-    """The start of the robot."""
-
-    _event = StartDragged
-
-
-class _GoalMarker(_PoseMarker):
-    """The goal of the robot."""
-
-    _event = GoalDragged
-
-
 class _ObstacleMarkers:
     """Obstacles of the page: dragging one moves it, dragging its arrow sets its velocity."""
 
@@ -262,7 +230,6 @@ class _ObstacleMarkers:
     def draw(
         self, obstacles: ObstacleArrays, selected: int | None, updates: Mapping[Key, Any]
     ) -> None:
-        """Draw the obstacles; those that are being dragged are drawn where they are dragged to."""
         centers = _updated(obstacles, obstacles.centers, "obstacle", updates)
         velocities = obstacles.resumed_velocities
         if velocities is None:

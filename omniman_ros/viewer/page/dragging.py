@@ -30,13 +30,7 @@ MAX_DISTANCE = 60.0  #: Distance beyond which a ray counts as pointing at the ho
 def on_plane(eye: Sequence[float], through: Sequence[float], height: float) -> Pair | None:
     """Return the intersection of the ray from the camera through a point with a level plane [m].
 
-    Args:
-        eye: Position of the camera (x, y, z) [m].
-        through: Point (x, y, z) [m].
-        height: Height of the plane [m].
-
-    Returns:
-        (x, y) [m], or None if the ray does not meet the plane within `MAX_DISTANCE`.
+    It is (x, y), or None if they do not meet within `MAX_DISTANCE`.
     """
     down = through[2] - eye[2]
     if abs(down) < 1e-9:
@@ -73,13 +67,7 @@ class DragTracker:
     def start(
         self, pointer: Pointer, key: Key, position: Pair, point: Sequence[float], floor: Pair
     ) -> None:
-        """Start a drag.
-
-        Args:
-            position: Position of the object (x, y) [m].
-            point: Point where it was grabbed (x, y, z) [m].
-            floor: Position of the floor's origin in the world (x, y) [m].
-        """
+        """Start a drag of an object at a position (x, y), grabbed at a point (x, y, z) [m]."""
         offset = position[0] - (point[0] - floor[0]), position[1] - (point[1] - floor[1])
         self._drags[pointer] = Drag(key, point[2], offset, position)
 
@@ -109,13 +97,6 @@ class FloorDragging:
     """Lets objects of the scene be dragged over the floor, by all browsers.
 
     All callbacks run in the server's thread, in the order in which the browsers sent the events.
-
-    Args:
-        floor: Returns the position of the floor's origin in the world of the cameras [m].
-        post: Accepts events; must not block.
-
-    Attributes:
-        updates: Values of dragged objects, to be displayed until the node confirms them.
     """
 
     def __init__(self, server: viser.ViserServer, floor: Callable[[], Pair], post: Post) -> None:
@@ -123,15 +104,12 @@ class FloorDragging:
         self._floor = floor
         self._tracker = DragTracker()
         self.post = post
-        self.updates = OptimisticUpdates()
+        self.updates = (
+            OptimisticUpdates()
+        )  #: Values of dragged objects until the node confirms them
 
     def enable(self, handle: Handle, grab: Grab, move: Move) -> None:
-        """Let a scene node be dragged with the left mouse button.
-
-        Args:
-            grab: Called at the start of a drag, see `Grab`.
-            move: Called at each movement and at the end of a drag, see `Move`.
-        """
+        """Let a scene node be dragged with the left mouse button."""
 
         async def on_drag(event: viser.SceneNodeDragEvent[Any]) -> None:
             self._on_drag(event, grab, move)

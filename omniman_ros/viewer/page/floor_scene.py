@@ -74,13 +74,7 @@ class SceneLine:
 
 
 def dashes(points: Array, dash: float = DASH_LENGTH, most: int = MAX_DASHES) -> Array:
-    """Return the dashes (d, 2, 2) of a line [m]; the gaps are as long as the dashes.
-
-    Args:
-        points: Points (k, 2) of the line [m].
-        dash: Shortest length of a dash along the line [m].
-        most: Largest number of dashes; the dashes of a longer line are longer.
-    """
+    """Return the dashes (d, 2, 2) of a line (k, 2) [m]; the gaps are as long as the dashes."""
     points = points[np.isfinite(points).all(axis=1)]
     if len(points) < 2:
         return np.zeros((0, 2, 2))
@@ -94,11 +88,7 @@ def dashes(points: Array, dash: float = DASH_LENGTH, most: int = MAX_DASHES) -> 
 
 
 def rectangle(bounds: tuple[float, float, float, float] | None) -> Array:
-    """Return the outline (5, 2) of a rectangle [m], or an array (0, 2) if it is unbounded.
-
-    Args:
-        bounds: x_min, y_min, x_max, y_max [m]; None if they are unknown.
-    """
+    """Return the outline (5, 2) of x_min, y_min, x_max, y_max [m]; (0, 2) if unbounded."""
     if bounds is None:
         return np.zeros((0, 2))
     x_min, y_min, x_max, y_max = bounds
@@ -110,11 +100,7 @@ def rectangle(bounds: tuple[float, float, float, float] | None) -> Array:
 
 
 class FloorScene:
-    """The floor and the lines.
-
-    Args:
-        root: Name of the parent frame, which is `odom`.
-    """
+    """The floor and the lines."""
 
     def __init__(self, api: viser.SceneApi, root: str) -> None:
         api.add_grid(

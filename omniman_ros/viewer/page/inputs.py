@@ -40,10 +40,6 @@ class NumberInput:
 
     Args:
         low, high: Accepted range; other values are refused by the page, or discarded.
-        hint: Description that the page displays.
-
-    Attributes:
-        handle: viser's handle of the control.
     """
 
     def __init__(
@@ -68,11 +64,7 @@ class NumberInput:
                 self._entry.request(event.target.value)
 
     def draw(self, value: float, now: float) -> float | None:
-        """Display the node's value; return a newly requested value once, else None.
-
-        Args:
-            now: Time of any steady clock [s].
-        """
+        """Display the node's value at any steady time [s]; return a newly requested value once."""
         requested = self._entry.step(now)
         # If a page has set NaN, the value differs from every number, itself included.
         if requested is None and self._entry.is_idle(now) and self.handle.value != value:
@@ -88,11 +80,7 @@ class NumberInput:
 def draw_pair(
     inputs: Sequence[NumberInput], pair: tuple[float, float], now: float
 ) -> tuple[float, float]:
-    """Display two numbers, rounded to 1/1000; return them, with newly requested values instead.
-
-    Args:
-        now: Time of any steady clock [s].
-    """
+    """Display two numbers, rounded to 1/1000; return them, with newly requested values instead."""
     first, second = (
         value if (requested := number.draw(round(value, 3), now)) is None else requested
         for number, value in zip(inputs, pair, strict=True)

@@ -132,13 +132,7 @@ def chord_name(chord: tuple[str, ...]) -> str:
 def keyboard_script(
     buttons: Mapping[tuple[str, ...], str], marks: Mapping[str, str], stop: str
 ) -> str:
-    """Return the JavaScript that connects the keyboard to the buttons of a page.
-
-    Args:
-        buttons: Element id of the button of each chord, see `CHORDS`.
-        marks: Element id of the button that displays that the key of a motion is down.
-        stop: Element id of the button that stops.
-    """
+    """Return the JavaScript that connects the keyboard to a page's buttons, given by their ids."""
     settings = {
         "axes": _AXES,
         "codes": {motion: f"Key{key}" for motion, key in KEYS.items()},

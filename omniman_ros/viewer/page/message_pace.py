@@ -10,23 +10,14 @@ ROUND_OFF = 1e-6  #: Delay that does not count [s]
 
 
 class MessagePace:
-    """Tells when the next message of a connection may be read (a token bucket).
-
-    Args:
-        rate: Largest rate in the long run [1/s].
-        burst: Number of messages that may come at once.
-    """
+    """Tells when the next message of a connection may be read (a token bucket)."""
 
     def __init__(self, rate: float = RATE, burst: int = BURST) -> None:
         self._interval, self._reserve = 1.0 / rate, burst / rate
         self._spent_until = 0.0
 
     def delay(self, now: float) -> float:
-        """Return how long to wait before the next message is read [s], and count it.
-
-        Args:
-            now: Time of any steady clock [s].
-        """
+        """Return how long to wait before the next message is read [s], and count it at `now`."""
         self._spent_until = max(self._spent_until, now) + self._interval
         delay = self._spent_until - self._reserve - now
         return delay if delay > ROUND_OFF else 0.0

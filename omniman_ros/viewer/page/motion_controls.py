@@ -18,12 +18,7 @@ STANDING = TwoVelocityPath((0.0, 0.0))  #: Path that is displayed while no obsta
 
 
 class MotionControls:
-    """Buttons for the kind of motion, and the numbers that belong to it.
-
-    Args:
-        clicks: Clicks on the floor, which can add way points.
-        post: Accepts events; must not block.
-    """
+    """Buttons for the kind of motion, and the numbers that belong to it."""
 
     def __init__(self, gui: viser.GuiApi, clicks: FloorClicks, post: Post) -> None:
         self._gui = gui

@@ -25,12 +25,7 @@ from omniman_ros.viewer.view_state import ViewState
 
 
 class ObstaclePanel:
-    """Buttons for all obstacles, and the motion and size of the selected one.
-
-    Args:
-        clicks: Clicks on the floor, which can add way points.
-        post: Accepts events; must not block.
-    """
+    """Buttons for all obstacles, and the motion and size of the selected one."""
 
     def __init__(self, gui: viser.GuiApi, clicks: FloorClicks, post: Post) -> None:
         self._post = post

@@ -66,8 +66,6 @@ class Page:
     Args:
         mount: Mount of its arm; None if the robot has no arm.
         limits: Largest speed [m/s] and yaw rate [rad/s] of the motion buttons.
-        access: Address to serve on, and who may open the page.
-        post: Accepts events; must not block.
 
     Raises:
         ParameterError: The host, the port, or the files for https cannot be used.

@@ -61,13 +61,7 @@ _LAYER_LABELS = {
 
 
 class Controls:
-    """Stop and Reset at the top, the motion buttons below them, then tabs with all other controls.
-
-    Args:
-        limits: Largest speed [m/s] and yaw rate [rad/s] of the sliders.
-        clicks: Clicks on the floor, which can add way points of obstacles.
-        post: Accepts events; must not block.
-    """
+    """Stop and Reset at the top, the motion buttons below them, then tabs with the rest."""
 
     def __init__(
         self,

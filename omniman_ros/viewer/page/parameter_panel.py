@@ -11,11 +11,7 @@ from omniman_ros.viewer.view_state import ViewState
 
 
 class ParameterPanel:
-    """A number input for each parameter of the planner, added when it is first received.
-
-    Args:
-        post: Accepts events; must not block.
-    """
+    """A number input for each parameter of the planner, added when it is first received."""
 
     def __init__(self, gui: viser.GuiApi, tab: viser.GuiTabHandle, post: Post) -> None:
         self._gui = gui

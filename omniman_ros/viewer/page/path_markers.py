@@ -20,11 +20,7 @@ LINE_BREAK = np.full((1, 2), np.nan)  #: Separates two paths of one line
 
 
 class PathMarkers:
-    """Lines along the paths that turn or follow way points, and a disc at each way point.
-
-    Args:
-        root: Name of the parent frame, which is `odom`.
-    """
+    """Lines along the paths that turn or follow way points, and a disc at each way point."""
 
     def __init__(self, api: viser.SceneApi, root: str, dragging: FloorDragging) -> None:
         self._dragging = dragging

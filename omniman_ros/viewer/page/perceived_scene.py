@@ -21,11 +21,7 @@ TRANSPARENT = 0.35  #: Opacity of the robot's shapes
 
 
 class PerceivedScene:
-    """Draws what the robot perceives.
-
-    Args:
-        root: Name of the parent frame, which is `odom`.
-    """
+    """Draws what the robot perceives."""
 
     def __init__(self, api: viser.SceneApi, root: str) -> None:
         self._map = _Map(api, f"{root}/map")
@@ -80,7 +76,6 @@ class _Map:
         self._shown: MapImage | None = None
 
     def draw(self, image: MapImage | None) -> None:
-        """Draw the map, or hide it if it is None."""
         handle, shown = self._handle, self._shown
         if image is None or image is shown:
             handle.visible = image is not None
@@ -96,8 +91,6 @@ class _Map:
 
 
 class _Points:
-    """The points of a scan."""
-
     def __init__(self, api: viser.SceneApi, name: str) -> None:
         self._version = 0
         self._handle = api.add_point_cloud(
@@ -131,7 +124,6 @@ class _Body:
         self._drawn: BodyView | None = None
 
     def draw(self, body: BodyView | None) -> None:
-        """Draw the shapes, or hide them if they are None."""
         if body is self._drawn:
             return
         self._drawn = body

@@ -20,14 +20,7 @@ Signal = tuple[str, str, bool]  #: Name and colour of a curve, and whether it is
 
 
 class Plots:
-    """All plots of the page.
-
-    Args:
-        max_voltage: Largest voltage of the wheels' amplifiers [V].
-
-    Attributes:
-        panel: Panel of the plots.
-    """
+    """All plots of the page."""
 
     def __init__(
         self,
@@ -86,11 +79,7 @@ class Plots:
         self.panel.dock_left()
 
     def draw(self, state: ViewState, now: float) -> None:
-        """Update the curves; most of the page's computing time is spent here.
-
-        Args:
-            now: Time on the clock of `state` [s].
-        """
+        """Update the curves; most of the page's computing time is spent here."""
         deadline = state.planner_parameters.get("safety.deadline")
         if deadline is not None:
             self._plots["solving"].limits = (1e3 * deadline.value,)
@@ -108,11 +97,7 @@ class _Plot:
 
     Args:
         min_amplitude: Half the smallest range of the y axis, so that noise is not magnified.
-        limits: Values of the lines that mark limits.
         unit: Unit of the plot, expressed in the unit of the window.
-
-    Attributes:
-        limits: Values of the lines that mark limits; their number must not change.
     """
 
     def __init__(
@@ -133,7 +118,7 @@ class _Plot:
         for _ in limits:
             series.append(uplot.Series(label="", stroke=LIMIT, width=1.0, points={"show": False}))
         series += [uplot.Series(label="", stroke="transparent", points={"show": False})] * 2
-        self.limits = limits
+        self.limits = limits  #: Values of the lines that mark limits; their number must not change
         self._min_amplitude = min_amplitude
         self._unit = unit
         self._signals = len(signals)
@@ -156,7 +141,6 @@ class _Plot:
 
     @property
     def visible(self) -> bool:
-        """Whether the plot is visible."""
         return bool(self._handle.visible)
 
     def _with_lines(self, columns: tuple[Array, ...]) -> tuple[Array, ...]:
@@ -165,7 +149,6 @@ class _Plot:
         return (*columns, *(np.full(count, value) for value in across))
 
     def draw(self, window: SignalWindow, now: float) -> None:
-        """Draw the samples of a window."""
         columns = window.columns(now)
         known = any(np.isfinite(column).any() for column in columns[1:])
         if known and not self.visible:

@@ -19,20 +19,13 @@ from omniman_ros.viewer.page_access import is_loopback
 
 
 class RequestGuard:
-    """Decides about requests by their address and headers.
-
-    Args:
-        host: Address that the server is bound to.
-        port: Port that it is bound to; part of the cookie's name, as cookies know no ports.
-        token: Token that a request needs; empty if it needs none.
-        is_encrypted: Whether the page is served by https, so that the cookie is sent so only.
-    """
+    """Decides about requests by their address and headers."""
 
     def __init__(
         self, host: str, port: int, token: str = "", *, is_encrypted: bool = False
     ) -> None:
         self._host, self._token = host, token
-        self._cookie = f"omniman_{port}"
+        self._cookie = f"omniman_{port}"  # cookies know no ports
         self._is_encrypted = is_encrypted
 
     def rejection_reason(self, path: str, headers: Headers) -> str:
@@ -59,7 +52,6 @@ class RequestGuard:
         return any(map(self._is_token, parse_qs(urlsplit(path).query).get("token", ())))
 
     def _has_cookie(self, headers: Headers) -> bool:
-        """Return whether a request brings the cookie."""
         try:
             found = [SimpleCookie(each).get(self._cookie) for each in headers.get_all("Cookie")]
         except CookieError:

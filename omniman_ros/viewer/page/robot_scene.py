@@ -19,12 +19,7 @@ COLUMN_RADIUS = 0.09  #: Radius of the column below an arm that is mounted above
 
 
 class RobotScene:
-    """The robot and its ghost.
-
-    Args:
-        root: Name of the parent frame, which is `odom`.
-        mount: Mount of the arm; None if the robot has no arm.
-    """
+    """The robot and its ghost."""
 
     def __init__(self, api: viser.SceneApi, root: str, robot: Robot, mount: Mount | None) -> None:
         shape = meshes.body(robot)
@@ -104,12 +99,7 @@ class _Wheels:
 
 
 class _Arm:
-    """The arm as two batches, tubes and caps; hidden until its first pose is known.
-
-    Args:
-        name: Name of its frame.
-        deck: Height of the deck below it [m].
-    """
+    """The arm as two batches, tubes and caps; hidden until its first pose is known."""
 
     def __init__(self, api: viser.SceneApi, name: str, mount: Mount, deck: float) -> None:
         self._shape = ArmShape(mount)
@@ -173,12 +163,7 @@ def add_mesh(
     scale: float = 1.0,
     flat: bool = True,
 ) -> viser.MeshHandle:
-    """Add a mesh of one colour, without shadows.
-
-    Args:
-        opacity: Opacity, 0 to 1; None if it is opaque.
-        flat: Whether its triangles are shaded flat, with visible edges.
-    """
+    """Add a mesh of one colour, without shadows."""
     return api.add_mesh_simple(
         name,
         mesh.vertices,

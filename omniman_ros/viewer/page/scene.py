@@ -27,17 +27,7 @@ ROOT = "/world"
 
 
 class Scene:
-    """Draws the floor, the lines, the robot, its ghost and the draggable markers.
-
-    Args:
-        robot: Parameters of the robot, for its geometry.
-        mount: Mount of its arm, or None for a robot without an arm.
-        post: Function that receives the events of dragging; it must not block.
-        clock: Function that returns the time of a monotonic clock [s].
-
-    Attributes:
-        clicks: Clicks on the floor.
-    """
+    """Draws the floor, the lines, the robot, its ghost and the draggable markers."""
 
     def __init__(
         self,
@@ -55,7 +45,7 @@ class Scene:
         self._floor = FloorScene(api, ROOT)
         self._perceived = PerceivedScene(api, ROOT)
         self._robot = RobotScene(api, ROOT, robot, mount)
-        self.clicks = FloorClicks(api, lambda: self._floor_origin)
+        self.clicks = FloorClicks(api, lambda: self._floor_origin)  #: Clicks on the floor
         dragging = FloorDragging(server, lambda: self._floor_origin, post)
         self._paths = PathMarkers(api, ROOT, dragging)
         self._markers = DraggableMarkers(api, ROOT, robot, dragging)
@@ -68,11 +58,7 @@ class Scene:
         server.initial_camera.fov = 0.8
 
     def draw(self, state: ViewState, follow: bool) -> None:
-        """Draw the moving objects.
-
-        Args:
-            follow: Whether the scene is moved so that the robot stays in its middle.
-        """
+        """Draw the moving objects; `follow` keeps the robot in the middle of the scene."""
         if follow and state.odom is not None:
             origin = (-state.odom[0], -state.odom[1])
             if origin != self._floor_origin:
@@ -85,11 +71,7 @@ class Scene:
         self._tool.draw(state.tool_goal)
 
     def draw_perceived(self, state: ViewState, layers: frozenset[str]) -> None:
-        """Draw what the robot perceives; call this less often, as most of it changes always.
-
-        Args:
-            layers: Names of the layers to draw, see `perceived.LAYERS`.
-        """
+        """Draw what the robot perceives; call this less often, as most of it changes always."""
         self._perceived.draw(state.perceived, layers)
 
     def draw_lines(self, state: ViewState) -> None:

@@ -11,19 +11,12 @@ from omniman_ros.viewer.page.inputs import Post
 from omniman_ros.viewer.tool_goal import ToolGoal, ToolPose
 
 SCALE = 0.35  #: Length of the handle's arrows [m]
-AXES_LENGTH, AXES_RADIUS = 0.12, 0.006
-"""Length and radius of the axes that show a pose of the path [m]."""
+AXES_LENGTH, AXES_RADIUS = 0.12, 0.006  #: Size of the axes that show a pose of the path [m]
 DRAG_TIMEOUT = 0.5  #: Silence of a drag after which the handle is drawn where the node has it [s]
 
 
 class ToolHandle:
-    """Arrows, planes and rings that are dragged to move and to turn the tool's goal.
-
-    Args:
-        root: Name of the parent frame, which is `odom`.
-        post: Accepts events; must not block.
-        clock: Returns the time of a monotonic clock [s].
-    """
+    """Arrows, planes and rings that are dragged to move and to turn the tool's goal."""
 
     def __init__(
         self,
@@ -61,7 +54,6 @@ class ToolHandle:
             self._draw_poses()
 
     def _place(self, pose: ToolPose | None) -> None:
-        """Draw the handle at a pose, or hide it."""
         if pose == self._drawn and self._dragged_at == -np.inf:
             return
         self._drawn, self._dragged_at = pose, -np.inf

@@ -22,11 +22,7 @@ BUTTONS = {
 
 
 class ToolPanel:
-    """Buttons, and the handle's pose in numbers, by which it is moved without a mouse.
-
-    Args:
-        post: Accepts events; must not block.
-    """
+    """Buttons, and the handle's pose in numbers, by which it is moved without a mouse."""
 
     def __init__(self, gui: viser.GuiApi, post: Post) -> None:
         self._post = post
@@ -73,7 +69,6 @@ class ToolPanel:
         self._draw_pose(pose, now)
 
     def _draw_pose(self, pose: ToolPose, now: float) -> None:
-        """Display a pose, and post the event of newly entered numbers."""
         rpy = viser.transforms.SO3(np.array(pose.rotation)).as_rpy_radians()
         degrees = [math.degrees(angle) for angle in (rpy.roll, rpy.pitch, rpy.yaw)]
         shown = [*(round(v, 3) for v in pose.position), *(round(v, 1) for v in degrees)]

@@ -79,9 +79,6 @@ def guarded_server(guard: RequestGuard, tls: ssl.SSLContext | None = None) -> It
 
     viser accepts neither a check nor TLS nor a pace as an argument, so `serve` of websockets is
     replaced meanwhile.
-
-    Args:
-        tls: What encrypts the connections; None for http.
     """
     serve = websockets.asyncio.server.serve
 
@@ -222,9 +219,6 @@ def marked_panel_html(name: str, height: int) -> str:
     """Return HTML that fixes the height [px] of its panel and leaves the rest to the one above.
 
     viser would share the height evenly between the two.
-
-    Args:
-        name: Class that marks the panel, unique in the page.
     """
     return (
         f'<style class="{name}">[data-dock-scroll]>div:has(.{name}){{flex:0 0 '

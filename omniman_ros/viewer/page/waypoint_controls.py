@@ -25,9 +25,6 @@ class WaypointControls:
 
     Clicks on the floor count from when a path of a single point is displayed, or from the button,
     until the button is pressed again or another obstacle is selected.
-
-    Args:
-        post: Accepts events; must not block.
     """
 
     def __init__(self, gui: viser.GuiApi, clicks: FloorClicks, post: Post) -> None:
@@ -104,7 +101,6 @@ class WaypointControls:
         """Display the way points of an obstacle, at a time of any steady clock [s].
 
         Args:
-            number: Number of the obstacle, or None if none is selected.
             path: Its path, or None if it does not follow way points: all controls are hidden.
         """
         shown = number if path is not None else None

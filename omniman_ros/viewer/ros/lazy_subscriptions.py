@@ -18,11 +18,7 @@ Handler = Callable[[Any], str | None]
 
 
 class LazySubscriptions:
-    """The node's subscriptions.
-
-    Args:
-        node: Node that owns the subscriptions.
-    """
+    """The node's subscriptions."""
 
     def __init__(self, node: OmnimanNode) -> None:
         self._node = node
@@ -32,9 +28,17 @@ class LazySubscriptions:
 
     def subscribe(
         self, message_type: type, topic: str, handler: Handler, qos: QoSProfile | int = LATEST
-    ) -> None:
+    ) -> Any:
         """Subscribe to a topic permanently."""
-        self._subscribe(message_type, topic, handler, qos)
+        process = self._node.guarded(topic, handler)
+        if qos not in (LATEST, LATEST_READING):
+            return self._node.create_subscription(message_type, topic, process, qos)
+
+        # A stream may be faster than the frames of the page: only its latest message is kept.
+        def keep(message: Any) -> None:
+            self._pending[topic] = lambda: process(message)
+
+        return self._node.create_subscription(message_type, topic, keep, qos)
 
     def subscribe_while_watched(
         self, message_type: type, topic: str, handler: Handler, qos: QoSProfile | int = LATEST
@@ -48,7 +52,7 @@ class LazySubscriptions:
     def set_watched(self, watched: bool) -> None:
         """Open or close the subscriptions that depend on a connected browser."""
         if watched and not self._open:
-            self._open = [self._subscribe(*arguments) for arguments in self._while_watched]
+            self._open = [self.subscribe(*arguments) for arguments in self._while_watched]
         elif not watched:
             while self._open:
                 self._node.destroy_subscription(self._open.pop())
@@ -57,16 +61,3 @@ class LazySubscriptions:
         """Process the latest message of each stream."""
         while self._pending:
             self._pending.popitem()[1]()
-
-    def _subscribe(
-        self, message_type: type, topic: str, handler: Handler, qos: QoSProfile | int
-    ) -> Any:
-        process = self._node.guarded(topic, handler)
-        if qos not in (LATEST, LATEST_READING):
-            return self._node.create_subscription(message_type, topic, process, qos)
-
-        # A stream may be faster than the frames of the page: only its latest message is kept.
-        def keep(message: Any) -> None:
-            self._pending[topic] = lambda: process(message)
-
-        return self._node.create_subscription(message_type, topic, keep, qos)

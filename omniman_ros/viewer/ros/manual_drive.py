@@ -11,15 +11,7 @@ from omniman_ros.viewer.ros.parameters import ViewerParameters
 
 
 class ManualDrive:
-    """Publishes `cmd_vel` while motion buttons are held.
-
-    Args:
-        node: Node that owns the publisher.
-
-    Attributes:
-        buttons: The motion buttons that are held.
-        silent: Whether nothing was published in the last period.
-    """
+    """Publishes `cmd_vel` while motion buttons are held."""
 
     def __init__(self, node: OmnimanNode, parameters: ViewerParameters) -> None:
         self._node = node
@@ -27,18 +19,13 @@ class ManualDrive:
         self._publisher = node.create_publisher(
             TwistStamped if self._stamped else TwistMsg, "cmd_vel", LATEST
         )
-        self.buttons = HoldToDrive()
+        self.buttons = HoldToDrive()  #: The motion buttons that are held
         self._framing = CmdVelFraming()
-        self.silent = True
+        self.silent = True  #: Whether nothing was published in the last period
         self._stepped_at = node.now()
 
     def step(self, speeds: tuple[float, float], now: float) -> None:
-        """Publish the twist of the held buttons; call this once per period.
-
-        Args:
-            speeds: Speed [m/s] and yaw rate [rad/s] of a button.
-            now: Time of the node's clock [s].
-        """
+        """Publish the twist of the held buttons, of speeds [m/s, rad/s]; call this each period."""
         if now - self._stepped_at > DEAD_MAN_TIMEOUT:
             # Buttons held while this node was not running may have been released long ago.
             self.buttons.release_all()

@@ -43,21 +43,15 @@ _COLOUR = ColorRGBA(r=0.61, g=0.21, b=0.09, a=0.8)
 class ObstacleInterface:
     """Publishes the obstacles that the page has placed on `obstacles`.
 
-    Args:
-        node: Node that owns the publisher.
-        state: View state into which the obstacles are written.
-
-    Attributes:
-        obstacles: The obstacles.
-        namespace: Namespace of their markers, empty before the first obstacle.
+    The changes by the page raise the errors of `PlacedObstacles`.
     """
 
     def __init__(self, node: OmnimanNode, state: ViewState, frame: str) -> None:
         self._node = node
         self._state = state
         self._frame = frame
-        self.obstacles = PlacedObstacles()
-        self.namespace = ""
+        self.obstacles = PlacedObstacles()  #: The obstacles
+        self.namespace = ""  #: Namespace of their markers, empty before the first obstacle
         self._publisher: Publisher | None = None
         self._is_only_source = True
         self._published_numbers: set[int] = set()
@@ -95,11 +89,7 @@ class ObstacleInterface:
     # ---- changes by the page ------------------------------------------------------------------
 
     def add(self, now: float) -> None:
-        """Add an obstacle in front of the robot, clear of the others.
-
-        Raises:
-            InputError: There are too many obstacles.
-        """
+        """Add an obstacle in front of the robot, clear of the others."""
         x, y, theta = self._state.odom or (0.0, 0.0, 0.0)
         others = self.obstacles.arrays(now)
         radii = others.semi_axes.max(axis=1, initial=0.0)
@@ -124,37 +114,20 @@ class ObstacleInterface:
         self._state.selected_obstacle = None
 
     def drag(self, event: ObstacleDragged, now: float) -> None:
-        """Move an obstacle.
-
-        Raises:
-            InputError: There is no such obstacle, or the position is out of range.
-        """
+        """Move an obstacle."""
         self.obstacles.move(event.number, event.position, now)
         self._state.selected_obstacle = event.number
 
     def set_velocity(self, event: ObstacleVelocitySet, now: float) -> None:
-        """Set the velocity of an obstacle.
-
-        Raises:
-            InputError: There is no such obstacle, it follows way points, or the velocity is out
-                of range.
-        """
+        """Set the velocity of an obstacle."""
         self.obstacles.set_velocity(event.number, event.velocity, now)
 
     def set_motion(self, event: ObstacleMotionSet, now: float) -> None:
-        """Change the kind of motion of an obstacle.
-
-        Raises:
-            InputError: There is no such obstacle.
-        """
+        """Change the kind of motion of an obstacle."""
         self.obstacles.set_motion(event.number, event.motion, now)
 
     def set_path(self, event: ObstaclePathSet, now: float) -> None:
-        """Set the path of an obstacle.
-
-        Raises:
-            InputError: There is no such obstacle, or the path is out of range.
-        """
+        """Set the path of an obstacle."""
         self.obstacles.set_path(event.number, event.path, now)
 
     def add_waypoint(self, event: WaypointAdded, now: float) -> None:
@@ -170,29 +143,17 @@ class ObstacleInterface:
         self.obstacles.add_waypoint(event.number, event.position, now)
 
     def resize(self, event: ObstacleResized, now: float) -> None:
-        """Set the semi-axes and the heading of an obstacle.
-
-        Raises:
-            InputError: There is no such obstacle, or its size is out of range.
-        """
+        """Set the semi-axes and the heading of an obstacle."""
         self.obstacles.resize(event.number, event.semi_axes, event.angle)
 
     def select(self, event: ObstacleSelected, now: float) -> None:
-        """Select an obstacle for editing, or none.
-
-        Raises:
-            InputError: There is no obstacle of this number.
-        """
+        """Select an obstacle for editing, or none."""
         if event.number is not None:
             self._require(event.number)
         self._state.selected_obstacle = event.number
 
     def delete(self, event: ObstacleDeleted, now: float) -> None:
-        """Delete an obstacle, or all.
-
-        Raises:
-            InputError: There is no obstacle of this number.
-        """
+        """Delete an obstacle, or all."""
         if event.number is not None:
             self._require(event.number)
         self.obstacles.delete(event.number)

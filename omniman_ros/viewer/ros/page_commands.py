@@ -15,16 +15,7 @@ from omniman_ros.viewer.view_state import ViewState
 
 
 class PageCommands:
-    """Takes the events of the page from its threads, and has the right part carry each out.
-
-    Args:
-        state: View state, which gets the reason of a refusal.
-        buttons: Motion buttons that are held.
-        calls: Services that stop and reset.
-
-    Attributes:
-        tour: The tour, which follows what is done on the page.
-    """
+    """Takes the events of the page from its threads, and has the right part carry each out."""
 
     def __init__(
         self,
@@ -38,7 +29,7 @@ class PageCommands:
     ) -> None:
         self._state, self._buttons, self._poses, self._calls = state, buttons, poses, calls
         self._queue = events.EventQueue()
-        self.tour = Tour()
+        self.tour = Tour()  #: The tour, which follows what is done on the page
         handlers: dict[type, Handler] = {
             events.ButtonHeld: buttons.update,
             events.ButtonReleased: buttons.update,

@@ -13,28 +13,16 @@ from omniman_ros.viewer.view_state import ViewState
 
 
 class PageFrames:
-    """Places what others send, and says on the page what cannot be placed.
-
-    Args:
-        node: Node that listens to the transforms.
-        state: View state into which it is written what cannot be placed.
-
-    Attributes:
-        transforms: Transforms of the node.
-    """
+    """Places what others send, and says on the page what cannot be placed."""
 
     def __init__(self, node: OmnimanNode, parameters: ViewerParameters, state: ViewState) -> None:
         odom = OdomFrame(odom_frame=parameters.odom_frame, map_is_odom=parameters.map_is_odom)
         options = FrameParameters(odom=odom, tf=build(TransformOptions, {}))
         self._state = state
-        self.transforms = FrameTransforms(node, lambda: options)
+        self.transforms = FrameTransforms(node, lambda: options)  #: Transforms of the node
 
     def placement(self, topic: str, header: Header) -> Placement:
         """Return where the coordinates of a message are, in a frame that stands in the world.
-
-        Args:
-            topic: Topic of the message, for the page.
-            header: Frame of the coordinates, and time at which it counts.
 
         Raises:
             TransformError: Nothing relates the frame to odom at that time; the page says so until
@@ -49,15 +37,7 @@ class PageFrames:
         return placement
 
     def into_odom(self, topic: str, header: Header) -> Transform:
-        """Return the transform of a message's coordinates into odom as it is known now.
-
-        Args:
-            topic: Topic of the message, for the page.
-            header: Frame of the coordinates, and time at which it counts.
-
-        Raises:
-            TransformError: See :meth:`placement`.
-        """
+        """Return the transform of a message's coordinates into odom as it is known now."""
         place = self.placement(topic, header)
         return self.transforms.anchor(place.frame) @ place.transform
 

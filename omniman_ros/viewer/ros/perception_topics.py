@@ -42,10 +42,6 @@ class PerceptionTopics:
     """Receives scans, map, tracked obstacles, contacts, limits of speed and tip-over margin.
 
     All of them are subscribed only while a browser is connected.
-
-    Args:
-        node: Node whose clock is used.
-        state: View state into which the values are written.
     """
 
     def __init__(
@@ -72,11 +68,7 @@ class PerceptionTopics:
         watch(Float64, "tip_over_margin", self._on_margin)
 
     def update_state(self, layers: frozenset[str]) -> None:
-        """Update the parts of the state that depend on the newest transforms or on other values.
-
-        Args:
-            layers: Layers that are drawn, see `perceived.LAYERS`.
-        """
+        """Update what depends on the newest transforms or values, for the drawn layers."""
         self._place_map()
         self._state.perceived.body = self._body() if "shapes" in layers else None
 

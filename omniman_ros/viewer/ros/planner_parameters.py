@@ -33,12 +33,7 @@ ANSWER_TIMEOUT = 4.0  #: Time for which an answer is awaited [s]
 
 
 class PlannerParameterClient:
-    """Reads and sets the planner's parameters without blocking; answers are collected each period.
-
-    Args:
-        node: Node that owns the clients.
-        state: View state into which parameters and, as its note, refusals are written.
-    """
+    """Reads and sets the planner's parameters without blocking."""
 
     def __init__(self, node: OmnimanNode, state: ViewState) -> None:
         self._state = state
@@ -98,7 +93,6 @@ class PlannerParameterClient:
             self._setting = self._client.set_parameters(request), values, now + ANSWER_TIMEOUT
 
     def _store_parameters(self, descriptors: Any, values: Any) -> None:
-        """Store values and ranges of the parameters."""
         names = (*PARAMETER_NAMES, *WORKSPACE_NAMES)
         if len(values) != len(names) or len(descriptors) != len(PARAMETER_NAMES):
             return

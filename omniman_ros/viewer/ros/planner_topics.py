@@ -30,15 +30,7 @@ MAX_PLOTTED = 1e6  #: Largest number that is plotted: no plot can scale a larger
 
 
 class PlannerTopics:
-    """Receives plan, route, obstacles and the planner's status.
-
-    Args:
-        node: Node whose clock is used.
-        state: View state into which the values are written.
-        odom_names: Names of the frame `odom`, in which the planner plans.
-        frames: Frames in which obstacles may be.
-        is_own: Returns whether a namespace of markers is that of this page.
-    """
+    """Receives plan, route, obstacles and the planner's status."""
 
     def __init__(
         self,

@@ -27,11 +27,7 @@ REMEMBERED_GOALS = 20
 class PoseCommands:
     """Sends goals, moves a simulated robot to the start, and loads the test cases.
 
-    Args:
-        node: Node that owns the topics.
-        state: View state that contains goal and start.
-        obstacles: Obstacles of the page, which pause and continue together with the robot.
-        frames: Frames in which others may send goals.
+    What is not possible, or implausible, raises an InputError.
     """
 
     def __init__(
@@ -66,11 +62,7 @@ class PoseCommands:
     # ---- goal ---------------------------------------------------------------------------------
 
     def drag_goal(self, event: GoalDragged, now: float) -> None:
-        """Move the goal; send it unless the obstacles are paused or the robot is relocated.
-
-        Raises:
-            InputError: The pose is not finite, or implausibly large.
-        """
+        """Move the goal; send it unless the obstacles are paused or the robot is relocated."""
         pose = _checked(event.pose, "goal")
         self._state.goal, self._placed_goal = pose, None
         if self._obstacles.paused:
@@ -86,11 +78,7 @@ class PoseCommands:
         return self._state.planner_is_driving(now) and now - self._sent_at >= GOAL_PERIOD
 
     def go(self, now: float) -> None:
-        """Send the displayed goal, and let the obstacles continue.
-
-        Raises:
-            InputError: There is no goal.
-        """
+        """Send the displayed goal, and let the obstacles continue."""
         if self._state.goal is None:
             raise InputError("there is no goal yet: drag one")
         if self._relocator.active:
@@ -166,11 +154,7 @@ class PoseCommands:
     # ---- start --------------------------------------------------------------------------------
 
     def drag_start(self, event: StartDragged, now: float) -> None:
-        """Move the start once it is released, and with it a simulated robot that is at rest.
-
-        Raises:
-            InputError: The pose is not finite or implausibly large, or the robot cannot be moved.
-        """
+        """Move the start once it is released, and with it a simulated robot that is at rest."""
         pose = _checked(event.pose, "start")
         if not event.done:
             return
@@ -182,11 +166,7 @@ class PoseCommands:
         self.step(now)
 
     def load(self, event: CaseSelected, now: float) -> None:
-        """Load a test case: start, goal, paused obstacles, and a simulated robot at the start.
-
-        Raises:
-            InputError: There is no case of that name.
-        """
+        """Load a test case: start, goal, paused obstacles, and a simulated robot at the start."""
         case = CASES.get(event.name)
         if case is None:
             raise InputError(f"there is no case '{event.name[:40]}': {', '.join(CASES)}")

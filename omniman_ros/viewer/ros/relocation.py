@@ -48,7 +48,6 @@ class Relocation:
         Args:
             at_rest: Whether no source drives the robot and it is at rest.
             odom: Pose that odometry reports; None if there is no odometry.
-            now: Time [s].
         """
         if self.moved_at is None:
             if at_rest:
@@ -69,12 +68,7 @@ class Relocation:
 
 
 class Relocator:
-    """Moves a simulated robot through `initialpose` (the plant) and `set_pose` (odometry).
-
-    Args:
-        node: Node that owns the publishers.
-        state: View state with pose, speeds and active source of the robot.
-    """
+    """Moves a simulated robot through `initialpose` (the plant) and `set_pose` (odometry)."""
 
     def __init__(self, node: OmnimanNode, state: ViewState, odom_frame: str) -> None:
         self._node = node
@@ -101,7 +95,6 @@ class Relocator:
         """Continue a relocation; call this once per period.
 
         Args:
-            now: Time [s].
             sources_released: Whether path and planner have answered the request to cancel.
 
         Returns:

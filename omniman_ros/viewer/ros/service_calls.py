@@ -14,12 +14,7 @@ ACTIONS = ("pause", "resume", "cancel")  #: Names of the services of these nodes
 
 
 class ServiceCalls:
-    """Calls services of other nodes without blocking; answers are collected each period.
-
-    Args:
-        node: Node that owns the clients.
-        state: View state whose note is set to the answers.
-    """
+    """Calls services of other nodes without blocking; answers are collected each period."""
 
     def __init__(self, node: OmnimanNode, state: ViewState) -> None:
         self._node = node
@@ -59,12 +54,7 @@ class ServiceCalls:
         nodes: tuple[str, ...] = PAUSABLE_NODES,
         report: bool = True,
     ) -> None:
-        """Ask the nodes that are running to pause, resume or cancel.
-
-        Args:
-            action: One of `ACTIONS`.
-            now: Time [s].
-        """
+        """Ask the nodes that are running to pause, resume or cancel."""
         self._drop_requests()
         self._action, self._reports, self._deadline = action, report, now + ANSWER_TIMEOUT
         for name in nodes:
@@ -134,7 +124,6 @@ class ServiceCalls:
             self._last_note = self._state.note = text
 
     def _drop_requests(self) -> None:
-        """Stop waiting for answers."""
         for name, future in self._futures.items():
             self._clients[f"{name}/{self._action}"].remove_pending_request(future)
         self._futures.clear()

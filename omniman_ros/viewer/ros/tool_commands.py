@@ -18,10 +18,6 @@ from omniman_ros.viewer.view_state import ViewState
 class ToolCommands:
     """Receives where the tool is, and sends the path to the handle.
 
-    Args:
-        node: Node that owns the topics.
-        state: View state that contains handle and path.
-
     Attributes:
         actions: What the buttons of the page do, by action.
     """
@@ -39,18 +35,14 @@ class ToolCommands:
         self._paths = node.create_publisher(Path, "tool_path", 10)
         subscriptions.subscribe_while_watched(PoseStamped, "tool_pose", self._on_tool)
         self.actions: dict[str, Callable[[float], None]] = {
-            "tool_place": lambda now: self._place(now),
+            "tool_place": self._place,
             "tool_add": lambda now: self._goal.add(),
             "tool_send": self._send,
             "tool_remove": lambda now: self._goal.remove(),
         }
 
     def move(self, event: ToolHandleMoved, now: float) -> None:
-        """Move the handle.
-
-        Raises:
-            InputError: There is no handle, or a number is not finite or implausibly large.
-        """
+        """Move the handle."""
         self._goal.move(ToolPose.checked(event.position, event.rotation))
 
     def _on_tool(self, message: PoseStamped) -> None:
@@ -60,22 +52,12 @@ class ToolCommands:
         self._state.update_tool(pose, self._node.now())
 
     def _place(self, now: float) -> None:
-        """Place the handle where the tool is.
-
-        Raises:
-            InputError: It is not known where the tool is.
-        """
         tool = self._state.tool
         if tool is None or not self._state.is_fresh("tool", now):
             raise InputError("it is not known where the tool is: nothing is received on tool_pose")
         self._goal.place(tool)
 
     def _send(self, now: float) -> None:
-        """Send the path to the handle.
-
-        Raises:
-            InputError: There is no handle.
-        """
         path = Path()
         path.header.stamp, path.header.frame_id = self._node.stamp(), self._odom_frame
         for each in self._goal.path:
