@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from omniman_ros.core.arm_model import JOINTS, UR5, DhTable
+from omniman_ros.core.arm_model import JOINTS
 from omniman_ros.core.arrays import Array
 from omniman_ros.description.inertia import Vector
 from omniman_ros.description.ur5 import BASE, Link, links
@@ -42,14 +42,10 @@ class Parts:
 
 
 class ArmShape:
-    """The arm on its platform, as instances of two meshes.
+    """The arm on its platform: tubes, cylinders of radius and length 1 along z, and caps."""
 
-    Attributes:
-        tubes: Instances of a cylinder about z of radius 1 and length 1.
-    """
-
-    def __init__(self, mount: Mount, table: DhTable = UR5) -> None:
-        chain = (BASE, *links(table))
+    def __init__(self, mount: Mount) -> None:
+        chain = (BASE, *links())
         self.tubes = _parts(
             (
                 k,
@@ -115,8 +111,7 @@ def rotated(rotations: Array, vectors: Array) -> Array:
     return result
 
 
-#: Factors that turn a quaternion (w, x, y, z) into its conjugate
-_CONJUGATION = np.array([1.0, -1.0, -1.0, -1.0])
+_CONJUGATION = np.array([1.0, -1.0, -1.0, -1.0])  #: Signs of a quaternion's conjugate
 
 #: Multiplication table of 1, i, j, k.
 #:

@@ -18,15 +18,11 @@ from omniman_ros.planning.obstacles.ellipses import Ellipses
 from omniman_ros.planning.obstacles.surroundings import FARTHEST, ellipse_surroundings
 from omniman_ros.viewer.placed_obstacles import ObstacleArrays
 
-#: Rotation of a joint up to which the footprint is not computed anew [rad]
-POSTURE_TOLERANCE = 0.01
+POSTURE_TOLERANCE = 0.01  #: Rotation of a joint from which the footprint is computed anew [rad]
 REACH = 3.0  #: Distance up to which something counts as near [m]
-#: Number of points of scanners, those nearest to the robot, whose distances are computed
-NEAREST_POINTS = 60
+NEAREST_POINTS = 60  #: Number of nearest scanner points whose distances are computed
 PLATFORM_HEIGHT = 0.3  #: Height at which a line from the platform is drawn [m]
-#: Places along the axis of a capsule, and along an edge of a rectangle, among which the one is
-#: chosen where the line to what is nearest begins.
-STATIONS = np.linspace(0.0, 1.0, 11)
+STATIONS = np.linspace(0.0, 1.0, 11)  #: Ratios along an axis or edge where a line may begin
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,7 @@ from typing import Any
 from omniman_ros.core.errors import InputError
 from omniman_ros.viewer.obstacle_paths import Motion, ObstaclePath
 
-#: Largest number of events that are processed at once, and that wait to be processed
-MAX_EVENTS = 1000
+MAX_EVENTS = 1000  #: Largest number of events that wait, or are processed at once
 STOP = "stop"  #: Action of the button that stops the robot
 
 Pose = tuple[float, float, float]  #: x, y [m], heading [rad] in `odom`

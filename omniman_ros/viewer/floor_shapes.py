@@ -12,8 +12,7 @@ from omniman_ros.viewer.meshes import Mesh, joined, plate, prism, revolved, roun
 OBSTACLE_HEIGHT = 0.6  #: Height of an obstacle [m]
 CIRCLE_POINTS = 32  #: Number of corners of the polygon that approximates a circle
 BORDER_WIDTH = 0.05  #: Ratio of the width of a marker's border to the platform's width
-#: Ratio of the distance of a marker's arrow tip from the platform's front to its width
-ARROW_REACH = 0.4
+ARROW_REACH = 0.4  #: Distance of a marker's arrow tip from the front, over the width
 KNOB_RADIUS = 0.16  #: Ratio of the radius of a marker's knob to the platform's width
 LAYER_HEIGHT = 0.004  #: Thickness of each layer of a marker [m]
 
@@ -96,10 +95,10 @@ def disc(radius: float, height: float, around: int = CIRCLE_POINTS) -> Mesh:
     )
 
 
-def dome(flat: float = 0.45, height: float = 0.7) -> Mesh:
-    """Return a cap of radius 1 on the origin, `height` high, with a round edge above `flat`."""
+def dome() -> Mesh:
+    """Return a cap of radius 1 on the origin, with a round edge above a flat wall."""
     angles = np.linspace(0.0, 0.5 * math.pi, 6)
-    edge = height - flat
+    flat, edge = 0.45, 0.25
     stations = np.concatenate([[0.0], flat + edge * np.sin(angles)])
     radii = np.concatenate([[1.0], 1.0 - edge * (1.0 - np.cos(angles))])
     return revolved(stations, radii, CIRCLE_POINTS).rotated(_UPRIGHT)

@@ -19,14 +19,13 @@ DEAD_MAN_TIMEOUT = 0.2  #: Silence of a page after which the buttons it held cou
 class HoldToDrive:
     """Motion buttons that are held, on any number of pages.
 
-    A page repeats each button that it holds; one that is silent for `timeout` has released it,
+    A page repeats each button that it holds; one that is silent has released it,
     whatever the reason: a lost connection, a stalled browser, a page in the background. When
     several pages hold buttons, only the page that pressed last drives. Two buttons of one page
     (two fingers) add up.
     """
 
-    def __init__(self, timeout: float = DEAD_MAN_TIMEOUT) -> None:
-        self._timeout = timeout
+    def __init__(self) -> None:
         self._held_at: dict[tuple[int, str], float] = {}
 
     def update(self, event: ButtonHeld | ButtonReleased | ClientDisconnected, now: float) -> None:
@@ -50,7 +49,7 @@ class HoldToDrive:
         A button has a linear speed [m/s], which diagonals have too, or a yaw rate [rad/s].
         """
         for key, held_at in list(self._held_at.items()):
-            if now - held_at >= self._timeout:
+            if now - held_at >= DEAD_MAN_TIMEOUT:
                 del self._held_at[key]
         if not self._held_at:
             return None

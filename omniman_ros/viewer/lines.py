@@ -9,8 +9,7 @@ from omniman_ros.core.arrays import Array
 
 TRAIL_SPACING = 0.02  #: Shortest distance between two points of a trail [m]
 TRAIL_POINTS = 1500  #: Largest number of points of a trail: 30 m at the shortest spacing
-#: Distance between two points beyond which a trail is broken, as when odometry is set [m]
-JUMP = 0.5
+JUMP = 0.5  #: Distance between points from which a trail is broken, as when odometry is set [m]
 LINE_POINTS = 1000  #: Largest number of points drawn of a path; a longer one is thinned evenly
 OUTLINE_POINTS = 24  #: Number of corners of the outline of an obstacle
 

@@ -11,11 +11,9 @@ from omniman_ros.core.arrays import Array
 
 Pixels = NDArray[np.uint8]  #: Image (rows, columns, 4): red, green, blue and opacity, 0 to 255
 
-#: Largest number of pixels along a side: in a larger map, a pixel stands for several cells
-MOST_PIXELS = 512
+MOST_PIXELS = 512  #: Largest number of pixels along a side; a larger map is reduced
 FREE = (231, 245, 235, 255)  #: Colour of what is free
-#: Colour of what is occupied; what lies between the two has a colour between these
-OCCUPIED = (52, 58, 64, 255)
+OCCUPIED = (52, 58, 64, 255)  #: Colour of what is occupied; between the two, a mixture
 
 
 @dataclass(frozen=True)

@@ -21,10 +21,8 @@ CORE_RADIUS = 0.82  #: Ratio of the distance between roller axes and axle to the
 OVERLAP = 1.2  #: Ratio of a roller's length to the length at which neighbouring rollers just meet
 ROLLER_POINTS_AROUND = 12  #: Number of vertices of a roller around its axis
 ROLLER_POINTS_ALONG = 7  #: Number of vertices of a roller along its axis
-#: Smallest ratio of a wheel's width to its radius: Omni rollers have no extent along y
-MIN_WIDTH = 0.35
-#: Ratio of the chassis' height above the floor to the largest wheel's radius
-GROUND_CLEARANCE = 0.5
+MIN_WIDTH = 0.35  #: Smallest ratio of a wheel's width to its radius, for Omni rollers
+GROUND_CLEARANCE = 0.5  #: Height of the chassis above the floor over the largest radius
 
 
 @dataclass(frozen=True)
@@ -93,10 +91,10 @@ def revolved(stations: Array, radii: Array, around: int) -> Mesh:
     return Mesh(np.concatenate([rings.reshape(-1, 3), ends]), np.concatenate([*sides, *caps]))
 
 
-def sphere(around: int = 16) -> Mesh:
-    """Return a sphere of radius 1 about the origin, with `around` vertices around its axis."""
-    angles = np.linspace(0.0, math.pi, around // 2 + 1)
-    return revolved(-np.cos(angles), np.sin(angles), around)
+def sphere() -> Mesh:
+    """Return a sphere of radius 1 about the origin."""
+    angles = np.linspace(0.0, math.pi, 9)
+    return revolved(-np.cos(angles), np.sin(angles), 16)
 
 
 def prism(outline: Array, bottom: float, top: float) -> Mesh:

@@ -18,8 +18,7 @@ MIN_SPEED = 0.05  #: Smallest speed along way points [m/s]
 MAX_SPEED = 3.0  #: Largest speed along way points [m/s]
 MAX_WAYPOINTS = 50  #: Largest number of way points of an obstacle
 DEFAULT_SPEED = 0.5  #: Speed along way points of an obstacle that stood still before [m/s]
-#: Time after which an obstacle makes its turn, until another time is entered [s]
-DEFAULT_TURN_TIME = 3.0
+DEFAULT_TURN_TIME = 3.0  #: Time after which an obstacle turns, until another is entered [s]
 SHOWN_AFTER_TURN = 2.0  #: Time for which the course after a turn is drawn [s]
 
 
@@ -53,8 +52,7 @@ class WaypointPath:
     #: Positions (x, y) in `odom` in the order of passing [m]; the path begins at the first one
     points: tuple[Pair, ...]
     speed: float = DEFAULT_SPEED  #: Speed [m/s]
-    #: Whether it continues to the first point, turns back, or stops at the last point
-    at_end: AtEnd = AtEnd.LOOP
+    at_end: AtEnd = AtEnd.LOOP  #: Whether it then goes to the first point, back, or stops
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.points) <= MAX_WAYPOINTS:

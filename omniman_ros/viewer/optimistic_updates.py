@@ -7,10 +7,7 @@ from typing import Any
 Key = Hashable  #: Identifier of a dragged object, for instance ("obstacle", 3)
 
 DRAG_TIMEOUT = 2.0  #: Silence of a drag after which the confirmed value is displayed again [s]
-#: Time after a release at which the confirmed value is displayed again [s].
-#:
-#: It is about the time until all nodes know the new value.
-RELEASE_TIMEOUT = 0.3
+RELEASE_TIMEOUT = 0.3  #: Time from a release until the confirmed value is displayed [s]
 
 
 class OptimisticUpdates:

@@ -67,11 +67,7 @@ class PageAccess:
         return bool(self.token) or not is_loopback(self.host)
 
     def tls(self) -> ssl.SSLContext | None:
-        """Return what encrypts the connections; None for http.
-
-        Raises:
-            ParameterError: Certificate or key cannot be used.
-        """
+        """Return what encrypts connections, or None; useless files raise a ParameterError."""
         if not self.tls_certificate:
             return None
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)

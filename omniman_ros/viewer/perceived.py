@@ -11,10 +11,8 @@ from omniman_ros.viewer.map_image import MapImage
 
 #: Layers that can be switched on the page, and whether each is on at first
 LAYERS = {"scan": True, "map": True, "tracks": True, "contacts": True, "shapes": False}
-#: Age from which something perceived is not drawn any more [s]; a map is kept
-FRESHNESS_TIMEOUT = 1.0
-#: Number of standard deviations that the circles of uncertainty have as their radius
-DEVIATIONS = 2.0
+FRESHNESS_TIMEOUT = 1.0  #: Age from which something perceived is not drawn [s]; maps are kept
+DEVIATIONS = 2.0  #: Radius of the circles of uncertainty, in standard deviations
 ARROW_TIME = 1.0  #: Time after which a tracked obstacle will be at the tip of its arrow [s]
 SLOWEST = 0.05  #: Speed from which a tracked obstacle has an arrow [m/s]
 HEAD = 0.12  #: Length of the head of an arrow [m]
@@ -28,8 +26,7 @@ class Tracks:
     velocities: Array  #: (M, 2) velocities in `odom` [m/s]
     radii: Array  #: (M,) radii [m]
     position_deviations: Array  #: (M,) standard deviations of either coordinate [m]
-    #: (M,) standard deviations of either component of the velocity [m/s]
-    velocity_deviations: Array
+    velocity_deviations: Array  #: (M,) standard deviations of either component [m/s]
 
     @staticmethod
     def none() -> "Tracks":
@@ -86,17 +83,14 @@ class Perceived:
 
     #: Points (k, 3) that the scanners' beams met, in `odom` [m]
     scan: Line = field(default_factory=lambda: Line(np.empty((0, 3))))
-    #: The map of what stands; None until received, and while its place is not known
-    map: MapImage | None = None
+    map: MapImage | None = None  #: The map of what stands; None while it has no place
     tracks: Tracks = field(default_factory=Tracks.none)  #: Tracked obstacles
     tracks_version: int = 0  #: Changes whenever the tracks change
     contacts: dict[str, Contact] = field(default_factory=dict)  #: Contacts by their names
-    #: Shares of the speed limits that the collision monitor leaves platform and arm; None while it
-    #: is silent.
+    #: Shares that the monitor leaves; None: silent
     speed_shares: tuple[float, float] | None = None
     tip_over_margin: float | None = None  #: Tip-over margin [m]; None while it is not received
-    #: The robot's shapes for distances; None while they are not shown
-    body: BodyView | None = None
+    body: BodyView | None = None  #: Shapes for distances; None while they are not shown
     _scans: dict[str, tuple[Array, float]] = field(default_factory=dict)
     _received_at: dict[str, float] = field(default_factory=dict)
 

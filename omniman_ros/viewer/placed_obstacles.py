@@ -53,9 +53,7 @@ class ObstacleArrays:
     semi_axes: Array  #: (M, 2) semi-axes [m]
     angles: Array  #: (M,) directions of their x axes [rad]
     velocities: Array  #: (M, 2) velocities [m/s]; zero while the obstacles are paused
-    #: (M, 2) velocities with which they continue after a pause [m/s]; None if they are
-    #: `velocities`.
-    resumed_velocities: Array | None = None
+    resumed_velocities: Array | None = None  #: (M, 2) velocities after a pause; None: `velocities`
     placed: tuple[PlacedObstacle, ...] = ()  #: The M obstacles themselves
 
     @staticmethod

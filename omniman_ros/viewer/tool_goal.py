@@ -23,11 +23,7 @@ class ToolPose:
 
     @staticmethod
     def checked(position: Triple, rotation: Quaternion) -> "ToolPose":
-        """Return the pose of numbers that a page has sent, with a rotation of unit length.
-
-        Raises:
-            InputError: A number is not finite or implausibly large, or the rotation has no length.
-        """
+        """Return a pose that a page has sent; an implausible one raises an InputError."""
         plausible.demand(np.array(position), plausible.LENGTH, "tool: position")
         plausible.demand(np.array(rotation), plausible.LENGTH, "tool: rotation")
         length = math.hypot(*rotation)
@@ -43,8 +39,7 @@ class ToolGoal:
 
     def __init__(self) -> None:
         self.handle: ToolPose | None = None  #: Pose of the handle; None while there is none
-        #: Poses that the tool passes before it comes to the handle
-        self.poses: tuple[ToolPose, ...] = ()
+        self.poses: tuple[ToolPose, ...] = ()  #: Poses that the tool passes before the handle
 
     def place(self, pose: ToolPose) -> None:
         """Place the handle, and begin a new path."""

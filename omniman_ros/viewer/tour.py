@@ -13,8 +13,7 @@ from omniman_ros.viewer.events import (
     ObstacleVelocitySet,
 )
 
-#: Handles an event at a time [s]; raises an InputError to refuse it
-Handler = Callable[[Any, float], None]
+Handler = Callable[[Any, float], None]  #: Handles an event at a time [s], or refuses it
 
 
 @dataclass(frozen=True)
@@ -56,13 +55,12 @@ STEPS = (
 class Tour:
     """Which steps of the tour are done; they may be done in any order."""
 
-    def __init__(self, steps: tuple[Step, ...] = STEPS) -> None:
-        self._steps = steps
-        self._done = [False] * len(steps)
+    def __init__(self) -> None:
+        self._done = [False] * len(STEPS)
 
     def note(self, event: Event) -> None:
         """Tick off the steps that an event of a page does."""
-        for k, step in enumerate(self._steps):
+        for k, step in enumerate(STEPS):
             self._done[k] = self._done[k] or step.is_done_by(event)
 
     def following(self, handlers: Mapping[type, Handler]) -> dict[type, Handler]:
@@ -79,12 +77,12 @@ class Tour:
 
     def toggle(self) -> None:
         """End the tour, or begin it anew if it is at its end."""
-        self._done = [bool(self.text)] * len(self._steps)
+        self._done = [bool(self.text)] * len(STEPS)
 
     @property
     def text(self) -> str:
         """The first step that is not done yet, with its number; empty at the end of the tour."""
-        for k, (step, done) in enumerate(zip(self._steps, self._done, strict=True)):
+        for k, (step, done) in enumerate(zip(STEPS, self._done, strict=True)):
             if not done:
-                return f"{k + 1} of {len(self._steps)}: {step.text}"
+                return f"{k + 1} of {len(STEPS)}: {step.text}"
         return ""

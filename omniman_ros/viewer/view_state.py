@@ -17,8 +17,7 @@ from omniman_ros.viewer.tool_goal import ToolGoal, ToolPose
 
 Pose = tuple[float, float, float]  #: x, y [m], heading [rad] in `odom`
 
-#: Age at which a node's warning or error is discarded unless the node repeats it [s]
-DIAGNOSTICS_TIMEOUT = 3.0
+DIAGNOSTICS_TIMEOUT = 3.0  #: Age at which a warning or error that is not repeated goes [s]
 FRESHNESS_TIMEOUT = 1.0  #: Age from which a value no longer counts as current [s]
 PATH_NODES = ("path_interpolator", "whole_body_planner")  #: Nodes that drive along given paths
 PAUSABLE_NODES = (*PATH_NODES, "mpc_planner")  #: Nodes that can be paused, resumed and cancelled
@@ -105,12 +104,9 @@ class ViewState:
         self.goal: Pose | None = None
         self.start: Pose | None = None
         self.obstacles = ObstacleArrays.empty()  #: Obstacles that were placed on the page
-        #: Number of the obstacle selected for editing, or None
-        self.selected_obstacle: int | None = None
-        #: Whether the obstacles of the page stand still until Go or Resume
-        self.obstacles_paused = False
-        #: Obstacles that were not placed on the page, at their present positions
-        self.other_obstacles = Ellipses.none()
+        self.selected_obstacle: int | None = None  #: Number of the obstacle that is edited
+        self.obstacles_paused = False  #: Whether the page's obstacles stand until Go or Resume
+        self.other_obstacles = Ellipses.none()  #: Obstacles that the page has not placed
         #: The planner's x_min, y_min, x_max, y_max in `odom` [m]; None while unknown
         self.workspace: tuple[float, float, float, float] | None = None
         #: The planner's tunable parameters by name, in the order of the page
@@ -130,14 +126,12 @@ class ViewState:
         self.awaited: tuple[str, ...] = ()  #: Names of the nodes for which simulated time stands
         #: Names of the available services, such as `path_interpolator/pause`
         self.services: frozenset[str] = frozenset()
-        #: What scanners, tracker, collision monitor and physics world tell
-        self.perceived = Perceived()
+        self.perceived = Perceived()  #: What scanners, tracker, monitor and physics world tell
         self.tool: ToolPose | None = None  #: Pose of the tool; None until received
         self.tool_goal = ToolGoal()  #: Handle and path of the tool that are set on the page
         self.tool_reports: int | None = None
         self.tour = ""  #: The present step of the tour, empty at its end
-        #: Why the last message of a topic is not shown, by topic, where its frame is not known
-        self.unplaced: dict[str, str] = {}
+        self.unplaced: dict[str, str] = {}  #: Why a topic's last message is not shown, by topic
         self.note = ""  #: Outcome of the last action on the page
         self._received_at: dict[str, float] = {}
 

@@ -33,8 +33,7 @@ OPAQUE = 1.0  #: Opacity of a marker
 PALE = 0.3  #: Opacity of the goal's marker while there is no goal
 OBSTACLE_OPACITY = 0.8  #: Opacity of an obstacle
 PLATE_OPACITY = 0.25  #: Ratio of the opacity of a marker's plate to that of its other parts
-#: Height of the goal above the start [m], which lets it be grabbed where both coincide
-GOAL_LIFT = 0.02
+GOAL_LIFT = 0.02  #: Height of the goal above the start [m], to grab it where both coincide
 GOAL_GAP = 1.0  #: Distance between the robot and a goal that waits to be dragged [m]
 ARROW_HEIGHT = OBSTACLE_HEIGHT + 0.02  #: Height of the velocity arrows above the floor [m]
 ARROW_LENGTH = 0.2  #: Length of the head of a velocity arrow [m]

@@ -11,8 +11,7 @@ from omniman_ros.viewer.lines import JUMP, segments
 from omniman_ros.viewer.style import Colour
 from omniman_ros.viewer.view_state import ViewState
 
-#: Height of the lowest line above the floor, and of each layer above the one below [m]
-LAYER_HEIGHT = 0.004
+LAYER_HEIGHT = 0.004  #: Height of the lowest line, and of each layer above the one below [m]
 DASH_LENGTH = 0.12  #: Length of a dash, and of the gap behind it [m]
 MAX_DASHES = 500  #: Largest number of dashes of a line; the dashes of a longer line are longer
 UNBOUNDED_WIDTH = 200.0  #: Width in any direction from which a workspace counts as unbounded [m]

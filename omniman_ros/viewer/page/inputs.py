@@ -13,8 +13,7 @@ from omniman_ros.viewer.debounced_value import DebouncedValue
 from omniman_ros.viewer.events import Event
 
 Post = Callable[[Event], None]  #: Accepts an event from any thread of the server; must not block
-#: Name of a button's colour in viser
-ButtonColour = Literal["red", "green", "gray", "blue", "orange"]
+ButtonColour = Literal["red", "green", "gray", "blue", "orange"]  #: Colour of a button
 
 
 def add_button(
@@ -36,11 +35,7 @@ def add_button(
 
 
 class NumberInput:
-    """A number that both the page and a node can set.
-
-    Args:
-        low, high: Accepted range; other values are refused by the page, or discarded.
-    """
+    """A number that page and node can set within a range; others are refused or discarded."""
 
     def __init__(
         self,

@@ -28,8 +28,7 @@ CHORDS = tuple(
     for choice in product(*((None, *axis) for axis in _AXES))
     if (chord := tuple(motion for motion in choice if motion is not None))
 )  #: Combinations of motions that can be held at once, in the order of the axes
-#: Attribute of the element of a motion button while its key is down
-KEY_DOWN_ATTRIBUTE = "data-held"
+KEY_DOWN_ATTRIBUTE = "data-held"  #: Attribute of a motion button while its key is down
 
 # The script uses key codes rather than characters: they are the same at release, even if shift was
 # pressed in between. The listeners are attached once: a page that reconnects only has new buttons.

@@ -25,8 +25,7 @@ from omniman_ros.viewer.view_state import ViewState
 
 MAX_PORTS = 20  #: Number of ports that are tried, starting with the requested one
 TOKEN_BYTES = 24  #: Number of random bytes of a token
-#: Number of frames between two updates of scan, tracks and the robot's shapes
-PERCEIVED_INTERVAL = 2
+PERCEIVED_INTERVAL = 2  #: Frames between two updates of scan, tracks and the robot's shapes
 LINES_INTERVAL = 5  #: Number of frames between two updates of the lines on the floor
 PLOTS_INTERVAL = 4  #: Number of frames between two updates of plots and texts
 #: Errors of binding to an address that is not one of this machine
@@ -34,11 +33,7 @@ _FOREIGN_HOST_ERRORS = (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT, errno.EINVAL)
 
 
 def free_port(host: str, port: int) -> int:
-    """Return the requested port, or the next one that is free.
-
-    Raises:
-        ParameterError: `host` is not an address of this machine, or all ports are in use.
-    """
+    """Return the requested port, or the next free one; none at all raises a ParameterError."""
     for candidate in range(port, min(port + MAX_PORTS, 65536)):
         with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

@@ -13,8 +13,7 @@ from omniman_ros.viewer.page.viser_compat import row_css, style_html
 from omniman_ros.viewer.status_text import hint
 
 MAX_COORDINATE = 1000.0  #: Largest coordinate of a way point that can be entered [m]
-#: Distance along x from the last way point to one that is added by the button [m]
-NEW_POINT_DISTANCE = 1.0
+NEW_POINT_DISTANCE = 1.0  #: Distance along x from the last way point to an added one [m]
 
 #: Control that can be hidden
 Handle = viser.GuiInputHandle[Any] | viser.GuiButtonHandle | viser.GuiHtmlHandle

@@ -7,14 +7,12 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from omniman_ros.nodes.omniman_node import OmnimanNode
 
-#: QoS of a stream: only its latest message since the last call of `process_latest` is used
-LATEST = QoSProfile(depth=1)
+LATEST = QoSProfile(depth=1)  #: QoS of a stream, of which only the latest message is used
 
 #: The same for a sensor, whose publisher may be reliable or not
 LATEST_READING = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 
-#: Processes a message; returns why it is refused, for the log, or nothing
-Handler = Callable[[Any], str | None]
+Handler = Callable[[Any], str | None]  #: Processes a message; returns why it is refused
 
 
 class LazySubscriptions:

@@ -48,11 +48,7 @@ class PlannerParameterClient:
         )
 
     def set(self, event: ParameterChanged, now: float) -> None:
-        """Set a parameter; of several values in quick succession, only the last is sure to be set.
-
-        Raises:
-            InputError: The planner has not reported the parameter, or the value is not finite.
-        """
+        """Set a parameter; of several in quick succession, the last one counts for sure."""
         if event.name not in self._state.planner_parameters:
             raise InputError(f"{event.name} cannot be set: no {PLANNER} has reported it")
         if not math.isfinite(event.value):

@@ -20,8 +20,7 @@ from omniman_ros.viewer.ros.service_calls import ServiceCalls
 from omniman_ros.viewer.view_state import PATH_NODES, Pose, ViewState
 
 GOAL_PERIOD = 0.2  #: Shortest time between two goals while the goal is dragged [s]
-#: Number of latest own goals that are recognised when they come back on `goal_pose`
-REMEMBERED_GOALS = 20
+REMEMBERED_GOALS = 20  #: Number of own goals that are recognised when they come back
 
 
 class PoseCommands:

@@ -12,8 +12,7 @@ from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.viewer.view_state import Pose, ViewState
 
 REST_TIMEOUT = 3.0  #: Time that the robot may take to come to rest [s]
-#: Time that odometry may take to report the new pose, longer than `SOURCE_TIMEOUT` [s]
-ODOMETRY_TIMEOUT = 2.0
+ODOMETRY_TIMEOUT = 2.0  #: Time for odometry to report the new pose, above `SOURCE_TIMEOUT` [s]
 #: Time to wait after odometry was set [s].
 #:
 #: Setting odometry cancels the sources that drive; they are accepted again only after a period of

@@ -30,8 +30,7 @@ from omniman_ros.viewer.ros.page_frames import PageFrames
 from omniman_ros.viewer.ros.parameters import ViewerParameters
 from omniman_ros.viewer.view_state import PATH_NODES, Condition, Pose, ViewState
 
-#: Largest number of intervals between setpoints of the arm in one sample of the plots
-MAX_INTERVALS = 1000
+MAX_INTERVALS = 1000  #: Largest number of setpoint intervals in one sample of the plots
 MAX_ENERGY = 1e15  #: Largest plausible value of an energy counter [J]
 #: Keys of the states of the motions in the diagnostics of the nodes that drive along paths
 _MOTION_KEYS = ("state", "arm", "body")

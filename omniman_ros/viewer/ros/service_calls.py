@@ -8,8 +8,7 @@ from omniman_ros.nodes.omniman_node import OmnimanNode
 from omniman_ros.nodes.stoppable_nodes import TriggerCalls, find_stoppable_nodes
 from omniman_ros.viewer.view_state import PAUSABLE_NODES, ViewState
 
-#: Time for which nodes to stop or reset are searched, and for which answers are awaited [s]
-ANSWER_TIMEOUT = 4.0
+ANSWER_TIMEOUT = 4.0  #: Time in which nodes are searched, and answers awaited [s]
 ACTIONS = ("pause", "resume", "cancel")  #: Names of the services of these nodes
 
 
