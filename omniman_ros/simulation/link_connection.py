@@ -6,8 +6,7 @@ import socket
 
 from omniman_ros.core.errors import OmnimanError
 
-#: Address of both ends: the link stays on one machine, whose clock it shares
-LOOPBACK = "127.0.0.1"
+LOOPBACK = "127.0.0.1"  #: Address of both ends, which share a machine and its clock
 CHUNK = 65536  #: Largest amount of data read at once [bytes]
 
 
@@ -16,11 +15,7 @@ class LinkError(OmnimanError):
 
 
 class LinkConnection:
-    """One end of the link.
-
-    Args:
-        connection: Connected socket, which this object owns from now on.
-    """
+    """One end of the link; it raises a LinkError once the other side does not read or is gone."""
 
     def __init__(self, connection: socket.socket) -> None:
         connection.setblocking(False)
@@ -28,11 +23,7 @@ class LinkConnection:
         self._socket = connection
 
     def receive(self) -> bytes:
-        """Return the bytes that have arrived, b"" if there are none.
-
-        Raises:
-            LinkError: The other side has closed the connection.
-        """
+        """Return the bytes that have arrived, b"" if there are none."""
         try:
             data = self._socket.recv(CHUNK)
         except BlockingIOError:
@@ -44,11 +35,7 @@ class LinkConnection:
         return data
 
     def send(self, frame: bytes) -> None:
-        """Send a frame as a whole.
-
-        Raises:
-            LinkError: The other side does not read, or has closed the connection.
-        """
+        """Send a frame as a whole."""
         try:
             sent = self._socket.send(frame)
         except BlockingIOError:

@@ -15,23 +15,14 @@ class Reader(Protocol[Received]):
     """Decodes items from a stream of bytes that arrive in pieces."""
 
     def receive(self, data: bytes) -> list[Received]:
-        """Return the items that are complete with these bytes.
-
-        Raises:
-            InputError: The bytes are not an item.
-        """
+        """Return the items that are complete now; an InputError says that these are none."""
 
 
 class LinkServer(Generic[Received, Sent]):
     """Listens at a port, and exchanges items with one client at a time.
 
-    Args:
-        name: Name of the parameter that has the number of the port.
-        port: TCP port on this machine; any free one if 0.
-
-    Attributes:
-        port: Number of the port.
-        refused: Number of clients that were refused because one is connected.
+    A lost connection raises a LinkError, received bytes that are no item an InputError: both close
+    the connection.
 
     Raises:
         ParameterError: The port is not available.
@@ -54,8 +45,8 @@ class LinkServer(Generic[Received, Sent]):
         except OSError as error:
             self._socket.close()
             raise ParameterError(name, port, f"cannot be used: {error}") from error
-        self.port = int(self._socket.getsockname()[1])
-        self.refused = 0
+        self.port = int(self._socket.getsockname()[1])  #: Number of the port
+        self.refused = 0  #: Number of clients that were refused because one is connected
         self._connection: LinkConnection | None = None
         self._reader = make_reader()
 
@@ -81,12 +72,7 @@ class LinkServer(Generic[Received, Sent]):
         return True
 
     def receive(self) -> list[Received]:
-        """Return the items that have arrived.
-
-        Raises:
-            LinkError: The connection is lost, and closed.
-            InputError: What has arrived is not an item; the connection is closed.
-        """
+        """Return the items that have arrived."""
         if self._connection is None:
             return []
         try:
@@ -96,11 +82,7 @@ class LinkServer(Generic[Received, Sent]):
             raise
 
     def send(self, item: Sent) -> None:
-        """Send to the client, if there is one.
-
-        Raises:
-            LinkError: The connection is lost, and closed.
-        """
+        """Send to the client, if there is one."""
         if self._connection is None:
             return
         try:

@@ -1,7 +1,6 @@
 """Lockstep of simulated time with the processes that live in it."""
 
-#: Time by which a permit may be exceeded, since clocks on messages count nanoseconds [s]
-ROUND_OFF = 1e-6
+ROUND_OFF = 1e-6  #: By how much a permit may be exceeded, as messages count nanoseconds [s]
 
 
 class Lockstep:
@@ -11,9 +10,6 @@ class Lockstep:
     done its work. So the simulation takes as long as its slowest part, however busy the machine
     is. A participant that holds it up for longer than the patience counts as dead: time goes on
     without it, so that the others find that out in their own ways, until it gives a permit again.
-
-    Args:
-        patience: Real time for which simulated time waits for a participant [s].
     """
 
     def __init__(self, patience: float) -> None:
@@ -22,12 +18,7 @@ class Lockstep:
         self._held_since: float | None = None
 
     def permit(self, name: str, until: float) -> None:
-        """Let simulated time go on.
-
-        Args:
-            name: Name of the participant; a new one joins.
-            until: Simulated time [s].
-        """
+        """Let simulated time go on up to an instant [s]; a new participant joins."""
         self._permits[name] = until
 
     def leave(self, name: str) -> None:
@@ -39,14 +30,9 @@ class Lockstep:
         return [name for name, permit in self._permits.items() if permit < until - ROUND_OFF]
 
     def drop_dead(self, until: float, now: float) -> list[str]:
-        """Drop the participants that have held simulated time up for too long.
+        """Drop and return those who have held the step to a simulated time up for too long.
 
-        Args:
-            until: Simulated time to which the next step leads [s].
-            now: Real time, from any origin [s].
-
-        Returns:
-            Their names; empty while they are waited for, or if there are none.
+        `now` is the real time, from any origin [s].
         """
         laggards = self.laggards(until)
         if not laggards:

@@ -62,9 +62,6 @@ def scene_file(name: str) -> Path:
 def load_scene(name: str) -> Scene:
     """Read a scene.
 
-    Args:
-        name: As for :func:`scene_file`.
-
     Raises:
         ParameterError: There is no such file, it is no YAML file of lists of elements, or an
             element is refused.
@@ -79,11 +76,7 @@ def load_scene(name: str) -> Scene:
 
 
 def scene_of(tree: object, source: str) -> Scene:
-    """Build a scene from the content of a file.
-
-    Args:
-        tree: Content of the file: `start`, and a list of elements for each of :data:`KINDS`.
-        source: Name of the file, for error messages.
+    """Build a scene from a mapping: `start`, and a list of elements for each of :data:`KINDS`.
 
     Raises:
         ParameterError: The content is no such mapping, or an element is refused.
@@ -102,7 +95,6 @@ def scene_of(tree: object, source: str) -> Scene:
 
 
 def _start(value: object, source: str) -> tuple[float, float, float]:
-    """Return the robot's start; :class:`Scene` checks the numbers."""
     if not isinstance(value, list) or len(value) != 3:
         raise ParameterError(START, value, f"must be x, y and heading in {source}")
     x, y, heading = value
@@ -110,7 +102,6 @@ def _start(value: object, source: str) -> tuple[float, float, float]:
 
 
 def _list(tree: Mapping[str, Any], kind: str, source: str) -> list[Any]:
-    """Return the list of elements of a kind."""
     entries = tree.get(kind) or []
     if not isinstance(entries, list):
         raise ParameterError(kind, entries, f"must be a list in {source}")
@@ -118,7 +109,6 @@ def _list(tree: Mapping[str, Any], kind: str, source: str) -> list[Any]:
 
 
 def _element(cls: type[E], entry: object, source: str) -> E:
-    """Build an element."""
     known = [spec.name for spec in specs(cls)]
     if not isinstance(entry, Mapping) or not set(entry) <= set(known):
         allowed = ", ".join(known)

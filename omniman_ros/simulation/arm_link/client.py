@@ -15,20 +15,13 @@ CONNECT_TIMEOUT = 0.02  #: Longest time for connecting [s], during which the cal
 
 
 class ArmLinkClient:
-    """Sends setpoints to the joints in a world, and receives their state.
-
-    Args:
-        port: TCP port of the world on this machine.
-
-    Attributes:
-        failure: Why the connection was lost or cannot be made; empty while it works.
-    """
+    """Sends setpoints to the joints in a world, and receives their state."""
 
     def __init__(self, port: int) -> None:
         self._port = port
         self._connection: LinkConnection | None = None
         self._reader = StateReader()
-        self.failure = "not connected yet"
+        self.failure = "not connected yet"  #: Why there is no connection; empty while there is one
 
     @property
     def is_open(self) -> bool:
@@ -69,11 +62,7 @@ class ArmLinkClient:
         return self._connection is None or self._connection.wait(timeout)
 
     def close(self, reason: str) -> None:
-        """Close the connection; do nothing if there is none.
-
-        Args:
-            reason: Why, for `failure`.
-        """
+        """Close the connection, if there is one, for a reason."""
         if self._connection is not None:
             self._connection.close()
             self._connection, self.failure = None, reason

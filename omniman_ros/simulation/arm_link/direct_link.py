@@ -26,15 +26,7 @@ class WorldEnd(Protocol):
 
 
 class DirectLink:
-    """The controller's end of the link, an `ArmLink`; bytes come and go at once.
-
-    Args:
-        world: The world's end.
-
-    Attributes:
-        is_open: Whether there is a connection.
-        failure: Why there is no connection.
-    """
+    """The controller's end of the link, an `ArmLink`; bytes come and go at once."""
 
     def __init__(self, world: WorldEnd) -> None:
         self._world = world

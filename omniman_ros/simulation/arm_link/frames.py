@@ -8,6 +8,8 @@ A frame has a fixed size, in network byte order:
 * 2 bytes: zero;
 * uint32: sequence;
 * float64: due, six angles and six speeds of a setpoint; six angles, speeds and torques of a state.
+
+Other bytes raise an InputError; nothing after them can be read.
 """
 
 import math
@@ -38,15 +40,13 @@ class ArmSetpoint:
     """Where the joints shall be, and how fast."""
 
     sequence: int  #: Number of the setpoint, which the state that answers it has as well
-    #: Instant at which the joints shall be there, on the clock that both sides share [s]
-    due: float
+    due: float  #: Instant at which the joints shall be there, on the clock of both sides [s]
     positions: Joints  #: Angles (6,) [rad]
     velocities: Joints  #: Speeds (6,) [rad/s]
     #: Whether the way to the setpoint is one of constant speeds that begins elsewhere than the
     #: last one has ended; else it continues that one smoothly.
     begins_anew: bool = False
-    #: Whether the brakes hold the joints until then, and the motors give no torque
-    braked: bool = False
+    braked: bool = False  #: Whether the brakes hold the joints, without motor torque
 
 
 @dataclass(frozen=True)
@@ -80,11 +80,7 @@ class _FrameReader:
         self._buffer = b""
 
     def frames(self, data: bytes) -> list[tuple[int, int, Sequence[float]]]:
-        """Return flags, sequence and values of each frame that is complete now.
-
-        Raises:
-            InputError: The bytes are not those of such a frame; nothing after them can be read.
-        """
+        """Return flags, sequence and values of each frame that is complete now."""
         self._buffer += data
         size = _HEADER.size + self._body.size
         found: list[tuple[int, int, Sequence[float]]] = []
@@ -106,11 +102,6 @@ class _FrameReader:
 
 
 def _require_magnitude(values: Sequence[float]) -> None:
-    """Require that values per joint are not absurd.
-
-    Raises:
-        InputError: One is above :data:`MAX_VALUE`.
-    """
     largest = max(map(abs, values))
     if largest > MAX_VALUE:
         raise InputError(f"{largest:g} is above {MAX_VALUE:g}, the largest value of a joint")
@@ -123,11 +114,7 @@ class SetpointReader:
         self._reader = _FrameReader(_SETPOINT_KIND, _SETPOINT)
 
     def receive(self, data: bytes) -> list[ArmSetpoint]:
-        """Return the setpoints that are complete with these bytes.
-
-        Raises:
-            InputError: The bytes are not a setpoint.
-        """
+        """Return the setpoints that are complete with these bytes."""
         setpoints = []
         for flags, sequence, values in self._reader.frames(data):
             _require_magnitude(values[1:])
@@ -151,11 +138,7 @@ class StateReader:
         self._reader = _FrameReader(_STATE_KIND, _STATE)
 
     def receive(self, data: bytes) -> list[ArmState]:
-        """Return the states that are complete with these bytes.
-
-        Raises:
-            InputError: The bytes are not a state.
-        """
+        """Return the states that are complete with these bytes."""
         states = []
         for _, sequence, values in self._reader.frames(data):
             _require_magnitude(values)

@@ -10,14 +10,7 @@ from omniman_ros.simulation.link_server import LinkServer
 
 
 class ArmLinkServer(LinkServer[ArmSetpoint, ArmState]):
-    """Receives setpoints from a controller, and sends it the state of the joints.
-
-    Args:
-        port: TCP port on this machine; any free one if 0.
-
-    Raises:
-        ParameterError: The port is not available.
-    """
+    """Receives setpoints and sends states at a port; a ParameterError says it is not available."""
 
     def __init__(self, port: int) -> None:
         super().__init__("arm_port", port, SetpointReader, encode_state)

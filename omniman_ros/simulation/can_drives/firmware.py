@@ -14,10 +14,8 @@ ROUNDING = 1e-6  #: Fraction of a period by which a rounded time may lie before 
 class Timer:
     """Decides when a periodic action is due, on a grid of equally spaced absolute times.
 
-    If several periods pass between two calls, the action is due once: missed actions are skipped.
-
-    Args:
-        period: Period [s]; 0 if the action is never due.
+    Missed actions are skipped: if several periods pass between two calls, the action is due once.
+    With a period of 0 it is never due.
     """
 
     def __init__(self, period: float) -> None:
@@ -84,16 +82,10 @@ class Firmware(ABC):
 
     It handles the first start, restarts, the silence while the drive boots, the supply voltage,
     and the encoder with its faults.
-
-    Args:
-        boot_time: Time after a restart in which no frame is received or sent [s].
-
-    Attributes:
-        faults: Faults to simulate; the caller may change them at any time.
     """
 
     def __init__(self, motor: Motor, boot_time: float) -> None:
-        self.faults = DriveFaults()
+        self.faults = DriveFaults()  #: Faults to simulate; the caller may change them at any time
         self._motor = motor
         self._boot_time = boot_time
         self._report_faults = ReportFaults()
@@ -111,7 +103,6 @@ class Firmware(ABC):
         """Make the position start at zero after the next restart."""
 
     def _start_at(self, ready_at: float) -> None:
-        """Restart so that the firmware runs from `ready_at` [s] on."""
         self._ready_at = ready_at
         self._restart()
 

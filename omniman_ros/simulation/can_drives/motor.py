@@ -60,20 +60,15 @@ class DriveFaults:
 
     silent: bool = False  #: The drive sends nothing, but still receives commands
     deaf: bool = False  #: The drive receives nothing
-    #: Position and velocity reports stop, but the heartbeat continues
-    frozen_reports: bool = False
+    frozen_reports: bool = False  #: Reports of motion stop, the heartbeat continues
     frozen_encoder: bool = False  #: Reports continue with an unchanging position and velocity
     no_heartbeat: bool = False  #: The heartbeat stops, but reports continue
-    #: The drive has an error: it stops and reports it, until this fault ends and the host resets
-    #: the drive.
-    fault: bool = False
+    fault: bool = False  #: The drive has an error until this ends and the host resets it
     refuse_enable: bool = False  #: The drive does not switch the motor on
     wrong_mode: bool = False  #: The drive reports another mode than the one that was set
     stuck_status: bool = False  #: The status no longer changes
-    #: Each write of the configuration is answered with an error
-    configuration_refused: bool = False
-    #: Reads and writes of the configuration are not answered
-    configuration_unanswered: bool = False
+    configuration_refused: bool = False  #: Each write of the configuration is refused
+    configuration_unanswered: bool = False  #: The configuration's requests are not answered
     short_reports: bool = False  #: Reports lack their last byte
     duplicated_reports: bool = False  #: Each report is sent twice
     reordered_reports: bool = False  #: Of each pair of reports, the later one is sent first

@@ -18,12 +18,10 @@ from omniman_ros.simulation.plant.driven_wheels import DrivenWheels
 from omniman_ros.simulation.plant.parameters import SimulationParameters
 
 PERIOD = 1e-3  #: Time between two runs of the drives' firmware [s]
-#: Longest time between two calls that is simulated [s]; by then everything is at rest
-MAX_GAP = 5.0
+MAX_GAP = 5.0  #: Longest time between two calls that is simulated [s]; all rests by then
 REST_SPEED = 0.05  #: Speed below which a wheel counts as at rest [rad/s]
 RAMP_END_SPEED = 0.2  #: Wheel speed at which a drive considers its ramp to rest complete [rad/s]
-#: Ratio of the supply voltage below which a drive has an error to the motor's largest voltage
-UNDERVOLTAGE = 0.5
+UNDERVOLTAGE = 0.5  #: Ratio of a drive's lowest supply to the motor's largest voltage
 ECHO_TIMEOUT = 0.5  #: Longest time after which the echo of a frame arrives [s]
 
 
@@ -119,17 +117,8 @@ PROTOCOLS: dict[str, Callable[[DriveSetup], BusDrive]] = {
 class SimulatedBus:
     """Simulates the drives of all wheels, without a real bus; times are arguments.
 
-    The drives do not receive each other's frames: none of the protocols needs it.
-
-    Args:
-        simulation: Parameters of the plant and of the drives' loops.
-        faults: Faults to simulate; None if there are none.
-
-    Attributes:
-        drives: Drives by name of the wheel.
-        received: Number of frames received.
-        sent: Number of frames sent.
-        lost: Number of frames lost.
+    The drives do not receive each other's frames: none of the protocols needs it. Times, poses and
+    parameters raise the errors of :class:`SimulatedDrives`.
 
     Raises:
         ParameterError: Robot, parameters or installation are invalid.
@@ -154,6 +143,7 @@ class SimulatedBus:
             for k in range(len(names))
         ]
         make = PROTOCOLS[can.protocol]
+        #: Drives by name of the wheel
         self.drives: dict[str, BusDrive] = {
             name: make(DriveSetup(self._shafts[k], can.nodes[k], robot, simulation, can, k))
             for k, name in enumerate(names)
@@ -162,7 +152,7 @@ class SimulatedBus:
         self._now: float | None = None
         self._skipped = 0.0
         self._is_halted = False
-        self.received = self.sent = self.lost = 0
+        self.received = self.sent = self.lost = 0  #: Numbers of frames
         self._faults: CanFaultParameters | None = None
         self.set_faults(faults or CanFaultParameters())
 
@@ -182,11 +172,7 @@ class SimulatedBus:
         return result + self._without_lost(answers)
 
     def advance(self, now: float) -> list[can.Message]:
-        """Run plant and drives up to a time [s]; return the frames they send.
-
-        Raises:
-            InputError: The time is not finite.
-        """
+        """Run plant and drives up to a time [s]; return the frames they send."""
         frames: list[can.Message] = []
         if self._now is None or not math.isfinite(now):
             frames += self._run(now)
@@ -213,7 +199,6 @@ class SimulatedBus:
         return is_lost
 
     def _without_lost(self, frames: list[can.Message]) -> list[can.Message]:
-        """Return the frames that are not lost."""
         delivered = [frame for frame in frames if not self._is_lost()]
         self.sent += len(delivered)
         return delivered
@@ -226,11 +211,7 @@ class SimulatedBus:
         return tuple(drive.faults for drive in self.drives.values())
 
     def set_faults(self, faults: CanFaultParameters) -> None:
-        """Switch faults on and off.
-
-        Raises:
-            ParameterError: A name is not that of a wheel; nothing is changed then.
-        """
+        """Switch faults on and off."""
         reboots = tuple(drive.faults.reboots for drive in self.drives.values())
         new = drive_faults(faults, self._names, self._faults, reboots)
         self._faults = faults
@@ -244,9 +225,6 @@ class SimulatedBus:
 
         A drive whose motor is not dead any more uses it again: no frame tells the host of an open
         circuit, so that the host cannot reset it.
-
-        Raises:
-            ParameterError: One of them is invalid; nothing is changed then.
         """
         drive_faults(faults, self._names)
         self._wheels.configure(robot, simulation)
@@ -294,20 +272,11 @@ class SimulatedBus:
         return self._wheels
 
     def ground_truth(self) -> tuple[Array, Array]:
-        """Return the pose of base_link in the world, and its twist in its own frame.
-
-        Returns:
-            Pose (x, y, heading) of shape (3,) [m, m, rad], heading not wrapped, and twist of shape
-            (3,) [m/s, m/s, rad/s].
-        """
+        """Return pose (3,) and twist (3,) of base_link, as `DrivenWheels.ground_truth` does."""
         return self._wheels.ground_truth()
 
     def set_pose(self, pose: Sequence[float] | Array) -> None:
-        """Move the robot to a pose (x, y, heading) of base_link in the world [m, m, rad].
-
-        Raises:
-            InputError: The pose has a wrong size or is not finite.
-        """
+        """Move the robot to a pose (x, y, heading) of base_link in the world [m, m, rad]."""
         self._wheels.set_pose(pose)
 
 

@@ -1,6 +1,6 @@
 """Parameters of the simulated faults of drives on a CAN bus."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 from omniman_ros.core.parameters import parameter
 from omniman_ros.simulation.can_drives.motor import DriveFaults
@@ -50,22 +50,8 @@ class CanFaultParameters:
     )
 
 
-FAULT_FLAGS = (
-    "silent",
-    "deaf",
-    "frozen_reports",
-    "frozen_encoder",
-    "no_heartbeat",
-    "fault",
-    "refuse_enable",
-    "wrong_mode",
-    "stuck_status",
-    "configuration_refused",
-    "configuration_unanswered",
-    "short_reports",
-    "duplicated_reports",
-    "reordered_reports",
-)  #: Names of the faults that are on or off, the same in `CanFaultParameters` and `DriveFaults`
+#: Names of the faults that are on or off, the same in `CanFaultParameters` and `DriveFaults`
+FAULT_FLAGS = tuple(field.name for field in fields(DriveFaults) if field.default is False)
 
 
 def drive_faults(

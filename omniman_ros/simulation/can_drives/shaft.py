@@ -14,15 +14,10 @@ class MotorShaft:
     encoder is that of the wheel: its steps are multiplied by the gear ratio.
 
     Args:
-        robot: The robot, for its motor.
         gear_ratio: Revolutions of the motor per revolution of the wheel; 0 selects the robot's.
             The torque constant at the motor is adapted, so that the one at the wheel stays the
             same.
         direction: 1 if positive rotation of the motor moves the wheel forward, else -1.
-
-    Attributes:
-        gear_ratio: Revolutions of the motor per revolution of the wheel, never negative.
-        torque_constant: Torque constant at the motor [N m/A].
 
     Raises:
         ParameterError: The gear ratio is negative or not finite, or the direction not 1 or -1.
@@ -42,9 +37,11 @@ class MotorShaft:
             raise ParameterError("can.direction", direction, "must be 1 or -1")
         self._wheels, self._wheel = wheels, wheel
         self._motor = robot.motor
+        #: Revolutions of the motor per revolution of the wheel, never negative
         self.gear_ratio = gear_ratio or robot.motor.gear_ratio
         self._signed_ratio = direction * self.gear_ratio
         self._direction = direction
+        #: Torque constant at the motor [N m/A]
         self.torque_constant = (
             robot.motor.torque_constant * robot.motor.gear_ratio / self.gear_ratio
         )

@@ -8,7 +8,7 @@ and `motor/mcpwm_foc.c`.
 import enum
 import math
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import can
 
@@ -34,8 +34,7 @@ class SimpleCommand:
     """Layout of a simple command: a big-endian 32-bit integer, the value times a scale."""
 
     mode: Mode  #: Mode that the command selects
-    #: Units of the frame per duty cycle of 1, A, eRPM or fraction of the largest current
-    scale: float
+    scale: float  #: Units of the frame per duty cycle of 1, A, eRPM or largest current
     is_relative: bool = False  #: Whether the value is a fraction of the largest current
 
 
@@ -78,10 +77,8 @@ PONG = 18  #: Command number of the answer to a ping
 HARDWARE_VESC = 0  #: Hardware type in the answer to a ping
 BROADCAST_NODE = 255  #: Node id that addresses all drives
 TACHOMETER_STEPS = 6  #: Steps of the tachometer per electrical revolution
-#: Temperature of power stage and motor [degrees Celsius]; heating is not modelled
-TEMPERATURE = 25.0
-#: Largest integer by its format character of `struct`
-INTEGER_LIMITS = {"h": 2**15 - 1, "i": 2**31 - 1}
+TEMPERATURE = 25.0  #: Temperature of power stage and motor [degrees Celsius], constant
+INTEGER_LIMITS = {"h": 2**15 - 1, "i": 2**31 - 1}  #: Largest integer by format of `struct`
 
 
 def _pack(status: StatusLayout, values: dict[str, float]) -> bytes:
@@ -95,33 +92,23 @@ def _pack(status: StatusLayout, values: dict[str, float]) -> bytes:
 
 @dataclass(frozen=True, kw_only=True)
 class VescSettings:
-    """Commissioning of a VESC.
-
-    Raises:
-        ParameterError: A number is out of range.
-    """
+    """Commissioning of a VESC; a number out of range raises a ParameterError."""
 
     pole_pairs: int  #: Electrical revolutions per revolution of the motor
     torque_constant: float  #: Torque constant of the motor [N m/A]
-    #: Time after the last command at which the motor is braked [s]; 0 disables it. (The firmware
-    #: has 1 s, or 0.5 s.).
-    timeout: float = 0.5
+    timeout: float = 0.5  #: Time after a command at which the motor is braked [s]; 0 disables it
     #: Brake current after the timeout [A]. The firmware has 0, which lets the motor coast: an
     #: installation must set it.
     timeout_brake_current: float = 5.0
-    #: Rate of status 1 [Hz]; 0 disables it. Rates are set in VESC Tool.
-    status_1_rate: float = 200.0
+    status_1_rate: float = 200.0  #: Rate of status 1 [Hz], set in VESC Tool; 0 disables it
     status_4_rate: float = 20.0  #: Rate of status 4 [Hz]; 0 disables it
     status_5_rate: float = 200.0  #: Rate of status 5 [Hz]; 0 disables it
     max_duty: float = 0.95  #: Largest duty cycle, 0 to 1
     max_current: float = 60.0  #: Largest current [A]
     min_current: float = 0.05  #: Current below which the motor is released [A]
-    #: Smallest speed that is controlled [eRPM]. The firmware has 900: a wheel that must stand
-    #: still on command needs 0.
-    min_erpm: float = 0.0
+    min_erpm: float = 0.0  #: Smallest controlled speed [eRPM]; a wheel that stands needs 0
     min_supply: float = 8.0  #: Supply voltage below which there is an error [V]
-    #: Time after the end of an error in which commands are ignored [s]
-    fault_stop_time: float = 0.5
+    fault_stop_time: float = 0.5  #: Time after an error in which commands are ignored [s]
     boot_time: float = 1.0  #: Time after a restart in which no frame is received or sent [s]
     tachometer: int = 0  #: Initial count of the tachometer; a restart sets it to 0
 
@@ -129,19 +116,9 @@ class VescSettings:
         require_above("pole_pairs", self.pole_pairs, 1)
         for name in ("torque_constant", "max_current", "max_duty"):
             require_above(name, getattr(self, name), inclusive=False)
-        for name in (
-            "timeout",
-            "timeout_brake_current",
-            "status_1_rate",
-            "status_4_rate",
-            "status_5_rate",
-            "min_current",
-            "min_erpm",
-            "min_supply",
-            "fault_stop_time",
-            "boot_time",
-        ):
-            require_above(name, getattr(self, name))
+        for field in fields(self):
+            if field.name != "tachometer":
+                require_above(field.name, getattr(self, field.name))
 
 
 class VescDrive(Firmware):
@@ -173,9 +150,6 @@ class VescDrive(Firmware):
 
     A VESC has no heartbeat, status word, mode or answered configuration: those faults have no
     effect. With `refuse_enable` the motor stays released, whatever the command.
-
-    Args:
-        node: Id of the drive, 0 to 254.
 
     Raises:
         ParameterError: The node is not from 0 to 254.
@@ -248,7 +222,6 @@ class VescDrive(Firmware):
         return self._report(now)
 
     def _check_errors(self, now: float) -> None:
-        """Release the motor during an error and for some time after it."""
         has_low_supply = self._supply < self._settings.min_supply
         if self.faults.fault or self._motor.lost or has_low_supply:
             self._blocked_until = now + self._settings.fault_stop_time
@@ -260,7 +233,6 @@ class VescDrive(Firmware):
         self._mode, self._value = mode, value
 
     def _drive(self, now: float) -> None:
-        """Command the motor as the mode requires."""
         motor, value, settings = self._motor, self._value, self._settings
         limit, max_duty = settings.max_current, settings.max_duty
         mode = Mode.RELEASED if self.faults.refuse_enable else self._mode

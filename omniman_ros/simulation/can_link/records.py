@@ -21,8 +21,7 @@ from omniman_ros.core.errors import InputError
 
 MAGIC = b"OCL1"  #: First bytes of each record
 MAX_PAYLOAD = 8  #: Largest payload of a frame [bytes]
-MAX_ID, MAX_EXTENDED_ID = 2**11 - 1, 2**29 - 1
-"""Largest arbitration ids of 11 and of 29 bits."""
+MAX_ID, MAX_EXTENDED_ID = 2**11 - 1, 2**29 - 1  #: Largest ids of 11 and of 29 bits
 
 _HEADER = struct.Struct(">4sBBBxI")
 _INSTANT = struct.Struct(">d")
@@ -68,9 +67,6 @@ class RecordReader:
 
     def receive(self, data: bytes) -> list[Record]:
         """Return the records that are complete now.
-
-        Args:
-            data: The bytes that have arrived.
 
         Raises:
             InputError: The bytes are not those of a record; nothing after them can be read.

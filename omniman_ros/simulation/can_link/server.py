@@ -7,19 +7,11 @@ from omniman_ros.simulation.link_server import LinkServer
 
 
 class CanLinkServer(LinkServer[Record, Iterable[Record]]):
-    """Exchanges records with the host of a simulated bus.
-
-    Args:
-        port: TCP port on this machine; any free one if 0.
-
-    Raises:
-        ParameterError: The port is not available.
-    """
+    """Exchanges records at a port; a ParameterError says that it is not available."""
 
     def __init__(self, port: int) -> None:
         super().__init__("bus_port", port, RecordReader, _encode_all)
 
 
 def _encode_all(records: Iterable[Record]) -> bytes:
-    """Return the bytes of records, one after the other."""
     return b"".join(map(encode, records))

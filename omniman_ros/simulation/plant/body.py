@@ -40,8 +40,4 @@ class Body(Protocol):
         """Integrate one substep with voltages (n,) requested from the amplifiers [V]."""
 
     def configure(self, robot: Robot, parameters: SimulationParameters) -> None:
-        """Replace robot data and parameters together, also in motion.
-
-        Raises:
-            ParameterError: One of them is refused; nothing is changed then.
-        """
+        """Replace robot data and parameters, both or neither; a ParameterError refuses them."""

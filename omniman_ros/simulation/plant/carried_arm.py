@@ -45,7 +45,6 @@ def carried_arm(arm: Arm, mount: Mount, posture: Sequence[float]) -> Arm:
     What the arm's mass is beyond the links' is the tool's. A lighter arm has lighter links.
 
     Args:
-        arm: Mass of the arm, and centre of its tool.
         posture: Joint angles (6,) [rad].
     """
     weight = min(1.0, arm.mass / ARM_MASS)
@@ -62,7 +61,6 @@ def carried_arm(arm: Arm, mount: Mount, posture: Sequence[float]) -> Arm:
 
 
 def _body_of(inertia: Inertia, weight: float) -> _Body:
-    """Return a link in its own frame, with a fraction of its mass."""
     axes = _fixed_axes(inertia.rpy)
     tensor = axes @ np.diag(inertia.moments) @ axes.T
     return _Body(weight * inertia.mass, np.array(inertia.centre), weight * tensor)

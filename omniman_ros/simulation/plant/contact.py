@@ -47,11 +47,7 @@ class Mounting:
 
 
 def mounted_wheels(wheels: Wheels, mismatch: MismatchParameters) -> list[Mounting]:
-    """Return the mountings of the real wheels, which differ from the robot's data.
-
-    Raises:
-        ParameterError: A mismatch has neither one value nor one per wheel.
-    """
+    """Return the real wheels' mountings; mismatches of a wrong number raise a ParameterError."""
     n = len(wheels.names)
 
     def added(name: str) -> Sequence[float]:
@@ -77,9 +73,6 @@ def roller_directions(
 
     Args:
         x, y: Contact, relative to the point whose twist is used, in the chassis frame [m].
-        heading: Rolling direction of the wheel in the chassis frame [rad].
-        roller_angle: Angle from the wheel's rolling direction to the roller's axis [rad].
-        radius: Wheel radius [m].
 
     Returns:
         The direction along the roller's axis, and the one across it, 90 degrees further.
@@ -104,9 +97,7 @@ def wheel_loads(
     over the others again.
 
     Args:
-        x: Contact points in the chassis frame, forward (n,) [m].
-        y: Contact points in the chassis frame, to the left (n,) [m].
-        com: Centre of mass in the same frame [m].
+        x, y, com: Contact points (n,) and centre of mass in the chassis frame [m].
         weight: Weight [N].
 
     Returns:
@@ -131,11 +122,7 @@ def wheel_loads(
 
 
 def centre_of_mass(robot: Robot) -> tuple[float, tuple[float, float], float]:
-    """Combine platform and arm into one rigid body (parallel axis theorem).
-
-    Returns:
-        Mass [kg], centre of mass (x, y) in base_link [m], and inertia about it [kg m^2].
-    """
+    """Return mass [kg], centre of mass (x, y) in base_link [m], and inertia about it [kg m^2]."""
     parts = [(part.mass, part.com_x, part.com_y, part.inertia) for part in (robot.body, robot.arm)]
     mass = sum(part[0] for part in parts)
     x = sum(part[0] * part[1] for part in parts) / mass
@@ -201,11 +188,9 @@ class Contact:
         self.slope = slope * weight
 
     def resolve(self, speed: float, tolerance: float) -> bool:
-        """Set the speed at the end of the step, and return whether the force fits the law.
+        """Set the speed at the end of the step [m/s]; return whether the force fits the law.
 
-        Args:
-            speed: Speed of the contact at the end of the step [m/s].
-            tolerance: Allowed deviation from the law, as a fraction of the bound.
+        `tolerance` is the allowed deviation, as a fraction of the bound.
         """
         self.speed = speed
         force = self.force = self.offset - self.slope * speed

@@ -6,18 +6,12 @@ from dataclasses import dataclass
 from omniman_ros.core.robot import Robot
 from omniman_ros.simulation.plant.parameters import FirmwareParameters
 
-#: Time constant of the velocity that is estimated from the back-EMF [s]
-BACK_EMF_TIME_CONSTANT = 0.01
-#: Time for which that estimate must differ from the encoder's velocity for a fault [s]
-MISMATCH_TIME = 0.1
-#: Fraction of the estimated velocity in the allowed difference, because motors differ
-VELOCITY_TOLERANCE_FRACTION = 0.25
-#: Fraction of the no-load velocity in the allowed difference, because amplifiers differ
-VOLTAGE_TOLERANCE_FRACTION = 0.1
-#: Fraction of the largest current below which the motor's circuit counts as open
-OPEN_CIRCUIT_FRACTION = 0.01
-#: Fraction of the largest current from which on the current counts as limited
-SATURATION_FRACTION = 0.98
+BACK_EMF_TIME_CONSTANT = 0.01  #: Time constant of the velocity by the back-EMF [s]
+MISMATCH_TIME = 0.1  #: Time for which it must differ from the encoder's for a fault [s]
+VELOCITY_TOLERANCE_FRACTION = 0.25  #: Allowed difference over the velocity: motors differ
+VOLTAGE_TOLERANCE_FRACTION = 0.1  #: Allowed difference over the no-load velocity
+OPEN_CIRCUIT_FRACTION = 0.01  #: Ratio to the largest current below which a circuit is open
+SATURATION_FRACTION = 0.98  #: Ratio to the largest current from which it is limited
 
 
 class DriveUnitMode(enum.Enum):
@@ -31,21 +25,15 @@ class DriveUnitMode(enum.Enum):
 
 @dataclass(frozen=True)
 class DriveSettings:
-    """Nominal values that a drive unit knows of its motor from commissioning.
+    """Nominal values that a drive unit knows of its motor from commissioning."""
 
-    Attributes:
-        resistance, inductance: Resistance [ohm] and inductance [H] of the motor.
-        max_voltage, max_current: Limits of voltage [V] and current [A].
-    """
-
-    resistance: float
-    inductance: float
+    resistance: float  #: Resistance of the motor [ohm]
+    inductance: float  #: Inductance of the motor [H]
     back_emf: float  #: Torque constant times gear ratio, K N, at the wheel [V s/rad] or [N m/A]
     efficiency: float  #: Efficiency of the gear
-    max_voltage: float
-    max_current: float
-    #: Inertia of the wheel and of its share of the robot's mass, at the wheel [kg m^2]
-    inertia: float
+    max_voltage: float  #: Limit of the voltage [V]
+    max_current: float  #: Limit of the current [A]
+    inertia: float  #: Inertia of wheel and its share of the robot, at the wheel [kg m^2]
     step: float  #: Period of the loops [s]
     firmware: FirmwareParameters  #: Parameters of the loops
 
@@ -136,14 +124,7 @@ class DriveUnit:
     def command_velocity(
         self, velocity: float, torque: float, measured: float, current: float
     ) -> None:
-        """Set a velocity setpoint and a feed-forward torque; enter velocity mode.
-
-        Args:
-            velocity: Setpoint [rad/s].
-            torque: Feed-forward torque at the wheel [N m].
-            measured: Measured velocity, from which the mode is entered [rad/s].
-            current: Measured current, from which the mode is entered [A].
-        """
+        """Set a velocity [rad/s] and a feed-forward torque [N m]; enter the mode as measured."""
         if self.mode is not DriveUnitMode.VELOCITY:
             self._enter_velocity(measured, current, torque)
         elif self._is_halted:
@@ -192,15 +173,7 @@ class DriveUnit:
         self._ramp = self._settings.firmware.acceleration
 
     def update(self, velocity: float, current: float) -> float:
-        """Run the loops once.
-
-        Args:
-            velocity: Measured velocity [rad/s].
-            current: Measured current [A].
-
-        Returns:
-            Voltage to apply to the motor until the next run [V].
-        """
+        """Return the voltage to apply to the motor until the next run [V], as measured."""
         if self.mode is DriveUnitMode.OFF:
             # The terminals have the back-EMF, at which the next mode begins.
             self.voltage = self._settings.back_emf * velocity

@@ -16,8 +16,7 @@ from omniman_ros.simulation.plant.energy_ledger import EnergyLedger
 from omniman_ros.simulation.plant.parameters import SimulationParameters, flags
 from omniman_ros.simulation.plant.plant import Plant
 
-#: Longest time between two calls that is integrated [s]; by then everything is at rest
-MAX_GAP = 5.0
+MAX_GAP = 5.0  #: Longest time between two calls that is integrated [s]; all rests by then
 
 
 class DrivenWheels:
@@ -25,17 +24,11 @@ class DrivenWheels:
 
     The substeps are on a fixed grid that begins at the first `now`; measurements are at most one
     substep old. A time before the latest one changes nothing. Wheels are numbered in the
-    robot's order.
+    robot's order. Times and poses raise the errors of :class:`SimulatedDrives`.
 
     Args:
         body: What the drives move, of this robot and with these parameters; None for a
             :class:`Plant`.
-
-    Attributes:
-        plant: Body and wheels.
-        units: Drive units of the wheels.
-        encoders: Encoders of the wheels.
-        steps: Number of substeps that were run.
 
     Raises:
         ParameterError: The robot or the parameters are refused.
@@ -49,8 +42,9 @@ class DrivenWheels:
         body: Body | None = None,
     ) -> None:
         self._random = random.Random(seed)
-        self.plant = Plant(robot, parameters) if body is None else body
+        self.plant = Plant(robot, parameters) if body is None else body  #: Body and wheels
         firmware, step = parameters.firmware, parameters.plant.substep
+        #: Drive units of the wheels
         self.units = [DriveUnit(settings) for settings in drive_settings(robot, firmware, step)]
         self.encoders = [
             Encoder(
@@ -62,7 +56,7 @@ class DrivenWheels:
         self._released = [False for _ in self.units]
         self._step = step
         self._origin: float | None = None
-        self.steps = 0
+        self.steps = 0  #: Number of substeps that were run
         self.configure(robot, parameters)
 
     def __len__(self) -> int:
@@ -111,11 +105,7 @@ class DrivenWheels:
     # time
 
     def advance(self, now: float) -> None:
-        """Integrate up to time `now` [s]; the first call sets the origin.
-
-        Raises:
-            InputError: The time is not finite.
-        """
+        """Integrate up to time `now` [s]; the first call sets the origin."""
         for _ in self.due(now):
             self.step()
 
@@ -123,9 +113,6 @@ class DrivenWheels:
         """Yield the start of each substep up to time `now` [s], relative to the origin [s].
 
         The caller must run each by :meth:`step` before it requests the next.
-
-        Raises:
-            InputError: The time is not finite.
         """
         if not math.isfinite(now):
             raise InputError(f"time must be finite: {now}")
@@ -205,14 +192,7 @@ class DrivenWheels:
         return self.plant.pose, self.plant.twist
 
     def set_pose(self, pose: Sequence[float] | Array) -> None:
-        """Move the robot to another pose in the world; its motion in its own frame continues.
-
-        Args:
-            pose: Pose (x, y, heading) of base_link, of shape (3,) [m, m, rad].
-
-        Raises:
-            InputError: The pose has a wrong size or is not finite, or there is no room.
-        """
+        """Move the robot to a pose (3,) in the world [m, m, rad]; its own motion continues."""
         values = [float(value) for value in pose]
         if len(values) != 3 or not all(map(math.isfinite, values)):
             raise InputError(f"a pose must be three finite numbers, got {values}")
@@ -226,11 +206,7 @@ class DrivenWheels:
     # parameters
 
     def configure(self, robot: Robot, parameters: SimulationParameters) -> None:
-        """Replace robot data and parameters together, also in motion.
-
-        Raises:
-            ParameterError: One of them is refused; nothing is changed then.
-        """
+        """Replace robot data and parameters together, also in motion."""
         firmware, faults, names = parameters.firmware, parameters.faults, robot.wheels.names
         frozen = flags("faults.frozen_encoder", faults.frozen_encoder, names)
         self.plant.configure(robot, parameters)

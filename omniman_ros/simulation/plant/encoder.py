@@ -24,19 +24,14 @@ class Encoder:
         counts: Counts per revolution of the wheel.
         window: Shortest time between the edges that are used [s].
         timeout: Time without an edge after which the wheel counts as standing [s].
-
-    Attributes:
-        count: Counted steps: floor(angle / resolution), unbounded.
-        velocity: Measured velocity [rad/s].
-        frozen: Whether count and velocity do not change, as a fault.
     """
 
     def __init__(self, counts: int, window: float, timeout: float) -> None:
         self.resolution = REVOLUTION / counts
         self.window, self.timeout = window, timeout
-        self.count = 0
+        self.count = 0  #: Counted steps: floor(angle / resolution), unbounded
         self.velocity = self._velocity = 0.0
-        self.frozen = False
+        self.frozen = False  #: Whether count and velocity do not change, as a fault
         self._missed = False
         self._edges: deque[tuple[float, int]] = deque()
 
@@ -46,14 +41,7 @@ class Encoder:
         return self.count * self.resolution
 
     def update(self, start: float, end: float, before: float, after: float) -> None:
-        """Follow the wheel over an interval in which its speed is constant.
-
-        Args:
-            start: Start of the interval [s].
-            end: End of the interval [s].
-            before: Angle of the wheel at the start [rad].
-            after: Angle of the wheel at the end [rad].
-        """
+        """Follow the angle from `before` to `after` [rad] in an interval [s] of constant speed."""
         if self.frozen:
             self._missed = True
             return

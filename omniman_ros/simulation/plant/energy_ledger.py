@@ -8,8 +8,7 @@ class EnergyLedger:
     """Energies since the start [J]. No entry is computed as the remainder of the others."""
 
     electrical: float  #: Work of the amplifiers, the integral of v i
-    #: Work done on the robot from outside, when it is lifted or its mass is changed in motion
-    external: float
+    external: float  #: Work from outside, when the robot is lifted or its mass is changed
     copper: float  #: Loss in the windings, the integral of R i^2
     gear: float  #: Loss in the gears
     shaft: float  #: Loss by viscous and Coulomb friction at the axles
@@ -17,8 +16,7 @@ class EnergyLedger:
     slip: float  #: Loss by slip along the rollers' axes
     kinetic: float  #: Change of the kinetic energy of body and wheels
     inductive: float  #: Change of the energy L i^2 / 2 in the motors
-    #: Integral of the sum of the magnitudes of all powers, the scale of `residual`
-    turnover: float
+    turnover: float  #: Integral of the magnitudes of all powers, the scale of `residual`
 
     @property
     def losses(self) -> dict[str, float]:

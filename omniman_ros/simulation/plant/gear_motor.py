@@ -68,9 +68,6 @@ class GearMotor:
         A chopper, far faster than the step, lowers the voltage so far that the current at the end
         of the step keeps its limit, unless the back-EMF alone drives more.
 
-        Args:
-            mean: Latest estimate of the wheel speed w_mid [rad/s].
-
         Returns:
             Whether the amplifier limits the current as before: above, below or not at all.
         """
@@ -92,15 +89,7 @@ class GearMotor:
         return self._limited == previous
 
     def _finish_current(self, step: float, travel: float) -> tuple[float, float]:
-        """Close the step: current, angle and electrical energies.
-
-        Args:
-            step: Length of the step [s].
-            travel: Rotation of the wheel in the step [rad].
-
-        Returns:
-            Energy drawn, and energy lost in the winding, in the step [J].
-        """
+        """Close the step; return the energies drawn, and lost in the winding, in it [J]."""
         current = self.mean_current
         electrical = self.voltage * current * step
         copper = self.resistance * current * current * step
@@ -117,10 +106,6 @@ def configure_motors(
     motors: Sequence[GearMotor], robot: Robot, parameters: SimulationParameters
 ) -> None:
     """Set the constants of a robot's gear motors; their state stays as it is.
-
-    Args:
-        motors: Gear motors of the wheels, in the robot's order.
-        parameters: Mismatch, faults and substep.
 
     Raises:
         ParameterError: An array has neither one value nor one per wheel, or a wheel is unknown;

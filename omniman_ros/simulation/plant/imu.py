@@ -49,12 +49,7 @@ def planar_motion(twist: Array) -> BaseMotion:
 
 
 class SimulatedImu:
-    """Measures the present rate, and the mean acceleration since the last measurement.
-
-    Args:
-        mount: Pose of the sensor in base_link.
-        gravity: Gravity [m/s^2].
-    """
+    """Measures the present rate, and the mean acceleration since the last measurement."""
 
     def __init__(
         self, mount: ImuMount, parameters: ImuSensorParameters, gravity: float, seed: int = 0
@@ -76,10 +71,6 @@ class SimulatedImu:
 
     def measure(self, time: float, motion: BaseMotion) -> tuple[Array, Array] | None:
         """Return what the sensor measures at `time`.
-
-        Args:
-            time: Time [s].
-            motion: Motion of base_link at that time.
 
         Returns:
             Angular velocity (3,) [rad/s], and acceleration (3,) with gravity, upward at rest

@@ -15,13 +15,7 @@ class LossyChannel(Generic[T]):
         self._waiting: deque[tuple[float, T]] = deque()
 
     def put(self, item: T, now: float, lost: float = 0.0, late: float = 0.0) -> None:
-        """Send an item.
-
-        Args:
-            now: Time [s].
-            lost: Probability that the item is lost, 0 to 1.
-            late: Delay until the item arrives [s].
-        """
+        """Send an item, with a probability to lose it, 0 to 1, and a delay [s]."""
         if lost <= 0.0 or self._random.random() >= lost:
             self._waiting.append((now + late, item))
 

@@ -201,22 +201,14 @@ class SimulationParameters:
 
 
 def per_wheel(name: str, values: Floats, n: int) -> Floats:
-    """Return n values; one given value applies to all wheels.
-
-    Raises:
-        ParameterError: There are neither one nor n values.
-    """
+    """Return n values of one or n; other numbers of them raise a ParameterError."""
     if len(values) not in (1, n):
         raise ParameterError(name, values, f"must have one value or {n}, one per wheel")
     return values if len(values) == n else values * n
 
 
 def flags(name: str, chosen: Names, names: Names) -> tuple[bool, ...]:
-    """Return, for each wheel of `names`, whether it is among `chosen`.
-
-    Raises:
-        ParameterError: A chosen name is not a wheel.
-    """
+    """Return which of `names` are chosen; a choice beyond them raises a ParameterError."""
     for wheel in chosen:
         if wheel not in names:
             raise ParameterError(name, wheel, f"must be one of {', '.join(names)}")

@@ -33,9 +33,6 @@ class Plant:
     the body's three velocities (Newton, 1 to 2 iterations), in the chassis frame at the end of the
     step, where the contact laws hold.
 
-    Args:
-        parameters: Plant, mismatch and faults.
-
     Raises:
         ParameterError: The robot tips over, or an array has neither one value nor one per wheel.
     """
@@ -59,9 +56,6 @@ class Plant:
         """Replace parameters or masses; pose, velocities and wheels stay as they are.
 
         A change of kinetic energy by this counts as external work.
-
-        Raises:
-            ParameterError: As in the constructor; nothing is changed then.
         """
         plant, mismatch = parameters.plant, parameters.mismatch
         wheels, friction = robot.wheels, robot.friction
@@ -128,11 +122,7 @@ class Plant:
         )
 
     def set_pose(self, pose: Sequence[float] | NDArray[np.float64]) -> None:
-        """Set the pose; the robot's velocities in its own frame stay as they are.
-
-        Args:
-            pose: Pose (x, y, heading) of base_link in the world [m], [rad], shape (3,).
-        """
+        """Set the pose (3,) [m, m, rad]; the velocities in the robot's frame stay as they are."""
         x, y, heading = (float(value) for value in pose)
         rotation = heading - self._heading
         vx, vy = self._velocity
@@ -155,11 +145,9 @@ class Plant:
     def set_twist(
         self, twist: Sequence[float] | NDArray[np.float64], external: bool = True
     ) -> None:
-        """Set the twist of the body; the wheel speeds stay as they are.
+        """Set the twist (3,) of base_link [m/s, rad/s]; the wheel speeds stay as they are.
 
-        Args:
-            twist: Twist of base_link in its own frame [m/s], [rad/s], shape (3,).
-            external: Whether to count the change of energy as external work.
+        Unless `external` is false, the change of energy counts as external work.
         """
         last_kinetic = self.kinetic
         vx, vy, w = (float(value) for value in twist)
@@ -202,7 +190,6 @@ class Plant:
         )
 
     def _update_grip(self) -> None:
-        """Set the grip of each wheel according to the floor below it."""
         if self._patch is None:
             return
         x_min, x_max, y_min, y_max, patch_mu = self._patch
@@ -216,11 +203,7 @@ class Plant:
                 wheel.axis.set_floor(grip, wheel.axis.width)
 
     def step(self, voltages: Sequence[float]) -> None:
-        """Integrate one substep.
-
-        Args:
-            voltages: Voltages (n,) requested from the amplifiers [V], constant over the step.
-        """
+        """Integrate one substep with voltages (n,) requested from the amplifiers [V]."""
         step = self._step
         self._update_grip()
         vx, vy = self._velocity

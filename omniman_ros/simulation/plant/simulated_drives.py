@@ -31,10 +31,9 @@ class SimulatedDrives:
     """Wheel drives of a simulated robot. Time is an argument; nothing here reads a clock.
 
     The substeps are on a fixed grid that begins at the first `now`; feedback is at most one
-    substep old. A time before the latest one has no effect.
-
-    Args:
-        body: What the drives move, see :class:`DrivenWheels`.
+    substep old. A time before the latest one has no effect. A command, a time or a pose of other
+    than finite numbers raises an InputError, refused parameters a ParameterError; neither has an
+    effect.
 
     Raises:
         ParameterError: The robot or the parameters are not valid.
@@ -63,16 +62,7 @@ class SimulatedDrives:
         effort: Sequence[float] | Array | None,
         now: float,
     ) -> None:
-        """Close the velocity loops in the drives.
-
-        Args:
-            velocity: Wheel speeds (n,) [rad/s].
-            effort: Feed-forward torques (n,) at the wheels [N m]; None for zero.
-            now: Time [s].
-
-        Raises:
-            InputError: The values are not n finite numbers; the command then has no effect.
-        """
+        """Close the velocity loops at speeds (n,) [rad/s], with torques (n,) fed forward [N m]."""
         speeds = self._checked("velocity", velocity)
         torques = [0.0] * len(speeds) if effort is None else self._checked("effort", effort)
         if self._accept(now):
@@ -80,22 +70,14 @@ class SimulatedDrives:
                 self._wheels.command_velocity(k, speed, torque)
 
     def command_torque(self, effort: Sequence[float] | Array, now: float) -> None:
-        """Close the current loops only, with torques (n,) at the wheels [N m].
-
-        Raises:
-            InputError: The values are not n finite numbers; the command then has no effect.
-        """
+        """Close the current loops only, with torques (n,) at the wheels [N m]."""
         torques = self._checked("effort", effort)
         if self._accept(now):
             for k, torque in enumerate(torques):
                 self._wheels.command_torque(k, torque)
 
     def command_voltage(self, volts: Sequence[float] | Array, now: float) -> None:
-        """Apply voltages (n,) to the motors [V], clipped to the amplifier's limit.
-
-        Raises:
-            InputError: The values are not n finite numbers; the command then has no effect.
-        """
+        """Apply voltages (n,) to the motors [V], clipped to the amplifier's limit."""
         voltages = self._checked("voltage", volts)
         if self._accept(now):
             for k, voltage in enumerate(voltages):
@@ -163,11 +145,7 @@ class SimulatedDrives:
         return self._wheels.elapsed(now)
 
     def advance(self, now: float) -> None:
-        """Integrate up to time `now` [s]; the first call sets the origin.
-
-        Raises:
-            InputError: The time is not finite.
-        """
+        """Integrate up to time `now` [s]; the first call sets the origin."""
         wheels = self._wheels
         for time in wheels.due(now):
             firmware = self._parameters.firmware
@@ -197,22 +175,11 @@ class SimulatedDrives:
         return self._wheels.electrical()
 
     def ground_truth(self) -> tuple[Array, Array]:
-        """Return pose (x, y, heading) of base_link in the world, and twist in its own frame.
-
-        Returns:
-            Pose (3,) [m], [m], [rad] (not wrapped), and twist (3,) [m/s], [m/s], [rad/s].
-        """
+        """Return pose (3,) and twist (3,) of base_link, as `DrivenWheels.ground_truth` does."""
         return self._wheels.ground_truth()
 
     def set_pose(self, pose: Sequence[float] | Array) -> None:
-        """Set the pose in the world; the robot's motion in its own frame continues.
-
-        Args:
-            pose: Pose (x, y, heading) of base_link [m], [rad], shape (3,).
-
-        Raises:
-            InputError: The pose is not three finite numbers, or there is no room.
-        """
+        """Set the pose (3,) in the world [m, m, rad]; the motion in its own frame continues."""
         self._wheels.set_pose(pose)
 
     @property
@@ -228,18 +195,10 @@ class SimulatedDrives:
         return self._parameters
 
     def set_parameters(self, parameters: SimulationParameters) -> None:
-        """Replace the parameters, also in motion.
-
-        Raises:
-            ParameterError: They are not valid; nothing is changed then.
-        """
+        """Replace the parameters, also in motion."""
         self.configure(self._robot, parameters)
 
     def configure(self, robot: Robot, parameters: SimulationParameters) -> None:
-        """Replace robot data and parameters together.
-
-        Raises:
-            ParameterError: One of them is not valid; nothing is changed then.
-        """
+        """Replace robot data and parameters together."""
         self._wheels.configure(robot, parameters)
         self._robot, self._parameters = robot, parameters

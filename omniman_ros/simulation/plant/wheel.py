@@ -21,14 +21,13 @@ class Wheel(GearMotor):
 
     Attributes:
         axis, free: Contact along the roller's axis (it slips) and across it (it rolls).
-        inertia: Moment of inertia of wheel, gear and rotor about the axle [kg m^2].
         roller, slip: Energies that the contact converted since the start [J].
     """
 
     def __init__(self) -> None:
         super().__init__()
         self.axis, self.free = Contact(), Contact()
-        self.inertia = 1.0
+        self.inertia = 1.0  #: Moment of inertia of wheel, gear and rotor about the axle [kg m^2]
         self.roller = self.slip = 0.0
         self._base = self._load = self._speed0 = 0.0
         self._rate = self._torque_ratio = 1.0
@@ -47,13 +46,7 @@ class Wheel(GearMotor):
         self.speed = self._speed0 = speed
 
     def begin(self, command: float, step: float, ux: float, uy: float, yaw_rate: float) -> None:
-        """Start a step.
-
-        Args:
-            command: Voltage requested from the amplifier [V].
-            step: Length of the step [s].
-            ux, uy, yaw_rate: Twist of the body at the start, in the frame of the step.
-        """
+        """Start a step [s]: requested voltage [V], and twist of the body, in the step's frame."""
         speed0 = self.speed
         self._rate = self.inertia / step
         self.axis.begin(self.axis.slip_speed(ux, uy, yaw_rate, speed0))
@@ -70,9 +63,8 @@ class Wheel(GearMotor):
     def reduce(self, system: list[float]) -> None:
         """Add the wheel, with its own speed eliminated, to the equations of the body.
 
-        Args:
-            system: Upper triangle of the symmetric matrix (11, 12, 13, 22, 23, 33) and the right
-                side (1, 2, 3) of the equation for the twist at the end of the step.
+        `system` has the upper triangle of the symmetric matrix (11, 12, 13, 22, 23, 33) and the
+        right side (1, 2, 3) of the equation for the twist at the end of the step.
         """
         axis, free = self.axis, self.free
         axis.linearise()
@@ -124,12 +116,9 @@ class Wheel(GearMotor):
         system[8] += a3 * pa + b3 * pb + g3 * base
 
     def resolve(self, ux: float, uy: float, yaw_rate: float, tolerance: float) -> bool:
-        """Set the twist at the end of the step, and return whether all laws now hold.
+        """Set the twist at the end of the step; return whether all laws hold.
 
-        Args:
-            ux, uy, yaw_rate: Twist of the body at the end, in the frame of the step.
-            tolerance: Allowed deviation of a contact force from its law, as a fraction of its
-                bound.
+        `tolerance` is the allowed deviation of a contact force, as a fraction of its bound.
         """
         axis, free = self.axis, self.free
         h1, h2, h3 = self._gain
@@ -181,15 +170,7 @@ class Wheel(GearMotor):
         return (driving, driven) if torque > 0.0 else (driven, driving)
 
     def finish(self, step: float, ux: float, uy: float, yaw_rate: float) -> float:
-        """Close the step: angle, current and energies.
-
-        Args:
-            step: Length of the step [s].
-            ux, uy, yaw_rate: Mean twist of the body over the step.
-
-        Returns:
-            Sum of the magnitudes of the energies that the wheel converted in the step [J].
-        """
+        """Close the step; return the sum of the magnitudes of the converted energies [J]."""
         mean = 0.5 * (self._speed0 + self.speed)
         current = self.mean_current
         torque = self.back_emf * current

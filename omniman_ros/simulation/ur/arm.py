@@ -140,14 +140,6 @@ class SimulatedArm:
 
     Nothing loads or obstructs the joints. They are therefore their own reference, and the
     deviations from a reference are zero.
-
-    Attributes:
-        q: Angles [rad].
-        qd: Speeds [rad/s].
-        qdd: Accelerations in the last cycle [rad/s^2].
-        dynamics: Model of the torques.
-        lost_motion: Zero (6,) [rad].
-        unexpected_torque: Zero (6,) [N m].
     """
 
     is_connected = True
@@ -155,12 +147,12 @@ class SimulatedArm:
 
     def __init__(self, parameters: UrArmParameters) -> None:
         self.parameters = parameters
-        self.q: Array = np.array(parameters.initial)
-        self.qd: Array = np.zeros(JOINTS)
-        self.qdd: Array = np.zeros(JOINTS)
-        self.dynamics = ArmDynamics(parameters.payload)
-        self.lost_motion: Array = np.zeros(JOINTS)
-        self.unexpected_torque: Array = np.zeros(JOINTS)
+        self.q: Array = np.array(parameters.initial)  #: Angles [rad]
+        self.qd: Array = np.zeros(JOINTS)  #: Speeds [rad/s]
+        self.qdd: Array = np.zeros(JOINTS)  #: Accelerations in the last cycle [rad/s^2]
+        self.dynamics = ArmDynamics(parameters.payload)  #: Model of the torques
+        self.lost_motion: Array = np.zeros(JOINTS)  #: Zero (6,) [rad]
+        self.unexpected_torque: Array = np.zeros(JOINTS)  #: Zero (6,) [N m]
         self._is_locked = False
 
     @property

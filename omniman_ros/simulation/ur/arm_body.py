@@ -58,11 +58,7 @@ class ArmBody(JointMotion, Protocol):
         """Whether the arm counts as at rest."""
 
     def measure(self, time: float) -> None:
-        """Measure at the beginning of a cycle.
-
-        Args:
-            time: Instant of the cycle on the clock of its thread [s].
-        """
+        """Measure at the beginning of a cycle, an instant on the clock of its thread [s]."""
 
     def follow(self, target: Array, dt: float) -> None:
         """Follow target angles (6,) [rad] for a time dt [s]."""

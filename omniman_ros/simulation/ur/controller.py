@@ -34,25 +34,20 @@ class RunningProgram(Protocol):
 
     def step(self) -> None:
         """Run all threads until each waits; called once per cycle."""
-        ...
 
     def stop(self, reason: str) -> None:
         """End the program; do nothing if it has ended."""
-        ...
 
     def close_popups(self) -> None:
         """Close all messages on the pendant."""
-        ...
 
     @property
     def running(self) -> bool:
         """Whether the program has not ended."""
-        ...
 
     @property
     def end_reason(self) -> str:
         """Why the program has ended, or an empty string."""
-        ...
 
 
 #: Parses the text of a program and starts it on a controller, or raises ScriptError
@@ -75,34 +70,25 @@ class Controller:
     """A UR5 with a CB3 controller, without its ports.
 
     Attributes:
-        faults: Faults that are simulated; may be replaced at any time.
-        slider: Position of the speed slider, 0.01 to 1; may be set at any time.
-        arm: The joints.
         is_booting: Whether the joints have never answered, so that nobody knows where they are.
-        target: Point of the trajectory that the joints follow.
-        target_qdd: Acceleration of the target (6,) [rad/s^2].
         modes: Modes of robot and safety.
         runtime: State of the program.
-        registers: Registers shared by programs and RTDE clients.
-        log: Messages of programs, and events.
-        end_reason: Why the last program ended; empty while one runs.
-        counts: Numbers of events.
         fraction: Speed slider as it is in effect, 0 to 1.
         limiter: Speed limit of a pause as it is in effect, 0 to 1.
     """
 
     def __init__(self, parameters: UrArmParameters, arm: ArmBody, launch: Launch) -> None:
-        self.faults = UrFaultParameters()
-        self.slider = 1.0
+        self.faults = UrFaultParameters()  #: Simulated faults; may be replaced at any time
+        self.slider = 1.0  #: Position of the speed slider, 0.01 to 1; may be set at any time
         self.arm, self.is_booting = arm, not arm.is_connected
-        self.target = Target(arm.q.copy())
-        self.target_qdd: Array = np.zeros(JOINTS)
+        self.target = Target(arm.q.copy())  #: Point of the trajectory that the joints follow
+        self.target_qdd: Array = np.zeros(JOINTS)  #: Acceleration of the target (6,) [rad/s^2]
         robot = RobotMode.RUNNING if arm.is_connected else RobotMode.DISCONNECTED
         self.modes, self.runtime = Modes(robot), RuntimeState.STOPPED
-        self.registers = Registers()
-        self.log: deque[str] = deque(maxlen=LOG_LENGTH)
-        self.end_reason = ""
-        self.counts = Counts()
+        self.registers = Registers()  #: Registers shared by programs and RTDE clients
+        self.log: deque[str] = deque(maxlen=LOG_LENGTH)  #: Messages of programs, and events
+        self.end_reason = ""  #: Why the last program ended; empty while one runs
+        self.counts = Counts()  #: Numbers of events
         self.fraction, self.limiter = 1.0, 1.0
         self._parameters, self._checks = parameters, SafetyChecks(parameters)
         self._launch = launch
@@ -190,7 +176,6 @@ class Controller:
             self.stop(program.end_reason)
 
     def _advance(self) -> None:
-        """Move target and joints by one cycle, or stop them."""
         if self.modes.braked:
             self.target = Target(self.arm.q.copy())
             self.arm.lock()
@@ -335,13 +320,9 @@ class Controller:
             self._program.close_popups()
 
     def power(self, wanted: RobotMode) -> bool:
-        """Switch power and brakes; switching off ends the program.
+        """Switch to POWER_OFF, IDLE or RUNNING; return False if that is not possible now.
 
-        Args:
-            wanted: POWER_OFF, IDLE or RUNNING.
-
-        Returns:
-            False if that is not possible now.
+        Switching off ends the program.
         """
         modes = self.modes.power(wanted, self._now)
         if modes is None:

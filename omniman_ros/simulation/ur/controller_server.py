@@ -20,8 +20,7 @@ from omniman_ros.simulation.ur.urscript.compiler import Program as Text
 from omniman_ros.simulation.ur.urscript.machine import Machine
 from omniman_ros.simulation.ur.world_arm import WorldArm
 
-#: Delay above which missed cycles are skipped, so that the controller's time stops [s]
-MAX_DELAY = 1.0
+MAX_DELAY = 1.0  #: Delay above which missed cycles are skipped: the time stops [s]
 #: Matches a number on the line after its "=", before anything else on that line
 NEXT_LINE = re.compile(r"=[ \t]*(?:#[^\n]*)?\n[ \t]*(-?[0-9.]+)[ \t]*")
 
@@ -58,20 +57,12 @@ class MeasuredMotion:
 class ControllerServer:
     """A simulated UR controller on TCP.
 
-    Args:
-        pace: Time on which the thread runs; None for real time.
-
     Attributes:
-        controller: The controller; other threads may set its `faults` and `slider`, and read
-            the rest.
-        network: Connections of the program.
-        ports: Ports of the controller.
         late: Number of cycles that began more than a cycle late.
         lost: Total time of the skipped cycles [s].
         done: Time up to which all cycles have been run [s].
         measured: Motion of the joints at the beginning of the last cycle; None before the first.
             It is replaced as a whole, so that other threads may read it.
-        error: Exception that ended the thread, or None.
 
     Raises:
         ParameterError: A port is not available.
@@ -80,15 +71,17 @@ class ControllerServer:
     def __init__(
         self, arm: UrArmParameters, ports: UrPortParameters, pace: Pace | None = None
     ) -> None:
-        self.network = ProgramSockets()
+        self.network = ProgramSockets()  #: Connections of the program
         body = make_arm(arm, is_lockstep=pace is not None)
+        #: The controller; other threads may set its `faults` and `slider`, and read the rest
         self.controller = Controller(arm, body, launcher(self.network))
+        #: Ports of the controller
         self.ports = ControllerPorts(self.controller, self.network, ports)
         self.late, self.lost, self.done = 0, 0.0, 0.0
         self.measured: MeasuredMotion | None = None
         self._pace = pace or RealTime()
         self._has_run = threading.Condition()
-        self.error: Exception | None = None
+        self.error: Exception | None = None  #: Exception that ended the thread, or None
         self._closing, self._power_off = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run, name="simulated_ur", daemon=True)
 
@@ -97,12 +90,7 @@ class ControllerServer:
         self._thread.start()
 
     def cycle(self, now: float, due_cycles: int = 1) -> None:
-        """Run one cycle; tests call it instead of starting the thread.
-
-        Args:
-            now: Instant of the cycle on the clock of the thread [s].
-            due_cycles: Number of cycles that are due, this one included.
-        """
+        """Run one cycle of those that are due; tests call it instead of starting the thread."""
         arm = self.controller.arm
         arm.measure(now)
         self.measured = MeasuredMotion(now, arm.q.copy(), arm.qd.copy())

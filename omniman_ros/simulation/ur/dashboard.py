@@ -5,90 +5,30 @@ the replies of a CB3 controller of version 3.15.8 that users have published.
 """
 
 from collections.abc import Callable
-from typing import Protocol
 
 from omniman_ros.core.errors import InputError
-from omniman_ros.simulation.ur.modes import RobotMode, RuntimeState, SafetyMode
+from omniman_ros.simulation.ur.controller import Controller
+from omniman_ros.simulation.ur.modes import RobotMode, RuntimeState
 
 GREETING = "Connected: Universal Robots Dashboard Server"  #: First line of the server
 TOO_EARLY_REPLY = (
     "Cannot unlock protective stop until 5s after occurrence. "
     "Always inspect cause of protective stop before unlocking"
 )  #: Reply to an unlock that is refused
-#: Name and version of the controller's software
-SOFTWARE = "URSoftware 3.15.8.106339 (Jun 20 2022)"
+SOFTWARE = "URSoftware 3.15.8.106339 (Jun 20 2022)"  #: The controller's software
 MAX_LINE = 4096  #: Length of the longest line that is accepted [bytes]
 
 
-class Pendant(Protocol):
-    """Actions and indicators of the teach pendant."""
-
-    @property
-    def runtime(self) -> RuntimeState:
-        """State of the program."""
-        ...
-
-    @property
-    def robot_mode(self) -> RobotMode:
-        """Mode of the arm."""
-        ...
-
-    @property
-    def safety_mode(self) -> SafetyMode:
-        """Mode of the safety system."""
-        ...
-
-    def play(self) -> bool:
-        """Resume a paused program; return False if there is none, or the arm must not move."""
-        ...
-
-    def stop(self, reason: str) -> bool:
-        """End the program; return False if there is none."""
-        ...
-
-    def pause(self) -> bool:
-        """Pause the program; return False if none is playing."""
-        ...
-
-    def unlock(self) -> bool:
-        """Unlock the protective stop; return False if it is too early, or there is none."""
-        ...
-
-    def power(self, wanted: RobotMode) -> bool:
-        """Switch to POWER_OFF, IDLE or RUNNING; return False if that is not possible."""
-        ...
-
-    def popup(self, text: str) -> None:
-        """Show a text."""
-        ...
-
-    def close_popups(self) -> None:
-        """Close all popups."""
-        ...
-
-    def textmsg(self, text: str) -> None:
-        """Write a line into the log."""
-        ...
-
-
 class DashboardSession:
-    """Session of one client.
+    """Session of one client."""
 
-    Attributes:
-        closed: Whether the client has sent `quit`.
-    """
-
-    def __init__(self, pendant: Pendant) -> None:
-        self.closed = False
-        self._pendant = pendant
+    def __init__(self, controller: Controller) -> None:
+        self.closed = False  #: Whether the client has sent `quit`
+        self._controller = controller
         self._unread = b""
 
     def receive(self, data: bytes) -> bytes:
-        """Process received bytes, and return the replies.
-
-        Raises:
-            InputError: A line is longer than 4 KiB.
-        """
+        """Return the replies to received bytes; a line above 4 KiB raises an InputError."""
         *lines, self._unread = (self._unread + data).split(b"\n")
         if len(self._unread) > MAX_LINE:
             raise InputError(f"a line must be at most {MAX_LINE} bytes long")
@@ -111,54 +51,54 @@ class DashboardSession:
     # ---- commands -----------------------------------------------------------------------------
 
     def _play(self) -> str:
-        return "Starting program" if self._pendant.play() else "Failed to execute: play"
+        return "Starting program" if self._controller.play() else "Failed to execute: play"
 
     def _stop(self) -> str:
-        stopped = self._pendant.stop("stopped by the dashboard")
+        stopped = self._controller.stop("stopped by the dashboard")
         return "Stopped" if stopped else "Failed to execute: stop"
 
     def _pause(self) -> str:
-        return "Pausing program" if self._pendant.pause() else "Failed to execute: pause"
+        return "Pausing program" if self._controller.pause() else "Failed to execute: pause"
 
     def _quit(self) -> str:
         self.closed = True
         return "Disconnected"
 
     def _running(self) -> str:
-        running = self._pendant.runtime in (RuntimeState.PLAYING, RuntimeState.RESUMING)
+        running = self._controller.runtime in (RuntimeState.PLAYING, RuntimeState.RESUMING)
         return f"Program running: {str(running).lower()}"
 
     def _program_state(self) -> str:
-        runtime = self._pendant.runtime
+        runtime = self._controller.runtime
         if runtime in (RuntimeState.STOPPED, RuntimeState.STOPPING):
             return "STOPPED null"
         return f"{'PAUSED' if runtime is RuntimeState.PAUSED else 'PLAYING'} null"
 
     def _robot_mode(self) -> str:
-        return f"Robotmode: {self._pendant.robot_mode.name}"
+        return f"Robotmode: {self._controller.robot_mode.name}"
 
     def _safety_mode(self) -> str:
-        return f"Safetymode: {self._pendant.safety_mode.name}"
+        return f"Safetymode: {self._controller.safety_mode.name}"
 
     def _safety_status(self) -> str:
-        return f"Safetystatus: {self._pendant.safety_mode.name}"
+        return f"Safetystatus: {self._controller.safety_mode.name}"
 
     def _unlock(self) -> str:
-        return "Protective stop releasing" if self._pendant.unlock() else TOO_EARLY_REPLY
+        return "Protective stop releasing" if self._controller.unlock() else TOO_EARLY_REPLY
 
     def _power(self, wanted: RobotMode, reply: str, command: str) -> str:
-        return reply if self._pendant.power(wanted) else f"Failed to execute: {command}"
+        return reply if self._controller.power(wanted) else f"Failed to execute: {command}"
 
     def _popup(self, text: str) -> str:
-        self._pendant.popup(text)
+        self._controller.popup(text)
         return "showing popup"
 
     def _close_popup(self) -> str:
-        self._pendant.close_popups()
+        self._controller.close_popups()
         return "closing popup"
 
     def _log(self, text: str) -> str:
-        self._pendant.textmsg(text)
+        self._controller.textmsg(text)
         return "Added log message"
 
 

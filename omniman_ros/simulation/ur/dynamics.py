@@ -24,9 +24,6 @@ class ArmDynamics:
     rotor has an inertia along the axis of its joint alone.
     Source of the algorithm: J. Y. S. Luh, M. W. Walker, R. P. C. Paul, "On-Line Computational
     Scheme for Mechanical Manipulators" (1980).
-
-    Args:
-        payload: Mass of tool and load that the controller reckons with [kg].
     """
 
     def __init__(self, payload: float) -> None:
@@ -39,13 +36,7 @@ class ArmDynamics:
         self._bodies = bodies
 
     def torque(self, q: Array, qd: Array, qdd: Array) -> Array:
-        """Return the torques of the joints without friction (6,) [N m].
-
-        Args:
-            q: Angles (6,) [rad].
-            qd: Speeds (6,) [rad/s].
-            qdd: Accelerations (6,) [rad/s^2].
-        """
+        """Return the torques (6,) [N m] of angles [rad] and their derivatives, no friction."""
         turns, forces, moments = [], [], []
         rate, rate_change = np.zeros(3), np.zeros(3)
         acceleration = np.array([0.0, 0.0, GRAVITY])
@@ -76,17 +67,11 @@ class ArmDynamics:
 
 
 def motor_torque(joint_torque: Array, qd: Array) -> Array:
-    """Return what the motors give for torques of the joints: that, and their friction (6,) [N m].
-
-    Args:
-        joint_torque: Torques of the joints (6,) [N m].
-        qd: Speeds of the joints (6,) [rad/s].
-    """
+    """Return what the motors give for torques of the joints (6,) [N m]: these, and friction."""
     return joint_torque + FRICTION * qd
 
 
 def _skew(v: Array) -> Array:
-    """Return the matrix (3, 3) that forms the cross product of a vector with another."""
     x, y, z = v.tolist()
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 

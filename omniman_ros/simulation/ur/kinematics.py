@@ -73,13 +73,7 @@ def rotation_vector(rotation: Array) -> Array:
 
 
 def twist(q: Array, qd: Array, link: int = 6) -> Array:
-    """Return the velocity of a frame in the base: linear [m/s], angular [rad/s], shape (6,).
-
-    Args:
-        q: Joint angles [rad].
-        qd: Joint speeds [rad/s].
-        link: Number of the frame; 6 is the tool flange.
-    """
+    """Return the twist (6,) of frame `link` in the base [m/s, rad/s]; 6 is the tool flange."""
     chain = frames(q)
     point, result = chain[link][:3, 3], np.zeros(6)
     for frame, speed in zip(chain[:link], qd.tolist(), strict=False):

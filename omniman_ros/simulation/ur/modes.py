@@ -64,10 +64,8 @@ JOINT_RUNNING = 253  #: joint_mode of a joint that runs (RTDE guide, "Joint mode
 JOINT_IDLE = 255  #: joint_mode of a joint with its brake on
 JOINT_POWER_OFF = 239  #: joint_mode of a joint without power
 
-#: Time after a protective stop during which it cannot be unlocked [s] (Dashboard Server)
-UNLOCK_DELAY = 5.0
-#: Duration of each step of switching power and brakes [s]; some seconds on a real arm
-SWITCHING_TIME = 0.5
+UNLOCK_DELAY = 5.0  #: Time after a protective stop in which it stays locked [s] (Dashboard Server)
+SWITCHING_TIME = 0.5  #: Time of each step of switching power and brakes [s]; longer in reality
 
 
 @dataclass(frozen=True)
@@ -141,11 +139,7 @@ class Modes:
         return self
 
     def power(self, wanted: RobotMode, now: float) -> "Modes | None":
-        """Begin to switch to a mode.
-
-        Returns:
-            None if it needs power and the emergency stop is pressed, or if there is no arm.
-        """
+        """Begin to switch to a mode; None without an arm, or if the emergency stop forbids it."""
         if self.robot is RobotMode.DISCONNECTED:
             return None
         if wanted in POWERED and self.safety is SafetyMode.ROBOT_EMERGENCY_STOP:

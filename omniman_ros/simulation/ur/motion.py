@@ -34,11 +34,9 @@ class Motion(Protocol):
     @property
     def over(self) -> bool:
         """Whether the time of the command has passed, or its goal is reached."""
-        ...
 
     def advance(self, target: Target, dt: float) -> None:
         """Move the target for a time [s]."""
-        ...
 
 
 def _shift(target: Target, w: Array, dt: float) -> None:
@@ -47,11 +45,7 @@ def _shift(target: Target, w: Array, dt: float) -> None:
 
 
 class Stop:
-    """Come to rest: the fastest joint decelerates with `a`, the others in proportion.
-
-    Args:
-        a: Deceleration [rad/s^2]; positive.
-    """
+    """Come to rest: the fastest joint decelerates with `a` [rad/s^2], the others in proportion."""
 
     stretched = False
 
@@ -75,9 +69,6 @@ class ServoJ:
     the target lags by the lookahead time.
 
     Args:
-        q: Angles [rad].
-        t: Time for which the command holds [s].
-        lookahead_time: Lag behind the angles in steady motion [s].
         gain: Stiffness of the spring per inertia [1/s^2].
 
     Attributes:

@@ -14,15 +14,12 @@ class Pace(Protocol):
 
     def now(self) -> float:
         """Return the time [s]."""
-        ...
 
     def wait(self, until: float) -> None:
         """Wait until a time [s], or less."""
-        ...
 
     def give_way(self) -> None:
         """Let a client that was delayed as well catch up, between two cycles that are late."""
-        ...
 
 
 class RealTime:

@@ -1,7 +1,5 @@
 """Clients of the controller's ports, without their sockets."""
 
-from typing import Protocol
-
 from omniman_ros.simulation.ur import kinematics, script_protocol
 from omniman_ros.simulation.ur.controller import Controller
 from omniman_ros.simulation.ur.dashboard import GREETING, DashboardSession
@@ -12,20 +10,19 @@ from omniman_ros.simulation.ur.rtde_server import URCONTROL, RtdeFaults, RtdeSer
 SECONDARY_PERIOD = 12  #: Number of cycles between two robot state messages: 10 Hz
 
 
-class PortClient(Protocol):
-    """Protocol of a port with one client."""
+class PortClient:
+    """A client of one port, to which nothing is sent, and which closes the connection itself."""
 
-    #: Whether the client may be slow: it then misses messages instead of being disconnected
-    patient: bool
+    patient = False  #: Whether a slow client misses messages and is not disconnected
 
     @property
     def closed(self) -> bool:
         """Whether the connection is to be closed once everything is sent."""
-        ...
+        return False
 
     def greeting(self) -> bytes:
         """Return the first bytes to send."""
-        ...
+        return b""
 
     def receive(self, data: bytes) -> bytes:
         """Process received bytes, and return the answer.
@@ -34,15 +31,14 @@ class PortClient(Protocol):
             InputError: The bytes are too long for a message.
             RtdeError: The bytes violate the RTDE protocol.
         """
-        ...
+        raise NotImplementedError
 
     def cycle(self) -> bytes:
         """Return the bytes to send in this cycle; called once per cycle."""
-        ...
+        return b""
 
     def close(self) -> None:
         """Release the resources of the client, which has disconnected."""
-        ...
 
 
 class PackageQueue:
@@ -76,24 +72,13 @@ class PackageQueue:
         return head + b"".join(packages) + last[:cut]
 
 
-class RtdeClient:
+class RtdeClient(PortClient):
     """Client of RTDE; one that does not read is disconnected."""
-
-    patient = False
 
     def __init__(self, controller: Controller, owners: dict[str, RtdeServerSession]) -> None:
         self._controller = controller
         self._session = RtdeServerSession(controller, owners)
         self._queue = PackageQueue()
-
-    @property
-    def closed(self) -> bool:
-        """Always False: only the client closes this connection."""
-        return False
-
-    def greeting(self) -> bytes:
-        """Return nothing: the client sends first."""
-        return b""
 
     def receive(self, data: bytes) -> bytes:
         """Process received bytes, and return the answers."""
@@ -115,12 +100,8 @@ class RtdeClient:
         self._session.close()
 
 
-class ScriptClient:
-    """Client that sends programs; two of the three ports also send the robot state.
-
-    Args:
-        sends_state: Whether the port sends the version message and the robot state.
-    """
+class ScriptClient(PortClient):
+    """Client that sends programs; two of the three ports also send the robot state."""
 
     patient = True
 
@@ -128,11 +109,6 @@ class ScriptClient:
         self._controller, self._sends_state = controller, sends_state
         self._reader = script_protocol.ProgramReader()
         self._cycles = 0
-
-    @property
-    def closed(self) -> bool:
-        """Always False: only the client closes this connection."""
-        return False
 
     def greeting(self) -> bytes:
         """Return the version message."""
@@ -151,14 +127,9 @@ class ScriptClient:
             return b""
         return script_protocol.robot_state(state_of(self._controller))
 
-    def close(self) -> None:
-        """Do nothing: the client owns nothing."""
 
-
-class DashboardClient:
+class DashboardClient(PortClient):
     """Client of the dashboard."""
-
-    patient = False
 
     def __init__(self, controller: Controller) -> None:
         self._dashboard = DashboardSession(controller)
@@ -175,13 +146,6 @@ class DashboardClient:
     def receive(self, data: bytes) -> bytes:
         """Process received bytes, and return one line of reply for each line."""
         return self._dashboard.receive(data)
-
-    def cycle(self) -> bytes:
-        """Return nothing: the dashboard only answers."""
-        return b""
-
-    def close(self) -> None:
-        """Do nothing: the client owns nothing."""
 
 
 def state_of(c: Controller) -> script_protocol.RobotState:

@@ -15,11 +15,7 @@ from omniman_ros.simulation.ur.urscript.host import Done, Joints
 
 
 class ProgramHost:
-    """Implements the `Host` of one program by the controller and its sockets.
-
-    Args:
-        controller: Controller that runs the program.
-    """
+    """Implements the `Host` of one program by the controller and its sockets."""
 
     def __init__(self, controller: Controller, network: ProgramSockets) -> None:
         self._controller, self._network = controller, network

@@ -41,9 +41,6 @@ class ProgramSockets:
         A controller that was held up runs the cycles that it missed. What arrived meanwhile is
         spread evenly over them, as if it had been read when it arrived; read all at once, it
         would be a jump that no real controller sees, because none is held up.
-
-        Args:
-            due_cycles: Number of cycles that are due, this one included.
         """
         self._allowances.clear()
         if due_cycles > 1:

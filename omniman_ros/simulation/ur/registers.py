@@ -7,25 +7,20 @@ from omniman_ros.simulation.ur.urscript.errors import ScriptRuntimeError
 
 #: Groups of digital outputs: first bit and number of bits of actual_digital_output_bits
 DIGITAL = {"standard": (0, 8), "configurable": (8, 8), "tool": (16, 2)}
-#: Number of the first bit that RTDE transfers by itself; lower ones are in groups of 32
-GROUPED = 64
+GROUPED = 64  #: First bit that RTDE transfers by itself; lower ones are in groups of 32
 
 
 class Registers:
-    """All registers and digital outputs, initially zero.
-
-    Attributes:
-        values: Value of each RTDE field of this kind.
-        digital_outputs: Bits, see DIGITAL.
-    """
+    """All registers and digital outputs, initially zero."""
 
     def __init__(self) -> None:
+        #: Value of each RTDE field of this kind
         self.values: dict[str, Value] = {
             name: False if kind == "BOOL" else 0.0 if kind == "DOUBLE" else 0
             for name, kind in (OUTPUTS | INPUTS).items()
             if "_register" in name
         }
-        self.digital_outputs = 0
+        self.digital_outputs = 0  #: Bits, see DIGITAL
 
     def write_inputs(self, values: Mapping[str, Value]) -> None:
         """Store inputs that arrived in one package of a client."""
@@ -39,14 +34,7 @@ class Registers:
                 self.digital_outputs |= (bits & mask) << first
 
     def read(self, side: str, kind: str, index: int) -> Number:
-        """Return the value of a register.
-
-        Args:
-            kind: "int", "double" or "bool".
-
-        Raises:
-            ScriptRuntimeError: There is no such register.
-        """
+        """Return a register ("int", "double" or "bool"); none raises a ScriptRuntimeError."""
         if kind == "bool" and 0 <= index < GROUPED:
             return bool(self._number(_group(side, index)) >> index % 32 & 1)
         return self.values_number(_name(side, kind, index))

@@ -22,10 +22,8 @@ FORMATS = {
     "VECTOR6INT32": "6i",
     "VECTOR6UINT32": "6I",
 }  #: Format of each type, as `struct` writes it
-#: Number of integer registers, and of double registers; RTDE clients use those from 24 on
-REGISTERS = 48
-#: Numbers of the bits that are transferred one by one; lower ones are in groups of 32
-BOOLS = range(64, 128)
+REGISTERS = 48  #: Number of integer and of double registers; clients use those from 24 on
+BOOLS = range(64, 128)  #: Bits that are transferred one by one; lower ones are in groups of 32
 
 
 def _registers(side: str) -> dict[str, str]:

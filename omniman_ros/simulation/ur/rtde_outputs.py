@@ -34,12 +34,10 @@ class State(Protocol):
     @property
     def target_qd(self) -> Array:
         """Speed of the target [rad/s]."""
-        ...
 
     @property
     def timestamp(self) -> float:
         """Time since the start [s]."""
-        ...
 
 
 def _vector(values: Array) -> tuple[float, ...]:
@@ -115,11 +113,7 @@ _READ: dict[str, Callable[[State], Value]] = {
 
 
 def value(controller: State, name: str) -> Value:
-    """Return the present value of an RTDE output.
-
-    Args:
-        name: Name of the output, a key of `rtde_fields.OUTPUTS`.
-    """
+    """Return the present value of an RTDE output, a key of `rtde_fields.OUTPUTS`."""
     read = _READ.get(name)
     if read is not None:
         return read(controller)

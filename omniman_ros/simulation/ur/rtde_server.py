@@ -7,36 +7,20 @@ Universal Robots, "Real-Time Data Exchange (RTDE) Guide", "Protocol".
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Protocol
 
-from omniman_ros.simulation.ur.rtde_fields import INPUTS, OUTPUTS, Value, codec, flatten, regroup
+from omniman_ros.simulation.ur.controller import Controller
+from omniman_ros.simulation.ur.rtde_fields import INPUTS, OUTPUTS, codec, flatten, regroup
 
-#: Header of a package: size of the package, itself included [bytes], and type
-HEADER = struct.Struct(">HB")
-#: Frequency of the controller's cycle, and largest output frequency of a client [Hz]
-FREQUENCY = 125.0
+HEADER = struct.Struct(">HB")  #: Header of a package: size of all of it [bytes], and type
+FREQUENCY = 125.0  #: Frequency of the cycle, and largest one of a client's output [Hz]
 VERSION = 2  #: Version of the protocol that is simulated
-#: Version of the software of a CB3 controller: major, minor, bugfix and build
-URCONTROL = (3, 15, 8, 106339)
+URCONTROL = (3, 15, 8, 106339)  #: Software of a CB3 controller: major, minor, bugfix and build
 REQUEST_VERSION, URCONTROL_VERSION, TEXT = ord("V"), ord("v"), ord("M")
+#: Types of packages
 SETUP_OUTPUTS, SETUP_INPUTS, START, PAUSE, DATA = (ord(letter) for letter in "OISPU")
-"""Types of packages."""
-ERROR_MESSAGE, SOURCE = 1, b"RTDE"
-"""Level and source of text messages."""
+ERROR_MESSAGE, SOURCE = 1, b"RTDE"  #: Level and source of text messages
 MAX_NAMES_LENGTH = 2048  #: Length of the longest list of names [bytes]
 MAX_RECIPES = 255  #: Largest number of input recipes of a client
-
-
-class Variables(Protocol):
-    """Variables of the controller that clients read and write."""
-
-    def output(self, name: str) -> Value:
-        """Return the present value of an output."""
-        ...
-
-    def write_inputs(self, values: dict[str, Value]) -> None:
-        """Apply inputs that arrived in one package."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -77,18 +61,13 @@ class RtdeServerSession:
     """Session of one client.
 
     Args:
-        variables: Variables that the client reads and writes.
         owners: Session that writes each input; shared by all sessions.
-
-    Attributes:
-        faults: Faults of the server; may be replaced at any time.
-        started: Whether the client has started the exchange of data.
     """
 
-    def __init__(self, variables: Variables, owners: "dict[str, RtdeServerSession]") -> None:
-        self.faults = RtdeFaults()
-        self.started = False
-        self._variables, self._owners = variables, owners
+    def __init__(self, controller: Controller, owners: "dict[str, RtdeServerSession]") -> None:
+        self.faults = RtdeFaults()  #: Faults of the server; may be replaced at any time
+        self.started = False  #: Whether the client has started the exchange of data
+        self._controller, self._owners = controller, owners
         self._buffer = b""
         self._agreed = False
         self._output: _Recipe | None = None
@@ -114,11 +93,7 @@ class RtdeServerSession:
     # ---- from the client ----------------------------------------------------------------------
 
     def receive(self, data: bytes) -> bytes:
-        """Process received bytes, and return the answers.
-
-        Raises:
-            RtdeError: The bytes are not a package of this protocol, or one that is not valid now.
-        """
+        """Return the answers to bytes; what is no package now raises an RtdeError."""
         self._buffer += data
         return b"".join(self._answer(kind, payload) for kind, payload in self._packages())
 
@@ -198,7 +173,7 @@ class RtdeServerSession:
             raise RtdeError(f"there is no input recipe {payload[:1].hex() or 'in the package'}")
         values = regroup(recipe.struct.unpack(payload[1:]), recipe.kinds)
         if self.started:
-            self._variables.write_inputs(dict(zip(recipe.names, values, strict=True)))
+            self._controller.write_inputs(dict(zip(recipe.names, values, strict=True)))
         return b""
 
     # ---- to the client ------------------------------------------------------------------------
@@ -211,7 +186,7 @@ class RtdeServerSession:
         if self._phase < 1.0 - 1e-9:
             return b""
         self._phase -= 1.0
-        values = flatten(self._variables.output(name) for name in self._output.names)
+        values = flatten(self._controller.output(name) for name in self._output.names)
         return package(DATA, b"\1" + self._output.struct.pack(*values))
 
 

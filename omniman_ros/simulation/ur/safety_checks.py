@@ -15,8 +15,7 @@ class Violation:
     """Exceeded limit."""
 
     reason: str  #: Which limit is exceeded, and the values
-    #: Whether something keeps the joints from their reference, whichever limit is found first
-    is_hindered: bool
+    is_hindered: bool  #: Whether something keeps the joints from their reference in any case
 
 
 class SafetyChecks:
@@ -28,11 +27,7 @@ class SafetyChecks:
         self._exceeding = np.zeros(len(parameters.collision_torque), dtype=np.intp)
 
     def violation(self, arm: ArmBody, target: Array) -> Violation | None:
-        """Return which limit is exceeded; None if none is.
-
-        Args:
-            target: Angles that its reference follows (6,) [rad].
-        """
+        """Return which limit is exceeded, or None; the reference follows `target` (6,) [rad]."""
         p = self._parameters
         # A joint beyond its range may move back.
         outward = np.where(arm.q * arm.qd > 0.0, np.abs(arm.q), 0.0)

@@ -11,15 +11,12 @@ from dataclasses import dataclass
 from omniman_ros.core.errors import InputError
 
 MAX_PROGRAM_LENGTH = 1 << 20  #: Length of the longest program that is accepted [bytes]
+#: Types of packages, and type of the robot message that reports the version
 ROBOT_STATE, ROBOT_MESSAGE, VERSION_MESSAGE = 16, 20, 3
-"""Types of packages, and type of the robot message that reports the version."""
-MODE_DATA, JOINT_DATA, CARTESIAN_INFO = 0, 1, 4
-"""Types of the parts of a robot state."""
+MODE_DATA, JOINT_DATA, CARTESIAN_INFO = 0, 1, 4  #: Types of the parts of a robot state
 SOURCE = 254  #: Source of messages from the controller itself: -2 as an unsigned byte
-PROJECT, BUILT = b"URControl", b"20-06-2022, 00:00:00"
-"""Name and build date of the controller's software."""
-REMOTE_CONTROL, SPEED_LIMIT = 1, 1.0
-"""Control mode, and largest speed fraction, of the robot state."""
+PROJECT, BUILT = b"URControl", b"20-06-2022, 00:00:00"  #: The controller's software
+REMOTE_CONTROL, SPEED_LIMIT = 1, 1.0  #: Control mode, and largest speed fraction
 
 _TOKENS = re.compile(
     r"""(?P<skip>\#[^\n]*|"(?:[^"\\\n]|\\.)*"|'(?:[^'\\\n]|\\.)*')"""
@@ -42,11 +39,7 @@ class ProgramReader:
         self._length = 0
 
     def receive(self, data: bytes) -> list[str]:
-        """Process received bytes, and return the programs that they complete.
-
-        Raises:
-            InputError: A program is longer than 1 MiB.
-        """
+        """Return the programs that bytes complete; above 1 MiB, one raises an InputError."""
         *lines, self._rest = (self._rest + data).split(b"\n")
         programs = []
         for raw in lines:
@@ -93,31 +86,23 @@ def version_message(version: tuple[int, int, int, int]) -> bytes:
 
 @dataclass(frozen=True)
 class RobotState:
-    """Content of the robot state message.
-
-    Attributes:
-        emergency_stopped, protective_stopped: Whether there is a stop of this kind.
-        playing, paused: Whether the program runs, or is paused.
-        slider, scaling: Fraction of full speed that is set, and in effect, 0 to 1.
-        actual_q, target_q: Joint angles, actual and of the target [rad].
-    """
+    """Content of the robot state message."""
 
     time: float  #: Time since the start of the controller [s]
     powered: bool  #: Whether the joints have power
-    emergency_stopped: bool
-    protective_stopped: bool
-    playing: bool
-    paused: bool
+    emergency_stopped: bool  #: Whether there is an emergency stop
+    protective_stopped: bool  #: Whether there is a protective stop
+    playing: bool  #: Whether the program runs
+    paused: bool  #: Whether the program is paused
     robot_mode: int  #: Value of a `RobotMode`
-    slider: float
-    scaling: float
-    actual_q: tuple[float, ...]
-    target_q: tuple[float, ...]
+    slider: float  #: Fraction of full speed that is set, 0 to 1
+    scaling: float  #: Fraction of full speed that is in effect, 0 to 1
+    actual_q: tuple[float, ...]  #: Joint angles [rad]
+    target_q: tuple[float, ...]  #: Joint angles of the target [rad]
     actual_qd: tuple[float, ...]  #: Joint speeds [rad/s]
     current: tuple[float, ...]  #: Motor currents [A]
     joint_mode: int  #: Value of joint_mode, the same for each joint
-    #: Position [m] and rotation vector [rad] of the tool flange in the base
-    pose: tuple[float, ...]
+    pose: tuple[float, ...]  #: Position [m] and rotation vector [rad] of the flange in the base
 
 
 def robot_state(s: RobotState) -> bytes:

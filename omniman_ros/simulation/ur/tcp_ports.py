@@ -19,18 +19,13 @@ MAX_CLIENTS = 20  #: Largest number of clients of a port
 
 
 class Connection:
-    """Connection of one client.
-
-    Attributes:
-        client: Protocol with the client.
-        open: Whether the connection is open.
-    """
+    """Connection of one client."""
 
     def __init__(self, connection: socket.socket, client: PortClient) -> None:
         prepare(connection)
         self._socket, self.client = connection, client
         self._pending = client.greeting()
-        self.open = True
+        self.open = True  #: Whether the connection is open
 
     def read(self) -> None:
         """Pass received bytes to the client."""
@@ -84,26 +79,13 @@ class Connection:
 
 
 class TcpPort:
-    """One listening port and its clients.
-
-    Args:
-        address: Address at which the port listens.
-        number: Number of the port; any free one if 0.
-        make: Creates the protocol with a client.
-
-    Attributes:
-        number: Number of the port.
-        connections: Connections of the clients.
-
-    Raises:
-        OSError: The port is not available.
-    """
+    """One listening port and its clients; an OSError says that it is not available."""
 
     def __init__(self, address: str, number: int, make: Callable[[], PortClient]) -> None:
         self._address, self._make = address, make
         self._listening: socket.socket | None = None
-        self.number = number
-        self.connections: list[Connection] = []
+        self.number = number  #: Number of the port
+        self.connections: list[Connection] = []  #: Connections of the clients
         self.listen()
 
     def listen(self) -> None:
@@ -158,11 +140,7 @@ class TcpPort:
 
 
 class ControllerPorts:
-    """All ports of a controller.
-
-    Raises:
-        ParameterError: A port is not available.
-    """
+    """All ports of a controller; a ParameterError names one that is not available."""
 
     def __init__(
         self, controller: Controller, network: ProgramSockets, parameters: UrPortParameters

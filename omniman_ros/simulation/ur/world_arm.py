@@ -11,18 +11,13 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.simulation.arm_link.frames import ArmSetpoint, ArmState
 from omniman_ros.simulation.ur.arm import CYCLE, JOINTS, SimulatedArm, UrArmParameters
 
-#: Time from a cycle until its setpoint is due [s]: the next cycle, in which the world may learn of
-#: it, and the one in which the joints move.
+#: Time from a cycle until its setpoint is due [s]: the world learns of it first
 LEAD = 2.0 * CYCLE
 TIME_TOLERANCE = 1e-6  #: Time before an instant at which it counts as reached [s]
 RETRY_CYCLES = 12  #: Number of cycles between two attempts to connect
-#: Longest real time of one wait for the world, after which other states are checked [s]
-WAIT = 0.1
-#: Real time of waiting after which a world on simulated time counts as silent [s]
-LOCKSTEP_SILENCE = 5.0
-#: Time without a state after which a world on real time counts as silent [s]: more than that of
-#: the cycles that a controller runs at once after it was held up.
-SILENCE = 2.0
+WAIT = 0.1  #: Longest real time of one wait for the world, until other states are checked [s]
+LOCKSTEP_SILENCE = 5.0  #: Real time after which a world on simulated time counts as silent [s]
+SILENCE = 2.0  #: Time without a state after which a world on real time counts as silent [s]
 
 
 class ArmLink(Protocol):
@@ -65,26 +60,15 @@ class WorldArm:
     joints. The world moves its joints along that reference, :data:`LEAD` later, and measures them.
     With simulated time, a cycle waits for the state at its own instant and takes no later one, so
     that it always knows the same, however busy the machine is.
-
-    Args:
-        link: The link to the world.
-        is_lockstep: Whether the controller runs on simulated time that the world gives.
-
-    Attributes:
-        q: Measured angles (6,) [rad].
-        qd: Measured speeds (6,) [rad/s].
-        torque: Measured torques of the joints, the mean of a cycle (6,) [N m].
-        is_connected: Whether the joints answer.
-        reference: The motion that the joints are told to make.
     """
 
     def __init__(self, parameters: UrArmParameters, link: ArmLink, is_lockstep: bool) -> None:
-        self.reference = SimulatedArm(parameters)
+        self.reference = SimulatedArm(parameters)  #: The motion that the joints are told to make
         self.dynamics = self.reference.dynamics
-        self.q: Array = self.reference.q.copy()
-        self.qd: Array = np.zeros(JOINTS)
-        self.torque: Array = np.zeros(JOINTS)
-        self.is_connected = False
+        self.q: Array = self.reference.q.copy()  #: Measured angles (6,) [rad]
+        self.qd: Array = np.zeros(JOINTS)  #: Measured speeds (6,) [rad/s]
+        self.torque: Array = np.zeros(JOINTS)  #: Measured torques, the mean of a cycle (6,) [N m]
+        self.is_connected = False  #: Whether the joints answer
         self._link, self._is_lockstep = link, is_lockstep
         self._sent: deque[_Sent] = deque()
         self._arrived: deque[ArmState] = deque()
@@ -126,11 +110,7 @@ class WorldArm:
     # ---- measurements -------------------------------------------------------------------------
 
     def measure(self, time: float) -> None:
-        """Take what the world has measured up to a cycle.
-
-        Args:
-            time: Instant of the cycle [s].
-        """
+        """Take what the world has measured up to a cycle, at its instant [s]."""
         self._time = time
         if not (self._link.is_open or self.is_connected):
             self._connect()
@@ -149,7 +129,6 @@ class WorldArm:
             self._until_retry = RETRY_CYCLES
 
     def _await(self) -> None:
-        """Wait until all setpoints that are due by now are answered."""
         waits = 0
         while self._link.is_open and self._sent and self._is_due(self._sent[0].setpoint):
             if not self._link.wait(WAIT):
@@ -182,7 +161,6 @@ class WorldArm:
                 self.is_connected = True
 
     def _forget(self) -> None:
-        """Forget all setpoints of a connection."""
         self._sent.clear()
         self._arrived.clear()
         self._answered = None

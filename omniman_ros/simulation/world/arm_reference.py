@@ -10,14 +10,10 @@ from omniman_ros.core.arrays import Array
 from omniman_ros.core.errors import InputError
 from omniman_ros.simulation.arm_link.frames import ArmSetpoint
 
-#: Time after the last setpoint for which the joints keep their speeds [s]: two cycles of a CB3
-COASTING_TIME = 0.016
-#: Deceleration of the fastest joint without setpoints, the others in proportion [rad/s^2]
-DECELERATION = 15.0
+COASTING_TIME = 0.016  #: Time after the last setpoint for which speeds are kept [s]: two cycles
+DECELERATION = 15.0  #: Deceleration of the fastest joint without setpoints [rad/s^2]
 TIME_TOLERANCE = 1e-6  #: Time before an instant at which it counts as reached [s]
-#: Largest time by which a setpoint may be ahead or late [s]: more than a controller on a busy
-#: machine may be behind before it gives up the cycles that it missed.
-MAX_OFFSET = 2.0
+MAX_OFFSET = 2.0  #: Largest time by which a setpoint may be ahead or late [s]
 
 
 @dataclass(frozen=True)
@@ -46,15 +42,6 @@ class ArmReference:
     Between two setpoints, each angle is a cubic polynomial of time. Where the acceleration is
     constant from one setpoint to the next, so is the reference's. Without a next setpoint, the
     joints keep their speeds for :data:`COASTING_TIME`, and then brake on their path.
-
-    Args:
-        positions: Angles (6,) at which it rests [rad].
-
-    Attributes:
-        positions: Angles (6,) [rad].
-        velocities: Speeds (6,) [rad/s].
-        accelerations: Accelerations (6,) [rad/s^2].
-        is_braked: Whether the brakes are on.
     """
 
     def __init__(self, positions: Array) -> None:
@@ -67,10 +54,11 @@ class ArmReference:
         """Rest at angles (6,) [rad] from now on, and forget all setpoints."""
         self._queue.clear()
         self._way = None
-        self.positions: Array = np.array(positions, dtype=np.float64)
-        self.velocities: Array = np.zeros_like(self.positions)
+        self.positions: Array = np.array(positions, dtype=np.float64)  #: Angles (6,) [rad]
+        self.velocities: Array = np.zeros_like(self.positions)  #: Speeds (6,) [rad/s]
+        #: Accelerations (6,) [rad/s^2]
         self.accelerations: Array = np.zeros_like(self.positions)
-        self.is_braked = False
+        self.is_braked = False  #: Whether the brakes are on
 
     def abandon(self) -> None:
         """Forget all setpoints, and brake at once; the brakes stay as they are."""

@@ -23,11 +23,8 @@ class ArmServo:
     Each joint comes to its reference r as a critically damped system of second order at
     w = BANDWIDTH. `bias` holds gravity and Coriolis forces. As no force acts from outside, the
     platform carries the arm and feels its reaction. With the brakes on, the drives give no torque,
-    and the joints have dry friction that withstands the drives' largest torques.
-
-    Attributes:
-        reference: The motion that the joints are told to make; its time is the world's.
-        torques: Torques of the drives in the latest step [N m], (6,).
+    and the joints have dry friction that withstands the drives' largest torques. Angles other than
+    six finite numbers, and setpoints that are not due next, raise an InputError without effect.
     """
 
     def __init__(self, engine: Engine, joints: Sequence[str]) -> None:
@@ -38,7 +35,9 @@ class ArmServo:
         self._limits = np.array(EFFORTS)
         self._lowest = -self._limits
         self._demanded: Array = np.zeros(len(engine.velocities))
+        #: The motion that the joints are told to make; its time is the world's
         self.reference = ArmReference(self.positions)
+        #: Torques of the drives in the latest step [N m], (6,)
         self.torques: Array = np.zeros(len(joints))
         self._impulse: Array = np.zeros(len(joints))
         self._time = self._measured_time = 0.0
@@ -56,37 +55,23 @@ class ArmServo:
         return self._engine.velocities[self.dofs].copy()
 
     def command(self, positions: Sequence[float] | Array) -> None:
-        """Hold the joints at angles [rad], (6,), from now on, with the brakes off.
-
-        Raises:
-            InputError: They are not six finite numbers; nothing changes.
-        """
+        """Hold the joints at angles [rad], (6,), from now on, with the brakes off."""
         self.reference.place(self._checked(positions))
 
     def follow(self, setpoint: ArmSetpoint) -> None:
-        """Be at a setpoint when it is due in the time of the world.
-
-        Raises:
-            InputError: It is not due after the last one, or at quite another time; it has no
-                effect.
-        """
+        """Be at a setpoint when it is due in the time of the world."""
         self.reference.add(setpoint)
         self._awaited.append((setpoint.sequence, setpoint.due))
         self._answer()
 
     def place(self, positions: Sequence[float] | Array) -> None:
-        """Put the joints, at rest, at angles [rad], (6,), and hold them there.
-
-        Raises:
-            InputError: They are not six finite numbers; nothing moves.
-        """
+        """Put the joints, at rest, at angles [rad], (6,), and hold them there."""
         self.command(positions)
         self._engine.coordinates[self._coordinates] = self.reference.positions
         self._engine.velocities[self.dofs] = 0.0
         self._engine.refresh()
 
     def _checked(self, positions: Sequence[float] | Array) -> Array:
-        """Return angles as an array of its own."""
         values = np.array(positions, dtype=np.float64)
         if values.shape != self._limits.shape or not np.isfinite(values).all():
             raise InputError(f"the arm's angles must be six finite numbers, not {positions!r}")
@@ -121,17 +106,12 @@ class ArmServo:
         self._answer()
 
     def _answer(self) -> None:
-        """Measure for the setpoints that are due by now."""
         while self._awaited and self._awaited[0][1] <= self._time + TIME_TOLERANCE:
             sequence, _ = self._awaited.popleft()
             self._states.append(self.state(sequence))
 
     def state(self, sequence: int = 0) -> ArmState:
-        """Return what the joints measure now; the mean of the torques begins anew.
-
-        Args:
-            sequence: Number of the setpoint that is due.
-        """
+        """Return what the joints measure now; the mean of the torques begins anew."""
         span = self._measured_time
         mean = self._impulse / span if span else self.torques
         self._impulse, self._measured_time = np.zeros_like(self.torques), 0.0

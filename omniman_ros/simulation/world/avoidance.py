@@ -18,25 +18,18 @@ import numpy as np
 from omniman_ros.core.arrays import Array
 from omniman_ros.simulation.world.velocity_program import HalfPlane
 
-#: Number of directions; even, so that of each direction there is the opposite, too
-DIRECTION_COUNT = 72
+DIRECTION_COUNT = 72  #: Number of directions; even, so that each has its opposite
 _ANGLES = math.tau / DIRECTION_COUNT * np.arange(DIRECTION_COUNT)
 #: Unit vectors to which outlines are sampled, (d, 2)
 DIRECTIONS: Array = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])
-#: Preference for passing on the right [m/s]: who meet head-on would otherwise stop
-KEEP_RIGHT = 0.2
+KEEP_RIGHT = 0.2  #: Preference for the right [m/s]: who meet head-on would otherwise stop
 RECOVERY = 0.5  #: Time in which bodies that are too near to each other move apart [s]
 #: Preference for each direction (second index) while another (first index) is the nearest
 _SIDES: Array = KEEP_RIGHT * np.sin(_ANGLES[None, :] - _ANGLES[:, None])
 
 
 def outline(points: Array, radius: float = 0.0) -> Array:
-    """Return the support function of the convex hull of points, grown by a radius, (d,) [m].
-
-    Args:
-        points: The points in the world, (m, 2) [m].
-        radius: The radius [m].
-    """
+    """Return the support function (d,) [m] of the hull of points (m, 2) [m], grown by a radius."""
     support: Array = (points @ DIRECTIONS.T).max(axis=0) + radius
     return support
 
@@ -50,8 +43,7 @@ class Surroundings:
     wishes: Array  #: Velocities that they would have if they had not to give way, (m, 2) [m/s]
     reaches: Array  #: Least distances of the person's middle to each, (m,) [m]
     horizons: Array  #: How far ahead each is minded, (m,) [s]
-    #: Share of the avoidance that the person takes, (m,): 1, or 1/2 where the other does the same
-    shares: Array
+    shares: Array  #: Share of the avoidance, (m,): 1, or 1/2 where the other does the same
     fixed: int  #: Number of the first of them that are fixed
 
 
@@ -66,8 +58,6 @@ def half_planes(
     that are not too near permit a velocity of zero.
 
     Args:
-        position: Position of the person in the world, (2,) [m].
-        velocity: Velocity of the person, (2,) [m/s].
         wish: Velocity that the person would have if there were nothing around, (2,) [m/s].
     """
     heights = around.outlines - DIRECTIONS @ position + around.reaches[:, None]

@@ -55,21 +55,16 @@ class Base:
         return np.array([vx, vy, velocities[dof + 5]])
 
     def follow(self) -> None:
-        """Follow the heading after a step of less than half a turn.
-
-        Raises:
-            OmnimanError: The state is no longer finite.
-        """
+        """Follow the heading after a step; one that is not finite raises an OmnimanError."""
         heading = self._engine.heading(self._body)
         if not math.isfinite(heading):
             raise OmnimanError("the physics world has diverged: its state is not finite")
         self._heading += math.remainder(heading - self._heading, math.tau)
 
     def put(self, pose: Sequence[float] | Array) -> None:
-        """Put the robot upright at a pose, with what lies on it; its planar motion continues.
+        """Put the robot upright at a pose (3,) [m, m, rad]; its planar motion continues.
 
-        Args:
-            pose: Pose (x, y, heading) in the world [m, m, rad], (3,).
+        What lies on the robot is moved with it.
         """
         x, y, heading = (float(value) for value in pose)
         place, velocity = self._engine.coordinates, self._engine.velocities

@@ -18,8 +18,7 @@ from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import REQUIRED, parameter
 from omniman_ros.simulation.world.scene import Element, Post
 
-FILLING, CLEARING = 5, 1
-"""Number of filled neighbours from which a cell is filled, and up to which it is emptied."""
+FILLING, CLEARING = 5, 1  #: Filled neighbours that fill a cell, and up to which it empties
 MAX_DRAWS = 2000  #: Largest number of draws of a field
 MAX_CELLS = 100_000  #: Largest number of cells of a field
 
@@ -98,7 +97,6 @@ def clutter_posts(field: Clutter) -> tuple[Post, ...]:
 
 
 def _drawn(field: Clutter, generator: random.Random) -> Cells:
-    """Return filled cells after all passes of the automaton."""
     rows, columns = field.shape
     drawn = [generator.random() < field.fill for _ in range(rows * columns)]
     cells: Cells = np.array(drawn).reshape(rows, columns)

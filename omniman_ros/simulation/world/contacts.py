@@ -10,17 +10,12 @@ from omniman_ros.simulation.world.engine import Engine
 from omniman_ros.simulation.world.model.floor import FLOOR
 from omniman_ros.simulation.world.model.platform import BASE
 
-#: Time for which a contact that has ended is still reported, in time constants of the filter
-MEMORY = 5.0
+MEMORY = 5.0  #: Time for which an ended contact is reported, in filter time constants
 
 
 @dataclass(frozen=True)
 class RobotContact:
-    """A contact of a part of the robot with something else; not of a wheel with the floor.
-
-    Attributes:
-        part_speed, thing_speed: Speeds of their points that touched first, just before [m/s].
-    """
+    """A contact of a part of the robot with something else; not of a wheel with the floor."""
 
     part: str  #: Link of the robot
     thing: str  #: Element of the scene, or the floor
@@ -28,14 +23,12 @@ class RobotContact:
     force: Array  #: Force on the robot in the world, low-pass filtered [N], (3,)
     impulse: Array  #: Integral of the force, unfiltered, since the contact began [N s], (3,)
     touches: bool  #: Whether they touch now
-    part_speed: float
-    thing_speed: float
+    part_speed: float  #: Speed of the part's point when it first touched [m/s]
+    thing_speed: float  #: Speed of the other's point [m/s]
 
 
 @dataclass
 class _Contact:
-    """What is remembered of a contact."""
-
     place: Array
     part_speed: float
     thing_speed: float
@@ -46,11 +39,7 @@ class _Contact:
 
 
 class RobotContacts:
-    """Contacts of the robot, from step to step.
-
-    Args:
-        time_constant: Time constant of the filter of forces [s].
-    """
+    """Contacts of the robot, from step to step."""
 
     def __init__(self, engine: Engine, time_constant: float) -> None:
         self._engine, self._time_constant = engine, time_constant
@@ -71,11 +60,7 @@ class RobotContacts:
         return depth, name
 
     def update(self, indices: Iterable[int]) -> None:
-        """Take the contacts of a step.
-
-        Args:
-            indices: Indices of the engine's contacts that are not those of tyres.
-        """
+        """Take the contacts of a step that are no tyre's, by their indices in the engine."""
         for contact in self._contacts.values():
             contact.now = np.zeros(3)
             contact.age += self._engine.step_time
@@ -85,7 +70,6 @@ class RobotContacts:
             self._filter()
 
     def _add(self, k: int) -> None:
-        """Add the engine's contact `k`, if the robot is a party of it."""
         shapes, rows = self._engine.contacts()
         first, second = shapes[k]
         row = rows[k]
@@ -105,7 +89,6 @@ class RobotContacts:
         contact.place, contact.now, contact.age = place.copy(), contact.now + force, 0.0
 
     def _filter(self) -> None:
-        """Filter the forces, and forget contacts that ended long ago."""
         step = self._engine.step_time
         gain = step / (self._time_constant + step)
         for key, contact in list(self._contacts.items()):

@@ -13,8 +13,7 @@ from omniman_ros.simulation.world.walker import HURRY, ReactiveWalk, ScriptedWal
 
 AGILITY = 12.0  #: Rate at which a person reaches the wanted velocity [1/s]
 PERIOD = 0.05  #: Time between two decisions of a person [s]
-#: Time for which a person's force stays the same [s], short against 1 / AGILITY
-FORCE_PERIOD = 0.005
+FORCE_PERIOD = 0.005  #: Time between changes of a person's force [s], short against 1 / AGILITY
 TINY = 1e-12  #: Force below which its direction does not matter [N]
 
 
@@ -23,9 +22,6 @@ class Crowd:
 
     A scripted person gives way to nobody. A reactive one keeps clear of what is around by
     :mod:`~omniman_ros.simulation.world.avoidance`, and waits where that permits no way.
-
-    Args:
-        force: Largest force of a person [N].
     """
 
     def __init__(self, engine: Engine, scene: Scene, force: float) -> None:
@@ -75,7 +71,6 @@ class Crowd:
             self._push()
 
     def _push(self) -> None:
-        """Set the forces until they are set anew."""
         forces = self._gains * (self._wanted - self.velocities)
         squares = forces * forces
         sizes = np.sqrt(squares[:, :1] + squares[:, 1:])
@@ -83,7 +78,6 @@ class Crowd:
         self._engine.applied[self._dofs] = forces
 
     def _decide(self) -> None:
-        """Choose the velocities of the next period."""
         period = self._every * self._engine.step_time
         positions = self.positions
         for k, (x, y) in enumerate(positions.tolist()):

@@ -1,4 +1,4 @@
-"""MuJoCo: a compiled model, its state, and what is asked of it. No other module imports it."""
+"""MuJoCo: a compiled model, its state, and what is asked of it. `distances` imports it, too."""
 
 import itertools
 import math
@@ -25,9 +25,6 @@ class Engine:
     the new state.
 
     The arrays among the attributes are live views; :meth:`replace` makes new ones.
-
-    Attributes:
-        step_time: Length of a step [s].
     """
 
     coordinates: Array  #: Coordinates of all joints; may be written before :meth:`refresh`
@@ -36,13 +33,12 @@ class Engine:
     bias: Array  #: Forces and torques that hold the joints against gravity and Coriolis forces
     damping: Array  #: Damping of all joints, implicit in a step; may be written
     dry_friction: Array  #: Dry friction of all joints; may be written
-    #: Coefficients of friction of all shapes; the first column may be written
-    shape_friction: Array
+    shape_friction: Array  #: Coefficients of friction of all shapes; first column writable
     shape_positions: Array  #: Positions of all shapes in the world [m], (m, 3)
 
     def __init__(self, model: WorldModel) -> None:
         self._use(*self._compile(model))
-        self.step_time = float(self._model.opt.timestep)
+        self.step_time = float(self._model.opt.timestep)  #: Length of a step [s]
         self.refresh()
 
     @staticmethod
@@ -54,7 +50,6 @@ class Engine:
         return model, mujoco.MjData(model)
 
     def _use(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Step a compiled model from now on."""
         self._model, self._data = model, data
         self.coordinates, self.velocities = data.qpos, data.qvel
         self.applied, self.bias = data.qfrc_applied, data.qfrc_bias
@@ -202,11 +197,7 @@ class Engine:
         return contact.pos[k], contact.frame[k].reshape(3, 3)
 
     def velocity(self, shape: int, place: Array) -> Array:
-        """Return the velocity of a point of a shape's body at the begin of the step, (3,) [m/s].
-
-        Args:
-            place: The point in the world, (3,) [m].
-        """
+        """Return the velocity (3,) [m/s] of a point of a shape's body as the step begins."""
         body, motion = int(self._model.geom_bodyid[shape]), np.empty(6)
         mujoco.mj_objectVelocity(
             self._model, self._data, mujoco.mjtObj.mjOBJ_XBODY, body, motion, 0

@@ -27,12 +27,7 @@ class HingeMotor(GearMotor):
         self._gear_loss = 0.0
 
     def begin(self, command: float, step: float) -> None:
-        """Set what acts at the hinge for a voltage requested from the amplifier [V].
-
-        Args:
-            command: Requested voltage [V].
-            step: Length of the step [s].
-        """
+        """Set what acts at the hinge for a voltage requested from the amplifier [V]."""
         self._begin_current(command, step)
         speed = self.speed
         slope = 0.5 * (self.back_emf * self._slope + self.viscous)
@@ -47,15 +42,7 @@ class HingeMotor(GearMotor):
             self.dry = BLOCKED_FRICTION
 
     def finish(self, step: float, speed: float) -> float:
-        """Close the step at a speed of the wheel at its end [rad/s].
-
-        Args:
-            step: Length of the step [s].
-            speed: Speed of the wheel at the end of the step [rad/s].
-
-        Returns:
-            Sum of the magnitudes of the energies that the motor converted in the step [J].
-        """
+        """Close the step [s] at a wheel speed [rad/s]; return the sum of all energies [J]."""
         mean = 0.5 * (self.speed + speed)
         self.speed = speed
         travel = mean * step

@@ -12,6 +12,7 @@ from omniman_ros.simulation.world.scene import Scene
 from omniman_ros.simulation.world.solids import Box, EllipticPrism, Solid, fixed_solids
 
 MAX_CELLS = 4_000_000  #: Largest number of cells of a grid
+MARGIN = 1.0  #: Free space around the elements and the robot's start [m]
 
 
 @dataclass(frozen=True)
@@ -23,15 +24,12 @@ class Occupancy:
     origin: Array  #: Corner (x, y) of cell (0, 0) in the world [m], (2,)
 
 
-def occupancy(
-    scene: Scene, resolution: float = 0.05, height: float = 0.5, margin: float = 1.0
-) -> Occupancy:
+def occupancy(scene: Scene, resolution: float = 0.05, height: float = 0.5) -> Occupancy:
     """Return the cells that fixed elements touch below a height: a high table leaves its legs.
 
     Args:
         resolution: Edge of a cell [m].
         height: Height of what shall pass, such as the platform's [m].
-        margin: Free space around the elements and the robot's start [m].
 
     Raises:
         ParameterError: The resolution is not positive, or makes too many cells.
@@ -43,7 +41,7 @@ def occupancy(
         if solid.centre[2] - 0.5 * solid.height < height
     ]
     boxes = np.array([_bounds(solid) for solid in solids] + [[*scene.start[:2]] * 2])
-    low, high = boxes[:, :2].min(axis=0) - margin, boxes[:, 2:].max(axis=0) + margin
+    low, high = boxes[:, :2].min(axis=0) - MARGIN, boxes[:, 2:].max(axis=0) + MARGIN
     if not resolution > 0.0:
         raise ParameterError("resolution", resolution, "must be above 0 m")
     low = np.floor(low / resolution) * resolution
@@ -80,12 +78,6 @@ def _bounds(solid: Solid) -> list[float]:
 
 
 def _touches(solid: Solid, x: Array, y: Array, half: float) -> NDArray[np.bool_]:
-    """Return whether cells at (x, y) [m] touch a solid.
-
-    Args:
-        x, y: Centres of the cells [m].
-        half: Half the edge of a cell [m].
-    """
     dx, dy = x - solid.centre[0], y - solid.centre[1]
     if isinstance(solid, Box):
         c, s = math.cos(solid.yaw), math.sin(solid.yaw)

@@ -7,8 +7,7 @@ from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import parameter
 
 Floats = tuple[float, ...]  #: Angle of each joint [rad]
-#: Kind of wheel: one contact that slips along the roller's axis and rolls across it
-IDEAL = "ideal"
+IDEAL = "ideal"  #: Wheels with one contact that slips along the roller's axis and rolls across
 ROLLERS = "rollers"  #: Kind of wheel: passive rollers around its rim, each a body of its own
 
 

@@ -16,14 +16,7 @@ from omniman_ros.simulation.world.world import World
 
 
 class Scanner:
-    """A laser scanner that measures from the robot's present pose, all beams at once.
-
-    Args:
-        world: The world.
-
-    Attributes:
-        parameters: Its present parameters.
-    """
+    """A laser scanner that measures from the robot's present pose, all beams at once."""
 
     def __init__(self, world: World, parameters: ScannerParameters, seed: int = 0) -> None:
         self._world = world
@@ -65,7 +58,6 @@ class Scanner:
         return self._latest
 
     def _measure(self) -> Array:
-        """Return the ranges of a scanner without a fault; see :meth:`scan`."""
         p = self.parameters
         position, rotation = self._world.base_frame
         ranges = self._world.engine.rays(

@@ -7,10 +7,8 @@ from dataclasses import dataclass
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.core.parameters import parameter
 
-NO_FAULT, SILENT, FROZEN, COVERED = "none", "silent", "frozen", "covered"
-"""Faults of a scanner."""
-#: What the name of a scanner looks like, so that it can be part of a topic's
-NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+NO_FAULT, SILENT, FROZEN, COVERED = "none", "silent", "frozen", "covered"  #: Faults of a scanner
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")  #: A scanner's name, which can be part of a topic's
 
 
 @dataclass(frozen=True, kw_only=True)

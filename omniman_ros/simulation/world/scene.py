@@ -19,36 +19,28 @@ EXTENT = 1000.0  #: Largest coordinate [m]
 
 
 def _coordinate(doc: str = "Position of the centre, x.") -> float:
-    """Declare a coordinate."""
     value: float = parameter(REQUIRED, doc, unit="m", low=-EXTENT, high=EXTENT)
     return value
 
 
 def _length(default: float, doc: str, low: float = 0.01) -> float:
-    """Declare an edge, a radius or a height."""
     value: float = parameter(default, doc, unit="m", low=low, high=EXTENT)
     return value
 
 
 def _yaw() -> float:
-    """Declare a rotation about the vertical."""
     value: float = parameter(0.0, "Rotation about the vertical.", unit="rad", low=-7, high=7)
     return value
 
 
 def _mass(default: float) -> float:
-    """Declare a mass."""
     value: float = parameter(default, "Mass.", unit="kg", low=0.01, high=10000)
     return value
 
 
 @dataclass(frozen=True, kw_only=True)
 class Element:
-    """Part of a scene.
-
-    Raises:
-        ParameterError: A value has a wrong type or is out of range.
-    """
+    """Part of a scene; a value of a wrong type or range raises a ParameterError."""
 
     name: str = parameter(REQUIRED, "Name of this element only.")
 
@@ -210,15 +202,11 @@ class Person(Element):
 class Scene:
     """What is around the robot, and where the robot starts.
 
-    Attributes:
-        walls, posts, columns, tables, pallets: What stands fixed.
-
     Raises:
         ParameterError: The start is not three finite numbers, or two elements have the same name.
     """
 
-    #: Pose (x, y, heading) of base_link at the start [m, m, rad]
-    start: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    start: tuple[float, float, float] = (0.0, 0.0, 0.0)  #: Pose of base_link [m, m, rad]
     walls: tuple[Wall, ...] = ()
     posts: tuple[Post, ...] = ()
     columns: tuple[Column, ...] = ()

@@ -9,10 +9,8 @@ import numpy as np
 from omniman_ros.core.arrays import Array
 from omniman_ros.simulation.world.scene import Column, Pallet, Post, Scene, Table, Wall
 
-#: Sides of the prism that stands for an elliptic cylinder: it is at most 0.06 % smaller
-SIDES = 96
-#: Position (x, y, z) in the world, or edges along the axes of a box [m]
-Vector = tuple[float, float, float]
+SIDES = 96  #: Sides of the prism for an elliptic cylinder: it is at most 0.06 % smaller
+Vector = tuple[float, float, float]  #: Position (x, y, z) in the world, or edges of a box [m]
 
 
 @dataclass(frozen=True)
@@ -31,15 +29,11 @@ class Box:
 
 @dataclass(frozen=True)
 class Cylinder:
-    """An upright cylinder.
-
-    Attributes:
-        radius, height: Radius and height [m].
-    """
+    """An upright cylinder."""
 
     centre: Vector  #: Centre in the world [m]
-    radius: float
-    height: float
+    radius: float  #: Radius [m]
+    height: float  #: Height [m]
 
 
 @dataclass(frozen=True)
@@ -61,12 +55,7 @@ Solid = Box | Cylinder | EllipticPrism  #: Convex part of an element
 
 
 def ellipse_corners(semi_axes: tuple[float, float], yaw: float) -> Array:
-    """Return `SIDES` corners (k, 2) on an ellipse around the origin [m].
-
-    Args:
-        semi_axes: Semi-axes of the ellipse [m].
-        yaw: Direction of the first axis [rad].
-    """
+    """Return `SIDES` corners (k, 2) on an ellipse around the origin [m]."""
     turn = np.arange(SIDES) * (math.tau / SIDES)
     u, v = semi_axes[0] * np.cos(turn), semi_axes[1] * np.sin(turn)
     c, s = math.cos(yaw), math.sin(yaw)

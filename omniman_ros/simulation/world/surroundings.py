@@ -15,8 +15,7 @@ from omniman_ros.simulation.world.scene import REACTIVE, Scene
 from omniman_ros.simulation.world.solids import fixed_solids, footprint
 
 HORIZON = 2.5  #: How far ahead persons mind what moves, and the robot [s]
-#: How far ahead persons mind what is fixed [s]; were it longer, they would creep along walls
-FIXED_HORIZON = 0.8
+FIXED_HORIZON = 0.8  #: How far ahead persons mind what is fixed [s]; longer: they would creep
 SIGHT = 4.0  #: Distance up to which fixed things are minded [m]
 
 
@@ -51,13 +50,7 @@ class Neighbourhood:
         self._positions = self._velocities = self._wishes = np.zeros((0, 2))
 
     def update(self, positions: Array, velocities: Array, wishes: Array) -> None:
-        """Look at what moves.
-
-        Args:
-            positions: Positions of the persons in the world, (n, 2) [m].
-            velocities: Their velocities, (n, 2) [m/s].
-            wishes: The velocities that they wish, (n, 2) [m/s].
-        """
+        """Take positions [m], velocities and wishes [m/s] of the persons in the world, (n, 2)."""
         engine = self._engine
         persons = [
             outline(place[None, :], person.radius)

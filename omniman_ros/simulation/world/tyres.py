@@ -15,8 +15,6 @@ from omniman_ros.simulation.world.model.wheels import body_name
 
 @dataclass(frozen=True, slots=True)
 class _Tyre:
-    """What rolls on the floor."""
-
     hinge: int  #: Index of the velocity of the hinge on which it rolls freely
     wheel: int  #: Number of its wheel
     radius: float  #: Its radius [m]
@@ -27,15 +25,12 @@ class TyreContacts:
 
     A roller's drag is as in the plant: in proportion to its load, against its rolling, and smooth
     about zero. It acts as damping of the roller's hinge, which the engine takes implicitly.
-
-    Attributes:
-        drag_loss: Energy lost by the drag of the rollers since the start [J].
-        slip_loss: Energy lost by slip on the floor since the start [J].
     """
 
     def __init__(self, engine: Engine, names: Sequence[str]) -> None:
         self._engine = engine
         self._loads = [0.0 for _ in names]
+        #: Energy lost since the start, by the drag of the rollers and by slip on the floor [J]
         self.drag_loss = self.slip_loss = 0.0
         parties = engine.parties()
         wheels = {body_name(name): k for k, name in enumerate(names)}
@@ -75,11 +70,7 @@ class TyreContacts:
         self._engine.shape_friction[self._shapes, 0] = grip
 
     def update(self) -> list[int]:
-        """Take loads and losses of the step, and set the drag for the next.
-
-        Returns:
-            Indices of the contacts that are not those of tyres.
-        """
+        """Take loads and losses of the step; return the contacts that are no tyres'."""
         engine, step, tyres = self._engine, self._engine.step_time, self._tyres
         damping, velocities = engine.damping, engine.velocities
         forces, slips = engine.forces.tolist(), engine.slips.tolist()

@@ -7,11 +7,8 @@ from omniman_ros.simulation.world.velocity_program import Velocity
 
 APPROACH = 3.0  #: Velocity per distance with which a scripted person returns to the path [1/s]
 HURRY = 1.2  #: Ratio of the highest velocity of a person to the walking speed [-]
-#: Distance from the scripted position above which the script waits for the person [m]
-WAITING_DISTANCE = 0.5
-#: Velocity per distance with which a reactive person returns to a single way point [1/s]; with a
-#: larger one, the person would oscillate while somebody approaches.
-RETURN = 1.0
+WAITING_DISTANCE = 0.5  #: Distance above which the script waits for the person [m]
+RETURN = 1.0  #: Velocity per distance to a single way point [1/s]; a larger one oscillates
 ARRIVAL = 0.25  #: Distance from which on a reactive person has reached a way point [m]
 
 
@@ -29,19 +26,13 @@ class ScriptedWalk:
         self._next = 1 % len(self._points)
 
     def velocity(self, x: float, y: float, period: float) -> Velocity:
-        """Return the wanted velocity (x, y) [m/s], and move the goal on.
-
-        Args:
-            x, y: Position of the person in the world [m].
-            period: Time since the last call [s].
-        """
+        """Return the velocity [m/s] wanted at a position [m]; the goal moves on by a period."""
         ux, uy = self._pace(x, y, period)
         gx, gy = self._goal
         wish = ux + APPROACH * (gx - x), uy + APPROACH * (gy - y)
         return _limited(wish, HURRY * self._speed)
 
     def _pace(self, x: float, y: float, period: float) -> Velocity:
-        """Move the goal on, and return its velocity [m/s]."""
         gx, gy = self._goal
         if math.hypot(gx - x, gy - y) > WAITING_DISTANCE:
             return 0.0, 0.0

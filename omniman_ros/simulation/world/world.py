@@ -33,8 +33,7 @@ class Obstacle:
     """Where something that moves truly is."""
 
     name: str  #: Name of the element
-    #: Pose (x, y, heading) of its middle in the world [m, m, rad]
-    pose: tuple[float, float, float]
+    pose: tuple[float, float, float]  #: Pose of its middle in the world [m, m, rad]
     velocity: tuple[float, float]  #: Velocity (x, y) in the world [m/s]
     size: tuple[float, float, float]  #: Length, width and height [m]
     is_round: bool  #: Whether it is a cylinder; else it is a box
@@ -45,16 +44,6 @@ class World:
 
     The engine moves bodies by rigid-body mechanics with contacts. Motors and gears are those of
     the plant. Nothing here reads a clock: the same calls give the same numbers to the last bit.
-
-    Args:
-        description: Robot, arm and where the arm is mounted.
-        simulation: Parameters of floor, motors, mismatch and faults.
-        parameters: Parameters of the world.
-
-    Attributes:
-        engine: The engine.
-        wheels: Gear motors of the wheels, in the robot's order.
-        arm: Servo of the arm; None if the robot carries none.
 
     Raises:
         ParameterError: A parameter is refused, or the robot would start in something.
@@ -69,6 +58,7 @@ class World:
     ) -> None:
         self._description, self._parameters, self._scene = description, parameters, scene
         robot = description.robot
+        #: Gear motors of the wheels, in the robot's order
         self.wheels = tuple(HingeMotor() for _ in range(robot.wheel_count))
         configure_motors(self.wheels, robot, simulation)
         self._model = world_model(description, simulation, parameters, scene)
@@ -77,6 +67,7 @@ class World:
         self._tyres.configure(robot, simulation.plant)
         self._contacts = RobotContacts(engine, parameters.contact_time)
         self._crowd = Crowd(engine, scene, parameters.person_force)
+        #: Servo of the arm; None if the robot carries none
         self.arm = ArmServo(engine, description.arm.joints) if carries_arm(robot) else None
 
         self._drives = [engine.dof(name) for name in robot.wheels.names]
@@ -120,15 +111,9 @@ class World:
         return self._base.twist
 
     def set_pose(self, pose: Sequence[float] | Array) -> None:
-        """Put the robot upright at another pose; its motion in its own frame continues.
+        """Put the robot upright at a pose (3,) [m, m, rad]; its motion in its frame continues.
 
         What lies on the platform is moved with it.
-
-        Args:
-            pose: Pose (x, y, heading) of base_link in the world [m, m, rad], (3,).
-
-        Raises:
-            InputError: Something is there; the robot then stays.
         """
         before = self.pose
         self._base.put(pose)
@@ -214,14 +199,7 @@ class World:
         return self._steps * self.engine.step_time
 
     def step(self, voltages: Sequence[float]) -> None:
-        """Integrate one substep.
-
-        Args:
-            voltages: Voltages (n,) requested from the amplifiers [V], constant over the step.
-
-        Raises:
-            OmnimanError: The state is no longer finite.
-        """
+        """Integrate a substep with voltages (n,) [V]; divergence raises an OmnimanError."""
         engine, wheels, drives = self.engine, self.wheels, self._drives
         applied, damping, dry_friction = engine.applied, engine.damping, engine.dry_friction
         velocities, step = engine.velocities, engine.step_time
@@ -259,9 +237,6 @@ class World:
         """Replace robot data and parameters together, also in motion.
 
         A change of energy by this counts as external work.
-
-        Raises:
-            ParameterError: One of them is refused; nothing is changed then.
         """
         description = replace(self._description, robot=robot)
         model = world_model(description, simulation, self._parameters, self._scene)

@@ -48,8 +48,7 @@ class Cia402Settings:
     velocity_scale: float = 4096.0
     rated_torque: float = 1.0  #: Rated torque of the motor, object 6076 [N m]
     rated_current: float = 10.0  #: Rated current of the motor, object 6075 [A]
-    #: Quick stop deceleration, object 6085, after a start [rad/s^2]
-    quick_stop_deceleration: float = 100.0
+    quick_stop_deceleration: float = 100.0  #: Object 6085 after a start [rad/s^2]
     acceleration: float = 100.0  #: Profile acceleration, object 6083, after a start [rad/s^2]
     deceleration: float = 100.0  #: Profile deceleration, object 6084, after a start [rad/s^2]
     max_speed: float = math.inf  #: Speed to which targets are clipped [rad/s]
@@ -101,13 +100,7 @@ class PowerDrive:
     regardless of their age: an old target velocity moves the motor as soon as the drive is
     enabled.
 
-    Args:
-        values: Values of all objects, which are read, and updated by measurements.
-
     Attributes:
-        faults: Faults to simulate.
-        state: State of the power state machine.
-        mode: Mode of operation.
         remote: Whether the controlword is obeyed, which requires an operational node.
         connection_lost: Whether the host's heartbeat is missing.
     """
@@ -117,7 +110,7 @@ class PowerDrive:
     ) -> None:
         self._motor, self._settings = motor, settings
         self._values, self._errors = values, errors
-        self.faults = DriveFaults()
+        self.faults = DriveFaults()  #: Faults to simulate
         self._origin = motor.position - settings.start_count * REVOLUTION / settings.counts
         self._now = -math.inf
         self._frozen: tuple[int, int] | None = None
@@ -172,7 +165,6 @@ class PowerDrive:
         self._reference = self._motor.torque if torque else self._motor.velocity
 
     def _obey(self) -> None:
-        """Obey the controlword, one transition at a time."""
         word = command(self._word)
         if self.state is State.ENABLED and self._state_after_ramp and word is Command.ENABLE:
             self._state_after_ramp = None  # the ramp that would disable the drive is cancelled

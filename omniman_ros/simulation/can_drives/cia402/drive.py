@@ -50,10 +50,8 @@ INCOMPATIBLE = 0x0604_0043  #: Abort code: incompatible parameter
 REFUSED = 0x0800_0022  #: Abort code: the value cannot be stored in the present state
 ABORT = struct.Struct("<BHBL")  #: Layout of an SDO abort
 MOTION = (indices.POSITION, indices.VELOCITY)  #: Indices of the objects with position and velocity
-#: Longest time between two runs of the timers that still detects a late heartbeat [s]
-MAX_STEP = 0.002
-#: Time by which a timer may expire early, because sums of periods are not exact [s]
-TIMER_TOLERANCE = 1e-6
+MAX_STEP = 0.002  #: Longest time between runs of the timers that detects a late heartbeat [s]
+TIMER_TOLERANCE = 1e-6  #: How early a timer may expire, as sums of periods are not exact [s]
 COMMUNICATION_OBJECTS = range(0x1000, 0x2000)  #: Indices of the communication objects
 
 
@@ -75,7 +73,6 @@ class _Outbox(canopen.Network):
         self.frames: list[tuple[can.Message, Pdo | None]] = []
 
     def send_message(self, can_id: int, data: Any, remote: bool = False) -> None:
-        """Collect a frame."""
         self.put(can_id, bytes(data))
 
     def send_periodic(self, can_id: int, data: Any, period: float, remote: bool = False) -> Any:
@@ -83,7 +80,6 @@ class _Outbox(canopen.Network):
         return _NoTask()
 
     def put(self, can_id: int, data: bytes, pdo: Pdo | None = None) -> None:
-        """Collect a frame, with its PDO if it is one."""
         message = can.Message(arbitration_id=can_id, data=data, is_extended_id=False)
         self.frames.append((message, pdo))
 
@@ -94,15 +90,6 @@ class Cia402Drive:
     A controlword that becomes valid with a SYNC acts after the drive has sampled its reports at
     that SYNC. Event-driven TPDOs are sent on change, on entering operational, and by their event
     timer.
-
-    Args:
-        node: Id of the drive, 1 to 127.
-        settings: Hardware and commissioning; None selects the defaults.
-
-    Attributes:
-        faults: Faults to simulate; the caller may change them at any time.
-        nmt: State of the node, as in its heartbeat.
-        axis: Power stage and motion of the drive.
     """
 
     def __init__(self, motor: Motor, node: int, settings: Cia402Settings | None = None) -> None:
@@ -119,18 +106,18 @@ class Cia402Drive:
         for key, entry in ALL.items():
             self._values[key] = entry.default
         self._errors = Errors(self._values, local.emcy)
+        #: Power stage and motion of the drive
         self.axis = PowerDrive(motor, self._settings, self._values, self._errors)
         self._received, self._transmitted = all_pdos(node, self._values, self._variables)
         self._delayed: dict[int, can.Message] = {}
         self._now = -math.inf
-        self.nmt = BOOTING
+        self.nmt = BOOTING  #: State of the node, as in its heartbeat
         self._boot_due: float | None = None
         self._restore(communication_only=False)
 
     # ---- start --------------------------------------------------------------------------------
 
     def _restore(self, communication_only: bool) -> None:
-        """Set the objects to their values after a start."""
         for key, entry in ALL.items():
             if key[0] in COMMUNICATION_OBJECTS or not communication_only:
                 self._values[key] = entry.default
@@ -249,7 +236,6 @@ class Cia402Drive:
             pdo.received = data
 
     def _apply(self, pdo: Pdo, data: bytes) -> None:
-        """Write all values of a PDO, then act on them."""
         written = pdo.unpack(data)
         for key, value in written:
             self._values[key] = value
@@ -412,7 +398,6 @@ class Cia402Drive:
 
 
 def _variables(objects: od.ObjectDictionary) -> dict[Key, od.ODVariable]:
-    """Return all variables of an object dictionary by index and sub-index."""
     result: dict[Key, od.ODVariable] = {}
     for index, entry in objects.indices.items():
         members: Sequence[od.ODVariable] = (

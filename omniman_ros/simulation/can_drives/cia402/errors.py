@@ -24,19 +24,12 @@ REGISTER = (
 
 
 class Errors:
-    """Active errors of a drive: each is reported once, and so is the end of the last one.
-
-    Args:
-        producer: Sender of emergency messages (CiA 301, 7.2.7).
-
-    Attributes:
-        active: Codes of the active errors.
-    """
+    """Active errors of a drive: each is reported once, and so is the end of the last one."""
 
     def __init__(self, values: dict[Key, Value], producer: EmcyProducer) -> None:
         self._values, self._producer = values, producer
         self._pending: list[tuple[int, int]] = []
-        self.active: set[int] = set()
+        self.active: set[int] = set()  #: Codes of the active errors
 
     def restart(self) -> None:
         """Forget all errors."""

@@ -49,20 +49,7 @@ DEFAULTS: dict[int, tuple[bool, tuple[int, ...]]] = {
 
 
 class Pdo:
-    """One PDO: its records in the object dictionary, and its pending data.
-
-    Args:
-        number: Number of the PDO, from 0.
-        values: Values of all objects, by index and sub-index.
-        variables: Variables of the library's dictionary, by the same keys.
-
-    Attributes:
-        transmit: Whether the drive sends it.
-        received: Received data that wait for the next SYNC.
-        syncs: Number of SYNCs since the PDO was last sent.
-        sent: Data that were last sent.
-        sent_at: Time at which the PDO was last sent [s].
-    """
+    """One PDO: its records in the object dictionary, and its pending data."""
 
     def __init__(
         self,
@@ -72,7 +59,7 @@ class Pdo:
         values: dict[Key, Value],
         variables: dict[Key, od.ODVariable],
     ) -> None:
-        self.transmit = transmit
+        self.transmit = transmit  #: Whether the drive sends it
         self.parameters = (0x1800 if transmit else 0x1400) + number
         self.mapping = self.parameters + 0x200
         self._default_id = (0x180 if transmit else 0x200) + 0x100 * number + node
@@ -106,10 +93,10 @@ class Pdo:
 
     def begin(self) -> None:
         """Discard pending data, because the node became operational or the PDO was changed."""
-        self.received: bytes | None = None
-        self.syncs = 0
-        self.sent: bytes | None = None
-        self.sent_at = -1e9
+        self.received: bytes | None = None  #: Received data that wait for the next SYNC
+        self.syncs = 0  #: Number of SYNCs since the PDO was last sent
+        self.sent: bytes | None = None  #: Data that were last sent
+        self.sent_at = -1e9  #: Time at which the PDO was last sent [s]
 
     def carries(self, *indices: int) -> bool:
         """Return whether at least one of the objects with these indices is mapped."""
@@ -139,11 +126,7 @@ class Pdo:
     # ---- configuration ------------------------------------------------------------------------
 
     def check(self, key: Key, value: int) -> None:
-        """Check that a value may be written in the present state.
-
-        Raises:
-            SdoAbortedError: The value is refused, with the abort code of CiA 301.
-        """
+        """Check that a value may be written now, or raise an SdoAbortedError (CiA 301)."""
         index, sub = key
         if index == self.mapping:
             self._check_mapping(sub, value)

@@ -29,9 +29,7 @@ class Command(Enum):
 FAULT_RESET = 0x80  #: Bit of the controlword whose rising edge resets a fault
 HALT = 0x100  #: Bit of the controlword that halts the motor in profile modes
 
-#: State by previous state and command, with the number of the transition.
-#:
-#: Transitions 0, 1, 13, 14 and 15, and 12 at the end of a ramp, have other causes.
+#: State by previous state and command; 0, 1, 13 to 15, and 12 after a ramp, have other causes
 TRANSITIONS = {
     (State.SWITCH_ON_DISABLED, Command.SHUTDOWN): State.READY,  # 2
     (State.READY, Command.SWITCH_ON): State.SWITCHED_ON,  # 3
@@ -50,8 +48,7 @@ TRANSITIONS = {
     (State.QUICK_STOP, Command.ENABLE): State.ENABLED,  # 16, if the quick stop option (605A) stays
 }
 
-#: States in which the motor has power
-POWERED = (State.ENABLED, State.QUICK_STOP, State.FAULT_REACTION)
+POWERED = (State.ENABLED, State.QUICK_STOP, State.FAULT_REACTION)  #: States with power
 
 
 BY_BITS = tuple(

@@ -16,8 +16,7 @@ from omniman_ros.simulation.can_drives.odrive.cansimple import (
 from omniman_ros.simulation.can_drives.odrive.settings import OdriveSettings
 
 REVOLUTION = 2.0 * math.pi  #: Angle of one revolution [rad]
-#: Ratio of the speed at which the axis disarms itself to the limit (vel_limit_tolerance)
-OVERSPEED = 1.2
+OVERSPEED = 1.2  #: Ratio of the speed at which the axis disarms itself to the limit
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,10 +53,6 @@ class OdriveAxis:
     after a restart.
 
     Attributes:
-        state: State of the axis.
-        result: Result of the last request for a state.
-        errors: Errors that are set.
-        disarm_reason: Errors that have disarmed the axis.
         control: Control mode, whether it is modelled or not.
         input: Input mode, whether it is modelled or not.
         velocity: Input velocity [rev/s].
@@ -145,7 +140,6 @@ class OdriveAxis:
             self._motor.release()
 
     def _check_errors(self) -> None:
-        """Set the errors whose causes are present."""
         readings = self._read()
         self.fail(Error.DRV_FAULT, readings.has_driver_fault)
         self.fail(Error.UNDER_VOLTAGE, readings.supply < self._settings.min_supply)
@@ -190,7 +184,6 @@ class OdriveAxis:
         self._driven_at = now
 
     def _drive(self, now: float) -> None:
-        """Command the motor if the axis is armed."""
         dt, self._driven_at = max(now - self._driven_at, 0.0), now
         if not self.is_armed:
             return

@@ -13,8 +13,7 @@ from omniman_ros.simulation.can_drives.odrive.axis import REVOLUTION, AxisReadin
 from omniman_ros.simulation.can_drives.odrive.cansimple import VERSION, Command, Error, State
 from omniman_ros.simulation.can_drives.odrive.settings import OdriveSettings
 
-#: Temperature of power stage and motor [degrees Celsius]; heating is not modelled
-TEMPERATURE = 25.0
+TEMPERATURE = 25.0  #: Temperature of power stage and motor [degrees Celsius], constant
 
 
 @dataclass(frozen=True)
@@ -46,12 +45,6 @@ class OdriveDrive(Firmware):
     no effect. The fault `fault` is one of the driver (DRV_FAULT), and `refuse_enable` gives the
     result NOT_CALIBRATED. `stuck_status` freezes the content of the heartbeat.
 
-    Args:
-        node: Node id of the axis, 0 to 63.
-
-    Attributes:
-        axis: Behaviour of the axis.
-
     Raises:
         ParameterError: The node id is not from 0 to 63.
     """
@@ -61,7 +54,7 @@ class OdriveDrive(Firmware):
             raise ParameterError("node", node, "must be a node id of an ODrive, 0 to 63")
         super().__init__(motor, settings.boot_time)
         self._node, self._settings = node, settings
-        self.axis = OdriveAxis(motor, settings, self._readings)
+        self.axis = OdriveAxis(motor, settings, self._readings)  #: Behaviour of the axis
         self._timers = {
             Command.HEARTBEAT: Timer(settings.heartbeat),
             Command.ENCODER: Timer(settings.encoder),

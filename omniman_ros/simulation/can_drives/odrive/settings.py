@@ -1,7 +1,7 @@
 """Settings of a simulated ODrive axis."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 from omniman_ros.core.errors import ParameterError
 from omniman_ros.simulation.can_drives.firmware import require_above
@@ -17,8 +17,7 @@ class OdriveSettings:
 
     torque_constant: float  #: Torque constant of the motor [N m/A]
     heartbeat: float = 0.1  #: Period of the heartbeat [s]; 0 if it is never sent
-    #: Period of the encoder estimates [s]; 0 if they are sent only on request
-    encoder: float = 0.01
+    encoder: float = 0.01  #: Period of the encoder estimates [s]; 0 if sent only on request
     iq: float = 0.0  #: Period of the current reports [s]; 0 if they are sent only on request
     bus: float = 0.0  #: Period of the supply reports [s]; 0 if they are sent only on request
     watchdog: float = 0.1  #: Timeout of the watchdog [s]; 0 if there is none
@@ -30,8 +29,7 @@ class OdriveSettings:
     velocity_ramp: float = 1.0  #: Rate of the ramped velocity mode [rev/s^2]
     torque_ramp: float = 0.01  #: Rate of the ramped torque mode [N m/s]
     min_supply: float = 10.0  #: Supply voltage below which there is an error [V]
-    #: Deceleration of a mechanical brake at the axis's brake output [rad/s^2]; 0 if there is none
-    brake_deceleration: float = 0.0
+    brake_deceleration: float = 0.0  #: Deceleration of a mechanical brake [rad/s^2]; 0: none
     boot_time: float = 1.0  #: Time after a restart in which no frame is received or sent [s]
     position: float = 0.0  #: Position at power-up [rev]; a restart sets it to 0
 
@@ -39,18 +37,6 @@ class OdriveSettings:
         require_above("torque_constant", self.torque_constant, inclusive=False)
         if not math.isfinite(self.position):
             raise ParameterError("position", self.position, "must be finite")
-        for name in (
-            "heartbeat",
-            "encoder",
-            "iq",
-            "bus",
-            "watchdog",
-            "velocity_limit",
-            "current_limit",
-            "velocity_ramp",
-            "torque_ramp",
-            "min_supply",
-            "brake_deceleration",
-            "boot_time",
-        ):
-            require_above(name, getattr(self, name))
+        for field in fields(self):
+            if field.name != "position":
+                require_above(field.name, getattr(self, field.name))

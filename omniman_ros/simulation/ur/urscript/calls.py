@@ -46,19 +46,13 @@ class Scope:
 
 @dataclass(frozen=True)
 class _Arguments:
-    """Arguments of a call."""
-
     values: tuple[Expression, ...]  #: Code of all of them, in the order of the text
     positional: int  #: How many of them come by position, before those by name
     names: tuple[str, ...]  #: Names of the others
 
 
 class CallCompiler:
-    """Compiles the calls in one body.
-
-    Args:
-        scope: Functions that the body can call.
-    """
+    """Compiles the calls in one body."""
 
     def __init__(self, scope: Scope, expression: Callable[[Node], Expression]) -> None:
         self._scope = scope
@@ -105,7 +99,6 @@ class CallCompiler:
 
 
 def _controller_call(name: str, arguments: _Arguments, line: int) -> Expression:
-    """Compile a call of one of the controller's own functions."""
     if name not in FUNCTIONS:
         return _failing(arguments, f"function '{name}' is not defined", line)
     positional, names = arguments.positional, arguments.names
@@ -136,7 +129,6 @@ def _controller_call(name: str, arguments: _Arguments, line: int) -> Expression:
 
 
 def _program_call(function: Function, arguments: _Arguments, line: int) -> Expression:
-    """Compile a call of a function of the program."""
     parameters, names = function.parameters, arguments.names
     given = (*parameters[: arguments.positional], *names)
     missing = {*parameters} - {*given} - function.optional

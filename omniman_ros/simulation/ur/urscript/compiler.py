@@ -27,10 +27,6 @@ class Program:
     statements, among which there may be definitions. `pass`, which does nothing, counts as no
     statement. `sec` defines a secondary program.
 
-    Attributes:
-        main: Function that the main thread executes; its variables are the global ones.
-        secondary: Whether it is a secondary program, which takes no time.
-
     Raises:
         ScriptError: The text is not a program.
     """
@@ -39,6 +35,7 @@ class Program:
         block = subtrees(parse(text))[0]
         statements = [node for node in subtrees(block) if node.data != "pass_statement"]
         defined = [node for node in statements if node.data == "definition"]
+        #: Whether it is a secondary program, which takes no time
         self.secondary = any(keyword(node).type == "SECONDARY" for node in defined)
         scope = Scope()
         main = Function("program", body=_body(block, scope, Nesting()))
@@ -47,7 +44,7 @@ class Program:
             if len(programs) != 1 or programs[0].parameters:
                 raise ScriptError(1, "the text is not one program")
             main = programs[0]
-        self.main = main
+        self.main = main  #: Function of the main thread, whose variables are global
 
 
 def _body(block: Node, scope: Scope, nesting: Nesting) -> Statement:
@@ -60,7 +57,6 @@ def _body(block: Node, scope: Scope, nesting: Nesting) -> Statement:
 
 
 def _declare(node: Node, scope: Scope) -> Function:
-    """Add a function to the scope, without its code."""
     _, name, parameters, _ = node.children
     names = tuple(str(each.children[0]) for each in subtrees(parameters))
     for index, parameter in enumerate(names):
@@ -76,7 +72,6 @@ def _declare(node: Node, scope: Scope) -> Function:
 
 
 def _define(node: Node, function: Function, scope: Scope, nesting: Nesting) -> None:
-    """Compile the defaults and the body of a function."""
     parameters, block = subtrees(node)
     own = Scope(scope)
     expressions = ExpressionCompiler(own, nesting)

@@ -13,8 +13,7 @@ PENDING = object()  #: Result of a poll: the wait is not over
 class Wait:
     """Wait of a thread for a condition."""
 
-    #: Returns the value of the call that waits, or PENDING; called once per cycle
-    poll: Callable[[], object]
+    poll: Callable[[], object]  #: Returns the value of the call, or PENDING; once per cycle
     takes_time: bool = True  #: Whether the wait uses up the thread's time slice; a join does not
 
 

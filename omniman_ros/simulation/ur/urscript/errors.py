@@ -4,15 +4,11 @@ from omniman_ros.core.errors import OmnimanError
 
 
 class ScriptError(OmnimanError, ValueError):
-    """The text is not a program.
-
-    Attributes:
-        line: Line of the error, counted from 1.
-    """
+    """The text is not a program."""
 
     def __init__(self, line: int, reason: str) -> None:
         super().__init__(f"line {line}: {reason}")
-        self.line = line
+        self.line = line  #: Line of the error, counted from 1
 
 
 class ScriptRuntimeError(OmnimanError):

@@ -99,11 +99,7 @@ class Frame:
     context: Context  #: What the functions of the controller work on
 
     def charge(self, line: int) -> None:
-        """Count a statement or a call against the thread's budget for the cycle.
-
-        Raises:
-            ScriptRuntimeError: The budget is used up.
-        """
+        """Count a statement or call; beyond the budget, this raises a ScriptRuntimeError."""
         thread = self.thread
         thread.budget -= 1
         if thread.budget < 0:

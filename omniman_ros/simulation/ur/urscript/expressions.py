@@ -28,11 +28,7 @@ from omniman_ros.simulation.ur.urscript.values import (
 
 
 class ExpressionCompiler:
-    """Compiles the expressions in one body.
-
-    Args:
-        scope: Functions that the body can call.
-    """
+    """Compiles the expressions in one body."""
 
     def __init__(self, scope: Scope, nesting: Nesting) -> None:
         self._nesting = nesting
@@ -58,11 +54,7 @@ class ExpressionCompiler:
         }
 
     def compile(self, node: Any) -> Expression:
-        """Compile an expression.
-
-        Raises:
-            ScriptError: It is invalid, whatever the program does before it.
-        """
+        """Compile an expression; an invalid one raises a ScriptError."""
         inner = without_parentheses(node)
         with self._nesting.enter(inner):
             return self._compilers[inner.data](inner)

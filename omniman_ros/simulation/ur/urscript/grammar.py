@@ -91,8 +91,7 @@ BLANK: /[ \t\f\v]+/
 BRACKETS = {"LPAR": 1, "LSQB": 1, "RPAR": -1, "RSQB": -1}
 BLOCKS = {"DEF": 1, "THREAD": 1, "SECONDARY": 1, "IF": 1, "WHILE": 1, "END": -1}
 NESTING = BRACKETS | BLOCKS  #: By how many levels a terminal deepens the nesting of a program
-#: Terminals before an operand, each of which deepens the nesting until the operand begins
-PREFIXES = {"NOT", "SIGN"}
+PREFIXES = {"NOT", "SIGN"}  #: Terminals before an operand, which nest until it begins
 #: Terminals after which an expression continues on the next line
 CONTINUED_AFTER = {"OR", "XOR", "AND", "COMPARISON", "SIGN", "SCALE"}
 SYMBOLS = {"_NEWLINE": "newline", "$END": "end of text"}
@@ -172,9 +171,6 @@ PARSER.parse(WARM_UP)  # lark compiles the expressions of a state when it first 
 def parse(text: str) -> Tree:
     """Parse the text of a program.
 
-    Args:
-        text: Program, with any of the three kinds of line ends.
-
     Returns:
         Tree whose nodes are named after the rules of the grammar, with the line of each.
 
@@ -193,7 +189,6 @@ def parse(text: str) -> Tree:
 
 
 def _complaint(character: str) -> str:
-    """Return why no token starts with this character."""
     if character in "\"'":
         return "the string does not end on its line"
     return f"unexpected character {character!r}"

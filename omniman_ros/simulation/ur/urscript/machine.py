@@ -28,23 +28,15 @@ from omniman_ros.simulation.ur.urscript.values import Value
 #: number lasts some 30 ms, in which the controller reports nothing; hosts wait 80 ms for feedback.
 MAX_STATEMENTS = 10_000
 MAX_CALL_DEPTH = 200  #: Largest depth of calls within calls
-#: Largest number of threads at once, and of threads that are started in one cycle
-MAX_THREADS = 64
+MAX_THREADS = 64  #: Largest number of threads at once, and of those started in a cycle
 
 
 class Machine:
     """A program that is being executed.
 
-    Args:
-        host: The controller that it queries and commands.
-        max_statements: Number of statements and calls that a thread may execute in a cycle.
-        seed: Seed of the function `random`.
-
     Attributes:
-        running: Whether the program has not ended.
         end_reason: Why it ended: "completed", "halt", "runtime error line n: ...", or the reason
             given to `stop`; "" while it runs.
-        variables: Global variables.
     """
 
     def __init__(
@@ -55,7 +47,7 @@ class Machine:
         seed: int = 0,
     ) -> None:
         self.end_reason = ""
-        self.variables: dict[str, Value] = {}
+        self.variables: dict[str, Value] = {}  #: Global variables
         self._context = Context(host, Random(seed))
         self._max_statements = max_statements
         self._takes_no_time = program.secondary
@@ -111,7 +103,6 @@ class Machine:
     # ---- threads ----------------------------------------------------------------------------
 
     def _push(self, thread: Thread, function: Function, variables: dict[str, Value]) -> None:
-        """Let a thread continue with a call of a function."""
         frame = Frame(variables, self.variables, thread, self._context)
         thread.calls.append(function.execute(frame))
 
@@ -134,7 +125,6 @@ class Machine:
         return thread.wait is None or thread.wait.takes_time
 
     def _has_waited(self, thread: Thread) -> bool:
-        """Return whether a thread does not wait any longer."""
         if thread.wait is not None:
             value = thread.wait.poll()
             if value is PENDING:
@@ -144,11 +134,7 @@ class Machine:
         return True
 
     def _execute(self, thread: Thread) -> None:
-        """Execute a thread until it waits or ends.
-
-        Raises:
-            ScriptRuntimeError: A statement cannot be executed, or there are too many for a cycle.
-        """
+        """Execute a thread until it waits or ends."""
         while thread.calls and thread.wait is None:
             answer, thread.answer = thread.answer, None
             try:

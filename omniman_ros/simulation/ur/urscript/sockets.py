@@ -30,8 +30,7 @@ TIMING = 1e-6  #: Tolerance of a time-out [s]
 ENCODING = "latin-1"  #: Encoding of text, in which every byte is a character
 
 T = TypeVar("T")
-#: Tries to read, given whether this is the last time; returns PENDING to be called again
-Attempt = Callable[[bool], object]
+Attempt = Callable[[bool], object]  #: Tries to read, for the last time or not; may return PENDING
 
 
 def socket_open(
@@ -65,11 +64,7 @@ def reading(context: Context, timeout: Value, attempt: Attempt) -> object:
 
 
 def count_of(count: Value) -> int:
-    """Return the count of numbers to read.
-
-    Raises:
-        ScriptRuntimeError: The controller cannot read so many at once.
-    """
+    """Return how many numbers to read; too many raise a ScriptRuntimeError."""
     checked_count = integer(count, "number")
     if not 1 <= checked_count <= MOST_NUMBERS:
         raise ScriptRuntimeError(

@@ -32,11 +32,7 @@ from omniman_ros.simulation.ur.urscript.values import Value, to_str, with_elemen
 
 
 class StatementCompiler:
-    """Compiles the statements of one body.
-
-    Args:
-        scope: Functions that the body can call.
-    """
+    """Compiles the statements of one body."""
 
     def __init__(self, scope: Scope, nesting: Nesting) -> None:
         self._nesting = nesting
@@ -58,11 +54,7 @@ class StatementCompiler:
         }
 
     def block(self, block: Node) -> Statement:
-        """Compile statements that follow each other; definitions among them are skipped.
-
-        Raises:
-            ScriptError: A statement is invalid.
-        """
+        """Compile statements, definitions left out; an invalid one raises a ScriptError."""
         with self._nesting.enter(block):
             return sequence(
                 [
@@ -165,7 +157,6 @@ class StatementCompiler:
         return apply([value], lambda frame, value: Return(value), line_of(node))
 
     def _request(self, node: Node, request: type[Kill] | type[Join]) -> Statement:
-        """Compile a request about the thread with a handle."""
         line = line_of(node)
         handle = apply([self._expressions.compile(node.children[0])], _handle, line)
 

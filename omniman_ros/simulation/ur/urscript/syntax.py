@@ -69,11 +69,7 @@ class Nesting:
 
     @contextmanager
     def enter(self, node: Node) -> Iterator[None]:
-        """Go one level deeper, to compile a node.
-
-        Raises:
-            ScriptError: The node is nested too deeply.
-        """
+        """Go a level deeper, to compile a node; too deep a one raises a ScriptError."""
         self._depth += 1
         if self._depth > MAX_NESTING:
             raise nested_too_deeply(line_of(node))

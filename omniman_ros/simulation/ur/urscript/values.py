@@ -4,7 +4,8 @@ A list is a tuple, for lists are copied when they are assigned or passed: an ass
 element makes a new tuple (URScript manual, "Numbers, Variables, and Types"; "Function").
 
 The manual leaves open what an overflow of a 32-bit integer does, and the sign of a remainder:
-here the first is a fault, the second is the sign of the dividend, as in C.
+here the first is a fault, the second is the sign of the dividend, as in C. What a function does
+not accept raises a ScriptRuntimeError.
 """
 
 import math
@@ -22,8 +23,7 @@ Number: TypeAlias = Callable[[float, float], float]  #: Function of two numbers
 
 SMALLEST = -(2**31)  #: Smallest integer
 LARGEST = 2**31 - 1  #: Largest integer
-#: Largest number of characters of a string, so that a program cannot use all memory
-MAX_STRING_LENGTH = 4096
+MAX_STRING_LENGTH = 4096  #: Largest length of a string, which bounds the memory
 JOINTS = 6  #: Number of joints, and of elements of a pose
 
 
@@ -54,22 +54,14 @@ def is_number(value: Value) -> bool:
 
 
 def number(value: Value, what: str) -> float:
-    """Return a value as a float; `what` names it in messages.
-
-    Raises:
-        ScriptRuntimeError: It is not a number.
-    """
+    """Return a value as a float; `what` names it in messages."""
     if isinstance(value, int | float) and not isinstance(value, bool):
         return float(value)
     raise ScriptRuntimeError(f"{what} is no number but {name_of(value)} {to_str(value)}")
 
 
 def integer(value: Value, what: str) -> int:
-    """Return a value as an int; a float without a fraction is accepted.
-
-    Raises:
-        ScriptRuntimeError: It is not a whole number of 32 bits.
-    """
+    """Return a value as an int; a float without a fraction is accepted."""
     whole = number(value, what)
     if not whole.is_integer():  # infinity and NaN neither
         raise ScriptRuntimeError(f"{what} is no whole number but {to_str(value)}")
@@ -77,34 +69,21 @@ def integer(value: Value, what: str) -> int:
 
 
 def text(value: Value, what: str) -> str:
-    """Return a value as a string.
-
-    Raises:
-        ScriptRuntimeError: It is not a string.
-    """
+    """Return a value as a string."""
     if isinstance(value, str):
         return value
     raise ScriptRuntimeError(f"{what} is no string but {name_of(value)} {to_str(value)}")
 
 
 def elements(value: Value, what: str) -> tuple[Value, ...]:
-    """Return a value as a list; a pose is accepted.
-
-    Raises:
-        ScriptRuntimeError: It is neither.
-    """
+    """Return a value as a list; a pose is accepted."""
     if isinstance(value, tuple):
         return value
     raise ScriptRuntimeError(f"{what} is no list but {name_of(value)} {to_str(value)}")
 
 
 def joints(value: Value, what: str) -> tuple[float, ...]:
-    """Return a value as six numbers [rad] or [rad/s].
-
-    Raises:
-        ScriptRuntimeError: It is a pose (inverse kinematics are not simulated) or not six
-            numbers.
-    """
+    """Return a value as six numbers [rad] or [rad/s]."""
     if isinstance(value, Pose):
         raise ScriptRuntimeError(f"{what} is a pose: inverse kinematics are not simulated")
     angles = elements(value, what)
@@ -114,11 +93,7 @@ def joints(value: Value, what: str) -> tuple[float, ...]:
 
 
 def truth(value: Value) -> bool:
-    """Return a value as a condition.
-
-    Raises:
-        ScriptRuntimeError: It is neither a bool nor a number.
-    """
+    """Return a value as a condition."""
     if value is True or value is False:
         return value
     if isinstance(value, int | float):
@@ -127,33 +102,21 @@ def truth(value: Value) -> bool:
 
 
 def checked(value: int) -> int:
-    """Return an int if it fits into 32 bits.
-
-    Raises:
-        ScriptRuntimeError: It does not fit into 32 bits.
-    """
+    """Return an int if it fits into 32 bits."""
     if SMALLEST <= value <= LARGEST:
         return value
     raise ScriptRuntimeError("an integer overflows its 32 bits")
 
 
 def checked_string(value: str) -> str:
-    """Return a string if it is not too long.
-
-    Raises:
-        ScriptRuntimeError: It is longer than strings may be.
-    """
+    """Return a string if it is not too long."""
     if len(value) <= MAX_STRING_LENGTH:
         return value
     raise ScriptRuntimeError(f"a string has more than {MAX_STRING_LENGTH} characters")
 
 
 def make_list(values: tuple[Value, ...]) -> tuple[Value, ...]:
-    """Return a list of scalars, poses or flat lists (a matrix).
-
-    Raises:
-        ScriptRuntimeError: It is nested deeper, or an element has no value.
-    """
+    """Return a list of scalars, poses or flat lists (a matrix)."""
     for value in values:
         if isinstance(value, tuple):
             if any(isinstance(inner, tuple) for inner in value):
@@ -164,11 +127,7 @@ def make_list(values: tuple[Value, ...]) -> tuple[Value, ...]:
 
 
 def make_pose(values: tuple[Value, ...]) -> Pose:
-    """Return a pose of six numbers.
-
-    Raises:
-        ScriptRuntimeError: An element is not a number.
-    """
+    """Return a pose of six numbers."""
     return Pose(number(value, "an element of a pose") for value in values)
 
 
@@ -183,12 +142,7 @@ def to_str(value: Value) -> str:
 
 
 def position(container: Value, index: Value) -> int:
-    """Return an index after checking it against a list or pose.
-
-    Raises:
-        ScriptRuntimeError: The container is not a list or pose, or the index is not an int or
-            out of range (there are no negative indices).
-    """
+    """Return an index after checking it against a list or pose."""
     found = elements(container, "what is indexed")
     if type(index) is not int:
         raise ScriptRuntimeError(f"an index is no int but {name_of(index)} {to_str(index)}")
@@ -212,11 +166,7 @@ def with_element(container: Value, index: Value, value: Value) -> Value:
 
 
 def calculate(function: Number, a: float, b: float) -> Value:
-    """Return the result of a function of two numbers; it must fit into 32 bits if it is an int.
-
-    Raises:
-        ScriptRuntimeError: Division by zero, an overflow, or no real result.
-    """
+    """Return the result of a function of two numbers; it must fit into 32 bits if it is an int."""
     try:
         result = function(a, b)
     except ZeroDivisionError:

@@ -32,12 +32,7 @@ def tool_of(robot: Robot) -> Inertia:
 
 
 def add_arm(base: Element, arm: ArmParameters, mount: Mount, tool: Inertia) -> None:
-    """Add the arm to the platform.
-
-    Args:
-        base: Body of base_link.
-        tool: Inertia of the tool, which has no shape.
-    """
+    """Add the arm to the platform."""
     position, rotation = (mount.x, mount.y, mount.z), (0.0, 0.0, mount.yaw)
     parent = add(base, "body", name=ARM_BASE, pos=position, euler=rotation)
     parent = _add_link(parent, BASE)
@@ -50,7 +45,6 @@ def add_arm(base: Element, arm: ArmParameters, mount: Mount, tool: Inertia) -> N
 
 
 def _add_link(parent: Element, link: Link) -> Element:
-    """Add a link, and return its body."""
     body = add(parent, "body", name=link.name, pos=link.place, euler=link.rpy)
     add_inertia(body, link.inertia)
     for tube in link.tubes:

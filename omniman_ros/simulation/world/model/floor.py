@@ -16,8 +16,7 @@ from omniman_ros.simulation.world.model.mjcf import (
 )
 
 FLOOR = "floor"  #: Name of the floor
-#: Impedance of tyres on the floor: the fraction of a force that keeps the tyre's shape
-IMPEDANCE = 0.9
+IMPEDANCE = 0.9  #: Impedance of tyres: the fraction of a force that keeps their shape
 STANDARD_GRAVITY = 9.81  #: Gravity at which the tyres' friction is scaled [m/s^2]
 
 
@@ -65,12 +64,7 @@ class Tyres:
 
 
 def tyres_of(robot: Robot, mass: float, plant: PlantParameters, stiffness: float) -> Tyres:
-    """Return the contact of a robot's tyres.
-
-    Args:
-        mass: Mass of the robot, arm and loads included [kg].
-        stiffness: Stiffness of a tyre [N/m].
-    """
+    """Return the contact of a robot's tyres; its mass [kg] includes arm and loads."""
     return Tyres(stiffness, mass / robot.wheel_count, robot.friction.mu, plant.slip_velocity)
 
 

@@ -10,8 +10,8 @@ Value = str | float | Sequence[float]  #: A word, a number or several numbers
 TYRE, ROBOT, WHEEL, LOOSE, PERSON = 1, 2, 4, 8, 16
 """Bits of what collides: tyres, the robot's other parts, wheels but for the floor, things that
 move, persons."""
+#: Groups of shapes: what is around the robot, the robot, and its tyres within the wheels
 WORLD_GROUP, ROBOT_GROUP, TYRE_GROUP = 0, 1, 2
-"""Groups of shapes: what is around the robot, the robot, and its tyres within the wheels."""
 
 HINGE_FRICTION: dict[str, Value] = {
     "solreffriction": (0.002, 1.0),
@@ -37,7 +37,6 @@ def add_inertia(body: Element, inertia: Inertia) -> None:
 
 
 def _text(value: Value) -> str:
-    """Format a word or numbers."""
     if isinstance(value, str):
         return value
     numbers = [value] if isinstance(value, int | float) else value

@@ -18,11 +18,7 @@ BASE = "base_link"  #: Name of the platform's body, and of its joint to the worl
 
 
 def deck_height(robot: Robot, mount: float | None) -> float:
-    """Return the height of the deck's upper side above the floor [m].
-
-    Args:
-        mount: Height of the arm's base above the floor [m]; None if there is no arm.
-    """
+    """Return the height of the deck's upper side above the floor [m], by the arm's mount [m]."""
     deck = platform_boxes(robot, mount)[0]
     return deck.centre[2] + 0.5 * deck.size[2]
 
@@ -36,16 +32,7 @@ def add_platform(
     tyres: Tyres,
     parameters: WorldParameters,
 ) -> Element:
-    """Add the platform, and return its body, whose frame is base_link.
-
-    Args:
-        world: Element of the world.
-        mount: Height of the arm's base above the floor [m]; None if there is no arm.
-        tyres: Contact of the wheels with the floor.
-
-    Raises:
-        ParameterError: A mismatch has neither one value nor one per wheel.
-    """
+    """Add the platform; return its body, whose frame is base_link."""
     base = add(world, "body", name=BASE)
     add(base, "freejoint", name=BASE)
     boxes, masses = platform_boxes(robot, mount), wheel_masses(robot)
@@ -67,6 +54,5 @@ def add_platform(
 
 
 def _add_shape(base: Element, **shape: Value) -> None:
-    """Add a shape of the platform."""
     contype, group = str(ROBOT), str(ROBOT_GROUP)
     add(base, "geom", contype=contype, conaffinity="0", group=group, **shape)

@@ -32,11 +32,8 @@ def person_joints(name: str) -> tuple[str, str]:
 def add_things(assets: Element, world: Element, scene: Scene, deck: float) -> None:
     """Add the elements of a scene, each as a body of its name; loads on the robot at the origin.
 
-    A column is a body that a study may place elsewhere (`mocap`); nothing else moves it.
-
-    Args:
-        world: Element of the world.
-        deck: Height of the platform's upper side, on which loads lie [m].
+    A column is a body that a study may place elsewhere (`mocap`); nothing else moves it. Loads lie
+    on the platform's upper side, at the height `deck` [m].
     """
     for name, solids in plain_solids(scene):
         body = add(world, "body", name=name)
@@ -53,12 +50,10 @@ def add_things(assets: Element, world: Element, scene: Scene, deck: float) -> No
 
 
 def _add_shape(body: Element, contype: int, **shape: Value) -> None:
-    """Add a shape that collides."""
     add(body, "geom", contype=str(contype), conaffinity=MEETS, group=str(WORLD_GROUP), **shape)
 
 
 def _add_solid(body: Element, solid: Box | Cylinder) -> None:
-    """Add a fixed solid."""
     if isinstance(solid, Box):
         half = [0.5 * edge for edge in solid.size]
         rotation = (0.0, 0.0, solid.yaw)
@@ -69,7 +64,6 @@ def _add_solid(body: Element, solid: Box | Cylinder) -> None:
 
 
 def _add_column(assets: Element, world: Element, column: Column) -> None:
-    """Add a column, and its mesh."""
     solid, name = column_solid(column), column.name
     outline, half = solid.outline, 0.5 * solid.height
     corners = prism_corners(outline, (-half, half))
@@ -79,7 +73,6 @@ def _add_column(assets: Element, world: Element, column: Column) -> None:
 
 
 def _add_loose(world: Element, box: Crate | Load, centre: Sequence[float], yaw: float) -> None:
-    """Add a box that moves freely."""
     body = add(world, "body", name=box.name, pos=centre, euler=(0.0, 0.0, yaw))
     add(body, "freejoint", name=box.name)
     size = (0.5 * box.length, 0.5 * box.width, 0.5 * box.height)

@@ -26,8 +26,7 @@ from omniman_ros.simulation.world.model.mjcf import (
 )
 from omniman_ros.simulation.world.parameters import IDEAL, WorldParameters
 
-#: Inertia of an ideal wheel's sphere in each direction, over the wheel's about its axle
-IDEAL_INERTIA = 0.02
+IDEAL_INERTIA = 0.02  #: Inertia of an ideal wheel's sphere over the wheel's about its axle
 ROLLER_MASS = 0.25  #: Fraction of a wheel's mass that its rollers have together
 QUARTER_TURN = 0.5 * math.pi  #: Angle of 90 degrees [rad]
 
@@ -53,11 +52,7 @@ def add_wheel(
     """Add a wheel with its axle along y of its own frame, x being the rolling direction.
 
     Args:
-        base: Body of base_link.
-        name: Name of the wheel, and of its driven joint.
-        mounting: Where the wheel is, and its angles.
         inertia: Mass and moments; the one about y includes gear and rotor.
-        tyres: Contact with the floor.
     """
     radius = mounting.radius
     body = add(
@@ -92,7 +87,6 @@ def _add_drive(body: Element, name: str, armature: float) -> None:
 def _add_ideal(
     body: Element, name: str, mounting: Mounting, inertia: Inertia, tyres: Tyres
 ) -> None:
-    """Add the two hinges of an ideal wheel, and its sphere."""
     axle = inertia.moments[1]
     small = IDEAL_INERTIA * axle
     add_inertia(body, Inertia(inertia.mass, (small, small, small)))
@@ -111,7 +105,6 @@ def _add_rim(
     tyres: Tyres,
     parameters: WorldParameters,
 ) -> None:
-    """Add a rim with rollers around it."""
     count, radius, angle = parameters.rollers, mounting.radius, mounting.roller_angle
     middle = parameters.roller_radius * radius
     half = roller_half_length(radius, middle, angle, count)
@@ -138,7 +131,6 @@ def _add_rim(
 
 
 def _add_tyre(body: Element, tyres: Tyres, **shape: Value) -> None:
-    """Add what touches the floor, and nothing else."""
     add(
         body,
         "geom",
@@ -155,11 +147,6 @@ def roller_half_length(radius: float, middle: float, angle: float, count: int) -
 
     It is such that the roller reaches exactly as deep as the wheel's radius both when it is at the
     wheel's bottom and when it hands over to the next roller.
-
-    Args:
-        radius: Radius of the wheel [m].
-        middle: Radius of the roller at its middle [m].
-        angle: Angle from the wheel's rolling direction to the roller's axis [rad].
     """
     turn = math.pi / count
     depth = radius - (radius - middle) * math.cos(turn)

@@ -37,11 +37,6 @@ def world_model(
 ) -> WorldModel:
     """Return the model of a robot in a scene, with the robot at the origin.
 
-    Args:
-        description: Robot, arm and where the arm is mounted.
-        simulation: Gravity, substep, friction and mismatch of the wheels.
-        parameters: Parameters of the world.
-
     Raises:
         ParameterError: The substep is too long, the platform is to be lifted, a mismatch has
             neither one value nor one per wheel, or an element of the scene has the name of a part
@@ -86,7 +81,6 @@ def world_model(
 
 
 def _require_unique_names(world: Element) -> None:
-    """Require that no two bodies and no two joints have the same name."""
     for tags in (("body",), ("joint", "freejoint")):
         names = Counter(element.get("name") for tag in tags for element in world.iter(tag))
         repeated = [name for name, count in names.items() if name and count > 1]
